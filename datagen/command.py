@@ -1,0 +1,109 @@
+"""Owns how a command starts, reports progress and ends: parse, run one function, errors as one line."""
+
+import difflib
+import sys
+import time
+from collections.abc import Callable, Collection, Iterable, Iterator
+from typing import NoReturn, TypeVar
+
+from datagen.errors import HyalineError
+
+Item = TypeVar("Item")
+
+REPORT_EVERY_S = 15.0
+"""Without a terminal, progress is a line this often."""
+
+
+def run(program: str, description: str, commands: dict[str, Callable[..., None]], arguments: list[str]) -> None:
+    """Parses `arguments`, calls the chosen function, and exits: 0 done, 1 our error in one line, 2 usage.
+
+    Results go to stdout, everything else to stderr.
+    """
+    import tyro
+
+    try:
+        tyro.extras.subcommand_cli_from_dict(
+            commands,
+            prog=program,
+            description=description,
+            args=arguments,
+            config=(tyro.conf.FlagCreatePairsOff,),
+            sort_subcommands=False,
+        )
+    except HyalineError as error:
+        fail(str(error))
+    except KeyboardInterrupt:
+        fail("stopped; run the same command again to go on", status=130)
+    except OSError as error:
+        # A full disk, a read-only folder, a missing permission: what is committed stays valid.
+        place = f"{error.filename}: " if error.filename else ""
+        fail(f"{place}{error.strerror or error}; make room or choose another place, then run the same command again")
+
+
+def fail(message: str, *, status: int = 1) -> NoReturn:
+    """Prints one line on stderr and exits."""
+    print(f"error: {' '.join(message.split())}", file=sys.stderr)
+    sys.exit(status)
+
+
+def say(message: str) -> None:
+    """A line for the person who waits, on stderr."""
+    print(message, file=sys.stderr, flush=True)
+
+
+def next_command(line: str) -> None:
+    """The last line of a command: what to type next."""
+    say(f"next: {line}")
+
+
+def choose(what: str, value: str, choices: Collection[str]) -> str:
+    """`value`, when it is one of `choices`.
+
+    Raises:
+        HyalineError: it is not; the nearest choice is suggested.
+    """
+    if value in choices:
+        return value
+    near = difflib.get_close_matches(value, choices, n=1, cutoff=0.5)
+    hint = f"did you mean {near[0]!r}? " if near else ""
+    raise HyalineError(f"{what} {value!r}: there is none of that name; {hint}known are {', '.join(sorted(choices))}")
+
+
+def track(items: Iterable[Item], *, label: str, total: int, done: int = 0,
+          status: Callable[[], str] = lambda: "") -> Iterator[Item]:  # fmt: skip
+    """Yields `items` while stderr shows how far they are and how long the rest will take.
+
+    Args:
+        total: how many items there are, those already done included.
+        done: how many were done before; they do not count for the estimate.
+        status: what else to show, asked for at each update.
+    """
+    if sys.stderr.isatty():
+        yield from _track_on_terminal(items, label, total, done, status)
+    else:
+        yield from _track_in_lines(items, label, total, done, status)
+
+
+def _track_on_terminal(items: Iterable[Item], label: str, total: int, done: int,
+                       status: Callable[[], str]) -> Iterator[Item]:  # fmt: skip
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, TextColumn("{task.fields[status]}"), console=Console(stderr=True)) as progress:
+        task = progress.add_task(label, total=total, completed=done, status="")
+        for item in items:
+            yield item
+            progress.update(task, advance=1, status=status())
+
+
+def _track_in_lines(items: Iterable[Item], label: str, total: int, done: int,
+                    status: Callable[[], str]) -> Iterator[Item]:  # fmt: skip
+    start = last = time.monotonic()
+    for count, item in enumerate(items, start=1):
+        yield item
+        now = time.monotonic()
+        if now - last >= REPORT_EVERY_S or done + count == total:
+            left = (now - start) / count * (total - done - count)
+            say(f"{label}: {done + count}/{total}, about {left:.0f} s left {status()}".rstrip())
+            last = now

@@ -1,0 +1,454 @@
+"""Owns the contract: what a dataset is, on disk and in memory. Imports neither Mitsuba nor torch.
+
+Axis words, used in every annotation: `b` image in a batch, `ray`, `layer` (0 = nearest), `h`, `w`, `c` feature
+channel, `tex_h`, `tex_w`, `vertex`, `face`, `view`. Images are `h w 3`; `uv` keeps its pair last.
+
+Conventions: metres, radians, +z up. Cameras are `world_from_camera` (4, 4) in the OpenGL convention (+x right, +y up,
+the camera looks along -z). Pixel (column i, row j) has its centre at (i + 0.5, j + 0.5), row 0 on top. Object ids are
+1 + the object's place in the scene, 0 where a layer is empty. uv is in [0, 1], v up: texel row `(1 - v) tex_h - 0.5`.
+
+    data/SCENE/
+      dataset.json                       sealed: version, configuration, objects, SHA-256 of the files of the next 2 lines
+      scene/                             the scene as rendered: scene.json, meshes/*.ply; `--scene FOLDER` reads it
+      transforms_{train,test,extrapolating}.json   cameras as NeRF tools read them; `test` is the interpolating split
+      images/SPLIT/0000.png              8-bit sRGB: what metrics compare
+      images/SPLIT/0000.exr              linear R G B, half floats, and `noise.*`: half the difference of two
+                                         independent halves A and B (so A = RGB + noise, B = RGB - noise)
+      records/SPLIT/0000.json            sealed, written last: a view exists only when its record verifies
+      layers/straight/                   peeled layers of the true geometry (format: datagen/layers.py)
+      proxies/KIND/proxies.json          sealed: one mesh per object, with SHA-256 and statistics
+      proxies/KIND/meshes/NAME.ply
+      proxies/KIND/layers/straight/      peeled layers of the proxies
+"""
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, cast
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from datagen.errors import HyalineError
+from datagen.meshes import Mesh, check_mesh, read_ply, write_ply
+from datagen.records import Json, from_json, to_json
+from datagen.storage import SEAL, commit, commit_sealed, load_json, load_sealed, sha256, sha256_file
+
+DATASET_VERSION = 1
+
+Split = Literal["train", "interpolating", "extrapolating"]
+SPLITS: tuple[Split, ...] = ("train", "interpolating", "extrapolating")
+TEST_SPLITS: tuple[Split, ...] = ("interpolating", "extrapolating")
+
+TRANSFORMS_FILES: dict[Split, str] = {
+    "train": "transforms_train.json",
+    "interpolating": "transforms_test.json",
+    "extrapolating": "transforms_extrapolating.json",
+}
+
+TRUTH = "truth"
+"""The geometry that is not a proxy: the scene's own meshes."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SplitConfig:
+    """How one split is rendered."""
+
+    views: int
+    spp: int
+    """Samples per pixel, both halves together; with a noise ceiling the number to start from."""
+
+    def __post_init__(self) -> None:
+        if self.views < 1 or self.spp < 2:
+            raise HyalineError(f"split: has {self.views} views of {self.spp} spp; expected at least 1 view and 2 spp")
+
+
+@dataclass(frozen=True, kw_only=True)
+class DatasetConfig:
+    """What `datagen build` makes; two builds with equal configurations give equal bytes."""
+
+    scene: str
+    preset: str
+    resolution: int
+    """Width and height of the square images in pixels."""
+    train: SplitConfig
+    interpolating: SplitConfig
+    extrapolating: SplitConfig
+    ceiling_db: float | None = None
+    """Render each test view until its own noise ceiling reaches this; None renders a fixed number of samples."""
+    max_depth: int = 24
+    """Longest light path in segments."""
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.resolution <= 8192:
+            raise HyalineError(f"resolution: is {self.resolution}; expected 1 to 8192 pixels")
+        if self.max_depth < 2:
+            raise HyalineError(f"max_depth: is {self.max_depth}; expected at least 2 (12 or more for glass)")
+        if self.seed < 0:
+            raise HyalineError(f"seed: is {self.seed}; expected 0 or more")
+        if self.ceiling_db is not None and not 10 <= self.ceiling_db <= 80:
+            raise HyalineError(f"ceiling_db: is {self.ceiling_db}; expected 10 to 80 dB")
+
+    def split(self, split: Split) -> SplitConfig:
+        return {"train": self.train, "interpolating": self.interpolating, "extrapolating": self.extrapolating}[split]
+
+
+@dataclass(frozen=True, kw_only=True)
+class DatasetObject:
+    """One object as users of the dataset see it; its id is 1 + its place in `Dataset.objects`."""
+
+    name: str
+    is_glass: bool
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Cameras:
+    """The cameras of one split, all with square pixels and the same lens."""
+
+    world_from_camera: Float[np.ndarray, "view 4 4"]
+    """float64, OpenGL convention."""
+    fov_x: float
+    """Horizontal field of view in radians."""
+    width: int
+    height: int
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Dataset:
+    """An opened dataset: its immutable head. Views are read one by one."""
+
+    root: Path
+    config: DatasetConfig
+    objects: tuple[DatasetObject, ...]
+    seal: str
+    """Hash of the head, which includes the hash of scene and cameras: names the data in a run's record."""
+
+    @property
+    def name(self) -> str:
+        return self.root.resolve().name
+
+
+@dataclass(frozen=True, kw_only=True)
+class ViewRecord:
+    """What is known of one rendered view; written last."""
+
+    dataset: str
+    """The seal of the dataset that the view belongs to."""
+    split: Split
+    view: int
+    seed: int
+    spp: int
+    """Samples per pixel that were really drawn, both halves together."""
+    noise_mse: float
+    """Estimated mean squared error of the clipped sRGB image against its own limit of infinitely many samples."""
+    variant: str
+    """The Mitsuba variant that rendered it."""
+    files: dict[str, str]
+    """SHA-256 by path, relative to the dataset."""
+
+
+def view_name(view: int) -> str:
+    return f"{view:04d}"
+
+
+def image_path(root: Path, split: Split, view: int) -> Path:
+    """The 8-bit sRGB picture; its neighbour `.exr` holds the linear one."""
+    return root / "images" / split / f"{view_name(view)}.png"
+
+
+def record_path(root: Path, split: Split, view: int) -> Path:
+    return root / "records" / split / f"{view_name(view)}.json"
+
+
+# The head: dataset.json, scene/ and transforms_*.json
+
+
+def write_head(root: Path, config: DatasetConfig, objects: tuple[DatasetObject, ...], cameras: dict[Split, Cameras],
+               scene_files: tuple[Path, ...]) -> Dataset:  # fmt: skip
+    """Commits cameras and the head of a new dataset, whose scene folder already stands in `root`.
+
+    Args:
+        scene_files: what belongs to the scene's folder, relative to `root`.
+    """
+    for split in SPLITS:
+        commit(root / TRANSFORMS_FILES[split], _transforms_bytes(cameras[split], split))
+    files = [*scene_files, *(Path(name) for name in TRANSFORMS_FILES.values())]
+    head: dict[str, Json] = {
+        "version": DATASET_VERSION,
+        "config": to_json(config),
+        "objects": to_json(objects),
+        "files": {path.as_posix(): sha256_file(root / path) for path in sorted(files)},
+    }
+    commit_sealed(root / "dataset.json", head)
+    return open_dataset(root)
+
+
+def open_dataset(root: Path) -> Dataset:
+    """The dataset in a folder, its head verified (its views are verified as they are read).
+
+    Raises:
+        HyalineError: no dataset there, a damaged head, or another format version.
+    """
+    path = root / "dataset.json"
+    if not path.is_file():
+        raise HyalineError(f"{root}: no dataset; make one with `datagen build --scene {root.name}`")
+    head = load_sealed(path)
+    if head.get("version") != DATASET_VERSION:
+        raise HyalineError(f"{path}: format version {head.get('version')!r}; this program reads {DATASET_VERSION}")
+    return Dataset(
+        root=root,
+        config=from_json(DatasetConfig, head["config"], where=f"{path}: config"),
+        objects=from_json(tuple[DatasetObject, ...], head["objects"], where=f"{path}: objects"),
+        seal=cast(str, load_json(path)[SEAL]),
+    )
+
+
+def head_files(root: Path) -> dict[str, str]:
+    """SHA-256 of scene and camera files by path relative to the dataset, as the head promises them."""
+    return from_json(dict[str, str], load_sealed(root / "dataset.json")["files"], where=f"{root}/dataset.json: files")
+
+
+def read_cameras(dataset: Dataset, split: Split) -> Cameras:
+    """The cameras of one split, verified against the head."""
+    relative = TRANSFORMS_FILES[split]
+    path = dataset.root / relative
+    if sha256_file(path) != head_files(dataset.root)[relative]:
+        raise HyalineError(f"{path}: damaged or edited (checksum differs); restore it or build the dataset again")
+    data = load_json(path)
+    frames = cast(list[dict[str, Json]], data["frames"])
+    return Cameras(
+        world_from_camera=np.array([frame["transform_matrix"] for frame in frames], np.float64),
+        fov_x=float(cast(float, data["camera_angle_x"])),
+        width=int(cast(int, data["w"])),
+        height=int(cast(int, data["h"])),
+    )
+
+
+def _transforms_bytes(cameras: Cameras, split: Split) -> bytes:
+    from datagen.storage import dump_json
+
+    focal = 0.5 * cameras.width / math.tan(0.5 * cameras.fov_x)
+    return dump_json({
+        "convention": "transform_matrix is world_from_camera, OpenGL: +x right, +y up, looks along -z; world +z up; m",
+        "camera_angle_x": cameras.fov_x,
+        "fl_x": focal,
+        "fl_y": focal,
+        "cx": 0.5 * cameras.width,
+        "cy": 0.5 * cameras.height,
+        "w": cameras.width,
+        "h": cameras.height,
+        "frames": [
+            {"file_path": f"images/{split}/{view_name(view)}", "transform_matrix": matrix.tolist()}
+            for view, matrix in enumerate(cameras.world_from_camera)
+        ],
+    })  # fmt: skip
+
+
+# Views
+
+
+def read_record(dataset: Dataset, split: Split, view: int) -> ViewRecord:
+    """The record of a rendered view.
+
+    Raises:
+        HyalineError: the view is not built, damaged, or belongs to another dataset.
+    """
+    path = record_path(dataset.root, split, view)
+    if not path.is_file():
+        raise HyalineError(
+            f"{path}: the view is not built yet; finish with `datagen build --scene {dataset.config.scene}`"
+        )
+    record = from_json(ViewRecord, cast(Json, load_sealed(path)), where=str(path))
+    if (record.dataset, record.split, record.view) != (dataset.seal, split, view):
+        raise HyalineError(f"{path}: belongs to {record.split} view {record.view} of another dataset; build it again")
+    return record
+
+
+def commit_view(
+    dataset: Dataset,
+    split: Split,
+    view: int,
+    *,
+    png: bytes,
+    exr: bytes,
+    seed: int,
+    spp: int,
+    noise_mse: float,
+    variant: str,
+) -> None:
+    """Commits one rendered view: its pictures, then the record that makes them exist."""
+    path = image_path(dataset.root, split, view)
+    files = {}
+    for file, data in ((path, png), (path.with_suffix(".exr"), exr)):
+        commit(file, data)
+        files[file.relative_to(dataset.root).as_posix()] = sha256(data)
+    record = ViewRecord(
+        dataset=dataset.seal,
+        split=split,
+        view=view,
+        seed=seed,
+        spp=spp,
+        noise_mse=noise_mse,
+        variant=variant,
+        files=files,
+    )
+    commit_sealed(record_path(dataset.root, split, view), cast(dict[str, Json], to_json(record)))
+
+
+def check_files(root: Path, files: dict[str, str]) -> None:
+    """Raises a HyalineError that names the first file whose bytes are not the promised ones."""
+    for relative, promised in files.items():
+        if sha256_file(root / relative) != promised:
+            raise HyalineError(f"{root / relative}: damaged (checksum differs); delete it and build again")
+
+
+def read_image(dataset: Dataset, split: Split, view: int) -> UInt8[np.ndarray, "h w 3"]:
+    """The 8-bit sRGB picture of a view, verified against its record."""
+    path = image_path(dataset.root, split, view)
+    files = read_record(dataset, split, view).files
+    check_files(dataset.root, {key: value for key, value in files.items() if key.endswith(".png")})
+    return read_png(path)
+
+
+def read_png(path: Path) -> UInt8[np.ndarray, "h w 3"]:
+    """An 8-bit RGB picture from any PNG.
+
+    Raises:
+        HyalineError: missing or not a picture.
+    """
+    from PIL import Image, UnidentifiedImageError
+
+    try:
+        with Image.open(path) as picture:
+            return np.asarray(picture.convert("RGB"))
+    except FileNotFoundError:
+        raise HyalineError(f"{path}: the picture is missing") from None
+    except (UnidentifiedImageError, OSError, SyntaxError, ValueError) as error:
+        raise HyalineError(f"{path}: not a PNG that can be read ({error})") from error
+
+
+def png_bytes(image: UInt8[np.ndarray, "h w c"]) -> bytes:
+    """The PNG file of an 8-bit picture; the same picture gives the same bytes."""
+    import io
+
+    from PIL import Image
+
+    buffer = io.BytesIO()
+    Image.fromarray(image).save(buffer, format="PNG", compress_level=6)
+    return buffer.getvalue()
+
+
+def is_view_built(dataset: Dataset, split: Split, view: int) -> bool:
+    """True when the view's record and all of its files verify."""
+    try:
+        check_files(dataset.root, read_record(dataset, split, view).files)
+    except HyalineError:
+        return False
+    return True
+
+
+def noise_ceiling_db(dataset: Dataset, split: Split) -> float:
+    """The mean PSNR in dB that the truth's own noise would allow a perfect method on this split."""
+    views = range(dataset.config.split(split).views)
+    errors = [read_record(dataset, split, view).noise_mse for view in views]
+    return float(np.mean([-10 * math.log10(max(error, 1e-12)) for error in errors]))
+
+
+# Geometry: the truth's meshes, or a proxy's
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProxyStatistics:
+    """How far one proxy is from its object."""
+
+    volume_ratio: float
+    """Volume of the proxy over the volume of the object's convex hull (>= 1 for a conservative convex proxy)."""
+    mean_distance: float
+    """Mean distance in metres from points on the proxy to the object's surface."""
+    max_distance: float
+    """Largest such distance in metres."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProxyRecord:
+    """One object's proxy on disk."""
+
+    object: str
+    file: str
+    sha256: str
+    statistics: ProxyStatistics
+
+
+def geometry_root(root: Path, geometry: str) -> Path:
+    """Where a geometry's meshes and layers lie: the dataset itself for the truth, else its proxy folder."""
+    return root if geometry == TRUTH else root / "proxies" / geometry
+
+
+def write_proxies(dataset: Dataset, kind: str, meshes: tuple[Mesh, ...],
+                  statistics: tuple[ProxyStatistics, ...]) -> None:  # fmt: skip
+    """Commits one proxy mesh per object, in object order."""
+    root = geometry_root(dataset.root, kind)
+    listed = []
+    for item, mesh, numbers in zip(dataset.objects, meshes, statistics, strict=True):
+        file, data = f"meshes/{item.name}.ply", write_ply(mesh)
+        commit(root / file, data)
+        listed.append(ProxyRecord(object=item.name, file=file, sha256=sha256(data), statistics=numbers))
+    content: dict[str, Json] = {
+        "version": DATASET_VERSION,
+        "kind": kind,
+        "dataset": dataset.seal,
+        "proxies": to_json(tuple(listed)),
+    }
+    commit_sealed(root / "proxies.json", content)
+
+
+def read_proxy_records(dataset: Dataset, kind: str) -> tuple[ProxyRecord, ...]:
+    """The list of a dataset's proxies of one kind, in object order.
+
+    Raises:
+        HyalineError: they were not made, are damaged, or were made for another dataset.
+    """
+    path = geometry_root(dataset.root, kind) / "proxies.json"
+    if not path.is_file():
+        raise HyalineError(
+            f"{path}: no {kind} proxies; make them with `proxies make --scene {dataset.name} --kind {kind}`"
+        )
+    content = load_sealed(path)
+    if content.get("version") != DATASET_VERSION:
+        raise HyalineError(f"{path}: format version {content.get('version')!r}; this program reads {DATASET_VERSION}")
+    if content.get("dataset") != dataset.seal:
+        raise HyalineError(
+            f"{path}: made for another dataset; make them again with "
+            f"`proxies make --scene {dataset.name} --kind {kind} --overwrite`"
+        )
+    return from_json(tuple[ProxyRecord, ...], content["proxies"], where=f"{path}: proxies")
+
+
+def read_meshes(dataset: Dataset, geometry: str) -> tuple[Mesh, ...]:
+    """The meshes of `truth` or of a proxy kind, in object order, verified against their checksums.
+
+    Raises:
+        HyalineError: not made, missing or damaged.
+    """
+    root = geometry_root(dataset.root, geometry)
+    if geometry == TRUTH:
+        promised = head_files(dataset.root)
+        files = {f"scene/meshes/{item.name}.ply": promised[f"scene/meshes/{item.name}.ply"] for item in dataset.objects}
+    else:
+        files = {record.file: record.sha256 for record in read_proxy_records(dataset, geometry)}
+    check_files(root, files)
+    meshes = tuple(read_ply(root / file)[0] for file in files)
+    for file, mesh in zip(files, meshes, strict=True):
+        check_mesh(mesh, where=str(root / file))
+    return meshes
+
+
+def config_difference(old: object, new: object) -> str | None:
+    """The first field in which two records of one class differ, as `name: old -> new`; None when equal."""
+    for item in dataclasses.fields(cast(DatasetConfig, old)):
+        before, after = getattr(old, item.name), getattr(new, item.name)
+        if before != after:
+            return f"{item.name}: {before} -> {after}"
+    return None

@@ -1,0 +1,8 @@
+"""Owns the one exception that a user can act upon."""
+
+
+class HyalineError(Exception):
+    """What went wrong, in one line: `{where}: {what, with the value}; {the way out}`.
+
+    Commands print it without a traceback and exit with status 1.
+    """

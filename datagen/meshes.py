@@ -1,0 +1,197 @@
+"""Owns the triangle mesh: the record, its validation, and its PLY file."""
+
+import io
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float32, Int32
+
+from datagen.errors import HyalineError
+
+MAX_EXTENT = 1e5
+"""Largest coordinate accepted, in metres: beyond it float32 rays lose millimetres."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Mesh:
+    """A triangle mesh in world space with one normal and one uv per vertex.
+
+    Vertices are split where the normal or the atlas has a seam, so a position may stand several times.
+    Winding is counter-clockwise seen from outside.
+    """
+
+    vertices: Float32[np.ndarray, "vertex 3"]
+    """Positions in metres, +z up."""
+    faces: Int32[np.ndarray, "face 3"]
+    """Vertex indices."""
+    normals: Float32[np.ndarray, "vertex 3"]
+    """Unit shading normals, outward."""
+    uv: Float32[np.ndarray, "vertex 2"]
+    """Atlas coordinates in [0, 1]; every surface point has texels of its own. v points up in the image."""
+
+
+def face_corners(mesh: Mesh) -> Float32[np.ndarray, "face 3 3"]:
+    return mesh.vertices[mesh.faces]
+
+
+def face_areas(mesh: Mesh) -> np.ndarray:
+    """Areas in square metres, one a face, in float64."""
+    a, b, c = np.moveaxis(face_corners(mesh).astype(np.float64), 1, 0)
+    return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=-1)
+
+
+def welded(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
+    """Positions without repeats (p, 3) and the faces on them (face, 3): the surface without its seams."""
+    positions, index = np.unique(mesh.vertices, axis=0, return_inverse=True)
+    return positions, index.reshape(-1)[mesh.faces]
+
+
+def signed_volume(mesh: Mesh) -> float:
+    """Enclosed volume in cubic metres by the divergence theorem; negative when the mesh is inside out."""
+    corners = face_corners(mesh).astype(np.float64)
+    a, b, c = np.moveaxis(corners - corners.mean(axis=(0, 1)), 1, 0)
+    return float(np.einsum("fi,fi->", a, np.cross(b, c)) / 6)
+
+
+def component_of_faces(mesh: Mesh) -> np.ndarray:
+    """The connected component of each face (face,), counted from 0, on the welded surface."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    positions, faces = welded(mesh)
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]]])
+    graph = coo_array((np.ones(len(edges), np.int8), (edges[:, 0], edges[:, 1])), shape=(len(positions),) * 2)
+    _, component = connected_components(graph, directed=False)
+    _, component = np.unique(component[faces[:, 0]], return_inverse=True)
+    return component
+
+
+def component(mesh: Mesh, faces_kept: np.ndarray) -> Mesh:
+    """The mesh of the faces that the mask (face,) keeps; its vertices stay as they are."""
+    return Mesh(vertices=mesh.vertices, faces=mesh.faces[faces_kept], normals=mesh.normals, uv=mesh.uv)
+
+
+def open_edges(mesh: Mesh) -> int:
+    """The number of edges that are not shared by exactly two oppositely wound faces; 0 for a closed mesh."""
+    _, faces = welded(mesh)
+    directed = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)
+    base = directed.max() + 1
+    forward, counts = np.unique(directed[:, 0] * base + directed[:, 1], return_counts=True)
+    backward = np.unique(directed[:, 1] * base + directed[:, 0])
+    return int((counts != 1).sum() + len(np.setdiff1d(forward, backward, assume_unique=True)))
+
+
+def check_mesh(mesh: Mesh, *, where: str) -> None:
+    """Refuses a mesh that would crash a native library or be rendered silently wrong.
+
+    Raises:
+        HyalineError: empty, non-finite or huge values, indices out of range, zero-area faces, uv outside [0, 1].
+    """
+    if len(mesh.vertices) == 0 or len(mesh.faces) == 0:
+        raise HyalineError(
+            f"{where}: has {len(mesh.vertices)} vertices and {len(mesh.faces)} faces; expected at least one of each"
+        )
+    for name, values in (("vertices", mesh.vertices), ("normals", mesh.normals), ("uv", mesh.uv)):
+        if not np.isfinite(values).all():
+            index = int(np.argwhere(~np.isfinite(values))[0, 0])
+            raise HyalineError(f"{where}: {name}[{index}] is {values[index].tolist()}; expected finite numbers")
+        if len(values) != len(mesh.vertices):
+            raise HyalineError(f"{where}: {len(values)} {name} for {len(mesh.vertices)} vertices; expected one each")
+    if np.abs(mesh.vertices).max() > MAX_EXTENT:
+        raise HyalineError(
+            f"{where}: a coordinate is {np.abs(mesh.vertices).max():g} m; expected at most {MAX_EXTENT:g}, rescale it"
+        )
+    low, high = int(mesh.faces.min()), int(mesh.faces.max())
+    if low < 0 or high >= len(mesh.vertices):
+        raise HyalineError(
+            f"{where}: a face names vertex {low if low < 0 else high}; expected 0 to {len(mesh.vertices) - 1}"
+        )
+    if (areas := face_areas(mesh)).min() < 1e-14:
+        raise HyalineError(f"{where}: face {int(areas.argmin())} has no area; remove degenerate faces")
+    if mesh.uv.min() < 0 or mesh.uv.max() > 1:
+        raise HyalineError(f"{where}: uv spans {mesh.uv.min():g} to {mesh.uv.max():g}; expected [0, 1], unwrap it")
+
+
+def check_closed(mesh: Mesh, *, where: str) -> None:
+    """Refuses what cannot bound a medium: glass must be closed, and outward in each connected part.
+
+    Cavities (a part inside another, wound inward) are allowed when the whole volume stays positive.
+
+    Raises:
+        HyalineError: an open edge, or the mesh is inside out.
+    """
+    if count := open_edges(mesh):
+        raise HyalineError(f"{where}: {count} open edges; glass must be a closed mesh, fill its holes")
+    if (volume := signed_volume(mesh)) <= 0:
+        raise HyalineError(f"{where}: encloses {volume:g} m^3, so it is inside out; reverse its faces")
+
+
+def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Area-weighted unit normals (vertex, 3) of an indexed surface; (0, 0, 1) where no face touches a vertex."""
+    a, b, c = np.moveaxis(vertices[faces].astype(np.float64), 1, 0)
+    face_normals = np.cross(b - a, c - a)
+    sums = np.zeros((len(vertices), 3))
+    for corner in range(3):
+        np.add.at(sums, faces[:, corner], face_normals)
+    lengths = np.linalg.norm(sums, axis=-1, keepdims=True)
+    return np.where(lengths > 0, sums / np.where(lengths > 0, lengths, 1), [0.0, 0.0, 1.0])
+
+
+def write_ply(mesh: Mesh) -> bytes:
+    """Binary PLY with normals and uv (`s`, `t`): reading it back gives the same arrays."""
+    import trimesh
+
+    exported = trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_normals=mesh.normals, process=False)
+    exported.visual = trimesh.visual.TextureVisuals(uv=mesh.uv)
+    data = exported.export(file_type="ply", encoding="binary", vertex_normal=True)
+    assert isinstance(data, bytes)
+    return data
+
+
+def read_ply(path: Path) -> tuple[Mesh, bool]:
+    """The mesh in a PLY file, and whether the file had uv (all uv are 0 where it had none).
+
+    Missing normals are computed, smooth over shared vertices.
+
+    Raises:
+        HyalineError: the file is missing, truncated, or not a PLY of triangles.
+    """
+    import trimesh
+
+    if not path.is_file():
+        raise HyalineError(f"{path}: the mesh file is missing")
+    try:
+        loaded = trimesh.load(io.BytesIO(path.read_bytes()), file_type="ply", process=False, fix_texture=False)
+    # trimesh answers a broken file with eight kinds of exception (ValueError, KeyError, IndexError, ...).
+    except Exception as error:
+        raise HyalineError(f"{path}: not a PLY mesh that can be read ({type(error).__name__}: {error})") from error
+    if not isinstance(loaded, trimesh.Trimesh):
+        raise HyalineError(f"{path}: holds no triangles; expected a PLY mesh")
+    raw = loaded.metadata["_ply_raw"]
+    vertex = raw["vertex"]["data"]
+    # trimesh 5.2 shortens a truncated ASCII file in silence; the header's counts tell.
+    if len(loaded.vertices) != raw["vertex"]["length"] or len(raw["face"]["data"]) < 1:
+        raise HyalineError(
+            f"{path}: {len(loaded.vertices)} vertices where its header says {raw['vertex']['length']}; it is truncated"
+        )
+    names = vertex.dtype.names if isinstance(vertex, np.ndarray) else tuple(vertex)
+    uv_names = next((pair for pair in (("s", "t"), ("u", "v")) if set(pair) <= set(names)), None)
+    uv = np.stack([vertex[name] for name in uv_names], axis=-1) if uv_names else np.zeros((len(loaded.vertices), 2))
+    faces = np.asarray(loaded.faces)
+    if len(faces) and (faces.min() < 0 or faces.max() >= len(loaded.vertices)):
+        raise HyalineError(
+            f"{path}: a face names vertex {faces.min() if faces.min() < 0 else faces.max()}; "
+            f"expected 0 to {len(loaded.vertices) - 1}"
+        )
+    if {"nx", "ny", "nz"} <= set(names):
+        normals = np.stack([vertex["nx"], vertex["ny"], vertex["nz"]], axis=-1)
+    else:
+        normals = vertex_normals(np.asarray(loaded.vertices), faces)
+    mesh = Mesh(
+        vertices=np.asarray(loaded.vertices, np.float32),
+        faces=faces.astype(np.int32),
+        normals=normals.reshape(-1, 3).astype(np.float32),
+        uv=uv.reshape(-1, 2).astype(np.float32),
+    )
+    return mesh, uv_names is not None

@@ -1,0 +1,381 @@
+"""Owns the renderer-neutral description of a scene (objects, materials, lights, cameras) and its folder on disk."""
+
+import math
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal, cast
+
+from datagen.errors import HyalineError
+from datagen.meshes import Mesh, check_closed, check_mesh, read_ply, write_ply
+from datagen.records import Json, from_json, to_json
+from datagen.storage import commit, dump_json, load_json
+
+Vector = tuple[float, float, float]
+Color = tuple[float, float, float]
+"""Linear Rec. 709 reflectance or radiance."""
+
+SCENE_VERSION = 1
+MAX_OBJECTS = 255
+"""Object ids are 8 bits; 0 means empty."""
+
+
+# Textures
+
+
+@dataclass(frozen=True, kw_only=True)
+class SolidTexture:
+    """A procedural texture carved from space, so that it knows no seams; baked into the object's atlas."""
+
+    pattern: Literal["checker", "stripes", "wood", "marble", "speckle"]
+    colors: tuple[Color, Color]
+    """Linear reflectance, each in [0, 1]."""
+    scale: float
+    """Length of one period in metres."""
+    axis: Literal["x", "y", "z"] = "x"
+    """Stripes and wood run across this axis; the other patterns have none."""
+
+    def __post_init__(self) -> None:
+        for color in self.colors:
+            _check_range("texture color", color, 0, 1)
+        _check_positive("texture scale", self.scale)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImageTexture:
+    """An sRGB PNG in the object's own uv, for scenes that bring their own."""
+
+    path: str
+    """Relative to the scene's folder."""
+
+    def __post_init__(self) -> None:
+        if Path(self.path).is_absolute() or ".." in Path(self.path).parts:
+            raise HyalineError(f"texture path: is {self.path!r}; expected a file inside the scene's folder")
+
+
+Reflectance = Color | SolidTexture | ImageTexture
+
+
+# Materials
+
+
+@dataclass(frozen=True, kw_only=True)
+class Dielectric:
+    """Smooth solid glass or liquid: refracts by Snell's law, reflects by Fresnel, absorbs by Beer and Lambert."""
+
+    ior: float = 1.5
+    """Index of refraction against the air outside."""
+    absorption: Color = (0.0, 0.0, 0.0)
+    """Absorption coefficient per channel, 1/m: transmittance over d metres is exp(-absorption d)."""
+
+    def __post_init__(self) -> None:
+        _check_ior(self.ior)
+        _check_range("absorption", self.absorption, 0, math.inf)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ThinDielectric:
+    """A pane so thin that light goes straight through, with the reflections inside it summed; may be an open mesh."""
+
+    ior: float = 1.5
+
+    def __post_init__(self) -> None:
+        _check_ior(self.ior)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Diffuse:
+    """Lambertian on both sides."""
+
+    color: Reflectance
+
+    def __post_init__(self) -> None:
+        _check_reflectance(self.color)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plastic:
+    """A diffuse base under a clear coat."""
+
+    color: Reflectance
+    ior: float = 1.5
+    roughness: float = 0.1
+    """Microfacet (GGX) alpha of the coat."""
+
+    def __post_init__(self) -> None:
+        _check_reflectance(self.color)
+        _check_ior(self.ior)
+        _check_roughness(self.roughness)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Conductor:
+    """Metal, described by its reflectance at normal incidence."""
+
+    color: Color
+    roughness: float = 0.1
+    """Microfacet (GGX) alpha; 0 is a mirror."""
+
+    def __post_init__(self) -> None:
+        _check_range("metal color", self.color, 0, 1)
+        if self.roughness != 0:
+            _check_roughness(self.roughness)
+
+
+Material = Dielectric | ThinDielectric | Diffuse | Plastic | Conductor
+
+
+def is_glass(material: Material) -> bool:
+    """True for materials that one sees through."""
+    return isinstance(material, (Dielectric, ThinDielectric))
+
+
+# Lights
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lobe:
+    """A soft round light in the sky: radiance falls off as exp(sharpness (cos angle - 1)).
+
+    Sharpness 20 is about 36 degrees wide at half height; small lights make fireflies behind glass.
+    """
+
+    direction: Vector
+    """Towards the light; any length."""
+    radiance: Color
+    sharpness: float
+
+    def __post_init__(self) -> None:
+        _check_positive("lobe direction", math.hypot(*self.direction))
+        _check_range("lobe radiance", self.radiance, 0, math.inf)
+        _check_positive("lobe sharpness", self.sharpness)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SoftEnvironment:
+    """Light from infinitely far: a smooth gradient over height and some lobes."""
+
+    zenith: Color
+    """Radiance from straight above (+z)."""
+    horizon: Color
+    ground: Color
+    """Radiance from straight below."""
+    lobes: tuple[Lobe, ...] = ()
+
+    def __post_init__(self) -> None:
+        for color in (self.zenith, self.horizon, self.ground):
+            _check_range("environment radiance", color, 0, math.inf)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RectangleLight:
+    """A one-sided rectangle that shines along the cross product of its edges; seen by the camera, not peeled."""
+
+    corner: Vector
+    edge_u: Vector
+    edge_v: Vector
+    radiance: Color
+
+    def __post_init__(self) -> None:
+        _check_range("light radiance", self.radiance, 0, math.inf)
+
+
+# Cameras
+
+
+@dataclass(frozen=True, kw_only=True)
+class WalkPoint:
+    """A place that the extrapolating walk passes, and where it looks from there."""
+
+    position: Vector
+    target: Vector
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraRig:
+    """Where the cameras of all splits stand: a cropped hemisphere, and a walk that leaves it."""
+
+    target: Vector
+    """Centre of the hemisphere; its cameras look at points near it."""
+    radius: float
+    """Metres."""
+    elevation_deg: tuple[float, float]
+    """Lowest and highest elevation on the hemisphere, degrees above the horizon."""
+    azimuth_deg: tuple[float, float] = (0.0, 360.0)
+    """First and last azimuth, degrees from +x towards +y."""
+    fov_deg: float = 40.0
+    """Horizontal field of view."""
+    target_jitter: float = 0.05
+    """Training cameras look at target plus a uniform offset of up to this many radii per axis."""
+    walk: tuple[WalkPoint, ...]
+    """Key points of the extrapolating split, in order; at least two."""
+
+    def __post_init__(self) -> None:
+        _check_positive("camera radius", self.radius)
+        low, high = self.elevation_deg
+        if not -90 < low <= high < 90:
+            raise HyalineError(f"camera elevation_deg: is {self.elevation_deg}; expected -90 < low <= high < 90")
+        if not 0 < self.fov_deg < 170:
+            raise HyalineError(f"camera fov_deg: is {self.fov_deg}; expected 0 to 170")
+        if len(self.walk) < 2:
+            raise HyalineError(f"camera walk: has {len(self.walk)} points; expected at least 2")
+
+
+# The scene
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SceneObject:
+    """One object: what is peeled under one id, textured by one neural texture, replaced by one proxy."""
+
+    name: str
+    mesh: Mesh
+    material: Material
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Scene:
+    """Everything that a path tracer needs, naming none. The id of `objects[i]` is i + 1."""
+
+    name: str
+    description: str = ""
+    objects: tuple[SceneObject, ...]
+    environment: SoftEnvironment
+    lights: tuple[RectangleLight, ...] = ()
+    cameras: CameraRig
+    folder: Path | None = field(default=None)
+    """Where image textures lie; None for scenes made by code."""
+
+
+def check_scene(scene: Scene) -> None:
+    """Refuses a scene that would crash a native library or be rendered silently wrong.
+
+    Raises:
+        HyalineError: naming the object, the value and what was expected.
+    """
+    if not 1 <= len(scene.objects) <= MAX_OBJECTS:
+        raise HyalineError(f"scene {scene.name}: has {len(scene.objects)} objects; expected 1 to {MAX_OBJECTS}")
+    names = [item.name for item in scene.objects]
+    if repeated := sorted({name for name in names if names.count(name) > 1}):
+        raise HyalineError(f"scene {scene.name}: two objects are called {repeated[0]!r}; expected unique names")
+    for item in scene.objects:
+        if not re.fullmatch(r"[A-Za-z0-9_-]+", item.name):
+            raise HyalineError(f"scene {scene.name}: object name {item.name!r}; expected letters, digits, _ and -")
+        where = f"scene {scene.name}: object {item.name}"
+        check_mesh(item.mesh, where=where)
+        if isinstance(item.material, Dielectric):
+            check_closed(item.mesh, where=where)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _ObjectFile:
+    name: str
+    mesh: str
+    material: Material
+
+
+@dataclass(frozen=True, kw_only=True)
+class _SceneFile:
+    version: int
+    name: str
+    description: str = ""
+    objects: tuple[_ObjectFile, ...]
+    environment: SoftEnvironment
+    lights: tuple[RectangleLight, ...] = ()
+    cameras: CameraRig
+
+
+def save_scene(scene: Scene, folder: Path) -> None:
+    """Writes `scene.json`, `meshes/*.ply` and image textures; `load_scene` gives the same scene back."""
+    listed = []
+    for item in scene.objects:
+        commit(folder / "meshes" / f"{item.name}.ply", write_ply(item.mesh))
+        listed.append(_ObjectFile(name=item.name, mesh=f"meshes/{item.name}.ply", material=item.material))
+        color = getattr(item.material, "color", None)
+        if isinstance(color, ImageTexture) and scene.folder is not None:
+            commit(folder / color.path, (scene.folder / color.path).read_bytes())
+    file = _SceneFile(
+        version=SCENE_VERSION,
+        name=scene.name,
+        description=scene.description,
+        objects=tuple(listed),
+        environment=scene.environment,
+        lights=scene.lights,
+        cameras=scene.cameras,
+    )
+    commit(folder / "scene.json", dump_json(to_json(file)))
+
+
+def load_scene(folder: Path) -> Scene:
+    """The checked scene in a folder; objects without uv get an atlas.
+
+    Raises:
+        HyalineError: a missing file, an unknown key, a bad value or a bad mesh.
+    """
+    path = folder / "scene.json"
+    data = load_json(path)
+    if data.get("version") != SCENE_VERSION:
+        raise HyalineError(f"{path}: version {data.get('version')!r}; this program reads version {SCENE_VERSION}")
+    try:
+        file = from_json(_SceneFile, cast(Json, data), where=str(path))
+    except HyalineError as error:
+        # Records check their own values and cannot know which file they came from.
+        raise error if str(error).startswith(str(path)) else HyalineError(f"{path}: {error}") from error
+    objects = []
+    for item in file.objects:
+        mesh_path = _inside(folder, item.mesh, where=f"{path}: object {item.name}")
+        mesh, has_uv = read_ply(mesh_path)
+        if not has_uv:
+            from datagen.atlas import unwrap
+
+            check_mesh(mesh, where=str(mesh_path))
+            mesh = unwrap(mesh, where=str(mesh_path))
+        color = getattr(item.material, "color", None)
+        if isinstance(color, ImageTexture):
+            texture = _inside(folder, color.path, where=f"{path}: object {item.name}")
+            if not texture.is_file():
+                raise HyalineError(f"{texture}: the texture of object {item.name} is missing")
+        objects.append(SceneObject(name=item.name, mesh=mesh, material=item.material))
+    scene = Scene(
+        name=file.name,
+        description=file.description,
+        objects=tuple(objects),
+        environment=file.environment,
+        lights=file.lights,
+        cameras=file.cameras,
+        folder=folder,
+    )
+    check_scene(scene)
+    return scene
+
+
+def _inside(folder: Path, relative: str, *, where: str) -> Path:
+    path = folder / relative
+    if not path.resolve().is_relative_to(folder.resolve()):
+        raise HyalineError(f"{where}: names {relative!r}; expected a file inside {folder}")
+    return path
+
+
+def _check_reflectance(color: Reflectance) -> None:
+    if isinstance(color, tuple):
+        _check_range("color", color, 0, 1)
+
+
+def _check_ior(ior: float) -> None:
+    if not 1 < ior < 10:
+        raise HyalineError(f"ior: is {ior}; expected an index of refraction above 1 (glass has 1.5)")
+
+
+def _check_roughness(roughness: float) -> None:
+    if not 0.001 <= roughness <= 1:
+        raise HyalineError(f"roughness: is {roughness}; expected 0.001 to 1")
+
+
+def _check_positive(name: str, value: float) -> None:
+    if not (math.isfinite(value) and value > 0):
+        raise HyalineError(f"{name}: is {value}; expected a positive number")
+
+
+def _check_range(name: str, color: Color, low: float, high: float) -> None:
+    if not all(math.isfinite(value) and low <= value <= high for value in color):
+        raise HyalineError(f"{name}: is {color}; expected three numbers from {low:g} to {high:g}")

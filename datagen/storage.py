@@ -1,0 +1,123 @@
+"""Owns how files reach the disk: atomic commits, sealed JSON that notices a flipped bit, one writer a folder."""
+
+import contextlib
+import fcntl
+import hashlib
+import json
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+from datagen.errors import HyalineError
+from datagen.records import Json
+
+SEAL = "sha256"
+"""Key under which a sealed JSON file holds the SHA-256 of everything else in it."""
+
+TEMPORARY_SUFFIXES = (".tmp", ".partial")
+"""Endings of files that a killed writer may leave: ours, and zarr's. Never part of a dataset."""
+
+
+def sha256(data: bytes) -> str:
+    """Hex SHA-256."""
+    return hashlib.sha256(data).hexdigest()
+
+
+def sha256_file(path: Path) -> str:
+    """Hex SHA-256 of a file's bytes.
+
+    Raises:
+        HyalineError: the file is missing.
+    """
+    if not path.is_file():
+        raise HyalineError(f"{path}: the file is missing; build it again")
+    return sha256(path.read_bytes())
+
+
+def commit(path: Path, data: bytes) -> None:
+    """Writes `data` so that `path` holds either its old bytes or all the new ones, whenever the process dies."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(path.name + ".tmp")
+    with temporary.open("wb") as file:
+        file.write(data)
+        file.flush()
+        os.fsync(file.fileno())
+    temporary.replace(path)
+    folder = os.open(path.parent, os.O_RDONLY)
+    try:
+        os.fsync(folder)
+    finally:
+        os.close(folder)
+
+
+def dump_json(data: Json) -> bytes:
+    """Canonical bytes: sorted keys, two spaces, a final newline; NaN and infinity are refused."""
+    return (json.dumps(data, indent=2, sort_keys=True, allow_nan=False) + "\n").encode()
+
+
+def load_json(path: Path) -> dict[str, Json]:
+    """A JSON object from a file.
+
+    Raises:
+        HyalineError: missing, not UTF-8 JSON, or not an object.
+    """
+    if not path.is_file():
+        raise HyalineError(f"{path}: the file is missing")
+    try:
+        data = json.loads(path.read_bytes())
+    except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
+        raise HyalineError(f"{path}: not a JSON file ({error})") from error
+    if not isinstance(data, dict):
+        raise HyalineError(f"{path}: holds a {type(data).__name__}; expected a JSON object")
+    return data
+
+
+def seal_bytes(data: dict[str, Json]) -> bytes:
+    """The bytes of a sealed JSON file: canonical, with the hash of the rest under `SEAL`."""
+    if SEAL in data:
+        raise ValueError(f"the key {SEAL!r} is reserved")
+    return dump_json({**data, SEAL: sha256(dump_json(data))})
+
+
+def commit_sealed(path: Path, data: dict[str, Json]) -> None:
+    """Commits `data` as a sealed JSON file."""
+    commit(path, seal_bytes(data))
+
+
+def load_sealed(path: Path) -> dict[str, Json]:
+    """The content of a sealed JSON file, without its seal.
+
+    Raises:
+        HyalineError: any byte differs from what was sealed.
+    """
+    data = load_json(path)
+    data.pop(SEAL, None)
+    if path.read_bytes() != seal_bytes(data):
+        raise HyalineError(f"{path}: does not match its own checksum; the file was damaged or edited, build it again")
+    return data
+
+
+def remove_temporaries(root: Path) -> None:
+    """Deletes what killed writers left anywhere under `root`."""
+    for path in root.rglob("*"):
+        if path.name.endswith(TEMPORARY_SUFFIXES) and path.is_file():
+            path.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def one_writer(root: Path) -> Iterator[None]:
+    """Holds `root` for this process; the lock ends with the process, however that ends, and leaves no file.
+
+    Raises:
+        HyalineError: another process is writing there.
+    """
+    root.mkdir(parents=True, exist_ok=True)
+    handle = os.open(root, os.O_RDONLY)
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise HyalineError(f"{root}: another process is writing there; wait for it, or stop it") from None
+        yield
+    finally:
+        os.close(handle)
