@@ -8,7 +8,7 @@ the camera looks along -z). Pixel (column i, row j) has its centre at (i + 0.5, 
 1 + the object's place in the scene, 0 where a layer is empty. uv is in [0, 1], v up: texel row `(1 - v) tex_h - 0.5`.
 
     data/SCENE/
-      dataset.json                       sealed: version, configuration, objects, SHA-256 of the files of the next 2 lines
+      dataset.json                       sealed: version, configuration, objects, SHA-256 of the next two lines' files
       scene/                             the scene as rendered: scene.json, meshes/*.ply; `--scene FOLDER` reads it
       transforms_{train,test,extrapolating}.json   cameras as NeRF tools read them; `test` is the interpolating split
       images/SPLIT/0000.png              8-bit sRGB: what metrics compare
@@ -46,6 +46,9 @@ TRANSFORMS_FILES: dict[Split, str] = {
     "interpolating": "transforms_test.json",
     "extrapolating": "transforms_extrapolating.json",
 }
+
+DATA_ROOT = Path("data")
+"""Where commands put and look for datasets, relative to the working directory."""
 
 TRUTH = "truth"
 """The geometry that is not a proxy: the scene's own meshes."""
@@ -203,6 +206,28 @@ def open_dataset(root: Path) -> Dataset:
         objects=from_json(tuple[DatasetObject, ...], head["objects"], where=f"{path}: objects"),
         seal=cast(str, load_json(path)[SEAL]),
     )
+
+
+def find_dataset(given: str | None) -> Path:
+    """The dataset that a command means: a folder, a name under `data/`, or the only one there.
+
+    Raises:
+        HyalineError: none or several fit.
+    """
+    if given is not None:
+        named = Path(given)
+        return named if (named / "dataset.json").is_file() or len(named.parts) > 1 else DATA_ROOT / given
+    found = list_datasets()
+    if len(found) == 1:
+        return found[0]
+    if not found:
+        raise HyalineError(f"{DATA_ROOT}: no dataset there; make one with `datagen build --scene glass_table`")
+    raise HyalineError(f"{DATA_ROOT}: holds {len(found)} datasets; choose one of {', '.join(map(str, found))}")
+
+
+def list_datasets() -> list[Path]:
+    """Every dataset folder under `data/`, sorted."""
+    return sorted(path.parent for path in DATA_ROOT.glob("*/dataset.json"))
 
 
 def head_files(root: Path) -> dict[str, str]:
