@@ -28,6 +28,7 @@ UV_SCALE = 65535
 ARRAYS = ("uv", "object_id", "depth")
 
 LayerKind = Literal["straight"]
+LAYER_KINDS: tuple[LayerKind, ...] = ("straight",)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -142,7 +143,7 @@ def write_layers(dataset: Dataset, geometry: str, kind: LayerKind, split: Split,
         path = _shard_path(root, split, name, view)
         files[path.relative_to(root).as_posix()] = sha256_file(path)
     record = LayersRecord(layers=seal, split=split, view=view, overflow_share=overflow_share, files=files)
-    commit_sealed(_record_path(root, split, view), cast(dict[str, Json], to_json(record)))
+    commit_sealed(record_path_of_layers(root, split, view), cast(dict[str, Json], to_json(record)))
 
 
 def read_layers_record(dataset: Dataset, geometry: str, kind: LayerKind, split: Split, view: int) -> LayersRecord:
@@ -153,7 +154,7 @@ def read_layers_record(dataset: Dataset, geometry: str, kind: LayerKind, split: 
     """
     root = layers_root(dataset.root, geometry, kind)
     _, seal = read_layers_head(dataset, geometry, kind)
-    path = _record_path(root, split, view)
+    path = record_path_of_layers(root, split, view)
     if not path.is_file():
         raise HyalineError(
             f"{path}: the view is not peeled yet; finish with "
@@ -215,5 +216,5 @@ def _shard_path(root: Path, split: Split, name: str, view: int) -> Path:
     return root.joinpath("peels.zarr", split, name, "c", str(view), *zeros)
 
 
-def _record_path(root: Path, split: Split, view: int) -> Path:
+def record_path_of_layers(root: Path, split: Split, view: int) -> Path:
     return root / "records" / split / f"{view_name(view)}.json"

@@ -141,9 +141,10 @@ def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 def write_ply(mesh: Mesh) -> bytes:
     """Binary PLY with normals and uv (`s`, `t`): reading it back gives the same arrays."""
     import trimesh
+    from trimesh.visual.texture import TextureVisuals
 
     exported = trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_normals=mesh.normals, process=False)
-    exported.visual = trimesh.visual.TextureVisuals(uv=mesh.uv)
+    exported.visual = TextureVisuals(uv=mesh.uv)
     data = exported.export(file_type="ply", encoding="binary", vertex_normal=True)
     assert isinstance(data, bytes)
     return data
@@ -170,15 +171,17 @@ def read_ply(path: Path) -> tuple[Mesh, bool]:
         raise HyalineError(f"{path}: holds no triangles; expected a PLY mesh")
     raw = loaded.metadata["_ply_raw"]
     vertex = raw["vertex"]["data"]
-    # trimesh 5.2 shortens a truncated ASCII file in silence; the header's counts tell.
-    if len(loaded.vertices) != raw["vertex"]["length"] or len(raw["face"]["data"]) < 1:
+    faces = np.asarray(loaded.faces)
+    # trimesh 5.2 shortens a truncated ASCII file in silence; the header's counts tell. (Quads become two triangles.)
+    promised = (raw["vertex"]["length"], raw["face"]["length"])
+    if len(loaded.vertices) != promised[0] or faces.ndim != 2 or len(faces) < promised[1]:
         raise HyalineError(
-            f"{path}: {len(loaded.vertices)} vertices where its header says {raw['vertex']['length']}; it is truncated"
+            f"{path}: holds {len(loaded.vertices)} vertices and {len(faces)} faces, "
+            f"its header says {promised[0]} and {promised[1]}; it is truncated, export it again"
         )
     names = vertex.dtype.names if isinstance(vertex, np.ndarray) else tuple(vertex)
     uv_names = next((pair for pair in (("s", "t"), ("u", "v")) if set(pair) <= set(names)), None)
     uv = np.stack([vertex[name] for name in uv_names], axis=-1) if uv_names else np.zeros((len(loaded.vertices), 2))
-    faces = np.asarray(loaded.faces)
     if len(faces) and (faces.min() < 0 or faces.max() >= len(loaded.vertices)):
         raise HyalineError(
             f"{path}: a face names vertex {faces.min() if faces.min() < 0 else faces.max()}; "

@@ -16,7 +16,9 @@ def to_json(value: object) -> Json:
     """Plain JSON for a frozen record, a tuple, a mapping or a scalar; a record in a union carries its `type`."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         fields = {field.name: to_json(getattr(value, field.name)) for field in dataclasses.fields(value)}
-        return {"type": type(value).__name__, **fields}
+        name = type(value).__name__
+        # Private records describe a file's layout; they stand in no union and need no tag.
+        return fields if name.startswith("_") else {"type": name, **fields}
     if isinstance(value, (tuple, list)):
         return [to_json(item) for item in value]
     if isinstance(value, Mapping):

@@ -287,13 +287,21 @@ class _SceneFile:
 
 def save_scene(scene: Scene, folder: Path) -> None:
     """Writes `scene.json`, `meshes/*.ply` and image textures; `load_scene` gives the same scene back."""
+    for relative, data in scene_files(scene).items():
+        commit(folder / relative, data)
+
+
+def scene_files(scene: Scene) -> dict[str, bytes]:
+    """The files of a scene's folder, by relative path; equal scenes give equal bytes."""
+    files: dict[str, bytes] = {}
     listed = []
     for item in scene.objects:
-        commit(folder / "meshes" / f"{item.name}.ply", write_ply(item.mesh))
-        listed.append(_ObjectFile(name=item.name, mesh=f"meshes/{item.name}.ply", material=item.material))
+        mesh = f"meshes/{item.name}.ply"
+        files[mesh] = write_ply(item.mesh)
+        listed.append(_ObjectFile(name=item.name, mesh=mesh, material=item.material))
         color = getattr(item.material, "color", None)
         if isinstance(color, ImageTexture) and scene.folder is not None:
-            commit(folder / color.path, (scene.folder / color.path).read_bytes())
+            files[color.path] = (scene.folder / color.path).read_bytes()
     file = _SceneFile(
         version=SCENE_VERSION,
         name=scene.name,
@@ -303,7 +311,9 @@ def save_scene(scene: Scene, folder: Path) -> None:
         lights=scene.lights,
         cameras=scene.cameras,
     )
-    commit(folder / "scene.json", dump_json(to_json(file)))
+    # Through the parser and back, so that 1 and 1.0 give the same bytes.
+    canonical = from_json(_SceneFile, to_json(file), where=f"scene {scene.name}")
+    return {**files, "scene.json": dump_json(to_json(canonical))}
 
 
 def load_scene(folder: Path) -> Scene:

@@ -1,0 +1,5 @@
+"""Runs `python -m datagen` as the console script does."""
+
+from datagen.cli import main
+
+main()

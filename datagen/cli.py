@@ -1,0 +1,155 @@
+"""Owns the command line of `datagen`: parse, configure, call one function."""
+
+import sys
+from pathlib import Path
+
+from datagen.command import choose, fail, next_command, run, say
+from datagen.dataset import DATA_ROOT, TRUTH, DatasetConfig, find_dataset, open_dataset
+from datagen.layers import LayerKind
+from datagen.presets import PRESETS, resize
+
+
+def main() -> None:
+    """Entry point of the console script."""
+    commands = {"build": build, "peel": peel, "verify": verify, "scenes": scenes, "doctor": doctor}
+    run("datagen", "Path-traced datasets of transparent objects, with peeled layers.", commands, sys.argv[1:])
+
+
+def build(
+    scene: str = "glass_table",
+    preset: str = "demo",
+    layers: tuple[LayerKind, ...] = ("straight",),
+    num_layers: int = 8,
+    out: Path | None = None,
+    seed: int = 0,
+    workers: int = 1,
+    overwrite: bool = False,
+    ceiling: float | None = None,
+    resolution: int | None = None,
+    views: int | None = None,
+    test_views: int | None = None,
+    spp: int | None = None,
+    test_spp: int | None = None,
+    max_depth: int = 24,
+) -> None:
+    """Renders a scene and peels its layers; the same command again goes on where it was stopped.
+
+    Args:
+        scene: A name that `datagen scenes` lists, or a folder with a scene.json.
+        preset: tiny, demo, standard or paper.
+        layers: Kinds of layers to peel.
+        num_layers: Layers kept per ray; the share of rays with more is reported.
+        out: Where the dataset goes; data/SCENE unless given.
+        seed: Fixes cameras and noise; the same seed gives the same bytes.
+        workers: Processes that render side by side; the bytes do not depend on it.
+        overwrite: Replace a dataset that stands there with other settings.
+        ceiling: Noise ceiling in dB that each test view is rendered to, instead of a fixed number of samples.
+        resolution: Width and height in pixels, instead of the preset's.
+        views: Training views, instead of the preset's.
+        test_views: Views in each of the two test splits, instead of the preset's.
+        spp: Samples per pixel of training views, instead of the preset's.
+        test_spp: Samples per pixel of test views, instead of the preset's; where --ceiling starts.
+        max_depth: Longest light path in segments.
+    """
+    from datagen.build import build_dataset, summary
+    from datagen.scenes import find_scene
+
+    size = resize(
+        PRESETS[choose("preset", preset, PRESETS)],
+        resolution=resolution,
+        views=views,
+        test_views=test_views,
+        spp=spp,
+        test_spp=test_spp,
+    )
+    description = find_scene(scene)
+    root = out or DATA_ROOT / description.name
+    config = DatasetConfig(
+        scene=description.name,
+        preset=preset,
+        resolution=size.resolution,
+        train=size.train,
+        interpolating=size.interpolating,
+        extrapolating=size.extrapolating,
+        ceiling_db=ceiling,
+        max_depth=max_depth,
+        seed=seed,
+    )
+    dataset = build_dataset(
+        description, root, config, kinds=layers, num_layers=num_layers, workers=workers, overwrite=overwrite
+    )
+    for kind in layers:
+        say(summary(dataset, TRUTH, kind))
+    print(root)
+    where = "" if root == DATA_ROOT / description.name else f" --scene {root}"
+    next_command(f"proxies make --kind ellipsoid{where}")
+
+
+def peel(
+    dataset: str | None = None,
+    geometry: str = TRUTH,
+    layers: tuple[LayerKind, ...] = ("straight",),
+    num_layers: int = 8,
+    workers: int = 1,
+    overwrite: bool = False,
+) -> None:
+    """Peels layers of a geometry for every view, without rendering images again.
+
+    Args:
+        dataset: A dataset's folder or its name under data/; the only one there unless given.
+        geometry: truth, or a kind of proxy that `proxies make` has made.
+        layers: Kinds of layers to peel.
+        num_layers: Layers kept per ray.
+        workers: Processes that peel side by side.
+        overwrite: Peel again what is there.
+    """
+    from datagen.build import peel_dataset, summary
+    from datagen.verify import geometries
+
+    opened = open_dataset(find_dataset(dataset))
+    choose("geometry", geometry, geometries(opened))
+    peel_dataset(opened, geometry, kinds=layers, num_layers=num_layers, overwrite=overwrite, workers=workers)
+    for kind in layers:
+        say(summary(opened, geometry, kind))
+    print(opened.root)
+    suffix = "" if geometry == TRUTH else f" --geometry {geometry}"
+    next_command(f"model train --dataset {opened.root} --method paper{suffix}")
+
+
+def verify(dataset: str | None = None, /) -> None:
+    """Checks every byte of a dataset; exit status 1 names what is damaged.
+
+    Args:
+        dataset: A dataset's folder or its name under data/; the only one there unless given.
+    """
+    from datagen.verify import verify_dataset
+
+    root = find_dataset(dataset)
+    count, problems = verify_dataset(root)
+    for problem in problems:
+        print(problem)
+    if problems:
+        fail(f"{root}: {len(problems)} problems; the lines above name the files")
+    print(f"{root}: {count} files verified")
+
+
+def scenes() -> None:
+    """Lists the scenes that `datagen build --scene` knows by name."""
+    from datagen.scenes import describe_scenes
+
+    for name, description in describe_scenes().items():
+        print(f"{name:14} {description}")
+    next_command("datagen build --scene glass_table")
+
+
+def doctor() -> None:
+    """Says what this machine has, which Mitsuba variant will be used, and what mends what is missing."""
+    from datagen.doctor import examine
+
+    findings = examine()
+    for finding in findings:
+        print(f"{finding.what:10} {finding.found}")
+        if finding.remedy:
+            print(f"{'':10} mend it with: {finding.remedy}")
+    if not any(finding.remedy for finding in findings):
+        next_command("datagen build --scene glass_table")

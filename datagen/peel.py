@@ -1,0 +1,190 @@
+"""Owns the straight layers: every surface along a pixel's ray, found by Mitsuba's ray tracer. Call `use_mitsuba` first.
+
+The rule that loses no layer and finds none twice (checked against an independent engine): the origin stays fixed, the
+distance t advances by a relative 2.4e-7 past each hit, a hit of the primitive that was hit last does not count, and
+intersections are the robust ones. Mitsuba's own `spawn_ray` moves the origin by about 1e-4 along the normal and so
+loses half of the hits where surfaces lie closer than that.
+"""
+
+# Mitsuba's stubs describe no variant: what is a number in one is an array in another.
+# pyright: reportArgumentType=false, reportCallIssue=false, reportOperatorIssue=false, reportIndexIssue=false
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, cast
+
+import numpy as np
+from jaxtyping import Float32, Int32
+
+from datagen.cameras import pixel_center_rays
+from datagen.dataset import Cameras
+from datagen.layers import Layers, quantize_uv
+from datagen.meshes import Mesh
+from datagen.mitsuba_scene import is_scalar, load_geometry_mitsuba
+
+if TYPE_CHECKING:
+    import mitsuba as mi
+
+ADVANCE = 1 + 2.4e-7
+"""Factor by which t passes a hit: two float32 steps."""
+
+SPARE_STEPS = 4
+"""Trace steps beyond the layers, for hits of the same primitive that do not count."""
+
+TILE = 4
+"""Rays are traced in tiles of 4 x 4 pixels, 1.6 times faster than in scan lines."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Hits:
+    """All hits of a bundle of rays, nearest first."""
+
+    shape: Int32[np.ndarray, "layer ray"]
+    """Index of the mesh, -1 where empty."""
+    prim: Int32[np.ndarray, "layer ray"]
+    """Index of the face."""
+    barycentric: Float32[np.ndarray, "layer ray 2"]
+    """Weights of the face's second and third vertex."""
+    t: Float32[np.ndarray, "layer ray"]
+    """Distance along the ray, 0 where empty."""
+    has_more: np.ndarray
+    """(ray,) bool: the ray had more hits than layers."""
+
+
+class Peeler:
+    """A loaded geometry; peels any number of views."""
+
+    def __init__(self, meshes: tuple[Mesh, ...]) -> None:
+        self._scene = load_geometry_mitsuba(meshes)
+        # uv of the corners of every face of every mesh, so that one gather by (shape, face) finds them.
+        self._first_face = np.cumsum([0, *(len(mesh.faces) for mesh in meshes)])[:-1]
+        self._corner_uv = np.concatenate([mesh.uv[mesh.faces] for mesh in meshes])
+
+    def trace(self, origin: Float32[np.ndarray, "3"], directions: Float32[np.ndarray, "ray 3"],
+              num_layers: int) -> Hits:  # fmt: skip
+        """The first `num_layers` hits of rays from one origin along unit directions."""
+        if is_scalar():
+            return _trace_scalar(self._scene, origin, directions, num_layers)
+        return _trace_vectorised(self._scene, origin, directions, num_layers)
+
+    def peel(self, cameras: Cameras, view: int, num_layers: int) -> tuple[Layers, float]:
+        """The layers of one view, and the share of its rays that had more hits than layers."""
+        origin, directions = pixel_center_rays(cameras, view)
+        order = _tiled(cameras.width, cameras.height)
+        hits = self.trace(origin, directions.reshape(-1, 3)[order], num_layers)
+        uv = self._uv(hits)
+        back = np.empty_like(order)
+        back[order] = np.arange(len(order))
+        image = (num_layers, cameras.height, cameras.width)
+        layers = Layers(
+            uv=quantize_uv(uv[:, back].reshape(*image, 2)),
+            object_id=(hits.shape[:, back] + 1).astype(np.uint8).reshape(image),
+            depth=hits.t[:, back].reshape(image),
+        )
+        return layers, float(hits.has_more.mean())
+
+    def _uv(self, hits: Hits) -> Float32[np.ndarray, "layer ray 2"]:
+        """Interpolated uv of every hit; (0, 0) where empty."""
+        uv = np.zeros((*hits.shape.shape, 2), np.float32)
+        found = hits.shape >= 0
+        corners = self._corner_uv[self._first_face[hits.shape[found]] + hits.prim[found]]
+        b1, b2 = np.moveaxis(hits.barycentric[found], -1, 0)
+        weights = np.stack([1 - b1 - b2, b1, b2], axis=-1)
+        uv[found] = np.einsum("hk,hkc->hc", weights, corners)
+        return uv
+
+
+def _trace_vectorised(scene: "mi.Scene", origin: np.ndarray, directions: np.ndarray, num_layers: int) -> Hits:
+    """One kernel for all layers; recorded once for each number of layers."""
+    import drjit as dr
+    import mitsuba as mi
+
+    count = len(directions)
+    # Opaque values, or every camera would compile a kernel of its own.
+    o = mi.Point3f(*(dr.opaque(mi.Float, float(value)) for value in origin))
+    d = mi.Vector3f(*(mi.Float(np.ascontiguousarray(directions[:, axis])) for axis in range(3)))
+    size = num_layers * count
+    shapes, prims = dr.full(mi.Int32, -1, size), dr.zeros(mi.Int32, size)
+    b1s, b2s, ts = (dr.zeros(mi.Float, size) for _ in range(3))
+    ray_index = dr.arange(mi.UInt32, count)
+
+    def is_tracing(t, layer, step, last_shape, last_prim, active):  # noqa: ARG001
+        return active
+
+    def advance(t, layer, step, last_shape, last_prim, active):
+        ray = mi.Ray3f(dr.fma(d, t, o), d)
+        pi = scene.ray_intersect_preliminary(ray, coherent=True, active=active)
+        active &= pi.is_valid()
+        shape, prim = mi.Int32(pi.shape_index), mi.Int32(pi.prim_index)
+        t_hit = t + pi.t
+        is_new = active & ~((shape == last_shape) & (prim == last_prim))
+        target = layer * count + ray_index
+        stored = is_new & (layer < num_layers)
+        dr.scatter(shapes, shape, target, stored)
+        dr.scatter(prims, prim, target, stored)
+        dr.scatter(b1s, pi.prim_uv.x, target, stored)
+        dr.scatter(b2s, pi.prim_uv.y, target, stored)
+        dr.scatter(ts, t_hit, target, stored)
+        layer = dr.select(is_new, layer + 1, layer)
+        t = dr.select(active, t_hit * ADVANCE, t)
+        last_shape, last_prim = dr.select(active, shape, last_shape), dr.select(active, prim, last_prim)
+        step += 1
+        active &= (layer <= num_layers) & (step < num_layers + 1 + SPARE_STEPS)
+        return t, layer, step, last_shape, last_prim, active
+
+    state = (
+        dr.zeros(mi.Float, count),
+        dr.zeros(mi.UInt32, count),
+        dr.zeros(mi.UInt32, count),
+        dr.full(mi.Int32, -1, count),
+        dr.full(mi.Int32, -1, count),
+        dr.full(mi.Bool, True, count),
+    )
+    labels = ("t", "layer", "step", "last_shape", "last_prim", "active")
+    result = dr.while_loop(state, is_tracing, advance, labels=labels, label="peel")
+    layer = result[1]
+    dr.eval(layer, shapes, prims, b1s, b2s, ts)
+    shape = (num_layers, count)
+    return Hits(
+        shape=np.array(shapes).reshape(shape),
+        prim=np.array(prims).reshape(shape),
+        barycentric=np.stack([np.array(b1s), np.array(b2s)], axis=-1).reshape(*shape, 2),
+        t=np.array(ts).reshape(shape),
+        has_more=np.array(layer) > num_layers,
+    )
+
+
+def _trace_scalar(scene: "mi.Scene", origin: np.ndarray, directions: np.ndarray, num_layers: int) -> Hits:
+    """The same rule ray by ray, for machines without a libLLVM that works."""
+    import mitsuba as mi
+
+    count = len(directions)
+    shapes = np.full((num_layers, count), -1, np.int32)
+    prims = np.zeros((num_layers, count), np.int32)
+    barycentric = np.zeros((num_layers, count, 2), np.float32)
+    ts = np.zeros((num_layers, count), np.float32)
+    has_more = np.zeros(count, bool)
+    o = origin.astype(np.float32)
+    for index, direction in enumerate(directions.astype(np.float32)):
+        t, layer, last = np.float32(0), 0, (-1, -1)
+        for _ in range(num_layers + 1 + SPARE_STEPS):
+            pi = scene.ray_intersect_preliminary(mi.Ray3f((o + direction * t).tolist(), direction.tolist()))
+            if not pi.is_valid():
+                break
+            hit = (int(pi.shape_index), int(pi.prim_index))
+            t = np.float32(t + np.float32(pi.t))
+            if hit != last:
+                if layer == num_layers:
+                    has_more[index] = True
+                    break
+                shapes[layer, index], prims[layer, index] = hit
+                barycentric[layer, index] = cast(tuple[float, float], tuple(pi.prim_uv))
+                ts[layer, index] = t
+                layer += 1
+            t, last = np.float32(t * np.float32(ADVANCE)), hit
+    return Hits(shape=shapes, prim=prims, barycentric=barycentric, t=ts, has_more=has_more)
+
+
+def _tiled(width: int, height: int) -> Int32[np.ndarray, "ray"]:
+    """Pixel indices in the order in which they are traced."""
+    row, column = np.divmod(np.arange(width * height), width)
+    return np.lexsort((column, row, column // TILE, row // TILE)).astype(np.int32)

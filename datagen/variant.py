@@ -1,0 +1,102 @@
+"""Owns the choice of Mitsuba's variant on this machine, made before anything imports Mitsuba or Dr.Jit."""
+
+# Mitsuba's stubs describe no variant: what is a number in one is an array in another.
+# pyright: reportCallIssue=false
+
+import functools
+import os
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+from datagen.command import say
+from datagen.errors import HyalineError
+from datagen.llvm import VARIABLE, LlvmLibrary, advice, choose_llvm
+
+OVERRIDE = "HYALINE_VARIANT"
+"""Environment variable that names the variant to use, for example `scalar_rgb`."""
+
+VARIANTS = ("cuda_ad_rgb", "llvm_ad_rgb", "scalar_rgb")
+"""What this package can run on, fastest first."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class VariantChoice:
+    """The variant that this machine will use, and why."""
+
+    variant: str
+    reason: str
+    llvm: LlvmLibrary | None
+
+
+@functools.cache
+def choose_variant() -> VariantChoice:
+    """CUDA where a GPU renders, else LLVM where a library works, else the slow scalar variant.
+
+    Raises:
+        HyalineError: the override names no variant of ours.
+    """
+    library = choose_llvm()
+    if named := os.environ.get(OVERRIDE):
+        if named not in VARIANTS:
+            raise HyalineError(f"{OVERRIDE}={named}: no such variant; expected one of {', '.join(VARIANTS)}")
+        return VariantChoice(variant=named, reason=f"{OVERRIDE} says so", llvm=library)
+    if Path("/proc/driver/nvidia/version").exists() and cuda_problem() is None:
+        return VariantChoice(variant="cuda_ad_rgb", reason="the GPU renders a test scene", llvm=library)
+    if library is not None:
+        version = ".".join(map(str, library.version))
+        return VariantChoice(
+            variant="llvm_ad_rgb", reason=f"LLVM {version} from {library.source} {library.path}", llvm=library
+        )
+    return VariantChoice(variant="scalar_rgb", reason=f"no libLLVM >= 17; `{advice()}` makes it fast", llvm=None)
+
+
+@functools.cache
+def cuda_problem() -> str | None:
+    """Why the GPU can't render, found out by a child process that may die; None when it can."""
+    answer = subprocess.run(
+        [sys.executable, "-c", _CUDA_PROBE], capture_output=True, text=True, timeout=120, check=False
+    )
+    if answer.returncode == 0:
+        return None
+    lines = answer.stderr.strip().splitlines()
+    return lines[-1] if lines else f"the test render ended with status {answer.returncode}"
+
+
+_CUDA_PROBE = """
+import mitsuba as mi
+mi.set_variant("cuda_ad_rgb")
+image = mi.render(mi.load_dict(mi.cornell_box()), spp=1)
+assert float(image.array[0]) >= 0
+"""
+
+
+def num_cores() -> int:
+    """The cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def use_mitsuba(*, quiet: bool = False, threads: int | None = None) -> str:
+    """Sets up Mitsuba in this process and returns its variant; says in one line when that is the slow one.
+
+    Args:
+        threads: how many threads render; all cores unless given.
+    """
+    choice = choose_variant()
+    if choice.llvm is not None:
+        os.environ[VARIABLE] = str(choice.llvm.path)
+    import drjit as dr
+    import mitsuba as mi
+
+    # With one thread Dr.Jit 1.5 has no workers, and Mitsuba 3.9 then waits for ever for one to write an EXR.
+    dr.set_thread_count(max(2, threads or num_cores()))
+    # Plugins are looked for in the working directory first: a folder `plugins/` there would run foreign code.
+    mi.set_variant(choice.variant)
+    resolver = mi.file_resolver()
+    resolver.clear()
+    resolver.append(str(Path(mi.__file__).parent))
+    mi.set_log_level(mi.LogLevel.Error)
+    if choice.variant == "scalar_rgb" and not quiet:
+        say(f"Mitsuba runs as scalar_rgb, many times slower than it could: {choice.reason}")
+    return choice.variant

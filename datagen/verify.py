@@ -1,0 +1,90 @@
+"""Owns the search for damage: every byte of a dataset against what its sealed records promise."""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from datagen.dataset import (
+    SPLITS,
+    TRUTH,
+    Dataset,
+    check_files,
+    geometry_root,
+    head_files,
+    open_dataset,
+    read_proxy_records,
+    read_record,
+    record_path,
+)
+from datagen.errors import HyalineError
+from datagen.layers import LAYER_KINDS, layers_root, read_layers_head, read_layers_record, record_path_of_layers
+
+
+def verify_dataset(root: Path) -> tuple[int, list[str]]:
+    """The number of files that verify, and a line for each that is damaged, missing or foreign.
+
+    Raises:
+        HyalineError: the head itself is missing or damaged, so nothing can be said of the rest.
+    """
+    dataset = open_dataset(root)
+    known: set[Path] = {root / "dataset.json"}
+    problems: list[str] = []
+
+    def check(folder: Path, files: dict[str, str]) -> None:
+        for file, promised in files.items():
+            known.add(folder / file)
+            try:
+                check_files(folder, {file: promised})
+            except HyalineError as error:
+                problems.append(str(error))
+
+    check(root, head_files(root))
+    for split in SPLITS:
+        for view in range(dataset.config.split(split).views):
+            known.add(record_path(root, split, view))
+            try:
+                check(root, read_record(dataset, split, view).files)
+            except HyalineError as error:
+                problems.append(str(error))
+    for geometry in geometries(dataset):
+        _check_geometry(dataset, geometry, known, problems, check)
+    problems += [f"{path}: belongs to no record; delete it" for path in _files(root) if path not in known]
+    damaged = {problem.split(":")[0] for problem in problems}
+    return len([path for path in known if path.is_file() and str(path) not in damaged]), problems
+
+
+def geometries(dataset: Dataset) -> list[str]:
+    """`truth`, and every kind of proxy that the dataset has."""
+    return [TRUTH, *sorted(path.parent.name for path in (dataset.root / "proxies").glob("*/proxies.json"))]
+
+
+def _check_geometry(dataset: Dataset, geometry: str, known: set[Path], problems: list[str],
+                    check: Callable[[Path, dict[str, str]], None]) -> None:  # fmt: skip
+    if geometry != TRUTH:
+        folder = geometry_root(dataset.root, geometry)
+        known.add(folder / "proxies.json")
+        try:
+            check(folder, {record.file: record.sha256 for record in read_proxy_records(dataset, geometry)})
+        except HyalineError as error:
+            problems.append(str(error))
+    for kind in LAYER_KINDS:
+        folder = layers_root(dataset.root, geometry, kind)
+        if not folder.is_dir():
+            continue
+        known.add(folder / "layers.json")
+        try:
+            head, _ = read_layers_head(dataset, geometry, kind)
+        except HyalineError as error:
+            problems.append(str(error))
+            continue
+        check(folder, head.files)
+        for split in SPLITS:
+            for view in range(dataset.config.split(split).views):
+                known.add(record_path_of_layers(folder, split, view))
+                try:
+                    check(folder, read_layers_record(dataset, geometry, kind, split, view).files)
+                except HyalineError as error:
+                    problems.append(str(error))
+
+
+def _files(root: Path) -> Iterator[Path]:
+    return (path for path in sorted(root.rglob("*")) if path.is_file())

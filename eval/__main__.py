@@ -1,0 +1,6 @@
+"""Owns `python -m eval`."""
+
+from eval.cli import main
+
+if __name__ == "__main__":
+    main()

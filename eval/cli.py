@@ -1,0 +1,46 @@
+"""Owns the command `eval report`.
+
+In a POSIX shell `eval report ARGS` runs the shell's builtin, which runs `report ARGS`; so both console scripts come
+here, and the word `report` may or may not be there.
+"""
+
+import sys
+from pathlib import Path
+
+from datagen.command import run, say
+
+DESCRIPTION = "Scores the pictures that methods predicted against a dataset's truth: tables, figures, JSON."
+
+
+def report(
+    *,
+    runs: Path = Path("runs"),
+    data: Path = Path("data"),
+    format: str = "table",  # noqa: A002  The flag's name; the builtin is not needed here.
+    out: Path | None = None,
+) -> None:
+    """Scores every folder RUNS/SCENE/NAME/predictions/SPLIT/0000.png, 0001.png, ... and draws contact sheets.
+
+    A folder of 8-bit sRGB PNGs from any method will do; run.json is optional. Tables go to stdout, one a scene.
+
+    Args:
+        runs: Folder with the runs.
+        data: Folder with the datasets, DATA/SCENE, for runs that do not say where theirs is.
+        format: What stdout gets: table, markdown, csv, latex or json.
+        out: Folder for results.json and pictures; RUNS/report unless given.
+    """
+    from eval.report import make_report
+
+    make_report(runs, data, out if out is not None else runs / "report", output_format=format)
+
+
+def main() -> None:
+    arguments = sys.argv[1:]
+    if arguments[:1] == ["report"]:
+        arguments = arguments[1:]
+    try:
+        run("eval", DESCRIPTION, {"report": report}, ["report", *arguments])
+    except SystemExit as end:
+        if end.code == 2:
+            say("help: `eval report --help`")  # `eval --help`, which the parser advises, is the shell's builtin.
+        raise

@@ -1,0 +1,91 @@
+"""Owns the metrics: pure functions of one predicted and one true picture, both 8-bit sRGB.
+
+A split's score is the mean over its pictures of these values (`mean_of`), not the value of the pooled error.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import cast
+
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+
+PEAK = 255
+SSIM_WINDOW = 11
+"""Side in pixels of the Gaussian window; smaller pictures have no SSIM."""
+
+
+def psnr(pred: UInt8[np.ndarray, "h w 3"], target: UInt8[np.ndarray, "h w 3"]) -> float:
+    """Peak signal-to-noise ratio in dB, peak 255; inf when identical."""
+    return _decibels(float(np.mean(_squared_error(pred, target))))
+
+
+def masked_psnr(
+    pred: UInt8[np.ndarray, "h w 3"], target: UInt8[np.ndarray, "h w 3"], mask: Bool[np.ndarray, "h w"]
+) -> float:
+    """PSNR in dB of the pixels in `mask`, which holds at least one: MSE = sum(mask err^2) / (3 sum(mask)).
+
+    Blanking the rest of both pictures and dividing by all pixels would flatter small masks instead.
+    """
+    assert mask.any()
+    return _decibels(float(np.mean(_squared_error(pred, target)[mask])))
+
+
+def psnr_uint8_wrap(pred: UInt8[np.ndarray, "h w 3"], target: UInt8[np.ndarray, "h w 3"]) -> float:
+    """What the paper authors' released script calls PSNR, in dB: no PSNR, kept to be set beside their tables.
+
+    It subtracts and squares 8-bit integers, so squared errors count modulo 256: an error of 16 counts as none, and no
+    pair of pictures scores below 24 dB. Source: computeStats.py of Mirjang/TransparentNeuralRendering.
+    """
+    with np.errstate(over="ignore"):  # The overflow is the point.
+        wrapped = np.square(np.subtract(pred, target, dtype=np.uint8), dtype=np.uint8)
+    return _decibels(float(np.mean(wrapped, dtype=np.float64)))
+
+
+def ssim(pred: UInt8[np.ndarray, "h w 3"], target: UInt8[np.ndarray, "h w 3"]) -> float:
+    """Structural similarity with the published settings: Gaussian window of sigma 1.5 (11 x 11), at most 1.
+
+    Both sides are at least 11 pixels. Source: Wang et al. 2004; the mean over channels and over pixels whose window
+    lies inside, as scikit-image computes it.
+    """
+    from skimage.metrics import structural_similarity
+
+    score = structural_similarity(
+        target / PEAK,
+        pred / PEAK,
+        channel_axis=-1,
+        data_range=1.0,
+        gaussian_weights=True,
+        sigma=1.5,
+        use_sample_covariance=False,
+    )
+    return float(cast(float, score))  # A pair only when asked for gradients.
+
+
+def delta_e_2000(pred: UInt8[np.ndarray, "h w 3"], target: UInt8[np.ndarray, "h w 3"]) -> Float[np.ndarray, "h w"]:
+    """Colour difference CIE DE2000 of each pixel, sRGB to CIE Lab under D65; about 1 is just noticeable."""
+    import colour
+
+    lab = [colour.XYZ_to_Lab(colour.sRGB_to_XYZ(image / PEAK)) for image in (target, pred)]
+    return np.asarray(colour.delta_E(lab[0], lab[1], method="CIE 2000"))
+
+
+def mean_of(values: Sequence[float | None]) -> float | None:
+    """The mean of a split's per-picture values; None where no picture has one.
+
+    Pictures without a value (None) and identical pictures (inf dB) are left out, unless all of them are identical:
+    one lucky picture shall not make a split infinitely good. Whoever prints the mean says how many were left out.
+    """
+    known = [value for value in values if value is not None]
+    finite = [value for value in known if math.isfinite(value)]
+    if finite:
+        return math.fsum(finite) / len(finite)
+    return math.inf if known else None
+
+
+def _squared_error(pred: UInt8[np.ndarray, "h w 3"], target: UInt8[np.ndarray, "h w 3"]) -> Float[np.ndarray, "h w 3"]:
+    return np.square(pred.astype(np.float64) - target)
+
+
+def _decibels(mse: float) -> float:
+    return math.inf if mse == 0 else 10 * math.log10(PEAK**2 / mse)

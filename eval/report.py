@@ -1,0 +1,114 @@
+"""Owns the report: finds the runs, scores them, prints tables, writes results.json and pictures."""
+
+import sys
+from pathlib import Path
+
+from datagen.command import choose, say, track
+from datagen.dataset import TEST_SPLITS, Dataset, Split
+from datagen.errors import HyalineError
+from datagen.storage import commit
+from eval.figures import write_figures
+from eval.results import results_csv, results_json
+from eval.runs import Run, has_predictions, list_run_folders, open_run
+from eval.score import RunScores, SceneScores, Truth, has_glass_mask, read_truth, score_run
+from eval.tables import TABLE_WIDTH, tables_text
+
+FORMATS = ("table", "markdown", "csv", "latex", "json")
+
+
+def make_report(runs_root: Path, data_root: Path, out: Path, *, output_format: str) -> None:
+    """Scores all runs; a run that cannot be scored is reported after the others are.
+
+    Raises:
+        HyalineError: an unknown format, no run, or a run that cannot be scored.
+    """
+    choose("format", output_format, FORMATS)
+    runs, errors = _open_runs(runs_root, data_root, out)
+    if not runs and not errors:
+        raise HyalineError(
+            f"{runs_root}: no predictions there; make some with `model train`, or put a method's pictures "
+            f"at {runs_root}/SCENE/NAME/predictions/SPLIT/0000.png"
+        )
+    scenes = _score_scenes(runs, errors)
+    if scenes:
+        _print_scores(scenes, output_format)
+        commit(out / "results.json", results_json(scenes))
+        say(f"wrote {out / 'results.json'}")
+        for path in write_figures(scenes, out):
+            say(f"wrote {path}")
+    for error in errors[:-1]:
+        say(f"error: {error}")
+    if errors:
+        raise errors[-1]
+
+
+def _open_runs(runs_root: Path, data_root: Path, out: Path) -> tuple[list[Run], list[HyalineError]]:
+    runs, errors = [], []
+    for folder in list_run_folders(runs_root, besides=out):
+        try:
+            if has_predictions(folder):
+                runs.append(open_run(folder, data_root))
+            else:
+                say(f"{folder}: no predictions yet; skipped")
+        except HyalineError as error:
+            errors.append(error)
+    return runs, errors
+
+
+def _score_scenes(runs: list[Run], errors: list[HyalineError]) -> list[SceneScores]:
+    """The scores by dataset, sorted by name; what a run's pictures lack is added to `errors`."""
+    datasets: dict[str, Dataset] = {}
+    for run in runs:
+        datasets.setdefault(run.dataset.seal, run.dataset)
+    ordered = sorted(datasets.values(), key=lambda dataset: (dataset.name, dataset.root))
+    names = [dataset.name for dataset in ordered]
+    scenes = []
+    for dataset in ordered:
+        here = [run for run in runs if run.dataset.seal == dataset.seal]
+        # Two datasets of one name (an old one beside a new one) are told apart by their folders.
+        title = dataset.name if names.count(dataset.name) == 1 else dataset.root.as_posix()
+        if scored := _score_scene(dataset, title, here, errors):
+            scenes.append(scored)
+    return scenes
+
+
+def _score_scene(dataset: Dataset, title: str, runs: list[Run], errors: list[HyalineError]) -> SceneScores | None:
+    truths: dict[Split, Truth] = {split: read_truth(dataset, split) for split in TEST_SPLITS}
+    if not has_glass_mask(dataset):
+        say(
+            f"{dataset.root}: no layers of the true geometry, so no PSNR on glass; "
+            f"make them with `datagen peel --dataset {dataset.root}`"
+        )
+    scored: list[RunScores] = []
+    for run in track(runs, label=f"scoring {title}", total=len(runs)):
+        try:
+            scored.append(score_run(run, truths))
+        except HyalineError as error:
+            errors.append(error)
+    if not scored:
+        return None
+    return SceneScores(
+        dataset=dataset,
+        title=title,
+        has_glass_mask=has_glass_mask(dataset),
+        ceilings_db={split: truths[split].ceiling_db for split in TEST_SPLITS},
+        runs=tuple(sorted(scored, key=lambda scores: scores.run.name)),
+    )
+
+
+def _print_scores(scenes: list[SceneScores], output_format: str) -> None:
+    if output_format == "json":
+        text = results_json(scenes).decode()
+    elif output_format == "csv":
+        text = results_csv(scenes)
+    else:
+        text = tables_text(scenes, output_format, width=_output_width(), color=sys.stdout.isatty())
+    sys.stdout.write(text)
+    sys.stdout.flush()
+
+
+def _output_width() -> int:
+    """Columns of the terminal, at least what the tables need; the same 120 everywhere else."""
+    import shutil
+
+    return max(TABLE_WIDTH, shutil.get_terminal_size().columns) if sys.stdout.isatty() else TABLE_WIDTH

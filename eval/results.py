@@ -1,0 +1,91 @@
+"""Owns the scores as data: results.json, with every picture's value, and CSV, one line a run."""
+
+import csv
+import io
+import math
+from typing import cast
+
+from datagen.dataset import TEST_SPLITS
+from datagen.records import Json, to_json
+from datagen.storage import dump_json
+from eval.published import PUBLISHED, PUBLISHED_NOTE
+from eval.score import METRIC_NOTES, METRICS, RunScores, SceneScores
+from eval.tables import CEILING, left_out_notes
+
+RESULTS_VERSION = 1
+
+
+def results_json(scenes: list[SceneScores]) -> bytes:
+    """The bytes of results.json. Infinite values are the string "inf", since JSON has no such number."""
+    return dump_json(
+        {
+            "version": RESULTS_VERSION,
+            "notes": list(METRIC_NOTES),
+            "scenes": [_scene_json(scene) for scene in scenes],
+            "published": {"note": PUBLISHED_NOTE, "rows": [to_json(row) for row in PUBLISHED]},
+        }
+    )
+
+
+def results_csv(scenes: list[SceneScores]) -> str:
+    """One line a run, and one a scene for the noise ceiling; empty where not computed, `inf` where infinite."""
+    scored = [f"{metric.key}_{split}" for metric in METRICS for split in TEST_SPLITS]
+    known = ["method", "label", "geometry", "knowledge", "num_parameters", "seed"]
+    buffer = io.StringIO()
+    table = csv.DictWriter(
+        buffer, ["scene", "run", *known, *scored, "drop_db", "dataset_seal", "predictions_sha256"], lineterminator="\n"
+    )
+    table.writeheader()
+    for scene in scenes:
+        place = {"scene": scene.title, "dataset_seal": scene.dataset.seal}
+        for scores in scene.runs:
+            means = {f"{m.key}_{split}": scores.mean(m.key, split) for m in METRICS for split in TEST_SPLITS}
+            about = {key: getattr(scores.run, key) for key in known}
+            last = {"drop_db": scores.drop_db, "predictions_sha256": scores.predictions_sha256}
+            table.writerow({**place, "run": scores.run.name, **about, **means, **last})
+        ceilings = {f"psnr_db_{split}": scene.ceilings_db[split] for split in TEST_SPLITS}
+        table.writerow({**place, "run": CEILING, **ceilings})
+    return buffer.getvalue()
+
+
+def _scene_json(scene: SceneScores) -> Json:
+    return {
+        "scene": scene.title,
+        "dataset_seal": scene.dataset.seal,
+        "resolution": scene.dataset.config.resolution,
+        "noise_ceiling_db": {split: scene.ceilings_db[split] for split in TEST_SPLITS},
+        "notes": list(left_out_notes(scene)),
+        "runs": [_run_json(scores) for scores in scene.runs],
+    }
+
+
+def _run_json(scores: RunScores) -> Json:
+    run = scores.run
+    splits: dict[str, Json] = {}
+    for split, values in scores.splits.items():
+        if values is None:
+            splits[split] = None
+            continue
+        splits[split] = {
+            metric.key: {
+                "mean": _number(values.mean(metric.key)),
+                "pictures": [_number(value) for value in values.images[metric.key]],
+            }
+            for metric in METRICS
+        }
+    return {
+        "run": run.name,
+        "method": run.method,
+        "label": run.label,
+        "geometry": run.geometry,
+        "knowledge": run.knowledge,
+        "num_parameters": run.num_parameters,
+        "seed": run.seed,
+        "predictions_sha256": scores.predictions_sha256,
+        "drop_db": cast(Json, scores.drop_db),
+        "splits": splits,
+    }
+
+
+def _number(value: float | None) -> Json:
+    return "inf" if value is not None and math.isinf(value) else value

@@ -1,0 +1,179 @@
+"""Owns what a run is on disk: a folder of predicted pictures, with or without a record of what made them.
+
+    RUNS/SCENE/NAME/predictions/SPLIT/0000.png ...   8-bit sRGB, one a view of the split, the size of the truth
+    RUNS/SCENE/NAME/run.json                         optional: method, geometry, knowledge, dataset, dataset_seal,
+                                                     seed, num_parameters, label; other keys are not read here
+
+Test splits are scored; pictures of the training split may lie there, too.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+from jaxtyping import UInt8
+
+from datagen.command import choose
+from datagen.dataset import SPLITS, Dataset, Split, open_dataset, read_png, view_name
+from datagen.errors import HyalineError
+from datagen.records import Json
+from datagen.storage import load_json, sha256, sha256_file
+
+Value = TypeVar("Value", int, str)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Run:
+    """One method's predictions for one dataset. What a foreign method does not tell is None."""
+
+    folder: Path
+    name: str
+    dataset: Dataset
+    method: str | None
+    geometry: str | None
+    knowledge: str | None
+    """What the method knows beside pictures and cameras, in words."""
+    num_parameters: int | None
+    seed: int | None
+    label: str | None
+    """What else tells runs of one method apart, such as a preset."""
+
+
+def list_run_folders(root: Path, *, besides: Path) -> list[Path]:
+    """Every folder RUNS/SCENE/NAME, sorted; links to neighbours (such as `latest`) are left out.
+
+    Args:
+        besides: the report's own folder.
+    """
+    folders = [path for path in root.glob("*/*") if path.is_dir() and not path.name.startswith(".")]
+    own = besides.resolve()
+    return sorted(
+        path
+        for path in folders
+        if own not in (path.resolve(), *path.resolve().parents)
+        and not (path.is_symlink() and path.resolve().parent == path.parent.resolve())
+    )
+
+
+def has_predictions(folder: Path) -> bool:
+    """True when the run has begun to predict; names of splits are checked.
+
+    Raises:
+        HyalineError: a folder of predictions that is no split.
+    """
+    splits = [path.name for path in sorted((folder / "predictions").glob("*")) if path.is_dir()]
+    for name in splits:
+        try:
+            choose("split", name, SPLITS)
+        except HyalineError as error:
+            raise HyalineError(f"{folder / 'predictions' / name}: {error}") from None
+    return bool(splits)
+
+
+def open_run(folder: Path, data_root: Path) -> Run:
+    """The run in a folder, with the dataset that it was made for.
+
+    The dataset is the one that run.json names, or else `data_root`/SCENE.
+
+    Raises:
+        HyalineError: a damaged record, no dataset, or one that differs from the data the run was made for.
+    """
+    path = folder / "run.json"
+    record = load_json(path) if path.is_file() else {}
+    places = [Path(given)] if (given := _optional(record, "dataset", str, path)) else []
+    return Run(
+        folder=folder,
+        name=folder.name,
+        dataset=_find_dataset(
+            folder, [*places, data_root / folder.parent.name], _optional(record, "dataset_seal", str, path)
+        ),
+        method=_optional(record, "method", str, path),
+        geometry=_optional(record, "geometry", str, path),
+        knowledge=_optional(record, "knowledge", str, path),
+        num_parameters=_optional(record, "num_parameters", int, path),
+        seed=_optional(record, "seed", int, path),
+        label=_optional(record, "label", str, path),
+    )
+
+
+def prediction_path(run: Run, split: Split, view: int) -> Path:
+    return run.folder / "predictions" / split / f"{view_name(view)}.png"
+
+
+def has_split(run: Run, split: Split) -> bool:
+    """True when the run predicted the split: all of its views, and no others.
+
+    Raises:
+        HyalineError: a view is missing, or there is one that the dataset does not have.
+    """
+    folder = run.folder / "predictions" / split
+    if not folder.is_dir():
+        return False
+    views = run.dataset.config.split(split).views
+    span = f"{view_name(0)}.png to {view_name(views - 1)}.png, the {views} views of {run.dataset.root}"
+    expected = {f"{view_name(view)}.png" for view in range(views)}
+    found = {path.name for path in folder.glob("*.png")}
+    if missing := sorted(expected - found):
+        raise HyalineError(f"{folder / missing[0]}: missing ({len(missing)} of {views} are); expected {span}")
+    if extra := sorted(found - expected):
+        raise HyalineError(f"{folder / extra[0]}: no view of that name in the {split} split; expected only {span}")
+    return True
+
+
+def read_prediction(run: Run, split: Split, view: int) -> UInt8[np.ndarray, "h w 3"]:
+    """One predicted picture.
+
+    Raises:
+        HyalineError: unreadable, of another size than the truth, not 8 bits a channel, or not opaque.
+    """
+    from PIL import Image
+
+    path, size = prediction_path(run, split, view), run.dataset.config.resolution
+    image = read_png(path)
+    with Image.open(path) as picture:
+        mode = picture.mode
+        opaque = not picture.has_transparency_data or picture.convert("RGBA").getchannel("A").getextrema() == (255, 255)
+    if mode not in ("RGB", "RGBA", "L", "LA", "P"):
+        raise HyalineError(f"{path}: its pixels are {mode!r}; expected 8-bit sRGB")
+    if not opaque:
+        raise HyalineError(f"{path}: has transparent pixels; expected opaque ones: compose it over its background")
+    if image.shape != (size, size, 3):
+        height, width = image.shape[:2]
+        raise HyalineError(f"{path}: is {width} x {height} pixels; expected {size} x {size}, as the truth has")
+    return image
+
+
+def predictions_sha256(run: Run, splits: list[Split]) -> str:
+    """One hash over the pictures of these splits: of the lines `SPLIT/0000.png SHA-256`, in the order given."""
+    lines = [
+        f"{split}/{view_name(view)}.png {sha256_file(prediction_path(run, split, view))}\n"
+        for split in splits
+        for view in range(run.dataset.config.split(split).views)
+    ]
+    return sha256("".join(lines).encode())
+
+
+def _find_dataset(folder: Path, places: list[Path], seal: str | None) -> Dataset:
+    """The first dataset of `places` that is the one with this seal; the first of all when the run has none."""
+    there = [place for place in places if (place / "dataset.json").is_file()]
+    if not there:
+        raise HyalineError(
+            f"{folder}: no dataset at {' or '.join(map(str, places))}; say where it is with --data, "
+            "as the folder that holds it under the scene's name"
+        )
+    datasets = [open_dataset(place) for place in there]
+    for dataset in datasets:
+        if seal in (None, dataset.seal):
+            return dataset
+    raise HyalineError(
+        f"{folder}: the predictions were made for other data (dataset seal {str(seal)[:12]}...) than "
+        f"{datasets[0].root} holds ({datasets[0].seal[:12]}...); train again, or name the right folder with --data"
+    )
+
+
+def _optional(record: dict[str, Json], key: str, kind: type[Value], path: Path) -> Value | None:
+    value = record.get(key)
+    if value is not None and (not isinstance(value, kind) or isinstance(value, bool)):
+        raise HyalineError(f"{path}: {key} is {value!r}; expected {'an integer' if kind is int else 'text'}")
+    return value

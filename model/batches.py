@@ -1,0 +1,107 @@
+"""Owns the training data in memory: every pixel of some views with its layers, and random batches of them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float32, Int, Int16, UInt8
+from torch import Tensor
+
+from datagen.dataset import Dataset, Split, read_cameras, read_image
+from datagen.errors import HyalineError
+from datagen.layers import UV_SCALE, LayerKind, read_layers
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RayBatch:
+    """What a renderer sees of some pixels: the layers along each pixel's ray, nearest first."""
+
+    uv: Float32[Tensor, "ray layer 2"]
+    object_id: UInt8[Tensor, "ray layer"]
+    """0 where the layer is empty."""
+    p_camera: Float32[Tensor, "ray 3"]
+    """Camera centres in world space, metres."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Pixels:
+    """All pixels of some views, row by row and view by view, in the dataset's own small integers."""
+
+    uv: Int16[Tensor, "pixel layer 2"]
+    """The bits of uint16: torch 2.13 has few operations on that type."""
+    object_id: UInt8[Tensor, "pixel layer"]
+    rgb: UInt8[Tensor, "pixel 3"]
+    """8-bit sRGB."""
+    p_camera: Float32[Tensor, "view 3"]
+    pixels_per_view: int
+
+    def to(self, device: torch.device) -> "Pixels":
+        return Pixels(
+            uv=self.uv.to(device),
+            object_id=self.object_id.to(device),
+            rgb=self.rgb.to(device),
+            p_camera=self.p_camera.to(device),
+            pixels_per_view=self.pixels_per_view,
+        )
+
+
+def load_pixels(dataset: Dataset, geometry: str, kind: LayerKind, split: Split, views: Sequence[int], *,
+                with_images: bool = True) -> Pixels:  # fmt: skip
+    """Reads layers, cameras and (unless told otherwise) images of some views, every byte verified.
+
+    Without images `rgb` is black: rendering a test view never opens its truth.
+
+    Raises:
+        HyalineError: a view is missing or damaged, or names an object that the scene does not have.
+    """
+    p_camera = read_cameras(dataset, split).world_from_camera[list(views), :3, 3].astype(np.float32)
+    uv, object_id, rgb = [], [], []
+    for view in views:
+        layers = read_layers(dataset, geometry, kind, split, view)
+        if layers.object_id.max(initial=0) > len(dataset.objects):
+            raise HyalineError(
+                f"{dataset.root}: layers of {geometry}, {split} view {view}, name object {layers.object_id.max()}; "
+                f"expected at most {len(dataset.objects)}, peel it again"
+            )
+        num_layers = len(layers.object_id)
+        uv.append(np.moveaxis(layers.uv, 0, 2).reshape(-1, num_layers, 2))
+        object_id.append(np.moveaxis(layers.object_id, 0, 2).reshape(-1, num_layers))
+        size = layers.object_id.shape[1:]
+        image = read_image(dataset, split, view) if with_images else np.zeros((*size, 3), np.uint8)
+        rgb.append(image.reshape(-1, 3))
+    return Pixels(
+        uv=torch.from_numpy(np.concatenate(uv).view(np.int16)),
+        object_id=torch.from_numpy(np.concatenate(object_id)),
+        rgb=torch.from_numpy(np.concatenate(rgb)),
+        p_camera=torch.from_numpy(p_camera),
+        pixels_per_view=len(rgb[0]),
+    )
+
+
+def take(pixels: Pixels, index: Int[Tensor, " ray"]) -> RayBatch:
+    """The rays of the pixels with these row numbers."""
+    uv = (pixels.uv[index].int() & 0xFFFF).float() / UV_SCALE
+    return RayBatch(uv=uv, object_id=pixels.object_id[index], p_camera=pixels.p_camera[index // pixels.pixels_per_view])
+
+
+def take_colors(pixels: Pixels, index: Int[Tensor, " ray"]) -> Float32[Tensor, "ray 3"]:
+    """The true sRGB colours in [0, 1] of the pixels with these row numbers."""
+    return pixels.rgb[index].float() / 255
+
+
+def insert_empty_layer(rays: RayBatch, place: Int[Tensor, " ray"]) -> RayBatch:
+    """The rays with one more layer, empty, which becomes layer `place` (0 to num_layers) of its ray.
+
+    An empty layer's features and extrinsics are zeros, so this is the paper's random zero layer (section 4.4).
+    """
+    num_rays, num_layers = rays.object_id.shape
+    padded_id = torch.cat([rays.object_id, rays.object_id.new_zeros(num_rays, 1)], dim=1)
+    padded_uv = torch.cat([rays.uv, rays.uv.new_zeros(num_rays, 1, 2)], dim=1)
+    layer = torch.arange(num_layers + 1, device=place.device)[None]
+    source = torch.where(layer == place[:, None], num_layers, layer - (layer > place[:, None]).long())
+    return RayBatch(
+        uv=padded_uv.gather(1, source[..., None].expand(-1, -1, 2)),
+        object_id=padded_id.gather(1, source),
+        p_camera=rays.p_camera,
+    )

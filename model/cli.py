@@ -1,0 +1,218 @@
+"""Owns the command `model`: parse, make a configuration, call one function."""
+
+import difflib
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from datagen.command import choose, next_command, run, say
+from datagen.dataset import TRUTH, Dataset, find_dataset, open_dataset, read_proxy_records
+from datagen.errors import HyalineError
+
+if TYPE_CHECKING:
+    import torch
+
+    from model.run_folder import TrainConfig
+
+
+def train(
+    *,
+    method: str,
+    dataset: str | None = None,
+    geometry: str = TRUTH,
+    out: Path | None = None,
+    name: str | None = None,
+    extrinsics: Literal["none", "view", "sh"] = "view",
+    width: str = "34k",
+    blocks: int = 3,
+    norm: Literal["batch", "none"] = "batch",
+    textures: Literal["object", "scene"] = "object",
+    texture_size: int = 256,
+    zero_layer: bool = False,
+    steps: int = 4000,
+    batch: int = 8192,
+    lr: float = 0.001,
+    texture_lr: float | None = None,
+    lr_decay: Literal["none", "linear", "cosine"] = "linear",
+    seed: int = 0,
+    device: Literal["auto", "cpu", "cuda"] = "auto",
+    resume: bool = False,
+    overwrite: bool = False,
+) -> None:
+    """Train a renderer on a dataset, then render both test splits with it.
+
+    Args:
+        method: What to train: paper.
+        dataset: Dataset folder, or its name under data/. Default: the only one there.
+        geometry: Whose layers to look up: truth, or a kind of proxy such as box.
+        out: Folder of the run. Default: runs/SCENE/METHOD, with a suffix for each choice that is not the default.
+        name: Label of the run in tables. Default: from the folder's name.
+        extrinsics: What each layer is told of the camera: nothing, the view vector, or three bands of SH of it.
+        width: Hidden units of the first layer: 34k (as many as make about 34,000 parameters), 256, or any number.
+        blocks: Residual blocks; each halves the channels.
+        norm: Batch norm after each linear layer (the paper's text) or none (the authors' code).
+        textures: A neural texture for each object, or one for the whole scene.
+        texture_size: Width and height of a texture in texels.
+        zero_layer: Insert a layer of zeros at a random place while training (section 4.4).
+        steps: Optimiser steps; more for larger datasets.
+        batch: Random pixels a step.
+        lr: Learning rate of Adam.
+        texture_lr: Learning rate of the textures. Default: the same.
+        lr_decay: none, linear (constant, then down to 0 over the second half) or cosine.
+        seed: Seed of everything random.
+        device: Where to compute; auto takes a GPU where there is one.
+        resume: Go on with an unfinished run.
+        overwrite: Delete the run that is there and start anew.
+    """
+    from model.methods import METHODS
+
+    choose("method", method, METHODS)
+    opened = open_dataset(find_dataset(dataset))
+
+    from datagen.layers import read_layers_head
+    from model.paper import PaperConfig, count_inputs
+    from model.pixel_mlp import width_for_34k
+    from model.run_folder import TrainConfig
+
+    _check_geometry(opened, geometry)
+    head, _ = read_layers_head(opened, geometry, METHODS[method].layers)
+    inputs = count_inputs(head.num_layers, texture_features=16, extrinsics=extrinsics, zero_layer=zero_layer)
+    net = PaperConfig(
+        width=width_for_34k(inputs, blocks) if width == "34k" else _parse_width(width),
+        blocks=blocks,
+        norm=norm,
+        extrinsics=extrinsics,
+        textures=textures,
+        texture_size=texture_size,
+        zero_layer=zero_layer,
+    )
+    config = TrainConfig(
+        method=method,
+        geometry=geometry,
+        net=net,
+        seed=seed,
+        steps=steps,
+        batch=batch,
+        lr=lr,
+        texture_lr=texture_lr,
+        lr_decay=lr_decay,
+    )
+    choices = {
+        geometry: geometry != TRUTH,
+        {"none": "no-extrinsics", "sh": "sh", "view": ""}[extrinsics]: extrinsics != "view",
+        f"w{width}": width != "34k",
+        f"{blocks}-blocks": blocks != 3,
+        "no-norm": norm == "none",
+        "scene-texture": textures == "scene",
+        f"t{texture_size}": texture_size != 256,
+        "zero-layer": zero_layer,
+        f"seed{seed}": seed != 0,
+    }
+    folder = "-".join([method, *(suffix for suffix, is_chosen in choices.items() if is_chosen)])
+    out = out or Path("runs") / opened.name / folder
+    _train(config, opened, out, label=name or out.name, device=_device(device), resume=resume, anew=overwrite)
+
+
+def _train(
+    config: "TrainConfig", dataset: Dataset, out: Path, *, label: str, device: "torch.device", resume: bool, anew: bool
+) -> None:
+    from datagen.storage import one_writer, remove_temporaries
+    from model.predict import render_predictions
+    from model.run_folder import RUN, WEIGHTS, clear_run, is_finished
+    from model.train import train as train_run
+
+    if resume and anew:
+        raise HyalineError("--resume and --overwrite: exclude each other; give one of them")
+    with one_writer(out):
+        if not (out / RUN).is_file() and any(out.iterdir()):
+            raise HyalineError(f"{out}: holds files but no run; choose another --out")
+        if anew:
+            clear_run(out)
+        if (out / RUN).is_file():
+            _check_same_run(out, config, dataset)
+            if is_finished(out):
+                say(f"{out}: finished before, nothing to do; --overwrite trains it anew")
+                _end(out)
+                return
+            if not resume:
+                raise HyalineError(
+                    f"{out}: holds an unfinished run; go on with --resume, or start anew with --overwrite"
+                )
+        remove_temporaries(out)
+        if not (out / WEIGHTS).is_file():
+            train_run(config, dataset, out, label=label, device=device)
+        render_predictions(out, config, dataset, device=device)
+    _end(out)
+
+
+def render(
+    *,
+    run: Path,
+    dataset: str | None = None,
+    device: Literal["auto", "cpu", "cuda"] = "auto",
+    overwrite: bool = False,
+) -> None:
+    """Render both test splits again from a run's weights.
+
+    Args:
+        run: Folder of a trained run.
+        dataset: Dataset folder, or its name under data/. Default: where the run found it.
+        device: Where to compute; auto takes a GPU where there is one.
+        overwrite: Render again even where the predictions are intact.
+    """
+    from datagen.storage import one_writer, remove_temporaries
+    from model.predict import render_predictions
+    from model.run_folder import is_finished, read_run
+
+    record = read_run(run)
+    opened = open_dataset(find_dataset(dataset) if dataset else Path(record.dataset))
+    _check_same_run(run, record.config, opened)
+    if is_finished(run) and not overwrite:
+        say(f"{run}: its predictions are intact, nothing to do; --overwrite renders them again")
+    else:
+        with one_writer(run):
+            remove_temporaries(run)
+            render_predictions(run, record.config, opened, device=_device(device))
+    _end(run)
+
+
+def main() -> None:
+    description = "Train neural renderers on datasets of transparent objects, and render with them."
+    run("model", description, {"train": train, "render": render}, sys.argv[1:])
+
+
+def _check_same_run(out: Path, config: "TrainConfig", dataset: Dataset) -> None:
+    from datagen.layers import read_layers_head
+    from model.methods import METHODS
+    from model.run_folder import check_same_run
+
+    _, layers_seal = read_layers_head(dataset, config.geometry, METHODS[config.method].layers)
+    check_same_run(out, config, dataset_seal=dataset.seal, layers_seal=layers_seal)
+
+
+def _check_geometry(dataset: Dataset, geometry: str) -> None:
+    """Refuses a geometry that the dataset does not have: a slip of the pen, or proxies that were not made yet."""
+    made = [TRUTH, *sorted(path.parent.name for path in dataset.root.glob("proxies/*/proxies.json"))]
+    if difflib.get_close_matches(geometry, made, n=1, cutoff=0.5):
+        choose("geometry", geometry, made)
+    elif geometry not in made:
+        read_proxy_records(dataset, geometry)
+
+
+def _parse_width(width: str) -> int:
+    if not width.isdecimal():
+        raise HyalineError(f"width: is {width!r}; expected 34k, 256 or another number of hidden units")
+    return int(width)
+
+
+def _device(name: str) -> "torch.device":
+    import torch
+
+    if name == "cuda" and not torch.cuda.is_available():
+        raise HyalineError("device: torch finds no CUDA device; use --device cpu")
+    return torch.device("cuda" if name != "cpu" and torch.cuda.is_available() else "cpu")
+
+
+def _end(out: Path) -> None:
+    print(out)
+    next_command("eval report")

@@ -1,0 +1,101 @@
+"""Owns the method `paper`: neural textures on straight layers, stacked into a per-pixel residual MLP."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float32
+from torch import Tensor, nn
+
+from datagen.dataset import Dataset
+from datagen.errors import HyalineError
+from model.batches import RayBatch, insert_empty_layer
+from model.extrinsics import EXTRINSIC_CHANNELS, ExtrinsicInputs, Extrinsics, bake_position_table
+from model.pixel_mlp import Norm, PixelMlp, check_width
+from model.texture import NeuralTextures, TextureSharing
+
+
+@dataclass(frozen=True, kw_only=True)
+class PaperConfig:
+    """What the paper's renderer is made of."""
+
+    width: int
+    """Hidden units of the first linear layer; the command's `34k` finds it from the number of inputs (section 4.3)."""
+    blocks: int = 3
+    """Residual blocks, each of which ends by halving the channels (section 4.3)."""
+    norm: Norm = "batch"
+    """Batch norm after each linear layer but the last (section 4.3)."""
+    extrinsics: Extrinsics = "view"
+    """What each layer is told of the camera (section 4.6)."""
+    textures: TextureSharing = "object"
+    """One texture an object (section 4.4), or one for the scene, in which each object has a cell."""
+    texture_size: int = 256
+    """Width and height of a texture in texels; the size that the authors ran."""
+    texture_features: int = 16
+    """Channels of a texture (section 4.3)."""
+    position_size: int = 512
+    """Width and height of the position textures of Eq. 3 in texels; the size that the authors ran."""
+    zero_layer: bool = False
+    """Insert a layer of zeros at a random place while training, and behind all others at test (section 4.4)."""
+
+    def __post_init__(self) -> None:
+        check_width(self.width, self.blocks)
+        for name in ("texture_size", "position_size"):
+            if not 2 <= getattr(self, name) <= 8192:
+                raise HyalineError(f"{name}: is {getattr(self, name)}; expected 2 to 8192 texels")
+        if not 1 <= self.texture_features <= 256:
+            raise HyalineError(f"texture_features: is {self.texture_features}; expected 1 to 256")
+
+
+def count_inputs(num_layers: int, *, texture_features: int, extrinsics: Extrinsics, zero_layer: bool) -> int:
+    """Inputs of the network: features and extrinsics of all layers, the zero layer included."""
+    return (num_layers + zero_layer) * (texture_features + EXTRINSIC_CHANNELS[extrinsics])
+
+
+class PaperRenderer(nn.Module):
+    """Rays with layers in, sRGB colours out."""
+
+    def __init__(
+        self, config: PaperConfig, *, num_layers: int, num_objects: int, positions: Float32[Tensor, "texel 3"] | None
+    ) -> None:
+        super().__init__()
+        self.zero_layer = config.zero_layer
+        self.textures = NeuralTextures(
+            num_objects, sharing=config.textures, size=config.texture_size, features=config.texture_features
+        )
+        self.extrinsics = (
+            None
+            if positions is None
+            else ExtrinsicInputs(config.extrinsics, positions, num_objects=num_objects, size=config.position_size)
+        )
+        num_inputs = count_inputs(
+            num_layers,
+            texture_features=config.texture_features,
+            extrinsics=config.extrinsics,
+            zero_layer=config.zero_layer,
+        )
+        self.net = PixelMlp(num_inputs, width=config.width, blocks=config.blocks, norm=config.norm)
+
+    def forward(self, rays: RayBatch, *, rng: np.random.Generator | None = None) -> Float32[Tensor, "ray 3"]:
+        """sRGB colours of the rays, about [0, 1].
+
+        Args:
+            rng: draws the place of each ray's zero layer while training; without it that layer comes last.
+        """
+        if self.zero_layer:
+            num_rays, num_layers = rays.object_id.shape
+            last = np.full(num_rays, num_layers)
+            place = last if rng is None else rng.integers(num_layers + 1, size=num_rays)
+            rays = insert_empty_layer(rays, torch.from_numpy(place).to(rays.object_id.device))
+        stack = self.textures(rays.uv, rays.object_id)
+        if self.extrinsics is not None:
+            stack = torch.cat([stack, self.extrinsics(rays.uv, rays.object_id, rays.p_camera)], dim=-1)
+        return self.net(stack.flatten(1))
+
+
+def build_paper(config: PaperConfig, dataset: Dataset, geometry: str, num_layers: int) -> PaperRenderer:
+    """A fresh renderer for a dataset; its random start is drawn from torch's default generator."""
+    positions = None
+    if config.extrinsics != "none":
+        positions = bake_position_table(dataset, geometry, config.position_size)
+    return PaperRenderer(config, num_layers=num_layers, num_objects=len(dataset.objects), positions=positions)

@@ -1,0 +1,80 @@
+"""Owns the paper's renderer network: a residual MLP that turns one pixel's stacked layers into its colour."""
+
+from typing import Literal
+
+import torch
+from jaxtyping import Float32
+from torch import Tensor, nn
+
+from datagen.errors import HyalineError
+
+Norm = Literal["batch", "none"]
+
+LEAKY_SLOPE = 0.2
+
+
+class LinearUnit(nn.Module):
+    """Linear layer, batch norm, LeakyReLU. A `Linear` over (ray, c) is a 1x1 convolution, and faster on a CPU."""
+
+    def __init__(self, num_inputs: int, num_outputs: int, norm: Norm) -> None:
+        super().__init__()
+        self.linear = nn.Linear(num_inputs, num_outputs)
+        self.norm = nn.BatchNorm1d(num_outputs) if norm == "batch" else nn.Identity()
+        self.activation = nn.LeakyReLU(LEAKY_SLOPE, inplace=True)
+
+    def forward(self, x: Float32[Tensor, "ray c_in"]) -> Float32[Tensor, "ray c_out"]:
+        return self.activation(self.norm(self.linear(x)))
+
+
+class ResidualBlock(nn.Module):
+    """Two units whose input is added to their output, then a unit that halves the channels."""
+
+    def __init__(self, width: int, norm: Norm) -> None:
+        super().__init__()
+        self.first = LinearUnit(width, width, norm)
+        self.second = LinearUnit(width, width, norm)
+        self.halve = LinearUnit(width, width // 2, norm)
+
+    def forward(self, x: Float32[Tensor, "ray c"]) -> Float32[Tensor, "ray c_half"]:
+        return self.halve(x + self.second(self.first(x)))
+
+
+class PixelMlp(nn.Module):
+    """Colours of pixels from their stacked layers.
+
+    Source: paper section 4.3. Its "256 hidden units" and its "34k parameters" exclude each other; `width` decides:
+    `width_for_34k` or 256. At evaluation batch norm uses its running statistics (the authors' test script left their
+    dropout on). The output has no activation: clip it to [0, 1] for display.
+    """
+
+    def __init__(self, num_inputs: int, *, width: int, blocks: int, norm: Norm) -> None:
+        super().__init__()
+        check_width(width, blocks)
+        self.first = LinearUnit(num_inputs, width, norm)
+        self.blocks = nn.Sequential(*(ResidualBlock(width >> index, norm) for index in range(blocks)))
+        self.last = nn.Linear(width >> blocks, 3)
+        # Mid-grey to start with: from zero, Adam walks only 0.001 a step towards the mean colour.
+        nn.init.constant_(self.last.bias, 0.5)
+
+    def forward(self, x: Float32[Tensor, "ray c"]) -> Float32[Tensor, "ray 3"]:
+        """sRGB colours, about [0, 1], of the inputs of all layers, nearest first."""
+        return self.last(self.blocks(self.first(x)))
+
+
+def check_width(width: int, blocks: int) -> None:
+    """Raises a HyalineError where a width cannot be halved `blocks` times."""
+    if width < 1 or blocks < 0 or width % (1 << blocks):
+        raise HyalineError(f"width: is {width} with {blocks} blocks; expected a multiple of {1 << max(blocks, 0)}")
+
+
+def width_for_34k(num_inputs: int, blocks: int) -> int:
+    """The hidden width that makes the network closest to the 34,000 parameters of paper section 4.3."""
+    candidates = range(1 << blocks, 385, 1 << blocks)
+    return min(candidates, key=lambda width: abs(count_parameters(num_inputs, width, blocks) - 34_000))
+
+
+def count_parameters(num_inputs: int, width: int, blocks: int, norm: Norm = "batch") -> int:
+    """Learned numbers of a `PixelMlp`, without building it on a real device."""
+    with torch.device("meta"):
+        net = PixelMlp(num_inputs, width=width, blocks=blocks, norm=norm)
+    return sum(parameter.numel() for parameter in net.parameters())

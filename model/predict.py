@@ -1,0 +1,80 @@
+"""Owns prediction: from a run's weights to 8-bit pictures of both test splits."""
+
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+import torch
+from jaxtyping import UInt8
+from torch import Tensor, nn
+
+from datagen.command import say, track
+from datagen.dataset import TEST_SPLITS, Dataset, Split, png_bytes, view_name
+from datagen.errors import HyalineError
+from datagen.layers import read_layers_head
+from datagen.records import to_json
+from datagen.storage import commit, sha256
+from model.batches import Pixels, load_pixels, take
+from model.checkpoint import load_state
+from model.malloc import keep_freed_memory
+from model.methods import METHODS
+from model.run_folder import WEIGHTS, TrainConfig, write_prediction_hashes
+
+CHUNK = 65_536
+"""Pixels predicted at once."""
+
+
+def predict_pixels(renderer: nn.Module, pixels: Pixels) -> UInt8[np.ndarray, "pixel 3"]:
+    """8-bit sRGB colours of all pixels, clipped and rounded; batch norm uses its running statistics.
+
+    The renderer's mode (training or not) is the same afterwards.
+    """
+    was_training = renderer.training
+    renderer.eval()
+    device = pixels.rgb.device
+    parts = []
+    with torch.inference_mode():
+        for start in range(0, len(pixels.rgb), CHUNK):
+            index = torch.arange(start, min(start + CHUNK, len(pixels.rgb)), device=device)
+            colors = renderer(take(pixels, index))
+            parts.append((colors.clamp(0, 1) * 255).round().byte().cpu().numpy())
+    renderer.train(was_training)
+    return np.concatenate(parts)
+
+
+def load_renderer(out: Path, config: TrainConfig, dataset: Dataset) -> nn.Module:
+    """The trained renderer of a run, on the CPU.
+
+    Raises:
+        HyalineError: the weights are missing, damaged, or of another configuration.
+    """
+    if not (out / WEIGHTS).is_file():
+        raise HyalineError(f"{out / WEIGHTS}: not there, the run is not trained to its end; use `model train --resume`")
+    state = load_state(out / WEIGHTS)
+    if state["config"] != to_json(config):
+        raise HyalineError(f"{out / WEIGHTS}: made by another configuration than run.json; train with --overwrite")
+    method = METHODS[config.method]
+    head, _ = read_layers_head(dataset, config.geometry, method.layers)
+    renderer = method.build(config.net, dataset, config.geometry, head.num_layers)
+    renderer.load_state_dict(cast(dict[str, Tensor], state["renderer"]))
+    return renderer
+
+
+def render_predictions(out: Path, config: TrainConfig, dataset: Dataset, *, device: torch.device) -> None:
+    """Renders both test splits from a run's weights; the list of predictions comes last and finishes the run."""
+    keep_freed_memory()
+    renderer = load_renderer(out, config, dataset).to(device)
+    kind = METHODS[config.method].layers
+    size = dataset.config.resolution
+    todo: list[tuple[Split, int]] = [
+        (split, view) for split in TEST_SPLITS for view in range(dataset.config.split(split).views)
+    ]
+    files: dict[str, str] = {}
+    for split, view in track(todo, label="render", total=len(todo)):
+        pixels = load_pixels(dataset, config.geometry, kind, split, [view], with_images=False).to(device)
+        data = png_bytes(predict_pixels(renderer, pixels).reshape(size, size, 3))
+        path = out / "predictions" / split / f"{view_name(view)}.png"
+        commit(path, data)
+        files[path.relative_to(out).as_posix()] = sha256(data)
+    write_prediction_hashes(out, files)
+    say(f"{out}: rendered {len(files)} views")

@@ -1,0 +1,189 @@
+"""Owns a run's folder: what was trained on what, which state it is in, and its files.
+
+    RUN/run.json                    written first: the configuration and what it was trained on
+    RUN/metrics.jsonl               a line per evaluation: step, loss (mean since the line before), held_out_psnr
+    RUN/checkpoint.pt               while training: everything that a resumed run needs (format: model/checkpoint.py)
+    RUN/checkpoint.previous.pt      the one before
+    RUN/weights.pt                  after training: the renderer alone; the checkpoints are deleted then
+    RUN/predictions/SPLIT/0000.png  8-bit sRGB
+    RUN/predictions.json            sealed, written last: SHA-256 of each prediction; a run that has it is finished
+
+No time, host or thread count is in any of them: the same command gives the same bytes (on the same machine).
+"""
+
+import json
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, cast
+
+from datagen.dataset import TEST_SPLITS, TRUTH, check_files
+from datagen.errors import HyalineError
+from datagen.records import Json, from_json, to_json
+from datagen.storage import commit, commit_sealed, dump_json, load_json, load_sealed, remove_temporaries
+from model.methods import MethodConfig
+
+RUN_VERSION = 1
+
+LrDecay = Literal["none", "linear", "cosine"]
+
+RUN, METRICS, PREDICTIONS, WEIGHTS = "run.json", "metrics.jsonl", "predictions.json", "weights.pt"
+CHECKPOINT, PREVIOUS_CHECKPOINT = "checkpoint.pt", "checkpoint.previous.pt"
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainConfig:
+    """What `model train` does; two runs with equal configurations on equal data give equal bytes."""
+
+    method: str
+    geometry: str
+    """`truth` or a kind of proxy."""
+    net: MethodConfig
+    seed: int = 0
+    steps: int = 4000
+    """Optimiser steps. The paper names no number; this many take three minutes on two CPU cores."""
+    batch: int = 8192
+    """Random pixels a step, from all training images together. The paper names no number; the authors ran one whole
+    image a step, which a per-pixel network does not need. On a CPU the time of a step is nearly proportional to it."""
+    lr: float = 0.001
+    """Learning rate of Adam, default betas (section 4.4)."""
+    texture_lr: float | None = None
+    """Learning rate of the textures; None: the same, as in the paper."""
+    lr_decay: LrDecay = "linear"
+    """`linear`: constant for the first half of the steps, then down to zero. The paper's text names no decay, but the
+    authors' scripts ran exactly this one (100 epochs constant, 100 epochs linear)."""
+    held_out_views: int = 4
+    """Training views set aside for the progress line's PSNR: at most so many, and at most a fifth."""
+    evaluate_every: int = 500
+    """Steps between two held-out PSNRs."""
+    checkpoint_every: int = 1000
+    """Steps between two checkpoints: 190 MB for 15 objects, less than 5 % of the time."""
+
+    def __post_init__(self) -> None:
+        for name in ("steps", "batch", "evaluate_every", "checkpoint_every"):
+            if getattr(self, name) < 1:
+                raise HyalineError(f"{name}: is {getattr(self, name)}; expected at least 1")
+        for name in ("seed", "held_out_views"):
+            if getattr(self, name) < 0:
+                raise HyalineError(f"{name}: is {getattr(self, name)}; expected at least 0")
+        if self.batch < 2:
+            raise HyalineError(f"batch: is {self.batch}; expected at least 2 pixels, batch norm needs a spread")
+        for name in ("lr", "texture_lr"):
+            rate = getattr(self, name)
+            if rate is not None and not 0 < rate <= 1:
+                raise HyalineError(f"{name}: is {rate}; expected a learning rate in (0, 1], 0.001 in the paper")
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunRecord:
+    """The content of run.json."""
+
+    version: int
+    method: str
+    geometry: str
+    knowledge: str
+    """What the method was given besides images and cameras."""
+    dataset: str
+    """The dataset's folder as it was named."""
+    dataset_seal: str
+    layers_seal: str
+    seed: int
+    num_parameters: int
+    """Of the network alone."""
+    num_texture_parameters: int
+    label: str
+    """How tables and figures call the run."""
+    config: TrainConfig
+    torch: str
+    """Version of torch."""
+
+
+def describe_knowledge(geometry: str) -> str:
+    return "true geometry" if geometry == TRUTH else f"proxy geometry ({geometry})"
+
+
+def write_run(out: Path, record: RunRecord) -> None:
+    commit(out / RUN, dump_json(to_json(record)))
+
+
+def read_run(out: Path) -> RunRecord:
+    """The record of a run.
+
+    Raises:
+        HyalineError: no run there, of another version, or with an unknown key.
+    """
+    path = out / RUN
+    if not path.is_file():
+        raise HyalineError(f"{out}: no run there; make one with `model train --out {out}`")
+    content = load_json(path)
+    if content.get("version") != RUN_VERSION:
+        raise HyalineError(f"{path}: format version {content.get('version')!r}; this program reads {RUN_VERSION}")
+    return from_json(RunRecord, cast(Json, content), where=str(path))
+
+
+def check_same_run(out: Path, config: TrainConfig, *, dataset_seal: str, layers_seal: str) -> None:
+    """Refuses to go on with, or to skip, a run of another configuration or of other data.
+
+    Labels, folder names and torch's version do not count.
+
+    Raises:
+        HyalineError: names the first key that differs.
+    """
+    record = read_run(out)
+    before = {**_flatten(to_json(record.config)), "dataset": record.dataset_seal, "layers": record.layers_seal}
+    after = {**_flatten(to_json(config)), "dataset": dataset_seal, "layers": layers_seal}
+    for key in after:
+        if before.get(key) != after[key]:
+            raise HyalineError(
+                f"{out}: holds a run with another {key}: {before.get(key)} there, {after[key]} here; "
+                f"start anew with --overwrite, or choose another --out"
+            )
+
+
+def is_finished(out: Path) -> bool:
+    """True when all predictions are there and verify."""
+    try:
+        check_files(out, read_prediction_hashes(out))
+    except HyalineError:
+        return False
+    return True
+
+
+def write_prediction_hashes(out: Path, files: dict[str, str]) -> None:
+    commit_sealed(out / PREDICTIONS, {"version": RUN_VERSION, "files": dict(files)})
+
+
+def read_prediction_hashes(out: Path) -> dict[str, str]:
+    """SHA-256 of each prediction by path relative to the run."""
+    path = out / PREDICTIONS
+    return from_json(dict[str, str], load_sealed(path).get("files"), where=f"{path}: files")
+
+
+def clear_run(out: Path) -> None:
+    """Deletes a run's own files, and nothing else; run.json last, so that a kill leaves an unfinished run."""
+    for name in (PREDICTIONS, WEIGHTS, CHECKPOINT, PREVIOUS_CHECKPOINT, METRICS):
+        (out / name).unlink(missing_ok=True)
+    for split in TEST_SPLITS:
+        shutil.rmtree(out / "predictions" / split, ignore_errors=True)
+    remove_temporaries(out)
+    (out / RUN).unlink(missing_ok=True)
+
+
+def write_metrics(out: Path, metrics: list[dict[str, Json]]) -> None:
+    commit(out / METRICS, "".join(json.dumps(line, allow_nan=False) + "\n" for line in metrics).encode())
+
+
+def read_metrics(out: Path, *, up_to_step: int) -> list[dict[str, Json]]:
+    """The lines of metrics.jsonl up to a step, for a run that goes on from there."""
+    path = out / METRICS
+    if not path.is_file():
+        return []
+    lines = [json.loads(line) for line in path.read_text().splitlines()]
+    return [line for line in lines if line["step"] <= up_to_step]
+
+
+def _flatten(data: Json) -> dict[str, Json]:
+    flat: dict[str, Json] = {}
+    for key, value in cast(dict[str, Json], data).items():
+        flat |= _flatten(value) if isinstance(value, dict) else {key: value}
+    return flat

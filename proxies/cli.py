@@ -1,0 +1,113 @@
+"""Owns the command line of `proxies`: parse, configure, call one function."""
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, cast
+
+from datagen.command import choose, fail, next_command, run, say
+from datagen.dataset import DATA_ROOT, Dataset, find_dataset, list_datasets, open_dataset
+from datagen.errors import HyalineError
+from datagen.layers import LayerKind
+
+if TYPE_CHECKING:
+    from proxies.make import ProxyKind, ProxyReport
+
+
+def main() -> None:
+    """Entry point of the console script."""
+    run("proxies", "Coarse closed meshes with UV around the objects of a dataset.", {"make": make, "check": check},
+        sys.argv[1:])  # fmt: skip
+
+
+def make(
+    scene: str | None = None,
+    kind: str = "ellipsoid",
+    layers: tuple[LayerKind, ...] = ("straight",),
+    num_layers: int = 8,
+    workers: int = 1,
+    overwrite: bool = False,
+) -> None:
+    """Fits a proxy to every object and peels the proxies for every view; images are not rendered again.
+
+    Args:
+        scene: A dataset's folder or its name under data/; every one there unless given.
+        kind: box (oriented, of least volume) or ellipsoid (of least volume).
+        layers: Kinds of layers to peel.
+        num_layers: Layers kept per ray.
+        workers: Processes that peel side by side.
+        overwrite: Make proxies and layers anew where they stand already.
+    """
+    from proxies.make import make_proxies, read_reports
+
+    chosen = _kind(kind)
+    datasets = _datasets(scene)
+    for dataset in datasets:
+        from datagen.build import peel_dataset
+
+        is_new = make_proxies(dataset, chosen, overwrite=overwrite)
+        if not is_new:
+            say(f"{dataset.root}: keeps its {kind} proxies; --overwrite makes them anew")
+        _print_table(dataset, chosen, read_reports(dataset, chosen))
+        peel_dataset(dataset, chosen, kinds=layers, num_layers=num_layers, overwrite=overwrite, workers=workers)
+    next_command(f"model train --method paper --geometry {kind} --dataset {datasets[0].root}")
+
+
+def check(scene: str | None = None, kind: str = "ellipsoid") -> None:
+    """Verifies the proxies on disk: closed, outward, around every vertex, texels for every face.
+
+    Args:
+        scene: A dataset's folder or its name under data/; every one there unless given.
+        kind: box or ellipsoid.
+    """
+    from proxies.make import read_reports
+
+    chosen = _kind(kind)
+    problems = []
+    for dataset in _datasets(scene):
+        reports = read_reports(dataset, chosen)
+        _print_table(dataset, chosen, reports)
+        problems += [
+            f"{dataset.root}: the {kind} of {report.object} {report.enclosure.problem}"
+            for report in reports
+            if report.enclosure.problem
+        ]
+    if problems:
+        fail(f"{problems[0]}; {len(problems)} of the proxies are unsound, make them again with --overwrite")
+
+
+def _kind(kind: str) -> "ProxyKind":
+    from proxies.make import FITTERS
+
+    return cast("ProxyKind", choose("kind", kind, FITTERS))
+
+
+def _datasets(scene: str | None) -> list[Dataset]:
+    roots = list_datasets() if scene is None else [find_dataset(scene)]
+    if not roots:
+        raise HyalineError(f"{DATA_ROOT}: no dataset there; make one with `datagen build --scene glass_table`")
+    return [open_dataset(Path(root)) for root in roots]
+
+
+def _print_table(dataset: Dataset, kind: str, reports: "tuple[ProxyReport, ...]") -> None:
+    from rich.box import SIMPLE_HEAD
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=f"{kind} proxies of {dataset.root}", box=SIMPLE_HEAD, title_justify="left")
+    table.add_column("object", no_wrap=True)
+    for name in ("triangles", "volume / hull", "mean distance", "max distance", "inside"):
+        table.add_column(name, justify="right", no_wrap=True)
+    for report in reports:
+        numbers = report.statistics
+        table.add_row(
+            report.object,
+            str(report.triangles),
+            f"{numbers.volume_ratio:.3f}",
+            f"{1000 * numbers.mean_distance:.2f} mm",
+            f"{1000 * numbers.max_distance:.2f} mm",
+            f"{100 * report.enclosure.inside_share:.4g} %",
+        )
+    console = Console()
+    # In a pipe there is no width to fit; cut-off names would be of no use there.
+    console = console if console.is_terminal else Console(width=160)
+    console.print(table)

@@ -1,0 +1,82 @@
+"""Tests the shape of the code: who imports whom, where heavy packages live, how fast help answers."""
+
+import ast
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+PACKAGES = ("datagen", "proxies", "model", "eval")
+ALLOWED = {
+    "datagen": {"datagen"},
+    "proxies": {"proxies", "datagen"},
+    "model": {"model", "datagen"},
+    "eval": {"eval", "datagen"},
+}
+HOMES = {
+    "mitsuba": {"datagen"},
+    "drjit": {"datagen"},
+    "pymeshlab": {"proxies/meshlab.py"},
+    "torch": {"model"},
+    "skimage": {"eval"},
+    "colour": {"eval"},
+    "xatlas": {"datagen/atlas.py"},
+    "zarr": {"datagen/layers.py"},
+}
+
+
+def imports_of(path: Path) -> set[str]:
+    names = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            names |= {alias.name.split(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            names.add(node.module.split(".")[0])
+    return names
+
+
+FILES = [path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))]
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.relative_to(ROOT).as_posix())
+def test_each_file_imports_only_what_its_place_allows(path: Path) -> None:
+    place = path.relative_to(ROOT)
+    names = imports_of(path)
+    assert names & set(PACKAGES) <= ALLOWED[place.parts[0]]
+    for package, homes in HOMES.items():
+        if package in names:
+            assert place.parts[0] in homes or place.as_posix() in homes, f"{package} has no home here"
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.relative_to(ROOT).as_posix())
+def test_each_file_says_in_its_first_line_what_it_owns(path: Path) -> None:
+    if path.name != "__init__.py" or path.read_text().strip():
+        assert ast.get_docstring(ast.parse(path.read_text()))
+
+
+def loaded_after(statement: str) -> set[str]:
+    program = f"{statement}; import sys; print(*sys.modules)"
+    answer = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    return set(answer.stdout.split())
+
+
+@pytest.mark.parametrize("module", ["datagen.dataset", "datagen.layers", "datagen.scene", "datagen.meshes"])
+def test_the_contract_imports_without_heavy_packages(module: str) -> None:
+    heavy = {"mitsuba", "drjit", "torch", "trimesh", "pymeshlab", "xatlas", "zarr", "scipy", "skimage"}
+    assert not loaded_after(f"import {module}") & heavy
+
+
+@pytest.mark.parametrize("program", PACKAGES)
+def test_help_answers_at_once_and_every_command_has_it(program: str) -> None:
+    heavy = {"mitsuba", "drjit", "torch", "trimesh", "pymeshlab", "scipy", "matplotlib", "skimage"}
+    assert not loaded_after(f"import {program}.cli") & heavy
+    times = []
+    for _ in range(3):
+        start = time.monotonic()
+        answer = subprocess.run([sys.executable, "-m", program, "--help"], capture_output=True, text=True, check=True)
+        times.append(time.monotonic() - start)
+    assert program in answer.stdout or "report" in answer.stdout
+    assert min(times) < 1.5  # Half a second on a quiet machine.

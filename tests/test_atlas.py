@@ -1,0 +1,177 @@
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import trimesh
+
+from datagen.atlas import bake_positions, chart_map, coverage, unwrap, unwrap_all
+from datagen.errors import HyalineError
+from datagen.meshes import Mesh, face_corners
+from datagen.modelling import ball, lathe, merged, rounded_box, sheet
+
+
+def mesh_of(solid: trimesh.Trimesh) -> Mesh:
+    return Mesh(
+        vertices=np.asarray(solid.vertices, np.float32),
+        faces=np.asarray(solid.faces, np.int32),
+        normals=np.array(solid.vertex_normals, np.float32),
+        uv=np.zeros((len(solid.vertices), 2), np.float32),
+    )
+
+
+@pytest.fixture(scope="module")
+def unwrapped() -> dict[str, Mesh]:
+    """Shapes of several kinds, one of them of two parts, unwrapped by one child."""
+    return unwrap_all({
+        "box": rounded_box((0.4, 0.3, 0.2), bevel=0.02, segments=1),
+        "ball": ball(2.0, subdivisions=3),
+        "knotted": mesh_of(trimesh.creation.torus(1.0, 0.3, major_sections=24, minor_sections=12)),
+        "two": merged([ball(0.1, subdivisions=2), sheet((5, 5, 5), (3, 0, 0), (0, 2, 0), cells=(3, 2))]),
+    })  # fmt: skip
+
+
+KINDS = ("box", "ball", "knotted", "two")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_no_texel_centre_lies_inside_two_triangles(unwrapped: dict[str, Mesh], kind: str) -> None:
+    counts = coverage(unwrapped[kind], 1024)
+    assert counts.max() == 1
+    assert (counts > 0).mean() > 0.3
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_face_keeps_its_place_its_corners_normals_and_gets_an_area(unwrapped: dict[str, Mesh], kind: str) -> None:
+    sources = {
+        "box": rounded_box((0.4, 0.3, 0.2), bevel=0.02, segments=1),
+        "ball": ball(2.0, subdivisions=3),
+        "knotted": mesh_of(trimesh.creation.torus(1.0, 0.3, major_sections=24, minor_sections=12)),
+        "two": merged([ball(0.1, subdivisions=2), sheet((5, 5, 5), (3, 0, 0), (0, 2, 0), cells=(3, 2))]),
+    }
+    mesh, source = unwrapped[kind], sources[kind]
+    np.testing.assert_array_equal(face_corners(mesh), face_corners(source))
+    np.testing.assert_array_equal(mesh.normals[mesh.faces], source.normals[source.faces])
+    a, b, c = np.moveaxis(mesh.uv[mesh.faces].astype(np.float64), 1, 0)
+    areas = np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]) / 2
+    assert areas.min() > 1e-9
+    assert mesh.uv.min() >= 0
+    assert mesh.uv.max() <= 1
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_between_two_charts_lies_a_texel_of_gutter_at_256(unwrapped: dict[str, Mesh], kind: str) -> None:
+    assert gutter_violations(unwrapped[kind], 256) == 0
+
+
+def gutter_violations(mesh: Mesh, size: int) -> int:
+    """Pairs of neighbouring texels (of eight) that different charts cover."""
+    charts = chart_map(mesh, size)
+    assert charts.max() >= 1
+    count = 0
+    for rows, columns in ((1, 0), (0, 1), (1, 1), (1, -1)):
+        one = charts[: size - rows, max(0, -columns) : size - max(0, columns)]
+        other = charts[rows:, max(0, columns) : size - max(0, -columns)]
+        count += int(((one >= 0) & (other >= 0) & (one != other)).sum())
+    return count
+
+
+def test_the_same_mesh_gives_the_same_bytes_alone_and_in_company(unwrapped: dict[str, Mesh]) -> None:
+    alone = unwrap(ball(2.0, subdivisions=3), where="ball")
+    for name in ("vertices", "faces", "normals", "uv"):
+        assert getattr(alone, name).tobytes() == getattr(unwrapped["ball"], name).tobytes()
+
+
+def test_atlas_does_not_depend_on_the_scale() -> None:
+    tiny = unwrap(ball(2.0**-20, subdivisions=2), where="tiny")
+    huge = unwrap(ball(2.0**13, subdivisions=2), where="huge")
+    np.testing.assert_array_equal(tiny.uv, huge.uv)
+    assert coverage(tiny, 512).max() == 1
+
+
+def test_baked_positions_of_a_plane_are_linear_in_the_texel() -> None:
+    mesh = sheet((1.0, 2.0, 3.0), (4.0, 0.0, 0.0), (0.0, 0.0, 2.0), cells=(3, 2))
+    uv = (mesh.vertices - [1, 2, 3])[:, [0, 2]] / [4, 2]
+    mesh = Mesh(vertices=mesh.vertices, faces=mesh.faces, normals=mesh.normals, uv=uv.astype(np.float32))
+    size = 32
+    row, column = np.indices((size, size))
+    expected = np.stack(
+        [1 + 4 * (column + 0.5) / size, np.full((size, size), 2.0), 3 + 2 * (1 - (row + 0.5) / size)], axis=-1
+    )
+    np.testing.assert_allclose(bake_positions(mesh, size), expected, atol=1e-5)
+
+
+def test_baked_positions_lie_on_the_surface_everywhere_even_in_gutters(unwrapped: dict[str, Mesh]) -> None:
+    radius = np.linalg.norm(bake_positions(unwrapped["ball"], 128), axis=-1)
+    chord = 2.0 * np.cos(0.1)  # The faces of the geodesic ball dip under the sphere by up to half an edge's angle.
+    assert radius.max() <= 2.0 + 1e-5
+    assert radius.min() >= chord
+
+
+def test_baked_positions_agree_with_a_loop_over_triangles(unwrapped: dict[str, Mesh]) -> None:
+    mesh, size = unwrapped["box"], 24
+    baked = bake_positions(mesh, size)
+    covered = 0
+    for row in range(size):
+        for column in range(size):
+            point = np.array([(column + 0.5) / size, 1 - (row + 0.5) / size])
+            for face in mesh.faces:
+                matrix = np.concatenate([mesh.uv[face].astype(np.float64).T, np.ones((1, 3))])
+                weights = np.linalg.solve(matrix, [*point, 1.0])
+                if weights.min() > 1e-6:
+                    np.testing.assert_allclose(baked[row, column], weights @ mesh.vertices[face], atol=1e-5)
+                    covered += 1
+    assert abs(covered - int(coverage(mesh, size).sum())) <= 1  # One may lie on an edge but for rounding.
+    assert covered > 200
+
+
+def test_a_chart_thinner_than_a_texel_still_has_its_position() -> None:
+    mesh = unwrap(
+        merged([sheet((0, 0, 0), (1, 0, 0), (0, 1, 0)), sheet((0, 0, 5), (1e-3, 0, 0), (0, 1e-3, 0))]), where="x"
+    )
+    assert (bake_positions(mesh, 64)[..., 2] == 5).any()
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, 1e30])
+def test_values_that_hang_xatlas_are_refused(value: float) -> None:
+    mesh = sheet((0, 0, 0), (1, 0, 0), (0, 1, 0))
+    vertices = mesh.vertices.copy()
+    vertices[0, 0] = value
+    bad = Mesh(vertices=vertices, faces=mesh.faces, normals=mesh.normals, uv=mesh.uv)
+    with pytest.raises(HyalineError, match="chair: vertices that are not finite"):
+        unwrap(bad, where="chair")
+
+
+def test_faces_out_of_range_and_empty_meshes_are_refused() -> None:
+    mesh = sheet((0, 0, 0), (1, 0, 0), (0, 1, 0))
+    with pytest.raises(HyalineError, match="chair: faces name vertices that do not exist; expected 0 to 3"):
+        unwrap(Mesh(vertices=mesh.vertices, faces=mesh.faces + 2, normals=mesh.normals, uv=mesh.uv), where="chair")
+    with pytest.raises(HyalineError, match="chair: has no faces"):
+        unwrap(Mesh(vertices=mesh.vertices, faces=mesh.faces[:0], normals=mesh.normals, uv=mesh.uv), where="chair")
+
+
+def test_nothing_to_unwrap_starts_no_process() -> None:
+    assert unwrap_all({}) == {}
+
+
+def test_the_child_imports_neither_torch_nor_mitsuba() -> None:
+    code = "import datagen.atlas, xatlas, sys; print([m for m in ('torch', 'mitsuba', 'drjit') if m in sys.modules])"
+    answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert answer.stdout.strip() == "[]"
+
+
+def test_unwrapping_works_from_any_folder(tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "xatlas.py").write_text("raise SystemExit('foreign code ran')")
+    monkeypatch.chdir(tmp_path)
+    mesh = unwrap(lathe([(0, 0), (0.1, 0), (0.1, 0.2), (0, 0.2)], segments=12), where="can")
+    assert coverage(mesh, 128).max() == 1
+
+
+def test_a_slender_surface_leaves_the_atlas_nearly_square() -> None:
+    """Texels are as long as they are wide: the median stretch of u against v stays below 1.6."""
+    mesh = unwrap(lathe([(0, 0), (0.004, 0), (0.004, 0.5), (0, 0.5)], segments=48), where="rod")
+    edges = face_corners(mesh).astype(np.float64)[:, 1:] - face_corners(mesh).astype(np.float64)[:, :1]
+    corners = mesh.uv[mesh.faces].astype(np.float64)
+    jacobians = np.swapaxes(edges, 1, 2) @ np.linalg.inv(np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2))
+    stretch = np.linalg.svd(jacobians, compute_uv=False)
+    assert np.median(stretch[:, 0] / stretch[:, 1]) < 1.6

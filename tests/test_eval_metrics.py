@@ -1,0 +1,100 @@
+"""Metrics against independent programs, closed forms and the mistakes they must not make."""
+
+import math
+
+import numpy as np
+import pytest
+from skimage.color import deltaE_ciede2000, rgb2lab
+from skimage.metrics import peak_signal_noise_ratio
+
+from eval.metrics import delta_e_2000, masked_psnr, mean_of, psnr, psnr_uint8_wrap, ssim
+
+
+def random_pair(seed: int, size: int = 48) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    target = rng.integers(0, 256, (size, size, 3), np.uint8)
+    noisy = np.clip(target + rng.normal(0, 1 + 10 * seed, target.shape), 0, 255)
+    return np.rint(noisy).astype(np.uint8), target
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_psnr_equals_scikit_image_and_is_symmetric(seed: int) -> None:
+    pred, target = random_pair(seed)
+    assert psnr(pred, target) == pytest.approx(peak_signal_noise_ratio(target, pred, data_range=255), abs=1e-9)
+    assert psnr(pred, target) == psnr(target, pred)
+
+
+def test_identical_pictures_are_infinitely_good() -> None:
+    _, target = random_pair(0)
+    assert psnr(target, target) == psnr_uint8_wrap(target, target) == math.inf
+    assert ssim(target, target) == pytest.approx(1.0)
+    assert delta_e_2000(target, target).max() == 0
+
+
+def test_an_error_of_16_everywhere_is_24_db_and_wraps_to_none() -> None:
+    target = np.random.default_rng(0).integers(0, 240, (32, 32, 3), np.uint8)
+    pred = target + np.uint8(16)
+    assert psnr(pred, target) == pytest.approx(20 * math.log10(255 / 16))
+    assert psnr(pred, target) == pytest.approx(24.05, abs=5e-3)
+    assert psnr_uint8_wrap(pred, target) == psnr_uint8_wrap(target, pred) == math.inf
+
+
+def test_wrapped_psnr_is_psnr_while_no_error_reaches_16() -> None:
+    rng = np.random.default_rng(1)
+    target = rng.integers(20, 230, (32, 32, 3), np.uint8)
+    pred = (target + rng.integers(-15, 16, target.shape)).astype(np.uint8)
+    assert psnr_uint8_wrap(pred, target) == pytest.approx(psnr(pred, target), abs=1e-9)
+
+
+def test_random_noise_scores_as_the_specification_says() -> None:
+    rng = np.random.default_rng(2)
+    pred, target = rng.integers(0, 256, (2, 256, 256, 3), np.uint8)
+    assert psnr(pred, target) == pytest.approx(7.75, abs=0.05)
+    assert psnr_uint8_wrap(pred, target) == pytest.approx(27.9, abs=0.05)
+
+
+def test_masked_psnr_sees_the_mask_only() -> None:
+    pred, target = random_pair(1)
+    mask = np.zeros(target.shape[:2], bool)
+    mask[5:20, 7:30] = True
+    expected = peak_signal_noise_ratio(target[5:20, 7:30], pred[5:20, 7:30], data_range=255)
+    assert masked_psnr(pred, target, mask) == pytest.approx(expected, abs=1e-9)
+    ruined = np.where(mask[..., None], pred, 255 - target).astype(np.uint8)
+    assert masked_psnr(ruined, target, mask) == masked_psnr(pred, target, mask)
+    assert masked_psnr(pred, target, np.ones_like(mask)) == pytest.approx(psnr(pred, target))
+
+
+def test_ssim_equals_a_direct_evaluation_of_wang_2004() -> None:
+    from scipy.ndimage import correlate
+
+    pred, target = random_pair(3, size=24)
+    x, y = pred / 255, target / 255
+    taps = np.exp(-0.5 * (np.arange(-5, 6) / 1.5) ** 2)
+    window = np.outer(taps, taps)[..., None] / taps.sum() ** 2
+    blur = lambda image: correlate(image, window)[5:-5, 5:-5]  # noqa: E731
+    mean_x, mean_y = blur(x), blur(y)
+    var_x, var_y, cov = blur(x * x) - mean_x**2, blur(y * y) - mean_y**2, blur(x * y) - mean_x * mean_y
+    luminance = (2 * mean_x * mean_y + 0.01**2) / (mean_x**2 + mean_y**2 + 0.01**2)
+    structure = (2 * cov + 0.03**2) / (var_x + var_y + 0.03**2)
+    assert ssim(pred, target) == pytest.approx(float((luminance * structure).mean()), abs=1e-9)
+
+
+def test_delta_e_equals_scikit_image() -> None:
+    pred, target = random_pair(2)
+    expected = deltaE_ciede2000(rgb2lab(target), rgb2lab(pred))
+    # Their white points differ in the fifth digit.
+    np.testing.assert_allclose(delta_e_2000(pred, target), expected, atol=0.02)
+
+
+@pytest.mark.parametrize(
+    ("values", "expected"),
+    [
+        ([30.0, 32.0], 31.0),
+        ([30.0, math.inf, 32.0], 31.0),
+        ([30.0, None], 30.0),
+        ([math.inf, math.inf, None], math.inf),
+        ([None, None], None),
+    ],
+)
+def test_mean_leaves_out_what_has_no_finite_value(values: list[float | None], expected: float | None) -> None:
+    assert mean_of(values) == expected

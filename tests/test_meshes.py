@@ -1,0 +1,99 @@
+"""Tests the mesh record, its checks and its PLY file."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from datagen.errors import HyalineError
+from datagen.meshes import (
+    Mesh,
+    check_closed,
+    check_mesh,
+    component_of_faces,
+    open_edges,
+    read_ply,
+    signed_volume,
+    vertex_normals,
+    write_ply,
+)
+
+
+def mesh_of(shape: trimesh.Trimesh, seed: int = 0) -> Mesh:
+    vertices, faces = np.asarray(shape.vertices, np.float32), np.asarray(shape.faces, np.int32)
+    uv = np.random.default_rng(seed).random((len(vertices), 2), np.float32)
+    return Mesh(vertices=vertices, faces=faces, normals=vertex_normals(vertices, faces).astype(np.float32), uv=uv)
+
+
+BALL = mesh_of(trimesh.creation.icosphere(2))
+
+
+def test_a_mesh_survives_its_ply_file(tmp_path: Path) -> None:
+    path = tmp_path / "ball.ply"
+    path.write_bytes(write_ply(BALL))
+    loaded, has_uv = read_ply(path)
+    assert has_uv
+    for field in dataclasses.fields(Mesh):
+        assert np.array_equal(getattr(loaded, field.name), getattr(BALL, field.name)), field.name
+
+
+def test_every_truncation_of_a_ply_file_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "ball.ply"
+    for data in (write_ply(BALL), trimesh.creation.box().export(file_type="ply", encoding="ascii")):
+        for end in range(0, len(data) - 1, max(1, len(data) // 60)):
+            path.write_bytes(data[:end])
+            with pytest.raises(HyalineError, match=r"ball\.ply"):
+                read_ply(path)
+
+
+def test_volume_and_openness_of_known_shapes() -> None:
+    box = mesh_of(trimesh.creation.box((1, 2, 3)))
+    assert signed_volume(box) == pytest.approx(6)
+    assert open_edges(box) == 0
+    reversed_box = dataclasses.replace(box, faces=box.faces[:, ::-1])
+    assert signed_volume(reversed_box) == pytest.approx(-6)
+    assert open_edges(dataclasses.replace(box, faces=box.faces[1:])) == 3
+
+
+def test_components_are_counted_across_seams() -> None:
+    two = trimesh.util.concatenate([trimesh.creation.box(), trimesh.creation.box().apply_translation((5, 0, 0))])
+    two.unmerge_vertices()
+    components = component_of_faces(mesh_of(two))
+    assert sorted(np.bincount(components)) == [12, 12]
+
+
+def broken(**changes: object) -> Mesh:
+    return dataclasses.replace(BALL, **changes)
+
+
+def with_value(values: np.ndarray, value: float) -> np.ndarray:
+    changed = values.copy()
+    changed[7, 0] = value
+    return changed
+
+
+@pytest.mark.parametrize(
+    ("mesh", "message"),
+    [
+        (broken(vertices=with_value(BALL.vertices, np.nan)), r"vertices\[7\] is \[nan"),
+        (broken(vertices=with_value(BALL.vertices, 1e7)), r"a coordinate is 1e\+07 m"),
+        (broken(faces=with_value(BALL.faces, 1_000_000)), r"a face names vertex 1000000; expected 0 to 161"),
+        (broken(faces=with_value(BALL.faces, -5)), r"a face names vertex -5"),
+        (broken(faces=np.tile(BALL.faces[:1, :1], (1, 3))), r"face 0 has no area"),
+        (broken(faces=BALL.faces[:0]), r"0 faces; expected at least one"),
+        (broken(uv=with_value(BALL.uv, np.inf)), r"uv\[7\] is \[inf"),
+        (broken(uv=with_value(BALL.uv, 7.0)), r"uv spans .* to 7; expected \[0, 1\]"),
+    ],
+)
+def test_a_bad_mesh_is_refused_before_a_native_library_sees_it(mesh: Mesh, message: str) -> None:
+    with pytest.raises(HyalineError, match=rf"^vase: .*{message}"):
+        check_mesh(mesh, where="vase")
+
+
+def test_open_and_inside_out_glass_is_refused() -> None:
+    with pytest.raises(HyalineError, match="3 open edges; glass must be a closed mesh"):
+        check_closed(broken(faces=BALL.faces[1:]), where="vase")
+    with pytest.raises(HyalineError, match="is inside out; reverse its faces"):
+        check_closed(broken(faces=BALL.faces[:, ::-1]), where="vase")

@@ -1,0 +1,129 @@
+"""Owns the tests of the neural texture's layout and lookup."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from torch import Tensor
+from torch.nn import functional
+
+from datagen.errors import HyalineError
+from model.texture import TextureLayout, object_layout, sample, scene_layout
+
+
+def slow_sample(table: np.ndarray, uv: np.ndarray, object_id: np.ndarray, layout: TextureLayout) -> np.ndarray:
+    """Oracle: one ray, one layer and one neighbour at a time, in float64."""
+    features = np.zeros((*object_id.shape, table.shape[1]))
+    for ray, layer in np.ndindex(object_id.shape):
+        if object_id[ray, layer] == 0:
+            continue
+        u, v = uv[ray, layer].astype(np.float64)
+        x, y = u * layout.size - 0.5, (1 - v) * layout.size - 0.5
+        for column in (math.floor(x), math.floor(x) + 1):
+            for row in (math.floor(y), math.floor(y) + 1):
+                weight = (1 - abs(x - column)) * (1 - abs(y - row))
+                inside_row = min(max(row, 0), layout.size - 1)
+                inside_column = min(max(column, 0), layout.size - 1)
+                texel = layout.bases[object_id[ray, layer] - 1] + inside_row * layout.stride + inside_column
+                features[ray, layer] += weight * table[texel]
+    return features
+
+
+def random_case(seed: int, num_objects: int, size: int, *, scene: bool) -> tuple[Tensor, Tensor, Tensor, TextureLayout]:
+    generator = torch.Generator().manual_seed(seed)
+    layout = (scene_layout if scene else object_layout)(num_objects, size)
+    uv = torch.rand(13, 3, 2, generator=generator)
+    uv[:4, 0] = torch.tensor([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
+    object_id = torch.randint(0, num_objects + 1, (13, 3), generator=generator, dtype=torch.uint8)
+    return torch.randn(layout.num_texels, 5, generator=generator), uv, object_id, layout
+
+
+@settings(deadline=None, max_examples=40, derandomize=True)
+@given(seed=st.integers(0, 1000), num_objects=st.integers(1, 7), size=st.integers(6, 17), scene=st.booleans())
+def test_lookup_equals_a_slow_loop(seed: int, num_objects: int, size: int, scene: bool) -> None:
+    table, uv, object_id, layout = random_case(seed, num_objects, size, scene=scene)
+    expected = slow_sample(table.numpy(), uv.numpy(), object_id.numpy(), layout)
+    np.testing.assert_allclose(sample(table, uv, object_id, layout).numpy(), expected, atol=2e-5)
+
+
+@settings(deadline=None, max_examples=40, derandomize=True)
+@given(seed=st.integers(0, 1000), num_objects=st.integers(1, 4), size=st.integers(2, 33))
+def test_lookup_and_its_gradient_equal_grid_sample_for_each_object(seed: int, num_objects: int, size: int) -> None:
+    table, uv, object_id, layout = random_case(seed, num_objects, size, scene=False)
+    upstream = torch.randn(13, 3, 5, generator=torch.Generator().manual_seed(seed))
+    table.requires_grad_()
+    features = sample(table, uv, object_id, layout)
+    features.backward(upstream)
+
+    images = table.detach().view(num_objects, size, size, 5).permute(0, 3, 1, 2).clone().requires_grad_()
+    grid = torch.stack([2 * uv[..., 0] - 1, 1 - 2 * uv[..., 1]], dim=-1)
+    expected = torch.zeros(13, 3, 5)
+    for index in range(num_objects):
+        looked_up = functional.grid_sample(
+            images[index : index + 1], grid[None], padding_mode="border", align_corners=False
+        )
+        expected = expected + looked_up[0].permute(1, 2, 0) * (object_id == index + 1)[..., None]
+    expected.backward(upstream)
+
+    assert images.grad is not None and table.grad is not None
+    torch.testing.assert_close(features, expected, atol=2e-5, rtol=0)
+    by_texel = images.grad.permute(0, 2, 3, 1).reshape(-1, 5)
+    torch.testing.assert_close(table.grad, by_texel, atol=2e-5, rtol=0)
+
+
+def test_an_empty_layer_gives_exact_zeros_whatever_its_uv() -> None:
+    table, uv, object_id, layout = random_case(0, 3, 8, scene=False)
+    features = sample(table + 7, uv, object_id, layout)
+    assert (features[object_id == 0] == 0).all() and (features[object_id != 0] != 0).all()
+    nothing = sample(table, uv, torch.zeros_like(object_id), layout)
+    assert nothing.shape == (13, 3, 5) and (nothing == 0).all()
+
+
+def test_a_gradient_reaches_only_the_four_texels_around_a_hit() -> None:
+    layout = object_layout(2, 8)
+    table = torch.zeros(layout.num_texels, 4, requires_grad=True)
+    # Between texel rows 2 and 3 (v = 1 - 3 / 8) and columns 5 and 6 (u = 6 / 8) of the second object.
+    uv = torch.tensor([[[6 / 8, 1 - 3 / 8], [0.2, 0.2]]])
+    sample(table, uv, torch.tensor([[2, 0]], dtype=torch.uint8), layout).sum().backward()
+    assert table.grad is not None
+    touched = table.grad[:, 0].view(2, 8, 8).nonzero().tolist()
+    assert touched == [[1, 2, 5], [1, 2, 6], [1, 3, 5], [1, 3, 6]]
+    assert table.grad[touched[0][0] * 64 + 2 * 8 + 5].tolist() == [0.25] * 4
+
+
+def test_permuting_objects_permutes_textures() -> None:
+    table, uv, object_id, layout = random_case(3, 4, 6, scene=False)
+    order = torch.tensor([2, 0, 3, 1])  # The new object k is the old object order[k].
+    permuted_table = table.view(4, 36, 5)[order].reshape(-1, 5)
+    new_id = torch.cat([torch.zeros(1), torch.argsort(order) + 1]).to(torch.uint8)
+    permuted = sample(permuted_table, uv, new_id[object_id.long()], layout)
+    assert torch.equal(permuted, sample(table, uv, object_id, layout))
+
+
+def test_the_cells_of_a_scene_texture_do_not_overlap() -> None:
+    layout = scene_layout(5, 32)
+    local = np.arange(layout.size)[:, None] * layout.stride + np.arange(layout.size)
+    texels = np.concatenate([base + local.ravel() for base in layout.bases])
+    assert layout.size == 10 and len(np.unique(texels)) == 5 * 100 and texels.max() < layout.num_texels == 32 * 32
+
+
+def test_a_scene_texture_too_small_for_its_objects_is_refused() -> None:
+    with pytest.raises(HyalineError, match="texture_size: is 4 for 9 objects; expected at least 6 texels"):
+        scene_layout(9, 4)
+
+
+def test_lookup_and_dense_gradient_repeat_bit_by_bit() -> None:
+    generator = torch.Generator().manual_seed(0)
+    layout = object_layout(2, 64)
+    uv = torch.rand(20_000, 4, 2, generator=generator)
+    object_id = torch.randint(0, 3, (20_000, 4), generator=generator, dtype=torch.uint8)
+    upstream = torch.randn(20_000, 4, 16, generator=generator)
+    gradients = []
+    for _ in range(3):
+        table = torch.zeros(layout.num_texels, 16, requires_grad=True)
+        sample(table, uv, object_id, layout).backward(upstream)
+        gradients.append(table.grad)
+    assert torch.equal(gradients[0], gradients[1]) and torch.equal(gradients[0], gradients[2])

@@ -1,0 +1,194 @@
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from datagen.meshes import Mesh, check_mesh, face_corners, open_edges, signed_volume
+from datagen.modelling import (
+    ball,
+    cylinder,
+    deformed,
+    filleted,
+    lathe,
+    leaf,
+    merged,
+    moved,
+    rotation,
+    rounded_box,
+    shaded,
+    sheet,
+    transformed,
+    tube,
+    turned,
+    walled,
+)
+from datagen.scene import SolidTexture
+from datagen.solid_textures import PATTERNS, evaluate_texture, fractal_noise, value_noise
+
+CIRCLE = np.linspace(0, 2 * np.pi, 60, endpoint=False)
+HELIX = np.stack([np.cos(CIRCLE), np.sin(CIRCLE), CIRCLE], axis=-1)
+RING = np.stack([np.cos(CIRCLE), np.sin(CIRCLE), 0.3 * np.sin(2 * CIRCLE)], axis=-1)
+TUMBLER = [(0, 0, 0), (0.033, 0, 0.006), (0.035, 0.05, 0), (0.0385, 0.105, 0)]
+
+SOLIDS = {
+    "box": rounded_box((1.0, 0.7, 0.02), bevel=0.004),
+    "ball": ball(0.1),
+    "cylinder": cylinder(0.1, 0.3, top_radius=0.05),
+    "tumbler": lathe(walled(filleted(TUMBLER), wall=0.003, floor=0.011)),
+    "ring": lathe([(2 + 0.3 * np.cos(a), 0.3 * np.sin(a)) for a in CIRCLE[::4]]),
+    "tube": tube(HELIX, np.linspace(0.1, 0.02, 60)),
+    "loop": tube(RING, 0.1, is_loop=True),
+    "egg": deformed(ball(1.0), lambda p: p * (1 - 0.3 * p[:, 2:])),
+    "mirrored": transformed(rounded_box((1, 2, 3), bevel=0.1), np.diag([-1.0, 2.0, 1.0]), (1, 2, 3)),
+}
+
+
+@pytest.mark.parametrize("name", SOLIDS)
+def test_solids_are_closed_outward_valid_and_shaded_on_the_side_they_face(name: str) -> None:
+    mesh = SOLIDS[name]
+    check_mesh(mesh, where=name)
+    assert open_edges(mesh) == 0
+    assert signed_volume(mesh) > 0
+    np.testing.assert_allclose(np.linalg.norm(mesh.normals, axis=-1), 1, atol=1e-5)
+    assert (corner_cosines(mesh) > 0.5).all()
+
+
+def corner_cosines(mesh: Mesh) -> np.ndarray:
+    """Cosine between each face's normal and the shading normal at each of its corners (face, 3)."""
+    a, b, c = np.moveaxis(face_corners(mesh).astype(np.float64), 1, 0)
+    flat = np.cross(b - a, c - a)
+    flat /= np.linalg.norm(flat, axis=-1, keepdims=True)
+    return np.einsum("fi,fki->fk", flat, mesh.normals[mesh.faces])
+
+
+@given(
+    st.floats(0.05, 3), st.floats(0.05, 3), st.floats(0.05, 3), st.integers(3, 80), st.booleans()
+)  # fmt: skip
+@settings(max_examples=30, deadline=None, derandomize=True)
+def test_lathe_encloses_the_volume_of_its_stack_of_pyramid_frusta(r: float, s: float, h: float, n: int,
+                                                                 is_reversed: bool) -> None:  # fmt: skip
+    profile = [(0, 0), (r, 0), (s, h), (0, h)]
+    mesh = lathe(profile[::-1] if is_reversed else profile, segments=n)
+    polygon = n / 2 * np.sin(2 * np.pi / n)  # Area of the n-gon in the unit circle.
+    assert signed_volume(mesh) == pytest.approx(polygon * h * (r * r + r * s + s * s) / 3, rel=1e-4)
+
+
+def test_ball_and_rounded_box_have_the_volume_and_the_normals_of_geometry() -> None:
+    assert signed_volume(ball(2.0, subdivisions=5)) == pytest.approx(4 / 3 * np.pi * 8, rel=2e-3)
+    np.testing.assert_allclose(ball(2.0).vertices, 2 * ball(2.0).normals, atol=1e-6)
+    a, b, c, r = 1.0, 0.8, 0.6, 0.1
+    inner = np.array([a, b, c]) - 2 * r
+    area = 2 * (inner[0] * inner[1] + inner[1] * inner[2] + inner[2] * inner[0])
+    steiner = inner.prod() + area * r + np.pi * r**2 * inner.sum() + 4 / 3 * np.pi * r**3
+    assert signed_volume(rounded_box((a, b, c), bevel=r, segments=12)) == pytest.approx(steiner, rel=2e-4)
+
+
+@pytest.mark.parametrize("wall", [0.002, 0.004])
+def test_walled_vessel_has_the_wall_that_was_asked_for_and_a_floor(wall: float) -> None:
+    outer = filleted(TUMBLER)
+    outline = np.array(walled(outer, wall=wall, floor=0.011))
+    turn = int(outline[:, 1].argmax())
+    inner = outline[turn + 4 :]
+    line = np.array(outer)
+    fine = np.concatenate([np.linspace(p, q, 400) for p, q in pairwise(line)])
+    distance = np.linalg.norm(inner[:, None] - fine[None], axis=-1).min(axis=1)
+    assert distance.min() > 0.85 * wall
+    assert inner[:, 1].min() == pytest.approx(0.011)
+    np.testing.assert_array_equal(outline[[0, -1], 0], 0)
+
+
+def test_fillets_are_arcs_that_touch_both_sides() -> None:
+    outline = np.array(filleted([(0, 0, 0), (1, 0, 0.25), (1, 2, 0)], segments=8))
+    arc = outline[1:-1]
+    np.testing.assert_allclose(np.linalg.norm(arc - [0.75, 0.25], axis=-1), 0.25, atol=1e-12)
+    np.testing.assert_allclose(arc[[0, -1]], [[0.75, 0], [1, 0.25]], atol=1e-12)
+
+
+def test_creases_split_a_box_and_leave_a_ball_whole() -> None:
+    corners = np.array(list(np.ndindex(2, 2, 2)), np.float64)
+    faces = np.array([[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1],
+                      [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]])  # fmt: skip
+    cube = shaded(corners, faces, crease_deg=40)
+    assert len(cube.vertices) == 24
+    np.testing.assert_allclose(corner_cosines(cube), 1, atol=1e-6)
+    assert len(shaded(corners, faces, crease_deg=120).vertices) == 8
+    sphere = ball(1.0, subdivisions=3)
+    again = shaded(sphere.vertices.astype(np.float64), sphere.faces, crease_deg=40)
+    assert len(again.vertices) == len(sphere.vertices)
+    assert np.einsum("vi,vi->v", again.normals, again.vertices).min() > 0.9999
+
+
+def test_leaf_is_one_sheet_of_few_triangles_that_faces_up() -> None:
+    blade = leaf(0.1, 0.04, droop=0.3)
+    check_mesh(blade, where="leaf")
+    assert len(blade.faces) == 16
+    assert open_edges(blade) == 10  # Five along each rim.
+    a, b, c = np.moveaxis(face_corners(blade).astype(np.float64), 1, 0)
+    assert (np.cross(b - a, c - a)[:, 2] > 0).all()
+
+
+def test_moving_turning_and_merging_keep_the_parts() -> None:
+    box = rounded_box((1, 2, 3), bevel=0.1)
+    both = merged([box, moved(turned(box, (0, 0, 1), 90), (10, 0, 0))])
+    assert signed_volume(both) == pytest.approx(2 * signed_volume(box), rel=1e-5)
+    extent = np.ptp(both.vertices[len(box.vertices) :], axis=0)
+    np.testing.assert_allclose(extent, [2, 1, 3], atol=1e-5)
+    np.testing.assert_allclose(rotation((0, 0, 1), 90) @ [1, 0, 0], [0, 1, 0], atol=1e-12)
+
+
+def test_sheet_faces_along_the_cross_product_of_its_edges() -> None:
+    mesh = sheet((0, 0, 0), (2, 0, 0), (0, 3, 0), cells=(4, 5))
+    np.testing.assert_allclose(corner_cosines(mesh), 1, atol=1e-6)
+    np.testing.assert_array_equal(mesh.normals, np.tile([0, 0, 1], (len(mesh.vertices), 1)))
+    assert len(mesh.faces) == 40
+
+
+# Solid textures
+
+RED, BLUE = (0.8, 0.1, 0.1), (0.1, 0.1, 0.9)
+
+
+def points(count: int = 4000) -> np.ndarray:
+    return np.random.default_rng(0).uniform(-2, 2, (count, 3))
+
+
+@pytest.mark.parametrize("pattern", PATTERNS)
+def test_every_pattern_mixes_its_two_colors_and_shows_both(pattern: str) -> None:
+    texture = SolidTexture(pattern=pattern, colors=(RED, BLUE), scale=0.3)  # pyright: ignore[reportArgumentType]
+    values = evaluate_texture(texture, points())
+    amount = (values[:, 2] - 0.1) / 0.8
+    np.testing.assert_allclose(values, np.array(RED) + amount[:, None] * (np.array(BLUE) - np.array(RED)), atol=1e-6)
+    assert amount.min() >= -1e-6
+    assert amount.max() <= 1 + 1e-6
+    assert amount.std() > 0.1
+    np.testing.assert_array_equal(values, evaluate_texture(texture, points()))
+
+
+@pytest.mark.parametrize("pattern", ["checker", "stripes"])
+def test_checker_and_stripes_repeat_after_scale_and_swap_after_half(pattern: str) -> None:
+    texture = SolidTexture(pattern=pattern, colors=(RED, BLUE), scale=0.25, axis="x")  # pyright: ignore[reportArgumentType]
+    here = evaluate_texture(texture, points())
+    np.testing.assert_allclose(evaluate_texture(texture, points() + np.array([0.25, 0, 0])), here, atol=1e-6)
+    there = evaluate_texture(texture, points() + np.array([0.125, 0, 0]))
+    np.testing.assert_allclose(here + there, np.broadcast_to(np.add(RED, BLUE), here.shape), atol=1e-6)
+
+
+def test_stripes_run_across_their_axis_only() -> None:
+    texture = SolidTexture(pattern="stripes", colors=(RED, BLUE), scale=0.25, axis="z")
+    flat = points() * [1, 1, 0]
+    assert np.ptp(evaluate_texture(texture, flat), axis=0).max() == 0
+
+
+def test_noise_is_continuous_bounded_and_known_at_lattice_points() -> None:
+    p = points() * 5
+    for noise in (value_noise, lambda q: fractal_noise(q, octaves=4)):
+        assert 0 <= noise(p).min() < 0.35 < 0.65 < noise(p).max() <= 1
+        assert np.abs(noise(p + 1e-5) - noise(p)).max() < 1e-3
+    # Golden: the hash must never change, or every stored scene changes its textures.
+    golden = value_noise(np.array([[0.0, 0, 0], [1, 2, 3], [-4, 5, -6]]))
+    np.testing.assert_allclose(golden, GOLDEN, atol=1e-12)
+
+
+GOLDEN = (0.0, 0.027354258112609386, 0.2896695521194488)

@@ -1,0 +1,409 @@
+"""Tests of proxies: what they enclose, how tight they are, their atlas, and what happens without pymeshlab."""
+
+import signal
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from datagen.meshes import Mesh, check_closed, check_mesh, face_corners, signed_volume, vertex_normals
+from proxies import box, ellipsoid, measure, meshlab, solid
+from proxies.make import FITTERS, ProxyKind, fit_proxies, paddings
+from proxies.solid import Solid, make_solids, outside_by
+
+KINDS = list(FITTERS)
+
+
+def mesh_of(vertices: np.ndarray, faces: np.ndarray) -> Mesh:
+    vertices = vertices.astype(np.float32)
+    return Mesh(
+        vertices=vertices,
+        faces=faces.astype(np.int32),
+        normals=vertex_normals(vertices, faces).astype(np.float32),
+        uv=np.zeros((len(vertices), 2), np.float32),
+    )
+
+
+def cloud_mesh(points: np.ndarray) -> Mesh:
+    """Triangles between points in their order: a soup that is neither closed nor convex."""
+    index = np.arange(len(points))
+    return mesh_of(points, np.stack([index, np.roll(index, -1), np.roll(index, -2)], axis=-1))
+
+
+def random_rotation(rng: np.random.Generator) -> np.ndarray:
+    q, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    return q * np.sign(np.linalg.det(q))
+
+
+@pytest.fixture
+def no_pymeshlab(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(meshlab, "meshlab_problem", lambda: "pymeshlab is left out in this test")
+
+
+def scipy_solid(mesh: Mesh) -> Solid:
+    """The solid of a mesh without a child process, which would take half a second."""
+    points = solid.thickened(solid.used_positions(mesh))
+    used, faces = solid._hull_by_scipy(points)
+    return Solid(points=points, hull_points=points[used], hull_faces=faces)
+
+
+def shapes(seed: int) -> list[Mesh]:
+    """A soup, a rotated slab, a far needle, a quad in a slanted plane, one triangle."""
+    rng = np.random.default_rng(seed)
+    turn = random_rotation(rng)
+    return [
+        cloud_mesh(rng.normal(size=(200, 3))),
+        cloud_mesh(rng.uniform(-1, 1, (60, 3)) * [2, 1, 0.01] @ turn.T + [3, -2, 1]),
+        cloud_mesh(rng.uniform(-1, 1, (40, 3)) * [1, 2e-3, 1e-3] @ turn.T + 5),
+        mesh_of(np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) @ turn.T, np.array([[0, 1, 2], [0, 2, 3]])),
+        mesh_of(rng.normal(size=(3, 3)), np.array([[0, 1, 2]])),
+    ]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("seed", range(3))
+def test_proxies_are_closed_outward_and_enclose_every_vertex_as_stored(kind: ProxyKind, seed: int) -> None:
+    truths = shapes(seed)
+    for truth in truths:
+        own = scipy_solid(truth)
+        padding = paddings((own,))[0]
+        proxy = FITTERS[kind](own, padding=padding)
+        check_mesh(proxy, where=kind)
+        check_closed(proxy, where=kind)
+        # Strictly inside, without any tolerance: the padding is larger than what float32 moves a facet.
+        beyond = outside_by(face_corners(proxy).astype(np.float64), truth.vertices.astype(np.float64))
+        assert beyond.max() < 0
+        # And no larger than needed: a point of the solid comes within the padding and rounding of a facet.
+        reach = outside_by(face_corners(proxy).astype(np.float64), own.points).max()
+        assert reach > -2 * padding - 8 * 2.0**-24 * np.abs(truth.vertices).max()
+        normals = np.einsum("vi,vi->v", proxy.normals, proxy.normals)
+        np.testing.assert_allclose(normals, 1, atol=1e-5)
+        assert measure.enclosure(proxy, truth).problem is None
+
+
+@settings(max_examples=15, deadline=None, derandomize=True)
+@given(seed=st.integers(0, 2**32 - 1), count=st.integers(3, 30), flatness=st.floats(-8, 0), distance=st.floats(-30, 30))
+def test_any_points_get_a_sound_proxy(seed: int, count: int, flatness: float, distance: float) -> None:
+    rng = np.random.default_rng(seed)
+    points = rng.normal(size=(count, 3)) * [1, 1, 10**flatness] @ random_rotation(rng).T + distance
+    truth = cloud_mesh(points)
+    own = scipy_solid(truth)
+    for fit in FITTERS.values():
+        proxy = fit(own, padding=paddings((own,))[0])
+        assert measure.enclosure(proxy, truth).problem is None
+        assert signed_volume(proxy) >= own.hull_volume * (1 - 1e-6)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_box_of_a_turned_box_has_its_volume_and_its_sides(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    half = np.sort(rng.uniform(0.1, 1, 3))[::-1]
+    inside = rng.uniform(-1, 1, (100, 3))
+    corners = np.stack(np.meshgrid([-1, 1], [-1, 1], [-1, 1]), axis=-1).reshape(-1, 3)
+    points = np.concatenate([corners, inside]) * half @ random_rotation(rng).T + rng.normal(size=3)
+    found = box.smallest_box(scipy_solid(cloud_mesh(points)))
+    np.testing.assert_allclose(found.half, half, rtol=1e-5)
+    assert np.linalg.det(found.axes) == pytest.approx(1)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_no_random_frame_gives_a_smaller_box(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    own = scipy_solid(cloud_mesh(rng.normal(size=(12, 3)) * [1, 0.7, 0.4]))
+    best = np.prod(2 * box.smallest_box(own).half)
+    frames = [random_rotation(rng) for _ in range(5000)]
+    assert best <= min(box._volume(frame, own.points) for frame in frames) * (1 + box.WORTH_TURNING)
+
+
+def test_a_tetrahedron_gets_the_box_that_no_face_of_it_lies_flush_with() -> None:
+    # The least box of a regular tetrahedron is the cube around it, which touches its edges only (volume ratio 3).
+    corners = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]], float)
+    own = scipy_solid(cloud_mesh(corners @ random_rotation(np.random.default_rng(0)).T))
+    assert np.prod(2 * box.smallest_box(own).half) == pytest.approx(8, rel=1e-3)
+
+
+def test_round_and_upright_things_get_an_upright_box() -> None:
+    angle = np.linspace(0, 2 * np.pi, 64, endpoint=False) + 0.017
+    ring = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    points = np.concatenate([np.c_[ring, np.full(64, z)] for z in (0.0, 0.5)])
+    found = box.smallest_box(scipy_solid(cloud_mesh(points)))
+    np.testing.assert_allclose(np.sort(np.abs(found.axes), axis=1), [[0, 0, 1]] * 3, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_ellipsoid_of_an_ellipsoids_points_has_its_radii_and_centre(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    radii, center, turn = np.sort(rng.uniform(0.05, 2, 3)), rng.normal(size=3), random_rotation(rng)
+    unit = rng.normal(size=(4000, 3))
+    unit /= np.linalg.norm(unit, axis=-1, keepdims=True)
+    unit = np.concatenate([unit, -unit])
+    found = ellipsoid.smallest_ellipsoid(unit * radii @ turn.T + center)
+    np.testing.assert_allclose(np.linalg.eigvalsh(found.root), radii, rtol=2e-3)
+    np.testing.assert_allclose(found.center, center, atol=2e-3)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_ellipsoid_meets_johns_condition(seed: int) -> None:
+    """Source: John 1948: weights on contact points, of zero mean and with the identity as scatter, prove optimality."""
+    rng = np.random.default_rng(seed)
+    points = rng.standard_t(3, size=(300, 3)) * rng.uniform(0.01, 3, 3) @ random_rotation(rng).T + 2
+    found = ellipsoid.smallest_ellipsoid(points)
+    local = np.linalg.solve(found.root, (points - found.center).T).T
+    radii = np.linalg.norm(local, axis=-1)
+    assert radii.max() <= 1 + 1e-4
+    assert radii[found.weights > 0].min() >= 1 - 1e-4
+    assert found.weights.min() >= 0
+    np.testing.assert_allclose(found.weights @ local, 0, atol=1e-8)
+    np.testing.assert_allclose(3 * local.T @ (found.weights[:, None] * local), np.eye(3), atol=1e-8)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_ellipsoid_is_smaller_than_the_one_by_principal_axes(seed: int) -> None:
+    points = np.random.default_rng(seed).normal(size=(100, 3)) * [3, 1, 0.3]
+    centered = points - points.mean(axis=0)
+    whitened = np.linalg.solve(np.linalg.cholesky(np.cov(centered.T)), centered.T).T
+    by_axes = np.sqrt(np.linalg.det(np.cov(centered.T))) * np.linalg.norm(whitened, axis=-1).max() ** 3
+    assert np.linalg.det(ellipsoid.smallest_ellipsoid(points).root) < by_axes
+
+
+@pytest.mark.parametrize("cells", [4, 8, ellipsoid.CELLS])
+def test_the_tessellated_sphere_is_convex_and_no_facet_cuts_deep(cells: int) -> None:
+    grid = ellipsoid.sphere_grid(cells)
+    np.testing.assert_allclose(np.linalg.norm(grid.positions, axis=-1), 1, rtol=1e-12)
+    corners = grid.positions[grid.position_of][grid.faces]
+    assert outside_by(corners, grid.positions).max() < 1e-12
+    assert outside_by(corners, np.zeros((1, 3))).max() < -(1 - 0.8 / cells**2)
+
+
+def test_the_polyhedron_costs_less_than_half_a_percent_over_the_ellipsoid() -> None:
+    rng = np.random.default_rng(0)
+    points = rng.normal(size=(3000, 3))
+    points *= [1, 0.5, 0.2] / np.linalg.norm(points, axis=-1, keepdims=True)
+    own = scipy_solid(cloud_mesh(points))
+    smooth = 4 / 3 * np.pi * np.linalg.det(ellipsoid.smallest_ellipsoid(own.hull_points).root)
+    assert signed_volume(ellipsoid.fit_ellipsoid(own, padding=0)) == pytest.approx(smooth, rel=5e-3)
+
+
+def test_ellipsoid_normals_are_those_of_the_ellipsoid() -> None:
+    own = scipy_solid(cloud_mesh(np.random.default_rng(1).normal(size=(50, 3)) * [2, 1, 0.2]))
+    proxy = ellipsoid.fit_ellipsoid(own, padding=1e-5)
+    smooth = proxy.vertices - proxy.vertices.mean(axis=0)
+    faces_on = vertex_normals(*_shared(proxy))
+    positions, _ = _shared(proxy)
+    index = {tuple(p): i for i, p in enumerate(positions)}
+    by_faces = np.array([faces_on[index[tuple(p)]] for p in proxy.vertices])
+    assert np.einsum("vi,vi->v", by_faces, proxy.normals).min() > np.cos(np.radians(8))
+    assert np.einsum("vi,vi->v", smooth, proxy.normals).min() > 0
+
+
+def _shared(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
+    positions, index = np.unique(mesh.vertices, axis=0, return_inverse=True)
+    return positions, index.reshape(-1)[mesh.faces]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("shape", range(5))
+def test_every_point_of_the_atlas_belongs_to_one_face_at_most(kind: ProxyKind, shape: int) -> None:
+    proxy = FITTERS[kind](scipy_solid(shapes(0)[shape]), padding=1e-5)
+    corners = proxy.uv[proxy.faces].astype(np.float64)
+    a, b, c = np.moveaxis(corners, 1, 0)
+    # Random points and, for the gutter, how many faces each lies in, by barycentric signs.
+    points = np.random.default_rng(0).uniform(size=(2000, 2))
+    inside = np.ones((len(points), len(corners)), bool)
+    for start, end in ((a, b), (b, c), (c, a)):
+        (ex, ey), (px, py) = (end - start).T, np.moveaxis(points[:, None] - start, -1, 0)
+        inside &= ex * py - ey * px > 0  # Left of each edge: a mirrored face would hold no point at all.
+    counts = inside.sum(axis=1)
+    assert counts.max() == 1
+    areas = 0.5 * ((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
+    assert areas.min() > measure.ATLAS_ROOM
+    assert counts.mean() == pytest.approx(areas.sum(), abs=0.04)
+    assert areas.sum() > (0.999 if kind == "ellipsoid" else 0.8)
+    # No face spans the atlas.
+    assert np.ptp(corners, axis=1).max() <= 0.51 / (CELLS_OF_A_CHART[kind] / 2)
+
+
+CELLS_OF_A_CHART = {"box": 2, "ellipsoid": 32}
+
+
+def test_charts_of_a_box_keep_two_texels_apart_at_256() -> None:
+    proxy = FITTERS["box"](scipy_solid(shapes(0)[1]), padding=1e-5)
+    charts = np.split(proxy.uv * 256, np.flatnonzero(np.any(np.diff(proxy.normals, axis=0) != 0, axis=1)) + 1)
+    assert len(charts) == 6
+    for index, one in enumerate(charts):
+        assert one.min() >= 1
+        assert one.max() <= 255
+        for other in charts[:index]:
+            gaps = np.maximum(one.min(axis=0) - other.max(axis=0), other.min(axis=0) - one.max(axis=0))
+            assert gaps.max() > 2
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_ray_that_hits_the_object_hits_its_proxy_first(kind: ProxyKind) -> None:
+    rng = np.random.default_rng(3)
+    truth = shapes(3)[0]
+    proxy = FITTERS[kind](scipy_solid(truth), padding=1e-5)
+    origins = rng.normal(size=(200, 3))
+    origins *= 20 / np.linalg.norm(origins, axis=-1, keepdims=True)
+    targets = measure.surface_points(truth, 200)
+    directions = (targets - origins) / np.linalg.norm(targets - origins, axis=-1, keepdims=True)
+    assert (first_hits(proxy, origins, directions) < first_hits(truth, origins, directions)).all()
+
+
+def first_hits(mesh: Mesh, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """Distance to the first face by Moeller and Trumbore, all rays against all faces."""
+    a, b, c = np.moveaxis(face_corners(mesh).astype(np.float64), 1, 0)
+    p = np.cross(directions[:, None], c - a)
+    scale = 1 / np.einsum("fi,rfi->rf", b - a, p)
+    offset = origins[:, None] - a
+    s = np.einsum("rfi,rfi->rf", offset, p) * scale
+    q = np.cross(offset, b - a)
+    t = np.einsum("ri,rfi->rf", directions, q) * scale
+    along = np.einsum("fi,rfi->rf", c - a, q) * scale
+    hit = (s >= -1e-9) & (t >= -1e-9) & (s + t <= 1 + 1e-9) & (along > 0)
+    assert hit.any(axis=1).all()
+    return np.where(hit, along, np.inf).min(axis=1)
+
+
+@pytest.mark.usefixtures("no_pymeshlab")
+def test_boxes_of_objects_on_one_floor_have_no_two_sides_in_one_plane() -> None:
+    cube = np.stack(np.meshgrid([0, 1], [0, 1], [0, 1]), axis=-1).reshape(-1, 3)
+    truths = tuple(cloud_mesh(cube * 0.5 + [x, 0, z]) for x in (0, 0.5, 1.0) for z in (0, 0.5))
+    meshes = fit_proxies(make_solids(truths), "box")
+    for axis in range(3):
+        sides = np.sort(
+            [side for mesh in meshes for side in (mesh.vertices[:, axis].min(), mesh.vertices[:, axis].max())]
+        )
+        assert np.diff(sides).min() > 1e-6  # A step is 3e-6 here, and float32 resolves 1e-7.
+
+
+def test_thickening_leaves_solid_points_alone_and_gives_flat_ones_a_millimetre() -> None:
+    rng = np.random.default_rng(0)
+    points = rng.normal(size=(10, 3))
+    assert solid.thickened(points) is points
+    floor = solid.thickened(np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]))
+    assert np.ptp(floor, axis=0) == pytest.approx([2, 2, 1e-3])
+    small = solid.thickened(np.array([[0, 0, 0], [1e-2, 0, 0], [0, 1e-2, 0]]))
+    assert np.ptp(small, axis=0)[2] == pytest.approx(1e-5)
+
+
+def test_statistics_of_a_box_in_a_box_are_the_analytic_ones() -> None:
+    cube = np.stack(np.meshgrid([-1, 1], [-1, 1], [-1, 1]), axis=-1).reshape(-1, 3).astype(float)
+    truth = box.fit_box(scipy_solid(cloud_mesh(cube)), padding=0)
+    proxy = box.fit_box(scipy_solid(cloud_mesh(cube)), padding=0.1)
+    (numbers,) = measure.proxy_statistics((proxy,), (truth,), (scipy_solid(truth),))
+    assert numbers.volume_ratio == pytest.approx(1.1**3, rel=1e-5)
+    assert numbers.max_distance == pytest.approx(0.1 * np.sqrt(3), rel=1e-5)
+    # On a side: 0.1 over the middle 2 x 2, the distance to an edge or a corner over the rim.
+    grid = (np.arange(400) + 0.5) / 400 * 2.2 - 1.1
+    beyond = np.maximum(np.abs(np.stack(np.meshgrid(grid, grid), axis=-1)) - 1, 0)
+    assert numbers.mean_distance == pytest.approx(np.sqrt((beyond**2).sum(axis=-1) + 0.01).mean(), rel=2e-3)
+
+
+def test_distances_agree_with_a_loop_over_all_triangles() -> None:
+    from trimesh.triangles import closest_point
+
+    rng = np.random.default_rng(0)
+    # Triangles from a centimetre to ten metres, so that every class of sizes takes part.
+    corners = rng.normal(size=(60, 1, 3)) + rng.normal(size=(60, 3, 3)) * 10 ** rng.uniform(-2, 1, (60, 1, 1))
+    points = rng.normal(size=(300, 3)) * 3
+    slow = [np.linalg.norm(closest_point(corners, np.tile(p, (60, 1))) - p, axis=-1).min() for p in points]
+    np.testing.assert_allclose(measure.point_distances(points, corners), slow, rtol=1e-12)
+
+
+def test_surface_points_are_spread_by_area() -> None:
+    mesh = box.fit_box(scipy_solid(shapes(0)[1]), padding=1e-5)
+    points = measure.surface_points(mesh, 4000)
+    np.testing.assert_array_equal(points, measure.surface_points(mesh, 4000))
+    assert np.abs(outside_by(face_corners(mesh).astype(np.float64), points)).max() < 1e-5
+    areas, centers = measure.face_areas(mesh), face_corners(mesh).mean(axis=1)
+    np.testing.assert_allclose(points.mean(axis=0), areas @ centers / areas.sum(), atol=0.01)
+
+
+# pymeshlab's child
+
+
+@pytest.mark.skipif(meshlab.meshlab_problem() is not None, reason="pymeshlab cannot be imported here")
+def test_pymeshlab_and_its_fallback_give_the_same_proxies_and_distances(monkeypatch: pytest.MonkeyPatch) -> None:
+    shaped = [FITTERS[kind](scipy_solid(truth), padding=1e-5) for kind in KINDS for truth in shapes(0)[:2]]
+    truths = (*shaped, *shapes(0)[3:])
+    solids = make_solids(truths)
+    meshes = fit_proxies(solids, "ellipsoid")
+    numbers = measure.proxy_statistics(meshes, truths, solids)
+    monkeypatch.setattr(meshlab, "meshlab_problem", lambda: "left out")
+    other_solids = make_solids(truths)
+    for one, other in zip(solids, other_solids, strict=True):
+        assert one.hull_volume == pytest.approx(other.hull_volume, rel=1e-6)
+    for one, other in zip(meshes, fit_proxies(other_solids, "ellipsoid"), strict=True):
+        np.testing.assert_allclose(one.vertices, other.vertices, atol=1e-4)
+    for one, other in zip(numbers, measure.proxy_statistics(meshes, truths, other_solids), strict=True):
+        assert one.volume_ratio == pytest.approx(other.volume_ratio, rel=1e-5)
+        assert one.mean_distance == pytest.approx(other.mean_distance, rel=1e-4)
+        assert one.max_distance == pytest.approx(other.max_distance, rel=1e-4)
+
+
+@pytest.mark.parametrize("way", ["dies", "hangs", "says nothing"])
+def test_a_child_that_dies_hangs_or_says_nothing_leaves_the_result_as_it_is(
+    way: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    truths = (shapes(1)[0], shapes(1)[4])
+    expected = [scipy_solid(truth) for truth in truths]
+    code = {"dies": f"import os; os.kill(os.getpid(), {int(signal.SIGSEGV)})", "hangs": "import time; time.sleep(60)"}
+    monkeypatch.setattr(meshlab, "_command", lambda *_: [sys.executable, "-S", "-c", code.get(way, "")])
+    monkeypatch.setattr(meshlab, "meshlab_problem", lambda: None)
+    monkeypatch.setattr(meshlab, "TIMEOUT_S", 1.0)
+    solids = make_solids(truths)
+    for one, other in zip(solids, expected, strict=True):
+        np.testing.assert_allclose(one.hull_points, other.hull_points, rtol=1e-12)
+        assert one.hull_volume == pytest.approx(other.hull_volume)
+    proxy = box.fit_box(solids[0], padding=1e-5)
+    assert measure.proxy_statistics((proxy,), truths[:1], solids[:1])[0].mean_distance > 0
+    said = capsys.readouterr().err
+    reason = {"dies": "status -11", "hangs": "more than 1 s", "says nothing": "status 0"}[way]
+    assert reason in said
+    assert "SciPy makes them" in said
+    assert "NumPy measures them" in said
+
+
+def test_a_missing_library_is_one_line_with_the_package_that_mends_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    code = "import sys; sys.exit('ImportError: libGL.so.1: cannot open shared object file')"
+    monkeypatch.setattr(meshlab, "_command", lambda *_: [sys.executable, "-S", "-c", code])
+    problem = meshlab.meshlab_problem.__wrapped__()
+    assert problem is not None
+    assert "libGL.so.1" in problem
+    assert "`apt install libgl1`" in problem
+    assert "\n" not in problem
+
+
+def test_a_hull_that_leaves_points_out_is_made_again_by_scipy(monkeypatch: pytest.MonkeyPatch) -> None:
+    points = np.random.default_rng(0).normal(size=(50, 3))
+    small = np.array([[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]])
+    monkeypatch.setattr(meshlab, "meshlab_problem", lambda: None)
+    monkeypatch.setattr(meshlab, "convex_hulls", lambda clouds: [(cloud[:4], small) for cloud in clouds])
+    ((used, _),) = solid.convex_hulls([points])
+    np.testing.assert_array_equal(used, solid._hull_by_scipy(points)[0])
+
+
+def test_an_enclosure_names_what_is_wrong() -> None:
+    truth = shapes(0)[0]
+    proxy = FITTERS["box"](scipy_solid(truth), padding=1e-5)
+
+    def changed(
+        vertices: np.ndarray | None = None, faces: np.ndarray | None = None, uv: np.ndarray | None = None
+    ) -> Mesh:
+        return Mesh(
+            vertices=proxy.vertices if vertices is None else vertices,
+            faces=proxy.faces if faces is None else faces,
+            normals=proxy.normals,
+            uv=proxy.uv if uv is None else uv,
+        )
+
+    assert measure.enclosure(proxy, truth).problem is None
+    assert "3 open edges" in str(measure.enclosure(changed(faces=proxy.faces[1:]), truth).problem)
+    assert "inside out" in str(measure.enclosure(changed(faces=proxy.faces[:, ::-1]), truth).problem)
+    assert "vertices outside" in str(
+        measure.enclosure(changed(vertices=proxy.vertices * np.float32(0.9)), truth).problem
+    )
+    assert "of the atlas" in str(measure.enclosure(changed(uv=1 - proxy.uv[:, ::-1] * [1, 0]), truth).problem)

@@ -1,0 +1,166 @@
+"""Tests of the command `proxies`: what it writes, keeps, makes anew and refuses."""
+
+import subprocess
+import sys
+import time
+import types
+from pathlib import Path
+from typing import Any
+
+import pytest
+from synthetic import write_synthetic_dataset
+
+from datagen.dataset import Dataset, read_meshes, read_proxy_records
+from datagen.storage import load_sealed
+from proxies import meshlab
+from proxies.cli import main
+from proxies.make import FITTERS
+
+
+@pytest.fixture
+def peeled(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
+    """Stands in for the peeler, which needs Mitsuba, and for pymeshlab, which needs a process; lists the calls."""
+    calls: list[dict[str, Any]] = []
+    stand_in = types.ModuleType("datagen.build")
+
+    def peel_dataset(dataset: Dataset, geometry: str, **settings: object) -> None:
+        read_meshes(dataset, geometry)
+        calls.append({"root": dataset.root, "geometry": geometry, **settings})
+
+    stand_in.peel_dataset = peel_dataset  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "datagen.build", stand_in)
+    monkeypatch.setattr(meshlab, "meshlab_problem", lambda: "left out")
+    monkeypatch.setattr("proxies.make.meshlab_problem", lambda: None)
+    return calls
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    write_synthetic_dataset(tmp_path / "data" / "one", resolution=8, train_views=1)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def call(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> None:
+    monkeypatch.setattr(sys, "argv", ["proxies", *arguments])
+    main()
+
+
+@pytest.mark.parametrize("kind", list(FITTERS))
+def test_make_writes_the_proxies_peels_them_and_prints_the_table(
+    kind: str, here: Path, peeled: list[dict[str, Any]], monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    call(monkeypatch, "make", "--scene", "one", "--kind", kind, "--num-layers", "3")
+    out, err = capsys.readouterr()
+    assert [line.split()[0] for line in out.splitlines() if "100 %" in line] == ["pane", "floor"]
+    assert f"model train --method paper --geometry {kind} --dataset data/one" in err
+    assert [(item["geometry"], item["kinds"], item["num_layers"], item["overwrite"]) for item in peeled] == [
+        (kind, ("straight",), 3, False)
+    ]
+    content = load_sealed(here / "data/one/proxies" / kind / "proxies.json")
+    assert content["kind"] == kind
+    call(monkeypatch, "check", "--scene", "data/one", "--kind", kind)
+    assert capsys.readouterr().out == out
+
+
+def test_a_second_run_keeps_the_files_and_overwrite_makes_the_same_bytes(
+    here: Path, peeled: list[dict[str, Any]], monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    call(monkeypatch, "make")
+    files = sorted((here / "data/one/proxies").rglob("*.*"))
+    before = {path: (path.stat().st_mtime_ns, path.read_bytes()) for path in files}
+    call(monkeypatch, "make")
+    assert "keeps its ellipsoid proxies" in capsys.readouterr().err
+    assert {path: (path.stat().st_mtime_ns, path.read_bytes()) for path in files} == before
+    call(monkeypatch, "make", "--overwrite")
+    assert all(path.stat().st_mtime_ns != before[path][0] for path in files)
+    assert {path: path.read_bytes() for path in files} == {path: data for path, (_, data) in before.items()}
+    assert [item["overwrite"] for item in peeled] == [False, False, True]
+
+
+@pytest.mark.parametrize("file", ["proxies.json", "meshes/floor.ply"])
+def test_a_damaged_file_is_made_again(
+    file: str, here: Path, peeled: list[dict[str, Any]], monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    call(monkeypatch, "make", "--kind", "box")
+    path = here / "data/one/proxies/box" / file
+    good = path.read_bytes()
+    path.write_bytes(good[:-20] + b" " + good[-19:])
+    call(monkeypatch, "make", "--kind", "box")
+    assert "makes them again" in capsys.readouterr().err
+    assert path.read_bytes() == good
+
+
+def test_without_a_scene_every_dataset_gets_proxies(
+    here: Path, peeled: list[dict[str, Any]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    two = write_synthetic_dataset(here / "data" / "two", resolution=8, train_views=2)
+    call(monkeypatch, "make", "--kind", "box")
+    assert [item["root"] for item in peeled] == [Path("data/one"), Path("data/two")]
+    assert [record.object for record in read_proxy_records(two, "box")] == ["pane", "floor"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("make", "--kind", "elipsoid"), "did you mean 'ellipsoid'? known are box, ellipsoid"),
+        (("make", "--scene", "missing"), "data/missing: no dataset; make one with `datagen build --scene missing`"),
+        (("check", "--kind", "box"), "no box proxies; make them with `proxies make --scene one --kind box`"),
+    ],
+)
+def test_errors_are_one_line_with_the_way_out(
+    arguments: tuple[str, ...], message: str, here: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    with pytest.raises(SystemExit) as stop:
+        call(monkeypatch, *arguments)
+    assert stop.value.code == 1
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.count("\n") == 1
+    assert message in err
+
+
+def test_a_half_built_dataset_is_one_line(
+    here: Path, peeled: list[dict[str, Any]], monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    (here / "data/one/scene/meshes/floor.ply").unlink()
+    with pytest.raises(SystemExit):
+        call(monkeypatch, "make", "--scene", "one")
+    err = capsys.readouterr().err
+    assert "floor.ply: the file is missing; build it again" in err
+    assert err.count("\n") == 1
+    assert not (here / "data/one/proxies/ellipsoid/proxies.json").exists()
+
+
+def test_proxies_of_another_dataset_are_refused(
+    here: Path, peeled: list[dict[str, Any]], monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    call(monkeypatch, "make", "--kind", "box")
+    write_synthetic_dataset(here / "data" / "two", resolution=8, train_views=2)
+    (here / "data/one/proxies").rename(here / "data/two/proxies")
+    with pytest.raises(SystemExit):
+        call(monkeypatch, "make", "--scene", "two", "--kind", "box")
+    assert "made for another dataset" in capsys.readouterr().err
+    call(monkeypatch, "make", "--scene", "two", "--kind", "box", "--overwrite")
+
+
+def test_help_answers_before_anything_heavy_is_imported() -> None:
+    code = (
+        "import sys; sys.argv = ['proxies', 'make', '--help']\n"
+        "from proxies.cli import main\n"
+        "try: main()\n"
+        "except SystemExit: pass\n"
+        "heavy = {'scipy', 'trimesh', 'pymeshlab', 'mitsuba', 'torch', 'zarr', 'model', 'eval'} & set(sys.modules)\n"
+        "sys.exit(f'imported {heavy}' if heavy else 0)\n"
+    )
+    start = time.monotonic()
+    answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert answer.returncode == 0, answer.stderr
+    assert "--kind" in answer.stdout
+    assert time.monotonic() - start < 5  # 0.3 s on an idle machine.
+
+
+def test_fitting_imports_neither_renderer_nor_network() -> None:
+    heavy = {"mitsuba", "torch", "model", "eval", "pymeshlab"}
+    code = f"import sys, proxies.make; sys.exit(bool({heavy} & set(sys.modules)))"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -1,0 +1,171 @@
+"""Tests path-traced truth against closed formulas, and its own account of its noise."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+import trimesh
+from reference import fresnel_reflectance
+from synthetic import look_at, quad, synthetic_scene
+from test_meshes import mesh_of
+
+from datagen.dataset import Cameras
+from datagen.errors import HyalineError
+from datagen.meshes import Mesh
+from datagen.scene import Dielectric, Diffuse, Lobe, Scene, SceneObject, SoftEnvironment, ThinDielectric
+from datagen.variant import use_mitsuba
+
+use_mitsuba(quiet=True)
+
+from datagen.mitsuba_scene import radiance_of_environment  # noqa: E402
+from datagen.render import Renderer, picture_bytes, radiance_bytes, read_radiance, render_view  # noqa: E402
+
+WHITE = SoftEnvironment(zenith=(1, 1, 1), horizon=(1, 1, 1), ground=(1, 1, 1))
+DUSK = SoftEnvironment(
+    zenith=(0.1, 0.2, 0.5),
+    horizon=(0.9, 0.7, 0.5),
+    ground=(0.2, 0.1, 0.1),
+    lobes=(Lobe(direction=(1, 1, 1), radiance=(0.5, 0.4, 0.3), sharpness=4),),
+)
+
+
+def scene_of(*objects: SceneObject, environment: SoftEnvironment = WHITE) -> Scene:
+    return dataclasses.replace(synthetic_scene(), objects=objects, environment=environment)
+
+
+def box(size: tuple[float, float, float]) -> Mesh:
+    shape = trimesh.creation.box(size)
+    shape.unmerge_vertices()
+    return mesh_of(shape)
+
+
+def camera(position: tuple[float, float, float], *, fov: float, size: int = 8) -> Cameras:
+    pose = look_at(np.array(position), np.zeros(3))[None]
+    return Cameras(world_from_camera=pose, fov_x=fov, width=size, height=size)
+
+
+def rendered(scene: Scene, cameras: Cameras, spp: int = 512, seed: int = 0) -> np.ndarray:
+    return render_view(
+        Renderer(scene, max_depth=24), cameras, 0, spp=spp, view_seed=seed, ceiling_db=None
+    ).radiance.astype(np.float64)
+
+
+def test_black_glass_reflects_four_percent_at_normal_incidence() -> None:
+    block = SceneObject(name="block", mesh=box((4, 4, 4)), material=Dielectric(ior=1.5, absorption=(1e4,) * 3))
+    image = rendered(scene_of(block), camera((9, 0, 0.0), fov=0.02))
+    assert image.mean() == pytest.approx(0.04, rel=0.02)
+
+
+@pytest.mark.parametrize("absorption", [0.0, 0.7, 5.0])
+def test_a_slab_transmits_and_reflects_what_fresnel_and_beer_say(absorption: float) -> None:
+    slab = SceneObject(name="slab", mesh=box((0.2, 8, 8)), material=Dielectric(ior=1.5, absorption=(absorption,) * 3))
+    image = rendered(scene_of(slab), camera((9, 0, 0.0), fov=0.02), spp=2048)
+    r, tau = fresnel_reflectance(1.0, 1.5), math.exp(-absorption * 0.2)
+    through = (1 - r) ** 2 * tau / (1 - (r * tau) ** 2)
+    back = r + r * (1 - r) ** 2 * tau**2 / (1 - (r * tau) ** 2)
+    assert image.mean() == pytest.approx(through + back, rel=0.01)
+
+
+def test_light_goes_straight_through_a_thin_pane() -> None:
+    pane = SceneObject(name="pane", mesh=quad(0.0), material=ThinDielectric(ior=1.5))
+    cameras = camera((0.9, 0.4, 1.5), fov=0.05)
+    image = rendered(scene_of(pane, environment=DUSK), cameras, spp=4096)
+    direction = -cameras.world_from_camera[0, :3, 2]
+    r = fresnel_reflectance(abs(direction[2]), 1.5)
+    reflected = 2 * r / (1 + r)  # Both faces and all reflections between them.
+    expected = (1 - reflected) * radiance_of_environment(DUSK, direction) + reflected * radiance_of_environment(
+        DUSK, direction * [1, 1, -1]
+    )
+    assert image.mean(axis=(0, 1)) == pytest.approx(expected, rel=0.01)
+
+
+def test_clear_glass_and_white_walls_vanish_in_a_white_furnace() -> None:
+    ball = mesh_of(trimesh.creation.icosphere(3, 0.5))
+    objects = (
+        SceneObject(name="ball", mesh=ball, material=Dielectric(ior=1.5, absorption=(0, 0, 0))),
+        SceneObject(name="floor", mesh=quad(-0.6), material=Diffuse(color=(1, 1, 1))),
+    )
+    image = rendered(scene_of(*objects), camera((2, 1, 1), fov=0.6, size=16), spp=64)
+    # What is missing went on for more than 24 segments between ball and floor.
+    assert image.mean() == pytest.approx(1, abs=5e-3)
+    assert np.abs(image - 1).max() < 0.1
+
+
+def test_the_absorbing_path_tracer_is_unbiased_against_mitsubas_own() -> None:
+    import mitsuba as mi
+
+    from datagen.mitsuba_scene import is_scalar, load_scene_mitsuba, load_sensor
+
+    if is_scalar():
+        pytest.skip("the scalar variant uses Mitsuba's own path tracer")
+    from datagen.path_integrator import AbsorbingPath
+
+    objects = (
+        SceneObject(name="ball", mesh=mesh_of(trimesh.creation.icosphere(4, 0.4)), material=Dielectric(ior=1.5)),
+        SceneObject(name="floor", mesh=quad(-0.5), material=Diffuse(color=(0.7, 0.3, 0.2))),
+    )
+    scene = load_scene_mitsuba(scene_of(*objects, environment=DUSK))
+    cameras = camera((2, 1, 1), fov=0.7, size=32)
+    sensor = load_sensor(cameras.world_from_camera[0], cameras.fov_x, 32, 32)
+    reference = mi.load_dict({"type": "path", "max_depth": 24, "rr_depth": 50})
+    ours = AbsorbingPath(np.zeros((2, 3)), 24)
+    runs = [
+        np.stack([np.array(mi.render(scene, sensor=sensor, integrator=integrator, spp=256, seed=s)) for s in range(8)])
+        for integrator in (reference, ours)
+    ]
+    error = np.sqrt(sum(run.var(axis=0, ddof=1) / len(run) for run in runs)) + 1e-4
+    z = (runs[0].mean(axis=0) - runs[1].mean(axis=0)) / error
+    # With 7 + 7 degrees of freedom |z| has a mean near 0.83 and hardly ever reaches 10.
+    assert np.abs(z).mean() < 1.0
+    assert np.abs(z).max() < 10
+    assert runs[0].mean() == pytest.approx(runs[1].mean(), rel=1e-3)
+
+
+def test_the_noise_estimate_is_the_real_error() -> None:
+    ball = SceneObject(name="ball", mesh=mesh_of(trimesh.creation.icosphere(3, 0.4)), material=Dielectric(ior=1.5))
+    floor = SceneObject(name="floor", mesh=quad(-0.5), material=Diffuse(color=(0.7, 0.3, 0.2)))
+    scene = scene_of(ball, floor, environment=DUSK)
+    cameras = camera((2, 1, 1), fov=0.7, size=32)
+    renderer = Renderer(scene, max_depth=24)
+    from datagen.tonemap import srgb_from_linear
+
+    reference = srgb_from_linear(render_view(renderer, cameras, 0, spp=16384, view_seed=99, ceiling_db=None).radiance)
+    few = [render_view(renderer, cameras, 0, spp=32, view_seed=seed, ceiling_db=None) for seed in range(8)]
+    real = np.mean([np.mean((srgb_from_linear(truth.radiance) - reference) ** 2) for truth in few])
+    assert np.mean([truth.noise_mse for truth in few]) == pytest.approx(real, rel=0.15)
+
+
+def test_a_ceiling_is_reached_and_costs_more_samples() -> None:
+    ball = SceneObject(name="ball", mesh=mesh_of(trimesh.creation.icosphere(3, 0.4)), material=Dielectric(ior=1.5))
+    renderer = Renderer(scene_of(ball, environment=DUSK), max_depth=24)
+    cameras = camera((2, 1, 1), fov=0.7, size=16)
+    low = render_view(renderer, cameras, 0, spp=8, view_seed=0, ceiling_db=None)
+    high = render_view(renderer, cameras, 0, spp=8, view_seed=0, ceiling_db=50)
+    assert -10 * math.log10(low.noise_mse) < 50 <= -10 * math.log10(high.noise_mse)
+    assert high.spp > low.spp
+
+
+def test_same_seed_same_bytes_and_another_seed_other_noise() -> None:
+    pane = SceneObject(name="pane", mesh=quad(0.0), material=Diffuse(color=(0.5, 0.4, 0.3)))
+    renderer = Renderer(scene_of(pane, environment=DUSK), max_depth=8)
+    cameras = camera((2, 1, 1), fov=0.7, size=16)
+    one, same, other = (
+        render_view(renderer, cameras, 0, spp=18, view_seed=seed, ceiling_db=None) for seed in (0, 0, 1)
+    )
+    assert picture_bytes(one) == picture_bytes(same)
+    assert radiance_bytes(one) == radiance_bytes(same)
+    assert radiance_bytes(one) != radiance_bytes(other)
+    radiance, noise = read_radiance(radiance_bytes(one))
+    assert np.abs(radiance - one.radiance).max() < 1e-3
+    assert np.abs(noise - one.half_difference).max() < 1e-3
+
+
+def test_radiance_that_is_no_number_stops_the_view(monkeypatch: pytest.MonkeyPatch) -> None:
+    pane = SceneObject(name="pane", mesh=quad(0.0), material=Diffuse(color=(0.5, 0.4, 0.3)))
+    renderer = Renderer(scene_of(pane), max_depth=8)
+    bad = np.ones((16, 16, 3), np.float32)
+    bad[3, 5] = np.nan
+    monkeypatch.setattr(renderer, "radiance", lambda cameras, view, spp, seed: (bad, spp))
+    with pytest.raises(HyalineError, match=r"pixel \(column 5, row 3\): radiance is not finite"):
+        render_view(renderer, camera((2, 1, 1), fov=0.7, size=16), 0, spp=18, view_seed=0, ceiling_db=None)

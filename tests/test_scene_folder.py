@@ -1,0 +1,124 @@
+"""Tests the scene record and its folder: what users bring, good and bad."""
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from synthetic import synthetic_scene
+
+from datagen.errors import HyalineError
+from datagen.meshes import write_ply
+from datagen.scene import (
+    Dielectric,
+    Diffuse,
+    ImageTexture,
+    Lobe,
+    Plastic,
+    SceneObject,
+    check_scene,
+    load_scene,
+    save_scene,
+    scene_files,
+)
+
+
+def edit(folder: Path, change: object) -> None:
+    path = folder / "scene.json"
+    data = json.loads(path.read_text())
+    change(data)
+    path.write_text(json.dumps(data))
+
+
+def test_a_scene_survives_its_folder_with_equal_bytes(tmp_path: Path) -> None:
+    scene = synthetic_scene()
+    save_scene(scene, tmp_path)
+    assert scene_files(load_scene(tmp_path)) == scene_files(scene)
+
+
+def test_a_users_folder_with_an_image_texture_is_copied_whole(tmp_path: Path) -> None:
+    scene = synthetic_scene()
+    save_scene(scene, tmp_path / "mine")
+    Image.fromarray(np.full((4, 4, 3), 200, np.uint8)).save(tmp_path / "mine" / "photo.png")
+    texture = {"type": "Diffuse", "color": {"type": "ImageTexture", "path": "photo.png"}}
+    edit(tmp_path / "mine", lambda data: data["objects"][1].update(material=texture))
+    loaded = load_scene(tmp_path / "mine")
+    assert loaded.objects[1].material == Diffuse(color=ImageTexture(path="photo.png"))
+    save_scene(loaded, tmp_path / "copy")
+    assert (tmp_path / "copy" / "photo.png").read_bytes() == (tmp_path / "mine" / "photo.png").read_bytes()
+
+
+def test_a_mesh_without_uv_is_unwrapped(tmp_path: Path) -> None:
+    save_scene(synthetic_scene(), tmp_path)
+    import trimesh
+
+    (tmp_path / "meshes" / "floor.ply").write_bytes(trimesh.creation.box().export(file_type="ply"))
+    mesh = load_scene(tmp_path).objects[1].mesh
+    assert mesh.uv.min() >= 0
+    assert mesh.uv.max() <= 1
+    assert np.ptp(mesh.uv) > 0.5
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda d: d.update(version=7), r"scene\.json: version 7; this program reads version 1"),
+        (lambda d: d["objects"][0]["material"].update(ior=0), r"scene\.json: ior: is 0\.0; expected .* above 1"),
+        (lambda d: d["objects"][0]["material"].update(ior=-1.5), r"ior: is -1\.5"),
+        (lambda d: d["objects"][0]["material"].update(iro=1.5), r"objects\[0\]\.material: unknown key 'iro'"),
+        (lambda d: d["objects"][0].update(mesh="../evil.ply"), r"names '\.\./evil\.ply'; expected a file inside"),
+        (lambda d: d["objects"][0].update(mesh="meshes/none.ply"), r"none\.ply: the mesh file is missing"),
+        (lambda d: d["objects"][0].update(name="floor"), r"two objects are called 'floor'"),
+        (lambda d: d["objects"][0].update(name="a/b"), r"object name 'a/b'"),
+        (lambda d: d["cameras"].update(radius=-1), r"camera radius: is -1"),
+        (lambda d: d.pop("cameras"), r"key 'cameras' is missing"),
+        (
+            lambda d: d["objects"][0].update(material={"type": "Dielectric", "ior": 1.5}),
+            r"object pane: 4 open edges; glass must be a closed mesh",
+        ),
+    ],
+)
+def test_a_bad_scene_gets_one_line_that_names_place_and_value(tmp_path: Path, change: object, message: str) -> None:
+    save_scene(synthetic_scene(), tmp_path)
+    edit(tmp_path, change)
+    with pytest.raises(HyalineError, match=message):
+        load_scene(tmp_path)
+
+
+@pytest.mark.parametrize("data", [b"", b"\xff\xfe", b"[1, 2]", b"{" * 100_000, b'{"version": 1'])
+def test_a_foreign_scene_file_is_refused(tmp_path: Path, data: bytes) -> None:
+    (tmp_path / "scene.json").write_bytes(data)
+    with pytest.raises(HyalineError, match=r"scene\.json"):
+        load_scene(tmp_path)
+
+
+def test_values_that_render_silently_wrong_are_refused() -> None:
+    with pytest.raises(HyalineError, match="roughness"):
+        Plastic(color=(0.5, 0.5, 0.5), roughness=0)
+    with pytest.raises(HyalineError, match="color: is"):
+        Diffuse(color=(0.5, 0.5, 1.2))
+    with pytest.raises(HyalineError, match="absorption"):
+        Dielectric(absorption=(float("nan"), 0, 0))
+    with pytest.raises(HyalineError, match="lobe radiance"):
+        Lobe(direction=(0, 0, 1), radiance=(-1, 0, 0), sharpness=5)
+
+
+def test_more_objects_than_ids_are_refused() -> None:
+    scene = synthetic_scene()
+    floor = scene.objects[1]
+    many = tuple(SceneObject(name=f"o{i}", mesh=floor.mesh, material=floor.material) for i in range(256))
+    with pytest.raises(HyalineError, match="256 objects; expected 1 to 255"):
+        check_scene(dataclasses.replace(scene, objects=many))
+
+
+def test_a_scene_with_a_nan_vertex_is_refused_on_load(tmp_path: Path) -> None:
+    scene = synthetic_scene()
+    save_scene(scene, tmp_path)
+    mesh = scene.objects[1].mesh
+    vertices = mesh.vertices.copy()
+    vertices[2, 1] = np.nan
+    (tmp_path / "meshes" / "floor.ply").write_bytes(write_ply(dataclasses.replace(mesh, vertices=vertices)))
+    with pytest.raises(HyalineError, match=r"floor: vertices\[2\] is .*nan"):
+        load_scene(tmp_path)
