@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Literal
 from datagen.command import choose, next_command, run, say
 from datagen.dataset import TRUTH, Dataset, find_dataset, open_dataset, read_proxy_records
 from datagen.errors import HyalineError
+from model.runtime import wait_without_spinning
 
 if TYPE_CHECKING:
     import torch
@@ -177,6 +178,7 @@ def render(
 
 
 def main() -> None:
+    wait_without_spinning()
     description = "Train neural renderers on datasets of transparent objects, and render with them."
     run("model", description, {"train": train, "render": render}, sys.argv[1:])
 

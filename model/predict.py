@@ -16,9 +16,9 @@ from datagen.records import to_json
 from datagen.storage import commit, sha256
 from model.batches import Pixels, load_pixels, take
 from model.checkpoint import load_state
-from model.malloc import keep_freed_memory
 from model.methods import METHODS
 from model.run_folder import WEIGHTS, TrainConfig, write_prediction_hashes
+from model.runtime import keep_freed_memory
 
 CHUNK = 65_536
 """Pixels predicted at once."""

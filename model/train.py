@@ -16,7 +16,6 @@ from datagen.layers import read_layers_head
 from datagen.records import Json, to_json
 from model.batches import Pixels, load_pixels, take, take_colors
 from model.checkpoint import State, delete_checkpoints, load_checkpoint, save_checkpoint, save_state
-from model.malloc import keep_freed_memory
 from model.methods import METHODS
 from model.predict import predict_pixels
 from model.run_folder import (
@@ -32,6 +31,7 @@ from model.run_folder import (
     write_metrics,
     write_run,
 )
+from model.runtime import keep_freed_memory
 
 
 def train(config: TrainConfig, dataset: Dataset, out: Path, *, label: str, device: torch.device) -> None:

@@ -58,12 +58,29 @@ def test_atlases_do_not_overlap(scene: Scene) -> None:
         assert (counts > 0).mean() > 0.12, item.name
 
 
+def test_every_face_has_texels_that_are_about_square(scene: Scene) -> None:
+    for item in scene.objects:
+        corners = face_corners(item.mesh).astype(np.float64)
+        uv = item.mesh.uv[item.mesh.faces].astype(np.float64)
+        edges, uv_edges = (np.swapaxes(x[:, 1:] - x[:, :1], 1, 2) for x in (corners, uv))
+        assert np.abs(np.linalg.det(uv_edges)).min() > 1e-12, item.name
+        stretch = np.linalg.svd(edges @ np.linalg.inv(uv_edges), compute_uv=False)
+        ratio, areas = stretch[:, 0] / stretch[:, 1], face_areas(item.mesh)
+        assert areas[ratio < 2].sum() > 0.5 * areas.sum(), item.name
+
+
 def test_charts_keep_a_gutter_at_512(scene: Scene) -> None:
     for item in scene.objects:
         charts = chart_map(item.mesh, 512)
         for one, other in ((charts[1:], charts[:-1]), (charts[:, 1:], charts[:, :-1]),
                            (charts[1:, 1:], charts[:-1, :-1]), (charts[1:, :-1], charts[:-1, 1:])):  # fmt: skip
             assert not ((one >= 0) & (other >= 0) & (one != other)).any(), item.name
+
+
+def test_no_two_faces_of_an_object_coincide(scene: Scene) -> None:
+    for item in scene.objects:
+        middles = np.rint(face_corners(item.mesh).astype(np.float64).mean(axis=1) * 1e6).astype(np.int64)
+        assert len(np.unique(middles, axis=0)) == len(middles), item.name
 
 
 def test_nothing_touches_anything_else(scene: Scene) -> None:

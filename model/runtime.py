@@ -1,6 +1,7 @@
-"""Owns one setting of the C library's allocator that makes CPU training 1.3 to 4 times faster."""
+"""Owns two settings of the C libraries beneath torch, without which CPU training is several times slower."""
 
 import ctypes
+import os
 
 M_TRIM_THRESHOLD, M_TOP_PAD, M_MMAP_MAX = -1, -2, -4
 
@@ -16,3 +17,12 @@ def keep_freed_memory() -> None:
         mallopt(M_MMAP_MAX, 0)
         mallopt(M_TRIM_THRESHOLD, 2**31 - 1)
         mallopt(M_TOP_PAD, 256 << 20)
+
+
+def wait_without_spinning() -> None:
+    """Lets torch's idle threads sleep; call it before torch is imported.
+
+    By default they spin while they wait for each other. As soon as another process wants the cores as well, that eats
+    them up: measured on two cores shared with two renderers, a training step took 4 times longer.
+    """
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")

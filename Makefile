@@ -1,0 +1,39 @@
+# `make demo` and `make test` set everything up by themselves; neither needs root.
+# An active virtual or conda environment is used as it is; otherwise .venv is made.
+.PHONY: setup demo test clean
+
+ENVIRONMENT := $(or $(VIRTUAL_ENV),$(CONDA_PREFIX),$(CURDIR)/.venv)
+BIN := $(ENVIRONMENT)/bin
+STAMP := $(ENVIRONMENT)/.hyaline-installed
+
+setup: $(STAMP)
+
+# A torch that is there stays (its line is dropped from the constraints). A system libLLVM >= 17 is used;
+# where there is none, the `llvm` extra brings one.
+$(STAMP): pyproject.toml constraints.txt
+	test -x $(BIN)/python || python3 -m venv $(ENVIRONMENT)
+	@if $(BIN)/python -c "import torch" 2>/dev/null; then grep -v '^torch==' constraints.txt; else cat constraints.txt; fi \
+		> $(ENVIRONMENT)/hyaline-constraints.txt
+	@system=$$($(BIN)/python -m datagen.llvm); \
+	extras=$$(test -n "$$system" && echo dev || echo llvm,dev); \
+	echo "installs hyaline[$$extras]$${system:+ (uses $$system)}"; \
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check \
+		-c $(ENVIRONMENT)/hyaline-constraints.txt -e ".[$$extras]"
+	$(BIN)/datagen doctor
+	@touch $@
+
+demo: setup
+	$(BIN)/datagen build --scene glass_table
+	$(BIN)/proxies make --scene glass_table --kind ellipsoid
+	$(BIN)/model train --dataset data/glass_table --method paper --resume
+	$(BIN)/model train --dataset data/glass_table --method paper --geometry ellipsoid --resume
+	$(BIN)/report
+
+test: setup
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/pyright
+	$(BIN)/python -m pytest
+
+clean:
+	rm -rf .venv *.egg-info
