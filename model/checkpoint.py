@@ -9,7 +9,7 @@ import io
 import pickle
 import zipfile
 from pathlib import Path
-from typing import Union, cast
+from typing import cast
 
 import torch
 from torch import Tensor
@@ -21,8 +21,8 @@ from model.run_folder import CHECKPOINT, PREVIOUS_CHECKPOINT
 
 CHECKPOINT_VERSION = 1
 
-Plain = Union[None, bool, int, float, str]  # noqa: UP007
-State = Union[Plain, Tensor, list["State"], tuple["State", ...], dict[str, "State"], dict[int, "State"]]  # noqa: UP007
+State = None | bool | int | float | str | Tensor | list | tuple | dict
+"""What `weights_only=True` reads back; the containers hold states again."""
 
 
 def save_state(path: Path, state: dict[str, State]) -> None:

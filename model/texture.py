@@ -67,7 +67,7 @@ def bilinear_taps(
     x, y = x - left, y - top
     bases = torch.tensor(layout.bases, dtype=torch.int32, device=uv.device)
     upper = bases[object_id.int() - 1] + top * layout.stride
-    lower = upper + layout.stride * (top < last)
+    lower = upper + layout.stride * (top < last).int()
     right = left + (left < last)
     texels = torch.stack([upper + left, upper + right, lower + left, lower + right], dim=1)
     weights = torch.stack([(1 - x) * (1 - y), x * (1 - y), (1 - x) * y, x * y], dim=1)

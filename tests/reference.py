@@ -1,5 +1,6 @@
 """Owns the slow oracles: loops and closed formulas that fast code is compared with."""
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -60,7 +61,7 @@ def _triangle_hits(corners: np.ndarray, origins: np.ndarray, directions: np.ndar
 def _sorted_hits(entries: list[tuple[float, int, int, float, float, float]]) -> ReferenceHits:
     entries = sorted(entries)
     is_general = all(entry[5] > 1e-4 for entry in entries)
-    is_general &= all(after[0] - before[0] > 1e-5 for before, after in zip(entries, entries[1:]))
+    is_general &= all(after[0] - before[0] > 1e-5 for before, after in itertools.pairwise(entries))
     inside = [entry for entry in entries if entry[5] >= 0]
     return ReferenceHits(
         shape=[entry[1] for entry in inside],

@@ -30,7 +30,10 @@ from datagen.layers import glass_mask, layers_root, read_layers
 from datagen.scene import save_scene
 from datagen.verify import verify_dataset
 
-FLAGS = ["--preset", "tiny", "--resolution", "16", "--views", "4", "--test-views", "2", "--spp", "8", "--test-spp", "8", "--num-layers", "4"]
+FLAGS = (
+    *("--preset", "tiny", "--resolution", "16", "--num-layers", "4"),
+    *("--views", "4", "--test-views", "2", "--spp", "8", "--test-spp", "8"),
+)
 
 
 def tree(root: Path) -> dict[str, bytes]:

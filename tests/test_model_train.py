@@ -214,8 +214,8 @@ def test_held_out_views_are_few_and_spread() -> None:
 
 
 def test_the_learning_rate_decays_as_named() -> None:
-    assert [decay("linear", progress) for progress in (0, 0.5, 0.75)] == [1, 1, 0.5]
-    assert [decay("none", progress) for progress in (0, 0.99)] == [1, 1]
+    assert [decay("linear", progress) for progress in (0.0, 0.5, 0.75)] == [1, 1, 0.5]
+    assert [decay("none", progress) for progress in (0.0, 0.99)] == [1, 1]
     assert decay("cosine", 0.5) == pytest.approx(0.5)
 
 
