@@ -4,7 +4,7 @@ import sys
 from pathlib import Path
 
 from datagen.command import choose, fail, next_command, run, say
-from datagen.dataset import DATA_ROOT, TRUTH, DatasetConfig, find_dataset, open_dataset
+from datagen.dataset import DATA_ROOT, TRUTH, DatasetConfig, check_geometry, find_dataset, open_dataset
 from datagen.layers import LayerKind
 from datagen.presets import PRESETS, resize
 
@@ -104,10 +104,9 @@ def peel(
         overwrite: Peel again what is there.
     """
     from datagen.build import peel_dataset, summary
-    from datagen.verify import geometries
 
     opened = open_dataset(find_dataset(dataset))
-    choose("geometry", geometry, geometries(opened))
+    check_geometry(opened, geometry)
     peel_dataset(opened, geometry, kinds=layers, num_layers=num_layers, overwrite=overwrite, workers=workers)
     for kind in layers:
         say(summary(opened, geometry, kind))

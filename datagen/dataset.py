@@ -22,6 +22,7 @@ the camera looks along -z). Pixel (column i, row j) has its centre at (i + 0.5, 
 """
 
 import dataclasses
+import difflib
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,6 +31,7 @@ from typing import Literal, cast
 import numpy as np
 from jaxtyping import Float, UInt8
 
+from datagen.command import choose
 from datagen.errors import HyalineError
 from datagen.meshes import Mesh, check_mesh, read_ply, write_ply
 from datagen.records import Json, from_json, to_json
@@ -449,6 +451,24 @@ def read_proxy_records(dataset: Dataset, kind: str) -> tuple[ProxyRecord, ...]:
             f"`proxies make --scene {dataset.name} --kind {kind} --overwrite`"
         )
     return from_json(tuple[ProxyRecord, ...], content["proxies"], where=f"{path}: proxies")
+
+
+def list_geometries(dataset: Dataset) -> list[str]:
+    """`truth`, and every kind of proxy that was made for the dataset."""
+    return [TRUTH, *sorted(path.parent.name for path in dataset.root.glob("proxies/*/proxies.json"))]
+
+
+def check_geometry(dataset: Dataset, geometry: str) -> None:
+    """Refuses a geometry that the dataset does not have.
+
+    Raises:
+        HyalineError: a slip of the pen gets a suggestion, proxies that were not made the command that makes them.
+    """
+    made = list_geometries(dataset)
+    if geometry not in made and difflib.get_close_matches(geometry, made, n=1, cutoff=0.5):
+        choose("geometry", geometry, made)
+    if geometry not in made:
+        read_proxy_records(dataset, geometry)
 
 
 def read_meshes(dataset: Dataset, geometry: str) -> tuple[Mesh, ...]:

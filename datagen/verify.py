@@ -10,6 +10,7 @@ from datagen.dataset import (
     check_files,
     geometry_root,
     head_files,
+    list_geometries,
     open_dataset,
     read_proxy_records,
     read_record,
@@ -45,16 +46,11 @@ def verify_dataset(root: Path) -> tuple[int, list[str]]:
                 check(root, read_record(dataset, split, view).files)
             except HyalineError as error:
                 problems.append(str(error))
-    for geometry in geometries(dataset):
+    for geometry in list_geometries(dataset):
         _check_geometry(dataset, geometry, known, problems, check)
     problems += [f"{path}: belongs to no record; delete it" for path in _files(root) if path not in known]
     damaged = {problem.split(":")[0] for problem in problems}
     return len([path for path in known if path.is_file() and str(path) not in damaged]), problems
-
-
-def geometries(dataset: Dataset) -> list[str]:
-    """`truth`, and every kind of proxy that the dataset has."""
-    return [TRUTH, *sorted(path.parent.name for path in (dataset.root / "proxies").glob("*/proxies.json"))]
 
 
 def _check_geometry(dataset: Dataset, geometry: str, known: set[Path], problems: list[str],
