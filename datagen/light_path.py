@@ -1,10 +1,12 @@
-"""Owns light paths: which surfaces really shine into a pixel, through refraction and by reflection. Vectorised variants.
+"""Owns light paths: which surfaces really shine into a pixel, through refraction and by reflection.
 
-A straight ray looks up the wrong texels behind solid glass. Here each ray is followed as light goes, in two branches:
-0, the refracted one: through every dielectric interface by Snell's law (total internal reflection reflects it), straight
-through thin panes, until it meets something opaque or leaves the scene; and 1, the mirror branch: reflected at the first
-surface when that is glass or glossy, then followed in the same way. Branches of both kinds at later interfaces are not
-traced: what they carry is left to whoever shades the layers. Call `use_mitsuba` first.
+A straight ray looks up the wrong texels behind solid glass. Here each ray is followed as light goes, in two branches.
+Branch 0 is refracted: through every dielectric interface by Snell's law (total internal reflection reflects it),
+straight through thin panes, until it meets something opaque or leaves the scene. Branch 1 is reflected at the first
+surface, when that is glass or glossy, and then followed in the same way. Further branches at later interfaces are not
+traced: what they carry is left to whoever shades the layers.
+
+Vectorised variants only. Call `use_mitsuba` first.
 """
 
 # Mitsuba's stubs describe no variant: what is a number in one is an array in another.
@@ -153,8 +155,8 @@ def _trace(scene: "mi.Scene", tables: _Tables, origins: np.ndarray, directions: 
             mixed.append(values[0] * weights[0] + values[1] * weights[1] + values[2] * weights[2])
         return mixed
 
-    def is_tracing(o, d, beta, medium, last_face, branch, vertex, step, m_o, m_d, m_beta, m_face, has_mirror, active):
-        return active
+    def is_tracing(*state):
+        return state[-1]
 
     def advance(o, d, beta, medium, last_face, branch, vertex, step, m_o, m_d, m_beta, m_face, has_mirror, active):
         pi = scene.ray_intersect_preliminary(mi.Ray3f(o, d), coherent=False, active=active)
@@ -270,8 +272,7 @@ def _trace(scene: "mi.Scene", tables: _Tables, origins: np.ndarray, directions: 
         dr.full(mi.Bool, False, count),
         dr.full(mi.Bool, True, count),
     )
-    labels = tuple("o d beta medium last_face branch vertex step m_o m_d m_beta m_face has_mirror active".split())
-    dr.while_loop(state, is_tracing, advance, labels=labels, label="light_path")
+    dr.while_loop(state, is_tracing, advance, label="light_path")
     outputs = [ids, lengths, left, *out_uv, *out_direction, *out_position, *out_normal, *out_throughput]
     dr.eval(*outputs, *end_direction, *end_throughput)
 

@@ -107,8 +107,8 @@ def _trace_vectorised(scene: "mi.Scene", origin: np.ndarray, directions: np.ndar
     b1s, b2s, ts = (dr.zeros(mi.Float, size) for _ in range(3))
     ray_index = dr.arange(mi.UInt32, count)
 
-    def is_tracing(t, layer, step, last_shape, last_prim, active):  # noqa: ARG001
-        return active
+    def is_tracing(*state):
+        return state[-1]
 
     def advance(t, layer, step, last_shape, last_prim, active):
         ray = mi.Ray3f(dr.fma(d, t, o), d)
@@ -139,8 +139,7 @@ def _trace_vectorised(scene: "mi.Scene", origin: np.ndarray, directions: np.ndar
         dr.full(mi.Int32, -1, count),
         dr.full(mi.Bool, True, count),
     )
-    labels = ("t", "layer", "step", "last_shape", "last_prim", "active")
-    result = dr.while_loop(state, is_tracing, advance, labels=labels, label="peel")
+    result = dr.while_loop(state, is_tracing, advance, label="peel")
     layer = result[1]
     dr.eval(layer, shapes, prims, b1s, b2s, ts)
     shape = (num_layers, count)

@@ -1,12 +1,11 @@
 """Owns the command `model`: parse, make a configuration, call one function."""
 
-import difflib
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from datagen.command import choose, next_command, run, say
-from datagen.dataset import TRUTH, Dataset, find_dataset, open_dataset, read_proxy_records
+from datagen.dataset import TRUTH, Dataset, check_geometry, find_dataset, open_dataset
 from datagen.errors import HyalineError
 from model.runtime import wait_without_spinning
 
@@ -28,7 +27,7 @@ def train(
     blocks: int = 3,
     norm: Literal["batch", "none"] = "batch",
     textures: Literal["object", "scene"] = "object",
-    texture_size: int = 256,
+    texture_size: int | None = None,
     zero_layer: bool = False,
     steps: int = 4000,
     batch: int = 8192,
@@ -53,7 +52,7 @@ def train(
         blocks: Residual blocks; each halves the channels.
         norm: Batch norm after each linear layer (the paper's text) or none (the authors' code).
         textures: A neural texture for each object, or one for the whole scene.
-        texture_size: Width and height of a texture in texels.
+        texture_size: Width and height of a texture in texels. Default: half the image's width.
         zero_layer: Insert a layer of zeros at a random place while training (section 4.4).
         steps: Optimiser steps; more for larger datasets.
         batch: Random pixels a step.
@@ -71,11 +70,11 @@ def train(
     opened = open_dataset(find_dataset(dataset))
 
     from datagen.layers import read_layers_head
-    from model.paper import PaperConfig, count_inputs
+    from model.paper import PaperConfig, count_inputs, default_texture_size
     from model.pixel_mlp import width_for_34k
     from model.run_folder import TrainConfig
 
-    _check_geometry(opened, geometry)
+    check_geometry(opened, geometry)
     head, _ = read_layers_head(opened, geometry, METHODS[method].layers)
     inputs = count_inputs(head.num_layers, texture_features=16, extrinsics=extrinsics, zero_layer=zero_layer)
     net = PaperConfig(
@@ -84,7 +83,7 @@ def train(
         norm=norm,
         extrinsics=extrinsics,
         textures=textures,
-        texture_size=texture_size,
+        texture_size=texture_size or default_texture_size(opened.config.resolution, len(opened.objects), textures),
         zero_layer=zero_layer,
     )
     config = TrainConfig(
@@ -105,7 +104,7 @@ def train(
         f"{blocks}-blocks": blocks != 3,
         "no-norm": norm == "none",
         "scene-texture": textures == "scene",
-        f"t{texture_size}": texture_size != 256,
+        f"t{texture_size}": texture_size is not None,
         "zero-layer": zero_layer,
         f"seed{seed}": seed != 0,
     }
@@ -125,6 +124,7 @@ def _train(
     if resume and anew:
         raise HyalineError("--resume and --overwrite: exclude each other; give one of them")
     with one_writer(out):
+        remove_temporaries(out)
         if not (out / RUN).is_file() and any(out.iterdir()):
             raise HyalineError(f"{out}: holds files but no run; choose another --out")
         if anew:
@@ -139,7 +139,6 @@ def _train(
                 raise HyalineError(
                     f"{out}: holds an unfinished run; go on with --resume, or start anew with --overwrite"
                 )
-        remove_temporaries(out)
         if not (out / WEIGHTS).is_file():
             train_run(config, dataset, out, label=label, device=device)
         render_predictions(out, config, dataset, device=device)
@@ -190,15 +189,6 @@ def _check_same_run(out: Path, config: "TrainConfig", dataset: Dataset) -> None:
 
     _, layers_seal = read_layers_head(dataset, config.geometry, METHODS[config.method].layers)
     check_same_run(out, config, dataset_seal=dataset.seal, layers_seal=layers_seal)
-
-
-def _check_geometry(dataset: Dataset, geometry: str) -> None:
-    """Refuses a geometry that the dataset does not have: a slip of the pen, or proxies that were not made yet."""
-    made = [TRUTH, *sorted(path.parent.name for path in dataset.root.glob("proxies/*/proxies.json"))]
-    if difflib.get_close_matches(geometry, made, n=1, cutoff=0.5):
-        choose("geometry", geometry, made)
-    elif geometry not in made:
-        read_proxy_records(dataset, geometry)
 
 
 def _parse_width(width: str) -> int:

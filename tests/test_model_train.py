@@ -176,9 +176,7 @@ def test_textures_that_no_ray_touches_stay_as_they_were(dataset: Dataset, tmp_pa
     big = dataclasses.replace(SMALL, net=dataclasses.replace(SMALL.net, texture_size=200), steps=3, batch=64)
     train(big, dataset, tmp_path / "run", label="paper", device=CPU)
     table = load_state(tmp_path / "run/weights.pt")["renderer"]["textures.table"]  # pyright: ignore
-    torch.manual_seed(big.seed)
-    start = train_module.METHODS["paper"].build(big.net, dataset, "truth", 4).get_parameter("textures.table")
-    changed = (table != start).any(dim=1).sum()
+    changed = table.ne(0).any(dim=1).sum()  # pyright: ignore
     assert 0 < changed <= 3 * 64 * 2 * 4
 
 
