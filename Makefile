@@ -27,6 +27,7 @@ demo: setup
 	$(BIN)/proxies make --scene glass_table --kind ellipsoid
 	$(BIN)/model train --dataset data/glass_table --method paper --resume
 	$(BIN)/model train --dataset data/glass_table --method paper --geometry ellipsoid --resume
+	$(BIN)/model train --dataset data/glass_table --method light-path --resume
 	$(BIN)/report
 
 test: setup

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any, Protocol
 
 import numpy as np
 import torch
@@ -11,6 +12,29 @@ from torch import Tensor
 from datagen.dataset import Dataset, Split, read_cameras, read_image
 from datagen.errors import HyalineError
 from datagen.layers import UV_SCALE, LayerKind, read_layers
+
+
+class PixelSource(Protocol):
+    """All pixels of some views, row by row and view by view, and what a renderer is told of any of them."""
+
+    @property
+    def rgb(self) -> UInt8[Tensor, "pixel 3"]:
+        """8-bit sRGB; black where images were not asked for."""
+        ...
+
+    @property
+    def pixels_per_view(self) -> int: ...
+
+    @property
+    def chunk(self) -> int:
+        """Pixels that a rendering takes at once."""
+        ...
+
+    def to(self, device: torch.device) -> "PixelSource": ...
+
+    def take(self, index: Int[Tensor, " ray"], rng: np.random.Generator | None) -> Any:
+        """The renderer's input for the pixels with these row numbers; `rng` is there while training only."""
+        ...
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -35,6 +59,7 @@ class Pixels:
     """8-bit sRGB."""
     p_camera: Float32[Tensor, "view 3"]
     pixels_per_view: int
+    chunk: int = 65_536
 
     def to(self, device: torch.device) -> "Pixels":
         return Pixels(
@@ -44,6 +69,11 @@ class Pixels:
             p_camera=self.p_camera.to(device),
             pixels_per_view=self.pixels_per_view,
         )
+
+    def take(self, index: Int[Tensor, " ray"], rng: np.random.Generator | None) -> RayBatch:  # noqa: ARG002
+        """The rays of the pixels with these row numbers: always those through pixel centres."""
+        uv = (self.uv[index].int() & 0xFFFF).float() / UV_SCALE
+        return RayBatch(uv=uv, object_id=self.object_id[index], p_camera=self.p_camera[index // self.pixels_per_view])
 
 
 def load_pixels(dataset: Dataset, geometry: str, kind: LayerKind, split: Split, views: Sequence[int], *,
@@ -79,13 +109,7 @@ def load_pixels(dataset: Dataset, geometry: str, kind: LayerKind, split: Split, 
     )
 
 
-def take(pixels: Pixels, index: Int[Tensor, " ray"]) -> RayBatch:
-    """The rays of the pixels with these row numbers."""
-    uv = (pixels.uv[index].int() & 0xFFFF).float() / UV_SCALE
-    return RayBatch(uv=uv, object_id=pixels.object_id[index], p_camera=pixels.p_camera[index // pixels.pixels_per_view])
-
-
-def take_colors(pixels: Pixels, index: Int[Tensor, " ray"]) -> Float32[Tensor, "ray 3"]:
+def take_colors(pixels: PixelSource, index: Int[Tensor, " ray"]) -> Float32[Tensor, "ray 3"]:
     """The true sRGB colours in [0, 1] of the pixels with these row numbers."""
     return pixels.rgb[index].float() / 255
 

@@ -29,11 +29,13 @@ def train(
     textures: Literal["object", "scene"] = "object",
     texture_size: int | None = None,
     zero_layer: bool = False,
-    steps: int = 4000,
-    batch: int = 8192,
-    lr: float = 0.001,
+    steps: int = 2500,
+    rays: int = 4,
+    render_rays: int = 16,
+    batch: int | None = None,
+    lr: float | None = None,
     texture_lr: float | None = None,
-    lr_decay: Literal["none", "linear", "cosine"] = "linear",
+    lr_decay: Literal["none", "linear", "cosine"] | None = None,
     seed: int = 0,
     device: Literal["auto", "cpu", "cuda"] = "auto",
     resume: bool = False,
@@ -42,60 +44,78 @@ def train(
     """Train a renderer on a dataset, then render both test splits with it.
 
     Args:
-        method: What to train: paper.
+        method: What to train: paper (straight layers, stacked), or light-path (refracted paths, composited).
         dataset: Dataset folder, or its name under data/. Default: the only one there.
         geometry: Whose layers to look up: truth, or a kind of proxy such as box.
         out: Folder of the run. Default: runs/SCENE/METHOD, with a suffix for each choice that is not the default.
         name: Label of the run in tables. Default: from the folder's name.
-        extrinsics: What each layer is told of the camera: nothing, the view vector, or three bands of SH of it.
-        width: Hidden units of the first layer: 34k (as many as make about 34,000 parameters), 256, or any number.
-        blocks: Residual blocks; each halves the channels.
-        norm: Batch norm after each linear layer (the paper's text) or none (the authors' code).
-        textures: A neural texture for each object, or one for the whole scene.
+        extrinsics: paper: what each layer is told of the camera: nothing, the view vector, or three bands of SH of it.
+        width: paper: hidden units of the first layer: 34k (as many as make 34,000 parameters), 256, or any number.
+        blocks: paper: residual blocks; each halves the channels.
+        norm: paper: batch norm after each linear layer (the paper's text) or none (the authors' code).
+        textures: paper: a neural texture for each object, or one for the whole scene.
         texture_size: Width and height of a texture in texels. Default: half the image's width.
-        zero_layer: Insert a layer of zeros at a random place while training (section 4.4).
+        zero_layer: paper: insert a layer of zeros at a random place while training (section 4.4).
         steps: Optimiser steps; more for larger datasets.
-        batch: Random pixels a step.
-        lr: Learning rate of Adam.
-        texture_lr: Learning rate of the textures. Default: the same.
-        lr_decay: none, linear (constant, then down to 0 over the second half) or cosine.
+        rays: light-path: rays per pixel while training, a square number.
+        render_rays: light-path: rays per pixel while rendering, a square number.
+        batch: Random pixels a step. Default: 8192 for paper, 2048 (of several rays) for light-path.
+        lr: Learning rate of Adam. Default: 0.001 for paper, 0.002 for light-path.
+        texture_lr: Learning rate of the textures. Default: the same for paper, 0.01 for light-path.
+        lr_decay: none, linear (constant, then down to 0 over the second half) or cosine. Default: linear for paper,
+            cosine for light-path.
         seed: Seed of everything random.
         device: Where to compute; auto takes a GPU where there is one.
         resume: Go on with an unfinished run.
         overwrite: Delete the run that is there and start anew.
     """
-    from model.methods import METHODS
+    from model.methods import METHODS, read_layers_of
 
     choose("method", method, METHODS)
     opened = open_dataset(find_dataset(dataset))
+    check_geometry(opened, geometry)
 
-    from datagen.layers import read_layers_head
+    from model.light_path_net import LightPathConfig
     from model.paper import PaperConfig, count_inputs, default_texture_size
     from model.pixel_mlp import width_for_34k
     from model.run_folder import TrainConfig
 
-    check_geometry(opened, geometry)
-    head, _ = read_layers_head(opened, geometry, METHODS[method].layers)
-    inputs = count_inputs(head.num_layers, texture_features=16, extrinsics=extrinsics, zero_layer=zero_layer)
-    net = PaperConfig(
-        width=width_for_34k(inputs, blocks) if width == "34k" else _parse_width(width),
-        blocks=blocks,
-        norm=norm,
-        extrinsics=extrinsics,
-        textures=textures,
-        texture_size=texture_size or default_texture_size(opened.config.resolution, len(opened.objects), textures),
-        zero_layer=zero_layer,
-    )
+    num_layers, _ = read_layers_of(METHODS[method], opened, geometry)
+    resolution, num_objects = opened.config.resolution, len(opened.objects)
+    if method == "paper":
+        _refuse(method, rays=rays != 4, render_rays=render_rays != 16)
+        inputs = count_inputs(num_layers, texture_features=16, extrinsics=extrinsics, zero_layer=zero_layer)
+        net = PaperConfig(
+            width=width_for_34k(inputs, blocks) if width == "34k" else _parse_width(width),
+            blocks=blocks,
+            norm=norm,
+            extrinsics=extrinsics,
+            textures=textures,
+            texture_size=texture_size or default_texture_size(resolution, num_objects, textures),
+            zero_layer=zero_layer,
+        )
+    else:
+        _refuse(
+            method,
+            extrinsics=extrinsics != "view",
+            width=width != "34k",
+            blocks=blocks != 3,
+            norm=norm != "batch",
+            textures=textures != "object",
+            zero_layer=zero_layer,
+        )
+        net = LightPathConfig(texture_size=texture_size or resolution, train_samples=rays, render_samples=render_rays)
+    defaults = METHODS[method].optimisation
     config = TrainConfig(
         method=method,
         geometry=geometry,
         net=net,
         seed=seed,
         steps=steps,
-        batch=batch,
-        lr=lr,
-        texture_lr=texture_lr,
-        lr_decay=lr_decay,
+        batch=defaults.batch if batch is None else batch,
+        lr=defaults.lr if lr is None else lr,
+        texture_lr=defaults.texture_lr if texture_lr is None else texture_lr,
+        lr_decay=lr_decay or defaults.lr_decay,
     )
     choices = {
         geometry: geometry != TRUTH,
@@ -106,6 +126,7 @@ def train(
         "scene-texture": textures == "scene",
         f"t{texture_size}": texture_size is not None,
         "zero-layer": zero_layer,
+        f"{rays}-rays": rays != 4,
         f"seed{seed}": seed != 0,
     }
     folder = "-".join([method, *(suffix for suffix, is_chosen in choices.items() if is_chosen)])
@@ -183,12 +204,18 @@ def main() -> None:
 
 
 def _check_same_run(out: Path, config: "TrainConfig", dataset: Dataset) -> None:
-    from datagen.layers import read_layers_head
-    from model.methods import METHODS
+    from model.methods import METHODS, read_layers_of
     from model.run_folder import check_same_run
 
-    _, layers_seal = read_layers_head(dataset, config.geometry, METHODS[config.method].layers)
+    _, layers_seal = read_layers_of(METHODS[config.method], dataset, config.geometry)
     check_same_run(out, config, dataset_seal=dataset.seal, layers_seal=layers_seal)
+
+
+def _refuse(method: str, **given: bool) -> None:
+    """Refuses flags that a method does not have, rather than ignore them."""
+    for name, is_given in given.items():
+        if is_given:
+            raise HyalineError(f"--{name.replace('_', '-')}: method {method} has no such choice; leave it out")
 
 
 def _parse_width(width: str) -> int:

@@ -1,27 +1,87 @@
 """Owns the list of methods: what `model train --method NAME` can train. A new method is a file and an entry here."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any, Literal
 
 from torch import nn
 
-from datagen.dataset import Dataset
-from datagen.layers import LayerKind
+from datagen.dataset import Dataset, Split
+from datagen.layers import LayerKind, read_layers_head
+from model.batches import PixelSource, load_pixels
+from model.light_batches import load_light_path_pixels
+from model.light_path_net import LightPathConfig, build_light_path
 from model.paper import PaperConfig, build_paper
 
-MethodConfig = PaperConfig
-"""The configuration of any method; a union once there are several."""
+LrDecay = Literal["none", "linear", "cosine"]
+
+MethodConfig = PaperConfig | LightPathConfig
+"""The configuration of any method."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Optimisation:
+    """How a method is trained unless the command says otherwise."""
+
+    batch: int
+    lr: float
+    texture_lr: float | None
+    lr_decay: LrDecay
 
 
 @dataclass(frozen=True, kw_only=True)
 class Method:
-    """How a method is built. Its module maps a `RayBatch` (and `rng`, while training) to sRGB colours (ray, 3)."""
+    """How a method is built and fed. Its module maps what the source takes (and `rng`, while training) to sRGB."""
 
-    layers: LayerKind
-    build: Callable[[MethodConfig, Dataset, str, int], nn.Module]
+    layers: LayerKind | None
+    """The stored layers that it looks up; None when it traces its own."""
+    knowledge: str
+    """What it is given besides geometry, images and cameras; empty for nothing."""
+    optimisation: Optimisation
+    build: Callable[[Any, Dataset, str, int], nn.Module]
     """A fresh module for (configuration, dataset, geometry, number of layers), random from torch's own generator."""
+    load: Callable[[Any, Dataset, str, Split, Sequence[int], bool], PixelSource]
+    """The pixels of views for (configuration, dataset, geometry, split, views, with images)."""
+
+
+def _load_straight(
+    config: PaperConfig,  # noqa: ARG001
+    dataset: Dataset,
+    geometry: str,
+    split: Split,
+    views: Sequence[int],
+    with_images: bool,
+) -> PixelSource:
+    return load_pixels(dataset, geometry, "straight", split, views, with_images=with_images)
 
 
 METHODS: dict[str, Method] = {
-    "paper": Method(layers="straight", build=build_paper),
+    "paper": Method(
+        layers="straight",
+        knowledge="",
+        # The paper's rate; decay as in the authors' scripts (see TrainConfig).
+        optimisation=Optimisation(batch=8192, lr=0.001, texture_lr=None, lr_decay="linear"),
+        build=build_paper,
+        load=_load_straight,
+    ),
+    "light-path": Method(
+        layers=None,
+        knowledge="materials of glass",
+        # A quarter of the pixels with four rays each: as many rays a step as `paper`.
+        optimisation=Optimisation(batch=2048, lr=0.002, texture_lr=0.01, lr_decay="cosine"),
+        build=build_light_path,
+        load=load_light_path_pixels,
+    ),
 }
+
+
+def read_layers_of(method: Method, dataset: Dataset, geometry: str) -> tuple[int, str]:
+    """The number of stored layers that a method looks up, and their seal; 0 and the dataset's where it traces its own.
+
+    Raises:
+        HyalineError: the geometry was not peeled.
+    """
+    if method.layers is None:
+        return 0, dataset.seal
+    head, seal = read_layers_head(dataset, geometry, method.layers)
+    return head.num_layers, seal

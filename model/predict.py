@@ -11,20 +11,16 @@ from torch import Tensor, nn
 from datagen.command import say, track
 from datagen.dataset import TEST_SPLITS, Dataset, Split, png_bytes, view_name
 from datagen.errors import HyalineError
-from datagen.layers import read_layers_head
 from datagen.records import to_json
 from datagen.storage import commit, sha256
-from model.batches import Pixels, load_pixels, take
+from model.batches import PixelSource
 from model.checkpoint import load_state
-from model.methods import METHODS
+from model.methods import METHODS, read_layers_of
 from model.run_folder import WEIGHTS, TrainConfig, write_prediction_hashes
 from model.runtime import keep_freed_memory
 
-CHUNK = 65_536
-"""Pixels predicted at once."""
 
-
-def predict_pixels(renderer: nn.Module, pixels: Pixels) -> UInt8[np.ndarray, "pixel 3"]:
+def predict_pixels(renderer: nn.Module, pixels: PixelSource) -> UInt8[np.ndarray, "pixel 3"]:
     """8-bit sRGB colours of all pixels, clipped and rounded; batch norm uses its running statistics.
 
     The renderer's mode (training or not) is the same afterwards.
@@ -34,9 +30,9 @@ def predict_pixels(renderer: nn.Module, pixels: Pixels) -> UInt8[np.ndarray, "pi
     device = pixels.rgb.device
     parts = []
     with torch.inference_mode():
-        for start in range(0, len(pixels.rgb), CHUNK):
-            index = torch.arange(start, min(start + CHUNK, len(pixels.rgb)), device=device)
-            colors = renderer(take(pixels, index))
+        for start in range(0, len(pixels.rgb), pixels.chunk):
+            index = torch.arange(start, min(start + pixels.chunk, len(pixels.rgb)), device=device)
+            colors = renderer(pixels.take(index, None))
             parts.append((colors.clamp(0, 1) * 255).round().byte().cpu().numpy())
     renderer.train(was_training)
     return np.concatenate(parts)
@@ -54,8 +50,8 @@ def load_renderer(out: Path, config: TrainConfig, dataset: Dataset) -> nn.Module
     if state["config"] != to_json(config):
         raise HyalineError(f"{out / WEIGHTS}: made by another configuration than run.json; train with --overwrite")
     method = METHODS[config.method]
-    head, _ = read_layers_head(dataset, config.geometry, method.layers)
-    renderer = method.build(config.net, dataset, config.geometry, head.num_layers)
+    num_layers, _ = read_layers_of(method, dataset, config.geometry)
+    renderer = method.build(config.net, dataset, config.geometry, num_layers)
     renderer.load_state_dict(cast(dict[str, Tensor], state["renderer"]))
     return renderer
 
@@ -64,14 +60,14 @@ def render_predictions(out: Path, config: TrainConfig, dataset: Dataset, *, devi
     """Renders both test splits from a run's weights; the list of predictions comes last and finishes the run."""
     keep_freed_memory()
     renderer = load_renderer(out, config, dataset).to(device)
-    kind = METHODS[config.method].layers
+    method = METHODS[config.method]
     size = dataset.config.resolution
     todo: list[tuple[Split, int]] = [
         (split, view) for split in TEST_SPLITS for view in range(dataset.config.split(split).views)
     ]
     files: dict[str, str] = {}
     for split, view in track(todo, label="render", total=len(todo)):
-        pixels = load_pixels(dataset, config.geometry, kind, split, [view], with_images=False).to(device)
+        pixels = method.load(config.net, dataset, config.geometry, split, [view], False).to(device)
         data = png_bytes(predict_pixels(renderer, pixels).reshape(size, size, 3))
         path = out / "predictions" / split / f"{view_name(view)}.png"
         commit(path, data)

@@ -12,11 +12,10 @@ from torch import Tensor, nn
 from datagen.command import say, track
 from datagen.dataset import Dataset
 from datagen.errors import HyalineError
-from datagen.layers import read_layers_head
 from datagen.records import Json, to_json
-from model.batches import Pixels, load_pixels, take, take_colors
+from model.batches import PixelSource, take_colors
 from model.checkpoint import State, delete_checkpoints, load_checkpoint, save_checkpoint, save_state
-from model.methods import METHODS
+from model.methods import METHODS, read_layers_of
 from model.predict import predict_pixels
 from model.run_folder import (
     CHECKPOINT,
@@ -45,12 +44,12 @@ def train(config: TrainConfig, dataset: Dataset, out: Path, *, label: str, devic
     """
     keep_freed_memory()
     method = METHODS[config.method]
-    head, layers_seal = read_layers_head(dataset, config.geometry, method.layers)
+    num_layers, layers_seal = read_layers_of(method, dataset, config.geometry)
 
     # The renderer.
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(config.seed)
-        renderer = method.build(config.net, dataset, config.geometry, head.num_layers)
+        renderer = method.build(config.net, dataset, config.geometry, num_layers)
     renderer.to(device)
     texture_parameters = [value for name, value in renderer.named_parameters() if name.startswith("textures.")]
     net_parameters = [value for name, value in renderer.named_parameters() if not name.startswith("textures.")]
@@ -65,7 +64,7 @@ def train(config: TrainConfig, dataset: Dataset, out: Path, *, label: str, devic
             version=RUN_VERSION,
             method=config.method,
             geometry=config.geometry,
-            knowledge=describe_knowledge(config.geometry),
+            knowledge=describe_knowledge(config.geometry, method.knowledge),
             dataset=dataset.root.as_posix(),
             dataset_seal=dataset.seal,
             layers_seal=layers_seal,
@@ -98,11 +97,14 @@ def train(config: TrainConfig, dataset: Dataset, out: Path, *, label: str, devic
     views = range(dataset.config.train.views)
     held_out = choose_held_out(len(views), config.held_out_views)
     shown = [view for view in views if view not in held_out]
-    training = load_pixels(dataset, config.geometry, method.layers, "train", shown).to(device)
-    testing = load_pixels(dataset, config.geometry, method.layers, "train", held_out).to(device) if held_out else None
+    training, testing = (
+        method.load(config.net, dataset, config.geometry, "train", part, True).to(device) if part else None
+        for part in (shown, held_out)
+    )
+    assert training is not None
     say(
         f"{label} on {dataset.root}: {len(shown)} training views and {len(held_out)} held out, "
-        f"{head.num_layers} layers, {count(net_parameters):,} parameters in the network and "
+        f"{num_layers or 'traced'} layers, {count(net_parameters):,} parameters in the network and "
         f"{count(texture_parameters):,} in textures"
     )
 
@@ -117,7 +119,7 @@ def train(config: TrainConfig, dataset: Dataset, out: Path, *, label: str, devic
     for step in track(steps, label="train", total=config.steps, done=first_step, status=status):
         rng = np.random.default_rng([config.seed, step])
         index = torch.from_numpy(rng.integers(len(training.rgb), size=config.batch)).to(device)
-        colors = renderer(take(training, index), rng=rng)
+        colors = renderer(training.take(index, rng), rng=rng)
         loss = (colors - take_colors(training, index)).abs().mean()
         optimizer.zero_grad(set_to_none=True)
         loss.backward()
@@ -191,7 +193,7 @@ def check_finite(loss: float, renderer: nn.Module, *, step: int, out: Path) -> N
         )
 
 
-def held_out_psnr(renderer: nn.Module, pixels: Pixels) -> float:
+def held_out_psnr(renderer: nn.Module, pixels: PixelSource) -> float:
     """Mean over views of the PSNR in dB, peak 1, of the clipped 8-bit prediction."""
     prediction = predict_pixels(renderer, pixels)
     truth = pixels.rgb.cpu().numpy()

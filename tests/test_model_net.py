@@ -10,7 +10,7 @@ from synthetic import pixel_rays, write_synthetic_dataset
 
 from datagen.dataset import read_cameras
 from datagen.errors import HyalineError
-from model.batches import insert_empty_layer, load_pixels, take
+from model.batches import insert_empty_layer, load_pixels
 from model.extrinsics import EXTRINSIC_CHANNELS, ExtrinsicInputs, Extrinsics, bake_position_table, spherical_harmonics
 from model.paper import PaperConfig, PaperRenderer, default_texture_size
 from model.pixel_mlp import PixelMlp, count_parameters, width_for_34k
@@ -85,7 +85,7 @@ def test_spherical_harmonics_equal_scipy() -> None:
 def test_view_vectors_point_back_along_the_pixels_rays(tmp_path: Path) -> None:
     dataset = write_synthetic_dataset(tmp_path / "data")
     pixels = load_pixels(dataset, "truth", "straight", "train", [3, 5])
-    rays = take(pixels, torch.arange(len(pixels.rgb)))
+    rays = pixels.take(torch.arange(len(pixels.rgb)), None)
     positions = bake_position_table(dataset, "truth", 128)
     view = ExtrinsicInputs("view", positions, num_objects=2, size=128)(rays.uv, rays.object_id, rays.p_camera)
     cameras = read_cameras(dataset, "train")
@@ -101,7 +101,7 @@ def test_view_vectors_point_back_along_the_pixels_rays(tmp_path: Path) -> None:
 
 def test_an_inserted_layer_is_empty_and_keeps_the_others_in_order(tmp_path: Path) -> None:
     dataset = write_synthetic_dataset(tmp_path / "data", num_layers=3)
-    rays = take(load_pixels(dataset, "truth", "straight", "train", [0]), torch.arange(400, 404))
+    rays = load_pixels(dataset, "truth", "straight", "train", [0]).take(torch.arange(400, 404), None)
     place = torch.tensor([0, 1, 2, 3])
     more = insert_empty_layer(rays, place)
     for ray in range(4):
@@ -113,7 +113,7 @@ def test_an_inserted_layer_is_empty_and_keeps_the_others_in_order(tmp_path: Path
 
 def test_the_zero_layer_comes_last_at_test_and_anywhere_in_training(tmp_path: Path) -> None:
     dataset = write_synthetic_dataset(tmp_path / "data", num_layers=3)
-    rays = take(load_pixels(dataset, "truth", "straight", "train", [0]), torch.arange(1024))
+    rays = load_pixels(dataset, "truth", "straight", "train", [0]).take(torch.arange(1024), None)
     config = PaperConfig(width=16, extrinsics="none", texture_size=16, zero_layer=True)
     renderer = PaperRenderer(config, num_layers=3, num_objects=2, positions=None).eval()
     torch.nn.init.normal_(renderer.textures.table)  # Fresh textures are zeros.
@@ -135,7 +135,7 @@ def test_stored_uv_and_colors_come_back_exactly(tmp_path: Path) -> None:
     row, column = 20, 9
     index = torch.tensor([1024 + row * 32 + column])  # In the second of the two views.
     layers = read_layers(dataset, "truth", "straight", "train", 6)
-    rays = take(pixels, index)
+    rays = pixels.take(index, None)
     np.testing.assert_array_equal(rays.object_id[0].numpy(), layers.object_id[:, row, column])
     np.testing.assert_allclose(rays.uv[0].numpy(), layers.uv[:, row, column] / 65535, atol=1e-7)
     expected = read_image(dataset, "train", 6)[row, column] / 255

@@ -64,6 +64,8 @@ def make() -> Scene:
             elevation_deg=(-8.0, 50.0),
             azimuth_deg=(-140.0, -40.0),
             fov_deg=45.0,
+            # Training sees nearly all that the walk sees: what no picture shows, no method can know.
+            target_jitter=0.25,
             walk=(
                 WalkPoint(position=(1.20, -1.55, 1.35), target=(0.10, 0.10, 0.85)),
                 WalkPoint(position=(0.30, -1.05, 1.20), target=(0.05, 0.20, 0.95)),
