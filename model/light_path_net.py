@@ -11,7 +11,7 @@ from torch.nn import functional
 from datagen.dataset import Dataset
 from datagen.errors import HyalineError
 from model.extrinsics import spherical_harmonics
-from model.texture import NeuralTextures, object_layout, sample
+from model.texture import NeuralTextures
 
 RESIDUAL_VERTICES = (4, 2)
 """Vertices of the refracted and of the mirror branch that the residual network sees."""
@@ -82,8 +82,7 @@ class LightPathRenderer(nn.Module):
         )
         # Feature, cosine, spherical harmonics of the mirrored direction -> linear radiance.
         self.decoder = _mlp(config.texture_features + 1 + 9, config.hidden)
-        self.environment = nn.Parameter(torch.zeros(2 * config.environment_size**2, 3))
-        self.environment_size = config.environment_size
+        self.environment = nn.Parameter(torch.zeros(3, config.environment_size, 2 * config.environment_size))
         per_vertex = config.texture_features + 2
         inputs = sum(RESIDUAL_VERTICES) * per_vertex
         self.residual = _mlp(inputs, config.residual_hidden) if config.residual_hidden else None
@@ -117,13 +116,14 @@ class LightPathRenderer(nn.Module):
     def _environment(self, direction: Float32[Tensor, "ray branch 3"]) -> Float32[Tensor, "ray branch 3"]:
         """Learned radiance from unit directions; whatever for the zero vector, whose throughput is 0."""
         x, y, z = direction.unbind(-1)
-        u = torch.atan2(y, x) / (2 * torch.pi) + 0.5
-        v = 1 - torch.acos(z.clamp(-1, 1)) / torch.pi
-        # Two square textures side by side make the map twice as wide as high.
-        half = (u >= 0.5).to(torch.uint8)
-        uv = torch.stack([2 * u - half, v], dim=-1)
-        layout = object_layout(2, self.environment_size)
-        return functional.softplus(sample(self.environment, uv, half + 1, layout))
+        # The map goes once around, so a column of the other end stands beside each end.
+        padded = functional.pad(self.environment[None], (1, 1, 0, 0), mode="circular")
+        width = self.environment.shape[2]
+        azimuth = torch.atan2(y, x) / torch.pi  # -1 to 1.
+        polar = 2 * torch.acos(z.clamp(-1, 1)) / torch.pi - 1
+        place = torch.stack([azimuth * width / (width + 2), polar], dim=-1)
+        texels = functional.grid_sample(padded, place[None], padding_mode="border", align_corners=False)
+        return functional.softplus(texels[0].permute(1, 2, 0))
 
 
 def build_light_path(config: LightPathConfig, dataset: Dataset, geometry: str, num_layers: int) -> LightPathRenderer:  # noqa: ARG001
