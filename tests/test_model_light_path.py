@@ -1,0 +1,201 @@
+"""Tests the method `light-path`: its rays, its physics, its training."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from synthetic import write_synthetic_dataset
+from test_model_train import run_bytes, stop_at
+
+from datagen.dataset import TRUTH, Dataset, read_cameras, read_image
+from datagen.errors import HyalineError
+from datagen.layers import read_layers
+from datagen.tonemap import srgb_from_linear
+from datagen.variant import use_mitsuba
+from model.light_batches import LightPathPixels, load_light_path_pixels
+from model.light_path_net import LightPathConfig, LightPathRenderer, srgb_curve
+from model.methods import METHODS
+from model.predict import render_predictions
+from model.run_folder import TrainConfig, is_finished, read_run
+from model.train import train
+
+if use_mitsuba(quiet=True).startswith("scalar"):
+    pytest.skip("light paths need a vectorised variant of Mitsuba", allow_module_level=True)
+
+CPU = torch.device("cpu")
+NET = LightPathConfig(texture_size=24, hidden=32, residual_hidden=16, environment_size=8, render_samples=4)
+SMALL = TrainConfig(
+    method="light-path",
+    geometry="truth",
+    net=NET,
+    steps=12,
+    batch=128,
+    lr=0.005,
+    texture_lr=0.02,
+    lr_decay="cosine",
+    evaluate_every=6,
+    checkpoint_every=5,
+)
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    return write_synthetic_dataset(tmp_path_factory.mktemp("light") / "data" / "synthetic")
+
+
+def pixels_of(dataset: Dataset, **config: int) -> LightPathPixels:
+    return load_light_path_pixels(LightPathConfig(texture_size=8, **config), dataset, TRUTH, "train", [2, 5], True)
+
+
+def white(renderer: LightPathRenderer) -> LightPathRenderer:
+    """Everything shines with radiance 1: each texel and the environment."""
+    last = renderer.decoder[-1]
+    assert isinstance(last, torch.nn.Linear)
+    with torch.no_grad():
+        last.weight.zero_()
+        last.bias.fill_(math.log(math.expm1(1)))
+        renderer.environment.fill_(math.log(math.expm1(1)))
+    return renderer
+
+
+def test_one_ray_a_pixel_goes_through_its_centre_and_meets_the_straight_layers(dataset: Dataset) -> None:
+    pixels = pixels_of(dataset, render_samples=1)
+    paths = pixels.take(torch.arange(len(pixels.rgb)), None)
+    for place, view in enumerate((2, 5)):
+        layers = read_layers(dataset, TRUTH, "straight", "train", view)
+        here = slice(place * 1024, (place + 1) * 1024)
+        assert np.array_equal(paths.object_id[here, 0, :4].numpy().T.reshape(4, 32, 32), layers.object_id)
+        uv = paths.uv[here, 0, :4].numpy().transpose(1, 0, 2).reshape(4, 32, 32, 2)
+        assert np.abs(uv - layers.uv / 65535).max() < 1e-4
+
+
+def test_training_rays_fill_their_pixels_one_in_each_cell(dataset: Dataset) -> None:
+    pixels = pixels_of(dataset, train_samples=4)
+    index = torch.full((500,), 1024 + 17 * 32 + 5)
+    paths = pixels.take(index, np.random.default_rng(0))
+    again = pixels.take(index, np.random.default_rng(0))
+    assert torch.equal(paths.uv, again.uv)
+    camera = read_cameras(dataset, "train")
+    matrix = camera.world_from_camera[5]
+    # The pane reflects; mirrored once more at its normal, +z, the arriving direction comes back.
+    hit = paths.object_id[:, 0, 0] > 0
+    d = paths.reflected[:, 0, 0].numpy().astype(np.float64) * [1, 1, -1] @ matrix[:3, :3]
+    focal = 16 / math.tan(camera.fov_x / 2)
+    column, row = 16 - d[:, 0] / d[:, 2] * focal, 16 + d[:, 1] / d[:, 2] * focal
+    place = np.stack([row - 17, column - 5], axis=-1)[hit.numpy()]
+    assert hit.all()
+    assert place.min() > -1e-3
+    assert place.max() < 1 + 1e-3
+    cells = np.floor(np.clip(place.reshape(500, 4, 2), 0, 0.999) * 2).astype(int)
+    assert (np.sort(cells[..., 0] * 2 + cells[..., 1], axis=1) == np.arange(4)).mean() > 0.99
+
+
+def test_where_everything_shines_alike_glass_disappears(dataset: Dataset) -> None:
+    pixels = pixels_of(dataset)
+    renderer = white(LightPathRenderer(LightPathConfig(texture_size=8, residual_hidden=0), num_objects=2))
+    with torch.no_grad():
+        colors = renderer(pixels.take(torch.arange(len(pixels.rgb)), None))
+    assert (colors - 1).abs().max() < 1e-3
+
+
+def test_a_removed_object_leaves_no_trace(dataset: Dataset) -> None:
+    """Drawn without the pane, the picture depends on the pane's texels no more."""
+    pixels = pixels_of(dataset, render_samples=1)
+    renderer = LightPathRenderer(NET, num_objects=2)
+    index = torch.arange(1024)
+    paths = pixels.take(index, None)
+    assert (paths.object_id == 1).any()
+    renderer(paths).sum().backward()
+    table = renderer.textures.table.grad
+    assert table is not None
+    half = len(table) // 2
+    assert table[:half].abs().sum() > 0  # With the pane its texels matter, through the residual.
+    from datagen.light_path import LightPathTracer
+    from datagen.scene import load_scene
+
+    scene = load_scene(dataset.root / "scene")
+    floor = scene.objects[1]
+    # The floor keeps its id: an object that is gone leaves a mesh that no ray meets.
+    away = scene.objects[0].mesh
+    away = type(away)(vertices=away.vertices + 1000, faces=away.faces, normals=away.normals, uv=away.uv)
+    tracer = LightPathTracer((away, floor.mesh), (scene.objects[0].material, floor.material))
+    edited = LightPathPixels(**{**vars(pixels), "tracer": tracer}).take(index, None)
+    renderer.zero_grad()
+    renderer(edited).sum().backward()
+    table = renderer.textures.table.grad
+    assert table is not None
+    assert table[:half].abs().sum() == 0
+    assert table[half:].abs().sum() > 0
+
+
+def test_the_learned_sky_is_continuous_all_around() -> None:
+    renderer = LightPathRenderer(LightPathConfig(texture_size=8), num_objects=1)
+    height = renderer.environment.shape[1]
+    polar = (torch.arange(height) + 0.5) / height * math.pi
+    azimuth = ((torch.arange(2 * height) + 0.5) / height - 1) * math.pi
+    sin, cos = torch.sin(polar)[:, None], torch.cos(polar)[:, None]
+    directions = torch.stack([sin * torch.cos(azimuth), sin * torch.sin(azimuth), cos.expand(-1, 2 * height)])
+    with torch.no_grad():
+        renderer.environment.copy_(torch.log(torch.expm1(1 + 0.5 * directions)))
+        asked = torch.nn.functional.normalize(
+            torch.randn(4000, 2, 3, generator=torch.Generator().manual_seed(0)), dim=-1
+        )
+        error = (renderer._environment(asked) - (1 + 0.5 * asked)).abs()
+    assert error[asked[..., 2].abs() < 0.95].max() < 3e-3
+    assert error.max() < 0.03  # Half a texel around the poles is flat.
+
+
+def test_the_curve_is_the_datasets_own_and_rises_on_above_one() -> None:
+    linear = torch.linspace(0, 1, 1001)
+    assert np.abs(srgb_curve(linear).numpy() - srgb_from_linear(linear.numpy())).max() < 1e-5
+    above = torch.tensor([1.5, 3.0], requires_grad=True)
+    srgb_curve(above).sum().backward()
+    assert above.grad is not None
+    assert (above.grad > 0).all()
+
+
+def test_training_learns_the_synthetic_scene_and_resumes_to_the_bit(
+    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    train(SMALL, dataset, tmp_path / "whole", label="a", device=CPU)
+    with monkeypatch.context() as patch:
+        stop_at(patch, 8)
+        with pytest.raises(KeyboardInterrupt):
+            train(SMALL, dataset, tmp_path / "parts", label="a", device=CPU)
+    train(SMALL, dataset, tmp_path / "parts", label="a", device=CPU)
+    for out in (tmp_path / "whole", tmp_path / "parts"):
+        render_predictions(out, SMALL, dataset, device=CPU)
+        assert is_finished(out)
+    assert run_bytes(tmp_path / "whole") == run_bytes(tmp_path / "parts")
+    assert read_run(tmp_path / "whole").knowledge == "true geometry, materials of glass"
+
+
+def test_it_learns_what_it_sees(dataset: Dataset, tmp_path: Path) -> None:
+    import dataclasses
+    import json
+
+    config = dataclasses.replace(SMALL, steps=150, batch=256, evaluate_every=150)
+    train(config, dataset, tmp_path / "run", label="a", device=CPU)
+    last = json.loads((tmp_path / "run" / "metrics.jsonl").read_text().splitlines()[-1])
+    truth = np.stack([read_image(dataset, "train", view) for view in range(8)]) / 255.0
+    best_constant = -10 * math.log10(np.square(truth - truth.mean(axis=(0, 1, 2))).mean())
+    assert last["held_out_psnr"] > best_constant + 5
+
+
+def test_proxies_and_foreign_flags_are_refused(
+    dataset: Dataset, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(HyalineError, match="geometry 'box': light paths need the true one"):
+        METHODS["light-path"].load(NET, dataset, "box", "train", [0], True)
+    with pytest.raises(HyalineError, match="train_samples: is 5; expected a square number"):
+        LightPathConfig(texture_size=8, train_samples=5)
+    from model import cli
+
+    for flags in (("--method", "light-path", "--width", "256"), ("--method", "paper", "--rays", "9")):
+        monkeypatch.setattr("sys.argv", ["model", "train", "--dataset", str(dataset.root), *flags])
+        with pytest.raises(SystemExit) as end:
+            cli.main()
+        assert end.value.code == 1
+        assert f"{flags[2]}: method {flags[1]} has no such choice" in capsys.readouterr().err
