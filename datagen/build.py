@@ -13,7 +13,6 @@ from datagen.command import say, track
 from datagen.dataset import (
     SPLITS,
     TEST_SPLITS,
-    TRUTH,
     Cameras,
     Dataset,
     DatasetConfig,
@@ -26,10 +25,10 @@ from datagen.dataset import (
     noise_ceiling_db,
     open_dataset,
     read_cameras,
-    read_meshes,
     write_head,
 )
 from datagen.errors import HyalineError
+from datagen.geometry import TRUTH, read_meshes
 from datagen.layers import (
     LayerKind,
     create_store,

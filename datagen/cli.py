@@ -4,7 +4,8 @@ import sys
 from pathlib import Path
 
 from datagen.command import choose, fail, next_command, run, say
-from datagen.dataset import DATA_ROOT, TRUTH, DatasetConfig, check_geometry, find_dataset, open_dataset
+from datagen.dataset import DATA_ROOT, DatasetConfig, find_dataset, open_dataset
+from datagen.geometry import TRUTH, check_geometry
 from datagen.layers import LayerKind
 from datagen.presets import PRESETS, resize
 

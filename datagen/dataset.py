@@ -22,7 +22,6 @@ the camera looks along -z). Pixel (column i, row j) has its centre at (i + 0.5, 
 """
 
 import dataclasses
-import difflib
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,9 +30,7 @@ from typing import Literal, cast
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from datagen.command import choose
 from datagen.errors import HyalineError
-from datagen.meshes import Mesh, check_mesh, read_ply, write_ply
 from datagen.records import Json, from_json, to_json
 from datagen.storage import SEAL, commit, commit_sealed, load_json, load_sealed, sha256, sha256_file
 
@@ -51,9 +48,6 @@ TRANSFORMS_FILES: dict[Split, str] = {
 
 DATA_ROOT = Path("data")
 """Where commands put and look for datasets, relative to the working directory."""
-
-TRUTH = "truth"
-"""The geometry that is not a proxy: the scene's own meshes."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -381,113 +375,6 @@ def noise_ceiling_db(dataset: Dataset, split: Split) -> float:
     views = range(dataset.config.split(split).views)
     errors = [read_record(dataset, split, view).noise_mse for view in views]
     return float(np.mean([-10 * math.log10(max(error, 1e-12)) for error in errors]))
-
-
-# Geometry: the truth's meshes, or a proxy's
-
-
-@dataclass(frozen=True, kw_only=True)
-class ProxyStatistics:
-    """How far one proxy is from its object."""
-
-    volume_ratio: float
-    """Volume of the proxy over the volume of the object's convex hull (>= 1 for a conservative convex proxy)."""
-    mean_distance: float
-    """Mean distance in metres from points on the proxy to the object's surface."""
-    max_distance: float
-    """Largest such distance in metres."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class ProxyRecord:
-    """One object's proxy on disk."""
-
-    object: str
-    file: str
-    sha256: str
-    statistics: ProxyStatistics
-
-
-def geometry_root(root: Path, geometry: str) -> Path:
-    """Where a geometry's meshes and layers lie: the dataset itself for the truth, else its proxy folder."""
-    return root if geometry == TRUTH else root / "proxies" / geometry
-
-
-def write_proxies(dataset: Dataset, kind: str, meshes: tuple[Mesh, ...],
-                  statistics: tuple[ProxyStatistics, ...]) -> None:  # fmt: skip
-    """Commits one proxy mesh per object, in object order."""
-    root = geometry_root(dataset.root, kind)
-    listed = []
-    for item, mesh, numbers in zip(dataset.objects, meshes, statistics, strict=True):
-        file, data = f"meshes/{item.name}.ply", write_ply(mesh)
-        commit(root / file, data)
-        listed.append(ProxyRecord(object=item.name, file=file, sha256=sha256(data), statistics=numbers))
-    content: dict[str, Json] = {
-        "version": DATASET_VERSION,
-        "kind": kind,
-        "dataset": dataset.seal,
-        "proxies": to_json(tuple(listed)),
-    }
-    commit_sealed(root / "proxies.json", content)
-
-
-def read_proxy_records(dataset: Dataset, kind: str) -> tuple[ProxyRecord, ...]:
-    """The list of a dataset's proxies of one kind, in object order.
-
-    Raises:
-        HyalineError: they were not made, are damaged, or were made for another dataset.
-    """
-    path = geometry_root(dataset.root, kind) / "proxies.json"
-    if not path.is_file():
-        raise HyalineError(
-            f"{path}: no {kind} proxies; make them with `proxies make --scene {dataset.name} --kind {kind}`"
-        )
-    content = load_sealed(path)
-    if content.get("version") != DATASET_VERSION:
-        raise HyalineError(f"{path}: format version {content.get('version')!r}; this program reads {DATASET_VERSION}")
-    if content.get("dataset") != dataset.seal:
-        raise HyalineError(
-            f"{path}: made for another dataset; make them again with "
-            f"`proxies make --scene {dataset.name} --kind {kind} --overwrite`"
-        )
-    return from_json(tuple[ProxyRecord, ...], content["proxies"], where=f"{path}: proxies")
-
-
-def list_geometries(dataset: Dataset) -> list[str]:
-    """`truth`, and every kind of proxy that was made for the dataset."""
-    return [TRUTH, *sorted(path.parent.name for path in dataset.root.glob("proxies/*/proxies.json"))]
-
-
-def check_geometry(dataset: Dataset, geometry: str) -> None:
-    """Refuses a geometry that the dataset does not have.
-
-    Raises:
-        HyalineError: a slip of the pen gets a suggestion, proxies that were not made the command that makes them.
-    """
-    made = list_geometries(dataset)
-    if geometry not in made and difflib.get_close_matches(geometry, made, n=1, cutoff=0.5):
-        choose("geometry", geometry, made)
-    if geometry not in made:
-        read_proxy_records(dataset, geometry)
-
-
-def read_meshes(dataset: Dataset, geometry: str) -> tuple[Mesh, ...]:
-    """The meshes of `truth` or of a proxy kind, in object order, verified against their checksums.
-
-    Raises:
-        HyalineError: not made, missing or damaged.
-    """
-    root = geometry_root(dataset.root, geometry)
-    if geometry == TRUTH:
-        promised = head_files(dataset.root)
-        files = {f"scene/meshes/{item.name}.ply": promised[f"scene/meshes/{item.name}.ply"] for item in dataset.objects}
-    else:
-        files = {record.file: record.sha256 for record in read_proxy_records(dataset, geometry)}
-    check_files(root, files)
-    meshes = tuple(read_ply(root / file)[0] for file in files)
-    for file, mesh in zip(files, meshes, strict=True):
-        check_mesh(mesh, where=str(root / file))
-    return meshes
 
 
 def config_difference(old: object, new: object) -> str | None:

@@ -18,8 +18,9 @@ from typing import Literal, cast
 import numpy as np
 from jaxtyping import Bool, Float32, UInt8, UInt16
 
-from datagen.dataset import SPLITS, Dataset, Split, check_files, geometry_root, view_name
+from datagen.dataset import SPLITS, Dataset, Split, check_files, view_name
 from datagen.errors import HyalineError
+from datagen.geometry import geometry_root
 from datagen.records import Json, from_json, to_json
 from datagen.storage import SEAL, commit_sealed, load_json, load_sealed, sha256_file
 

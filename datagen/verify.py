@@ -3,20 +3,9 @@
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from datagen.dataset import (
-    SPLITS,
-    TRUTH,
-    Dataset,
-    check_files,
-    geometry_root,
-    head_files,
-    list_geometries,
-    open_dataset,
-    read_proxy_records,
-    read_record,
-    record_path,
-)
+from datagen.dataset import SPLITS, Dataset, check_files, head_files, open_dataset, read_record, record_path
 from datagen.errors import HyalineError
+from datagen.geometry import TRUTH, geometry_root, list_geometries, read_proxy_records
 from datagen.layers import LAYER_KINDS, layers_root, read_layers_head, read_layers_record, record_path_of_layers
 
 

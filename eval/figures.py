@@ -11,7 +11,8 @@ from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d import Axes3D
 from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 
-from datagen.dataset import SPLITS, TEST_SPLITS, TRUTH, Cameras, Dataset, Split, read_cameras, read_meshes
+from datagen.dataset import SPLITS, TEST_SPLITS, Cameras, Dataset, Split, read_cameras
+from datagen.geometry import TRUTH, read_meshes
 from datagen.meshes import face_corners
 from datagen.storage import commit
 from eval.score import SceneScores

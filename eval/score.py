@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, UInt8
 
-from datagen.dataset import TEST_SPLITS, TRUTH, Dataset, Split, noise_ceiling_db, read_image
+from datagen.dataset import TEST_SPLITS, Dataset, Split, noise_ceiling_db, read_image
+from datagen.geometry import TRUTH
 from datagen.layers import glass_mask, layers_root, read_layers
 from eval.metrics import SSIM_WINDOW, delta_e_2000, masked_psnr, mean_of, psnr, psnr_uint8_wrap, ssim
 from eval.runs import Run, has_split, predictions_sha256, read_prediction

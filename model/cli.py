@@ -5,8 +5,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from datagen.command import choose, next_command, run, say
-from datagen.dataset import TRUTH, Dataset, check_geometry, find_dataset, open_dataset
+from datagen.dataset import Dataset, find_dataset, open_dataset
 from datagen.errors import HyalineError
+from datagen.geometry import TRUTH, check_geometry
 from model.runtime import wait_without_spinning
 
 if TYPE_CHECKING:

@@ -8,8 +8,9 @@ from jaxtyping import Float32, UInt8
 from torch import Tensor, nn
 from torch.nn import functional
 
-from datagen.dataset import Dataset, read_meshes
+from datagen.dataset import Dataset
 from datagen.errors import HyalineError
+from datagen.geometry import read_meshes
 from model.texture import object_layout, sample
 
 Extrinsics = Literal["none", "view", "sh"]

@@ -11,8 +11,9 @@ import torch
 from jaxtyping import Bool, Int, UInt8
 from torch import Tensor
 
-from datagen.dataset import TRUTH, Cameras, Dataset, Split, read_cameras, read_image, read_meshes
+from datagen.dataset import Cameras, Dataset, Split, read_cameras, read_image
 from datagen.errors import HyalineError
+from datagen.geometry import TRUTH, read_meshes
 from model.light_path_net import LightPathBatch, LightPathConfig
 
 if TYPE_CHECKING:

@@ -17,8 +17,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
 
-from datagen.dataset import TEST_SPLITS, TRUTH, check_files
+from datagen.dataset import TEST_SPLITS, check_files
 from datagen.errors import HyalineError
+from datagen.geometry import TRUTH
 from datagen.records import Json, from_json, to_json
 from datagen.storage import commit, commit_sealed, dump_json, load_json, load_sealed, remove_temporaries
 from model.methods import LrDecay, MethodConfig

@@ -7,17 +7,9 @@ from typing import Literal
 import numpy as np
 
 from datagen.command import say
-from datagen.dataset import (
-    TRUTH,
-    Dataset,
-    ProxyStatistics,
-    check_files,
-    geometry_root,
-    read_meshes,
-    read_proxy_records,
-    write_proxies,
-)
+from datagen.dataset import Dataset, check_files
 from datagen.errors import HyalineError
+from datagen.geometry import TRUTH, ProxyStatistics, geometry_root, read_meshes, read_proxy_records, write_proxies
 from datagen.meshes import Mesh
 from datagen.storage import load_sealed, one_writer, remove_temporaries
 from proxies.box import fit_box

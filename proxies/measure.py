@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float, Float64
 
 from datagen.command import say
-from datagen.dataset import ProxyStatistics
+from datagen.geometry import ProxyStatistics
 from datagen.meshes import Mesh, face_areas, face_corners, open_edges, signed_volume, welded
 from proxies import meshlab
 from proxies.solid import Solid, outside_by, used_positions

@@ -6,7 +6,6 @@ import numpy as np
 
 from datagen.dataset import (
     SPLITS,
-    TRUTH,
     Cameras,
     Dataset,
     DatasetConfig,
@@ -17,6 +16,7 @@ from datagen.dataset import (
     read_cameras,
     write_head,
 )
+from datagen.geometry import TRUTH
 from datagen.layers import Layers, create_store, quantize_uv, write_layers
 from datagen.meshes import Mesh
 from datagen.scene import CameraRig, Diffuse, Scene, SceneObject, SoftEnvironment, ThinDielectric, WalkPoint, save_scene

@@ -15,17 +15,16 @@ from synthetic import synthetic_scene, write_synthetic_dataset
 from datagen.build import build_dataset, peel_dataset
 from datagen.dataset import (
     SPLITS,
-    TRUTH,
     DatasetConfig,
     SplitConfig,
     image_path,
     noise_ceiling_db,
     open_dataset,
     read_image,
-    read_meshes,
     read_record,
 )
 from datagen.errors import HyalineError
+from datagen.geometry import TRUTH, read_meshes
 from datagen.layers import glass_mask, layers_root, read_layers
 from datagen.scene import save_scene
 from datagen.verify import verify_dataset

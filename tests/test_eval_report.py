@@ -17,8 +17,9 @@ import pytest
 from PIL import Image
 from synthetic import write_synthetic_dataset
 
-from datagen.dataset import TEST_SPLITS, TRUTH, Dataset, Split, open_dataset, png_bytes, read_image, read_png
+from datagen.dataset import TEST_SPLITS, Dataset, Split, open_dataset, png_bytes, read_image, read_png
 from datagen.errors import HyalineError
+from datagen.geometry import TRUTH
 from datagen.layers import glass_mask, read_layers
 from eval.report import make_report
 from eval.runs import list_run_folders

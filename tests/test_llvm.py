@@ -66,7 +66,8 @@ def test_the_scalar_variant_builds_a_dataset_of_the_same_scene(tmp_path: Path) -
     from synthetic import synthetic_scene
     from test_build import command
 
-    from datagen.dataset import SPLITS, TRUTH, open_dataset, read_image, read_record
+    from datagen.dataset import SPLITS, open_dataset, read_image, read_record
+    from datagen.geometry import TRUTH
     from datagen.layers import read_layers
     from datagen.scene import save_scene
 

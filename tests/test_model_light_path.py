@@ -9,8 +9,9 @@ import torch
 from synthetic import write_synthetic_dataset
 from test_model_train import run_bytes, stop_at
 
-from datagen.dataset import TRUTH, Dataset, read_cameras, read_image
+from datagen.dataset import Dataset, read_cameras, read_image
 from datagen.errors import HyalineError
+from datagen.geometry import TRUTH
 from datagen.layers import read_layers
 from datagen.tonemap import srgb_from_linear
 from datagen.variant import use_mitsuba

@@ -10,7 +10,8 @@ from typing import Any
 import pytest
 from synthetic import write_synthetic_dataset
 
-from datagen.dataset import Dataset, read_meshes, read_proxy_records
+from datagen.dataset import Dataset
+from datagen.geometry import read_meshes, read_proxy_records
 from datagen.storage import load_sealed
 from proxies import meshlab
 from proxies.cli import main
