@@ -49,8 +49,12 @@ def welded(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
 
 def signed_volume(mesh: Mesh) -> float:
     """Enclosed volume in cubic metres by the divergence theorem; negative when the mesh is inside out."""
-    corners = face_corners(mesh).astype(np.float64)
-    a, b, c = np.moveaxis(corners - corners.mean(axis=(0, 1)), 1, 0)
+    return _signed_volume(face_corners(mesh))
+
+
+def _signed_volume(corners: np.ndarray) -> float:
+    centered = corners.astype(np.float64) - corners.mean(axis=(0, 1), dtype=np.float64)
+    a, b, c = np.moveaxis(centered, 1, 0)
     return float(np.einsum("fi,fi->", a, np.cross(b, c)) / 6)
 
 
@@ -67,9 +71,16 @@ def component_of_faces(mesh: Mesh) -> np.ndarray:
     return component
 
 
-def component(mesh: Mesh, faces_kept: np.ndarray) -> Mesh:
-    """The mesh of the faces that the mask (face,) keeps; its vertices stay as they are."""
-    return Mesh(vertices=mesh.vertices, faces=mesh.faces[faces_kept], normals=mesh.normals, uv=mesh.uv)
+def winding_number(point: np.ndarray, corners: np.ndarray) -> float:
+    """How often the triangles (face, 3, 3) go around a point: 1 inside a closed outward surface, 0 outside.
+
+    Source: Van Oosterom and Strackee 1983, the solid angle of a triangle.
+    """
+    a, b, c = np.moveaxis(corners.astype(np.float64) - point, 1, 0)
+    la, lb, lc = (np.linalg.norm(v, axis=-1) for v in (a, b, c))
+    numerator = np.einsum("fi,fi->f", a, np.cross(b, c))
+    denominator = la * lb * lc + (a * b).sum(-1) * lc + (b * c).sum(-1) * la + (c * a).sum(-1) * lb
+    return float(np.arctan2(numerator, denominator).sum() / (2 * np.pi))
 
 
 def open_edges(mesh: Mesh) -> int:
@@ -116,15 +127,20 @@ def check_mesh(mesh: Mesh, *, where: str) -> None:
 def check_closed(mesh: Mesh, *, where: str) -> None:
     """Refuses what cannot bound a medium: glass must be closed, and outward in each connected part.
 
-    Cavities (a part inside another, wound inward) are allowed when the whole volume stays positive.
+    A part that is wound inward is a cavity, and allowed, where the rest of the mesh encloses it.
 
     Raises:
-        HyalineError: an open edge, or the mesh is inside out.
+        HyalineError: an open edge, or a part of the mesh is inside out.
     """
     if count := open_edges(mesh):
         raise HyalineError(f"{where}: {count} open edges; glass must be a closed mesh, fill its holes")
-    if (volume := signed_volume(mesh)) <= 0:
-        raise HyalineError(f"{where}: encloses {volume:g} m^3, so it is inside out; reverse its faces")
+    corners, component = face_corners(mesh), component_of_faces(mesh)
+    for part in range(int(component.max()) + 1):
+        mine = component == part
+        volume = _signed_volume(corners[mine])
+        if volume <= 0 and winding_number(corners[mine][0, 0], corners[~mine]) < 0.5:
+            which = f"part {part + 1} of {int(component.max()) + 1} " if component.any() else ""
+            raise HyalineError(f"{where}: {which}encloses {volume:g} m^3, so it is inside out; reverse its faces")
 
 
 def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:

@@ -13,10 +13,12 @@ from datagen.meshes import (
     check_closed,
     check_mesh,
     component_of_faces,
+    face_corners,
     open_edges,
     read_ply,
     signed_volume,
     vertex_normals,
+    winding_number,
     write_ply,
 )
 
@@ -97,3 +99,20 @@ def test_open_and_inside_out_glass_is_refused() -> None:
         check_closed(broken(faces=BALL.faces[1:]), where="vase")
     with pytest.raises(HyalineError, match="is inside out; reverse its faces"):
         check_closed(broken(faces=BALL.faces[:, ::-1]), where="vase")
+
+
+def test_an_inverted_part_is_refused_and_a_cavity_is_not() -> None:
+    ball, small = trimesh.creation.icosphere(2, 1.0), trimesh.creation.icosphere(2, 0.4)
+    small.invert()
+    bubble = mesh_of(trimesh.util.concatenate([ball, small]))
+    check_closed(bubble, where="bubble")
+    beside = mesh_of(trimesh.util.concatenate([ball, small.copy().apply_translation((3, 0, 0))]))
+    assert signed_volume(beside) > 0  # Looking at the whole would not tell.
+    with pytest.raises(HyalineError, match=r"part 2 of 2 encloses -0\.2\d* m\^3, so it is inside out"):
+        check_closed(beside, where="balls")
+
+
+def test_the_winding_number_tells_inside_from_outside() -> None:
+    corners = face_corners(BALL)
+    assert winding_number(np.array([0.3, 0.2, -0.5]), corners) == pytest.approx(1)
+    assert winding_number(np.array([1.3, 0.2, -0.5]), corners) == pytest.approx(0, abs=1e-9)
