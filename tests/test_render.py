@@ -161,6 +161,41 @@ def test_same_seed_same_bytes_and_another_seed_other_noise() -> None:
     assert np.abs(noise - one.half_difference).max() < 1e-3
 
 
+def test_a_picture_repeats_to_the_last_bit_however_many_threads_share_its_pixels() -> None:
+    """At this size threads meet within pixels; Mitsuba's own film then differs from run to run."""
+    import drjit as dr
+
+    from datagen.variant import num_cores
+
+    ball = SceneObject(name="ball", mesh=mesh_of(trimesh.creation.icosphere(3, 0.4)), material=Dielectric(ior=1.5))
+    floor = SceneObject(name="floor", mesh=quad(-0.5), material=Diffuse(color=(0.7, 0.3, 0.2)))
+    renderer = Renderer(scene_of(ball, floor, environment=DUSK), max_depth=16)
+    cameras = camera((2, 1, 1), fov=0.7, size=96)
+    pictures = []
+    for threads in (2, 2, 3, 5):
+        dr.set_thread_count(threads)
+        pictures.append(renderer.radiance(cameras, 0, spp=144, seed=3)[0])
+    dr.set_thread_count(max(2, num_cores()))
+    assert all(np.array_equal(pictures[0], other) for other in pictures[1:])
+
+
+def test_our_mean_of_samples_is_mitsubas_own_picture() -> None:
+    import mitsuba as mi
+
+    from datagen.mitsuba_scene import is_scalar, load_sensor
+
+    if is_scalar():
+        pytest.skip("the scalar variant renders with Mitsuba's film")
+    floor = SceneObject(name="floor", mesh=quad(-0.5), material=Diffuse(color=(0.7, 0.3, 0.2)))
+    renderer = Renderer(scene_of(floor, environment=DUSK), max_depth=8)
+    cameras = camera((2, 1, 1), fov=0.7, size=32)
+    ours, spp = renderer.radiance(cameras, 0, spp=64, seed=3)
+    sensor = load_sensor(cameras.world_from_camera[0], cameras.fov_x, 32, 32)
+    sensor.sampler().set_sample_count(spp)
+    theirs = mi.render(renderer._scene, sensor=sensor, integrator=renderer._integrator, spp=spp, seed=3)
+    assert np.abs(ours - np.array(theirs)).max() < 1e-5
+
+
 def test_radiance_that_is_no_number_stops_the_view(monkeypatch: pytest.MonkeyPatch) -> None:
     pane = SceneObject(name="pane", mesh=quad(0.0), material=Diffuse(color=(0.5, 0.4, 0.3)))
     renderer = Renderer(scene_of(pane), max_depth=8)
