@@ -76,7 +76,7 @@ def load_geometry_mitsuba(meshes: tuple[Mesh, ...]) -> "mi.Scene":
 
 
 def load_sensor(world_from_camera: Float[np.ndarray, "4 4"], fov_x: float, width: int, height: int) -> "mi.Sensor":
-    """A pinhole camera with a box filter: the default gaussian is not reproducible with several threads (3.9)."""
+    """A pinhole camera with a box filter, so that a sample counts for its own pixel alone (see `Renderer`)."""
     import mitsuba as mi
 
     # Mitsuba's camera looks along +z and has +x on its left.

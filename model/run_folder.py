@@ -21,7 +21,7 @@ from datagen.dataset import TEST_SPLITS, check_files
 from datagen.errors import HyalineError
 from datagen.geometry import TRUTH
 from datagen.records import Json, from_json, to_json
-from datagen.storage import commit, commit_sealed, dump_json, load_json, load_sealed, remove_temporaries
+from datagen.storage import commit, commit_sealed, dump_json, load_json, load_sealed
 from model.methods import LrDecay, MethodConfig
 
 RUN_VERSION = 1
@@ -167,7 +167,6 @@ def clear_run(out: Path) -> None:
         (out / name).unlink(missing_ok=True)
     for split in TEST_SPLITS:
         shutil.rmtree(out / "predictions" / split, ignore_errors=True)
-    remove_temporaries(out)
     (out / RUN).unlink(missing_ok=True)
 
 
