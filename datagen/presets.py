@@ -31,7 +31,7 @@ def _preset(purpose: str, resolution: int, train: tuple[int, int], test: tuple[i
 PRESETS: dict[str, Preset] = {
     "tiny": _preset("tests: seconds", 32, train=(8, 18), test=(3, 50)),
     "demo": _preset("a first look: minutes on two cores", 128, train=(100, 50), test=(12, 288)),
-    "standard": _preset("comparing methods: an hour on two cores", 256, train=(200, 72), test=(20, 800)),
+    "standard": _preset("comparing methods: half an hour on two cores", 256, train=(200, 50), test=(20, 450)),
     "paper": _preset("the paper's size: a night on two cores", 512, train=(1000, 72), test=(40, 512)),
 }
 
