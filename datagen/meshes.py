@@ -93,6 +93,16 @@ def open_edges(mesh: Mesh) -> int:
     return int((counts != 1).sum() + len(np.setdiff1d(forward, backward, assume_unique=True)))
 
 
+def count_shared_faces(mesh: Mesh, other: Mesh) -> int:
+    """The number of faces whose corners are all vertices of the other mesh too, to the last bit."""
+    low, high = other.vertices.min(axis=0), other.vertices.max(axis=0)
+    if (mesh.vertices.max(axis=0) < low).any() or (mesh.vertices.min(axis=0) > high).any():
+        return 0
+    # Adding 0 makes -0 the same bits as 0.
+    keys, others = (np.ascontiguousarray(m.vertices + np.float32(0)).view("V12").reshape(-1) for m in (mesh, other))
+    return int(np.isin(keys, others)[mesh.faces].all(axis=-1).sum())
+
+
 def check_mesh(mesh: Mesh, *, where: str) -> None:
     """Refuses a mesh that would crash a native library or be rendered silently wrong.
 

@@ -3,11 +3,12 @@
 import math
 import re
 from dataclasses import dataclass, field
+from itertools import combinations
 from pathlib import Path
 from typing import Literal, cast
 
 from datagen.errors import HyalineError
-from datagen.meshes import Mesh, check_closed, check_mesh, read_ply, write_ply
+from datagen.meshes import Mesh, check_closed, check_mesh, count_shared_faces, read_ply, write_ply
 from datagen.records import Json, from_json, to_json
 from datagen.storage import commit, dump_json, load_json
 
@@ -18,6 +19,9 @@ Color = tuple[float, float, float]
 SCENE_VERSION = 1
 MAX_OBJECTS = 255
 """Object ids are 8 bits; 0 means empty."""
+MAX_NESTED = 32
+"""How many dielectrics a scene with priorities may have: a ray keeps one bit for each (datagen/media.py)."""
+MAX_PRIORITY = 9
 
 
 # Textures
@@ -64,13 +68,18 @@ class Dielectric:
     """Smooth solid glass or liquid: refracts by Snell's law, reflects by Fresnel, absorbs by Beer and Lambert."""
 
     ior: float = 1.5
-    """Index of refraction against the air outside."""
+    """Absolute index of refraction; air has 1."""
     absorption: Color = (0.0, 0.0, 0.0)
     """Absorption coefficient per channel, 1/m: transmittance over d metres is exp(-absorption d)."""
+    priority: int = 0
+    """-9 to 9. Where dielectrics overlap, the one of the highest priority fills the space, of equal ones the one that
+    the scene lists first: give a drink, whose mesh reaches a little into the wall of its glass, -1."""
 
     def __post_init__(self) -> None:
         _check_ior(self.ior)
         _check_range("absorption", self.absorption, 0, math.inf)
+        if not -MAX_PRIORITY <= self.priority <= MAX_PRIORITY:
+            raise HyalineError(f"priority: is {self.priority}; expected {-MAX_PRIORITY} to {MAX_PRIORITY}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -265,6 +274,23 @@ def check_scene(scene: Scene) -> None:
         check_mesh(item.mesh, where=where)
         if isinstance(item.material, Dielectric):
             check_closed(item.mesh, where=where)
+    _check_nesting(scene)
+
+
+def _check_nesting(scene: Scene) -> None:
+    """Refuses dielectrics of which nobody could say which fills the space: too many for priorities, or coincident."""
+    glass = [(item, item.material) for item in scene.objects if isinstance(item.material, Dielectric)]
+    if len(glass) > MAX_NESTED and len({material.priority for _, material in glass}) > 1:
+        raise HyalineError(
+            f"scene {scene.name}: has {len(glass)} dielectrics of different priority; expected at most {MAX_NESTED}, "
+            "or the same priority for all and no overlaps"
+        )
+    for (one, _), (other, _) in combinations(glass, 2):
+        if count := count_shared_faces(one.mesh, other.mesh):
+            raise HyalineError(
+                f"scene {scene.name}: objects {one.name} and {other.name} share {count} faces; "
+                "let one reach into the other and give it the lower priority, or leave a gap"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -313,7 +339,12 @@ def scene_files(scene: Scene) -> dict[str, bytes]:
     )
     # Through the parser and back, so that 1 and 1.0 give the same bytes.
     canonical = from_json(_SceneFile, to_json(file), where=f"scene {scene.name}")
-    return {**files, "scene.json": dump_json(to_json(canonical))}
+    data = cast(dict[str, Json], to_json(canonical))
+    for listed_object in cast(list[dict[str, dict[str, Json]]], data["objects"]):
+        # A key that came later stands only where it says something: the scenes of older datasets keep their bytes.
+        if listed_object["material"].get("priority") == 0:
+            del listed_object["material"]["priority"]
+    return {**files, "scene.json": dump_json(data)}
 
 
 def load_scene(folder: Path) -> Scene:

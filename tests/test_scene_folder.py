@@ -10,13 +10,15 @@ from PIL import Image
 from synthetic import synthetic_scene
 
 from datagen.errors import HyalineError
-from datagen.meshes import write_ply
+from datagen.meshes import Mesh, write_ply
+from datagen.modelling import ball, merged, moved
 from datagen.scene import (
     Dielectric,
     Diffuse,
     ImageTexture,
     Lobe,
     Plastic,
+    Scene,
     SceneObject,
     check_scene,
     load_scene,
@@ -68,6 +70,10 @@ def test_a_mesh_without_uv_is_unwrapped(tmp_path: Path) -> None:
         (lambda d: d["objects"][0]["material"].update(ior=0), r"scene\.json: ior: is 0\.0; expected .* above 1"),
         (lambda d: d["objects"][0]["material"].update(ior=-1.5), r"ior: is -1\.5"),
         (lambda d: d["objects"][0]["material"].update(iro=1.5), r"objects\[0\]\.material: unknown key 'iro'"),
+        (
+            lambda d: d["objects"][0].update(material={"type": "Dielectric", "priority": 10}),
+            r"scene\.json: priority: is 10; expected -9 to 9",
+        ),
         (lambda d: d["objects"][0].update(mesh="../evil.ply"), r"names '\.\./evil\.ply'; expected a file inside"),
         (lambda d: d["objects"][0].update(mesh="meshes/none.ply"), r"none\.ply: the mesh file is missing"),
         (lambda d: d["objects"][0].update(name="floor"), r"two objects are called 'floor'"),
@@ -111,6 +117,39 @@ def test_more_objects_than_ids_are_refused() -> None:
     many = tuple(SceneObject(name=f"o{i}", mesh=floor.mesh, material=floor.material) for i in range(256))
     with pytest.raises(HyalineError, match="256 objects; expected 1 to 255"):
         check_scene(dataclasses.replace(scene, objects=many))
+
+
+def glass_scene(*glass: tuple[Mesh, Dielectric]) -> Scene:
+    objects = tuple(SceneObject(name=f"g{i}", mesh=mesh, material=material) for i, (mesh, material) in enumerate(glass))
+    return dataclasses.replace(synthetic_scene(), objects=objects)
+
+
+def test_a_priority_is_kept_and_none_leaves_the_bytes_that_older_scenes_have(tmp_path: Path) -> None:
+    scene = glass_scene((ball(1.0), Dielectric()), (ball(2.0), Dielectric(ior=1.33, priority=-1)))
+    materials = [entry["material"] for entry in json.loads(scene_files(scene)["scene.json"])["objects"]]
+    assert "priority" not in materials[0]
+    assert materials[1]["priority"] == -1
+    save_scene(scene, tmp_path)
+    loaded = load_scene(tmp_path)
+    assert [item.material for item in loaded.objects] == [item.material for item in scene.objects]
+    assert scene_files(loaded) == scene_files(scene)
+
+
+def test_more_dielectrics_with_priorities_than_a_ray_can_tell_apart_are_refused() -> None:
+    balls = [moved(ball(0.4, subdivisions=1), (i, 0, 0)) for i in range(33)]
+    check_scene(glass_scene(*((mesh, Dielectric()) for mesh in balls)))
+    check_scene(glass_scene(*((mesh, Dielectric(priority=i // 20)) for i, mesh in enumerate(balls[:32]))))
+    with pytest.raises(HyalineError, match="33 dielectrics of different priority; expected at most 32"):
+        check_scene(glass_scene(*((mesh, Dielectric(priority=i // 20)) for i, mesh in enumerate(balls))))
+
+
+def test_a_drink_that_ends_exactly_on_its_glass_is_refused() -> None:
+    bubble = ball(0.8, subdivisions=2)
+    inside_out = dataclasses.replace(bubble, faces=np.ascontiguousarray(bubble.faces[:, ::-1]), normals=-bubble.normals)
+    shell = merged([ball(1.0, subdivisions=2), inside_out])
+    with pytest.raises(HyalineError, match=r"objects g0 and g1 share 320 faces; let one reach into the other"):
+        check_scene(glass_scene((shell, Dielectric()), (bubble, Dielectric(ior=1.33))))
+    check_scene(glass_scene((shell, Dielectric()), (ball(0.85, subdivisions=2), Dielectric(ior=1.33))))
 
 
 def test_a_scene_with_a_nan_vertex_is_refused_on_load(tmp_path: Path) -> None:
