@@ -103,14 +103,6 @@ def load_sensor(world_from_camera: Float[np.ndarray, "4 4"], fov_x: float, width
     )  # fmt: skip
 
 
-def absorption_by_shape(scene: Scene) -> Float[np.ndarray, "shape 3"]:
-    """Absorption coefficients in 1/m of each object, in object order; zero for all that is not tinted glass."""
-    none = (0.0, 0.0, 0.0)
-    return np.array(
-        [item.material.absorption if isinstance(item.material, Dielectric) else none for item in scene.objects]
-    )
-
-
 def radiance_of_environment(environment: SoftEnvironment, directions: Float[np.ndarray, "... 3"]) -> np.ndarray:
     """Radiance (..., 3) that arrives from unit directions (world space, +z up)."""
     up = directions[..., 2:3]

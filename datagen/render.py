@@ -13,8 +13,9 @@ from jaxtyping import Float, Float32
 
 from datagen.dataset import Cameras, Split, png_bytes
 from datagen.errors import HyalineError
-from datagen.mitsuba_scene import absorption_by_shape, is_scalar, load_scene_mitsuba, load_sensor
-from datagen.scene import Scene
+from datagen.media import find_media
+from datagen.mitsuba_scene import is_scalar, load_scene_mitsuba, load_sensor
+from datagen.scene import Dielectric, Scene
 from datagen.tonemap import srgb_from_linear, to_8bit
 
 if TYPE_CHECKING:
@@ -45,17 +46,28 @@ class Renderer:
     """A loaded scene with its integrator; renders any number of views. Call `use_mitsuba` first."""
 
     def __init__(self, scene: Scene, *, max_depth: int) -> None:
+        """Loads the scene.
+
+        Raises:
+            HyalineError: there are priorities, and Mitsuba runs as scalar_rgb.
+        """
         import mitsuba as mi
 
+        materials, meshes = zip(*((item.material, item.mesh) for item in scene.objects), strict=True)
+        if is_scalar() and any(isinstance(material, Dielectric) and material.priority for material in materials):
+            raise HyalineError(
+                f"scene {scene.name}: has dielectrics with priorities, which Mitsuba as scalar_rgb cannot render; "
+                "`datagen doctor` names the libLLVM to install"
+            )
         self._scene = load_scene_mitsuba(scene)
-        absorption = absorption_by_shape(scene)
+        media = find_media(materials, meshes)
         if is_scalar():
-            kind = "volpath" if absorption.any() else "path"
+            kind = "volpath" if media.absorption.any() else "path"
             self._integrator = mi.load_dict({"type": kind, "max_depth": max_depth, "rr_depth": max_depth + 1})
-        elif absorption.any():
-            from datagen.path_integrator import AbsorbingPath
+        elif media.absorption.any() or media.is_nested:
+            from datagen.path_integrator import MediaPath
 
-            self._integrator = AbsorbingPath(absorption, max_depth)
+            self._integrator = MediaPath(media, max_depth)
         else:
             self._integrator = mi.load_dict({"type": "path", "max_depth": max_depth, "rr_depth": max_depth + 1})
 
