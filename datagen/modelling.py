@@ -221,6 +221,23 @@ def walled(outer: Profile, *, wall: float, floor: float) -> list[tuple[float, fl
     return [*map(_pair, line), *map(_pair, rim), *map(_pair, inner[:-1]), *round_corner]
 
 
+def filled(outer: Profile, *, wall: float, floor: float, level: float, reach: float) -> list[tuple[float, float]]:
+    """The outline of a drink in the vessel `walled(outer, wall=wall, floor=floor)`, with a flat top.
+
+    Args:
+        level: height of the drink's top, in the heights of `outer`.
+        reach: how far the drink goes into the wall and the floor; give its material the lower priority.
+    """
+    assert 0 < reach < min(wall, floor), f"reach {reach} of a wall of {wall} and a floor of {floor}"
+    vessel = np.array(walled(outer, wall=wall - reach, floor=floor - reach))
+    inner = vessel[vessel[:, 1].argmax() :]
+    above = int(np.flatnonzero(inner[:, 1] > level)[-1])
+    assert above + 1 < len(inner), f"level {level} is below the floor"
+    share = (inner[above, 1] - level) / (inner[above, 1] - inner[above + 1, 1])
+    edge = inner[above] + share * (inner[above + 1] - inner[above])
+    return [(0.0, level), _pair(edge), *map(_pair, inner[above + 1 :])]
+
+
 def _pair(point: np.ndarray) -> tuple[float, float]:
     return float(point[0]), float(point[1])
 

@@ -5,11 +5,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from datagen.meshes import Mesh, check_mesh, face_corners, open_edges, signed_volume
+from datagen.meshes import Mesh, check_closed, check_mesh, face_corners, open_edges, signed_volume, winding_number
 from datagen.modelling import (
     ball,
     cylinder,
     deformed,
+    filled,
     filleted,
     lathe,
     leaf,
@@ -97,6 +98,25 @@ def test_walled_vessel_has_the_wall_that_was_asked_for_and_a_floor(wall: float) 
     assert distance.min() > 0.85 * wall
     assert inner[:, 1].min() == pytest.approx(0.011)
     np.testing.assert_array_equal(outline[[0, -1], 0], 0)
+
+
+@pytest.mark.parametrize(("level", "reach"), [(0.03, 0.001), (0.08, 0.0015)])
+def test_a_drink_reaches_into_the_wall_and_no_farther(level: float, reach: float) -> None:
+    outer, wall, floor = filleted(TUMBLER), 0.003, 0.011
+    glass = lathe(walled(outer, wall=wall, floor=floor))
+    drink = lathe(filled(outer, wall=wall, floor=floor, level=level, reach=reach))
+    check_closed(drink, where="drink")
+    assert drink.vertices[:, 2].max() == np.float32(level)
+    assert drink.vertices[:, 2].min() == pytest.approx(floor - reach)
+    corners = face_corners(glass)
+    for point in np.unique(drink.vertices, axis=0)[::7]:
+        is_top = point[2] == np.float32(level) and not point[:2].any()
+        assert winding_number(point.astype(np.float64), corners) == pytest.approx(0 if is_top else 1, abs=1e-3)
+    # The vessel's inside, between whose volume with and without what reaches into wall and floor the drink's lies.
+    heights = np.linspace(floor, level, 500)
+    radii = np.interp(heights, [0, 0.05, 0.105], [0.033, 0.035, 0.0385]) - wall
+    least, most = (np.pi * np.trapezoid((radii + grown) ** 2, heights) for grown in (0, reach))
+    assert 0.9 * least < signed_volume(drink) < most + np.pi * 0.033**2 * reach
 
 
 def test_fillets_are_arcs_that_touch_both_sides() -> None:
