@@ -7,12 +7,13 @@ from pathlib import Path
 from datagen.atlas import unwrap_all
 from datagen.command import choose
 from datagen.scene import Scene, check_scene, load_scene
-from datagen.scenes import glass_table, plant_shelf, vitrine
+from datagen.scenes import drinks, glass_table, plant_shelf, vitrine
 
 SCENES: dict[str, Callable[[], Scene]] = {
     "glass_table": glass_table.make,
     "vitrine": vitrine.make,
     "plant_shelf": plant_shelf.make,
+    "drinks": drinks.make,
 }
 """Makers of the scenes, whose objects have no uv yet."""
 
