@@ -1,7 +1,6 @@
 """Owns the light paths of training and test pixels: sub-pixel rays, traced anew for every batch, as tensors."""
 
 import dataclasses
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -11,6 +10,7 @@ import torch
 from jaxtyping import Bool, Int, UInt8
 from torch import Tensor
 
+from datagen.cameras import subpixel_offsets, subpixel_rays
 from datagen.dataset import Cameras, Dataset, Split, read_cameras, read_image
 from datagen.errors import HyalineError
 from datagen.geometry import TRUTH, read_meshes
@@ -49,12 +49,9 @@ class LightPathPixels:
     def take(self, index: Int[Tensor, " pixel"], rng: np.random.Generator | None) -> LightPathBatch:
         """The traced rays of the pixels with these row numbers; without `rng` as many as a rendering takes."""
         samples = self.train_samples if rng is not None else self.render_samples
-        side = math.isqrt(samples)
-        # Jittered within a grid of cells that tile the pixel, or at the cells' centres.
-        cell = np.stack(np.divmod(np.arange(samples), side), axis=-1)[None]
-        place = 0.5 if rng is None else rng.random((len(index), samples, 2))
-        offsets = np.broadcast_to((cell + place) / side, (len(index), samples, 2))
-        origins, directions = _rays(self.cameras, index.cpu().numpy(), self.pixels_per_view, offsets)
+        shape = (len(index), samples, 2)
+        offsets = subpixel_offsets(samples) if rng is None else subpixel_offsets(samples, rng.random(shape))
+        origins, directions = subpixel_rays(self.cameras, index.cpu().numpy(), np.broadcast_to(offsets, shape))
         paths = self.tracer.trace(origins, directions, self.max_vertices)
         last = (paths.object_id > 0).sum(axis=1, keepdims=True) - 1
         vertex = np.arange(self.max_vertices)[None, :, None]
@@ -115,18 +112,3 @@ def load_light_path_pixels(config: LightPathConfig, dataset: Dataset, geometry: 
         render_samples=config.render_samples,
         device=torch.device("cpu"),
     )
-
-
-def _rays(cameras: Cameras, index: np.ndarray, pixels_per_view: int, offsets: np.ndarray) -> tuple:
-    """Origins and unit directions (ray, 3) through points at `offsets` (pixel, sample, 2) in [0, 1)^2 of pixels."""
-    view, place = np.divmod(index, pixels_per_view)
-    row, column = np.divmod(place, cameras.width)
-    focal = 0.5 * cameras.width / math.tan(0.5 * cameras.fov_x)
-    x = (column[:, None] + offsets[..., 1] - 0.5 * cameras.width) / focal
-    y = (0.5 * cameras.height - row[:, None] - offsets[..., 0]) / focal
-    d_camera = np.stack([x, y, -np.ones_like(x)], axis=-1)
-    matrices = cameras.world_from_camera[view]
-    d_world = np.einsum("psc,pdc->psd", d_camera, matrices[:, :3, :3])
-    d_world /= np.linalg.norm(d_world, axis=-1, keepdims=True)
-    origins = np.broadcast_to(matrices[:, None, :3, 3], d_world.shape)
-    return origins.reshape(-1, 3).astype(np.float32), d_world.reshape(-1, 3).astype(np.float32)

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from synthetic import pixel_rays, synthetic_scene
 
-from datagen.cameras import look_at, make_cameras, pixel_center_rays
-from datagen.dataset import DatasetConfig, SplitConfig
+from datagen.cameras import look_at, make_cameras, pixel_center_rays, subpixel_offsets, subpixel_rays
+from datagen.dataset import Cameras, DatasetConfig, SplitConfig
 from datagen.errors import HyalineError
 from datagen.scene import CameraRig, WalkPoint
 
@@ -97,3 +97,18 @@ def test_cameras_survive_the_transforms_files(tmp_path: Path) -> None:
     once = read_cameras(dataset, "train")
     assert once.world_from_camera.shape == (8, 4, 4)
     assert once.fov_x == np.radians(50)
+
+
+def test_subpixel_rays_are_the_pixel_centre_rays_of_a_finer_picture() -> None:
+    poses = np.stack([look_at(np.array([3.0, 1.0, 2.0]), np.zeros(3)), look_at(np.array([0.5, -2.0, 1.0]), np.ones(3))])
+    coarse = Cameras(world_from_camera=poses, fov_x=0.8, width=5, height=4)
+    fine = Cameras(world_from_camera=poses, fov_x=0.8, width=15, height=12)
+    offsets = np.broadcast_to(subpixel_offsets(9), (2 * 20, 9, 2))
+    origins, directions = subpixel_rays(coarse, np.arange(2 * 20), offsets)
+    for view in range(2):
+        origin, expected = pixel_center_rays(fine, view)
+        here = directions.reshape(2, 4, 5, 3, 3, 3)[view]  # Row, column, row and column in the pixel, xyz.
+        assert np.abs(here.transpose(0, 2, 1, 3, 4).reshape(12, 15, 3) - expected).max() < 1e-6
+        assert (origins.reshape(2, -1, 3)[view] == origin).all()
+    with pytest.raises(HyalineError, match="rays: is 5; expected a square number of rays per pixel"):
+        subpixel_offsets(5)
