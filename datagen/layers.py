@@ -96,8 +96,6 @@ def create_store(dataset: Dataset, geometry: str, kind: LayerKind, *, num_layers
                 dtype=dtype,
                 compressors=compressor,
                 dimension_names=names,
-                # A view of nothing but zeros must still leave a shard, or its record could not promise one.
-                config={"write_empty_chunks": True},
             )
     metadata = sorted((root / "peels.zarr").rglob("zarr.json"))
     head = LayersHead(
@@ -139,7 +137,10 @@ def write_layers(dataset: Dataset, geometry: str, kind: LayerKind, split: Split,
     values = {"uv": np.moveaxis(layers.uv, -1, 0), "object_id": layers.object_id, "depth": round_depth(layers.depth)}
     files = {}
     for name in ARRAYS:
-        array = cast(zarr.Array, group[name])
+        # Chunks of zeros are left out of a shard. A shard of nothing else must still be there, or no record could
+        # promise it. zarr 3.1 keeps the option in the array as it is opened, not in the store.
+        with zarr.config.set({"array.write_empty_chunks": not values[name].any()}):
+            array = cast(zarr.Array, group[name])
         array[view] = values[name]
         path = _shard_path(root, split, name, view)
         files[path.relative_to(root).as_posix()] = sha256_file(path)

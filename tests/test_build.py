@@ -25,7 +25,7 @@ from datagen.dataset import (
 )
 from datagen.errors import HyalineError
 from datagen.geometry import TRUTH, read_meshes
-from datagen.layers import glass_mask, layers_root, read_layers
+from datagen.layers import Layers, glass_mask, layers_root, read_layers, write_layers
 from datagen.scene import save_scene
 from datagen.verify import verify_dataset
 
@@ -202,6 +202,17 @@ def test_a_full_disk_is_one_line_and_loses_nothing(built: Path, scene_folder: Pa
     assert "Traceback" not in answer.stderr
     subprocess.run(command(scene_folder, out), check=True, capture_output=True)
     assert tree(out) == tree(built)
+
+
+def test_a_view_of_nothing_at_all_has_layers_too(tmp_path: Path) -> None:
+    dataset = write_synthetic_dataset(tmp_path, resolution=8, train_views=2)
+    full = read_layers(dataset, TRUTH, "straight", "train", 0)
+    empty = Layers(uv=0 * full.uv, object_id=0 * full.object_id, depth=0 * full.depth)
+    write_layers(dataset, TRUTH, "straight", "train", 0, empty, overflow_share=0.0)
+    assert not read_layers(dataset, TRUTH, "straight", "train", 0).object_id.any()
+    assert verify_dataset(tmp_path)[1] == []
+    write_layers(dataset, TRUTH, "straight", "train", 0, full, overflow_share=0.0)
+    assert np.array_equal(read_layers(dataset, TRUTH, "straight", "train", 0).uv, full.uv)
 
 
 def test_layers_with_another_number_need_overwrite(tmp_path: Path) -> None:
