@@ -1,10 +1,7 @@
 """Owns the making of a dataset: for every view render, commit, peel, commit; goes on where it was stopped."""
 
 import shutil
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 
@@ -41,9 +38,9 @@ from datagen.layers import (
 from datagen.meshes import write_ply
 from datagen.scene import Scene, is_glass, load_scene, scene_files
 from datagen.storage import commit, one_writer, remove_temporaries, sha256
+from datagen.workers import in_workers
 
 Task = tuple[Split, int]
-Item = TypeVar("Item")
 
 
 def build_dataset(scene: Scene, root: Path, config: DatasetConfig, *, kinds: tuple[LayerKind, ...], num_layers: int,
@@ -65,7 +62,7 @@ def build_dataset(scene: Scene, root: Path, config: DatasetConfig, *, kinds: tup
             from datagen.variant import use_mitsuba
 
             say(f"{root}: renders {len(missing)} of {len(tasks)} views with {use_mitsuba()}")
-            finished = _in_workers(_render_task, missing, workers, _RenderJob, (root,))
+            finished = in_workers(_render_task, missing, workers, _RenderJob, (root,))
             for _ in track(finished, label="render", total=len(tasks), done=done):
                 pass
     peel_dataset(dataset, TRUTH, kinds=kinds, num_layers=num_layers, overwrite=False, workers=workers)
@@ -93,7 +90,7 @@ def peel_dataset(dataset: Dataset, geometry: str, *, kinds: tuple[LayerKind, ...
             missing = [task for task in tasks if not is_view_peeled(dataset, geometry, kind, *task)]
             if missing:
                 arguments = (dataset.root, geometry, kind, num_layers)
-                finished = _in_workers(_peel_task, missing, workers, _PeelJob, arguments)
+                finished = in_workers(_peel_task, missing, workers, _PeelJob, arguments)
                 done = len(tasks) - len(missing)
                 for _ in track(finished, label=f"peel {geometry}", total=len(tasks), done=done):
                     pass
@@ -253,67 +250,3 @@ def _peel_task(job: _PeelJob, task: Task) -> None:
 
 def _all_cameras(dataset: Dataset) -> dict[Split, Cameras]:
     return {split: read_cameras(dataset, split) for split in SPLITS}
-
-
-# Workers
-
-
-def _in_workers(function: Callable[[Item, Task], None], tasks: list[Task], workers: int, make_job: Callable[..., Item],
-                arguments: tuple[object, ...]) -> Iterable[None]:  # fmt: skip
-    """Calls `function` with a job and each task: here, or in spawned processes (a fork would hang torch and Dr.Jit)."""
-    if workers < 1:
-        raise HyalineError(f"workers: is {workers}; expected at least 1")
-    if workers == 1:
-        return _here(function, tasks, make_job, arguments)
-    return _spawned(function, tasks, min(workers, len(tasks)), make_job, arguments)
-
-
-def _here(function: Callable[[Item, Task], None], tasks: list[Task], make_job: Callable[..., Item],
-          arguments: tuple[object, ...]) -> Iterator[None]:  # fmt: skip
-    from datagen.variant import num_cores
-
-    job = make_job(num_cores(), *arguments)
-    for task in tasks:
-        yield function(job, task)
-
-
-def _spawned(function: Callable[[Item, Task], None], tasks: list[Task], workers: int, make_job: Callable[..., Item],
-             arguments: tuple[object, ...]) -> Iterator[None]:  # fmt: skip
-    import multiprocessing
-
-    context = multiprocessing.get_context("spawn")
-    start = (make_job, arguments, workers)
-    with ProcessPoolExecutor(workers, mp_context=context, initializer=_start_worker, initargs=start) as pool:
-        yield from pool.map(_call_worker, [function] * len(tasks), tasks)
-
-
-_job: object = None
-"""The job of this worker process."""
-
-
-def _start_worker(make_job: Callable[..., object], arguments: tuple[object, ...], workers: int) -> None:
-    from datagen.variant import num_cores
-
-    global _job
-    _die_with_parent()
-    _job = make_job(max(1, num_cores() // workers), *arguments)
-
-
-def _call_worker(function: Callable[[object, Task], None], task: Task) -> None:
-    function(_job, task)
-
-
-def _die_with_parent() -> None:
-    """A worker whose parent was killed ends by itself, instead of writing on beside the next run."""
-    import os
-    import threading
-    import time
-
-    parent = os.getppid()
-
-    def watch() -> None:
-        while os.getppid() == parent:
-            time.sleep(0.2)
-        os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()

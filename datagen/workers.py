@@ -1,0 +1,71 @@
+"""Owns worker processes: the same job in each of them, tasks from one list, no orphan when the parent dies."""
+
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from typing import TypeVar
+
+from datagen.errors import HyalineError
+
+Job = TypeVar("Job")
+Task = TypeVar("Task")
+
+
+def in_workers(function: Callable[[Job, Task], None], tasks: list[Task], workers: int, make_job: Callable[..., Job],
+               arguments: tuple[object, ...]) -> Iterable[None]:  # fmt: skip
+    """Calls `function` with a job and each task: here, or in spawned processes (a fork would hang torch and Dr.Jit)."""
+    if workers < 1:
+        raise HyalineError(f"workers: is {workers}; expected at least 1")
+    if workers == 1:
+        return _here(function, tasks, make_job, arguments)
+    return _spawned(function, tasks, min(workers, len(tasks)), make_job, arguments)
+
+
+def _here(function: Callable[[Job, Task], None], tasks: list[Task], make_job: Callable[..., Job],
+          arguments: tuple[object, ...]) -> Iterator[None]:  # fmt: skip
+    from datagen.variant import num_cores
+
+    job = make_job(num_cores(), *arguments)
+    for task in tasks:
+        yield function(job, task)
+
+
+def _spawned(function: Callable[[Job, Task], None], tasks: list[Task], workers: int, make_job: Callable[..., Job],
+             arguments: tuple[object, ...]) -> Iterator[None]:  # fmt: skip
+    import multiprocessing
+
+    context = multiprocessing.get_context("spawn")
+    start = (make_job, arguments, workers)
+    with ProcessPoolExecutor(workers, mp_context=context, initializer=_start_worker, initargs=start) as pool:
+        yield from pool.map(_call_worker, [function] * len(tasks), tasks)
+
+
+_job: object = None
+"""The job of this worker process."""
+
+
+def _start_worker(make_job: Callable[..., object], arguments: tuple[object, ...], workers: int) -> None:
+    from datagen.variant import num_cores
+
+    global _job
+    _die_with_parent()
+    _job = make_job(max(1, num_cores() // workers), *arguments)
+
+
+def _call_worker(function: Callable[[object, object], None], task: object) -> None:
+    function(_job, task)
+
+
+def _die_with_parent() -> None:
+    """A worker whose parent was killed ends by itself, instead of writing on beside the next run."""
+    import os
+    import threading
+    import time
+
+    parent = os.getppid()
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(0.2)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
