@@ -5,53 +5,53 @@ from pathlib import Path
 
 import numpy as np
 
-from datagen.cameras import make_cameras
+from datagen.cameras import make_cameras, subpixel_offsets
 from datagen.command import say, track
 from datagen.dataset import (
     SPLITS,
     TEST_SPLITS,
-    Cameras,
     Dataset,
     DatasetConfig,
     DatasetObject,
-    Split,
-    commit_view,
     config_difference,
     head_files,
     is_view_built,
     noise_ceiling_db,
     open_dataset,
-    read_cameras,
     write_head,
 )
 from datagen.errors import HyalineError
 from datagen.geometry import TRUTH, read_meshes
-from datagen.layers import (
+from datagen.jobs import PeelJob, RenderJob, Task, TraceJob, peel_task, render_task, trace_task
+from datagen.layer_store import (
+    Head,
     LayerKind,
-    create_store,
+    LayersHead,
+    LightPathsHead,
     is_view_peeled,
     layers_root,
     read_layers_head,
     read_layers_record,
-    write_layers,
 )
+from datagen.layers import create_layers
+from datagen.light_path_layers import NUM_BRANCHES, create_light_paths
 from datagen.meshes import write_ply
-from datagen.scene import Scene, is_glass, load_scene, scene_files
+from datagen.scene import Scene, is_glass, scene_files
 from datagen.storage import commit, one_writer, remove_temporaries, sha256
 from datagen.workers import in_workers
 
-Task = tuple[Split, int]
-
 
 def build_dataset(scene: Scene, root: Path, config: DatasetConfig, *, kinds: tuple[LayerKind, ...], num_layers: int,
-                  workers: int, overwrite: bool) -> Dataset:  # fmt: skip
+                  workers: int, overwrite: bool, rays: int = 4) -> Dataset:  # fmt: skip
     """Renders and peels every view that is not there yet.
 
     The bytes depend on scene and configuration alone: not on workers, threads, order, or how often it was stopped.
+    `kinds`, `num_layers` and `rays` are those of `peel_dataset`.
 
     Raises:
         HyalineError: something else stands at `root`, or another process writes there.
     """
+    _check_settings(num_layers=num_layers, rays=rays)
     with one_writer(root):
         remove_temporaries(root)
         dataset = _open_or_start(scene, root, config, overwrite=overwrite)
@@ -62,48 +62,65 @@ def build_dataset(scene: Scene, root: Path, config: DatasetConfig, *, kinds: tup
             from datagen.variant import use_mitsuba
 
             say(f"{root}: renders {len(missing)} of {len(tasks)} views with {use_mitsuba()}")
-            finished = in_workers(_render_task, missing, workers, _RenderJob, (root,))
+            finished = in_workers(render_task, missing, workers, RenderJob, (root,))
             for _ in track(finished, label="render", total=len(tasks), done=done):
                 pass
-    peel_dataset(dataset, TRUTH, kinds=kinds, num_layers=num_layers, overwrite=False, workers=workers)
+    peel_dataset(dataset, TRUTH, kinds=kinds, num_layers=num_layers, rays=rays, overwrite=False, workers=workers)
     return dataset
 
 
 def peel_dataset(dataset: Dataset, geometry: str, *, kinds: tuple[LayerKind, ...], num_layers: int, overwrite: bool,
-                 workers: int = 1) -> None:  # fmt: skip
+                 rays: int = 4, workers: int = 1) -> None:  # fmt: skip
     """Peels every view of a geometry that is not peeled yet.
+
+    Args:
+        num_layers: straight layers kept of each ray, vertices kept of each branch of a light path.
+        rays: light paths of each pixel, a square number.
 
     Raises:
         HyalineError: the geometry does not exist, or was peeled with other settings.
     """
-    if not 1 <= num_layers <= 255:
-        raise HyalineError(f"num_layers: is {num_layers}; expected 1 to 255")
+    _check_settings(num_layers=num_layers, rays=rays)
+    meshes_hash = _geometry_hash(dataset, geometry)
     for kind in kinds:
         root = layers_root(dataset.root, geometry, kind)
-        meshes_hash = _geometry_hash(dataset, geometry)
         with one_writer(root):
             remove_temporaries(root)
-            _open_or_start_layers(
-                dataset, geometry, kind, num_layers=num_layers, meshes_hash=meshes_hash, overwrite=overwrite
+            is_started = not overwrite and _is_started(
+                dataset, geometry, kind, meshes_hash, num_layers=num_layers, rays=rays
             )
             tasks = _tasks(dataset)
-            missing = [task for task in tasks if not is_view_peeled(dataset, geometry, kind, *task)]
+            missing = [task for task in tasks if not (is_started and is_view_peeled(dataset, geometry, kind, *task))]
+            if missing and kind == "light-path":
+                _require_vectorised()
+            if not is_started:
+                shutil.rmtree(root, ignore_errors=True)
+                _start(dataset, geometry, kind, meshes_hash, num_layers=num_layers, rays=rays)
             if missing:
-                arguments = (dataset.root, geometry, kind, num_layers)
-                finished = in_workers(_peel_task, missing, workers, _PeelJob, arguments)
+                arguments = (dataset.root, geometry)
+                if kind == "straight":
+                    finished = in_workers(peel_task, missing, workers, PeelJob, arguments)
+                else:
+                    finished = in_workers(trace_task, missing, workers, TraceJob, arguments)
                 done = len(tasks) - len(missing)
-                for _ in track(finished, label=f"peel {geometry}", total=len(tasks), done=done):
+                for _ in track(finished, label=f"peel {geometry} {kind}", total=len(tasks), done=done):
                     pass
 
 
-def summary(dataset: Dataset, geometry: str, kind: LayerKind) -> str:
-    """What was made, in a few lines: noise ceilings and rays with more hits than layers."""
+def summary(dataset: Dataset, geometry: str, kinds: tuple[LayerKind, ...]) -> str:
+    """What was made, in a few lines: noise ceilings, rays with more hits than layers or vertices."""
     lines = [f"noise ceiling {split}: {noise_ceiling_db(dataset, split):.1f} dB" for split in ("train", *TEST_SPLITS)]
-    head, _ = read_layers_head(dataset, geometry, kind)
-    for split in SPLITS:
-        views = range(dataset.config.split(split).views)
-        shares = [read_layers_record(dataset, geometry, kind, split, view).overflow_share for view in views]
-        lines.append(f"rays with more than {head.num_layers} hits {split}: {100 * float(np.mean(shares)):.2f} %")
+    for kind in kinds:
+        head, _ = read_layers_head(dataset, geometry, kind)
+        match head:
+            case LayersHead():
+                what = f"rays with more than {head.num_layers} hits"
+            case LightPathsHead():
+                what = f"light paths cut off after {head.max_vertices} vertices"
+        for split in SPLITS:
+            views = range(dataset.config.split(split).views)
+            shares = [read_layers_record(dataset, geometry, kind, split, view).overflow_share for view in views]
+            lines.append(f"{what} {split}: {100 * float(np.mean(shares)):.2f} %")
     return "\n".join(lines)
 
 
@@ -156,21 +173,64 @@ def _write_scene(root: Path, files: dict[str, bytes]) -> None:
             commit(place, data)
 
 
-def _open_or_start_layers(dataset: Dataset, geometry: str, kind: LayerKind, *, num_layers: int, meshes_hash: str,
-                          overwrite: bool) -> None:  # fmt: skip
+def _check_settings(*, num_layers: int, rays: int) -> None:
+    if not 1 <= num_layers <= 255:
+        raise HyalineError(f"num_layers: is {num_layers}; expected 1 to 255")
+    subpixel_offsets(rays)
+
+
+def _is_started(dataset: Dataset, geometry: str, kind: LayerKind, meshes_hash: str, *, num_layers: int,
+                rays: int) -> bool:  # fmt: skip
+    """True when a store of these settings stands there; of other ones it is an error."""
     root = layers_root(dataset.root, geometry, kind)
-    if (root / "layers.json").is_file() and not overwrite:
-        head, _ = read_layers_head(dataset, geometry, kind)
-        if head.num_layers != num_layers:
-            raise HyalineError(
-                f"{root}: was peeled into {head.num_layers} layers, not {num_layers}; "
-                f"pass --overwrite, or --num-layers {head.num_layers}"
-            )
-        if head.geometry == meshes_hash:
-            return
+    if not (root / "layers.json").is_file():
+        return False
+    head, _ = read_layers_head(dataset, geometry, kind)
+    if difference := _settings_difference(head, num_layers=num_layers, rays=rays):
+        raise HyalineError(f"{root}: was {difference}")
+    if head.geometry != meshes_hash:
         say(f"{root}: the geometry has changed since it was peeled; peels it again")
-    shutil.rmtree(root, ignore_errors=True)
-    create_store(dataset, geometry, kind, num_layers=num_layers, geometry_hash=meshes_hash)
+    return head.geometry == meshes_hash
+
+
+def _start(dataset: Dataset, geometry: str, kind: LayerKind, meshes_hash: str, *, num_layers: int,
+           rays: int) -> None:  # fmt: skip
+    if kind == "straight":
+        create_layers(dataset, geometry, num_layers=num_layers, geometry_hash=meshes_hash)
+    else:
+        create_light_paths(
+            dataset,
+            geometry,
+            num_branches=NUM_BRANCHES,
+            max_vertices=num_layers,
+            samples=rays,
+            geometry_hash=meshes_hash,
+        )
+
+
+def _require_vectorised() -> None:
+    """Says here what workers would say later, when an empty store has replaced what was there."""
+    from datagen.variant import use_mitsuba
+
+    if use_mitsuba(quiet=True).startswith("scalar"):
+        raise HyalineError(
+            "light paths: Mitsuba runs as scalar_rgb, which cannot trace them; "
+            "`datagen doctor` names the libLLVM to install"
+        )
+
+
+def _settings_difference(head: Head, *, num_layers: int, rays: int) -> str | None:
+    """How a store was made that was not made as asked, and the way out."""
+    match head:
+        case LayersHead(num_layers=stored) if stored != num_layers:
+            return f"peeled into {stored} layers, not {num_layers}; pass --overwrite, or --num-layers {stored}"
+        case LightPathsHead(max_vertices=stored) if stored != num_layers:
+            return f"traced to {stored} vertices, not {num_layers}; pass --overwrite, or --num-layers {stored}"
+        case LightPathsHead(samples=stored) if stored != rays:
+            return f"traced with {stored} rays a pixel, not {rays}; pass --overwrite, or --rays {stored}"
+        case LightPathsHead(num_branches=stored) if stored != NUM_BRANCHES:
+            return f"traced in {stored} branches, which are now {NUM_BRANCHES}; pass --overwrite"
+    return None
 
 
 def _geometry_hash(dataset: Dataset, geometry: str) -> str:
@@ -182,71 +242,3 @@ def _tasks(dataset: Dataset) -> list[Task]:
     views = {split: dataset.config.split(split).views for split in SPLITS}
     tasks: list[Task] = [(split, view) for split in SPLITS for view in range(views[split])]
     return sorted(tasks, key=lambda task: (task[1] + 0.5) / views[task[0]])
-
-
-# One view
-
-
-class _RenderJob:
-    """What a worker keeps between the views that it renders."""
-
-    def __init__(self, threads: int, root: Path) -> None:
-        from datagen.render import Renderer
-        from datagen.variant import use_mitsuba
-
-        self.variant = use_mitsuba(quiet=True, threads=threads)
-        self.dataset = open_dataset(root)
-        self.cameras = _all_cameras(self.dataset)
-        self.renderer = Renderer(load_scene(root / "scene"), max_depth=self.dataset.config.max_depth)
-
-
-def _render_task(job: _RenderJob, task: Task) -> None:
-    from datagen.render import picture_bytes, radiance_bytes, render_view, view_seed
-
-    split, view = task
-    config = job.dataset.config
-    seed = view_seed(config.seed, split, view)
-    truth = render_view(
-        job.renderer,
-        job.cameras[split],
-        view,
-        spp=config.split(split).spp,
-        view_seed=seed,
-        ceiling_db=config.ceiling_db if split in TEST_SPLITS else None,
-    )
-    commit_view(
-        job.dataset,
-        split,
-        view,
-        png=picture_bytes(truth),
-        exr=radiance_bytes(truth),
-        seed=seed,
-        spp=truth.spp,
-        noise_mse=truth.noise_mse,
-        variant=job.variant,
-    )
-
-
-class _PeelJob:
-    """What a worker keeps between the views that it peels."""
-
-    def __init__(self, threads: int, root: Path, geometry: str, kind: LayerKind, num_layers: int) -> None:
-        from datagen.peel import Peeler
-        from datagen.variant import use_mitsuba
-
-        use_mitsuba(quiet=True, threads=threads)
-        self.dataset = open_dataset(root)
-        self.cameras = _all_cameras(self.dataset)
-        self.peeler = Peeler(read_meshes(self.dataset, geometry))
-        self.geometry, self.num_layers = geometry, num_layers
-        self.kind: LayerKind = kind
-
-
-def _peel_task(job: _PeelJob, task: Task) -> None:
-    split, view = task
-    layers, overflow_share = job.peeler.peel(job.cameras[split], view, job.num_layers)
-    write_layers(job.dataset, job.geometry, job.kind, split, view, layers, overflow_share=overflow_share)
-
-
-def _all_cameras(dataset: Dataset) -> dict[Split, Cameras]:
-    return {split: read_cameras(dataset, split) for split in SPLITS}

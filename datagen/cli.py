@@ -6,7 +6,7 @@ from pathlib import Path
 from datagen.command import choose, fail, next_command, run, say
 from datagen.dataset import DATA_ROOT, DatasetConfig, find_dataset, open_dataset
 from datagen.geometry import TRUTH, check_geometry
-from datagen.layers import LayerKind
+from datagen.layer_store import LayerKind
 from datagen.presets import PRESETS, resize
 
 
@@ -21,6 +21,7 @@ def build(
     preset: str = "demo",
     layers: tuple[LayerKind, ...] = ("straight",),
     num_layers: int = 8,
+    rays: int = 4,
     out: Path | None = None,
     seed: int = 0,
     workers: int = 1,
@@ -38,8 +39,10 @@ def build(
     Args:
         scene: A name that `datagen scenes` lists, or a folder with a scene.json.
         preset: tiny, demo, standard or paper.
-        layers: Kinds of layers to peel.
-        num_layers: Layers kept per ray; the share of rays with more is reported.
+        layers: Kinds of layers to peel: straight, light-path (which follows light through the glass) or both.
+        num_layers: Layers kept per ray, vertices kept per branch of a light path; the share of rays with more is
+            reported.
+        rays: light-path: rays per pixel, a square number.
         out: Where the dataset goes; data/SCENE unless given.
         seed: Fixes cameras and noise; the same seed gives the same bytes.
         workers: Processes that render side by side; the bytes do not depend on it.
@@ -77,10 +80,9 @@ def build(
         seed=seed,
     )
     dataset = build_dataset(
-        description, root, config, kinds=layers, num_layers=num_layers, workers=workers, overwrite=overwrite
+        description, root, config, kinds=layers, num_layers=num_layers, rays=rays, workers=workers, overwrite=overwrite
     )
-    for kind in layers:
-        say(summary(dataset, TRUTH, kind))
+    say(summary(dataset, TRUTH, layers))
     print(root)
     where = "" if root == DATA_ROOT / description.name else f" --scene {root}"
     next_command(f"proxies make --kind ellipsoid{where}")
@@ -91,6 +93,7 @@ def peel(
     geometry: str = TRUTH,
     layers: tuple[LayerKind, ...] = ("straight",),
     num_layers: int = 8,
+    rays: int = 4,
     workers: int = 1,
     overwrite: bool = False,
 ) -> None:
@@ -99,8 +102,9 @@ def peel(
     Args:
         dataset: A dataset's folder or its name under data/; the only one there unless given.
         geometry: truth, or a kind of proxy that `proxies make` has made.
-        layers: Kinds of layers to peel.
-        num_layers: Layers kept per ray.
+        layers: Kinds of layers to peel: straight, light-path (which follows light through the glass) or both.
+        num_layers: Layers kept per ray, vertices kept per branch of a light path.
+        rays: light-path: rays per pixel, a square number.
         workers: Processes that peel side by side.
         overwrite: Peel again what is there.
     """
@@ -108,9 +112,8 @@ def peel(
 
     opened = open_dataset(find_dataset(dataset))
     check_geometry(opened, geometry)
-    peel_dataset(opened, geometry, kinds=layers, num_layers=num_layers, overwrite=overwrite, workers=workers)
-    for kind in layers:
-        say(summary(opened, geometry, kind))
+    peel_dataset(opened, geometry, kinds=layers, num_layers=num_layers, rays=rays, overwrite=overwrite, workers=workers)
+    say(summary(opened, geometry, layers))
     print(opened.root)
     suffix = "" if geometry == TRUTH else f" --geometry {geometry}"
     next_command(f"model train --dataset {opened.root} --method paper{suffix}")

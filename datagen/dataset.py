@@ -16,9 +16,10 @@ the camera looks along -z). Pixel (column i, row j) has its centre at (i + 0.5, 
                                          independent halves A and B (so A = RGB + noise, B = RGB - noise)
       records/SPLIT/0000.json            sealed, written last: a view exists only when its record verifies
       layers/straight/                   peeled layers of the true geometry (format: datagen/layers.py)
+      layers/light-path/                 its light paths, when asked for (format: datagen/light_path_layers.py)
       proxies/KIND/proxies.json          sealed: one mesh per object, with SHA-256 and statistics
       proxies/KIND/meshes/NAME.ply
-      proxies/KIND/layers/straight/      peeled layers of the proxies
+      proxies/KIND/layers/...            the same of the proxies
 """
 
 import dataclasses

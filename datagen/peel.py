@@ -17,9 +17,10 @@ from jaxtyping import Float32, Int32
 
 from datagen.cameras import pixel_center_rays
 from datagen.dataset import Cameras
-from datagen.layers import Layers, quantize_uv
+from datagen.layers import Layers
 from datagen.meshes import Mesh
 from datagen.mitsuba_scene import is_scalar, load_geometry_mitsuba
+from datagen.number_formats import quantize_uv
 
 if TYPE_CHECKING:
     import mitsuba as mi

@@ -6,7 +6,7 @@ from pathlib import Path
 from datagen.dataset import SPLITS, Dataset, check_files, head_files, open_dataset, read_record, record_path
 from datagen.errors import HyalineError
 from datagen.geometry import TRUTH, geometry_root, list_geometries, read_proxy_records
-from datagen.layers import LAYER_KINDS, layers_root, read_layers_head, read_layers_record, record_path_of_layers
+from datagen.layer_store import LAYER_KINDS, layers_root, read_layers_head, read_layers_record, record_path_of_layers
 
 
 def verify_dataset(root: Path) -> tuple[int, list[str]]:

@@ -8,7 +8,8 @@ from jaxtyping import Bool, UInt8
 
 from datagen.dataset import TEST_SPLITS, Dataset, Split, noise_ceiling_db, read_image
 from datagen.geometry import TRUTH
-from datagen.layers import glass_mask, layers_root, read_layers
+from datagen.layer_store import layers_root
+from datagen.layers import glass_mask, read_layers
 from eval.metrics import SSIM_WINDOW, delta_e_2000, masked_psnr, mean_of, psnr, psnr_uint8_wrap, ssim
 from eval.runs import Run, has_split, predictions_sha256, read_prediction
 
@@ -117,7 +118,7 @@ def read_truth(dataset: Dataset, split: Split) -> Truth:
     views = range(dataset.config.split(split).views)
     glass = None
     if has_glass_mask(dataset):
-        glass = tuple(glass_mask(dataset, read_layers(dataset, TRUTH, "straight", split, view)) for view in views)
+        glass = tuple(glass_mask(dataset, read_layers(dataset, TRUTH, split, view)) for view in views)
     return Truth(
         images=tuple(read_image(dataset, split, view) for view in views),
         glass=glass,

@@ -11,7 +11,8 @@ from torch import Tensor
 
 from datagen.dataset import Dataset, Split, read_cameras, read_image
 from datagen.errors import HyalineError
-from datagen.layers import UV_SCALE, LayerKind, read_layers
+from datagen.layers import read_layers
+from datagen.number_formats import UV_SCALE
 
 
 class PixelSource(Protocol):
@@ -76,7 +77,7 @@ class Pixels:
         return RayBatch(uv=uv, object_id=self.object_id[index], p_camera=self.p_camera[index // self.pixels_per_view])
 
 
-def load_pixels(dataset: Dataset, geometry: str, kind: LayerKind, split: Split, views: Sequence[int], *,
+def load_pixels(dataset: Dataset, geometry: str, split: Split, views: Sequence[int], *,
                 with_images: bool = True) -> Pixels:  # fmt: skip
     """Reads layers, cameras and (unless told otherwise) images of some views, every byte verified.
 
@@ -88,7 +89,7 @@ def load_pixels(dataset: Dataset, geometry: str, kind: LayerKind, split: Split, 
     p_camera = read_cameras(dataset, split).world_from_camera[list(views), :3, 3].astype(np.float32)
     uv, object_id, rgb = [], [], []
     for view in views:
-        layers = read_layers(dataset, geometry, kind, split, view)
+        layers = read_layers(dataset, geometry, split, view)
         if layers.object_id.max(initial=0) > len(dataset.objects):
             raise HyalineError(
                 f"{dataset.root}: layers of {geometry}, {split} view {view}, name object {layers.object_id.max()}; "

@@ -7,7 +7,7 @@ from typing import Any, Literal
 from torch import nn
 
 from datagen.dataset import Dataset, Split
-from datagen.layers import LayerKind, read_layers_head
+from datagen.layer_store import LayerKind, LayersHead, read_layers_head
 from model.batches import PixelSource, load_pixels
 from model.light_batches import load_light_path_pixels
 from model.light_path_net import LightPathConfig, build_light_path
@@ -52,7 +52,7 @@ def _load_straight(
     views: Sequence[int],
     with_images: bool,
 ) -> PixelSource:
-    return load_pixels(dataset, geometry, "straight", split, views, with_images=with_images)
+    return load_pixels(dataset, geometry, split, views, with_images=with_images)
 
 
 METHODS: dict[str, Method] = {
@@ -84,4 +84,5 @@ def read_layers_of(method: Method, dataset: Dataset, geometry: str) -> tuple[int
     if method.layers is None:
         return 0, dataset.seal
     head, seal = read_layers_head(dataset, geometry, method.layers)
+    assert isinstance(head, LayersHead), "no method looks up light paths"
     return head.num_layers, seal

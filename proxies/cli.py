@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, cast
 from datagen.command import choose, fail, next_command, run, say
 from datagen.dataset import DATA_ROOT, Dataset, find_dataset, list_datasets, open_dataset
 from datagen.errors import HyalineError
-from datagen.layers import LayerKind
+from datagen.layer_store import LayerKind
 
 if TYPE_CHECKING:
     from proxies.make import ProxyKind, ProxyReport
@@ -24,6 +24,7 @@ def make(
     kind: str = "ellipsoid",
     layers: tuple[LayerKind, ...] = ("straight",),
     num_layers: int = 8,
+    rays: int = 4,
     workers: int = 1,
     overwrite: bool = False,
 ) -> None:
@@ -32,8 +33,9 @@ def make(
     Args:
         scene: A dataset's folder or its name under data/; every one there unless given.
         kind: box (oriented, of least volume) or ellipsoid (of least volume).
-        layers: Kinds of layers to peel.
-        num_layers: Layers kept per ray.
+        layers: Kinds of layers to peel: straight, light-path or both.
+        num_layers: Layers kept per ray, vertices kept per branch of a light path.
+        rays: light-path: rays per pixel, a square number.
         workers: Processes that peel side by side.
         overwrite: Make proxies and layers anew where they stand already.
     """
@@ -48,7 +50,9 @@ def make(
         if not is_new:
             say(f"{dataset.root}: keeps its {kind} proxies; --overwrite makes them anew")
         _print_table(dataset, chosen, read_reports(dataset, chosen))
-        peel_dataset(dataset, chosen, kinds=layers, num_layers=num_layers, overwrite=overwrite, workers=workers)
+        peel_dataset(
+            dataset, chosen, kinds=layers, num_layers=num_layers, rays=rays, overwrite=overwrite, workers=workers
+        )
     next_command(f"model train --method paper --geometry {kind} --dataset {datasets[0].root}")
 
 

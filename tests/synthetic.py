@@ -17,8 +17,9 @@ from datagen.dataset import (
     write_head,
 )
 from datagen.geometry import TRUTH
-from datagen.layers import Layers, create_store, quantize_uv, write_layers
+from datagen.layers import Layers, create_layers, write_layers
 from datagen.meshes import Mesh
+from datagen.number_formats import quantize_uv
 from datagen.scene import CameraRig, Diffuse, Scene, SceneObject, SoftEnvironment, ThinDielectric, WalkPoint, save_scene
 
 HEIGHTS = (0.5, 0.0)
@@ -135,7 +136,7 @@ def write_synthetic_dataset(root: Path, *, resolution: int = 32, num_layers: int
     objects = (DatasetObject(name="pane", is_glass=True), DatasetObject(name="floor", is_glass=False))
     files = tuple(path.relative_to(root) for path in sorted((root / "scene").rglob("*")) if path.is_file())
     dataset = write_head(root, config, objects, cameras, files)
-    create_store(dataset, TRUTH, "straight", num_layers=num_layers, geometry_hash="synthetic")
+    create_layers(dataset, TRUTH, num_layers=num_layers, geometry_hash="synthetic")
     for split in SPLITS:
         stored = read_cameras(dataset, split)
         for view in range(config.split(split).views):
@@ -144,5 +145,5 @@ def write_synthetic_dataset(root: Path, *, resolution: int = 32, num_layers: int
             commit_view(
                 dataset, split, view, png=png, exr=b"not rendered", seed=0, spp=4, noise_mse=1e-5, variant="none"
             )
-            write_layers(dataset, TRUTH, "straight", split, view, layers, overflow_share=0.0)
+            write_layers(dataset, TRUTH, split, view, layers, overflow_share=0.0)
     return dataset

@@ -24,7 +24,7 @@ HOMES = {
     "skimage": {"eval"},
     "colour": {"eval"},
     "xatlas": {"datagen/atlas.py"},
-    "zarr": {"datagen/layers.py"},
+    "zarr": {"datagen/layer_store.py"},
 }
 
 
@@ -63,7 +63,10 @@ def loaded_after(statement: str) -> set[str]:
     return set(answer.stdout.split())
 
 
-@pytest.mark.parametrize("module", ["datagen.dataset", "datagen.layers", "datagen.scene", "datagen.meshes"])
+@pytest.mark.parametrize(
+    "module",
+    ["datagen.dataset", "datagen.layers", "datagen.light_path_layers", "datagen.scene", "datagen.meshes"],
+)
 def test_the_contract_imports_without_heavy_packages(module: str) -> None:
     heavy = {"mitsuba", "drjit", "torch", "trimesh", "pymeshlab", "xatlas", "zarr", "scipy", "skimage"}
     assert not loaded_after(f"import {module}") & heavy

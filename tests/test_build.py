@@ -25,7 +25,8 @@ from datagen.dataset import (
 )
 from datagen.errors import HyalineError
 from datagen.geometry import TRUTH, read_meshes
-from datagen.layers import Layers, glass_mask, layers_root, read_layers, write_layers
+from datagen.layer_store import layers_root
+from datagen.layers import Layers, glass_mask, read_layers, write_layers
 from datagen.scene import save_scene
 from datagen.verify import verify_dataset
 
@@ -64,7 +65,7 @@ def test_a_built_dataset_holds_what_its_readers_promise(built: Path) -> None:
         assert read_image(dataset, split, 0).shape == (16, 16, 3)
         assert read_record(dataset, split, 0).spp == 8
         assert 15 < noise_ceiling_db(dataset, split) < 80
-    layers = read_layers(dataset, TRUTH, "straight", "train", 0)
+    layers = read_layers(dataset, TRUTH, "train", 0)
     assert layers.uv.shape == (4, 16, 16, 2)
     assert set(np.unique(layers.object_id)) == {0, 1, 2}
     mask = glass_mask(dataset, layers)
@@ -206,13 +207,13 @@ def test_a_full_disk_is_one_line_and_loses_nothing(built: Path, scene_folder: Pa
 
 def test_a_view_of_nothing_at_all_has_layers_too(tmp_path: Path) -> None:
     dataset = write_synthetic_dataset(tmp_path, resolution=8, train_views=2)
-    full = read_layers(dataset, TRUTH, "straight", "train", 0)
+    full = read_layers(dataset, TRUTH, "train", 0)
     empty = Layers(uv=0 * full.uv, object_id=0 * full.object_id, depth=0 * full.depth)
-    write_layers(dataset, TRUTH, "straight", "train", 0, empty, overflow_share=0.0)
-    assert not read_layers(dataset, TRUTH, "straight", "train", 0).object_id.any()
+    write_layers(dataset, TRUTH, "train", 0, empty, overflow_share=0.0)
+    assert not read_layers(dataset, TRUTH, "train", 0).object_id.any()
     assert verify_dataset(tmp_path)[1] == []
-    write_layers(dataset, TRUTH, "straight", "train", 0, full, overflow_share=0.0)
-    assert np.array_equal(read_layers(dataset, TRUTH, "straight", "train", 0).uv, full.uv)
+    write_layers(dataset, TRUTH, "train", 0, full, overflow_share=0.0)
+    assert np.array_equal(read_layers(dataset, TRUTH, "train", 0).uv, full.uv)
 
 
 def test_layers_with_another_number_need_overwrite(tmp_path: Path) -> None:
@@ -220,7 +221,7 @@ def test_layers_with_another_number_need_overwrite(tmp_path: Path) -> None:
     with pytest.raises(HyalineError, match=r"peeled into 4 layers, not 6; pass --overwrite, or --num-layers 4"):
         _peel(dataset, 6, overwrite=False, geometry_hash_of_files=True)
     _peel(dataset, 6, overwrite=True)
-    assert read_layers(dataset, TRUTH, "straight", "train", 0).uv.shape[0] == 6
+    assert read_layers(dataset, TRUTH, "train", 0).uv.shape[0] == 6
 
 
 def _peel(dataset, num_layers: int, *, overwrite: bool, geometry_hash_of_files: bool = False) -> None:
@@ -229,10 +230,10 @@ def _peel(dataset, num_layers: int, *, overwrite: bool, geometry_hash_of_files: 
 
 def test_peeling_equals_the_closed_formula_on_the_whole_dataset(tmp_path: Path) -> None:
     dataset = write_synthetic_dataset(tmp_path, resolution=16, train_views=2)
-    expected = [read_layers(dataset, TRUTH, "straight", "train", view) for view in range(2)]
+    expected = [read_layers(dataset, TRUTH, "train", view) for view in range(2)]
     _peel(dataset, 4, overwrite=True)
     for view, layers in enumerate(expected):
-        peeled = read_layers(dataset, TRUTH, "straight", "train", view)
+        peeled = read_layers(dataset, TRUTH, "train", view)
         assert np.array_equal(peeled.object_id, layers.object_id)
         assert np.abs(peeled.uv.astype(int) - layers.uv).max() <= 1
         assert np.abs(peeled.depth - layers.depth).max() < 1e-4

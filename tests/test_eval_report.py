@@ -110,7 +110,7 @@ def test_csv_holds_every_runs_scores(made: Path, tmp_path: Path, capsys: pytest.
     dataset = open_dataset(made / "data" / "synthetic")
     for split in TEST_SPLITS:
         truths = [read_image(dataset, split, view) for view in range(2)]
-        masks = [glass_mask(dataset, read_layers(dataset, TRUTH, "straight", split, view)) for view in range(2)]
+        masks = [glass_mask(dataset, read_layers(dataset, TRUTH, split, view)) for view in range(2)]
         errors = [(truth.astype(float) - 128) ** 2 for truth in truths]
         whole = [10 * math.log10(255**2 / error.mean()) for error in errors]
         glass = [10 * math.log10(255**2 / error[mask].mean()) for error, mask in zip(errors, masks, strict=True)]

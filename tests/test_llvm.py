@@ -82,7 +82,7 @@ def test_the_scalar_variant_builds_a_dataset_of_the_same_scene(tmp_path: Path) -
     slow, fast = (open_dataset(root) for root in roots.values())
     assert read_record(slow, "train", 0).variant == "scalar_rgb"
     for split in SPLITS:
-        one, other = (read_layers(dataset, TRUTH, "straight", split, 0) for dataset in (slow, fast))
+        one, other = (read_layers(dataset, TRUTH, split, 0) for dataset in (slow, fast))
         assert (one.object_id != other.object_id).mean() < 0.005
         difference = read_image(slow, split, 0).astype(int) - read_image(fast, split, 0)
         assert abs(difference.mean()) < 3

@@ -65,7 +65,7 @@ def test_one_ray_a_pixel_goes_through_its_centre_and_meets_the_straight_layers(d
     pixels = pixels_of(dataset, render_samples=1)
     paths = pixels.take(torch.arange(len(pixels.rgb)), None)
     for place, view in enumerate((2, 5)):
-        layers = read_layers(dataset, TRUTH, "straight", "train", view)
+        layers = read_layers(dataset, TRUTH, "train", view)
         here = slice(place * 1024, (place + 1) * 1024)
         assert np.array_equal(paths.object_id[here, 0, :4].numpy().T.reshape(4, 32, 32), layers.object_id)
         uv = paths.uv[here, 0, :4].numpy().transpose(1, 0, 2).reshape(4, 32, 32, 2)

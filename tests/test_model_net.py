@@ -84,7 +84,7 @@ def test_spherical_harmonics_equal_scipy() -> None:
 
 def test_view_vectors_point_back_along_the_pixels_rays(tmp_path: Path) -> None:
     dataset = write_synthetic_dataset(tmp_path / "data")
-    pixels = load_pixels(dataset, "truth", "straight", "train", [3, 5])
+    pixels = load_pixels(dataset, "truth", "train", [3, 5])
     rays = pixels.take(torch.arange(len(pixels.rgb)), None)
     positions = bake_position_table(dataset, "truth", 128)
     view = ExtrinsicInputs("view", positions, num_objects=2, size=128)(rays.uv, rays.object_id, rays.p_camera)
@@ -101,7 +101,7 @@ def test_view_vectors_point_back_along_the_pixels_rays(tmp_path: Path) -> None:
 
 def test_an_inserted_layer_is_empty_and_keeps_the_others_in_order(tmp_path: Path) -> None:
     dataset = write_synthetic_dataset(tmp_path / "data", num_layers=3)
-    rays = load_pixels(dataset, "truth", "straight", "train", [0]).take(torch.arange(400, 404), None)
+    rays = load_pixels(dataset, "truth", "train", [0]).take(torch.arange(400, 404), None)
     place = torch.tensor([0, 1, 2, 3])
     more = insert_empty_layer(rays, place)
     for ray in range(4):
@@ -113,7 +113,7 @@ def test_an_inserted_layer_is_empty_and_keeps_the_others_in_order(tmp_path: Path
 
 def test_the_zero_layer_comes_last_at_test_and_anywhere_in_training(tmp_path: Path) -> None:
     dataset = write_synthetic_dataset(tmp_path / "data", num_layers=3)
-    rays = load_pixels(dataset, "truth", "straight", "train", [0]).take(torch.arange(1024), None)
+    rays = load_pixels(dataset, "truth", "train", [0]).take(torch.arange(1024), None)
     config = PaperConfig(width=16, extrinsics="none", texture_size=16, zero_layer=True)
     renderer = PaperRenderer(config, num_layers=3, num_objects=2, positions=None).eval()
     torch.nn.init.normal_(renderer.textures.table)  # Fresh textures are zeros.
@@ -131,10 +131,10 @@ def test_stored_uv_and_colors_come_back_exactly(tmp_path: Path) -> None:
     from model.batches import take_colors
 
     dataset = write_synthetic_dataset(tmp_path / "data")
-    pixels = load_pixels(dataset, "truth", "straight", "train", [1, 6])
+    pixels = load_pixels(dataset, "truth", "train", [1, 6])
     row, column = 20, 9
     index = torch.tensor([1024 + row * 32 + column])  # In the second of the two views.
-    layers = read_layers(dataset, "truth", "straight", "train", 6)
+    layers = read_layers(dataset, "truth", "train", 6)
     rays = pixels.take(index, None)
     np.testing.assert_array_equal(rays.object_id[0].numpy(), layers.object_id[:, row, column])
     np.testing.assert_allclose(rays.uv[0].numpy(), layers.uv[:, row, column] / 65535, atol=1e-7)

@@ -11,8 +11,8 @@ from test_cameras import RIG, config
 from test_meshes import mesh_of
 
 from datagen.cameras import make_cameras, pixel_center_rays
-from datagen.layers import quantize_uv, round_depth
 from datagen.meshes import Mesh
+from datagen.number_formats import quantize_uv, round_mantissa
 from datagen.scenes import SCENES, make_scene
 from datagen.variant import use_mitsuba
 
@@ -188,4 +188,4 @@ def test_a_quantised_uv_is_within_half_a_step_and_depth_within_its_bits() -> Non
     uv = rng.random((2, 9, 9, 2)).astype(np.float32)
     assert np.abs(quantize_uv(uv) / 65535 - uv).max() <= 0.51 / 65535
     depth = rng.uniform(0.01, 100, 10_000).astype(np.float32)
-    assert np.abs(round_depth(depth) / depth - 1).max() < 1.001 * 2**-17
+    assert np.abs(round_mantissa(depth) / depth - 1).max() < 1.001 * 2**-17

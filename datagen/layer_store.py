@@ -1,0 +1,207 @@
+"""Owns how layers of any kind lie on disk: a zarr store of arrays, its sealed head, a sealed record for each view.
+
+    LAYERS/layers.json                   sealed: version, kind, geometry, settings, SHA-256 of the store's metadata
+    LAYERS/peels.zarr/SPLIT/ARRAY        (view, ...): a kind's arrays are listed in its own file
+    LAYERS/records/SPLIT/0000.json       sealed, written last: SHA-256 of the view's shards, one for each array
+
+LAYERS is layers/KIND of a geometry. One shard a view and array, blosc zstd-5 with byte shuffle: standard zarr v3 codecs
+only.
+"""
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, cast
+
+import numpy as np
+
+from datagen.dataset import SPLITS, Dataset, Split, check_files, view_name
+from datagen.errors import HyalineError
+from datagen.geometry import geometry_root
+from datagen.records import Json, from_json, to_json
+from datagen.storage import SEAL, commit_sealed, load_json, load_sealed, sha256_file
+
+LAYERS_VERSION = 1
+STORE = "peels.zarr"
+
+LayerKind = Literal["straight", "light-path"]
+LAYER_KINDS: tuple[LayerKind, ...] = ("straight", "light-path")
+
+
+@dataclass(frozen=True, kw_only=True)
+class LayersHead:
+    """What a store of straight layers holds."""
+
+    version: int
+    kind: Literal["straight"]
+    geometry: str
+    """Hash over the meshes that were peeled."""
+    num_layers: int
+    files: dict[str, str]
+    """SHA-256 of the zarr metadata, by path relative to the store."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LightPathsHead:
+    """What a store of light paths holds."""
+
+    version: int
+    kind: Literal["light-path"]
+    geometry: str
+    """Hash over the meshes that were traced."""
+    num_branches: int
+    max_vertices: int
+    """Vertices kept of each branch."""
+    samples: int
+    """Rays per pixel, a square number."""
+    files: dict[str, str]
+    """SHA-256 of the zarr metadata, by path relative to the store."""
+
+
+Head = LayersHead | LightPathsHead
+
+
+@dataclass(frozen=True, kw_only=True)
+class LayersRecord:
+    """One peeled view."""
+
+    layers: str
+    """The seal of the store's head."""
+    split: Split
+    view: int
+    overflow_share: float
+    """Share of the rays that were cut off: more hits than layers, or a branch with more vertices than are kept."""
+    files: dict[str, str]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ArrayFormat:
+    """What an array holds for each view."""
+
+    dtype: str
+    axes: tuple[str, ...]
+    shape: tuple[int, ...]
+    chunk: tuple[int, ...]
+    """Shape of the pieces that are compressed one by one."""
+
+
+def layers_root(root: Path, geometry: str, kind: LayerKind) -> Path:
+    return geometry_root(root, geometry) / "layers" / kind
+
+
+def record_path_of_layers(root: Path, split: Split, view: int) -> Path:
+    return root / "records" / split / f"{view_name(view)}.json"
+
+
+def create_store(dataset: Dataset, geometry: str, head: Head, arrays: Mapping[str, ArrayFormat]) -> None:
+    """Lays out an empty store: zarr metadata first, the head (whose `files` are filled in) last."""
+    import zarr
+    from zarr.codecs import BloscCodec
+
+    root = layers_root(dataset.root, geometry, head.kind)
+    compressor = BloscCodec(cname="zstd", clevel=5, shuffle="shuffle")
+    store = zarr.open_group(root / STORE, mode="w", zarr_format=3)
+    for split in SPLITS:
+        views = dataset.config.split(split).views
+        group = store.create_group(split)
+        for name, array in arrays.items():
+            group.create_array(
+                name,
+                shape=(views, *array.shape),
+                chunks=(1, *array.chunk),
+                shards=(1, *array.shape),
+                dtype=array.dtype,
+                compressors=compressor,
+                dimension_names=("view", *array.axes),
+            )
+    metadata = sorted((root / STORE).rglob("zarr.json"))
+    files = {path.relative_to(root).as_posix(): sha256_file(path) for path in metadata}
+    commit_sealed(root / "layers.json", cast(dict[str, Json], to_json(dataclasses.replace(head, files=files))))
+
+
+def read_layers_head(dataset: Dataset, geometry: str, kind: LayerKind) -> tuple[Head, str]:
+    """The head of a store and its seal.
+
+    Raises:
+        HyalineError: the geometry was not peeled, or the head is damaged or of another kind.
+    """
+    path = layers_root(dataset.root, geometry, kind) / "layers.json"
+    if not path.is_file():
+        raise HyalineError(
+            f"{path}: {geometry} has no {kind} layers; make them with `{_peel_command(dataset, geometry, kind)}`"
+        )
+    content = load_sealed(path)
+    if content.get("version") != LAYERS_VERSION:
+        raise HyalineError(f"{path}: format version {content.get('version')!r}; this program reads {LAYERS_VERSION}")
+    classes: dict[LayerKind, type[Head]] = {"straight": LayersHead, "light-path": LightPathsHead}
+    return from_json(classes[kind], cast(Json, content), where=str(path)), cast(str, load_json(path)[SEAL])
+
+
+def write_view(dataset: Dataset, geometry: str, kind: LayerKind, split: Split, view: int,
+               values: Mapping[str, np.ndarray], *, overflow_share: float) -> None:  # fmt: skip
+    """Commits one view's arrays: their shards, then the record."""
+    import zarr
+
+    root = layers_root(dataset.root, geometry, kind)
+    _, seal = read_layers_head(dataset, geometry, kind)
+    group = zarr.open_group(root / STORE / split, mode="r+")
+    files = {}
+    for name, value in values.items():
+        # Chunks of zeros are left out of a shard. A shard of nothing else must still be there, or no record could
+        # promise it. zarr 3.1 keeps the option in the array as it is opened, not in the store.
+        with zarr.config.set({"array.write_empty_chunks": not value.any()}):
+            array = cast(zarr.Array, group[name])
+        array[view] = value
+        path = root.joinpath(STORE, split, name, "c", str(view), *("0",) * (array.ndim - 1))
+        files[path.relative_to(root).as_posix()] = sha256_file(path)
+    record = LayersRecord(layers=seal, split=split, view=view, overflow_share=overflow_share, files=files)
+    commit_sealed(record_path_of_layers(root, split, view), cast(dict[str, Json], to_json(record)))
+
+
+def read_layers_record(dataset: Dataset, geometry: str, kind: LayerKind, split: Split, view: int) -> LayersRecord:
+    """The record of one peeled view.
+
+    Raises:
+        HyalineError: not peeled, damaged, or of another store.
+    """
+    root = layers_root(dataset.root, geometry, kind)
+    _, seal = read_layers_head(dataset, geometry, kind)
+    path = record_path_of_layers(root, split, view)
+    if not path.is_file():
+        raise HyalineError(
+            f"{path}: the view is not peeled yet; finish with `{_peel_command(dataset, geometry, kind)}`"
+        )
+    record = from_json(LayersRecord, cast(Json, load_sealed(path)), where=str(path))
+    if (record.layers, record.split, record.view) != (seal, split, view):
+        raise HyalineError(f"{path}: belongs to {record.split} view {record.view} of other layers; peel it again")
+    return record
+
+
+def read_view(dataset: Dataset, geometry: str, kind: LayerKind, split: Split, view: int) -> dict[str, np.ndarray]:
+    """One view's arrays by name, every byte verified."""
+    import zarr
+
+    root = layers_root(dataset.root, geometry, kind)
+    head, _ = read_layers_head(dataset, geometry, kind)
+    metadata = {key: value for key, value in head.files.items() if f"/{split}/" in key}
+    shards = read_layers_record(dataset, geometry, kind, split, view).files
+    check_files(root, metadata | shards)
+    group = zarr.open_group(root / STORE / split, mode="r")
+    names = [Path(path).parts[2] for path in shards]
+    return {name: np.asarray(cast(zarr.Array, group[name])[view]) for name in names}
+
+
+def is_view_peeled(dataset: Dataset, geometry: str, kind: LayerKind, split: Split, view: int) -> bool:
+    """True when the view's record and shards verify."""
+    try:
+        files = read_layers_record(dataset, geometry, kind, split, view).files
+        check_files(layers_root(dataset.root, geometry, kind), files)
+    except HyalineError:
+        return False
+    return True
+
+
+def _peel_command(dataset: Dataset, geometry: str, kind: LayerKind) -> str:
+    flags = "" if kind == "straight" else f" --layers {kind}"
+    return f"datagen peel --dataset {dataset.root} --geometry {geometry}{flags}"
