@@ -3,6 +3,8 @@
 scene/meshes/NAME.ply              the truth
 proxies/KIND/proxies.json          sealed: one mesh per object, with SHA-256 and statistics
 proxies/KIND/meshes/NAME.ply
+
+KIND is a geometry's name: a kind of proxy such as box, or a kind and its amount such as noise-0.01.
 """
 
 import difflib
@@ -25,7 +27,10 @@ class ProxyStatistics:
     """How far one proxy is from its object."""
 
     volume_ratio: float
-    """Volume of the proxy over the volume of the object's convex hull (>= 1 for a conservative convex proxy)."""
+    """Volume of the proxy over the volume of the object's convex hull (>= 1 for a conservative convex proxy).
+
+    Where boxes of `blocks` overlap, they count twice. Of an open mesh with noise, the volume means nothing.
+    """
     mean_distance: float
     """Mean distance in metres from points on the proxy to the object's surface."""
     max_distance: float
@@ -73,18 +78,20 @@ def read_proxy_records(dataset: Dataset, kind: str) -> tuple[ProxyRecord, ...]:
     """
     path = geometry_root(dataset.root, kind) / "proxies.json"
     if not path.is_file():
-        raise HyalineError(
-            f"{path}: no {kind} proxies; make them with `proxies make --scene {dataset.name} --kind {kind}`"
-        )
+        raise HyalineError(f"{path}: no {kind} proxies; make them with `{_make_command(dataset, kind)}`")
     content = load_sealed(path)
     if content.get("version") != DATASET_VERSION:
         raise HyalineError(f"{path}: format version {content.get('version')!r}; this program reads {DATASET_VERSION}")
     if content.get("dataset") != dataset.seal:
         raise HyalineError(
-            f"{path}: made for another dataset; make them again with "
-            f"`proxies make --scene {dataset.name} --kind {kind} --overwrite`"
+            f"{path}: made for another dataset; make them again with `{_make_command(dataset, kind)} --overwrite`"
         )
     return from_json(tuple[ProxyRecord, ...], content["proxies"], where=f"{path}: proxies")
+
+
+def _make_command(dataset: Dataset, geometry: str) -> str:
+    kind, _, amount = geometry.partition("-")
+    return f"proxies make --scene {dataset.name} --kind {kind}" + (f" --amount {amount}" if amount else "")
 
 
 def list_geometries(dataset: Dataset) -> list[str]:

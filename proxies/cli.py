@@ -10,7 +10,10 @@ from datagen.errors import HyalineError
 from datagen.layer_store import LayerKind
 
 if TYPE_CHECKING:
-    from proxies.make import ProxyKind, ProxyReport
+    from proxies.make import ProxyReport, ProxySpec
+
+AMOUNT = 0.01
+"""Of `--kind noise` where none is given."""
 
 
 def main() -> None:
@@ -22,6 +25,7 @@ def main() -> None:
 def make(
     scene: str | None = None,
     kind: str = "ellipsoid",
+    amount: float | None = None,
     layers: tuple[LayerKind, ...] = ("straight",),
     num_layers: int = 8,
     rays: int = 4,
@@ -32,7 +36,11 @@ def make(
 
     Args:
         scene: A dataset's folder or its name under data/; every one there unless given.
-        kind: box (oriented, of least volume) or ellipsoid (of least volume).
+        kind: box (oriented, of least volume), ellipsoid (of least volume), hull (convex, its edges rounded), blocks (up
+            to 8 boxes), wrap (shrink-wrapped, follows hollows), lowpoly (few triangles, follows hollows) or noise (the
+            true surface displaced at random, which encloses nothing).
+        amount: Standard deviation of the noise in parts of each object's diagonal, 0.001 to 0.05; 0.01 unless given.
+            Each amount is a geometry of its own, such as noise-0.01.
         layers: Kinds of layers to peel: straight, light-path or both.
         num_layers: Layers kept per ray, vertices kept per branch of a light path.
         rays: light-path: rays per pixel, a square number.
@@ -41,48 +49,56 @@ def make(
     """
     from proxies.make import make_proxies, read_reports
 
-    chosen = _kind(kind)
+    spec = _spec(kind, amount)
     datasets = _datasets(scene)
     for dataset in datasets:
         from datagen.build import peel_dataset
 
-        is_new = make_proxies(dataset, chosen, overwrite=overwrite)
+        is_new = make_proxies(dataset, spec, overwrite=overwrite)
         if not is_new:
-            say(f"{dataset.root}: keeps its {kind} proxies; --overwrite makes them anew")
-        _print_table(dataset, chosen, read_reports(dataset, chosen))
+            say(f"{dataset.root}: keeps its {spec.geometry} proxies; --overwrite makes them anew")
+        _print_table(dataset, spec.geometry, read_reports(dataset, spec))
         peel_dataset(
-            dataset, chosen, kinds=layers, num_layers=num_layers, rays=rays, overwrite=overwrite, workers=workers
+            dataset,
+            spec.geometry,
+            kinds=layers,
+            num_layers=num_layers,
+            rays=rays,
+            overwrite=overwrite,
+            workers=workers,
         )
-    next_command(f"model train --method paper --geometry {kind} --dataset {datasets[0].root}")
+    next_command(f"model train --method paper --geometry {spec.geometry} --dataset {datasets[0].root}")
 
 
-def check(scene: str | None = None, kind: str = "ellipsoid") -> None:
-    """Verifies the proxies on disk: closed, outward, around every vertex, texels for every face.
+def check(scene: str | None = None, kind: str = "ellipsoid", amount: float | None = None) -> None:
+    """Verifies the proxies on disk: closed, outward, around the object, texels for every face.
 
     Args:
         scene: A dataset's folder or its name under data/; every one there unless given.
-        kind: box or ellipsoid.
+        kind: box, ellipsoid, hull, blocks, wrap, lowpoly or noise, which must only have the object's faces and uv.
+        amount: Of the noise, 0.01 unless given.
     """
     from proxies.make import read_reports
 
-    chosen = _kind(kind)
+    spec = _spec(kind, amount)
     problems = []
     for dataset in _datasets(scene):
-        reports = read_reports(dataset, chosen)
-        _print_table(dataset, chosen, reports)
+        reports = read_reports(dataset, spec)
+        _print_table(dataset, spec.geometry, reports)
         problems += [
-            f"{dataset.root}: the {kind} of {report.object} {report.enclosure.problem}"
+            f"{dataset.root}: the {spec.geometry} of {report.object} {report.problem}"
             for report in reports
-            if report.enclosure.problem
+            if report.problem
         ]
     if problems:
         fail(f"{problems[0]}; {len(problems)} of the proxies are unsound, make them again with --overwrite")
 
 
-def _kind(kind: str) -> "ProxyKind":
-    from proxies.make import FITTERS
+def _spec(kind: str, amount: float | None) -> "ProxySpec":
+    from proxies.make import KINDS, ProxyKind, ProxySpec
 
-    return cast("ProxyKind", choose("kind", kind, FITTERS))
+    chosen = cast("ProxyKind", choose("kind", kind, KINDS))
+    return ProxySpec(kind=chosen, amount=AMOUNT if chosen == "noise" and amount is None else amount)
 
 
 def _datasets(scene: str | None) -> list[Dataset]:
@@ -92,12 +108,12 @@ def _datasets(scene: str | None) -> list[Dataset]:
     return [open_dataset(Path(root)) for root in roots]
 
 
-def _print_table(dataset: Dataset, kind: str, reports: "tuple[ProxyReport, ...]") -> None:
+def _print_table(dataset: Dataset, geometry: str, reports: "tuple[ProxyReport, ...]") -> None:
     from rich.box import SIMPLE_HEAD
     from rich.console import Console
     from rich.table import Table
 
-    table = Table(title=f"{kind} proxies of {dataset.root}", box=SIMPLE_HEAD, title_justify="left")
+    table = Table(title=f"{geometry} proxies of {dataset.root}", box=SIMPLE_HEAD, title_justify="left")
     table.add_column("object", no_wrap=True)
     for name in ("triangles", "volume / hull", "mean distance", "max distance", "inside"):
         table.add_column(name, justify="right", no_wrap=True)
@@ -109,7 +125,7 @@ def _print_table(dataset: Dataset, kind: str, reports: "tuple[ProxyReport, ...]"
             f"{numbers.volume_ratio:.3f}",
             f"{1000 * numbers.mean_distance:.2f} mm",
             f"{1000 * numbers.max_distance:.2f} mm",
-            f"{100 * report.enclosure.inside_share:.4g} %",
+            "-" if report.inside_share is None else f"{100 * report.inside_share:.4g} %",
         )
     console = Console()
     # In a pipe there is no width to fit; cut-off names would be of no use there.

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -12,19 +12,66 @@ from datagen.errors import HyalineError
 from datagen.geometry import TRUTH, ProxyStatistics, geometry_root, read_meshes, read_proxy_records, write_proxies
 from datagen.meshes import Mesh
 from datagen.storage import load_sealed, one_writer, remove_temporaries
+from proxies.blocks import fit_blocks
 from proxies.box import fit_box
 from proxies.ellipsoid import fit_ellipsoid
-from proxies.measure import Enclosure, enclosure, proxy_statistics
+from proxies.hull import fit_hulls
+from proxies.measure import enclosure, proxy_statistics
 from proxies.meshlab import meshlab_problem
+from proxies.noise import check_amount, noise_problem, noisy_meshes
 from proxies.solid import Solid, make_solids
+from proxies.wrap import fit_lowpolys, fit_wraps
 
-ProxyKind = Literal["box", "ellipsoid"]
+ProxyKind = Literal["box", "ellipsoid", "hull", "lowpoly", "wrap", "blocks", "noise"]
 
-FITTERS: dict[ProxyKind, Callable[..., Mesh]] = {"box": fit_box, "ellipsoid": fit_ellipsoid}
-"""`FITTERS[kind](solid, padding=metres)` is a closed, outward mesh with a uv of its own for every surface point."""
+KINDS: tuple[ProxyKind, ...] = get_args(ProxyKind)
+
+Fitter = Callable[[tuple[Solid, ...], tuple[float, ...]], tuple[Mesh, ...]]
+
+
+def _one_by_one(fit: Callable[..., Mesh]) -> Fitter:
+    return lambda solids, paddings: tuple(
+        fit(solid, padding=padding) for solid, padding in zip(solids, paddings, strict=True)
+    )
+
+
+FITTERS: dict[ProxyKind, Fitter] = {
+    "box": _one_by_one(fit_box),
+    "ellipsoid": _one_by_one(fit_ellipsoid),
+    "hull": fit_hulls,
+    "lowpoly": fit_lowpolys,
+    "wrap": fit_wraps,
+    "blocks": fit_blocks,
+}
+"""`FITTERS[kind](solids, paddings)` are closed, outward meshes with a uv of its own for every surface point.
+
+Each encloses its solid and stands off by its padding in metres. All at once, since what calls another program for all
+of them starts it once. Every kind but `noise`, which encloses nothing.
+"""
 
 PADDING = 2e-6
 """Step between the paddings of two proxies, in parts of the scene's extent."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProxySpec:
+    """Which proxies to make."""
+
+    kind: ProxyKind
+    amount: float | None = None
+    """Of `noise` only, and needed there: the standard deviation, in parts of each object's bounding-box diagonal."""
+
+    def __post_init__(self) -> None:
+        if self.kind == "noise":
+            assert self.amount is not None
+            check_amount(self.amount)
+        elif self.amount is not None:
+            raise HyalineError(f"amount {self.amount:g}: a {self.kind} has no noise; it goes with `--kind noise`")
+
+    @property
+    def geometry(self) -> str:
+        """The name under which the dataset keeps them, such as `box` or `noise-0.01`: amounts stand side by side."""
+        return self.kind if self.amount is None else f"{self.kind}-{self.amount:g}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,39 +81,44 @@ class ProxyReport:
     object: str
     triangles: int
     statistics: ProxyStatistics
-    enclosure: Enclosure
+    inside_share: float | None
+    """Share of the object's vertices inside the proxy; None of a noisy mesh, which need not enclose anything."""
+    problem: str | None
+    """What is wrong with the proxy, in a few words."""
 
 
-def make_proxies(dataset: Dataset, kind: ProxyKind, *, overwrite: bool) -> bool:
+def make_proxies(dataset: Dataset, spec: ProxySpec, *, overwrite: bool) -> bool:
     """Fits a proxy to every object and commits them; keeps those that stand there and verify.
 
     Returns:
         True when they were made, False when they were kept.
 
     Raises:
-        HyalineError: a damaged scene, proxies of another dataset, or another process that writes there.
+        HyalineError: a damaged scene, proxies of another dataset, another process that writes there, or an object for
+            which proxies of this kind cannot be made.
     """
-    root = geometry_root(dataset.root, kind)
+    root = geometry_root(dataset.root, spec.geometry)
     truths = read_meshes(dataset, TRUTH)
     with one_writer(root):
         remove_temporaries(root)
-        if not overwrite and _stand(dataset, kind):
+        if not overwrite and _stand(dataset, spec.geometry):
             return False
         if (problem := meshlab_problem()) is not None:
             say(f"{problem}; SciPy and NumPy do its work")
         solids = make_solids(truths)
-        meshes = fit_proxies(solids, kind)
+        meshes = fit_proxies(solids, spec.kind) if spec.amount is None else noisy_meshes(truths, spec.amount)
         for item, mesh, truth in zip(dataset.objects, meshes, truths, strict=True):
-            problem = enclosure(mesh, truth).problem
-            assert problem is None, f"{kind} of {item.name} {problem}"
-        write_proxies(dataset, kind, meshes, proxy_statistics(meshes, truths, solids))
+            _, problem = _soundness(spec.kind, mesh, truth)
+            # Not only our own work: pymeshlab and xatlas have their part in it.
+            if problem is not None:
+                raise HyalineError(f"{root}: the {spec.kind} of {item.name} {problem}; make another kind")
+        write_proxies(dataset, spec.geometry, meshes, proxy_statistics(meshes, truths, solids))
     return True
 
 
 def fit_proxies(solids: tuple[Solid, ...], kind: ProxyKind) -> tuple[Mesh, ...]:
     """One proxy a solid, no two of which have faces in the same plane."""
-    fit = FITTERS[kind]
-    return tuple(fit(solid, padding=padding) for solid, padding in zip(solids, paddings(solids), strict=True))
+    return FITTERS[kind](solids, paddings(solids))
 
 
 def paddings(solids: tuple[Solid, ...]) -> tuple[float, ...]:
@@ -86,32 +138,44 @@ def paddings(solids: tuple[Solid, ...]) -> tuple[float, ...]:
     return tuple(float(step * (1 + place)) for place in rank)
 
 
-def read_reports(dataset: Dataset, kind: ProxyKind) -> tuple[ProxyReport, ...]:
+def read_reports(dataset: Dataset, spec: ProxySpec) -> tuple[ProxyReport, ...]:
     """The table of the proxies on disk, their enclosure checked anew.
 
     Raises:
         HyalineError: not made, damaged, or made for another dataset.
     """
-    records = read_proxy_records(dataset, kind)
-    meshes, truths = read_meshes(dataset, kind), read_meshes(dataset, TRUTH)
-    return tuple(
-        ProxyReport(
-            object=record.object,
-            triangles=len(mesh.faces),
-            statistics=record.statistics,
-            enclosure=enclosure(mesh, truth),
+    records = read_proxy_records(dataset, spec.geometry)
+    meshes, truths = read_meshes(dataset, spec.geometry), read_meshes(dataset, TRUTH)
+    reports = []
+    for record, mesh, truth in zip(records, meshes, truths, strict=True):
+        inside_share, problem = _soundness(spec.kind, mesh, truth)
+        reports.append(
+            ProxyReport(
+                object=record.object,
+                triangles=len(mesh.faces),
+                statistics=record.statistics,
+                inside_share=inside_share,
+                problem=problem,
+            )
         )
-        for record, mesh, truth in zip(records, meshes, truths, strict=True)
-    )
+    return tuple(reports)
 
 
-def _stand(dataset: Dataset, kind: ProxyKind) -> bool:
+def _soundness(kind: ProxyKind, mesh: Mesh, truth: Mesh) -> tuple[float | None, str | None]:
+    """`ProxyReport`'s share inside and problem."""
+    if kind == "noise":
+        return None, noise_problem(mesh, truth)
+    found = enclosure(mesh, truth)
+    return found.inside_share, found.problem
+
+
+def _stand(dataset: Dataset, geometry: str) -> bool:
     """True when proxies of this dataset stand there and verify; damaged ones are made again.
 
     Raises:
         HyalineError: they are of another dataset or format.
     """
-    path = geometry_root(dataset.root, kind) / "proxies.json"
+    path = geometry_root(dataset.root, geometry) / "proxies.json"
     if not path.is_file():
         return False
     try:
@@ -119,7 +183,7 @@ def _stand(dataset: Dataset, kind: ProxyKind) -> bool:
     except HyalineError as error:
         say(f"{error}; makes them again")
         return False
-    records = read_proxy_records(dataset, kind)
+    records = read_proxy_records(dataset, geometry)
     try:
         check_files(path.parent, {record.file: record.sha256 for record in records})
     except HyalineError as error:

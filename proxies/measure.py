@@ -7,8 +7,9 @@ from jaxtyping import Float, Float64
 
 from datagen.command import say
 from datagen.geometry import ProxyStatistics
-from datagen.meshes import Mesh, face_areas, face_corners, open_edges, signed_volume, welded
+from datagen.meshes import Mesh, component_of_faces, face_areas, face_corners, open_edges, signed_volume, welded
 from proxies import meshlab
+from proxies.inside import enclosed_share
 from proxies.solid import Solid, outside_by, used_positions
 
 SAMPLES = 4096
@@ -26,13 +27,14 @@ class Enclosure:
     """Whether a proxy may stand for its object."""
 
     inside_share: float
-    """Share of the object's vertices that lie inside the (convex) proxy or on it."""
+    """Of the object's vertices, for a convex proxy; of vertices and points on the surface, for one of several convex
+    parts; else of the object's faces."""
     open_edges: int
     """0 for a closed mesh."""
     volume: float
     """Positive when the faces look outward. Cubic metres."""
     smallest_chart: float
-    """Least signed area of a face in uv; positive when no face is mirrored or without texels."""
+    """Least area of a face in uv, in parts of the atlas."""
 
     @property
     def problem(self) -> str | None:
@@ -42,25 +44,41 @@ class Enclosure:
         if self.volume <= 0:
             return f"encloses {self.volume:g} m^3, it is inside out"
         if self.inside_share < 1:
-            return f"leaves {100 * (1 - self.inside_share):.3g} % of the object's vertices outside"
+            return f"leaves {100 * (1 - self.inside_share):.3g} % of the object outside"
         if self.smallest_chart < ATLAS_ROOM:
             return f"has a face of {self.smallest_chart:g} of the atlas"
         return None
 
 
 def enclosure(proxy: Mesh, truth: Mesh) -> Enclosure:
-    """Checks a proxy as it is stored, in float32, against its object's vertices."""
-    positions = used_positions(truth)
-    tolerance = ROUNDING * max(np.abs(positions).max(), np.abs(proxy.vertices).max())
-    beyond = outside_by(face_corners(proxy).astype(np.float64), positions)
-    a, b, c = np.moveaxis(proxy.uv[proxy.faces].astype(np.float64), 1, 0)
-    (ux, uy), (vx, vy) = (b - a).T, (c - a).T
+    """Checks a proxy as it is stored, in float32, against its object."""
     return Enclosure(
-        inside_share=float((beyond <= tolerance).mean()),
+        inside_share=_inside_share(proxy, truth),
         open_edges=open_edges(proxy),
         volume=signed_volume(proxy),
-        smallest_chart=float((0.5 * (ux * vy - uy * vx)).min()),
+        smallest_chart=smallest_chart(proxy),
     )
+
+
+def smallest_chart(mesh: Mesh) -> float:
+    """Least area of a face in uv; charts may be mirrored, xatlas 0.0.11 turns them by exchanging u and v."""
+    a, b, c = np.moveaxis(mesh.uv[mesh.faces].astype(np.float64), 1, 0)
+    (ux, uy), (vx, vy) = (b - a).T, (c - a).T
+    return float((0.5 * np.abs(ux * vy - uy * vx)).min())
+
+
+def _inside_share(proxy: Mesh, truth: Mesh) -> float:
+    positions, corners = used_positions(truth), face_corners(proxy).astype(np.float64)
+    tolerance = ROUNDING * max(np.abs(positions).max(), np.abs(proxy.vertices).max())
+    component = component_of_faces(proxy)
+    parts = [corners[component == part] for part in range(int(component.max()) + 1)]
+    # Planes are exact for what is convex, and leave room for rounding.
+    if any(outside_by(part, part.reshape(-1, 3)).max() > tolerance for part in parts):
+        return enclosed_share(proxy, truth)
+    if len(parts) > 1:
+        # Where the object passes from one part to the next, its vertices do not tell all.
+        positions = np.concatenate([positions, surface_points(truth, SAMPLES)])
+    return float((np.min([outside_by(part, positions) for part in parts], axis=0) <= tolerance).mean())
 
 
 def proxy_statistics(

@@ -21,7 +21,10 @@ from jaxtyping import Float, Float64, Int64
 TIMEOUT_S = 120.0
 """Longest time that the child may take for the objects of one dataset."""
 
-Task = Literal["probe", "hulls", "distances"]
+WRAP_TIMEOUT_S = 60.0
+"""What each object may take besides, to be wrapped; a few seconds are usual."""
+
+Task = Literal["probe", "hulls", "distances", "wraps"]
 
 
 class MeshlabError(Exception):
@@ -77,11 +80,48 @@ def surface_distances(
     return distances
 
 
+def alpha_wraps(
+    surfaces: list[tuple[Float64[np.ndarray, "_ 3"], Int64[np.ndarray, "_ 3"]]],
+    *,
+    alpha: float,
+    offsets: list[float],
+    targets: tuple[int, ...] = (),
+) -> list[list[tuple[Float64[np.ndarray, "_ 3"], Int64[np.ndarray, "_ 3"]]]]:
+    """For each (vertices, faces), which may be open or a soup: closed outward surfaces, the last of which encloses it.
+
+    Args:
+        alpha: diameter of the ball that carves the space around a surface, in units of the vertices.
+        offsets: how far each wrap stands off its surface, in the same units.
+        targets: how many faces the wrap is decimated to; for each a surface before the wrap itself, enclosing or not.
+
+    Raises:
+        MeshlabError: the child died, took too long, or returned no surface.
+
+    Source: Portaneri et al. 2022, Alpha wrapping with an offset.
+    """
+    arrays = {}
+    for index, ((vertices, faces), offset) in enumerate(zip(surfaces, offsets, strict=True)):
+        arrays |= {f"{index}.points": vertices, f"{index}.faces": faces}
+        arrays |= {f"{index}.sizes": np.array([alpha, offset]), f"{index}.targets": np.array(targets, np.int64)}
+    answers = _run("wraps", arrays, timeout_s=TIMEOUT_S + WRAP_TIMEOUT_S * len(surfaces))
+    wraps = []
+    for index in range(len(surfaces)):
+        wraps.append([])
+        for step in range(len(targets) + 1):
+            vertices = answers[f"{index}.{step}.vertices"]
+            faces = answers[f"{index}.{step}.faces"].astype(np.int64)
+            if len(faces) < 4 or not np.isfinite(vertices).all() or faces.min() < 0 or faces.max() >= len(vertices):
+                raise MeshlabError(f"its wrap number {index} has {len(vertices)} vertices and {len(faces)} faces")
+            wraps[-1].append((vertices, faces))
+    return wraps
+
+
 def _command(task: Task, source: Path, target: Path) -> list[str]:
     return [sys.executable, "-m", "proxies.meshlab", task, str(source), str(target)]
 
 
-def _run(task: Task, arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+def _run(task: Task, arrays: dict[str, np.ndarray], *, timeout_s: float | None = None) -> dict[str, np.ndarray]:
+    timeout_s = TIMEOUT_S if timeout_s is None else timeout_s
     with tempfile.TemporaryDirectory(prefix="hyaline-meshlab-") as folder:
         source, target = Path(folder) / "in.npz", Path(folder) / "out.npz"
         np.savez(source, allow_pickle=False, **arrays)
@@ -97,11 +137,11 @@ def _run(task: Task, arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
                 stderr=subprocess.PIPE,
                 text=True,
                 errors="replace",
-                timeout=TIMEOUT_S,
+                timeout=timeout_s,
                 check=False,
             )
         except subprocess.TimeoutExpired:
-            raise MeshlabError(f"it took more than {TIMEOUT_S:g} s") from None
+            raise MeshlabError(f"it took more than {timeout_s:g} s") from None
         if answer.returncode != 0 or not target.is_file():
             last = (answer.stderr.strip().splitlines() or ["no message"])[-1]
             raise MeshlabError(f"its process ended with status {answer.returncode}: {last}")
@@ -120,6 +160,9 @@ def _child(task: str, source: Path, target: Path) -> None:
     count = len({name.split(".")[0] for name in arrays})
     answers: dict[str, np.ndarray] = {}
     for index in range(count):
+        if task == "wraps":
+            answers |= _wrapped(arrays, index)
+            continue
         meshes = pymeshlab.MeshSet()
         meshes.add_mesh(pymeshlab.Mesh(vertex_matrix=arrays[f"{index}.points"]))
         if task == "hulls":
@@ -136,6 +179,28 @@ def _child(task: str, source: Path, target: Path) -> None:
             )
             answers[f"{index}.distances"] = meshes.mesh(0).vertex_scalar_array()
     np.savez(target, allow_pickle=False, **answers)
+
+
+def _wrapped(arrays: dict[str, np.ndarray], index: int) -> dict[str, np.ndarray]:
+    import pymeshlab
+
+    meshes = pymeshlab.MeshSet()
+    meshes.add_mesh(pymeshlab.Mesh(vertex_matrix=arrays[f"{index}.points"], face_matrix=arrays[f"{index}.faces"]))
+    alpha, offset = (pymeshlab.PureValue(float(size)) for size in arrays[f"{index}.sizes"])
+    meshes.generate_alpha_wrap(alpha=alpha, offset=offset)
+    wrap = meshes.current_mesh_id()
+    answers = {}
+    # The wrap comes last; each coarser one is made from it, not from one that is coarse already.
+    for step, target in enumerate([*arrays[f"{index}.targets"].tolist(), None]):
+        meshes.set_current_mesh(wrap)
+        if target is not None:
+            meshes.generate_copy_of_current_mesh()
+            meshes.meshing_decimation_quadric_edge_collapse(
+                targetfacenum=target, preservetopology=True, preservenormal=True
+            )
+        answers[f"{index}.{step}.vertices"] = meshes.current_mesh().vertex_matrix()
+        answers[f"{index}.{step}.faces"] = meshes.current_mesh().face_matrix()
+    return answers
 
 
 if __name__ == "__main__":

@@ -23,6 +23,8 @@ HULL_TOLERANCE = 1e-7
 class Solid:
     """The points that a proxy must enclose; flat objects come thickened, so that every solid has a volume."""
 
+    mesh: Mesh
+    """The object itself, not thickened; open or closed, in parts or one."""
     points: Float64[np.ndarray, "point 3"]
     """Positions in metres without repeats; the object's vertices lie among or between them."""
     hull_points: Float64[np.ndarray, "vertex 3"]
@@ -49,8 +51,8 @@ def make_solids(meshes: tuple[Mesh, ...]) -> tuple[Solid, ...]:
     normalised = [_in_unit_box(points) for points in clouds]
     hulls = convex_hulls(normalised)
     solids = []
-    for points, (used, faces) in zip(clouds, hulls, strict=True):
-        solids.append(Solid(points=points, hull_points=points[used], hull_faces=faces))
+    for mesh, points, (used, faces) in zip(meshes, clouds, hulls, strict=True):
+        solids.append(Solid(mesh=mesh, points=points, hull_points=points[used], hull_faces=faces))
     return tuple(solids)
 
 
@@ -87,16 +89,16 @@ def convex_hulls(
     By pymeshlab; where that is not to be had, or its hull leaves points out, by SciPy, and a line says so.
     """
     if meshlab.meshlab_problem() is not None:
-        return [_hull_by_scipy(points) for points in clouds]
+        return [hull_by_scipy(points) for points in clouds]
     try:
         found = meshlab.convex_hulls(clouds)
     except meshlab.MeshlabError as error:
         say(f"convex hulls: pymeshlab failed ({error}); SciPy makes them")
-        return [_hull_by_scipy(points) for points in clouds]
+        return [hull_by_scipy(points) for points in clouds]
     hulls = []
     for points, (vertices, faces) in zip(clouds, found, strict=True):
         hull = _hull_on_points(points, vertices, faces)
-        hulls.append(_hull_by_scipy(points) if hull is None else hull)
+        hulls.append(hull_by_scipy(points) if hull is None else hull)
     return hulls
 
 
@@ -118,7 +120,7 @@ def _in_unit_box(points: np.ndarray) -> np.ndarray:
     return (points - 0.5 * (low + high)) / (high - low).max()
 
 
-def _hull_by_scipy(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def hull_by_scipy(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     from scipy.spatial import ConvexHull
 
     hull = ConvexHull(points)

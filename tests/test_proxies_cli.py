@@ -7,11 +7,12 @@ import types
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from synthetic import write_synthetic_dataset
 
-from datagen.dataset import Dataset
-from datagen.geometry import read_meshes, read_proxy_records
+from datagen.dataset import Dataset, open_dataset
+from datagen.geometry import list_geometries, read_meshes, read_proxy_records
 from datagen.storage import load_sealed
 from proxies import meshlab
 from proxies.cli import main
@@ -47,7 +48,7 @@ def call(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> None:
     main()
 
 
-@pytest.mark.parametrize("kind", list(FITTERS))
+@pytest.mark.parametrize("kind", [kind for kind in FITTERS if kind not in ("wrap", "lowpoly")])
 def test_make_writes_the_proxies_peels_them_and_prints_the_table(
     kind: str, here: Path, peeled: list[dict[str, Any]], monkeypatch: pytest.MonkeyPatch, capsys: Any
 ) -> None:
@@ -92,6 +93,38 @@ def test_a_damaged_file_is_made_again(
     assert path.read_bytes() == good
 
 
+@pytest.mark.parametrize("kind", ["wrap", "lowpoly"])
+def test_a_wrap_without_pymeshlab_is_one_line_and_leaves_nothing(
+    kind: str, here: Path, peeled: list[dict[str, Any]], monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    with pytest.raises(SystemExit):
+        call(monkeypatch, "make", "--kind", kind)
+    err = capsys.readouterr().err
+    assert f"a {kind} needs pymeshlab: left out, or make `--kind hull`" in err
+    assert err.count("\n") == 1
+    assert list_geometries(open_dataset(here / "data/one")) == ["truth"]
+    assert peeled == []
+
+
+def test_amounts_of_noise_stand_side_by_side(
+    here: Path, peeled: list[dict[str, Any]], monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    dataset = open_dataset(here / "data/one")
+    call(monkeypatch, "make", "--kind", "noise", "--amount", "0.002")
+    call(monkeypatch, "make", "--kind", "noise")
+    out, err = capsys.readouterr()
+    assert "model train --method paper --geometry noise-0.002 --dataset data/one" in err
+    assert [line.split()[0] for line in out.splitlines() if line.rstrip().endswith("-")] == ["pane", "floor"] * 2
+    assert [item["geometry"] for item in peeled] == ["noise-0.002", "noise-0.01"]
+    assert list_geometries(dataset) == ["truth", "noise-0.002", "noise-0.01"]
+    truths = read_meshes(dataset, "truth")
+    small, large = (read_meshes(dataset, geometry) for geometry in ("noise-0.002", "noise-0.01"))
+    for truth, near, far in zip(truths, small, large, strict=True):
+        # The same field, five times as far.
+        np.testing.assert_allclose(far.vertices - truth.vertices, 5 * (near.vertices - truth.vertices), atol=1e-6)
+    call(monkeypatch, "check", "--kind", "noise", "--amount", "0.002")
+
+
 def test_without_a_scene_every_dataset_gets_proxies(
     here: Path, peeled: list[dict[str, Any]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -104,7 +137,13 @@ def test_without_a_scene_every_dataset_gets_proxies(
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("make", "--kind", "elipsoid"), "did you mean 'ellipsoid'? known are box, ellipsoid"),
+        (
+            ("make", "--kind", "elipsoid"),
+            "did you mean 'ellipsoid'? known are blocks, box, ellipsoid, hull, lowpoly, noise",
+        ),
+        (("make", "--kind", "noise", "--amount", "0.2"), "amount 0.2: expected 0.001 to 0.05, parts of each object's"),
+        (("make", "--kind", "box", "--amount", "0.01"), "amount 0.01: a box has no noise; it goes with `--kind noise`"),
+        (("check", "--kind", "noise"), "make them with `proxies make --scene one --kind noise --amount 0.01`"),
         (("make", "--scene", "missing"), "data/missing: no dataset; make one with `datagen build --scene missing`"),
         (("check", "--kind", "box"), "no box proxies; make them with `proxies make --scene one --kind box`"),
     ],
