@@ -108,7 +108,7 @@ def peel_dataset(dataset: Dataset, geometry: str, *, kinds: tuple[LayerKind, ...
 
 
 def summary(dataset: Dataset, geometry: str, kinds: tuple[LayerKind, ...]) -> str:
-    """What was made, in a few lines: noise ceilings, rays with more hits than layers or vertices."""
+    """What was made, in a few lines: noise ceilings, rays that were cut off."""
     lines = [f"noise ceiling {split}: {noise_ceiling_db(dataset, split):.1f} dB" for split in ("train", *TEST_SPLITS)]
     for kind in kinds:
         head, _ = read_layers_head(dataset, geometry, kind)
@@ -116,7 +116,7 @@ def summary(dataset: Dataset, geometry: str, kinds: tuple[LayerKind, ...]) -> st
             case LayersHead():
                 what = f"rays with more than {head.num_layers} hits"
             case LightPathsHead():
-                what = f"light paths cut off after {head.max_vertices} vertices"
+                what = f"rays with a branch given up after {head.max_depth} surfaces"
         for split in SPLITS:
             views = range(dataset.config.split(split).views)
             shares = [read_layers_record(dataset, geometry, kind, split, view).overflow_share for view in views]

@@ -94,9 +94,7 @@ class TraceJob:
 def trace_task(job: TraceJob, task: Task) -> None:
     """Traces one view's light paths and commits them."""
     split, view = task
-    blocks = trace_view(
-        job.tracer, job.cameras[split], view, max_vertices=job.head.max_vertices, samples=job.head.samples
-    )
+    blocks = trace_view(job.tracer, job.cameras[split], view, job.head)
     write_light_paths(job.dataset, job.geometry, split, view, blocks)
 
 

@@ -52,7 +52,9 @@ class LightPathsHead:
     """Hash over the meshes that were traced."""
     num_branches: int
     max_vertices: int
-    """Vertices kept of each branch."""
+    """Vertices kept of each branch; the last place holds the last vertex."""
+    max_depth: int
+    """Surfaces after which a branch was given up."""
     samples: int
     """Rays per pixel, a square number."""
     files: dict[str, str]
@@ -71,7 +73,7 @@ class LayersRecord:
     split: Split
     view: int
     overflow_share: float
-    """Share of the rays that were cut off: more hits than layers, or a branch with more vertices than are kept."""
+    """Share of the rays that were cut off: more hits than layers, or a branch that was given up."""
     files: dict[str, str]
 
 

@@ -1,10 +1,12 @@
 """Owns light paths: which surfaces really shine into a pixel, through refraction and by reflection.
 
-A straight ray looks up the wrong texels behind solid glass. Here each ray is followed as light goes, in two branches.
+A straight ray looks up the wrong texels behind solid glass. Here each ray is followed as light goes, in branches.
 Branch 0 is refracted: through every dielectric interface by Snell's law (total internal reflection reflects it),
 straight through thin panes, until it meets something opaque or leaves the scene. Branch 1 is reflected at the first
-surface, when that is glass or glossy, and then followed in the same way. Further branches at later interfaces are not
-traced: what they carry is left to whoever shades the layers.
+surface, when that is glass or glossy, and then followed in the same way; where it is rough, by one of its facets, so
+that several rays together see it blurred. Further branches are reflected at any later
+surface of any branch, those of the largest throughput first. What the branches beyond `max_branches` carry is left to
+whoever shades the layers.
 
 Vectorised variants only. Call `use_mitsuba` first.
 """
@@ -19,6 +21,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, UInt8
 
 from datagen.errors import HyalineError
+from datagen.media import find_media, medium_of, no_solids, with_solid, without_solid
 from datagen.meshes import Mesh
 from datagen.mitsuba_scene import is_scalar, load_geometry_mitsuba
 from datagen.scene import Conductor, Dielectric, Material, Plastic, ThinDielectric
@@ -26,23 +29,29 @@ from datagen.scene import Conductor, Dielectric, Material, Plastic, ThinDielectr
 if TYPE_CHECKING:
     import mitsuba as mi
 
-BRANCHES = ("refracted", "mirror")
-
 OPAQUE, DIELECTRIC, THIN, COATED, METAL = range(5)
 """What a surface does to a ray; the tracer's own numbers for the classes of materials."""
 
 OFFSET = 2e-6
 """How far, relative to 1 + its largest coordinate, a new ray starts from its surface: neighbouring faces round."""
 
-SPARE_STEPS = 4
-"""Trace steps beyond the vertices of both branches, for hits that do not count."""
+SPARE_STEPS = 16
+"""Trace steps beyond the vertices of all branches, for hits that do not count: faces met again, surfaces of solids
+inside others."""
+
+MIN_THROUGHPUT = 1 / 512
+"""A branch that starts with less is not followed: less than one step of an 8-bit picture."""
+
+FIRST_MIRROR = 16.0
+"""Weight in the queue of branches beyond any throughput, so that the first surface's mirror comes next."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LightPaths:
-    """The vertices of both branches of a bundle of rays, in the order in which the camera's ray meets them.
+    """The vertices of all branches of a bundle of rays, in the order in which the camera's ray meets them.
 
-    A branch ends on an opaque surface (its last vertex), in the open (`has_left`), or after `vertex` vertices.
+    A branch ends on an opaque surface (its last vertex), in the open (`has_left`), or after `max_depth` surfaces. Where
+    it has more vertices than places, the last place holds the last vertex.
     """
 
     object_id: UInt8[np.ndarray, "branch vertex ray"]
@@ -58,7 +67,7 @@ class LightPaths:
     """Share of the radiance leaving the vertex against `direction` that reaches the camera, per colour channel: the
     product of Fresnel terms, Beer and Lambert's absorption, and the change of radiance with the square of the index."""
     medium_length: Float32[np.ndarray, "branch vertex ray"]
-    """Metres that the last segment ran inside glass; 0 in air."""
+    """Metres that the last segment ran inside glass or liquid; 0 in air."""
     has_left: Bool[np.ndarray, "branch ray"]
     end_direction: Float32[np.ndarray, "branch ray 3"]
     """Unit direction in which the branch left the scene; 0 where it did not."""
@@ -69,7 +78,8 @@ class LightPaths:
 class LightPathTracer:
     """A loaded geometry with the materials of its surfaces; follows any number of rays."""
 
-    def __init__(self, meshes: tuple[Mesh, ...], materials: tuple[Material, ...]) -> None:
+    def __init__(self, meshes: tuple[Mesh, ...], materials: tuple[Material | None, ...]) -> None:
+        """A surface whose material is None lets every ray through as it comes: its paths are straight layers."""
         if is_scalar():
             raise HyalineError(
                 "light paths: Mitsuba runs as scalar_rgb, which cannot trace them; "
@@ -79,26 +89,37 @@ class LightPathTracer:
         self._tables = _Tables(meshes, materials)
 
     def trace(self, origins: Float32[np.ndarray, "ray 3"], directions: Float32[np.ndarray, "ray 3"],
-              max_vertices: int = 8) -> LightPaths:  # fmt: skip
-        """Follows rays that start in air; unit directions."""
-        return _trace(self._scene, self._tables, origins, directions, max_vertices)
+              *, max_branches: int = 4, max_vertices: int = 8, max_depth: int = 24,
+              seed: int = 0) -> LightPaths:  # fmt: skip
+        """Follows rays that start in air.
+
+        Args:
+            directions: of unit length.
+            max_branches: followed for each ray; 1 is the refracted one alone.
+            max_vertices: kept of each branch. The last place holds the last vertex, however many come before it.
+            max_depth: surfaces after which a branch is given up.
+            seed: of the facets of rough surfaces that mirror.
+        """
+        limits = (max_branches, max_vertices, max_depth)
+        return _trace(self._scene, self._tables, origins, directions, *limits, seed)
 
 
 class _Tables:
     """What the kernel looks up: by object its optics, by face its corners' normals and uv."""
 
-    def __init__(self, meshes: tuple[Mesh, ...], materials: tuple[Material, ...]) -> None:
+    def __init__(self, meshes: tuple[Mesh, ...], materials: tuple[Material | None, ...]) -> None:
         import mitsuba as mi
 
         def array(values: list[float]) -> "mi.Float":
             return mi.Float(np.array(values, np.float32))
 
         self.kind = mi.UInt32(np.array([_kind(material) for material in materials], np.uint32))
-        self.ior = array([getattr(material, "ior", 1.0) for material in materials])
-        self.absorption = [
-            array([material.absorption[c] if isinstance(material, Dielectric) else 0 for material in materials])
-            for c in range(3)
-        ]
+        self.coat_ior = array([getattr(material, "ior", 1.0) for material in materials])
+        self.roughness = array([getattr(material, "roughness", 0.0) for material in materials])
+        self.media = find_media(materials, meshes)
+        self.rank = mi.Int32(self.media.rank)
+        self.medium_ior = mi.Float(self.media.ior)
+        self.absorption = [mi.Float(np.ascontiguousarray(self.media.absorption[:, c])) for c in range(3)]
         self.metal = [
             array([material.color[c] if isinstance(material, Conductor) else 1 for material in materials])
             for c in range(3)
@@ -111,11 +132,11 @@ class _Tables:
         self.uv = mi.Float(np.concatenate([mesh.uv[mesh.faces] for mesh in meshes]).ravel())
 
 
-def _kind(material: Material) -> int:
+def _kind(material: Material | None) -> int:
     match material:
         case Dielectric():
             return DIELECTRIC
-        case ThinDielectric():
+        case ThinDielectric() | None:
             return THIN
         case Plastic():
             return COATED
@@ -126,20 +147,20 @@ def _kind(material: Material) -> int:
 
 
 def _trace(scene: "mi.Scene", tables: _Tables, origins: np.ndarray, directions: np.ndarray,
-           max_vertices: int) -> LightPaths:  # fmt: skip
-    """One kernel for all vertices of both branches, recorded once for each number of vertices."""
+           max_branches: int, max_vertices: int, max_depth: int, seed: int) -> LightPaths:  # fmt: skip
+    """One kernel for all vertices of all branches, recorded once for each number of vertices and branches."""
     import drjit as dr
     import mitsuba as mi
 
     count = len(directions)
-    slots = 2 * max_vertices * count
+    slots = max_branches * max_vertices * count
     ids, lengths = dr.zeros(mi.UInt32, slots), dr.zeros(mi.Float, slots)
     out_uv = [dr.zeros(mi.Float, slots) for _ in range(2)]
     out_direction, out_position, out_normal, out_throughput = (
         [dr.zeros(mi.Float, slots) for _ in range(3)] for _ in range(4)
     )
-    end_direction, end_throughput = ([dr.zeros(mi.Float, 2 * count) for _ in range(3)] for _ in range(2))
-    left = dr.zeros(mi.UInt32, 2 * count)
+    end_direction, end_throughput = ([dr.zeros(mi.Float, max_branches * count) for _ in range(3)] for _ in range(2))
+    left = dr.zeros(mi.UInt32, max_branches * count)
     ray_index = dr.arange(mi.UInt32, count)
 
     def store(targets, values, index, mask):
@@ -158,7 +179,26 @@ def _trace(scene: "mi.Scene", tables: _Tables, origins: np.ndarray, directions: 
     def is_tracing(*state):
         return state[-1]
 
-    def advance(o, d, beta, medium, last_face, branch, vertex, step, m_o, m_d, m_beta, m_face, has_mirror, active):
+    # Consecutive rays, those of one pixel, share out the facets of a rough surface evenly (a shifted R2 sequence).
+    shift = dr.opaque(mi.UInt32, seed)  # No literal, or each seed would be another kernel.
+    plastic = 1.32471795724474602596
+
+    def random_point(step):
+        shifts = (mi.sample_tea_float32(shift, 2 * step + axis) for axis in range(2))
+        rows = (mi.Float(np.arange(count) / plastic ** (1 + axis) % 1) for axis in range(2))
+        points = [row + shift for row, shift in zip(rows, shifts, strict=True)]
+        return [point - dr.floor(point) for point in points]
+
+    def choose(condition, these, others):
+        return tuple(dr.select(condition, this, other) for this, other in zip(these, others, strict=True))
+
+    # A start of a branch: weight in the queue, origin, direction, throughput, face that it leaves, solids around it.
+    media = tables.media
+    kinds = (mi.Float, mi.Point3f, mi.Vector3f, mi.Color3f, mi.Int32, mi.UInt32)
+    values = (0, 0, 0, 0, -1, no_solids(media))
+    no_start = tuple(kind(value) for kind, value in zip(kinds, values, strict=True))
+
+    def advance(o, d, beta, solids, way, last_face, branch, vertex, step, queue, active):
         pi = scene.ray_intersect_preliminary(mi.Ray3f(o, d), coherent=False, active=active)
         found = active & pi.is_valid()
         shape = mi.UInt32(pi.shape_index)
@@ -180,98 +220,121 @@ def _trace(scene: "mi.Scene", tables: _Tables, origins: np.ndarray, directions: 
         ]
         n_face = dr.normalize(dr.cross(corners[1] - corners[0], corners[2] - corners[0]))
 
-        # Beer and Lambert, along the segment that ends here.
-        in_glass = hit & (medium >= 0)
-        glass = mi.UInt32(dr.maximum(medium, 0))
-        sigma = mi.Color3f(*(dr.gather(mi.Float, tables.absorption[c], glass, in_glass) for c in range(3)))
-        length = dr.select(in_glass, dr.norm(p - o), 0)
-        beta = dr.select(in_glass, beta * dr.exp(-sigma * length), beta)
-
-        # The vertex.
+        # The medium on the way here, and those on both sides of the surface.
         is_outside = dr.dot(d, n_face) < 0
+        kind = dr.gather(mi.UInt32, tables.kind, shape, hit)
+        is_glass, is_thin = hit & (kind == DIELECTRIC), hit & (kind == THIN)
+        medium = medium_of(media, solids)
+        rank = mi.UInt32(dr.maximum(dr.gather(mi.Int32, tables.rank, shape, is_glass), 0))
+        entered, left_behind = with_solid(media, solids, rank), without_solid(media, solids, rank)
+        beyond = dr.select(is_glass, dr.select(is_outside, entered, left_behind), solids)
+        here = dr.select(is_glass, dr.select(is_outside, left_behind, entered), solids)
+        # Where a solid of higher priority fills both sides, there is no surface.
+        is_void = is_glass & (medium_of(media, here) == medium_of(media, beyond))
+        real = hit & ~is_void
+
+        # Beer and Lambert, along the segment that ends here.
+        in_glass = found & (medium < mi.UInt32(len(media.ior) - 1))
+        sigma = mi.Color3f(*(dr.gather(mi.Float, tables.absorption[c], medium, in_glass) for c in range(3)))
+        length = dr.select(in_glass & hit, dr.norm(p - o), 0)
+        beta = dr.select(in_glass, beta * dr.exp(-sigma * length), beta)
+        way += length
+
+        # The vertex. What comes after the last place takes its place: the end of a branch is always kept.
         facing = dr.select(is_outside, n, -n)
-        slot = (branch * max_vertices + vertex) * count + ray_index
-        dr.scatter(ids, shape + 1, slot, hit)
-        dr.scatter(lengths, length, slot, hit)
-        store(out_uv, uv, slot, hit)
-        store(out_direction, d, slot, hit)
-        store(out_position, p, slot, hit)
-        store(out_normal, facing, slot, hit)
-        store(out_throughput, beta, slot, hit)
+        slot = (branch * max_vertices + dr.minimum(vertex, max_vertices - 1)) * count + ray_index
+        dr.scatter(ids, shape + 1, slot, real)
+        dr.scatter(lengths, way, slot, real)
+        store(out_uv, uv, slot, real)
+        store(out_direction, d, slot, real)
+        store(out_position, p, slot, real)
+        store(out_normal, facing, slot, real)
+        store(out_throughput, beta, slot, real)
         end = branch * count + ray_index
         dr.scatter(left, mi.UInt32(1), end, missed)
         store(end_direction, d, end, missed)
         store(end_throughput, beta, end, missed)
 
         # What the surface does to the ray.
-        kind = dr.gather(mi.UInt32, tables.kind, shape, hit)
-        ior = dr.gather(mi.Float, tables.ior, shape, hit)
-        is_glass, is_thin = hit & (kind == DIELECTRIC), hit & (kind == THIN)
+        eta = dr.gather(mi.Float, tables.medium_ior, medium_of(media, beyond), is_glass) / dr.gather(
+            mi.Float, tables.medium_ior, medium_of(media, here), is_glass
+        )
+        eta = dr.select(is_glass & ~is_void, eta, dr.gather(mi.Float, tables.coat_ior, shape, hit))
         cos_i = dr.clip(-dr.dot(d, facing), 0, 1)
-        signed = dr.select(is_outside | ~is_glass, cos_i, -cos_i)
-        reflectance, cos_t, _, eta_ti = mi.fresnel(signed, ior)
+        # The ratio is that of the two sides as the ray comes, so that it always comes from the first of them.
+        reflectance, cos_t, _, eta_ti = mi.fresnel(cos_i, eta)
         cos_t = dr.abs(cos_t)
         reflectance = dr.select(is_thin, 2 * reflectance / (1 + reflectance), reflectance)
-        total = is_glass & (reflectance >= 1)
+        total = is_glass & ~is_void & (reflectance >= 1)
         mirrored = dr.normalize(d + 2 * cos_i * facing)
         refracted = dr.normalize(d * eta_ti + facing * (cos_i * eta_ti - cos_t))
         passes = is_thin | is_glass
         offset = OFFSET * (1 + dr.max(dr.abs(p)))
         outward = dr.select(is_outside, n_face, -n_face)
 
-        # The mirror branch starts where the camera's ray meets glass, coated or metal surfaces first.
+        # A further branch, where light also comes by reflection. The queue is sorted; its last one falls out.
         metal = mi.Color3f(*(dr.gather(mi.Float, tables.metal[c], shape, hit) for c in range(3)))
-        tint = dr.select(kind == METAL, metal, mi.Color3f(reflectance))
-        starts = hit & (branch == 0) & (vertex == 0) & (kind != OPAQUE) & ~total
-        m_o = dr.select(starts, p + outward * offset, m_o)
-        m_d = dr.select(starts, mirrored, m_d)
-        m_beta = dr.select(starts, beta * tint, m_beta)
-        m_face = dr.select(starts, face, m_face)
-        has_mirror |= starts
+        coated = hit & ((kind == COATED) | (kind == METAL))
+        alpha = dr.gather(mi.Float, tables.roughness, shape, coated)
+        facet_d, facet_cos, shadowing = _mirror_rough(d, facing, alpha, *random_point(step))
+        facet_reflectance = dr.select(kind == METAL, metal, mi.Color3f(mi.fresnel(facet_cos, eta)[0])) * shadowing
+        mirrored = dr.select(coated, facet_d, mirrored)
+        m_beta = beta * dr.select(coated, facet_reflectance, mi.Color3f(reflectance))
+        weight = dr.max(m_beta)
+        starts = real & (kind != OPAQUE) & ~total & (weight > MIN_THROUGHPUT)
+        weight = dr.select((branch == 0) & (vertex == 0), FIRST_MIRROR, weight)
+        start = (dr.select(starts, weight, 0), p + outward * offset, mirrored, m_beta, face, solids)
+        sorted_queue = []
+        for other in queue:
+            is_better = start[0] > other[0]
+            sorted_queue.append(choose(is_better, start, other))
+            start = choose(is_better, other, start)
+        queue = sorted_queue
 
         # The next segment of this branch.
         goes_through = passes & ~total
-        next_d = dr.select(total, mirrored, dr.select(is_glass, refracted, d))
+        next_d = dr.select(total, mirrored, dr.select(is_glass & ~is_void, refracted, d))
         scale = dr.select(total, 1, (1 - reflectance) * dr.select(is_glass, dr.square(eta_ti), 1))
-        medium = dr.select(is_glass & ~total, dr.select(is_outside, mi.Int32(shape), -1), medium)
-        beta = dr.select(passes, beta * scale, beta)
+        solids = dr.select(goes_through, beyond, solids)
+        way = dr.select(real, 0, way)
+        beta = dr.select(passes & ~is_void, beta * scale, beta)
         o = dr.select(passes, p + dr.select(goes_through, -outward, outward) * offset, o)
         o = dr.select(again, o + d * (pi.t * (1 + 2.4e-7) + 1e-7), o)
         d = dr.select(passes, next_d, d)
         last_face = dr.select(hit, face, last_face)
-        vertex = dr.select(hit, vertex + 1, vertex)
+        vertex = dr.select(real, vertex + 1, vertex)
         step += 1
 
-        # The end of this branch: the other one, or none.
-        is_over = missed | (hit & ~passes) | (hit & (vertex == max_vertices))
-        turns = is_over & (branch == 0) & has_mirror
-        o, d = dr.select(turns, m_o, o), dr.select(turns, m_d, d)
-        beta, last_face = dr.select(turns, m_beta, beta), dr.select(turns, m_face, last_face)
-        medium = dr.select(turns, -1, medium)
-        vertex, branch = dr.select(turns, 0, vertex), dr.select(turns, 1, branch)
-        active &= (~is_over | turns) & (step < 2 * max_vertices + SPARE_STEPS)
-        return o, d, beta, medium, last_face, branch, vertex, step, m_o, m_d, m_beta, m_face, has_mirror, active
+        # The end of this branch: the next one, or none.
+        is_over = missed | (hit & ~passes) | (real & (vertex == max_depth))
+        turns = is_over & (branch + 1 < max_branches)
+        if queue:
+            turns &= queue[0][0] > 0
+            now = (mi.Float(0), o, d, beta, last_face, solids)
+            _, o, d, beta, last_face, solids = choose(turns, queue[0], now)
+            queue = [choose(turns, after, this) for this, after in zip(queue, [*queue[1:], no_start], strict=True)]
+        way = dr.select(turns, 0, way)
+        vertex, branch = dr.select(turns, 0, vertex), dr.select(turns, branch + 1, branch)
+        active &= (~is_over | turns) & (step < max_branches * max_depth + SPARE_STEPS)
+        return o, d, beta, solids, way, last_face, branch, vertex, step, tuple(queue), active
 
     def columns(values):
         return (mi.Float(np.ascontiguousarray(values[:, axis], np.float32)) for axis in range(3))
 
-    zero, none = dr.zeros(mi.UInt32, count), dr.full(mi.Int32, -1, count)
     state = (
         mi.Point3f(*columns(origins)),
         mi.Vector3f(*columns(directions)),
         dr.full(mi.Color3f, 1, count),
-        none,
+        dr.full(mi.UInt32, no_solids(media), count),
+        dr.zeros(mi.Float, count),
         dr.full(mi.Int32, -1, count),
-        zero,
         dr.zeros(mi.UInt32, count),
         dr.zeros(mi.UInt32, count),
-        dr.zeros(mi.Point3f, count),
-        dr.zeros(mi.Vector3f, count),
-        dr.zeros(mi.Color3f, count),
-        dr.full(mi.Int32, -1, count),
-        dr.full(mi.Bool, False, count),
+        dr.zeros(mi.UInt32, count),
+        tuple(tuple(dr.full(kind, value, count) for kind, value in zip(kinds, values, strict=True))
+              for _ in range(max_branches - 1)),
         dr.full(mi.Bool, True, count),
-    )
+    )  # fmt: skip
     dr.while_loop(state, is_tracing, advance, label="light_path")
     outputs = [ids, lengths, left, *out_uv, *out_direction, *out_position, *out_normal, *out_throughput]
     dr.eval(*outputs, *end_direction, *end_throughput)
@@ -279,7 +342,7 @@ def _trace(scene: "mi.Scene", tables: _Tables, origins: np.ndarray, directions: 
     def stacked(parts: list, *shape: int) -> np.ndarray:
         return np.stack([np.array(part) for part in parts], axis=-1).reshape(*shape, len(parts))
 
-    shape = (2, max_vertices, count)
+    shape = (max_branches, max_vertices, count)
     return LightPaths(
         object_id=np.array(ids).astype(np.uint8).reshape(shape),
         uv=stacked(out_uv, *shape),
@@ -288,7 +351,33 @@ def _trace(scene: "mi.Scene", tables: _Tables, origins: np.ndarray, directions: 
         normal=stacked(out_normal, *shape),
         throughput=stacked(out_throughput, *shape),
         medium_length=np.array(lengths).reshape(shape),
-        has_left=np.array(left).astype(bool).reshape(2, count),
-        end_direction=stacked(end_direction, 2, count),
-        end_throughput=stacked(end_throughput, 2, count),
+        has_left=np.array(left).astype(bool).reshape(max_branches, count),
+        end_direction=stacked(end_direction, max_branches, count),
+        end_throughput=stacked(end_throughput, max_branches, count),
     )
+
+
+def _mirror_rough(d, normal, alpha, u1, u2):
+    """A visible facet of a rough surface mirrors a ray that arrives along `d`; with alpha = 0 the surface itself does.
+
+    Source: GGX facets with Smith's shadowing, sampled by their visible area (Dupuy and Benyoub 2023, "Sampling Visible
+    GGX Normals with Spherical Caps"). Times Fresnel's term, `shadowing` is what a sampled direction weighs.
+
+    Returns:
+        The mirrored direction, the cosine of the angle at the facet, and the shadowing (0 below the surface).
+    """
+    import drjit as dr
+    import mitsuba as mi
+
+    frame = mi.Frame3f(normal)
+    wi = frame.to_local(-d)
+    stretched = dr.normalize(mi.Vector3f(alpha * wi.x, alpha * wi.y, dr.maximum(wi.z, 1e-6)))
+    z = dr.fma(1 - u2, 1 + stretched.z, -stretched.z)
+    sine, azimuth = dr.safe_sqrt(1 - z * z), 2 * dr.pi * u1
+    cap = mi.Vector3f(sine * dr.cos(azimuth), sine * dr.sin(azimuth), z) + stretched
+    facet = dr.normalize(mi.Vector3f(alpha * cap.x, alpha * cap.y, dr.maximum(cap.z, 1e-6)))
+    cosine = dr.clip(dr.dot(wi, facet), 0, 1)
+    wo = 2 * cosine * facet - wi
+    tangent2 = (wo.x * wo.x + wo.y * wo.y) / dr.maximum(wo.z * wo.z, 1e-12)
+    shadowing = dr.select(wo.z > 0, 2 / (1 + dr.sqrt(1 + alpha * alpha * tangent2)), 0)
+    return dr.normalize(frame.to_world(wo)), cosine, shadowing

@@ -22,7 +22,7 @@ side below and (b + 1/2) / side right of its corner (`subpixel_offsets`).
 
 One chunk a vertex; one of nothing but zeros takes 16 bytes. A view of glass_table at 128 x 128 with 4 rays a pixel (2.1
 vertices a ray, of 2 branches with 8 places each) takes 1.8 MB (1.4 to 2.2), two fifths of them for positions, and is
-read in 0.2 s.
+read in 0.2 s; of 4 branches it takes 3.2 MB.
 """
 
 import math
@@ -44,14 +44,17 @@ from datagen.layer_store import (
     read_view,
     write_view,
 )
-from datagen.light_path import BRANCHES, LightPaths
+from datagen.light_path import LightPaths
 from datagen.number_formats import UV_SCALE, decode_directions, encode_directions, quantize_uv, round_mantissa
 
 if TYPE_CHECKING:
     from datagen.light_path import LightPathTracer
 
-NUM_BRANCHES = len(BRANCHES)
-"""Branches that the tracer follows and a new store keeps."""
+NUM_BRANCHES = 4
+"""Branches that a new store keeps."""
+
+MAX_DEPTH = 24
+"""Surfaces after which a branch of a new store is given up."""
 
 BLOCK_RAYS = 1 << 18
 """Rays that are traced at once: bounds the memory that whole floats take."""
@@ -109,22 +112,25 @@ def create_light_paths(dataset: Dataset, geometry: str, *, num_branches: int, ma
         geometry=geometry_hash,
         num_branches=num_branches,
         max_vertices=max_vertices,
+        max_depth=MAX_DEPTH,
         samples=samples,
         files={},
     )
     create_store(dataset, geometry, head, _formats(head, dataset.config.resolution))
 
 
-def trace_view(tracer: "LightPathTracer", cameras: Cameras, view: int, *, max_vertices: int,
-               samples: int) -> Iterator[LightPaths]:  # fmt: skip
+def trace_view(tracer: "LightPathTracer", cameras: Cameras, view: int, head: LightPathsHead) -> Iterator[LightPaths]:
     """The paths of a view's rays, pixel by pixel, in blocks of whole rows from the top."""
+    samples = head.samples
     offsets = subpixel_offsets(samples)
     width, height = cameras.width, cameras.height
     rows = max(1, BLOCK_RAYS // (width * samples))
     for first in range(0, height, rows):
         pixel = width * height * view + np.arange(width * first, width * min(first + rows, height))
         rays = subpixel_rays(cameras, pixel, np.broadcast_to(offsets, (len(pixel), samples, 2)))
-        yield tracer.trace(*rays, max_vertices=max_vertices)
+        yield tracer.trace(
+            *rays, max_branches=head.num_branches, max_vertices=head.max_vertices, max_depth=head.max_depth
+        )
 
 
 def read_light_paths_head(dataset: Dataset, geometry: str) -> LightPathsHead:
@@ -222,7 +228,7 @@ def _picture_to_rays(values: Shaped[np.ndarray, "*outer y x"], side: int) -> Sha
 
 
 def _is_cut(dataset: Dataset, paths: LightPaths) -> Bool[np.ndarray, "branch ray"]:
-    """Branches that are neither ended by an opaque surface nor in the open: there was no place for more vertices."""
+    """Branches that are neither ended by an opaque surface nor in the open: they were given up."""
     is_glass = np.array([False, *(item.is_glass for item in dataset.objects)])
     last = np.maximum((paths.object_id > 0).sum(axis=1, keepdims=True) - 1, 0)
     last_id = np.take_along_axis(paths.object_id, last, axis=1)[:, 0]

@@ -47,6 +47,8 @@ class RayBatch:
     """0 where the layer is empty."""
     p_camera: Float32[Tensor, "ray 3"]
     """Camera centres in world space, metres."""
+    samples: int = 1
+    """Rays of each pixel, pixel by pixel; their colours are averaged."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -129,4 +131,5 @@ def insert_empty_layer(rays: RayBatch, place: Int[Tensor, " ray"]) -> RayBatch:
         uv=padded_uv.gather(1, source[..., None].expand(-1, -1, 2)),
         object_id=padded_id.gather(1, source),
         p_camera=rays.p_camera,
+        samples=rays.samples,
     )

@@ -1,5 +1,6 @@
 """Owns the command `model`: parse, make a configuration, call one function."""
 
+import dataclasses
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -30,9 +31,16 @@ def train(
     textures: Literal["object", "scene"] = "object",
     texture_size: int | None = None,
     zero_layer: bool = False,
+    rays: int | None = None,
+    render_rays: int | None = None,
+    branches: int = 12,
+    compositing: Literal["physics", "stack"] = "physics",
+    stack: int | None = None,
+    straight_layers: int | None = None,
+    environment: int = 32,
+    position_octaves: int = 0,
+    texture_levels: int = 3,
     steps: int = 2500,
-    rays: int = 4,
-    render_rays: int = 16,
     batch: int | None = None,
     lr: float | None = None,
     texture_lr: float | None = None,
@@ -55,11 +63,21 @@ def train(
         blocks: paper: residual blocks; each halves the channels.
         norm: paper: batch norm after each linear layer (the paper's text) or none (the authors' code).
         textures: paper: a neural texture for each object, or one for the whole scene.
-        texture_size: Width and height of a texture in texels. Default: half the image's width.
+        texture_size: Width and height of a texture in texels; light-path shares as many texels among the objects by how
+            much is seen of each. Default: half the image's width for paper, all of it for light-path.
         zero_layer: paper: insert a layer of zeros at a random place while training (section 4.4).
+        rays: Rays per pixel while training, a square number. Default: 1 for paper, 4 for light-path.
+        render_rays: Rays per pixel while rendering, a square number. Default: 1 for paper, 16 for light-path.
+        branches: light-path: branches followed for each ray: refracted, first mirror, then those of most light.
+        compositing: light-path: sum what shines at the ends of branches, weighted by physics; or let the stack network
+            alone make the colour.
+        stack: light-path: hidden units of the network that sees the stacked vertices and adds what physics leaves out;
+            0 leaves it out. Default: 32, on proxies 96.
+        straight_layers: light-path: straight layers that this network sees beside the paths. Default: 0, on proxies 8.
+        environment: light-path: height in texels of the learned sky; 1 makes it two colours.
+        position_octaves: light-path: octaves of the position that the decoder is told.
+        texture_levels: light-path: textures summed, each half as wide as the one before.
         steps: Optimiser steps; more for larger datasets.
-        rays: light-path: rays per pixel while training, a square number.
-        render_rays: light-path: rays per pixel while rendering, a square number.
         batch: Random pixels a step. Default: 8192 for paper, 2048 (of several rays) for light-path.
         lr: Learning rate of Adam. Default: 0.001 for paper, 0.002 for light-path.
         texture_lr: Learning rate of the textures. Default: the same for paper, 0.01 for light-path.
@@ -76,15 +94,33 @@ def train(
     opened = open_dataset(find_dataset(dataset))
     check_geometry(opened, geometry)
 
-    from model.light_path_net import LightPathConfig
+    from model.light_path_net import default_light_path
     from model.paper import PaperConfig, count_inputs, default_texture_size
     from model.pixel_mlp import width_for_34k
     from model.run_folder import TrainConfig
+    from model.traced_batches import share_texels
 
     num_layers, _ = read_layers_of(METHODS[method], opened, geometry)
     resolution, num_objects = opened.config.resolution, len(opened.objects)
+    paper_only = {
+        "extrinsics": extrinsics != "view",
+        "width": width != "34k",
+        "blocks": blocks != 3,
+        "norm": norm != "batch",
+        "textures": textures != "object",
+        "zero-layer": zero_layer,
+    }
+    light_path_only = {
+        "branches": branches != 12,
+        "compositing": compositing != "physics",
+        "stack": stack is not None,
+        "straight-layers": straight_layers is not None,
+        "environment": environment != 32,
+        "position-octaves": position_octaves != 0,
+        "texture-levels": texture_levels != 3,
+    }
+    _refuse(method, light_path_only if method == "paper" else paper_only)
     if method == "paper":
-        _refuse(method, rays=rays != 4, render_rays=render_rays != 16)
         inputs = count_inputs(num_layers, texture_features=16, extrinsics=extrinsics, zero_layer=zero_layer)
         net = PaperConfig(
             width=width_for_34k(inputs, blocks) if width == "34k" else _parse_width(width),
@@ -94,18 +130,24 @@ def train(
             textures=textures,
             texture_size=texture_size or default_texture_size(resolution, num_objects, textures),
             zero_layer=zero_layer,
+            train_samples=1 if rays is None else rays,
+            render_samples=1 if render_rays is None else render_rays,
         )
     else:
-        _refuse(
-            method,
-            extrinsics=extrinsics != "view",
-            width=width != "34k",
-            blocks=blocks != 3,
-            norm=norm != "batch",
-            textures=textures != "object",
-            zero_layer=zero_layer,
+        sizes = share_texels(opened, geometry, texture_size or resolution)
+        known = default_light_path(sizes, is_proxy=geometry != TRUTH)
+        net = dataclasses.replace(
+            known,
+            texture_levels=texture_levels,
+            position_octaves=position_octaves,
+            composite=compositing == "physics",
+            stack_hidden=known.stack_hidden if stack is None else stack,
+            straight_layers=known.straight_layers if straight_layers is None else straight_layers,
+            environment_size=environment,
+            branches=branches,
+            train_samples=known.train_samples if rays is None else rays,
+            render_samples=known.render_samples if render_rays is None else render_rays,
         )
-        net = LightPathConfig(texture_size=texture_size or resolution, train_samples=rays, render_samples=render_rays)
     defaults = METHODS[method].optimisation
     config = TrainConfig(
         method=method,
@@ -127,7 +169,16 @@ def train(
         "scene-texture": textures == "scene",
         f"t{texture_size}": texture_size is not None,
         "zero-layer": zero_layer,
-        f"{rays}-rays": rays != 4,
+        f"{rays}-rays": rays is not None,
+        f"{render_rays}-render-rays": render_rays is not None,
+        f"{branches}-branches": branches != 12,
+        compositing: compositing != "physics",
+        f"stack{stack}": stack is not None,
+        f"{straight_layers}-straight": straight_layers is not None,
+        f"sky{environment}": environment != 32,
+        f"{position_octaves}-octaves": position_octaves != 0,
+        f"{texture_levels}-levels": texture_levels != 3,
+        f"{steps}-steps": steps != 2500,
         f"seed{seed}": seed != 0,
     }
     folder = "-".join([method, *(suffix for suffix, is_chosen in choices.items() if is_chosen)])
@@ -212,11 +263,11 @@ def _check_same_run(out: Path, config: "TrainConfig", dataset: Dataset) -> None:
     check_same_run(out, config, dataset_seal=dataset.seal, layers_seal=layers_seal)
 
 
-def _refuse(method: str, **given: bool) -> None:
+def _refuse(method: str, flags: dict[str, bool]) -> None:
     """Refuses flags that a method does not have, rather than ignore them."""
-    for name, is_given in given.items():
+    for name, is_given in flags.items():
         if is_given:
-            raise HyalineError(f"--{name.replace('_', '-')}: method {method} has no such choice; leave it out")
+            raise HyalineError(f"--{name}: method {method} has no such choice; leave it out")
 
 
 def _parse_width(width: str) -> int:

@@ -20,7 +20,7 @@ EXTRINSIC_CHANNELS: dict[Extrinsics, int] = {"none": 0, "view": 3, "sh": 9}
 
 
 def bake_position_table(dataset: Dataset, geometry: str, size: int) -> Float32[Tensor, "texel 3"]:
-    """The position textures P of all objects, packed as `object_layout(objects, size)`: world positions in metres.
+    """The position textures P of all objects, packed as `object_layout((size,) * objects)`: world positions in metres.
 
     Raises:
         HyalineError: a position is not finite.
@@ -66,7 +66,7 @@ class ExtrinsicInputs(nn.Module):
     def __init__(self, kind: Extrinsics, positions: Float32[Tensor, "texel 3"], *, num_objects: int, size: int) -> None:
         super().__init__()
         self.kind: Extrinsics = kind
-        self.layout = object_layout(num_objects, size)
+        self.layout = object_layout((size,) * num_objects)
         # Not learned, and baked again from the meshes whenever it is needed: no part of a checkpoint.
         self.register_buffer("positions", positions, persistent=False)
 

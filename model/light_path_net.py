@@ -1,69 +1,126 @@
 """Owns the method `light-path`: neural textures where light paths end, composited by the physics of glass."""
 
-import math
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Bool, Float32, UInt8
+from jaxtyping import Float32, Int, UInt8
 from torch import Tensor, nn
 from torch.nn import functional
 
 from datagen.dataset import Dataset
 from datagen.errors import HyalineError
 from model.extrinsics import spherical_harmonics
-from model.texture import NeuralTextures
+from model.samples import check_samples, srgb_curve
+from model.texture import NeuralTextures, object_layout
 
-RESIDUAL_VERTICES = (4, 2)
-"""Vertices of the refracted and of the mirror branch that the residual network sees."""
+STACKED_VERTICES = (4, 2)
+"""Vertices of the refracted and of the first mirror branch that the stack network sees."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class LightPathConfig:
     """What our renderer is made of."""
 
-    texture_size: int
-    """Width and height of a texture in texels."""
-    texture_features: int = 16
+    texture_sizes: tuple[int, ...]
+    """Width and height of each object's texture in texels."""
+    texture_features: int = 8
+    """Channels of a texture; the paper's 16 do no better and take twice the memory."""
+    texture_levels: int = 3
+    """Textures summed, each half as wide as the one before: what few rays have met is filled in from around it."""
     hidden: int = 64
     """Units of the decoder's two hidden layers."""
-    residual_hidden: int = 32
-    """Units of the residual network's two hidden layers; 0 leaves it out."""
+    position_octaves: int = 0
+    """Octaves of the sines and cosines of a path end's position that the decoder is told."""
+    composite: bool = True
+    """Paths are composited by physics; else the stack network alone makes the colour."""
+    stack_hidden: int = 32
+    """Units of the stack network's two hidden layers; 0 leaves it out."""
+    straight_layers: int = 0
+    """Straight layers that the stack network sees beside the paths, for proxies."""
     environment_size: int = 32
     """Height in texels of the learned latitude-longitude map of the light from outside; it is twice as wide."""
-    max_vertices: int = 8
-    """Vertices traced in each branch."""
+    branches: int = 12
+    """Branches traced for each ray: refracted, first mirror, further ones."""
     train_samples: int = 4
     """Rays per pixel while training, a square number."""
     render_samples: int = 16
     """Rays per pixel while rendering, a square number."""
 
     def __post_init__(self) -> None:
-        for name in ("texture_size", "texture_features", "hidden", "environment_size", "max_vertices"):
+        if not self.texture_sizes or min(self.texture_sizes) < 2:
+            raise HyalineError(f"texture_sizes: are {self.texture_sizes}; expected at least 2 texels for each object")
+        if not self.composite and not self.stack_hidden:
+            raise HyalineError("compositing: is stack, but the stack network has no units; expected --stack above 0")
+        for name in ("texture_features", "texture_levels", "hidden", "environment_size", "branches"):
             if getattr(self, name) < 1:
                 raise HyalineError(f"{name}: is {getattr(self, name)}; expected at least 1")
         for name in ("train_samples", "render_samples"):
-            samples = getattr(self, name)
-            if samples < 1 or math.isqrt(samples) ** 2 != samples:
-                raise HyalineError(f"{name}: is {samples}; expected a square number of rays per pixel")
+            check_samples(name, getattr(self, name))
+
+
+def default_light_path(texture_sizes: tuple[int, ...], *, is_proxy: bool) -> LightPathConfig:
+    """What `model train --method light-path` builds unless told otherwise.
+
+    Paths through a proxy mislead where its surface is off. There the stack network sees the straight layers, too, gives
+    each an opacity, and mixes what they show with what the paths show.
+    """
+    if is_proxy:
+        return LightPathConfig(texture_sizes=texture_sizes, stack_hidden=96, straight_layers=8)
+    return LightPathConfig(texture_sizes=texture_sizes)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Ends:
+    """The opaque vertices on which branches end."""
+
+    ray: Int[Tensor, " end"]
+    """The ray that each belongs to; a ray has as many as branches that end on a surface."""
+    object_id: UInt8[Tensor, " end"]
+    uv: Float32[Tensor, "end 2"]
+    position: Float32[Tensor, "end 3"]
+    throughput: Float32[Tensor, "end 3"]
+    cosine: Float32[Tensor, " end"]
+    """Of the angle between the arriving ray and the surface's normal, 0 to 1."""
+    reflected: Float32[Tensor, "end 3"]
+    """The arriving direction, mirrored at the surface."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Sky:
+    """The branches that leave the scene."""
+
+    ray: Int[Tensor, " exit"]
+    direction: Float32[Tensor, "exit 3"]
+    throughput: Float32[Tensor, "exit 3"]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Stack:
+    """The first vertices of each ray's paths, then its straight layers."""
+
+    object_id: UInt8[Tensor, "ray slot"]
+    """0 where there is no vertex."""
+    uv: Float32[Tensor, "ray slot 2"]
+    throughput: Float32[Tensor, "ray slot"]
+    """Mean over the colour channels."""
+    cosine: Float32[Tensor, "ray slot"]
+    direction: Float32[Tensor, "ray 3"]
+    """Of the camera's ray."""
+    position: Float32[Tensor, "ray straight 3"] | None
+    """Of each straight layer; None without straight layers."""
+    reflected: Float32[Tensor, "ray straight 3"] | None
+    """The ray's direction, mirrored at the surface of each straight layer."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LightPathBatch:
-    """The light paths of some pixels: `samples` rays for each, pixel by pixel; vertices as in `LightPaths`."""
+    """The light paths of some pixels: `samples` rays for each, pixel by pixel."""
 
+    num_pixels: int
     samples: int
-    object_id: UInt8[Tensor, "ray branch vertex"]
-    """0 where there is no vertex."""
-    uv: Float32[Tensor, "ray branch vertex 2"]
-    throughput: Float32[Tensor, "ray branch vertex 3"]
-    cosine: Float32[Tensor, "ray branch vertex"]
-    """Of the angle between the arriving ray and the surface's normal, 0 to 1."""
-    reflected: Float32[Tensor, "ray branch vertex 3"]
-    """The arriving direction, mirrored at the surface."""
-    is_end: Bool[Tensor, "ray branch vertex"]
-    """True for the opaque vertex on which a branch ends."""
-    end_direction: Float32[Tensor, "ray branch 3"]
-    end_throughput: Float32[Tensor, "ray branch 3"]
+    ends: Ends
+    sky: Sky
+    stack: Stack | None
 
 
 class LightPathRenderer(nn.Module):
@@ -73,47 +130,85 @@ class LightPathRenderer(nn.Module):
     the environment), averaged over the pixel's rays in linear light; plus a small non-negative residual from the
     stacked features of the first vertices, for the paths that are not traced. Edits stay valid: what is removed from
     the scene is no vertex of any path.
+
+    With straight layers (on proxies) the same decoder shades these, too, the stack network gives each an opacity, they
+    are laid over each other, and a learned share of the paths' radiance is replaced by theirs.
     """
 
-    def __init__(self, config: LightPathConfig, *, num_objects: int) -> None:
+    def __init__(self, config: LightPathConfig) -> None:
         super().__init__()
-        self.textures = NeuralTextures(
-            num_objects, sharing="object", size=config.texture_size, features=config.texture_features
-        )
-        # Feature, cosine, spherical harmonics of the mirrored direction -> linear radiance.
-        self.decoder = _mlp(config.texture_features + 1 + 9, config.hidden)
-        self.environment = nn.Parameter(torch.zeros(3, config.environment_size, 2 * config.environment_size))
-        per_vertex = config.texture_features + 2
-        inputs = sum(RESIDUAL_VERTICES) * per_vertex
-        self.residual = _mlp(inputs, config.residual_hidden) if config.residual_hidden else None
+        self.config = config
+        self.textures = nn.ModuleList(
+            NeuralTextures(object_layout([max(2, size >> level) for size in config.texture_sizes]),
+                           config.texture_features)
+            for level in range(config.texture_levels)
+        )  # fmt: skip
+        if config.composite:
+            # Feature, cosine, spherical harmonics of the mirrored direction, position -> linear radiance.
+            self.decoder = _mlp(config.texture_features + 1 + 9 + 6 * config.position_octaves, config.hidden, 3)
+            self.environment = nn.Parameter(torch.zeros(3, config.environment_size, 2 * config.environment_size))
+        slots = sum(STACKED_VERTICES) + config.straight_layers
+        inputs = slots * (config.texture_features + 2) + (3 if config.straight_layers else 0)
+        # Colour; opacity of each straight layer; share of the paths.
+        outputs = 3 + (config.straight_layers + 1 if config.straight_layers else 0)
+        self.stack_net = _mlp(inputs, config.stack_hidden, outputs) if config.stack_hidden else None
 
     def forward(self, paths: LightPathBatch, **_: object) -> Float32[Tensor, "pixel 3"]:
         """sRGB colours of the pixels, at least 0."""
-        count, branches, vertices = paths.object_id.shape
-        features = self.textures(paths.uv.flatten(1, 2), paths.object_id.flatten(1, 2))
-        features = features.view(count, branches, vertices, -1)
+        num_rays = paths.num_pixels * paths.samples
+        radiance = torch.zeros(num_rays, 3, device=paths.ends.uv.device)
+        if self.config.composite:
+            radiance = radiance.index_add(0, paths.ends.ray, self._shine(paths.ends) * paths.ends.throughput)
+            radiance = radiance.index_add(
+                0, paths.sky.ray, self._environment(paths.sky.direction) * paths.sky.throughput
+            )
+        if self.stack_net is not None:
+            assert paths.stack is not None
+            stack = paths.stack
+            features = self._features(stack.uv, stack.object_id)
+            inputs = torch.cat([features, stack.throughput[..., None], stack.cosine[..., None]], dim=-1).flatten(1)
+            if self.config.straight_layers:
+                inputs = torch.cat([inputs, stack.direction], dim=-1)
+            out = self.stack_net(inputs)
+            if self.config.straight_layers and self.config.composite:
+                share = torch.sigmoid(out[:, 3:4])
+                radiance = share * radiance + (1 - share) * self._over(stack, features, torch.sigmoid(out[:, 4:]))
+            radiance = radiance + functional.softplus(out[:, :3] - (4 if self.config.composite else 1))
+        return srgb_curve(radiance.view(-1, paths.samples, 3).mean(dim=1))
 
-        # The ends on opaque surfaces.
-        ends = paths.is_end.nonzero(as_tuple=True)
-        inputs = torch.cat(
-            [features[ends], paths.cosine[ends][:, None], spherical_harmonics(paths.reflected[ends])], dim=-1
-        )
-        shining = functional.softplus(self.decoder(inputs)) * paths.throughput[ends]
-        radiance = torch.zeros(count, 3, device=shining.device).index_add(0, ends[0], shining)
+    def _over(self, stack: Stack, features: Tensor, opacity: Float32[Tensor, "ray straight"]) -> Tensor:
+        """Linear radiance of the straight layers, each laid over those behind it, and of the sky behind all."""
+        first = sum(STACKED_VERTICES)
+        hits = (stack.object_id[:, first:] > 0).nonzero(as_tuple=True)
+        behind = (hits[0], hits[1] + first)
+        assert stack.position is not None
+        assert stack.reflected is not None
+        shine = self._decode(features[behind], stack.cosine[behind], stack.reflected[hits], stack.position[hits])
+        opacity = opacity * (stack.object_id[:, first:] > 0)
+        passed = torch.cumprod(1 - opacity, dim=1)
+        before = torch.cat([torch.ones_like(passed[:, :1]), passed[:, :-1]], dim=1)
+        sky = self._environment(stack.direction) * passed[:, -1:]
+        return sky.index_add(0, hits[0], shine * (opacity * before)[hits][:, None])
 
-        # The ends in the open.
-        radiance = radiance + (self._environment(paths.end_direction) * paths.end_throughput).sum(dim=1)
+    def _features(self, uv: Float32[Tensor, "ray slot 2"], object_id: UInt8[Tensor, "ray slot"]) -> Tensor:
+        return torch.stack([textures(uv, object_id) for textures in self.textures]).sum(dim=0)
 
-        # What was not traced.
-        if self.residual is not None:
-            stack = torch.cat([features, paths.throughput.mean(-1, keepdim=True), paths.cosine[..., None]], dim=-1)
-            seen = [stack[:, branch, :number].flatten(1) for branch, number in enumerate(RESIDUAL_VERTICES)]
-            radiance = radiance + functional.softplus(self.residual(torch.cat(seen, dim=-1)) - 4)
+    def _shine(self, ends: Ends) -> Float32[Tensor, "end 3"]:
+        """Linear radiance that leaves the ends towards their rays."""
+        features = self._features(ends.uv[:, None], ends.object_id[:, None])[:, 0]
+        return self._decode(features, ends.cosine, ends.reflected, ends.position)
 
-        pixel = radiance.view(-1, paths.samples, 3).mean(dim=1)
-        return srgb_curve(pixel)
+    def _decode(
+        self, features: Tensor, cosine: Tensor, reflected: Tensor, position: Tensor
+    ) -> Float32[Tensor, "end 3"]:
+        inputs = [features, cosine[:, None], spherical_harmonics(reflected)]
+        for octave in range(self.config.position_octaves):
+            angle = position * (torch.pi * 2**octave)
+            inputs += [torch.sin(angle), torch.cos(angle)]
+        # The first features are colour: a texel learns its own at once, and the decoder what depends on the view.
+        return functional.softplus(self.decoder(torch.cat(inputs, dim=-1)) + features[:, :3])
 
-    def _environment(self, direction: Float32[Tensor, "ray branch 3"]) -> Float32[Tensor, "ray branch 3"]:
+    def _environment(self, direction: Float32[Tensor, "exit 3"]) -> Float32[Tensor, "exit 3"]:
         """Learned radiance from unit directions; whatever for the zero vector, whose throughput is 0."""
         x, y, z = direction.unbind(-1)
         # The map goes once around, so a column of the other end stands beside each end.
@@ -122,25 +217,28 @@ class LightPathRenderer(nn.Module):
         azimuth = torch.atan2(y, x) / torch.pi  # -1 to 1.
         polar = 2 * torch.acos(z.clamp(-1, 1)) / torch.pi - 1
         place = torch.stack([azimuth * width / (width + 2), polar], dim=-1)
-        texels = functional.grid_sample(padded, place[None], padding_mode="border", align_corners=False)
-        return functional.softplus(texels[0].permute(1, 2, 0))
+        texels = functional.grid_sample(padded, place[None, None], padding_mode="border", align_corners=False)
+        return functional.softplus(texels[0, :, 0].T)
 
 
 def build_light_path(config: LightPathConfig, dataset: Dataset, geometry: str, num_layers: int) -> LightPathRenderer:  # noqa: ARG001
-    """A fresh renderer for a dataset; its random start is drawn from torch's default generator."""
-    return LightPathRenderer(config, num_objects=len(dataset.objects))
+    """A fresh renderer for a dataset; its random start is drawn from torch's default generator.
+
+    Raises:
+        HyalineError: the configuration is of a scene with another number of objects.
+    """
+    if len(config.texture_sizes) != len(dataset.objects):
+        raise HyalineError(
+            f"texture_sizes: are {len(config.texture_sizes)}; expected one for each of {len(dataset.objects)} objects"
+        )
+    return LightPathRenderer(config)
 
 
-def srgb_curve(linear: Float32[Tensor, "*b"]) -> Float32[Tensor, "*b"]:
-    """The sRGB curve of values >= 0, going on above 1 so that gradients do. Source: IEC 61966-2-1."""
-    return torch.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear.clamp_min(0.0031308) ** (1 / 2.4) - 0.055)
-
-
-def _mlp(num_inputs: int, hidden: int) -> nn.Sequential:
+def _mlp(num_inputs: int, hidden: int, num_outputs: int) -> nn.Sequential:
     return nn.Sequential(
         nn.Linear(num_inputs, hidden),
         nn.LeakyReLU(0.2),
         nn.Linear(hidden, hidden),
         nn.LeakyReLU(0.2),
-        nn.Linear(hidden, 3),
+        nn.Linear(hidden, num_outputs),
     )

@@ -9,9 +9,9 @@ from torch import nn
 from datagen.dataset import Dataset, Split
 from datagen.layer_store import LayerKind, LayersHead, read_layers_head
 from model.batches import PixelSource, load_pixels
-from model.light_batches import load_light_path_pixels
 from model.light_path_net import LightPathConfig, build_light_path
 from model.paper import PaperConfig, build_paper
+from model.traced_batches import load_light_path_pixels, load_traced_layers
 
 LrDecay = Literal["none", "linear", "cosine"]
 
@@ -45,14 +45,17 @@ class Method:
 
 
 def _load_straight(
-    config: PaperConfig,  # noqa: ARG001
+    config: PaperConfig,
     dataset: Dataset,
     geometry: str,
     split: Split,
     views: Sequence[int],
     with_images: bool,
 ) -> PixelSource:
-    return load_pixels(dataset, geometry, split, views, with_images=with_images)
+    if max(config.train_samples, config.render_samples) == 1:
+        return load_pixels(dataset, geometry, split, views, with_images=with_images)
+    num_layers, _ = read_layers_of(METHODS["paper"], dataset, geometry)
+    return load_traced_layers(config, dataset, geometry, num_layers, split, views, with_images)
 
 
 METHODS: dict[str, Method] = {

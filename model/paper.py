@@ -13,7 +13,8 @@ from datagen.errors import HyalineError
 from model.batches import RayBatch, insert_empty_layer
 from model.extrinsics import EXTRINSIC_CHANNELS, ExtrinsicInputs, Extrinsics, bake_position_table
 from model.pixel_mlp import Norm, PixelMlp, check_width
-from model.texture import NeuralTextures, TextureSharing
+from model.samples import check_samples, linear_curve, srgb_curve
+from model.texture import NeuralTextures, TextureSharing, object_layout, scene_layout
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,12 +39,19 @@ class PaperConfig:
     """Width and height of the position textures of Eq. 3 in texels; the size that the authors ran."""
     zero_layer: bool = False
     """Insert a layer of zeros at a random place while training, and behind all others at test (section 4.4)."""
+    train_samples: int = 1
+    """Rays per pixel while training, a square number; the paper has one, through the pixel's centre. With more, in
+    training or in rendering, layers are traced for each batch instead of read, and colours are averaged."""
+    render_samples: int = 1
+    """Rays per pixel while rendering, a square number."""
 
     def __post_init__(self) -> None:
         check_width(self.width, self.blocks)
         for name in ("texture_size", "position_size"):
             if not 2 <= getattr(self, name) <= 8192:
                 raise HyalineError(f"{name}: is {getattr(self, name)}; expected 2 to 8192 texels")
+        for name in ("train_samples", "render_samples"):
+            check_samples(name, getattr(self, name))
         if not 1 <= self.texture_features <= 256:
             raise HyalineError(f"texture_features: is {self.texture_features}; expected 1 to 256")
 
@@ -64,16 +72,18 @@ def count_inputs(num_layers: int, *, texture_features: int, extrinsics: Extrinsi
 
 
 class PaperRenderer(nn.Module):
-    """Rays with layers in, sRGB colours out."""
+    """Rays with layers in, sRGB colours of their pixels out."""
 
     def __init__(
         self, config: PaperConfig, *, num_layers: int, num_objects: int, positions: Float32[Tensor, "texel 3"] | None
     ) -> None:
         super().__init__()
         self.zero_layer = config.zero_layer
-        self.textures = NeuralTextures(
-            num_objects, sharing=config.textures, size=config.texture_size, features=config.texture_features
+        size = config.texture_size
+        layout = (
+            object_layout((size,) * num_objects) if config.textures == "object" else scene_layout(num_objects, size)
         )
+        self.textures = NeuralTextures(layout, config.texture_features)
         self.extrinsics = (
             None
             if positions is None
@@ -87,8 +97,8 @@ class PaperRenderer(nn.Module):
         )
         self.net = PixelMlp(num_inputs, width=config.width, blocks=config.blocks, norm=config.norm)
 
-    def forward(self, rays: RayBatch, *, rng: np.random.Generator | None = None) -> Float32[Tensor, "ray 3"]:
-        """sRGB colours of the rays, about [0, 1].
+    def forward(self, rays: RayBatch, *, rng: np.random.Generator | None = None) -> Float32[Tensor, "pixel 3"]:
+        """sRGB colours of the pixels, about [0, 1]; several rays of a pixel are averaged in linear light.
 
         Args:
             rng: draws the place of each ray's zero layer while training; without it that layer comes last.
@@ -101,7 +111,10 @@ class PaperRenderer(nn.Module):
         stack = self.textures(rays.uv, rays.object_id)
         if self.extrinsics is not None:
             stack = torch.cat([stack, self.extrinsics(rays.uv, rays.object_id, rays.p_camera)], dim=-1)
-        return self.net(stack.flatten(1))
+        colors = self.net(stack.flatten(1))
+        if rays.samples == 1:
+            return colors
+        return srgb_curve(linear_curve(colors).view(-1, rays.samples, 3).mean(dim=1))
 
 
 def build_paper(config: PaperConfig, dataset: Dataset, geometry: str, num_layers: int) -> PaperRenderer:

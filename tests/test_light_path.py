@@ -8,7 +8,7 @@ import trimesh
 from reference import fresnel_reflectance
 from synthetic import look_at, quad
 from test_meshes import mesh_of
-from test_render import DUSK, box, scene_of
+from test_render import DUSK, box, rendered, scene_of
 
 from datagen import mitsuba_scene
 from datagen.cameras import pixel_center_rays
@@ -33,13 +33,14 @@ def wide(z: float) -> Mesh:
     return Mesh(vertices=mesh.vertices * np.float32([20, 20, 1]), faces=mesh.faces, normals=mesh.normals, uv=mesh.uv)
 
 
-def traced(*objects: tuple[Mesh, Material], origins: object, directions: object, max_vertices: int = 8) -> LightPaths:
+def traced(*objects: tuple[Mesh, Material], origins: object, directions: object, max_branches: int = 2,
+           **limits: int) -> LightPaths:  # fmt: skip
     directions = np.atleast_2d(np.asarray(directions, np.float64))
     directions = directions / np.linalg.norm(directions, axis=1, keepdims=True)
     origins = np.broadcast_to(np.asarray(origins, np.float64), directions.shape)
     meshes, materials = zip(*objects, strict=True)
     return LightPathTracer(meshes, materials).trace(
-        origins.astype(np.float32), directions.astype(np.float32), max_vertices
+        origins.astype(np.float32), directions.astype(np.float32), max_branches=max_branches, **limits
     )
 
 
@@ -138,21 +139,95 @@ def test_thin_panes_do_not_bend_and_metals_mirror_with_their_colour() -> None:
     assert not matte.object_id[1].any()
 
 
-def test_a_path_longer_than_its_slots_is_cut_and_says_nothing_of_its_end() -> None:
+def test_a_path_longer_than_its_places_keeps_its_end_and_one_too_deep_says_nothing_of_it() -> None:
     panes = [(quad(0.1 * index), ThinDielectric(ior=1.5)) for index in range(6)]
-    paths = traced(*panes, origins=(0, 0, 2), directions=(0, 0, -1), max_vertices=4)
-    assert (paths.object_id[0, :, 0] > 0).all()
-    assert not paths.has_left[0, 0]
-    assert (paths.end_throughput[0, 0] == 0).all()
+    wall = (wide(-1.0), GREY)
+    long = traced(*panes, wall, origins=(0, 0, 2), directions=(0, 0, -1), max_vertices=4)
+    assert long.object_id[0, :, 0].tolist() == [6, 5, 4, 7]
+    assert long.position[0, 3, 0] == pytest.approx((0, 0, -1), abs=1e-6)
+    r = 2 * 0.04 / 1.04
+    assert long.throughput[0, 3, 0] == pytest.approx([(1 - r) ** 6] * 3, rel=1e-3)
+    deep = traced(*panes, wall, origins=(0, 0, 2), directions=(0, 0, -1), max_vertices=4, max_depth=5)
+    assert deep.object_id[0, 3, 0] == 2
+    assert not deep.has_left[0, 0]
+    assert (deep.end_throughput[0, 0] == 0).all()
 
 
-@pytest.mark.parametrize("branch", [0, 1])
-def test_decoding_a_branch_by_formula_gives_mitsubas_own_image(branch: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Glass that only refracts, or only reflects, before an environment and a wall known by formula."""
+@pytest.mark.parametrize("slope", [0.3, 2.0])
+def test_a_rough_metal_mirrors_as_much_of_the_sky_as_in_mitsuba(slope: float) -> None:
+    gold = Conductor(color=(1.0, 0.8, 0.3), roughness=0.3)
+    direction = np.array([1.0, 0.0, -slope]) / math.hypot(1, slope)
+    floor = SceneObject(name="floor", mesh=wide(0), material=gold)
+    view = Cameras(world_from_camera=look_at(-3 * direction, np.zeros(3))[None], fov_x=1e-3, width=2, height=2)
+    truth = rendered(scene_of(floor, environment=DUSK), view, spp=8192).mean(axis=(0, 1))
+    rays = np.tile(direction, (4096, 1))
+    paths = traced((wide(0), gold), origins=-3 * direction, directions=rays)
+    sky = radiance_of_environment(DUSK, paths.end_direction[1].astype(np.float64))
+    assert (paths.end_throughput[1] * sky).mean(axis=0) == pytest.approx(truth, rel=0.01)
+    again = traced((wide(0), gold), origins=-3 * direction, directions=rays, seed=1)
+    assert (again.end_throughput[1] * sky).mean(axis=0) != pytest.approx(truth, rel=1e-6)
+    # Each sixteen rays, as many as a pixel has, are a fair share of the facets.
+    parts = (paths.end_throughput[1] * sky).reshape(-1, 16, 3).mean(axis=1)
+    assert parts.std(axis=0) == pytest.approx(0, abs=0.05)
+
+
+def test_water_and_the_glass_around_it_share_one_surface() -> None:
+    outer, inner = (trimesh.creation.icosphere(5, radius) for radius in (0.5, 0.44))
+    inner.invert()
+    shell, water = mesh_of(outer + inner), mesh_of(trimesh.creation.icosphere(5, 0.45))
+    glass, drink = (
+        Dielectric(ior=1.5, absorption=(1.0, 2.0, 0.0), priority=1),
+        Dielectric(ior=1.33, absorption=(0.0, 1.0, 3.0)),
+    )
+    # Not through a vertex of the spheres, whose faces are flat: hence the tolerances.
+    direction = np.array([-0.9998, 0.0012, 0.0007])
+    paths = traced((shell, glass), (water, drink), origins=-2 * direction, directions=direction, max_branches=1)
+    assert paths.object_id[0, :, 0].tolist() == [1, 1, 1, 1, 0, 0, 0, 0]
+    assert paths.medium_length[0, :4, 0] == pytest.approx([0, 0.06, 0.88, 0.06], abs=2e-3)
+    air_glass, glass_water = ((a - b) ** 2 / (a + b) ** 2 for a, b in ((1.5, 1.0), (1.5, 1.33)))
+    dimmed = np.exp(-0.12 * np.array(glass.absorption) - 0.88 * np.array(drink.absorption))
+    expected = (1 - air_glass) ** 2 * (1 - glass_water) ** 2 * dimmed
+    assert paths.end_throughput[0, 0] == pytest.approx(expected, rel=5e-3)
+    assert paths.end_direction[0, 0] == pytest.approx(direction, abs=2e-3)
+
+
+def test_with_enough_branches_no_light_is_lost_and_each_adds_some() -> None:
+    """In a white furnace all that a ray brings is 1: refracted, mirrored, and every reflection inside."""
+    ball = mesh_of(trimesh.creation.icosphere(4, 0.5))
+    rng = np.random.default_rng(0)
+    target = rng.normal(size=(400, 3))
+    target *= 0.45 * rng.random((400, 1)) ** (1 / 3) / np.linalg.norm(target, axis=1, keepdims=True)
+    origin = np.array([0.0, -3.0, 1.0])
+    totals = []
+    for branches in (1, 2, 4):
+        paths = traced((ball, Dielectric(ior=1.5)), origins=origin, directions=target - origin, max_branches=branches)
+        total = paths.end_throughput.sum(axis=0).mean(axis=-1)
+        assert total.max() < 1 + 1e-4
+        totals.append(total.mean())
+    assert (np.diff(totals) > 0.0005).all()
+    assert totals[-1] > 0.997
+
+
+def test_branches_come_by_their_throughput_after_the_first_mirror() -> None:
+    panes = [(quad(0.1 * index), ThinDielectric(ior=1.2 + 0.1 * index)) for index in range(5)]
+    paths = traced(*panes, origins=(0, 0, 2), directions=(0.0, 0.001, -1), max_branches=5)
+    start = paths.end_throughput[:, 0, 0]
+    assert paths.has_left[:, 0].all()
+    assert paths.object_id[1, 0, 0] == 0  # From the first pane straight into the open.
+    r = [((0.2 + 0.1 * index) / (2.2 + 0.1 * index)) ** 2 for index in range(5)]
+    assert start[0] == pytest.approx(np.prod([(1 - x) / (1 + x) for x in r]), rel=1e-3)
+    assert paths.object_id[2, 0, 0] == 5  # Mirrored at the second pane, back through the first.
+
+
+@pytest.mark.parametrize("branch", [0, 1, None])
+def test_decoding_branches_by_formula_gives_mitsubas_own_image(
+    branch: int | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Glass that only refracts, or only reflects, or does as glass does, before an environment known by formula."""
     import mitsuba as mi
 
     # Of rays from outside a ball reflects none totally. The mirror branch would go on through a second ball.
-    centers = [(0.0, 0.0, 0.0), (-1.2, 0.3, -0.2)][: 2 - branch]
+    centers = [(0.0, 0.0, 0.0), (-1.2, 0.3, -0.2)][: 1 if branch == 1 else 2]
     balls = [mesh_of(trimesh.creation.icosphere(5, 0.5).apply_translation(center)) for center in centers]
     glass = Dielectric(ior=1.5, absorption=(0.0, 0.0, 0.0))
     objects = tuple(SceneObject(name=f"ball{index}", mesh=ball, material=glass) for index, ball in enumerate(balls))
@@ -160,8 +235,8 @@ def test_decoding_a_branch_by_formula_gives_mitsubas_own_image(branch: int, monk
     size = 48
     cameras = Cameras(world_from_camera=look_at(position, np.zeros(3))[None], fov_x=0.6, width=size, height=size)
     plain = mitsuba_scene._bsdf
-    switched_off = "specular_reflectance" if branch == 0 else "specular_transmittance"
-    monkeypatch.setattr(mitsuba_scene, "_bsdf", lambda *given: {**plain(*given), switched_off: 0.0})
+    switched_off = {0: {"specular_reflectance": 0.0}, 1: {"specular_transmittance": 0.0}, None: {}}[branch]
+    monkeypatch.setattr(mitsuba_scene, "_bsdf", lambda *given: {**plain(*given), **switched_off})
     scene = load_scene_mitsuba(scene_of(*objects, environment=DUSK))
     sensor = load_sensor(cameras.world_from_camera[0], cameras.fov_x, size, size)
     integrator = mi.load_dict({"type": "path", "max_depth": 16, "rr_depth": 50})
@@ -179,12 +254,15 @@ def test_decoding_a_branch_by_formula_gives_mitsubas_own_image(branch: int, monk
         x, y = (column + dx - size / 2) / focal, (size / 2 - row - dy) / focal
         d = np.stack([x, y, -np.ones_like(x)], axis=-1).reshape(-1, 3) @ cameras.world_from_camera[0, :3, :3].T
         d /= np.linalg.norm(d, axis=1, keepdims=True)
-        paths = tracer.trace(np.broadcast_to(origin, d.shape), d.astype(np.float32))
+        paths = tracer.trace(
+            np.broadcast_to(origin, d.shape), d.astype(np.float32), max_branches=2 if branch == 1 else 8
+        )
         environment = radiance_of_environment(DUSK, paths.end_direction.astype(np.float64))
         light = paths.end_throughput * environment
         # Rays that meet no glass belong to branch 0; Mitsuba shows them in both images.
         direct = ~paths.object_id[0, 0].astype(bool)
-        decoded += np.where(direct[:, None], light[0], light[branch]) / rounds
+        seen = light.sum(axis=0) if branch is None else light[branch]
+        decoded += np.where(direct[:, None], light[0], seen) / rounds
     difference = decoded.reshape(size, size, 3) - image
     # What is left is mostly how Mitsuba interpolates its map of the sky at the horizon.
     assert np.abs(difference).mean() < 4e-3

@@ -166,14 +166,15 @@ def test_stored_paths_are_a_fresh_trace_of_a_finer_pictures_pixel_centres(built:
         for field in dataclasses.fields(LightPaths):
             got, expected = (getattr(part(paths, same), field.name) for paths in (stored, paths))
             assert np.abs(got.astype(np.float64) - expected).max() < 1e-3
-    assert "light paths cut off after 5 vertices train: " in summary(dataset, TRUTH, ("light-path",))
+    assert "rays with a branch given up after 24 surfaces train: 0.00 %" in summary(dataset, TRUTH, ("light-path",))
 
 
 @needs_tracer
-def test_the_share_of_paths_that_are_cut_off_is_known(tmp_path: Path) -> None:
+def test_the_share_of_paths_that_are_given_up_is_known(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     dataset = write_synthetic_dataset(tmp_path, resolution=SIZE, train_views=2)
-    peel(dataset, rays=1, vertices=1)
-    # One vertex suffices for the floor and for what the pane mirrors, not for what is behind the pane.
+    monkeypatch.setattr("datagen.light_path_layers.MAX_DEPTH", 1)
+    peel(dataset, rays=1)
+    # One surface suffices for the floor and for what the pane mirrors, not for what is behind the pane.
     sees_pane = read_light_paths(dataset, TRUTH, "train", 0).object_id[0, 0] == 1
     assert 0 < sees_pane.mean() < 1
     assert read_layers_record(dataset, TRUTH, "light-path", "train", 0).overflow_share == sees_pane.mean()
@@ -221,7 +222,7 @@ def test_the_command_with_two_workers_writes_the_same_bytes(built: Path, copy: D
     command = [sys.executable, "-m", "datagen", "peel", "--dataset", str(copy.root), *flags]
     answer = subprocess.run(command, check=True, capture_output=True, text=True)
     assert "rays with more than 5 hits train" in answer.stderr
-    assert "light paths cut off after 5 vertices train" in answer.stderr
+    assert "rays with a branch given up after 24 surfaces train" in answer.stderr
     assert verify_dataset(copy.root)[1] == []
     shutil.rmtree(layers_root(copy.root, TRUTH, "straight"))
     assert tree(copy.root) == tree(built)

@@ -1,5 +1,6 @@
 """Tests the method `light-path`: its rays, its physics, its training."""
 
+import dataclasses
 import math
 from pathlib import Path
 
@@ -15,18 +16,22 @@ from datagen.geometry import TRUTH
 from datagen.layers import read_layers
 from datagen.tonemap import srgb_from_linear
 from datagen.variant import use_mitsuba
-from model.light_batches import LightPathPixels, load_light_path_pixels
-from model.light_path_net import LightPathConfig, LightPathRenderer, srgb_curve
+from model.light_path_net import LightPathConfig, LightPathRenderer, default_light_path
 from model.methods import METHODS
+from model.paper import PaperConfig, PaperRenderer
 from model.predict import render_predictions
 from model.run_folder import TrainConfig, is_finished, read_run
+from model.samples import linear_curve, srgb_curve
+from model.traced_batches import LightPathPixels, load_light_path_pixels
 from model.train import train
 
 if use_mitsuba(quiet=True).startswith("scalar"):
     pytest.skip("light paths need a vectorised variant of Mitsuba", allow_module_level=True)
 
 CPU = torch.device("cpu")
-NET = LightPathConfig(texture_size=24, hidden=32, residual_hidden=16, environment_size=8, render_samples=4)
+NET = LightPathConfig(
+    texture_sizes=(24, 24), hidden=32, stack_hidden=16, environment_size=8, branches=4, render_samples=4
+)
 SMALL = TrainConfig(
     method="light-path",
     geometry="truth",
@@ -47,7 +52,9 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 
 
 def pixels_of(dataset: Dataset, **config: int) -> LightPathPixels:
-    return load_light_path_pixels(LightPathConfig(texture_size=8, **config), dataset, TRUTH, "train", [2, 5], True)
+    return load_light_path_pixels(
+        LightPathConfig(texture_sizes=(8, 8), **config), dataset, TRUTH, "train", [2, 5], True
+    )
 
 
 def white(renderer: LightPathRenderer) -> LightPathRenderer:
@@ -67,8 +74,8 @@ def test_one_ray_a_pixel_goes_through_its_centre_and_meets_the_straight_layers(d
     for place, view in enumerate((2, 5)):
         layers = read_layers(dataset, TRUTH, "train", view)
         here = slice(place * 1024, (place + 1) * 1024)
-        assert np.array_equal(paths.object_id[here, 0, :4].numpy().T.reshape(4, 32, 32), layers.object_id)
-        uv = paths.uv[here, 0, :4].numpy().transpose(1, 0, 2).reshape(4, 32, 32, 2)
+        assert np.array_equal(paths.stack.object_id[here, :4].numpy().T.reshape(4, 32, 32), layers.object_id)
+        uv = paths.stack.uv[here, :4].numpy().transpose(1, 0, 2).reshape(4, 32, 32, 2)
         assert np.abs(uv - layers.uv / 65535).max() < 1e-4
 
 
@@ -77,16 +84,12 @@ def test_training_rays_fill_their_pixels_one_in_each_cell(dataset: Dataset) -> N
     index = torch.full((500,), 1024 + 17 * 32 + 5)
     paths = pixels.take(index, np.random.default_rng(0))
     again = pixels.take(index, np.random.default_rng(0))
-    assert torch.equal(paths.uv, again.uv)
+    assert torch.equal(paths.ends.uv, again.ends.uv)
     camera = read_cameras(dataset, "train")
-    matrix = camera.world_from_camera[5]
-    # The pane reflects; mirrored once more at its normal, +z, the arriving direction comes back.
-    hit = paths.object_id[:, 0, 0] > 0
-    d = paths.reflected[:, 0, 0].numpy().astype(np.float64) * [1, 1, -1] @ matrix[:3, :3]
+    d = paths.stack.direction.numpy().astype(np.float64) @ camera.world_from_camera[5][:3, :3]
     focal = 16 / math.tan(camera.fov_x / 2)
     column, row = 16 - d[:, 0] / d[:, 2] * focal, 16 + d[:, 1] / d[:, 2] * focal
-    place = np.stack([row - 17, column - 5], axis=-1)[hit.numpy()]
-    assert hit.all()
+    place = np.stack([row - 17, column - 5], axis=-1)
     assert place.min() > -1e-3
     assert place.max() < 1 + 1e-3
     cells = np.floor(np.clip(place.reshape(500, 4, 2), 0, 0.999) * 2).astype(int)
@@ -95,7 +98,7 @@ def test_training_rays_fill_their_pixels_one_in_each_cell(dataset: Dataset) -> N
 
 def test_where_everything_shines_alike_glass_disappears(dataset: Dataset) -> None:
     pixels = pixels_of(dataset)
-    renderer = white(LightPathRenderer(LightPathConfig(texture_size=8, residual_hidden=0), num_objects=2))
+    renderer = white(LightPathRenderer(LightPathConfig(texture_sizes=(8, 8), stack_hidden=0)))
     with torch.no_grad():
         colors = renderer(pixels.take(torch.arange(len(pixels.rgb)), None))
     assert (colors - 1).abs().max() < 1e-3
@@ -104,12 +107,12 @@ def test_where_everything_shines_alike_glass_disappears(dataset: Dataset) -> Non
 def test_a_removed_object_leaves_no_trace(dataset: Dataset) -> None:
     """Drawn without the pane, the picture depends on the pane's texels no more."""
     pixels = pixels_of(dataset, render_samples=1)
-    renderer = LightPathRenderer(NET, num_objects=2)
+    renderer = LightPathRenderer(NET)
     index = torch.arange(1024)
     paths = pixels.take(index, None)
-    assert (paths.object_id == 1).any()
+    assert (paths.stack.object_id == 1).any()
     renderer(paths).sum().backward()
-    table = renderer.textures.table.grad
+    table = renderer.textures[0].table.grad
     assert table is not None
     half = len(table) // 2
     assert table[:half].abs().sum() > 0  # With the pane its texels matter, through the residual.
@@ -125,14 +128,14 @@ def test_a_removed_object_leaves_no_trace(dataset: Dataset) -> None:
     edited = LightPathPixels(**{**vars(pixels), "tracer": tracer}).take(index, None)
     renderer.zero_grad()
     renderer(edited).sum().backward()
-    table = renderer.textures.table.grad
+    table = renderer.textures[0].table.grad
     assert table is not None
     assert table[:half].abs().sum() == 0
     assert table[half:].abs().sum() > 0
 
 
 def test_the_learned_sky_is_continuous_all_around() -> None:
-    renderer = LightPathRenderer(LightPathConfig(texture_size=8), num_objects=1)
+    renderer = LightPathRenderer(LightPathConfig(texture_sizes=(8,)))
     height = renderer.environment.shape[1]
     polar = (torch.arange(height) + 0.5) / height * math.pi
     azimuth = ((torch.arange(2 * height) + 0.5) / height - 1) * math.pi
@@ -140,9 +143,7 @@ def test_the_learned_sky_is_continuous_all_around() -> None:
     directions = torch.stack([sin * torch.cos(azimuth), sin * torch.sin(azimuth), cos.expand(-1, 2 * height)])
     with torch.no_grad():
         renderer.environment.copy_(torch.log(torch.expm1(1 + 0.5 * directions)))
-        asked = torch.nn.functional.normalize(
-            torch.randn(4000, 2, 3, generator=torch.Generator().manual_seed(0)), dim=-1
-        )
+        asked = torch.nn.functional.normalize(torch.randn(4000, 3, generator=torch.Generator().manual_seed(0)), dim=-1)
         error = (renderer._environment(asked) - (1 + 0.5 * asked)).abs()
     assert error[asked[..., 2].abs() < 0.95].max() < 3e-3
     assert error.max() < 0.03  # Half a texel around the poles is flat.
@@ -174,7 +175,6 @@ def test_training_learns_the_synthetic_scene_and_resumes_to_the_bit(
 
 
 def test_it_learns_what_it_sees(dataset: Dataset, tmp_path: Path) -> None:
-    import dataclasses
     import json
 
     config = dataclasses.replace(SMALL, steps=150, batch=256, evaluate_every=150)
@@ -185,18 +185,66 @@ def test_it_learns_what_it_sees(dataset: Dataset, tmp_path: Path) -> None:
     assert last["held_out_psnr"] > best_constant + 5
 
 
-def test_proxies_and_foreign_flags_are_refused(
+def test_straight_layers_stand_beside_the_paths_on_proxies(dataset: Dataset) -> None:
+    config = default_light_path((32, 32), is_proxy=True)
+    pixels = load_light_path_pixels(dataclasses.replace(config, render_samples=1), dataset, TRUTH, "train", [2], True)
+    stack = pixels.take(torch.arange(1024), None).stack
+    layers = read_layers(dataset, TRUTH, "train", 2)
+    assert np.array_equal(stack.object_id[:, -8:-4].numpy().T.reshape(4, 32, 32), layers.object_id)
+    assert (stack.throughput[:, -8:][stack.object_id[:, -8:] > 0] == 1).all()
+    renderer = LightPathRenderer(config)
+    assert renderer(pixels.take(torch.arange(64), None)).shape == (64, 3)
+
+
+def test_finer_textures_are_added_to_coarser_ones(dataset: Dataset) -> None:
+    pixels = pixels_of(dataset, render_samples=1, texture_levels=3)
+    renderer = LightPathRenderer(LightPathConfig(texture_sizes=(16, 12), texture_levels=3))
+    assert [textures.layout.sizes for textures in renderer.textures] == [(16, 12), (8, 6), (4, 3)]
+    batch = pixels.take(torch.arange(1024), None)
+    before = renderer._features(batch.stack.uv, batch.stack.object_id)
+    with torch.no_grad():
+        for level, textures in enumerate(renderer.textures):
+            textures.table.fill_(10.0**level)
+    after = renderer._features(batch.stack.uv, batch.stack.object_id)
+    assert (before == 0).all()
+    assert torch.allclose(after[batch.stack.object_id > 0], torch.tensor(111.0))
+    assert (after[batch.stack.object_id == 0] == 0).all()
+
+
+def test_foreign_flags_and_odd_numbers_are_refused(
     dataset: Dataset, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with pytest.raises(HyalineError, match="geometry 'box': light paths need the true one"):
-        METHODS["light-path"].load(NET, dataset, "box", "train", [0], True)
     with pytest.raises(HyalineError, match="train_samples: is 5; expected a square number"):
-        LightPathConfig(texture_size=8, train_samples=5)
+        LightPathConfig(texture_sizes=(8,), train_samples=5)
     from model import cli
 
-    for flags in (("--method", "light-path", "--width", "256"), ("--method", "paper", "--rays", "9")):
+    for flags in (("--method", "light-path", "--width", "256"), ("--method", "paper", "--branches", "9")):
         monkeypatch.setattr("sys.argv", ["model", "train", "--dataset", str(dataset.root), *flags])
         with pytest.raises(SystemExit) as end:
             cli.main()
         assert end.value.code == 1
         assert f"{flags[2]}: method {flags[1]} has no such choice" in capsys.readouterr().err
+
+
+def test_the_papers_renderer_takes_several_rays_a_pixel(dataset: Dataset, tmp_path: Path) -> None:
+    one = PaperConfig(width=16, texture_size=16, extrinsics="none", norm="none")
+    many = dataclasses.replace(one, train_samples=4, render_samples=9)
+    stored = METHODS["paper"].load(one, dataset, TRUTH, "train", [2], True)
+    traced = METHODS["paper"].load(many, dataset, TRUTH, "train", [2], True)
+    assert torch.equal(stored.rgb, traced.rgb)
+    index = torch.arange(1024)
+    batch = traced.take(index, None)
+    assert batch.samples == 9
+    center = stored.take(index, None)
+    # The middle one of nine goes through the pixel's centre.
+    assert torch.equal(batch.object_id.view(1024, 9, -1)[:, 4], center.object_id)
+    assert (batch.uv.view(1024, 9, -1, 2)[:, 4] - center.uv).abs().max() < 1e-4
+    assert torch.equal(batch.p_camera[::9], center.p_camera)
+    torch.manual_seed(0)
+    renderer = PaperRenderer(many, num_layers=4, num_objects=2, positions=None)
+    whole, middle = renderer(batch), renderer(dataclasses.replace(batch, samples=1))
+    assert torch.allclose(whole, srgb_curve(linear_curve(middle).view(1024, 9, 3).mean(dim=1)))
+    config = dataclasses.replace(SMALL, method="paper", net=many, steps=3)
+    train(config, dataset, tmp_path / "run", label="a", device=CPU)
+    render_predictions(tmp_path / "run", config, dataset, device=CPU)
+    assert is_finished(tmp_path / "run")

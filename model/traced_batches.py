@@ -1,0 +1,280 @@
+"""Owns the sub-pixel rays of training and test pixels, traced anew for every batch: straight layers or light paths."""
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float32, Int, UInt8
+from torch import Tensor
+
+from datagen.cameras import subpixel_offsets, subpixel_rays
+from datagen.dataset import Cameras, Dataset, Split, read_cameras, read_image
+from datagen.geometry import TRUTH, read_meshes
+from model.batches import RayBatch
+from model.light_path_net import STACKED_VERTICES, Ends, LightPathBatch, LightPathConfig, Sky, Stack, default_light_path
+from model.paper import PaperConfig
+
+if TYPE_CHECKING:
+    from datagen.light_path import LightPaths, LightPathTracer
+
+COUNTED_PIXELS = 4096
+"""Pixels that decide the sizes of textures."""
+
+MAX_TEXTURE_SIZE = 2048
+
+Rays = tuple[Float32[np.ndarray, "ray 3"], Float32[np.ndarray, "ray 3"]]
+"""Origins and unit directions."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SubpixelRays:
+    """The rays through all pixels of some views, row by row and view by view."""
+
+    cameras: Cameras
+    """Those of the views alone."""
+
+    @property
+    def pixels_per_view(self) -> int:
+        return self.cameras.width * self.cameras.height
+
+    def through(self, index: Int[np.ndarray, " pixel"], samples: int, rng: np.random.Generator | None) -> Rays:
+        """Origins and unit directions of `samples` (a square number) rays through each of the pixels, pixel by pixel.
+
+        They lie in the cells of a grid that tiles the pixel: at their centres, or jittered in them by `rng`.
+        """
+        shape = (len(index), samples, 2)
+        offsets = subpixel_offsets(samples) if rng is None else subpixel_offsets(samples, rng.random(shape))
+        return subpixel_rays(self.cameras, index, np.broadcast_to(offsets, shape))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TracedLayerPixels:
+    """All pixels of some views; the straight layers of their rays are traced when they are asked for."""
+
+    tracer: "LightPathTracer"
+    rays: SubpixelRays
+    rgb: UInt8[Tensor, "pixel 3"]
+    num_layers: int
+    train_samples: int
+    render_samples: int
+    device: torch.device
+
+    @property
+    def pixels_per_view(self) -> int:
+        return self.rays.pixels_per_view
+
+    @property
+    def chunk(self) -> int:
+        return max(1, 65_536 // self.render_samples)
+
+    def to(self, device: torch.device) -> "TracedLayerPixels":
+        return dataclasses.replace(self, rgb=self.rgb.to(device), device=device)
+
+    def take(self, index: Int[Tensor, " pixel"], rng: np.random.Generator | None) -> RayBatch:
+        """The layers of the rays through these pixels; without `rng` as many rays as a rendering takes."""
+        samples = self.train_samples if rng is not None else self.render_samples
+        origins, directions = self.rays.through(index.cpu().numpy(), samples, rng)
+        paths = _straight(self.tracer, origins, directions, self.num_layers)
+        return RayBatch(
+            uv=torch.from_numpy(np.ascontiguousarray(paths.uv[0].swapaxes(0, 1))).to(self.device),
+            object_id=torch.from_numpy(np.ascontiguousarray(paths.object_id[0].T)).to(self.device),
+            p_camera=torch.from_numpy(origins).to(self.device),
+            samples=samples,
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LightPathPixels:
+    """All pixels of some views; the light paths of their rays are traced when they are asked for."""
+
+    tracer: "LightPathTracer"
+    straight_tracer: "LightPathTracer"
+    """The same surfaces, none of which bends or stops a ray."""
+    rays: SubpixelRays
+    is_opaque: Bool[np.ndarray, "object"]
+    """By object id; True where a path ends. Id 0, the empty one, is not."""
+    rgb: UInt8[Tensor, "pixel 3"]
+    config: LightPathConfig
+    device: torch.device
+
+    @property
+    def pixels_per_view(self) -> int:
+        return self.rays.pixels_per_view
+
+    @property
+    def chunk(self) -> int:
+        """Pixels that a rendering takes at once."""
+        return max(1, 65_536 // self.config.render_samples)
+
+    def to(self, device: torch.device) -> "LightPathPixels":
+        return dataclasses.replace(self, rgb=self.rgb.to(device), device=device)
+
+    def take(self, index: Int[Tensor, " pixel"], rng: np.random.Generator | None) -> LightPathBatch:
+        """The paths of the rays through these pixels; without `rng` as many rays as a rendering takes."""
+        config = self.config
+        samples = config.train_samples if rng is not None else config.render_samples
+        origins, directions = self.rays.through(index.cpu().numpy(), samples, rng)
+        # Of most branches the end is all that counts: one place holds the last vertex.
+        seed = 0 if rng is None else int(rng.integers(1 << 31))
+        paths = self.tracer.trace(origins, directions, max_branches=config.branches, max_vertices=1, seed=seed)
+        stack = self._stack(origins, directions) if config.stack_hidden else None
+        return LightPathBatch(
+            num_pixels=len(index), samples=samples, ends=self._ends(paths), sky=self._sky(paths), stack=stack
+        )
+
+    def _ends(self, paths: "LightPaths") -> Ends:
+        branch, ray = np.nonzero(~paths.has_left & self.is_opaque[paths.object_id[:, 0]])
+        place = (branch, 0, ray)
+        direction, normal = paths.direction[place], paths.normal[place]
+        cosine = -np.einsum("ec,ec->e", direction, normal)
+        return Ends(
+            ray=self._tensor(ray),
+            object_id=self._tensor(paths.object_id[place]),
+            uv=self._tensor(paths.uv[place]),
+            position=self._tensor(paths.position[place]),
+            throughput=self._tensor(paths.throughput[place]),
+            cosine=self._tensor(np.clip(cosine, 0, 1)),
+            reflected=self._tensor(direction + 2 * cosine[:, None] * normal),
+        )
+
+    def _sky(self, paths: "LightPaths") -> Sky:
+        place = np.nonzero(paths.has_left)
+        return Sky(
+            ray=self._tensor(place[1]),
+            direction=self._tensor(paths.end_direction[place]),
+            throughput=self._tensor(paths.end_throughput[place]),
+        )
+
+    def _stack(self, origins: np.ndarray, directions: np.ndarray) -> Stack:
+        paths = self.tracer.trace(
+            origins,
+            directions,
+            max_branches=len(STACKED_VERTICES),
+            max_vertices=max(STACKED_VERTICES),
+            max_depth=max(STACKED_VERTICES),
+        )
+        places = [(branch, vertex) for branch, count in enumerate(STACKED_VERTICES) for vertex in range(count)]
+        slots = [_slot(paths, *place) for place in places]
+        straight_layers = []
+        if self.config.straight_layers:
+            straight = _straight(self.straight_tracer, origins, directions, self.config.straight_layers)
+            straight_layers = [_slot(straight, 0, layer) for layer in range(self.config.straight_layers)]
+        slots += straight_layers
+
+        def column(key: str, slots: list[dict[str, np.ndarray]]) -> Tensor:
+            return self._tensor(np.stack([slot[key] for slot in slots], axis=1))
+
+        return Stack(
+            object_id=column("object_id", slots),
+            uv=column("uv", slots),
+            throughput=column("throughput", slots),
+            cosine=column("cosine", slots),
+            direction=self._tensor(directions),
+            position=column("position", straight_layers) if straight_layers else None,
+            reflected=column("reflected", straight_layers) if straight_layers else None,
+        )
+
+    def _tensor(self, values: np.ndarray) -> Tensor:
+        return torch.from_numpy(np.ascontiguousarray(values)).to(self.device)
+
+
+def share_texels(dataset: Dataset, geometry: str, size: int) -> tuple[int, ...]:
+    """Widths of the objects' textures: about `size` squared texels for each, shared as the training rays need them.
+
+    An object on which many paths end (a floor) gets a wide one, one seen in few pixels a narrow one, but no narrower
+    than a third of `size`; one where no path ends (glass) an eighth. On proxies all that straight rays meet counts too.
+    """
+    pixels = load_light_path_pixels(
+        default_light_path((2,) * len(dataset.objects), is_proxy=geometry != TRUTH),
+        dataset, geometry, "train", range(dataset.config.train.views), False,
+    )  # fmt: skip
+    index = np.random.default_rng(0).integers(len(pixels.rgb), size=COUNTED_PIXELS)
+    batch = pixels.take(torch.from_numpy(index), None)
+    counts = torch.bincount(batch.ends.object_id.long(), minlength=len(dataset.objects) + 1)
+    if geometry != TRUTH:
+        assert batch.stack is not None
+        straight = batch.stack.object_id[:, sum(STACKED_VERTICES) :]
+        counts = counts + torch.bincount(straight.flatten().long(), minlength=len(counts))
+    share = counts[1:].double() / counts[1:].sum().clamp_min(1)
+    wanted = (share * len(share)).sqrt() * size
+    least = torch.where(share > 0, size // 3, size // 8).clamp_min(2)
+    return tuple(int(width) for width in wanted.maximum(least).clamp_max(MAX_TEXTURE_SIZE).round())
+
+
+def load_traced_layers(config: PaperConfig, dataset: Dataset, geometry: str, num_layers: int, split: Split,
+                       views: Sequence[int], with_images: bool) -> TracedLayerPixels:  # fmt: skip
+    """Reads cameras and (unless told otherwise) images of some views, and loads the surfaces for tracing."""
+    tracer_of = _tracer_factory()
+    meshes = read_meshes(dataset, geometry)
+    return TracedLayerPixels(
+        tracer=tracer_of(meshes, (None,) * len(meshes)),
+        rays=_rays_of(dataset, split, views),
+        rgb=_read_colors(dataset, split, views, with_images),
+        num_layers=num_layers,
+        train_samples=config.train_samples,
+        render_samples=config.render_samples,
+        device=torch.device("cpu"),
+    )
+
+
+def load_light_path_pixels(config: LightPathConfig, dataset: Dataset, geometry: str, split: Split,
+                           views: Sequence[int], with_images: bool) -> LightPathPixels:  # fmt: skip
+    """Reads cameras and (unless told otherwise) images of some views, and loads the scene for tracing."""
+    from datagen.scene import is_glass, load_scene
+
+    tracer_of = _tracer_factory()
+    materials = tuple(item.material for item in load_scene(dataset.root / "scene").objects)
+    meshes = read_meshes(dataset, geometry)
+    return LightPathPixels(
+        tracer=tracer_of(meshes, materials),
+        straight_tracer=tracer_of(meshes, (None,) * len(meshes)),
+        rays=_rays_of(dataset, split, views),
+        is_opaque=np.array([False, *(not is_glass(material) for material in materials)]),
+        rgb=_read_colors(dataset, split, views, with_images),
+        config=config,
+        device=torch.device("cpu"),
+    )
+
+
+def _slot(paths: "LightPaths", branch: int, vertex: int) -> dict[str, np.ndarray]:
+    """What the stack network is told of one vertex of all rays."""
+    direction, normal = paths.direction[branch, vertex], paths.normal[branch, vertex]
+    cosine = -np.einsum("rc,rc->r", direction, normal)
+    return {
+        "object_id": paths.object_id[branch, vertex],
+        "uv": paths.uv[branch, vertex],
+        "throughput": paths.throughput[branch, vertex].mean(axis=-1),
+        "cosine": np.clip(cosine, 0, 1),
+        "position": paths.position[branch, vertex],
+        "reflected": direction + 2 * cosine[:, None] * normal,
+    }
+
+
+def _straight(tracer: "LightPathTracer", origins: np.ndarray, directions: np.ndarray, num_layers: int) -> "LightPaths":
+    return tracer.trace(origins, directions, max_branches=1, max_vertices=num_layers, max_depth=num_layers)
+
+
+def _tracer_factory() -> "type[LightPathTracer]":
+    # The tracer's module can be imported only when Mitsuba has its variant.
+    from datagen.variant import use_mitsuba
+
+    use_mitsuba()
+    from datagen.light_path import LightPathTracer
+
+    return LightPathTracer
+
+
+def _rays_of(dataset: Dataset, split: Split, views: Sequence[int]) -> SubpixelRays:
+    cameras = read_cameras(dataset, split)
+    return SubpixelRays(cameras=dataclasses.replace(cameras, world_from_camera=cameras.world_from_camera[list(views)]))
+
+
+def _read_colors(dataset: Dataset, split: Split, views: Sequence[int], with_images: bool) -> UInt8[Tensor, "pixel 3"]:
+    """All pixels of the views; black without images: rendering a test view never opens its truth."""
+    size = dataset.config.resolution
+    black = np.zeros((size, size, 3), np.uint8)
+    images = [read_image(dataset, split, view) if with_images else black for view in views]
+    return torch.from_numpy(np.concatenate([image.reshape(-1, 3) for image in images]))
