@@ -83,13 +83,11 @@ def load_pixels(dataset: Dataset, geometry: str, split: Split, views: Sequence[i
                 with_images: bool = True) -> Pixels:  # fmt: skip
     """Reads layers, cameras and (unless told otherwise) images of some views, every byte verified.
 
-    Without images `rgb` is black: rendering a test view never opens its truth.
-
     Raises:
         HyalineError: a view is missing or damaged, or names an object that the scene does not have.
     """
     p_camera = read_cameras(dataset, split).world_from_camera[list(views), :3, 3].astype(np.float32)
-    uv, object_id, rgb = [], [], []
+    uv, object_id = [], []
     for view in views:
         layers = read_layers(dataset, geometry, split, view)
         if layers.object_id.max(initial=0) > len(dataset.objects):
@@ -100,16 +98,22 @@ def load_pixels(dataset: Dataset, geometry: str, split: Split, views: Sequence[i
         num_layers = len(layers.object_id)
         uv.append(np.moveaxis(layers.uv, 0, 2).reshape(-1, num_layers, 2))
         object_id.append(np.moveaxis(layers.object_id, 0, 2).reshape(-1, num_layers))
-        size = layers.object_id.shape[1:]
-        image = read_image(dataset, split, view) if with_images else np.zeros((*size, 3), np.uint8)
-        rgb.append(image.reshape(-1, 3))
     return Pixels(
         uv=torch.from_numpy(np.concatenate(uv).view(np.int16)),
         object_id=torch.from_numpy(np.concatenate(object_id)),
-        rgb=torch.from_numpy(np.concatenate(rgb)),
+        rgb=read_colors(dataset, split, views, with_images=with_images),
         p_camera=torch.from_numpy(p_camera),
-        pixels_per_view=len(rgb[0]),
+        pixels_per_view=dataset.config.resolution**2,
     )
+
+
+def read_colors(dataset: Dataset, split: Split, views: Sequence[int], *, with_images: bool
+                ) -> UInt8[Tensor, "pixel 3"]:  # fmt: skip
+    """All pixels of the views; black without images: rendering a test view never opens its truth."""
+    size = dataset.config.resolution
+    black = np.zeros((size, size, 3), np.uint8)
+    images = [read_image(dataset, split, view) if with_images else black for view in views]
+    return torch.from_numpy(np.concatenate([image.reshape(-1, 3) for image in images]))
 
 
 def take_colors(pixels: PixelSource, index: Int[Tensor, " ray"]) -> Float32[Tensor, "ray 3"]:

@@ -11,9 +11,9 @@ from jaxtyping import Bool, Float32, Int, UInt8
 from torch import Tensor
 
 from datagen.cameras import subpixel_offsets, subpixel_rays
-from datagen.dataset import Cameras, Dataset, Split, read_cameras, read_image
+from datagen.dataset import Cameras, Dataset, Split, read_cameras
 from datagen.geometry import TRUTH, read_meshes
-from model.batches import RayBatch
+from model.batches import RayBatch, read_colors
 from model.light_path_net import STACKED_VERTICES, Ends, LightPathBatch, LightPathConfig, Sky, Stack, default_light_path
 from model.paper import PaperConfig
 
@@ -91,8 +91,8 @@ class LightPathPixels:
     """All pixels of some views; the light paths of their rays are traced when they are asked for."""
 
     tracer: "LightPathTracer"
-    straight_tracer: "LightPathTracer"
-    """The same surfaces, none of which bends or stops a ray."""
+    straight_tracer: "LightPathTracer | None"
+    """The same surfaces, none of which bends or stops a ray; None where the configuration has no straight layers."""
     rays: SubpixelRays
     is_opaque: Bool[np.ndarray, "object"]
     """By object id; True where a path ends. Id 0, the empty one, is not."""
@@ -128,16 +128,15 @@ class LightPathPixels:
     def _ends(self, paths: "LightPaths") -> Ends:
         branch, ray = np.nonzero(~paths.has_left & self.is_opaque[paths.object_id[:, 0]])
         place = (branch, 0, ray)
-        direction, normal = paths.direction[place], paths.normal[place]
-        cosine = -np.einsum("ec,ec->e", direction, normal)
+        cosine, reflected = _mirrored(paths.direction[place], paths.normal[place])
         return Ends(
             ray=self._tensor(ray),
             object_id=self._tensor(paths.object_id[place]),
             uv=self._tensor(paths.uv[place]),
             position=self._tensor(paths.position[place]),
             throughput=self._tensor(paths.throughput[place]),
-            cosine=self._tensor(np.clip(cosine, 0, 1)),
-            reflected=self._tensor(direction + 2 * cosine[:, None] * normal),
+            cosine=self._tensor(cosine),
+            reflected=self._tensor(reflected),
         )
 
     def _sky(self, paths: "LightPaths") -> Sky:
@@ -160,6 +159,7 @@ class LightPathPixels:
         slots = [_slot(paths, *place) for place in places]
         straight_layers = []
         if self.config.straight_layers:
+            assert self.straight_tracer is not None
             straight = _straight(self.straight_tracer, origins, directions, self.config.straight_layers)
             straight_layers = [_slot(straight, 0, layer) for layer in range(self.config.straight_layers)]
         slots += straight_layers
@@ -212,7 +212,7 @@ def load_traced_layers(config: PaperConfig, dataset: Dataset, geometry: str, num
     return TracedLayerPixels(
         tracer=tracer_of(meshes, (None,) * len(meshes)),
         rays=_rays_of(dataset, split, views),
-        rgb=_read_colors(dataset, split, views, with_images),
+        rgb=read_colors(dataset, split, views, with_images=with_images),
         num_layers=num_layers,
         train_samples=config.train_samples,
         render_samples=config.render_samples,
@@ -230,10 +230,10 @@ def load_light_path_pixels(config: LightPathConfig, dataset: Dataset, geometry: 
     meshes = read_meshes(dataset, geometry)
     return LightPathPixels(
         tracer=tracer_of(meshes, materials),
-        straight_tracer=tracer_of(meshes, (None,) * len(meshes)),
+        straight_tracer=tracer_of(meshes, (None,) * len(meshes)) if config.straight_layers else None,
         rays=_rays_of(dataset, split, views),
         is_opaque=np.array([False, *(not is_glass(material) for material in materials)]),
-        rgb=_read_colors(dataset, split, views, with_images),
+        rgb=read_colors(dataset, split, views, with_images=with_images),
         config=config,
         device=torch.device("cpu"),
     )
@@ -241,16 +241,22 @@ def load_light_path_pixels(config: LightPathConfig, dataset: Dataset, geometry: 
 
 def _slot(paths: "LightPaths", branch: int, vertex: int) -> dict[str, np.ndarray]:
     """What the stack network is told of one vertex of all rays."""
-    direction, normal = paths.direction[branch, vertex], paths.normal[branch, vertex]
-    cosine = -np.einsum("rc,rc->r", direction, normal)
+    cosine, reflected = _mirrored(paths.direction[branch, vertex], paths.normal[branch, vertex])
     return {
         "object_id": paths.object_id[branch, vertex],
         "uv": paths.uv[branch, vertex],
         "throughput": paths.throughput[branch, vertex].mean(axis=-1),
-        "cosine": np.clip(cosine, 0, 1),
+        "cosine": cosine,
         "position": paths.position[branch, vertex],
-        "reflected": direction + 2 * cosine[:, None] * normal,
+        "reflected": reflected,
     }
+
+
+def _mirrored(direction: Float32[np.ndarray, "vertex 3"], normal: Float32[np.ndarray, "vertex 3"]
+              ) -> tuple[Float32[np.ndarray, " vertex"], Float32[np.ndarray, "vertex 3"]]:  # fmt: skip
+    """The cosine, in [0, 1], at which rays arrive at surfaces, and their directions mirrored there."""
+    cosine = -np.einsum("vc,vc->v", direction, normal)
+    return np.clip(cosine, 0, 1), direction + 2 * cosine[:, None] * normal
 
 
 def _straight(tracer: "LightPathTracer", origins: np.ndarray, directions: np.ndarray, num_layers: int) -> "LightPaths":
@@ -270,11 +276,3 @@ def _tracer_factory() -> "type[LightPathTracer]":
 def _rays_of(dataset: Dataset, split: Split, views: Sequence[int]) -> SubpixelRays:
     cameras = read_cameras(dataset, split)
     return SubpixelRays(cameras=dataclasses.replace(cameras, world_from_camera=cameras.world_from_camera[list(views)]))
-
-
-def _read_colors(dataset: Dataset, split: Split, views: Sequence[int], with_images: bool) -> UInt8[Tensor, "pixel 3"]:
-    """All pixels of the views; black without images: rendering a test view never opens its truth."""
-    size = dataset.config.resolution
-    black = np.zeros((size, size, 3), np.uint8)
-    images = [read_image(dataset, split, view) if with_images else black for view in views]
-    return torch.from_numpy(np.concatenate([image.reshape(-1, 3) for image in images]))
