@@ -4,12 +4,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from torch import nn
+import numpy as np
+from torch import Tensor, nn
 
 from datagen.dataset import Dataset, Split
 from datagen.layer_store import LayerKind, LayersHead, read_layers_head
 from model.batches import PixelSource, load_pixels
 from model.light_path_net import LightPathConfig, build_light_path
+from model.losses import pixel_loss
 from model.paper import PaperConfig, build_paper
 from model.traced_batches import load_light_path_pixels, load_traced_layers
 
@@ -42,6 +44,8 @@ class Method:
     """A fresh module for (configuration, dataset, geometry, number of layers), random from torch's own generator."""
     load: Callable[[Any, Dataset, str, Split, Sequence[int], bool], PixelSource]
     """The pixels of views for (configuration, dataset, geometry, split, views, with images)."""
+    loss: Callable[[nn.Module, PixelSource, int, np.random.Generator], Tensor] = pixel_loss
+    """What a step makes small: for (module, training pixels, batch, generator of the step)."""
 
 
 def _load_straight(

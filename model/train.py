@@ -13,7 +13,7 @@ from datagen.command import say, track
 from datagen.dataset import Dataset
 from datagen.errors import HyalineError
 from datagen.records import Json, to_json
-from model.batches import PixelSource, take_colors
+from model.batches import PixelSource
 from model.checkpoint import State, delete_checkpoints, load_checkpoint, save_checkpoint, save_state
 from model.methods import METHODS, read_layers_of
 from model.predict import predict_pixels
@@ -118,9 +118,7 @@ def train(config: TrainConfig, dataset: Dataset, out: Path, *, label: str, devic
     renderer.train()
     for step in track(steps, label="train", total=config.steps, done=first_step, status=status):
         rng = np.random.default_rng([config.seed, step])
-        index = torch.from_numpy(rng.integers(len(training.rgb), size=config.batch)).to(device)
-        colors = renderer(training.take(index, rng), rng=rng)
-        loss = (colors - take_colors(training, index)).abs().mean()
+        loss = method.loss(renderer, training, config.batch, rng)
         optimizer.zero_grad(set_to_none=True)
         loss.backward()
         loss_value = float(loss.item())
