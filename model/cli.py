@@ -39,7 +39,7 @@ def train(
     straight_layers: int | None = None,
     environment: int = 32,
     position_octaves: int = 0,
-    texture_levels: int = 3,
+    texture_levels: int = 5,
     steps: int = 2500,
     batch: int | None = None,
     lr: float | None = None,
@@ -74,13 +74,13 @@ def train(
         stack: light-path: hidden units of the network that sees the stacked vertices and adds what physics leaves out;
             0 leaves it out. Default: 32, on proxies 96.
         straight_layers: light-path: straight layers that this network sees beside the paths. Default: 0, on proxies 8.
-        environment: light-path: height in texels of the learned sky; 1 makes it two colours.
+        environment: light-path: height in texels of the finest map of the learned sky; 1 makes it two colours.
         position_octaves: light-path: octaves of the position that the decoder is told.
         texture_levels: light-path: textures summed, each half as wide as the one before.
         steps: Optimiser steps; more for larger datasets.
         batch: Random pixels a step. Default: 8192 for paper, 2048 (of several rays) for light-path.
         lr: Learning rate of Adam. Default: 0.001 for paper, 0.002 for light-path.
-        texture_lr: Learning rate of the textures. Default: the same for paper, 0.01 for light-path.
+        texture_lr: Learning rate of the textures. Default: the same for paper, 0.04 for light-path.
         lr_decay: none, linear (constant, then down to 0 over the second half) or cosine. Default: linear for paper,
             cosine for light-path.
         seed: Seed of everything random.
@@ -117,7 +117,7 @@ def train(
         "straight-layers": straight_layers is not None,
         "environment": environment != 32,
         "position-octaves": position_octaves != 0,
-        "texture-levels": texture_levels != 3,
+        "texture-levels": texture_levels != 5,
     }
     _refuse(method, light_path_only if method == "paper" else paper_only)
     if method == "paper":
@@ -177,7 +177,7 @@ def train(
         f"{straight_layers}-straight": straight_layers is not None,
         f"sky{environment}": environment != 32,
         f"{position_octaves}-octaves": position_octaves != 0,
-        f"{texture_levels}-levels": texture_levels != 3,
+        f"{texture_levels}-levels": texture_levels != 5,
         f"{steps}-steps": steps != 2500,
         f"seed{seed}": seed != 0,
     }

@@ -25,7 +25,7 @@ class LightPathConfig:
     """Width and height of each object's texture in texels."""
     texture_features: int = 8
     """Channels of a texture; the paper's 16 do no better and take twice the memory."""
-    texture_levels: int = 3
+    texture_levels: int = 5
     """Textures summed, each half as wide as the one before: what few rays have met is filled in from around it."""
     hidden: int = 64
     """Units of the decoder's two hidden layers."""
@@ -38,7 +38,9 @@ class LightPathConfig:
     straight_layers: int = 0
     """Straight layers that the stack network sees beside the paths, for proxies."""
     environment_size: int = 32
-    """Height in texels of the learned latitude-longitude map of the light from outside; it is twice as wide."""
+    """Height in texels of the finest of the learned latitude-longitude maps that sum to the light from outside. It is
+    twice as wide; the others are halved down to a single colour: directions in which no training ray left are filled in
+    from around them, as texels are."""
     branches: int = 12
     """Branches traced for each ray: refracted, first mirror, further ones."""
     train_samples: int = 4
@@ -146,7 +148,9 @@ class LightPathRenderer(nn.Module):
         if config.composite:
             # Feature, cosine, spherical harmonics of the mirrored direction, position -> linear radiance.
             self.decoder = _mlp(config.texture_features + 1 + 9 + 6 * config.position_octaves, config.hidden, 3)
-            self.environment = nn.Parameter(torch.zeros(3, config.environment_size, 2 * config.environment_size))
+            self.environment = nn.ParameterList(
+                torch.zeros(3, height, width) for height, width in _map_sizes(config.environment_size)
+            )
         slots = sum(STACKED_VERTICES) + config.straight_layers
         inputs = slots * (config.texture_features + 2) + (3 if config.straight_layers else 0)
         # Colour; opacity of each straight layer; share of the paths.
@@ -191,7 +195,7 @@ class LightPathRenderer(nn.Module):
         return sky.index_add(0, hits[0], shine * (opacity * before)[hits][:, None])
 
     def _features(self, uv: Float32[Tensor, "ray slot 2"], object_id: UInt8[Tensor, "ray slot"]) -> Tensor:
-        return torch.stack([textures(uv, object_id) for textures in self.textures]).sum(dim=0)
+        return _sum_of_levels([textures(uv, object_id) for textures in self.textures])
 
     def _shine(self, ends: Ends) -> Float32[Tensor, "end 3"]:
         """Linear radiance that leaves the ends towards their rays."""
@@ -211,14 +215,10 @@ class LightPathRenderer(nn.Module):
     def _environment(self, direction: Float32[Tensor, "exit 3"]) -> Float32[Tensor, "exit 3"]:
         """Learned radiance from unit directions; whatever for the zero vector, whose throughput is 0."""
         x, y, z = direction.unbind(-1)
-        # The map goes once around, so a column of the other end stands beside each end.
-        padded = functional.pad(self.environment[None], (1, 1, 0, 0), mode="circular")
-        width = self.environment.shape[2]
-        azimuth = torch.atan2(y, x) / torch.pi  # -1 to 1.
+        azimuth = torch.atan2(y, x) / torch.pi  # Both from -1 to 1.
         polar = 2 * torch.acos(z.clamp(-1, 1)) / torch.pi - 1
-        place = torch.stack([azimuth * width / (width + 2), polar], dim=-1)
-        texels = functional.grid_sample(padded, place[None, None], padding_mode="border", align_corners=False)
-        return functional.softplus(texels[0, :, 0].T)
+        maps = [_look_up_map(texels, azimuth, polar) for texels in self.environment]
+        return functional.softplus(_sum_of_levels(maps))
 
 
 def build_light_path(config: LightPathConfig, dataset: Dataset, geometry: str, num_layers: int) -> LightPathRenderer:  # noqa: ARG001
@@ -242,3 +242,29 @@ def _mlp(num_inputs: int, hidden: int, num_outputs: int) -> nn.Sequential:
         nn.LeakyReLU(0.2),
         nn.Linear(hidden, num_outputs),
     )
+
+
+def _sum_of_levels(levels: list[Float32[Tensor, "*b"]]) -> Float32[Tensor, "*b"]:
+    """Sums look-ups in a pyramid, finest first; each counts half as much as the next coarser one.
+
+    Adam moves all texels alike, so coarse ones, moved by all rays, get there first, and fine ones add what is left.
+    What few rays have met is then filled in from around it; Deferred Neural Rendering regularises levels to that end.
+    """
+    return torch.stack([level * 0.5 ** (len(levels) - 1 - index) for index, level in enumerate(levels)]).sum(dim=0)
+
+
+def _map_sizes(height: int) -> list[tuple[int, int]]:
+    """Heights and widths of the maps of the sky: twice as wide as high, then halved down to a single texel."""
+    return [*((height >> level, 2 * height >> level) for level in range(height.bit_length())), (1, 1)]
+
+
+def _look_up_map(
+    texels: Float32[Tensor, "3 tex_h tex_w"], azimuth: Float32[Tensor, " exit"], polar: Float32[Tensor, " exit"]
+) -> Float32[Tensor, "exit 3"]:
+    """Bilinear look-ups in a map that goes once around; both angles run from -1 to 1."""
+    # A column of the other end stands beside each end.
+    padded = functional.pad(texels[None], (1, 1, 0, 0), mode="circular")
+    width = texels.shape[2]
+    place = torch.stack([azimuth * width / (width + 2), polar], dim=-1)
+    found = functional.grid_sample(padded, place[None, None], padding_mode="border", align_corners=False)
+    return found[0, :, 0].T

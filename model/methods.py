@@ -75,7 +75,7 @@ METHODS: dict[str, Method] = {
         layers=None,
         knowledge="materials (all but diffuse colours)",
         # A quarter of the pixels with four rays each: as many rays a step as `paper`.
-        optimisation=Optimisation(batch=2048, lr=0.002, texture_lr=0.01, lr_decay="cosine"),
+        optimisation=Optimisation(batch=2048, lr=0.002, texture_lr=0.04, lr_decay="cosine"),
         build=build_light_path,
         load=load_light_path_pixels,
     ),

@@ -32,6 +32,9 @@ from model.run_folder import (
 )
 from model.runtime import keep_freed_memory
 
+TEXTURES = ("textures.", "environment.")
+"""What the names of a renderer's texels begin with: on surfaces and of the sky."""
+
 
 def train(config: TrainConfig, dataset: Dataset, out: Path, *, label: str, device: torch.device) -> None:
     """Trains until `out` holds weights.pt; goes on from the newest intact checkpoint where there is one.
@@ -51,8 +54,9 @@ def train(config: TrainConfig, dataset: Dataset, out: Path, *, label: str, devic
         torch.manual_seed(config.seed)
         renderer = method.build(config.net, dataset, config.geometry, num_layers)
     renderer.to(device)
-    texture_parameters = [value for name, value in renderer.named_parameters() if name.startswith("textures.")]
-    net_parameters = [value for name, value in renderer.named_parameters() if not name.startswith("textures.")]
+    named = dict(renderer.named_parameters())
+    texture_parameters = [value for name, value in named.items() if name.startswith(TEXTURES)]
+    net_parameters = [value for name, value in named.items() if not name.startswith(TEXTURES)]
     rates = (config.lr, config.lr if config.texture_lr is None else config.texture_lr)
     groups = [{"params": net_parameters, "lr": rates[0]}, {"params": texture_parameters, "lr": rates[1]}]
     # Dense Adam, as in the paper: a texel moves on by its momentum after the step that touched it.

@@ -64,7 +64,7 @@ def white(renderer: LightPathRenderer) -> LightPathRenderer:
     with torch.no_grad():
         last.weight.zero_()
         last.bias.fill_(math.log(math.expm1(1)))
-        renderer.environment.fill_(math.log(math.expm1(1)))
+        renderer.environment[-1].fill_(math.log(math.expm1(1)))
     return renderer
 
 
@@ -136,17 +136,34 @@ def test_a_removed_object_leaves_no_trace(dataset: Dataset) -> None:
 
 def test_the_learned_sky_is_continuous_all_around() -> None:
     renderer = LightPathRenderer(LightPathConfig(texture_sizes=(8,)))
-    height = renderer.environment.shape[1]
+    height = renderer.environment[0].shape[1]
     polar = (torch.arange(height) + 0.5) / height * math.pi
     azimuth = ((torch.arange(2 * height) + 0.5) / height - 1) * math.pi
     sin, cos = torch.sin(polar)[:, None], torch.cos(polar)[:, None]
     directions = torch.stack([sin * torch.cos(azimuth), sin * torch.sin(azimuth), cos.expand(-1, 2 * height)])
     with torch.no_grad():
-        renderer.environment.copy_(torch.log(torch.expm1(1 + 0.5 * directions)))
+        finest_counts = 0.5 ** (len(renderer.environment) - 1)
+        renderer.environment[0].copy_(torch.log(torch.expm1(1 + 0.5 * directions)) / finest_counts)
         asked = torch.nn.functional.normalize(torch.randn(4000, 3, generator=torch.Generator().manual_seed(0)), dim=-1)
         error = (renderer._environment(asked) - (1 + 0.5 * asked)).abs()
     assert error[asked[..., 2].abs() < 0.95].max() < 3e-3
     assert error.max() < 0.03  # Half a texel around the poles is flat.
+
+
+def test_the_sky_where_no_ray_has_been_is_filled_in_from_around() -> None:
+    renderer = LightPathRenderer(LightPathConfig(texture_sizes=(8,)))
+    directions = torch.nn.functional.normalize(torch.randn(4000, 3, generator=torch.Generator().manual_seed(0)), dim=-1)
+    seen = directions[:, 0] > 0.2
+    color = torch.tensor([2.0, 0.3, 0.05])
+    optimizer = torch.optim.Adam(renderer.environment.parameters(), lr=0.02)
+    for _ in range(300):
+        optimizer.zero_grad()
+        (renderer._environment(directions[seen]) - color).abs().mean().backward()
+        optimizer.step()
+    with torch.no_grad():
+        behind = renderer._environment(directions[directions[:, 0] < -0.5])
+    assert (renderer._environment(directions[seen]) / color - 1).abs().max() < 0.05
+    assert (behind - color).abs().max() < 0.2  # One map alone would say 0.69 there: 1.3 off.
 
 
 def test_the_curve_is_the_datasets_own_and_rises_on_above_one() -> None:
@@ -207,7 +224,8 @@ def test_finer_textures_are_added_to_coarser_ones(dataset: Dataset) -> None:
             textures.table.fill_(10.0**level)
     after = renderer._features(batch.stack.uv, batch.stack.object_id)
     assert (before == 0).all()
-    assert torch.allclose(after[batch.stack.object_id > 0], torch.tensor(111.0))
+    # The coarsest counts whole, each finer one half as much as the one before.
+    assert torch.allclose(after[batch.stack.object_id > 0], torch.tensor(100 + 10 / 2 + 1 / 4))
     assert (after[batch.stack.object_id == 0] == 0).all()
 
 
