@@ -27,7 +27,7 @@ def run(program: str, description: str, commands: dict[str, Callable[..., None]]
             prog=program,
             description=description,
             args=arguments,
-            config=(tyro.conf.FlagCreatePairsOff,),
+            config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes),
             sort_subcommands=False,
         )
     except HyalineError as error:

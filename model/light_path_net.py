@@ -1,5 +1,6 @@
 """Owns the method `light-path`: neural textures where light paths end, composited by the physics of glass."""
 
+import dataclasses
 from dataclasses import dataclass
 
 import torch
@@ -9,6 +10,8 @@ from torch.nn import functional
 
 from datagen.dataset import Dataset
 from datagen.errors import HyalineError
+from datagen.geometry import TRUTH
+from model.choices import LightPathChoices
 from model.extrinsics import spherical_harmonics
 from model.samples import check_samples, srgb_curve
 from model.texture import NeuralTextures, object_layout
@@ -69,6 +72,35 @@ def default_light_path(texture_sizes: tuple[int, ...], *, is_proxy: bool) -> Lig
     if is_proxy:
         return LightPathConfig(texture_sizes=texture_sizes, stack_hidden=96, straight_layers=8)
     return LightPathConfig(texture_sizes=texture_sizes)
+
+
+def configure_light_path(
+    choices: LightPathChoices,
+    dataset: Dataset,
+    geometry: str,
+    num_layers: int,  # noqa: ARG001
+) -> LightPathConfig:
+    """The configuration that a user's choices make on a dataset; paths are traced to see how texels are shared.
+
+    Raises:
+        HyalineError: a choice that cannot be.
+    """
+    from model.traced_batches import share_texels  # It imports this file.
+
+    sizes = share_texels(dataset, geometry, choices.texture_size or dataset.config.resolution)
+    known = default_light_path(sizes, is_proxy=geometry != TRUTH)
+    return dataclasses.replace(
+        known,
+        texture_levels=choices.texture_levels,
+        position_octaves=choices.position_octaves,
+        composite=choices.compositing == "physics",
+        stack_hidden=known.stack_hidden if choices.stack is None else choices.stack,
+        straight_layers=known.straight_layers if choices.straight_layers is None else choices.straight_layers,
+        environment_size=choices.environment,
+        branches=choices.branches,
+        train_samples=known.train_samples if choices.rays is None else choices.rays,
+        render_samples=known.render_samples if choices.render_rays is None else choices.render_rays,
+    )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -10,9 +10,9 @@ from torch import Tensor, nn
 from datagen.dataset import Dataset, Split
 from datagen.layer_store import LayerKind, LayersHead, read_layers_head
 from model.batches import PixelSource, load_pixels
-from model.light_path_net import LightPathConfig, build_light_path
+from model.light_path_net import LightPathConfig, build_light_path, configure_light_path
 from model.losses import pixel_loss
-from model.paper import PaperConfig, build_paper
+from model.paper import PaperConfig, build_paper, configure_paper
 from model.traced_batches import load_light_path_pixels, load_traced_layers
 
 LrDecay = Literal["none", "linear", "cosine"]
@@ -40,6 +40,8 @@ class Method:
     knowledge: str
     """What it is given besides geometry, images and cameras; empty for nothing."""
     optimisation: Optimisation
+    configure: Callable[[Any, Dataset, str, int], Any]
+    """The configuration from (choices, dataset, geometry, number of layers)."""
     build: Callable[[Any, Dataset, str, int], nn.Module]
     """A fresh module for (configuration, dataset, geometry, number of layers), random from torch's own generator."""
     load: Callable[[Any, Dataset, str, Split, Sequence[int], bool], PixelSource]
@@ -68,6 +70,7 @@ METHODS: dict[str, Method] = {
         knowledge="",
         # The paper's rate; decay as in the authors' scripts (see TrainConfig).
         optimisation=Optimisation(batch=8192, lr=0.001, texture_lr=None, lr_decay="linear"),
+        configure=configure_paper,
         build=build_paper,
         load=_load_straight,
     ),
@@ -76,6 +79,7 @@ METHODS: dict[str, Method] = {
         knowledge="materials (all but diffuse colours)",
         # A quarter of the pixels with four rays each: as many rays a step as `paper`.
         optimisation=Optimisation(batch=2048, lr=0.002, texture_lr=0.04, lr_decay="cosine"),
+        configure=configure_light_path,
         build=build_light_path,
         load=load_light_path_pixels,
     ),

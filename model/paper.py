@@ -11,8 +11,9 @@ from torch import Tensor, nn
 from datagen.dataset import Dataset
 from datagen.errors import HyalineError
 from model.batches import RayBatch, insert_empty_layer
+from model.choices import PaperChoices
 from model.extrinsics import EXTRINSIC_CHANNELS, ExtrinsicInputs, Extrinsics, bake_position_table
-from model.pixel_mlp import Norm, PixelMlp, check_width
+from model.pixel_mlp import Norm, PixelMlp, check_width, width_for_34k
 from model.samples import check_samples, linear_curve, srgb_curve
 from model.texture import NeuralTextures, TextureSharing, object_layout, scene_layout
 
@@ -64,6 +65,29 @@ def default_texture_size(resolution: int, num_objects: int, sharing: TextureShar
     """
     cells = 1 if sharing == "object" else math.ceil(math.sqrt(num_objects))
     return cells * max(16, resolution // 2)
+
+
+def configure_paper(choices: PaperChoices, dataset: Dataset, geometry: str, num_layers: int) -> PaperConfig:  # noqa: ARG001
+    """The configuration that a user's choices make on a dataset with so many layers.
+
+    Raises:
+        HyalineError: a choice that cannot be.
+    """
+    inputs = count_inputs(num_layers, texture_features=16, extrinsics=choices.extrinsics, zero_layer=choices.zero_layer)
+    if choices.width != "34k" and not choices.width.isdecimal():
+        raise HyalineError(f"width: is {choices.width!r}; expected 34k, 256 or another number of hidden units")
+    default_size = default_texture_size(dataset.config.resolution, len(dataset.objects), choices.textures)
+    return PaperConfig(
+        width=width_for_34k(inputs, choices.blocks) if choices.width == "34k" else int(choices.width),
+        blocks=choices.blocks,
+        norm=choices.norm,
+        extrinsics=choices.extrinsics,
+        textures=choices.textures,
+        texture_size=choices.texture_size or default_size,
+        zero_layer=choices.zero_layer,
+        train_samples=1 if choices.rays is None else choices.rays,
+        render_samples=1 if choices.render_rays is None else choices.render_rays,
+    )
 
 
 def count_inputs(num_layers: int, *, texture_features: int, extrinsics: Extrinsics, zero_layer: bool) -> int:

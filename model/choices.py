@@ -1,0 +1,172 @@
+"""Owns what a user of `model train` may choose: one frozen record for each method, and the names of run folders.
+
+Each field of a method's record is a flag that this method has, and no other. Torch is not imported here, so that
+`--help` answers at once; how choices become a configuration stands beside the method (`configure_...`).
+"""
+
+import dataclasses
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from datagen.errors import HyalineError
+from datagen.geometry import TRUTH
+
+DEFAULT_STEPS = 2500
+
+
+@dataclass(frozen=True, kw_only=True)
+class CommonChoices:
+    """What every method can be told."""
+
+    method: str
+    """What to train: paper (straight layers, stacked), or light-path (refracted paths, composited). Each method has
+    choices of its own: `model train --method NAME --help`."""
+    dataset: str | None = None
+    """Dataset folder, or its name under data/. Default: the only one there."""
+    geometry: str = TRUTH
+    """Whose layers to look up: truth, or a kind of proxy such as box."""
+    out: Path | None = None
+    """Folder of the run. Default: runs/SCENE/METHOD, with a suffix for each choice that is not the default."""
+    name: str | None = None
+    """Label of the run in tables. Default: from the folder's name."""
+    steps: int = DEFAULT_STEPS
+    """Optimiser steps; more for larger datasets."""
+    batch: int | None = None
+    """Random pixels a step. Default: 8192 for paper, 2048 (of several rays) for light-path."""
+    lr: float | None = None
+    """Learning rate of Adam. Default: 0.001 for paper, 0.002 for light-path."""
+    texture_lr: float | None = None
+    """Learning rate of the textures. Default: the same for paper, 0.04 for light-path."""
+    lr_decay: Literal["none", "linear", "cosine"] | None = None
+    """none, linear (constant, then down to 0 over the second half) or cosine. Default: linear for paper, cosine for
+    light-path."""
+    seed: int = 0
+    """Seed of everything random."""
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    """Where to compute; auto takes a GPU where there is one."""
+    resume: bool = False
+    """Go on with an unfinished run."""
+    overwrite: bool = False
+    """Delete the run that is there and start anew."""
+
+
+def _choice(default: object, suffix: str | dict[object, str]) -> Any:
+    """A field whose `suffix` (a template, or one for each value) marks run folders where it is not the default."""
+    return field(default=default, metadata={"suffix": suffix})
+
+
+@dataclass(frozen=True, kw_only=True)
+class PaperChoices:
+    """What `paper` is made of."""
+
+    extrinsics: Literal["none", "view", "sh"] = _choice("view", {"none": "no-extrinsics", "sh": "sh"})
+    """What each layer is told of the camera: nothing, the view vector, or three bands of SH of it."""
+    width: str = _choice("34k", "w{}")
+    """Hidden units of the first layer: 34k (as many as make 34,000 parameters), 256, or any number."""
+    blocks: int = _choice(3, "{}-blocks")
+    """Residual blocks; each halves the channels."""
+    norm: Literal["batch", "none"] = _choice("batch", "no-norm")
+    """Batch norm after each linear layer (the paper's text) or none (the authors' code)."""
+    textures: Literal["object", "scene"] = _choice("object", "scene-texture")
+    """A neural texture for each object, or one for the whole scene."""
+    texture_size: int | None = _choice(None, "t{}")
+    """Width and height of a texture in texels. Default: half the image's width."""
+    zero_layer: bool = _choice(False, "zero-layer")
+    """Insert a layer of zeros at a random place while training (section 4.4)."""
+    rays: int | None = _choice(None, "{}-rays")
+    """Rays per pixel while training, a square number. Default: 1."""
+    render_rays: int | None = _choice(None, "{}-render-rays")
+    """Rays per pixel while rendering, a square number. Default: 1."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LightPathChoices:
+    """What `light-path` is made of."""
+
+    texture_size: int | None = _choice(None, "t{}")
+    """Width and height of a texture in texels; as many texels are shared among the objects by how much is seen of
+    each. Default: the image's width."""
+    rays: int | None = _choice(None, "{}-rays")
+    """Rays per pixel while training, a square number. Default: 4."""
+    render_rays: int | None = _choice(None, "{}-render-rays")
+    """Rays per pixel while rendering, a square number. Default: 16."""
+    branches: int = _choice(12, "{}-branches")
+    """Branches followed for each ray: refracted, first mirror, then those of most light."""
+    compositing: Literal["physics", "stack"] = _choice("physics", "{}")
+    """Sum what shines at the ends of branches, weighted by physics; or let the stack network alone make the colour."""
+    stack: int | None = _choice(None, "stack{}")
+    """Hidden units of the network that sees the stacked vertices and adds what physics leaves out; 0 leaves it out.
+    Default: 32, on proxies 96."""
+    straight_layers: int | None = _choice(None, "{}-straight")
+    """Straight layers that this network sees beside the paths. Default: 0, on proxies 8."""
+    environment: int = _choice(32, "sky{}")
+    """Height in texels of the finest map of the learned sky; 1 makes it two colours."""
+    position_octaves: int = _choice(0, "{}-octaves")
+    """Octaves of the position that the decoder is told."""
+    texture_levels: int = _choice(5, "{}-levels")
+    """Textures summed, each half as wide as the one before."""
+
+
+MethodChoices = PaperChoices | LightPathChoices
+"""The choices of any method."""
+
+CHOICES: dict[str, type[MethodChoices]] = {"paper": PaperChoices, "light-path": LightPathChoices}
+"""What each method can be told besides `CommonChoices`; the methods themselves: model/methods.py."""
+
+
+def folder_name(common: CommonChoices, choices: MethodChoices) -> str:
+    """The default name of a run's folder: the method, and a suffix for each choice that is not the default."""
+    parts = [common.method]
+    parts += [common.geometry] if common.geometry != TRUTH else []
+    parts += _suffixes(choices)
+    parts += [f"{common.steps}-steps"] if common.steps != DEFAULT_STEPS else []
+    parts += [f"seed{common.seed}"] if common.seed else []
+    return "-".join(parts)
+
+
+def _suffixes(choices: object) -> list[str]:
+    suffixes = []
+    for item in dataclasses.fields(choices):  # pyright: ignore[reportArgumentType]
+        value = getattr(choices, item.name)
+        if dataclasses.is_dataclass(value):
+            suffixes += _suffixes(value)
+        elif value != item.default and "suffix" in item.metadata:
+            suffix = item.metadata["suffix"]
+            suffixes.append((suffix[value] if isinstance(suffix, dict) else suffix).format(value))
+    return suffixes
+
+
+def flags_of(record: type) -> set[str]:
+    """The names of the flags, without dashes in front, that the fields of a record of choices make."""
+    names = set()
+    for item in dataclasses.fields(record):
+        if isinstance(item.type, type) and dataclasses.is_dataclass(item.type):
+            names |= flags_of(item.type)
+        else:
+            names.add(item.name.replace("_", "-"))
+    return names
+
+
+def named_method(arguments: list[str]) -> str | None:
+    """The method that a command line names; None where it names none."""
+    named = None
+    for place, argument in enumerate(arguments):
+        flag, equals, value = argument.partition("=")
+        if flag == "--method":
+            named = value if equals else (arguments[place + 1] if place + 1 < len(arguments) else None)
+    return named
+
+
+def refuse_foreign_flags(method: str, arguments: list[str]) -> None:
+    """Refuses flags that other methods have and this one has not, rather than ignore them.
+
+    Raises:
+        HyalineError: names the flag, and the methods that have it.
+    """
+    own = flags_of(CHOICES[method]) | flags_of(CommonChoices)
+    for argument in arguments:
+        name = argument.partition("=")[0].removeprefix("--").replace("_", "-")
+        having = [other for other, record in CHOICES.items() if name in flags_of(record)]
+        if argument.startswith("--") and name not in own and having:
+            raise HyalineError(f"--{name}: method {method} has no such choice ({', '.join(having)} has); leave it out")

@@ -1,0 +1,70 @@
+"""Owns the tests of what `model train` can be told: flags, configurations, names of run folders."""
+
+import dataclasses
+
+import pytest
+
+from datagen.errors import HyalineError
+from model.choices import (
+    CHOICES,
+    CommonChoices,
+    LightPathChoices,
+    MethodChoices,
+    PaperChoices,
+    flags_of,
+    folder_name,
+    named_method,
+    refuse_foreign_flags,
+)
+from model.methods import METHODS
+
+
+@pytest.mark.parametrize(
+    ("common", "choices", "name"),
+    [
+        ({}, PaperChoices(), "paper"),
+        ({"geometry": "box", "steps": 10, "seed": 2, "lr": 0.1}, PaperChoices(), "paper-box-10-steps-seed2"),
+        (
+            {},
+            PaperChoices(extrinsics="none", width="256", blocks=2, norm="none", textures="scene"),
+            "paper-no-extrinsics-w256-2-blocks-no-norm-scene-texture",
+        ),
+        (
+            {},
+            PaperChoices(extrinsics="sh", texture_size=64, zero_layer=True, rays=4, render_rays=1),
+            "paper-sh-t64-zero-layer-4-rays-1-render-rays",
+        ),
+        (
+            {"method": "light-path", "geometry": "box"},
+            LightPathChoices(texture_size=9, rays=1, branches=2, compositing="stack", stack=32, straight_layers=0),
+            "light-path-box-t9-1-rays-2-branches-stack-stack32-0-straight",
+        ),
+        (
+            {"method": "light-path"},
+            LightPathChoices(environment=1, position_octaves=3, texture_levels=1),
+            "light-path-sky1-3-octaves-1-levels",
+        ),
+    ],
+)
+def test_folders_are_named_as_ever(common: dict, choices: MethodChoices, name: str) -> None:
+    """The names of runs that exist: made by the command before choices were records."""
+    assert folder_name(CommonChoices(**{"method": "paper", **common}), choices) == name
+
+
+def test_each_method_has_its_choices_and_no_flag_means_two_things() -> None:
+    assert CHOICES.keys() == METHODS.keys()
+    for record in CHOICES.values():
+        assert not flags_of(record) & flags_of(CommonChoices)
+        for item in dataclasses.fields(record):
+            assert "suffix" in item.metadata or dataclasses.is_dataclass(item.type), item.name
+
+
+def test_the_last_method_on_the_command_line_counts() -> None:
+    assert named_method(["train", "--method", "paper", "--method=light-path"]) == "light-path"
+    assert named_method(["train", "--method"]) is None
+
+
+def test_flags_of_other_methods_are_refused_and_unknown_ones_left_to_the_parser() -> None:
+    refuse_foreign_flags("paper", ["--zero-layer", "--texture_size=3", "--seed", "-1", "--unheard-of"])
+    with pytest.raises(HyalineError, match=r"--branches: method paper has no such choice \(light-path has\); leave it"):
+        refuse_foreign_flags("paper", ["--branches=3"])
