@@ -1,5 +1,7 @@
 """Owns the training data in memory: every pixel of some views with its layers, and random batches of them."""
 
+import dataclasses
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -33,8 +35,11 @@ class PixelSource(Protocol):
 
     def to(self, device: torch.device) -> "PixelSource": ...
 
-    def take(self, index: Int[Tensor, " ray"], rng: np.random.Generator | None) -> Any:
-        """The renderer's input for the pixels with these row numbers; `rng` is there while training only."""
+    def take(self, index: Int[Tensor, "*pixel"], rng: np.random.Generator | None) -> Any:
+        """The renderer's input for the pixels with these row numbers; `rng` is there while training only.
+
+        Row numbers with three axes are square patches (patch, row, column), in this order; see `draw_patches`.
+        """
         ...
 
 
@@ -49,6 +54,8 @@ class RayBatch:
     """Camera centres in world space, metres."""
     samples: int = 1
     """Rays of each pixel, pixel by pixel; their colours are averaged."""
+    grid: tuple[int, int, int] | None = None
+    """Patches, rows and columns that the pixels form, in this order; None where they are in no order."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -62,26 +69,38 @@ class Pixels:
     """8-bit sRGB."""
     p_camera: Float32[Tensor, "view 3"]
     pixels_per_view: int
-    chunk: int = 65_536
+    whole_views: bool = False
+    """A rendering takes one view at once, because its renderer looks at neighbours."""
+
+    @property
+    def chunk(self) -> int:
+        return self.pixels_per_view if self.whole_views else 65_536
 
     def to(self, device: torch.device) -> "Pixels":
-        return Pixels(
-            uv=self.uv.to(device),
-            object_id=self.object_id.to(device),
-            rgb=self.rgb.to(device),
-            p_camera=self.p_camera.to(device),
-            pixels_per_view=self.pixels_per_view,
+        names = ("uv", "object_id", "rgb", "p_camera")
+        return dataclasses.replace(self, **{name: getattr(self, name).to(device) for name in names})
+
+    def take(self, index: Int[Tensor, "*pixel"], rng: np.random.Generator | None) -> RayBatch:  # noqa: ARG002
+        """The rays of the pixels with these row numbers: always those through pixel centres."""
+        grid = (index.shape[0], index.shape[1], index.shape[2]) if index.ndim == 3 else None
+        if grid is None and self.whole_views:
+            grid = (len(index) // self.pixels_per_view, side_of(self), side_of(self))
+        index = index.flatten()
+        return RayBatch(
+            uv=(self.uv[index].int() & 0xFFFF).float() / UV_SCALE,
+            object_id=self.object_id[index],
+            p_camera=self.p_camera[index // self.pixels_per_view],
+            grid=grid,
         )
 
-    def take(self, index: Int[Tensor, " ray"], rng: np.random.Generator | None) -> RayBatch:  # noqa: ARG002
-        """The rays of the pixels with these row numbers: always those through pixel centres."""
-        uv = (self.uv[index].int() & 0xFFFF).float() / UV_SCALE
-        return RayBatch(uv=uv, object_id=self.object_id[index], p_camera=self.p_camera[index // self.pixels_per_view])
 
-
-def load_pixels(dataset: Dataset, geometry: str, split: Split, views: Sequence[int], *,
-                with_images: bool = True) -> Pixels:  # fmt: skip
+def load_pixels(dataset: Dataset, geometry: str, split: Split, views: Sequence[int], *, with_images: bool = True,
+                max_layers: int | None = None, whole_views: bool = False) -> Pixels:  # fmt: skip
     """Reads layers, cameras and (unless told otherwise) images of some views, every byte verified.
+
+    Args:
+        max_layers: the nearest layers that are kept; all of them unless told.
+        whole_views: the renderer looks at neighbours.
 
     Raises:
         HyalineError: a view is missing or damaged, or names an object that the scene does not have.
@@ -95,16 +114,41 @@ def load_pixels(dataset: Dataset, geometry: str, split: Split, views: Sequence[i
                 f"{dataset.root}: layers of {geometry}, {split} view {view}, name object {layers.object_id.max()}; "
                 f"expected at most {len(dataset.objects)}, peel it again"
             )
-        num_layers = len(layers.object_id)
-        uv.append(np.moveaxis(layers.uv, 0, 2).reshape(-1, num_layers, 2))
-        object_id.append(np.moveaxis(layers.object_id, 0, 2).reshape(-1, num_layers))
+        kept_id = layers.object_id[:max_layers]
+        uv.append(np.moveaxis(layers.uv[:max_layers], 0, 2).reshape(-1, len(kept_id), 2))
+        object_id.append(np.moveaxis(kept_id, 0, 2).reshape(-1, len(kept_id)))
     return Pixels(
         uv=torch.from_numpy(np.concatenate(uv).view(np.int16)),
         object_id=torch.from_numpy(np.concatenate(object_id)),
         rgb=read_colors(dataset, split, views, with_images=with_images),
         p_camera=torch.from_numpy(p_camera),
         pixels_per_view=dataset.config.resolution**2,
+        whole_views=whole_views,
     )
+
+
+def side_of(pixels: PixelSource) -> int:
+    """Height and width of the views in pixels."""
+    return math.isqrt(pixels.pixels_per_view)
+
+
+def draw_patches(pixels: PixelSource, number: int, size: int, rng: np.random.Generator, *, strides: Sequence[int] = (1,)
+                 ) -> Int[Tensor, "patch row column"]:  # fmt: skip
+    """Row numbers of the pixels of square patches at random places of random views.
+
+    Args:
+        size: rows and columns of a patch, at most those of a view.
+        strides: a patch takes every pixel, every second one ...; each draws one of these, as far as it fits.
+    """
+    side = side_of(pixels)
+    fitting = [stride for stride in strides if (size - 1) * stride < side]
+    stride = rng.choice(fitting, size=number)
+    free = side - (size - 1) * stride
+    view = rng.integers(len(pixels.rgb) // pixels.pixels_per_view, size=number)
+    row, column = rng.integers(free, size=(2, number))
+    rows, columns = (first[:, None] + np.arange(size) * stride[:, None] for first in (row, column))
+    index = (view[:, None, None] * side + rows[:, :, None]) * side + columns[:, None, :]
+    return torch.from_numpy(index).to(pixels.rgb.device)
 
 
 def read_colors(dataset: Dataset, split: Split, views: Sequence[int], *, with_images: bool
@@ -136,4 +180,5 @@ def insert_empty_layer(rays: RayBatch, place: Int[Tensor, " ray"]) -> RayBatch:
         object_id=padded_id.gather(1, source),
         p_camera=rays.p_camera,
         samples=rays.samples,
+        grid=rays.grid,
     )

@@ -20,7 +20,8 @@ class CommonChoices:
     """What every method can be told."""
 
     method: str
-    """What to train: paper (straight layers, stacked), or light-path (refracted paths, composited). Each method has
+    """What to train: paper (straight layers, stacked), mlp-first (its network on the first layer), dnr (a U-Net on the
+    first layer), dnr-layers (a U-Net on all layers), or light-path (refracted paths, composited). Each method has
     choices of its own: `model train --method NAME --help`."""
     dataset: str | None = None
     """Dataset folder, or its name under data/. Default: the only one there."""
@@ -33,13 +34,14 @@ class CommonChoices:
     steps: int = DEFAULT_STEPS
     """Optimiser steps; more for larger datasets."""
     batch: int | None = None
-    """Random pixels a step. Default: 8192 for paper, 2048 (of several rays) for light-path."""
+    """Random pixels a step, for U-Nets about as many in crops. Default: 8192; 16384 for U-Nets, 2048 (of several rays)
+    for light-path."""
     lr: float | None = None
-    """Learning rate of Adam. Default: 0.001 for paper, 0.002 for light-path."""
+    """Learning rate of Adam. Default: 0.001; 0.002 for light-path."""
     texture_lr: float | None = None
-    """Learning rate of the textures. Default: the same for paper, 0.04 for light-path."""
+    """Learning rate of the textures. Default: the same; 0.04 for light-path."""
     lr_decay: Literal["none", "linear", "cosine"] | None = None
-    """none, linear (constant, then down to 0 over the second half) or cosine. Default: linear for paper, cosine for
+    """none, linear (constant, then down to 0 over the second half) or cosine. Default: linear; cosine for
     light-path."""
     seed: int = 0
     """Seed of everything random."""
@@ -58,7 +60,7 @@ def _choice(default: object, suffix: str | dict[object, str]) -> Any:
 
 @dataclass(frozen=True, kw_only=True)
 class PaperChoices:
-    """What `paper` is made of."""
+    """What `paper` and `mlp-first` are made of."""
 
     extrinsics: Literal["none", "view", "sh"] = _choice("view", {"none": "no-extrinsics", "sh": "sh"})
     """What each layer is told of the camera: nothing, the view vector, or three bands of SH of it."""
@@ -108,10 +110,41 @@ class LightPathChoices:
     """Textures summed, each half as wide as the one before."""
 
 
-MethodChoices = PaperChoices | LightPathChoices
+@dataclass(frozen=True, kw_only=True)
+class DnrChoices:
+    """What `dnr` and `dnr-layers` are made of."""
+
+    preset: Literal["fair", "authors"] = _choice("fair", {"authors": "authors"})
+    """Deferred neural rendering as its own authors made it, with 16 features; or weakened as the transparent paper's
+    authors ran it: 8 features, one level, the view vector as an input, whole pictures. Other choices count more."""
+    unet_width: int = _choice(64, "u{}")
+    """Channels of the U-Net's first level; 16 makes it 16 times smaller, for CPUs."""
+    features: int | None = _choice(None, "{}-features")
+    """Channels of a texture. Default: 16; 8 of the authors' preset."""
+    extrinsics: Literal["none", "view", "sh"] | None = _choice(
+        None, {"none": "no-extrinsics", "view": "view", "sh": "sh"}
+    )
+    """What each layer is told of the camera: nothing, the view vector, or nine features multiplied by three bands of SH
+    of it. Default: sh; view of the authors' preset."""
+    texture_size: int | None = _choice(None, "t{}")
+    """Width and height of a texture in texels. Default: half the image's width."""
+    texture_levels: int | None = _choice(None, "{}-levels")
+    """Textures summed, each half as wide as the one before. Default: 4; 1 of the authors' preset."""
+    crop: int | None = _choice(None, "crop{}")
+    """Height and width of training crops in pixels; 0: whole pictures. Default: half the image's width; 0 of the
+    authors' preset."""
+
+
+MethodChoices = PaperChoices | LightPathChoices | DnrChoices
 """The choices of any method."""
 
-CHOICES: dict[str, type[MethodChoices]] = {"paper": PaperChoices, "light-path": LightPathChoices}
+CHOICES: dict[str, type[MethodChoices]] = {
+    "paper": PaperChoices,
+    "mlp-first": PaperChoices,
+    "dnr": DnrChoices,
+    "dnr-layers": DnrChoices,
+    "light-path": LightPathChoices,
+}
 """What each method can be told besides `CommonChoices`; the methods themselves: model/methods.py."""
 
 

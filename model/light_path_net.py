@@ -14,10 +14,15 @@ from datagen.geometry import TRUTH
 from model.choices import LightPathChoices
 from model.extrinsics import spherical_harmonics
 from model.samples import check_samples, srgb_curve
-from model.texture import NeuralTextures, object_layout
+from model.texture import TexturePyramid, object_layout, sum_levels
 
 STACKED_VERTICES = (4, 2)
 """Vertices of the refracted and of the first mirror branch that the stack network sees."""
+
+FINER_COUNTS = 0.5
+"""How much a level of a pyramid, of textures or of the sky, counts beside the next coarser one. Adam moves all texels
+alike, so coarse ones, moved by all rays, get there first, and fine ones add what is left: what few rays have met is
+filled in from around it. (Deferred Neural Rendering regularises its levels to that end.)"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -172,11 +177,14 @@ class LightPathRenderer(nn.Module):
     def __init__(self, config: LightPathConfig) -> None:
         super().__init__()
         self.config = config
-        self.textures = nn.ModuleList(
-            NeuralTextures(object_layout([max(2, size >> level) for size in config.texture_sizes]),
-                           config.texture_features)
-            for level in range(config.texture_levels)
-        )  # fmt: skip
+        self.textures = TexturePyramid(
+            [
+                object_layout([max(2, size >> level) for size in config.texture_sizes])
+                for level in range(config.texture_levels)
+            ],
+            config.texture_features,
+            finer_counts=FINER_COUNTS,
+        )
         if config.composite:
             # Feature, cosine, spherical harmonics of the mirrored direction, position -> linear radiance.
             self.decoder = _mlp(config.texture_features + 1 + 9 + 6 * config.position_octaves, config.hidden, 3)
@@ -201,7 +209,7 @@ class LightPathRenderer(nn.Module):
         if self.stack_net is not None:
             assert paths.stack is not None
             stack = paths.stack
-            features = self._features(stack.uv, stack.object_id)
+            features = self.textures(stack.uv, stack.object_id)
             inputs = torch.cat([features, stack.throughput[..., None], stack.cosine[..., None]], dim=-1).flatten(1)
             if self.config.straight_layers:
                 inputs = torch.cat([inputs, stack.direction], dim=-1)
@@ -226,12 +234,9 @@ class LightPathRenderer(nn.Module):
         sky = self._environment(stack.direction) * passed[:, -1:]
         return sky.index_add(0, hits[0], shine * (opacity * before)[hits][:, None])
 
-    def _features(self, uv: Float32[Tensor, "ray slot 2"], object_id: UInt8[Tensor, "ray slot"]) -> Tensor:
-        return _sum_of_levels([textures(uv, object_id) for textures in self.textures])
-
     def _shine(self, ends: Ends) -> Float32[Tensor, "end 3"]:
         """Linear radiance that leaves the ends towards their rays."""
-        features = self._features(ends.uv[:, None], ends.object_id[:, None])[:, 0]
+        features = self.textures(ends.uv[:, None], ends.object_id[:, None])[:, 0]
         return self._decode(features, ends.cosine, ends.reflected, ends.position)
 
     def _decode(
@@ -250,7 +255,7 @@ class LightPathRenderer(nn.Module):
         azimuth = torch.atan2(y, x) / torch.pi  # Both from -1 to 1.
         polar = 2 * torch.acos(z.clamp(-1, 1)) / torch.pi - 1
         maps = [_look_up_map(texels, azimuth, polar) for texels in self.environment]
-        return functional.softplus(_sum_of_levels(maps))
+        return functional.softplus(sum_levels(maps, FINER_COUNTS))
 
 
 def build_light_path(config: LightPathConfig, dataset: Dataset, geometry: str, num_layers: int) -> LightPathRenderer:  # noqa: ARG001
@@ -274,15 +279,6 @@ def _mlp(num_inputs: int, hidden: int, num_outputs: int) -> nn.Sequential:
         nn.LeakyReLU(0.2),
         nn.Linear(hidden, num_outputs),
     )
-
-
-def _sum_of_levels(levels: list[Float32[Tensor, "*b"]]) -> Float32[Tensor, "*b"]:
-    """Sums look-ups in a pyramid, finest first; each counts half as much as the next coarser one.
-
-    Adam moves all texels alike, so coarse ones, moved by all rays, get there first, and fine ones add what is left.
-    What few rays have met is then filled in from around it; Deferred Neural Rendering regularises levels to that end.
-    """
-    return torch.stack([level * 0.5 ** (len(levels) - 1 - index) for index, level in enumerate(levels)]).sum(dim=0)
 
 
 def _map_sizes(height: int) -> list[tuple[int, int]]:

@@ -1,7 +1,9 @@
 """Owns the list of methods: what `model train --method NAME` can train. A new method is a file and an entry here."""
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Literal
 
 import numpy as np
@@ -10,6 +12,7 @@ from torch import Tensor, nn
 from datagen.dataset import Dataset, Split
 from datagen.layer_store import LayerKind, LayersHead, read_layers_head
 from model.batches import PixelSource, load_pixels
+from model.dnr import DnrConfig, build_dnr, configure_dnr, image_loss
 from model.light_path_net import LightPathConfig, build_light_path, configure_light_path
 from model.losses import pixel_loss
 from model.paper import PaperConfig, build_paper, configure_paper
@@ -17,7 +20,7 @@ from model.traced_batches import load_light_path_pixels, load_traced_layers
 
 LrDecay = Literal["none", "linear", "cosine"]
 
-MethodConfig = PaperConfig | LightPathConfig
+MethodConfig = PaperConfig | LightPathConfig | DnrConfig
 """The configuration of any method."""
 
 
@@ -48,31 +51,67 @@ class Method:
     """The pixels of views for (configuration, dataset, geometry, split, views, with images)."""
     loss: Callable[[nn.Module, PixelSource, int, np.random.Generator], Tensor] = pixel_loss
     """What a step makes small: for (module, training pixels, batch, generator of the step)."""
+    max_layers: int | None = None
+    """The nearest stored layers that it looks at; None: all of them."""
 
 
-def _load_straight(
-    config: PaperConfig,
-    dataset: Dataset,
-    geometry: str,
-    split: Split,
-    views: Sequence[int],
-    with_images: bool,
-) -> PixelSource:
+def _load_straight(config: PaperConfig, dataset: Dataset, geometry: str, split: Split, views: Sequence[int],
+                   with_images: bool, *, max_layers: int | None = None) -> PixelSource:  # fmt: skip
     if max(config.train_samples, config.render_samples) == 1:
-        return load_pixels(dataset, geometry, split, views, with_images=with_images)
-    num_layers, _ = read_layers_of(METHODS["paper"], dataset, geometry)
+        return load_pixels(dataset, geometry, split, views, with_images=with_images, max_layers=max_layers)
+    stored, _ = read_layers_of(METHODS["paper"], dataset, geometry)
+    num_layers = min(stored, max_layers or stored)
     return load_traced_layers(config, dataset, geometry, num_layers, split, views, with_images)
 
+
+def _load_images(config: DnrConfig, dataset: Dataset, geometry: str, split: Split, views: Sequence[int],  # noqa: ARG001
+                 with_images: bool, *, max_layers: int | None = None) -> PixelSource:  # fmt: skip
+    return load_pixels(
+        dataset, geometry, split, views, with_images=with_images, max_layers=max_layers, whole_views=True
+    )
+
+
+# The paper's rate; decay as in the authors' scripts (see TrainConfig).
+_PIXELS = Optimisation(batch=8192, lr=0.001, texture_lr=None, lr_decay="linear")
+# The same, and about as many pixels a step as one picture of the demo has.
+_IMAGES = dataclasses.replace(_PIXELS, batch=16_384)
 
 METHODS: dict[str, Method] = {
     "paper": Method(
         layers="straight",
         knowledge="",
-        # The paper's rate; decay as in the authors' scripts (see TrainConfig).
-        optimisation=Optimisation(batch=8192, lr=0.001, texture_lr=None, lr_decay="linear"),
+        optimisation=_PIXELS,
         configure=configure_paper,
         build=build_paper,
         load=_load_straight,
+    ),
+    "mlp-first": Method(
+        layers="straight",
+        knowledge="",
+        optimisation=_PIXELS,
+        configure=configure_paper,
+        build=build_paper,
+        load=partial(_load_straight, max_layers=1),
+        max_layers=1,
+    ),
+    "dnr": Method(
+        layers="straight",
+        knowledge="",
+        optimisation=_IMAGES,
+        configure=configure_dnr,
+        build=build_dnr,
+        load=partial(_load_images, max_layers=1),
+        loss=image_loss,
+        max_layers=1,
+    ),
+    "dnr-layers": Method(
+        layers="straight",
+        knowledge="",
+        optimisation=_IMAGES,
+        configure=configure_dnr,
+        build=build_dnr,
+        load=_load_images,
+        loss=image_loss,
     ),
     "light-path": Method(
         layers=None,
@@ -96,4 +135,4 @@ def read_layers_of(method: Method, dataset: Dataset, geometry: str) -> tuple[int
         return 0, dataset.seal
     head, seal = read_layers_head(dataset, geometry, method.layers)
     assert isinstance(head, LayersHead), "no method looks up light paths"
-    return head.num_layers, seal
+    return min(head.num_layers, method.max_layers or head.num_layers), seal

@@ -127,15 +127,48 @@ class _WeightedTexels(torch.autograd.Function):
 class NeuralTextures(nn.Module):
     """Learned features on the surface of every object: one table of texels, all trained together."""
 
-    def __init__(self, layout: TextureLayout, features: int) -> None:
+    def __init__(self, layout: TextureLayout, features: int, *, start: float = 0.0) -> None:
         super().__init__()
         self.layout = layout
         # The paper names no initial value. Zeros, like an empty layer: a texel that no training ray touched stays
         # neutral. Measured on the glass table at 128 pixels: 0.6 dB better than the authors' 0.5, 1.5 dB better than
         # noise of 0.1, which unseen texels keep.
-        self.table = nn.Parameter(torch.zeros(self.layout.num_texels, features))
+        self.table = nn.Parameter(torch.full((self.layout.num_texels, features), start))
 
     def forward(
         self, uv: Float32[Tensor, "ray layer 2"], object_id: UInt8[Tensor, "ray layer"]
     ) -> Float32[Tensor, "ray layer c"]:
         return sample(self.table, uv, object_id, self.layout)
+
+
+class TexturePyramid(nn.ModuleList):
+    """Textures of one surface whose features are summed, finest first, each half as wide as the one before.
+
+    Source: hierarchical neural textures, Thies et al. 2019 (arXiv 1904.12356): what few rays have met is filled in from
+    around it. A list, so that level k's table is named `k.table`.
+    """
+
+    def __init__(self, layouts: Sequence[TextureLayout], features: int, *, finer_counts: float = 1.0) -> None:
+        """`finer_counts`: how much a level counts beside the next coarser one; the coarsest counts whole."""
+        super().__init__(NeuralTextures(layout, features) for layout in layouts)
+        self.finer_counts = finer_counts
+
+    def forward(
+        self, uv: Float32[Tensor, "ray layer 2"], object_id: UInt8[Tensor, "ray layer"]
+    ) -> Float32[Tensor, "ray layer c"]:
+        return sum_levels([level(uv, object_id) for level in self], self.finer_counts)
+
+    def tables(self) -> list[Float32[Tensor, "texel c"]]:
+        """The texels of each level, finest first."""
+        return [level.get_parameter("table") for level in self]
+
+
+def sum_levels(levels: Sequence[Float32[Tensor, "*b"]], finer_counts: float) -> Float32[Tensor, "*b"]:
+    """The sum of look-ups in a pyramid, finest first, each of which counts `finer_counts` times the next coarser."""
+    last = len(levels) - 1
+    return torch.stack([level * finer_counts ** (last - place) for place, level in enumerate(levels)]).sum(dim=0)
+
+
+def make_layout(num_objects: int, size: int, sharing: TextureSharing) -> TextureLayout:
+    """A texture of `size` texels squared for each object, or one of that size for all."""
+    return object_layout((size,) * num_objects) if sharing == "object" else scene_layout(num_objects, size)

@@ -73,10 +73,10 @@ class TracedLayerPixels:
     def to(self, device: torch.device) -> "TracedLayerPixels":
         return dataclasses.replace(self, rgb=self.rgb.to(device), device=device)
 
-    def take(self, index: Int[Tensor, " pixel"], rng: np.random.Generator | None) -> RayBatch:
+    def take(self, index: Int[Tensor, "*pixel"], rng: np.random.Generator | None) -> RayBatch:
         """The layers of the rays through these pixels; without `rng` as many rays as a rendering takes."""
         samples = self.train_samples if rng is not None else self.render_samples
-        origins, directions = self.rays.through(index.cpu().numpy(), samples, rng)
+        origins, directions = self.rays.through(index.flatten().cpu().numpy(), samples, rng)
         paths = _straight(self.tracer, origins, directions, self.num_layers)
         return RayBatch(
             uv=torch.from_numpy(np.ascontiguousarray(paths.uv[0].swapaxes(0, 1))).to(self.device),
@@ -112,17 +112,17 @@ class LightPathPixels:
     def to(self, device: torch.device) -> "LightPathPixels":
         return dataclasses.replace(self, rgb=self.rgb.to(device), device=device)
 
-    def take(self, index: Int[Tensor, " pixel"], rng: np.random.Generator | None) -> LightPathBatch:
+    def take(self, index: Int[Tensor, "*pixel"], rng: np.random.Generator | None) -> LightPathBatch:
         """The paths of the rays through these pixels; without `rng` as many rays as a rendering takes."""
         config = self.config
         samples = config.train_samples if rng is not None else config.render_samples
-        origins, directions = self.rays.through(index.cpu().numpy(), samples, rng)
+        origins, directions = self.rays.through(index.flatten().cpu().numpy(), samples, rng)
         # Of most branches the end is all that counts: one place holds the last vertex.
         seed = 0 if rng is None else int(rng.integers(1 << 31))
         paths = self.tracer.trace(origins, directions, max_branches=config.branches, max_vertices=1, seed=seed)
         stack = self._stack(origins, directions) if config.stack_hidden else None
         return LightPathBatch(
-            num_pixels=len(index), samples=samples, ends=self._ends(paths), sky=self._sky(paths), stack=stack
+            num_pixels=index.numel(), samples=samples, ends=self._ends(paths), sky=self._sky(paths), stack=stack
         )
 
     def _ends(self, paths: "LightPaths") -> Ends:

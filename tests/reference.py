@@ -78,3 +78,31 @@ def fresnel_reflectance(cos_i: float, ior: float) -> float:
     parallel = (ior * cos_i - cos_t) / (ior * cos_i + cos_t)
     perpendicular = (cos_i - ior * cos_t) / (cos_i + ior * cos_t)
     return float((parallel**2 + perpendicular**2) / 2)
+
+
+def slow_convolution(
+    image: np.ndarray, weight: np.ndarray, bias: np.ndarray, *, stride: int, padding: int
+) -> np.ndarray:
+    """A convolution (c_in, h, w) -> (c_out, h', w') with weights (c_out, c_in, k, k), one output pixel at a time."""
+    size = weight.shape[-1]
+    padded = np.pad(image, ((0, 0), (padding, padding), (padding, padding)))
+    rows, columns = ((extent - size) // stride + 1 for extent in padded.shape[1:])
+    out = np.zeros((len(weight), rows, columns))
+    for row, column in np.ndindex(rows, columns):
+        window = padded[:, row * stride : row * stride + size, column * stride : column * stride + size]
+        out[:, row, column] = (weight * window).sum(axis=(1, 2, 3)) + bias
+    return out
+
+
+def slow_transposed_convolution(
+    image: np.ndarray, weight: np.ndarray, bias: np.ndarray, *, stride: int, padding: int
+) -> np.ndarray:
+    """Its transpose, with weights (c_in, c_out, k, k): each input pixel adds a weighted kernel to the output."""
+    size = weight.shape[-1]
+    rows, columns = image.shape[1:]
+    full = np.zeros((weight.shape[1], (rows - 1) * stride + size, (columns - 1) * stride + size))
+    for row, column in np.ndindex(rows, columns):
+        kernel = (image[:, row, column, None, None, None] * weight).sum(axis=0)
+        full[:, row * stride : row * stride + size, column * stride : column * stride + size] += kernel
+    inside = full[:, padding : full.shape[1] - padding, padding : full.shape[2] - padding]
+    return inside + bias[:, None, None]

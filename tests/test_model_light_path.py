@@ -218,11 +218,11 @@ def test_finer_textures_are_added_to_coarser_ones(dataset: Dataset) -> None:
     renderer = LightPathRenderer(LightPathConfig(texture_sizes=(16, 12), texture_levels=3))
     assert [textures.layout.sizes for textures in renderer.textures] == [(16, 12), (8, 6), (4, 3)]
     batch = pixels.take(torch.arange(1024), None)
-    before = renderer._features(batch.stack.uv, batch.stack.object_id)
+    before = renderer.textures(batch.stack.uv, batch.stack.object_id)
     with torch.no_grad():
         for level, textures in enumerate(renderer.textures):
             textures.table.fill_(10.0**level)
-    after = renderer._features(batch.stack.uv, batch.stack.object_id)
+    after = renderer.textures(batch.stack.uv, batch.stack.object_id)
     assert (before == 0).all()
     # The coarsest counts whole, each finer one half as much as the one before.
     assert torch.allclose(after[batch.stack.object_id > 0], torch.tensor(100 + 10 / 2 + 1 / 4))
