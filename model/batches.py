@@ -182,3 +182,11 @@ def insert_empty_layer(rays: RayBatch, place: Int[Tensor, " ray"]) -> RayBatch:
         samples=rays.samples,
         grid=rays.grid,
     )
+
+
+def insert_random_layer(rays: RayBatch, rng: np.random.Generator | None) -> RayBatch:
+    """The rays with one more empty layer: at a random place of each ray, or behind all others without `rng`."""
+    num_rays, num_layers = rays.object_id.shape
+    last = np.full(num_rays, num_layers)
+    place = last if rng is None else rng.integers(num_layers + 1, size=num_rays)
+    return insert_empty_layer(rays, torch.from_numpy(place).to(rays.object_id.device))

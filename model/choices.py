@@ -21,8 +21,8 @@ class CommonChoices:
 
     method: str
     """What to train: paper (straight layers, stacked), mlp-first (its network on the first layer), dnr (a U-Net on the
-    first layer), dnr-layers (a U-Net on all layers), or light-path (refracted paths, composited). Each method has
-    choices of its own: `model train --method NAME --help`."""
+    first layer), dnr-layers (a U-Net on all layers), authors-code (what the released code ran), or light-path
+    (refracted paths, composited). Each method has choices of its own: `model train --method NAME --help`."""
     dataset: str | None = None
     """Dataset folder, or its name under data/. Default: the only one there."""
     geometry: str = TRUTH
@@ -80,6 +80,10 @@ class PaperChoices:
     """Rays per pixel while training, a square number. Default: 1."""
     render_rays: int | None = _choice(None, "{}-render-rays")
     """Rays per pixel while rendering, a square number. Default: 1."""
+    features: int = _choice(16, "{}-features")
+    """Channels of a texture; 64 in the paper's runs on coarse proxies."""
+    texture_levels: int = _choice(1, "{}-levels")
+    """Textures summed, each half as wide as the one before; 4 in Deferred Neural Rendering."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -135,7 +139,25 @@ class DnrChoices:
     authors' preset."""
 
 
-MethodChoices = PaperChoices | LightPathChoices | DnrChoices
+@dataclass(frozen=True, kw_only=True)
+class AuthorsChoices:
+    """What `authors-code` is made of."""
+
+    extrinsics: Literal["none", "view", "sh"] = _choice("view", {"none": "no-extrinsics", "sh": "sh"})
+    """What each layer is told of the camera: nothing, the view vector, or nine more features multiplied by SH of it."""
+    width: int = _choice(64, "w{}")
+    """Hidden units of the first layer: 64, because the code loses the 256 that its scripts ask for."""
+    features: int = _choice(16, "{}-features")
+    """Channels of a texture; nine more with sh."""
+    texture_size: int | None = _choice(None, "t{}")
+    """Width and height of a texture in texels. Default: half the image's width."""
+    zero_layer: bool = _choice(False, "zero-layer")
+    """Insert a layer of zeros at a random place while training."""
+    test_dropout: Literal["on", "off"] = _choice("on", "no-test-dropout")
+    """Leave dropout on while rendering, as their test script did, or turn it off."""
+
+
+MethodChoices = PaperChoices | LightPathChoices | DnrChoices | AuthorsChoices
 """The choices of any method."""
 
 CHOICES: dict[str, type[MethodChoices]] = {
@@ -143,6 +165,7 @@ CHOICES: dict[str, type[MethodChoices]] = {
     "mlp-first": PaperChoices,
     "dnr": DnrChoices,
     "dnr-layers": DnrChoices,
+    "authors-code": AuthorsChoices,
     "light-path": LightPathChoices,
 }
 """What each method can be told besides `CommonChoices`; the methods themselves: model/methods.py."""

@@ -11,6 +11,7 @@ from torch import Tensor, nn
 
 from datagen.dataset import Dataset, Split
 from datagen.layer_store import LayerKind, LayersHead, read_layers_head
+from model.authors_code import AuthorsConfig, authors_loss, build_authors, configure_authors
 from model.batches import PixelSource, load_pixels
 from model.dnr import DnrConfig, build_dnr, configure_dnr, image_loss
 from model.light_path_net import LightPathConfig, build_light_path, configure_light_path
@@ -20,7 +21,7 @@ from model.traced_batches import load_light_path_pixels, load_traced_layers
 
 LrDecay = Literal["none", "linear", "cosine"]
 
-MethodConfig = PaperConfig | LightPathConfig | DnrConfig
+MethodConfig = PaperConfig | LightPathConfig | DnrConfig | AuthorsConfig
 """The configuration of any method."""
 
 
@@ -32,6 +33,8 @@ class Optimisation:
     lr: float
     texture_lr: float | None
     lr_decay: LrDecay
+    beta1: float = 0.9
+    weight_decay: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,10 +67,19 @@ def _load_straight(config: PaperConfig, dataset: Dataset, geometry: str, split: 
     return load_traced_layers(config, dataset, geometry, num_layers, split, views, with_images)
 
 
-def _load_images(config: DnrConfig, dataset: Dataset, geometry: str, split: Split, views: Sequence[int],  # noqa: ARG001
-                 with_images: bool, *, max_layers: int | None = None) -> PixelSource:  # fmt: skip
+def _load_stored(
+    config: object,  # noqa: ARG001
+    dataset: Dataset,
+    geometry: str,
+    split: Split,
+    views: Sequence[int],
+    with_images: bool,
+    *,
+    max_layers: int | None = None,
+    whole_views: bool = False,
+) -> PixelSource:
     return load_pixels(
-        dataset, geometry, split, views, with_images=with_images, max_layers=max_layers, whole_views=True
+        dataset, geometry, split, views, with_images=with_images, max_layers=max_layers, whole_views=whole_views
     )
 
 
@@ -100,7 +112,7 @@ METHODS: dict[str, Method] = {
         optimisation=_IMAGES,
         configure=configure_dnr,
         build=build_dnr,
-        load=partial(_load_images, max_layers=1),
+        load=partial(_load_stored, max_layers=1, whole_views=True),
         loss=image_loss,
         max_layers=1,
     ),
@@ -110,8 +122,17 @@ METHODS: dict[str, Method] = {
         optimisation=_IMAGES,
         configure=configure_dnr,
         build=build_dnr,
-        load=_load_images,
+        load=partial(_load_stored, whole_views=True),
         loss=image_loss,
+    ),
+    "authors-code": Method(
+        layers="straight",
+        knowledge="",
+        optimisation=dataclasses.replace(_PIXELS, beta1=0.5, weight_decay=1e-4),
+        configure=configure_authors,
+        build=build_authors,
+        load=_load_stored,
+        loss=authors_loss,
     ),
     "light-path": Method(
         layers=None,

@@ -10,12 +10,12 @@ from torch import Tensor, nn
 
 from datagen.dataset import Dataset
 from datagen.errors import HyalineError
-from model.batches import RayBatch, insert_empty_layer
+from model.batches import RayBatch, insert_random_layer
 from model.choices import PaperChoices
 from model.extrinsics import EXTRINSIC_CHANNELS, ExtrinsicInputs, Extrinsics, bake_position_table
 from model.pixel_mlp import Norm, PixelMlp, check_width, width_for_34k
 from model.samples import check_samples, linear_curve, srgb_curve
-from model.texture import NeuralTextures, TextureSharing, object_layout, scene_layout
+from model.texture import NeuralTextures, TexturePyramid, TextureSharing, make_layout
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,7 +35,9 @@ class PaperConfig:
     textures: TextureSharing = "object"
     """One texture an object (section 4.4), or one for the scene, in which each object has a cell."""
     texture_features: int = 16
-    """Channels of a texture (section 4.3)."""
+    """Channels of a texture (section 4.3); 64 on coarse proxies."""
+    texture_levels: int = 1
+    """Textures summed, each half as wide as the one before; the paper has one (section 4.3)."""
     position_size: int = 512
     """Width and height of the position textures of Eq. 3 in texels; the size that the authors ran."""
     zero_layer: bool = False
@@ -55,6 +57,8 @@ class PaperConfig:
             check_samples(name, getattr(self, name))
         if not 1 <= self.texture_features <= 256:
             raise HyalineError(f"texture_features: is {self.texture_features}; expected 1 to 256")
+        if not 1 <= self.texture_levels <= 8:
+            raise HyalineError(f"texture_levels: is {self.texture_levels}; expected 1 to 8")
 
 
 def default_texture_size(resolution: int, num_objects: int, sharing: TextureSharing) -> int:
@@ -73,7 +77,12 @@ def configure_paper(choices: PaperChoices, dataset: Dataset, geometry: str, num_
     Raises:
         HyalineError: a choice that cannot be.
     """
-    inputs = count_inputs(num_layers, texture_features=16, extrinsics=choices.extrinsics, zero_layer=choices.zero_layer)
+    inputs = count_inputs(
+        num_layers,
+        texture_features=choices.features,
+        extrinsics=choices.extrinsics,
+        zero_layer=choices.zero_layer,
+    )
     if choices.width != "34k" and not choices.width.isdecimal():
         raise HyalineError(f"width: is {choices.width!r}; expected 34k, 256 or another number of hidden units")
     default_size = default_texture_size(dataset.config.resolution, len(dataset.objects), choices.textures)
@@ -84,6 +93,8 @@ def configure_paper(choices: PaperChoices, dataset: Dataset, geometry: str, num_
         extrinsics=choices.extrinsics,
         textures=choices.textures,
         texture_size=choices.texture_size or default_size,
+        texture_features=choices.features,
+        texture_levels=choices.texture_levels,
         zero_layer=choices.zero_layer,
         train_samples=1 if choices.rays is None else choices.rays,
         render_samples=1 if choices.render_rays is None else choices.render_rays,
@@ -103,11 +114,13 @@ class PaperRenderer(nn.Module):
     ) -> None:
         super().__init__()
         self.zero_layer = config.zero_layer
-        size = config.texture_size
-        layout = (
-            object_layout((size,) * num_objects) if config.textures == "object" else scene_layout(num_objects, size)
+        sizes = [config.texture_size >> level for level in range(config.texture_levels)]
+        layouts = [make_layout(num_objects, size, config.textures) for size in sizes]
+        self.textures = (
+            NeuralTextures(layouts[0], config.texture_features)
+            if len(layouts) == 1
+            else TexturePyramid(layouts, config.texture_features)
         )
-        self.textures = NeuralTextures(layout, config.texture_features)
         self.extrinsics = (
             None
             if positions is None
@@ -128,10 +141,7 @@ class PaperRenderer(nn.Module):
             rng: draws the place of each ray's zero layer while training; without it that layer comes last.
         """
         if self.zero_layer:
-            num_rays, num_layers = rays.object_id.shape
-            last = np.full(num_rays, num_layers)
-            place = last if rng is None else rng.integers(num_layers + 1, size=num_rays)
-            rays = insert_empty_layer(rays, torch.from_numpy(place).to(rays.object_id.device))
+            rays = insert_random_layer(rays, rng)
         stack = self.textures(rays.uv, rays.object_id)
         if self.extrinsics is not None:
             stack = torch.cat([stack, self.extrinsics(rays.uv, rays.object_id, rays.p_camera)], dim=-1)

@@ -11,12 +11,11 @@ from torch import Tensor, nn
 from datagen.command import say, track
 from datagen.dataset import TEST_SPLITS, Dataset, Split, png_bytes, view_name
 from datagen.errors import HyalineError
-from datagen.records import to_json
 from datagen.storage import commit, sha256
 from model.batches import PixelSource
 from model.checkpoint import load_state
 from model.methods import METHODS, read_layers_of
-from model.run_folder import WEIGHTS, TrainConfig, write_prediction_hashes
+from model.run_folder import WEIGHTS, TrainConfig, is_config, write_prediction_hashes
 from model.runtime import keep_freed_memory
 
 
@@ -47,7 +46,7 @@ def load_renderer(out: Path, config: TrainConfig, dataset: Dataset) -> nn.Module
     if not (out / WEIGHTS).is_file():
         raise HyalineError(f"{out / WEIGHTS}: not there, the run is not trained to its end; use `model train --resume`")
     state = load_state(out / WEIGHTS)
-    if state["config"] != to_json(config):
+    if not is_config(state["config"], config):
         raise HyalineError(f"{out / WEIGHTS}: made by another configuration than run.json; train with --overwrite")
     method = METHODS[config.method]
     num_layers, _ = read_layers_of(method, dataset, config.geometry)

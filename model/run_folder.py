@@ -52,6 +52,10 @@ class TrainConfig:
     lr_decay: LrDecay = "linear"
     """`linear`: constant for the first half of the steps, then down to zero. The paper's text names no decay, but the
     authors' scripts ran exactly this one (100 epochs constant, 100 epochs linear)."""
+    beta1: float = 0.9
+    """Adam's first decay rate; 0.5 in the authors' code."""
+    weight_decay: float = 0.0
+    """On the network alone, as Adam's own (added to the gradient); 0.0001 in the authors' code."""
     held_out_views: int = 4
     """Training views set aside for the progress line's PSNR: at most so many, and at most a fifth."""
     evaluate_every: int = 500
@@ -72,6 +76,10 @@ class TrainConfig:
             rate = getattr(self, name)
             if rate is not None and not 0 < rate <= 1:
                 raise HyalineError(f"{name}: is {rate}; expected a learning rate in (0, 1], 0.001 in the paper")
+        if not 0 <= self.beta1 < 1 or self.weight_decay < 0:
+            raise HyalineError(
+                f"beta1: is {self.beta1} with weight decay {self.weight_decay}; expected [0, 1) and >= 0"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -140,6 +148,15 @@ def check_same_run(out: Path, config: TrainConfig, *, dataset_seal: str, layers_
                 f"{out}: holds a run with another {key}: {before.get(key)} there, {after[key]} here; "
                 f"start anew with --overwrite, or choose another --out"
             )
+
+
+def is_config(stored: object, config: TrainConfig) -> bool:
+    """True when a configuration stored as JSON is this one; what is younger than it counts as the default.
+
+    Raises:
+        HyalineError: an unknown key.
+    """
+    return from_json(TrainConfig, cast(Json, stored), where="config") == config
 
 
 def is_finished(out: Path) -> bool:

@@ -170,5 +170,5 @@ def sum_levels(levels: Sequence[Float32[Tensor, "*b"]], finer_counts: float) -> 
 
 
 def make_layout(num_objects: int, size: int, sharing: TextureSharing) -> TextureLayout:
-    """A texture of `size` texels squared for each object, or one of that size for all."""
-    return object_layout((size,) * num_objects) if sharing == "object" else scene_layout(num_objects, size)
+    """A texture of `size` texels squared for each object, at least 2, or one of that size for all."""
+    return object_layout((max(2, size),) * num_objects) if sharing == "object" else scene_layout(num_objects, size)

@@ -26,6 +26,7 @@ from model.run_folder import (
     RunRecord,
     TrainConfig,
     describe_knowledge,
+    is_config,
     read_metrics,
     write_metrics,
     write_run,
@@ -58,9 +59,12 @@ def train(config: TrainConfig, dataset: Dataset, out: Path, *, label: str, devic
     texture_parameters = [value for name, value in named.items() if name.startswith(TEXTURES)]
     net_parameters = [value for name, value in named.items() if not name.startswith(TEXTURES)]
     rates = (config.lr, config.lr if config.texture_lr is None else config.texture_lr)
-    groups = [{"params": net_parameters, "lr": rates[0]}, {"params": texture_parameters, "lr": rates[1]}]
+    groups = [
+        {"params": net_parameters, "lr": rates[0], "weight_decay": config.weight_decay},
+        {"params": texture_parameters, "lr": rates[1]},
+    ]
     # Dense Adam, as in the paper: a texel moves on by its momentum after the step that touched it.
-    optimizer = torch.optim.Adam(groups, fused=True)
+    optimizer = torch.optim.Adam(groups, betas=(config.beta1, 0.999), fused=True)
 
     write_run(
         out,
@@ -85,7 +89,7 @@ def train(config: TrainConfig, dataset: Dataset, out: Path, *, label: str, devic
     first_step, loss_sum, loss_count = 0, 0.0, 0
     metrics: list[dict[str, Json]] = []
     if (checkpoint := load_checkpoint(out)) is not None:
-        if checkpoint["config"] != to_json(config):
+        if not is_config(checkpoint["config"], config):
             raise HyalineError(f"{out / CHECKPOINT}: made by another configuration; start anew with --overwrite")
         renderer.load_state_dict(cast(dict[str, Tensor], checkpoint["renderer"]))
         optimizer.load_state_dict(cast(dict[str, Tensor], checkpoint["optimizer"]))

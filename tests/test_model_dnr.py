@@ -8,7 +8,7 @@ import pytest
 import torch
 from reference import slow_convolution, slow_transposed_convolution
 from synthetic import write_synthetic_dataset
-from test_model_train import run_bytes, stop_at
+from test_model_train import one_thread, run_bytes, stop_at  # noqa: F401
 
 from datagen.dataset import Dataset, read_image, read_png
 from datagen.errors import HyalineError

@@ -11,9 +11,11 @@ from synthetic import pixel_rays, write_synthetic_dataset
 from datagen.dataset import read_cameras
 from datagen.errors import HyalineError
 from model.batches import insert_empty_layer, load_pixels
+from model.choices import PaperChoices
 from model.extrinsics import EXTRINSIC_CHANNELS, ExtrinsicInputs, Extrinsics, bake_position_table, spherical_harmonics
-from model.paper import PaperConfig, PaperRenderer, default_texture_size
+from model.paper import PaperConfig, PaperRenderer, build_paper, configure_paper, default_texture_size
 from model.pixel_mlp import PixelMlp, count_parameters, width_for_34k
+from model.texture import TexturePyramid
 
 
 @pytest.mark.parametrize(
@@ -123,6 +125,28 @@ def test_the_zero_layer_comes_last_at_test_and_anywhere_in_training(tmp_path: Pa
     moved = renderer(rays, rng=np.random.default_rng(0))
     assert not torch.allclose(moved, renderer(rays))
     assert torch.equal(moved, renderer(rays, rng=np.random.default_rng(0)))
+
+
+@pytest.mark.parametrize("textures", ["object", "scene"])
+def test_the_papers_textures_can_be_a_pyramid(tmp_path: Path, textures: str) -> None:
+    dataset = write_synthetic_dataset(tmp_path / "data", num_layers=2)
+    choices = PaperChoices(extrinsics="none", textures=textures, texture_size=16, texture_levels=3, features=64)  # pyright: ignore
+    config = configure_paper(choices, dataset, "truth", 2)
+    renderer = build_paper(config, dataset, "truth", 2).eval()
+    assert isinstance(renderer.textures, TexturePyramid)
+    assert renderer.net.first.linear.in_features == 2 * 64
+    assert abs(count_parameters(128, config.width, 3) - 34_000) < 2000
+    texels = [table.shape[0] for table in renderer.textures.tables()]
+    assert texels == ([512, 128, 32] if textures == "object" else [256, 64, 16])
+    rays = load_pixels(dataset, "truth", "train", [0]).take(torch.arange(1024), None)
+    with torch.no_grad():
+        for level, table in enumerate(renderer.textures.tables()):
+            table.fill_(10.0**level)
+    seen = []
+    renderer.net.register_forward_pre_hook(lambda _, inputs: seen.append(inputs[0]))
+    renderer(rays)
+    expected = 111.0 * (rays.object_id != 0).repeat_interleave(64, dim=1)
+    torch.testing.assert_close(seen[0], expected)
 
 
 def test_stored_uv_and_colors_come_back_exactly(tmp_path: Path) -> None:
