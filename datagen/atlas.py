@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float32, Int32
 
 from datagen.errors import HyalineError
-from datagen.meshes import Mesh
+from datagen.meshes import Mesh, is_there
 
 if TYPE_CHECKING:
     import xatlas
@@ -80,9 +80,11 @@ def unwrap_all(meshes: dict[str, Mesh]) -> dict[str, Mesh]:
 def bake_positions(mesh: Mesh, size: int) -> Float32[np.ndarray, "tex_h tex_w 3"]:
     """World position of the surface at each texel centre; gutters hold the nearest chart's border.
 
-    Source: paper section 4.3, Eq. 3.
+    Zeros for a mesh without faces. Source: paper section 4.3, Eq. 3.
     """
     positions = np.zeros((size * size, 3), np.float32)
+    if not is_there(mesh):
+        return positions.reshape(size, size, 3)
     covered = np.zeros(size * size, bool)
     # A chart thinner than a texel may miss every centre: its vertices stand in.
     uv_texel = np.clip(np.floor(_texel_coordinates(mesh, size) + 0.5).astype(np.int64), 0, size - 1)

@@ -9,10 +9,12 @@ from datagen.cameras import make_cameras, subpixel_offsets
 from datagen.command import say, track
 from datagen.dataset import (
     SPLITS,
-    TEST_SPLITS,
+    Cameras,
     Dataset,
     DatasetConfig,
+    DatasetEdit,
     DatasetObject,
+    Split,
     config_difference,
     head_files,
     is_view_built,
@@ -35,7 +37,7 @@ from datagen.layer_store import (
 )
 from datagen.layers import create_layers
 from datagen.light_path_layers import NUM_BRANCHES, create_light_paths
-from datagen.meshes import write_ply
+from datagen.meshes import is_there, write_ply
 from datagen.scene import Scene, is_glass, scene_files
 from datagen.storage import commit, one_writer, remove_temporaries, sha256
 from datagen.workers import in_workers
@@ -52,21 +54,27 @@ def build_dataset(scene: Scene, root: Path, config: DatasetConfig, *, kinds: tup
         HyalineError: something else stands at `root`, or another process writes there.
     """
     _check_settings(num_layers=num_layers, rays=rays)
+    if config.train.views < 1:
+        raise HyalineError(f"views: are {config.train.views}; expected at least 1 training view")
     with one_writer(root):
         remove_temporaries(root)
-        dataset = _open_or_start(scene, root, config, overwrite=overwrite)
-        tasks = _tasks(dataset)
-        missing = [task for task in tasks if not is_view_built(dataset, *task)]
-        done = len(tasks) - len(missing)
-        if missing:
-            from datagen.variant import use_mitsuba
-
-            say(f"{root}: renders {len(missing)} of {len(tasks)} views with {use_mitsuba()}")
-            finished = in_workers(render_task, missing, workers, RenderJob, (root,))
-            for _ in track(finished, label="render", total=len(tasks), done=done):
-                pass
+        dataset = open_or_start(scene, root, config, make_cameras(scene.cameras, config), overwrite=overwrite)
+        render_missing(dataset, workers=workers)
     peel_dataset(dataset, TRUTH, kinds=kinds, num_layers=num_layers, rays=rays, overwrite=False, workers=workers)
     return dataset
+
+
+def render_missing(dataset: Dataset, *, workers: int) -> None:
+    """Renders every view that is not there yet; the caller holds the folder."""
+    tasks = _tasks(dataset)
+    missing = [task for task in tasks if not is_view_built(dataset, *task)]
+    if missing:
+        from datagen.variant import use_mitsuba
+
+        say(f"{dataset.root}: renders {len(missing)} of {len(tasks)} views with {use_mitsuba()}")
+        finished = in_workers(render_task, missing, workers, RenderJob, (dataset.root,))
+        for _ in track(finished, label="render", total=len(tasks), done=len(tasks) - len(missing)):
+            pass
 
 
 def peel_dataset(dataset: Dataset, geometry: str, *, kinds: tuple[LayerKind, ...], num_layers: int, overwrite: bool,
@@ -109,7 +117,8 @@ def peel_dataset(dataset: Dataset, geometry: str, *, kinds: tuple[LayerKind, ...
 
 def summary(dataset: Dataset, geometry: str, kinds: tuple[LayerKind, ...]) -> str:
     """What was made, in a few lines: noise ceilings, rays that were cut off."""
-    lines = [f"noise ceiling {split}: {noise_ceiling_db(dataset, split):.1f} dB" for split in ("train", *TEST_SPLITS)]
+    splits: list[Split] = [split for split in SPLITS if dataset.config.split(split).views]
+    lines = [f"noise ceiling {split}: {noise_ceiling_db(dataset, split):.1f} dB" for split in splits]
     for kind in kinds:
         head, _ = read_layers_head(dataset, geometry, kind)
         match head:
@@ -117,7 +126,7 @@ def summary(dataset: Dataset, geometry: str, kinds: tuple[LayerKind, ...]) -> st
                 what = f"rays with more than {head.num_layers} hits"
             case LightPathsHead():
                 what = f"rays with a branch given up after {head.max_depth} surfaces"
-        for split in SPLITS:
+        for split in splits:
             views = range(dataset.config.split(split).views)
             shares = [read_layers_record(dataset, geometry, kind, split, view).overflow_share for view in views]
             lines.append(f"{what} {split}: {100 * float(np.mean(shares)):.2f} %")
@@ -127,7 +136,13 @@ def summary(dataset: Dataset, geometry: str, kinds: tuple[LayerKind, ...]) -> st
 # Starting and going on
 
 
-def _open_or_start(scene: Scene, root: Path, config: DatasetConfig, *, overwrite: bool) -> Dataset:
+def open_or_start(scene: Scene, root: Path, config: DatasetConfig, cameras: dict[Split, Cameras], *, overwrite: bool,
+                  edit: DatasetEdit | None = None) -> Dataset:  # fmt: skip
+    """The dataset at `root`, its head complete, or a new one without views; the caller holds the folder.
+
+    Raises:
+        HyalineError: another dataset, or something else, stands there.
+    """
     files = scene_files(scene)
     if (root / "dataset.json").is_file() and not overwrite:
         dataset = open_dataset(root)
@@ -136,6 +151,8 @@ def _open_or_start(scene: Scene, root: Path, config: DatasetConfig, *, overwrite
                 f"{root}: holds a dataset with another configuration ({difference}); "
                 "pass --overwrite to replace it, or --out for another place"
             )
+        if dataset.edit != edit:
+            raise HyalineError(f"{root}: was made for another version of the dataset; pass --overwrite to replace it")
         promised = head_files(root)
         changed = [path for path, data in files.items() if promised.get(f"scene/{path}") != sha256(data)]
         if changed:
@@ -149,8 +166,7 @@ def _open_or_start(scene: Scene, root: Path, config: DatasetConfig, *, overwrite
     _clear(root, overwrite=overwrite)
     _write_scene(root, files)
     objects = tuple(DatasetObject(name=item.name, is_glass=is_glass(item.material)) for item in scene.objects)
-    relative = tuple(Path("scene") / path for path in files)
-    return write_head(root, config, objects, make_cameras(scene.cameras, config), relative)
+    return write_head(root, config, objects, cameras, tuple(Path("scene") / path for path in files), edit=edit)
 
 
 def _clear(root: Path, *, overwrite: bool) -> None:
@@ -158,7 +174,7 @@ def _clear(root: Path, *, overwrite: bool) -> None:
     if (root / "dataset.json").is_file():
         # The head goes first: what is left without it is garbage, and the next run clears it.
         (root / "dataset.json").unlink()
-    ours = ("scene", "images", "records", "layers", "proxies")
+    ours = ("scene", "images", "records", "layers", "proxies", "edits", "footprints")
     foreign = [path for path in root.iterdir() if path.name not in ours and not path.name.startswith("transforms_")]
     if foreign and not overwrite:
         raise HyalineError(f"{root}: is not empty ({foreign[0].name}) and no dataset; choose another --out")
@@ -234,7 +250,7 @@ def _settings_difference(head: Head, *, num_layers: int, rays: int) -> str | Non
 
 
 def _geometry_hash(dataset: Dataset, geometry: str) -> str:
-    return sha256(b"".join(write_ply(mesh) for mesh in read_meshes(dataset, geometry)))
+    return sha256(b"".join(write_ply(mesh) for mesh in read_meshes(dataset, geometry) if is_there(mesh)))
 
 
 def _tasks(dataset: Dataset) -> list[Task]:

@@ -2,6 +2,9 @@
 
 import sys
 from pathlib import Path
+from typing import Annotated
+
+import tyro
 
 from datagen.command import choose, fail, next_command, run, say
 from datagen.dataset import DATA_ROOT, DatasetConfig, find_dataset, open_dataset
@@ -33,6 +36,7 @@ def build(
     spp: int | None = None,
     test_spp: int | None = None,
     max_depth: int = 24,
+    edit: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = (),
 ) -> None:
     """Renders a scene and peels its layers; the same command again goes on where it was stopped.
 
@@ -54,7 +58,17 @@ def build(
         spp: Samples per pixel of training views, instead of the preset's.
         test_spp: Samples per pixel of test views, instead of the preset's; where --ceiling starts.
         max_depth: Longest light path in segments.
+        edit: Renders a scene whose dataset is there after an edit, at the same test cameras, into its edits/NAME:
+            remove:OBJECT, move:OBJECT:dx,dy,dz (metres), duplicate:OBJECT:dx,dy,dz, glass:OBJECT (which makes glass of
+            what is opaque, and the reverse) or swap:OBJECT:OBJECT. Several --edit change one scene one after the other.
     """
+    if edit:
+        given = {"layers": layers != ("straight",), "num-layers": num_layers != 8,
+                 "rays": rays != 4, "seed": seed != 0, "ceiling": ceiling is not None, "views": views is not None,
+                 "resolution": resolution is not None, "test-views": test_views is not None, "spp": spp is not None,
+                 "test-spp": test_spp is not None, "max-depth": max_depth != 24}  # fmt: skip
+        _build_edit(scene, preset, out, edit, given, workers=workers, overwrite=overwrite)
+        return
     from datagen.build import build_dataset, summary
     from datagen.scenes import find_scene
 
@@ -86,6 +100,30 @@ def build(
     print(root)
     where = "" if root == DATA_ROOT / description.name else f" --scene {root}"
     next_command(f"proxies make --kind ellipsoid{where}")
+
+
+def _build_edit(scene: str, preset: str, out: Path | None, edit: tuple[str, ...], given: dict[str, bool], *,
+                workers: int, overwrite: bool) -> None:  # fmt: skip
+    from datagen.build import summary
+    from datagen.build_edit import build_edit
+    from datagen.edits import parse_edit
+    from datagen.errors import HyalineError
+    from datagen.layer_store import LAYER_KINDS, layers_root
+    from datagen.scene import load_scene
+
+    for flag, is_given in given.items():
+        if is_given:
+            raise HyalineError(f"--{flag}: does not go with --edit, which takes it from the dataset; leave it out")
+    edits = tuple(map(parse_edit, edit))
+    name = load_scene(Path(scene)).name if (Path(scene) / "scene.json").is_file() else scene
+    base = open_dataset(out or find_dataset(name))
+    if preset not in ("demo", base.config.preset):
+        raise HyalineError(f"--preset: is {preset}, but {base.root} was built with {base.config.preset}; leave it out")
+    edited = build_edit(base, edits, workers=workers, overwrite=overwrite)
+    kinds: tuple[LayerKind, ...] = tuple(kind for kind in LAYER_KINDS if layers_root(base.root, TRUTH, kind).is_dir())
+    say(summary(edited, TRUTH, kinds))
+    print(edited.root)
+    next_command(f"model render --run runs/{base.name}/light-path --edit {edited.name}")
 
 
 def peel(

@@ -17,6 +17,8 @@ the camera looks along -z). Pixel (column i, row j) has its centre at (i + 0.5, 
       records/SPLIT/0000.json            sealed, written last: a view exists only when its record verifies
       layers/straight/                   peeled layers of the true geometry (format: datagen/layers.py)
       layers/light-path/                 its light paths, when asked for (format: datagen/light_path_layers.py)
+      edits/NAME/                        a dataset of its own: the scene after an edit, test splits alone, and
+                                         footprints/ (format: datagen/footprints.py)
       proxies/KIND/proxies.json          sealed: one mesh per object, with SHA-256 and statistics
       proxies/KIND/meshes/NAME.ply
       proxies/KIND/layers/...            the same of the proxies
@@ -60,7 +62,7 @@ class SplitConfig:
     """Samples per pixel, both halves together; with a noise ceiling the number to start from."""
 
     def __post_init__(self) -> None:
-        if self.views < 1 or self.spp < 2:
+        if self.views < 0 or self.spp < 2:
             raise HyalineError(f"split: has {self.views} views of {self.spp} spp; expected at least 1 view and 2 spp")
 
 
@@ -73,6 +75,7 @@ class DatasetConfig:
     resolution: int
     """Width and height of the square images in pixels."""
     train: SplitConfig
+    """0 views only in the dataset of an edited scene, on which nothing is trained."""
     interpolating: SplitConfig
     extrapolating: SplitConfig
     ceiling_db: float | None = None
@@ -84,6 +87,9 @@ class DatasetConfig:
     def __post_init__(self) -> None:
         if not 1 <= self.resolution <= 8192:
             raise HyalineError(f"resolution: is {self.resolution}; expected 1 to 8192 pixels")
+        for split in TEST_SPLITS:
+            if self.split(split).views < 1:
+                raise HyalineError(f"{split}: has {self.split(split).views} views; expected at least 1")
         if self.max_depth < 2:
             raise HyalineError(f"max_depth: is {self.max_depth}; expected at least 2 (12 or more for glass)")
         if self.seed < 0:
@@ -101,6 +107,20 @@ class DatasetObject:
 
     name: str
     is_glass: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class DatasetEdit:
+    """What the dataset of an edited scene says of its edit."""
+
+    base: str
+    """Seal of the dataset whose scene was edited; both have the same test cameras."""
+    edits: tuple[str, ...]
+    """As `datagen.edits.parse_edit` reads them, in the order in which they were made."""
+    changed: tuple[str, ...]
+    """Names of the objects that are not what they were: removed, moved, copied, of another material."""
+    copies: dict[str, str]
+    """The original's name by the name of each copy: objects that no renderer was trained on look like these."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -124,6 +144,8 @@ class Dataset:
     objects: tuple[DatasetObject, ...]
     seal: str
     """Hash of the head, which includes the hash of scene and cameras: names the data in a run's record."""
+    edit: DatasetEdit | None = None
+    """None unless this is another dataset's scene after an edit."""
 
     @property
     def name(self) -> str:
@@ -166,7 +188,7 @@ def record_path(root: Path, split: Split, view: int) -> Path:
 
 
 def write_head(root: Path, config: DatasetConfig, objects: tuple[DatasetObject, ...], cameras: dict[Split, Cameras],
-               scene_files: tuple[Path, ...]) -> Dataset:  # fmt: skip
+               scene_files: tuple[Path, ...], *, edit: DatasetEdit | None = None) -> Dataset:  # fmt: skip
     """Commits cameras and the head of a new dataset, whose scene folder already stands in `root`.
 
     Args:
@@ -180,6 +202,7 @@ def write_head(root: Path, config: DatasetConfig, objects: tuple[DatasetObject, 
         "config": to_json(config),
         "objects": to_json(objects),
         "files": {path.as_posix(): sha256_file(root / path) for path in sorted(files)},
+        **({} if edit is None else {"edit": to_json(edit)}),
     }
     commit_sealed(root / "dataset.json", head)
     return open_dataset(root)
@@ -202,6 +225,7 @@ def open_dataset(root: Path) -> Dataset:
         config=from_json(DatasetConfig, head["config"], where=f"{path}: config"),
         objects=from_json(tuple[DatasetObject, ...], head["objects"], where=f"{path}: objects"),
         seal=cast(str, load_json(path)[SEAL]),
+        edit=from_json(DatasetEdit, head["edit"], where=f"{path}: edit") if "edit" in head else None,
     )
 
 
@@ -241,7 +265,7 @@ def read_cameras(dataset: Dataset, split: Split) -> Cameras:
     data = load_json(path)
     frames = cast(list[dict[str, Json]], data["frames"])
     return Cameras(
-        world_from_camera=np.array([frame["transform_matrix"] for frame in frames], np.float64),
+        world_from_camera=np.array([frame["transform_matrix"] for frame in frames], np.float64).reshape(-1, 4, 4),
         fov_x=float(cast(float, data["camera_angle_x"])),
         width=int(cast(int, data["w"])),
         height=int(cast(int, data["h"])),
@@ -279,8 +303,9 @@ def read_record(dataset: Dataset, split: Split, view: int) -> ViewRecord:
     """
     path = record_path(dataset.root, split, view)
     if not path.is_file():
+        flags = "".join(f" --edit {edit}" for edit in dataset.edit.edits) if dataset.edit else ""
         raise HyalineError(
-            f"{path}: the view is not built yet; finish with `datagen build --scene {dataset.config.scene}`"
+            f"{path}: the view is not built yet; finish with `datagen build --scene {dataset.config.scene}{flags}`"
         )
     record = from_json(ViewRecord, cast(Json, load_sealed(path)), where=str(path))
     if (record.dataset, record.split, record.view) != (dataset.seal, split, view):

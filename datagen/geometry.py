@@ -14,7 +14,7 @@ from pathlib import Path
 from datagen.command import choose
 from datagen.dataset import DATASET_VERSION, Dataset, check_files, head_files
 from datagen.errors import HyalineError
-from datagen.meshes import Mesh, check_mesh, read_ply, write_ply
+from datagen.meshes import Mesh, check_mesh, is_there, no_mesh, read_ply, write_ply
 from datagen.records import Json, from_json, to_json
 from datagen.storage import commit, commit_sealed, load_sealed, sha256
 
@@ -54,10 +54,12 @@ def geometry_root(root: Path, geometry: str) -> Path:
 
 def write_proxies(dataset: Dataset, kind: str, meshes: tuple[Mesh, ...],
                   statistics: tuple[ProxyStatistics, ...]) -> None:  # fmt: skip
-    """Commits one proxy mesh per object, in object order."""
+    """Commits one proxy mesh per object, in object order, but none of an object that an edit removed."""
     root = geometry_root(dataset.root, kind)
     listed = []
     for item, mesh, numbers in zip(dataset.objects, meshes, statistics, strict=True):
+        if not is_there(mesh):
+            continue
         file, data = f"meshes/{item.name}.ply", write_ply(mesh)
         commit(root / file, data)
         listed.append(ProxyRecord(object=item.name, file=file, sha256=sha256(data), statistics=numbers))
@@ -115,17 +117,22 @@ def check_geometry(dataset: Dataset, geometry: str) -> None:
 def read_meshes(dataset: Dataset, geometry: str) -> tuple[Mesh, ...]:
     """The meshes of `truth` or of a proxy kind, in object order, verified against their checksums.
 
+    That of an object which an edit removed has no faces.
+
     Raises:
         HyalineError: not made, missing or damaged.
     """
     root = geometry_root(dataset.root, geometry)
     if geometry == TRUTH:
         promised = head_files(dataset.root)
-        files = {f"scene/meshes/{item.name}.ply": promised[f"scene/meshes/{item.name}.ply"] for item in dataset.objects}
+        files = {item.name: f"scene/meshes/{item.name}.ply" for item in dataset.objects}
+        files = {name: file for name, file in files.items() if file in promised or dataset.edit is None}
+        check_files(root, {file: promised[file] for file in files.values()})
     else:
-        files = {record.file: record.sha256 for record in read_proxy_records(dataset, geometry)}
-    check_files(root, files)
-    meshes = tuple(read_ply(root / file)[0] for file in files)
-    for file, mesh in zip(files, meshes, strict=True):
-        check_mesh(mesh, where=str(root / file))
-    return meshes
+        records = read_proxy_records(dataset, geometry)
+        files = {record.object: record.file for record in records}
+        check_files(root, {record.file: record.sha256 for record in records})
+    meshes = {name: read_ply(root / file)[0] for name, file in files.items()}
+    for name, mesh in meshes.items():
+        check_mesh(mesh, where=str(root / files[name]))
+    return tuple(meshes.get(item.name) or no_mesh() for item in dataset.objects)

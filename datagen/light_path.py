@@ -14,6 +14,7 @@ Vectorised variants only. Call `use_mitsuba` first.
 # Mitsuba's stubs describe no variant: what is a number in one is an array in another.
 # pyright: reportArgumentType=false, reportCallIssue=false, reportOperatorIssue=false, reportIndexIssue=false
 
+import dataclasses
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -22,7 +23,7 @@ from jaxtyping import Bool, Float32, UInt8
 
 from datagen.errors import HyalineError
 from datagen.media import find_media, medium_of, no_solids, with_solid, without_solid
-from datagen.meshes import Mesh
+from datagen.meshes import Mesh, is_there
 from datagen.mitsuba_scene import is_scalar, load_geometry_mitsuba
 from datagen.scene import Conductor, Dielectric, Material, Plastic, ThinDielectric
 
@@ -85,8 +86,12 @@ class LightPathTracer:
                 "light paths: Mitsuba runs as scalar_rgb, which cannot trace them; "
                 "`datagen doctor` names the libLLVM to install"
             )
+        # Mitsuba gets the objects that are there; the ids stay those of all.
+        kept = [index for index, mesh in enumerate(meshes) if is_there(mesh)]
+        self._object_id = np.array([0, *(index + 1 for index in kept)], np.uint8)
+        meshes = tuple(meshes[index] for index in kept)
         self._scene = load_geometry_mitsuba(meshes)
-        self._tables = _Tables(meshes, materials)
+        self._tables = _Tables(meshes, tuple(materials[index] for index in kept))
 
     def trace(self, origins: Float32[np.ndarray, "ray 3"], directions: Float32[np.ndarray, "ray 3"],
               *, max_branches: int = 4, max_vertices: int = 8, max_depth: int = 24,
@@ -101,7 +106,8 @@ class LightPathTracer:
             seed: of the facets of rough surfaces that mirror.
         """
         limits = (max_branches, max_vertices, max_depth)
-        return _trace(self._scene, self._tables, origins, directions, *limits, seed)
+        paths = _trace(self._scene, self._tables, origins, directions, *limits, seed)
+        return dataclasses.replace(paths, object_id=self._object_id[paths.object_id])
 
 
 class _Tables:

@@ -31,6 +31,17 @@ class Mesh:
     """Atlas coordinates in [0, 1]; every surface point has texels of its own. v points up in the image."""
 
 
+def no_mesh() -> Mesh:
+    """The mesh without faces: that of an object that was removed from its scene, whose id stays unused."""
+    pairs, triples = np.zeros((0, 2), np.float32), np.zeros((0, 3), np.float32)
+    return Mesh(vertices=triples, faces=np.zeros((0, 3), np.int32), normals=triples, uv=pairs)
+
+
+def is_there(mesh: Mesh) -> bool:
+    """False for the mesh of a removed object."""
+    return len(mesh.faces) > 0
+
+
 def face_corners(mesh: Mesh) -> Float32[np.ndarray, "face 3 3"]:
     return mesh.vertices[mesh.faces]
 

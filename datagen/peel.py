@@ -18,7 +18,7 @@ from jaxtyping import Float32, Int32
 from datagen.cameras import pixel_center_rays
 from datagen.dataset import Cameras
 from datagen.layers import Layers
-from datagen.meshes import Mesh
+from datagen.meshes import Mesh, is_there
 from datagen.mitsuba_scene import is_scalar, load_geometry_mitsuba
 from datagen.number_formats import quantize_uv
 
@@ -55,6 +55,9 @@ class Peeler:
     """A loaded geometry; peels any number of views."""
 
     def __init__(self, meshes: tuple[Mesh, ...]) -> None:
+        # Mitsuba gets the objects that are there; the ids stay those of all.
+        self._object_id = np.array([0, *(index + 1 for index, mesh in enumerate(meshes) if is_there(mesh))], np.uint8)
+        meshes = tuple(mesh for mesh in meshes if is_there(mesh))
         self._scene = load_geometry_mitsuba(meshes)
         # uv of the corners of every face of every mesh, so that one gather by (shape, face) finds them.
         self._first_face = np.cumsum([0, *(len(mesh.faces) for mesh in meshes)])[:-1]
@@ -78,7 +81,7 @@ class Peeler:
         image = (num_layers, cameras.height, cameras.width)
         layers = Layers(
             uv=quantize_uv(uv[:, back].reshape(*image, 2)),
-            object_id=(hits.shape[:, back] + 1).astype(np.uint8).reshape(image),
+            object_id=self._object_id[hits.shape[:, back] + 1].reshape(image),
             depth=hits.t[:, back].reshape(image),
         )
         return layers, float(hits.has_more.mean())

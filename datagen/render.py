@@ -3,6 +3,7 @@
 # Mitsuba's stubs describe no variant: what is a number in one is an array in another.
 # pyright: reportAttributeAccessIssue=false, reportArgumentType=false, reportCallIssue=false
 
+import dataclasses
 import hashlib
 import math
 from dataclasses import dataclass
@@ -14,6 +15,7 @@ from jaxtyping import Float, Float32
 from datagen.dataset import Cameras, Split, png_bytes
 from datagen.errors import HyalineError
 from datagen.media import find_media
+from datagen.meshes import is_there
 from datagen.mitsuba_scene import is_scalar, load_scene_mitsuba, load_sensor
 from datagen.scene import Dielectric, Scene
 from datagen.tonemap import srgb_from_linear, to_8bit
@@ -53,6 +55,7 @@ class Renderer:
         """
         import mitsuba as mi
 
+        scene = dataclasses.replace(scene, objects=tuple(item for item in scene.objects if is_there(item.mesh)))
         materials, meshes = zip(*((item.material, item.mesh) for item in scene.objects), strict=True)
         if is_scalar() and any(isinstance(material, Dielectric) and material.priority for material in materials):
             raise HyalineError(

@@ -8,7 +8,16 @@ from pathlib import Path
 from typing import Literal, cast
 
 from datagen.errors import HyalineError
-from datagen.meshes import Mesh, check_closed, check_mesh, count_shared_faces, read_ply, write_ply
+from datagen.meshes import (
+    Mesh,
+    check_closed,
+    check_mesh,
+    count_shared_faces,
+    is_there,
+    no_mesh,
+    read_ply,
+    write_ply,
+)
 from datagen.records import Json, from_json, to_json
 from datagen.storage import commit, dump_json, load_json
 
@@ -38,6 +47,8 @@ class SolidTexture:
     """Length of one period in metres."""
     axis: Literal["x", "y", "z"] = "x"
     """Stripes and wood run across this axis; the other patterns have none."""
+    origin: Vector = (0.0, 0.0, 0.0)
+    """Where the pattern begins, in metres: an object that is moved takes its pattern along."""
 
     def __post_init__(self) -> None:
         for color in self.colors:
@@ -239,6 +250,7 @@ class SceneObject:
 
     name: str
     mesh: Mesh
+    """Without faces where an edit removed the object: its id then stays unused, and all others keep theirs."""
     material: Material
 
 
@@ -267,9 +279,13 @@ def check_scene(scene: Scene) -> None:
     names = [item.name for item in scene.objects]
     if repeated := sorted({name for name in names if names.count(name) > 1}):
         raise HyalineError(f"scene {scene.name}: two objects are called {repeated[0]!r}; expected unique names")
+    if not any(is_there(item.mesh) for item in scene.objects):
+        raise HyalineError(f"scene {scene.name}: all of its objects were removed; expected at least one that is there")
     for item in scene.objects:
         if not re.fullmatch(r"[A-Za-z0-9_-]+", item.name):
             raise HyalineError(f"scene {scene.name}: object name {item.name!r}; expected letters, digits, _ and -")
+        if not is_there(item.mesh):
+            continue
         where = f"scene {scene.name}: object {item.name}"
         check_mesh(item.mesh, where=where)
         if isinstance(item.material, Dielectric):
@@ -280,6 +296,7 @@ def check_scene(scene: Scene) -> None:
 def _check_nesting(scene: Scene) -> None:
     """Refuses dielectrics of which nobody could say which fills the space: too many for priorities, or coincident."""
     glass = [(item, item.material) for item in scene.objects if isinstance(item.material, Dielectric)]
+    glass = [(item, material) for item, material in glass if is_there(item.mesh)]
     if len(glass) > MAX_NESTED and len({material.priority for _, material in glass}) > 1:
         raise HyalineError(
             f"scene {scene.name}: has {len(glass)} dielectrics of different priority; expected at most {MAX_NESTED}, "
@@ -296,7 +313,8 @@ def _check_nesting(scene: Scene) -> None:
 @dataclass(frozen=True, kw_only=True)
 class _ObjectFile:
     name: str
-    mesh: str
+    mesh: str | None
+    """Relative to the scene's folder; None where an edit removed the object."""
     material: Material
 
 
@@ -322,8 +340,9 @@ def scene_files(scene: Scene) -> dict[str, bytes]:
     files: dict[str, bytes] = {}
     listed = []
     for item in scene.objects:
-        mesh = f"meshes/{item.name}.ply"
-        files[mesh] = write_ply(item.mesh)
+        mesh = f"meshes/{item.name}.ply" if is_there(item.mesh) else None
+        if mesh is not None:
+            files[mesh] = write_ply(item.mesh)
         listed.append(_ObjectFile(name=item.name, mesh=mesh, material=item.material))
         color = getattr(item.material, "color", None)
         if isinstance(color, ImageTexture) and scene.folder is not None:
@@ -344,6 +363,9 @@ def scene_files(scene: Scene) -> dict[str, bytes]:
         # A key that came later stands only where it says something: the scenes of older datasets keep their bytes.
         if listed_object["material"].get("priority") == 0:
             del listed_object["material"]["priority"]
+        color = listed_object["material"].get("color")
+        if isinstance(color, dict) and color.get("origin") == [0.0, 0.0, 0.0]:
+            del color["origin"]
     return {**files, "scene.json": dump_json(data)}
 
 
@@ -364,6 +386,9 @@ def load_scene(folder: Path) -> Scene:
         raise error if str(error).startswith(str(path)) else HyalineError(f"{path}: {error}") from error
     objects = []
     for item in file.objects:
+        if item.mesh is None:
+            objects.append(SceneObject(name=item.name, mesh=no_mesh(), material=item.material))
+            continue
         mesh_path = _inside(folder, item.mesh, where=f"{path}: object {item.name}")
         mesh, has_uv = read_ply(mesh_path)
         if not has_uv:

@@ -22,7 +22,8 @@ EDGE = 0.12
 def evaluate_texture(texture: SolidTexture, positions: Positions) -> Float32[np.ndarray, "*points 3"]:
     """Linear reflectance in [0, 1] at world positions in metres."""
     axis = "xyz".index(texture.axis)
-    amount = PATTERNS[texture.pattern](positions.astype(np.float64) / texture.scale, axis)[..., None]
+    p_pattern = (positions.astype(np.float64) - np.array(texture.origin)) / texture.scale
+    amount = PATTERNS[texture.pattern](p_pattern, axis)[..., None]
     first, second = (np.asarray(color) for color in texture.colors)
     return (first + (second - first) * np.clip(amount, 0, 1)).astype(np.float32)
 

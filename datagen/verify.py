@@ -4,7 +4,9 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from datagen.dataset import SPLITS, Dataset, check_files, head_files, open_dataset, read_record, record_path
+from datagen.edited import edit_root, list_edits
 from datagen.errors import HyalineError
+from datagen.footprints import footprint_files
 from datagen.geometry import TRUTH, geometry_root, list_geometries, read_proxy_records
 from datagen.layer_store import LAYER_KINDS, layers_root, read_layers_head, read_layers_record, record_path_of_layers
 
@@ -37,9 +39,22 @@ def verify_dataset(root: Path) -> tuple[int, list[str]]:
                 problems.append(str(error))
     for geometry in list_geometries(dataset):
         _check_geometry(dataset, geometry, known, problems, check)
+    if dataset.edit is not None:
+        known.add(root / "footprints" / "footprints.json")
+        try:
+            check(root, footprint_files(dataset))
+        except HyalineError as error:
+            problems.append(str(error))
+    num_edited = 0
+    for name in list_edits(dataset):
+        count, found = verify_dataset(edit_root(dataset, name))
+        num_edited += count
+        problems += found
+        known |= set(_files(edit_root(dataset, name)))
     problems += [f"{path}: belongs to no record; delete it" for path in _files(root) if path not in known]
     damaged = {problem.split(":")[0] for problem in problems}
-    return len([path for path in known if path.is_file() and str(path) not in damaged]), problems
+    mine = [path for path in known if not path.is_relative_to(root / "edits")]
+    return num_edited + len([path for path in mine if path.is_file() and str(path) not in damaged]), problems
 
 
 def _check_geometry(dataset: Dataset, geometry: str, known: set[Path], problems: list[str],

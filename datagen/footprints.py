@@ -1,0 +1,135 @@
+"""Owns an edit's footprints: in which pixels of the test views it shows, and how.
+
+    edits/NAME/footprints/SPLIT/0000.png     per pixel 0 elsewhere, 255 the objects, 128 their light
+    edits/NAME/footprints/footprints.json    sealed, written last: SHA-256 of each picture
+
+The objects: pixels whose centre ray meets a changed object, in the scene before or after, not behind anything opaque.
+Their light: other pixels around which the truth differs between both scenes, by more than the noise of that difference
+(shadows, caustics, mirror images, what glass bends, the edges that a centre ray may miss). Elsewhere: all others.
+"""
+
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+
+from datagen.dataset import (
+    TEST_SPLITS,
+    Dataset,
+    Split,
+    check_files,
+    image_path,
+    png_bytes,
+    read_png,
+    read_record,
+    view_name,
+)
+from datagen.geometry import TRUTH
+from datagen.layers import read_layers
+from datagen.records import from_json
+from datagen.storage import commit, commit_sealed, load_sealed, sha256
+from datagen.tonemap import srgb_from_linear
+
+ELSEWHERE, LIGHT, OBJECT = 0, 128, 255
+"""Values of a footprint's pixels."""
+
+SIGMAS = 3.0
+"""A difference counts when it is so many times the standard deviation of its noise."""
+
+LEAST = 0.5 / 255
+"""And when it is at least half a step of an 8-bit picture."""
+
+WINDOW = 5
+"""Pixels a side over which difference and noise are averaged: light spreads, the noise of single pixels does not."""
+
+
+def write_footprints(base: Dataset, edited: Dataset) -> None:
+    """Finds and commits the footprints of all test views, unless they are there; both truths are built and peeled."""
+    index = edited.root / "footprints" / "footprints.json"
+    if index.is_file() and load_sealed(index).get("dataset") == edited.seal:
+        files = footprint_files(edited)
+        if all((edited.root / file).is_file() for file in files):
+            check_files(edited.root, files)
+            return
+    files = {}
+    for split in TEST_SPLITS:
+        for view in range(edited.config.split(split).views):
+            shown = shows_objects(base, edited, split, view)
+            mask = find_footprint(shown, _read_halves(base, split, view), _read_halves(edited, split, view))
+            path, data = _path(edited, split, view), png_bytes(np.repeat(mask[..., None], 3, axis=-1))
+            commit(path, data)
+            files[path.relative_to(edited.root).as_posix()] = sha256(data)
+    commit_sealed(index, {"dataset": edited.seal, "files": dict(files)})
+
+
+def footprint_files(edited: Dataset) -> dict[str, str]:
+    """SHA-256 of each footprint by path relative to the edited dataset."""
+    path = edited.root / "footprints" / "footprints.json"
+    return from_json(dict[str, str], load_sealed(path).get("files"), where=f"{path}: files")
+
+
+def read_footprint(edited: Dataset, split: Split, view: int) -> UInt8[np.ndarray, "h w"]:
+    """Where the edit shows in a view, verified: `OBJECT`, `LIGHT` or `ELSEWHERE`."""
+    path = _path(edited, split, view)
+    file = path.relative_to(edited.root).as_posix()
+    check_files(edited.root, {file: footprint_files(edited)[file]})
+    return read_png(path)[..., 0]
+
+
+def shows_objects(base: Dataset, edited: Dataset, split: Split, view: int) -> Bool[np.ndarray, "h w"]:
+    """Pixels whose centre ray meets a changed object in either scene, before or as its first opaque surface."""
+    assert edited.edit is not None
+    size = edited.config.resolution
+    shown = np.zeros((size, size), bool)
+    for dataset in (base, edited):
+        is_changed = np.array([False, *(item.name in edited.edit.changed for item in dataset.objects)])
+        is_glass = np.array([True, *(item.is_glass for item in dataset.objects)])
+        in_view = np.ones((size, size), bool)
+        for object_id in read_layers(dataset, TRUTH, split, view).object_id:
+            shown |= in_view & is_changed[object_id]
+            in_view &= is_glass[object_id]
+    return shown
+
+
+def find_footprint(
+    shown: Bool[np.ndarray, "h w"], before: Float[np.ndarray, "half h w 3"], after: Float[np.ndarray, "half h w 3"]
+) -> UInt8[np.ndarray, "h w"]:
+    """Where an edit shows.
+
+    Args:
+        shown: pixels that show a changed object.
+        before: the two independent halves of the truth before the edit, in sRGB.
+        after: the same after it. Where both truths were rendered with the same random numbers, their noise is the same
+            but for light that the edit touches; so the noise is taken from the difference, not from each truth.
+    """
+    from scipy.ndimage import uniform_filter
+
+    def mean_around(values: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
+        return uniform_filter(np.where(shown, 0, values), WINDOW, mode="constant")
+
+    # Of the pixels around that show no changed object, which would outshine what its light does beside it.
+    share = np.maximum(mean_around(np.ones(shown.shape)), WINDOW**-2)
+    first, second = after - before
+    means = [mean_around(channel) / share for channel in np.moveaxis((first + second) / 2, -1, 0)]
+    # The variance of the mean of two halves is the mean square of half their difference.
+    variance = mean_around((((first - second) / 2) ** 2).mean(axis=-1)) / share
+    deviation = np.sqrt(variance / (share * WINDOW**2))
+    difference = np.sqrt(np.mean(np.square(means), axis=0))
+    is_light = difference > np.maximum(SIGMAS * deviation, LEAST)
+    return np.where(shown, OBJECT, np.where(is_light, LIGHT, ELSEWHERE)).astype(np.uint8)
+
+
+def _path(edited: Dataset, split: Split, view: int) -> Path:
+    return edited.root / "footprints" / split / f"{view_name(view)}.png"
+
+
+def _read_halves(dataset: Dataset, split: Split, view: int) -> Float[np.ndarray, "half h w 3"]:
+    """The two independent halves of a view's truth, in sRGB."""
+    from datagen.render import read_radiance
+    from datagen.variant import use_mitsuba
+
+    use_mitsuba(quiet=True)
+    path = image_path(dataset.root, split, view).with_suffix(".exr")
+    check_files(dataset.root, read_record(dataset, split, view).files)
+    radiance, half_difference = read_radiance(path.read_bytes())
+    return srgb_from_linear(np.stack([radiance + half_difference, radiance - half_difference]))
