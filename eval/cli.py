@@ -18,6 +18,7 @@ def report(
     data: Path = Path("data"),
     format: str = "table",  # noqa: A002  The flag's name; the builtin is not needed here.
     out: Path | None = None,
+    order: int = 0,
 ) -> None:
     """Scores every folder RUNS/SCENE/NAME/predictions/SPLIT/0000.png, 0001.png, ... and draws contact sheets.
 
@@ -28,10 +29,12 @@ def report(
         data: Folder with the datasets, DATA/SCENE, for runs that do not say where theirs is.
         format: What stdout gets: table, markdown, csv, latex or json.
         out: Folder for results.json and pictures; RUNS/report unless given.
+        order: Layers, 1 to 8: adds a table of pixels that show objects in an order which no training pixel has among
+            its first so many layers. 0 adds none.
     """
     from eval.report import make_report
 
-    make_report(runs, data, out if out is not None else runs / "report", output_format=format)
+    make_report(runs, data, out if out is not None else runs / "report", output_format=format, order_layers=order)
 
 
 def main() -> None:

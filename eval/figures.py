@@ -15,8 +15,9 @@ from datagen.dataset import SPLITS, TEST_SPLITS, Cameras, Dataset, Split, read_c
 from datagen.geometry import TRUTH, read_meshes
 from datagen.meshes import face_corners
 from datagen.storage import commit
+from eval.edits import EditScores
 from eval.score import SceneScores
-from eval.sheets import DPI, comparison_sheet, contact_sheet, figure_png
+from eval.sheets import DPI, comparison_sheet, contact_sheet, edit_sheet, figure_png
 
 SPLIT_COLORS: dict[Split, str] = {"train": "#2f6fdb", "interpolating": "#1a9e3c", "extrapolating": "#d62728"}
 """Blue, green and red, as in the paper's Figure 3."""
@@ -42,6 +43,16 @@ def write_figures(scenes: list[SceneScores], out: Path) -> list[Path]:
         if len(scene.runs) > 1:
             keep(f"comparison_{name}", comparison_sheet(scene))
         keep(f"cameras_{name}", cameras_figure(scene.dataset, scene.title))
+    return written
+
+
+def write_edit_sheets(scene: SceneScores, edits: tuple[EditScores, ...], out: Path) -> list[Path]:
+    """Writes a sheet for each edit of a scene; returns their paths."""
+    written = []
+    for edit in edits:
+        path = out / f"edit_{scene.title.replace('/', '_')}_{edit.edited.name}.png"
+        commit(path, edit_sheet(scene, edit))
+        written.append(path)
     return written
 
 

@@ -6,23 +6,32 @@ from pathlib import Path
 from datagen.command import choose, say, track
 from datagen.dataset import TEST_SPLITS, Dataset, Split
 from datagen.errors import HyalineError
+from datagen.records import Json
 from datagen.storage import commit
-from eval.figures import write_figures
+from eval.edit_tables import edit_grids, edit_json, order_grid, order_json
+from eval.edits import score_edits
+from eval.figures import write_edit_sheets, write_figures
+from eval.order import check_order_layers, score_order
 from eval.results import results_csv, results_json
 from eval.runs import Run, has_predictions, list_run_folders, open_run
 from eval.score import RunScores, SceneScores, Truth, has_glass_mask, read_truth, score_run
-from eval.tables import TABLE_WIDTH, tables_text
+from eval.tables import TABLE_WIDTH, Grid, tables_text
 
 FORMATS = ("table", "markdown", "csv", "latex", "json")
 
 
-def make_report(runs_root: Path, data_root: Path, out: Path, *, output_format: str) -> None:
+def make_report(runs_root: Path, data_root: Path, out: Path, *, output_format: str, order_layers: int = 0) -> None:
     """Scores all runs; a run that cannot be scored is reported after the others are.
+
+    Args:
+        order_layers: layers by whose order pixels are told apart; 0 leaves that table out.
 
     Raises:
         HyalineError: an unknown format, no run, or a run that cannot be scored.
     """
     choose("format", output_format, FORMATS)
+    if order_layers:
+        check_order_layers(order_layers)
     runs, errors = _open_runs(runs_root, data_root, out)
     if not runs and not errors:
         raise HyalineError(
@@ -31,10 +40,20 @@ def make_report(runs_root: Path, data_root: Path, out: Path, *, output_format: s
         )
     scenes = _score_scenes(runs, errors)
     if scenes:
-        _print_scores(scenes, output_format)
-        commit(out / "results.json", results_json(scenes))
+        edits = [score_edits(scene, errors) for scene in scenes]
+        orders = [score_order(scene, drawn, order_layers) for scene, drawn in zip(scenes, edits) if order_layers]
+        grids = [grid for scene, drawn in zip(scenes, edits) for grid in edit_grids(scene.title, drawn)]
+        grids += [order_grid(scene.title, order) for scene, order in zip(scenes, orders)]
+        more: dict[str, Json] = {
+            "edits": {scene.title: list(map(edit_json, drawn)) for scene, drawn in zip(scenes, edits) if drawn},
+            "order": {scene.title: order_json(order) for scene, order in zip(scenes, orders)},
+        }
+        more = {key: value for key, value in more.items() if value}
+        _print_scores(scenes, output_format, grids, more)
+        commit(out / "results.json", results_json(scenes, more))
         say(f"wrote {out / 'results.json'}")
-        for path in write_figures(scenes, out):
+        sheets = [path for scene, drawn in zip(scenes, edits) for path in write_edit_sheets(scene, drawn, out)]
+        for path in (*write_figures(scenes, out), *sheets):
             say(f"wrote {path}")
     for error in errors[:-1]:
         say(f"error: {error}")
@@ -96,13 +115,13 @@ def _score_scene(dataset: Dataset, title: str, runs: list[Run], errors: list[Hya
     )
 
 
-def _print_scores(scenes: list[SceneScores], output_format: str) -> None:
+def _print_scores(scenes: list[SceneScores], output_format: str, grids: list[Grid], more: dict[str, Json]) -> None:
     if output_format == "json":
-        text = results_json(scenes).decode()
+        text = results_json(scenes, more).decode()
     elif output_format == "csv":
         text = results_csv(scenes)
     else:
-        text = tables_text(scenes, output_format, width=_output_width(), color=sys.stdout.isatty())
+        text = tables_text(scenes, output_format, width=_output_width(), color=sys.stdout.isatty(), more=grids)
     sys.stdout.write(text)
     sys.stdout.flush()
 

@@ -3,6 +3,8 @@
 import csv
 import io
 import math
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import cast
 
 from datagen.dataset import TEST_SPLITS
@@ -15,14 +17,19 @@ from eval.tables import CEILING, left_out_notes
 RESULTS_VERSION = 1
 
 
-def results_json(scenes: list[SceneScores]) -> bytes:
-    """The bytes of results.json. Infinite values are the string "inf", since JSON has no such number."""
+def results_json(scenes: list[SceneScores], more: Mapping[str, Json] = MappingProxyType({})) -> bytes:
+    """The bytes of results.json. Infinite values are the string "inf", since JSON has no such number.
+
+    Args:
+        more: further scores by their key.
+    """
     return dump_json(
         {
             "version": RESULTS_VERSION,
             "notes": list(METRIC_NOTES),
             "scenes": [_scene_json(scene) for scene in scenes],
             "published": {"note": PUBLISHED_NOTE, "rows": [to_json(row) for row in PUBLISHED]},
+            **more,
         }
     )
 
@@ -68,8 +75,8 @@ def _run_json(scores: RunScores) -> Json:
             continue
         splits[split] = {
             metric.key: {
-                "mean": _number(values.mean(metric.key)),
-                "pictures": [_number(value) for value in values.images[metric.key]],
+                "mean": json_number(values.mean(metric.key)),
+                "pictures": [json_number(value) for value in values.images[metric.key]],
             }
             for metric in METRICS
         }
@@ -87,5 +94,5 @@ def _run_json(scores: RunScores) -> Json:
     }
 
 
-def _number(value: float | None) -> Json:
+def json_number(value: float | None) -> Json:
     return "inf" if value is not None and math.isinf(value) else value

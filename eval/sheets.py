@@ -15,7 +15,10 @@ from matplotlib.colors import PowerNorm
 from matplotlib.figure import Figure
 
 from datagen.dataset import TEST_SPLITS, Split, read_image, view_name
-from eval.runs import read_prediction
+from datagen.footprints import OBJECT, read_footprint
+from eval.edits import EditScores
+from eval.metrics import psnr
+from eval.runs import has_split, read_prediction
 from eval.score import RunScores, SceneScores
 
 DPI = 100
@@ -26,6 +29,9 @@ GAP, CAPTION, HEADING, MARGIN, SIDE = 14, 26, 64, 20, 44
 
 ERROR_LIMIT = 32
 """Levels of 255 at which the error's colours saturate: fixed, so that any two sheets can be compared."""
+EDIT_VIEWS = 2
+"""Views of each split on the sheet of an edit."""
+
 ERROR_TICKS = (0, 1, 4, 9, 16, 25, 32)
 
 
@@ -80,6 +86,24 @@ def comparison_sheet(scene: SceneScores) -> bytes:
         rows.append(Row(split=split, panels=tuple(panels)))
     heads = ("truth", *(scores.run.name for scores in scene.runs))
     return _draw(f"{scene.title}: all runs", heads, rows, size=scene.dataset.config.resolution)
+
+
+def edit_sheet(scene: SceneScores, edit: EditScores) -> bytes:
+    """The PNG of an edit: the truth before and after it, and what each run drew, in the views that show most of it."""
+    rows = []
+    for split in TEST_SPLITS:
+        views = range(edit.edited.config.split(split).views)
+        shares = [float(np.mean(read_footprint(edit.edited, split, view) == OBJECT)) for view in views]
+        for view in sorted(sorted(views, key=lambda view: -shares[view])[:EDIT_VIEWS]):
+            truths = [read_image(dataset, split, view) for dataset in (scene.dataset, edit.edited)]
+            panels = [Panel(image=image, caption=f"view {view_name(view)}") for image in truths]
+            for run in edit.runs:
+                pred = read_prediction(run, split, view) if has_split(run, split) else None
+                panels.append(Panel(image=pred, caption="" if pred is None else _decibels(psnr(pred, truths[1]))))
+            rows.append(Row(split=split, panels=tuple(panels)))
+    heads = ("truth before", "truth after", *(run.name for run in edit.runs))
+    title = f"{scene.title}: {edit.edited.name}"
+    return _draw(title, heads, rows, size=scene.dataset.config.resolution)
 
 
 def shown_views(scene: SceneScores) -> list[tuple[Split, int]]:

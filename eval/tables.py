@@ -1,6 +1,7 @@
 """Owns the printed tables: for each scene one of scores and one of what the runs are, for people and for papers."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from datagen.dataset import TEST_SPLITS, Split
@@ -144,11 +145,16 @@ def _without_glass(scene: SceneScores) -> dict[Split, int]:
 # Looks
 
 
-def tables_text(scenes: list[SceneScores], output_format: str, *, width: int, color: bool = False) -> str:
-    """All tables, and the notes that explain them, as `table` (plain text), `markdown` or `latex`."""
+def tables_text(scenes: list[SceneScores], output_format: str, *, width: int, color: bool = False,
+                more: Sequence[Grid] = ()) -> str:  # fmt: skip
+    """All tables, and the notes that explain them, as `table` (plain text), `markdown` or `latex`.
+
+    Args:
+        more: further tables, behind those of the scenes.
+    """
     write = {"table": lambda grid: _plain(grid, width, color), "markdown": _markdown, "latex": _latex}[output_format]
     grids = [grid for scene in scenes for grid in scene_grids(scene)]
-    parts = [write(grid) for grid in grids]
+    parts = [write(grid) for grid in (*grids, *more)]
     parts.append(_paragraphs(METRIC_NOTES, output_format, width))
     return "\n".join([*parts, write(published_grid())])
 

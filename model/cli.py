@@ -3,7 +3,9 @@
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
 
 from datagen.command import choose, fail, next_command, run, say
 from datagen.dataset import Dataset, find_dataset, open_dataset
@@ -52,6 +54,8 @@ def configure(common: CommonChoices, choices: MethodChoices) -> "tuple[TrainConf
     """
     choose("method", common.method, CHOICES)
     opened = open_dataset(find_dataset(common.dataset))
+    if opened.edit is not None:
+        raise HyalineError(f"{opened.root}: is an edit, without training views; train on the dataset that was edited")
     check_geometry(opened, common.geometry)
 
     from model.methods import METHODS, read_layers_of
@@ -112,6 +116,7 @@ def render(
     *,
     run: Path,
     dataset: str | None = None,
+    edit: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = (),
     device: Literal["auto", "cpu", "cuda"] = "auto",
     overwrite: bool = False,
 ) -> None:
@@ -120,6 +125,7 @@ def render(
     Args:
         run: Folder of a trained run.
         dataset: Dataset folder, or its name under data/. Default: where the run found it.
+        edit: Render an edited scene instead, into the run's edits/NAME: what `datagen build --edit` was given, or NAME.
         device: Where to compute; auto takes a GPU where there is one.
         overwrite: Render again even where the predictions are intact.
     """
@@ -130,6 +136,9 @@ def render(
     record = read_run(run)
     opened = open_dataset(find_dataset(dataset) if dataset else Path(record.dataset))
     _check_same_run(run, record.config, opened)
+    if edit:
+        _end(_render_edit(run, record.config, opened, edit, device=_device(device), overwrite=overwrite))
+        return
     if is_finished(run) and not overwrite:
         say(f"{run}: its predictions are intact, nothing to do; --overwrite renders them again")
     else:
@@ -137,6 +146,31 @@ def render(
             remove_temporaries(run)
             render_predictions(run, record.config, opened, device=_device(device))
     _end(run)
+
+
+def _render_edit(run: Path, config: "TrainConfig", base: Dataset, edit: tuple[str, ...], *, device: "torch.device",
+                 overwrite: bool) -> Path:  # fmt: skip
+    from datagen.edited import open_edit
+    from datagen.edits import edits_name, parse_edit
+    from datagen.geometry import list_geometries
+    from datagen.storage import one_writer, remove_temporaries
+    from model.edits import edit_folder, is_edit_rendered, render_edit
+
+    is_name = len(edit) == 1 and ":" not in edit[0]
+    edited = open_edit(base, edit[0] if is_name else edits_name(tuple(map(parse_edit, edit))))
+    if config.geometry not in list_geometries(edited):
+        raise HyalineError(
+            f"{edited.root}: has no {config.geometry} proxies; the `datagen build --edit` that made it adds those that "
+            f"{base.root} has now"
+        )
+    folder = edit_folder(run, edited)
+    if is_edit_rendered(run, edited) and not overwrite:
+        say(f"{folder}: its predictions are intact, nothing to do; --overwrite renders them again")
+    else:
+        with one_writer(run):
+            remove_temporaries(folder)
+            render_edit(run, config, base, edited, device=device)
+    return folder
 
 
 def main() -> None:

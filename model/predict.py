@@ -58,8 +58,19 @@ def load_renderer(out: Path, config: TrainConfig, dataset: Dataset) -> nn.Module
 def render_predictions(out: Path, config: TrainConfig, dataset: Dataset, *, device: torch.device) -> None:
     """Renders both test splits from a run's weights; the list of predictions comes last and finishes the run."""
     keep_freed_memory()
-    renderer = load_renderer(out, config, dataset).to(device)
+    files = render_views(load_renderer(out, config, dataset).to(device), config, dataset, out)
+    write_prediction_hashes(out, files)
+    say(f"{out}: rendered {len(files)} views")
+
+
+def render_views(renderer: nn.Module, config: TrainConfig, dataset: Dataset, out: Path) -> dict[str, str]:
+    """Commits the pictures of both test splits as `out`/predictions/SPLIT/0000.png.
+
+    Returns:
+        SHA-256 of each picture by path relative to `out`.
+    """
     method = METHODS[config.method]
+    device = next(renderer.parameters()).device
     size = dataset.config.resolution
     todo: list[tuple[Split, int]] = [
         (split, view) for split in TEST_SPLITS for view in range(dataset.config.split(split).views)
@@ -71,5 +82,4 @@ def render_predictions(out: Path, config: TrainConfig, dataset: Dataset, *, devi
         path = out / "predictions" / split / f"{view_name(view)}.png"
         commit(path, data)
         files[path.relative_to(out).as_posix()] = sha256(data)
-    write_prediction_hashes(out, files)
-    say(f"{out}: rendered {len(files)} views")
+    return files

@@ -7,6 +7,7 @@
     RUN/weights.pt                  after training: the renderer alone; the checkpoints are deleted then
     RUN/predictions/SPLIT/0000.png  8-bit sRGB
     RUN/predictions.json            sealed, written last: SHA-256 of each prediction; a run that has it is finished
+    RUN/edits/NAME/...              predictions of edited scenes (format: model/edits.py)
 
 No time, host or thread count is in any of them: the same command gives the same bytes (on the same machine).
 """
@@ -184,6 +185,7 @@ def clear_run(out: Path) -> None:
         (out / name).unlink(missing_ok=True)
     for split in TEST_SPLITS:
         shutil.rmtree(out / "predictions" / split, ignore_errors=True)
+    shutil.rmtree(out / "edits", ignore_errors=True)
     (out / RUN).unlink(missing_ok=True)
 
 
