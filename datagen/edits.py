@@ -142,12 +142,13 @@ def _move(edited: EditedScene, edit: Edit) -> EditedScene:
 def _duplicate(edited: EditedScene, edit: Edit) -> EditedScene:
     assert edit.offset is not None
     original = _find(edited, edit.objects[0])
+    first = edited.copies.get(original.name, original.name)
     names = {item.name for item in edited.scene.objects}
-    name = next(name for count in range(1, 256) if (name := f"{original.name}_copy{count}") not in names)
+    name = next(name for count in range(1, 256) if (name := f"{first}_copy{count}") not in names)
     copy = dataclasses.replace(original, name=name)
     with_copy = EditedScene(
         scene=dataclasses.replace(edited.scene, objects=(*edited.scene.objects, copy)),
-        copies={**edited.copies, name: edited.copies.get(original.name, original.name)},
+        copies={**edited.copies, name: first},
         offsets={**edited.offsets, name: edited.offsets.get(original.name, (0.0, 0.0, 0.0))},
     )
     return _moved(with_copy, name, np.array(edit.offset))

@@ -113,7 +113,8 @@ def find_footprint(
     means = [mean_around(channel) / share for channel in np.moveaxis((first + second) / 2, -1, 0)]
     # The variance of the mean of two halves is the mean square of half their difference.
     variance = mean_around((((first - second) / 2) ** 2).mean(axis=-1)) / share
-    deviation = np.sqrt(variance / (share * WINDOW**2))
+    # A running sum of squares may end a little below zero.
+    deviation = np.sqrt(np.maximum(variance, 0) / (share * WINDOW**2))
     difference = np.sqrt(np.mean(np.square(means), axis=0))
     is_light = difference > np.maximum(SIGMAS * deviation, LEAST)
     return np.where(shown, OBJECT, np.where(is_light, LIGHT, ELSEWHERE)).astype(np.uint8)
