@@ -10,7 +10,7 @@ import torch
 from reference import common_area
 from synthetic import pixel_rays, quad, synthetic_scene, trace
 
-from datagen.build import build_dataset
+from datagen.build import build_dataset, peel_dataset
 from datagen.build_edit import build_edit
 from datagen.contact import TOLERANCE, count_touching_faces
 from datagen.dataset import SPLITS, Cameras, Dataset, DatasetConfig, SplitConfig, read_cameras, read_image
@@ -18,7 +18,7 @@ from datagen.edited import open_edit
 from datagen.edits import Edit, describe_edit, edit_scene, edits_name, moved_mesh, parse_edit
 from datagen.errors import HyalineError
 from datagen.footprints import ELSEWHERE, LIGHT, OBJECT, find_footprint, read_footprint, shows_objects
-from datagen.geometry import TRUTH, read_meshes
+from datagen.geometry import TRUTH, ProxyStatistics, read_meshes, write_proxies
 from datagen.layers import read_layers
 from datagen.meshes import Mesh, is_there, no_mesh
 from datagen.modelling import ball, cylinder, moved
@@ -249,7 +249,12 @@ def test_orders_are_equal_where_the_first_layers_are(num_layers: int) -> None:
 
 @pytest.fixture(scope="module")
 def base(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    return _build(tmp_path_factory.mktemp("edit") / "table", seed=0)
+    dataset = _build(tmp_path_factory.mktemp("edit") / "table", seed=0)
+    numbers = ProxyStatistics(volume_ratio=1.0, mean_distance=0.0, max_distance=0.0)
+    proxies = tuple(moved_mesh(mesh, (0, 0, 0.05)) for mesh in read_meshes(dataset, TRUTH))
+    write_proxies(dataset, "box", proxies, (numbers,) * len(proxies))
+    peel_dataset(dataset, "box", kinds=("straight",), num_layers=4, overwrite=False)
+    return dataset
 
 
 def _build(root: Path, *, seed: int) -> Dataset:
@@ -294,6 +299,17 @@ def test_an_edited_dataset_has_the_truth_at_the_same_cameras(base: Dataset) -> N
             assert np.abs(now - before)[footprint == OBJECT].mean() > 5
             assert np.abs(now - before)[footprint == ELSEWHERE].mean() < 2
     assert len(read_cameras(after, "train").world_from_camera) == 0
+
+
+def test_proxies_are_edited_as_their_objects_are(base: Dataset) -> None:
+    after = build(base, "remove:ball", "duplicate:post:0.1,0.6,0")
+    floor, gone, post, copy = read_meshes(after, "box")
+    before = read_meshes(base, "box")
+    assert not is_there(gone)
+    np.testing.assert_array_equal(floor.vertices, before[0].vertices)
+    np.testing.assert_array_equal(post.vertices, before[2].vertices)
+    np.testing.assert_allclose(copy.vertices, before[2].vertices + np.float32([0.1, 0.6, 0]), atol=1e-6)
+    assert {0, 1, 3, 4} == set(np.unique(read_layers(after, "box", "interpolating", 0).object_id))
 
 
 def test_a_built_edit_is_left_alone_and_verifies(base: Dataset) -> None:

@@ -1,6 +1,7 @@
 """Tests that a trained renderer draws an edited scene: what is removed from the geometry vanishes from the picture."""
 
 import dataclasses
+import json
 from pathlib import Path
 
 import numpy as np
@@ -11,32 +12,44 @@ from synthetic import quad, synthetic_scene
 from test_meshes import mesh_of
 
 from datagen.build import build_dataset
-from datagen.dataset import DatasetConfig, SplitConfig, read_image
+from datagen.build_edit import build_edit
+from datagen.dataset import TEST_SPLITS, Dataset, DatasetConfig, Split, SplitConfig, open_dataset, read_image, read_png
+from datagen.edited import open_edit
+from datagen.edits import parse_edit
+from datagen.footprints import ELSEWHERE, LIGHT, OBJECT, read_footprint
 from datagen.geometry import TRUTH
 from datagen.layers import read_layers
-from datagen.meshes import Mesh
 from datagen.scene import Dielectric, Diffuse, Scene, SceneObject, SoftEnvironment, SolidTexture
 from datagen.variant import use_mitsuba
+from eval.report import make_report
 
 if use_mitsuba(quiet=True).startswith("scalar"):
     pytest.skip("light paths need a vectorised variant of Mitsuba", allow_module_level=True)
 
-from datagen.light_path import LightPathTracer
+from model.edits import is_edit_rendered, render_edit
 from model.light_path_net import LightPathConfig
-from model.methods import METHODS
-from model.predict import load_renderer, predict_pixels
+from model.paper import PaperConfig
+from model.predict import render_predictions
 from model.run_folder import TrainConfig
 from model.train import train
 
 GLASS = Dielectric(ior=1.5, absorption=(0.2, 0.6, 1.5))
 CHECKER = Diffuse(color=SolidTexture(pattern="checker", colors=((0.7, 0.6, 0.2), (0.1, 0.2, 0.5)), scale=0.5))
-NET = LightPathConfig(texture_sizes=(8, 64), texture_levels=2, branches=6, render_samples=9)
+LIGHT_PATH = TrainConfig(
+    method="light-path", geometry=TRUTH, steps=200, batch=512, lr=0.002, texture_lr=0.02, lr_decay="cosine",
+    net=LightPathConfig(texture_sizes=(8, 64), texture_levels=2, branches=6, render_samples=9), evaluate_every=200,
+)  # fmt: skip
+PAPER = TrainConfig(
+    method="paper", geometry=TRUTH, steps=3, batch=512, evaluate_every=200,
+    net=PaperConfig(width=16, texture_size=16, position_size=32, zero_layer=True),
+)  # fmt: skip
+EDITS = ("remove:ball", "duplicate:ball:0.3,0.8,0")
+SPLIT: Split = "interpolating"
 
 
-def scene(*, with_ball: bool) -> Scene:
-    """A ball of tinted glass over a chequered floor; without the ball, it lies far beyond what a camera sees."""
-    center = (0.0, 0.0, 0.45) if with_ball else (0.0, 0.0, -500.0)
-    ball = mesh_of(trimesh.creation.icosphere(4, 0.4).apply_translation(center))
+def scene() -> Scene:
+    """A ball of tinted glass over a chequered floor."""
+    ball = mesh_of(trimesh.creation.icosphere(4, 0.4).apply_translation((0.0, 0.0, 0.45)))
     return dataclasses.replace(
         synthetic_scene(),
         objects=(
@@ -47,44 +60,121 @@ def scene(*, with_ball: bool) -> Scene:
     )
 
 
-def config(*, train_views: int) -> DatasetConfig:
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A dataset, two edits of it, and two runs that drew them all."""
+    root = tmp_path_factory.mktemp("edits")
     few = SplitConfig(views=2, spp=128)
-    return DatasetConfig(
-        scene="edit", preset="tiny", resolution=48, train=SplitConfig(views=train_views, spp=50), interpolating=few,
+    config = DatasetConfig(
+        scene="edit", preset="tiny", resolution=48, train=SplitConfig(views=16, spp=50), interpolating=few,
         extrapolating=few,
     )  # fmt: skip
-
-
-def test_a_removed_ball_of_glass_leaves_the_floor_that_was_behind_it(tmp_path: Path) -> None:
-    options = {"kinds": ("straight",), "num_layers": 4, "rays": 1, "workers": 1, "overwrite": False}
-    before = build_dataset(scene(with_ball=True), tmp_path / "before", config(train_views=16), **options)
-    after = build_dataset(scene(with_ball=False), tmp_path / "after", config(train_views=1), **options)
-    run = TrainConfig(
-        method="light-path", geometry=TRUTH, net=NET, steps=200, batch=512, lr=0.002, texture_lr=0.02,
-        lr_decay="cosine", evaluate_every=200,
-    )  # fmt: skip
-    train(run, before, tmp_path / "run", label="a", device=torch.device("cpu"))
-    renderer = load_renderer(tmp_path / "run", run, before)
-    pixels = METHODS["light-path"].load(NET, before, TRUTH, "interpolating", [0], False)
-    kept = predict_pixels(renderer, pixels)
-    # Only the layers change: the same weights, textures and cameras.
-    meshes: tuple[Mesh, ...] = tuple(item.mesh for item in scene(with_ball=False).objects)
-    tracers = {"tracer": (GLASS, CHECKER), "straight_tracer": (None, None)}
-    edited_pixels = dataclasses.replace(
-        pixels, **{name: LightPathTracer(meshes, materials) for name, materials in tracers.items()}
+    base = build_dataset(
+        scene(), root / "data" / "edit", config, kinds=("straight",), num_layers=4, workers=1, overwrite=False
     )
-    edited = predict_pixels(renderer, edited_pixels)
+    edits = [build_edit(base, (parse_edit(text),), workers=1, overwrite=False) for text in EDITS]
+    for name, run in (("ours", LIGHT_PATH), ("paper", PAPER)):
+        out = root / "runs" / "edit" / name
+        train(run, base, out, label=name, device=torch.device("cpu"))
+        render_predictions(out, run, base, device=torch.device("cpu"))
+        for edited in edits:
+            render_edit(out, run, base, edited, device=torch.device("cpu"))
+    return root
 
-    in_ball = (read_layers(before, TRUTH, "interpolating", 0).object_id[0] == 1).ravel()
+
+def datasets(root: Path) -> tuple[Dataset, Dataset, Dataset]:
+    """The base, without the ball, with two balls."""
+    base = open_dataset(root / "data" / "edit")
+    return base, open_edit(base, "remove-ball"), open_edit(base, "duplicate-ball-0.3,0.8,0")
+
+
+def psnr(pred: np.ndarray, truth: np.ndarray, mask: np.ndarray) -> float:
+    error = (pred[mask].astype(np.float64) - truth[mask]) / 255
+    return float(-10 * np.log10(np.square(error).mean()))
+
+
+def test_a_removed_ball_of_glass_leaves_the_floor_that_was_behind_it(made: Path) -> None:
+    base, after, _ = datasets(made)
+    run = made / "runs" / "edit" / "ours"
+    kept = read_png(run / "predictions" / SPLIT / "0000.png")
+    edited = read_png(run / "edits" / "remove-ball" / "predictions" / SPLIT / "0000.png")
+    in_ball = read_layers(base, TRUTH, SPLIT, 0).object_id[0] == 1
     assert 0.05 < in_ball.mean() < 0.5
-    truth_before, truth_after = (read_image(dataset, "interpolating", 0).reshape(-1, 3) for dataset in (before, after))
-
-    def psnr(prediction: np.ndarray, truth: np.ndarray) -> float:
-        error = (prediction[in_ball].astype(np.float64) - truth[in_ball]) / 255
-        return float(-10 * np.log10(np.square(error).mean()))
-
-    assert psnr(kept, truth_before) > 24
-    assert psnr(edited, truth_after) > 24
+    assert np.array_equal(read_footprint(after, SPLIT, 0) == OBJECT, in_ball)
+    truth_before, truth_after = (read_image(dataset, SPLIT, 0) for dataset in (base, after))
+    assert psnr(kept, truth_before, in_ball) > 24
+    assert psnr(edited, truth_after, in_ball) > 24
     # The edit is seen: neither picture would pass for the other.
-    assert psnr(kept, truth_after) < 18
-    assert psnr(edited, truth_before) < 18
+    assert psnr(kept, truth_after, in_ball) < 18
+    assert psnr(edited, truth_before, in_ball) < 18
+
+
+def test_a_copy_of_the_ball_refracts_the_floor_behind_it(made: Path) -> None:
+    base, _, after = datasets(made)
+    assert 3 in read_layers(after, TRUTH, SPLIT, 0).object_id
+    in_copy = read_footprint(after, SPLIT, 0) == OBJECT
+    edited = read_png(made / "runs" / "edit" / "ours" / "edits" / after.name / "predictions" / SPLIT / "0000.png")
+    assert psnr(edited, read_image(after, SPLIT, 0), in_copy) > 20
+    assert psnr(read_image(base, SPLIT, 0), read_image(after, SPLIT, 0), in_copy) < 18
+
+
+def test_predictions_of_another_version_of_an_edit_count_as_none(made: Path) -> None:
+    _, after, _ = datasets(made)
+    run = made / "runs" / "edit" / "ours"
+    assert is_edit_rendered(run, after)
+    assert not is_edit_rendered(run, dataclasses.replace(after, seal="another"))
+    assert not is_edit_rendered(made / "runs" / "edit", after)
+
+
+def test_the_report_scores_edits_by_region_and_pixels_by_order(
+    made: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("eval.report.write_figures", lambda scenes, out: [])
+    make_report(made / "runs", made / "data", made / "out", output_format="markdown", order_layers=3)
+    text = capsys.readouterr().out
+    assert "### edit, after remove:ball (object " in text
+    assert "### edit: PSNR by order of the first 3 layers" in text
+    results = json.loads((made / "out" / "results.json").read_text())
+    base, after, doubled = datasets(made)
+
+    # Regions, by a slow loop over pixels.
+    scored = {tuple(edit["edits"]): edit for edit in results["edits"]["edit"]}
+    rows = {(row["run"], row["scene"]): row["psnr_db"] for row in scored[("remove:ball",)]["rows"]}
+    assert set(rows) == {
+        ("ours", "edited"), ("ours", "unedited"), ("paper", "edited"), ("paper", "unedited"),
+        ("truth before the edit", "edited"),
+    }  # fmt: skip
+    folder = made / "runs" / "edit" / "ours"
+    for row, place, dataset in (
+        ("edited", folder / "edits" / "remove-ball", after),
+        ("unedited", folder, base),
+    ):
+        for split in TEST_SPLITS:
+            for region, value in (("object", OBJECT), ("light", LIGHT), ("elsewhere", ELSEWHERE)):
+                values = []
+                for view in range(2):
+                    mask = read_footprint(after, split, view) == value
+                    pred = read_png(place / "predictions" / split / f"000{view}.png")
+                    if mask.any():
+                        values.append(psnr(pred, read_image(dataset, split, view), mask))
+                assert rows["ours", row][region][split] == pytest.approx(np.mean(values))
+    assert rows["truth before the edit", "edited"]["object"][SPLIT] < rows["ours", "edited"]["object"][SPLIT] - 5
+    assert (made / "out" / "edit_edit_remove-ball.png").is_file()
+
+    # Orders, by sets of tuples.
+    known = set()
+    for view in range(16):
+        ids = read_layers(base, TRUTH, "train", view).object_id[:3]
+        known |= {tuple(column) for column in ids.reshape(3, -1).T.tolist()}
+    by_order = {(row["scene"], row["run"]): row for row in results["order"]["edit"]["rows"]}
+    assert len(by_order) == 6
+    for scene_name, dataset in (("as trained", base), (doubled.name, doubled)):
+        for split in TEST_SPLITS:
+            new = []
+            for view in range(2):
+                # A copy is drawn with the texels of its original, so it counts as that.
+                ids = read_layers(dataset, TRUTH, split, view).object_id[:3]
+                columns = np.where(ids == 3, 1, ids).reshape(3, -1).T.tolist()
+                new += [tuple(column) not in known for column in columns]
+            assert by_order[scene_name, "ours"]["new_share"][split] == pytest.approx(np.mean(new))
+    assert max(by_order[doubled.name, "ours"]["new_share"].values()) > 0
