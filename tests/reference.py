@@ -106,6 +106,8 @@ def slow_transposed_convolution(
         full[:, row * stride : row * stride + size, column * stride : column * stride + size] += kernel
     inside = full[:, padding : full.shape[1] - padding, padding : full.shape[2] - padding]
     return inside + bias[:, None, None]
+
+
 def common_area(a: np.ndarray, b: np.ndarray) -> float:
     """Area that two triangles (3, 2) share, by clipping one at each side of the other (Sutherland and Hodgman)."""
     if _cross(b[1] - b[0], b[2] - b[0]) < 0:
