@@ -105,7 +105,9 @@ class LightPathChoices:
     """Hidden units of the network that sees the stacked vertices and adds what physics leaves out; 0 leaves it out.
     Default: 32, on proxies 96."""
     straight_layers: int | None = _choice(None, "{}-straight")
-    """Straight layers that this network sees beside the paths. Default: 0, on proxies 8."""
+    """Straight layers that this network sees beside the paths. Default: 0, on proxies 24."""
+    shells: int | None = _choice(None, "{}-shells")
+    """Copies of each proxy, one inside the other, that straight layers meet. Default: 1, on proxies 4."""
     environment: int = _choice(32, "sky{}")
     """Height in texels of the finest map of the learned sky; 1 makes it two colours."""
     position_octaves: int = _choice(0, "{}-octaves")

@@ -61,17 +61,22 @@ def show_edited_scene(renderer: nn.Module, base: Dataset, edited: Dataset, geome
     originals = [names.index(edited.edit.copies[item.name]) for item in edited.objects[len(names) :]]
     for part in renderer.modules():
         if isinstance(part, NeuralTextures):
-            part.layout = with_copies(part.layout, originals)
+            part.layout = with_copies(part.layout, originals, len(names))
         elif isinstance(part, ExtrinsicInputs):
             size = part.layout.sizes[0]
             part.positions = bake_position_table(edited, geometry, size)
             part.layout = object_layout((size,) * len(edited.objects))
 
 
-def with_copies(layout: TextureLayout, originals: list[int]) -> TextureLayout:
-    """The layout with further objects, each of which shares all texels of the one at `originals[k]` (from 0)."""
+def with_copies(layout: TextureLayout, originals: list[int], num_objects: int) -> TextureLayout:
+    """The layout with further objects, each of which shares all texels of the one at `originals[k]` (from 0).
+
+    Args:
+        num_objects: of the layout as it is; each has as many textures, one after the other, as any other.
+    """
 
     def more(values: tuple[int, ...]) -> tuple[int, ...]:
-        return (*values, *(values[index] for index in originals))
+        each = len(values) // num_objects
+        return (*values, *(value for index in originals for value in values[index * each : (index + 1) * each]))
 
     return dataclasses.replace(layout, bases=more(layout.bases), sizes=more(layout.sizes), strides=more(layout.strides))

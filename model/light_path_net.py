@@ -24,6 +24,9 @@ FINER_COUNTS = 0.5
 alike, so coarse ones, moved by all rays, get there first, and fine ones add what is left: what few rays have met is
 filled in from around it. (Deferred Neural Rendering regularises its levels to that end.)"""
 
+MAX_SURFACES = 255
+"""Ids of surfaces are bytes, and 0 is the empty one."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class LightPathConfig:
@@ -45,6 +48,10 @@ class LightPathConfig:
     """Units of the stack network's two hidden layers; 0 leaves it out."""
     straight_layers: int = 0
     """Straight layers that the stack network sees beside the paths, for proxies."""
+    shells: int = 1
+    """Copies of each surface, one inside the other, that straight layers meet: copy k of n is 1 - k / n as large as the
+    proxy and has a texture of its own, so that there are layers near what lies inside of a coarse proxy. Source:
+    layered semi-transparent meshes (Volumetric Surfaces, 2024), there fitted to the truth."""
     environment_size: int = 32
     """Height in texels of the finest of the learned latitude-longitude maps that sum to the light from outside. It is
     twice as wide; the others are halved down to a single colour: directions in which no training ray left are filled in
@@ -61,9 +68,13 @@ class LightPathConfig:
             raise HyalineError(f"texture_sizes: are {self.texture_sizes}; expected at least 2 texels for each object")
         if not self.composite and not self.stack_hidden:
             raise HyalineError("compositing: is stack, but the stack network has no units; expected --stack above 0")
-        for name in ("texture_features", "texture_levels", "hidden", "environment_size", "branches"):
+        for name in ("texture_features", "texture_levels", "hidden", "shells", "environment_size", "branches"):
             if getattr(self, name) < 1:
                 raise HyalineError(f"{name}: is {getattr(self, name)}; expected at least 1")
+        if self.shells * len(self.texture_sizes) > MAX_SURFACES:
+            raise HyalineError(
+                f"shells: is {self.shells} for {len(self.texture_sizes)} objects; expected at most 255 copies"
+            )
         for name in ("train_samples", "render_samples"):
             check_samples(name, getattr(self, name))
 
@@ -71,11 +82,12 @@ class LightPathConfig:
 def default_light_path(texture_sizes: tuple[int, ...], *, is_proxy: bool) -> LightPathConfig:
     """What `model train --method light-path` builds unless told otherwise.
 
-    Paths through a proxy mislead where its surface is off. There the stack network sees the straight layers, too, gives
-    each an opacity, and mixes what they show with what the paths show.
+    Paths through a proxy mislead where its surface is off. There the stack network sees the straight layers, too, those
+    of nested shells among them, gives each an opacity, and mixes what they show with what the paths show.
     """
     if is_proxy:
-        return LightPathConfig(texture_sizes=texture_sizes, stack_hidden=96, straight_layers=8)
+        shells = max(1, min(4, MAX_SURFACES // len(texture_sizes)))
+        return LightPathConfig(texture_sizes=texture_sizes, stack_hidden=96, straight_layers=24, shells=shells)
     return LightPathConfig(texture_sizes=texture_sizes)
 
 
@@ -101,6 +113,7 @@ def configure_light_path(
         composite=choices.compositing == "physics",
         stack_hidden=known.stack_hidden if choices.stack is None else choices.stack,
         straight_layers=known.straight_layers if choices.straight_layers is None else choices.straight_layers,
+        shells=known.shells if choices.shells is None else choices.shells,
         environment_size=choices.environment,
         branches=choices.branches,
         train_samples=known.train_samples if choices.rays is None else choices.rays,
@@ -114,7 +127,8 @@ class Ends:
 
     ray: Int[Tensor, " end"]
     """The ray that each belongs to; a ray has as many as branches that end on a surface."""
-    object_id: UInt8[Tensor, " end"]
+    surface: UInt8[Tensor, " end"]
+    """Whose texture it looks up: shell k of n of object i is surface (i - 1) n + k + 1. Paths meet the outermost."""
     uv: Float32[Tensor, "end 2"]
     position: Float32[Tensor, "end 3"]
     throughput: Float32[Tensor, "end 3"]
@@ -137,8 +151,8 @@ class Sky:
 class Stack:
     """The first vertices of each ray's paths, then its straight layers."""
 
-    object_id: UInt8[Tensor, "ray slot"]
-    """0 where there is no vertex."""
+    surface: UInt8[Tensor, "ray slot"]
+    """As of `Ends`, of every shell; 0 where there is no vertex."""
     uv: Float32[Tensor, "ray slot 2"]
     throughput: Float32[Tensor, "ray slot"]
     """Mean over the colour channels."""
@@ -170,8 +184,8 @@ class LightPathRenderer(nn.Module):
     stacked features of the first vertices, for the paths that are not traced. Edits stay valid: what is removed from
     the scene is no vertex of any path.
 
-    With straight layers (on proxies) the same decoder shades these, too, the stack network gives each an opacity, they
-    are laid over each other, and a learned share of the paths' radiance is replaced by theirs.
+    With straight layers (on proxies) the same decoder shades these, too, each gets an opacity from its own texel and
+    from the stack network, they are laid over each other, and a learned share of the paths' radiance is replaced.
     """
 
     def __init__(self, config: LightPathConfig) -> None:
@@ -179,7 +193,7 @@ class LightPathRenderer(nn.Module):
         self.config = config
         self.textures = TexturePyramid(
             [
-                object_layout([max(2, size >> level) for size in config.texture_sizes])
+                object_layout([max(2, size >> level) for size in config.texture_sizes for _ in range(config.shells)])
                 for level in range(config.texture_levels)
             ],
             config.texture_features,
@@ -188,6 +202,8 @@ class LightPathRenderer(nn.Module):
         if config.composite:
             # Feature, cosine, spherical harmonics of the mirrored direction, position -> linear radiance.
             self.decoder = _mlp(config.texture_features + 1 + 9 + 6 * config.position_octaves, config.hidden, 3)
+            # Feature, cosine, spherical harmonics of the ray's direction -> opacity of a straight layer.
+            self.cover = _mlp(config.texture_features + 1 + 9, config.hidden, 1) if config.straight_layers else None
             self.environment = nn.ParameterList(
                 torch.zeros(3, height, width) for height, width in _map_sizes(config.environment_size)
             )
@@ -209,26 +225,31 @@ class LightPathRenderer(nn.Module):
         if self.stack_net is not None:
             assert paths.stack is not None
             stack = paths.stack
-            features = self.textures(stack.uv, stack.object_id)
+            features = self.textures(stack.uv, stack.surface)
             inputs = torch.cat([features, stack.throughput[..., None], stack.cosine[..., None]], dim=-1).flatten(1)
             if self.config.straight_layers:
                 inputs = torch.cat([inputs, stack.direction], dim=-1)
             out = self.stack_net(inputs)
             if self.config.straight_layers and self.config.composite:
                 share = torch.sigmoid(out[:, 3:4])
-                radiance = share * radiance + (1 - share) * self._over(stack, features, torch.sigmoid(out[:, 4:]))
+                radiance = share * radiance + (1 - share) * self._over(stack, features, out[:, 4:])
             radiance = radiance + functional.softplus(out[:, :3] - (4 if self.config.composite else 1))
         return srgb_curve(radiance.view(-1, paths.samples, 3).mean(dim=1))
 
-    def _over(self, stack: Stack, features: Tensor, opacity: Float32[Tensor, "ray straight"]) -> Tensor:
+    def _over(self, stack: Stack, features: Tensor, opacity_logits: Float32[Tensor, "ray straight"]) -> Tensor:
         """Linear radiance of the straight layers, each laid over those behind it, and of the sky behind all."""
         first = sum(STACKED_VERTICES)
-        hits = (stack.object_id[:, first:] > 0).nonzero(as_tuple=True)
+        hits = (stack.surface[:, first:] > 0).nonzero(as_tuple=True)
         behind = (hits[0], hits[1] + first)
         assert stack.position is not None
         assert stack.reflected is not None
         shine = self._decode(features[behind], stack.cosine[behind], stack.reflected[hits], stack.position[hits])
-        opacity = opacity * (stack.object_id[:, first:] > 0)
+        # What the layer itself says of its opacity, and what the whole stack says.
+        assert self.cover is not None
+        turned = spherical_harmonics(stack.direction)[hits[0]]
+        own = self.cover(torch.cat([features[behind], stack.cosine[behind][:, None], turned], dim=-1))[:, 0]
+        opacity = torch.sigmoid(opacity_logits.index_put(hits, own, accumulate=True))
+        opacity = opacity * (stack.surface[:, first:] > 0)
         passed = torch.cumprod(1 - opacity, dim=1)
         before = torch.cat([torch.ones_like(passed[:, :1]), passed[:, :-1]], dim=1)
         sky = self._environment(stack.direction) * passed[:, -1:]
@@ -236,7 +257,7 @@ class LightPathRenderer(nn.Module):
 
     def _shine(self, ends: Ends) -> Float32[Tensor, "end 3"]:
         """Linear radiance that leaves the ends towards their rays."""
-        features = self.textures(ends.uv[:, None], ends.object_id[:, None])[:, 0]
+        features = self.textures(ends.uv[:, None], ends.surface[:, None])[:, 0]
         return self._decode(features, ends.cosine, ends.reflected, ends.position)
 
     def _decode(

@@ -13,6 +13,7 @@ from torch import Tensor
 from datagen.cameras import subpixel_offsets, subpixel_rays
 from datagen.dataset import Cameras, Dataset, Split, read_cameras
 from datagen.geometry import TRUTH, read_meshes
+from datagen.meshes import Mesh
 from model.batches import RayBatch, read_colors
 from model.light_path_net import STACKED_VERTICES, Ends, LightPathBatch, LightPathConfig, Sky, Stack, default_light_path
 from model.paper import PaperConfig
@@ -131,7 +132,7 @@ class LightPathPixels:
         cosine, reflected = _mirrored(paths.direction[place], paths.normal[place])
         return Ends(
             ray=self._tensor(ray),
-            object_id=self._tensor(paths.object_id[place]),
+            surface=self._tensor(_surface_of(paths.object_id[place], self.config.shells)),
             uv=self._tensor(paths.uv[place]),
             position=self._tensor(paths.position[place]),
             throughput=self._tensor(paths.throughput[place]),
@@ -157,6 +158,8 @@ class LightPathPixels:
         )
         places = [(branch, vertex) for branch, count in enumerate(STACKED_VERTICES) for vertex in range(count)]
         slots = [_slot(paths, *place) for place in places]
+        for slot in slots:
+            slot["surface"] = _surface_of(slot["surface"], self.config.shells)
         straight_layers = []
         if self.config.straight_layers:
             assert self.straight_tracer is not None
@@ -168,7 +171,7 @@ class LightPathPixels:
             return self._tensor(np.stack([slot[key] for slot in slots], axis=1))
 
         return Stack(
-            object_id=column("object_id", slots),
+            surface=column("surface", slots),
             uv=column("uv", slots),
             throughput=column("throughput", slots),
             cosine=column("cosine", slots),
@@ -193,11 +196,13 @@ def share_texels(dataset: Dataset, geometry: str, size: int) -> tuple[int, ...]:
     )  # fmt: skip
     index = np.random.default_rng(0).integers(len(pixels.rgb), size=COUNTED_PIXELS)
     batch = pixels.take(torch.from_numpy(index), None)
-    counts = torch.bincount(batch.ends.object_id.long(), minlength=len(dataset.objects) + 1)
+    counts = torch.bincount(batch.ends.surface.long(), minlength=len(dataset.objects) + 1)
     if geometry != TRUTH:
         assert batch.stack is not None
-        straight = batch.stack.object_id[:, sum(STACKED_VERTICES) :]
-        counts = counts + torch.bincount(straight.flatten().long(), minlength=len(counts))
+        surfaces = batch.stack.surface[:, sum(STACKED_VERTICES) :].long()
+        # The textures of a proxy's shells are as wide as its own.
+        met = (surfaces[surfaces > 0] - 1) // pixels.config.shells + 1
+        counts = counts + torch.bincount(met, minlength=len(counts))
     share = counts[1:].double() / counts[1:].sum().clamp_min(1)
     wanted = (share * len(share)).sqrt() * size
     least = torch.where(share > 0, size // 3, size // 8).clamp_min(2)
@@ -228,9 +233,10 @@ def load_light_path_pixels(config: LightPathConfig, dataset: Dataset, geometry: 
     tracer_of = _tracer_factory()
     materials = tuple(item.material for item in load_scene(dataset.root / "scene").objects)
     meshes = read_meshes(dataset, geometry)
+    nested = nest_shells(meshes, config.shells)
     return LightPathPixels(
         tracer=tracer_of(meshes, materials),
-        straight_tracer=tracer_of(meshes, (None,) * len(meshes)) if config.straight_layers else None,
+        straight_tracer=tracer_of(nested, (None,) * len(nested)) if config.straight_layers else None,
         rays=_rays_of(dataset, split, views),
         is_opaque=np.array([False, *(not is_glass(material) for material in materials)]),
         rgb=read_colors(dataset, split, views, with_images=with_images),
@@ -239,17 +245,34 @@ def load_light_path_pixels(config: LightPathConfig, dataset: Dataset, geometry: 
     )
 
 
+def nest_shells(meshes: tuple[Mesh, ...], shells: int) -> tuple[Mesh, ...]:
+    """Each mesh, then smaller copies of it about the centre of its bounding box, 1 - k / shells as large for copy k."""
+    return tuple(_scaled(mesh, 1 - copy / shells) for mesh in meshes for copy in range(shells))
+
+
+def _scaled(mesh: Mesh, scale: float) -> Mesh:
+    if scale == 1 or not len(mesh.vertices):  # Of a removed object there is nothing.
+        return mesh
+    center = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2
+    return dataclasses.replace(mesh, vertices=center + np.float32(scale) * (mesh.vertices - center))
+
+
 def _slot(paths: "LightPaths", branch: int, vertex: int) -> dict[str, np.ndarray]:
     """What the stack network is told of one vertex of all rays."""
     cosine, reflected = _mirrored(paths.direction[branch, vertex], paths.normal[branch, vertex])
     return {
-        "object_id": paths.object_id[branch, vertex],
+        "surface": paths.object_id[branch, vertex],
         "uv": paths.uv[branch, vertex],
         "throughput": paths.throughput[branch, vertex].mean(axis=-1),
         "cosine": cosine,
         "position": paths.position[branch, vertex],
         "reflected": reflected,
     }
+
+
+def _surface_of(object_id: UInt8[np.ndarray, " vertex"], shells: int) -> UInt8[np.ndarray, " vertex"]:
+    """The outermost shell of each object; 0, the empty one, stays."""
+    return np.where(object_id > 0, (object_id.astype(np.int64) - 1) * shells + 1, 0).astype(np.uint8)
 
 
 def _mirrored(direction: Float32[np.ndarray, "vertex 3"], normal: Float32[np.ndarray, "vertex 3"]

@@ -12,17 +12,17 @@ from test_model_train import run_bytes, stop_at
 
 from datagen.dataset import Dataset, read_cameras, read_image
 from datagen.errors import HyalineError
-from datagen.geometry import TRUTH
+from datagen.geometry import TRUTH, read_meshes
 from datagen.layers import read_layers
 from datagen.tonemap import srgb_from_linear
 from datagen.variant import use_mitsuba
-from model.light_path_net import LightPathConfig, LightPathRenderer, default_light_path
+from model.light_path_net import STACKED_VERTICES, LightPathConfig, LightPathRenderer, default_light_path
 from model.methods import METHODS
 from model.paper import PaperConfig, PaperRenderer
 from model.predict import render_predictions
 from model.run_folder import TrainConfig, is_finished, read_run
 from model.samples import linear_curve, srgb_curve
-from model.traced_batches import LightPathPixels, load_light_path_pixels
+from model.traced_batches import LightPathPixels, load_light_path_pixels, nest_shells
 from model.train import train
 
 if use_mitsuba(quiet=True).startswith("scalar"):
@@ -74,7 +74,7 @@ def test_one_ray_a_pixel_goes_through_its_centre_and_meets_the_straight_layers(d
     for place, view in enumerate((2, 5)):
         layers = read_layers(dataset, TRUTH, "train", view)
         here = slice(place * 1024, (place + 1) * 1024)
-        assert np.array_equal(paths.stack.object_id[here, :4].numpy().T.reshape(4, 32, 32), layers.object_id)
+        assert np.array_equal(paths.stack.surface[here, :4].numpy().T.reshape(4, 32, 32), layers.object_id)
         uv = paths.stack.uv[here, :4].numpy().transpose(1, 0, 2).reshape(4, 32, 32, 2)
         assert np.abs(uv - layers.uv / 65535).max() < 1e-4
 
@@ -110,7 +110,7 @@ def test_a_removed_object_leaves_no_trace(dataset: Dataset) -> None:
     renderer = LightPathRenderer(NET)
     index = torch.arange(1024)
     paths = pixels.take(index, None)
-    assert (paths.stack.object_id == 1).any()
+    assert (paths.stack.surface == 1).any()
     renderer(paths).sum().backward()
     table = renderer.textures[0].table.grad
     assert table is not None
@@ -203,14 +203,37 @@ def test_it_learns_what_it_sees(dataset: Dataset, tmp_path: Path) -> None:
 
 
 def test_straight_layers_stand_beside_the_paths_on_proxies(dataset: Dataset) -> None:
-    config = default_light_path((32, 32), is_proxy=True)
+    config = dataclasses.replace(default_light_path((32, 32), is_proxy=True), shells=1, straight_layers=8)
     pixels = load_light_path_pixels(dataclasses.replace(config, render_samples=1), dataset, TRUTH, "train", [2], True)
     stack = pixels.take(torch.arange(1024), None).stack
     layers = read_layers(dataset, TRUTH, "train", 2)
-    assert np.array_equal(stack.object_id[:, -8:-4].numpy().T.reshape(4, 32, 32), layers.object_id)
-    assert (stack.throughput[:, -8:][stack.object_id[:, -8:] > 0] == 1).all()
+    assert np.array_equal(stack.surface[:, -8:-4].numpy().T.reshape(4, 32, 32), layers.object_id)
+    assert (stack.throughput[:, -8:][stack.surface[:, -8:] > 0] == 1).all()
     renderer = LightPathRenderer(config)
     assert renderer(pixels.take(torch.arange(64), None)).shape == (64, 3)
+
+
+def test_shells_lie_one_inside_the_other_with_textures_of_their_own(dataset: Dataset) -> None:
+    config = LightPathConfig(texture_sizes=(8, 8), render_samples=1, shells=3, straight_layers=6)
+    truth = read_meshes(dataset, TRUTH)
+    nested = nest_shells(truth, 3)
+    for copy, mesh in enumerate(nested):
+        outer = truth[copy // 3].vertices.astype(np.float64)
+        center = (outer.min(axis=0) + outer.max(axis=0)) / 2
+        assert np.allclose(mesh.vertices, center + (1 - copy % 3 / 3) * (outer - center), atol=1e-6)
+    batch = load_light_path_pixels(config, dataset, TRUTH, "train", [2], True).take(torch.arange(1024), None)
+    assert batch.stack is not None
+    met = batch.stack.surface[:, sum(STACKED_VERTICES) :]
+    assert set(met.flatten().tolist()) == {0, 1, 2, 3, 4, 5, 6}
+    renderer = LightPathRenderer(config)
+    # The second copy of the second object is surface 5: its texels alone change under it.
+    before = renderer.textures(batch.stack.uv, batch.stack.surface)
+    with torch.no_grad():
+        renderer.textures[0].table[4 * 64 : 5 * 64] += 1
+    changed = (renderer.textures(batch.stack.uv, batch.stack.surface) != before).any(dim=-1)
+    assert torch.equal(changed, batch.stack.surface == 5)
+    with pytest.raises(HyalineError, match="shells: is 128 for 2 objects"):
+        LightPathConfig(texture_sizes=(8, 8), shells=128)
 
 
 def test_finer_textures_are_added_to_coarser_ones(dataset: Dataset) -> None:
@@ -218,15 +241,15 @@ def test_finer_textures_are_added_to_coarser_ones(dataset: Dataset) -> None:
     renderer = LightPathRenderer(LightPathConfig(texture_sizes=(16, 12), texture_levels=3))
     assert [textures.layout.sizes for textures in renderer.textures] == [(16, 12), (8, 6), (4, 3)]
     batch = pixels.take(torch.arange(1024), None)
-    before = renderer.textures(batch.stack.uv, batch.stack.object_id)
+    before = renderer.textures(batch.stack.uv, batch.stack.surface)
     with torch.no_grad():
         for level, textures in enumerate(renderer.textures):
             textures.table.fill_(10.0**level)
-    after = renderer.textures(batch.stack.uv, batch.stack.object_id)
+    after = renderer.textures(batch.stack.uv, batch.stack.surface)
     assert (before == 0).all()
     # The coarsest counts whole, each finer one half as much as the one before.
-    assert torch.allclose(after[batch.stack.object_id > 0], torch.tensor(100 + 10 / 2 + 1 / 4))
-    assert (after[batch.stack.object_id == 0] == 0).all()
+    assert torch.allclose(after[batch.stack.surface > 0], torch.tensor(100 + 10 / 2 + 1 / 4))
+    assert (after[batch.stack.surface == 0] == 0).all()
 
 
 def test_foreign_flags_and_odd_numbers_are_refused(
