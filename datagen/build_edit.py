@@ -9,7 +9,7 @@ from datagen.edited import edit_root
 from datagen.edits import Edit, EditedScene, describe_edit, edit_scene, edits_name, moved_mesh
 from datagen.errors import HyalineError
 from datagen.footprints import write_footprints
-from datagen.geometry import TRUTH, list_geometries, read_meshes, read_proxy_records, write_proxies
+from datagen.geometry import TRUTH, list_geometries, read_assignment, read_meshes, read_proxy_records, write_proxies
 from datagen.layer_store import LAYER_KINDS, LayersHead, LightPathsHead, layers_root, read_layers_head
 from datagen.meshes import Mesh, is_there, no_mesh, write_ply
 from datagen.scene import load_scene
@@ -92,7 +92,11 @@ def _write_proxies(base: Dataset, dataset: Dataset, edited: EditedScene, geometr
     if found is not None and _hashes(found) == _hashes(wanted):
         return
     statistics = tuple(records[edited.copies.get(name, name)].statistics for name in names)
-    write_proxies(dataset, geometry, wanted, statistics)
+    assignment = read_assignment(base, geometry)
+    if assignment is not None:
+        kinds = {item.name: kind for item, kind in zip(base.objects, assignment, strict=True)}
+        assignment = tuple(kinds[edited.copies.get(name, name)] for name in names)
+    write_proxies(dataset, geometry, wanted, statistics, assignment)
 
 
 def _hashes(meshes: tuple[Mesh, ...]) -> list[str]:

@@ -4,7 +4,8 @@ scene/meshes/NAME.ply              the truth
 proxies/KIND/proxies.json          sealed: one mesh per object, with SHA-256 and statistics
 proxies/KIND/meshes/NAME.ply
 
-KIND is a geometry's name: a kind of proxy such as box, or a kind and its amount such as noise-0.01.
+KIND is a geometry's name: a kind of proxy such as box, a kind and its amount such as noise-0.01, or `mixed` and more,
+where `assignment` in proxies.json says for each object what stands for it.
 """
 
 import difflib
@@ -52,9 +53,13 @@ def geometry_root(root: Path, geometry: str) -> Path:
     return root if geometry == TRUTH else root / "proxies" / geometry
 
 
-def write_proxies(dataset: Dataset, kind: str, meshes: tuple[Mesh, ...],
-                  statistics: tuple[ProxyStatistics, ...]) -> None:  # fmt: skip
-    """Commits one proxy mesh per object, in object order, but none of an object that an edit removed."""
+def write_proxies(dataset: Dataset, kind: str, meshes: tuple[Mesh, ...], statistics: tuple[ProxyStatistics, ...],
+                  assignment: tuple[str, ...] | None = None) -> None:  # fmt: skip
+    """Commits one proxy mesh per object, in object order, but none of an object that an edit removed.
+
+    Args:
+        assignment: of a mixture, what stands for each object: truth, box, noise-0.01, ...
+    """
     root = geometry_root(dataset.root, kind)
     listed = []
     for item, mesh, numbers in zip(dataset.objects, meshes, statistics, strict=True):
@@ -69,6 +74,8 @@ def write_proxies(dataset: Dataset, kind: str, meshes: tuple[Mesh, ...],
         "dataset": dataset.seal,
         "proxies": to_json(tuple(listed)),
     }
+    if assignment is not None:
+        content["assignment"] = to_json(assignment)
     commit_sealed(root / "proxies.json", content)
 
 
@@ -91,7 +98,42 @@ def read_proxy_records(dataset: Dataset, kind: str) -> tuple[ProxyRecord, ...]:
     return from_json(tuple[ProxyRecord, ...], content["proxies"], where=f"{path}: proxies")
 
 
+def read_assignment(dataset: Dataset, geometry: str) -> tuple[str, ...] | None:
+    """What stands for each object in a mixture, in object order; None for the truth and for one kind of proxy.
+
+    Raises:
+        HyalineError: the proxies were not made, or are damaged.
+    """
+    if geometry == TRUTH:
+        return None
+    path = geometry_root(dataset.root, geometry) / "proxies.json"
+    assignment = load_sealed(path).get("assignment")
+    return None if assignment is None else from_json(tuple[str, ...], assignment, where=f"{path}: assignment")
+
+
+def describe_geometry(dataset: Dataset, geometry: str) -> str:
+    """A geometry in words: what a method knows of the scene's shape.
+
+    Raises:
+        HyalineError: the proxies were not made, or are damaged.
+    """
+    if geometry == TRUTH:
+        return "true geometry"
+    assignment = read_assignment(dataset, geometry)
+    if assignment is None:
+        return f"proxy geometry ({geometry})"
+    most = max(sorted(set(assignment)), key=lambda kind: (assignment.count(kind), kind == TRUTH))
+    named = [kind for kind in dict.fromkeys(assignment) if kind != most]
+    parts = [
+        f"{kind} for {', '.join(item.name for item, own in zip(dataset.objects, assignment) if own == kind)}"
+        for kind in named
+    ]
+    return f"proxy geometry ({geometry}: {'; '.join([*parts, f'{most} for the rest'])})"
+
+
 def _make_command(dataset: Dataset, geometry: str) -> str:
+    if geometry.startswith("mixed"):
+        return f"proxies make --scene {dataset.name} --name {geometry} --assign OBJECT=KIND"
     kind, _, amount = geometry.partition("-")
     return f"proxies make --scene {dataset.name} --kind {kind}" + (f" --amount {amount}" if amount else "")
 

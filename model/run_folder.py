@@ -18,9 +18,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
 
-from datagen.dataset import TEST_SPLITS, check_files
+from datagen.dataset import TEST_SPLITS, Dataset, check_files
 from datagen.errors import HyalineError
-from datagen.geometry import TRUTH
+from datagen.geometry import describe_geometry
 from datagen.records import Json, from_json, to_json
 from datagen.storage import commit, commit_sealed, dump_json, load_json, load_sealed
 from model.methods import LrDecay, MethodConfig
@@ -37,7 +37,7 @@ class TrainConfig:
 
     method: str
     geometry: str
-    """`truth` or a kind of proxy."""
+    """`truth`, a kind of proxy or a mixture."""
     net: MethodConfig
     seed: int = 0
     steps: int = 2500
@@ -107,9 +107,9 @@ class RunRecord:
     """Version of torch."""
 
 
-def describe_knowledge(geometry: str, more: str) -> str:
+def describe_knowledge(dataset: Dataset, geometry: str, more: str) -> str:
     """What a method was given besides images and cameras, in words."""
-    known = "true geometry" if geometry == TRUTH else f"proxy geometry ({geometry})"
+    known = describe_geometry(dataset, geometry)
     return f"{known}, {more}" if more else known
 
 

@@ -72,7 +72,7 @@ def train(config: TrainConfig, dataset: Dataset, out: Path, *, label: str, devic
             version=RUN_VERSION,
             method=config.method,
             geometry=config.geometry,
-            knowledge=describe_knowledge(config.geometry, method.knowledge),
+            knowledge=describe_knowledge(dataset, config.geometry, method.knowledge),
             dataset=dataset.root.as_posix(),
             dataset_seal=dataset.seal,
             layers_seal=layers_seal,

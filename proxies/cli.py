@@ -2,18 +2,19 @@
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Annotated, cast
+
+import tyro
 
 from datagen.command import choose, fail, next_command, run, say
 from datagen.dataset import DATA_ROOT, Dataset, find_dataset, list_datasets, open_dataset
 from datagen.errors import HyalineError
+from datagen.geometry import TRUTH
 from datagen.layer_store import LayerKind
 
 if TYPE_CHECKING:
-    from proxies.make import ProxyReport, ProxySpec
-
-AMOUNT = 0.01
-"""Of `--kind noise` where none is given."""
+    from proxies.make import ProxyReport
+    from proxies.spec import MixedSpec, ProxyKind, ProxySpec
 
 
 def main() -> None:
@@ -26,6 +27,9 @@ def make(
     scene: str | None = None,
     kind: str = "ellipsoid",
     amount: float | None = None,
+    assign: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = (),
+    rest: str = TRUTH,
+    name: str = "mixed",
     layers: tuple[LayerKind, ...] = ("straight",),
     num_layers: int = 8,
     rays: int = 4,
@@ -41,6 +45,10 @@ def make(
             true surface displaced at random, which encloses nothing).
         amount: Standard deviation of the noise in parts of each object's diagonal, 0.001 to 0.05; 0.01 unless given.
             Each amount is a geometry of its own, such as noise-0.01.
+        assign: Instead of one kind for all, OBJECT=KIND, as often as needed: what stands for an object, or for all that
+            fit a pattern such as 'fern*'. KIND is one of the above, noise-0.02, or truth.
+        rest: With --assign: the kind of all other objects.
+        name: With --assign: the geometry's name, mixed or mixed-SOMETHING.
         layers: Kinds of layers to peel: straight, light-path or both.
         num_layers: Layers kept per ray, vertices kept per branch of a light path.
         rays: light-path: rays per pixel, a square number.
@@ -49,15 +57,20 @@ def make(
     """
     from proxies.make import make_proxies, read_reports
 
-    spec = _spec(kind, amount)
+    if assign and (kind, amount) != ("ellipsoid", None):
+        raise HyalineError(f"--kind {kind}: --assign names each object's kind; for those it does not name, give --rest")
+    if not assign and (rest, name) != (TRUTH, "mixed"):
+        raise HyalineError(f"--rest {rest} --name {name}: nothing is mixed; they go with --assign OBJECT=KIND")
+    one_kind = _one_kind(kind, amount)
     datasets = _datasets(scene)
-    for dataset in datasets:
+    specs = [_mixture(dataset, name, assign, rest) if assign else one_kind for dataset in datasets]
+    for dataset, spec in zip(datasets, specs, strict=True):
         from datagen.build import peel_dataset
 
         is_new = make_proxies(dataset, spec, overwrite=overwrite)
         if not is_new:
             say(f"{dataset.root}: keeps its {spec.geometry} proxies; --overwrite makes them anew")
-        _print_table(dataset, spec.geometry, read_reports(dataset, spec))
+        _print_table(dataset, spec.geometry, read_reports(dataset, spec.geometry))
         peel_dataset(
             dataset,
             spec.geometry,
@@ -67,26 +80,29 @@ def make(
             overwrite=overwrite,
             workers=workers,
         )
-    next_command(f"model train --method paper --geometry {spec.geometry} --dataset {datasets[0].root}")
+    next_command(f"model train --method paper --geometry {specs[0].geometry} --dataset {datasets[0].root}")
 
 
-def check(scene: str | None = None, kind: str = "ellipsoid", amount: float | None = None) -> None:
+def check(
+    scene: str | None = None, kind: str = "ellipsoid", amount: float | None = None, name: str | None = None
+) -> None:
     """Verifies the proxies on disk: closed, outward, around the object, texels for every face.
 
     Args:
         scene: A dataset's folder or its name under data/; every one there unless given.
         kind: box, ellipsoid, hull, blocks, wrap, lowpoly or noise, which must only have the object's faces and uv.
         amount: Of the noise, 0.01 unless given.
+        name: Of a mixture, instead of a kind.
     """
     from proxies.make import read_reports
 
-    spec = _spec(kind, amount)
+    geometry = name if name is not None else _one_kind(kind, amount).geometry
     problems = []
     for dataset in _datasets(scene):
-        reports = read_reports(dataset, spec)
-        _print_table(dataset, spec.geometry, reports)
+        reports = read_reports(dataset, geometry)
+        _print_table(dataset, geometry, reports)
         problems += [
-            f"{dataset.root}: the {spec.geometry} of {report.object} {report.problem}"
+            f"{dataset.root}: the {report.kind} of {report.object} {report.problem}"
             for report in reports
             if report.problem
         ]
@@ -94,8 +110,15 @@ def check(scene: str | None = None, kind: str = "ellipsoid", amount: float | Non
         fail(f"{problems[0]}; {len(problems)} of the proxies are unsound, make them again with --overwrite")
 
 
-def _spec(kind: str, amount: float | None) -> "ProxySpec":
-    from proxies.make import KINDS, ProxyKind, ProxySpec
+def _mixture(dataset: Dataset, name: str, assign: tuple[str, ...], rest: str) -> "MixedSpec":
+    from proxies.spec import MixedSpec, assign_parts
+
+    objects = [item.name for item in dataset.objects]
+    return MixedSpec(geometry=name, parts=assign_parts(objects, assign, rest))
+
+
+def _one_kind(kind: str, amount: float | None) -> "ProxySpec":
+    from proxies.spec import AMOUNT, KINDS, ProxySpec
 
     chosen = cast("ProxyKind", choose("kind", kind, KINDS))
     return ProxySpec(kind=chosen, amount=AMOUNT if chosen == "noise" and amount is None else amount)
@@ -115,12 +138,16 @@ def _print_table(dataset: Dataset, geometry: str, reports: "tuple[ProxyReport, .
 
     table = Table(title=f"{geometry} proxies of {dataset.root}", box=SIMPLE_HEAD, title_justify="left")
     table.add_column("object", no_wrap=True)
+    is_mixed = any(report.kind != geometry for report in reports)
+    if is_mixed:
+        table.add_column("kind", no_wrap=True)
     for name in ("triangles", "volume / hull", "mean distance", "max distance", "inside"):
         table.add_column(name, justify="right", no_wrap=True)
     for report in reports:
         numbers = report.statistics
         table.add_row(
             report.object,
+            *([report.kind] if is_mixed else []),
             str(report.triangles),
             f"{numbers.volume_ratio:.3f}",
             f"{1000 * numbers.mean_distance:.2f} mm",

@@ -2,14 +2,21 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, get_args
 
 import numpy as np
 
 from datagen.command import say
 from datagen.dataset import Dataset, check_files
 from datagen.errors import HyalineError
-from datagen.geometry import TRUTH, ProxyStatistics, geometry_root, read_meshes, read_proxy_records, write_proxies
+from datagen.geometry import (
+    TRUTH,
+    ProxyStatistics,
+    geometry_root,
+    read_assignment,
+    read_meshes,
+    read_proxy_records,
+    write_proxies,
+)
 from datagen.meshes import Mesh
 from datagen.storage import load_sealed, one_writer, remove_temporaries
 from proxies.blocks import fit_blocks
@@ -18,13 +25,10 @@ from proxies.ellipsoid import fit_ellipsoid
 from proxies.hull import fit_hulls
 from proxies.measure import enclosure, proxy_statistics
 from proxies.meshlab import meshlab_problem
-from proxies.noise import check_amount, noise_problem, noisy_meshes
+from proxies.noise import noise_problem, noisy_mesh
 from proxies.solid import Solid, make_solids
+from proxies.spec import MixedSpec, ProxyKind, ProxySpec, parse_part
 from proxies.wrap import fit_lowpolys, fit_wraps
-
-ProxyKind = Literal["box", "ellipsoid", "hull", "lowpoly", "wrap", "blocks", "noise"]
-
-KINDS: tuple[ProxyKind, ...] = get_args(ProxyKind)
 
 Fitter = Callable[[tuple[Solid, ...], tuple[float, ...]], tuple[Mesh, ...]]
 
@@ -54,71 +58,70 @@ PADDING = 2e-6
 
 
 @dataclass(frozen=True, kw_only=True)
-class ProxySpec:
-    """Which proxies to make."""
-
-    kind: ProxyKind
-    amount: float | None = None
-    """Of `noise` only, and needed there: the standard deviation, in parts of each object's bounding-box diagonal."""
-
-    def __post_init__(self) -> None:
-        if self.kind == "noise":
-            assert self.amount is not None
-            check_amount(self.amount)
-        elif self.amount is not None:
-            raise HyalineError(f"amount {self.amount:g}: a {self.kind} has no noise; it goes with `--kind noise`")
-
-    @property
-    def geometry(self) -> str:
-        """The name under which the dataset keeps them, such as `box` or `noise-0.01`: amounts stand side by side."""
-        return self.kind if self.amount is None else f"{self.kind}-{self.amount:g}"
-
-
-@dataclass(frozen=True, kw_only=True)
 class ProxyReport:
     """One row of the table."""
 
     object: str
+    kind: str
     triangles: int
     statistics: ProxyStatistics
     inside_share: float | None
-    """Share of the object's vertices inside the proxy; None of a noisy mesh, which need not enclose anything."""
+    """Share of the object's vertices inside the proxy; None where it need not enclose anything (noise, the truth)."""
     problem: str | None
     """What is wrong with the proxy, in a few words."""
 
 
-def make_proxies(dataset: Dataset, spec: ProxySpec, *, overwrite: bool) -> bool:
+def make_proxies(dataset: Dataset, spec: ProxySpec | MixedSpec, *, overwrite: bool) -> bool:
     """Fits a proxy to every object and commits them; keeps those that stand there and verify.
 
     Returns:
         True when they were made, False when they were kept.
 
     Raises:
-        HyalineError: a damaged scene, proxies of another dataset, another process that writes there, or an object for
-            which proxies of this kind cannot be made.
+        HyalineError: a damaged scene, proxies of another dataset or another mixture, another process that writes there,
+            or an object for which proxies of this kind cannot be made.
     """
     root = geometry_root(dataset.root, spec.geometry)
     truths = read_meshes(dataset, TRUTH)
+    assignment = spec.assignment if isinstance(spec, MixedSpec) else None
     with one_writer(root):
         remove_temporaries(root)
         if not overwrite and _stand(dataset, spec.geometry):
+            _check_same_assignment(dataset, spec.geometry, assignment)
             return False
         if (problem := meshlab_problem()) is not None:
             say(f"{problem}; SciPy and NumPy do its work")
         solids = make_solids(truths)
-        meshes = fit_proxies(solids, spec.kind) if spec.amount is None else noisy_meshes(truths, spec.amount)
-        for item, mesh, truth in zip(dataset.objects, meshes, truths, strict=True):
-            _, problem = _soundness(spec.kind, mesh, truth)
+        parts = (spec,) * len(truths) if isinstance(spec, ProxySpec) else spec.parts
+        meshes = fit_parts(truths, solids, parts)
+        for item, part, mesh, truth in zip(dataset.objects, parts, meshes, truths, strict=True):
+            _, problem = _soundness(part, mesh, truth)
             # Not only our own work: pymeshlab and xatlas have their part in it.
-            if problem is not None:
-                raise HyalineError(f"{root}: the {spec.kind} of {item.name} {problem}; make another kind")
-        write_proxies(dataset, spec.geometry, meshes, proxy_statistics(meshes, truths, solids))
+            if part is not None and problem is not None:
+                raise HyalineError(f"{root}: the {part.kind} of {item.name} {problem}; make another kind")
+        statistics = proxy_statistics(meshes, truths, solids)
+        write_proxies(dataset, spec.geometry, meshes, statistics, assignment=assignment)
     return True
 
 
-def fit_proxies(solids: tuple[Solid, ...], kind: ProxyKind) -> tuple[Mesh, ...]:
-    """One proxy a solid, no two of which have faces in the same plane."""
-    return FITTERS[kind](solids, paddings(solids))
+def fit_parts(
+    truths: tuple[Mesh, ...], solids: tuple[Solid, ...], parts: tuple[ProxySpec | None, ...]
+) -> tuple[Mesh, ...]:
+    """What stands for each object: its true mesh, that mesh with noise, or a proxy.
+
+    The paddings are those of a dataset whose objects all have proxies: an object gets the same box in any mixture.
+    """
+    meshes = dict(enumerate(truths))
+    all_paddings = paddings(solids)
+    for kind, fit in FITTERS.items():
+        places = [place for place, part in enumerate(parts) if part is not None and part.kind == kind]
+        if places:
+            fitted = fit(tuple(solids[place] for place in places), tuple(all_paddings[place] for place in places))
+            meshes.update(zip(places, fitted, strict=True))
+    for place, part in enumerate(parts):
+        if part is not None and part.amount is not None:
+            meshes[place] = noisy_mesh(truths[place], part.amount, place=place)
+    return tuple(meshes.values())
 
 
 def paddings(solids: tuple[Solid, ...]) -> tuple[float, ...]:
@@ -138,20 +141,22 @@ def paddings(solids: tuple[Solid, ...]) -> tuple[float, ...]:
     return tuple(float(step * (1 + place)) for place in rank)
 
 
-def read_reports(dataset: Dataset, spec: ProxySpec) -> tuple[ProxyReport, ...]:
+def read_reports(dataset: Dataset, geometry: str) -> tuple[ProxyReport, ...]:
     """The table of the proxies on disk, their enclosure checked anew.
 
     Raises:
         HyalineError: not made, damaged, or made for another dataset.
     """
-    records = read_proxy_records(dataset, spec.geometry)
-    meshes, truths = read_meshes(dataset, spec.geometry), read_meshes(dataset, TRUTH)
+    records = read_proxy_records(dataset, geometry)
+    meshes, truths = read_meshes(dataset, geometry), read_meshes(dataset, TRUTH)
+    kinds = read_assignment(dataset, geometry) or (geometry,) * len(records)
     reports = []
-    for record, mesh, truth in zip(records, meshes, truths, strict=True):
-        inside_share, problem = _soundness(spec.kind, mesh, truth)
+    for record, kind, mesh, truth in zip(records, kinds, meshes, truths, strict=True):
+        inside_share, problem = _soundness(parse_part(kind), mesh, truth)
         reports.append(
             ProxyReport(
                 object=record.object,
+                kind=kind,
                 triangles=len(mesh.faces),
                 statistics=record.statistics,
                 inside_share=inside_share,
@@ -161,12 +166,28 @@ def read_reports(dataset: Dataset, spec: ProxySpec) -> tuple[ProxyReport, ...]:
     return tuple(reports)
 
 
-def _soundness(kind: ProxyKind, mesh: Mesh, truth: Mesh) -> tuple[float | None, str | None]:
+def _soundness(part: ProxySpec | None, mesh: Mesh, truth: Mesh) -> tuple[float | None, str | None]:
     """`ProxyReport`'s share inside and problem."""
-    if kind == "noise":
+    if part is None:
+        is_same = np.array_equal(mesh.vertices, truth.vertices) and np.array_equal(mesh.faces, truth.faces)
+        return None, None if is_same else "is not the object's own mesh"
+    if part.kind == "noise":
         return None, noise_problem(mesh, truth)
     found = enclosure(mesh, truth)
     return found.inside_share, found.problem
+
+
+def _check_same_assignment(dataset: Dataset, geometry: str, assignment: tuple[str, ...] | None) -> None:
+    """Refuses to keep a mixture that is not the one asked for."""
+    before = read_assignment(dataset, geometry)
+    if assignment is None or before is None:
+        return
+    for item, old, new in zip(dataset.objects, before, assignment, strict=True):
+        if old != new:
+            raise HyalineError(
+                f"{geometry_root(dataset.root, geometry)}: has a {old} for {item.name}, not {new}; pass --overwrite, "
+                "or another --name"
+            )
 
 
 def _stand(dataset: Dataset, geometry: str) -> bool:

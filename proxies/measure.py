@@ -84,18 +84,26 @@ def _inside_share(proxy: Mesh, truth: Mesh) -> float:
 def proxy_statistics(
     meshes: tuple[Mesh, ...], truths: tuple[Mesh, ...], solids: tuple[Solid, ...]
 ) -> tuple[ProxyStatistics, ...]:
-    """The numbers of each proxy; flat objects count with the minimal thickness, so that ratios are finite."""
-    samples = [surface_points(mesh, SAMPLES) for mesh in meshes]
-    corners = [mesh.vertices.astype(np.float64) for mesh in meshes]
-    clouds = [np.concatenate(pair) for pair in zip(samples, corners, strict=True)]
+    """The numbers of each proxy; flat objects count with the minimal thickness, so that ratios are finite.
+
+    Args:
+        meshes: those that are the object's own mesh (the same in memory) are at no distance from it.
+    """
+    places = [place for place, (mesh, truth) in enumerate(zip(meshes, truths, strict=True)) if mesh is not truth]
+    clouds = [
+        np.concatenate([surface_points(meshes[place], SAMPLES), meshes[place].vertices.astype(np.float64)])
+        for place in places
+    ]
+    distances = dict(zip(places, distances_to(clouds, tuple(truths[place] for place in places)), strict=True))
+    nothing = np.zeros(SAMPLES)
     return tuple(
         ProxyStatistics(
             # pymeshlab measures in float32: more digits mean nothing.
             volume_ratio=_rounded(signed_volume(mesh) / solid.hull_volume),
-            mean_distance=_rounded(distances[:SAMPLES].mean()),
-            max_distance=_rounded(distances.max()),
+            mean_distance=_rounded(distances.get(place, nothing)[:SAMPLES].mean()),
+            max_distance=_rounded(distances.get(place, nothing).max()),
         )
-        for mesh, solid, distances in zip(meshes, solids, distances_to(clouds, truths), strict=True)
+        for place, (mesh, solid) in enumerate(zip(meshes, solids, strict=True))
     )
 
 

@@ -39,13 +39,14 @@ def check_amount(amount: float) -> None:
         )
 
 
-def noisy_meshes(truths: tuple[Mesh, ...], amount: float) -> tuple[Mesh, ...]:
-    """Each object's mesh with noise of its own; the same objects in the same places always get the same.
+def noisy_mesh(truth: Mesh, amount: float, *, place: int) -> Mesh:
+    """An object's mesh with noise of its own; the same object in the same place always gets the same.
 
     Args:
         amount: standard deviation along any direction, in parts of the object's bounding-box diagonal.
+        place: of the object in its dataset, from 0.
     """
-    return tuple(noisy(truth, amount, rng=np.random.default_rng((SEED, place))) for place, truth in enumerate(truths))
+    return noisy(truth, amount, rng=np.random.default_rng((SEED, place)))
 
 
 def noisy(truth: Mesh, amount: float, *, rng: np.random.Generator) -> Mesh:

@@ -20,14 +20,19 @@ from datagen.meshes import (
     winding_number,
 )
 from proxies import box, ellipsoid, hull, inside, measure, meshlab, noise, solid
-from proxies.make import FITTERS, ProxyKind, fit_proxies, paddings
+from proxies.make import FITTERS, paddings
 from proxies.solid import Solid, make_solids, outside_by
+from proxies.spec import ProxyKind
 
 KINDS = list(FITTERS)
 CONVEX_KINDS: list[ProxyKind] = ["box", "ellipsoid", "hull"]
 SURFACE_KINDS: list[ProxyKind] = ["blocks", "wrap", "lowpoly"]
 """Those that follow the surface; the others go by its points alone."""
 needs_pymeshlab = pytest.mark.skipif(meshlab.meshlab_problem() is not None, reason="pymeshlab cannot be imported here")
+
+
+def fit_proxies(solids: tuple[Solid, ...], kind: ProxyKind) -> tuple[Mesh, ...]:
+    return FITTERS[kind](solids, paddings(solids))
 
 
 def fit(kind: ProxyKind, own: Solid, *, padding: float) -> Mesh:
@@ -532,7 +537,7 @@ def seamed() -> Mesh:
 @pytest.mark.parametrize("amount", [0.001, 0.01, 0.05])
 def test_noise_has_its_amount_keeps_faces_and_uv_and_opens_no_seam(amount: float) -> None:
     truth = seamed()
-    (found, other) = noise.noisy_meshes((truth, truth), amount)
+    found, other = (noise.noisy_mesh(truth, amount, place=place) for place in range(2))
     check_mesh(found, where="noise")
     assert noise.noise_problem(found, truth) is None
     check_closed(found, where="noise")  # The box's creases and the ellipsoid's seam are closed still.
@@ -542,7 +547,7 @@ def test_noise_has_its_amount_keeps_faces_and_uv_and_opens_no_seam(amount: float
     assert np.sqrt((moved**2).mean()) == pytest.approx(amount * diagonal, rel=1e-3)
     # Each object has a field of its own, and each the same again.
     assert np.abs(np.corrcoef(moved.ravel(), (other.vertices - truth.vertices)[first].ravel())[0, 1]) < 0.5
-    np.testing.assert_array_equal(noise.noisy_meshes((truth,), amount)[0].vertices, found.vertices)
+    np.testing.assert_array_equal(noise.noisy_mesh(truth, amount, place=0).vertices, found.vertices)
 
 
 def test_noise_is_smooth_and_its_covariance_is_gaussian() -> None:
@@ -589,7 +594,7 @@ def _first_of(position_of: np.ndarray) -> np.ndarray:
 
 def test_an_open_pane_gets_noise_and_stays_open() -> None:
     pane = mesh_of(np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]), np.array([[0, 1, 2], [0, 2, 3]]))
-    (found,) = noise.noisy_meshes((pane,), 0.05)
+    found = noise.noisy_mesh(pane, 0.05, place=0)
     assert noise.noise_problem(found, pane) is None
     assert np.ptp(found.vertices[:, 2]) > 0
     assert "has no noise" in str(noise.noise_problem(pane, pane))

@@ -12,7 +12,7 @@ import pytest
 from synthetic import write_synthetic_dataset
 
 from datagen.dataset import Dataset, open_dataset
-from datagen.geometry import list_geometries, read_meshes, read_proxy_records
+from datagen.geometry import describe_geometry, list_geometries, read_meshes, read_proxy_records
 from datagen.storage import load_sealed
 from proxies import meshlab
 from proxies.cli import main
@@ -125,6 +125,46 @@ def test_amounts_of_noise_stand_side_by_side(
     call(monkeypatch, "check", "--kind", "noise", "--amount", "0.002")
 
 
+def test_a_mixture_gives_each_object_the_proxy_that_its_kind_alone_gives(
+    here: Path, peeled: list[dict[str, Any]], monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    dataset = open_dataset(here / "data/one")
+    mixture = ("make", "--assign", "pa*=ellipsoid", "--assign", "floor=noise-0.02")
+    call(monkeypatch, *mixture)
+    out, err = capsys.readouterr()
+    assert "model train --method paper --geometry mixed --dataset data/one" in err
+    assert [item["geometry"] for item in peeled] == ["mixed"]
+    assert [line.split()[:2] for line in out.splitlines() if "mm" in line] == [
+        ["pane", "ellipsoid"],
+        ["floor", "noise-0.02"],
+    ]
+    call(monkeypatch, "make", "--kind", "ellipsoid")
+    call(monkeypatch, "make", "--kind", "noise", "--amount", "0.02")
+    call(monkeypatch, "make", "--name", "mixed-floor", "--assign", "floor=box")
+    meshes = here / "data/one/proxies"
+    for name, kind in {"pane": "ellipsoid", "floor": "noise-0.02"}.items():
+        same = [(meshes / geometry / f"meshes/{name}.ply").read_bytes() for geometry in ("mixed", kind)]
+        assert same[0] == same[1]
+    for mesh, truth in zip(read_meshes(dataset, "mixed-floor")[:1], read_meshes(dataset, "truth")[:1], strict=True):
+        np.testing.assert_array_equal(mesh.vertices, truth.vertices)
+        np.testing.assert_array_equal(mesh.uv, truth.uv)
+    pane, floor = (record.statistics for record in read_proxy_records(dataset, "mixed-floor"))
+    assert pane.mean_distance == pane.max_distance == 0 < floor.mean_distance
+
+    assert (
+        describe_geometry(dataset, "mixed-floor") == "proxy geometry (mixed-floor: box for floor; truth for the rest)"
+    )
+    assert describe_geometry(dataset, "ellipsoid") == "proxy geometry (ellipsoid)"
+    call(monkeypatch, *mixture)
+    assert "keeps its mixed proxies" in capsys.readouterr().err
+    call(monkeypatch, "check", "--name", "mixed")
+    with pytest.raises(SystemExit):
+        call(monkeypatch, "make", "--assign", "pane=ellipsoid")
+    assert (
+        "mixed: has a noise-0.02 for floor, not truth; pass --overwrite, or another --name" in capsys.readouterr().err
+    )
+
+
 def test_without_a_scene_every_dataset_gets_proxies(
     here: Path, peeled: list[dict[str, Any]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -145,6 +185,18 @@ def test_without_a_scene_every_dataset_gets_proxies(
         (("make", "--kind", "box", "--amount", "0.01"), "amount 0.01: a box has no noise; it goes with `--kind noise`"),
         (("check", "--kind", "noise"), "make them with `proxies make --scene one --kind noise --amount 0.01`"),
         (("make", "--scene", "missing"), "data/missing: no dataset; make one with `datagen build --scene missing`"),
+        (("make", "--assign", "pain=box"), "object 'pain': there is none of that name; did you mean 'pane'?"),
+        (("make", "--assign", "pane=bx"), "kind 'bx': there is none of that name; did you mean 'box'?"),
+        (("make", "--assign", "pane"), "assign 'pane': expected OBJECT=KIND, such as fern=ellipsoid"),
+        (("make", "--assign", "*=box", "--assign", "pane=hull"), "assign 'pane=hull': pane has box already; expected"),
+        (("make", "--kind", "box", "--assign", "pane=box"), "--kind box: --assign names each object's kind"),
+        (("make", "--rest", "box"), "--rest box --name mixed: nothing is mixed; they go with --assign OBJECT=KIND"),
+        (("make", "--name", "shelf", "--assign", "pane=box"), "name 'shelf': expected mixed, or mixed- and letters"),
+        (
+            ("make", "--assign", "pane=noise-much"),
+            "kind 'noise-much': 'much' is no number; expected such as noise-0.01",
+        ),
+        (("check", "--name", "mixed"), "make them with `proxies make --scene one --name mixed --assign OBJECT=KIND`"),
         (("check", "--kind", "box"), "no box proxies; make them with `proxies make --scene one --kind box`"),
     ],
 )

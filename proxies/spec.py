@@ -1,0 +1,108 @@
+"""Owns which proxies to make: one kind for all objects, or a mixture that says for each object what stands for it."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from typing import Literal, cast, get_args
+
+from datagen.command import choose
+from datagen.errors import HyalineError
+from datagen.geometry import TRUTH
+from proxies.noise import check_amount
+
+ProxyKind = Literal["box", "ellipsoid", "hull", "lowpoly", "wrap", "blocks", "noise"]
+
+KINDS: tuple[ProxyKind, ...] = get_args(ProxyKind)
+
+AMOUNT = 0.01
+"""Of `noise` where none is given."""
+
+MIXED = "mixed"
+"""What the name of a mixture begins with, so that tables and messages tell it from a kind."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProxySpec:
+    """One kind of proxy."""
+
+    kind: ProxyKind
+    amount: float | None = None
+    """Of `noise` only, and needed there: the standard deviation, in parts of each object's bounding-box diagonal."""
+
+    def __post_init__(self) -> None:
+        if self.kind == "noise":
+            assert self.amount is not None
+            check_amount(self.amount)
+        elif self.amount is not None:
+            raise HyalineError(f"amount {self.amount:g}: a {self.kind} has no noise; it goes with `--kind noise`")
+
+    @property
+    def geometry(self) -> str:
+        """The name under which the dataset keeps them, such as `box` or `noise-0.01`: amounts stand side by side."""
+        return self.kind if self.amount is None else f"{self.kind}-{self.amount:g}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class MixedSpec:
+    """A kind for each object, such as ellipsoids for plants and boxes for shelves.
+
+    Source: paper section 5.2 and Figure 8.
+    """
+
+    geometry: str
+    """The name under which the dataset keeps them: `mixed`, or `mixed-` and more."""
+    parts: tuple[ProxySpec | None, ...]
+    """What stands for each object, in object order; None for its true mesh."""
+
+    def __post_init__(self) -> None:
+        if not re.fullmatch(rf"{MIXED}(-[A-Za-z0-9_]+)*", self.geometry):
+            raise HyalineError(f"name {self.geometry!r}: expected {MIXED}, or {MIXED}- and letters or digits")
+
+    @property
+    def assignment(self) -> tuple[str, ...]:
+        """The name of what stands for each object: truth, box, noise-0.01, ..."""
+        return tuple(TRUTH if part is None else part.geometry for part in self.parts)
+
+
+def parse_part(text: str) -> ProxySpec | None:
+    """What `truth`, a kind such as `box`, or `noise-0.02` means; `noise` alone is noise of `AMOUNT`.
+
+    Raises:
+        HyalineError: there is no such kind.
+    """
+    if text == TRUTH:
+        return None
+    kind, dash, amount = text.partition("-")
+    if kind != "noise" or not dash:
+        chosen = cast(ProxyKind, choose("kind", text, [TRUTH, *KINDS]))
+        return ProxySpec(kind=chosen, amount=AMOUNT if chosen == "noise" else None)
+    try:
+        return ProxySpec(kind="noise", amount=float(amount))
+    except ValueError:
+        raise HyalineError(f"kind {text!r}: {amount!r} is no number; expected such as noise-{AMOUNT}") from None
+
+
+def assign_parts(objects: Sequence[str], assignments: Sequence[str], rest: str) -> tuple[ProxySpec | None, ...]:
+    """What stands for each object.
+
+    Args:
+        objects: names, in object order.
+        assignments: each `OBJECT=KIND`, where OBJECT is a name or a pattern such as `fern*`.
+        rest: the kind of the objects that no assignment names.
+
+    Raises:
+        HyalineError: no `OBJECT=KIND`, an object or a kind that does not exist, or an object that is given two kinds.
+    """
+    by_rest = parse_part(rest)
+    given: dict[str, str] = {}
+    for assignment in assignments:
+        pattern, equals, kind = assignment.partition("=")
+        if not (pattern and equals and kind):
+            raise HyalineError(f"assign {assignment!r}: expected OBJECT=KIND, such as fern=ellipsoid")
+        parse_part(kind)
+        named = [name for name in objects if fnmatchcase(name, pattern)] or [choose("object", pattern, objects)]
+        for name in named:
+            if given.setdefault(name, kind) != kind:
+                raise HyalineError(f"assign {assignment!r}: {name} has {given[name]} already; expected one kind each")
+    return tuple(parse_part(given[name]) if name in given else by_rest for name in objects)
