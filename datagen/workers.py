@@ -1,5 +1,6 @@
 """Owns worker processes: the same job in each of them, tasks from one list, no orphan when the parent dies."""
 
+import os
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from typing import TypeVar
@@ -47,7 +48,7 @@ def _start_worker(make_job: Callable[..., object], arguments: tuple[object, ...]
     from datagen.variant import num_cores
 
     global _job
-    _die_with_parent()
+    die_with(os.getppid())
     _job = make_job(max(1, num_cores() // workers), *arguments)
 
 
@@ -55,13 +56,14 @@ def _call_worker(function: Callable[[object, object], None], task: object) -> No
     function(_job, task)
 
 
-def _die_with_parent() -> None:
-    """A worker whose parent was killed ends by itself, instead of writing on beside the next run."""
-    import os
+def die_with(parent: int) -> None:
+    """Ends this process when the one that started it was killed, instead of writing on beside the next run.
+
+    Args:
+        parent: the process id of the parent, who may be gone already.
+    """
     import threading
     import time
-
-    parent = os.getppid()
 
     def watch() -> None:
         while os.getppid() == parent:

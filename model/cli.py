@@ -173,6 +173,29 @@ def _render_edit(run: Path, config: "TrainConfig", base: Dataset, edit: tuple[st
     return folder
 
 
+def sweep(
+    experiment: str, /, *, dataset: tuple[str, ...] = (), seed: tuple[int, ...] = (), dry_run: bool = False
+) -> None:
+    """Train all runs of an experiment file, one process a GPU (one on a CPU); what is finished is skipped.
+
+    Args:
+        experiment: A TOML file (format: model/experiment.py), or one of table1, table2, square, proxies, ablation,
+            zero-layer and headline.
+        dataset: Datasets to train on, instead of the file's.
+        seed: Seeds to train with, instead of the file's.
+        dry_run: Print the command of each run, and do nothing.
+    """
+    from model.experiment import read_experiment
+    from model.sweep import command_line, find_devices, raise_failures, run_experiment
+
+    asked = read_experiment(experiment, datasets=dataset, seeds=seed)
+    if dry_run:
+        print("\n".join(command_line(arguments) for arguments in asked.runs))
+        return
+    raise_failures(asked, run_experiment(asked, devices=find_devices()))
+    next_command("eval report")
+
+
 def main() -> None:
     wait_without_spinning()
     description = "Train neural renderers on datasets of transparent objects, and render with them."
@@ -183,7 +206,7 @@ def main() -> None:
             refuse_foreign_flags(method, arguments)
     except HyalineError as error:
         fail(str(error))
-    run("model", description, {"train": trainer_of(method), "render": render}, arguments)
+    run("model", description, {"train": trainer_of(method), "render": render, "sweep": sweep}, arguments)
 
 
 def _check_same_run(out: Path, config: "TrainConfig", dataset: Dataset) -> None:
