@@ -12,6 +12,7 @@ from datagen.records import Json, to_json
 from datagen.storage import dump_json
 from eval.published import PUBLISHED, PUBLISHED_NOTE
 from eval.score import METRIC_NOTES, METRICS, RunScores, SceneScores
+from eval.seeds import SeedGroup, Spread, describe_run, group_seeds
 from eval.tables import CEILING, left_out_notes
 
 RESULTS_VERSION = 1
@@ -35,12 +36,17 @@ def results_json(scenes: list[SceneScores], more: Mapping[str, Json] = MappingPr
 
 
 def results_csv(scenes: list[SceneScores]) -> str:
-    """One line a run, and one a scene for the noise ceiling; empty where not computed, `inf` where infinite."""
+    """One line a run, two for each group of seeds, one a scene for the noise ceiling.
+
+    Empty where not computed, `inf` where infinite.
+    """
     scored = [f"{metric.key}_{split}" for metric in METRICS for split in TEST_SPLITS]
     known = ["method", "label", "geometry", "knowledge", "num_parameters", "seed"]
     buffer = io.StringIO()
     table = csv.DictWriter(
-        buffer, ["scene", "run", *known, *scored, "drop_db", "dataset_seal", "predictions_sha256"], lineterminator="\n"
+        buffer,
+        ["scene", "run", *known, *scored, "drop_db", "dataset_seal", "predictions_sha256", "config_sha256"],
+        lineterminator="\n",
     )
     table.writeheader()
     for scene in scenes:
@@ -48,8 +54,21 @@ def results_csv(scenes: list[SceneScores]) -> str:
         for scores in scene.runs:
             means = {f"{m.key}_{split}": scores.mean(m.key, split) for m in METRICS for split in TEST_SPLITS}
             about = {key: getattr(scores.run, key) for key in known}
-            last = {"drop_db": scores.drop_db, "predictions_sha256": scores.predictions_sha256}
+            last = {
+                "drop_db": scores.drop_db,
+                "predictions_sha256": scores.predictions_sha256,
+                "config_sha256": describe_run(scores.run),
+            }
             table.writerow({**place, "run": scores.run.name, **about, **means, **last})
+        for group in group_seeds(scene.runs):
+            if len(group.runs) > 1:
+                same = {key: getattr(group.first, key) for key in ("method", "geometry", "knowledge", "num_parameters")}
+                spreads = _group_spreads(group)
+                same["config_sha256"] = describe_run(group.first)
+                count = len(group.runs)
+                for what in ("mean", "deviation"):
+                    numbers = {key: getattr(value, what) for key, value in spreads.items()}
+                    table.writerow({**place, "run": f"{group.name} ({what} of {count} seeds)", **same, **numbers})
         ceilings = {f"psnr_db_{split}": scene.ceilings_db[split] for split in TEST_SPLITS}
         table.writerow({**place, "run": CEILING, **ceilings})
     return buffer.getvalue()
@@ -63,7 +82,25 @@ def _scene_json(scene: SceneScores) -> Json:
         "noise_ceiling_db": {split: scene.ceilings_db[split] for split in TEST_SPLITS},
         "notes": list(left_out_notes(scene)),
         "runs": [_run_json(scores) for scores in scene.runs],
+        "seeds": [_group_json(group) for group in group_seeds(scene.runs) if len(group.runs) > 1],
     }
+
+
+def _group_json(group: SeedGroup) -> Json:
+    return {
+        "runs": [scores.run.name for scores in group.runs],
+        "config_sha256": describe_run(group.first),
+        "scores": {
+            key: {"mean": _number(value.mean), "deviation": value.deviation}
+            for key, value in _group_spreads(group).items()
+        },
+    }
+
+
+def _group_spreads(group: SeedGroup) -> dict[str, Spread]:
+    """By the names of the CSV's columns."""
+    scores = {f"{m.key}_{split}": group.score(m.key, split) for m in METRICS for split in TEST_SPLITS}
+    return {**scores, "drop_db": group.drop_db}
 
 
 def _run_json(scores: RunScores) -> Json:
@@ -88,6 +125,7 @@ def _run_json(scores: RunScores) -> Json:
         "knowledge": run.knowledge,
         "num_parameters": run.num_parameters,
         "seed": run.seed,
+        "config_sha256": describe_run(run),
         "predictions_sha256": scores.predictions_sha256,
         "drop_db": cast(Json, scores.drop_db),
         "splits": splits,

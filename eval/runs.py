@@ -2,7 +2,8 @@
 
     RUNS/SCENE/NAME/predictions/SPLIT/0000.png ...   8-bit sRGB, one a view of the split, the size of the truth
     RUNS/SCENE/NAME/run.json                         optional: method, geometry, knowledge, dataset, dataset_seal,
-                                                     seed, num_parameters, label; other keys are not read here
+                                                     seed, num_parameters, label, config (an object of choices),
+                                                     layers_seal; other keys are not read here
 
 Test splits are scored; pictures of the training split may lie there, too.
 """
@@ -38,6 +39,10 @@ class Run:
     seed: int | None
     label: str | None
     """What else tells runs of one method apart, such as a preset."""
+    config: dict[str, Json] | None
+    """Everything that was chosen; runs that agree in it and differ in their seed are averaged."""
+    layers_seal: str | None
+    """Hash that names the layers it was trained on."""
 
 
 def list_run_folders(root: Path, *, besides: Path) -> list[Path]:
@@ -94,6 +99,8 @@ def open_run(folder: Path, data_root: Path) -> Run:
         num_parameters=_optional(record, "num_parameters", int, path),
         seed=_optional(record, "seed", int, path),
         label=_optional(record, "label", str, path),
+        config=_config(record, path),
+        layers_seal=_optional(record, "layers_seal", str, path),
     )
 
 
@@ -170,6 +177,13 @@ def _find_dataset(folder: Path, places: list[Path], seal: str | None) -> Dataset
         f"{folder}: the predictions were made for other data (dataset seal {str(seal)[:12]}...) than "
         f"{datasets[0].root} holds ({datasets[0].seal[:12]}...); train again, or name the right folder with --data"
     )
+
+
+def _config(record: dict[str, Json], path: Path) -> dict[str, Json] | None:
+    config = record.get("config")
+    if config is not None and not isinstance(config, dict):
+        raise HyalineError(f"{path}: config is {config!r}; expected an object")
+    return config
 
 
 def _optional(record: dict[str, Json], key: str, kind: type[Value], path: Path) -> Value | None:

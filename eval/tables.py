@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from datagen.dataset import TEST_SPLITS, Split
 from eval.published import PUBLISHED, PUBLISHED_NOTE
 from eval.score import METRIC_NOTES, METRICS, RunScores, SceneScores
+from eval.seeds import SeedGroup, Spread, group_seeds
 
 MISSING = "–"  # noqa: RUF001  An en dash, as tables have it.
 CEILING = "truth's noise (ceiling)"
@@ -37,9 +38,10 @@ class Grid:
     notes: tuple[str, ...] = ()
 
 
-def scene_grids(scene: SceneScores) -> tuple[Grid, Grid]:
-    """The scores of a scene's runs, with the noise ceiling below them, and what the runs are."""
-    return _score_grid(scene), _run_grid(scene)
+def scene_grids(scene: SceneScores) -> tuple[Grid, ...]:
+    """The scores of a scene's runs, with the noise ceiling below them; means over seeds, if any; what the runs are."""
+    groups = [group for group in group_seeds(scene.runs) if len(group.runs) > 1]
+    return _score_grid(scene), *([_seed_grid(scene, groups)] if groups else []), _run_grid(scene)
 
 
 def published_grid() -> Grid:
@@ -92,6 +94,32 @@ def _score_grid(scene: SceneScores) -> Grid:
     )
 
 
+def _seed_grid(scene: SceneScores, groups: list[SeedGroup]) -> Grid:
+    """Two lines a group: the mean of its runs' scores, and their standard deviation."""
+    printed = [metric for metric in METRICS if metric.key not in NOT_PRINTED]
+    columns = [Column(group="runs", is_number=False), Column(group="seeds")]
+    for metric in printed:
+        columns += [Column(group=metric.title, split=split) for split in TEST_SPLITS]
+        if metric.key == "psnr_db":
+            columns.append(Column(group="drop dB ↓"))
+    rows = []
+    for group in groups:
+        cells: list[tuple[Spread, int]] = []
+        for metric in printed:
+            cells += [(group.score(metric.key, split), metric.decimals) for split in TEST_SPLITS]
+            if metric.key == "psnr_db":
+                cells.append((group.drop_db, 2))
+        means = (format_number(cell.mean, decimals) for cell, decimals in cells)
+        rows.append((group.name, str(len(group.runs)), *means))
+        rows.append(("  ±", "", *(format_number(cell.deviation, decimals) for cell, decimals in cells)))
+    return Grid(
+        title=f"{scene.title}: mean and standard deviation over seeds",
+        columns=tuple(columns),
+        rows=tuple(rows),
+        notes=("Each run's score is as in the table above; ± is the sample standard deviation (n - 1) over seeds.",),
+    )
+
+
 def _run_grid(scene: SceneScores) -> Grid:
     texts = ("run", "method", "label", "geometry", "knowledge")
     return Grid(
@@ -99,6 +127,7 @@ def _run_grid(scene: SceneScores) -> Grid:
         columns=(*(Column(group=text, is_number=False) for text in texts), Column(group="parameters"),
                  Column(group="seed")),
         rows=tuple(_run_row(scores) for scores in scene.runs),
+        notes=(f"Data: dataset seal {scene.dataset.seal[:12]}.",),
     )  # fmt: skip
 
 
@@ -152,11 +181,21 @@ def tables_text(scenes: list[SceneScores], output_format: str, *, width: int, co
     Args:
         more: further tables, behind those of the scenes.
     """
-    write = {"table": lambda grid: _plain(grid, width, color), "markdown": _markdown, "latex": _latex}[output_format]
+
+    def write(grid: Grid) -> str:
+        return grid_text(grid, output_format, width=width, color=color)
+
     grids = [grid for scene in scenes for grid in scene_grids(scene)]
     parts = [write(grid) for grid in (*grids, *more)]
     parts.append(_paragraphs(METRIC_NOTES, output_format, width))
     return "\n".join([*parts, write(published_grid())])
+
+
+def grid_text(grid: Grid, output_format: str, *, width: int, color: bool = False) -> str:
+    """One table as `table` (plain text of so many columns), `markdown` or `latex`."""
+    if output_format == "table":
+        return _plain(grid, width, color)
+    return {"markdown": _markdown, "latex": _latex}[output_format](grid)
 
 
 def _plain(grid: Grid, width: int, color: bool) -> str:
@@ -208,7 +247,7 @@ def _markdown(grid: Grid) -> str:
 LATEX_SPELLING = {
     "\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "#": r"\#", "_": r"\_", "$": r"\$", "{": r"\{", "}": r"\}",
     "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "∞": r"$\infty$", "Δ": r"$\Delta$", "↑": r"$\uparrow$",
-    "↓": r"$\downarrow$", MISSING: "--",
+    "↓": r"$\downarrow$", "±": r"$\pm$", "→": r"$\to$", MISSING: "--",
 }  # fmt: skip
 
 

@@ -17,10 +17,6 @@ from synthetic import write_synthetic_dataset
 from datagen.errors import HyalineError
 from model import cli, sweep
 from model.experiment import list_experiments, parse_train, read_experiment
-from model.methods import METHODS
-
-PLANNED = {"dnr", "dnr-layers", "mlp-first", "authors-code", "deepvoxels"}
-"""Methods of the tables that may not exist yet."""
 
 
 def write(folder: Path, text: str) -> str:
@@ -74,7 +70,7 @@ def test_a_grid_is_every_combination_in_the_order_of_the_file(tmp_path: Path) ->
     ("text", "message"),
     [
         ('[[runs]]\nmethod = "paper"\nextrinsic = "sh"', r"runs\[0\]: unknown key 'extrinsic'; did you mean 'ext"),
-        ('[[runs]]\nmethod = "paper"\n[[runs]]\nmethod = "paper"\nzero_layer = true', r"runs\[1\]: unknown key 'zero_layer'; did you"),
+        ('[[runs]]\nmethod = "paper"\n[[runs]]\nmethod = "paper"\nzero_layer = true', "unknown key 'zero_layer'"),
         ('[[runs]]\nmethod = ["paper", "light-path"]\nextrinsics = "sh"', "--method light-path` without its"),
         ('[[run]]\nmethod = "paper"', "unknown key 'run'; known are about and runs"),
         ('[[runs]]\nmethod = "paper"\nsteps = [10, "many"]', "steps is 'many', which `model train` does not take"),
@@ -107,12 +103,9 @@ def test_every_experiment_that_comes_with_the_program_is_one_that_train_takes(
 ) -> None:
     experiment = read_experiment(name)
     assert experiment.about.endswith(".")
-    methods = {parse_train(run)["method"] for run in experiment.runs}
-    assert methods <= set(METHODS) | PLANNED
-    if methods <= set(METHODS):
-        assert call(monkeypatch, "sweep", name, "--dry-run") == 0
-        lines = capsys.readouterr().out.splitlines()
-        assert len(lines) == len(set(lines)) == len(experiment.runs)
+    assert call(monkeypatch, "sweep", name, "--dry-run") == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == len(set(lines)) == len(experiment.runs)
     assert name in cli.sweep.__doc__  # pyright: ignore[reportOperatorIssue]
 
 
@@ -122,9 +115,7 @@ def test_a_method_that_does_not_exist_stops_the_sweep_before_its_first_run(
     monkeypatch.setattr(sweep, "run_experiment", lambda *_, **__: pytest.fail("a run was started"))
     path = write(tmp_path, '[[runs]]\nmethod = ["paper", "papr"]')
     assert call(monkeypatch, "sweep", path) == 1
-    assert capsys.readouterr().err.endswith(
-        "runs[0]: method 'papr': there is none of that name; did you mean 'paper'?\n"
-    )
+    assert "runs[0]: method 'papr': there is none of that name; did you mean 'paper'?" in capsys.readouterr().err
 
 
 # Sweeps
