@@ -18,6 +18,7 @@ def report(
     data: Path = Path("data"),
     format: str = "table",  # noqa: A002  The flag's name; the builtin is not needed here.
     out: Path | None = None,
+    table: tuple[str, ...] = (),
     order: int = 0,
 ) -> None:
     """Scores every folder RUNS/SCENE/NAME/predictions/SPLIT/0000.png, 0001.png, ... and draws contact sheets.
@@ -29,11 +30,17 @@ def report(
         data: Folder with the datasets, DATA/SCENE, for runs that do not say where theirs is.
         format: What stdout gets: table, markdown, csv, latex or json.
         out: Folder for results.json and pictures; RUNS/report unless given.
+        table: Print these tables alone, beside what the paper printed: table1 (extrinsics), table2 (DNR), square
+            (layers or network), zero-layer, headline, proxies (with a figure), ablation, claims. `model sweep` trains
+            the runs of each.
         order: Layers, 1 to 8: adds a table of pixels that show objects in an order which no training pixel has among
             its first so many layers. 0 adds none.
     """
-    from eval.report import make_report
+    from eval.report import make_report, make_tables
 
+    if table:
+        make_tables(runs, data, out if out is not None else runs / "report", tables=table, output_format=format)
+        return
     make_report(runs, data, out if out is not None else runs / "report", output_format=format, order_layers=order)
 
 

@@ -63,6 +63,24 @@ def score_edits(scene: SceneScores, errors: list[HyalineError]) -> tuple[EditSco
     return tuple(scored)
 
 
+def object_psnr(drawn: tuple[EditScores, ...]) -> dict[str, dict[Split, float | None]]:
+    """PSNR in dB where the edited objects are or were, mean over a scene's edits, by the run's name and the split.
+
+    None where a split shows no edited object.
+    """
+    scores: dict[str, dict[Split, list[float]]] = {}
+    for edit in drawn:
+        for row in edit.rows:
+            if row.scene == "edited":
+                for split in TEST_SPLITS:
+                    if (value := row.psnr_db[("object", split)]) is not None:
+                        scores.setdefault(row.run, {}).setdefault(split, []).append(value)
+    return {
+        run: {split: float(np.mean(own[split])) if split in own else None for split in TEST_SPLITS}
+        for run, own in scores.items()
+    }
+
+
 def edit_run(run: Run, edited: Dataset) -> Run | None:
     """A run's predictions of an edited scene as a run of its own; None where it has none.
 

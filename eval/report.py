@@ -1,6 +1,7 @@
 """Owns the report: finds the runs, scores them, prints tables, writes results.json and pictures."""
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 from datagen.command import choose, say, track
@@ -8,16 +9,22 @@ from datagen.dataset import TEST_SPLITS, Dataset, Split
 from datagen.errors import HyalineError
 from datagen.records import Json
 from datagen.storage import commit
+from eval.claims import CLAIMS, claims_grid
+from eval.comparison_tables import ablation_grids, comparison_grid, find_ladder, ladder_grid
+from eval.comparisons import ABLATED, COMPARISONS, LADDER, Line
 from eval.edit_tables import edit_grids, edit_json, order_grid, order_json
-from eval.edits import score_edits
+from eval.edits import object_psnr, score_edits
 from eval.figures import write_edit_sheets, write_figures
 from eval.order import check_order_layers, score_order
+from eval.proxy_error import ladder_figure
 from eval.results import results_csv, results_json
 from eval.runs import Run, has_predictions, list_run_folders, open_run
 from eval.score import RunScores, SceneScores, Truth, has_glass_mask, read_truth, score_run
-from eval.tables import TABLE_WIDTH, Grid, tables_text
+from eval.tables import TABLE_WIDTH, Grid, grid_text, tables_text
 
 FORMATS = ("table", "markdown", "csv", "latex", "json")
+TABLE_FORMATS = ("table", "markdown", "latex")
+"""Of `make_tables`: what the tables hold is in the report's CSV and JSON."""
 
 
 def make_report(runs_root: Path, data_root: Path, out: Path, *, output_format: str, order_layers: int = 0) -> None:
@@ -59,6 +66,61 @@ def make_report(runs_root: Path, data_root: Path, out: Path, *, output_format: s
         say(f"error: {error}")
     if errors:
         raise errors[-1]
+
+
+TABLES = (*COMPARISONS, "proxies", "ablation", "claims")
+"""What `make_tables` prints."""
+
+
+def make_tables(runs_root: Path, data_root: Path, out: Path, *, tables: Sequence[str], output_format: str) -> None:
+    """Scores the runs that some tables need and prints those alone; the proxy ladder also gets a figure in `out`.
+
+    Raises:
+        HyalineError: an unknown table or format, or a run that cannot be scored.
+    """
+    for table in tables:
+        choose("table", table, TABLES)
+    choose("format", output_format, TABLE_FORMATS)
+    lines = [line for table in tables for line in _lines_of(table)]
+    runs, errors = _open_runs(runs_root, data_root, out)
+    scenes = _score_scenes([run for run in runs if any(line.fits(run) for line in lines)], errors)
+    if not scenes:
+        errors.append(HyalineError(
+            f"{runs_root}: no run there that stands in {', '.join(tables)}; "
+            f"make them with `model sweep {tables[0] if tables[0] != 'claims' else 'table1'}`"
+        ))  # fmt: skip
+    for table in tables:
+        for grid in _grids_of(table, scenes, errors):
+            sys.stdout.write(grid_text(grid, output_format, width=_output_width(), color=sys.stdout.isatty()) + "\n")
+    sys.stdout.flush()
+    for scene in scenes if "proxies" in tables else []:
+        if ladder := find_ladder(scene):
+            path = out / f"proxies_{scene.title.replace('/', '_')}.png"
+            commit(path, ladder_figure(scene.title, ladder))
+            say(f"wrote {path}")
+    for error in errors[:-1]:
+        say(f"error: {error}")
+    if errors:
+        raise errors[-1]
+
+
+def _lines_of(table: str) -> tuple[Line, ...]:
+    """Which runs a table can show."""
+    if table in COMPARISONS:
+        return COMPARISONS[table].lines
+    if table == "claims":
+        return tuple(line for claim in CLAIMS for pair in claim.pairs for line in pair.lines)
+    return LADDER.lines if table == "proxies" else ABLATED
+
+
+def _grids_of(table: str, scenes: list[SceneScores], errors: list[HyalineError]) -> list[Grid]:
+    if table == "claims":
+        return [claims_grid(scenes, {scene.title: object_psnr(score_edits(scene, errors)) for scene in scenes})]
+    if table == "ablation":
+        return [grid for scene in scenes for grid in ablation_grids(scene)]
+    if table == "proxies":
+        return [ladder_grid(scene) for scene in scenes]
+    return [comparison_grid(COMPARISONS[table], scene) for scene in scenes]
 
 
 def _open_runs(runs_root: Path, data_root: Path, out: Path) -> tuple[list[Run], list[HyalineError]]:

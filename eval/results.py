@@ -91,7 +91,7 @@ def _group_json(group: SeedGroup) -> Json:
         "runs": [scores.run.name for scores in group.runs],
         "config_sha256": describe_run(group.first),
         "scores": {
-            key: {"mean": _number(value.mean), "deviation": value.deviation}
+            key: {"mean": json_number(value.mean), "deviation": value.deviation}
             for key, value in _group_spreads(group).items()
         },
     }

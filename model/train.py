@@ -33,10 +33,6 @@ from model.run_folder import (
 )
 from model.runtime import keep_freed_memory
 
-TEXTURES = ("textures.", "environment.")
-"""What the names of a renderer's texels begin with: on surfaces and of the sky."""
-
-
 def train(config: TrainConfig, dataset: Dataset, out: Path, *, label: str, device: torch.device) -> None:
     """Trains until `out` holds weights.pt; goes on from the newest intact checkpoint where there is one.
 
@@ -56,8 +52,8 @@ def train(config: TrainConfig, dataset: Dataset, out: Path, *, label: str, devic
         renderer = method.build(config.net, dataset, config.geometry, num_layers)
     renderer.to(device)
     named = dict(renderer.named_parameters())
-    texture_parameters = [value for name, value in named.items() if name.startswith(TEXTURES)]
-    net_parameters = [value for name, value in named.items() if not name.startswith(TEXTURES)]
+    texture_parameters = [value for name, value in named.items() if name.startswith("textures.")]
+    net_parameters = [value for name, value in named.items() if not name.startswith("textures.")]
     rates = (config.lr, config.lr if config.texture_lr is None else config.texture_lr)
     groups = [
         {"params": net_parameters, "lr": rates[0], "weight_decay": config.weight_decay},

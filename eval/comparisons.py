@@ -1,0 +1,199 @@
+"""Owns which runs the paper's tables set side by side, found by what their records say, not by their names."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+from datagen.geometry import TRUTH
+from datagen.records import Json
+from datagen.storage import dump_json
+from eval.published import DNR, NO_EXTRINSICS, SPHERICAL_HARMONICS, VIEW_VECTOR, PublishedRow
+from eval.runs import Run
+from eval.seeds import SeedGroup
+
+
+@dataclass(frozen=True, kw_only=True)
+class Line:
+    """One line of a comparison: what a run must be to stand there."""
+
+    title: str
+    method: str
+    choices: Mapping[str, Json] = field(default_factory=dict)
+    """Keys of the configuration with their values; a run without a configuration fits only where there are none."""
+    geometry: str | None = TRUTH
+    """None takes any."""
+    published: PublishedRow | None = None
+    """What the paper printed for it."""
+
+    def fits(self, run: Run) -> bool:
+        """True when the run stands in this line."""
+        config = flat_config(run)
+        return (
+            run.method == self.method
+            and self.geometry in (None, run.geometry)
+            and all(key in config and config[key] == value for key, value in self.choices.items())
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Comparison:
+    """One of the paper's tables, or one that it should have had."""
+
+    title: str
+    lines: tuple[Line, ...]
+    varied: tuple[str, ...] | None = None
+    """Keys of the configuration in which runs of one comparison may differ; None: in all, as methods do."""
+    notes: tuple[str, ...] = ()
+
+
+PAPER: dict[str, Json] = {
+    "zero_layer": False,
+    "blocks": 3,
+    "norm": "batch",
+    "textures": "object",
+    "train_samples": 1,
+    "render_samples": 1,
+}
+"""The paper's renderer as its text has it, but for the extrinsics."""
+
+VIEW: dict[str, Json] = {**PAPER, "extrinsics": "view"}
+
+LIGHT_PATH: dict[str, Json] = {
+    "branches": 12,
+    "composite": True,
+    "environment_size": 32,
+    "position_octaves": 0,
+    "straight_layers": 0,
+    "stack_hidden": 32,
+    "texture_levels": 3,
+    "train_samples": 4,
+    "render_samples": 16,
+}
+"""`light-path` on the true geometry with all of its parts."""
+
+PROXY_KEYS = ("geometry", "texture_sizes", "stack_hidden", "straight_layers")
+"""What `light-path` chooses by the geometry."""
+
+OURS = Line(title="paper", method="paper", choices=VIEW, published=VIEW_VECTOR)
+
+COMPARISONS: dict[str, Comparison] = {
+    "table1": Comparison(
+        title="Table 1, what each layer is told of the camera",
+        lines=(
+            Line(title="no extrinsics", method="paper", choices={**PAPER, "extrinsics": "none"},
+                 published=NO_EXTRINSICS),
+            Line(title="view vector", method="paper", choices=VIEW, published=VIEW_VECTOR),
+            Line(title="spherical harmonics", method="paper", choices={**PAPER, "extrinsics": "sh"},
+                 published=SPHERICAL_HARMONICS),
+        ),
+        # The width follows from the number of inputs, so that all have about 34,000 parameters.
+        varied=("extrinsics", "width"),
+    ),
+    "table2": Comparison(
+        title="Table 2, Deferred Neural Rendering against the paper",
+        lines=(
+            Line(title="DNR", method="dnr", published=DNR),
+            OURS,
+            Line(title="what the authors ran", method="authors-code"),
+            Line(title="DeepVoxels", method="deepvoxels"),
+        ),
+        notes=("The paper names no number for DeepVoxels; which of its runs fed Table 2 is not known.",),
+    ),
+    "square": Comparison(
+        title="What earns the gain, layers or the per-pixel network",
+        lines=(
+            Line(title="U-Net, first layer (DNR)", method="dnr", published=DNR),
+            Line(title="U-Net, all layers", method="dnr-layers"),
+            Line(title="per pixel, first layer", method="mlp-first"),
+            Line(title="per pixel, all layers (paper)", method="paper", choices=VIEW, published=VIEW_VECTOR),
+        ),
+    ),
+    "zero-layer": Comparison(
+        title="A random layer of zeros while training (section 4.4)",
+        lines=(
+            Line(title="without", method="paper", choices=VIEW),
+            Line(title="with", method="paper", choices={**VIEW, "zero_layer": True}),
+        ),
+        varied=("zero_layer", "width"),
+        notes=("What it is for, edited scenes, the table of claims has.",),
+    ),
+    "headline": Comparison(
+        title="light-path against the paper",
+        lines=(Line(title="light-path", method="light-path", choices=LIGHT_PATH),
+               Line(title="paper", method="paper", choices=VIEW, published=VIEW_VECTOR)),
+    ),
+}  # fmt: skip
+
+LADDER = Comparison(
+    title="Quality against the proxy's error",
+    lines=(
+        Line(
+            title="light-path",
+            method="light-path",
+            choices={key: value for key, value in LIGHT_PATH.items() if key not in PROXY_KEYS},
+            geometry=None,
+        ),
+        Line(title="paper", method="paper", choices=VIEW, geometry=None),
+    ),
+    varied=PROXY_KEYS,
+)
+
+ABLATED = (
+    Line(title="light-path", method="light-path", geometry=None),
+    Line(title="paper", method="paper", geometry=None),
+)
+"""Methods whose runs the ablation compares."""
+
+FOLLOWING = ("width", "batch")
+"""Keys that follow from others: a difference in them alone counts, one beside another does not."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Entry:
+    """A group of runs in its line."""
+
+    line: Line
+    group: SeedGroup
+
+
+def flat_config(run: Run) -> dict[str, Json]:
+    """A run's choices, those of its network among them, without its seed; empty where it does not tell."""
+    flat: dict[str, Json] = {}
+    for key, value in (run.config or {}).items():
+        flat |= value if isinstance(value, dict) else {key: value}
+    return {key: value for key, value in flat.items() if key not in ("seed", "type")}
+
+
+def find_entries(comparison: Comparison, groups: Sequence[SeedGroup]) -> list[list[Entry]]:
+    """Runs that may be compared: alike but for the keys that the comparison varies; each part in the lines' order.
+
+    Parts with a single line are left out where others have more: there is nothing to compare them with.
+    """
+    parts: dict[bytes, list[Entry]] = {}
+    for line in comparison.lines:
+        for group in groups:
+            if line.fits(group.first):
+                parts.setdefault(_same(group.first, comparison.varied), []).append(Entry(line=line, group=group))
+    most = max((_variety(part) for part in parts.values()), default=0)
+    kept = [part for part in parts.values() if _variety(part) > 1 or most == 1]
+    return sorted(kept, key=lambda part: -_variety(part))
+
+
+def differences(one: Run, other: Run) -> dict[str, tuple[Json, Json]]:
+    """The keys in which two configurations differ with both values, without those that follow from others."""
+    before, after = flat_config(one), flat_config(other)
+    keys = [key for key in dict.fromkeys([*before, *after]) if before.get(key) != after.get(key)]
+    leading = [key for key in keys if key not in FOLLOWING] or keys
+    return {key: (before.get(key), after.get(key)) for key in leading}
+
+
+def _same(run: Run, varied: tuple[str, ...] | None) -> bytes:
+    """What two runs must share to be compared."""
+    if varied is None:
+        return dump_json(run.geometry)
+    config = {key: value for key, value in flat_config(run).items() if key not in varied}
+    return dump_json([run.method, config])
+
+
+def _variety(part: Sequence[Entry]) -> int:
+    """How many different things a part compares."""
+    return len({(entry.line.title, entry.group.first.geometry) for entry in part})
