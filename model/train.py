@@ -33,6 +33,7 @@ from model.run_folder import (
 )
 from model.runtime import keep_freed_memory
 
+
 def train(config: TrainConfig, dataset: Dataset, out: Path, *, label: str, device: torch.device) -> None:
     """Trains until `out` holds weights.pt; goes on from the newest intact checkpoint where there is one.
 
