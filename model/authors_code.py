@@ -21,7 +21,7 @@ from datagen.errors import HyalineError
 from model.batches import PixelSource, RayBatch, insert_random_layer
 from model.choices import AuthorsChoices
 from model.extrinsics import ExtrinsicInputs, Extrinsics, bake_position_table
-from model.losses import pixel_loss
+from model.losses import PatchTerms, pixel_loss
 from model.paper import default_texture_size
 from model.texture import NeuralTextures, object_layout
 
@@ -180,12 +180,19 @@ def seeded(seed: int, device: torch.device) -> Iterator[None]:
         yield
 
 
-def authors_loss(renderer: nn.Module, training: PixelSource, batch: int, rng: np.random.Generator) -> Tensor:
+def authors_loss(
+    renderer: nn.Module,
+    training: PixelSource,
+    batch: int,
+    rng: np.random.Generator,
+    *,
+    patch_terms: PatchTerms | None = None,
+) -> Tensor:
     """The mean absolute difference of random pixels as the released code scales it.
 
     A step of theirs is one whole picture; this one draws as many pixels from all pictures.
     """
-    return LOSS_SCALE * pixel_loss(renderer, training, batch, rng)
+    return LOSS_SCALE * pixel_loss(renderer, training, batch, rng, patch_terms=patch_terms)
 
 
 def build_authors(config: AuthorsConfig, dataset: Dataset, geometry: str, num_layers: int) -> AuthorsRenderer:

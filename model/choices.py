@@ -54,8 +54,30 @@ class CommonChoices:
 
 
 def _choice(default: object, suffix: str | dict[object, str]) -> Any:
-    """A field whose `suffix` (a template, or one for each value) marks run folders where it is not the default."""
+    """A field whose `suffix` marks run folders where it is not the default: a template, or one for each value (and
+    under the empty one that of all others)."""
     return field(default=default, metadata={"suffix": suffix})
+
+
+@dataclass(frozen=True, kw_only=True)
+class LossChoices:
+    """What is made small besides the difference of each pixel."""
+
+    vgg_weights: str = _choice("none", {"random": "random-vgg", "auto": "vgg", "": "vgg"})
+    """Weights of the network of a perceptual loss (section 4.4): none, auto (looks in torch's cache, downloads
+    nothing), a path, or random (a stand-in, and called that in tables)."""
+    vgg: Literal["vgg16", "vgg19"] = _choice("vgg16", "{}")
+    """Which network that is."""
+    perceptual: float | None = _choice(None, "perceptual{}")
+    """Weight of the perceptual loss; that of each pixel's difference is 1. Default: 0.05."""
+    adversarial: float = _choice(0.0, "adversarial{}")
+    """Weight of the loss before a 70 x 70 PatchGAN, such as 0.01; 0: there is none."""
+    adversarial_from: float = _choice(0.6, "from{}")
+    """Share of the steps after which it begins; from then on no learning rate is above 0.0004."""
+    inpaint: bool = _choice(False, "inpaint")
+    """Let the discriminator judge poses without truth instead, where only texels never seen in training learn."""
+    patch: int = _choice(64, "patch{}")
+    """Height and width in pixels of the patches that these losses look at."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,6 +106,7 @@ class PaperChoices:
     """Channels of a texture; 64 in the paper's runs on coarse proxies."""
     texture_levels: int = _choice(1, "{}-levels")
     """Textures summed, each half as wide as the one before; 4 in Deferred Neural Rendering."""
+    loss: LossChoices = LossChoices()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,6 +137,7 @@ class LightPathChoices:
     """Octaves of the position that the decoder is told."""
     texture_levels: int = _choice(5, "{}-levels")
     """Textures summed, each half as wide as the one before."""
+    loss: LossChoices = LossChoices()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -139,6 +163,7 @@ class DnrChoices:
     crop: int | None = _choice(None, "crop{}")
     """Height and width of training crops in pixels; 0: whole pictures. Default: half the image's width; 0 of the
     authors' preset."""
+    loss: LossChoices = LossChoices()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -157,6 +182,7 @@ class AuthorsChoices:
     """Insert a layer of zeros at a random place while training."""
     test_dropout: Literal["on", "off"] = _choice("on", "no-test-dropout")
     """Leave dropout on while rendering, as their test script did, or turn it off."""
+    loss: LossChoices = LossChoices()
 
 
 MethodChoices = PaperChoices | LightPathChoices | DnrChoices | AuthorsChoices
@@ -191,7 +217,8 @@ def _suffixes(choices: object) -> list[str]:
             suffixes += _suffixes(value)
         elif value != item.default and "suffix" in item.metadata:
             suffix = item.metadata["suffix"]
-            suffixes.append((suffix[value] if isinstance(suffix, dict) else suffix).format(value))
+            template = suffix.get(value) or suffix[""] if isinstance(suffix, dict) else suffix
+            suffixes.append(template.format(value))
     return suffixes
 
 

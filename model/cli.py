@@ -58,6 +58,7 @@ def configure(common: CommonChoices, choices: MethodChoices) -> "tuple[TrainConf
         raise HyalineError(f"{opened.root}: is an edit, without training views; train on the dataset that was edited")
     check_geometry(opened, common.geometry)
 
+    from model.losses import configure_losses
     from model.methods import METHODS, read_layers_of
     from model.run_folder import TrainConfig
 
@@ -76,6 +77,7 @@ def configure(common: CommonChoices, choices: MethodChoices) -> "tuple[TrainConf
         lr_decay=common.lr_decay or defaults.lr_decay,
         beta1=defaults.beta1,
         weight_decay=defaults.weight_decay,
+        loss=configure_losses(choices.loss),
     )
     return config, opened
 

@@ -13,6 +13,7 @@ from datagen.errors import HyalineError
 from model.batches import PixelSource, RayBatch, draw_patches, side_of, take_colors
 from model.choices import DnrChoices
 from model.extrinsics import ExtrinsicInputs, Extrinsics, bake_position_table
+from model.losses import PatchTerms
 from model.paper import default_texture_size
 from model.texture import TexturePyramid, object_layout
 from model.unet import UNet, UNetNorm
@@ -149,12 +150,20 @@ class DnrRenderer(nn.Module):
         return torch.stack([weight * mean for weight, mean in zip(LEVEL_WEIGHTS, means)]).sum()
 
 
-def image_loss(renderer: nn.Module, training: PixelSource, batch: int, rng: np.random.Generator) -> Tensor:
+def image_loss(
+    renderer: nn.Module,
+    training: PixelSource,
+    batch: int,
+    rng: np.random.Generator,
+    *,
+    patch_terms: PatchTerms | None = None,
+) -> Tensor:
     """What deferred neural rendering makes small on random crops of about `batch` pixels in all.
 
     The mean absolute differences of the output and of the first three texture channels (where the first layer is not
     empty) from the picture, in the network's own range of -1 to 1; and the regularised textures.
-    Source: Thies et al. 2019, and the first author's public code for the levels' weights.
+    Patch terms look at the same crops. Source: Thies et al. 2019, and the first author's public code for the levels'
+    weights.
     """
     assert isinstance(renderer, DnrRenderer)
     config = renderer.config
@@ -168,6 +177,9 @@ def image_loss(renderer: nn.Module, training: PixelSource, batch: int, rng: np.r
         is_hit = rays.object_id[:, :1] != 0
         difference = ((diffuse - truth).abs() * is_hit).sum() / (3 * is_hit.sum()).clamp_min(1)
         loss = loss + config.texture_color * 2 * difference
+    if patch_terms is not None:
+        shape = (*index.shape, 3)
+        loss = loss + 2 * patch_terms.of(colors.view(shape), truth.view(shape))
     if config.regularisation:
         loss = loss + config.regularisation * renderer.regularisation()
     return loss

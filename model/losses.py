@@ -1,14 +1,107 @@
 """Owns what training makes small: a loss draws what it needs from the training pixels and compares."""
 
+from collections.abc import Callable
+from dataclasses import dataclass
+
 import numpy as np
 import torch
+from jaxtyping import Float32
 from torch import Tensor, nn
 
-from model.batches import PixelSource, take_colors
+from datagen.errors import HyalineError
+from model.batches import PixelSource, draw_patches, take_colors
+from model.choices import LossChoices
+from model.perceptual import VggSource, find_vgg
+
+LEAST_PATCH = 32
+"""Rows and columns of the smallest patch that leaves a discriminator more than one value to normalise."""
 
 
-def pixel_loss(renderer: nn.Module, training: PixelSource, batch: int, rng: np.random.Generator) -> Tensor:
-    """Mean absolute difference in sRGB of `batch` random pixels of all training images (section 4.4, without VGG)."""
+@dataclass(frozen=True, kw_only=True)
+class LossConfig:
+    """What is made small besides the difference of each pixel, whose weight is 1 (mean absolute, sRGB of 0 to 1)."""
+
+    vgg: VggSource | None = None
+    """Whose features a perceptual term compares (section 4.4); None: there is none."""
+    perceptual: float = 0.05
+    """Weight of that term; the paper names none. Measured with random weights on a blurred prediction, its gradient by
+    the colours of a patch is then a sixth as long as that of their mean absolute difference."""
+    adversarial: float = 0.0
+    """Weight of the adversarial term; 0: there is none. 0.01 is pix2pix's: L1 has a hundred times as much."""
+    adversarial_from: float = 0.6
+    """It begins when this share of the steps is done (after a warm-up without it: section 4.4)."""
+    adversarial_lr: float = 0.0004
+    """Learning rate of the discriminator, and from then on the most of every other (section 4.4)."""
+    inpaint: bool = False
+    """The discriminator judges poses without truth instead, where only texels that no training ray visited learn."""
+    patch: int = 64
+    """Height and width in pixels of the patches that these terms look at (U-Nets: of poses without truth alone)."""
+    patches: int = 1
+    """Of them, in each step, besides the random pixels."""
+
+    def __post_init__(self) -> None:
+        for name in ("perceptual", "adversarial"):
+            if getattr(self, name) < 0:
+                raise HyalineError(f"{name}: is {getattr(self, name)}; expected a weight of at least 0")
+        if not 0 <= self.adversarial_from <= 1 or not 0 < self.adversarial_lr <= 1:
+            raise HyalineError(f"adversarial_from: is {self.adversarial_from}; expected a share of the steps, 0 to 1")
+        if self.patch < LEAST_PATCH or self.patches < 1:
+            raise HyalineError(f"patch: is {self.patch}; expected at least {LEAST_PATCH} pixels")
+        if self.inpaint and not self.adversarial:
+            raise HyalineError("inpaint: needs the discriminator's judgement; give --adversarial, such as 0.01")
+
+    def describe(self) -> str:
+        """What it brings in that no picture of the dataset has taught, in words; empty for nothing."""
+        return self.vgg.describe() if self.vgg else ""
+
+
+def configure_losses(choices: LossChoices) -> LossConfig:
+    """The configuration that a user's choices make; weights of VGG are looked for.
+
+    Raises:
+        HyalineError: a choice that cannot be, or no such weights.
+    """
+    has_vgg = choices.vgg_weights != "none"
+    if choices.perceptual is not None and not has_vgg:
+        raise HyalineError("perceptual: there is no network to compare with; give --vgg-weights auto, random or a path")
+    return LossConfig(
+        vgg=find_vgg(choices.vgg, choices.vgg_weights) if has_vgg else None,
+        perceptual=LossConfig.perceptual if choices.perceptual is None else choices.perceptual,
+        adversarial=choices.adversarial,
+        adversarial_from=choices.adversarial_from,
+        inpaint=choices.inpaint,
+        patch=choices.patch,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class PatchTerms:
+    """Terms of a step that look at patches: how many to draw, and the weighted sum of what (predicted, true) miss."""
+
+    size: int
+    number: int
+    of: Callable[[Float32[Tensor, "patch row column 3"], Float32[Tensor, "patch row column 3"]], Tensor]
+
+
+def pixel_loss(
+    renderer: nn.Module,
+    training: PixelSource,
+    batch: int,
+    rng: np.random.Generator,
+    *,
+    patch_terms: PatchTerms | None = None,
+) -> Tensor:
+    """Mean absolute difference in sRGB of `batch` random pixels of all training images (section 4.4), and patch terms.
+
+    Patches are rendered together with the pixels, so that batch norm sees both.
+    """
     index = torch.from_numpy(rng.integers(len(training.rgb), size=batch)).to(training.rgb.device)
-    colors = renderer(training.take(index, rng), rng=rng)
-    return (colors - take_colors(training, index)).abs().mean()
+    if patch_terms is None:
+        colors = renderer(training.take(index, rng), rng=rng)
+        return (colors - take_colors(training, index)).abs().mean()
+    patches = draw_patches(training, patch_terms.number, patch_terms.size, rng)
+    together = torch.cat([index, patches.flatten()])
+    colors, truth = renderer(training.take(together, rng), rng=rng), take_colors(training, together)
+    shape = (*patches.shape, 3)
+    terms = patch_terms.of(colors[batch:].view(shape), truth[batch:].view(shape))
+    return (colors[:batch] - truth[:batch]).abs().mean() + terms

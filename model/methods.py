@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, Literal
 
-import numpy as np
 from torch import Tensor, nn
 
 from datagen.dataset import Dataset, Split
@@ -52,8 +51,9 @@ class Method:
     """A fresh module for (configuration, dataset, geometry, number of layers), random from torch's own generator."""
     load: Callable[[Any, Dataset, str, Split, Sequence[int], bool], PixelSource]
     """The pixels of views for (configuration, dataset, geometry, split, views, with images)."""
-    loss: Callable[[nn.Module, PixelSource, int, np.random.Generator], Tensor] = pixel_loss
-    """What a step makes small: for (module, training pixels, batch, generator of the step)."""
+    loss: Callable[..., Tensor] = pixel_loss
+    """What a step makes small: for (module, training pixels, batch, generator of the step), and for the patch terms
+    `patch_terms` of its configuration, where the method has such choices."""
     max_layers: int | None = None
     """The nearest stored layers that it looks at; None: all of them."""
 

@@ -14,7 +14,7 @@ No time, host or thread count is in any of them: the same command gives the same
 
 import json
 import shutil
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import cast
 
@@ -23,6 +23,7 @@ from datagen.errors import HyalineError
 from datagen.geometry import describe_geometry
 from datagen.records import Json, from_json, to_json
 from datagen.storage import commit, commit_sealed, dump_json, load_json, load_sealed
+from model.losses import LossConfig
 from model.methods import LrDecay, MethodConfig
 
 RUN_VERSION = 1
@@ -57,6 +58,8 @@ class TrainConfig:
     """Adam's first decay rate; 0.5 in the authors' code."""
     weight_decay: float = 0.0
     """On the network alone, as Adam's own (added to the gradient); 0.0001 in the authors' code."""
+    loss: LossConfig = field(default_factory=LossConfig)
+    """What is made small besides the method's own loss."""
     held_out_views: int = 4
     """Training views set aside for the progress line's PSNR: at most so many, and at most a fifth."""
     evaluate_every: int = 500
@@ -107,10 +110,9 @@ class RunRecord:
     """Version of torch."""
 
 
-def describe_knowledge(dataset: Dataset, geometry: str, more: str) -> str:
-    """What a method was given besides images and cameras, in words."""
-    known = describe_geometry(dataset, geometry)
-    return f"{known}, {more}" if more else known
+def describe_knowledge(dataset: Dataset, geometry: str, *more: str) -> str:
+    """What a method was given besides images and cameras, in words; empty ones are left out."""
+    return ", ".join([describe_geometry(dataset, geometry), *filter(None, more)])
 
 
 def write_run(out: Path, record: RunRecord) -> None:
@@ -143,10 +145,10 @@ def check_same_run(out: Path, config: TrainConfig, *, dataset_seal: str, layers_
     record = read_run(out)
     before = {**_flatten(to_json(record.config)), "dataset": record.dataset_seal, "layers": record.layers_seal}
     after = {**_flatten(to_json(config)), "dataset": dataset_seal, "layers": layers_seal}
-    for key in after:
-        if before.get(key) != after[key]:
+    for key in {**after, **before}:
+        if before.get(key) != after.get(key):
             raise HyalineError(
-                f"{out}: holds a run with another {key}: {before.get(key)} there, {after[key]} here; "
+                f"{out}: holds a run with another {key}: {before.get(key)} there, {after.get(key)} here; "
                 f"start anew with --overwrite, or choose another --out"
             )
 

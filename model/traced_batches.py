@@ -84,6 +84,7 @@ class TracedLayerPixels:
             object_id=torch.from_numpy(np.ascontiguousarray(paths.object_id[0].T)).to(self.device),
             p_camera=torch.from_numpy(origins).to(self.device),
             samples=samples,
+            grid=(index.shape[0], index.shape[1], index.shape[2]) if index.ndim == 3 else None,
         )
 
 
@@ -221,6 +222,19 @@ def load_traced_layers(config: PaperConfig, dataset: Dataset, geometry: str, num
         num_layers=num_layers,
         train_samples=config.train_samples,
         render_samples=config.render_samples,
+        device=torch.device("cpu"),
+    )
+
+
+def trace_layers(meshes: tuple[Mesh, ...], cameras: Cameras, num_layers: int) -> TracedLayerPixels:
+    """The pixels of any cameras, black, with one ray each through their centres."""
+    return TracedLayerPixels(
+        tracer=_tracer_factory()(meshes, (None,) * len(meshes)),
+        rays=SubpixelRays(cameras=cameras),
+        rgb=torch.zeros(len(cameras.world_from_camera) * cameras.height * cameras.width, 3, dtype=torch.uint8),
+        num_layers=num_layers,
+        train_samples=1,
+        render_samples=1,
         device=torch.device("cpu"),
     )
 

@@ -13,9 +13,11 @@ from datagen.command import say, track
 from datagen.dataset import Dataset
 from datagen.errors import HyalineError
 from datagen.records import Json, to_json
-from model.batches import PixelSource
+from model.batches import Pixels, PixelSource
 from model.checkpoint import State, delete_checkpoints, load_checkpoint, save_checkpoint, save_state
+from model.inpaint import Inpainter
 from model.methods import METHODS, read_layers_of
+from model.patch_losses import Losses
 from model.predict import predict_pixels
 from model.run_folder import (
     CHECKPOINT,
@@ -63,13 +65,29 @@ def train(config: TrainConfig, dataset: Dataset, out: Path, *, label: str, devic
     # Dense Adam, as in the paper: a texel moves on by its momentum after the step that touched it.
     optimizer = torch.optim.Adam(groups, betas=(config.beta1, 0.999), fused=True)
 
+    # The data.
+    views = range(dataset.config.train.views)
+    held_out = choose_held_out(len(views), config.held_out_views)
+    shown = [view for view in views if view not in held_out]
+    training, testing = (
+        method.load(config.net, dataset, config.geometry, "train", part, True).to(device) if part else None
+        for part in (shown, held_out)
+    )
+    assert training is not None
+
+    # The losses, the terms beside the method's own included.
+    losses = Losses(
+        config.loss, steps=config.steps, seed=config.seed, device=device,
+        make_inpainter=lambda: make_inpainter(config, renderer, training, dataset, num_layers, device),
+    )  # fmt: skip
+
     write_run(
         out,
         RunRecord(
             version=RUN_VERSION,
             method=config.method,
             geometry=config.geometry,
-            knowledge=describe_knowledge(dataset, config.geometry, method.knowledge),
+            knowledge=describe_knowledge(dataset, config.geometry, method.knowledge, config.loss.describe()),
             dataset=dataset.root.as_posix(),
             dataset_seal=dataset.seal,
             layers_seal=layers_seal,
@@ -90,6 +108,7 @@ def train(config: TrainConfig, dataset: Dataset, out: Path, *, label: str, devic
             raise HyalineError(f"{out / CHECKPOINT}: made by another configuration; start anew with --overwrite")
         renderer.load_state_dict(cast(dict[str, Tensor], checkpoint["renderer"]))
         optimizer.load_state_dict(cast(dict[str, Tensor], checkpoint["optimizer"]))
+        losses.load_state(checkpoint.get("losses"))
         first_step = cast(int, checkpoint["step"])
         loss_sum, loss_count = cast(float, checkpoint["loss_sum"]), cast(int, checkpoint["loss_count"])
         metrics = read_metrics(out, up_to_step=first_step)
@@ -97,16 +116,6 @@ def train(config: TrainConfig, dataset: Dataset, out: Path, *, label: str, devic
     (out / METRICS).unlink(missing_ok=True)
     if metrics:
         write_metrics(out, metrics)
-
-    # The data.
-    views = range(dataset.config.train.views)
-    held_out = choose_held_out(len(views), config.held_out_views)
-    shown = [view for view in views if view not in held_out]
-    training, testing = (
-        method.load(config.net, dataset, config.geometry, "train", part, True).to(device) if part else None
-        for part in (shown, held_out)
-    )
-    assert training is not None
     say(
         f"{label} on {dataset.root}: {len(shown)} training views and {len(held_out)} held out, "
         f"{num_layers or 'traced'} layers, {count(net_parameters):,} parameters in the network and "
@@ -123,13 +132,13 @@ def train(config: TrainConfig, dataset: Dataset, out: Path, *, label: str, devic
     renderer.train()
     for step in track(steps, label="train", total=config.steps, done=first_step, status=status):
         rng = np.random.default_rng([config.seed, step])
-        loss = method.loss(renderer, training, config.batch, rng)
+        loss = losses.loss(method.loss, renderer, training, config.batch, rng, step=step)
         optimizer.zero_grad(set_to_none=True)
         loss.backward()
         loss_value = float(loss.item())
         check_finite(loss_value, renderer, step=step, out=out)
         for group, rate in zip(optimizer.param_groups, rates, strict=True):
-            group["lr"] = rate * decay(config.lr_decay, step / config.steps)
+            group["lr"] = losses.limit_rate(rate * decay(config.lr_decay, step / config.steps), step)
         optimizer.step()
         loss_sum, loss_count = loss_sum + loss_value, loss_count + 1
 
@@ -150,6 +159,7 @@ def train(config: TrainConfig, dataset: Dataset, out: Path, *, label: str, devic
                     "optimizer": cast(State, optimizer.state_dict()),
                     "loss_sum": loss_sum,
                     "loss_count": loss_count,
+                    "losses": losses.state(),
                 },
             )
 
@@ -162,6 +172,20 @@ def train(config: TrainConfig, dataset: Dataset, out: Path, *, label: str, devic
         },
     )
     delete_checkpoints(out)
+
+
+def make_inpainter(config: TrainConfig, renderer: nn.Module, training: PixelSource, dataset: Dataset, num_layers: int,
+                   device: torch.device) -> Inpainter:  # fmt: skip
+    """The in-painting of a run.
+
+    Raises:
+        HyalineError: nothing is left to in-paint, or training rays are random, so that all texels may be visited.
+    """
+    if not isinstance(training, Pixels):
+        raise HyalineError("inpaint: counts which texels the stored layers' rays visit; expected paper with one ray "
+                           "per pixel, or another method that reads straight layers")  # fmt: skip
+    return Inpainter(renderer, training, dataset, config.geometry, num_layers=num_layers, seed=config.seed,
+                     device=device)  # fmt: skip
 
 
 def choose_held_out(num_views: int, at_most: int) -> list[int]:
