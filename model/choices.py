@@ -21,8 +21,9 @@ class CommonChoices:
 
     method: str
     """What to train: paper (straight layers, stacked), mlp-first (its network on the first layer), dnr (a U-Net on the
-    first layer), dnr-layers (a U-Net on all layers), authors-code (what the released code ran), or light-path
-    (refracted paths, composited). Each method has choices of its own: `model train --method NAME --help`."""
+    first layer), dnr-layers (a U-Net on all layers), authors-code (what the released code ran), light-path (refracted
+    paths, composited), or deepvoxels (a grid of learned features, from cameras alone). Each method has choices of its
+    own: `model train --method NAME --help`."""
     dataset: str | None = None
     """Dataset folder, or its name under data/. Default: the only one there."""
     geometry: str = TRUTH
@@ -35,14 +36,14 @@ class CommonChoices:
     """Optimiser steps; more for larger datasets."""
     batch: int | None = None
     """Random pixels a step, for U-Nets about as many in crops. Default: 8192; 16384 for U-Nets, 2048 (of several rays)
-    for light-path."""
+    for light-path; for deepvoxels 2 pictures."""
     lr: float | None = None
-    """Learning rate of Adam. Default: 0.001; 0.002 for light-path."""
+    """Learning rate of Adam. Default: 0.001; 0.002 for light-path, for deepvoxels what --voxels says."""
     texture_lr: float | None = None
     """Learning rate of the textures. Default: the same; 0.04 for light-path."""
     lr_decay: Literal["none", "linear", "cosine"] | None = None
     """none, linear (constant, then down to 0 over the second half) or cosine. Default: linear; cosine for
-    light-path."""
+    light-path, none for deepvoxels, but linear with `--voxels small`."""
     seed: int = 0
     """Seed of everything random."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
@@ -185,7 +186,16 @@ class AuthorsChoices:
     loss: LossChoices = LossChoices()
 
 
-MethodChoices = PaperChoices | LightPathChoices | DnrChoices | AuthorsChoices
+@dataclass(frozen=True, kw_only=True)
+class DeepVoxelsChoices:
+    """What `deepvoxels` is made of."""
+
+    voxels: Literal["small", "paper", "original"] | None = _choice(None, "{}")
+    """small (a fourteenth of the parameters, L1 at rate 0.002), paper (as the paper ran it: L1 alone at rate 0.00001)
+    or original (its authors' L1 and critic at rate 0.0004). Default: small without a GPU, paper with one."""
+
+
+MethodChoices = PaperChoices | LightPathChoices | DnrChoices | AuthorsChoices | DeepVoxelsChoices
 """The choices of any method."""
 
 CHOICES: dict[str, type[MethodChoices]] = {
@@ -195,6 +205,7 @@ CHOICES: dict[str, type[MethodChoices]] = {
     "dnr-layers": DnrChoices,
     "authors-code": AuthorsChoices,
     "light-path": LightPathChoices,
+    "deepvoxels": DeepVoxelsChoices,
 }
 """What each method can be told besides `CommonChoices`; the methods themselves: model/methods.py."""
 

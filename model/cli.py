@@ -10,10 +10,11 @@ import tyro
 from datagen.command import choose, fail, next_command, run, say
 from datagen.dataset import Dataset, find_dataset, open_dataset
 from datagen.errors import HyalineError
-from datagen.geometry import check_geometry
+from datagen.geometry import TRUTH, check_geometry
 from model.choices import (
     CHOICES,
     CommonChoices,
+    DeepVoxelsChoices,
     MethodChoices,
     folder_name,
     named_method,
@@ -56,15 +57,17 @@ def configure(common: CommonChoices, choices: MethodChoices) -> "tuple[TrainConf
     opened = open_dataset(find_dataset(common.dataset))
     if opened.edit is not None:
         raise HyalineError(f"{opened.root}: is an edit, without training views; train on the dataset that was edited")
-    check_geometry(opened, common.geometry)
 
-    from model.losses import configure_losses
+    from model.losses import LossConfig, configure_losses
     from model.methods import METHODS, read_layers_of
     from model.run_folder import TrainConfig
 
     method = METHODS[common.method]
+    if not method.uses_geometry and common.geometry != TRUTH:
+        raise HyalineError(f"--geometry {common.geometry}: method {common.method} uses no geometry; leave it out")
+    check_geometry(opened, common.geometry)
     num_layers, _ = read_layers_of(method, opened, common.geometry)
-    defaults = method.optimisation
+    defaults = method.optimise(choices, method.optimisation)
     config = TrainConfig(
         method=common.method,
         geometry=common.geometry,
@@ -77,7 +80,7 @@ def configure(common: CommonChoices, choices: MethodChoices) -> "tuple[TrainConf
         lr_decay=common.lr_decay or defaults.lr_decay,
         beta1=defaults.beta1,
         weight_decay=defaults.weight_decay,
-        loss=configure_losses(choices.loss),
+        loss=LossConfig() if isinstance(choices, DeepVoxelsChoices) else configure_losses(choices.loss),
     )
     return config, opened
 

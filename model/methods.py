@@ -12,15 +12,19 @@ from datagen.dataset import Dataset, Split
 from datagen.layer_store import LayerKind, LayersHead, read_layers_head
 from model.authors_code import AuthorsConfig, authors_loss, build_authors, configure_authors
 from model.batches import PixelSource, load_pixels
+from model.choices import DeepVoxelsChoices
+from model.deepvoxels import PRESETS, DeepVoxelsConfig, build_deepvoxels, configure_deepvoxels, preset_of
+from model.deepvoxels_loss import deepvoxels_loss
 from model.dnr import DnrConfig, build_dnr, configure_dnr, image_loss
 from model.light_path_net import LightPathConfig, build_light_path, configure_light_path
 from model.losses import pixel_loss
 from model.paper import PaperConfig, build_paper, configure_paper
 from model.traced_batches import load_light_path_pixels, load_traced_layers
+from model.view_batches import load_views
 
 LrDecay = Literal["none", "linear", "cosine"]
 
-MethodConfig = PaperConfig | LightPathConfig | DnrConfig | AuthorsConfig
+MethodConfig = PaperConfig | LightPathConfig | DnrConfig | AuthorsConfig | DeepVoxelsConfig
 """The configuration of any method."""
 
 
@@ -56,6 +60,10 @@ class Method:
     `patch_terms` of its configuration, where the method has such choices."""
     max_layers: int | None = None
     """The nearest stored layers that it looks at; None: all of them."""
+    optimise: Callable[[Any, Optimisation], Optimisation] = lambda choices, usual: usual  # noqa: ARG005
+    """What `optimisation` becomes by the user's choices."""
+    uses_geometry: bool = True
+    """False: surfaces are not known to it, and `knowledge` says all that is."""
 
 
 def _load_straight(config: PaperConfig, dataset: Dataset, geometry: str, split: Split, views: Sequence[int],
@@ -81,6 +89,11 @@ def _load_stored(
     return load_pixels(
         dataset, geometry, split, views, with_images=with_images, max_layers=max_layers, whole_views=whole_views
     )
+
+
+def _optimise_voxels(choices: DeepVoxelsChoices, usual: Optimisation) -> Optimisation:
+    preset = PRESETS[preset_of(choices)]
+    return dataclasses.replace(usual, lr=preset.lr, lr_decay=preset.lr_decay)
 
 
 # The paper's rate; decay as in the authors' scripts (see TrainConfig).
@@ -142,6 +155,18 @@ METHODS: dict[str, Method] = {
         configure=configure_light_path,
         build=build_light_path,
         load=load_light_path_pixels,
+    ),
+    "deepvoxels": Method(
+        layers=None,
+        knowledge="cameras only (and the bounding sphere)",
+        # A batch is the pictures drawn in a step. The rate is the paper's; another preset brings its own.
+        optimisation=Optimisation(batch=2, lr=PRESETS["paper"].lr, texture_lr=None, lr_decay="none"),
+        optimise=_optimise_voxels,
+        configure=configure_deepvoxels,
+        build=build_deepvoxels,
+        load=load_views,
+        loss=deepvoxels_loss,
+        uses_geometry=False,
     ),
 }
 

@@ -45,8 +45,9 @@ class TrainConfig:
     """Optimiser steps. The paper names no number; at 128 pixels the held-out PSNR has flattened after so many, which
     take two minutes on two CPU cores."""
     batch: int = 8192
-    """Random pixels a step, from all training images together. The paper names no number; the authors ran one whole
-    image a step, which a per-pixel network does not need. On a CPU the time of a step is nearly proportional to it."""
+    """Random pixels a step, from all training images together; for deepvoxels pictures. The paper names no number; the
+    authors ran one whole image a step, which a per-pixel network does not need. On a CPU the time of a step is nearly
+    proportional to it."""
     lr: float = 0.001
     """Learning rate of Adam, default betas (section 4.4)."""
     texture_lr: float | None = None

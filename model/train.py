@@ -57,6 +57,7 @@ def train(config: TrainConfig, dataset: Dataset, out: Path, *, label: str, devic
     named = dict(renderer.named_parameters())
     texture_parameters = [value for name, value in named.items() if name.startswith("textures.")]
     net_parameters = [value for name, value in named.items() if not name.startswith("textures.")]
+    num_critic = count([value for name, value in named.items() if name.startswith("critic.")])
     rates = (config.lr, config.lr if config.texture_lr is None else config.texture_lr)
     groups = [
         {"params": net_parameters, "lr": rates[0], "weight_decay": config.weight_decay},
@@ -86,13 +87,15 @@ def train(config: TrainConfig, dataset: Dataset, out: Path, *, label: str, devic
         RunRecord(
             version=RUN_VERSION,
             method=config.method,
-            geometry=config.geometry,
-            knowledge=describe_knowledge(dataset, config.geometry, method.knowledge, config.loss.describe()),
+            geometry=config.geometry if method.uses_geometry else "none",
+            knowledge=describe_knowledge(dataset, config.geometry, method.knowledge, config.loss.describe())
+            if method.uses_geometry
+            else method.knowledge,
             dataset=dataset.root.as_posix(),
             dataset_seal=dataset.seal,
             layers_seal=layers_seal,
             seed=config.seed,
-            num_parameters=count(net_parameters),
+            num_parameters=count(net_parameters) - num_critic,
             num_texture_parameters=count(texture_parameters),
             label=label,
             config=config,
@@ -118,7 +121,8 @@ def train(config: TrainConfig, dataset: Dataset, out: Path, *, label: str, devic
         write_metrics(out, metrics)
     say(
         f"{label} on {dataset.root}: {len(shown)} training views and {len(held_out)} held out, "
-        f"{num_layers or 'traced'} layers, {count(net_parameters):,} parameters in the network and "
+        f"{num_layers or ('traced' if method.uses_geometry else 'no')} layers, "
+        f"{count(net_parameters) - num_critic:,} parameters in the network and "
         f"{count(texture_parameters):,} in textures"
     )
 

@@ -129,3 +129,27 @@ def common_area(a: np.ndarray, b: np.ndarray) -> float:
 
 def _cross(a: np.ndarray, b: np.ndarray) -> float:
     return float(a[0] * b[1] - a[1] * b[0])
+
+
+def interpolate(table: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """One point of a table (size, size, ..., c), linear along each axis between its cells, whose centres are whole."""
+    result = np.zeros(table.shape[-1])
+    base = np.floor(place).astype(int)
+    for corner in itertools.product((0, 1), repeat=len(place)):
+        weight = np.prod([part if bit else 1 - part for bit, part in zip(corner, place - base)])
+        if weight > 0:
+            result += weight * table[tuple(base + corner)]
+    return result
+
+
+def convolve(volume: np.ndarray, kernels: np.ndarray, biases: np.ndarray) -> np.ndarray:
+    """(c, z, y, x) with kernels (o, c, 3, 3, 3), the border's voxels going on outside, as networks convolve."""
+    result = np.zeros((len(kernels), *volume.shape[1:]))
+    last = np.array(volume.shape[1:]) - 1
+    for voxel in np.ndindex(*volume.shape[1:]):
+        total = biases.astype(np.float64)
+        for tap in itertools.product((-1, 0, 1), repeat=3):
+            z, y, x = np.clip(np.add(voxel, tap), 0, last)
+            total = total + kernels[:, :, tap[0] + 1, tap[1] + 1, tap[2] + 1] @ volume[:, z, y, x]
+        result[:, *voxel] = total
+    return result
