@@ -1,7 +1,7 @@
 """Owns the method `deepvoxels`: a grid of learned features that views are lifted into and drawn from.
 
 Source: Sitzmann et al., DeepVoxels: Learning Persistent 3D Feature Embeddings, CVPR 2019, and the code they released;
-in this paper section 5.1. No geometry is known: the method gets images, cameras and the sphere that the grid fills.
+in this paper section 5.1. No geometry is known: the method gets images, cameras and how far the scene reaches.
 """
 
 import math
@@ -203,7 +203,10 @@ def build_deepvoxels(config: DeepVoxelsConfig, dataset: Dataset, geometry: str, 
         HyalineError: pictures of another size, or cameras that do not surround anything.
     """
     if dataset.config.resolution != config.image_size:
-        raise HyalineError(f"image_size: is {config.image_size}; the dataset has {dataset.config.resolution} pixels")
+        raise HyalineError(
+            f"image_size: is {config.image_size}, but {dataset.root} has {dataset.config.resolution} pixels; "
+            "expected pictures of the size that the networks were made for"
+        )
     vertices = np.concatenate([mesh.vertices for mesh in read_meshes(dataset, TRUTH)]).astype(np.float64)
     origin, edge = fit_cube(read_cameras(dataset, "train"), vertices)
     return DeepVoxels(config, origin=torch.from_numpy(origin).float(), edge=edge)

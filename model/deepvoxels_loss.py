@@ -16,7 +16,8 @@ from model.view_batches import Views
 from model.voxel_nets import Critic
 
 BORDER = 5
-"""Pixels at each edge of a picture that the loss leaves out: the frustum's rim is drawn from half-empty maps."""
+"""Pixels at each edge of a picture that the loss leaves out, since the rim is drawn from half-empty maps. The authors
+cut them from what they score, too; here predictions are whole, as every other method's."""
 L1_WEIGHT = 200.0
 """Of L1 against the critic's say."""
 

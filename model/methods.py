@@ -158,7 +158,7 @@ METHODS: dict[str, Method] = {
     ),
     "deepvoxels": Method(
         layers=None,
-        knowledge="cameras only (and the bounding sphere)",
+        knowledge="cameras only, and the scene's extent",
         # A batch is the pictures drawn in a step. The rate is the paper's; another preset brings its own.
         optimisation=Optimisation(batch=2, lr=PRESETS["paper"].lr, texture_lr=None, lr_decay="none"),
         optimise=_optimise_voxels,

@@ -361,7 +361,7 @@ def test_a_stopped_and_resumed_run_has_the_same_bytes(
         assert (tmp_path / "whole" / name).read_bytes() == (tmp_path / "parts" / name).read_bytes(), name
     record = read_run(tmp_path / "whole")
     net = build_deepvoxels(dataclasses.replace(TINY, adversarial=False), dataset, "truth", 0)
-    assert (record.geometry, record.knowledge) == ("none", "cameras only (and the bounding sphere)")
+    assert (record.geometry, record.knowledge) == ("none", "cameras only, and the scene's extent")
     assert record.num_parameters == sum(value.numel() for value in net.parameters())  # The critic does not count.
 
 
