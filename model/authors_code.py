@@ -32,6 +32,8 @@ LOSS_SCALE = 100 * 2
 """Their L1 has a weight of 100, on colours from -1 to 1. Adam cares little, but for the weight decay beside it."""
 
 XAVIER_GAIN = 0.02
+"""Their start. Nothing is normalised, so that a signal arrives 50 times weaker behind every layer: training begins
+slowly. Measured on the glass table at 128 pixels, pictures are still grey after 500 steps; theirs were a million."""
 
 
 @dataclass(frozen=True, kw_only=True)
