@@ -81,6 +81,9 @@ def make_proxies(dataset: Dataset, spec: ProxySpec | MixedSpec, *, overwrite: bo
         HyalineError: a damaged scene, proxies of another dataset or another mixture, another process that writes there,
             or an object for which proxies of this kind cannot be made.
     """
+    if dataset.edit is not None:
+        # Its proxies are those of the base, moved as their objects were: fitted anew, they would have other texels.
+        raise HyalineError(f"{dataset.root}: is an edit; make proxies of what was edited, then edit that again")
     root = geometry_root(dataset.root, spec.geometry)
     truths = read_meshes(dataset, TRUTH)
     assignment = spec.assignment if isinstance(spec, MixedSpec) else None
