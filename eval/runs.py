@@ -1,6 +1,7 @@
 """Owns what a run is on disk: a folder of predicted pictures, with or without a record of what made them.
 
     RUNS/SCENE/NAME/predictions/SPLIT/0000.png ...   8-bit sRGB, one a view of the split, the size of the truth
+    RUNS/SCENE/NAME/edits/EDIT/predictions/...       the same of the dataset's edits/EDIT (eval/edits.py)
     RUNS/SCENE/NAME/run.json                         optional: method, geometry, knowledge, dataset, dataset_seal,
                                                      seed, num_parameters, label, config (an object of choices),
                                                      layers_seal; other keys are not read here

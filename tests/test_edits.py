@@ -2,6 +2,8 @@
 
 import dataclasses
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -124,6 +126,25 @@ def test_predictions_of_another_version_of_an_edit_count_as_none(made: Path) -> 
     assert is_edit_rendered(run, after)
     assert not is_edit_rendered(run, dataclasses.replace(after, seal="another"))
     assert not is_edit_rendered(made / "runs" / "edit", after)
+
+
+def command(root: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, "-m", *words], cwd=root, capture_output=True, text=True)
+
+
+def test_the_commands_edit_and_draw_what_is_there(made: Path) -> None:
+    data = command(made, "datagen", "build", "--scene", "edit", "--edit", "remove:ball")
+    assert data.stdout == "data/edit/edits/remove-ball\n"
+    assert data.stderr.splitlines()[-1] == "next: model render --run runs/edit/light-path --edit remove-ball"
+    run = ("model", "render", "--run", "runs/edit/paper", "--dataset", "edit", "--edit")
+    picture = made / "runs" / "edit" / "paper" / "edits" / "remove-ball" / "predictions" / SPLIT / "0001.png"
+    drawn = picture.read_bytes()
+    picture.unlink()
+    assert command(made, *run, "remove:ball").stdout == "runs/edit/paper/edits/remove-ball\n"
+    assert picture.read_bytes() == drawn
+    refused = command(made, "datagen", "build", "--scene", "edit", "--edit", "remove:ball", "--spp", "8")
+    assert (refused.returncode, refused.stdout) == (1, "")
+    assert "error: --spp: does not go with --edit" in refused.stderr
 
 
 def test_the_report_scores_edits_by_region_and_pixels_by_order(
