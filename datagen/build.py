@@ -8,7 +8,6 @@ import numpy as np
 from datagen.cameras import make_cameras, subpixel_offsets
 from datagen.command import say, track
 from datagen.dataset import (
-    SPLITS,
     Cameras,
     Dataset,
     DatasetConfig,
@@ -59,22 +58,23 @@ def build_dataset(scene: Scene, root: Path, config: DatasetConfig, *, kinds: tup
     with one_writer(root):
         remove_temporaries(root)
         dataset = open_or_start(scene, root, config, make_cameras(scene.cameras, config), overwrite=overwrite)
-        render_missing(dataset, workers=workers)
+        render_dataset(dataset, workers=workers)
     peel_dataset(dataset, TRUTH, kinds=kinds, num_layers=num_layers, rays=rays, overwrite=False, workers=workers)
     return dataset
 
 
-def render_missing(dataset: Dataset, *, workers: int) -> None:
-    """Renders every view that is not there yet; the caller holds the folder."""
+def render_dataset(dataset: Dataset, *, workers: int) -> None:
+    """Renders every view that is not there yet; the caller holds the dataset's folder."""
     tasks = _tasks(dataset)
     missing = [task for task in tasks if not is_view_built(dataset, *task)]
-    if missing:
-        from datagen.variant import use_mitsuba
+    if not missing:
+        return
+    from datagen.variant import use_mitsuba
 
-        say(f"{dataset.root}: renders {len(missing)} of {len(tasks)} views with {use_mitsuba()}")
-        finished = in_workers(render_task, missing, workers, RenderJob, (dataset.root,))
-        for _ in track(finished, label="render", total=len(tasks), done=len(tasks) - len(missing)):
-            pass
+    say(f"{dataset.root}: renders {len(missing)} of {len(tasks)} views with {use_mitsuba()}")
+    finished = in_workers(render_task, missing, workers, RenderJob, (dataset.root,))
+    for _ in track(finished, label="render", total=len(tasks), done=len(tasks) - len(missing)):
+        pass
 
 
 def peel_dataset(dataset: Dataset, geometry: str, *, kinds: tuple[LayerKind, ...], num_layers: int, overwrite: bool,
@@ -117,7 +117,7 @@ def peel_dataset(dataset: Dataset, geometry: str, *, kinds: tuple[LayerKind, ...
 
 def summary(dataset: Dataset, geometry: str, kinds: tuple[LayerKind, ...]) -> str:
     """What was made, in a few lines: noise ceilings, rays that were cut off."""
-    splits: list[Split] = [split for split in SPLITS if dataset.config.split(split).views]
+    splits: list[Split] = [split for split in dataset.splits if dataset.config.split(split).views]
     lines = [f"noise ceiling {split}: {noise_ceiling_db(dataset, split):.1f} dB" for split in splits]
     for kind in kinds:
         head, _ = read_layers_head(dataset, geometry, kind)
@@ -174,7 +174,7 @@ def _clear(root: Path, *, overwrite: bool) -> None:
     if (root / "dataset.json").is_file():
         # The head goes first: what is left without it is garbage, and the next run clears it.
         (root / "dataset.json").unlink()
-    ours = ("scene", "images", "records", "layers", "proxies", "edits", "footprints")
+    ours = ("scene", "images", "records", "layers", "proxies", "edits", "footprints", "annexes")
     foreign = [path for path in root.iterdir() if path.name not in ours and not path.name.startswith("transforms_")]
     if foreign and not overwrite:
         raise HyalineError(f"{root}: is not empty ({foreign[0].name}) and no dataset; choose another --out")
@@ -255,6 +255,6 @@ def _geometry_hash(dataset: Dataset, geometry: str) -> str:
 
 def _tasks(dataset: Dataset) -> list[Task]:
     """All views, the splits interleaved: test views take longer, and so the time left is estimated well."""
-    views = {split: dataset.config.split(split).views for split in SPLITS}
-    tasks: list[Task] = [(split, view) for split in SPLITS for view in range(views[split])]
+    views = {split: dataset.config.split(split).views for split in dataset.splits}
+    tasks: list[Task] = [(split, view) for split in dataset.splits for view in range(views[split])]
     return sorted(tasks, key=lambda task: (task[1] + 0.5) / views[task[0]])

@@ -2,7 +2,7 @@
 
 import dataclasses
 
-from datagen.build import open_or_start, peel_dataset, render_missing
+from datagen.build import open_or_start, peel_dataset, render_dataset
 from datagen.command import say
 from datagen.dataset import SPLITS, Cameras, Dataset, DatasetEdit, Split, read_cameras
 from datagen.edited import edit_root
@@ -47,7 +47,7 @@ def build_edit(base: Dataset, edits: tuple[Edit, ...], *, workers: int, overwrit
     with one_writer(root):
         remove_temporaries(root)
         dataset = open_or_start(edited.scene, root, config, cameras, overwrite=overwrite, edit=record)
-        render_missing(dataset, workers=workers)
+        render_dataset(dataset, workers=workers)
     for geometry in list_geometries(base):
         if geometry != TRUTH:
             _write_proxies(base, dataset, edited, geometry)

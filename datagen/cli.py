@@ -37,6 +37,9 @@ def build(
     test_spp: int | None = None,
     max_depth: int = 24,
     edit: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = (),
+    angle_splits: bool = False,
+    super_resolution: tuple[int, ...] = (),
+    super_resolution_views: int | None = None,
 ) -> None:
     """Renders a scene and peels its layers; the same command again goes on where it was stopped.
 
@@ -58,6 +61,11 @@ def build(
         spp: Samples per pixel of training views, instead of the preset's.
         test_spp: Samples per pixel of test views, instead of the preset's; where --ceiling starts.
         max_depth: Longest light path in segments.
+        angle_splits: Also render test cameras 10, 20 and 40 degrees outside of what training cameras cover; may be
+            added to a finished dataset.
+        super_resolution: Also render the test splits so many times as wide and high, such as 2 4; may be added to a
+            finished dataset.
+        super_resolution_views: Views of each test split at those sizes, evenly chosen; all unless given.
         edit: Renders a scene whose dataset is there after an edit, at the same test cameras, into its edits/NAME:
             remove:OBJECT, move:OBJECT:dx,dy,dz (metres), duplicate:OBJECT:dx,dy,dz, glass:OBJECT (which makes glass of
             what is opaque, and the reverse) or swap:OBJECT:OBJECT. Several --edit change one scene one after the other.
@@ -66,9 +74,11 @@ def build(
         given = {"layers": layers != ("straight",), "num-layers": num_layers != 8,
                  "rays": rays != 4, "seed": seed != 0, "ceiling": ceiling is not None, "views": views is not None,
                  "resolution": resolution is not None, "test-views": test_views is not None, "spp": spp is not None,
-                 "test-spp": test_spp is not None, "max-depth": max_depth != 24}  # fmt: skip
+                 "test-spp": test_spp is not None, "max-depth": max_depth != 24, "angle-splits": angle_splits,
+                 "super-resolution": bool(super_resolution)}  # fmt: skip
         _build_edit(scene, preset, out, edit, given, workers=workers, overwrite=overwrite)
         return
+    from datagen.annex_build import build_angles, build_scaled, peel_annexes
     from datagen.build import build_dataset, summary
     from datagen.scenes import find_scene
 
@@ -97,6 +107,11 @@ def build(
         description, root, config, kinds=layers, num_layers=num_layers, rays=rays, workers=workers, overwrite=overwrite
     )
     say(summary(dataset, TRUTH, layers))
+    if angle_splits:
+        build_angles(dataset, workers=workers)
+    for scale in super_resolution:
+        build_scaled(dataset, scale, views=super_resolution_views, workers=workers)
+    peel_annexes(dataset, workers=workers)
     print(root)
     where = "" if root == DATA_ROOT / description.name else f" --scene {root}"
     next_command(f"proxies make --kind ellipsoid{where}")
@@ -146,12 +161,14 @@ def peel(
         workers: Processes that peel side by side.
         overwrite: Peel again what is there.
     """
+    from datagen.annex_build import peel_annexes
     from datagen.build import peel_dataset, summary
 
     opened = open_dataset(find_dataset(dataset))
     check_geometry(opened, geometry)
     peel_dataset(opened, geometry, kinds=layers, num_layers=num_layers, rays=rays, overwrite=overwrite, workers=workers)
     say(summary(opened, geometry, layers))
+    peel_annexes(opened, workers=workers)
     print(opened.root)
     suffix = "" if geometry == TRUTH else f" --geometry {geometry}"
     next_command(f"model train --dataset {opened.root} --method paper{suffix}")

@@ -22,6 +22,8 @@ the camera looks along -z). Pixel (column i, row j) has its centre at (i + 0.5, 
       proxies/KIND/proxies.json          sealed: one mesh per object, with SHA-256 and statistics
       proxies/KIND/meshes/NAME.ply
       proxies/KIND/layers/...            the same of the proxies
+      annexes/NAME/                      more truth, when asked for (datagen/annex.py): laid out like a dataset, but
+                                         without a scene and meshes of its own
 """
 
 import dataclasses
@@ -39,14 +41,20 @@ from datagen.storage import SEAL, commit, commit_sealed, load_json, load_sealed,
 
 DATASET_VERSION = 1
 
-Split = Literal["train", "interpolating", "extrapolating"]
+Split = Literal[
+    "train", "interpolating", "extrapolating", "extrapolating-10deg", "extrapolating-20deg", "extrapolating-40deg"
+]
 SPLITS: tuple[Split, ...] = ("train", "interpolating", "extrapolating")
+"""Those that every dataset has."""
 TEST_SPLITS: tuple[Split, ...] = ("interpolating", "extrapolating")
+ANGLE_SPLITS: dict[Split, float] = {"extrapolating-10deg": 10, "extrapolating-20deg": 20, "extrapolating-40deg": 40}
+"""Those that a dataset may have besides, in an annex: degrees outside of what training cameras cover."""
 
 TRANSFORMS_FILES: dict[Split, str] = {
     "train": "transforms_train.json",
     "interpolating": "transforms_test.json",
     "extrapolating": "transforms_extrapolating.json",
+    **{split: f"transforms_{split}.json" for split in ANGLE_SPLITS},
 }
 
 DATA_ROOT = Path("data")
@@ -98,7 +106,9 @@ class DatasetConfig:
             raise HyalineError(f"ceiling_db: is {self.ceiling_db}; expected 10 to 80 dB")
 
     def split(self, split: Split) -> SplitConfig:
-        return {"train": self.train, "interpolating": self.interpolating, "extrapolating": self.extrapolating}[split]
+        """The size of a split; an annex with splits by angle has theirs as that of `extrapolating`."""
+        sizes = {"train": self.train, "interpolating": self.interpolating, "extrapolating": self.extrapolating}
+        return sizes["extrapolating" if split in ANGLE_SPLITS else split]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -146,10 +156,19 @@ class Dataset:
     """Hash of the head, which includes the hash of scene and cameras: names the data in a run's record."""
     edit: DatasetEdit | None = None
     """None unless this is another dataset's scene after an edit."""
+    splits: tuple[Split, ...] = SPLITS
+    """The splits that are there."""
+    parent: "Dataset | None" = None
+    """The dataset that this one is an annex of; scene and meshes are the parent's."""
 
     @property
     def name(self) -> str:
         return self.root.resolve().name
+
+    @property
+    def home(self) -> "Dataset":
+        """The dataset that has the scene and the proxies: the parent, or itself."""
+        return self.parent or self
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -188,15 +207,17 @@ def record_path(root: Path, split: Split, view: int) -> Path:
 
 
 def write_head(root: Path, config: DatasetConfig, objects: tuple[DatasetObject, ...], cameras: dict[Split, Cameras],
-               scene_files: tuple[Path, ...], *, edit: DatasetEdit | None = None) -> Dataset:  # fmt: skip
+               scene_files: tuple[Path, ...], *, edit: DatasetEdit | None = None,
+               parent: Dataset | None = None) -> Dataset:  # fmt: skip
     """Commits cameras and the head of a new dataset, whose scene folder already stands in `root`.
 
     Args:
-        scene_files: what belongs to the scene's folder, relative to `root`.
+        scene_files: what belongs to the scene's folder, relative to `root`; nothing in an annex.
+        parent: the dataset that this one is an annex of; it has the splits of `cameras` only.
     """
-    for split in SPLITS:
-        commit(root / TRANSFORMS_FILES[split], _transforms_bytes(cameras[split], split))
-    files = [*scene_files, *(Path(name) for name in TRANSFORMS_FILES.values())]
+    for split, poses in cameras.items():
+        commit(root / TRANSFORMS_FILES[split], transforms_bytes(poses, split))
+    files = [*scene_files, *(Path(TRANSFORMS_FILES[split]) for split in cameras)]
     head: dict[str, Json] = {
         "version": DATASET_VERSION,
         "config": to_json(config),
@@ -204,6 +225,8 @@ def write_head(root: Path, config: DatasetConfig, objects: tuple[DatasetObject, 
         "files": {path.as_posix(): sha256_file(root / path) for path in sorted(files)},
         **({} if edit is None else {"edit": to_json(edit)}),
     }
+    if parent is not None:
+        head |= {"annex_of": parent.seal, "splits": list(cameras)}
     commit_sealed(root / "dataset.json", head)
     return open_dataset(root)
 
@@ -212,7 +235,7 @@ def open_dataset(root: Path) -> Dataset:
     """The dataset in a folder, its head verified (its views are verified as they are read).
 
     Raises:
-        HyalineError: no dataset there, a damaged head, or another format version.
+        HyalineError: no dataset there, a damaged head, another format version, or an annex of another dataset.
     """
     path = root / "dataset.json"
     if not path.is_file():
@@ -220,12 +243,17 @@ def open_dataset(root: Path) -> Dataset:
     head = load_sealed(path)
     if head.get("version") != DATASET_VERSION:
         raise HyalineError(f"{path}: format version {head.get('version')!r}; this program reads {DATASET_VERSION}")
+    parent = open_dataset(root.parent.parent) if "annex_of" in head else None
+    if parent is not None and parent.seal != head["annex_of"]:
+        raise HyalineError(f"{path}: belongs to a dataset that stood there before; build it again, or delete {root}")
     return Dataset(
         root=root,
         config=from_json(DatasetConfig, head["config"], where=f"{path}: config"),
         objects=from_json(tuple[DatasetObject, ...], head["objects"], where=f"{path}: objects"),
         seal=cast(str, load_json(path)[SEAL]),
         edit=from_json(DatasetEdit, head["edit"], where=f"{path}: edit") if "edit" in head else None,
+        splits=SPLITS if parent is None else from_json(tuple[Split, ...], head["splits"], where=f"{path}: splits"),
+        parent=parent,
     )
 
 
@@ -272,7 +300,8 @@ def read_cameras(dataset: Dataset, split: Split) -> Cameras:
     )
 
 
-def _transforms_bytes(cameras: Cameras, split: Split) -> bytes:
+def transforms_bytes(cameras: Cameras, split: Split) -> bytes:
+    """The cameras of a split as NeRF tools read them."""
     from datagen.storage import dump_json
 
     focal = 0.5 * cameras.width / math.tan(0.5 * cameras.fov_x)

@@ -85,6 +85,7 @@ def read_proxy_records(dataset: Dataset, kind: str) -> tuple[ProxyRecord, ...]:
     Raises:
         HyalineError: they were not made, are damaged, or were made for another dataset.
     """
+    dataset = dataset.home
     path = geometry_root(dataset.root, kind) / "proxies.json"
     if not path.is_file():
         raise HyalineError(f"{path}: no {kind} proxies; make them with `{_make_command(dataset, kind)}`")
@@ -140,7 +141,7 @@ def _make_command(dataset: Dataset, geometry: str) -> str:
 
 def list_geometries(dataset: Dataset) -> list[str]:
     """`truth`, and every kind of proxy that was made for the dataset."""
-    return [TRUTH, *sorted(path.parent.name for path in dataset.root.glob("proxies/*/proxies.json"))]
+    return [TRUTH, *sorted(path.parent.name for path in dataset.home.root.glob("proxies/*/proxies.json"))]
 
 
 def check_geometry(dataset: Dataset, geometry: str) -> None:
@@ -164,6 +165,7 @@ def read_meshes(dataset: Dataset, geometry: str) -> tuple[Mesh, ...]:
     Raises:
         HyalineError: not made, missing or damaged.
     """
+    dataset = dataset.home
     root = geometry_root(dataset.root, geometry)
     if geometry == TRUTH:
         promised = head_files(dataset.root)

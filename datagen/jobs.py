@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from datagen.dataset import SPLITS, TEST_SPLITS, Cameras, Dataset, Split, commit_view, open_dataset, read_cameras
+from datagen.dataset import Cameras, Dataset, Split, commit_view, open_dataset, read_cameras
 from datagen.geometry import read_meshes
 from datagen.layer_store import LayersHead, read_layers_head
 from datagen.layers import write_layers
@@ -22,7 +22,7 @@ class RenderJob:
         self.variant = use_mitsuba(quiet=True, threads=threads)
         self.dataset = open_dataset(root)
         self.cameras = _all_cameras(self.dataset)
-        self.renderer = Renderer(load_scene(root / "scene"), max_depth=self.dataset.config.max_depth)
+        self.renderer = Renderer(load_scene(self.dataset.home.root / "scene"), max_depth=self.dataset.config.max_depth)
 
 
 def render_task(job: RenderJob, task: Task) -> None:
@@ -38,7 +38,7 @@ def render_task(job: RenderJob, task: Task) -> None:
         view,
         spp=config.split(split).spp,
         view_seed=seed,
-        ceiling_db=config.ceiling_db if split in TEST_SPLITS else None,
+        ceiling_db=config.ceiling_db if split != "train" else None,
     )
     commit_view(
         job.dataset,
@@ -86,7 +86,7 @@ class TraceJob:
         use_mitsuba(quiet=True, threads=threads)
         self.dataset, self.geometry = open_dataset(root), geometry
         self.cameras = _all_cameras(self.dataset)
-        materials = tuple(item.material for item in load_scene(root / "scene").objects)
+        materials = tuple(item.material for item in load_scene(self.dataset.home.root / "scene").objects)
         self.tracer = LightPathTracer(read_meshes(self.dataset, geometry), materials)
         self.head = read_light_paths_head(self.dataset, geometry)
 
@@ -99,4 +99,4 @@ def trace_task(job: TraceJob, task: Task) -> None:
 
 
 def _all_cameras(dataset: Dataset) -> dict[Split, Cameras]:
-    return {split: read_cameras(dataset, split) for split in SPLITS}
+    return {split: read_cameras(dataset, split) for split in dataset.splits}

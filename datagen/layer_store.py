@@ -16,7 +16,7 @@ from typing import Literal, cast
 
 import numpy as np
 
-from datagen.dataset import SPLITS, Dataset, Split, check_files, view_name
+from datagen.dataset import Dataset, Split, check_files, view_name
 from datagen.errors import HyalineError
 from datagen.geometry import geometry_root
 from datagen.records import Json, from_json, to_json
@@ -104,7 +104,7 @@ def create_store(dataset: Dataset, geometry: str, head: Head, arrays: Mapping[st
     root = layers_root(dataset.root, geometry, head.kind)
     compressor = BloscCodec(cname="zstd", clevel=5, shuffle="shuffle")
     store = zarr.open_group(root / STORE, mode="w", zarr_format=3)
-    for split in SPLITS:
+    for split in dataset.splits:
         views = dataset.config.split(split).views
         group = store.create_group(split)
         for name, array in arrays.items():

@@ -3,7 +3,8 @@
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from datagen.dataset import SPLITS, Dataset, check_files, head_files, open_dataset, read_record, record_path
+from datagen.annex import list_annex_folders
+from datagen.dataset import Dataset, check_files, head_files, open_dataset, read_record, record_path
 from datagen.edited import edit_root, list_edits
 from datagen.errors import HyalineError
 from datagen.footprints import footprint_files
@@ -30,7 +31,7 @@ def verify_dataset(root: Path) -> tuple[int, list[str]]:
                 problems.append(str(error))
 
     check(root, head_files(root))
-    for split in SPLITS:
+    for split in dataset.splits:
         for view in range(dataset.config.split(split).views):
             known.add(record_path(root, split, view))
             try:
@@ -45,21 +46,26 @@ def verify_dataset(root: Path) -> tuple[int, list[str]]:
             check(root, footprint_files(dataset))
         except HyalineError as error:
             problems.append(str(error))
-    num_edited = 0
-    for name in list_edits(dataset):
-        count, found = verify_dataset(edit_root(dataset, name))
-        num_edited += count
-        problems += found
-        known |= set(_files(edit_root(dataset, name)))
-    problems += [f"{path}: belongs to no record; delete it" for path in _files(root) if path not in known]
+    inner = [*list_annex_folders(root), *(edit_root(dataset, name) for name in list_edits(dataset))]
+    problems += [
+        f"{path}: belongs to no record; delete it"
+        for path in _files(root)
+        if path not in known and not set(inner) & set(path.parents)
+    ]
     damaged = {problem.split(":")[0] for problem in problems}
-    mine = [path for path in known if not path.is_relative_to(root / "edits")]
-    return num_edited + len([path for path in mine if path.is_file() and str(path) not in damaged]), problems
+    count = len([path for path in known if path.is_file() and str(path) not in damaged])
+    for folder in inner:
+        try:
+            more, further = verify_dataset(folder)
+        except HyalineError as error:
+            more, further = 0, [str(error)]
+        count, problems = count + more, problems + further
+    return count, problems
 
 
 def _check_geometry(dataset: Dataset, geometry: str, known: set[Path], problems: list[str],
                     check: Callable[[Path, dict[str, str]], None]) -> None:  # fmt: skip
-    if geometry != TRUTH:
+    if geometry != TRUTH and dataset.parent is None:
         folder = geometry_root(dataset.root, geometry)
         known.add(folder / "proxies.json")
         try:
@@ -77,7 +83,7 @@ def _check_geometry(dataset: Dataset, geometry: str, known: set[Path], problems:
             problems.append(str(error))
             continue
         check(folder, head.files)
-        for split in SPLITS:
+        for split in dataset.splits:
             for view in range(dataset.config.split(split).views):
                 known.add(record_path_of_layers(folder, split, view))
                 try:

@@ -18,7 +18,8 @@ class Line:
     title: str
     method: str
     choices: Mapping[str, Json] = field(default_factory=dict)
-    """Keys of the configuration with their values; a run without a configuration fits only where there are none."""
+    """Keys of the configuration with their values; a key that is younger than the run counts as fitting, but a run that
+    has none of them fits only where none is asked for."""
     geometry: str | None = TRUTH
     """None takes any."""
     published: PublishedRow | None = None
@@ -30,7 +31,8 @@ class Line:
         return (
             run.method == self.method
             and self.geometry in (None, run.geometry)
-            and all(key in config and config[key] == value for key, value in self.choices.items())
+            and (not self.choices or any(key in config for key in self.choices))
+            and all(config.get(key, value) == value for key, value in self.choices.items())
         )
 
 
@@ -50,6 +52,9 @@ PAPER: dict[str, Json] = {
     "blocks": 3,
     "norm": "batch",
     "textures": "object",
+    "texture_features": 16,
+    "texture_levels": 1,
+    "num_layers": None,
     "train_samples": 1,
     "render_samples": 1,
 }
@@ -63,14 +68,15 @@ LIGHT_PATH: dict[str, Json] = {
     "environment_size": 32,
     "position_octaves": 0,
     "straight_layers": 0,
+    "shells": 1,
     "stack_hidden": 32,
-    "texture_levels": 3,
+    "texture_levels": 5,
     "train_samples": 4,
     "render_samples": 16,
 }
 """`light-path` on the true geometry with all of its parts."""
 
-PROXY_KEYS = ("geometry", "texture_sizes", "stack_hidden", "straight_layers")
+PROXY_KEYS = ("geometry", "texture_sizes", "stack_hidden", "straight_layers", "shells")
 """What `light-path` chooses by the geometry."""
 
 OURS = Line(title="paper", method="paper", choices=VIEW, published=VIEW_VECTOR)

@@ -15,9 +15,9 @@ from datagen.dataset import SPLITS, TEST_SPLITS, Cameras, Dataset, Split, read_c
 from datagen.geometry import TRUTH, read_meshes
 from datagen.meshes import face_corners
 from datagen.storage import commit
-from eval.edits import EditScores
+from eval.further import Further
 from eval.score import SceneScores
-from eval.sheets import DPI, comparison_sheet, contact_sheet, edit_sheet, figure_png
+from eval.sheets import DPI, comparison_sheet, contact_sheet, figure_png
 
 SPLIT_COLORS: dict[Split, str] = {"train": "#2f6fdb", "interpolating": "#1a9e3c", "extrapolating": "#d62728"}
 """Blue, green and red, as in the paper's Figure 3."""
@@ -27,8 +27,8 @@ MAX_FACES = 20_000
 """Triangles drawn of a scene; of more, the largest and an even selection of the others."""
 
 
-def write_figures(scenes: list[SceneScores], out: Path) -> list[Path]:
-    """Writes a sheet per run, a comparison and the cameras per scene; returns their paths in that order."""
+def write_figures(scenes: list[SceneScores], further: list[Further], out: Path) -> list[Path]:
+    """Writes a sheet per run, a comparison and the cameras per scene, then the analyses' figures; returns the paths."""
     written = []
 
     def keep(name: str, png: bytes) -> None:
@@ -43,16 +43,9 @@ def write_figures(scenes: list[SceneScores], out: Path) -> list[Path]:
         if len(scene.runs) > 1:
             keep(f"comparison_{name}", comparison_sheet(scene))
         keep(f"cameras_{name}", cameras_figure(scene.dataset, scene.title))
-    return written
-
-
-def write_edit_sheets(scene: SceneScores, edits: tuple[EditScores, ...], out: Path) -> list[Path]:
-    """Writes a sheet for each edit of a scene; returns their paths."""
-    written = []
-    for edit in edits:
-        path = out / f"edit_{scene.title.replace('/', '_')}_{edit.edited.name}.png"
-        commit(path, edit_sheet(scene, edit))
-        written.append(path)
+    for analyses in further:
+        for name, draw in analyses.figures.items():
+            keep(name, draw())
     return written
 
 

@@ -17,7 +17,7 @@ SSIM_WINDOW = 11
 
 def psnr(pred: UInt8[np.ndarray, "h w 3"], target: UInt8[np.ndarray, "h w 3"]) -> float:
     """Peak signal-to-noise ratio in dB, peak 255; inf when identical."""
-    return _decibels(float(np.mean(_squared_error(pred, target))))
+    return decibels(float(np.mean(_squared_error(pred, target))))
 
 
 def masked_psnr(
@@ -28,7 +28,7 @@ def masked_psnr(
     Blanking the rest of both pictures and dividing by all pixels would flatter small masks instead.
     """
     assert mask.any()
-    return _decibels(float(np.mean(_squared_error(pred, target)[mask])))
+    return decibels(float(np.mean(_squared_error(pred, target)[mask])))
 
 
 def psnr_uint8_wrap(pred: UInt8[np.ndarray, "h w 3"], target: UInt8[np.ndarray, "h w 3"]) -> float:
@@ -39,7 +39,7 @@ def psnr_uint8_wrap(pred: UInt8[np.ndarray, "h w 3"], target: UInt8[np.ndarray, 
     """
     with np.errstate(over="ignore"):  # The overflow is the point.
         wrapped = np.square(np.subtract(pred, target, dtype=np.uint8), dtype=np.uint8)
-    return _decibels(float(np.mean(wrapped, dtype=np.float64)))
+    return decibels(float(np.mean(wrapped, dtype=np.float64)))
 
 
 def ssim(pred: UInt8[np.ndarray, "h w 3"], target: UInt8[np.ndarray, "h w 3"]) -> float:
@@ -87,5 +87,6 @@ def _squared_error(pred: UInt8[np.ndarray, "h w 3"], target: UInt8[np.ndarray, "
     return np.square(pred.astype(np.float64) - target)
 
 
-def _decibels(mse: float) -> float:
+def decibels(mse: float) -> float:
+    """PSNR in dB of a mean squared error in levels of 255 squared; inf where there is none."""
     return math.inf if mse == 0 else 10 * math.log10(PEAK**2 / mse)

@@ -7,15 +7,14 @@ from pathlib import Path
 from datagen.command import choose, say, track
 from datagen.dataset import TEST_SPLITS, Dataset, Split
 from datagen.errors import HyalineError
-from datagen.records import Json
 from datagen.storage import commit
 from eval.claims import CLAIMS, claims_grid
 from eval.comparison_tables import ablation_grids, comparison_grid, find_ladder, ladder_grid
 from eval.comparisons import ABLATED, COMPARISONS, LADDER, Line
-from eval.edit_tables import edit_grids, edit_json, order_grid, order_json
 from eval.edits import object_psnr, score_edits
-from eval.figures import write_edit_sheets, write_figures
-from eval.order import check_order_layers, score_order
+from eval.figures import write_figures
+from eval.further import Further, analyse
+from eval.order import check_order_layers
 from eval.proxy_error import ladder_figure
 from eval.results import results_csv, results_json
 from eval.runs import Run, has_predictions, list_run_folders, open_run
@@ -45,22 +44,14 @@ def make_report(runs_root: Path, data_root: Path, out: Path, *, output_format: s
             f"{runs_root}: no predictions there; make some with `model train`, or put a method's pictures "
             f"at {runs_root}/SCENE/NAME/predictions/SPLIT/0000.png"
         )
-    scenes = _score_scenes(runs, errors)
-    if scenes:
-        edits = [score_edits(scene, errors) for scene in scenes]
-        orders = [score_order(scene, drawn, order_layers) for scene, drawn in zip(scenes, edits) if order_layers]
-        grids = [grid for scene, drawn in zip(scenes, edits) for grid in edit_grids(scene.title, drawn)]
-        grids += [order_grid(scene.title, order) for scene, order in zip(scenes, orders)]
-        more: dict[str, Json] = {
-            "edits": {scene.title: list(map(edit_json, drawn)) for scene, drawn in zip(scenes, edits) if drawn},
-            "order": {scene.title: order_json(order) for scene, order in zip(scenes, orders)},
-        }
-        more = {key: value for key, value in more.items() if value}
-        _print_scores(scenes, output_format, grids, more)
-        commit(out / "results.json", results_json(scenes, more))
+    scored = _score_scenes(runs, errors)
+    if scored:
+        scenes = [scene for scene, _ in scored]
+        further = [analyse(scene, truths, errors, order_layers=order_layers) for scene, truths in scored]
+        _print_scores(scenes, further, output_format)
+        commit(out / "results.json", _json(scenes, further))
         say(f"wrote {out / 'results.json'}")
-        sheets = [path for scene, drawn in zip(scenes, edits) for path in write_edit_sheets(scene, drawn, out)]
-        for path in (*write_figures(scenes, out), *sheets):
+        for path in write_figures(scenes, further, out):
             say(f"wrote {path}")
     for error in errors[:-1]:
         say(f"error: {error}")
@@ -83,7 +74,8 @@ def make_tables(runs_root: Path, data_root: Path, out: Path, *, tables: Sequence
     choose("format", output_format, TABLE_FORMATS)
     lines = [line for table in tables for line in _lines_of(table)]
     runs, errors = _open_runs(runs_root, data_root, out)
-    scenes = _score_scenes([run for run in runs if any(line.fits(run) for line in lines)], errors)
+    wanted = [run for run in runs if any(line.fits(run) for line in lines)]
+    scenes = [scene for scene, _ in _score_scenes(wanted, errors)]
     if not scenes:
         errors.append(HyalineError(
             f"{runs_root}: no run there that stands in {', '.join(tables)}; "
@@ -136,8 +128,11 @@ def _open_runs(runs_root: Path, data_root: Path, out: Path) -> tuple[list[Run], 
     return runs, errors
 
 
-def _score_scenes(runs: list[Run], errors: list[HyalineError]) -> list[SceneScores]:
-    """The scores by dataset, sorted by name; what a run's pictures lack is added to `errors`."""
+ScoredScene = tuple[SceneScores, dict[Split, Truth]]
+
+
+def _score_scenes(runs: list[Run], errors: list[HyalineError]) -> list[ScoredScene]:
+    """The scores by dataset, sorted by name, and the truth; what a run's pictures lack is added to `errors`."""
     datasets: dict[str, Dataset] = {}
     for run in runs:
         datasets.setdefault(run.dataset.seal, run.dataset)
@@ -153,7 +148,7 @@ def _score_scenes(runs: list[Run], errors: list[HyalineError]) -> list[SceneScor
     return scenes
 
 
-def _score_scene(dataset: Dataset, title: str, runs: list[Run], errors: list[HyalineError]) -> SceneScores | None:
+def _score_scene(dataset: Dataset, title: str, runs: list[Run], errors: list[HyalineError]) -> ScoredScene | None:
     truths: dict[Split, Truth] = {split: read_truth(dataset, split) for split in TEST_SPLITS}
     if not has_glass_mask(dataset):
         say(
@@ -168,21 +163,27 @@ def _score_scene(dataset: Dataset, title: str, runs: list[Run], errors: list[Hya
             errors.append(error)
     if not scored:
         return None
-    return SceneScores(
+    scene = SceneScores(
         dataset=dataset,
         title=title,
         has_glass_mask=has_glass_mask(dataset),
         ceilings_db={split: truths[split].ceiling_db for split in TEST_SPLITS},
         runs=tuple(sorted(scored, key=lambda scores: scores.run.name)),
     )
+    return scene, truths
 
 
-def _print_scores(scenes: list[SceneScores], output_format: str, grids: list[Grid], more: dict[str, Json]) -> None:
+def _json(scenes: list[SceneScores], further: list[Further]) -> bytes:
+    return results_json(scenes, {analyses.title: analyses.data for analyses in further})
+
+
+def _print_scores(scenes: list[SceneScores], further: list[Further], output_format: str) -> None:
     if output_format == "json":
-        text = results_json(scenes, more).decode()
+        text = _json(scenes, further).decode()
     elif output_format == "csv":
         text = results_csv(scenes)
     else:
+        grids = tuple(grid for analyses in further for grid in analyses.grids)
         text = tables_text(scenes, output_format, width=_output_width(), color=sys.stdout.isatty(), more=grids)
     sys.stdout.write(text)
     sys.stdout.flush()

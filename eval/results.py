@@ -4,7 +4,6 @@ import csv
 import io
 import math
 from collections.abc import Mapping
-from types import MappingProxyType
 from typing import cast
 
 from datagen.dataset import TEST_SPLITS
@@ -18,19 +17,18 @@ from eval.tables import CEILING, left_out_notes
 RESULTS_VERSION = 1
 
 
-def results_json(scenes: list[SceneScores], more: Mapping[str, Json] = MappingProxyType({})) -> bytes:
+def results_json(scenes: list[SceneScores], analyses: Mapping[str, dict[str, Json]] | None = None) -> bytes:
     """The bytes of results.json. Infinite values are the string "inf", since JSON has no such number.
 
     Args:
-        more: further scores by their key.
+        analyses: what else was found out, by the scene's title.
     """
     return dump_json(
         {
             "version": RESULTS_VERSION,
             "notes": list(METRIC_NOTES),
-            "scenes": [_scene_json(scene) for scene in scenes],
+            "scenes": [_scene_json(scene, (analyses or {}).get(scene.title, {})) for scene in scenes],
             "published": {"note": PUBLISHED_NOTE, "rows": [to_json(row) for row in PUBLISHED]},
-            **more,
         }
     )
 
@@ -74,7 +72,7 @@ def results_csv(scenes: list[SceneScores]) -> str:
     return buffer.getvalue()
 
 
-def _scene_json(scene: SceneScores) -> Json:
+def _scene_json(scene: SceneScores, analyses: dict[str, Json]) -> Json:
     return {
         "scene": scene.title,
         "dataset_seal": scene.dataset.seal,
@@ -83,6 +81,7 @@ def _scene_json(scene: SceneScores) -> Json:
         "notes": list(left_out_notes(scene)),
         "runs": [_run_json(scores) for scores in scene.runs],
         "seeds": [_group_json(group) for group in group_seeds(scene.runs) if len(group.runs) > 1],
+        "analyses": _finite(analyses),
     }
 
 
@@ -130,6 +129,14 @@ def _run_json(scores: RunScores) -> Json:
         "drop_db": cast(Json, scores.drop_db),
         "splits": splits,
     }
+
+
+def _finite(data: Json) -> Json:
+    if isinstance(data, dict):
+        return {key: _finite(value) for key, value in data.items()}
+    if isinstance(data, list):
+        return [_finite(value) for value in data]
+    return json_number(data) if isinstance(data, float) else data
 
 
 def json_number(value: float | None) -> Json:

@@ -3,8 +3,10 @@
     RUNS/SCENE/NAME/predictions/SPLIT/0000.png ...   8-bit sRGB, one a view of the split, the size of the truth
     RUNS/SCENE/NAME/edits/EDIT/predictions/...       the same of the dataset's edits/EDIT (eval/edits.py)
     RUNS/SCENE/NAME/run.json                         optional: method, geometry, knowledge, dataset, dataset_seal,
-                                                     seed, num_parameters, label, config (an object of choices),
-                                                     layers_seal; other keys are not read here
+                                                     seed, num_parameters, num_layers, label, config (an object of
+                                                     choices), layers_seal; other keys are not read here
+
+    RUNS/SCENE/NAME/x2/predictions/...               the same, twice as wide and high: super-resolution
 
 Test splits are scored; pictures of the training split may lie there, too.
 """
@@ -17,7 +19,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from datagen.command import choose
-from datagen.dataset import SPLITS, Dataset, Split, open_dataset, read_png, view_name
+from datagen.dataset import ANGLE_SPLITS, SPLITS, Dataset, Split, open_dataset, read_png, view_name
 from datagen.errors import HyalineError
 from datagen.records import Json
 from datagen.storage import load_json, sha256, sha256_file
@@ -40,6 +42,8 @@ class Run:
     seed: int | None
     label: str | None
     """What else tells runs of one method apart, such as a preset."""
+    num_layers: int | None
+    """Straight layers that it was given."""
     config: dict[str, Json] | None
     """Everything that was chosen; runs that agree in it and differ in their seed are averaged."""
     layers_seal: str | None
@@ -71,7 +75,7 @@ def has_predictions(folder: Path) -> bool:
     splits = [path.name for path in sorted((folder / "predictions").glob("*")) if path.is_dir()]
     for name in splits:
         try:
-            choose("split", name, SPLITS)
+            choose("split", name, (*SPLITS, *ANGLE_SPLITS))
         except HyalineError as error:
             raise HyalineError(f"{folder / 'predictions' / name}: {error}") from None
     return bool(splits)
@@ -100,6 +104,7 @@ def open_run(folder: Path, data_root: Path) -> Run:
         num_parameters=_optional(record, "num_parameters", int, path),
         seed=_optional(record, "seed", int, path),
         label=_optional(record, "label", str, path),
+        num_layers=_optional(record, "num_layers", int, path),
         config=_config(record, path),
         layers_seal=_optional(record, "layers_seal", str, path),
     )

@@ -135,13 +135,13 @@ def score_run(run: Run, truths: dict[Split, Truth]) -> RunScores:
     """Every metric of every picture that the run predicted.
 
     Args:
-        truths: of each test split.
+        truths: of each test split; all of them in the run's dataset.
 
     Raises:
         HyalineError: a missing, surplus, unreadable or wrongly sized picture.
     """
-    predicted: list[Split] = [split for split in TEST_SPLITS if has_split(run, split)]
-    splits: dict[Split, SplitScores | None] = dict.fromkeys(TEST_SPLITS)
+    predicted: list[Split] = [split for split in truths if has_split(run, split)]
+    splits: dict[Split, SplitScores | None] = dict.fromkeys(truths)
     for split in predicted:
         rows = []
         for view, target in enumerate(truths[split].images):

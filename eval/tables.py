@@ -14,7 +14,9 @@ CEILING = "truth's noise (ceiling)"
 NOT_PRINTED = ("delta_e_p95",)
 """Metrics that only CSV and JSON show: a line of 120 characters has no room for more."""
 
-SHORT_SPLITS: dict[Split, str] = {"train": "train", "interpolating": "inter", "extrapolating": "extra"}
+SHORT_SPLITS: dict[Split, str] = {"train": "train", "interpolating": "inter", "extrapolating": "extra",
+                                  "extrapolating-10deg": "10°", "extrapolating-20deg": "20°",
+                                  "extrapolating-40deg": "40°"}  # fmt: skip
 TABLE_WIDTH = 120
 
 
@@ -186,8 +188,9 @@ def tables_text(scenes: list[SceneScores], output_format: str, *, width: int, co
         return grid_text(grid, output_format, width=width, color=color)
 
     grids = [grid for scene in scenes for grid in scene_grids(scene)]
-    parts = [write(grid) for grid in (*grids, *more)]
+    parts = [write(grid) for grid in grids]
     parts.append(_paragraphs(METRIC_NOTES, output_format, width))
+    parts += [write(grid) for grid in more]
     return "\n".join([*parts, write(published_grid())])
 
 

@@ -99,6 +99,8 @@ class PaperChoices:
     """Width and height of a texture in texels. Default: half the image's width."""
     zero_layer: bool = _choice(False, "zero-layer")
     """Insert a layer of zeros at a random place while training (section 4.4)."""
+    layers: int | None = _choice(None, "{}-layers")
+    """Straight layers that are looked up, the nearest ones. Default: all that are stored."""
     rays: int | None = _choice(None, "{}-rays")
     """Rays per pixel while training, a square number. Default: 1."""
     render_rays: int | None = _choice(None, "{}-render-rays")

@@ -122,21 +122,25 @@ def render(
     run: Path,
     dataset: str | None = None,
     edit: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = (),
+    scale: int = 1,
     device: Literal["auto", "cpu", "cuda"] = "auto",
     overwrite: bool = False,
 ) -> None:
-    """Render both test splits again from a run's weights.
+    """Render all test splits again from a run's weights.
 
     Args:
         run: Folder of a trained run.
         dataset: Dataset folder, or its name under data/. Default: where the run found it.
         edit: Render an edited scene instead, into the run's edits/NAME: what `datagen build --edit` was given, or NAME.
+        scale: How many times as wide and high as the training pictures, for truth that `datagen build
+            --super-resolution` has made; into RUN/x2 for 2.
         device: Where to compute; auto takes a GPU where there is one.
         overwrite: Render again even where the predictions are intact.
     """
+    from datagen.annex import scale_name
     from datagen.storage import one_writer, remove_temporaries
-    from model.predict import render_predictions
-    from model.run_folder import is_finished, read_run
+    from model.predict import render_predictions, render_scaled
+    from model.run_folder import is_finished, lacks_a_split, read_run
 
     record = read_run(run)
     opened = open_dataset(find_dataset(dataset) if dataset else Path(record.dataset))
@@ -144,13 +148,17 @@ def render(
     if edit:
         _end(_render_edit(run, record.config, opened, edit, device=_device(device), overwrite=overwrite))
         return
-    if is_finished(run) and not overwrite:
-        say(f"{run}: its predictions are intact, nothing to do; --overwrite renders them again")
+    out = run if scale == 1 else run / scale_name(scale)
+    if is_finished(out) and not (scale == 1 and lacks_a_split(run, opened)) and not overwrite:
+        say(f"{out}: its predictions are intact, nothing to do; --overwrite renders them again")
     else:
         with one_writer(run):
             remove_temporaries(run)
-            render_predictions(run, record.config, opened, device=_device(device))
-    _end(run)
+            if scale == 1:
+                render_predictions(run, record.config, opened, device=_device(device))
+            else:
+                render_scaled(run, record.config, opened, scale, device=_device(device))
+    _end(out)
 
 
 def _render_edit(run: Path, config: "TrainConfig", base: Dataset, edit: tuple[str, ...], *, device: "torch.device",

@@ -12,7 +12,7 @@ import torch
 from torch import nn
 
 from datagen.command import say
-from datagen.dataset import Dataset, check_files
+from datagen.dataset import TEST_SPLITS, Dataset, check_files
 from datagen.errors import HyalineError
 from datagen.records import Json
 from datagen.storage import commit_sealed, load_sealed
@@ -45,7 +45,7 @@ def render_edit(run: Path, config: TrainConfig, base: Dataset, edited: Dataset, 
     show_edited_scene(renderer, base, edited, config.geometry)
     folder = edit_folder(run, edited)
     (folder / PREDICTIONS).unlink(missing_ok=True)
-    files = render_views(renderer.to(device), config, edited, folder)
+    files = render_views(renderer.to(device), config, dict.fromkeys(TEST_SPLITS, edited), folder)
     content: dict[str, Json] = {"version": RUN_VERSION, "dataset_seal": edited.seal, "files": cast(Json, files)}
     commit_sealed(folder / PREDICTIONS, content)
     say(f"{folder}: rendered {len(files)} views")

@@ -18,7 +18,7 @@ from model.deepvoxels_loss import deepvoxels_loss
 from model.dnr import DnrConfig, build_dnr, configure_dnr, image_loss
 from model.light_path_net import LightPathConfig, build_light_path, configure_light_path
 from model.losses import pixel_loss
-from model.paper import PaperConfig, build_paper, configure_paper
+from model.paper import PaperConfig, build_paper, choose_layers, configure_paper
 from model.traced_batches import load_light_path_pixels, load_traced_layers
 from model.view_batches import load_views
 
@@ -68,10 +68,10 @@ class Method:
 
 def _load_straight(config: PaperConfig, dataset: Dataset, geometry: str, split: Split, views: Sequence[int],
                    with_images: bool, *, max_layers: int | None = None) -> PixelSource:  # fmt: skip
-    if max(config.train_samples, config.render_samples) == 1:
-        return load_pixels(dataset, geometry, split, views, with_images=with_images, max_layers=max_layers)
     stored, _ = read_layers_of(METHODS["paper"], dataset, geometry)
-    num_layers = min(stored, max_layers or stored)
+    num_layers = choose_layers(config.num_layers, min(stored, max_layers or stored))
+    if max(config.train_samples, config.render_samples) == 1:
+        return load_pixels(dataset, geometry, split, views, with_images=with_images, max_layers=num_layers)
     return load_traced_layers(config, dataset, geometry, num_layers, split, views, with_images)
 
 

@@ -34,6 +34,8 @@ class PaperConfig:
     """What each layer is told of the camera (section 4.6)."""
     textures: TextureSharing = "object"
     """One texture an object (section 4.4), or one for the scene, in which each object has a cell."""
+    num_layers: int | None = None
+    """Layers that are looked up, the nearest ones; None: all that are stored."""
     texture_features: int = 16
     """Channels of a texture (section 4.3); 64 on coarse proxies."""
     texture_levels: int = 1
@@ -78,7 +80,7 @@ def configure_paper(choices: PaperChoices, dataset: Dataset, geometry: str, num_
         HyalineError: a choice that cannot be.
     """
     inputs = count_inputs(
-        num_layers,
+        choose_layers(choices.layers, num_layers),
         texture_features=choices.features,
         extrinsics=choices.extrinsics,
         zero_layer=choices.zero_layer,
@@ -96,9 +98,26 @@ def configure_paper(choices: PaperChoices, dataset: Dataset, geometry: str, num_
         texture_features=choices.features,
         texture_levels=choices.texture_levels,
         zero_layer=choices.zero_layer,
+        num_layers=choices.layers,
         train_samples=1 if choices.rays is None else choices.rays,
         render_samples=1 if choices.render_rays is None else choices.render_rays,
     )
+
+
+def choose_layers(asked: int | None, num_stored: int) -> int:
+    """How many layers a renderer looks up: all that are stored, or the nearest ones of them.
+
+    Raises:
+        HyalineError: none, or more than are stored.
+    """
+    if asked is None:
+        return num_stored
+    if not 1 <= asked <= num_stored:
+        raise HyalineError(
+            f"layers: is {asked}; expected 1 to {num_stored}, as many as are stored "
+            "(`datagen peel --num-layers N --overwrite` stores more)"
+        )
+    return asked
 
 
 def count_inputs(num_layers: int, *, texture_features: int, extrinsics: Extrinsics, zero_layer: bool) -> int:
@@ -152,8 +171,9 @@ class PaperRenderer(nn.Module):
 
 
 def build_paper(config: PaperConfig, dataset: Dataset, geometry: str, num_layers: int) -> PaperRenderer:
-    """A fresh renderer for a dataset; its random start is drawn from torch's default generator."""
+    """A fresh renderer for a dataset of so many stored layers; its start is drawn from torch's default generator."""
     positions = None
     if config.extrinsics != "none":
         positions = bake_position_table(dataset, geometry, config.position_size)
+    num_layers = choose_layers(config.num_layers, num_layers)
     return PaperRenderer(config, num_layers=num_layers, num_objects=len(dataset.objects), positions=positions)

@@ -1,5 +1,6 @@
-"""Owns prediction: from a run's weights to 8-bit pictures of both test splits."""
+"""Owns prediction: from a run's weights to 8-bit pictures of the test splits."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import cast
 
@@ -8,8 +9,9 @@ import torch
 from jaxtyping import UInt8
 from torch import Tensor, nn
 
+from datagen.annex import homes_of_test_splits, open_annex, scale_name
 from datagen.command import say, track
-from datagen.dataset import TEST_SPLITS, Dataset, Split, png_bytes, view_name
+from datagen.dataset import Dataset, Split, png_bytes, view_name
 from datagen.errors import HyalineError
 from datagen.storage import commit, sha256
 from model.batches import PixelSource
@@ -56,30 +58,55 @@ def load_renderer(out: Path, config: TrainConfig, dataset: Dataset) -> nn.Module
 
 
 def render_predictions(out: Path, config: TrainConfig, dataset: Dataset, *, device: torch.device) -> None:
-    """Renders both test splits from a run's weights; the list of predictions comes last and finishes the run."""
+    """Renders all test splits from a run's weights; the list of predictions comes last and finishes the run.
+
+    Those are the two that every dataset has, and the splits by angle where they were built.
+    """
     keep_freed_memory()
-    files = render_views(load_renderer(out, config, dataset).to(device), config, dataset, out)
+    renderer = load_renderer(out, config, dataset).to(device)
+    files = render_views(renderer, config, homes_of_test_splits(dataset), out)
     write_prediction_hashes(out, files)
     say(f"{out}: rendered {len(files)} views")
 
 
-def render_views(renderer: nn.Module, config: TrainConfig, dataset: Dataset, out: Path) -> dict[str, str]:
-    """Commits the pictures of both test splits as `out`/predictions/SPLIT/0000.png.
+def render_scaled(out: Path, config: TrainConfig, dataset: Dataset, scale: int, *, device: torch.device) -> None:
+    """Renders the test splits of an annex, so many times as wide and high as the run was trained at, to RUN/x2 or so.
+
+    Raises:
+        HyalineError: the annex was not built.
+    """
+    keep_freed_memory()
+    annex = open_annex(dataset, scale_name(scale))
+    if annex is None:
+        raise HyalineError(
+            f"{dataset.root}: has no truth {scale} times as large; make it with "
+            f"`datagen build --super-resolution {scale}` and what else it was built with"
+        )
+    renderer = load_renderer(out, config, dataset).to(device)
+    place = out / scale_name(scale)
+    files = render_views(renderer, config, dict.fromkeys(annex.splits, annex), place)
+    write_prediction_hashes(place, files)
+    say(f"{place}: rendered {len(files)} views")
+
+
+def render_views(renderer: nn.Module, config: TrainConfig, homes: Mapping[Split, Dataset], out: Path
+                 ) -> dict[str, str]:  # fmt: skip
+    """Commits the pictures of test splits, each of its dataset or annex, as `out`/predictions/SPLIT/0000.png.
 
     Returns:
         SHA-256 of each picture by path relative to `out`.
     """
     method = METHODS[config.method]
     device = next(renderer.parameters()).device
-    size = dataset.config.resolution
-    todo: list[tuple[Split, int]] = [
-        (split, view) for split in TEST_SPLITS for view in range(dataset.config.split(split).views)
+    todo: list[tuple[Dataset, Split, int]] = [
+        (home, split, view) for split, home in homes.items() for view in range(home.config.split(split).views)
     ]
     files: dict[str, str] = {}
-    for split, view in track(todo, label="render", total=len(todo)):
-        pixels = method.load(config.net, dataset, config.geometry, split, [view], False).to(device)
-        data = png_bytes(predict_pixels(renderer, pixels).reshape(size, size, 3))
+    for home, split, view in track(todo, label="render", total=len(todo)):
         path = out / "predictions" / split / f"{view_name(view)}.png"
+        size = home.config.resolution
+        pixels = method.load(config.net, home, config.geometry, split, [view], False).to(device)
+        data = png_bytes(predict_pixels(renderer, pixels).reshape(size, size, 3))
         commit(path, data)
         files[path.relative_to(out).as_posix()] = sha256(data)
     return files

@@ -8,6 +8,7 @@
     RUN/predictions/SPLIT/0000.png  8-bit sRGB
     RUN/predictions.json            sealed, written last: SHA-256 of each prediction; a run that has it is finished
     RUN/edits/NAME/...              predictions of edited scenes (format: model/edits.py)
+    RUN/x2/predictions...           the same, twice as wide and high (`model render --scale 2`)
 
 No time, host or thread count is in any of them: the same command gives the same bytes (on the same machine).
 """
@@ -18,7 +19,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import cast
 
-from datagen.dataset import TEST_SPLITS, Dataset, check_files
+from datagen.annex import homes_of_test_splits
+from datagen.dataset import ANGLE_SPLITS, TEST_SPLITS, Dataset, check_files
 from datagen.errors import HyalineError
 from datagen.geometry import describe_geometry
 from datagen.records import Json, from_json, to_json
@@ -104,6 +106,8 @@ class RunRecord:
     num_parameters: int
     """Of the network alone."""
     num_texture_parameters: int
+    num_layers: int | None = None
+    """Straight layers that it looks up; None: it traces its own paths, or an older program wrote the record."""
     label: str
     """How tables and figures call the run."""
     config: TrainConfig
@@ -172,6 +176,12 @@ def is_finished(out: Path) -> bool:
     return True
 
 
+def lacks_a_split(out: Path, dataset: Dataset) -> bool:
+    """True when the dataset has got splits, by angle, since the run was finished."""
+    predicted = {Path(path).parts[1] for path in read_prediction_hashes(out)}
+    return not predicted >= set(homes_of_test_splits(dataset))
+
+
 def write_prediction_hashes(out: Path, files: dict[str, str]) -> None:
     commit_sealed(out / PREDICTIONS, {"version": RUN_VERSION, "files": dict(files)})
 
@@ -186,9 +196,11 @@ def clear_run(out: Path) -> None:
     """Deletes a run's own files, and nothing else; run.json last, so that a kill leaves an unfinished run."""
     for name in (PREDICTIONS, WEIGHTS, CHECKPOINT, PREVIOUS_CHECKPOINT, METRICS):
         (out / name).unlink(missing_ok=True)
-    for split in TEST_SPLITS:
+    for split in (*TEST_SPLITS, *ANGLE_SPLITS):
         shutil.rmtree(out / "predictions" / split, ignore_errors=True)
     shutil.rmtree(out / "edits", ignore_errors=True)
+    for scaled in out.glob(f"x[0-9]/{PREDICTIONS}"):
+        shutil.rmtree(scaled.parent)
     (out / RUN).unlink(missing_ok=True)
 
 

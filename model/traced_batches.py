@@ -245,7 +245,7 @@ def load_light_path_pixels(config: LightPathConfig, dataset: Dataset, geometry: 
     from datagen.scene import is_glass, load_scene
 
     tracer_of = _tracer_factory()
-    materials = tuple(item.material for item in load_scene(dataset.root / "scene").objects)
+    materials = tuple(item.material for item in load_scene(dataset.home.root / "scene").objects)
     meshes = read_meshes(dataset, geometry)
     nested = nest_shells(meshes, config.shells)
     return LightPathPixels(

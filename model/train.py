@@ -17,6 +17,7 @@ from model.batches import Pixels, PixelSource
 from model.checkpoint import State, delete_checkpoints, load_checkpoint, save_checkpoint, save_state
 from model.inpaint import Inpainter
 from model.methods import METHODS, read_layers_of
+from model.paper import PaperConfig, choose_layers
 from model.patch_losses import Losses
 from model.predict import predict_pixels
 from model.run_folder import (
@@ -48,6 +49,8 @@ def train(config: TrainConfig, dataset: Dataset, out: Path, *, label: str, devic
     keep_freed_memory()
     method = METHODS[config.method]
     num_layers, layers_seal = read_layers_of(method, dataset, config.geometry)
+    if isinstance(config.net, PaperConfig):
+        num_layers = choose_layers(config.net.num_layers, num_layers)
 
     # The renderer.
     with torch.random.fork_rng(devices=[]):
@@ -97,6 +100,7 @@ def train(config: TrainConfig, dataset: Dataset, out: Path, *, label: str, devic
             seed=config.seed,
             num_parameters=count(net_parameters) - num_critic,
             num_texture_parameters=count(texture_parameters),
+            num_layers=num_layers or None,
             label=label,
             config=config,
             torch=torch.__version__,

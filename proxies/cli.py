@@ -63,6 +63,8 @@ def make(
         raise HyalineError(f"--rest {rest} --name {name}: nothing is mixed; they go with --assign OBJECT=KIND")
     one_kind = _one_kind(kind, amount)
     datasets = _datasets(scene)
+    from datagen.annex_build import peel_annexes
+
     specs = [_mixture(dataset, name, assign, rest) if assign else one_kind for dataset in datasets]
     for dataset, spec in zip(datasets, specs, strict=True):
         from datagen.build import peel_dataset
@@ -80,6 +82,7 @@ def make(
             overwrite=overwrite,
             workers=workers,
         )
+        peel_annexes(dataset, workers=workers)
     next_command(f"model train --method paper --geometry {specs[0].geometry} --dataset {datasets[0].root}")
 
 

@@ -226,12 +226,18 @@ def test_a_footprint_finds_the_light_that_an_edit_moves_and_no_noise() -> None:
 def test_a_copy_looks_up_the_texels_of_its_original() -> None:
     textures = NeuralTextures(object_layout((4, 8, 2)), 3)
     torch.nn.init.normal_(textures.table)
-    textures.layout = with_copies(textures.layout, [1, 1])
+    textures.layout = with_copies(textures.layout, [1, 1], 3)
     uv = torch.rand(50, 1, 2)
     ids = torch.full((50, 1), 2, dtype=torch.uint8)
     for copy in (4, 5):
         assert torch.equal(textures(uv, torch.full_like(ids, copy)), textures(uv, ids))
     assert not torch.equal(textures(uv, torch.full_like(ids, 1)), textures(uv, ids))
+
+
+def test_a_copy_has_all_shells_of_its_original() -> None:
+    layout = with_copies(object_layout((4, 3, 8, 2)), [1], 2)  # Two objects of two shells each, the second copied.
+    assert layout.sizes == (4, 3, 8, 2, 8, 2)
+    assert layout.bases[4:] == layout.bases[2:4]
 
 
 @pytest.mark.parametrize("num_layers", [1, 3, 8])

@@ -150,7 +150,7 @@ def test_the_commands_edit_and_draw_what_is_there(made: Path) -> None:
 def test_the_report_scores_edits_by_region_and_pixels_by_order(
     made: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("eval.report.write_figures", lambda scenes, out: [])
+    monkeypatch.setattr("eval.figures.contact_sheet", lambda scene, scores: b"")
     make_report(made / "runs", made / "data", made / "out", output_format="markdown", order_layers=3)
     text = capsys.readouterr().out
     assert "### edit, after remove:ball (object " in text
@@ -159,7 +159,7 @@ def test_the_report_scores_edits_by_region_and_pixels_by_order(
     base, after, doubled = datasets(made)
 
     # Regions, by a slow loop over pixels.
-    scored = {tuple(edit["edits"]): edit for edit in results["edits"]["edit"]}
+    scored = {tuple(edit["edits"]): edit for edit in results["scenes"][0]["analyses"]["edits"]}
     rows = {(row["run"], row["scene"]): row["psnr_db"] for row in scored[("remove:ball",)]["rows"]}
     assert set(rows) == {
         ("ours", "edited"), ("ours", "unedited"), ("paper", "edited"), ("paper", "unedited"),
@@ -187,7 +187,7 @@ def test_the_report_scores_edits_by_region_and_pixels_by_order(
     for view in range(16):
         ids = read_layers(base, TRUTH, "train", view).object_id[:3]
         known |= {tuple(column) for column in ids.reshape(3, -1).T.tolist()}
-    by_order = {(row["scene"], row["run"]): row for row in results["order"]["edit"]["rows"]}
+    by_order = {(row["scene"], row["run"]): row for row in results["scenes"][0]["analyses"]["order"]["rows"]}
     assert len(by_order) == 6
     for scene_name, dataset in (("as trained", base), (doubled.name, doubled)):
         for split in TEST_SPLITS:

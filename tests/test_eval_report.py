@@ -56,7 +56,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def no_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     """Spares the second that pictures take."""
-    monkeypatch.setattr("eval.report.write_figures", lambda scenes, out: [])
+    monkeypatch.setattr("eval.report.write_figures", lambda *_: [])
 
 
 @pytest.fixture
@@ -154,7 +154,7 @@ def test_markdown_has_as_many_cells_in_each_line(made: Path, tmp_path: Path,
                                                  capsys: pytest.CaptureFixture[str]) -> None:  # fmt: skip
     make_report(made / "runs", made / "data", tmp_path, output_format="markdown")
     tables = re.findall(r"(?:^\|.*\n)+", capsys.readouterr().out, re.MULTILINE)
-    assert len(tables) == 3
+    assert len(tables) == 4
     for table in tables:
         lines = table.splitlines()
         assert len({line.count("|") for line in lines}) == 1
@@ -167,7 +167,7 @@ def test_latex_is_booktabs_with_balanced_rows(made: Path, tmp_path: Path, capsys
     make_report(made / "runs", made / "data", tmp_path, output_format="latex")
     text = capsys.readouterr().out
     tables = re.findall(r"\\begin\{tabular\}\{(\w+)\}\n(.*?)\\end\{tabular\}", text, re.DOTALL)
-    assert len(tables) == 3
+    assert len(tables) == 4
     for alignment, body in tables:
         assert [body.count(rule) for rule in (r"\toprule", r"\bottomrule")] == [1, 1]
         rows = [line for line in body.splitlines() if line.endswith(r"\\")]
@@ -204,7 +204,7 @@ def test_without_layers_the_glass_column_is_empty(copy: Path, capsys: pytest.Cap
 def test_pictures_are_written_and_do_not_depend_on_the_day(made: Path, tmp_path: Path) -> None:
     for out in (tmp_path / "a", tmp_path / "b"):
         make_report(made / "runs", made / "data", out, output_format="json")
-    names = ["cameras_synthetic", "comparison_synthetic", "synthetic_foreign_nerf", "synthetic_grey",
+    names = ["cameras_synthetic", "comparison_synthetic", "curve_synthetic", "synthetic_foreign_nerf", "synthetic_grey",
              "synthetic_perfect"]  # fmt: skip
     assert sorted(path.name for path in (tmp_path / "a").iterdir()) == sorted(
         [*(f"{n}.png" for n in names), "results.json"]

@@ -30,7 +30,9 @@ def peeled(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
         calls.append({"root": dataset.root, "geometry": geometry, **settings})
 
     stand_in.peel_dataset = peel_dataset  # type: ignore[attr-defined]
+    stand_in.peel_annexes = lambda dataset, *, workers: None  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, "datagen.build", stand_in)
+    monkeypatch.setitem(sys.modules, "datagen.annex_build", stand_in)
     monkeypatch.setattr(meshlab, "meshlab_problem", lambda: "left out")
     monkeypatch.setattr("proxies.make.meshlab_problem", lambda: None)
     return calls

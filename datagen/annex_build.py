@@ -1,0 +1,113 @@
+"""Owns the making of annexes: splits by angle, and the test splits at larger sizes."""
+
+import dataclasses
+import shutil
+
+from datagen.angles import make_angle_cameras
+from datagen.annex import ANGLES, annex_root, evenly, list_annex_folders, scale_name
+from datagen.build import peel_dataset, render_dataset
+from datagen.dataset import (
+    TEST_SPLITS,
+    TRANSFORMS_FILES,
+    Cameras,
+    Dataset,
+    DatasetConfig,
+    Split,
+    SplitConfig,
+    config_difference,
+    head_files,
+    open_dataset,
+    read_cameras,
+    transforms_bytes,
+    write_head,
+)
+from datagen.errors import HyalineError
+from datagen.geometry import list_geometries
+from datagen.layer_store import LayersHead, layers_root, read_layers_head
+from datagen.scene import load_scene
+from datagen.storage import load_sealed, one_writer, remove_temporaries, sha256
+
+MAX_SCALE = 8
+
+
+def build_angles(dataset: Dataset, *, workers: int) -> Dataset:
+    """Renders and peels the splits by angle (datagen/angles.py), each of as many views as `extrapolating` has.
+
+    Raises:
+        HyalineError: the scene has no place for such cameras, or another process writes there.
+    """
+    cameras = make_angle_cameras(load_scene(dataset.root / "scene"), dataset.config)
+    return _build(dataset, ANGLES, dataset.config, cameras, workers=workers)
+
+
+def build_scaled(dataset: Dataset, scale: int, *, views: int | None, workers: int) -> Dataset:
+    """Renders and peels the test splits so many times as wide and high, with as many samples per pixel.
+
+    Args:
+        views: of each split, evenly chosen; all unless told.
+
+    Raises:
+        HyalineError: an unfit scale or number of views, or another process writes there.
+    """
+    if not 2 <= scale <= MAX_SCALE:
+        raise HyalineError(f"super_resolution: is {scale}; expected 2 to {MAX_SCALE} times the dataset's size")
+    sizes: dict[str, SplitConfig] = {}
+    cameras: dict[Split, Cameras] = {}
+    for split in TEST_SPLITS:
+        there = dataset.config.split(split)
+        count = there.views if views is None else views
+        if not 1 <= count <= there.views:
+            raise HyalineError(f"super_resolution_views: is {count}; expected 1 to {there.views}, as {split} has")
+        sizes[split] = dataclasses.replace(there, views=count)
+        poses = read_cameras(dataset, split)
+        cameras[split] = dataclasses.replace(
+            poses,
+            world_from_camera=poses.world_from_camera[evenly(count, there.views)],
+            width=scale * poses.width,
+            height=scale * poses.height,
+        )
+    config = dataclasses.replace(dataset.config, resolution=scale * dataset.config.resolution, **sizes)
+    return _build(dataset, scale_name(scale), config, cameras, workers=workers)
+
+
+def peel_annexes(dataset: Dataset, *, workers: int) -> None:
+    """Peels straight layers in every annex, of each geometry that has them in the dataset itself, and in as many."""
+    for folder in list_annex_folders(dataset.root):
+        annex = open_dataset(folder)
+        for geometry in list_geometries(dataset):
+            if not (layers_root(dataset.root, geometry, "straight") / "layers.json").is_file():
+                continue
+            head, _ = read_layers_head(dataset, geometry, "straight")
+            assert isinstance(head, LayersHead)
+            stands = (layers_root(annex.root, geometry, "straight") / "layers.json").is_file()
+            is_other = stands and read_layers_head(annex, geometry, "straight")[0].num_layers != head.num_layers  # pyright: ignore
+            peel_dataset(
+                annex, geometry, kinds=("straight",), num_layers=head.num_layers, overwrite=is_other, workers=workers
+            )
+
+
+def _build(dataset: Dataset, name: str, config: DatasetConfig, cameras: dict[Split, Cameras], *,
+           workers: int) -> Dataset:  # fmt: skip
+    root = annex_root(dataset.root, name)
+    with one_writer(root):
+        remove_temporaries(root)
+        annex = _open_or_start(dataset, name, config, cameras)
+        render_dataset(annex, workers=workers)
+    return annex
+
+
+def _open_or_start(dataset: Dataset, name: str, config: DatasetConfig, cameras: dict[Split, Cameras]) -> Dataset:
+    """The annex, when it is of these cameras and of this dataset; an empty one where none is, or an outdated one."""
+    root = annex_root(dataset.root, name)
+    path = root / "dataset.json"
+    if path.is_file() and load_sealed(path).get("annex_of") == dataset.seal:
+        annex = open_dataset(root)
+        if difference := config_difference(annex.config, config):
+            raise HyalineError(f"{root}: holds an annex with another configuration ({difference}); delete the folder")
+        promised = head_files(root)
+        wanted = {TRANSFORMS_FILES[split]: sha256(transforms_bytes(poses, split)) for split, poses in cameras.items()}
+        if promised == wanted:
+            return annex
+    for old in root.iterdir():
+        shutil.rmtree(old) if old.is_dir() else old.unlink()
+    return write_head(root, config, dataset.objects, cameras, (), parent=dataset)
