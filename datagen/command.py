@@ -1,10 +1,11 @@
 """Owns how a command starts, reports progress and ends: parse, run one function, errors as one line."""
 
 import difflib
+import functools
 import sys
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator
-from typing import NoReturn, TypeVar
+from typing import Annotated, NoReturn, TypeVar
 
 from datagen.errors import HyalineError
 
@@ -38,6 +39,21 @@ def run(program: str, description: str, commands: dict[str, Callable[..., None]]
         # A full disk, a read-only folder, a missing permission: what is committed stays valid.
         place = f"{error.filename}: " if error.filename else ""
         fail(f"{place}{error.strerror or error}; make room or choose another place, then run the same command again")
+
+
+@functools.cache
+def unwrap_help(record: type) -> None:
+    """Makes `--help` print the docstrings under a record's fields as text that flows.
+
+    tyro 1.0.17 keeps their line breaks, because the lines after the first begin with blanks.
+    """
+    import docstring_parser
+    import tyro
+
+    for item in docstring_parser.parse_from_object(record).params:
+        if item.description and item.arg_name in record.__annotations__:
+            flowing = tyro.conf.arg(help=" ".join(item.description.split()))
+            record.__annotations__[item.arg_name] = Annotated[record.__annotations__[item.arg_name], flowing]
 
 
 def fail(message: str, *, status: int = 1) -> NoReturn:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from datagen.command import choose, fail, next_command, run, say
+from datagen.command import choose, fail, next_command, run, say, unwrap_help
 from datagen.dataset import Dataset, find_dataset, open_dataset
 from datagen.errors import HyalineError
 from datagen.geometry import TRUTH, check_geometry
@@ -15,6 +15,7 @@ from model.choices import (
     CHOICES,
     CommonChoices,
     DeepVoxelsChoices,
+    LossChoices,
     MethodChoices,
     folder_name,
     named_method,
@@ -43,6 +44,8 @@ def trainer_of(method: str) -> Callable[..., None]:
                anew=common.overwrite)  # fmt: skip
 
     # tyro makes a flag of each field of these records.
+    for record in (CommonChoices, LossChoices, CHOICES[method]):
+        unwrap_help(record)
     train.__annotations__["choices"] = CHOICES[method]
     return train
 

@@ -16,6 +16,7 @@ from model.choices import (
     named_method,
     refuse_foreign_flags,
 )
+from model.cli import main
 from model.methods import METHODS
 
 
@@ -68,3 +69,16 @@ def test_flags_of_other_methods_are_refused_and_unknown_ones_left_to_the_parser(
     refuse_foreign_flags("paper", ["--zero-layer", "--texture_size=3", "--seed", "-1", "--unheard-of"])
     with pytest.raises(HyalineError, match=r"--branches: method paper has no such choice \(light-path has\); leave it"):
         refuse_foreign_flags("paper", ["--branches=3"])
+
+
+def test_help_flows_over_the_lines_of_a_docstring(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.argv", ["model", "train", "--method", "dnr", "--help"])
+    with pytest.raises(SystemExit):
+        main()
+    lines = [line.strip("│ ") for line in capsys.readouterr().out.splitlines()]
+    start = next(place for place, line in enumerate(lines) if line.startswith("--method"))
+    shown = lines[start + 1 : lines.index("(required)", start)]
+    assert len(shown) > 5
+    assert min(map(len, shown)) > 45  # Where a line of the docstring ended, only a word or two stood.
