@@ -197,14 +197,15 @@ def share_texels(dataset: Dataset, geometry: str, size: int) -> tuple[int, ...]:
     )  # fmt: skip
     index = np.random.default_rng(0).integers(len(pixels.rgb), size=COUNTED_PIXELS)
     batch = pixels.take(torch.from_numpy(index), None)
-    counts = torch.bincount(batch.ends.surface.long(), minlength=len(dataset.objects) + 1)
+    met = [batch.ends.surface]
     if geometry != TRUTH:
         assert batch.stack is not None
-        surfaces = batch.stack.surface[:, sum(STACKED_VERTICES) :].long()
-        # The textures of a proxy's shells are as wide as its own.
-        met = (surfaces[surfaces > 0] - 1) // pixels.config.shells + 1
-        counts = counts + torch.bincount(met, minlength=len(counts))
-    share = counts[1:].double() / counts[1:].sum().clamp_min(1)
+        met.append(batch.stack.surface[:, sum(STACKED_VERTICES) :].flatten())
+    surfaces = torch.cat(met).long()
+    # The textures of a proxy's shells are as wide as its own.
+    objects = (surfaces[surfaces > 0] - 1) // pixels.config.shells
+    counts = torch.bincount(objects, minlength=len(dataset.objects))
+    share = counts.double() / counts.sum().clamp_min(1)
     wanted = (share * len(share)).sqrt() * size
     least = torch.where(share > 0, size // 3, size // 8).clamp_min(2)
     return tuple(int(width) for width in wanted.maximum(least).clamp_max(MAX_TEXTURE_SIZE).round())

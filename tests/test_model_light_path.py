@@ -12,7 +12,7 @@ from test_model_train import run_bytes, stop_at
 
 from datagen.dataset import Dataset, read_cameras, read_image
 from datagen.errors import HyalineError
-from datagen.geometry import TRUTH, read_meshes
+from datagen.geometry import TRUTH, ProxyStatistics, read_meshes, write_proxies
 from datagen.layers import read_layers
 from datagen.tonemap import srgb_from_linear
 from datagen.variant import use_mitsuba
@@ -22,7 +22,7 @@ from model.paper import PaperConfig, PaperRenderer
 from model.predict import render_predictions
 from model.run_folder import TrainConfig, is_finished, read_run
 from model.samples import linear_curve, srgb_curve
-from model.traced_batches import LightPathPixels, load_light_path_pixels, nest_shells
+from model.traced_batches import LightPathPixels, load_light_path_pixels, nest_shells, share_texels
 from model.train import train
 
 if use_mitsuba(quiet=True).startswith("scalar"):
@@ -211,6 +211,21 @@ def test_straight_layers_stand_beside_the_paths_on_proxies(dataset: Dataset) -> 
     assert (stack.throughput[:, -8:][stack.surface[:, -8:] > 0] == 1).all()
     renderer = LightPathRenderer(config)
     assert renderer(pixels.take(torch.arange(64), None)).shape == (64, 3)
+
+
+def test_texels_are_shared_among_objects_whatever_their_shells(tmp_path: Path) -> None:
+    dataset = write_synthetic_dataset(tmp_path / "data" / "synthetic", resolution=16)
+    statistics = (ProxyStatistics(volume_ratio=1, mean_distance=0, max_distance=0),) * 2
+    write_proxies(dataset, "box", read_meshes(dataset, TRUTH), statistics)
+    pane, floor = share_texels(dataset, "box", 24)
+    # As these proxies are the truth, about as much is met of them; but no path ends on a pane of glass.
+    assert share_texels(dataset, TRUTH, 24)[0] == 3
+    assert 8 <= pane < floor
+    config = default_light_path((pane, floor), is_proxy=True)
+    pixels = load_light_path_pixels(config, dataset, "box", "train", [2], True)
+    colors = LightPathRenderer(config)(pixels.take(torch.arange(256), None))
+    assert colors.shape == (256, 3)
+    assert torch.isfinite(colors).all()
 
 
 def test_shells_lie_one_inside_the_other_with_textures_of_their_own(dataset: Dataset) -> None:
