@@ -193,8 +193,9 @@ class DeepVoxelsChoices:
     """What `deepvoxels` is made of."""
 
     voxels: Literal["small", "paper", "original"] | None = _choice(None, "{}")
-    """small (a fourteenth of the parameters, L1 at rate 0.002), paper (as the paper ran it: L1 alone at rate 0.00001)
-    or original (its authors' L1 and critic at rate 0.0004). Default: small without a GPU, paper with one."""
+    """small (a fourteenth of the parameters, no dropout, a bounded grid, L1 at rate 0.002), paper (as the paper ran it:
+    L1 alone at rate 0.00001) or original (its authors' L1 and critic at rate 0.0004). Default: small without a GPU,
+    paper with one."""
 
 
 MethodChoices = PaperChoices | LightPathChoices | DnrChoices | AuthorsChoices | DeepVoxelsChoices

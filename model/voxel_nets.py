@@ -12,8 +12,6 @@ from torch import Tensor, nn
 from model.voxel_blocks import Unet, conv, double, halve
 
 OCCLUSION_CHANNELS = 4
-DROPOUT = 0.1
-"""In the rendering network; the integration drops twice as much."""
 
 Volume = Float32[Tensor, "1 c z y x"]
 
@@ -41,7 +39,9 @@ def feature_extractor(*, width: int, num_outputs: int, num_halvings: int, plane_
     )
 
 
-def rendering_network(*, width: int, num_inputs: int, num_doublings: int, plane_size: int) -> nn.Sequential:
+def rendering_network(
+    *, width: int, num_inputs: int, num_doublings: int, plane_size: int, dropout: float
+) -> nn.Sequential:
     """Features of rays to colours in [-1, 1]: a U-Net down to one pixel, then doublings."""
     unet = Unet(
         2,
@@ -50,14 +50,14 @@ def rendering_network(*, width: int, num_inputs: int, num_doublings: int, plane_
         width=width * 2**num_doublings,
         num_down=int(math.log2(plane_size)),
         max_channels=8 * width,
-        dropout=DROPOUT,
+        dropout=dropout,
         is_linear=num_doublings == 0,
     )
     if not num_doublings:
         return nn.Sequential(unet, nn.Tanh())
     return nn.Sequential(
         unet,
-        *(double(2, 4 * width if stage == 0 else width, width, dropout=DROPOUT) for stage in range(num_doublings)),
+        *(double(2, 4 * width if stage == 0 else width, width, dropout=dropout) for stage in range(num_doublings)),
         *conv(2, width, width // 2, activation=nn.ReLU()),
         *conv(2, width // 2, 3, activation=nn.Tanh(), is_normed=False),
     )
@@ -66,13 +66,14 @@ def rendering_network(*, width: int, num_inputs: int, num_doublings: int, plane_
 class Integration(nn.Module):
     """A gated recurrent unit whose state is the grid; a gate is one number for each voxel."""
 
-    def __init__(self, features: int) -> None:
+    def __init__(self, features: int, *, dropout: float, bounded: bool) -> None:
         super().__init__()
         # What the new observation says to the reset gate, the update gate and the candidate; what the old state says.
         self.new = _conv3(features + 3, 2 + features)
         self.old_gates = _conv3(features + 3, 2, has_bias=False)
         self.old_candidate = _conv3(features + 3, features, has_bias=False)
-        self.drop = nn.Dropout3d(2 * DROPOUT)
+        self.drop = nn.Dropout3d(dropout)
+        self.activation = nn.Tanh() if bounded else nn.ReLU()
 
     def forward(self, new: Volume, old: Volume, coordinates: Float32[Tensor, "1 3 z y x"]) -> Volume:
         """The state after an observation; both gates and the candidate also see the voxels' coordinates."""
@@ -80,7 +81,7 @@ class Integration(nn.Module):
         from_new = self.new(torch.cat([new, coordinates], dim=1))
         reset, update = torch.sigmoid(from_new[:, :2] + self.old_gates(old_placed)).split(1, dim=1)
         from_old = self.old_candidate(reset * old_placed)
-        candidate = torch.relu(self.drop(from_new[:, 2:]) + self.drop(from_old))
+        candidate = self.activation(self.drop(from_new[:, 2:]) + self.drop(from_old))
         return (1 - update) * old + update * candidate
 
 

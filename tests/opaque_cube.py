@@ -11,7 +11,6 @@ from datagen.modelling import cylinder, moved, rounded_box
 from datagen.scene import (
     CameraRig,
     Diffuse,
-    Lobe,
     Scene,
     SceneObject,
     SoftEnvironment,
@@ -23,34 +22,34 @@ from datagen.scene import (
 
 
 def opaque_cube() -> Scene:
-    """A cube of one metre with a checker of quarter metres, on a striped disc under a soft sky."""
-    checker = SolidTexture(pattern="checker", colors=((0.75, 0.62, 0.20), (0.10, 0.22, 0.55)), scale=0.5)
-    stripes = SolidTexture(pattern="stripes", colors=((0.55, 0.50, 0.45), (0.30, 0.42, 0.32)), scale=0.6)
-    # A quarter of a square aside, so that no face lies where two squares meet.
-    cube = moved(rounded_box((1.0, 1.0, 1.0), bevel=0.02), (0.06, 0.06, 0.561))
-    meshes = {"disc": cylinder(1.1, 0.06), "cube": cube}
+    """A cube of one metre with three by three squares of strong contrast a face, on a dark disc under a white sky.
+
+    The mean of the training pictures scores little here: a method must see the cube turn to do better.
+    """
+    checker = SolidTexture(pattern="checker", colors=((0.90, 0.70, 0.08), (0.03, 0.08, 0.40)), scale=0.8)
+    cube = moved(rounded_box((1.0, 1.0, 1.0), bevel=0.02), (0.2, 0.2, 0.561))
+    meshes = {"disc": moved(cylinder(0.9, 0.06), (0.2, 0.2, 0.0)), "cube": cube}
     unwrapped = unwrap_all(meshes)
     scene = Scene(
         name="opaque_cube",
         objects=(
-            SceneObject(name="disc", mesh=unwrapped["disc"], material=Diffuse(color=stripes)),
+            SceneObject(name="disc", mesh=unwrapped["disc"], material=Diffuse(color=(0.12, 0.14, 0.12))),
             SceneObject(name="cube", mesh=unwrapped["cube"], material=Diffuse(color=checker)),
         ),
         environment=SoftEnvironment(
-            zenith=(0.7, 0.75, 0.85),
-            horizon=(0.6, 0.6, 0.6),
-            ground=(0.3, 0.3, 0.3),
-            lobes=(Lobe(direction=(0.8, -0.4, 0.9), radiance=(2.0, 1.8, 1.5), sharpness=6.0),),
+            zenith=(0.95, 0.95, 0.95),
+            horizon=(0.9, 0.9, 0.9),
+            ground=(0.85, 0.85, 0.85),
         ),
         cameras=CameraRig(
-            target=(0.0, 0.0, 0.45),
-            radius=3.0,
+            target=(0.2, 0.2, 0.5),
+            radius=2.8,
             elevation_deg=(10.0, 70.0),
-            fov_deg=45.0,
+            fov_deg=40.0,
             walk=(
-                WalkPoint(position=(2.4, -1.8, 1.2), target=(0.0, 0.0, 0.45)),
-                WalkPoint(position=(0.9, -1.4, 1.3), target=(0.0, 0.1, 0.5)),
-                WalkPoint(position=(-2.9, -2.9, 0.9), target=(0.1, 0.0, 0.4)),
+                WalkPoint(position=(2.4, -1.4, 1.2), target=(0.2, 0.2, 0.5)),
+                WalkPoint(position=(1.1, -1.3, 1.3), target=(0.2, 0.3, 0.5)),
+                WalkPoint(position=(-2.7, -2.7, 0.9), target=(0.3, 0.2, 0.4)),
             ),
         ),
     )

@@ -14,7 +14,7 @@ from reference import convolve, interpolate
 from synthetic import look_at, write_synthetic_dataset
 
 from datagen.cameras import make_cameras, pixel_center_rays
-from datagen.dataset import Cameras, Dataset, DatasetConfig, SplitConfig, read_png
+from datagen.dataset import Cameras, Dataset, DatasetConfig, SplitConfig, read_image, read_png
 from datagen.errors import HyalineError
 from datagen.scene import is_glass
 from model import cli
@@ -28,7 +28,6 @@ from model.deepvoxels import (
     preset_deepvoxels,
 )
 from model.deepvoxels_loss import adversarial_loss
-from model.predict import load_renderer, predict_pixels
 from model.run_folder import TrainConfig, read_run
 from model.train import train
 from model.view_batches import Views, load_views
@@ -47,7 +46,9 @@ from model.voxel_nets import Critic, Integration, Occlusion, collapse
 
 CPU = torch.device("cpu")
 SIZE = 16
-TINY = DeepVoxelsConfig(image_size=64, plane_size=16, num_voxels=8, voxel_features=3, width=2, adversarial=True)
+TINY = DeepVoxelsConfig(
+    image_size=64, plane_size=16, num_voxels=8, voxel_features=3, width=2, bounded=True, adversarial=True
+)
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -253,9 +254,10 @@ def test_the_critic_has_its_number_of_parameters_and_sees_70_pixels() -> None:
     assert int(rows.max() - rows.min()) + 1 == 70
 
 
-def test_the_integration_is_the_gated_unit_of_its_formula() -> None:
+@pytest.mark.parametrize("bounded", [False, True])
+def test_the_integration_is_the_gated_unit_of_its_formula(bounded: bool) -> None:
     torch.manual_seed(0)
-    unit = Integration(2).eval()
+    unit = Integration(2, dropout=0.2, bounded=bounded).eval()
     new, old = torch.randn(1, 2, 4, 4, 4), torch.randn(1, 2, 4, 4, 4)
     result = unit(new, old, grid_coordinates(4))[0].detach().numpy()
 
@@ -271,7 +273,8 @@ def test_the_integration_is_the_gated_unit_of_its_formula() -> None:
 
     reset = 1 / (1 + np.exp(-loops(x, conv_x, slice(0, 1)) - loops(h, conv_h, slice(0, 1))))
     update = 1 / (1 + np.exp(-loops(x, conv_x, slice(1, 2)) - loops(h, conv_h, slice(1, 2))))
-    candidate = np.maximum(0, loops(x, conv_x, slice(2, 4)) + loops(reset * h, conv_rh, slice(0, 2)))
+    activated = np.tanh if bounded else lambda value: np.maximum(0, value)
+    candidate = activated(loops(x, conv_x, slice(2, 4)) + loops(reset * h, conv_rh, slice(0, 2)))
     np.testing.assert_allclose(result, (1 - update) * old[0].numpy() + update * candidate, atol=1e-5)
 
 
@@ -367,17 +370,14 @@ def test_a_stopped_and_resumed_run_has_the_same_bytes(
 
 def test_it_learns_what_each_camera_sees(tmp_path: Path) -> None:
     dataset = write_synthetic_dataset(tmp_path / "data" / "synthetic", train_views=4)
-    net = DeepVoxelsConfig(image_size=32, plane_size=16, num_voxels=8, voxel_features=8, width=8)
-    config = dataclasses.replace(run_config(net, steps=60), lr=0.004, lr_decay="linear", checkpoint_every=1000)
+    net = dataclasses.replace(TINY, image_size=32, width=8, voxel_features=8, dropout=0.0, adversarial=False)
+    config = dataclasses.replace(run_config(net, steps=60), lr=0.004, lr_decay="linear", evaluate_every=20)
     train(config, dataset, tmp_path / "run", label="deepvoxels", device=CPU)
-    views = load_views(net, dataset, "truth", "train", range(4), True)
-    drawn = predict_pixels(load_renderer(tmp_path / "run", config, dataset), views).astype(np.float64)
-    true = views.rgb.numpy().astype(np.float64)
-    errors = np.square(drawn.reshape(4, 1, -1) - true.reshape(1, 4, -1)).mean(axis=-1) / 255**2
-    scores = -10 * np.log10(errors)
-    # Each picture is nearest to its own camera's, which no guess that is the same for all can be.
-    assert (scores + 1 < np.diag(scores)[:, None]).sum() == 12
-    assert np.diag(scores).mean() > 16
+    losses = [json.loads(line)["loss"] for line in (tmp_path / "run/metrics.jsonl").read_text().splitlines()]
+    true = np.stack([read_image(dataset, "train", view)[5:-5, 5:-5] / 255 for view in range(4)])
+    # The median is the best picture for a network that draws the same for every camera.
+    same_for_all = np.abs(true - np.median(true, axis=0)).mean()
+    assert losses[-1] < 0.8 * same_for_all
 
 
 def test_the_grid_around_the_opaque_cube_holds_it_and_no_camera() -> None:
@@ -414,7 +414,7 @@ def test_the_command_trains_the_small_preset_on_a_cpu(
     assert "no layers" in capsys.readouterr().err
     run = json.loads((tmp_path / "run/run.json").read_text())
     assert run["config"]["lr"] == 2e-3 and run["config"]["batch"] == 2
-    assert (run["config"]["net"]["width"], run["config"]["net"]["plane_size"]) == (16, 16)
+    assert (run["config"]["net"]["width"], run["config"]["net"]["plane_size"]) == (16, 32)
     assert read_png(tmp_path / "run/predictions/extrapolating/0001.png").shape == (32, 32, 3)
 
 
