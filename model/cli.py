@@ -171,7 +171,10 @@ def _render_edit(run: Path, config: "TrainConfig", base: Dataset, edit: tuple[st
     from datagen.geometry import list_geometries
     from datagen.storage import one_writer, remove_temporaries
     from model.edits import edit_folder, is_edit_rendered, render_edit
+    from model.methods import METHODS
 
+    if not METHODS[config.method].uses_geometry:
+        raise HyalineError(f"--edit {edit[0]}: method {config.method} knows no geometry, so it cannot draw an edit")
     is_name = len(edit) == 1 and ":" not in edit[0]
     edited = open_edit(base, edit[0] if is_name else edits_name(tuple(map(parse_edit, edit))))
     if config.geometry not in list_geometries(edited):
