@@ -171,7 +171,8 @@ def peel(
     peel_annexes(opened, workers=workers)
     print(opened.root)
     suffix = "" if geometry == TRUTH else f" --geometry {geometry}"
-    next_command(f"model train --dataset {opened.root} --method paper{suffix}")
+    method = "paper" if "straight" in layers else "light-path"
+    next_command(f"model train --dataset {opened.root} --method {method}{suffix}")
 
 
 def verify(dataset: str | None = None, /) -> None:
