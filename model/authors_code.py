@@ -20,7 +20,7 @@ from datagen.dataset import Dataset
 from datagen.errors import HyalineError
 from model.batches import PixelSource, RayBatch, insert_random_layer
 from model.choices import AuthorsChoices
-from model.extrinsics import ExtrinsicInputs, Extrinsics, bake_position_table
+from model.extrinsics import ExtrinsicInputs, Extrinsics, positions_for
 from model.losses import PatchTerms, pixel_loss
 from model.paper import default_texture_size
 from model.texture import NeuralTextures, object_layout
@@ -199,7 +199,5 @@ def authors_loss(
 
 def build_authors(config: AuthorsConfig, dataset: Dataset, geometry: str, num_layers: int) -> AuthorsRenderer:
     """A fresh renderer for a dataset; its random start is drawn from torch's default generator."""
-    positions = None
-    if config.extrinsics != "none":
-        positions = bake_position_table(dataset, geometry, config.position_size)
+    positions = positions_for(config.extrinsics, dataset, geometry, config.position_size)
     return AuthorsRenderer(config, num_layers=num_layers, num_objects=len(dataset.objects), positions=positions)

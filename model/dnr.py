@@ -12,7 +12,7 @@ from datagen.dataset import Dataset
 from datagen.errors import HyalineError
 from model.batches import PixelSource, RayBatch, draw_patches, side_of, take_colors
 from model.choices import DnrChoices
-from model.extrinsics import ExtrinsicInputs, Extrinsics, bake_position_table
+from model.extrinsics import ExtrinsicInputs, Extrinsics, positions_for
 from model.losses import PatchTerms
 from model.paper import default_texture_size
 from model.texture import TexturePyramid, object_layout
@@ -187,7 +187,5 @@ def image_loss(
 
 def build_dnr(config: DnrConfig, dataset: Dataset, geometry: str, num_layers: int) -> DnrRenderer:
     """A fresh renderer for a dataset; its random start is drawn from torch's default generator."""
-    positions = None
-    if config.extrinsics != "none":
-        positions = bake_position_table(dataset, geometry, config.position_size)
+    positions = positions_for(config.extrinsics, dataset, geometry, config.position_size)
     return DnrRenderer(config, num_layers=num_layers, num_objects=len(dataset.objects), positions=positions)

@@ -12,13 +12,12 @@ import torch
 from torch import nn
 
 from datagen.command import say
-from datagen.dataset import TEST_SPLITS, Dataset, check_files
-from datagen.errors import HyalineError
+from datagen.dataset import TEST_SPLITS, Dataset
 from datagen.records import Json
 from datagen.storage import commit_sealed, load_sealed
 from model.extrinsics import ExtrinsicInputs, bake_position_table
 from model.predict import load_renderer, render_views
-from model.run_folder import PREDICTIONS, RUN_VERSION, TrainConfig, read_prediction_hashes
+from model.run_folder import PREDICTIONS, RUN_VERSION, TrainConfig, is_finished
 from model.runtime import keep_freed_memory
 from model.texture import NeuralTextures, TextureLayout, object_layout
 
@@ -31,11 +30,7 @@ def edit_folder(run: Path, edited: Dataset) -> Path:
 def is_edit_rendered(run: Path, edited: Dataset) -> bool:
     """True when all pictures of this edited scene are there and verify."""
     folder = edit_folder(run, edited)
-    try:
-        check_files(folder, read_prediction_hashes(folder))
-    except HyalineError:
-        return False
-    return load_sealed(folder / PREDICTIONS).get("dataset_seal") == edited.seal
+    return is_finished(folder) and load_sealed(folder / PREDICTIONS).get("dataset_seal") == edited.seal
 
 
 def render_edit(run: Path, config: TrainConfig, base: Dataset, edited: Dataset, *, device: torch.device) -> None:

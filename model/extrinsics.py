@@ -34,6 +34,13 @@ def bake_position_table(dataset: Dataset, geometry: str, size: int) -> Float32[T
     return torch.from_numpy(np.ascontiguousarray(table, np.float32))
 
 
+def positions_for(
+    extrinsics: Extrinsics, dataset: Dataset, geometry: str, size: int
+) -> Float32[Tensor, "texel 3"] | None:
+    """The table of `bake_position_table`; None for a renderer that is told nothing of the camera."""
+    return None if extrinsics == "none" else bake_position_table(dataset, geometry, size)
+
+
 def spherical_harmonics(direction: Float32[Tensor, "*b 3"]) -> Float32[Tensor, "*b 9"]:
     """The first three bands of the real orthonormal spherical harmonics of unit directions.
 

@@ -12,7 +12,7 @@ from datagen.dataset import Dataset
 from datagen.errors import HyalineError
 from model.batches import RayBatch, insert_random_layer
 from model.choices import PaperChoices
-from model.extrinsics import EXTRINSIC_CHANNELS, ExtrinsicInputs, Extrinsics, bake_position_table
+from model.extrinsics import EXTRINSIC_CHANNELS, ExtrinsicInputs, Extrinsics, positions_for
 from model.pixel_mlp import Norm, PixelMlp, check_width, width_for_34k
 from model.samples import check_samples, linear_curve, srgb_curve
 from model.texture import NeuralTextures, TexturePyramid, TextureSharing, make_layout
@@ -172,8 +172,6 @@ class PaperRenderer(nn.Module):
 
 def build_paper(config: PaperConfig, dataset: Dataset, geometry: str, num_layers: int) -> PaperRenderer:
     """A fresh renderer for a dataset of so many stored layers; its start is drawn from torch's default generator."""
-    positions = None
-    if config.extrinsics != "none":
-        positions = bake_position_table(dataset, geometry, config.position_size)
+    positions = positions_for(config.extrinsics, dataset, geometry, config.position_size)
     num_layers = choose_layers(config.num_layers, num_layers)
     return PaperRenderer(config, num_layers=num_layers, num_objects=len(dataset.objects), positions=positions)
