@@ -42,6 +42,9 @@ inside others."""
 MIN_THROUGHPUT = 1 / 512
 """A branch that starts with less is not followed: less than one step of an 8-bit picture."""
 
+MIN_COSINE = 0.2
+"""Where a ray grazes a surface, the slope of its uv is that at this cosine."""
+
 RECORDINGS = 64
 """Kernels that a tracer keeps, one for each number of rays and limits."""
 
@@ -81,6 +84,14 @@ class LightPaths:
     """Share of the environment's radiance from there that reaches the camera; 0 where it did not."""
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TracedPaths(LightPaths):
+    """Light paths fresh from the tracer, with what is not stored."""
+
+    uv_slope: Float32[np.ndarray, "branch vertex ray 2"]
+    """Change of uv from the vertex to where the ray would meet a surface one metre below this one, to first order."""
+
+
 class LightPathTracer:
     """A loaded geometry with the materials of its surfaces; follows any number of rays."""
 
@@ -108,7 +119,7 @@ class LightPathTracer:
 
     def trace(self, origins: Float32[np.ndarray, "ray 3"], directions: Float32[np.ndarray, "ray 3"],
               *, max_branches: int = 4, max_vertices: int = 8, max_depth: int = 24,
-              seed: int = 0) -> LightPaths:  # fmt: skip
+              seed: int = 0) -> TracedPaths:  # fmt: skip
         """Follows rays that start in air.
 
         Args:
@@ -143,13 +154,14 @@ class LightPathTracer:
             return np.array(values).reshape(shape)
 
         places, ends = (max_branches, max_vertices, count), (max_branches, count)
-        return LightPaths(
+        return TracedPaths(
             object_id=self._object_id[array("object_id", *places)],
             uv=array("uv", *places),
             direction=array("direction", *places),
             position=array("position", *places),
             normal=array("normal", *places),
             throughput=array("throughput", *places),
+            uv_slope=array("uv_slope", *places),
             medium_length=array("medium_length", *places),
             has_left=array("has_left", *ends).astype(bool),
             end_direction=array("end_direction", *ends),
@@ -232,7 +244,7 @@ def _trace(scene, tables, media, o, d, rows, shift, count, max_branches, max_ver
     tables = _Tables(*tables)
     slots = max_branches * max_vertices * count
     ids, lengths = dr.zeros(mi.UInt32, slots), dr.zeros(mi.Float, slots)
-    out_uv = [dr.zeros(mi.Float, slots) for _ in range(2)]
+    out_uv, out_slope = ([dr.zeros(mi.Float, slots) for _ in range(2)] for _ in range(2))
     out_direction, out_position, out_normal, out_throughput = (
         [dr.zeros(mi.Float, slots) for _ in range(3)] for _ in range(4)
     )
@@ -289,7 +301,10 @@ def _trace(scene, tables, media, o, d, rows, shift, count, max_branches, max_ver
             mi.Vector3f(*(dr.gather(mi.Float, tables.positions, face_u * 9 + 3 * k + c, hit) for c in range(3)))
             for k in range(3)
         ]
-        n_face = dr.normalize(dr.cross(corners[1] - corners[0], corners[2] - corners[0]))
+        uv_corner = [dr.gather(mi.Float, tables.uv, face_u * 6 + c, hit) for c in range(2)]
+        edges = (corners[1] - corners[0], corners[2] - corners[0])
+        n_wide = dr.cross(*edges)
+        n_face = dr.normalize(n_wide)
 
         # The medium on the way here, and those on both sides of the surface.
         is_outside = dr.dot(d, n_face) < 0
@@ -311,12 +326,25 @@ def _trace(scene, tables, media, o, d, rows, shift, count, max_branches, max_ver
         beta = dr.select(in_glass, beta * dr.exp(-sigma * length), beta)
         way += length
 
+        # What uv changes as the ray goes on in the plane of the face, whose edges are e1 and e2: d = a e1 + b e2 + c n.
+        shares = [dr.dot(dr.cross(d, edges[1]), n_wide), dr.dot(dr.cross(edges[0], d), n_wide)]
+        uv_edges = [
+            [dr.gather(mi.Float, tables.uv, face_u * 6 + 2 * k + c, hit) - first for c, first in enumerate(uv_corner)]
+            for k in (1, 2)
+        ]
+        # Depth counts inwards, which is back along a ray that comes out.
+        cosine = dr.maximum(dr.abs(dr.dot(d, n_face)), MIN_COSINE)
+        per_depth = dr.rcp(dr.maximum(dr.squared_norm(n_wide) * cosine, 1e-30))
+        per_depth = dr.select(is_outside, per_depth, -per_depth)
+        slope = [(shares[0] * uv_edges[0][c] + shares[1] * uv_edges[1][c]) * per_depth for c in range(2)]
+
         # The vertex. What comes after the last place takes its place: the end of a branch is always kept.
         facing = dr.select(is_outside, n, -n)
         slot = (branch * max_vertices + dr.minimum(vertex, max_vertices - 1)) * count + ray_index
         dr.scatter(ids, shape + 1, slot, real)
         dr.scatter(lengths, way, slot, real)
         store(out_uv, uv, slot, real)
+        store(out_slope, slope, slot, real)
         store(out_direction, d, slot, real)
         store(out_position, p, slot, real)
         store(out_normal, facing, slot, real)
@@ -405,9 +433,9 @@ def _trace(scene, tables, media, o, d, rows, shift, count, max_branches, max_ver
     )  # fmt: skip
     dr.while_loop(state, is_tracing, advance, label="light_path")
     return {
-        "object_id": ids, "uv": out_uv, "direction": out_direction, "position": out_position, "normal": out_normal,
-        "throughput": out_throughput, "medium_length": lengths, "has_left": left, "end_direction": end_direction,
-        "end_throughput": end_throughput,
+        "object_id": ids, "uv": out_uv, "uv_slope": out_slope, "direction": out_direction, "position": out_position,
+        "normal": out_normal, "throughput": out_throughput, "medium_length": lengths, "has_left": left,
+        "end_direction": end_direction, "end_throughput": end_throughput,
     }  # fmt: skip
 
 

@@ -69,6 +69,7 @@ LIGHT_PATH: dict[str, Json] = {
     "position_octaves": 0,
     "straight_layers": 0,
     "shells": 1,
+    "relief": False,
     "stack_hidden": 32,
     "texture_levels": 5,
     "train_samples": 4,
@@ -76,7 +77,7 @@ LIGHT_PATH: dict[str, Json] = {
 }
 """`light-path` on the true geometry with all of its parts."""
 
-PROXY_KEYS = ("geometry", "texture_sizes", "stack_hidden", "straight_layers", "shells")
+PROXY_KEYS = ("geometry", "texture_sizes", "stack_hidden", "straight_layers", "shells", "relief")
 """What `light-path` chooses by the geometry."""
 
 OURS = Line(title="paper", method="paper", choices=VIEW, published=VIEW_VECTOR)

@@ -134,6 +134,8 @@ class LightPathChoices:
     """Straight layers that this network sees beside the paths. Default: 0, on proxies 24."""
     shells: int | None = _choice(None, "{}-shells")
     """Copies of each proxy, one inside the other, that straight layers meet. Default: 1, on proxies 4."""
+    relief: Literal["on", "off"] | None = _choice(None, {"on": "relief", "off": "no-relief"})
+    """Learn how deep below the proxy the true surface lies, and look up colour there. Default: off, on proxies on."""
     environment: int = _choice(32, "sky{}")
     """Height in texels of the finest map of the learned sky; 1 makes it two colours."""
     position_octaves: int = _choice(0, "{}-octaves")

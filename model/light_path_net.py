@@ -14,7 +14,7 @@ from datagen.geometry import TRUTH
 from model.choices import LightPathChoices
 from model.extrinsics import spherical_harmonics
 from model.samples import check_samples, srgb_curve
-from model.texture import TexturePyramid, level_scales, object_layout
+from model.texture import NeuralTextures, TexturePyramid, level_scales, object_layout
 
 STACKED_VERTICES = (4, 2)
 """Vertices of the refracted and of the first mirror branch that the stack network sees."""
@@ -23,6 +23,12 @@ FINER_COUNTS = 0.5
 """How much a level of a pyramid, of textures or of the sky, counts beside the next coarser one. Adam moves all texels
 alike, so coarse ones, moved by all rays, get there first, and fine ones add what is left: what few rays have met is
 filled in from around it. (Deferred Neural Rendering regularises its levels to that end.)"""
+
+RELIEF_DEPTH = 0.01
+"""Metres of depth for a texel's 1 in a learned relief: at the textures' learning rate a step moves it by 0.4 mm."""
+
+RELIEF_COARSER = 4
+"""How many times wider a texel of the relief is than the finest one of colour."""
 
 MAX_SURFACES = 255
 """Ids of surfaces are bytes, and 0 is the empty one."""
@@ -52,6 +58,9 @@ class LightPathConfig:
     """Copies of each surface, one inside the other, that straight layers meet: copy k of n is 1 - k / n as large as the
     proxy and has a texture of its own, so that there are layers near what lies inside of a coarse proxy. Source:
     layered semi-transparent meshes (Volumetric Surfaces, 2024), there fitted to the truth."""
+    relief: bool = False
+    """Surfaces learn how deep below them the true ones lie, and colour is looked up where the ray meets those, to first
+    order. Source: relief mapping (Policarpo et al. 2005), with learned depths."""
     environment_size: int = 32
     """Height in texels of the finest of the learned latitude-longitude maps that sum to the light from outside. It is
     twice as wide; the others are halved down to a single colour: directions in which no training ray left are filled in
@@ -87,7 +96,9 @@ def default_light_path(texture_sizes: tuple[int, ...], *, is_proxy: bool) -> Lig
     """
     if is_proxy:
         shells = max(1, min(4, MAX_SURFACES // len(texture_sizes)))
-        return LightPathConfig(texture_sizes=texture_sizes, stack_hidden=96, straight_layers=24, shells=shells)
+        return LightPathConfig(
+            texture_sizes=texture_sizes, stack_hidden=96, straight_layers=24, shells=shells, relief=True
+        )
     return LightPathConfig(texture_sizes=texture_sizes)
 
 
@@ -114,6 +125,7 @@ def configure_light_path(
         stack_hidden=known.stack_hidden if choices.stack is None else choices.stack,
         straight_layers=known.straight_layers if choices.straight_layers is None else choices.straight_layers,
         shells=known.shells if choices.shells is None else choices.shells,
+        relief=known.relief if choices.relief is None else choices.relief == "on",
         environment_size=choices.environment,
         branches=choices.branches,
         train_samples=known.train_samples if choices.rays is None else choices.rays,
@@ -136,6 +148,8 @@ class Ends:
     """Of the angle between the arriving ray and the surface's normal, 0 to 1."""
     reflected: Float32[Tensor, "end 3"]
     """The arriving direction, mirrored at the surface."""
+    uv_slope: Float32[Tensor, "end 2"]
+    """Change of uv for every metre of depth below the surface."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -163,6 +177,8 @@ class Stack:
     """Of each straight layer; None without straight layers."""
     reflected: Float32[Tensor, "ray straight 3"] | None
     """The ray's direction, mirrored at the surface of each straight layer."""
+    uv_slope: Float32[Tensor, "ray straight 2"] | None
+    """Change of uv for every metre of depth below the surface of each straight layer."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -199,6 +215,8 @@ class LightPathRenderer(nn.Module):
             config.texture_features,
             finer_counts=FINER_COUNTS,
         )
+        relief_sizes = [max(2, size // RELIEF_COARSER) for size in config.texture_sizes for _ in range(config.shells)]
+        self.relief = NeuralTextures(object_layout(relief_sizes), 1) if config.relief else None
         if config.composite:
             # Feature, cosine, spherical harmonics of the mirrored direction, position -> linear radiance.
             self.decoder = _mlp(config.texture_features + 1 + 9 + 6 * config.position_octaves, config.hidden, 3)
@@ -225,7 +243,8 @@ class LightPathRenderer(nn.Module):
         if self.stack_net is not None:
             assert paths.stack is not None
             stack = paths.stack
-            features = self.textures(stack.uv, stack.surface)
+            uv = self._relieved(stack)
+            features = self.textures(uv, stack.surface)
             inputs = torch.cat([features, stack.throughput[..., None], stack.cosine[..., None]], dim=-1).flatten(1)
             if self.config.straight_layers:
                 inputs = torch.cat([inputs, stack.direction], dim=-1)
@@ -235,6 +254,23 @@ class LightPathRenderer(nn.Module):
                 radiance = share * radiance + (1 - share) * self._over(stack, features, out[:, 4:])
             radiance = radiance + functional.softplus(out[:, :3] - (4 if self.config.composite else 1))
         return srgb_curve(radiance.view(-1, paths.samples, 3).mean(dim=1))
+
+    def _relieved(self, stack: Stack) -> Float32[Tensor, "ray slot 2"]:
+        """Where the stack looks up its textures: only its straight layers, which pass on, are shifted."""
+        if stack.uv_slope is None:
+            return stack.uv
+        first = sum(STACKED_VERTICES)
+        straight = self._shifted(stack.uv[:, first:], stack.surface[:, first:], stack.uv_slope)
+        return torch.cat([stack.uv[:, :first], straight], dim=1)
+
+    def _shifted(
+        self, uv: Float32[Tensor, "ray slot 2"], surface: UInt8[Tensor, "ray slot"],
+        uv_slope: Float32[Tensor, "ray slot 2"],
+    ) -> Float32[Tensor, "ray slot 2"]:  # fmt: skip
+        """Where the rays meet the learned relief below (or above) the surfaces."""
+        if self.relief is None:
+            return uv
+        return (uv + RELIEF_DEPTH * self.relief(uv, surface) * uv_slope).clamp(0, 1)
 
     def _over(self, stack: Stack, features: Tensor, opacity_logits: Float32[Tensor, "ray straight"]) -> Tensor:
         """Linear radiance of the straight layers, each laid over those behind it, and of the sky behind all."""
@@ -257,7 +293,8 @@ class LightPathRenderer(nn.Module):
 
     def _shine(self, ends: Ends) -> Float32[Tensor, "end 3"]:
         """Linear radiance that leaves the ends towards their rays."""
-        features = self.textures(ends.uv[:, None], ends.surface[:, None])[:, 0]
+        uv = self._shifted(ends.uv[:, None], ends.surface[:, None], ends.uv_slope[:, None])
+        features = self.textures(uv, ends.surface[:, None])[:, 0]
         return self._decode(features, ends.cosine, ends.reflected, ends.position)
 
     def _decode(

@@ -90,3 +90,33 @@ def add_gradient(
                     weight = weights[tap] * scale
                     for c in range(channels):
                         gradient[row, c] += weight * upstream[slot, c]
+
+
+@numba.njit(parallel=True, cache=True, boundscheck=False)
+def add_uv_gradient(
+    gradient: Float32[np.ndarray, "slot 2"],
+    upstream: Float32[np.ndarray, "slot c"],
+    table: Float32[np.ndarray, "texel c"],
+    uv: Float32[np.ndarray, "slot 2"],
+    object_id: UInt8[np.ndarray, " slot"],
+    places: Int32[np.ndarray, "3 object"],
+    scale: np.float32,
+) -> None:
+    """Adds the gradient of `add_look_ups` with respect to uv: the slope of the bilinear patch; 0 beyond the border."""
+    num_slots, channels = upstream.shape
+    for block in numba.prange((num_slots + BLOCK - 1) // BLOCK):
+        for slot in range(block * BLOCK, min((block + 1) * BLOCK, num_slots)):
+            place = np.int32(object_id[slot]) - 1
+            if place < 0:
+                continue
+            size = places[1, place]
+            rows, weights = _taps(uv[slot, 0], uv[slot, 1], places[0, place], size, places[2, place])
+            # The weights are products (1 - x)(1 - y), x (1 - y), (1 - x) y, x y.
+            x, y = weights[1] + weights[3], weights[2] + weights[3]
+            along_x = along_y = np.float32(0)
+            for c in range(channels):
+                t0, t1, t2, t3 = table[rows[0], c], table[rows[1], c], table[rows[2], c], table[rows[3], c]
+                along_x += upstream[slot, c] * ((np.float32(1) - y) * (t1 - t0) + y * (t3 - t2))
+                along_y += upstream[slot, c] * ((np.float32(1) - x) * (t2 - t0) + x * (t3 - t1))
+            gradient[slot, 0] += scale * np.float32(size) * along_x
+            gradient[slot, 1] -= scale * np.float32(size) * along_y

@@ -15,7 +15,7 @@ from torch.autograd.function import FunctionCtx
 from torch.nn import functional
 
 from datagen.errors import HyalineError
-from model.texels import add_gradient, add_look_ups
+from model.texels import add_gradient, add_look_ups, add_uv_gradient
 
 TextureSharing = Literal["object", "scene"]
 
@@ -108,25 +108,31 @@ class _CompiledSample(torch.autograd.Function):
     @staticmethod
     def forward(ctx: FunctionCtx, uv: Tensor, object_id: Tensor, layouts: tuple[TextureLayout, ...],
                 scales: tuple[float, ...], *tables: Tensor) -> Tensor:  # fmt: skip
-        ctx.save_for_backward(uv, object_id)
+        ctx.save_for_backward(uv, object_id, *tables)
         ctx.levels = [(layout, scale, table.shape) for layout, scale, table in zip(layouts, scales, tables)]  # pyright: ignore[reportAttributeAccessIssue]
         result = torch.zeros(len(object_id), tables[0].shape[1])
         for table, layout, scale in zip(tables, layouts, scales, strict=True):
-            add_look_ups(result.numpy(), table.detach().contiguous().numpy(), uv.contiguous().numpy(),
+            add_look_ups(result.numpy(), table.detach().contiguous().numpy(), uv.detach().contiguous().numpy(),
                          object_id.numpy(), _places(layout), np.float32(scale))  # fmt: skip
         return result
 
     @staticmethod
     def backward(ctx: FunctionCtx, *upstream: Tensor) -> tuple[Tensor | None, ...]:
-        uv, object_id = ctx.saved_tensors  # pyright: ignore[reportAttributeAccessIssue]
+        uv, object_id, *tables = ctx.saved_tensors  # pyright: ignore[reportAttributeAccessIssue]
         above = upstream[0].contiguous().numpy()
         gradients = []
         for layout, scale, shape in ctx.levels:  # pyright: ignore[reportAttributeAccessIssue]
             gradient = torch.zeros(shape)
-            add_gradient(gradient.numpy(), above, uv.contiguous().numpy(), object_id.numpy(), _places(layout),
+            add_gradient(gradient.numpy(), above, uv.detach().contiguous().numpy(), object_id.numpy(), _places(layout),
                          np.float32(scale), torch.get_num_threads())  # fmt: skip
             gradients.append(gradient)
-        return None, None, None, None, *gradients
+        uv_gradient = None
+        if ctx.needs_input_grad[0]:  # pyright: ignore[reportAttributeAccessIssue]
+            uv_gradient = torch.zeros_like(uv, memory_format=torch.contiguous_format)
+            for table, (layout, scale, _) in zip(tables, ctx.levels):  # pyright: ignore[reportAttributeAccessIssue]
+                add_uv_gradient(uv_gradient.numpy(), above, table.detach().numpy(), uv.detach().contiguous().numpy(),
+                                object_id.numpy(), _places(layout), np.float32(scale))  # fmt: skip
+        return uv_gradient, None, None, None, *gradients
 
 
 @functools.cache

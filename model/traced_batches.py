@@ -19,7 +19,7 @@ from model.light_path_net import STACKED_VERTICES, Ends, LightPathBatch, LightPa
 from model.paper import PaperConfig
 
 if TYPE_CHECKING:
-    from datagen.light_path import LightPaths, LightPathTracer
+    from datagen.light_path import LightPathTracer, TracedPaths
 
 COUNTED_PIXELS = 4096
 """Pixels that decide the sizes of textures."""
@@ -127,7 +127,7 @@ class LightPathPixels:
             num_pixels=index.numel(), samples=samples, ends=self._ends(paths), sky=self._sky(paths), stack=stack
         )
 
-    def _ends(self, paths: "LightPaths") -> Ends:
+    def _ends(self, paths: "TracedPaths") -> Ends:
         branch, ray = np.nonzero(~paths.has_left & self.is_opaque[paths.object_id[:, 0]])
         place = (branch, 0, ray)
         cosine, reflected = _mirrored(paths.direction[place], paths.normal[place])
@@ -139,9 +139,10 @@ class LightPathPixels:
             throughput=self._tensor(paths.throughput[place]),
             cosine=self._tensor(cosine),
             reflected=self._tensor(reflected),
+            uv_slope=self._tensor(paths.uv_slope[place]),
         )
 
-    def _sky(self, paths: "LightPaths") -> Sky:
+    def _sky(self, paths: "TracedPaths") -> Sky:
         place = np.nonzero(paths.has_left)
         return Sky(
             ray=self._tensor(place[1]),
@@ -179,6 +180,7 @@ class LightPathPixels:
             direction=self._tensor(directions),
             position=column("position", straight_layers) if straight_layers else None,
             reflected=column("reflected", straight_layers) if straight_layers else None,
+            uv_slope=column("uv_slope", straight_layers) if straight_layers else None,
         )
 
     def _tensor(self, values: np.ndarray) -> Tensor:
@@ -272,7 +274,7 @@ def _scaled(mesh: Mesh, scale: float) -> Mesh:
     return dataclasses.replace(mesh, vertices=center + np.float32(scale) * (mesh.vertices - center))
 
 
-def _slot(paths: "LightPaths", branch: int, vertex: int) -> dict[str, np.ndarray]:
+def _slot(paths: "TracedPaths", branch: int, vertex: int) -> dict[str, np.ndarray]:
     """What the stack network is told of one vertex of all rays."""
     cosine, reflected = _mirrored(paths.direction[branch, vertex], paths.normal[branch, vertex])
     return {
@@ -282,6 +284,7 @@ def _slot(paths: "LightPaths", branch: int, vertex: int) -> dict[str, np.ndarray
         "cosine": cosine,
         "position": paths.position[branch, vertex],
         "reflected": reflected,
+        "uv_slope": paths.uv_slope[branch, vertex],
     }
 
 
@@ -297,7 +300,7 @@ def _mirrored(direction: Float32[np.ndarray, "vertex 3"], normal: Float32[np.nda
     return np.clip(cosine, 0, 1), direction + 2 * cosine[:, None] * normal
 
 
-def _straight(tracer: "LightPathTracer", origins: np.ndarray, directions: np.ndarray, num_layers: int) -> "LightPaths":
+def _straight(tracer: "LightPathTracer", origins: np.ndarray, directions: np.ndarray, num_layers: int) -> "TracedPaths":
     return tracer.trace(origins, directions, max_branches=1, max_vertices=num_layers, max_depth=num_layers)
 
 

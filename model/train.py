@@ -35,6 +35,7 @@ from model.run_folder import (
     write_run,
 )
 from model.runtime import keep_freed_memory
+from model.texture import NeuralTextures
 
 
 def train(config: TrainConfig, dataset: Dataset, out: Path, *, label: str, device: torch.device) -> None:
@@ -58,8 +59,9 @@ def train(config: TrainConfig, dataset: Dataset, out: Path, *, label: str, devic
         renderer = method.build(config.net, dataset, config.geometry, num_layers)
     renderer.to(device)
     named = dict(renderer.named_parameters())
-    texture_parameters = [value for name, value in named.items() if name.startswith("textures.")]
-    net_parameters = [value for name, value in named.items() if not name.startswith("textures.")]
+    textures = [f"{name}.table" for name, part in renderer.named_modules() if isinstance(part, NeuralTextures)]
+    texture_parameters = [value for name, value in named.items() if name in textures]
+    net_parameters = [value for name, value in named.items() if name not in textures]
     num_critic = count([value for name, value in named.items() if name.startswith("critic.")])
     rates = (config.lr, config.lr if config.texture_lr is None else config.texture_lr)
     groups = [

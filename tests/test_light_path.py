@@ -21,7 +21,7 @@ from datagen.variant import use_mitsuba
 if use_mitsuba(quiet=True).startswith("scalar"):
     pytest.skip("light paths need a vectorised variant of Mitsuba", allow_module_level=True)
 
-from datagen.light_path import LightPaths, LightPathTracer
+from datagen.light_path import LightPathTracer, TracedPaths
 from datagen.mitsuba_scene import load_scene_mitsuba, load_sensor, radiance_of_environment
 
 GREY = Diffuse(color=(0.5, 0.5, 0.5))
@@ -34,7 +34,7 @@ def wide(z: float) -> Mesh:
 
 
 def traced(*objects: tuple[Mesh, Material], origins: object, directions: object, max_branches: int = 2,
-           **limits: int) -> LightPaths:  # fmt: skip
+           **limits: int) -> TracedPaths:  # fmt: skip
     directions = np.atleast_2d(np.asarray(directions, np.float64))
     directions = directions / np.linalg.norm(directions, axis=1, keepdims=True)
     origins = np.broadcast_to(np.asarray(origins, np.float64), directions.shape)
@@ -273,3 +273,18 @@ def test_the_scalar_variant_is_refused_with_the_remedy(monkeypatch: pytest.Monke
     monkeypatch.setattr("datagen.light_path.is_scalar", lambda: True)
     with pytest.raises(HyalineError, match="light paths: Mitsuba runs as scalar_rgb"):
         LightPathTracer((quad(0.0),), (GREY,))
+
+
+@pytest.mark.parametrize("height", [1.0, -1.0])
+def test_uv_slopes_lead_to_where_the_ray_meets_a_deeper_surface(height: float) -> None:
+    """From above the deeper one comes later; out of what lies below the surface it comes before."""
+    depth = 1e-2
+    rng = np.random.default_rng(0)
+    directions = np.c_[rng.uniform(-2, 2, (200, 2)), np.full(200, -height)]
+    surface, deeper = (
+        traced((wide(z), None), origins=(0.3, -0.2, height), directions=directions, max_branches=1)
+        for z in (0.0, -depth)
+    )
+    expected = deeper.uv[0, 0] - surface.uv[0, 0]
+    assert np.abs(expected).max() > 2e-4
+    assert np.abs(depth * surface.uv_slope[0, 0] - expected).max() < 2e-6

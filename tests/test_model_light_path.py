@@ -16,7 +16,7 @@ from datagen.geometry import TRUTH, ProxyStatistics, read_meshes, write_proxies
 from datagen.layers import read_layers
 from datagen.tonemap import srgb_from_linear
 from datagen.variant import use_mitsuba
-from model.light_path_net import STACKED_VERTICES, LightPathConfig, LightPathRenderer, default_light_path
+from model.light_path_net import RELIEF_DEPTH, STACKED_VERTICES, LightPathConfig, LightPathRenderer, default_light_path
 from model.methods import METHODS
 from model.paper import PaperConfig, PaperRenderer
 from model.predict import render_predictions
@@ -249,6 +249,34 @@ def test_shells_lie_one_inside_the_other_with_textures_of_their_own(dataset: Dat
     assert torch.equal(changed, batch.stack.surface == 5)
     with pytest.raises(HyalineError, match="shells: is 128 for 2 objects"):
         LightPathConfig(texture_sizes=(8, 8), shells=128)
+
+
+def test_a_relief_shifts_look_ups_by_its_depth_and_learns(dataset: Dataset) -> None:
+    config = dataclasses.replace(default_light_path((32, 32), is_proxy=True), shells=1, straight_layers=8)
+    assert config.relief
+    batch = load_light_path_pixels(config, dataset, TRUTH, "train", [2], True).take(torch.arange(64), None)
+    assert batch.stack is not None and batch.stack.uv_slope is not None
+    torch.manual_seed(0)
+    renderer = LightPathRenderer(config)
+    assert renderer.relief is not None
+    with torch.no_grad():
+        renderer.textures[0].table.normal_()
+        flat = renderer(batch)
+        renderer.relief.table.fill_(2.0)
+        deep = renderer(batch)
+        # The same as textures looked up at shifted uv, without a relief.
+        shift = 2.0 * RELIEF_DEPTH
+        straight = sum(STACKED_VERTICES)
+        uv = batch.stack.uv.clone()
+        uv[:, straight:] = (uv[:, straight:] + shift * batch.stack.uv_slope).clamp(0, 1)
+        ends = dataclasses.replace(batch.ends, uv=(batch.ends.uv + shift * batch.ends.uv_slope).clamp(0, 1))
+        moved = dataclasses.replace(batch, ends=ends, stack=dataclasses.replace(batch.stack, uv=uv))
+        renderer.relief.table.zero_()
+        expected = renderer(moved)
+    assert not torch.allclose(deep, flat, atol=1e-3)
+    torch.testing.assert_close(deep, expected, atol=1e-4, rtol=1e-3)
+    renderer(batch).sum().backward()
+    assert renderer.relief.table.grad is not None and renderer.relief.table.grad.any()
 
 
 def test_finer_textures_are_added_to_coarser_ones(dataset: Dataset) -> None:

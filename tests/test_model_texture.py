@@ -182,3 +182,24 @@ def test_the_gradient_has_the_same_bits_for_any_number_of_threads() -> None:
         add_gradient(gradient, upstream, uv, object_id, places, np.float32(0.5), parts)
         gradients.append(gradient)
     assert all((gradient == gradients[0]).all() for gradient in gradients) and gradients[0].any()
+
+
+def test_the_gradient_of_uv_equals_that_of_grid_sample() -> None:
+    table, uv, object_id, layout = random_case(5, 2, 9, scene=False)
+    upstream = torch.randn(13, 3, 5, generator=torch.Generator().manual_seed(5))
+    uv.requires_grad_()
+    look_up(table, uv, object_id, layout).backward(upstream)
+    gradient, uv.grad = uv.grad, None
+
+    images = table.view(2, 9, 9, 5).permute(0, 3, 1, 2)
+    grid = torch.stack([2 * uv[..., 0] - 1, 1 - 2 * uv[..., 1]], dim=-1)
+    for index in range(2):
+        looked_up = functional.grid_sample(
+            images[index : index + 1], grid[None], padding_mode="border", align_corners=False
+        )
+        of_object = (object_id == index + 1)[..., None]
+        (looked_up[0].permute(1, 2, 0) * of_object * upstream).sum().backward(retain_graph=True)
+    assert gradient is not None and uv.grad is not None
+    inside = ((uv > 0.5 / 9) & (uv < 1 - 0.5 / 9)).all(dim=-1)
+    torch.testing.assert_close(gradient[inside], uv.grad[inside], atol=1e-4, rtol=1e-4)
+    assert (gradient[object_id == 0] == 0).all() and (gradient[inside & (object_id > 0)] != 0).any()
