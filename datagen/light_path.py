@@ -95,7 +95,7 @@ class LightPathTracer:
 
     def trace(self, origins: Float32[np.ndarray, "ray 3"], directions: Float32[np.ndarray, "ray 3"],
               *, max_branches: int = 4, max_vertices: int = 8, max_depth: int = 24,
-              seed: int = 0) -> LightPaths:  # fmt: skip
+              seed: int = 0, first_ray: int = 0) -> LightPaths:  # fmt: skip
         """Follows rays that start in air.
 
         Args:
@@ -104,9 +104,10 @@ class LightPathTracer:
             max_vertices: kept of each branch. The last place holds the last vertex, however many come before it.
             max_depth: surfaces after which a branch is given up.
             seed: of the facets of rough surfaces that mirror.
+            first_ray: these are rays `first_ray` and following ones of a larger bundle, and trace as there.
         """
         limits = (max_branches, max_vertices, max_depth)
-        paths = _trace(self._scene, self._tables, origins, directions, *limits, seed)
+        paths = _trace(self._scene, self._tables, origins, directions, *limits, seed, first_ray)
         return dataclasses.replace(paths, object_id=self._object_id[paths.object_id])
 
 
@@ -153,7 +154,8 @@ def _kind(material: Material | None) -> int:
 
 
 def _trace(scene: "mi.Scene", tables: _Tables, origins: np.ndarray, directions: np.ndarray,
-           max_branches: int, max_vertices: int, max_depth: int, seed: int) -> LightPaths:  # fmt: skip
+           max_branches: int, max_vertices: int, max_depth: int, seed: int,
+           first_ray: int) -> LightPaths:  # fmt: skip
     """One kernel for all vertices of all branches, recorded once for each number of vertices and branches."""
     import drjit as dr
     import mitsuba as mi
@@ -191,7 +193,7 @@ def _trace(scene: "mi.Scene", tables: _Tables, origins: np.ndarray, directions: 
 
     def random_point(step):
         shifts = (mi.sample_tea_float32(shift, 2 * step + axis) for axis in range(2))
-        rows = (mi.Float(np.arange(count) / plastic ** (1 + axis) % 1) for axis in range(2))
+        rows = (mi.Float(np.arange(first_ray, first_ray + count) / plastic ** (1 + axis) % 1) for axis in range(2))
         points = [row + shift for row, shift in zip(rows, shifts, strict=True)]
         return [point - dr.floor(point) for point in points]
 

@@ -1,5 +1,6 @@
 """Owns the command `model`: parse, make a configuration, call one function."""
 
+import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -7,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from datagen.command import choose, fail, next_command, run, say, unwrap_help
+from datagen.command import choose, fail, mute, next_command, run, say, unwrap_help
 from datagen.dataset import Dataset, find_dataset, open_dataset
 from datagen.errors import HyalineError
 from datagen.geometry import TRUTH, check_geometry
@@ -26,6 +27,7 @@ from model.runtime import wait_without_spinning
 if TYPE_CHECKING:
     import torch
 
+    from model.distributed import Team
     from model.run_folder import TrainConfig
 
 DEFAULT_HELP = "paper"
@@ -36,7 +38,13 @@ def trainer_of(method: str) -> Callable[..., None]:
     """The command `train` with the flags of one method."""
 
     def train(common: CommonChoices, choices: MethodChoices) -> None:
-        """Train a renderer on a dataset, then render both test splits with it."""
+        """Train a renderer on a dataset, then render both test splits with it.
+
+        `torchrun --nproc-per-node N -m model train ...` trains on N GPUs (or CPU processes), and ends where one process
+        would but for rounding: paper, mlp-first and light-path, with losses of pixels alone.
+        """
+        if int(os.environ.get("RANK", "0")) > 0:
+            mute()
         config, opened = configure(common, choices)
         out = common.out or Path("runs") / opened.name / folder_name(common, choices)
         label = common.name or out.name
@@ -91,13 +99,29 @@ def configure(common: CommonChoices, choices: MethodChoices) -> "tuple[TrainConf
 def _train(
     config: "TrainConfig", dataset: Dataset, out: Path, *, label: str, device: "torch.device", resume: bool, anew: bool
 ) -> None:
+    from model.distributed import join, own_device
+    from model.train import check_team
+    from model.train import train as train_run
+
+    if resume and anew:
+        raise HyalineError("--resume and --overwrite: exclude each other; give one of them")
+    device = own_device(device)
+    with join(device) as team:
+        check_team(config, team)
+        if team.is_first:
+            _train_first(config, dataset, out, label=label, device=device, resume=resume, anew=anew, team=team)
+        elif team.agree():
+            train_run(config, dataset, out, label=label, device=device, team=team)
+
+
+def _train_first(config: "TrainConfig", dataset: Dataset, out: Path, *, label: str, device: "torch.device",
+                 resume: bool, anew: bool, team: "Team") -> None:  # fmt: skip
+    """Trains and predicts, as the process that holds the run's folder, and tells the others whether to train."""
     from datagen.storage import one_writer, remove_temporaries
     from model.predict import render_predictions
     from model.run_folder import RUN, WEIGHTS, clear_run, is_finished
     from model.train import train as train_run
 
-    if resume and anew:
-        raise HyalineError("--resume and --overwrite: exclude each other; give one of them")
     with one_writer(out):
         remove_temporaries(out)
         if not (out / RUN).is_file() and any(out.iterdir()):
@@ -108,14 +132,15 @@ def _train(
             _check_same_run(out, config, dataset)
             if is_finished(out):
                 say(f"{out}: finished before, nothing to do; --overwrite trains it anew")
+                team.agree(False)
                 _end(out)
                 return
             if not resume:
                 raise HyalineError(
                     f"{out}: holds an unfinished run; go on with --resume, or start anew with --overwrite"
                 )
-        if not (out / WEIGHTS).is_file():
-            train_run(config, dataset, out, label=label, device=device)
+        if team.agree(not (out / WEIGHTS).is_file()):
+            train_run(config, dataset, out, label=label, device=device, team=team)
         render_predictions(out, config, dataset, device=device)
     _end(out)
 
