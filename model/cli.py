@@ -1,5 +1,6 @@
 """Owns the command `model`: parse, make a configuration, call one function."""
 
+import functools
 import os
 import sys
 from collections.abc import Callable
@@ -27,7 +28,7 @@ from model.runtime import wait_without_spinning
 if TYPE_CHECKING:
     import torch
 
-    from model.distributed import Team
+    from model.pixel_cache import Memory
     from model.run_folder import TrainConfig
 
 DEFAULT_HELP = "paper"
@@ -49,7 +50,7 @@ def trainer_of(method: str) -> Callable[..., None]:
         out = common.out or Path("runs") / opened.name / folder_name(common, choices)
         label = common.name or out.name
         _train(config, opened, out, label=label, device=_device(common.device), resume=common.resume,
-               anew=common.overwrite)  # fmt: skip
+               anew=common.overwrite, memory=common.memory)  # fmt: skip
 
     # tyro makes a flag of each field of these records.
     for record in (CommonChoices, LossChoices, CHOICES[method]):
@@ -97,9 +98,20 @@ def configure(common: CommonChoices, choices: MethodChoices) -> "tuple[TrainConf
 
 
 def _train(
-    config: "TrainConfig", dataset: Dataset, out: Path, *, label: str, device: "torch.device", resume: bool, anew: bool
+    config: "TrainConfig",
+    dataset: Dataset,
+    out: Path,
+    *,
+    label: str,
+    device: "torch.device",
+    resume: bool,
+    anew: bool,
+    memory: "Memory",
 ) -> None:
+    from datagen.storage import one_writer, remove_temporaries
     from model.distributed import join, own_device
+    from model.predict import render_predictions
+    from model.run_folder import RUN, WEIGHTS, clear_run, is_finished
     from model.train import check_team
     from model.train import train as train_run
 
@@ -108,40 +120,32 @@ def _train(
     device = own_device(device)
     with join(device) as team:
         check_team(config, team)
-        if team.is_first:
-            _train_first(config, dataset, out, label=label, device=device, resume=resume, anew=anew, team=team)
-        elif team.agree():
-            train_run(config, dataset, out, label=label, device=device, team=team)
-
-
-def _train_first(config: "TrainConfig", dataset: Dataset, out: Path, *, label: str, device: "torch.device",
-                 resume: bool, anew: bool, team: "Team") -> None:  # fmt: skip
-    """Trains and predicts, as the process that holds the run's folder, and tells the others whether to train."""
-    from datagen.storage import one_writer, remove_temporaries
-    from model.predict import render_predictions
-    from model.run_folder import RUN, WEIGHTS, clear_run, is_finished
-    from model.train import train as train_run
-
-    with one_writer(out):
-        remove_temporaries(out)
-        if not (out / RUN).is_file() and any(out.iterdir()):
-            raise HyalineError(f"{out}: holds files but no run; choose another --out")
-        if anew:
-            clear_run(out)
-        if (out / RUN).is_file():
-            _check_same_run(out, config, dataset)
-            if is_finished(out):
-                say(f"{out}: finished before, nothing to do; --overwrite trains it anew")
-                team.agree(False)
-                _end(out)
-                return
-            if not resume:
-                raise HyalineError(
-                    f"{out}: holds an unfinished run; go on with --resume, or start anew with --overwrite"
-                )
-        if team.agree(not (out / WEIGHTS).is_file()):
-            train_run(config, dataset, out, label=label, device=device, team=team)
-        render_predictions(out, config, dataset, device=device)
+        train = functools.partial(train_run, config, dataset, out, label=label, device=device, team=team, memory=memory)
+        if not team.is_first:
+            # The first process holds the folder, and tells whether there is anything to train.
+            if team.agree():
+                train()
+            return
+        with one_writer(out):
+            remove_temporaries(out)
+            if not (out / RUN).is_file() and any(out.iterdir()):
+                raise HyalineError(f"{out}: holds files but no run; choose another --out")
+            if anew:
+                clear_run(out)
+            if (out / RUN).is_file():
+                _check_same_run(out, config, dataset)
+                if is_finished(out):
+                    say(f"{out}: finished before, nothing to do; --overwrite trains it anew")
+                    team.agree(False)
+                    _end(out)
+                    return
+                if not resume:
+                    raise HyalineError(
+                        f"{out}: holds an unfinished run; go on with --resume, or start anew with --overwrite"
+                    )
+            if team.agree(not (out / WEIGHTS).is_file()):
+                train()
+            render_predictions(out, config, dataset, device=device)
     _end(out)
 
 

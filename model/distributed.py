@@ -32,6 +32,11 @@ class Team:
     size: int = 1
 
     @property
+    def size_here(self) -> int:
+        """Processes on this machine."""
+        return min(self.size, int(os.environ.get("LOCAL_WORLD_SIZE", "1")))
+
+    @property
     def is_first(self) -> bool:
         """True for the one that writes files and speaks."""
         return self.rank == 0

@@ -18,9 +18,10 @@ from model.checkpoint import State, delete_checkpoints, load_checkpoint, save_ch
 from model.distributed import ALONE, Team
 from model.inpaint import Inpainter
 from model.losses import pixel_loss
-from model.methods import METHODS, read_layers_of
+from model.methods import METHODS, read_layers_of, traces_layers
 from model.paper import PaperConfig, choose_layers
 from model.patch_losses import Losses
+from model.pixel_cache import MappedPixels, Memory, choose_memory
 from model.predict import predict_pixels
 from model.run_folder import (
     CHECKPOINT,
@@ -40,7 +41,7 @@ from model.runtime import keep_freed_memory
 
 
 def train(config: TrainConfig, dataset: Dataset, out: Path, *, label: str, device: torch.device,
-          team: Team = ALONE) -> None:  # fmt: skip
+          team: Team = ALONE, memory: Memory = "ram") -> None:  # fmt: skip
     """Trains until `out` holds weights.pt; goes on from the newest intact checkpoint where there is one.
 
     A run that was stopped and resumed gives the same bytes as one that was not: each step draws its pixels from a
@@ -48,6 +49,7 @@ def train(config: TrainConfig, dataset: Dataset, out: Path, *, label: str, devic
 
     Args:
         team: the processes that call this together; the first of them alone writes to `out`.
+        memory: where training pixels are held; no number depends on it.
 
     Raises:
         HyalineError: data is missing or damaged, the loss is no longer a number, or cannot be shared by a team.
@@ -81,11 +83,21 @@ def train(config: TrainConfig, dataset: Dataset, out: Path, *, label: str, devic
     views = range(dataset.config.train.views)
     held_out = choose_held_out(len(views), config.held_out_views)
     shown = [view for view in views if view not in held_out]
-    training, testing = (
-        method.load(config.net, dataset, config.geometry, "train", part, True).to(device) if part else None
-        for part in (shown, held_out if team.is_first else [])
+    is_mapped = choose_memory(
+        memory,
+        num_pixels=len(shown) * dataset.config.resolution**2,
+        num_layers=0 if traces_layers(config.net) else num_layers,
+        processes=team.size_here,
+        device=device,
     )
-    assert training is not None
+    if is_mapped:
+        with team.in_turn():
+            training = method.load(config.net, dataset, config.geometry, "train", shown, True, mapped=True).to(device)
+    else:
+        training = method.load(config.net, dataset, config.geometry, "train", shown, True).to(device)
+    testing = None
+    if held_out and team.is_first:
+        testing = method.load(config.net, dataset, config.geometry, "train", held_out, True).to(device)
 
     # The losses, the terms beside the method's own included.
     losses = Losses(
@@ -215,7 +227,7 @@ def make_inpainter(config: TrainConfig, renderer: nn.Module, training: PixelSour
     Raises:
         HyalineError: nothing is left to in-paint, or training rays are random, so that all texels may be visited.
     """
-    if not isinstance(training, Pixels):
+    if not isinstance(training, Pixels | MappedPixels):
         raise HyalineError("inpaint: counts which texels the stored layers' rays visit; expected paper with one ray "
                            "per pixel, or another method that reads straight layers")  # fmt: skip
     return Inpainter(renderer, training, dataset, config.geometry, num_layers=num_layers, seed=config.seed,
