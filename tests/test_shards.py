@@ -50,6 +50,7 @@ def built(scene_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+@pytest.mark.slow
 def test_parts_made_at_once_are_the_whole_byte_for_byte(scene_folder: Path, tmp_path: Path) -> None:
     subprocess.run(command(scene_folder, tmp_path / "whole", *ALL), check=True, capture_output=True)
     out = tmp_path / "parts"
@@ -84,6 +85,7 @@ def test_a_killed_part_and_a_build_without_parts_end_in_the_same_bytes(
     assert tree(out) == tree(built)
 
 
+@pytest.mark.slow
 def test_the_launcher_makes_all_parts_as_jobs_and_tells_of_those_that_fail(
     built: Path, scene_folder: Path, tmp_path: Path
 ) -> None:
@@ -105,6 +107,56 @@ def test_the_launcher_makes_all_parts_as_jobs_and_tells_of_those_that_fail(
     assert Path(failed.partition("; log: ")[2]).is_file()
     assert "Traceback" not in answer.stderr
     assert tree(out) == tree(built)
+
+
+# Stand-ins for Slurm's programs: both tasks of the array run here, at once; a wrong partition is refused.
+SLURM = {
+    "sbatch": """#!/bin/sh
+if grep -q partition=wrong "$1"; then echo "sbatch: error: invalid partition specified: wrong" >&2; exit 1; fi
+for task in 0 1; do
+  SLURM_JOB_ID=$((100 + task)) SLURM_ARRAY_JOB_ID=77 SLURM_ARRAY_TASK_ID=$task SLURM_PROCID=0 SLURM_LOCALID=0 \\
+  SLURM_NODEID=0 SLURM_JOB_NUM_NODES=1 SLURM_NTASKS=1 SLURM_JOB_NODELIST=here sh "$1" >/dev/null 2>&1 &
+done
+echo "Submitted batch job 77"
+""",
+    "srun": """#!/bin/sh
+while [ "${1#--}" != "$1" ]; do
+  case "$1" in --output) out=$2; shift;; --error) err=$2; shift;; esac
+  shift
+done
+name() { echo "$1" | sed "s/%A/77/; s/%a/$SLURM_ARRAY_TASK_ID/; s/%t/0/"; }
+exec "$@" >"$(name "$out")" 2>"$(name "$err")"
+""",
+    "sacct": """#!/bin/sh
+echo "JobID|State|NodeList"
+for task in 0 1; do echo "77_$task|RUNNING|here"; done
+""",
+}
+
+
+@pytest.mark.slow
+def test_the_launcher_sends_parts_to_slurm(built: Path, scene_folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "bin").mkdir()
+    for name, script in SLURM.items():
+        (tmp_path / "bin" / name).write_text(script)
+        (tmp_path / "bin" / name).chmod(0o755)
+    environment = {**os.environ, "PATH": f"{tmp_path / 'bin'}:{os.environ['PATH']}"}
+    out = tmp_path / "out"
+    asked = command(scene_folder, out, "--launcher", "slurm", "--shards", "2", "--slurm-time", "30", "--workers", "2")
+
+    wrong = [*asked, "--slurm-partition", "wrong"]
+    answer = subprocess.run(wrong, capture_output=True, text=True, check=False, env=environment)
+    assert answer.returncode == 1
+    assert answer.stderr.splitlines()[-1].startswith("error: --launcher slurm: the cluster took no job (")
+    assert "invalid partition specified: wrong" in answer.stderr.splitlines()[-1] and not out.exists()
+
+    good = [*asked, "--slurm-partition", "many", "--slurm-gpus", "1"]
+    answer = subprocess.run(good, capture_output=True, text=True, check=False, env=environment)
+    assert answer.returncode == 0, answer.stderr
+    assert tree(out) == tree(built)
+    submitted = (tmp_path / "out-jobs/77_submission.sh").read_text()
+    for option in ("--array=0-1%2", "--partition=many", "--time=30", "--cpus-per-task=2", "--gpus-per-node=1"):
+        assert f"#SBATCH {option}\n" in submitted
 
 
 def test_any_number_of_writers_may_start_one_dataset_at_once(tmp_path: Path) -> None:
