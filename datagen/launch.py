@@ -19,7 +19,7 @@ from datagen.errors import HyalineError
 if TYPE_CHECKING:
     import submitit
 
-INSTALL = 'pip install "hyaline[cluster]"'
+INSTALL = 'pip install "submitit>=1.5,<2"'
 
 POLL_S = 0.5
 WEEK_MIN = 7 * 24 * 60
