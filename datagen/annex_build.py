@@ -25,22 +25,24 @@ from datagen.errors import HyalineError
 from datagen.geometry import list_geometries
 from datagen.layer_store import LayersHead, layers_root, read_layers_head
 from datagen.scene import load_scene
-from datagen.storage import load_sealed, one_writer, remove_temporaries, sha256
+from datagen.shards import Shard, writing
+from datagen.storage import load_sealed, sha256
 
 MAX_SCALE = 8
 
 
-def build_angles(dataset: Dataset, *, workers: int) -> Dataset:
+def build_angles(dataset: Dataset, *, workers: int, shard: Shard | None = None) -> Dataset:
     """Renders and peels the splits by angle (datagen/angles.py), each of as many views as `extrapolating` has.
 
     Raises:
         HyalineError: the scene has no place for such cameras, or another process writes there.
     """
     cameras = make_angle_cameras(load_scene(dataset.root / "scene"), dataset.config)
-    return _build(dataset, ANGLES, dataset.config, cameras, workers=workers)
+    return _build(dataset, ANGLES, dataset.config, cameras, workers=workers, shard=shard)
 
 
-def build_scaled(dataset: Dataset, scale: int, *, views: int | None, workers: int) -> Dataset:
+def build_scaled(dataset: Dataset, scale: int, *, views: int | None, workers: int,
+                 shard: Shard | None = None) -> Dataset:  # fmt: skip
     """Renders and peels the test splits so many times as wide and high, with as many samples per pixel.
 
     Args:
@@ -67,10 +69,10 @@ def build_scaled(dataset: Dataset, scale: int, *, views: int | None, workers: in
             height=scale * poses.height,
         )
     config = dataclasses.replace(dataset.config, resolution=scale * dataset.config.resolution, **sizes)
-    return _build(dataset, scale_name(scale), config, cameras, workers=workers)
+    return _build(dataset, scale_name(scale), config, cameras, workers=workers, shard=shard)
 
 
-def peel_annexes(dataset: Dataset, *, workers: int) -> None:
+def peel_annexes(dataset: Dataset, *, workers: int, shard: Shard | None = None) -> None:
     """Peels straight layers in every annex, of each geometry that has them in the dataset itself, and in as many."""
     for folder in list_annex_folders(dataset.root):
         annex = open_dataset(folder)
@@ -82,24 +84,36 @@ def peel_annexes(dataset: Dataset, *, workers: int) -> None:
             stands = (layers_root(annex.root, geometry, "straight") / "layers.json").is_file()
             is_other = stands and read_layers_head(annex, geometry, "straight")[0].num_layers != head.num_layers  # pyright: ignore
             peel_dataset(
-                annex, geometry, kinds=("straight",), num_layers=head.num_layers, overwrite=is_other, workers=workers
+                annex,
+                geometry,
+                kinds=("straight",),
+                num_layers=head.num_layers,
+                overwrite=is_other and shard is None,
+                workers=workers,
+                shard=shard,
             )
 
 
 def _build(dataset: Dataset, name: str, config: DatasetConfig, cameras: dict[Split, Cameras], *,
-           workers: int) -> Dataset:  # fmt: skip
+           workers: int, shard: Shard | None) -> Dataset:  # fmt: skip
     root = annex_root(dataset.root, name)
-    with one_writer(root):
-        remove_temporaries(root)
-        annex = _open_or_start(dataset, name, config, cameras)
-        render_dataset(annex, workers=workers)
+    with writing(root, shard):
+        annex = _open_or_start(dataset, name, config, cameras, is_alone=shard is None)
+        render_dataset(annex, workers=workers, shard=shard)
     return annex
 
 
-def _open_or_start(dataset: Dataset, name: str, config: DatasetConfig, cameras: dict[Split, Cameras]) -> Dataset:
-    """The annex, when it is of these cameras and of this dataset; an empty one where none is, or an outdated one."""
+def _open_or_start(dataset: Dataset, name: str, config: DatasetConfig, cameras: dict[Split, Cameras], *,
+                   is_alone: bool) -> Dataset:  # fmt: skip
+    """The annex, when it is of these cameras and of this dataset; an empty one where none is, or an outdated one.
+
+    Args:
+        is_alone: False: other processes may be doing the same; nothing is deleted.
+    """
     root = annex_root(dataset.root, name)
     path = root / "dataset.json"
+    if not is_alone and not path.is_file():
+        write_head(root, config, dataset.objects, cameras, (), parent=dataset)
     if path.is_file() and load_sealed(path).get("annex_of") == dataset.seal:
         annex = open_dataset(root)
         if difference := config_difference(annex.config, config):
@@ -108,6 +122,8 @@ def _open_or_start(dataset: Dataset, name: str, config: DatasetConfig, cameras: 
         wanted = {TRANSFORMS_FILES[split]: sha256(transforms_bytes(poses, split)) for split, poses in cameras.items()}
         if promised == wanted:
             return annex
+    if not is_alone:
+        raise HyalineError(f"{root}: holds an outdated annex; build without --shard, which replaces it")
     for old in root.iterdir():
         shutil.rmtree(old) if old.is_dir() else old.unlink()
     return write_head(root, config, dataset.objects, cameras, (), parent=dataset)

@@ -14,6 +14,7 @@ from datagen.dataset import (
     DatasetEdit,
     DatasetObject,
     Split,
+    check_files,
     config_difference,
     head_files,
     is_view_built,
@@ -38,16 +39,17 @@ from datagen.layers import create_layers
 from datagen.light_path_layers import NUM_BRANCHES, create_light_paths
 from datagen.meshes import is_there, write_ply
 from datagen.scene import Scene, is_glass, scene_files
-from datagen.storage import commit, one_writer, remove_temporaries, sha256
+from datagen.shards import Shard, own_tasks, writing
+from datagen.storage import commit_same, sha256
 from datagen.workers import in_workers
 
 
 def build_dataset(scene: Scene, root: Path, config: DatasetConfig, *, kinds: tuple[LayerKind, ...], num_layers: int,
-                  workers: int, overwrite: bool, rays: int = 4) -> Dataset:  # fmt: skip
-    """Renders and peels every view that is not there yet.
+                  workers: int, overwrite: bool, rays: int = 4, shard: Shard | None = None) -> Dataset:  # fmt: skip
+    """Renders and peels every view that is not there yet, or those of one part.
 
-    The bytes depend on scene and configuration alone: not on workers, threads, order, or how often it was stopped.
-    `kinds`, `num_layers` and `rays` are those of `peel_dataset`.
+    The bytes depend on scene and configuration alone: not on workers, threads, order, parts, or how often it was
+    stopped. `kinds`, `num_layers` and `rays` are those of `peel_dataset`.
 
     Raises:
         HyalineError: something else stands at `root`, or another process writes there.
@@ -55,17 +57,19 @@ def build_dataset(scene: Scene, root: Path, config: DatasetConfig, *, kinds: tup
     _check_settings(num_layers=num_layers, rays=rays)
     if config.train.views < 1:
         raise HyalineError(f"views: are {config.train.views}; expected at least 1 training view")
-    with one_writer(root):
-        remove_temporaries(root)
-        dataset = open_or_start(scene, root, config, make_cameras(scene.cameras, config), overwrite=overwrite)
-        render_dataset(dataset, workers=workers)
-    peel_dataset(dataset, TRUTH, kinds=kinds, num_layers=num_layers, rays=rays, overwrite=False, workers=workers)
+    with writing(root, shard):
+        cameras = make_cameras(scene.cameras, config)
+        dataset = open_or_start(scene, root, config, cameras, overwrite=overwrite, is_alone=shard is None)
+        render_dataset(dataset, workers=workers, shard=shard)
+    peel_dataset(
+        dataset, TRUTH, kinds=kinds, num_layers=num_layers, rays=rays, overwrite=False, workers=workers, shard=shard
+    )
     return dataset
 
 
-def render_dataset(dataset: Dataset, *, workers: int) -> None:
-    """Renders every view that is not there yet; the caller holds the dataset's folder."""
-    tasks = _tasks(dataset)
+def render_dataset(dataset: Dataset, *, workers: int, shard: Shard | None = None) -> None:
+    """Renders every view, or those of a part, that is not there yet; the caller holds the dataset's folder."""
+    tasks = own_tasks(shard, _tasks(dataset))
     missing = [task for task in tasks if not is_view_built(dataset, *task)]
     if not missing:
         return
@@ -78,8 +82,8 @@ def render_dataset(dataset: Dataset, *, workers: int) -> None:
 
 
 def peel_dataset(dataset: Dataset, geometry: str, *, kinds: tuple[LayerKind, ...], num_layers: int, overwrite: bool,
-                 rays: int = 4, workers: int = 1) -> None:  # fmt: skip
-    """Peels every view of a geometry that is not peeled yet.
+                 rays: int = 4, workers: int = 1, shard: Shard | None = None) -> None:  # fmt: skip
+    """Peels every view of a geometry, or those of one part, that is not peeled yet.
 
     Args:
         num_layers: straight layers kept of each ray, vertices kept of each branch of a light path.
@@ -92,18 +96,19 @@ def peel_dataset(dataset: Dataset, geometry: str, *, kinds: tuple[LayerKind, ...
     meshes_hash = _geometry_hash(dataset, geometry)
     for kind in kinds:
         root = layers_root(dataset.root, geometry, kind)
-        with one_writer(root):
-            remove_temporaries(root)
+        with writing(root, shard):
             is_started = not overwrite and _is_started(
                 dataset, geometry, kind, meshes_hash, num_layers=num_layers, rays=rays
             )
-            tasks = _tasks(dataset)
+            tasks = own_tasks(shard, _tasks(dataset))
             missing = [task for task in tasks if not (is_started and is_view_peeled(dataset, geometry, kind, *task))]
             if missing and kind == "light-path":
                 _require_vectorised()
-            if not is_started:
+            if not is_started and shard is None:
                 shutil.rmtree(root, ignore_errors=True)
                 _start(dataset, geometry, kind, meshes_hash, num_layers=num_layers, rays=rays)
+            elif not is_started:
+                _start_beside_others(dataset, geometry, kind, meshes_hash, num_layers=num_layers, rays=rays)
             if missing:
                 arguments = (dataset.root, geometry)
                 if kind == "straight":
@@ -137,36 +142,58 @@ def summary(dataset: Dataset, geometry: str, kinds: tuple[LayerKind, ...]) -> st
 
 
 def open_or_start(scene: Scene, root: Path, config: DatasetConfig, cameras: dict[Split, Cameras], *, overwrite: bool,
-                  edit: DatasetEdit | None = None) -> Dataset:  # fmt: skip
+                  edit: DatasetEdit | None = None, is_alone: bool = True) -> Dataset:  # fmt: skip
     """The dataset at `root`, its head complete, or a new one without views; the caller holds the folder.
+
+    Args:
+        is_alone: False: other processes may be doing the same, and have begun to add views; nothing is deleted.
 
     Raises:
         HyalineError: another dataset, or something else, stands there.
     """
     files = scene_files(scene)
-    if (root / "dataset.json").is_file() and not overwrite:
-        dataset = open_dataset(root)
-        if difference := config_difference(dataset.config, config):
-            raise HyalineError(
-                f"{root}: holds a dataset with another configuration ({difference}); "
-                "pass --overwrite to replace it, or --out for another place"
-            )
-        if dataset.edit != edit:
-            raise HyalineError(f"{root}: was made for another version of the dataset; pass --overwrite to replace it")
-        promised = head_files(root)
-        changed = [path for path, data in files.items() if promised.get(f"scene/{path}") != sha256(data)]
-        if changed:
-            raise HyalineError(
-                f"{root}: holds a dataset of another version of scene {scene.name} ({changed[0]} differs); "
-                "pass --overwrite to replace it, or --out for another place"
-            )
+    is_new = overwrite or not (root / "dataset.json").is_file()
+    if is_new:
+        if is_alone:
+            _clear(root, overwrite=overwrite)
+        else:
+            _refuse_rests(root)
+        _write_scene(root, files)
+        objects = tuple(DatasetObject(name=item.name, is_glass=is_glass(item.material)) for item in scene.objects)
+        write_head(root, config, objects, cameras, tuple(Path("scene") / path for path in files), edit=edit)
+    # Also of a new one: another process may have been there first.
+    dataset = open_dataset(root)
+    if difference := config_difference(dataset.config, config):
+        raise HyalineError(
+            f"{root}: holds a dataset with another configuration ({difference}); "
+            "pass --overwrite to replace it, or --out for another place"
+        )
+    if dataset.edit != edit:
+        raise HyalineError(f"{root}: was made for another version of the dataset; pass --overwrite to replace it")
+    promised = head_files(root)
+    changed = [path for path, data in files.items() if promised.get(f"scene/{path}") != sha256(data)]
+    if changed:
+        raise HyalineError(
+            f"{root}: holds a dataset of another version of scene {scene.name} ({changed[0]} differs); "
+            "pass --overwrite to replace it, or --out for another place"
+        )
+    if not is_new:
         # A file of the head that was lost or damaged is written anew: its content is known.
         _write_scene(root, files)
-        return dataset
-    _clear(root, overwrite=overwrite)
-    _write_scene(root, files)
-    objects = tuple(DatasetObject(name=item.name, is_glass=is_glass(item.material)) for item in scene.objects)
-    return write_head(root, config, objects, cameras, tuple(Path("scene") / path for path in files), edit=edit)
+    return dataset
+
+
+OURS = ("scene", "images", "records", "layers", "proxies", "edits", "footprints", "annexes")
+"""Folders of a dataset."""
+
+
+def _refuse_rests(root: Path) -> None:
+    """Raises a HyalineError where a folder without a head holds views, or what is no part of a dataset."""
+    found = [path.name for path in root.iterdir() if path.name != "scene" and not path.name.startswith("transforms_")]
+    # Who begins a dataset commits its head before any view: a head that is there now means that another did so.
+    if found and not (root / "dataset.json").is_file() and not all(name.endswith(".tmp") for name in found):
+        what = next(name for name in found if not name.endswith(".tmp"))
+        raise HyalineError(f"{root}: is not empty ({what}) and no dataset; delete it, or choose another --out")
 
 
 def _clear(root: Path, *, overwrite: bool) -> None:
@@ -174,19 +201,16 @@ def _clear(root: Path, *, overwrite: bool) -> None:
     if (root / "dataset.json").is_file():
         # The head goes first: what is left without it is garbage, and the next run clears it.
         (root / "dataset.json").unlink()
-    ours = ("scene", "images", "records", "layers", "proxies", "edits", "footprints", "annexes")
-    foreign = [path for path in root.iterdir() if path.name not in ours and not path.name.startswith("transforms_")]
+    foreign = [path for path in root.iterdir() if path.name not in OURS and not path.name.startswith("transforms_")]
     if foreign and not overwrite:
         raise HyalineError(f"{root}: is not empty ({foreign[0].name}) and no dataset; choose another --out")
-    for name in ours:
+    for name in OURS:
         shutil.rmtree(root / name, ignore_errors=True)
 
 
 def _write_scene(root: Path, files: dict[str, bytes]) -> None:
     for path, data in files.items():
-        place = root / "scene" / path
-        if not place.is_file() or place.read_bytes() != data:
-            commit(place, data)
+        commit_same(root / "scene" / path, data)
 
 
 def _check_settings(*, num_layers: int, rays: int) -> None:
@@ -222,6 +246,20 @@ def _start(dataset: Dataset, geometry: str, kind: LayerKind, meshes_hash: str, *
             samples=rays,
             geometry_hash=meshes_hash,
         )
+
+
+def _start_beside_others(dataset: Dataset, geometry: str, kind: LayerKind, meshes_hash: str, *, num_layers: int,
+                         rays: int) -> None:  # fmt: skip
+    """Starts a store that other processes may be starting too; what stands there is never deleted.
+
+    Raises:
+        HyalineError: a store of another geometry stands there, or another process has started one of other settings.
+    """
+    root = layers_root(dataset.root, geometry, kind)
+    _start(dataset, geometry, kind, meshes_hash, num_layers=num_layers, rays=rays)
+    if not _is_started(dataset, geometry, kind, meshes_hash, num_layers=num_layers, rays=rays):
+        raise HyalineError(f"{root}: holds layers of another geometry; build without --shard, which replaces them")
+    check_files(root, read_layers_head(dataset, geometry, kind)[0].files)
 
 
 def _require_vectorised() -> None:

@@ -65,10 +65,12 @@ def _peel_like(base: Dataset, dataset: Dataset, geometry: str, *, workers: int) 
         head, _ = read_layers_head(base, geometry, kind)
         match head:
             case LayersHead():
-                settings = {"num_layers": head.num_layers}
+                num_layers, rays = head.num_layers, 4
             case LightPathsHead():
-                settings = {"num_layers": head.max_vertices, "rays": head.samples}
-        peel_dataset(dataset, geometry, kinds=(kind,), overwrite=False, workers=workers, **settings)
+                num_layers, rays = head.max_vertices, head.samples
+        peel_dataset(
+            dataset, geometry, kinds=(kind,), num_layers=num_layers, rays=rays, overwrite=False, workers=workers
+        )
 
 
 def _write_proxies(base: Dataset, dataset: Dataset, edited: EditedScene, geometry: str) -> None:

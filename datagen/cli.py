@@ -6,15 +6,17 @@ from typing import Annotated
 
 import tyro
 
-from datagen.command import choose, fail, next_command, run, say
+from datagen.command import choose, fail, next_command, run, say, unwrap_help
 from datagen.dataset import DATA_ROOT, DatasetConfig, find_dataset, open_dataset
 from datagen.geometry import TRUTH, check_geometry
+from datagen.launch import LaunchChoices
 from datagen.layer_store import LayerKind
 from datagen.presets import PRESETS, resize
 
 
 def main() -> None:
     """Entry point of the console script."""
+    unwrap_help(LaunchChoices)
     commands = {"build": build, "peel": peel, "verify": verify, "scenes": scenes, "doctor": doctor}
     run("datagen", "Path-traced datasets of transparent objects, with peeled layers.", commands, sys.argv[1:])
 
@@ -40,6 +42,8 @@ def build(
     angle_splits: bool = False,
     super_resolution: tuple[int, ...] = (),
     super_resolution_views: int | None = None,
+    shard: str | None = None,
+    launch: LaunchChoices = LaunchChoices(),  # noqa: B008
 ) -> None:
     """Renders a scene and peels its layers; the same command again goes on where it was stopped.
 
@@ -69,7 +73,12 @@ def build(
         edit: Renders a scene whose dataset is there after an edit, at the same test cameras, into its edits/NAME:
             remove:OBJECT, move:OBJECT:dx,dy,dz (metres), duplicate:OBJECT:dx,dy,dz, glass:OBJECT (which makes glass of
             what is opaque, and the reverse) or swap:OBJECT:OBJECT. Several --edit change one scene one after the other.
+        shard: Makes part I of N (such as 2/4) of all views into the folder, beside any other parts, on any machines of
+            one kind that share it. The dataset is complete when every part is, byte for byte as if made by one; the
+            same command without --shard, when all parts have ended, makes what a failed one left out.
+        launch: Parts as jobs.
     """
+    _check_parts(shard, launch, overwrite=overwrite, edit=edit)
     if edit:
         given = {"layers": layers != ("straight",), "num-layers": num_layers != 8,
                  "rays": rays != 4, "seed": seed != 0, "ceiling": ceiling is not None, "views": views is not None,
@@ -80,7 +89,9 @@ def build(
         return
     from datagen.annex_build import build_angles, build_scaled, peel_annexes
     from datagen.build import build_dataset, summary
+    from datagen.launch import launch as send_off
     from datagen.scenes import find_scene
+    from datagen.shards import count_missing, parse_shard
 
     size = resize(
         PRESETS[choose("preset", preset, PRESETS)],
@@ -103,18 +114,50 @@ def build(
         max_depth=max_depth,
         seed=seed,
     )
+    if launch.launcher is not None:
+        # What follows then finds all views made, and reads every byte of them.
+        send_off(sys.argv[1:], root, launch, workers=workers)
+    part = None if shard is None else parse_shard(shard)
     dataset = build_dataset(
-        description, root, config, kinds=layers, num_layers=num_layers, rays=rays, workers=workers, overwrite=overwrite
-    )
-    say(summary(dataset, TRUTH, layers))
+        description, root, config, kinds=layers, num_layers=num_layers, rays=rays, workers=workers,
+        overwrite=overwrite, shard=part,
+    )  # fmt: skip
+    if part is None:
+        say(summary(dataset, TRUTH, layers))
     if angle_splits:
-        build_angles(dataset, workers=workers)
+        build_angles(dataset, workers=workers, shard=part)
     for scale in super_resolution:
-        build_scaled(dataset, scale, views=super_resolution_views, workers=workers)
-    peel_annexes(dataset, workers=workers)
+        build_scaled(dataset, scale, views=super_resolution_views, workers=workers, shard=part)
+    peel_annexes(dataset, workers=workers, shard=part)
     print(root)
+    if part is not None:
+        missing, total = count_missing(dataset, layers)
+        if missing:
+            say(
+                f"{root}: part {part} is done; {missing} of {total} pictures and layers are for the other parts to make"
+            )
+            return
+        say(f"{root}: part {part} is done, and with it the dataset")
+        say(summary(dataset, TRUTH, layers))
     where = "" if root == DATA_ROOT / description.name else f" --scene {root}"
     next_command(f"proxies make --kind ellipsoid{where}")
+
+
+def _check_parts(shard: str | None, launch: LaunchChoices, *, overwrite: bool, edit: tuple[str, ...]) -> None:
+    from datagen.errors import HyalineError
+    from datagen.shards import parse_shard
+
+    flag = "--shard" if shard is not None else "--launcher"
+    if shard is None and launch.launcher is None:
+        return
+    if shard is not None:
+        parse_shard(shard)
+        if launch.launcher is not None:
+            raise HyalineError("--launcher: makes all parts itself; leave out --shard")
+    if overwrite:
+        raise HyalineError(f"--overwrite: does not go with {flag}, which deletes nothing; delete the folder first")
+    if edit:
+        raise HyalineError(f"--edit: does not go with {flag}; its few views are made by one machine")
 
 
 def _build_edit(scene: str, preset: str, out: Path | None, edit: tuple[str, ...], given: dict[str, bool], *,

@@ -62,9 +62,19 @@ def fail(message: str, *, status: int = 1) -> NoReturn:
     sys.exit(status)
 
 
+_is_mute = False
+
+
+def mute() -> None:
+    """Lets this process say nothing more but errors: another one says the same."""
+    global _is_mute
+    _is_mute = True
+
+
 def say(message: str) -> None:
     """A line for the person who waits, on stderr."""
-    print(message, file=sys.stderr, flush=True)
+    if not _is_mute:
+        print(message, file=sys.stderr, flush=True)
 
 
 def next_command(line: str) -> None:
@@ -94,7 +104,9 @@ def track(items: Iterable[Item], *, label: str, total: int, done: int = 0,
         done: how many were done before; they do not count for the estimate.
         status: what else to show, asked for at each update.
     """
-    if sys.stderr.isatty():
+    if _is_mute:
+        yield from items
+    elif sys.stderr.isatty():
         yield from _track_on_terminal(items, label, total, done, status)
     else:
         yield from _track_in_lines(items, label, total, done, status)

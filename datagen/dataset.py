@@ -37,7 +37,18 @@ from jaxtyping import Float, UInt8
 
 from datagen.errors import HyalineError
 from datagen.records import Json, from_json, to_json
-from datagen.storage import SEAL, commit, commit_sealed, load_json, load_sealed, sha256, sha256_file
+from datagen.storage import (
+    SEAL,
+    commit,
+    commit_first,
+    commit_same,
+    commit_sealed,
+    load_json,
+    load_sealed,
+    seal_bytes,
+    sha256,
+    sha256_file,
+)
 
 DATASET_VERSION = 1
 
@@ -211,12 +222,14 @@ def write_head(root: Path, config: DatasetConfig, objects: tuple[DatasetObject, 
                parent: Dataset | None = None) -> Dataset:  # fmt: skip
     """Commits cameras and the head of a new dataset, whose scene folder already stands in `root`.
 
+    Several processes may do the same at once. A head that stands there stays: whose it is says what is returned.
+
     Args:
         scene_files: what belongs to the scene's folder, relative to `root`; nothing in an annex.
         parent: the dataset that this one is an annex of; it has the splits of `cameras` only.
     """
     for split, poses in cameras.items():
-        commit(root / TRANSFORMS_FILES[split], transforms_bytes(poses, split))
+        commit_same(root / TRANSFORMS_FILES[split], transforms_bytes(poses, split))
     files = [*scene_files, *(Path(TRANSFORMS_FILES[split]) for split in cameras)]
     head: dict[str, Json] = {
         "version": DATASET_VERSION,
@@ -227,7 +240,7 @@ def write_head(root: Path, config: DatasetConfig, objects: tuple[DatasetObject, 
     }
     if parent is not None:
         head |= {"annex_of": parent.seal, "splits": list(cameras)}
-    commit_sealed(root / "dataset.json", head)
+    commit_first(root / "dataset.json", seal_bytes(head))
     return open_dataset(root)
 
 

@@ -9,6 +9,7 @@ only.
 """
 
 import dataclasses
+import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,7 +21,17 @@ from datagen.dataset import Dataset, Split, check_files, view_name
 from datagen.errors import HyalineError
 from datagen.geometry import geometry_root
 from datagen.records import Json, from_json, to_json
-from datagen.storage import SEAL, commit_sealed, load_json, load_sealed, sha256_file
+from datagen.storage import (
+    SEAL,
+    commit_first,
+    commit_same,
+    commit_sealed,
+    load_json,
+    load_sealed,
+    seal_bytes,
+    sha256,
+    sha256_file,
+)
 
 LAYERS_VERSION = 1
 STORE = "peels.zarr"
@@ -97,29 +108,42 @@ def record_path_of_layers(root: Path, split: Split, view: int) -> Path:
 
 
 def create_store(dataset: Dataset, geometry: str, head: Head, arrays: Mapping[str, ArrayFormat]) -> None:
-    """Lays out an empty store: zarr metadata first, the head (whose `files` are filled in) last."""
+    """Lays out an empty store: zarr metadata first, the head (whose `files` are filled in) last.
+
+    Several processes may do the same at once: the bytes are the same, and no view that is there is touched.
+    """
+    root = layers_root(dataset.root, geometry, head.kind)
+    metadata = _store_metadata(dataset, arrays)
+    for path, data in metadata.items():
+        commit_same(root / path, data)
+    files = {path: sha256(data) for path, data in metadata.items()}
+    sealed = seal_bytes(cast(dict[str, Json], to_json(dataclasses.replace(head, files=files))))
+    commit_first(root / "layers.json", sealed)
+
+
+def _store_metadata(dataset: Dataset, arrays: Mapping[str, ArrayFormat]) -> dict[str, bytes]:
+    """What zarr writes for an empty store, by path relative to LAYERS."""
     import zarr
     from zarr.codecs import BloscCodec
 
-    root = layers_root(dataset.root, geometry, head.kind)
     compressor = BloscCodec(cname="zstd", clevel=5, shuffle="shuffle")
-    store = zarr.open_group(root / STORE, mode="w", zarr_format=3)
-    for split in dataset.splits:
-        views = dataset.config.split(split).views
-        group = store.create_group(split)
-        for name, array in arrays.items():
-            group.create_array(
-                name,
-                shape=(views, *array.shape),
-                chunks=(1, *array.chunk),
-                shards=(1, *array.shape),
-                dtype=array.dtype,
-                compressors=compressor,
-                dimension_names=("view", *array.axes),
-            )
-    metadata = sorted((root / STORE).rglob("zarr.json"))
-    files = {path.relative_to(root).as_posix(): sha256_file(path) for path in metadata}
-    commit_sealed(root / "layers.json", cast(dict[str, Json], to_json(dataclasses.replace(head, files=files))))
+    with tempfile.TemporaryDirectory() as folder:
+        store = zarr.open_group(Path(folder) / STORE, mode="w", zarr_format=3)
+        for split in dataset.splits:
+            views = dataset.config.split(split).views
+            group = store.create_group(split)
+            for name, array in arrays.items():
+                group.create_array(
+                    name,
+                    shape=(views, *array.shape),
+                    chunks=(1, *array.chunk),
+                    shards=(1, *array.shape),
+                    dtype=array.dtype,
+                    compressors=compressor,
+                    dimension_names=("view", *array.axes),
+                )
+        found = sorted(Path(folder).rglob("zarr.json"))
+        return {path.relative_to(folder).as_posix(): path.read_bytes() for path in found}
 
 
 def read_layers_head(dataset: Dataset, geometry: str, kind: LayerKind) -> tuple[Head, str]:

@@ -112,14 +112,14 @@ class LightPathTracer:
         self._scene = load_geometry_mitsuba(meshes)
         self._media = find_media(kept_materials, meshes)
         self._tables = _make_tables(meshes, kept_materials, self._media)
-        self._rows: dict[int, tuple[mi.Float, ...]] = {}
+        self._rows: dict[tuple[int, int], tuple[mi.Float, ...]] = {}
         # Recording a kernel takes as long as running it for 8,192 rays, and Dr.Jit finds the recording in its cache by
         # code that differs from time to time: it is recorded once for each number of rays and limits.
         self._trace = dr.freeze(_trace, limit=RECORDINGS, warn_after=1 << 30)
 
     def trace(self, origins: Float32[np.ndarray, "ray 3"], directions: Float32[np.ndarray, "ray 3"],
               *, max_branches: int = 4, max_vertices: int = 8, max_depth: int = 24,
-              seed: int = 0) -> TracedPaths:  # fmt: skip
+              seed: int = 0, first_ray: int = 0) -> TracedPaths:  # fmt: skip
         """Follows rays that start in air.
 
         Args:
@@ -128,13 +128,15 @@ class LightPathTracer:
             max_vertices: kept of each branch. The last place holds the last vertex, however many come before it.
             max_depth: surfaces after which a branch is given up.
             seed: of the facets of rough surfaces that mirror.
+            first_ray: these are rays `first_ray` and following ones of a larger bundle, and trace as there.
         """
         import drjit as dr
         import mitsuba as mi
 
         count = len(directions)
-        if count not in self._rows:
-            self._rows[count] = tuple(mi.Float(np.arange(count) / PLASTIC ** (1 + axis) % 1) for axis in range(2))
+        if (first_ray, count) not in self._rows:
+            rays = np.arange(first_ray, first_ray + count)
+            self._rows[first_ray, count] = tuple(mi.Float(rays / PLASTIC ** (1 + axis) % 1) for axis in range(2))
 
         def columns(values: np.ndarray) -> "list[mi.Float]":
             return [mi.Float(np.ascontiguousarray(values[:, axis], np.float32)) for axis in range(3)]
@@ -142,7 +144,7 @@ class LightPathTracer:
         outputs = self._trace(
             self._scene, tuple(self._tables), self._media,
             mi.Point3f(*columns(origins)), mi.Vector3f(*columns(directions)),
-            self._rows[count], dr.opaque(mi.UInt32, seed),
+            self._rows[first_ray, count], dr.opaque(mi.UInt32, seed),
             count, max_branches, max_vertices, max_depth,
         )  # fmt: skip
         dr.eval(outputs)

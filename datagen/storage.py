@@ -5,6 +5,7 @@ import fcntl
 import hashlib
 import json
 import os
+import secrets
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -35,15 +36,49 @@ def sha256_file(path: Path) -> str:
 
 
 def commit(path: Path, data: bytes) -> None:
-    """Writes `data` so that `path` holds either its old bytes or all the new ones, whenever the process dies."""
+    """Writes `data` so that `path` holds either its old bytes or all the new ones, whenever the process dies.
+
+    Of several processes that commit to one path at once, on whichever machines, the last one wins, whole.
+    """
+    temporary = _write_temporary(path, data)
+    temporary.replace(path)
+    _sync_folder(path.parent)
+
+
+def commit_same(path: Path, data: bytes) -> None:
+    """Commits `data` unless `path` holds just these bytes: a file that others may be reading is left alone."""
+    if not path.is_file() or path.read_bytes() != data:
+        commit(path, data)
+
+
+def commit_first(path: Path, data: bytes) -> None:
+    """Commits `data` unless a file stands there, which stays; of several at once, on whichever machines, one wins."""
+    if path.is_file():
+        return
+    temporary = _write_temporary(path, data)
+    try:
+        path.hardlink_to(temporary)
+    except FileExistsError:
+        pass
+    except OSError:  # A file system without hard links: there the last one wins.
+        temporary.replace(path)
+    temporary.unlink(missing_ok=True)
+    _sync_folder(path.parent)
+
+
+def _write_temporary(path: Path, data: bytes) -> Path:
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(path.name + ".tmp")
+    # A name of its own: another process may be committing to the same path.
+    temporary = path.with_name(f"{path.name}.{secrets.token_hex(4)}.tmp")
     with temporary.open("wb") as file:
         file.write(data)
         file.flush()
         os.fsync(file.fileno())
-    temporary.replace(path)
-    folder = os.open(path.parent, os.O_RDONLY)
+    return temporary
+
+
+def _sync_folder(path: Path) -> None:
+    folder = os.open(path, os.O_RDONLY)
     try:
         os.fsync(folder)
     finally:
@@ -104,18 +139,31 @@ def remove_temporaries(root: Path) -> None:
             path.unlink(missing_ok=True)
 
 
-@contextlib.contextmanager
-def one_writer(root: Path) -> Iterator[None]:
+def one_writer(root: Path) -> contextlib.AbstractContextManager[None]:
     """Holds `root` for this process; the lock ends with the process, however that ends, and leaves no file.
 
     Raises:
         HyalineError: another process is writing there.
     """
+    return _locked(root, fcntl.LOCK_EX)
+
+
+def shared_writers(root: Path) -> contextlib.AbstractContextManager[None]:
+    """Holds `root` beside others that do the same, who know how not to step on each other.
+
+    Raises:
+        HyalineError: another process of this machine holds it for itself.
+    """
+    return _locked(root, fcntl.LOCK_SH)
+
+
+@contextlib.contextmanager
+def _locked(root: Path, how: int) -> Iterator[None]:
     root.mkdir(parents=True, exist_ok=True)
     handle = os.open(root, os.O_RDONLY)
     try:
         try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(handle, how | fcntl.LOCK_NB)
         except BlockingIOError:
             raise HyalineError(f"{root}: another process is writing there; wait for it, or stop it") from None
         yield

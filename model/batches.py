@@ -8,7 +8,7 @@ from typing import Any, Protocol
 
 import numpy as np
 import torch
-from jaxtyping import Float32, Int, Int16, UInt8
+from jaxtyping import Float32, Int, Int16, UInt8, UInt16
 from torch import Tensor
 
 from datagen.dataset import Dataset, Split, read_cameras, read_image
@@ -23,6 +23,11 @@ class PixelSource(Protocol):
     @property
     def rgb(self) -> UInt8[Tensor, "pixel 3"]:
         """8-bit sRGB; black where images were not asked for."""
+        ...
+
+    @property
+    def device(self) -> torch.device:
+        """Where a batch is put; `rgb` may stay elsewhere."""
         ...
 
     @property
@@ -73,6 +78,10 @@ class Pixels:
     """A rendering takes one view at once, because its renderer looks at neighbours."""
 
     @property
+    def device(self) -> torch.device:
+        return self.rgb.device
+
+    @property
     def chunk(self) -> int:
         return self.pixels_per_view if self.whole_views else 65_536
 
@@ -82,9 +91,7 @@ class Pixels:
 
     def take(self, index: Int[Tensor, "*pixel"], rng: np.random.Generator | None) -> RayBatch:  # noqa: ARG002
         """The rays of the pixels with these row numbers: always those through pixel centres."""
-        grid = (index.shape[0], index.shape[1], index.shape[2]) if index.ndim == 3 else None
-        if grid is None and self.whole_views:
-            grid = (len(index) // self.pixels_per_view, side_of(self), side_of(self))
+        grid = grid_of(self, index, whole_views=self.whole_views)
         index = index.flatten()
         return RayBatch(
             uv=(self.uv[index].int() & 0xFFFF).float() / UV_SCALE,
@@ -106,25 +113,46 @@ def load_pixels(dataset: Dataset, geometry: str, split: Split, views: Sequence[i
         HyalineError: a view is missing or damaged, or names an object that the scene does not have.
     """
     p_camera = read_cameras(dataset, split).world_from_camera[list(views), :3, 3].astype(np.float32)
-    uv, object_id = [], []
-    for view in views:
-        layers = read_layers(dataset, geometry, split, view)
-        if layers.object_id.max(initial=0) > len(dataset.objects):
-            raise HyalineError(
-                f"{dataset.root}: layers of {geometry}, {split} view {view}, name object {layers.object_id.max()}; "
-                f"expected at most {len(dataset.objects)}, peel it again"
-            )
-        kept_id = layers.object_id[:max_layers]
-        uv.append(np.moveaxis(layers.uv[:max_layers], 0, 2).reshape(-1, len(kept_id), 2))
-        object_id.append(np.moveaxis(kept_id, 0, 2).reshape(-1, len(kept_id)))
+    stacks = [read_stack(dataset, geometry, split, view, max_layers) for view in views]
     return Pixels(
-        uv=torch.from_numpy(np.concatenate(uv).view(np.int16)),
-        object_id=torch.from_numpy(np.concatenate(object_id)),
+        uv=torch.from_numpy(np.concatenate([uv for uv, _ in stacks]).view(np.int16)),
+        object_id=torch.from_numpy(np.concatenate([object_id for _, object_id in stacks])),
         rgb=read_colors(dataset, split, views, with_images=with_images),
         p_camera=torch.from_numpy(p_camera),
         pixels_per_view=dataset.config.resolution**2,
         whole_views=whole_views,
     )
+
+
+def read_stack(dataset: Dataset, geometry: str, split: Split, view: int, max_layers: int | None
+               ) -> tuple[UInt16[np.ndarray, "pixel layer 2"], UInt8[np.ndarray, "pixel layer"]]:  # fmt: skip
+    """uv and object ids of a view's pixels in its nearest layers, every byte verified.
+
+    Raises:
+        HyalineError: the view is missing or damaged, or names an object that the scene does not have.
+    """
+    layers = read_layers(dataset, geometry, split, view)
+    if layers.object_id.max(initial=0) > len(dataset.objects):
+        raise HyalineError(
+            f"{dataset.root}: layers of {geometry}, {split} view {view}, name object {layers.object_id.max()}; "
+            f"expected at most {len(dataset.objects)}, peel it again"
+        )
+    kept_id = layers.object_id[:max_layers]
+    uv = np.moveaxis(layers.uv[:max_layers], 0, 2).reshape(-1, len(kept_id), 2)
+    return uv, np.moveaxis(kept_id, 0, 2).reshape(-1, len(kept_id))
+
+
+def grid_of(pixels: PixelSource, index: Int[Tensor, "*pixel"], *, whole_views: bool) -> tuple[int, int, int] | None:
+    """Patches, rows and columns that the pixels with these row numbers form; None where they are in no order.
+
+    Args:
+        whole_views: row numbers with one axis are those of whole views.
+    """
+    if index.ndim == 3:
+        return index.shape[0], index.shape[1], index.shape[2]
+    if whole_views:
+        return len(index) // pixels.pixels_per_view, side_of(pixels), side_of(pixels)
+    return None
 
 
 def side_of(pixels: PixelSource) -> int:
@@ -162,7 +190,7 @@ def read_colors(dataset: Dataset, split: Split, views: Sequence[int], *, with_im
 
 def take_colors(pixels: PixelSource, index: Int[Tensor, " ray"]) -> Float32[Tensor, "ray 3"]:
     """The true sRGB colours in [0, 1] of the pixels with these row numbers."""
-    return pixels.rgb[index].float() / 255
+    return pixels.rgb[index].to(pixels.device).float() / 255
 
 
 def insert_empty_layer(rays: RayBatch, place: Int[Tensor, " ray"]) -> RayBatch:

@@ -1,5 +1,7 @@
 """Owns the command `model`: parse, make a configuration, call one function."""
 
+import functools
+import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -7,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from datagen.command import choose, fail, next_command, run, say, unwrap_help
+from datagen.command import choose, fail, mute, next_command, run, say, unwrap_help
 from datagen.dataset import Dataset, find_dataset, open_dataset
 from datagen.errors import HyalineError
 from datagen.geometry import TRUTH, check_geometry
@@ -26,6 +28,7 @@ from model.runtime import wait_without_spinning
 if TYPE_CHECKING:
     import torch
 
+    from model.pixel_cache import Memory
     from model.run_folder import TrainConfig
 
 DEFAULT_HELP = "paper"
@@ -36,12 +39,18 @@ def trainer_of(method: str) -> Callable[..., None]:
     """The command `train` with the flags of one method."""
 
     def train(common: CommonChoices, choices: MethodChoices) -> None:
-        """Train a renderer on a dataset, then render both test splits with it."""
+        """Train a renderer on a dataset, then render both test splits with it.
+
+        `torchrun --nproc-per-node N -m model train ...` trains on N GPUs (or CPU processes), and ends where one process
+        would but for rounding: paper, mlp-first and light-path, with losses of pixels alone.
+        """
+        if int(os.environ.get("RANK", "0")) > 0:
+            mute()
         config, opened = configure(common, choices)
         out = common.out or Path("runs") / opened.name / folder_name(common, choices)
         label = common.name or out.name
         _train(config, opened, out, label=label, device=_device(common.device), resume=common.resume,
-               anew=common.overwrite)  # fmt: skip
+               anew=common.overwrite, memory=common.memory)  # fmt: skip
 
     # tyro makes a flag of each field of these records.
     for record in (CommonChoices, LossChoices, CHOICES[method]):
@@ -89,34 +98,54 @@ def configure(common: CommonChoices, choices: MethodChoices) -> "tuple[TrainConf
 
 
 def _train(
-    config: "TrainConfig", dataset: Dataset, out: Path, *, label: str, device: "torch.device", resume: bool, anew: bool
+    config: "TrainConfig",
+    dataset: Dataset,
+    out: Path,
+    *,
+    label: str,
+    device: "torch.device",
+    resume: bool,
+    anew: bool,
+    memory: "Memory",
 ) -> None:
     from datagen.storage import one_writer, remove_temporaries
+    from model.distributed import join, own_device
     from model.predict import render_predictions
     from model.run_folder import RUN, WEIGHTS, clear_run, is_finished
+    from model.train import check_team
     from model.train import train as train_run
 
     if resume and anew:
         raise HyalineError("--resume and --overwrite: exclude each other; give one of them")
-    with one_writer(out):
-        remove_temporaries(out)
-        if not (out / RUN).is_file() and any(out.iterdir()):
-            raise HyalineError(f"{out}: holds files but no run; choose another --out")
-        if anew:
-            clear_run(out)
-        if (out / RUN).is_file():
-            _check_same_run(out, config, dataset)
-            if is_finished(out):
-                say(f"{out}: finished before, nothing to do; --overwrite trains it anew")
-                _end(out)
-                return
-            if not resume:
-                raise HyalineError(
-                    f"{out}: holds an unfinished run; go on with --resume, or start anew with --overwrite"
-                )
-        if not (out / WEIGHTS).is_file():
-            train_run(config, dataset, out, label=label, device=device)
-        render_predictions(out, config, dataset, device=device)
+    device = own_device(device)
+    with join(device) as team:
+        check_team(config, team)
+        train = functools.partial(train_run, config, dataset, out, label=label, device=device, team=team, memory=memory)
+        if not team.is_first:
+            # The first process holds the folder, and tells whether there is anything to train.
+            if team.agree():
+                train()
+            return
+        with one_writer(out):
+            remove_temporaries(out)
+            if not (out / RUN).is_file() and any(out.iterdir()):
+                raise HyalineError(f"{out}: holds files but no run; choose another --out")
+            if anew:
+                clear_run(out)
+            if (out / RUN).is_file():
+                _check_same_run(out, config, dataset)
+                if is_finished(out):
+                    say(f"{out}: finished before, nothing to do; --overwrite trains it anew")
+                    team.agree(False)
+                    _end(out)
+                    return
+                if not resume:
+                    raise HyalineError(
+                        f"{out}: holds an unfinished run; go on with --resume, or start anew with --overwrite"
+                    )
+            if team.agree(not (out / WEIGHTS).is_file()):
+                train()
+            render_predictions(out, config, dataset, device=device)
     _end(out)
 
 

@@ -73,7 +73,7 @@ class Inpainter:
 
 def count_visits(textures: NeuralTextures, pixels: PixelSource) -> Int[Tensor, " texel"]:
     """How many layers of the pixels' centre rays take a share, however small, of each texel."""
-    counts = torch.zeros(textures.layout.num_texels, dtype=torch.int64, device=pixels.rgb.device)
+    counts = torch.zeros(textures.layout.num_texels, dtype=torch.int64, device=pixels.device)
     for rays in _chunks(pixels):
         hit = rays.object_id != 0
         texels, weights = bilinear_taps(rays.uv[hit], rays.object_id[hit], textures.layout)

@@ -50,6 +50,11 @@ class LossConfig:
         if self.inpaint and not self.adversarial:
             raise HyalineError("inpaint: needs the discriminator's judgement; give --adversarial, such as 0.01")
 
+    @property
+    def is_of_pixels(self) -> bool:
+        """True when there are no other terms."""
+        return self.vgg is None and not self.adversarial and not self.inpaint
+
     def describe(self) -> str:
         """What it brings in that no picture of the dataset has taught, in words; empty for nothing."""
         return self.vgg.describe() if self.vgg else ""

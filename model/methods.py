@@ -19,6 +19,7 @@ from model.dnr import DnrConfig, build_dnr, configure_dnr, image_loss
 from model.light_path_net import LightPathConfig, build_light_path, configure_light_path
 from model.losses import pixel_loss
 from model.paper import PaperConfig, build_paper, choose_layers, configure_paper
+from model.pixel_cache import map_pixels
 from model.traced_batches import load_light_path_pixels, load_traced_layers
 from model.view_batches import load_views
 
@@ -53,8 +54,9 @@ class Method:
     """The configuration from (choices, dataset, geometry, number of layers)."""
     build: Callable[[Any, Dataset, str, int], nn.Module]
     """A fresh module for (configuration, dataset, geometry, number of layers), random from torch's own generator."""
-    load: Callable[[Any, Dataset, str, Split, Sequence[int], bool], PixelSource]
-    """The pixels of views for (configuration, dataset, geometry, split, views, with images)."""
+    load: Callable[..., PixelSource]
+    """The pixels of views for (configuration, dataset, geometry, split, views, with images); where `reads_layers`,
+    `mapped=True` keeps them in files."""
     loss: Callable[..., Tensor] = pixel_loss
     """What a step makes small: for (module, training pixels, batch, generator of the step), and for the patch terms
     `patch_terms` of its configuration, where the method has such choices."""
@@ -67,11 +69,13 @@ class Method:
 
 
 def _load_straight(config: PaperConfig, dataset: Dataset, geometry: str, split: Split, views: Sequence[int],
-                   with_images: bool, *, max_layers: int | None = None) -> PixelSource:  # fmt: skip
+                   with_images: bool, *, max_layers: int | None = None, mapped: bool = False
+                   ) -> PixelSource:  # fmt: skip
     stored, _ = read_layers_of(METHODS["paper"], dataset, geometry)
     num_layers = choose_layers(config.num_layers, min(stored, max_layers or stored))
-    if max(config.train_samples, config.render_samples) == 1:
-        return load_pixels(dataset, geometry, split, views, with_images=with_images, max_layers=num_layers)
+    if not traces_layers(config):
+        load = map_pixels if mapped else load_pixels
+        return load(dataset, geometry, split, views, with_images=with_images, max_layers=num_layers)
     return load_traced_layers(config, dataset, geometry, num_layers, split, views, with_images)
 
 
@@ -85,10 +89,17 @@ def _load_stored(
     *,
     max_layers: int | None = None,
     whole_views: bool = False,
+    mapped: bool = False,
 ) -> PixelSource:
-    return load_pixels(
+    load = map_pixels if mapped else load_pixels
+    return load(
         dataset, geometry, split, views, with_images=with_images, max_layers=max_layers, whole_views=whole_views
     )
+
+
+def traces_layers(config: object) -> bool:
+    """True when layers are traced for each batch, for `paper` with several rays a pixel."""
+    return isinstance(config, PaperConfig) and max(config.train_samples, config.render_samples) > 1
 
 
 def _optimise_voxels(choices: DeepVoxelsChoices, usual: Optimisation) -> Optimisation:

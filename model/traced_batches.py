@@ -15,6 +15,7 @@ from datagen.dataset import Cameras, Dataset, Split, read_cameras
 from datagen.geometry import TRUTH, read_meshes
 from datagen.meshes import Mesh
 from model.batches import RayBatch, read_colors
+from model.distributed import first_pixel
 from model.light_path_net import STACKED_VERTICES, Ends, LightPathBatch, LightPathConfig, Sky, Stack, default_light_path
 from model.paper import PaperConfig
 
@@ -121,7 +122,14 @@ class LightPathPixels:
         origins, directions = self.rays.through(index.flatten().cpu().numpy(), samples, rng)
         # Of most branches the end is all that counts: one place holds the last vertex.
         seed = 0 if rng is None else int(rng.integers(1 << 31))
-        paths = self.tracer.trace(origins, directions, max_branches=config.branches, max_vertices=1, seed=seed)
+        paths = self.tracer.trace(
+            origins,
+            directions,
+            max_branches=config.branches,
+            max_vertices=1,
+            seed=seed,
+            first_ray=first_pixel(rng) * samples,
+        )
         stack = self._stack(origins, directions) if config.stack_hidden else None
         return LightPathBatch(
             num_pixels=index.numel(), samples=samples, ends=self._ends(paths), sky=self._sky(paths), stack=stack

@@ -15,10 +15,13 @@ from datagen.errors import HyalineError
 from datagen.records import Json, to_json
 from model.batches import Pixels, PixelSource
 from model.checkpoint import State, delete_checkpoints, load_checkpoint, save_checkpoint, save_state
+from model.distributed import ALONE, Team
 from model.inpaint import Inpainter
-from model.methods import METHODS, read_layers_of
+from model.losses import pixel_loss
+from model.methods import METHODS, read_layers_of, traces_layers
 from model.paper import PaperConfig, choose_layers
 from model.patch_losses import Losses
+from model.pixel_cache import MappedPixels, Memory, choose_memory
 from model.predict import predict_pixels
 from model.run_folder import (
     CHECKPOINT,
@@ -38,16 +41,22 @@ from model.runtime import keep_freed_memory
 from model.texture import NeuralTextures
 
 
-def train(config: TrainConfig, dataset: Dataset, out: Path, *, label: str, device: torch.device) -> None:
+def train(config: TrainConfig, dataset: Dataset, out: Path, *, label: str, device: torch.device,
+          team: Team = ALONE, memory: Memory = "ram") -> None:  # fmt: skip
     """Trains until `out` holds weights.pt; goes on from the newest intact checkpoint where there is one.
 
     A run that was stopped and resumed gives the same bytes as one that was not: each step draws its pixels from a
     generator of its own, seeded by (seed, step). That holds for equal numbers of CPU threads.
 
+    Args:
+        team: the processes that call this together; the first of them alone writes to `out`.
+        memory: where training pixels are held; no number depends on it.
+
     Raises:
-        HyalineError: data is missing or damaged, or the loss is no longer a number.
+        HyalineError: data is missing or damaged, the loss is no longer a number, or cannot be shared by a team.
     """
     keep_freed_memory()
+    check_team(config, team)
     method = METHODS[config.method]
     num_layers, layers_seal = read_layers_of(method, dataset, config.geometry)
     if isinstance(config.net, PaperConfig):
@@ -57,6 +66,7 @@ def train(config: TrainConfig, dataset: Dataset, out: Path, *, label: str, devic
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(config.seed)
         renderer = method.build(config.net, dataset, config.geometry, num_layers)
+    team.share_norms(renderer)
     renderer.to(device)
     named = dict(renderer.named_parameters())
     textures = [f"{name}.table" for name, part in renderer.named_modules() if isinstance(part, NeuralTextures)]
@@ -75,11 +85,21 @@ def train(config: TrainConfig, dataset: Dataset, out: Path, *, label: str, devic
     views = range(dataset.config.train.views)
     held_out = choose_held_out(len(views), config.held_out_views)
     shown = [view for view in views if view not in held_out]
-    training, testing = (
-        method.load(config.net, dataset, config.geometry, "train", part, True).to(device) if part else None
-        for part in (shown, held_out)
+    is_mapped = choose_memory(
+        memory,
+        num_pixels=len(shown) * dataset.config.resolution**2,
+        num_layers=0 if traces_layers(config.net) else num_layers,
+        processes=team.size_here,
+        device=device,
     )
-    assert training is not None
+    if is_mapped:
+        with team.in_turn():
+            training = method.load(config.net, dataset, config.geometry, "train", shown, True, mapped=True).to(device)
+    else:
+        training = method.load(config.net, dataset, config.geometry, "train", shown, True).to(device)
+    testing = None
+    if held_out and team.is_first:
+        testing = method.load(config.net, dataset, config.geometry, "train", held_out, True).to(device)
 
     # The losses, the terms beside the method's own included.
     losses = Losses(
@@ -87,27 +107,26 @@ def train(config: TrainConfig, dataset: Dataset, out: Path, *, label: str, devic
         make_inpainter=lambda: make_inpainter(config, renderer, training, dataset, num_layers, device),
     )  # fmt: skip
 
-    write_run(
-        out,
-        RunRecord(
-            version=RUN_VERSION,
-            method=config.method,
-            geometry=config.geometry if method.uses_geometry else "none",
-            knowledge=describe_knowledge(dataset, config.geometry, method.knowledge, config.loss.describe())
-            if method.uses_geometry
-            else method.knowledge,
-            dataset=dataset.root.as_posix(),
-            dataset_seal=dataset.seal,
-            layers_seal=layers_seal,
-            seed=config.seed,
-            num_parameters=count(net_parameters) - num_critic,
-            num_texture_parameters=count(texture_parameters),
-            num_layers=num_layers or None,
-            label=label,
-            config=config,
-            torch=torch.__version__,
-        ),
+    record = RunRecord(
+        version=RUN_VERSION,
+        method=config.method,
+        geometry=config.geometry if method.uses_geometry else "none",
+        knowledge=describe_knowledge(dataset, config.geometry, method.knowledge, config.loss.describe())
+        if method.uses_geometry
+        else method.knowledge,
+        dataset=dataset.root.as_posix(),
+        dataset_seal=dataset.seal,
+        layers_seal=layers_seal,
+        seed=config.seed,
+        num_parameters=count(net_parameters) - num_critic,
+        num_texture_parameters=count(texture_parameters),
+        num_layers=num_layers or None,
+        label=label,
+        config=config,
+        torch=torch.__version__,
     )
+    if team.is_first:
+        write_run(out, record)
 
     # Where to go on.
     first_step, loss_sum, loss_count = 0, 0.0, 0
@@ -122,9 +141,10 @@ def train(config: TrainConfig, dataset: Dataset, out: Path, *, label: str, devic
         loss_sum, loss_count = cast(float, checkpoint["loss_sum"]), cast(int, checkpoint["loss_count"])
         metrics = read_metrics(out, up_to_step=first_step)
         say(f"{out}: going on from step {first_step}")
-    (out / METRICS).unlink(missing_ok=True)
-    if metrics:
-        write_metrics(out, metrics)
+    if team.is_first:
+        (out / METRICS).unlink(missing_ok=True)
+        if metrics:
+            write_metrics(out, metrics)
     say(
         f"{label} on {dataset.root}: {len(shown)} training views and {len(held_out)} held out, "
         f"{num_layers or ('traced' if method.uses_geometry else 'no')} layers, "
@@ -141,11 +161,13 @@ def train(config: TrainConfig, dataset: Dataset, out: Path, *, label: str, devic
 
     renderer.train()
     for step in track(steps, label="train", total=config.steps, done=first_step, status=status):
-        rng = np.random.default_rng([config.seed, step])
-        loss = losses.loss(method.loss, renderer, training, config.batch, rng, step=step)
+        rng = team.generator([config.seed, step], config.batch)
+        own = len(team.share(config.batch))
+        loss = team.weigh(losses.loss(method.loss, renderer, training, own, rng, step=step), config.batch)
         optimizer.zero_grad(set_to_none=True)
         loss.backward()
-        loss_value = float(loss.item())
+        team.sum_gradients(renderer)
+        loss_value = team.sum_loss(loss)
         check_finite(loss_value, renderer, step=step, out=out)
         for group, rate in zip(optimizer.param_groups, rates, strict=True):
             group["lr"] = losses.limit_rate(rate * decay(config.lr_decay, step / config.steps), step)
@@ -153,6 +175,8 @@ def train(config: TrainConfig, dataset: Dataset, out: Path, *, label: str, devic
         loss_sum, loss_count = loss_sum + loss_value, loss_count + 1
 
         done, shown_loss = step + 1, loss_sum / loss_count
+        if not team.is_first:
+            continue
         if done % config.evaluate_every == 0 or done == config.steps:
             score = held_out_psnr(renderer, testing) if testing is not None else None
             shown_psnr = math.nan if score is None else score
@@ -173,15 +197,29 @@ def train(config: TrainConfig, dataset: Dataset, out: Path, *, label: str, devic
                 },
             )
 
-    save_state(
-        out / WEIGHTS,
-        {
-            "config": cast(State, to_json(config)),
-            "step": config.steps,
-            "renderer": cast(State, dict(renderer.state_dict())),
-        },
-    )
-    delete_checkpoints(out)
+    if team.is_first:
+        save_state(
+            out / WEIGHTS,
+            {
+                "config": cast(State, to_json(config)),
+                "step": config.steps,
+                "renderer": cast(State, dict(renderer.state_dict())),
+            },
+        )
+        delete_checkpoints(out)
+
+
+def check_team(config: TrainConfig, team: Team) -> None:
+    """Raises a HyalineError where a step cannot be shared so that it stays what one process would do."""
+    if team.size == 1:
+        return
+    if METHODS[config.method].loss is not pixel_loss or not config.loss.is_of_pixels:
+        raise HyalineError(
+            f"{config.method}: its steps look at whole patches, pictures or dropout, which several processes cannot "
+            "share; train it without torchrun (paper, mlp-first and light-path can be, with losses of pixels alone)"
+        )
+    if config.batch < team.size:
+        raise HyalineError(f"batch: is {config.batch}; expected at least a pixel for each of {team.size} processes")
 
 
 def make_inpainter(config: TrainConfig, renderer: nn.Module, training: PixelSource, dataset: Dataset, num_layers: int,
@@ -191,7 +229,7 @@ def make_inpainter(config: TrainConfig, renderer: nn.Module, training: PixelSour
     Raises:
         HyalineError: nothing is left to in-paint, or training rays are random, so that all texels may be visited.
     """
-    if not isinstance(training, Pixels):
+    if not isinstance(training, Pixels | MappedPixels):
         raise HyalineError("inpaint: counts which texels the stored layers' rays visit; expected paper with one ray "
                            "per pixel, or another method that reads straight layers")  # fmt: skip
     return Inpainter(renderer, training, dataset, config.geometry, num_layers=num_layers, seed=config.seed,

@@ -35,6 +35,10 @@ class Views:
     """Width and height of a view."""
 
     @property
+    def device(self) -> torch.device:
+        return self.rgb.device
+
+    @property
     def pixels_per_view(self) -> int:
         return self.size**2
 

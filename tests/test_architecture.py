@@ -25,6 +25,7 @@ HOMES = {
     "colour": {"eval"},
     "xatlas": {"datagen/atlas.py"},
     "zarr": {"datagen/layer_store.py"},
+    "submitit": {"datagen/launch.py"},
 }
 
 
