@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 else:
     from numba import prange
 
-STRIP_ROWS = 16
+STRIP_ROWS = 32
 """Rows that one thread does at a time: their hits stay in its cache."""
 
 CHUNKS = 32

@@ -161,7 +161,8 @@ def is_general(meshes: tuple[Mesh, ...], origin: np.ndarray, direction: np.ndarr
     ahead = np.nan_to_num(t, nan=-1.0) > 0
     if (ahead & (np.abs(angle) <= MIN_ANGLE)).any():
         return False
-    return bool((np.diff(np.sort(t[ahead & (angle > 0)])) > MIN_GAP).all())
+    gaps: np.ndarray = np.diff(np.sort(t[ahead & (angle > 0)]))
+    return bool((gaps > MIN_GAP).all())
 
 
 def _is_stored(layers: Layers, stored: StoredLayers | None) -> tuple[bool, str]:
