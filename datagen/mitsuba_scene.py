@@ -75,7 +75,8 @@ def load_geometry_mitsuba(meshes: tuple[Mesh, ...]) -> "mi.Scene":
     return _load({"type": "scene", **shapes}, len(meshes))
 
 
-def load_sensor(world_from_camera: Float[np.ndarray, "4 4"], fov_x: float, width: int, height: int) -> "mi.Sensor":
+def load_sensor(world_from_camera: Float[np.ndarray, "4 4"], fov_x: float, width: int, height: int,
+                *, sampler: str = "multijitter") -> "mi.Sensor":  # fmt: skip
     """A pinhole camera with a box filter, so that a sample counts for its own pixel alone (see `Renderer`)."""
     import mitsuba as mi
 
@@ -98,7 +99,7 @@ def load_sensor(world_from_camera: Float[np.ndarray, "4 4"], fov_x: float, width
                 "component_format": "float32",
                 "rfilter": {"type": "box"},
             },
-            "sampler": {"type": "multijitter"},
+            "sampler": {"type": sampler},
         }),
     )  # fmt: skip
 
