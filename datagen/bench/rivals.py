@@ -108,5 +108,6 @@ def trace_eagerly(tracer: LightPathTracer, origins: np.ndarray, directions: np.n
     """The product's light paths, but with the loop in Python and an evaluation after every bounce."""
     import drjit as dr
 
-    with dr.scoped_set_flag(dr.JitFlag.SymbolicLoops, False):
+    plain = dr.scoped_set_flag(dr.JitFlag.KernelFreezing, False), dr.scoped_set_flag(dr.JitFlag.SymbolicLoops, False)
+    with plain[0], plain[1]:
         return tracer.trace(origins, directions, **limits)
