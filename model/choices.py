@@ -109,6 +109,8 @@ class PaperChoices:
     """Channels of a texture; 64 in the paper's runs on coarse proxies."""
     texture_levels: int = _choice(1, "{}-levels")
     """Textures summed, each half as wide as the one before; 4 in Deferred Neural Rendering."""
+    precision: Literal["fp32", "bf16"] = _choice("fp32", {"bf16": "bf16"})
+    """Numbers that the network multiplies: bf16 is faster where the processor has instructions for it."""
     loss: LossChoices = LossChoices()
 
 

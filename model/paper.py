@@ -13,7 +13,7 @@ from datagen.errors import HyalineError
 from model.batches import RayBatch, insert_random_layer
 from model.choices import PaperChoices
 from model.extrinsics import EXTRINSIC_CHANNELS, ExtrinsicInputs, Extrinsics, positions_for
-from model.pixel_mlp import Norm, PixelMlp, check_width, width_for_34k
+from model.pixel_mlp import FoldedMlp, Norm, PixelMlp, Precision, check_width, width_for_34k
 from model.samples import check_samples, linear_curve, srgb_curve
 from model.texture import NeuralTextures, TexturePyramid, TextureSharing, make_layout
 
@@ -49,6 +49,8 @@ class PaperConfig:
     training or in rendering, layers are traced for each batch instead of read, and colours are averaged."""
     render_samples: int = 1
     """Rays per pixel while rendering, a square number."""
+    precision: Precision = "fp32"
+    """Numbers that the network multiplies, in training and in rendering."""
 
     def __post_init__(self) -> None:
         check_width(self.width, self.blocks)
@@ -101,6 +103,7 @@ def configure_paper(choices: PaperChoices, dataset: Dataset, geometry: str, num_
         num_layers=choices.layers,
         train_samples=1 if choices.rays is None else choices.rays,
         render_samples=1 if choices.render_rays is None else choices.render_rays,
+        precision=choices.precision,
     )
 
 
@@ -151,20 +154,25 @@ class PaperRenderer(nn.Module):
             extrinsics=config.extrinsics,
             zero_layer=config.zero_layer,
         )
-        self.net = PixelMlp(num_inputs, width=config.width, blocks=config.blocks, norm=config.norm)
+        self.net = PixelMlp(
+            num_inputs, width=config.width, blocks=config.blocks, norm=config.norm, precision=config.precision
+        )
 
-    def forward(self, rays: RayBatch, *, rng: np.random.Generator | None = None) -> Float32[Tensor, "pixel 3"]:
+    def forward(
+        self, rays: RayBatch, *, rng: np.random.Generator | None = None, folded: FoldedMlp | None = None
+    ) -> Float32[Tensor, "pixel 3"]:
         """sRGB colours of the pixels, about [0, 1]; several rays of a pixel are averaged in linear light.
 
         Args:
             rng: draws the place of each ray's zero layer while training; without it that layer comes last.
+            folded: the network's fast form, for rendering.
         """
         if self.zero_layer:
             rays = insert_random_layer(rays, rng)
         stack = self.textures(rays.uv, rays.object_id)
         if self.extrinsics is not None:
             stack = torch.cat([stack, self.extrinsics(rays.uv, rays.object_id, rays.p_camera)], dim=-1)
-        colors = self.net(stack.flatten(1))
+        colors = (self.net if folded is None else folded)(stack.flatten(1))
         if rays.samples == 1:
             return colors
         return srgb_curve(linear_curve(colors).view(-1, rays.samples, 3).mean(dim=1))
