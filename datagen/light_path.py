@@ -14,15 +14,14 @@ Vectorised variants only. Call `use_mitsuba` first.
 # Mitsuba's stubs describe no variant: what is a number in one is an array in another.
 # pyright: reportArgumentType=false, reportCallIssue=false, reportOperatorIssue=false, reportIndexIssue=false
 
-import dataclasses
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float32, UInt8
 
 from datagen.errors import HyalineError
-from datagen.media import find_media, medium_of, no_solids, with_solid, without_solid
+from datagen.media import Media, find_media, medium_of, no_solids, with_solid, without_solid
 from datagen.meshes import Mesh, is_there
 from datagen.mitsuba_scene import is_scalar, load_geometry_mitsuba
 from datagen.scene import Conductor, Dielectric, Material, Plastic, ThinDielectric
@@ -42,6 +41,12 @@ inside others."""
 
 MIN_THROUGHPUT = 1 / 512
 """A branch that starts with less is not followed: less than one step of an 8-bit picture."""
+
+RECORDINGS = 64
+"""Kernels that a tracer keeps, one for each number of rays and limits."""
+
+PLASTIC = 1.32471795724474602596
+"""The plastic number, of which the R2 sequence is made."""
 
 FIRST_MIRROR = 16.0
 """Weight in the queue of branches beyond any throughput, so that the first surface's mirror comes next."""
@@ -81,6 +86,8 @@ class LightPathTracer:
 
     def __init__(self, meshes: tuple[Mesh, ...], materials: tuple[Material | None, ...]) -> None:
         """A surface whose material is None lets every ray through as it comes: its paths are straight layers."""
+        import drjit as dr
+
         if is_scalar():
             raise HyalineError(
                 "light paths: Mitsuba runs as scalar_rgb, which cannot trace them; "
@@ -90,8 +97,14 @@ class LightPathTracer:
         kept = [index for index, mesh in enumerate(meshes) if is_there(mesh)]
         self._object_id = np.array([0, *(index + 1 for index in kept)], np.uint8)
         meshes = tuple(meshes[index] for index in kept)
+        kept_materials = tuple(materials[index] for index in kept)
         self._scene = load_geometry_mitsuba(meshes)
-        self._tables = _Tables(meshes, tuple(materials[index] for index in kept))
+        self._media = find_media(kept_materials, meshes)
+        self._tables = _make_tables(meshes, kept_materials, self._media)
+        self._rows: dict[int, tuple[mi.Float, ...]] = {}
+        # Recording a kernel takes as long as running it for 8,192 rays, and Dr.Jit finds the recording in its cache by
+        # code that differs from time to time: it is recorded once for each number of rays and limits.
+        self._trace = dr.freeze(_trace, limit=RECORDINGS, warn_after=1 << 30)
 
     def trace(self, origins: Float32[np.ndarray, "ray 3"], directions: Float32[np.ndarray, "ray 3"],
               *, max_branches: int = 4, max_vertices: int = 8, max_depth: int = 24,
@@ -105,37 +118,87 @@ class LightPathTracer:
             max_depth: surfaces after which a branch is given up.
             seed: of the facets of rough surfaces that mirror.
         """
-        limits = (max_branches, max_vertices, max_depth)
-        paths = _trace(self._scene, self._tables, origins, directions, *limits, seed)
-        return dataclasses.replace(paths, object_id=self._object_id[paths.object_id])
-
-
-class _Tables:
-    """What the kernel looks up: by object its optics, by face its corners' normals and uv."""
-
-    def __init__(self, meshes: tuple[Mesh, ...], materials: tuple[Material | None, ...]) -> None:
+        import drjit as dr
         import mitsuba as mi
 
-        def array(values: list[float]) -> "mi.Float":
-            return mi.Float(np.array(values, np.float32))
+        count = len(directions)
+        if count not in self._rows:
+            self._rows[count] = tuple(mi.Float(np.arange(count) / PLASTIC ** (1 + axis) % 1) for axis in range(2))
 
-        self.kind = mi.UInt32(np.array([_kind(material) for material in materials], np.uint32))
-        self.coat_ior = array([getattr(material, "ior", 1.0) for material in materials])
-        self.roughness = array([getattr(material, "roughness", 0.0) for material in materials])
-        self.media = find_media(materials, meshes)
-        self.rank = mi.Int32(self.media.rank)
-        self.medium_ior = mi.Float(self.media.ior)
-        self.absorption = [mi.Float(np.ascontiguousarray(self.media.absorption[:, c])) for c in range(3)]
-        self.metal = [
+        def columns(values: np.ndarray) -> "list[mi.Float]":
+            return [mi.Float(np.ascontiguousarray(values[:, axis], np.float32)) for axis in range(3)]
+
+        outputs = self._trace(
+            self._scene, tuple(self._tables), self._media,
+            mi.Point3f(*columns(origins)), mi.Vector3f(*columns(directions)),
+            self._rows[count], dr.opaque(mi.UInt32, seed),
+            count, max_branches, max_vertices, max_depth,
+        )  # fmt: skip
+        dr.eval(outputs)
+
+        def array(name: str, *shape: int) -> np.ndarray:
+            values = outputs[name]
+            if isinstance(values, list):
+                return np.stack([np.array(component) for component in values], axis=-1).reshape(*shape, len(values))
+            return np.array(values).reshape(shape)
+
+        places, ends = (max_branches, max_vertices, count), (max_branches, count)
+        return LightPaths(
+            object_id=self._object_id[array("object_id", *places)],
+            uv=array("uv", *places),
+            direction=array("direction", *places),
+            position=array("position", *places),
+            normal=array("normal", *places),
+            throughput=array("throughput", *places),
+            medium_length=array("medium_length", *places),
+            has_left=array("has_left", *ends).astype(bool),
+            end_direction=array("end_direction", *ends),
+            end_throughput=array("end_throughput", *ends),
+        )
+
+
+class _Tables(NamedTuple):
+    """What the kernel looks up: by object its optics, by face its corners' positions, normals and uv."""
+
+    kind: "mi.UInt32"
+    coat_ior: "mi.Float"
+    roughness: "mi.Float"
+    metal: "list[mi.Float]"
+    rank: "mi.Int32"
+    medium_ior: "mi.Float"
+    absorption: "list[mi.Float]"
+    first_face: "mi.UInt32"
+    positions: "mi.Float"
+    normals: "mi.Float"
+    uv: "mi.Float"
+
+
+def _make_tables(meshes: tuple[Mesh, ...], materials: tuple[Material | None, ...], media: Media) -> _Tables:
+    import mitsuba as mi
+
+    def array(values: list[float]) -> "mi.Float":
+        return mi.Float(np.array(values, np.float32))
+
+    def corners(values: list[np.ndarray]) -> "mi.Float":
+        return mi.Float(np.concatenate(values).ravel())
+
+    first_face = np.cumsum([0, *(len(mesh.faces) for mesh in meshes)])[:-1]
+    return _Tables(
+        kind=mi.UInt32(np.array([_kind(material) for material in materials], np.uint32)),
+        coat_ior=array([getattr(material, "ior", 1.0) for material in materials]),
+        roughness=array([getattr(material, "roughness", 0.0) for material in materials]),
+        metal=[
             array([material.color[c] if isinstance(material, Conductor) else 1 for material in materials])
             for c in range(3)
-        ]
-        first_face = np.cumsum([0, *(len(mesh.faces) for mesh in meshes)])[:-1]
-        self.first_face = mi.UInt32(first_face.astype(np.uint32))
-        positions = np.concatenate([mesh.vertices[mesh.faces] for mesh in meshes])
-        self.positions = mi.Float(positions.ravel())
-        self.normals = mi.Float(np.concatenate([mesh.normals[mesh.faces] for mesh in meshes]).ravel())
-        self.uv = mi.Float(np.concatenate([mesh.uv[mesh.faces] for mesh in meshes]).ravel())
+        ],
+        rank=mi.Int32(media.rank),
+        medium_ior=mi.Float(media.ior),
+        absorption=[mi.Float(np.ascontiguousarray(media.absorption[:, c])) for c in range(3)],
+        first_face=mi.UInt32(first_face.astype(np.uint32)),
+        positions=corners([mesh.vertices[mesh.faces] for mesh in meshes]),
+        normals=corners([mesh.normals[mesh.faces] for mesh in meshes]),
+        uv=corners([mesh.uv[mesh.faces] for mesh in meshes]),
+    )
 
 
 def _kind(material: Material | None) -> int:
@@ -152,13 +215,21 @@ def _kind(material: Material | None) -> int:
             return OPAQUE
 
 
-def _trace(scene: "mi.Scene", tables: _Tables, origins: np.ndarray, directions: np.ndarray,
-           max_branches: int, max_vertices: int, max_depth: int, seed: int) -> LightPaths:  # fmt: skip
-    """One kernel for all vertices of all branches, recorded once for each number of vertices and branches."""
+def _trace(scene, tables, media, o, d, rows, shift, count, max_branches, max_vertices, max_depth):
+    """One kernel for all vertices of all branches of `count` rays from `o` along `d`.
+
+    Args:
+        rows: two numbers in [0, 1) for each ray. Those of consecutive rays, which are those of one pixel, share out the
+            facets of a rough surface evenly (a shifted R2 sequence).
+        shift: seed of the shifts.
+
+    Returns:
+        By field of `LightPaths`: an array, or a list with one for each component.
+    """
     import drjit as dr
     import mitsuba as mi
 
-    count = len(directions)
+    tables = _Tables(*tables)
     slots = max_branches * max_vertices * count
     ids, lengths = dr.zeros(mi.UInt32, slots), dr.zeros(mi.Float, slots)
     out_uv = [dr.zeros(mi.Float, slots) for _ in range(2)]
@@ -185,13 +256,8 @@ def _trace(scene: "mi.Scene", tables: _Tables, origins: np.ndarray, directions: 
     def is_tracing(*state):
         return state[-1]
 
-    # Consecutive rays, those of one pixel, share out the facets of a rough surface evenly (a shifted R2 sequence).
-    shift = dr.opaque(mi.UInt32, seed)  # No literal, or each seed would be another kernel.
-    plastic = 1.32471795724474602596
-
     def random_point(step):
         shifts = (mi.sample_tea_float32(shift, 2 * step + axis) for axis in range(2))
-        rows = (mi.Float(np.arange(count) / plastic ** (1 + axis) % 1) for axis in range(2))
         points = [row + shift for row, shift in zip(rows, shifts, strict=True)]
         return [point - dr.floor(point) for point in points]
 
@@ -199,7 +265,6 @@ def _trace(scene: "mi.Scene", tables: _Tables, origins: np.ndarray, directions: 
         return tuple(dr.select(condition, this, other) for this, other in zip(these, others, strict=True))
 
     # A start of a branch: weight in the queue, origin, direction, throughput, face that it leaves, solids around it.
-    media = tables.media
     kinds = (mi.Float, mi.Point3f, mi.Vector3f, mi.Color3f, mi.Int32, mi.UInt32)
     values = (0, 0, 0, 0, -1, no_solids(media))
     no_start = tuple(kind(value) for kind, value in zip(kinds, values, strict=True))
@@ -324,12 +389,9 @@ def _trace(scene: "mi.Scene", tables: _Tables, origins: np.ndarray, directions: 
         active &= (~is_over | turns) & (step < max_branches * max_depth + SPARE_STEPS)
         return o, d, beta, solids, way, last_face, branch, vertex, step, tuple(queue), active
 
-    def columns(values):
-        return (mi.Float(np.ascontiguousarray(values[:, axis], np.float32)) for axis in range(3))
-
     state = (
-        mi.Point3f(*columns(origins)),
-        mi.Vector3f(*columns(directions)),
+        o,
+        d,
         dr.full(mi.Color3f, 1, count),
         dr.full(mi.UInt32, no_solids(media), count),
         dr.zeros(mi.Float, count),
@@ -342,25 +404,11 @@ def _trace(scene: "mi.Scene", tables: _Tables, origins: np.ndarray, directions: 
         dr.full(mi.Bool, True, count),
     )  # fmt: skip
     dr.while_loop(state, is_tracing, advance, label="light_path")
-    outputs = [ids, lengths, left, *out_uv, *out_direction, *out_position, *out_normal, *out_throughput]
-    dr.eval(*outputs, *end_direction, *end_throughput)
-
-    def stacked(parts: list, *shape: int) -> np.ndarray:
-        return np.stack([np.array(part) for part in parts], axis=-1).reshape(*shape, len(parts))
-
-    shape = (max_branches, max_vertices, count)
-    return LightPaths(
-        object_id=np.array(ids).astype(np.uint8).reshape(shape),
-        uv=stacked(out_uv, *shape),
-        direction=stacked(out_direction, *shape),
-        position=stacked(out_position, *shape),
-        normal=stacked(out_normal, *shape),
-        throughput=stacked(out_throughput, *shape),
-        medium_length=np.array(lengths).reshape(shape),
-        has_left=np.array(left).astype(bool).reshape(max_branches, count),
-        end_direction=stacked(end_direction, max_branches, count),
-        end_throughput=stacked(end_throughput, max_branches, count),
-    )
+    return {
+        "object_id": ids, "uv": out_uv, "direction": out_direction, "position": out_position, "normal": out_normal,
+        "throughput": out_throughput, "medium_length": lengths, "has_left": left, "end_direction": end_direction,
+        "end_throughput": end_throughput,
+    }  # fmt: skip
 
 
 def _mirror_rough(d, normal, alpha, u1, u2):

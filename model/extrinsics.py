@@ -83,7 +83,7 @@ class ExtrinsicInputs(nn.Module):
         object_id: UInt8[Tensor, "ray layer"],
         p_camera: Float32[Tensor, "ray 3"],
     ) -> Float32[Tensor, "ray layer e"]:
-        p_surface = sample(self.positions, uv, object_id, self.layout)
+        p_surface = sample([self.positions], uv, object_id, [self.layout], [1.0])
         view = functional.normalize(p_camera[:, None] - p_surface, dim=-1)
         inputs = view if self.kind == "view" else spherical_harmonics(view)
         return inputs * (object_id != 0)[..., None]

@@ -14,7 +14,7 @@ from datagen.geometry import TRUTH
 from model.choices import LightPathChoices
 from model.extrinsics import spherical_harmonics
 from model.samples import check_samples, srgb_curve
-from model.texture import TexturePyramid, object_layout, sum_levels
+from model.texture import TexturePyramid, level_scales, object_layout
 
 STACKED_VERTICES = (4, 2)
 """Vertices of the refracted and of the first mirror branch that the stack network sees."""
@@ -276,7 +276,8 @@ class LightPathRenderer(nn.Module):
         azimuth = torch.atan2(y, x) / torch.pi  # Both from -1 to 1.
         polar = 2 * torch.acos(z.clamp(-1, 1)) / torch.pi - 1
         maps = [_look_up_map(texels, azimuth, polar) for texels in self.environment]
-        return functional.softplus(sum_levels(maps, FINER_COUNTS))
+        scales = level_scales(len(maps), FINER_COUNTS)
+        return functional.softplus(torch.stack([scale * level for scale, level in zip(scales, maps)]).sum(dim=0))
 
 
 def build_light_path(config: LightPathConfig, dataset: Dataset, geometry: str, num_layers: int) -> LightPathRenderer:  # noqa: ARG001

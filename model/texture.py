@@ -1,11 +1,13 @@
 """Owns neural textures: where an object's texels lie in one packed table, and the bilinear lookup of layers in it."""
 
+import functools
 import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, cast
 
+import numpy as np
 import torch
 from jaxtyping import Float32, Int32, UInt8
 from torch import Tensor, nn
@@ -13,6 +15,7 @@ from torch.autograd.function import FunctionCtx
 from torch.nn import functional
 
 from datagen.errors import HyalineError
+from model.texels import add_gradient, add_look_ups
 
 TextureSharing = Literal["object", "scene"]
 
@@ -79,27 +82,78 @@ def bilinear_taps(
 
 
 def sample(
-    table: Float32[Tensor, "texel c"],
+    tables: Sequence[Float32[Tensor, "texel c"]],
     uv: Float32[Tensor, "ray layer 2"],
     object_id: UInt8[Tensor, "ray layer"],
-    layout: TextureLayout,
+    layouts: Sequence[TextureLayout],
+    scales: Sequence[float],
 ) -> Float32[Tensor, "ray layer c"]:
-    """Bilinear features of every layer; zeros where a layer is empty (object id 0).
+    """The scaled sum of the bilinear features of every layer in several tables; zeros where it is empty (object id 0).
 
-    Every (ray, layer) is a bag of four texels, or an empty bag, whose sum is zero by definition: empty layers cost
-    nothing. This is 46 times faster than a `grid_sample` per object and layer on a CPU.
+    Gradients flow to the tables alone. They are summed in a fixed order, so that a run on a CPU repeats bit by bit.
     """
-    hits = (object_id.flatten() != 0).nonzero().squeeze(1)
-    texels, weights = bilinear_taps(uv.flatten(0, 1)[hits], object_id.flatten()[hits], layout)
-    features = _WeightedTexels.apply(table, texels, weights, hits, object_id.numel())
-    return features.view(*object_id.shape, table.shape[1])
+    flat_uv, flat_id = uv.flatten(0, 1), object_id.flatten()
+    if flat_uv.device.type != "cpu":
+        levels = [scale * sample_by_bags(table, flat_uv, flat_id, layout)
+                  for table, layout, scale in zip(tables, layouts, scales, strict=True)]  # fmt: skip
+        features = torch.stack(levels).sum(dim=0) if len(levels) > 1 else levels[0]
+    else:
+        features = _CompiledSample.apply(flat_uv, flat_id, tuple(layouts), tuple(scales), *tables)
+    return features.view(*object_id.shape, tables[0].shape[1])
+
+
+class _CompiledSample(torch.autograd.Function):
+    """`sample` by the loops of `model.texels`."""
+
+    @staticmethod
+    def forward(ctx: FunctionCtx, uv: Tensor, object_id: Tensor, layouts: tuple[TextureLayout, ...],
+                scales: tuple[float, ...], *tables: Tensor) -> Tensor:  # fmt: skip
+        ctx.save_for_backward(uv, object_id)
+        ctx.levels = [(layout, scale, table.shape) for layout, scale, table in zip(layouts, scales, tables)]  # pyright: ignore[reportAttributeAccessIssue]
+        result = torch.zeros(len(object_id), tables[0].shape[1])
+        for table, layout, scale in zip(tables, layouts, scales, strict=True):
+            add_look_ups(result.numpy(), table.detach().contiguous().numpy(), uv.contiguous().numpy(),
+                         object_id.numpy(), _places(layout), np.float32(scale))  # fmt: skip
+        return result
+
+    @staticmethod
+    def backward(ctx: FunctionCtx, *upstream: Tensor) -> tuple[Tensor | None, ...]:
+        uv, object_id = ctx.saved_tensors  # pyright: ignore[reportAttributeAccessIssue]
+        above = upstream[0].contiguous().numpy()
+        gradients = []
+        for layout, scale, shape in ctx.levels:  # pyright: ignore[reportAttributeAccessIssue]
+            gradient = torch.zeros(shape)
+            add_gradient(gradient.numpy(), above, uv.contiguous().numpy(), object_id.numpy(), _places(layout),
+                         np.float32(scale), torch.get_num_threads())  # fmt: skip
+            gradients.append(gradient)
+        return None, None, None, None, *gradients
+
+
+@functools.cache
+def _places(layout: TextureLayout) -> Int32[np.ndarray, "3 object"]:
+    return np.array([layout.bases, layout.sizes, layout.strides], np.int32)
+
+
+def sample_by_bags(
+    table: Float32[Tensor, "texel c"],
+    uv: Float32[Tensor, "slot 2"],
+    object_id: UInt8[Tensor, " slot"],
+    layout: TextureLayout,
+) -> Float32[Tensor, "slot c"]:
+    """Bilinear features of every slot in one table, by torch's operations on any device.
+
+    Every slot is a bag of four texels, or an empty bag, whose sum is zero by definition: empty slots cost nothing.
+    """
+    hits = (object_id != 0).nonzero().squeeze(1)
+    texels, weights = bilinear_taps(uv[hits], object_id[hits], layout)
+    return _WeightedTexels.apply(table, texels, weights, hits, object_id.numel())
 
 
 class _WeightedTexels(torch.autograd.Function):
     """Sums four weighted rows of a table into row `hits` of a result that is zero elsewhere.
 
     The forward pass is `embedding_bag`; its own backward pass in torch 2.13 sorts the texels and takes twice as long as
-    this one, which adds in a fixed order on a CPU, so that a run repeats bit by bit.
+    this one.
     """
 
     @staticmethod
@@ -138,7 +192,7 @@ class NeuralTextures(nn.Module):
     def forward(
         self, uv: Float32[Tensor, "ray layer 2"], object_id: UInt8[Tensor, "ray layer"]
     ) -> Float32[Tensor, "ray layer c"]:
-        return sample(self.table, uv, object_id, self.layout)
+        return sample([self.table], uv, object_id, [self.layout], [1.0])
 
 
 class TexturePyramid(nn.ModuleList):
@@ -156,17 +210,20 @@ class TexturePyramid(nn.ModuleList):
     def forward(
         self, uv: Float32[Tensor, "ray layer 2"], object_id: UInt8[Tensor, "ray layer"]
     ) -> Float32[Tensor, "ray layer c"]:
-        return sum_levels([level(uv, object_id) for level in self], self.finer_counts)
+        layouts = [level.layout for level in self._levels()]
+        return sample(self.tables(), uv, object_id, layouts, level_scales(len(self), self.finer_counts))
 
     def tables(self) -> list[Float32[Tensor, "texel c"]]:
         """The texels of each level, finest first."""
-        return [level.get_parameter("table") for level in self]
+        return [level.table for level in self._levels()]
+
+    def _levels(self) -> "list[NeuralTextures]":
+        return cast(list[NeuralTextures], list(self))
 
 
-def sum_levels(levels: Sequence[Float32[Tensor, "*b"]], finer_counts: float) -> Float32[Tensor, "*b"]:
-    """The sum of look-ups in a pyramid, finest first, each of which counts `finer_counts` times the next coarser."""
-    last = len(levels) - 1
-    return torch.stack([level * finer_counts ** (last - place) for place, level in enumerate(levels)]).sum(dim=0)
+def level_scales(num_levels: int, finer_counts: float) -> list[float]:
+    """What each level of a pyramid counts, finest first: `finer_counts` times as much as the next coarser one."""
+    return [finer_counts ** (num_levels - 1 - level) for level in range(num_levels)]
 
 
 def make_layout(num_objects: int, size: int, sharing: TextureSharing) -> TextureLayout:

@@ -11,7 +11,8 @@ from torch import Tensor
 from torch.nn import functional
 
 from datagen.errors import HyalineError
-from model.texture import TextureLayout, object_layout, sample, scene_layout
+from model.texels import add_gradient
+from model.texture import TextureLayout, level_scales, object_layout, sample, sample_by_bags, scene_layout
 
 
 def slow_sample(table: np.ndarray, uv: np.ndarray, object_id: np.ndarray, layout: TextureLayout) -> np.ndarray:
@@ -33,6 +34,10 @@ def slow_sample(table: np.ndarray, uv: np.ndarray, object_id: np.ndarray, layout
     return features
 
 
+def look_up(table: Tensor, uv: Tensor, object_id: Tensor, layout: TextureLayout) -> Tensor:
+    return sample([table], uv, object_id, [layout], [1.0])
+
+
 def random_case(
     seed: int, num_objects: int, size: int, *, scene: bool, step: int = 0
 ) -> tuple[Tensor, Tensor, Tensor, TextureLayout]:
@@ -52,7 +57,7 @@ def random_case(
 def test_lookup_equals_a_slow_loop(seed: int, num_objects: int, size: int, scene: bool, step: int) -> None:
     table, uv, object_id, layout = random_case(seed, num_objects, size, scene=scene, step=step)
     expected = slow_sample(table.numpy(), uv.numpy(), object_id.numpy(), layout)
-    np.testing.assert_allclose(sample(table, uv, object_id, layout).numpy(), expected, atol=2e-5)
+    np.testing.assert_allclose(look_up(table, uv, object_id, layout).numpy(), expected, atol=2e-5)
 
 
 @settings(deadline=None, max_examples=40, derandomize=True)
@@ -61,7 +66,7 @@ def test_lookup_and_its_gradient_equal_grid_sample_for_each_object(seed: int, nu
     table, uv, object_id, layout = random_case(seed, num_objects, size, scene=False)
     upstream = torch.randn(13, 3, 5, generator=torch.Generator().manual_seed(seed))
     table.requires_grad_()
-    features = sample(table, uv, object_id, layout)
+    features = look_up(table, uv, object_id, layout)
     features.backward(upstream)
 
     images = table.detach().view(num_objects, size, size, 5).permute(0, 3, 1, 2).clone().requires_grad_()
@@ -82,9 +87,9 @@ def test_lookup_and_its_gradient_equal_grid_sample_for_each_object(seed: int, nu
 
 def test_an_empty_layer_gives_exact_zeros_whatever_its_uv() -> None:
     table, uv, object_id, layout = random_case(0, 3, 8, scene=False)
-    features = sample(table + 7, uv, object_id, layout)
+    features = look_up(table + 7, uv, object_id, layout)
     assert (features[object_id == 0] == 0).all() and (features[object_id != 0] != 0).all()
-    nothing = sample(table, uv, torch.zeros_like(object_id), layout)
+    nothing = look_up(table, uv, torch.zeros_like(object_id), layout)
     assert nothing.shape == (13, 3, 5) and (nothing == 0).all()
 
 
@@ -93,7 +98,7 @@ def test_a_gradient_reaches_only_the_four_texels_around_a_hit() -> None:
     table = torch.zeros(layout.num_texels, 4, requires_grad=True)
     # Between texel rows 2 and 3 (v = 1 - 3 / 8) and columns 5 and 6 (u = 6 / 8) of the second object.
     uv = torch.tensor([[[6 / 8, 1 - 3 / 8], [0.2, 0.2]]])
-    sample(table, uv, torch.tensor([[2, 0]], dtype=torch.uint8), layout).sum().backward()
+    look_up(table, uv, torch.tensor([[2, 0]], dtype=torch.uint8), layout).sum().backward()
     assert table.grad is not None
     touched = table.grad[:, 0].view(2, 8, 8).nonzero().tolist()
     assert touched == [[1, 2, 5], [1, 2, 6], [1, 3, 5], [1, 3, 6]]
@@ -105,8 +110,8 @@ def test_permuting_objects_permutes_textures() -> None:
     order = torch.tensor([2, 0, 3, 1])  # The new object k is the old object order[k].
     permuted_table = table.view(4, 36, 5)[order].reshape(-1, 5)
     new_id = torch.cat([torch.zeros(1), torch.argsort(order) + 1]).to(torch.uint8)
-    permuted = sample(permuted_table, uv, new_id[object_id.long()], layout)
-    assert torch.equal(permuted, sample(table, uv, object_id, layout))
+    permuted = look_up(permuted_table, uv, new_id[object_id.long()], layout)
+    assert torch.equal(permuted, look_up(table, uv, object_id, layout))
 
 
 def test_the_cells_of_a_scene_texture_do_not_overlap() -> None:
@@ -131,6 +136,49 @@ def test_lookup_and_dense_gradient_repeat_bit_by_bit() -> None:
     gradients = []
     for _ in range(3):
         table = torch.zeros(layout.num_texels, 16, requires_grad=True)
-        sample(table, uv, object_id, layout).backward(upstream)
+        look_up(table, uv, object_id, layout).backward(upstream)
         gradients.append(table.grad)
     assert torch.equal(gradients[0], gradients[1]) and torch.equal(gradients[0], gradients[2])
+
+
+@pytest.mark.parametrize("channels", [1, 3, 8, 16])
+def test_the_compiled_pyramid_equals_the_one_by_torchs_operations(channels: int) -> None:
+    generator = torch.Generator().manual_seed(channels)
+    layouts = [object_layout((16 >> level, 24 >> level, 9 >> level)) for level in range(3)]
+    scales = level_scales(3, 0.5)
+    assert scales == [0.25, 0.5, 1.0]
+    uv = torch.rand(700, 4, 2, generator=generator)
+    object_id = torch.randint(0, 4, (700, 4), generator=generator, dtype=torch.uint8)
+    upstream = torch.randn(700, 4, channels, generator=generator)
+    start = [torch.randn(layout.num_texels, channels, generator=generator) for layout in layouts]
+
+    compiled = [table.clone().requires_grad_() for table in start]
+    features = sample(compiled, uv, object_id, layouts, scales)
+    features.backward(upstream)
+
+    plain = [table.clone().requires_grad_() for table in start]
+    levels = [sample_by_bags(table, uv.flatten(0, 1), object_id.flatten(), layout)
+              for table, layout in zip(plain, layouts)]  # fmt: skip
+    expected = sum(scale * level for scale, level in zip(scales, levels))
+    assert isinstance(expected, Tensor)
+    expected.backward(upstream.flatten(0, 1))
+
+    torch.testing.assert_close(features.flatten(0, 1), expected, atol=2e-6, rtol=1e-5)
+    for table, other in zip(compiled, plain):
+        assert table.grad is not None and other.grad is not None
+        torch.testing.assert_close(table.grad, other.grad, atol=2e-5, rtol=1e-5)
+
+
+def test_the_gradient_has_the_same_bits_for_any_number_of_threads() -> None:
+    generator = np.random.default_rng(0)
+    layout = object_layout((40, 25))
+    places = np.array([layout.bases, layout.sizes, layout.strides], np.int32)
+    uv = generator.random((5000, 2), np.float32)
+    object_id = generator.integers(0, 3, 5000).astype(np.uint8)
+    upstream = generator.standard_normal((5000, 8), np.float32)
+    gradients = []
+    for parts in (1, 2, 3, 7):
+        gradient = np.zeros((layout.num_texels, 8), np.float32)
+        add_gradient(gradient, upstream, uv, object_id, places, np.float32(0.5), parts)
+        gradients.append(gradient)
+    assert all((gradient == gradients[0]).all() for gradient in gradients) and gradients[0].any()
