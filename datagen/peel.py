@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, cast
 
 import numpy as np
-from jaxtyping import Float32, Int32
+from jaxtyping import Float32, Int32, UInt8
 
 from datagen.cameras import pixel_center_rays
 from datagen.dataset import Cameras
@@ -63,9 +63,9 @@ class Peeler:
         self._first_face = np.cumsum([0, *(len(mesh.faces) for mesh in meshes)])[:-1]
         self._corner_uv = np.concatenate([mesh.uv[mesh.faces] for mesh in meshes])
 
-    def trace(self, origin: Float32[np.ndarray, "3"], directions: Float32[np.ndarray, "ray 3"],
-              num_layers: int) -> Hits:  # fmt: skip
-        """The first `num_layers` hits of rays from one origin along unit directions."""
+    def trace(self, origin: Float32[np.ndarray, "3"] | Float32[np.ndarray, "ray 3"],
+              directions: Float32[np.ndarray, "ray 3"], num_layers: int) -> Hits:  # fmt: skip
+        """The first `num_layers` hits of rays from one origin, or one each, along unit directions."""
         if is_scalar():
             return _trace_scalar(self._scene, origin, directions, num_layers)
         return _trace_vectorised(self._scene, origin, directions, num_layers)
@@ -86,6 +86,14 @@ class Peeler:
         )
         return layers, float(hits.has_more.mean())
 
+    def peel_rays(
+        self, origins: Float32[np.ndarray, "ray 3"], directions: Float32[np.ndarray, "ray 3"], num_layers: int
+    ) -> tuple[Float32[np.ndarray, "ray layer 2"], UInt8[np.ndarray, "ray layer"]]:
+        """uv and object ids along any rays, nearest first; both 0 where there is no more surface."""
+        hits = self.trace(origins, directions, num_layers)
+        uv, object_id = self._uv(hits), self._object_id[hits.shape + 1]
+        return np.ascontiguousarray(uv.swapaxes(0, 1)), np.ascontiguousarray(object_id.T)
+
     def _uv(self, hits: Hits) -> Float32[np.ndarray, "layer ray 2"]:
         """Interpolated uv of every hit; (0, 0) where empty."""
         uv = np.zeros((*hits.shape.shape, 2), np.float32)
@@ -103,8 +111,10 @@ def _trace_vectorised(scene: "mi.Scene", origin: np.ndarray, directions: np.ndar
     import mitsuba as mi
 
     count = len(directions)
-    # Opaque values, or every camera would compile a kernel of its own.
-    o = mi.Point3f(*(dr.opaque(mi.Float, float(value)) for value in origin))
+    if origin.ndim == 1:  # Opaque values, or every camera would compile a kernel of its own.
+        o = mi.Point3f(*(dr.opaque(mi.Float, float(value)) for value in origin))
+    else:
+        o = mi.Point3f(*(mi.Float(np.ascontiguousarray(origin[:, axis])) for axis in range(3)))
     d = mi.Vector3f(*(mi.Float(np.ascontiguousarray(directions[:, axis])) for axis in range(3)))
     size = num_layers * count
     shapes, prims = dr.full(mi.Int32, -1, size), dr.zeros(mi.Int32, size)
@@ -166,8 +176,8 @@ def _trace_scalar(scene: "mi.Scene", origin: np.ndarray, directions: np.ndarray,
     barycentric = np.zeros((num_layers, count, 2), np.float32)
     ts = np.zeros((num_layers, count), np.float32)
     has_more = np.zeros(count, bool)
-    o = origin.astype(np.float32)
-    for index, direction in enumerate(directions.astype(np.float32)):
+    origins = np.broadcast_to(origin, directions.shape).astype(np.float32)
+    for index, (o, direction) in enumerate(zip(origins, directions.astype(np.float32), strict=True)):
         t, layer, last = np.float32(0), 0, (-1, -1)
         for _ in range(num_layers + 1 + SPARE_STEPS):
             pi = scene.ray_intersect_preliminary(mi.Ray3f((o + direction * t).tolist(), direction.tolist()))

@@ -132,6 +132,11 @@ def side_of(pixels: PixelSource) -> int:
     return math.isqrt(pixels.pixels_per_view)
 
 
+def draw_index(pixels: PixelSource, number: int, rng: np.random.Generator) -> Int[Tensor, " pixel"]:
+    """Row numbers of random pixels of all views."""
+    return torch.from_numpy(rng.integers(len(pixels.rgb), size=number)).to(pixels.rgb.device)
+
+
 def draw_patches(pixels: PixelSource, number: int, size: int, rng: np.random.Generator, *, strides: Sequence[int] = (1,)
                  ) -> Int[Tensor, "patch row column"]:  # fmt: skip
     """Row numbers of the pixels of square patches at random places of random views.

@@ -99,8 +99,9 @@ class PaperChoices:
     """Width and height of a texture in texels. Default: half the image's width."""
     zero_layer: bool = _choice(False, "zero-layer")
     """Insert a layer of zeros at a random place while training (section 4.4)."""
-    layers: int | None = _choice(None, "{}-layers")
-    """Straight layers that are looked up, the nearest ones. Default: all that are stored."""
+    layers: str | None = _choice(None, "{}-layers")
+    """Straight layers that are looked up: a number (the nearest ones), online (traced anew for each batch, through a
+    random place of each pixel; no stored layer is read) or both, such as online-4. Default: all that are stored."""
     rays: int | None = _choice(None, "{}-rays")
     """Rays per pixel while training, a square number. Default: 1."""
     render_rays: int | None = _choice(None, "{}-render-rays")

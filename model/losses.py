@@ -9,7 +9,7 @@ from jaxtyping import Float32
 from torch import Tensor, nn
 
 from datagen.errors import HyalineError
-from model.batches import PixelSource, draw_patches, take_colors
+from model.batches import PixelSource, draw_index, draw_patches, take_colors
 from model.choices import LossChoices
 from model.perceptual import VggSource, find_vgg
 
@@ -95,7 +95,7 @@ def pixel_loss(
 
     Patches are rendered together with the pixels, so that batch norm sees both.
     """
-    index = torch.from_numpy(rng.integers(len(training.rgb), size=batch)).to(training.rgb.device)
+    index = draw_index(training, batch, rng)
     if patch_terms is None:
         colors = renderer(training.take(index, rng), rng=rng)
         return (colors - take_colors(training, index)).abs().mean()

@@ -70,7 +70,7 @@ def _load_straight(config: PaperConfig, dataset: Dataset, geometry: str, split: 
                    with_images: bool, *, max_layers: int | None = None) -> PixelSource:  # fmt: skip
     stored, _ = read_layers_of(METHODS["paper"], dataset, geometry)
     num_layers = choose_layers(config.num_layers, min(stored, max_layers or stored))
-    if max(config.train_samples, config.render_samples) == 1:
+    if max(config.train_samples, config.render_samples) == 1 and not config.online:
         return load_pixels(dataset, geometry, split, views, with_images=with_images, max_layers=num_layers)
     return load_traced_layers(config, dataset, geometry, num_layers, split, views, with_images)
 

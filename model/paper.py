@@ -36,6 +36,8 @@ class PaperConfig:
     """One texture an object (section 4.4), or one for the scene, in which each object has a cell."""
     num_layers: int | None = None
     """Layers that are looked up, the nearest ones; None: all that are stored."""
+    online: bool = False
+    """Layers are traced for each batch, while training through a random place of each pixel, and none is read."""
     texture_features: int = 16
     """Channels of a texture (section 4.3); 64 on coarse proxies."""
     texture_levels: int = 1
@@ -81,8 +83,9 @@ def configure_paper(choices: PaperChoices, dataset: Dataset, geometry: str, num_
     Raises:
         HyalineError: a choice that cannot be.
     """
+    asked_layers, online = parse_layers(choices.layers)
     inputs = count_inputs(
-        choose_layers(choices.layers, num_layers),
+        choose_layers(asked_layers, num_layers),
         texture_features=choices.features,
         extrinsics=choices.extrinsics,
         zero_layer=choices.zero_layer,
@@ -100,11 +103,28 @@ def configure_paper(choices: PaperChoices, dataset: Dataset, geometry: str, num_
         texture_features=choices.features,
         texture_levels=choices.texture_levels,
         zero_layer=choices.zero_layer,
-        num_layers=choices.layers,
+        num_layers=asked_layers,
+        online=online,
         train_samples=1 if choices.rays is None else choices.rays,
         render_samples=1 if choices.render_rays is None else choices.render_rays,
         precision=choices.precision,
     )
+
+
+def parse_layers(text: str | None) -> tuple[int | None, bool]:
+    """How many layers a user asks for, None for all, and whether they are traced for each batch.
+
+    Raises:
+        HyalineError: neither a number, nor online, nor both.
+    """
+    if text is None:
+        return None, False
+    word, dash, number = text.rpartition("-")
+    if text == "online":
+        return None, True
+    if not number.isdecimal() or (dash and word != "online"):
+        raise HyalineError(f"layers: is {text!r}; expected a number, online, or both such as online-4")
+    return int(number), bool(dash)
 
 
 def choose_layers(asked: int | None, num_stored: int) -> int:

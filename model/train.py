@@ -20,6 +20,7 @@ from model.methods import METHODS, read_layers_of
 from model.paper import PaperConfig, choose_layers
 from model.patch_losses import Losses
 from model.predict import predict_pixels
+from model.prefetch import TakenAhead
 from model.run_folder import (
     CHECKPOINT,
     METRICS,
@@ -35,6 +36,7 @@ from model.run_folder import (
     write_run,
 )
 from model.runtime import keep_freed_memory
+from model.traced_batches import LightPathPixels, TracedLayerPixels
 
 
 def train(config: TrainConfig, dataset: Dataset, out: Path, *, label: str, device: torch.device) -> None:
@@ -137,10 +139,19 @@ def train(config: TrainConfig, dataset: Dataset, out: Path, *, label: str, devic
     def status() -> str:
         return f"loss {shown_loss:.4f}" + ("" if math.isnan(shown_psnr) else f", held out {shown_psnr:.2f} dB")
 
+    # Tracing goes on while a step learns. With patches beside the random pixels a batch is not known ahead.
+    has_patches = config.loss.vgg is not None or config.loss.adversarial > 0
+    is_traced = isinstance(training, TracedLayerPixels | LightPathPixels)
+    ahead = TakenAhead(training) if is_traced and not has_patches else None
+    if ahead is not None:
+        ahead.expect(config.batch, np.random.default_rng([config.seed, first_step]))
+
     renderer.train()
     for step in track(steps, label="train", total=config.steps, done=first_step, status=status):
         rng = np.random.default_rng([config.seed, step])
-        loss = losses.loss(method.loss, renderer, training, config.batch, rng, step=step)
+        if ahead is not None and step + 1 < config.steps:
+            ahead.expect(config.batch, np.random.default_rng([config.seed, step + 1]))
+        loss = losses.loss(method.loss, renderer, ahead or training, config.batch, rng, step=step)
         optimizer.zero_grad(set_to_none=True)
         loss.backward()
         loss_value = float(loss.item())
