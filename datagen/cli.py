@@ -15,7 +15,13 @@ from datagen.presets import PRESETS, resize
 
 def main() -> None:
     """Entry point of the console script."""
-    commands = {"build": build, "peel": peel, "verify": verify, "scenes": scenes, "doctor": doctor}
+    if sys.argv[1:2] == ["bench"]:
+        # It has commands of its own.
+        from datagen.bench.cli import main as main_of_bench
+
+        main_of_bench(sys.argv[2:])
+        return
+    commands = {"build": build, "peel": peel, "verify": verify, "scenes": scenes, "doctor": doctor, "bench": bench}
     run("datagen", "Path-traced datasets of transparent objects, with peeled layers.", commands, sys.argv[1:])
 
 
@@ -212,3 +218,7 @@ def doctor() -> None:
             print(f"{'':10} mend it with: {finding.remedy}")
     if not any(finding.remedy for finding in findings):
         next_command("datagen build --scene glass_table")
+
+
+def bench() -> None:
+    """Measures speed; `datagen bench --help` lists what."""

@@ -9,9 +9,11 @@ loses half of the hits where surfaces lie closer than that.
 # Mitsuba's stubs describe no variant: what is a number in one is an array in another.
 # pyright: reportArgumentType=false, reportCallIssue=false, reportOperatorIssue=false, reportIndexIssue=false
 
+import functools
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, cast
 
+import numba
 import numpy as np
 from jaxtyping import Float32, Int32, UInt8
 
@@ -20,10 +22,14 @@ from datagen.dataset import Cameras
 from datagen.layers import Layers
 from datagen.meshes import Mesh, is_there
 from datagen.mitsuba_scene import is_scalar, load_geometry_mitsuba
-from datagen.number_formats import quantize_uv
+from datagen.number_formats import UV_SCALE
 
 if TYPE_CHECKING:
+    from builtins import range as prange  # numba's stands for it, and splits the loop among threads.
+
     import mitsuba as mi
+else:
+    from numba import prange
 
 ADVANCE = 1 + 2.4e-7
 """Factor by which t passes a hit: two float32 steps."""
@@ -75,15 +81,15 @@ class Peeler:
         origin, directions = pixel_center_rays(cameras, view)
         order = _tiled(cameras.width, cameras.height)
         hits = self.trace(origin, directions.reshape(-1, 3)[order], num_layers)
-        uv = self._uv(hits)
-        back = np.empty_like(order)
-        back[order] = np.arange(len(order))
         image = (num_layers, cameras.height, cameras.width)
         layers = Layers(
-            uv=quantize_uv(uv[:, back].reshape(*image, 2)),
-            object_id=self._object_id[hits.shape[:, back] + 1].reshape(image),
-            depth=hits.t[:, back].reshape(image),
+            uv=np.empty((*image, 2), np.uint16), object_id=np.empty(image, np.uint8), depth=np.empty(image, np.float32)
         )
+        flat = (num_layers, len(order))
+        _to_layers(
+            order, hits.shape, hits.prim, hits.barycentric, hits.t, self._object_id, self._first_face, self._corner_uv,
+            layers.uv.reshape(*flat, 2), layers.object_id.reshape(flat), layers.depth.reshape(flat),
+        )  # fmt: skip
         return layers, float(hits.has_more.mean())
 
     def peel_rays(
@@ -95,7 +101,7 @@ class Peeler:
         return np.ascontiguousarray(uv.swapaxes(0, 1)), np.ascontiguousarray(object_id.T)
 
     def _uv(self, hits: Hits) -> Float32[np.ndarray, "layer ray 2"]:
-        """Interpolated uv of every hit; (0, 0) where empty."""
+        """Interpolated uv of every hit; (0, 0) where empty. Not by Numba's threads: training calls it beside them."""
         uv = np.zeros((*hits.shape.shape, 2), np.float32)
         found = hits.shape >= 0
         corners = self._corner_uv[self._first_face[hits.shape[found]] + hits.prim[found]]
@@ -103,6 +109,34 @@ class Peeler:
         weights = np.stack([1 - b1 - b2, b1, b2], axis=-1)
         uv[found] = np.einsum("hk,hkc->hc", weights, corners)
         return uv
+
+
+@numba.njit(parallel=True, cache=True, nogil=True)
+def _to_layers(order: Int32[np.ndarray, " ray"], shape: Int32[np.ndarray, "layer ray"],
+               prim: Int32[np.ndarray, "layer ray"], barycentric: Float32[np.ndarray, "layer ray 2"],
+               t: Float32[np.ndarray, "layer ray"], object_ids: np.ndarray, first_face: np.ndarray,
+               corner_uv: Float32[np.ndarray, "face 3 2"], uv: np.ndarray, object_id: np.ndarray,
+               depth: np.ndarray) -> None:  # fmt: skip
+    """Writes the hits of rays to their pixels: interpolated uv in 16 bits, object id and distance; 0 where empty.
+
+    uv are computed in float32 and rounded from float64: stored layers depend on every step.
+    """
+    one, last = np.float32(1), np.float64(UV_SCALE)
+    for ray in prange(len(order)):
+        pixel = order[ray]
+        for layer in range(len(shape)):
+            mesh = shape[layer, ray]
+            object_id[layer, pixel] = object_ids[mesh + 1]
+            depth[layer, pixel] = t[layer, ray]
+            if mesh < 0:
+                uv[layer, pixel, 0] = uv[layer, pixel, 1] = 0
+                continue
+            face = first_face[mesh] + prim[layer, ray]
+            b1, b2 = barycentric[layer, ray, 0], barycentric[layer, ray, 1]
+            b0 = one - b1 - b2
+            for axis in range(2):
+                value = b0 * corner_uv[face, 0, axis] + b1 * corner_uv[face, 1, axis] + b2 * corner_uv[face, 2, axis]
+                uv[layer, pixel, axis] = np.uint16(np.rint(min(max(np.float64(value), 0.0), 1.0) * last))
 
 
 def _trace_vectorised(scene: "mi.Scene", origin: np.ndarray, directions: np.ndarray, num_layers: int) -> Hits:
@@ -197,7 +231,8 @@ def _trace_scalar(scene: "mi.Scene", origin: np.ndarray, directions: np.ndarray,
     return Hits(shape=shapes, prim=prims, barycentric=barycentric, t=ts, has_more=has_more)
 
 
+@functools.cache
 def _tiled(width: int, height: int) -> Int32[np.ndarray, "ray"]:
-    """Pixel indices in the order in which they are traced."""
+    """Pixel indices in the order in which they are traced; every view's are the same array."""
     row, column = np.divmod(np.arange(width * height), width)
     return np.lexsort((column, row, column // TILE, row // TILE)).astype(np.int32)

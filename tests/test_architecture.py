@@ -68,13 +68,13 @@ def loaded_after(statement: str) -> set[str]:
     ["datagen.dataset", "datagen.layers", "datagen.light_path_layers", "datagen.scene", "datagen.meshes"],
 )
 def test_the_contract_imports_without_heavy_packages(module: str) -> None:
-    heavy = {"mitsuba", "drjit", "torch", "trimesh", "pymeshlab", "xatlas", "zarr", "scipy", "skimage"}
+    heavy = {"mitsuba", "drjit", "torch", "trimesh", "pymeshlab", "xatlas", "zarr", "scipy", "skimage", "numba"}
     assert not loaded_after(f"import {module}") & heavy
 
 
 @pytest.mark.parametrize("program", PACKAGES)
 def test_help_answers_at_once_and_every_command_has_it(program: str) -> None:
-    heavy = {"mitsuba", "drjit", "torch", "trimesh", "pymeshlab", "scipy", "matplotlib", "skimage"}
+    heavy = {"mitsuba", "drjit", "torch", "trimesh", "pymeshlab", "scipy", "matplotlib", "skimage", "numba"}
     assert not loaded_after(f"import {program}.cli") & heavy
     times = []
     for _ in range(3):
