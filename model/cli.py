@@ -250,7 +250,30 @@ def bench_infer(choices: BenchChoices) -> None:
     show(bench_infer(choices, ceilings=all_ceilings()), as_json=choices.json)
 
 
-BENCHES = {"ceilings": bench_ceilings, "step": bench_step, "infer": bench_infer}
+def bench_online(choices: BenchChoices) -> None:
+    """A frame from meshes and a camera alone, on a CPU."""
+    from datagen.bench.harness import show
+    from model.bench.ceilings import all_ceilings
+    from model.bench.online import bench_online
+
+    show(bench_online(choices, ceilings=all_ceilings()), as_json=choices.json)
+
+
+def bench_gpu(choices: BenchChoices) -> None:
+    """A 1080p frame and a step of 262,144 pixels on a GPU, beside plain torch; skipped without CUDA."""
+    from datagen.bench.harness import show
+    from model.bench.gpu import bench_gpu
+
+    show(bench_gpu(choices), as_json=choices.json)
+
+
+BENCHES = {
+    "ceilings": bench_ceilings,
+    "step": bench_step,
+    "infer": bench_infer,
+    "online": bench_online,
+    "gpu": bench_gpu,
+}
 
 
 def main() -> None:
