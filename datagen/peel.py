@@ -160,7 +160,7 @@ def _trace_vectorised(scene: "mi.Scene", origin: np.ndarray, directions: np.ndar
 
     def advance(t, layer, step, last_shape, last_prim, active):
         ray = mi.Ray3f(dr.fma(d, t, o), d)
-        pi = scene.ray_intersect_preliminary(ray, coherent=True, active=active)
+        pi = scene.ray_intersect_preliminary(ray, coherent=origin.ndim == 1, active=active)
         active &= pi.is_valid()
         shape, prim = mi.Int32(pi.shape_index), mi.Int32(pi.prim_index)
         t_hit = t + pi.t
