@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, cast
 
 import numba
 import numpy as np
-from jaxtyping import Float32, Int32
+from jaxtyping import Float32, Int32, UInt8
 
 from datagen.cameras import pixel_center_rays
 from datagen.dataset import Cameras
@@ -36,6 +36,9 @@ ADVANCE = 1 + 2.4e-7
 
 SPARE_STEPS = 4
 """Trace steps beyond the layers, for hits of the same primitive that do not count."""
+
+RECORDINGS = 64
+"""Kernels that a peeler keeps, one for each number of rays and layers: recording one takes longer than running it."""
 
 TILE = 4
 """Rays are traced in tiles of 4 x 4 pixels, 1.6 times faster than in scan lines."""
@@ -65,16 +68,37 @@ class Peeler:
         self._object_id = np.array([0, *(index + 1 for index, mesh in enumerate(meshes) if is_there(mesh))], np.uint8)
         meshes = tuple(mesh for mesh in meshes if is_there(mesh))
         self._scene = load_geometry_mitsuba(meshes)
+        if not is_scalar():
+            import drjit as dr
+
+            self._trace = dr.freeze(_trace, limit=RECORDINGS, warn_after=1 << 30)
         # uv of the corners of every face of every mesh, so that one gather by (shape, face) finds them.
         self._first_face = np.cumsum([0, *(len(mesh.faces) for mesh in meshes)])[:-1]
         self._corner_uv = np.concatenate([mesh.uv[mesh.faces] for mesh in meshes])
 
-    def trace(self, origin: Float32[np.ndarray, "3"], directions: Float32[np.ndarray, "ray 3"],
-              num_layers: int) -> Hits:  # fmt: skip
-        """The first `num_layers` hits of rays from one origin along unit directions."""
+    def trace(self, origin: Float32[np.ndarray, "3"] | Float32[np.ndarray, "ray 3"],
+              directions: Float32[np.ndarray, "ray 3"], num_layers: int) -> Hits:  # fmt: skip
+        """The first `num_layers` hits of rays from one origin, or one each, along unit directions."""
         if is_scalar():
             return _trace_scalar(self._scene, origin, directions, num_layers)
-        return _trace_vectorised(self._scene, origin, directions, num_layers)
+        import drjit as dr
+        import mitsuba as mi
+
+        count = len(directions)
+        is_coherent = origin.ndim == 1
+        # Opaque values, or every camera would be a recording of its own.
+        start = [dr.opaque(mi.Float, float(value)) for value in origin] if is_coherent else _columns(origin)
+        along = mi.Vector3f(*_columns(directions))
+        outputs = self._trace(self._scene, mi.Point3f(*start), along, count, num_layers, is_coherent)
+        shapes, prims, b1s, b2s, ts, num_hits = (np.array(values) for values in outputs)
+        shape = (num_layers, count)
+        return Hits(
+            shape=shapes.reshape(shape),
+            prim=prims.reshape(shape),
+            barycentric=np.stack([b1s, b2s], axis=-1).reshape(*shape, 2),
+            t=ts.reshape(shape),
+            has_more=num_hits > num_layers,
+        )
 
     def peel(self, cameras: Cameras, view: int, num_layers: int) -> tuple[Layers, float]:
         """The layers of one view, and the share of its rays that had more hits than layers."""
@@ -91,6 +115,24 @@ class Peeler:
             layers.uv.reshape(*flat, 2), layers.object_id.reshape(flat), layers.depth.reshape(flat),
         )  # fmt: skip
         return layers, float(hits.has_more.mean())
+
+    def peel_rays(
+        self, origins: Float32[np.ndarray, "ray 3"], directions: Float32[np.ndarray, "ray 3"], num_layers: int
+    ) -> tuple[Float32[np.ndarray, "ray layer 2"], UInt8[np.ndarray, "ray layer"]]:
+        """uv and object ids along any rays, nearest first; both 0 where there is no more surface."""
+        hits = self.trace(origins, directions, num_layers)
+        uv, object_id = self._uv(hits), self._object_id[hits.shape + 1]
+        return np.ascontiguousarray(uv.swapaxes(0, 1)), np.ascontiguousarray(object_id.T)
+
+    def _uv(self, hits: Hits) -> Float32[np.ndarray, "layer ray 2"]:
+        """Interpolated uv of every hit; (0, 0) where empty. Not by Numba's threads: training calls it beside them."""
+        uv = np.zeros((*hits.shape.shape, 2), np.float32)
+        found = hits.shape >= 0
+        corners = self._corner_uv[self._first_face[hits.shape[found]] + hits.prim[found]]
+        b1, b2 = np.moveaxis(hits.barycentric[found], -1, 0)
+        weights = np.stack([1 - b1 - b2, b1, b2], axis=-1)
+        uv[found] = np.einsum("hk,hkc->hc", weights, corners)
+        return uv
 
 
 @numba.njit(parallel=True, cache=True, nogil=True)
@@ -121,15 +163,17 @@ def _to_layers(order: Int32[np.ndarray, " ray"], shape: Int32[np.ndarray, "layer
                 uv[layer, pixel, axis] = np.uint16(np.rint(min(max(np.float64(value), 0.0), 1.0) * last))
 
 
-def _trace_vectorised(scene: "mi.Scene", origin: np.ndarray, directions: np.ndarray, num_layers: int) -> Hits:
-    """One kernel for all layers; recorded once for each number of layers."""
+def _columns(vectors: Float32[np.ndarray, "ray 3"]) -> "list[mi.Float]":
+    import mitsuba as mi
+
+    return [mi.Float(np.ascontiguousarray(vectors[:, axis])) for axis in range(3)]
+
+
+def _trace(scene, o, d, count, num_layers, is_coherent):
+    """One kernel for all layers: meshes, faces, both barycentric weights, distances, and hits of each ray."""
     import drjit as dr
     import mitsuba as mi
 
-    count = len(directions)
-    # Opaque values, or every camera would compile a kernel of its own.
-    o = mi.Point3f(*(dr.opaque(mi.Float, float(value)) for value in origin))
-    d = mi.Vector3f(*(mi.Float(np.ascontiguousarray(directions[:, axis])) for axis in range(3)))
     size = num_layers * count
     shapes, prims = dr.full(mi.Int32, -1, size), dr.zeros(mi.Int32, size)
     b1s, b2s, ts = (dr.zeros(mi.Float, size) for _ in range(3))
@@ -140,7 +184,7 @@ def _trace_vectorised(scene: "mi.Scene", origin: np.ndarray, directions: np.ndar
 
     def advance(t, layer, step, last_shape, last_prim, active):
         ray = mi.Ray3f(dr.fma(d, t, o), d)
-        pi = scene.ray_intersect_preliminary(ray, coherent=True, active=active)
+        pi = scene.ray_intersect_preliminary(ray, coherent=is_coherent, active=active)
         active &= pi.is_valid()
         shape, prim = mi.Int32(pi.shape_index), mi.Int32(pi.prim_index)
         t_hit = t + pi.t
@@ -168,16 +212,7 @@ def _trace_vectorised(scene: "mi.Scene", origin: np.ndarray, directions: np.ndar
         dr.full(mi.Bool, True, count),
     )
     result = dr.while_loop(state, is_tracing, advance, label="peel")
-    layer = result[1]
-    dr.eval(layer, shapes, prims, b1s, b2s, ts)
-    shape = (num_layers, count)
-    return Hits(
-        shape=np.array(shapes).reshape(shape),
-        prim=np.array(prims).reshape(shape),
-        barycentric=np.stack([np.array(b1s), np.array(b2s)], axis=-1).reshape(*shape, 2),
-        t=np.array(ts).reshape(shape),
-        has_more=np.array(layer) > num_layers,
-    )
+    return shapes, prims, b1s, b2s, ts, result[1]
 
 
 def _trace_scalar(scene: "mi.Scene", origin: np.ndarray, directions: np.ndarray, num_layers: int) -> Hits:
@@ -190,8 +225,8 @@ def _trace_scalar(scene: "mi.Scene", origin: np.ndarray, directions: np.ndarray,
     barycentric = np.zeros((num_layers, count, 2), np.float32)
     ts = np.zeros((num_layers, count), np.float32)
     has_more = np.zeros(count, bool)
-    o = origin.astype(np.float32)
-    for index, direction in enumerate(directions.astype(np.float32)):
+    origins = np.broadcast_to(origin, directions.shape).astype(np.float32)
+    for index, (o, direction) in enumerate(zip(origins, directions.astype(np.float32), strict=True)):
         t, layer, last = np.float32(0), 0, (-1, -1)
         for _ in range(num_layers + 1 + SPARE_STEPS):
             pi = scene.ray_intersect_preliminary(mi.Ray3f((o + direction * t).tolist(), direction.tolist()))

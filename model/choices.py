@@ -103,8 +103,9 @@ class PaperChoices:
     """Width and height of a texture in texels. Default: half the image's width."""
     zero_layer: bool = _choice(False, "zero-layer")
     """Insert a layer of zeros at a random place while training (section 4.4)."""
-    layers: int | None = _choice(None, "{}-layers")
-    """Straight layers that are looked up, the nearest ones. Default: all that are stored."""
+    layers: str | None = _choice(None, "{}-layers")
+    """Straight layers that are looked up: a number (the nearest ones), online (traced anew for each batch, through a
+    random place of each pixel; no stored layer is read) or both, such as online-4. Default: all that are stored."""
     rays: int | None = _choice(None, "{}-rays")
     """Rays per pixel while training, a square number. Default: 1."""
     render_rays: int | None = _choice(None, "{}-render-rays")
@@ -113,6 +114,8 @@ class PaperChoices:
     """Channels of a texture; 64 in the paper's runs on coarse proxies."""
     texture_levels: int = _choice(1, "{}-levels")
     """Textures summed, each half as wide as the one before; 4 in Deferred Neural Rendering."""
+    precision: Literal["fp32", "bf16"] = _choice("fp32", {"bf16": "bf16"})
+    """Numbers that the network multiplies: bf16 is faster where the processor has instructions for it."""
     loss: LossChoices = LossChoices()
 
 

@@ -98,8 +98,8 @@ def _load_stored(
 
 
 def traces_layers(config: object) -> bool:
-    """True when layers are traced for each batch, for `paper` with several rays a pixel."""
-    return isinstance(config, PaperConfig) and max(config.train_samples, config.render_samples) > 1
+    """True when layers are traced for each batch: for `paper` online, or with several rays a pixel."""
+    return isinstance(config, PaperConfig) and (config.online or max(config.train_samples, config.render_samples) > 1)
 
 
 def _optimise_voxels(choices: DeepVoxelsChoices, usual: Optimisation) -> Optimisation:

@@ -13,7 +13,7 @@ from datagen.errors import HyalineError
 from model.batches import RayBatch, insert_random_layer
 from model.choices import PaperChoices
 from model.extrinsics import EXTRINSIC_CHANNELS, ExtrinsicInputs, Extrinsics, positions_for
-from model.pixel_mlp import Norm, PixelMlp, check_width, width_for_34k
+from model.pixel_mlp import FoldedMlp, Norm, PixelMlp, Precision, check_width, width_for_34k
 from model.samples import check_samples, linear_curve, srgb_curve
 from model.texture import NeuralTextures, TexturePyramid, TextureSharing, make_layout
 
@@ -36,6 +36,8 @@ class PaperConfig:
     """One texture an object (section 4.4), or one for the scene, in which each object has a cell."""
     num_layers: int | None = None
     """Layers that are looked up, the nearest ones; None: all that are stored."""
+    online: bool = False
+    """Layers are traced for each batch, while training through a random place of each pixel, and none is read."""
     texture_features: int = 16
     """Channels of a texture (section 4.3); 64 on coarse proxies."""
     texture_levels: int = 1
@@ -49,6 +51,8 @@ class PaperConfig:
     training or in rendering, layers are traced for each batch instead of read, and colours are averaged."""
     render_samples: int = 1
     """Rays per pixel while rendering, a square number."""
+    precision: Precision = "fp32"
+    """Numbers that the network multiplies, in training and in rendering."""
 
     def __post_init__(self) -> None:
         check_width(self.width, self.blocks)
@@ -79,8 +83,9 @@ def configure_paper(choices: PaperChoices, dataset: Dataset, geometry: str, num_
     Raises:
         HyalineError: a choice that cannot be.
     """
+    asked_layers, online = parse_layers(choices.layers)
     inputs = count_inputs(
-        choose_layers(choices.layers, num_layers),
+        choose_layers(asked_layers, num_layers),
         texture_features=choices.features,
         extrinsics=choices.extrinsics,
         zero_layer=choices.zero_layer,
@@ -98,10 +103,28 @@ def configure_paper(choices: PaperChoices, dataset: Dataset, geometry: str, num_
         texture_features=choices.features,
         texture_levels=choices.texture_levels,
         zero_layer=choices.zero_layer,
-        num_layers=choices.layers,
+        num_layers=asked_layers,
+        online=online,
         train_samples=1 if choices.rays is None else choices.rays,
         render_samples=1 if choices.render_rays is None else choices.render_rays,
+        precision=choices.precision,
     )
+
+
+def parse_layers(text: str | None) -> tuple[int | None, bool]:
+    """How many layers a user asks for, None for all, and whether they are traced for each batch.
+
+    Raises:
+        HyalineError: neither a number, nor online, nor both.
+    """
+    if text is None:
+        return None, False
+    word, dash, number = text.rpartition("-")
+    if text == "online":
+        return None, True
+    if not number.isdecimal() or (dash and word != "online"):
+        raise HyalineError(f"layers: is {text!r}; expected a number, online, or both such as online-4")
+    return int(number), bool(dash)
 
 
 def choose_layers(asked: int | None, num_stored: int) -> int:
@@ -151,20 +174,25 @@ class PaperRenderer(nn.Module):
             extrinsics=config.extrinsics,
             zero_layer=config.zero_layer,
         )
-        self.net = PixelMlp(num_inputs, width=config.width, blocks=config.blocks, norm=config.norm)
+        self.net = PixelMlp(
+            num_inputs, width=config.width, blocks=config.blocks, norm=config.norm, precision=config.precision
+        )
 
-    def forward(self, rays: RayBatch, *, rng: np.random.Generator | None = None) -> Float32[Tensor, "pixel 3"]:
+    def forward(
+        self, rays: RayBatch, *, rng: np.random.Generator | None = None, folded: FoldedMlp | None = None
+    ) -> Float32[Tensor, "pixel 3"]:
         """sRGB colours of the pixels, about [0, 1]; several rays of a pixel are averaged in linear light.
 
         Args:
             rng: draws the place of each ray's zero layer while training; without it that layer comes last.
+            folded: the network's fast form, for rendering.
         """
         if self.zero_layer:
             rays = insert_random_layer(rays, rng)
         stack = self.textures(rays.uv, rays.object_id)
         if self.extrinsics is not None:
             stack = torch.cat([stack, self.extrinsics(rays.uv, rays.object_id, rays.p_camera)], dim=-1)
-        colors = self.net(stack.flatten(1))
+        colors = (self.net if folded is None else folded)(stack.flatten(1))
         if rays.samples == 1:
             return colors
         return srgb_curve(linear_curve(colors).view(-1, rays.samples, 3).mean(dim=1))

@@ -6,7 +6,7 @@ from typing import cast
 
 import numpy as np
 import torch
-from jaxtyping import UInt8
+from jaxtyping import Float32, UInt8
 from torch import Tensor, nn
 
 from datagen.annex import homes_of_test_splits, open_annex, scale_name
@@ -17,6 +17,7 @@ from datagen.storage import commit, sha256
 from model.batches import PixelSource
 from model.checkpoint import load_state
 from model.methods import METHODS, read_layers_of
+from model.paper import PaperRenderer
 from model.run_folder import WEIGHTS, TrainConfig, is_config, write_prediction_hashes
 from model.runtime import keep_freed_memory
 
@@ -26,17 +27,23 @@ def predict_pixels(renderer: nn.Module, pixels: PixelSource) -> UInt8[np.ndarray
 
     The renderer's mode (training or not) is the same afterwards.
     """
+    with torch.inference_mode():
+        return (predict_colors(renderer, pixels).clamp_(0, 1) * 255).round_().byte().cpu().numpy()
+
+
+@torch.inference_mode()
+def predict_colors(renderer: nn.Module, pixels: PixelSource) -> Float32[Tensor, "pixel 3"]:
+    """sRGB colours of all pixels as the renderer makes them, neither clipped nor rounded; on the pixels' device."""
     was_training = renderer.training
     renderer.eval()
-    device = pixels.rgb.device
+    # Equal up to rounding, and in a third of the time.
+    folded = {"folded": renderer.net.folded()} if isinstance(renderer, PaperRenderer) else {}
     parts = []
-    with torch.inference_mode():
-        for start in range(0, len(pixels.rgb), pixels.chunk):
-            index = torch.arange(start, min(start + pixels.chunk, len(pixels.rgb)), device=device)
-            colors = renderer(pixels.take(index, None))
-            parts.append((colors.clamp(0, 1) * 255).round().byte().cpu().numpy())
+    for start in range(0, len(pixels.rgb), pixels.chunk):
+        index = torch.arange(start, min(start + pixels.chunk, len(pixels.rgb)), device=pixels.rgb.device)
+        parts.append(renderer(pixels.take(index, None), **folded))
     renderer.train(was_training)
-    return np.concatenate(parts)
+    return torch.cat(parts)
 
 
 def load_renderer(out: Path, config: TrainConfig, dataset: Dataset) -> nn.Module:

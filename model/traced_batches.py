@@ -21,6 +21,7 @@ from model.paper import PaperConfig
 
 if TYPE_CHECKING:
     from datagen.light_path import LightPathTracer, TracedPaths
+    from datagen.peel import Peeler
 
 COUNTED_PIXELS = 4096
 """Pixels that decide the sizes of textures."""
@@ -56,7 +57,7 @@ class SubpixelRays:
 class TracedLayerPixels:
     """All pixels of some views; the straight layers of their rays are traced when they are asked for."""
 
-    tracer: "LightPathTracer"
+    peeler: "Peeler"
     rays: SubpixelRays
     rgb: UInt8[Tensor, "pixel 3"]
     num_layers: int
@@ -79,10 +80,10 @@ class TracedLayerPixels:
         """The layers of the rays through these pixels; without `rng` as many rays as a rendering takes."""
         samples = self.train_samples if rng is not None else self.render_samples
         origins, directions = self.rays.through(index.flatten().cpu().numpy(), samples, rng)
-        paths = _straight(self.tracer, origins, directions, self.num_layers)
+        uv, object_id = self.peeler.peel_rays(origins, directions, self.num_layers)
         return RayBatch(
-            uv=torch.from_numpy(np.ascontiguousarray(paths.uv[0].swapaxes(0, 1))).to(self.device),
-            object_id=torch.from_numpy(np.ascontiguousarray(paths.object_id[0].T)).to(self.device),
+            uv=torch.from_numpy(uv).to(self.device),
+            object_id=torch.from_numpy(object_id).to(self.device),
             p_camera=torch.from_numpy(origins).to(self.device),
             samples=samples,
             grid=(index.shape[0], index.shape[1], index.shape[2]) if index.ndim == 3 else None,
@@ -224,10 +225,8 @@ def share_texels(dataset: Dataset, geometry: str, size: int) -> tuple[int, ...]:
 def load_traced_layers(config: PaperConfig, dataset: Dataset, geometry: str, num_layers: int, split: Split,
                        views: Sequence[int], with_images: bool) -> TracedLayerPixels:  # fmt: skip
     """Reads cameras and (unless told otherwise) images of some views, and loads the surfaces for tracing."""
-    tracer_of = _tracer_factory()
-    meshes = read_meshes(dataset, geometry)
     return TracedLayerPixels(
-        tracer=tracer_of(meshes, (None,) * len(meshes)),
+        peeler=_load_peeler(read_meshes(dataset, geometry)),
         rays=_rays_of(dataset, split, views),
         rgb=read_colors(dataset, split, views, with_images=with_images),
         num_layers=num_layers,
@@ -240,7 +239,7 @@ def load_traced_layers(config: PaperConfig, dataset: Dataset, geometry: str, num
 def trace_layers(meshes: tuple[Mesh, ...], cameras: Cameras, num_layers: int) -> TracedLayerPixels:
     """The pixels of any cameras, black, with one ray each through their centres."""
     return TracedLayerPixels(
-        tracer=_tracer_factory()(meshes, (None,) * len(meshes)),
+        peeler=_load_peeler(meshes),
         rays=SubpixelRays(cameras=cameras),
         rgb=torch.zeros(len(cameras.world_from_camera) * cameras.height * cameras.width, 3, dtype=torch.uint8),
         num_layers=num_layers,
@@ -320,6 +319,15 @@ def _tracer_factory() -> "type[LightPathTracer]":
     from datagen.light_path import LightPathTracer
 
     return LightPathTracer
+
+
+def _load_peeler(meshes: tuple[Mesh, ...]) -> "Peeler":
+    from datagen.variant import use_mitsuba
+
+    use_mitsuba()
+    from datagen.peel import Peeler
+
+    return Peeler(meshes)
 
 
 def _rays_of(dataset: Dataset, split: Split, views: Sequence[int]) -> SubpixelRays:
