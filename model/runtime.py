@@ -1,4 +1,4 @@
-"""Owns two settings of the C libraries beneath torch, without which CPU training is several times slower."""
+"""Owns settings of the C libraries beneath torch and Numba, without which CPU training is slower or does not repeat."""
 
 import ctypes
 import os
@@ -26,3 +26,17 @@ def wait_without_spinning() -> None:
     them up: measured on two cores shared with two renderers, a training step took 4 times longer.
     """
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+
+
+def start_numba_threads() -> None:
+    """Starts as many of Numba's threads as torch has.
+
+    Both share one OpenMP, whose number of threads Numba sets to that of all cores as soon as its first loop runs: torch
+    would go on with another number than it was told, and sums over pixels would round in another way.
+    """
+    import numba
+    import torch
+
+    threads = torch.get_num_threads()
+    numba.set_num_threads(min(threads, numba.get_num_threads()))
+    torch.set_num_threads(threads)

@@ -8,6 +8,10 @@ import numba
 import numpy as np
 from jaxtyping import Float32, Int32, UInt8
 
+from model.runtime import start_numba_threads
+
+start_numba_threads()
+
 BLOCK = 1024
 """Slots that a thread takes at once."""
 

@@ -1,6 +1,9 @@
 """Owns the tests of the neural texture's layout and lookup."""
 
 import math
+import os
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -203,3 +206,15 @@ def test_the_gradient_of_uv_equals_that_of_grid_sample() -> None:
     inside = ((uv > 0.5 / 9) & (uv < 1 - 0.5 / 9)).all(dim=-1)
     torch.testing.assert_close(gradient[inside], uv.grad[inside], atol=1e-4, rtol=1e-4)
     assert (gradient[object_id == 0] == 0).all() and (gradient[inside & (object_id > 0)] != 0).any()
+
+
+def test_look_ups_leave_torch_the_threads_that_it_was_told() -> None:
+    """Numba's first parallel loop would set them to all cores, and sums over pixels would no longer repeat."""
+    script = (
+        "import torch; from model.texture import object_layout, sample; "
+        "sample([torch.zeros(4, 3)], torch.rand(9, 1, 2), torch.ones(9, 1, dtype=torch.uint8), [object_layout((2,))], [1]);"
+        "print(torch.get_num_threads())"
+    )
+    environment = os.environ | {"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "2"}
+    done = subprocess.run([sys.executable, "-c", script], env=environment, capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["1"]
