@@ -212,7 +212,8 @@ def test_look_ups_leave_torch_the_threads_that_it_was_told() -> None:
     """Numba's first parallel loop would set them to all cores, and sums over pixels would no longer repeat."""
     script = (
         "import torch; from model.texture import object_layout, sample; "
-        "sample([torch.zeros(4, 3)], torch.rand(9, 1, 2), torch.ones(9, 1, dtype=torch.uint8), [object_layout((2,))], [1]);"
+        "uv, object_id = torch.rand(9, 1, 2), torch.ones(9, 1, dtype=torch.uint8); "
+        "sample([torch.zeros(4, 3)], uv, object_id, [object_layout((2,))], [1]); "
         "print(torch.get_num_threads())"
     )
     environment = os.environ | {"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "2"}
