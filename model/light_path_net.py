@@ -257,7 +257,7 @@ class LightPathRenderer(nn.Module):
 
     def _relieved(self, stack: Stack) -> Float32[Tensor, "ray slot 2"]:
         """Where the stack looks up its textures: only its straight layers, which pass on, are shifted."""
-        if stack.uv_slope is None:
+        if self.relief is None or stack.uv_slope is None:
             return stack.uv
         first = sum(STACKED_VERTICES)
         straight = self._shifted(stack.uv[:, first:], stack.surface[:, first:], stack.uv_slope)
