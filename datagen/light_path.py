@@ -150,24 +150,21 @@ class LightPathTracer:
         dr.eval(outputs)
 
         def array(name: str, *shape: int) -> np.ndarray:
-            values = outputs[name]
-            if isinstance(values, list):
-                return np.stack([np.array(component) for component in values], axis=-1).reshape(*shape, len(values))
-            return np.array(values).reshape(shape)
+            return outputs[name].numpy().reshape(shape)
 
         places, ends = (max_branches, max_vertices, count), (max_branches, count)
         return TracedPaths(
             object_id=self._object_id[array("object_id", *places)],
-            uv=array("uv", *places),
-            direction=array("direction", *places),
-            position=array("position", *places),
-            normal=array("normal", *places),
-            throughput=array("throughput", *places),
-            uv_slope=array("uv_slope", *places),
+            uv=array("uv", *places, 2),
+            direction=array("direction", *places, 3),
+            position=array("position", *places, 3),
+            normal=array("normal", *places, 3),
+            throughput=array("throughput", *places, 3),
+            uv_slope=array("uv_slope", *places, 2),
             medium_length=array("medium_length", *places),
             has_left=array("has_left", *ends).astype(bool),
-            end_direction=array("end_direction", *ends),
-            end_throughput=array("end_throughput", *ends),
+            end_direction=array("end_direction", *ends, 3),
+            end_throughput=array("end_throughput", *ends, 3),
         )
 
 
@@ -238,7 +235,7 @@ def _trace(scene, tables, media, o, d, rows, shift, count, max_branches, max_ver
         shift: seed of the shifts.
 
     Returns:
-        By field of `LightPaths`: an array, or a list with one for each component.
+        By field of `TracedPaths`: a flat array.
     """
     import drjit as dr
     import mitsuba as mi
@@ -246,17 +243,16 @@ def _trace(scene, tables, media, o, d, rows, shift, count, max_branches, max_ver
     tables = _Tables(*tables)
     slots = max_branches * max_vertices * count
     ids, lengths = dr.zeros(mi.UInt32, slots), dr.zeros(mi.Float, slots)
-    out_uv, out_slope = ([dr.zeros(mi.Float, slots) for _ in range(2)] for _ in range(2))
-    out_direction, out_position, out_normal, out_throughput = (
-        [dr.zeros(mi.Float, slots) for _ in range(3)] for _ in range(4)
-    )
-    end_direction, end_throughput = ([dr.zeros(mi.Float, max_branches * count) for _ in range(3)] for _ in range(2))
+    out_uv, out_slope = (dr.zeros(mi.Float, 2 * slots) for _ in range(2))
+    out_direction, out_position, out_normal, out_throughput = (dr.zeros(mi.Float, 3 * slots) for _ in range(4))
+    end_direction, end_throughput = (dr.zeros(mi.Float, 3 * max_branches * count) for _ in range(2))
     left = dr.zeros(mi.UInt32, max_branches * count)
     ray_index = dr.arange(mi.UInt32, count)
 
-    def store(targets, values, index, mask):
-        for target, value in zip(targets, values, strict=True):
-            dr.scatter(target, value, index, mask)
+    def store(target, values, index, mask):
+        components = list(values)  # They lie side by side, as NumPy wants them: no copy of the whole is made.
+        for component, value in enumerate(components):
+            dr.scatter(target, value, index * len(components) + component, mask)
 
     def corner_mix(table, face, channels, weights, active):
         """Barycentric mix of a per-corner attribute of a face."""
