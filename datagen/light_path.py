@@ -23,7 +23,7 @@ from jaxtyping import Bool, Float32, UInt8
 from datagen.errors import HyalineError
 from datagen.media import Media, find_media, medium_of, no_solids, with_solid, without_solid
 from datagen.meshes import Mesh, is_there
-from datagen.mitsuba_scene import is_scalar, load_geometry_mitsuba
+from datagen.mitsuba_scene import is_scalar, load_geometry_mitsuba, to_columns
 from datagen.scene import Conductor, Dielectric, Material, Plastic, ThinDielectric
 
 if TYPE_CHECKING:
@@ -138,12 +138,9 @@ class LightPathTracer:
             rays = np.arange(first_ray, first_ray + count)
             self._rows[first_ray, count] = tuple(mi.Float(rays / PLASTIC ** (1 + axis) % 1) for axis in range(2))
 
-        def columns(values: np.ndarray) -> "list[mi.Float]":
-            return [mi.Float(np.ascontiguousarray(values[:, axis], np.float32)) for axis in range(3)]
-
         outputs = self._trace(
             self._scene, tuple(self._tables), self._media,
-            mi.Point3f(*columns(origins)), mi.Vector3f(*columns(directions)),
+            mi.Point3f(*to_columns(origins)), mi.Vector3f(*to_columns(directions)),
             self._rows[first_ray, count], dr.opaque(mi.UInt32, seed),
             count, max_branches, max_vertices, max_depth,
         )  # fmt: skip

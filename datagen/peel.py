@@ -21,7 +21,7 @@ from datagen.cameras import pixel_center_rays
 from datagen.dataset import Cameras
 from datagen.layers import Layers
 from datagen.meshes import Mesh, is_there
-from datagen.mitsuba_scene import is_scalar, load_geometry_mitsuba
+from datagen.mitsuba_scene import is_scalar, load_geometry_mitsuba, to_columns
 from datagen.number_formats import UV_SCALE
 
 if TYPE_CHECKING:
@@ -87,8 +87,8 @@ class Peeler:
         count = len(directions)
         is_coherent = origin.ndim == 1
         # Opaque values, or every camera would be a recording of its own.
-        start = [dr.opaque(mi.Float, float(value)) for value in origin] if is_coherent else _columns(origin)
-        along = mi.Vector3f(*_columns(directions))
+        start = [dr.opaque(mi.Float, float(value)) for value in origin] if is_coherent else to_columns(origin)
+        along = mi.Vector3f(*to_columns(directions))
         outputs = self._trace(self._scene, mi.Point3f(*start), along, count, num_layers, is_coherent)
         shapes, prims, b1s, b2s, ts, num_hits = (np.array(values) for values in outputs)
         shape = (num_layers, count)
@@ -161,12 +161,6 @@ def _to_layers(order: Int32[np.ndarray, " ray"], shape: Int32[np.ndarray, "layer
             for axis in range(2):
                 value = b0 * corner_uv[face, 0, axis] + b1 * corner_uv[face, 1, axis] + b2 * corner_uv[face, 2, axis]
                 uv[layer, pixel, axis] = np.uint16(np.rint(min(max(np.float64(value), 0.0), 1.0) * last))
-
-
-def _columns(vectors: Float32[np.ndarray, "ray 3"]) -> "list[mi.Float]":
-    import mitsuba as mi
-
-    return [mi.Float(np.ascontiguousarray(vectors[:, axis])) for axis in range(3)]
 
 
 def _trace(scene, o, d, count, num_layers, is_coherent):

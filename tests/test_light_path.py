@@ -288,3 +288,15 @@ def test_uv_slopes_lead_to_where_the_ray_meets_a_deeper_surface(height: float) -
     expected = deeper.uv[0, 0] - surface.uv[0, 0]
     assert np.abs(expected).max() > 2e-4
     assert np.abs(depth * surface.uv_slope[0, 0] - expected).max() < 2e-6
+
+
+@pytest.mark.parametrize("offset", [0, 1, 5, 16])
+def test_a_tracer_records_its_kernel_once_wherever_rays_lie_in_memory(offset: int) -> None:
+    tracer = LightPathTracer((wide(0.0),), (GREY,))
+    memory = np.zeros(offset + 3 * 50, np.float32)
+    for shift in (0, offset):
+        directions = memory[shift : shift + 150].reshape(50, 3)
+        directions[:] = (0, 0, -1)
+        paths = tracer.trace(np.ones((50, 3), np.float32), directions)
+        assert (paths.object_id[0, 0] == 1).all()
+    assert tracer._trace.n_recordings == 1
