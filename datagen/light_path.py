@@ -113,8 +113,8 @@ class LightPathTracer:
         self._media = find_media(kept_materials, meshes)
         self._tables = _make_tables(meshes, kept_materials, self._media)
         self._rows: dict[tuple[int, int], tuple[mi.Float, ...]] = {}
-        # Recording a kernel takes as long as running it for 8,192 rays, and Dr.Jit finds the recording in its cache by
-        # code that differs from time to time: it is recorded once for each number of rays and limits.
+        # Recording a kernel takes as long as running it for 8,192 rays: it is done once for each number of rays and
+        # limits.
         self._trace = dr.freeze(_trace, limit=RECORDINGS, warn_after=1 << 30)
 
     def trace(self, origins: Float32[np.ndarray, "ray 3"], directions: Float32[np.ndarray, "ray 3"],

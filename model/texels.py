@@ -122,5 +122,9 @@ def add_uv_gradient(
                 t0, t1, t2, t3 = table[rows[0], c], table[rows[1], c], table[rows[2], c], table[rows[3], c]
                 along_x += upstream[slot, c] * ((np.float32(1) - y) * (t1 - t0) + y * (t3 - t2))
                 along_y += upstream[slot, c] * ((np.float32(1) - x) * (t2 - t0) + x * (t3 - t1))
-            gradient[slot, 0] += scale * np.float32(size) * along_x
-            gradient[slot, 1] -= scale * np.float32(size) * along_y
+            half, last = np.float32(0.5), np.float32(size) - np.float32(0.5)
+            across, down = uv[slot, 0] * np.float32(size), (np.float32(1) - uv[slot, 1]) * np.float32(size)
+            if half <= across <= last:
+                gradient[slot, 0] += scale * np.float32(size) * along_x
+            if half <= down <= last:
+                gradient[slot, 1] -= scale * np.float32(size) * along_y

@@ -90,7 +90,7 @@ def sample(
 ) -> Float32[Tensor, "ray layer c"]:
     """The scaled sum of the bilinear features of every layer in several tables; zeros where it is empty (object id 0).
 
-    Gradients flow to the tables alone. They are summed in a fixed order, so that a run on a CPU repeats bit by bit.
+    Gradients flow to tables and uv. They are summed in a fixed order, so that a run on a CPU repeats bit by bit.
     """
     flat_uv, flat_id = uv.flatten(0, 1), object_id.flatten()
     if flat_uv.device.type != "cpu":
@@ -166,8 +166,7 @@ class _WeightedTexels(torch.autograd.Function):
     def forward(
         ctx: FunctionCtx, table: Tensor, texels: Tensor, weights: Tensor, hits: Tensor, num_results: int
     ) -> Tensor:
-        ctx.save_for_backward(texels, weights, hits)
-        ctx.table_shape = table.shape  # pyright: ignore[reportAttributeAccessIssue]
+        ctx.save_for_backward(table, texels, weights, hits)
         sizes = torch.zeros(num_results, dtype=torch.int32, device=table.device)
         sizes[hits] = 4
         starts = torch.cumsum(sizes, 0, dtype=torch.int32) - sizes
@@ -177,11 +176,12 @@ class _WeightedTexels(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: FunctionCtx, *upstream: Tensor) -> tuple[Tensor | None, ...]:
-        texels, weights, hits = ctx.saved_tensors  # pyright: ignore[reportAttributeAccessIssue]
-        spread = upstream[0][hits][:, None] * weights[..., None]
-        gradient = upstream[0].new_zeros(ctx.table_shape)  # pyright: ignore[reportAttributeAccessIssue]
-        gradient.index_add_(0, texels.flatten(), spread.flatten(0, 1))
-        return gradient, None, None, None, None
+        table, texels, weights, hits = ctx.saved_tensors  # pyright: ignore[reportAttributeAccessIssue]
+        above = upstream[0][hits][:, None]
+        gradient = torch.zeros_like(table)
+        gradient.index_add_(0, texels.flatten(), (above * weights[..., None]).flatten(0, 1))
+        needs_weights = ctx.needs_input_grad[2]  # pyright: ignore[reportAttributeAccessIssue]
+        return gradient, None, (above * table[texels]).sum(dim=-1) if needs_weights else None, None, None
 
 
 class NeuralTextures(nn.Module):

@@ -156,11 +156,12 @@ def test_the_compiled_pyramid_equals_the_one_by_torchs_operations(channels: int)
     start = [torch.randn(layout.num_texels, channels, generator=generator) for layout in layouts]
 
     compiled = [table.clone().requires_grad_() for table in start]
-    features = sample(compiled, uv, object_id, layouts, scales)
+    own_uv, plain_uv = (uv.clone().requires_grad_() for _ in range(2))
+    features = sample(compiled, own_uv, object_id, layouts, scales)
     features.backward(upstream)
 
     plain = [table.clone().requires_grad_() for table in start]
-    levels = [sample_by_bags(table, uv.flatten(0, 1), object_id.flatten(), layout)
+    levels = [sample_by_bags(table, plain_uv.flatten(0, 1), object_id.flatten(), layout)
               for table, layout in zip(plain, layouts)]  # fmt: skip
     expected = sum(scale * level for scale, level in zip(scales, levels))
     assert isinstance(expected, Tensor)
@@ -170,6 +171,9 @@ def test_the_compiled_pyramid_equals_the_one_by_torchs_operations(channels: int)
     for table, other in zip(compiled, plain):
         assert table.grad is not None and other.grad is not None
         torch.testing.assert_close(table.grad, other.grad, atol=2e-5, rtol=1e-5)
+    assert own_uv.grad is not None and plain_uv.grad is not None
+    assert own_uv.grad.abs().max() > 1
+    torch.testing.assert_close(own_uv.grad, plain_uv.grad, atol=1e-3, rtol=1e-4)
 
 
 def test_the_gradient_has_the_same_bits_for_any_number_of_threads() -> None:
