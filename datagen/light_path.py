@@ -251,14 +251,18 @@ def _trace(scene, tables, media, o, d, rows, shift, count, max_branches, max_ver
         for component, value in enumerate(components):
             dr.scatter(target, value, index * len(components) + component, mask)
 
-    def corner_mix(table, face, channels, weights, active):
-        """Barycentric mix of a per-corner attribute of a face."""
-        mixed = []
-        for channel in range(channels):
-            base = face * (3 * channels) + channel
-            values = [dr.gather(mi.Float, table, base + corner * channels, active) for corner in range(3)]
-            mixed.append(values[0] * weights[0] + values[1] * weights[1] + values[2] * weights[2])
-        return mixed
+    def corners_of(table, kind, face, active):
+        """What a table holds for the three corners of each face."""
+        size = dr.size_v(kind)
+        return [
+            kind(
+                *(dr.gather(mi.Float, table, face * (3 * size) + corner * size + axis, active) for axis in range(size))
+            )
+            for corner in range(3)
+        ]
+
+    def mix(corners, weights):
+        return corners[0] * weights[0] + corners[1] * weights[1] + corners[2] * weights[2]
 
     def is_tracing(*state):
         return state[-1]
@@ -289,14 +293,10 @@ def _trace(scene, tables, media, o, d, rows, shift, count, max_branches, max_ver
         b1, b2 = pi.prim_uv.x, pi.prim_uv.y
         weights = (1 - b1 - b2, b1, b2)
         face_u = mi.UInt32(dr.maximum(face, 0))
-        p = mi.Point3f(*corner_mix(tables.positions, face_u, 3, weights, hit))
-        n = dr.normalize(mi.Vector3f(*corner_mix(tables.normals, face_u, 3, weights, hit)))
-        uv = corner_mix(tables.uv, face_u, 2, weights, hit)
-        corners = [
-            mi.Vector3f(*(dr.gather(mi.Float, tables.positions, face_u * 9 + 3 * k + c, hit) for c in range(3)))
-            for k in range(3)
-        ]
-        uv_corner = [dr.gather(mi.Float, tables.uv, face_u * 6 + c, hit) for c in range(2)]
+        corners = corners_of(tables.positions, mi.Point3f, face_u, hit)
+        uv_corners = corners_of(tables.uv, mi.Point2f, face_u, hit)
+        p, uv = mix(corners, weights), mix(uv_corners, weights)
+        n = dr.normalize(mix(corners_of(tables.normals, mi.Vector3f, face_u, hit), weights))
         edges = (corners[1] - corners[0], corners[2] - corners[0])
         n_wide = dr.cross(*edges)
         n_face = dr.normalize(n_wide)
@@ -323,15 +323,12 @@ def _trace(scene, tables, media, o, d, rows, shift, count, max_branches, max_ver
 
         # What uv changes as the ray goes on in the plane of the face, whose edges are e1 and e2: d = a e1 + b e2 + c n.
         shares = [dr.dot(dr.cross(d, edges[1]), n_wide), dr.dot(dr.cross(edges[0], d), n_wide)]
-        uv_edges = [
-            [dr.gather(mi.Float, tables.uv, face_u * 6 + 2 * k + c, hit) - first for c, first in enumerate(uv_corner)]
-            for k in (1, 2)
-        ]
+        uv_edges = (uv_corners[1] - uv_corners[0], uv_corners[2] - uv_corners[0])
         # Depth counts inwards, which is back along a ray that comes out.
         cosine = dr.maximum(dr.abs(dr.dot(d, n_face)), MIN_COSINE)
         per_depth = dr.rcp(dr.maximum(dr.squared_norm(n_wide) * cosine, 1e-30))
         per_depth = dr.select(is_outside, per_depth, -per_depth)
-        slope = [(shares[0] * uv_edges[0][c] + shares[1] * uv_edges[1][c]) * per_depth for c in range(2)]
+        slope = (shares[0] * uv_edges[0] + shares[1] * uv_edges[1]) * per_depth
 
         # The vertex. What comes after the last place takes its place: the end of a branch is always kept.
         facing = dr.select(is_outside, n, -n)

@@ -13,7 +13,6 @@ from datagen.command import choose, fail, mute, next_command, run, say, unwrap_h
 from datagen.dataset import Dataset, find_dataset, open_dataset
 from datagen.errors import HyalineError
 from datagen.geometry import TRUTH, check_geometry
-from model.bench.choices import BenchChoices
 from model.choices import (
     CHOICES,
     CommonChoices,
@@ -249,69 +248,15 @@ def bench() -> None:
     """Measure speed beside a naive baseline: ceilings, step, infer, online or gpu (see `model bench --help`)."""
 
 
-def bench_ceilings(*, json: bool = False) -> None:
-    """What this machine does at best: matrix products, copies, gathers, page faults.
-
-    Args:
-        json: Print JSON instead of tables.
-    """
-    from datagen.bench.harness import show
-    from model.bench.ceilings import bench_ceilings
-
-    show(bench_ceilings(), as_json=json)
-
-
-def bench_step(choices: BenchChoices) -> None:
-    """A training step on a CPU: whole, its phases, its texture part."""
-    from datagen.bench.harness import show
-    from model.bench.ceilings import all_ceilings
-    from model.bench.step import bench_step
-
-    show(bench_step(choices, ceilings=all_ceilings()), as_json=choices.json)
-
-
-def bench_infer(choices: BenchChoices) -> None:
-    """A frame from stored layers on a CPU."""
-    from datagen.bench.harness import show
-    from model.bench.ceilings import all_ceilings
-    from model.bench.infer import bench_infer
-
-    show(bench_infer(choices, ceilings=all_ceilings()), as_json=choices.json)
-
-
-def bench_online(choices: BenchChoices) -> None:
-    """A frame from meshes and a camera alone, on a CPU."""
-    from datagen.bench.harness import show
-    from model.bench.ceilings import all_ceilings
-    from model.bench.online import bench_online
-
-    show(bench_online(choices, ceilings=all_ceilings()), as_json=choices.json)
-
-
-def bench_gpu(choices: BenchChoices) -> None:
-    """A 1080p frame and a step of 262,144 pixels on a GPU, beside plain torch; skipped without CUDA."""
-    from datagen.bench.harness import show
-    from model.bench.gpu import bench_gpu
-
-    show(bench_gpu(choices), as_json=choices.json)
-
-
-BENCHES = {
-    "ceilings": bench_ceilings,
-    "step": bench_step,
-    "infer": bench_infer,
-    "online": bench_online,
-    "gpu": bench_gpu,
-}
-
-
 def main() -> None:
     wait_without_spinning()
     description = "Train neural renderers on datasets of transparent objects, and render with them."
     arguments = sys.argv[1:]
     if arguments[:1] == ["bench"]:
-        unwrap_help(BenchChoices)
-        run("model bench", "Measure speed; exit with 1 where a check or a ratio is missed.", BENCHES, arguments[1:])
+        # It has commands of its own.
+        from model.bench.cli import main as main_of_bench
+
+        main_of_bench(arguments[1:])
         return
     try:
         method = choose("method", named_method(arguments) or DEFAULT_HELP, CHOICES)

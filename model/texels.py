@@ -1,6 +1,6 @@
-"""Owns the inner loops of neural textures on a CPU: weighted sums of four texels, and their gradient.
+"""Owns the inner loops of neural textures on a CPU: weighted sums of four texels, and their gradients.
 
-Compiled by Numba. Both loops visit each slot of a stack of layers once, skip the empty ones, and write straight into
+Compiled by Numba. The loops visit each slot of a stack of layers once, skip the empty ones, and write straight into
 the result: no copy of texels, rows or weights is ever made, which is what torch's own operations spend their time on.
 """
 
@@ -20,8 +20,10 @@ STRIPE = 6
 
 
 @numba.njit
-def _taps(u, v, base, size, stride):
-    """Rows of the four texels around a point and their weights: those of `model.texture.bilinear_taps`."""
+def _taps(uv, places, slot, place):
+    """Rows of the four texels around a slot's point and their weights: those of `model.texture.bilinear_taps`."""
+    u, v = uv[slot, 0], uv[slot, 1]
+    base, size, stride = places[0, place], places[1, place], places[2, place]
     last = np.float32(size - 1)
     x = min(max(u * np.float32(size) - np.float32(0.5), np.float32(0)), last)
     y = min(max((np.float32(1) - v) * np.float32(size) - np.float32(0.5), np.float32(0)), last)
@@ -57,7 +59,7 @@ def add_look_ups(
             place = np.int32(object_id[slot]) - 1
             if place < 0:
                 continue
-            rows, weights = _taps(uv[slot, 0], uv[slot, 1], places[0, place], places[1, place], places[2, place])
+            rows, weights = _taps(uv, places, slot, place)
             w0, w1, w2, w3 = weights[0] * scale, weights[1] * scale, weights[2] * scale, weights[3] * scale
             for c in range(channels):
                 result[slot, c] += (
@@ -87,7 +89,7 @@ def add_gradient(
             place = np.int32(object_id[slot]) - 1
             if place < 0:
                 continue
-            rows, weights = _taps(uv[slot, 0], uv[slot, 1], places[0, place], places[1, place], places[2, place])
+            rows, weights = _taps(uv, places, slot, place)
             for tap in range(4):
                 row = rows[tap]
                 if (row >> STRIPE) % parts == part:
@@ -114,7 +116,7 @@ def add_uv_gradient(
             if place < 0:
                 continue
             size = places[1, place]
-            rows, weights = _taps(uv[slot, 0], uv[slot, 1], places[0, place], size, places[2, place])
+            rows, weights = _taps(uv, places, slot, place)
             # The weights are products (1 - x)(1 - y), x (1 - y), (1 - x) y, x y.
             x, y = weights[1] + weights[3], weights[2] + weights[3]
             along_x = along_y = np.float32(0)

@@ -109,29 +109,25 @@ class _CompiledSample(torch.autograd.Function):
     def forward(ctx: FunctionCtx, uv: Tensor, object_id: Tensor, layouts: tuple[TextureLayout, ...],
                 scales: tuple[float, ...], *tables: Tensor) -> Tensor:  # fmt: skip
         ctx.save_for_backward(uv, object_id, *tables)
-        ctx.levels = [(layout, scale, table.shape) for layout, scale, table in zip(layouts, scales, tables)]  # pyright: ignore[reportAttributeAccessIssue]
+        ctx.levels = [(_places(layout), np.float32(scale)) for layout, scale in zip(layouts, scales, strict=True)]  # pyright: ignore[reportAttributeAccessIssue]
         result = torch.zeros(len(object_id), tables[0].shape[1])
-        for table, layout, scale in zip(tables, layouts, scales, strict=True):
-            add_look_ups(result.numpy(), table.detach().contiguous().numpy(), uv.detach().contiguous().numpy(),
-                         object_id.numpy(), _places(layout), np.float32(scale))  # fmt: skip
+        slots = uv.detach().contiguous().numpy(), object_id.numpy()
+        for table, (places, scale) in zip(tables, ctx.levels, strict=True):  # pyright: ignore[reportAttributeAccessIssue]
+            add_look_ups(result.numpy(), table.detach().contiguous().numpy(), *slots, places, scale)
         return result
 
     @staticmethod
     def backward(ctx: FunctionCtx, *upstream: Tensor) -> tuple[Tensor | None, ...]:
         uv, object_id, *tables = ctx.saved_tensors  # pyright: ignore[reportAttributeAccessIssue]
         above = upstream[0].contiguous().numpy()
-        gradients = []
-        for layout, scale, shape in ctx.levels:  # pyright: ignore[reportAttributeAccessIssue]
-            gradient = torch.zeros(shape)
-            add_gradient(gradient.numpy(), above, uv.detach().contiguous().numpy(), object_id.numpy(), _places(layout),
-                         np.float32(scale), torch.get_num_threads())  # fmt: skip
-            gradients.append(gradient)
-        uv_gradient = None
-        if ctx.needs_input_grad[0]:  # pyright: ignore[reportAttributeAccessIssue]
-            uv_gradient = torch.zeros_like(uv, memory_format=torch.contiguous_format)
-            for table, (layout, scale, _) in zip(tables, ctx.levels):  # pyright: ignore[reportAttributeAccessIssue]
-                add_uv_gradient(uv_gradient.numpy(), above, table.detach().numpy(), uv.detach().contiguous().numpy(),
-                                object_id.numpy(), _places(layout), np.float32(scale))  # fmt: skip
+        slots = uv.detach().contiguous().numpy(), object_id.numpy()
+        gradients = [torch.zeros(table.shape) for table in tables]
+        uv_gradient = torch.zeros(uv.shape) if ctx.needs_input_grad[0] else None  # pyright: ignore[reportAttributeAccessIssue]
+        for table, gradient, (places, scale) in zip(tables, gradients, ctx.levels, strict=True):  # pyright: ignore[reportAttributeAccessIssue]
+            add_gradient(gradient.numpy(), above, *slots, places, scale, torch.get_num_threads())
+            if uv_gradient is not None:
+                texels = table.detach().contiguous().numpy()
+                add_uv_gradient(uv_gradient.numpy(), above, texels, *slots, places, scale)
         return uv_gradient, None, None, None, *gradients
 
 

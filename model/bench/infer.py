@@ -8,14 +8,11 @@ import torch
 from datagen.bench.harness import BenchReport, Candidate, Ceiling, Check, Gate, measure
 from model.bench.choices import BenchChoices
 from model.bench.naive import NaiveRenderer
-from model.bench.setting import describe, made_up_frame, make_renderer, relative_error
+from model.bench.setting import FRAME_TOLERANCE, describe, made_up_frame, make_renderer, relative_error
 from model.predict import predict_colors, predict_pixels
 from model.runtime import keep_freed_memory
 
 GATE = 10.0
-
-TOLERANCE = {"fp32": 1e-5, "bf16": 1e-2}
-"""Of colours, as shares of the largest."""
 
 
 @torch.inference_mode()
@@ -29,7 +26,7 @@ def bench_infer(choices: BenchChoices, *, ceilings: Sequence[Ceiling] = (), seed
     rays = pixels.take(torch.arange(len(pixels.rgb)), None)
 
     def compare() -> tuple[bool, str]:
-        error, most = relative_error(predict_colors(renderer, pixels), naive(rays)), TOLERANCE[choices.precision]
+        error, most = relative_error(predict_colors(renderer, pixels), naive(rays)), FRAME_TOLERANCE[choices.precision]
         return error <= most, f"colours off by {error:.1e} of the largest; expected at most {most:g}"
 
     return measure(

@@ -14,16 +14,13 @@ from datagen.variant import use_mitsuba
 from model.batches import Pixels
 from model.bench.choices import BenchChoices
 from model.bench.naive import NaiveRenderer
-from model.bench.setting import describe, make_renderer, relative_error
+from model.bench.setting import FRAME_TOLERANCE, describe, make_renderer, relative_error
 from model.paper import PaperRenderer
 from model.predict import predict_colors, predict_pixels
 from model.runtime import keep_freed_memory
 
 GATE, GATE_RATE = 25.0, 12.0
 """Times as fast as the naive frame, and frames a second."""
-
-TOLERANCE = {"fp32": 1e-5, "bf16": 1e-2}
-"""Of colours, as shares of the largest."""
 
 SAME_OBJECTS = 0.98
 """Share of the pixels for which both must list the same objects: `spawn_ray` loses surfaces that lie close together."""
@@ -101,7 +98,7 @@ def bench_online(choices: BenchChoices, *, ceilings: tuple[Ceiling, ...] = (), s
             Candidate(name="layers", run=bench.layers),
         ],
         checks=[
-            Check(name="same colours", run=lambda: bench.compare_colors(TOLERANCE[choices.precision])),
+            Check(name="same colours", run=lambda: bench.compare_colors(FRAME_TOLERANCE[choices.precision])),
             Check(name="same objects", run=bench.compare_layers),
         ],
         gates=[Gate(name="whole frame", baseline="naive frame", candidate="frame", at_least=GATE)],

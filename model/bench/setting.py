@@ -18,6 +18,9 @@ from model.pixel_mlp import width_for_34k
 COVERED = 0.4
 """Share of all (pixel, layer) places that hold a surface, in scenes of transparent objects."""
 
+FRAME_TOLERANCE = {"fp32": 1e-5, "bf16": 1e-2}
+"""How far a frame's colours may be off, as shares of the largest."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Ball:
