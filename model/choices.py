@@ -15,6 +15,12 @@ from datagen.geometry import TRUTH
 DEFAULT_STEPS = 2500
 
 
+def _choice(default: object, suffix: str | dict[object, str]) -> Any:
+    """A field whose `suffix` marks run folders where it is not the default: a template, or one for each value (and
+    under the empty one that of all others)."""
+    return field(default=default, metadata={"suffix": suffix})
+
+
 @dataclass(frozen=True, kw_only=True)
 class CommonChoices:
     """What every method can be told."""
@@ -34,14 +40,14 @@ class CommonChoices:
     """Label of the run in tables. Default: from the folder's name."""
     steps: int = DEFAULT_STEPS
     """Optimiser steps; more for larger datasets."""
-    batch: int | None = None
+    batch: int | None = _choice(None, "batch{}")
     """Random pixels a step, for U-Nets about as many in crops. Default: 8192; 16384 for U-Nets, 2048 (of several rays)
     for light-path; for deepvoxels 2 pictures."""
-    lr: float | None = None
+    lr: float | None = _choice(None, "lr{}")
     """Learning rate of Adam. Default: 0.001; 0.002 for light-path, for deepvoxels what --voxels says."""
-    texture_lr: float | None = None
+    texture_lr: float | None = _choice(None, "texture-lr{}")
     """Learning rate of the textures. Default: the same; 0.04 for light-path."""
-    lr_decay: Literal["none", "linear", "cosine"] | None = None
+    lr_decay: Literal["none", "linear", "cosine"] | None = _choice(None, {"none": "no-decay", "": "{}-decay"})
     """none, linear (constant, then down to 0 over the second half) or cosine. Default: linear; cosine for
     light-path, none for deepvoxels, but linear with `--voxels small`."""
     seed: int = 0
@@ -56,12 +62,6 @@ class CommonChoices:
     """Go on with an unfinished run."""
     overwrite: bool = False
     """Delete the run that is there and start anew."""
-
-
-def _choice(default: object, suffix: str | dict[object, str]) -> Any:
-    """A field whose `suffix` marks run folders where it is not the default: a template, or one for each value (and
-    under the empty one that of all others)."""
-    return field(default=default, metadata={"suffix": suffix})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -226,7 +226,7 @@ def folder_name(common: CommonChoices, choices: MethodChoices) -> str:
     """The default name of a run's folder: the method, and a suffix for each choice that is not the default."""
     parts = [common.method]
     parts += [common.geometry] if common.geometry != TRUTH else []
-    parts += _suffixes(choices)
+    parts += _suffixes(choices) + _suffixes(common)
     parts += [f"{common.steps}-steps"] if common.steps != DEFAULT_STEPS else []
     parts += [f"seed{common.seed}"] if common.seed else []
     return "-".join(parts)

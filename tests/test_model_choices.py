@@ -24,7 +24,7 @@ from model.methods import METHODS
     ("common", "choices", "name"),
     [
         ({}, PaperChoices(), "paper"),
-        ({"geometry": "box", "steps": 10, "seed": 2, "lr": 0.1}, PaperChoices(), "paper-box-10-steps-seed2"),
+        ({"geometry": "box", "steps": 10, "seed": 2}, PaperChoices(), "paper-box-10-steps-seed2"),
         (
             {},
             PaperChoices(extrinsics="none", width="256", blocks=2, norm="none", textures="scene"),
@@ -45,10 +45,16 @@ from model.methods import METHODS
             LightPathChoices(environment=1, position_octaves=3, texture_levels=1),
             "light-path-sky1-3-octaves-1-levels",
         ),
+        (
+            {"batch": 64, "lr": 0.1, "texture_lr": 0.5, "lr_decay": "none", "steps": 10, "seed": 2},
+            PaperChoices(layers="2"),
+            "paper-2-layers-batch64-lr0.1-texture-lr0.5-no-decay-10-steps-seed2",
+        ),
+        ({"lr_decay": "cosine"}, PaperChoices(), "paper-cosine-decay"),
     ],
 )
 def test_folders_are_named_as_ever(common: dict, choices: MethodChoices, name: str) -> None:
-    """The names of runs that exist: made by the command before choices were records."""
+    """The names of runs that exist; what differs in any choice that changes results lies in folders of its own."""
     assert folder_name(CommonChoices(**{"method": "paper", **common}), choices) == name
 
 

@@ -131,7 +131,7 @@ def test_a_killed_sweep_goes_on_to_the_bytes_of_train_and_tells_what_failed(
     command = [sys.executable, "-m", "model", "sweep", path]
     environment = os.environ | {"OMP_NUM_THREADS": "1"}
     runs = tmp_path / "runs" / "synthetic"
-    last = runs / "paper-w32-t16-200-steps-seed1"
+    last = runs / "paper-w32-t16-batch64-200-steps-seed1"
 
     started = subprocess.Popen(command, cwd=tmp_path, env=environment, stderr=subprocess.PIPE, text=True)
     assert started.stderr is not None
@@ -150,7 +150,8 @@ def test_a_killed_sweep_goes_on_to_the_bytes_of_train_and_tells_what_failed(
         f"runs/synthetic/{last.name}",
     ]
     lines = done.stderr.splitlines()
-    assert "[1/3] runs/synthetic/paper-w32-t16-200-steps: finished before, nothing to do; --overwrite" in done.stderr
+    first_run = f"runs/synthetic/{last.name.removesuffix('-seed1')}"
+    assert f"[1/3] {first_run}: finished before, nothing to do; --overwrite" in done.stderr
     assert lines[-3] == "sweep grid: 2 of 3 runs are finished"
     assert (
         lines[-2].startswith("failed: model train --method paper --steps 200 ")
