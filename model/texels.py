@@ -2,11 +2,21 @@
 
 Compiled by Numba. The loops visit each slot of a stack of layers once, skip the empty ones, and write straight into
 the result: no copy of texels, rows or weights is ever made, which is what torch's own operations spend their time on.
+What is left is the wait for texels, which lie anywhere in memory: each loop first lists the texels of a block of slots,
+and then has the processor fetch them a few slots before they are needed.
 """
+
+# Numba's extensions are untyped, and llvmlite has no stubs.
+# pyright: reportMissingTypeStubs=false, reportCallIssue=false
+
+from typing import Any
 
 import numba
 import numpy as np
 from jaxtyping import Float32, Int32, UInt8
+from llvmlite import ir
+from numba.core import cgutils, types
+from numba.extending import intrinsic
 
 from model.runtime import start_numba_threads
 
@@ -14,6 +24,9 @@ start_numba_threads()
 
 BLOCK = 1024
 """Slots that a thread takes at once."""
+
+AHEAD = 16
+"""How many slots before their turn texels are fetched."""
 
 STRIPE = 6
 """Stripes of 2^6 texels in turn belong to each thread while the gradient is summed."""
@@ -39,6 +52,44 @@ def _taps(uv, places, slot, place):
     )
 
 
+@numba.njit
+def _list_hits(first, end, uv, object_id, places):
+    """The slots of a range that are not empty, with rows and weights of their four texels; how many there are."""
+    slots = np.empty(end - first, np.int32)
+    rows, weights = np.empty((end - first, 4), np.int32), np.empty((end - first, 4), np.float32)
+    count = 0
+    for slot in range(first, end):
+        place = np.int32(object_id[slot]) - 1
+        if place < 0:
+            continue
+        of_slot = _taps(uv, places, slot, place)
+        slots[count] = slot
+        for tap in range(4):
+            rows[count, tap], weights[count, tap] = of_slot[0][tap], of_slot[1][tap]
+        count += 1
+    return slots, rows, weights, count
+
+
+@intrinsic
+def _fetch(typing_context: Any, table: Any, row: Any) -> Any:  # noqa: ARG001
+    """Asks the processor for the beginning of a row of a table, and does not wait: LLVM's `prefetch`."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        array = context.make_array(signature.args[0])(context, builder, arguments[0])
+        index = context.cast(builder, arguments[1], signature.args[1], types.intp)
+        place = [index, context.get_constant(types.intp, 0)]
+        start = cgutils.get_item_pointer(context, builder, signature.args[0], array, place, wraparound=False)
+        address, number = ir.IntType(8).as_pointer(), ir.IntType(32)
+        prefetch = cgutils.get_or_insert_function(
+            builder.module, ir.FunctionType(ir.VoidType(), [address, number, number, number]), "llvm.prefetch.p0i8"
+        )
+        to_read, into_all_caches, data = number(0), number(3), number(1)
+        builder.call(prefetch, [builder.bitcast(start, address), to_read, into_all_caches, data])
+        return context.get_dummy_value()
+
+    return types.void(table, row), generate
+
+
 @numba.njit(parallel=True, cache=True, boundscheck=False)
 def add_look_ups(
     result: Float32[np.ndarray, "slot c"],
@@ -55,16 +106,18 @@ def add_look_ups(
     """
     num_slots, channels = result.shape
     for block in numba.prange((num_slots + BLOCK - 1) // BLOCK):
-        for slot in range(block * BLOCK, min((block + 1) * BLOCK, num_slots)):
-            place = np.int32(object_id[slot]) - 1
-            if place < 0:
-                continue
-            rows, weights = _taps(uv, places, slot, place)
-            w0, w1, w2, w3 = weights[0] * scale, weights[1] * scale, weights[2] * scale, weights[3] * scale
+        end = min((block + 1) * BLOCK, num_slots)
+        slots, rows, weights, count = _list_hits(block * BLOCK, end, uv, object_id, places)
+        for hit in range(count):
+            if hit + AHEAD < count:
+                for tap in range(4):
+                    _fetch(table, rows[hit + AHEAD, tap])
+            slot = slots[hit]
+            r0, r1, r2, r3 = rows[hit, 0], rows[hit, 1], rows[hit, 2], rows[hit, 3]
+            w0, w1, w2, w3 = (weights[hit, 0] * scale, weights[hit, 1] * scale,
+                              weights[hit, 2] * scale, weights[hit, 3] * scale)  # fmt: skip
             for c in range(channels):
-                result[slot, c] += (
-                    w0 * table[rows[0], c] + w1 * table[rows[1], c] + w2 * table[rows[2], c] + w3 * table[rows[3], c]
-                )
+                result[slot, c] += w0 * table[r0, c] + w1 * table[r1, c] + w2 * table[r2, c] + w3 * table[r3, c]
 
 
 @numba.njit(parallel=True, cache=True, boundscheck=False)
@@ -85,17 +138,23 @@ def add_gradient(
     """
     num_slots, channels = upstream.shape
     for part in numba.prange(parts):
-        for slot in range(num_slots):
-            place = np.int32(object_id[slot]) - 1
-            if place < 0:
-                continue
-            rows, weights = _taps(uv, places, slot, place)
-            for tap in range(4):
-                row = rows[tap]
-                if (row >> STRIPE) % parts == part:
-                    weight = weights[tap] * scale
-                    for c in range(channels):
-                        gradient[row, c] += weight * upstream[slot, c]
+        # The texels of its stripes in a block of slots.
+        texels, shares = np.empty((4 * BLOCK, 2), np.int32), np.empty(4 * BLOCK, np.float32)
+        for first in range(0, num_slots, BLOCK):
+            slots, rows, weights, count = _list_hits(first, min(first + BLOCK, num_slots), uv, object_id, places)
+            own = 0
+            for hit in range(count):
+                for tap in range(4):
+                    if (rows[hit, tap] >> STRIPE) % parts == part:
+                        texels[own, 0], texels[own, 1] = rows[hit, tap], slots[hit]
+                        shares[own] = weights[hit, tap] * scale
+                        own += 1
+            for place in range(own):
+                if place + 4 * AHEAD < own:
+                    _fetch(gradient, texels[place + 4 * AHEAD, 0])
+                row, slot, share = texels[place, 0], texels[place, 1], shares[place]
+                for c in range(channels):
+                    gradient[row, c] += share * upstream[slot, c]
 
 
 @numba.njit(parallel=True, cache=True, boundscheck=False)
@@ -111,17 +170,20 @@ def add_uv_gradient(
     """Adds the gradient of `add_look_ups` with respect to uv: the slope of the bilinear patch; 0 beyond the border."""
     num_slots, channels = upstream.shape
     for block in numba.prange((num_slots + BLOCK - 1) // BLOCK):
-        for slot in range(block * BLOCK, min((block + 1) * BLOCK, num_slots)):
-            place = np.int32(object_id[slot]) - 1
-            if place < 0:
-                continue
-            size = places[1, place]
-            rows, weights = _taps(uv, places, slot, place)
+        end = min((block + 1) * BLOCK, num_slots)
+        slots, rows, weights, count = _list_hits(block * BLOCK, end, uv, object_id, places)
+        for hit in range(count):
+            if hit + AHEAD < count:
+                for tap in range(4):
+                    _fetch(table, rows[hit + AHEAD, tap])
+            slot = slots[hit]
+            size = places[1, np.int32(object_id[slot]) - 1]
+            r0, r1, r2, r3 = rows[hit, 0], rows[hit, 1], rows[hit, 2], rows[hit, 3]
             # The weights are products (1 - x)(1 - y), x (1 - y), (1 - x) y, x y.
-            x, y = weights[1] + weights[3], weights[2] + weights[3]
+            x, y = weights[hit, 1] + weights[hit, 3], weights[hit, 2] + weights[hit, 3]
             along_x = along_y = np.float32(0)
             for c in range(channels):
-                t0, t1, t2, t3 = table[rows[0], c], table[rows[1], c], table[rows[2], c], table[rows[3], c]
+                t0, t1, t2, t3 = table[r0, c], table[r1, c], table[r2, c], table[r3, c]
                 along_x += upstream[slot, c] * ((np.float32(1) - y) * (t1 - t0) + y * (t3 - t2))
                 along_y += upstream[slot, c] * ((np.float32(1) - x) * (t2 - t0) + x * (t3 - t1))
             half, last = np.float32(0.5), np.float32(size) - np.float32(0.5)
