@@ -16,6 +16,9 @@ from datagen.errors import HyalineError
 from datagen.layers import read_layers
 from datagen.number_formats import UV_SCALE
 
+ROUND_NUMBER = 1024
+"""oneDNN prepares, and keeps, the products of each new number of rows: there should be few."""
+
 
 class PixelSource(Protocol):
     """All pixels of some views, row by row and view by view, and what a renderer is told of any of them."""
@@ -83,11 +86,22 @@ class Pixels:
 
     @property
     def chunk(self) -> int:
-        return self.pixels_per_view if self.whole_views else 65_536
+        return self.pixels_per_view if self.whole_views else pixels_at_once(self.device)
 
     def to(self, device: torch.device) -> "Pixels":
         names = ("uv", "object_id", "rgb", "p_camera")
         return dataclasses.replace(self, **{name: getattr(self, name).to(device) for name in names})
+
+    def split_empty(self) -> tuple[Int[Tensor, " distinct"], Int[Tensor, " empty"]]:
+        """Row numbers of the pixels that differ, and of those without any layer; the first of these differs, too.
+
+        The former are filled up by repeating one until there are a multiple of `ROUND_NUMBER`.
+        """
+        is_empty = (self.object_id == 0).all(dim=1)
+        empty = is_empty.nonzero().flatten()
+        is_empty[empty[:1]] = False
+        distinct = (~is_empty).nonzero().flatten()
+        return torch.cat([distinct, distinct[:1].expand(-len(distinct) % ROUND_NUMBER)]), empty
 
     def take(self, index: Int[Tensor, "*pixel"], rng: np.random.Generator | None) -> RayBatch:  # noqa: ARG002
         """The rays of the pixels with these row numbers: always those through pixel centres."""
@@ -99,6 +113,12 @@ class Pixels:
             p_camera=self.p_camera[index // self.pixels_per_view],
             grid=grid,
         )
+
+
+def pixels_at_once(device: torch.device) -> int:
+    """Pixels that a rendering from stored layers takes at once: on a CPU so few that what one layer of a network makes
+    is still in the caches when the next one reads it."""
+    return 16_384 if device.type == "cpu" else 65_536
 
 
 def load_pixels(dataset: Dataset, geometry: str, split: Split, views: Sequence[int], *, with_images: bool = True,

@@ -23,7 +23,7 @@ from model.choices import (
     named_method,
     refuse_foreign_flags,
 )
-from model.runtime import wait_without_spinning
+from model.runtime import wait_briefly
 
 if TYPE_CHECKING:
     import torch
@@ -249,7 +249,7 @@ def bench() -> None:
 
 
 def main() -> None:
-    wait_without_spinning()
+    wait_briefly()
     description = "Train neural renderers on datasets of transparent objects, and render with them."
     arguments = sys.argv[1:]
     if arguments[:1] == ["bench"]:

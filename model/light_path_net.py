@@ -13,7 +13,6 @@ from datagen.errors import HyalineError
 from datagen.geometry import TRUTH
 from model.choices import LightPathChoices
 from model.extrinsics import spherical_harmonics
-from model.linear import Linear
 from model.samples import check_samples, srgb_curve
 from model.texture import NeuralTextures, TexturePyramid, level_scales, object_layout
 
@@ -333,11 +332,11 @@ def build_light_path(config: LightPathConfig, dataset: Dataset, geometry: str, n
 
 def _mlp(num_inputs: int, hidden: int, num_outputs: int) -> nn.Sequential:
     return nn.Sequential(
-        Linear(num_inputs, hidden),
+        nn.Linear(num_inputs, hidden),
         nn.LeakyReLU(0.2, inplace=True),
-        Linear(hidden, hidden),
+        nn.Linear(hidden, hidden),
         nn.LeakyReLU(0.2, inplace=True),
-        Linear(hidden, num_outputs),
+        nn.Linear(hidden, num_outputs),
     )
 
 

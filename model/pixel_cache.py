@@ -36,7 +36,7 @@ from datagen.layer_store import LayersHead, read_layers_head, read_layers_record
 from datagen.number_formats import UV_SCALE
 from datagen.records import Json
 from datagen.storage import commit_sealed, dump_json, load_sealed, sha256
-from model.batches import RayBatch, grid_of, read_stack
+from model.batches import RayBatch, grid_of, pixels_at_once, read_stack
 
 CACHE_VERSION = 1
 STARTS, HITS, RGB = "starts.bin", "hits.bin", "rgb.bin"
@@ -102,7 +102,7 @@ class MappedPixels:
 
     @property
     def chunk(self) -> int:
-        return self.pixels_per_view if self.whole_views else 65_536
+        return self.pixels_per_view if self.whole_views else pixels_at_once(self.device)
 
     def to(self, device: torch.device) -> "MappedPixels":
         return dataclasses.replace(self, p_camera=self.p_camera.to(device), device=device)

@@ -14,7 +14,7 @@ from datagen.command import say, track
 from datagen.dataset import Dataset, Split, png_bytes, view_name
 from datagen.errors import HyalineError
 from datagen.storage import commit, sha256
-from model.batches import PixelSource
+from model.batches import Pixels, PixelSource
 from model.checkpoint import load_state
 from model.methods import METHODS, read_layers_of
 from model.paper import PaperRenderer
@@ -36,14 +36,20 @@ def predict_colors(renderer: nn.Module, pixels: PixelSource) -> Float32[Tensor, 
     """sRGB colours of all pixels as the renderer makes them, neither clipped nor rounded; on the pixels' device."""
     was_training = renderer.training
     renderer.eval()
-    # Equal up to rounding, and in a third of the time.
-    folded = {"folded": renderer.net.folded()} if isinstance(renderer, PaperRenderer) else {}
-    parts = []
-    for start in range(0, len(pixels.rgb), pixels.chunk):
-        index = torch.arange(start, min(start + pixels.chunk, len(pixels.rgb)), device=pixels.rgb.device)
-        parts.append(renderer(pixels.take(index, None), **folded))
+    index = torch.arange(len(pixels.rgb), device=pixels.rgb.device)
+    empty, folded = index[:0], {}
+    if isinstance(renderer, PaperRenderer):
+        # Equal up to rounding, and in a third of the time.
+        folded = {"folded": renderer.net.folded()}
+        # Pixels without any layer are all of one colour.
+        if isinstance(pixels, Pixels):
+            index, empty = pixels.split_empty()
+    parts = [renderer(pixels.take(part, None), **folded) for part in index.split(pixels.chunk)]
     renderer.train(was_training)
-    return torch.cat(parts)
+    colors = torch.empty(len(pixels.rgb), 3, device=pixels.device)
+    colors[index] = torch.cat(parts)
+    colors[empty] = colors[empty[:1]]
+    return colors
 
 
 def load_renderer(out: Path, config: TrainConfig, dataset: Dataset) -> nn.Module:

@@ -5,8 +5,11 @@ import torch
 from torch import nn
 
 from model import linear
+from model.batches import Pixels
 from model.linear import Linear
+from model.paper import PaperConfig, PaperRenderer
 from model.pixel_mlp import Norm, PixelMlp, Precision
+from model.predict import predict_colors
 
 
 def trained_net(norm: Norm, precision: Precision = "fp32") -> tuple[PixelMlp, torch.Tensor]:
@@ -46,6 +49,37 @@ def test_bf16_agrees_to_a_hundredth_and_repeats() -> None:
     assert found.dtype == torch.float32
     assert 0 < (found - expected).abs().max() / expected.abs().max() < 1e-2
     assert torch.equal(found, net.folded()(x))
+
+
+@pytest.mark.parametrize("share_empty", [0.0, 0.3, 1.0])
+@pytest.mark.parametrize("zero_layer", [False, True])
+def test_pixels_without_layers_share_one_colour_and_all_others_keep_theirs(
+    share_empty: float, zero_layer: bool
+) -> None:
+    torch.manual_seed(0)
+    config = PaperConfig(texture_size=8, width=32, extrinsics="none", zero_layer=zero_layer)
+    renderer = PaperRenderer(config, num_layers=3, num_objects=2, positions=None).eval()
+    nn.init.normal_(renderer.textures.get_parameter("table"))
+    is_empty = torch.rand(5000) < share_empty
+    pixels = Pixels(
+        uv=torch.randint(-(1 << 15), 1 << 15, (5000, 3, 2), dtype=torch.int16),
+        object_id=torch.randint(1, 3, (5000, 3), dtype=torch.uint8) * ~is_empty[:, None],
+        rgb=torch.zeros(5000, 3, dtype=torch.uint8),
+        p_camera=torch.zeros(1, 3),
+        pixels_per_view=5000,
+    )
+    drawn = 0
+
+    def count(_: nn.Module, rays: tuple[object, ...]) -> None:
+        nonlocal drawn
+        drawn += len(rays[0].uv)  # pyright: ignore[reportAttributeAccessIssue]
+
+    renderer.register_forward_pre_hook(count)
+    found = predict_colors(renderer, pixels)
+    assert drawn == -(-(int((~is_empty).sum()) + bool(is_empty.any())) // 1024) * 1024
+    with torch.inference_mode():
+        expected = renderer(pixels.take(torch.arange(5000), None))
+    torch.testing.assert_close(found, expected, rtol=1e-5, atol=1e-5)
 
 
 def test_a_network_in_bf16_learns_float32_parameters() -> None:
