@@ -10,6 +10,9 @@ from eval.published import DNR, NO_EXTRINSICS, SPHERICAL_HARMONICS, VIEW_VECTOR,
 from eval.runs import Run
 from eval.seeds import SeedGroup
 
+PROXIES = "proxies"
+"""Stands for every geometry but the truth; no kind of proxy has this name."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Line:
@@ -21,7 +24,7 @@ class Line:
     """Keys of the configuration with their values; a key that is younger than the run counts as fitting, but a run that
     has none of them fits only where none is asked for."""
     geometry: str | None = TRUTH
-    """None takes any."""
+    """None takes any, `PROXIES` any but the truth."""
     published: PublishedRow | None = None
     """What the paper printed for it."""
 
@@ -30,7 +33,7 @@ class Line:
         config = flat_config(run)
         return (
             run.method == self.method
-            and self.geometry in (None, run.geometry)
+            and self.geometry in (None, run.geometry, TRUTH if run.geometry == TRUTH else PROXIES)
             and (not self.choices or any(key in config for key in self.choices))
             and all(config.get(key, value) == value for key, value in self.choices.items())
         )
@@ -76,6 +79,14 @@ LIGHT_PATH: dict[str, Json] = {
     "render_samples": 16,
 }
 """`light-path` on the true geometry with all of its parts."""
+
+LIGHT_PATH_ON_PROXIES: dict[str, Json] = {
+    **{key: value for key, value in LIGHT_PATH.items() if key != "shells"},
+    "stack_hidden": 96,
+    "straight_layers": 24,
+    "relief": True,
+}
+"""The same on proxies; how many shells there are, the number of objects decides."""
 
 PROXY_KEYS = ("geometry", "texture_sizes", "stack_hidden", "straight_layers", "shells", "relief")
 """What `light-path` chooses by the geometry."""
@@ -133,12 +144,8 @@ COMPARISONS: dict[str, Comparison] = {
 LADDER = Comparison(
     title="Quality against the proxy's error",
     lines=(
-        Line(
-            title="light-path",
-            method="light-path",
-            choices={key: value for key, value in LIGHT_PATH.items() if key not in PROXY_KEYS},
-            geometry=None,
-        ),
+        Line(title="light-path", method="light-path", choices=LIGHT_PATH),
+        Line(title="light-path", method="light-path", choices=LIGHT_PATH_ON_PROXIES, geometry=PROXIES),
         Line(title="paper", method="paper", choices=VIEW, geometry=None),
     ),
     varied=PROXY_KEYS,

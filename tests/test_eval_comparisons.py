@@ -172,6 +172,9 @@ def test_the_ladder_goes_from_the_truth_to_the_farthest_proxy(
         net = default_light_path((32 if geometry == "truth" else 64, 64), is_proxy=geometry != "truth")
         light = dataclasses.replace(LIGHT, geometry=geometry, net=net)
         write_run(copy, tmp_path / "runs", f"light-path-{geometry}", light, level - 2, level)
+        # What leaves out a part is an ablation, and no rung.
+        less = dataclasses.replace(light, net=dataclasses.replace(net, relief=False, stack_hidden=0))
+        write_run(copy, tmp_path / "runs", f"light-path-{geometry}-less", less, level, level)
     tables(copy, tmp_path / "runs", "proxies")
     rows = rows_of(capsys.readouterr().out)[1:]
     order = ["truth", "noise-0.01", "hull", "box"]
@@ -291,6 +294,9 @@ def test_the_choices_that_tables_look_for_are_the_defaults_of_the_methods() -> N
     paper_net, light_net = (dataclasses.asdict(config.net) for config in (PAPER, LIGHT))
     assert comparisons.VIEW == {key: paper_net[key] for key in comparisons.VIEW}
     assert comparisons.LIGHT_PATH == {key: light_net[key] for key in comparisons.LIGHT_PATH}
+    proxy_net = dataclasses.asdict(default_light_path((64, 64), is_proxy=True))
+    on_proxies = comparisons.LIGHT_PATH_ON_PROXIES
+    assert on_proxies == {key: proxy_net[key] for key in on_proxies}
     known = {*paper_net, *light_net, "geometry", "batch"}
     varied = {key for comparison in comparisons.COMPARISONS.values() for key in comparison.varied or ()}
     assert varied | {*comparisons.PROXY_KEYS, *comparisons.FOLLOWING} <= known
