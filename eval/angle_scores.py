@@ -19,15 +19,19 @@ ANGLE_NOTES = (
 )
 
 
-def read_angle_truths(scene: SceneScores) -> dict[Split, Truth]:
-    """The truth of the splits by angle; empty where they were not built."""
-    annex = open_annex(scene.dataset, ANGLES)
-    return {} if annex is None else {split: read_truth(annex, split) for split in annex.splits}
+def read_angle_truths(scene: SceneScores, errors: list[HyalineError]) -> dict[Split, Truth]:
+    """The truth of the splits by angle; empty where they were not built, or (added to `errors`) not to their end."""
+    try:
+        annex = open_annex(scene.dataset, ANGLES)
+        return {} if annex is None else {split: read_truth(annex, split) for split in annex.splits}
+    except HyalineError as error:
+        errors.append(error)
+        return {}
 
 
 def score_angles(scene: SceneScores, truths: dict[Split, Truth], errors: list[HyalineError]) -> dict[str, RunScores]:
     """The scores of runs that predicted any of these splits, by name; what pictures lack is added to `errors`."""
-    annex = open_annex(scene.dataset, ANGLES)
+    annex = open_annex(scene.dataset, ANGLES) if truths else None
     if annex is None:
         return {}
     scored = {}

@@ -50,7 +50,7 @@ def analyse(scene: SceneScores, truths: dict[Split, Truth], errors: list[Hyaline
     figures: dict[str, Callable[[], bytes]] = {}
     name = scene.title.replace("/", "_")
 
-    angle_truths = read_angle_truths(scene)
+    angle_truths = read_angle_truths(scene, errors)
     if by_angle := score_angles(scene, angle_truths, errors):
         grids.append(angle_grid(scene, angle_truths, by_angle))
         data["angle_splits"] = angles_json(angle_truths, by_angle)

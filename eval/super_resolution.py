@@ -38,10 +38,16 @@ class ScaledScores:
 
 
 def score_scaled(scene: SceneScores, errors: list[HyalineError]) -> list[ScaledScores]:
-    """The scores at every size that a run has drawn; what pictures lack is added to `errors`."""
+    """The scores at every size that a run has drawn; what pictures or truth lack is added to `errors`."""
     names = [folder.name for folder in list_annex_folders(scene.dataset.root) if folder.name != ANGLES]
-    drawn = [name for name in names if any((known.run.folder / name).is_dir() for known in scene.runs)]
-    return [_score_annex(scene, open_dataset(annex_root(scene.dataset.root, name)), errors) for name in drawn]
+    scored = []
+    for name in names:
+        if any((known.run.folder / name).is_dir() for known in scene.runs):
+            try:
+                scored.append(_score_annex(scene, open_dataset(annex_root(scene.dataset.root, name)), errors))
+            except HyalineError as error:
+                errors.append(error)
+    return scored
 
 
 def enlarge(image: UInt8[np.ndarray, "h w 3"], size: int) -> UInt8[np.ndarray, "size size 3"]:

@@ -180,8 +180,21 @@ def test_runs_predict_annexes_and_the_report_scores_them(
     assert scaled["drawn"]["perfect"]["extrapolating"]["psnr_db"]["mean"] == "inf"
     assert scaled["enlarged"]["perfect"] == scaled["enlarged"]["truth"]
     assert set(scaled["enlarged"]) == {"paper", "perfect", "truth"}
-    for title in ("mine: extrapolating by angle", "mine: super-resolution, trained at 16²"):
-        assert title in text
+    titles = ("mine: extrapolating by angle", "mine: super-resolution, trained at 16²")
+    assert all(title in text for title in titles)
+
+    # What is only half there is named, and all else is scored.
+    lost = sorted((root / "data/mine/annexes").glob("*/records/**/0001.json"))
+    contents = [path.read_bytes() for path in lost]
+    for path in lost:
+        path.unlink()
+    with pytest.raises(HyalineError, match="annexes"):
+        make_report(tmp_path / "runs", root / "data", tmp_path / "out", output_format="markdown")
+    said = capsys.readouterr()
+    for path, content in zip(lost, contents, strict=True):
+        path.write_bytes(content)
+    assert "perfect" in said.out and not any(title in said.out for title in titles)
+    assert "annexes/angles" in said.err
 
 
 def test_enlarging_keeps_a_ramp_where_it_was() -> None:
