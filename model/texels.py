@@ -1,9 +1,9 @@
 """Owns the inner loops of neural textures on a CPU: weighted sums of four texels, and their gradients.
 
 Compiled by Numba. The loops visit each slot of a stack of layers once, skip the empty ones, and write straight into
-the result: no copy of texels, rows or weights is ever made, which is what torch's own operations spend their time on.
-What is left is the wait for texels, which lie anywhere in memory: each loop first lists the texels of a block of slots,
-and then has the processor fetch them a few slots before they are needed.
+the result: no copy of texels is ever made, which is what torch's own operations spend their time on. What is left is
+the wait for texels, which lie anywhere in memory: each loop first lists the texels of a block of slots, and then has
+the processor fetch them a few slots before they are needed.
 """
 
 # Numba's extensions are untyped, and llvmlite has no stubs.

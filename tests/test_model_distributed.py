@@ -151,8 +151,8 @@ def test_two_processes_end_where_one_does(
             assert (found[key] - value).abs().max() < 20 * 2 * 0.001
             continue
         difference = (found[key] - value).double().abs()
-        # A texel that is hardly met has a gradient near rounding, too.
-        limit, largest = {"plain": (1e-5, 1e-5), "norm": (1e-4, 2e-2), "light-path": (1e-5, 1e-3)}[name]
+        # With batch norm a texel that is hardly met has a gradient near rounding, too.
+        limit, largest = (1e-4, 2e-2) if name == "norm" else (1e-5, 1e-5)
         assert difference.mean() <= limit * value.double().abs().mean(), key
         assert difference.max() <= largest * value.double().abs().max(), key
     lines = [(out / "metrics.jsonl").read_text().splitlines() for out in (one, both)]
