@@ -53,12 +53,12 @@ def _taps(uv, places, slot, place):
 
 
 @numba.njit
-def _list_hits(first, end, uv, object_id, places):
-    """The slots of a range that are not empty, with rows and weights of their four texels; how many there are."""
-    slots = np.empty(end - first, np.int32)
-    rows, weights = np.empty((end - first, 4), np.int32), np.empty((end - first, 4), np.float32)
+def _list_hits(block, uv, object_id, places):
+    """The slots of a block that are not empty, with rows and weights of their four texels; how many there are."""
+    slots = np.empty(BLOCK, np.int32)
+    rows, weights = np.empty((BLOCK, 4), np.int32), np.empty((BLOCK, 4), np.float32)
     count = 0
-    for slot in range(first, end):
+    for slot in range(block * BLOCK, min((block + 1) * BLOCK, len(object_id))):
         place = np.int32(object_id[slot]) - 1
         if place < 0:
             continue
@@ -90,6 +90,14 @@ def _fetch(typing_context: Any, table: Any, row: Any) -> Any:  # noqa: ARG001
     return types.void(table, row), generate
 
 
+@numba.njit
+def _fetch_ahead(table, rows, hit, count):
+    """Begins to fetch the four texels of the hit that is `AHEAD` further on in a block's list."""
+    if hit + AHEAD < count:
+        for tap in range(4):
+            _fetch(table, rows[hit + AHEAD, tap])
+
+
 @numba.njit(parallel=True, cache=True, boundscheck=False)
 def add_look_ups(
     result: Float32[np.ndarray, "slot c"],
@@ -106,12 +114,9 @@ def add_look_ups(
     """
     num_slots, channels = result.shape
     for block in numba.prange((num_slots + BLOCK - 1) // BLOCK):
-        end = min((block + 1) * BLOCK, num_slots)
-        slots, rows, weights, count = _list_hits(block * BLOCK, end, uv, object_id, places)
+        slots, rows, weights, count = _list_hits(block, uv, object_id, places)
         for hit in range(count):
-            if hit + AHEAD < count:
-                for tap in range(4):
-                    _fetch(table, rows[hit + AHEAD, tap])
+            _fetch_ahead(table, rows, hit, count)
             slot = slots[hit]
             r0, r1, r2, r3 = rows[hit, 0], rows[hit, 1], rows[hit, 2], rows[hit, 3]
             w0, w1, w2, w3 = (weights[hit, 0] * scale, weights[hit, 1] * scale,
@@ -140,8 +145,8 @@ def add_gradient(
     for part in numba.prange(parts):
         # The texels of its stripes in a block of slots.
         texels, shares = np.empty((4 * BLOCK, 2), np.int32), np.empty(4 * BLOCK, np.float32)
-        for first in range(0, num_slots, BLOCK):
-            slots, rows, weights, count = _list_hits(first, min(first + BLOCK, num_slots), uv, object_id, places)
+        for block in range((num_slots + BLOCK - 1) // BLOCK):
+            slots, rows, weights, count = _list_hits(block, uv, object_id, places)
             own = 0
             for hit in range(count):
                 for tap in range(4):
@@ -170,12 +175,9 @@ def add_uv_gradient(
     """Adds the gradient of `add_look_ups` with respect to uv: the slope of the bilinear patch; 0 beyond the border."""
     num_slots, channels = upstream.shape
     for block in numba.prange((num_slots + BLOCK - 1) // BLOCK):
-        end = min((block + 1) * BLOCK, num_slots)
-        slots, rows, weights, count = _list_hits(block * BLOCK, end, uv, object_id, places)
+        slots, rows, weights, count = _list_hits(block, uv, object_id, places)
         for hit in range(count):
-            if hit + AHEAD < count:
-                for tap in range(4):
-                    _fetch(table, rows[hit + AHEAD, tap])
+            _fetch_ahead(table, rows, hit, count)
             slot = slots[hit]
             size = places[1, np.int32(object_id[slot]) - 1]
             r0, r1, r2, r3 = rows[hit, 0], rows[hit, 1], rows[hit, 2], rows[hit, 3]
