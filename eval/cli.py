@@ -31,8 +31,8 @@ def report(
         format: What stdout gets: table, markdown, csv, latex or json.
         out: Folder for results.json and pictures; RUNS/report unless given.
         table: Print these tables alone, beside what the paper printed: table1 (extrinsics), table2 (DNR), square
-            (layers or network), zero-layer, headline, proxies (with a figure), ablation, claims. `model sweep` trains
-            the runs of each.
+            (layers or network), zero-layer, headline, proxies (with a figure), ablation (parts of light-path), variants
+            (of paper), claims. `model sweep` trains the runs of each.
         order: Layers, 1 to 8: adds a table of pixels that show objects in an order which no training pixel has among
             its first so many layers. 0 adds none.
     """

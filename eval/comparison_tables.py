@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from datagen.dataset import TEST_SPLITS
 from datagen.records import Json
-from eval.comparisons import ABLATED, LADDER, Comparison, Entry, Line, differences, find_entries
+from eval.comparisons import LADDER, Comparison, Entry, Line, differences, find_entries
 from eval.proxy_error import ProxyError, proxy_error
 from eval.published import PublishedRow
 from eval.score import SceneScores
@@ -111,7 +111,7 @@ def ablation_grid(line: Line, scene: SceneScores) -> Grid:
     else:
         rows.append((NOT_RUN, *[MISSING] * 9))
     return Grid(
-        title=f"{scene.title}: ablation of {line.title}",
+        title=f"{scene.title}: what each choice of {line.title} is worth",
         columns=(
             Column(group="changed", is_number=False),
             Column(group="run", is_number=False),
@@ -124,11 +124,6 @@ def ablation_grid(line: Line, scene: SceneScores) -> Grid:
         rows=tuple(rows),
         notes=(WRAPPED_NOTE, *_data_note(scene)),
     )
-
-
-def ablation_grids(scene: SceneScores) -> list[Grid]:
-    """A table for each method."""
-    return [ablation_grid(line, scene) for line in ABLATED]
 
 
 def _base_of(groups: Sequence[SeedGroup]) -> tuple[SeedGroup | None, list[SeedGroup]]:
@@ -175,6 +170,8 @@ def _published(row: PublishedRow | None) -> tuple[str, str]:
 
 
 def _text(value: Json) -> str:
+    if isinstance(value, dict):  # A record: what it holds, but for the digests of files.
+        return " ".join(_text(item) for key, item in value.items() if item and key not in ("type", "sha256"))
     return MISSING if value is None else str(value).lower() if isinstance(value, bool) else str(value)
 
 

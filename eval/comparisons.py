@@ -60,8 +60,12 @@ PAPER: dict[str, Json] = {
     "num_layers": None,
     "train_samples": 1,
     "render_samples": 1,
+    "online": False,
+    "precision": "fp32",
+    "vgg": None,
+    "adversarial": 0.0,
 }
-"""The paper's renderer as its text has it, but for the extrinsics."""
+"""The paper's renderer with the defaults of `model train`, but for the extrinsics."""
 
 VIEW: dict[str, Json] = {**PAPER, "extrinsics": "view"}
 
@@ -151,11 +155,11 @@ LADDER = Comparison(
     varied=PROXY_KEYS,
 )
 
-ABLATED = (
-    Line(title="light-path", method="light-path", geometry=None),
-    Line(title="paper", method="paper", geometry=None),
-)
-"""Methods whose runs the ablation compares."""
+ABLATIONS: dict[str, Line] = {
+    "ablation": Line(title="light-path", method="light-path", geometry=None),
+    "variants": Line(title="paper", method="paper", geometry=None),
+}
+"""Tables of what each choice of a method is worth, and the runs that they set beside each other."""
 
 FOLLOWING = ("width", "batch")
 """Keys that follow from others: a difference in them alone counts, one beside another does not."""

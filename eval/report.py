@@ -9,8 +9,8 @@ from datagen.dataset import TEST_SPLITS, Dataset, Split
 from datagen.errors import HyalineError
 from datagen.storage import commit
 from eval.claims import CLAIMS, claims_grid
-from eval.comparison_tables import ablation_grids, comparison_grid, find_ladder, ladder_grid
-from eval.comparisons import ABLATED, COMPARISONS, LADDER, Line
+from eval.comparison_tables import ablation_grid, comparison_grid, find_ladder, ladder_grid
+from eval.comparisons import ABLATIONS, COMPARISONS, LADDER, Line
 from eval.edits import object_psnr, score_edits
 from eval.figures import write_figures
 from eval.further import Further, analyse
@@ -59,7 +59,7 @@ def make_report(runs_root: Path, data_root: Path, out: Path, *, output_format: s
         raise errors[-1]
 
 
-TABLES = (*COMPARISONS, "proxies", "ablation", "claims")
+TABLES = (*COMPARISONS, "proxies", *ABLATIONS, "claims")
 """What `make_tables` prints."""
 
 
@@ -79,7 +79,7 @@ def make_tables(runs_root: Path, data_root: Path, out: Path, *, tables: Sequence
     if not scenes:
         errors.append(HyalineError(
             f"{runs_root}: no run there that stands in {', '.join(tables)}; "
-            f"make them with `model sweep {tables[0] if tables[0] != 'claims' else 'table1'}`"
+            f"make them with `model sweep {tables[0]}`"
         ))  # fmt: skip
     for table in tables:
         for grid in _grids_of(table, scenes, errors):
@@ -102,14 +102,14 @@ def _lines_of(table: str) -> tuple[Line, ...]:
         return COMPARISONS[table].lines
     if table == "claims":
         return tuple(line for claim in CLAIMS for pair in claim.pairs for line in pair.lines)
-    return LADDER.lines if table == "proxies" else ABLATED
+    return LADDER.lines if table == "proxies" else (ABLATIONS[table],)
 
 
 def _grids_of(table: str, scenes: list[SceneScores], errors: list[HyalineError]) -> list[Grid]:
     if table == "claims":
         return [claims_grid(scenes, {scene.title: object_psnr(score_edits(scene, errors)) for scene in scenes})]
-    if table == "ablation":
-        return [grid for scene in scenes for grid in ablation_grids(scene)]
+    if table in ABLATIONS:
+        return [ablation_grid(ABLATIONS[table], scene) for scene in scenes]
     if table == "proxies":
         return [ladder_grid(scene) for scene in scenes]
     return [comparison_grid(COMPARISONS[table], scene) for scene in scenes]

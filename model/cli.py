@@ -227,8 +227,8 @@ def sweep(
     """Train all runs of an experiment file, one process a GPU (one on a CPU); what is finished is skipped.
 
     Args:
-        experiment: A TOML file (format: model/experiment.py), or one of table1, table2, square, proxies, ablation,
-            zero-layer and headline.
+        experiment: A TOML file (format: model/experiment.py), or one of table1, table2, square, zero-layer, claims,
+            headline, proxies, ablation, variants and budget.
         dataset: Datasets to train on, instead of the file's.
         seed: Seeds to train with, instead of the file's.
         dry_run: Print the command of each run, and do nothing.

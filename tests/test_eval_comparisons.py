@@ -19,7 +19,9 @@ from eval import claims, comparisons
 from eval.report import TABLES, make_report, make_tables
 from eval.seeds import spread
 from model.light_path_net import LightPathConfig, default_light_path
+from model.losses import LossConfig
 from model.paper import PaperConfig
+from model.perceptual import VggSource
 from model.run_folder import TrainConfig
 
 PAPER = TrainConfig(method="paper", geometry="truth", net=PaperConfig(width=80, texture_size=64))
@@ -208,6 +210,21 @@ def test_the_ablation_starts_from_the_run_with_most_neighbours_and_names_what_ch
     assert rows["rays"][0] == "train_samples: 4 → 1" and rows["rays"][-1] == f"{decibels(10) - decibels(5):+.2f}"
 
 
+def test_the_variants_of_paper_stand_apart_from_its_other_tables(
+    dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_run(dataset, tmp_path, "paper", paper(), 10, 11)
+    write_run(dataset, tmp_path, "paper-bf16", paper(precision="bf16"), 10, 12)
+    losses = LossConfig(vgg=VggSource(), adversarial=0.01)
+    write_run(dataset, tmp_path, "paper-losses", dataclasses.replace(paper(), loss=losses), 10, 13)
+    tables(dataset, tmp_path, "variants", "table2")
+    variants, table2 = capsys.readouterr().out.split("synthetic: Table 2")
+    rows = {row[1]: row for row in rows_of(variants)}
+    assert rows["paper-bf16"][0] == "precision: fp32 → bf16" and rows["paper"][0] == "the base"
+    assert rows["paper-losses"][0] == "vgg: – → vgg16 random; adversarial: 0.0 → 0.01"  # noqa: RUF001
+    assert "paper-losses" not in table2 and "paper-bf16" not in table2
+
+
 # The claims
 
 
@@ -292,7 +309,8 @@ def test_every_table_is_printed_in_every_format(
 
 def test_the_choices_that_tables_look_for_are_the_defaults_of_the_methods() -> None:
     paper_net, light_net = (dataclasses.asdict(config.net) for config in (PAPER, LIGHT))
-    assert comparisons.VIEW == {key: paper_net[key] for key in comparisons.VIEW}
+    paper_choices = paper_net | dataclasses.asdict(PAPER.loss)
+    assert comparisons.VIEW == {key: paper_choices[key] for key in comparisons.VIEW}
     assert comparisons.LIGHT_PATH == {key: light_net[key] for key in comparisons.LIGHT_PATH}
     proxy_net = dataclasses.asdict(default_light_path((64, 64), is_proxy=True))
     on_proxies = comparisons.LIGHT_PATH_ON_PROXIES

@@ -93,7 +93,7 @@ def test_what_no_command_could_be_is_named(tmp_path: Path, text: str, message: s
 def test_a_file_that_is_missing_names_those_that_are_there(tmp_path: Path) -> None:
     with pytest.raises(HyalineError, match="'tabel1': there is none of that name; did you mean 'table1'"):
         read_experiment("tabel1")
-    with pytest.raises(HyalineError, match="the file is missing; known without a file are ablation, headline"):
+    with pytest.raises(HyalineError, match="the file is missing; known without a file are ablation, budget"):
         read_experiment(str(tmp_path / "mine.toml"))
 
 
