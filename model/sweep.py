@@ -1,4 +1,4 @@
-"""Owns sweeps: trains the runs of an experiment one after the other, each in a process of its own, one a device.
+"""Owns sweeps: trains the runs of an experiment, each in a process of its own, one a device or a few side by side.
 
 Nothing is kept about a sweep: a run's own folder says what is finished. So a sweep that was stopped or killed goes on
 when it is started again, and ends in the same bytes as one that was not.
@@ -9,12 +9,13 @@ import queue
 import shlex
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 from datagen.command import say
 from datagen.errors import HyalineError
+from datagen.variant import num_cores
 from model.experiment import Experiment
 
 CHILD = "from datagen.workers import die_with; die_with({parent}); from model.cli import main; main()"
@@ -39,7 +40,8 @@ def run_experiment(experiment: Experiment, *, devices: Sequence[str | None]) -> 
     """Trains every run that is not finished, and goes on past those that fail.
 
     Args:
-        devices: one process runs on each at a time; None stands for the CPU.
+        devices: one process runs on each at a time, so a device that is named twice runs two; None stands for the CPU,
+            whose processes share its cores out evenly.
 
     Returns:
         The runs that failed, in the experiment's order.
@@ -49,11 +51,13 @@ def run_experiment(experiment: Experiment, *, devices: Sequence[str | None]) -> 
         free.put(device)
     living: set[subprocess.Popen[str]] = set()
     total = len(experiment.runs)
+    threads = share_of_cores(devices.count(None))
 
     def one_run(place: int) -> Failure | None:
         device = free.get()
+        environment = threads if device is None else {"CUDA_VISIBLE_DEVICES": device}
         try:
-            return _train_in_child(experiment.runs[place], f"[{place + 1}/{total}]", device, living)
+            return _train_in_child(experiment.runs[place], f"[{place + 1}/{total}]", environment, living)
         finally:
             free.put(device)
 
@@ -69,15 +73,29 @@ def run_experiment(experiment: Experiment, *, devices: Sequence[str | None]) -> 
     return tuple(failure for failure in results if failure is not None)
 
 
-def find_devices() -> tuple[str | None, ...]:
-    """A name for each CUDA device, as CUDA_VISIBLE_DEVICES takes it; (None,) where there is only the CPU."""
+def find_devices(jobs: int) -> tuple[str | None, ...]:
+    """A name for each CUDA device, as CUDA_VISIBLE_DEVICES takes it, or None for the CPU; each as often as jobs.
+
+    Raises:
+        HyalineError: there are no jobs.
+    """
     import torch
 
+    if jobs < 1:
+        raise HyalineError(f"jobs: is {jobs}; expected at least 1")
     count = torch.cuda.device_count()
     if count == 0:
-        return (None,)
+        return (None,) * jobs
     visible = os.environ.get("CUDA_VISIBLE_DEVICES")
-    return tuple(visible.split(",")[:count] if visible else map(str, range(count)))
+    return tuple(visible.split(",")[:count] if visible else map(str, range(count))) * jobs
+
+
+def share_of_cores(jobs: int) -> dict[str, str]:
+    """What tells each of several processes on the CPU how many threads it has; nothing for a single one."""
+    if jobs < 2:
+        return {}
+    threads = str(max(1, num_cores() // jobs))
+    return {"OMP_NUM_THREADS": threads, "NUMBA_NUM_THREADS": threads}
 
 
 def raise_failures(experiment: Experiment, failures: Sequence[Failure]) -> None:
@@ -98,14 +116,15 @@ def raise_failures(experiment: Experiment, failures: Sequence[Failure]) -> None:
 
 
 def _train_in_child(
-    arguments: Sequence[str], place: str, device: str | None, living: set[subprocess.Popen[str]]
+    arguments: Sequence[str], place: str, environment: Mapping[str, str], living: set[subprocess.Popen[str]]
 ) -> Failure | None:
     """Runs `model train` to its end, its words passed on behind `place`."""
     command = command_line(arguments)
+    device = environment.get("CUDA_VISIBLE_DEVICES")
     say(f"{place} {command}" + ("" if device is None else f" (CUDA device {device})"))
     child = subprocess.Popen(
         [sys.executable, "-c", CHILD.format(parent=os.getpid()), "train", *arguments, "--resume"],
-        env=os.environ if device is None else os.environ | {"CUDA_VISIBLE_DEVICES": device},
+        env=os.environ | environment,
         stderr=subprocess.PIPE,
         text=True,
         errors="replace",

@@ -178,12 +178,15 @@ def test_each_device_runs_one_process_at_a_time_and_none_is_idle(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     experiment = read_experiment(write(tmp_path, f'[[runs]]\nmethod = "paper"\nseed = {list(range(12))}'))
-    busy: Counter[str | None] = Counter()
-    used: Counter[str | None] = Counter()
+    busy: Counter[str] = Counter()
+    used: Counter[str] = Counter()
     most = [0]
     lock = threading.Lock()
 
-    def train(arguments: tuple[str, ...], place: str, device: str | None, living: object) -> sweep.Failure | None:
+    def train(
+        arguments: tuple[str, ...], place: str, environment: dict[str, str], living: object
+    ) -> sweep.Failure | None:
+        (device,) = environment.values()
         with lock:
             busy[device] += 1
             used[device] += 1
@@ -200,15 +203,41 @@ def test_each_device_runs_one_process_at_a_time_and_none_is_idle(
     assert set(used) == {"0", "GPU-b", "2"} and used.total() == 12 and most[0] == 3
 
 
+def test_jobs_on_the_cpu_run_side_by_side_and_share_its_cores(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    experiment = read_experiment(write(tmp_path, f'[[runs]]\nmethod = "paper"\nseed = {list(range(4))}'))
+    monkeypatch.setattr(sweep, "num_cores", lambda: 5)
+    met = threading.Barrier(2, timeout=20)
+    environments: list[dict[str, str]] = []
+
+    def train(_: object, place: str, environment: dict[str, str], living: object) -> None:
+        environments.append(environment)
+        met.wait()  # Breaks, and with it the sweep, unless two are there at once.
+
+    monkeypatch.setattr(sweep, "_train_in_child", train)
+    assert sweep.run_experiment(experiment, devices=sweep.find_devices(2)) == ()
+    assert environments == [{"OMP_NUM_THREADS": "2", "NUMBA_NUM_THREADS": "2"}] * 4
+    # More jobs than cores leave each a thread; a single one keeps what its user has set.
+    assert set(sweep.share_of_cores(6).values()) == {"1"} and sweep.share_of_cores(1) == {}
+    with pytest.raises(HyalineError, match="jobs: is 0; expected at least 1"):
+        sweep.find_devices(0)
+
+
 @pytest.mark.parametrize(
-    ("visible", "count", "devices"),
-    [(None, 0, (None,)), (None, 2, ("0", "1")), ("3,GPU-abc", 2, ("3", "GPU-abc")), ("", 0, (None,))],
+    ("visible", "count", "jobs", "devices"),
+    [
+        (None, 0, 1, (None,)),
+        (None, 0, 2, (None, None)),
+        (None, 2, 1, ("0", "1")),
+        (None, 2, 2, ("0", "1", "0", "1")),
+        ("3,GPU-abc", 2, 1, ("3", "GPU-abc")),
+        ("", 0, 1, (None,)),
+    ],
 )
 def test_devices_are_those_that_may_be_seen(
-    monkeypatch: pytest.MonkeyPatch, visible: str | None, count: int, devices: tuple[str | None, ...]
+    monkeypatch: pytest.MonkeyPatch, visible: str | None, count: int, jobs: int, devices: tuple[str | None, ...]
 ) -> None:
     monkeypatch.setattr(torch.cuda, "device_count", lambda: count)
     monkeypatch.delenv("CUDA_VISIBLE_DEVICES", raising=False)
     if visible is not None:
         monkeypatch.setenv("CUDA_VISIBLE_DEVICES", visible)
-    assert sweep.find_devices() == devices
+    assert sweep.find_devices(jobs) == devices
