@@ -17,6 +17,12 @@ from model.pixel_mlp import FoldedMlp, Norm, PixelMlp, Precision, check_width, w
 from model.samples import check_samples, linear_curve, srgb_curve
 from model.texture import NeuralTextures, TexturePyramid, TextureSharing, make_layout
 
+START_ALONE = 0.5
+"""Where textures start when they are all that the network sees (the authors' code starts so, always). From zeros its
+first batch norm would divide by the spread of next to nothing, blow the first steps' signs up, and leave walls in
+blotches: measured on the glass table at 128 pixels after 1,200 steps, 23.4 dB on held-out views; 26.3 from noise of
+0.1, 27.4 from one half."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class PaperConfig:
@@ -158,10 +164,11 @@ class PaperRenderer(nn.Module):
         self.zero_layer = config.zero_layer
         sizes = [config.texture_size >> level for level in range(config.texture_levels)]
         layouts = [make_layout(num_objects, size, config.textures) for size in sizes]
+        start = START_ALONE if config.extrinsics == "none" else 0.0
         self.textures = (
-            NeuralTextures(layouts[0], config.texture_features)
+            NeuralTextures(layouts[0], config.texture_features, start=start)
             if len(layouts) == 1
-            else TexturePyramid(layouts, config.texture_features)
+            else TexturePyramid(layouts, config.texture_features, start=start)
         )
         self.extrinsics = (
             None

@@ -1,5 +1,6 @@
 """Owns the tests of the renderer network and its extrinsic inputs."""
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -118,13 +119,26 @@ def test_the_zero_layer_comes_last_at_test_and_anywhere_in_training(tmp_path: Pa
     rays = load_pixels(dataset, "truth", "train", [0]).take(torch.arange(1024), None)
     config = PaperConfig(width=16, extrinsics="none", texture_size=16, zero_layer=True)
     renderer = PaperRenderer(config, num_layers=3, num_objects=2, positions=None).eval()
-    torch.nn.init.normal_(renderer.textures.table)  # Fresh textures are zeros.
+    torch.nn.init.normal_(renderer.textures.table)  # Fresh ones are the same everywhere.
     assert renderer.net.first.linear.in_features == 4 * 16
     stack = torch.cat([renderer.textures(rays.uv, rays.object_id).flatten(1), torch.zeros(1024, 16)], dim=1)
     torch.testing.assert_close(renderer(rays), renderer.net(stack))
     moved = renderer(rays, rng=np.random.default_rng(0))
     assert not torch.allclose(moved, renderer(rays))
     assert torch.equal(moved, renderer(rays, rng=np.random.default_rng(0)))
+
+
+@pytest.mark.parametrize("levels", [1, 3])
+def test_textures_start_at_zero_but_at_one_half_where_the_network_sees_nothing_else(
+    tmp_path: Path, levels: int
+) -> None:
+    dataset = write_synthetic_dataset(tmp_path / "data", num_layers=2)
+    rays = load_pixels(dataset, "truth", "train", [0]).take(torch.arange(1024), None)
+    hit = rays.object_id != 0
+    alone = PaperConfig(width=16, extrinsics="none", texture_size=16, texture_levels=levels, position_size=8)
+    for config, start in ((alone, 0.5), (dataclasses.replace(alone, extrinsics="view"), 0.0)):
+        features = build_paper(config, dataset, "truth", 2).textures(rays.uv, rays.object_id)
+        torch.testing.assert_close(features, start * hit[..., None].float().expand_as(features))
 
 
 @pytest.mark.parametrize("textures", ["object", "scene"])
