@@ -1,6 +1,8 @@
 """Owns the extrapolation curve: a run's error against what training saw of each pixel, and its slope."""
 
+import dataclasses
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,8 +12,9 @@ from datagen.dataset import Split
 from eval.coverage import PixelCoverage
 from eval.metrics import decibels
 from eval.runs import Run, read_prediction
-from eval.score import Truth
-from eval.tables import MISSING, Column, Grid, format_number
+from eval.score import RunScores, Truth
+from eval.seeds import by_group
+from eval.tables import MEANS_NOTE, MISSING, Column, Grid, format_number
 
 ANGLE_EDGES = (0, 2, 4, 6, 8, 10, 15, 20, 25, 30, 40, 50, 60, 90, 180)
 """Degrees; finer where most pixels are."""
@@ -27,6 +30,7 @@ CURVE_NOTES = (
     "visible layers the farthest; the line through the PSNR of bins of angle, weighted by their pixels. PSNR of pooled "
     "pixels of all test splits that the run predicted; unseen: a texel that no training ray met. Texels are up to 32 "
     "x 32 cells of an object's atlas, training rays are those through pixel centres (eval/coverage.py).",
+    MEANS_NOTE.replace("means", "means of squared errors"),
 )
 
 
@@ -70,6 +74,15 @@ def make_curve(run: Run, truths: dict[Split, Truth], coverage: dict[Split, tuple
             angles.append(pixels.angle_deg)
             views.append(pixels.views)
     return curve_of(np.concatenate(angles), np.concatenate(views), np.concatenate(errors))
+
+
+def pool_seeds(runs: Sequence[RunScores], curves: Mapping[str, Curve]) -> dict[str, Curve]:
+    """Curves by the run's name, with one for all runs that differ in their seed alone and predicted the same pixels."""
+    pooled: dict[str, Curve] = {}
+    for name, found in by_group(runs, {run: (run, curve) for run, curve in curves.items()}).items():
+        pixels = {tuple((part.low, part.pixels) for part in curve.by_angle) for _, curve in found}
+        pooled |= {name: _pooled_curve([curve for _, curve in found])} if len(pixels) == 1 else dict(found)
+    return pooled
 
 
 def curve_of(angle_deg: Float[np.ndarray, " pixel"], views: Int[np.ndarray, " pixel"],
@@ -152,6 +165,25 @@ def _bins(values: Float[np.ndarray, " pixel"], squared_error: Float[np.ndarray, 
             mse=float(error_sum[index] / pixels[index]),
         )
         for index in np.flatnonzero(pixels)
+    )
+
+
+def _pooled_curve(curves: Sequence[Curve]) -> Curve:
+    """Of runs that predicted the same pixels: mean squared errors are averaged, bin by bin."""
+    by_angle = _pooled([curve.by_angle for curve in curves])
+    unseen = [(curve.unseen,) for curve in curves if curve.unseen is not None]
+    return Curve(
+        by_angle=by_angle,
+        by_views=_pooled([curve.by_views for curve in curves]),
+        unseen=_pooled(unseen)[0] if unseen else None,
+        db_per_10deg=slope_db_per_10deg(by_angle),
+    )
+
+
+def _pooled(curves: Sequence[tuple[Bin, ...]]) -> tuple[Bin, ...]:
+    return tuple(
+        dataclasses.replace(parts[0], mse=math.fsum(part.mse for part in parts) / len(parts))
+        for parts in zip(*curves, strict=True)
     )
 
 

@@ -12,7 +12,7 @@ from datagen.records import Json, to_json
 from eval.angle_scores import angle_grid, angles_json, read_angle_truths, score_angles
 from eval.budget import budget_grid, find_budgets
 from eval.coverage import PixelCoverage, cover_view, read_coverage
-from eval.curve import Curve, curve_grid, make_curve
+from eval.curve import Curve, curve_grid, make_curve, pool_seeds
 from eval.edit_tables import edit_grids, edit_json, order_grid, order_json
 from eval.edits import score_edits
 from eval.order import score_order
@@ -55,9 +55,10 @@ def analyse(scene: SceneScores, truths: dict[Split, Truth], errors: list[Hyaline
         grids.append(angle_grid(scene, angle_truths, by_angle))
         data["angle_splits"] = angles_json(angle_truths, by_angle)
     if curves := _curves(scene, truths | angle_truths, by_angle):
-        grids.append(curve_grid(scene.title, curves))
+        pooled = pool_seeds(scene.runs, curves)
+        grids.append(curve_grid(scene.title, pooled))
         data["curves"] = to_json(curves)
-        figures[f"curve_{name}"] = lambda: curve_figure(scene.title, curves)
+        figures[f"curve_{name}"] = lambda: curve_figure(scene.title, pooled)
     if budgets := find_budgets(scene):
         grids.append(budget_grid(scene.title, budgets))
         data["layer_budgets"] = to_json(budgets)
@@ -66,12 +67,12 @@ def analyse(scene: SceneScores, truths: dict[Split, Truth], errors: list[Hyaline
         grids.append(super_resolution_grid(scene, scaled))
         data["super_resolution"] = super_resolution_json(scaled)
     if edits := score_edits(scene, errors):
-        grids += edit_grids(scene.title, edits)
+        grids += edit_grids(scene.title, edits, scene.runs)
         data["edits"] = [edit_json(edit) for edit in edits]
         figures |= {f"edit_{name}_{edit.edited.name}": partial(edit_sheet, scene, edit) for edit in edits}
     if order_layers:
         order = score_order(scene, edits, order_layers)
-        grids.append(order_grid(scene.title, order))
+        grids.append(order_grid(scene.title, order, scene.runs))
         data["order"] = order_json(order)
     return Further(title=scene.title, grids=tuple(grids), data=data, figures=figures)
 

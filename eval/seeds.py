@@ -3,13 +3,16 @@
 import math
 import re
 import statistics
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 from datagen.dataset import Split
 from datagen.storage import dump_json, sha256
 from eval.runs import Run
 from eval.score import RunScores
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,3 +88,16 @@ def describe_run(run: Run) -> str | None:
     config = {key: value for key, value in run.config.items() if key != "seed"}
     about = [run.dataset.seal, run.layers_seal, run.method, run.geometry, config]
     return sha256(dump_json(about))
+
+
+def by_group(runs: Sequence[RunScores], found: Mapping[str, T]) -> dict[str, list[T]]:
+    """What was found of each run, by its name, together for runs that differ in their seed alone; in the runs' order.
+
+    The name is the group's, but the run's own where nothing was found of the others.
+    """
+    together: dict[str, list[T]] = {}
+    for group in group_seeds(runs):
+        names = [scores.run.name for scores in group.runs if scores.run.name in found]
+        if names:
+            together[group.name if len(names) > 1 else names[0]] = [found[name] for name in names]
+    return together

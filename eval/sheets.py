@@ -20,6 +20,7 @@ from eval.edits import EditScores
 from eval.metrics import psnr
 from eval.runs import has_split, read_prediction
 from eval.score import RunScores, SceneScores
+from eval.seeds import by_group, group_seeds
 
 DPI = 100
 PANEL = 300
@@ -71,25 +72,30 @@ def contact_sheet(scene: SceneScores, scores: RunScores) -> bytes:
 
 
 def comparison_sheet(scene: SceneScores) -> bytes:
-    """The PNG of the same views as truth and every run's prediction; each row's best PSNR is bold."""
+    """The PNG of the same views as truth and every run's prediction (of runs that differ in their seed alone, the first
+    one's); each row's best PSNR is bold."""
+    runs = [group.runs[0] for group in group_seeds(scene.runs)]
     rows = []
     for split, view in shown_views(scene):
-        values = [None if s is None else s.images["psnr_db"][view] for s in (run.splits[split] for run in scene.runs)]
+        values = [None if s is None else s.images["psnr_db"][view] for s in (run.splits[split] for run in runs)]
         best = max((value for value in values if value is not None), default=None)
         panels = [Panel(image=read_image(scene.dataset, split, view), caption=f"view {view_name(view)}")]
-        for scores, value in zip(scene.runs, values, strict=True):
+        for scores, value in zip(runs, values, strict=True):
             if value is None:
                 panels.append(Panel(image=None))
             else:
                 pred = read_prediction(scores.run, split, view)
                 panels.append(Panel(image=pred, caption=_decibels(value), is_best=value == best))
         rows.append(Row(split=split, panels=tuple(panels)))
-    heads = ("truth", *(scores.run.name for scores in scene.runs))
+    heads = ("truth", *(scores.run.name for scores in runs))
     return _draw(f"{scene.title}: all runs", heads, rows, size=scene.dataset.config.resolution)
 
 
 def edit_sheet(scene: SceneScores, edit: EditScores) -> bytes:
-    """The PNG of an edit: the truth before and after it, and what each run drew, in the views that show most of it."""
+    """The PNG of an edit: the truth before and after it, and what each run drew (of runs that differ in their seed
+    alone, the first one), in the views that show most of it."""
+    drawn = by_group(scene.runs, {run.name: run for run in edit.runs})
+    runs = [members[0] for members in drawn.values()]
     rows = []
     for split in TEST_SPLITS:
         views = range(edit.edited.config.split(split).views)
@@ -97,11 +103,11 @@ def edit_sheet(scene: SceneScores, edit: EditScores) -> bytes:
         for view in sorted(sorted(views, key=lambda view: -shares[view])[:EDIT_VIEWS]):
             truths = [read_image(dataset, split, view) for dataset in (scene.dataset, edit.edited)]
             panels = [Panel(image=image, caption=f"view {view_name(view)}") for image in truths]
-            for run in edit.runs:
+            for run in runs:
                 pred = read_prediction(run, split, view) if has_split(run, split) else None
                 panels.append(Panel(image=pred, caption="" if pred is None else _decibels(psnr(pred, truths[1]))))
             rows.append(Row(split=split, panels=tuple(panels)))
-    heads = ("truth before", "truth after", *(run.name for run in edit.runs))
+    heads = ("truth before", "truth after", *(run.name for run in runs))
     title = f"{scene.title}: {edit.edited.name}"
     return _draw(title, heads, rows, size=scene.dataset.config.resolution)
 

@@ -19,6 +19,8 @@ SHORT_SPLITS: dict[Split, str] = {"train": "train", "interpolating": "inter", "e
                                   "extrapolating-40deg": "40°"}  # fmt: skip
 TABLE_WIDTH = 120
 
+MEANS_NOTE = "Of runs that differ in their seed alone: means over the seeds."
+
 
 @dataclass(frozen=True, kw_only=True)
 class Column:

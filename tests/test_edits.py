@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -15,7 +16,17 @@ from test_meshes import mesh_of
 
 from datagen.build import build_dataset
 from datagen.build_edit import build_edit
-from datagen.dataset import TEST_SPLITS, Dataset, DatasetConfig, Split, SplitConfig, open_dataset, read_image, read_png
+from datagen.dataset import (
+    TEST_SPLITS,
+    Dataset,
+    DatasetConfig,
+    Split,
+    SplitConfig,
+    open_dataset,
+    png_bytes,
+    read_image,
+    read_png,
+)
 from datagen.edited import open_edit
 from datagen.edits import parse_edit
 from datagen.footprints import ELSEWHERE, LIGHT, OBJECT, read_footprint
@@ -199,3 +210,39 @@ def test_the_report_scores_edits_by_region_and_pixels_by_order(
                 new += [tuple(column) not in known for column in columns]
             assert by_order[scene_name, "ours"]["new_share"][split] == pytest.approx(np.mean(new))
     assert max(by_order[doubled.name, "ours"]["new_share"].values()) > 0
+
+
+def test_seeds_share_a_row_in_the_tables_of_edits_and_orders_and_the_first_stands_on_the_sheet(
+    made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The second seed of `paper` draws everything black."""
+    shutil.copytree(made / "runs", tmp_path / "runs")
+    black = tmp_path / "runs" / "edit" / "paper-seed1"
+    shutil.copytree(black.with_name("paper"), black)
+    record = json.loads((black / "run.json").read_text())
+    record["seed"] = record["config"]["seed"] = 1
+    (black / "run.json").write_text(json.dumps(record))
+    for path in black.rglob("*.png"):
+        path.write_bytes(png_bytes(np.zeros_like(read_png(path))))
+    for path in black.rglob("predictions.json"):
+        path.unlink()
+    heads = []
+    monkeypatch.setattr("eval.sheets._draw", lambda title, found, rows, size: heads.append((title, found)) or b"")
+    make_report(tmp_path / "runs", made / "data", tmp_path / "out", output_format="markdown", order_layers=3)
+
+    results = json.loads((tmp_path / "out" / "results.json").read_text())["scenes"][0]["analyses"]
+    (removed,) = (edit for edit in results["edits"] if edit["edits"] == ["remove:ball"])
+    of_run = {row["run"]: row["psnr_db"]["object"][SPLIT] for row in removed["rows"] if row["scene"] == "edited"}
+    text = capsys.readouterr().out
+    table = text.split("### edit, after remove:ball")[1].split("###")[0]
+    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in table.splitlines() if line.startswith("| ")]
+    column = 3 + TEST_SPLITS.index(SPLIT)
+    (row,) = (row for row in rows if row[:3] == ["paper", "2", "edited"])
+    assert row[column] == f"{(of_run['paper'] + of_run['paper-seed1']) / 2:.2f}"
+    assert of_run["paper"] > of_run["paper-seed1"] + 5
+    assert [row[1] for row in rows if row[0] == "ours"] == ["1", "1"] and "paper-seed1" not in table
+    orders = text.split("### edit: PSNR by order")[1]
+    assert "| as trained | paper | 2 |" in orders and "paper-seed1" not in orders.split("###")[0]
+    sheets = dict(heads)
+    assert sheets["edit: remove-ball"] == ("truth before", "truth after", "ours", "paper")
+    assert sheets["edit: all runs"] == ("truth", "ours", "paper")

@@ -13,7 +13,7 @@ from datagen.dataset import TEST_SPLITS, Dataset, png_bytes, read_cameras, read_
 from datagen.geometry import TRUTH
 from datagen.layers import Layers, read_layers
 from eval.coverage import cover_view, read_coverage, visible_layers
-from eval.curve import ANGLE_EDGES, Bin, curve_of, slope_db_per_10deg
+from eval.curve import ANGLE_EDGES, Bin, curve_of, pool_seeds, slope_db_per_10deg
 from eval.report import make_report
 
 
@@ -100,6 +100,29 @@ def test_pixels_that_training_never_saw_are_kept_apart() -> None:
 
 def test_one_full_bin_has_no_slope() -> None:
     assert slope_db_per_10deg((Bin(low=0, high=2, mean=1, pixels=1000, mse=4),)) is None
+
+
+def test_seeds_of_the_same_pixels_share_a_curve_of_mean_errors(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(0)
+    angle, views = np.append(rng.uniform(0, 40, 4000), math.inf), np.full(4001, 5)
+    errors = [rng.exponential(scale, 4001) for scale in (4, 9)]
+    curves = {f"seed{seed}": curve_of(angle, views, error) for seed, error in enumerate(errors)}
+    curves["other"] = curve_of(angle[:3000], views[:3000], errors[0][:3000])
+    # Here the runs say themselves which belong together.
+    monkeypatch.setattr(
+        "eval.curve.by_group", lambda runs, found: {name: [found[run] for run in runs[name]] for name in runs}
+    )
+    pooled = pool_seeds({"both": ("seed0", "seed1")}, curves)  # pyright: ignore[reportArgumentType]
+    expected = curve_of(angle, views, np.mean(errors, axis=0))
+    assert list(pooled) == ["both"]
+    for found, wanted in zip(pooled["both"].by_angle, expected.by_angle, strict=True):
+        assert found.mse == pytest.approx(wanted.mse) and (found.pixels, found.mean) == (wanted.pixels, wanted.mean)
+    assert pooled["both"].db_per_10deg == pytest.approx(expected.db_per_10deg)
+    assert pooled["both"].unseen is not None and expected.unseen is not None
+    assert pooled["both"].unseen.mse == pytest.approx(expected.unseen.mse)
+    # Runs that predicted other pixels cannot be averaged bin by bin.
+    apart = pool_seeds({"all": ("seed0", "other")}, curves)  # pyright: ignore[reportArgumentType]
+    assert apart == {"seed0": curves["seed0"], "other": curves["other"]}
 
 
 def test_the_report_has_a_curve_for_each_run(
