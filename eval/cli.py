@@ -30,9 +30,9 @@ def report(
         data: Folder with the datasets, DATA/SCENE, for runs that do not say where theirs is.
         format: What stdout gets: table, markdown, csv, latex or json.
         out: Folder for results.json and pictures; RUNS/report unless given.
-        table: Print these tables alone, beside what the paper printed: table1 (extrinsics), table2 (DNR), square
-            (layers or network), zero-layer, headline, proxies (with a figure), ablation (parts of light-path), variants
-            (of paper), claims. `model sweep` trains the runs of each.
+        table: Print these tables alone, beside what the paper printed, and draw what their runs drew: table1
+            (extrinsics), table2 (DNR), square (layers or network), zero-layer, headline, proxies (with a figure),
+            ablation (parts of light-path), variants (of paper), claims. `model sweep` trains the runs of each.
         order: Layers, 1 to 8: adds a table of pixels that show objects in an order which no training pixel has among
             its first so many layers. 0 adds none.
     """

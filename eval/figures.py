@@ -41,7 +41,7 @@ def write_figures(scenes: list[SceneScores], further: list[Further], out: Path) 
         for scores in scene.runs:
             keep(f"{name}_{scores.run.name}", contact_sheet(scene, scores))
         if len(scene.runs) > 1:
-            keep(f"comparison_{name}", comparison_sheet(scene))
+            keep(f"comparison_{name}", comparison_sheet(scene, "all runs"))
         keep(f"cameras_{name}", cameras_figure(scene.dataset, scene.title))
     for analyses in further:
         for name, draw in analyses.figures.items():

@@ -1,5 +1,6 @@
 """Owns the report: finds the runs, scores them, prints tables, writes results.json and pictures."""
 
+import dataclasses
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,7 +11,7 @@ from datagen.errors import HyalineError
 from datagen.storage import commit
 from eval.claims import CLAIMS, claims_grid
 from eval.comparison_tables import ablation_grid, comparison_grid, find_ladder, ladder_grid
-from eval.comparisons import ABLATIONS, COMPARISONS, LADDER, Line
+from eval.comparisons import ABLATIONS, COMPARISONS, LADDER, Line, find_entries
 from eval.edits import object_psnr, score_edits
 from eval.figures import write_figures
 from eval.further import Further, analyse
@@ -19,6 +20,8 @@ from eval.proxy_error import ladder_figure
 from eval.results import results_csv, results_json
 from eval.runs import Run, has_predictions, list_run_folders, open_run
 from eval.score import RunScores, SceneScores, Truth, has_glass_mask, read_truth, score_run
+from eval.seeds import group_seeds
+from eval.sheets import comparison_sheet
 from eval.tables import TABLE_WIDTH, Grid, grid_text, tables_text
 
 FORMATS = ("table", "markdown", "csv", "latex", "json")
@@ -64,7 +67,7 @@ TABLES = (*COMPARISONS, "proxies", *ABLATIONS, "claims")
 
 
 def make_tables(runs_root: Path, data_root: Path, out: Path, *, tables: Sequence[str], output_format: str) -> None:
-    """Scores the runs that some tables need and prints those alone; the proxy ladder also gets a figure in `out`.
+    """Scores the runs that some tables need and prints those alone; pictures of them are written to `out`.
 
     Raises:
         HyalineError: an unknown table or format, or a run that cannot be scored.
@@ -85,11 +88,12 @@ def make_tables(runs_root: Path, data_root: Path, out: Path, *, tables: Sequence
         for grid in _grids_of(table, scenes, errors):
             sys.stdout.write(grid_text(grid, output_format, width=_output_width(), color=sys.stdout.isatty()) + "\n")
     sys.stdout.flush()
-    for scene in scenes if "proxies" in tables else []:
-        if ladder := find_ladder(scene):
-            path = out / f"proxies_{scene.title.replace('/', '_')}.png"
-            commit(path, ladder_figure(scene.title, ladder))
-            say(f"wrote {path}")
+    for table in tables:
+        for scene in scenes:
+            if (png := _picture_of(table, scene)) is not None:
+                path = out / f"{table}_{scene.title.replace('/', '_')}.png"
+                commit(path, png)
+                say(f"wrote {path}")
     for error in errors[:-1]:
         say(f"error: {error}")
     if errors:
@@ -113,6 +117,18 @@ def _grids_of(table: str, scenes: list[SceneScores], errors: list[HyalineError])
     if table == "proxies":
         return [ladder_grid(scene) for scene in scenes]
     return [comparison_grid(COMPARISONS[table], scene) for scene in scenes]
+
+
+def _picture_of(table: str, scene: SceneScores) -> bytes | None:
+    """Of a comparison what its runs drew, of the ladder a plot."""
+    if table in COMPARISONS:
+        comparison = COMPARISONS[table]
+        entries = [entry for part in find_entries(comparison, group_seeds(scene.runs)) for entry in part]
+        runs = tuple(entry.group.runs[0] for entry in entries)
+        return comparison_sheet(dataclasses.replace(scene, runs=runs), comparison.title) if runs else None
+    if table == "proxies" and (ladder := find_ladder(scene)):
+        return ladder_figure(scene.title, ladder)
+    return None
 
 
 def _open_runs(runs_root: Path, data_root: Path, out: Path) -> tuple[list[Run], list[HyalineError]]:

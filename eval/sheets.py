@@ -71,9 +71,13 @@ def contact_sheet(scene: SceneScores, scores: RunScores) -> bytes:
     return _draw(title, heads, rows, size=scene.dataset.config.resolution)
 
 
-def comparison_sheet(scene: SceneScores) -> bytes:
-    """The PNG of the same views as truth and every run's prediction (of runs that differ in their seed alone, the first
-    one's); each row's best PSNR is bold."""
+def comparison_sheet(scene: SceneScores, what: str) -> bytes:
+    """The PNG of the same views as truth and every run's prediction; each row's best PSNR is bold.
+
+    Args:
+        scene: with the runs to show; of those that differ in their seed alone, the first is shown.
+        what: that is, for the title.
+    """
     runs = [group.runs[0] for group in group_seeds(scene.runs)]
     rows = []
     for split, view in shown_views(scene):
@@ -88,7 +92,7 @@ def comparison_sheet(scene: SceneScores) -> bytes:
                 panels.append(Panel(image=pred, caption=_decibels(value), is_best=value == best))
         rows.append(Row(split=split, panels=tuple(panels)))
     heads = ("truth", *(scores.run.name for scores in runs))
-    return _draw(f"{scene.title}: all runs", heads, rows, size=scene.dataset.config.resolution)
+    return _draw(f"{scene.title}: {what}", heads, rows, size=scene.dataset.config.resolution)
 
 
 def edit_sheet(scene: SceneScores, edit: EditScores) -> bytes:

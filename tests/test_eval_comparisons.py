@@ -130,6 +130,9 @@ def test_table_1_sets_comparable_runs_beside_the_papers_numbers(
     write_run(dataset, tmp_path, "short", paper(steps=100), 90, 90)  # Nothing to compare it with.
     write_run(dataset, tmp_path, "zero", paper(zero_layer=True), 90, 90)  # Not the paper's table.
     tables(dataset, tmp_path, "table1")
+    with Image.open(tmp_path / "report" / "table1_synthetic.png") as sheet:
+        # The truth, one seed of the view vector, the harmonics: three panels of 304 pixels and their margins.
+        assert sheet.width == 44 + 3 * (304 + 14) - 14 + 20
     rows = {row[0]: row[1:] for row in rows_of(capsys.readouterr().out)[1:]}
     near = [decibels(17), decibels(20)]
     cell = f"{statistics.fmean(near):.2f}±{statistics.stdev(near):.2f}"
