@@ -214,7 +214,14 @@ def machine_ceilings() -> tuple[Ceiling, ...]:
 
 def describe_machine() -> Machine:
     """The processor, its cores, and how many threads the loaded libraries use."""
-    wanted = ("OMP_NUM_THREADS", "OMP_WAIT_POLICY", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+    wanted = (
+        "OMP_NUM_THREADS",
+        "OMP_WAIT_POLICY",
+        "GOMP_SPINCOUNT",
+        "OPENBLAS_NUM_THREADS",
+        "MKL_NUM_THREADS",
+        "NUMBA_NUM_THREADS",
+    )
     threads = {name: os.environ[name] for name in wanted if name in os.environ}
     # Only what the bench itself has loaded: asking must not start another library's threads.
     for library, ask in (("numba", "get_num_threads"), ("torch", "get_num_threads"), ("drjit", "thread_count")):
