@@ -14,7 +14,7 @@ from eval.metrics import decibels
 from eval.runs import Run, read_prediction
 from eval.score import RunScores, Truth
 from eval.seeds import by_group
-from eval.tables import MEANS_NOTE, MISSING, Column, Grid, format_number
+from eval.tables import MISSING, Column, Grid, format_number
 
 ANGLE_EDGES = (0, 2, 4, 6, 8, 10, 15, 20, 25, 30, 40, 50, 60, 90, 180)
 """Degrees; finer where most pixels are."""
@@ -30,7 +30,7 @@ CURVE_NOTES = (
     "visible layers the farthest; the line through the PSNR of bins of angle, weighted by their pixels. PSNR of pooled "
     "pixels of all test splits that the run predicted; unseen: a texel that no training ray met. Texels are up to 32 "
     "x 32 cells of an object's atlas, training rays are those through pixel centres (eval/coverage.py).",
-    MEANS_NOTE.replace("means", "means of squared errors"),
+    "Of runs that differ in their seed alone: means of squared errors over the seeds.",
 )
 
 
