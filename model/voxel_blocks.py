@@ -5,7 +5,12 @@ there is a norm. Source: Sitzmann et al. 2019 and the authors' module library, f
 """
 
 import torch
+from jaxtyping import Float32
 from torch import Tensor, nn
+from torch.nn import functional
+
+ONEDNN_ROWS = 20_480
+MOST_ZERO_CHANNELS = 8
 
 
 class Unet(nn.Module):
@@ -108,8 +113,25 @@ def conv(
 ) -> list[nn.Module]:
     """Padding by one pixel, convolution, norm, activation, dropout of whole channels."""
     pad = (nn.ReflectionPad2d, nn.ReplicationPad3d)[dims - 2](1)
-    layer = (nn.Conv2d, nn.Conv3d)[dims - 2](num_inputs, num_outputs, kernel, stride=stride, bias=not is_normed)
+    layer = (nn.Conv2d, Conv3d)[dims - 2](num_inputs, num_outputs, kernel, stride=stride, bias=not is_normed)
     return [pad, layer, *_finish(dims, num_outputs, activation=activation, dropout=dropout, is_normed=is_normed)]
+
+
+class Conv3d(nn.Conv3d):
+    """Torch's convolution, on a CPU several times as fast for few channels.
+
+    Torch 2.13 hands a single sample to oneDNN only if it has more than 20,480 rows (channels x depth x height); below
+    that an unrolled matrix product runs. Where a few channels of zeros carry the input over, they are added: the same
+    sums in another order. Measured on one core, 66 x 34 x 34 voxels, forward and backward: 8 to 4 channels 160 to
+    25 ms, 9 to 1 channels 110 to 20 ms.
+    """
+
+    def forward(self, input: Float32[Tensor, "b c d h w"]) -> Float32[Tensor, "b c2 d2 h2 w2"]:  # noqa: A002
+        missing = ONEDNN_ROWS // (input.shape[0] * input.shape[2] * input.shape[3]) + 1 - input.shape[1]
+        x, weight = input, self.weight
+        if x.device.type == "cpu" and len(x) == 1 and 0 < missing <= MOST_ZERO_CHANNELS:
+            x, weight = (functional.pad(t, (0,) * 7 + (missing,)) for t in (x, weight))
+        return functional.conv3d(x, weight, self.bias, self.stride)
 
 
 def _finish(

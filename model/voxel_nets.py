@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Float32
 from torch import Tensor, nn
 
-from model.voxel_blocks import Unet, conv, double, halve
+from model.voxel_blocks import Conv3d, Unet, conv, double, halve
 
 OCCLUSION_CHANNELS = 4
 
@@ -86,7 +86,7 @@ class Integration(nn.Module):
 
 
 def _conv3(num_inputs: int, num_outputs: int, *, has_bias: bool = True) -> nn.Sequential:
-    return nn.Sequential(nn.ReplicationPad3d(1), nn.Conv3d(num_inputs, num_outputs, 3, bias=has_bias))
+    return nn.Sequential(nn.ReplicationPad3d(1), Conv3d(num_inputs, num_outputs, 3, bias=has_bias))
 
 
 class Occlusion(nn.Module):

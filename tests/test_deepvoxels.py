@@ -12,6 +12,7 @@ import torch
 from opaque_cube import opaque_cube
 from reference import convolve, interpolate
 from synthetic import look_at, write_synthetic_dataset
+from torch import nn
 
 from datagen.cameras import make_cameras, pixel_center_rays
 from datagen.dataset import Cameras, Dataset, DatasetConfig, SplitConfig, read_image, read_png
@@ -31,6 +32,7 @@ from model.deepvoxels_loss import adversarial_loss
 from model.run_folder import TrainConfig, read_run
 from model.train import train
 from model.view_batches import Views, load_views
+from model.voxel_blocks import ONEDNN_ROWS, Conv3d
 from model.voxel_grid import (
     ViewCamera,
     VoxelGrid,
@@ -276,6 +278,23 @@ def test_the_integration_is_the_gated_unit_of_its_formula(bounded: bool) -> None
     activated = np.tanh if bounded else lambda value: np.maximum(0, value)
     candidate = activated(loops(x, conv_x, slice(2, 4)) + loops(reset * h, conv_rh, slice(0, 2)))
     np.testing.assert_allclose(result, (1 - update) * old[0].numpy() + update * candidate, atol=1e-5)
+
+
+@pytest.mark.parametrize(("channels", "stride"), [(8, 1), (9, 2), (12, 1)])
+def test_zero_channels_change_neither_a_convolution_nor_its_gradient(channels: int, stride: int) -> None:
+    torch.manual_seed(channels)
+    x = torch.randn(1, channels, 66, 34, 6)
+    assert (x.shape[:4].numel() <= ONEDNN_ROWS) == (channels < 12)
+    layer = Conv3d(channels, 3, 3, stride=stride)
+    plain = nn.Conv3d(channels, 3, 3, stride=stride).double()
+    plain.load_state_dict(layer.state_dict())
+    ours, theirs = x.clone().requires_grad_(), x.double().requires_grad_()
+    y, expected = layer(ours), plain(theirs)
+    torch.testing.assert_close(y.double(), expected, atol=1e-5, rtol=0)
+    y.square().mean().backward()
+    expected.square().mean().backward()
+    for tensor, true in ((ours, theirs), (layer.weight, plain.weight), (layer.bias, plain.bias)):
+        torch.testing.assert_close(tensor.grad.double(), true.grad, atol=1e-5, rtol=1e-4)
 
 
 def test_visibility_sums_to_one_and_features_are_its_mean_over_depth() -> None:
