@@ -22,6 +22,9 @@ from datagen.storage import commit, commit_sealed, load_sealed, sha256
 TRUTH = "truth"
 """The geometry that is not a proxy: the scene's own meshes."""
 
+NO_GEOMETRY = "none"
+"""What stands for it where a method looks up no layers."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class ProxyStatistics:

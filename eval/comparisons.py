@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from datagen.geometry import TRUTH
+from datagen.geometry import NO_GEOMETRY, TRUTH
 from datagen.records import Json
 from datagen.storage import dump_json
 from eval.published import DNR, NO_EXTRINSICS, SPHERICAL_HARMONICS, VIEW_VECTOR, PublishedRow
@@ -24,7 +24,7 @@ class Line:
     """Keys of the configuration with their values; a key that is younger than the run counts as fitting, but a run that
     has none of them fits only where none is asked for."""
     geometry: str | None = TRUTH
-    """None takes any, `PROXIES` any but the truth."""
+    """None takes any, `PROXIES` any that is neither the truth nor none."""
     published: PublishedRow | None = None
     """What the paper printed for it."""
 
@@ -33,7 +33,7 @@ class Line:
         config = flat_config(run)
         return (
             run.method == self.method
-            and self.geometry in (None, run.geometry, TRUTH if run.geometry == TRUTH else PROXIES)
+            and self.geometry in (None, run.geometry, run.geometry if run.geometry in (TRUTH, NO_GEOMETRY) else PROXIES)
             and (not self.choices or any(key in config for key in self.choices))
             and all(config.get(key, value) == value for key, value in self.choices.items())
         )
@@ -116,7 +116,7 @@ COMPARISONS: dict[str, Comparison] = {
             Line(title="DNR", method="dnr", published=DNR),
             OURS,
             Line(title="what the authors ran", method="authors-code"),
-            Line(title="DeepVoxels", method="deepvoxels"),
+            Line(title="DeepVoxels", method="deepvoxels", geometry=NO_GEOMETRY),
         ),
         notes=("The paper names no number for DeepVoxels; which of its runs fed Table 2 is not known.",),
     ),
@@ -207,7 +207,8 @@ def differences(one: Run, other: Run) -> dict[str, tuple[Json, Json]]:
 def _same(run: Run, varied: tuple[str, ...] | None) -> bytes:
     """What two runs must share to be compared."""
     if varied is None:
-        return dump_json(run.geometry)
+        # Who knows cameras alone is compared with those who know the truth.
+        return dump_json(TRUTH if run.geometry == NO_GEOMETRY else run.geometry)
     config = {key: value for key, value in flat_config(run).items() if key not in varied}
     return dump_json([run.method, config])
 

@@ -12,6 +12,7 @@ from torch import Tensor, nn
 from datagen.command import say, track
 from datagen.dataset import Dataset
 from datagen.errors import HyalineError
+from datagen.geometry import NO_GEOMETRY
 from datagen.records import Json, to_json
 from model.batches import Pixels, PixelSource
 from model.checkpoint import State, delete_checkpoints, load_checkpoint, save_checkpoint, save_state
@@ -110,7 +111,7 @@ def train(config: TrainConfig, dataset: Dataset, out: Path, *, label: str, devic
     record = RunRecord(
         version=RUN_VERSION,
         method=config.method,
-        geometry=config.geometry if method.uses_geometry else "none",
+        geometry=config.geometry if method.uses_geometry else NO_GEOMETRY,
         knowledge=describe_knowledge(dataset, config.geometry, method.knowledge, config.loss.describe())
         if method.uses_geometry
         else method.knowledge,

@@ -43,7 +43,8 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     )
 
 
-def write_run(dataset: Dataset, runs: Path, name: str, config: TrainConfig | str, near: int, far: int) -> None:
+def write_run(dataset: Dataset, runs: Path, name: str, config: TrainConfig | str, near: int, far: int,
+              *, geometry: str = "truth") -> None:  # fmt: skip
     """A run all of whose pixels are off by so many levels of 255; a method's name instead of a configuration."""
     folder = runs / "synthetic" / name
     for split, level in zip(TEST_SPLITS, (near, far), strict=True):
@@ -54,7 +55,7 @@ def write_run(dataset: Dataset, runs: Path, name: str, config: TrainConfig | str
             (folder / "predictions" / split / f"{view:04d}.png").write_bytes(png_bytes(off))
     record: dict[str, object] = {"dataset": dataset.root.as_posix(), "dataset_seal": dataset.seal}
     if isinstance(config, str):
-        record |= {"method": config, "geometry": "truth"}
+        record |= {"method": config, "geometry": geometry}
     else:
         record |= {"method": config.method, "geometry": config.geometry, "seed": config.seed, "config": to_json(config),
                    "layers_seal": "the same", "num_parameters": 34483}  # fmt: skip
@@ -151,12 +152,14 @@ def test_methods_are_told_by_their_records_whoever_made_them(
     write_run(dataset, tmp_path, "somebodys", "dnr", 5, 40)
     write_run(dataset, tmp_path, "wide", "mlp-first", 12, 13)
     write_run(dataset, tmp_path, "ours", paper(), 10, 12)
+    write_run(dataset, tmp_path, "voxels", "deepvoxels", 30, 35, geometry="none")
+    write_run(dataset, tmp_path, "boxes", "dnr", 20, 20, geometry="box")
     tables(dataset, tmp_path, "square", "table2")
     rows = rows_of(capsys.readouterr().out)
     assert [row[:2] for row in rows if row[0]] == [
         ["U-Net, first layer (DNR)", "somebodys"], ["per pixel, first layer", "wide"],
         ["per pixel, all layers (paper)", "ours"], ["U-Net, all layers", "not run"],
-        ["DNR", "somebodys"], ["paper", "ours"], ["what the authors ran", "not run"], ["DeepVoxels", "not run"],
+        ["DNR", "somebodys"], ["paper", "ours"], ["DeepVoxels", "voxels"], ["what the authors ran", "not run"],
     ]  # fmt: skip
     assert [row[-2:] for row in rows if row[1] == "ours"] == [["33.19", "32.99"]] * 2
 
