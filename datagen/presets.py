@@ -8,7 +8,7 @@ from datagen.dataset import SplitConfig
 
 @dataclass(frozen=True, kw_only=True)
 class Preset:
-    """Everything about a dataset's size; samples per pixel are twice a square, as the multijitter sampler likes."""
+    """Everything about a dataset's size; samples per pixel are powers of two, as Sobol's sequence likes."""
 
     resolution: int
     train: SplitConfig
@@ -29,10 +29,10 @@ def _preset(purpose: str, resolution: int, train: tuple[int, int], test: tuple[i
 
 
 PRESETS: dict[str, Preset] = {
-    "tiny": _preset("tests: seconds", 32, train=(8, 18), test=(3, 50)),
-    "demo": _preset("a first look: minutes on two cores", 128, train=(100, 50), test=(12, 288)),
-    "standard": _preset("comparing methods: half an hour on two cores", 256, train=(200, 50), test=(20, 450)),
-    "paper": _preset("the paper's size: a night on two cores", 512, train=(1000, 72), test=(40, 512)),
+    "tiny": _preset("tests: seconds", 32, train=(8, 16), test=(3, 64)),
+    "demo": _preset("a first look: minutes on two cores", 128, train=(100, 64), test=(12, 512)),
+    "standard": _preset("comparing methods: half an hour on two cores", 256, train=(200, 64), test=(20, 512)),
+    "paper": _preset("the paper's size: a night on two cores", 512, train=(1000, 64), test=(40, 512)),
 }
 
 

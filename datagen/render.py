@@ -7,7 +7,7 @@ import dataclasses
 import hashlib
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
 import numpy as np
 from jaxtyping import Float, Float32
@@ -16,15 +16,15 @@ from datagen.dataset import Cameras, Split, png_bytes
 from datagen.errors import HyalineError
 from datagen.media import find_media
 from datagen.meshes import is_there
-from datagen.mitsuba_scene import is_scalar, load_scene_mitsuba, load_sensor
+from datagen.mitsuba_scene import has_small_light, is_scalar, load_scene_mitsuba, load_sensor
 from datagen.scene import Dielectric, Scene
 from datagen.tonemap import srgb_from_linear, to_8bit
 
-if TYPE_CHECKING:
-    import mitsuba as mi
-
 MAX_PATHS_PER_PASS = 1 << 23
 """Samples of one film pass; more would not be faster and cost memory."""
+
+MAX_SPP_PER_PASS = 1 << 12
+"""Of small pictures: the table of Sobol's points should stay in a cache."""
 
 MAX_SPP = 1 << 17
 """Where `--ceiling` gives up."""
@@ -62,48 +62,32 @@ class Renderer:
                 f"scene {scene.name}: has dielectrics with priorities, which Mitsuba as scalar_rgb cannot render; "
                 "`datagen doctor` names the libLLVM to install"
             )
-        self._scene = load_scene_mitsuba(scene)
         media = find_media(materials, meshes)
         if is_scalar():
+            self._scene = load_scene_mitsuba(scene)
             kind = "volpath" if media.absorption.any() else "path"
             self._integrator = mi.load_dict({"type": kind, "max_depth": max_depth, "rr_depth": max_depth + 1})
-        elif media.absorption.any() or media.is_nested:
-            from datagen.path_integrator import MediaPath
-
-            self._integrator = MediaPath(media, max_depth)
         else:
-            self._integrator = mi.load_dict({"type": "path", "max_depth": max_depth, "rr_depth": max_depth + 1})
+            from datagen.path_integrator import PathTracer
+
+            has_lamps, aims_at_sky = bool(scene.lights), has_small_light(scene.environment)
+            self._scene = load_scene_mitsuba(scene, aims_at_sky=aims_at_sky)
+            self._tracer = PathTracer(
+                self._scene, media, max_depth=max_depth, has_lamps=has_lamps, aims=has_lamps or aims_at_sky
+            )
 
     def radiance(self, cameras: Cameras, view: int, *, spp: int, seed: int) -> tuple[np.ndarray, int]:
-        """Linear radiance (h, w, 3) float32 and the samples per pixel really drawn (multijitter rounds them)."""
+        """Linear radiance (h, w, 3) float32 and the samples per pixel really drawn (Mitsuba as scalar rounds them)."""
         import mitsuba as mi
 
         sensor = load_sensor(cameras.world_from_camera[view], cameras.fov_x, cameras.width, cameras.height)
+        if not is_scalar():
+            width, height = cameras.width, cameras.height
+            return self._tracer.render(sensor, width=width, height=height, spp=spp, seed=seed), spp
         sensor.sampler().set_sample_count(spp)
         spp = int(sensor.sampler().sample_count())
-        if is_scalar():
-            image = mi.render(self._scene, sensor=sensor, integrator=self._integrator, spp=spp, seed=mi.UInt32(seed))
-            return np.array(image, np.float32), spp
-        return self._mean_of_samples(sensor, cameras.width, cameras.height, spp, seed), spp
-
-    def _mean_of_samples(self, sensor: "mi.Sensor", width: int, height: int, spp: int, seed: int) -> np.ndarray:
-        """What `mi.render` gives with a box filter, but the same to the last bit every time.
-
-        Mitsuba's film (3.9) adds a pixel's samples in the order in which threads come by, and floats mind the order.
-        """
-        import drjit as dr
-        import mitsuba as mi
-
-        sampler = sensor.sampler()
-        sampler.set_samples_per_wavefront(spp)
-        sampler.seed(seed, width * height * spp)
-        pixel = dr.arange(mi.UInt32, width * height * spp) // spp
-        place = mi.Point2f(mi.Float(pixel % width), mi.Float(pixel // width)) + sampler.next_2d()
-        ray, _ = sensor.sample_ray(0, 0, place / mi.Point2f(width, height), mi.Point2f(0.5))
-        radiance, _, _ = self._integrator.sample(self._scene, sampler, mi.RayDifferential3f(ray), None, mi.Bool(True))
-        dr.eval(radiance)
-        channels = [np.array(channel).reshape(height, width, spp) for channel in (radiance.x, radiance.y, radiance.z)]
-        return np.stack([channel.mean(axis=2, dtype=np.float64) for channel in channels], axis=-1).astype(np.float32)
+        image = mi.render(self._scene, sensor=sensor, integrator=self._integrator, spp=spp, seed=mi.UInt32(seed))
+        return np.array(image, np.float32), spp
 
 
 def render_view(renderer: Renderer, cameras: Cameras, view: int, *, spp: int, view_seed: int,
@@ -184,7 +168,7 @@ def read_radiance(data: bytes) -> tuple[Float32[np.ndarray, "h w 3"], Float32[np
 
 
 def _pass_spp(cameras: Cameras) -> int:
-    return max(1, MAX_PATHS_PER_PASS // (cameras.width * cameras.height))
+    return min(MAX_SPP_PER_PASS, max(1, MAX_PATHS_PER_PASS // (cameras.width * cameras.height)))
 
 
 def _truth(first: Float[np.ndarray, "h w 3"], second: Float[np.ndarray, "h w 3"], spp: int) -> Truth:
