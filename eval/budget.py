@@ -21,6 +21,9 @@ FREE_KEYS = ("num_layers", "width", "seed")
 """Keys of a configuration in which runs of one budget may differ: the layers; the width that keeps the number of
 parameters the same when they do; and the seed, over which scores are averaged."""
 
+MOST_GROWTH = 1.25
+"""From one network of a budget to the next in size; the default width keeps them within a twentieth."""
+
 BUDGET_NOTES = (
     "Layers: straight layers that the network is given, the nearest ones. More: share of the test rays that meet more "
     "surfaces. Deeper: share that sees a surface beyond them, through nothing but glass (where all stored layers are "
@@ -59,7 +62,7 @@ def find_budgets(scene: SceneScores) -> tuple[Budget, ...]:
         if scores.run.num_layers is not None:
             groups[_likeness(scores.run)].append(scores)
     budgets = []
-    for group in groups.values():
+    for group in (part for alike in groups.values() for part in _of_one_size(alike)):
         by_layers: dict[int, list[RunScores]] = defaultdict(list)
         for scores in group:
             by_layers[scores.run.num_layers or 0].append(scores)
@@ -137,6 +140,19 @@ def _point(count: int, group: list[RunScores], more: Shares, deeper: Shares) -> 
         more_share=more,
         deeper_share=deeper,
     )
+
+
+def _of_one_size(group: list[RunScores]) -> list[list[RunScores]]:
+    """The group, taken apart where parameters jump: a wider network is another budget, whatever its layers."""
+    parts: list[list[RunScores]] = []
+    last = 0
+    for scores in sorted(group, key=lambda scores: scores.run.num_parameters or 0):
+        count = scores.run.num_parameters or 0
+        if not parts or count > MOST_GROWTH * last:
+            parts.append([])
+        parts[-1].append(scores)
+        last = count
+    return [sorted(part, key=group.index) for part in parts]
 
 
 def _likeness(run: Run) -> bytes:

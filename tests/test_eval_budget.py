@@ -68,6 +68,7 @@ def test_runs_of_several_budgets_make_a_table_and_a_figure(
     assert train(monkeypatch, dataset, runs / "all") == 0
     assert train(monkeypatch, dataset, runs / "one", "--layers", "1") == 0
     assert train(monkeypatch, dataset, runs / "one-again", "--layers", "1", "--seed", "1") == 0
+    assert train(monkeypatch, dataset, runs / "wide", "--width", "256") == 0
     assert train(monkeypatch, dataset, runs / "other", "--layers", "2", "--extrinsics", "none") == 0
     assert [read_run(runs / name).num_layers for name in ("all", "one")] == [4, 1]
     capsys.readouterr()
@@ -75,7 +76,7 @@ def test_runs_of_several_budgets_make_a_table_and_a_figure(
     make_report(tmp_path / "runs", dataset.root.parent, tmp_path / "out", output_format="markdown")
     assert "synthetic: layer budget" in capsys.readouterr().out
     scene = json.loads((tmp_path / "out/results.json").read_text())["scenes"][0]
-    (budget,) = scene["analyses"]["layer_budgets"]  # `other` stands alone.
+    (budget,) = scene["analyses"]["layer_budgets"]  # `wide` and `other` stand alone.
     assert budget["name"] == "all"
     assert [(point["num_layers"], point["runs"]) for point in budget["points"]] == [
         (1, ["one", "one-again"]),
