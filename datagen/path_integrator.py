@@ -100,7 +100,7 @@ def _trace(scene, ray, points, scramble, index, tables):
 
         # The medium between the last vertex and this one. A ray in glass always hits; the guard is for leaky meshes.
         sigma_a = dr.gather(mi.Spectrum, tables.absorption, medium_of(tables.media, solids), active)
-        throughput *= dr.select(active & hit, dr.exp(-sigma_a * dr.select(hit, si.t, 0)), 1)
+        throughput *= dr.select(hit, dr.exp(-sigma_a * dr.select(hit, si.t, 0)), 1)
 
         # The media on both sides of smooth glass.
         rank = dr.gather(mi.Int32, tables.rank, dr.reinterpret_array(mi.UInt32, si.shape), active & hit)

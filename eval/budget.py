@@ -144,15 +144,16 @@ def _point(count: int, group: list[RunScores], more: Shares, deeper: Shares) -> 
 
 def _of_one_size(group: list[RunScores]) -> list[list[RunScores]]:
     """The group, taken apart where parameters jump: a wider network is another budget, whatever its layers."""
+
+    def size(scores: RunScores) -> int:
+        return scores.run.num_parameters or 0
+
     parts: list[list[RunScores]] = []
-    last = 0
-    for scores in sorted(group, key=lambda scores: scores.run.num_parameters or 0):
-        count = scores.run.num_parameters or 0
-        if not parts or count > MOST_GROWTH * last:
+    for scores in sorted(group, key=size):
+        if not parts or size(scores) > MOST_GROWTH * size(parts[-1][-1]):
             parts.append([])
         parts[-1].append(scores)
-        last = count
-    return [sorted(part, key=group.index) for part in parts]
+    return parts
 
 
 def _likeness(run: Run) -> bytes:

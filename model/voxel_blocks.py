@@ -131,7 +131,7 @@ class Conv3d(nn.Conv3d):
         x, weight = input, self.weight
         if x.device.type == "cpu" and len(x) == 1 and 0 < missing <= MOST_ZERO_CHANNELS:
             x, weight = (functional.pad(t, (0,) * 7 + (missing,)) for t in (x, weight))
-        return functional.conv3d(x, weight, self.bias, self.stride)
+        return self._conv_forward(x, weight, self.bias)
 
 
 def _finish(
