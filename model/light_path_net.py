@@ -13,6 +13,8 @@ from datagen.errors import HyalineError
 from datagen.geometry import TRUTH
 from model.choices import LightPathChoices
 from model.extrinsics import spherical_harmonics
+from model.fused_mlp import ChainLayer, can_fuse, run_chain
+from model.pixel_mlp import LEAKY_SLOPE
 from model.samples import check_samples, srgb_curve
 from model.texture import NeuralTextures, TexturePyramid, level_scales, object_layout
 
@@ -219,9 +221,9 @@ class LightPathRenderer(nn.Module):
         self.relief = NeuralTextures(object_layout(relief_sizes), 1) if config.relief else None
         if config.composite:
             # Feature, cosine, spherical harmonics of the mirrored direction, position -> linear radiance.
-            self.decoder = _mlp(config.texture_features + 1 + 9 + 6 * config.position_octaves, config.hidden, 3)
+            self.decoder = _Mlp(config.texture_features + 1 + 9 + 6 * config.position_octaves, config.hidden, 3)
             # Feature, cosine, spherical harmonics of the ray's direction -> opacity of a straight layer.
-            self.cover = _mlp(config.texture_features + 1 + 9, config.hidden, 1) if config.straight_layers else None
+            self.cover = _Mlp(config.texture_features + 1 + 9, config.hidden, 1) if config.straight_layers else None
             self.environment = nn.ParameterList(
                 torch.zeros(3, height, width) for height, width in _map_sizes(config.environment_size)
             )
@@ -229,7 +231,7 @@ class LightPathRenderer(nn.Module):
         inputs = slots * (config.texture_features + 2) + (3 if config.straight_layers else 0)
         # Colour; opacity of each straight layer; share of the paths.
         outputs = 3 + (config.straight_layers + 1 if config.straight_layers else 0)
-        self.stack_net = _mlp(inputs, config.stack_hidden, outputs) if config.stack_hidden else None
+        self.stack_net = _Mlp(inputs, config.stack_hidden, outputs) if config.stack_hidden else None
 
     def forward(self, paths: LightPathBatch, **_: object) -> Float32[Tensor, "pixel 3"]:
         """sRGB colours of the pixels, at least 0."""
@@ -330,14 +332,25 @@ def build_light_path(config: LightPathConfig, dataset: Dataset, geometry: str, n
     return LightPathRenderer(config)
 
 
-def _mlp(num_inputs: int, hidden: int, num_outputs: int) -> nn.Sequential:
-    return nn.Sequential(
-        nn.Linear(num_inputs, hidden),
-        nn.LeakyReLU(0.2, inplace=True),
-        nn.Linear(hidden, hidden),
-        nn.LeakyReLU(0.2, inplace=True),
-        nn.Linear(hidden, num_outputs),
-    )
+class _Mlp(nn.Sequential):
+    """Linear layers with a LeakyReLU between each two of them."""
+
+    def __init__(self, num_inputs: int, hidden: int, num_outputs: int) -> None:
+        super().__init__(
+            nn.Linear(num_inputs, hidden),
+            nn.LeakyReLU(LEAKY_SLOPE, inplace=True),
+            nn.Linear(hidden, hidden),
+            nn.LeakyReLU(LEAKY_SLOPE, inplace=True),
+            nn.Linear(hidden, num_outputs),
+        )
+
+    def forward(self, input: Float32[Tensor, "row c_in"]) -> Float32[Tensor, "row c_out"]:  # noqa: A002  (torch's name)
+        if not can_fuse(input):
+            return super().forward(input)
+        *others, last = [layer for layer in self if isinstance(layer, nn.Linear)]
+        return run_chain(
+            input, [*(ChainLayer(linear=layer, slope=LEAKY_SLOPE) for layer in others), ChainLayer(linear=last)]
+        )
 
 
 def _map_sizes(height: int) -> list[tuple[int, int]]:

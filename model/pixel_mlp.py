@@ -1,13 +1,15 @@
 """Owns the paper's renderer network: a residual MLP that turns one pixel's stacked layers into its colour."""
 
-from typing import Literal
+from typing import Literal, cast
 
 import torch
-from jaxtyping import Float, Float32
+from jaxtyping import Float32
 from torch import Tensor, nn
 
 from datagen.errors import HyalineError
+from model.fused_mlp import ChainLayer, can_fuse, run_chain
 from model.linear import Linear, linear_leaky
+from model.mlp_kernels import FoldedLayer, Network, find_kernels
 
 Norm = Literal["batch", "none"]
 
@@ -29,7 +31,7 @@ class LinearUnit(nn.Module):
     def forward(self, x: Float32[Tensor, "ray c_in"]) -> Float32[Tensor, "ray c_out"]:
         return self.activation(self.norm(self.linear(x)))
 
-    def folded(self, dtype: torch.dtype) -> "FoldedLinear":
+    def folded(self) -> tuple[Float32[Tensor, "c_out c_in"], Float32[Tensor, " c_out"]]:
         """Weight and bias of the layer with its batch norm in them, as they are at evaluation."""
         weight, bias = self.linear.weight.detach(), self.linear.bias.detach()
         if isinstance(self.norm, nn.BatchNorm1d):
@@ -37,7 +39,7 @@ class LinearUnit(nn.Module):
             assert self.norm.running_var is not None
             scale = self.norm.weight.detach() / torch.sqrt(self.norm.running_var + self.norm.eps)
             weight, bias = weight * scale[:, None], (bias - self.norm.running_mean) * scale + self.norm.bias.detach()
-        return weight.to(dtype), bias.to(dtype)
+        return weight, bias
 
 
 class ResidualBlock(nn.Module):
@@ -73,38 +75,67 @@ class PixelMlp(nn.Module):
 
     def forward(self, x: Float32[Tensor, "ray c"]) -> Float32[Tensor, "ray 3"]:
         """sRGB colours, about [0, 1], of the inputs of all layers, nearest first."""
+        if self.precision == "fp32" and can_fuse(x) and (chain := self._chain()) is not None:
+            return run_chain(x, chain)
         with torch.autocast(x.device.type, torch.bfloat16, enabled=self.precision == "bf16"):
             hidden = self.blocks(self.first(x))
         return self.last(hidden.float())  # In bf16 a colour would have as few steps as an 8-bit picture.
+
+    def _chain(self) -> list[ChainLayer] | None:
+        """The layers in their order; None where compiled ones compute something else."""
+        units = [
+            self.first,
+            *(unit for block in self.residual_blocks() for unit in (block.first, block.second, block.halve)),
+        ]
+        # At evaluation, and among several processes, a batch's own moments are not what it is normalised by.
+        is_plain = [isinstance(unit.norm, nn.Identity) or (type(unit.norm) is nn.BatchNorm1d and self.training)
+                    for unit in units]  # fmt: skip
+        if not all(is_plain):
+            return None
+        second = [block.second for block in self.residual_blocks()]
+        layers = [
+            ChainLayer(linear=unit.linear, norm=unit.norm if isinstance(unit.norm, nn.BatchNorm1d) else None,
+                       slope=LEAKY_SLOPE, adds=unit in second)
+            for unit in units
+        ]  # fmt: skip
+        return [*layers, ChainLayer(linear=self.last)]
+
+    def residual_blocks(self) -> list[ResidualBlock]:
+        """The blocks in their order."""
+        return cast(list[ResidualBlock], list(self.blocks))
 
     def folded(self) -> "FoldedMlp":
         """What this network computes at evaluation, several times faster; has no gradient, learns nothing more."""
         return FoldedMlp(self)
 
 
-FoldedLinear = tuple[Float[Tensor, "c_out c_in"], Float[Tensor, " c_out"]]
-"""Weight and bias."""
-
-
 class FoldedMlp:
     """A `PixelMlp` at evaluation, with batch norm folded into the linear layers and the activations done with them."""
 
     def __init__(self, net: PixelMlp) -> None:
-        self.dtype = torch.bfloat16 if net.precision == "bf16" else torch.float32
-        self.first = net.first.folded(self.dtype)
-        self.blocks = [
-            tuple(unit.folded(self.dtype) for unit in (block.first, block.second, block.halve))
-            for block in net.blocks
-            if isinstance(block, ResidualBlock)
+        is_half = net.precision == "bf16"
+        units = [(net.first, False)]
+        for block in net.residual_blocks():
+            units += [(block.first, False), (block.second, True), (block.halve, False)]
+        self.layers = [
+            FoldedLayer(weight=weight, bias=bias, slope=LEAKY_SLOPE, adds=adds, is_half=is_half)
+            for (weight, bias), adds in ((unit.folded(), adds) for unit, adds in units)
         ]
-        self.last = (net.last.weight.detach(), net.last.bias.detach())
+        # In bf16 a colour would have as few steps as an 8-bit picture.
+        self.layers.append(FoldedLayer(weight=net.last.weight.detach(), bias=net.last.bias.detach()))
+        kernels = find_kernels() if net.last.weight.device.type == "cpu" else None
+        self.kernels = None if kernels is None or (is_half and not kernels.can_multiply_bf16) else kernels
+        self.network = None if self.kernels is None else Network(self.layers)
 
     def __call__(self, x: Float32[Tensor, "ray c"]) -> Float32[Tensor, "ray 3"]:
-        hidden = linear_leaky(x.to(self.dtype), *self.first, LEAKY_SLOPE)
-        for first, second, halve in self.blocks:
-            inner = linear_leaky(linear_leaky(hidden, *first, LEAKY_SLOPE), *second, LEAKY_SLOPE)
-            hidden = linear_leaky(inner.add_(hidden), *halve, LEAKY_SLOPE)
-        return linear_leaky(hidden.float(), *self.last, 1.0)
+        if self.kernels is not None and self.network is not None:
+            return self.kernels.draw(self.network, x)
+        made = [x]
+        for layer in self.layers:
+            dtype = torch.bfloat16 if layer.is_half else torch.float32
+            out = linear_leaky(made[-1].to(dtype), layer.weight.to(dtype), layer.bias.to(dtype), layer.slope)
+            made = [*made[-2:], out.add_(made[-2]) if layer.adds else out]
+        return made[-1]
 
 
 def check_width(width: int, blocks: int) -> None:

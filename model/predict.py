@@ -36,16 +36,25 @@ def predict_colors(renderer: nn.Module, pixels: PixelSource) -> Float32[Tensor, 
     """sRGB colours of all pixels as the renderer makes them, neither clipped nor rounded; on the pixels' device."""
     was_training = renderer.training
     renderer.eval()
+    try:
+        return _predict(renderer, pixels)
+    finally:
+        renderer.train(was_training)
+
+
+def _predict(renderer: nn.Module, pixels: PixelSource) -> Float32[Tensor, "pixel 3"]:
     index = torch.arange(len(pixels.rgb), device=pixels.rgb.device)
     empty, folded = index[:0], {}
     if isinstance(renderer, PaperRenderer):
         # Equal up to rounding, and in a third of the time.
         folded = {"folded": renderer.net.folded()}
-        # Pixels without any layer are all of one colour.
         if isinstance(pixels, Pixels):
+            drawn = renderer.draw(pixels, folded["folded"])
+            if drawn is not None:
+                return drawn
+            # Pixels without any layer are all of one colour.
             index, empty = pixels.split_empty()
     parts = [renderer(pixels.take(part, None), **folded) for part in index.split(pixels.chunk)]
-    renderer.train(was_training)
     colors = torch.empty(len(pixels.rgb), 3, device=pixels.device)
     colors[index] = torch.cat(parts)
     colors[empty] = colors[empty[:1]]

@@ -109,7 +109,7 @@ class _CompiledSample(torch.autograd.Function):
     def forward(ctx: FunctionCtx, uv: Tensor, object_id: Tensor, layouts: tuple[TextureLayout, ...],
                 scales: tuple[float, ...], *tables: Tensor) -> Tensor:  # fmt: skip
         ctx.save_for_backward(uv, object_id, *tables)
-        ctx.levels = [(_places(layout), np.float32(scale)) for layout, scale in zip(layouts, scales, strict=True)]  # pyright: ignore[reportAttributeAccessIssue]
+        ctx.levels = [(places_of(layout), np.float32(scale)) for layout, scale in zip(layouts, scales, strict=True)]  # pyright: ignore[reportAttributeAccessIssue]
         result = torch.zeros(len(object_id), tables[0].shape[1])
         slots = uv.detach().contiguous().numpy(), object_id.numpy()
         for table, (places, scale) in zip(tables, ctx.levels, strict=True):  # pyright: ignore[reportAttributeAccessIssue]
@@ -132,7 +132,8 @@ class _CompiledSample(torch.autograd.Function):
 
 
 @functools.cache
-def _places(layout: TextureLayout) -> Int32[np.ndarray, "3 object"]:
+def places_of(layout: TextureLayout) -> Int32[np.ndarray, "3 object"]:
+    """First row, size and stride of each object's texture, as compiled loops read them."""
     return np.array([layout.bases, layout.sizes, layout.strides], np.int32)
 
 

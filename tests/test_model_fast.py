@@ -4,7 +4,7 @@ import pytest
 import torch
 from torch import nn
 
-from model import linear
+from model import linear, pixel_mlp
 from model.batches import Pixels
 from model.linear import Linear
 from model.paper import PaperConfig, PaperRenderer
@@ -54,8 +54,9 @@ def test_bf16_agrees_to_a_hundredth_and_repeats() -> None:
 @pytest.mark.parametrize("share_empty", [0.0, 0.3, 1.0])
 @pytest.mark.parametrize("zero_layer", [False, True])
 def test_pixels_without_layers_share_one_colour_and_all_others_keep_theirs(
-    share_empty: float, zero_layer: bool
+    share_empty: float, zero_layer: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(pixel_mlp, "find_kernels", lambda: None)  # They draw without the renderer's `forward`.
     torch.manual_seed(0)
     config = PaperConfig(texture_size=8, width=32, extrinsics="none", zero_layer=zero_layer)
     renderer = PaperRenderer(config, num_layers=3, num_objects=2, positions=None).eval()

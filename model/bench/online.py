@@ -30,8 +30,8 @@ def pixels_of(layers: Layers) -> Pixels:
     """A view's layers as a renderer takes them; its picture is black."""
     num_layers, height, width = layers.object_id.shape
     return Pixels(
-        uv=torch.from_numpy(layers.uv.view(np.int16)).permute(1, 2, 0, 3).reshape(-1, num_layers, 2),
-        object_id=torch.from_numpy(layers.object_id).permute(1, 2, 0).reshape(-1, num_layers),
+        uv=torch.from_numpy(layers.uv.view(np.int16)).view(num_layers, -1, 2).transpose(0, 1),
+        object_id=torch.from_numpy(layers.object_id).view(num_layers, -1).T,
         rgb=torch.zeros(height * width, 3, dtype=torch.uint8),
         p_camera=torch.zeros(1, 3),
         pixels_per_view=height * width,

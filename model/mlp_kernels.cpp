@@ -1,0 +1,607 @@
+// Layers of per-pixel networks on processors with AVX-512: what `model/mlp_kernels.py` builds and calls.
+//
+// A network is worked through in tiles of TILE pixels, small enough that what one step of a tile leaves behind is still
+// in the caches when the next step reads it. Arrays are row-major with a row per pixel; `ld` is the number of floats
+// from one row to the next. Rows of the library's own arrays are filled up with zeros to a multiple of PADDING floats
+// (`padded`), those of the caller are not. Sums over pixels are taken tile by tile and then in the order of the tiles or
+// threads, so that equal numbers of threads give equal bits.
+
+#include <immintrin.h>
+#include <omp.h>
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <cstring>
+#include <type_traits>
+#include <vector>
+
+namespace {
+
+// Of the processor's vector registers, 32 of 16 floats or 16 of 8, a block of a product fills three quarters.
+#ifdef __AVX512F__
+constexpr long LANES = 16, ROWS = 8;
+#else
+constexpr long LANES = 8, ROWS = 4;
+#endif
+constexpr long TILE = 64, PANEL = 3, PADDING = 16;
+
+typedef float Vector __attribute__((vector_size(LANES * sizeof(float))));
+
+Vector load(const float *from) {
+    Vector value;
+    std::memcpy(&value, from, sizeof value);
+    return value;
+}
+
+void store(float *to, Vector value) { std::memcpy(to, &value, sizeof value); }
+
+// As many floats as there are, `count` at most LANES, then zeros.
+Vector load_some(const float *from, long count) {
+    Vector value = {};
+    std::memcpy(&value, from, std::max(0L, std::min(LANES, count)) * sizeof(float));
+    return value;
+}
+
+long padded(long width) { return (width + PADDING - 1) / PADDING * PADDING; }
+
+long tiles_of(long pixels) { return (pixels + TILE - 1) / TILE; }
+
+// Aligned memory of floats, zeroed.
+class Buffer {
+public:
+    explicit Buffer(long size) : floats_(size + 16) {
+        const auto address = reinterpret_cast<std::uintptr_t>(floats_.data());
+        start_ = floats_.data() + (64 - address % 64) % 64 / sizeof(float);
+    }
+    Buffer(const Buffer &) = delete;
+    float *get() { return start_; }
+
+private:
+    std::vector<float> floats_;
+    float *start_;
+};
+
+// Which of `count` tiles each of `threads` takes: contiguous ones.
+struct Share {
+    long first, last;
+    Share(long count, long thread, long threads) : first(count * thread / threads), last(count * (thread + 1) / threads) {}
+};
+
+Vector leaky(Vector value, float slope) { return value > 0 ? value : value * slope; }
+
+// The slope of `leaky` at a value.
+Vector leaky_slope(Vector value, float slope) { return value > 0 ? Vector{} + 1 : Vector{} + slope; }
+
+// Numbers that a product multiplies; sums are float32. Rows of factors are read by words of 32 bits.
+struct Single {
+    static constexpr long NUMBERS = 1;
+    static Vector add_product(Vector sum, float word, Vector words) { return sum + word * words; }
+    static Vector read(const float *row, long column) { return load(row + column); }
+    static void write(float *row, long column, Vector value) { store(row + column, value); }
+};
+
+#ifdef __AVX512BF16__
+struct Half {
+    static constexpr long NUMBERS = 2;
+    static Vector add_product(Vector sum, float word, Vector words) {
+        return _mm512_dpbf16_ps(sum, reinterpret_cast<__m512bh>(_mm512_set1_ps(word)), reinterpret_cast<__m512bh>(words));
+    }
+    static Vector read(const float *row, long column) {
+        const __m256i numbers = _mm256_loadu_si256(reinterpret_cast<const __m256i *>(row + column / 2));
+        return _mm512_castsi512_ps(_mm512_slli_epi32(_mm512_cvtepu16_epi32(numbers), 16));
+    }
+    static void write(float *row, long column, Vector value) {
+        const __m256bh numbers = _mm512_cvtneps_pbh(value);
+        std::memcpy(row + column / 2, &numbers, sizeof numbers);
+    }
+};
+#else
+using Half = Single;  // `can_multiply_bf16` says so.
+#endif
+
+// Calls finish(row, vector, start + a (ROWS, depth) b (depth, VECTORS * LANES)) for each row and vector. Word (r, d) of a
+// is at a[r * row_step + d * depth_step], row r of start at start + r * ld_start.
+template <class Numbers, int VECTORS, class Finish>
+void multiply_block(const float *a, long row_step, long depth_step, const float *b, long ld_b, long depth,
+                    const float *start, long ld_start, const Finish &finish) {
+    Vector sum[ROWS][VECTORS];
+    for (int row = 0; row < ROWS; row++)
+        for (int v = 0; v < VECTORS; v++) sum[row][v] = load(start + row * ld_start + v * LANES);
+    for (long d = 0; d < depth; d++) {
+        Vector right[VECTORS];
+        for (int v = 0; v < VECTORS; v++) right[v] = load(b + d * ld_b + v * LANES);
+        for (int row = 0; row < ROWS; row++) {
+            const float left = a[row * row_step + d * depth_step];
+            for (int v = 0; v < VECTORS; v++) sum[row][v] = Numbers::add_product(sum[row][v], left, right[v]);
+        }
+    }
+    for (int row = 0; row < ROWS; row++)
+        for (int v = 0; v < VECTORS; v++) finish(row, v, sum[row][v]);
+}
+
+// The same for any multiples of ROWS and LANES: calls finish(row, column, values).
+template <class Numbers, class Finish>
+void multiply(const float *a, long row_step, long depth_step, const float *b, long ld_b, long depth, const float *start,
+              long ld_start, long rows, long columns, const Finish &finish) {
+    for (long column = 0; column < columns; column += PANEL * LANES) {
+        for (long row = 0; row < rows; row += ROWS) {
+            const float *left = a + row * row_step, *right = b + column, *from = start + row * ld_start + column;
+            const auto place = [&](int r, int v, Vector value) { finish(row + r, column + v * LANES, value); };
+            const long vectors = (columns - column) / LANES;
+            if (vectors >= 3) multiply_block<Numbers, 3>(left, row_step, depth_step, right, ld_b, depth, from, ld_start, place);
+            if (vectors == 2) multiply_block<Numbers, 2>(left, row_step, depth_step, right, ld_b, depth, from, ld_start, place);
+            if (vectors == 1) multiply_block<Numbers, 1>(left, row_step, depth_step, right, ld_b, depth, from, ld_start, place);
+        }
+    }
+}
+
+// Asks for memory that is needed a tile later.
+void fetch(const float *from, long count) {
+    for (long place = 0; place < count; place += 64 / sizeof(float)) __builtin_prefetch(from + place, 0, 2);
+}
+
+}  // namespace
+
+extern "C" {
+
+// What a layer reads: its input itself, where `scale` is null, or leaky(scale * values + shift) of what the layer before
+// it made, and the same of another layer, `skip`, added. All widths are that of the layer's input.
+struct Input {
+    const float *values;
+    long ld;
+    const float *scale, *shift;
+    const float *skip;
+    const float *skip_scale, *skip_shift;
+    float slope;
+};
+
+}  // extern "C"
+
+namespace {
+
+// Rows [first, first + TILE) of a layer's input; zeros beyond the last pixel and the last column.
+void load_tile(const Input &input, long width, long first, long pixels, float *tile) {
+    const long wide = padded(width), rows = std::min(TILE, pixels - first);
+    std::fill(tile + rows * wide, tile + TILE * wide, 0.0f);
+    const long next = first + TILE, coming = std::max(0L, std::min(TILE, pixels - next));
+    fetch(input.values + next * input.ld, coming * input.ld);
+    if (input.skip) fetch(input.skip + next * input.ld, coming * input.ld);
+    for (long row = 0; row < rows; row++) {
+        const float *values = input.values + (first + row) * input.ld;
+        for (long c = 0; c < wide; c += LANES) {
+            Vector value = input.scale ? load(values + c) : load_some(values + c, width - c);
+            if (input.scale) value = leaky(value * load(input.scale + c) + load(input.shift + c), input.slope);
+            if (input.skip) {
+                const Vector other = load(input.skip + (first + row) * input.ld + c);
+                value += leaky(other * load(input.skip_scale + c) + load(input.skip_shift + c), input.slope);
+            }
+            store(tile + row * wide + c, value);
+        }
+    }
+}
+
+}  // namespace
+
+extern "C" {
+
+// y (pixels, padded(outputs)) = input weight^T + bias, and of each column its mean and its variance (biased).
+//
+// weight (outputs, inputs); bias (outputs); mean, variance (outputs), or null where nobody asks.
+void mlp_layer_forward(long pixels, long inputs, long outputs, const Input *input, const float *weight,
+                       const float *bias, float *y, double *mean, double *variance, int threads) {
+    const long wide_in = padded(inputs), wide_out = padded(outputs), tiles = tiles_of(pixels);
+    Buffer right(inputs * wide_out), offset(wide_out);
+    for (long out = 0; out < outputs; out++) {
+        offset.get()[out] = bias[out];
+        for (long in = 0; in < inputs; in++) right.get()[in * wide_out + out] = weight[out * inputs + in];
+    }
+    // Of each tile and column the mean, and the sum of squared distances from it.
+    std::vector<float> of_tiles(mean ? tiles * 2 * wide_out : 0);
+#pragma omp parallel num_threads(threads)
+    {
+        Buffer x(TILE * wide_in), last_tile(TILE * wide_out);
+        const Share share(tiles, omp_get_thread_num(), omp_get_num_threads());
+        for (long tile = share.first; tile < share.last; tile++) {
+            const long first = tile * TILE, rows = std::min(TILE, pixels - first);
+            load_tile(*input, inputs, first, pixels, x.get());
+            float *target = rows == TILE ? y + first * wide_out : last_tile.get();
+            multiply<Single>(x.get(), wide_in, 1, right.get(), wide_out, inputs, offset.get(), 0, TILE, wide_out,
+                             [&](long row, long c, Vector value) { store(target + row * wide_out + c, value); });
+            if (rows < TILE) std::copy_n(target, rows * wide_out, y + first * wide_out);
+            for (long c = 0; mean && c < wide_out; c += LANES) {
+                // About a value nearby, or a small spread around a large mean would be lost in rounding.
+                const Vector near = load(target + c);
+                Vector sum = {}, squares = {};
+                for (long row = 0; row < rows; row++) {
+                    const Vector distance = load(target + row * wide_out + c) - near;
+                    sum += distance;
+                    squares += distance * distance;
+                }
+                const Vector middle = sum / static_cast<float>(rows);
+                store(of_tiles.data() + tile * 2 * wide_out + c, near + middle);
+                store(of_tiles.data() + (tile * 2 + 1) * wide_out + c, squares - middle * sum);
+            }
+        }
+    }
+    if (!mean) return;
+    // The tiles' moments together (Chan, Golub and LeVeque 1979).
+    for (long out = 0; out < outputs; out++) {
+        double count = 0, middle = 0, squares = 0;
+        for (long tile = 0; tile < tiles; tile++) {
+            const double rows = std::min(TILE, pixels - tile * TILE), total = count + rows;
+            const double distance = of_tiles[tile * 2 * wide_out + out] - middle;
+            squares += of_tiles[(tile * 2 + 1) * wide_out + out] + distance * distance * count * rows / total;
+            middle += distance * rows / total;
+            count = total;
+        }
+        mean[out] = middle;
+        variance[out] = squares / count;
+    }
+}
+
+// The batch norm and activation behind a layer, as its backward pass needs them; all (padded(width)).
+struct Unit {
+    const float *y;
+    const float *scale, *shift;
+    // Without batch norm null: the batch's mean, 1 / its deviation, and the means over pixels of the gradient after the
+    // norm and of that times the normalised value.
+    const float *mean, *inverse_deviation;
+    const float *mean_gradient, *mean_product;
+    float slope;
+};
+
+}  // extern "C"
+
+namespace {
+
+// LANES values of one pixel of y, with their distances from the mean in deviations.
+struct Made {
+    Vector value, normal;
+    Made(const Unit &unit, long place, long column)
+        : value(load(unit.y + place + column)),
+          normal(unit.mean ? (value - load(unit.mean + column)) * load(unit.inverse_deviation + column) : value) {}
+};
+
+// The gradient after the norm, from that of the unit's output.
+Vector through_activation(const Unit &unit, const Made &made, long column, Vector gradient) {
+    const Vector z = made.value * load(unit.scale + column) + load(unit.shift + column);
+    return gradient * leaky_slope(z, unit.slope);
+}
+
+}  // namespace
+
+extern "C" {
+
+// From the gradient of a layer's output to those of its input, weight and bias.
+//
+// upstream: of leaky(norm(y)) where `unit` is there, (pixels, padded(outputs)); else of y, (pixels, outputs).
+// input_gradient (pixels, padded(inputs)): of what `input.values` became by their own norm and activation; `further`,
+// of the same shape, is added to it. Null where nobody asks.
+// before: the unit behind the layer that made `input.values`. Of its gradient after the norm, and of that times the
+// normalised value, the sums over pixels are written to sum_gradient and sum_product (inputs). Null where nobody asks.
+// weight_gradient (outputs, inputs), bias_gradient (outputs): written.
+void mlp_layer_backward(long pixels, long inputs, long outputs, const Input *input, const float *weight, const Unit *unit,
+                        const float *upstream, float *input_gradient, const float *further, const Unit *before,
+                        double *sum_gradient, double *sum_product, float *weight_gradient, float *bias_gradient,
+                        int threads) {
+    const long wide_in = padded(inputs), wide_out = padded(outputs), tiles = tiles_of(pixels);
+    const long weight_rows = (outputs + ROWS - 1) / ROWS * ROWS, of_thread = weight_rows * wide_in + wide_out;
+    Buffer right(outputs * wide_in);
+    for (long out = 0; out < outputs; out++) std::copy_n(weight + out * inputs, inputs, right.get() + out * wide_in);
+    std::vector<float> of_tiles(before ? tiles * 2 * wide_in : 0);
+    // Of each thread the gradient of the weights, and in one more row that of the biases.
+    Buffer of_threads(threads * of_thread);
+#pragma omp parallel num_threads(threads)
+    {
+        Buffer x(TILE * wide_in), down(TILE * wide_out), back(TILE * wide_in), nothing(wide_in);
+        float *weights = of_threads.get() + omp_get_thread_num() * of_thread, *biases = weights + weight_rows * wide_in;
+        const Share share(tiles, omp_get_thread_num(), omp_get_num_threads());
+        for (long tile = share.first; tile < share.last; tile++) {
+            const long first = tile * TILE, rows = std::min(TILE, pixels - first);
+            load_tile(*input, inputs, first, pixels, x.get());
+            const long next = first + TILE, coming = std::max(0L, std::min(TILE, pixels - next));
+            fetch(upstream + next * (unit ? wide_out : outputs), coming * (unit ? wide_out : outputs));
+            if (unit) fetch(unit->y + next * wide_out, coming * wide_out);
+            if (further) fetch(further + next * wide_in, coming * wide_in);
+            // The gradient of y.
+            std::fill_n(down.get(), TILE * wide_out, 0.0f);
+            for (long c = 0; c < wide_out; c += LANES) {
+                Vector bias = load(biases + c);
+                for (long row = 0; row < rows; row++) {
+                    Vector value;
+                    if (unit) {
+                        const long place = (first + row) * wide_out;
+                        const Made made(*unit, place, c);
+                        value = through_activation(*unit, made, c, load(upstream + place + c));
+                        if (unit->mean) {
+                            value -= load(unit->mean_gradient + c) + made.normal * load(unit->mean_product + c);
+                            value *= load(unit->scale + c);
+                        }
+                    } else {
+                        value = load_some(upstream + (first + row) * outputs + c, outputs - c);
+                    }
+                    store(down.get() + row * wide_out + c, value);
+                    bias += value;
+                }
+                store(biases + c, bias);
+            }
+            multiply<Single>(down.get(), 1, wide_out, x.get(), wide_in, TILE, weights, wide_in, weight_rows, wide_in,
+                             [&](long out, long c, Vector value) { store(weights + out * wide_in + c, value); });
+            if (!input_gradient) continue;
+            multiply<Single>(down.get(), wide_out, 1, right.get(), wide_in, outputs, nothing.get(), 0, TILE, wide_in,
+                             [&](long row, long c, Vector value) { store(back.get() + row * wide_in + c, value); });
+            for (long c = 0; c < wide_in; c += LANES) {
+                Vector sum = {}, products = {};
+                for (long row = 0; row < rows; row++) {
+                    const long place = (first + row) * wide_in;
+                    Vector value = load(back.get() + row * wide_in + c);
+                    if (further) value += load(further + place + c);
+                    store(input_gradient + place + c, value);
+                    if (!before) continue;
+                    const Made made(*before, place, c);
+                    value = through_activation(*before, made, c, value);
+                    sum += value;
+                    products += value * made.normal;
+                }
+                if (!before) continue;
+                store(of_tiles.data() + tile * 2 * wide_in + c, sum);
+                store(of_tiles.data() + (tile * 2 + 1) * wide_in + c, products);
+            }
+        }
+    }
+    for (long in = 0; before && in < inputs; in++) {
+        sum_gradient[in] = sum_product[in] = 0;
+        for (long tile = 0; tile < tiles; tile++) {
+            sum_gradient[in] += of_tiles[tile * 2 * wide_in + in];
+            sum_product[in] += of_tiles[(tile * 2 + 1) * wide_in + in];
+        }
+    }
+    std::fill_n(weight_gradient, outputs * inputs, 0.0f);
+    std::fill_n(bias_gradient, outputs, 0.0f);
+    for (int thread = 0; thread < threads; thread++) {
+        const float *weights = of_threads.get() + thread * of_thread, *biases = weights + weight_rows * wide_in;
+        for (long out = 0; out < outputs; out++) {
+            for (long in = 0; in < inputs; in++) weight_gradient[out * inputs + in] += weights[out * wide_in + in];
+            bias_gradient[out] += biases[out];
+        }
+    }
+}
+
+}  // extern "C"
+
+extern "C" {
+
+// A layer of a network that learns no more, its batch norm folded in.
+struct FoldedLayer {
+    long inputs, outputs;
+    // float32: (inputs, padded(outputs)). bf16: pairs of rows side by side, (ceil(inputs / 2), padded(outputs), 2).
+    const float *weight;
+    const float *bias;  // (padded(outputs))
+    float slope;        // Of the LeakyReLU below zero; 1 without one.
+    int adds;           // Not 0: what the layer two before made is added to what this one makes.
+    int is_half;        // Not 0: its factors are bf16.
+};
+
+// Stacked layers of pixels, as a dataset has them, and the tables in which they are looked up.
+struct Stacks {
+    // Layer l of pixel p is place p * pixel_step + l * layer_step of object_id, 0 where empty, and of uv, two of 65535.
+    const std::uint16_t *uv;
+    const std::uint8_t *object_id;
+    long pixel_step, layer_step, layers, features;
+    const float *texels;  // (texel, features)
+    const int *places;    // (3, objects): first row, size and stride of each object's texture
+    // Null where the network is not told of the camera: world positions on the surfaces, where they are, and the camera.
+    const float *positions;  // (texel, 3)
+    const int *position_places;
+    const float *camera;  // (view, 3)
+    long objects, pixels_per_view;
+};
+
+int can_multiply_bf16() { return !std::is_same<Half, Single>::value; }
+
+}  // extern "C"
+
+namespace {
+
+// The four texels around a point, and their weights: those of `model.texture.bilinear_taps`.
+struct Taps {
+    const float *texels[4];
+    float weights[4];
+
+    Taps() = default;
+    Taps(const float *table, long channels, const int *places, long objects, long object, float u, float v) {
+        const int base = places[object], size = places[objects + object], stride = places[2 * objects + object];
+        const float last = static_cast<float>(size - 1);
+        float x = std::min(std::max(u * size - 0.5f, 0.0f), last);
+        float y = std::min(std::max((1.0f - v) * size - 0.5f, 0.0f), last);
+        const int left = static_cast<int>(x), top = static_cast<int>(y);
+        x -= left, y -= top;
+        const long upper = base + static_cast<long>(top) * stride, lower = upper + (top < size - 1 ? stride : 0);
+        const long right = left + (left < size - 1 ? 1 : 0);
+        texels[0] = table + (upper + left) * channels, texels[1] = table + (upper + right) * channels;
+        texels[2] = table + (lower + left) * channels, texels[3] = table + (lower + right) * channels;
+        weights[0] = (1 - x) * (1 - y), weights[1] = x * (1 - y), weights[2] = (1 - x) * y, weights[3] = x * y;
+        for (const float *texel : texels) fetch(texel, channels);
+    }
+
+    float mix(long channel) const {
+        return weights[0] * texels[0][channel] + weights[1] * texels[1][channel] + weights[2] * texels[2][channel] +
+               weights[3] * texels[3][channel];
+    }
+
+    void mix_all(long channels, float *target) const {
+        long c = 0;
+        for (; c + LANES <= channels; c += LANES)
+            store(target + c, weights[0] * load(texels[0] + c) + weights[1] * load(texels[1] + c) +
+                                  weights[2] * load(texels[2] + c) + weights[3] * load(texels[3] + c));
+        for (; c < channels; c++) target[c] = mix(c);
+    }
+};
+
+// A layer of a pixel of a tile that is not empty.
+struct Hit {
+    long row, layer, view;
+    Taps look, place;
+};
+
+bool is_empty(const Stacks &stacks, long pixel) {
+    for (long layer = 0; layer < stacks.layers; layer++)
+        if (stacks.object_id[pixel * stacks.pixel_step + layer * stacks.layer_step]) return false;
+    return true;
+}
+
+// Lists what a tile of `rows` drawn pixels meets, and asks for the texels.
+void list_hits(const Stacks &stacks, const long *drawn, long rows, std::vector<Hit> &hits) {
+    hits.clear();
+    for (long row = 0; row < rows; row++) {
+        for (long layer = 0; layer < stacks.layers; layer++) {
+            const long place = drawn[row] * stacks.pixel_step + layer * stacks.layer_step;
+            const long object = stacks.object_id[place] - 1L;
+            if (object < 0) continue;
+            const float u = stacks.uv[2 * place] / 65535.0f, v = stacks.uv[2 * place + 1] / 65535.0f;
+            Hit &hit = hits.emplace_back();
+            hit.row = row, hit.layer = layer, hit.view = drawn[row] / stacks.pixels_per_view;
+            hit.look = Taps(stacks.texels, stacks.features, stacks.places, stacks.objects, object, u, v);
+            if (stacks.positions) hit.place = Taps(stacks.positions, 3, stacks.position_places, stacks.objects, object, u, v);
+        }
+    }
+}
+
+// The network's inputs of a tile, float32 (TILE, wide); zeros where a layer is empty.
+void look_up(const Stacks &stacks, const std::vector<Hit> &hits, float *x, long wide) {
+    const long channels = stacks.features + (stacks.positions ? 3 : 0);
+    std::fill(x, x + TILE * wide, 0.0f);
+    for (const Hit &hit : hits) {
+        float *target = x + hit.row * wide + hit.layer * channels;
+        hit.look.mix_all(stacks.features, target);
+        if (!stacks.positions) continue;
+        float view[3], square = 0;
+        for (long axis = 0; axis < 3; axis++) {
+            view[axis] = stacks.camera[3 * hit.view + axis] - hit.place.mix(axis);
+            square += view[axis] * view[axis];
+        }
+        const float length = std::max(std::sqrt(square), 1e-12f);
+        for (long axis = 0; axis < 3; axis++) target[stacks.features + axis] = view[axis] / length;
+    }
+}
+
+// A network and the memory to work a tile through it.
+class Drawer {
+public:
+    Drawer(const FoldedLayer *layers, long count)
+        : layers_(layers), count_(count), widest_(find_widest(layers, count)), given_(TILE * widest_),
+          buffers_(3 * TILE * widest_) {}
+
+    // Where the inputs of a tile belong, float32 (TILE, padded(inputs)).
+    float *inputs() { return given_.get(); }
+
+    // What the network makes of the tile, a row of `ld_made` floats each.
+    const float *draw(long *ld_made) {
+        const float *from = given_.get();
+        long ld = padded(layers_[0].inputs), ld_before = 0;
+        if (layers_[0].is_half) {
+            // Rows become half as long, from the front: none is written before it is read.
+            for (long row = 0; row < TILE; row++)
+                for (long c = 0; c < ld; c += LANES)
+                    Half::write(given_.get() + row * ld / Half::NUMBERS, c, load(given_.get() + row * ld + c));
+            ld /= Half::NUMBERS;
+        }
+        for (long l = 0; l < count_; l++) {
+            const FoldedLayer &layer = layers_[l];
+            // What a layer adds is still there, of three buffers in turn.
+            float *made = buffer(l);
+            const float *skip = layer.adds ? buffer(l - 2) : nullptr;
+            const bool to_half = l + 1 < count_ && layers_[l + 1].is_half;
+            const long ld_next = padded(layer.outputs) / (to_half ? Half::NUMBERS : 1);
+            const auto work = !layer.is_half ? work_through<Single, Single>
+                              : to_half      ? work_through<Half, Half>
+                                             : work_through<Half, Single>;
+            work(layer, from, ld, skip, ld_before, made, ld_next);
+            ld_before = ld, from = made, ld = ld_next;
+        }
+        *ld_made = ld;
+        return from;
+    }
+
+private:
+    static long find_widest(const FoldedLayer *layers, long count) {
+        long widest = 0;
+        for (long l = 0; l < count; l++) widest = std::max({widest, padded(layers[l].inputs), padded(layers[l].outputs)});
+        return widest;
+    }
+
+    float *buffer(long layer) { return buffers_.get() + layer % 3 * TILE * widest_; }
+
+    // One layer: from its factors to those of the next one.
+    template <class From, class To>
+    static void work_through(const FoldedLayer &layer, const float *x, long ld_x, const float *skip, long ld_skip, float *made,
+                             long ld_made) {
+        const long wide = padded(layer.outputs), depth = (layer.inputs + From::NUMBERS - 1) / From::NUMBERS;
+        multiply<From>(x, ld_x, 1, layer.weight, wide, depth, layer.bias, 0, TILE, wide,
+                       [&](long row, long c, Vector value) {
+                           value = leaky(value, layer.slope);
+                           if (skip) value += From::read(skip + row * ld_skip, c);
+                           To::write(made + row * ld_made, c, value);
+                       });
+    }
+
+    const FoldedLayer *layers_;
+    long count_, widest_;
+    Buffer given_, buffers_;
+};
+
+}  // namespace
+
+extern "C" {
+
+// What a network makes, (pixels, outputs), of its inputs `x`, (pixels, inputs).
+void mlp_draw(long pixels, const float *x, const FoldedLayer *layers, long count, float *made, int threads) {
+    const long inputs = layers[0].inputs, outputs = layers[count - 1].outputs, tiles = tiles_of(pixels);
+    const Input input = {x, inputs, nullptr, nullptr, nullptr, nullptr, nullptr, 0};
+#pragma omp parallel num_threads(threads)
+    {
+        Drawer drawer(layers, count);
+#pragma omp for schedule(dynamic, 16)
+        for (long tile = 0; tile < tiles; tile++) {
+            const long first = tile * TILE, rows = std::min(TILE, pixels - first);
+            load_tile(input, inputs, first, pixels, drawer.inputs());
+            long ld;
+            const float *drawn = drawer.draw(&ld);
+            for (long row = 0; row < rows; row++) std::copy_n(drawn + row * ld, outputs, made + outputs * (first + row));
+        }
+    }
+}
+
+// Colours (pixel, 3) of stacked layers. Pixels without any layer are all of one colour, and drawn once.
+void mlp_draw_stacks(long pixels, const Stacks *stacks, const FoldedLayer *layers, long count, float *colors, int threads) {
+    constexpr long TILES_AT_ONCE = 16;
+    std::vector<long> drawn, empty;
+    for (long pixel = 0; pixel < pixels; pixel++) (is_empty(*stacks, pixel) ? empty : drawn).push_back(pixel);
+    if (!empty.empty()) drawn.push_back(empty[0]);
+    const long number = drawn.size(), tiles = tiles_of(number), wide = padded(layers[0].inputs);
+    const auto rows_of = [&](long tile) { return std::min(TILE, number - tile * TILE); };
+#pragma omp parallel num_threads(threads)
+    {
+        Drawer drawer(layers, count);
+        std::vector<Hit> hits, next;
+#pragma omp for schedule(dynamic, 1)
+        for (long start = 0; start < tiles; start += TILES_AT_ONCE) {
+            const long stop = std::min(tiles, start + TILES_AT_ONCE);
+            list_hits(*stacks, drawn.data() + start * TILE, rows_of(start), hits);
+            for (long tile = start; tile < stop; tile++) {
+                look_up(*stacks, hits, drawer.inputs(), wide);
+                // Texels of the next tile are on their way while this one is drawn.
+                if (tile + 1 < stop) list_hits(*stacks, drawn.data() + (tile + 1) * TILE, rows_of(tile + 1), next);
+                long ld;
+                const float *colors_of_tile = drawer.draw(&ld);
+                for (long row = 0; row < rows_of(tile); row++)
+                    std::copy_n(colors_of_tile + row * ld, 3, colors + 3 * drawn[tile * TILE + row]);
+                hits.swap(next);
+            }
+        }
+    }
+    for (const long pixel : empty) std::copy_n(colors + 3 * empty[0], 3, colors + 3 * pixel);
+}
+
+}  // extern "C"

@@ -1,0 +1,327 @@
+"""Owns the compiled layers of per-pixel networks: builds `mlp_kernels.cpp` where a compiler is there, and calls it.
+
+Nothing depends on them: where they cannot be built, torch's operations compute the same, up to rounding.
+"""
+
+import ctypes
+import functools
+import hashlib
+import os
+import platform
+import secrets
+import shutil
+import subprocess
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float32, Float64, Int16, Int32, UInt8
+from torch import Tensor
+
+from datagen.command import say
+
+SWITCH = "HYALINE_KERNELS"
+"""Environment variable; `off` leaves everything to torch."""
+
+SOURCE = Path(__file__).with_name("mlp_kernels.cpp")
+
+FLAGS = ("-O3", "-march=native", "-std=c++17", "-fopenmp", "-shared", "-fPIC")
+
+PADDING = 16
+"""Rows of the library's arrays are filled up with zeros to a multiple of so many floats."""
+
+_POINTER, _LONG, _FLOAT, _INT = ctypes.c_void_p, ctypes.c_long, ctypes.c_float, ctypes.c_int
+
+
+class _Input(ctypes.Structure):
+    _fields_ = (
+        ("values", _POINTER), ("ld", _LONG), ("scale", _POINTER), ("shift", _POINTER),
+        ("skip", _POINTER), ("skip_scale", _POINTER), ("skip_shift", _POINTER), ("slope", _FLOAT),
+    )  # fmt: skip
+
+
+class _Unit(ctypes.Structure):
+    _fields_ = (
+        ("y", _POINTER), ("scale", _POINTER), ("shift", _POINTER), ("mean", _POINTER), ("inverse_deviation", _POINTER),
+        ("mean_gradient", _POINTER), ("mean_product", _POINTER), ("slope", _FLOAT),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Moments:
+    """What batch norm divides by: of each channel the mean over pixels, and the (biased) variance."""
+
+    mean: Float64[np.ndarray, " c"]
+    variance: Float64[np.ndarray, " c"]
+
+
+@dataclass(kw_only=True, eq=False)
+class Made:
+    """What a layer made of a batch, and the norm and activation behind it: leaky(scale * y + shift)."""
+
+    y: Float32[Tensor, "pixel c_padded"]
+    scale: Float32[np.ndarray, " c_padded"]
+    shift: Float32[np.ndarray, " c_padded"]
+    slope: float
+    mean: Float32[np.ndarray, " c_padded"] | None = None
+    """None without batch norm."""
+    inverse_deviation: Float32[np.ndarray, " c_padded"] | None = None
+    mean_gradient: Float32[np.ndarray, " c_padded"] | None = None
+    """Over pixels, of the gradient after the norm; there as soon as the layer behind has been gone back through."""
+    mean_product: Float32[np.ndarray, " c_padded"] | None = None
+    """The same of that gradient times the normalised value."""
+    sums: Float64[np.ndarray, "2 c"] | None = None
+    """The gradients of the norm's bias and weight: sums of which those are the means."""
+
+    def as_unit(self) -> _Unit:
+        return _Unit(
+            self.y.data_ptr(), _address(self.scale), _address(self.shift), _address(self.mean),
+            _address(self.inverse_deviation), _address(self.mean_gradient), _address(self.mean_product), self.slope,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Source:
+    """What a layer reads: the network's input, or what another layer made and, added to it, what a third one made."""
+
+    x: Float32[Tensor, "pixel c"] | None = None
+    made: Made | None = None
+    skip: Made | None = None
+
+    def as_input(self) -> _Input:
+        if self.made is None:
+            assert self.x is not None
+            return _Input(self.x.data_ptr(), self.x.shape[1], None, None, None, None, None, 0)
+        skip = (None, None, None)
+        if self.skip is not None:
+            skip = (self.skip.y.data_ptr(), _address(self.skip.scale), _address(self.skip.shift))
+        made = self.made
+        start = (made.y.data_ptr(), made.y.shape[1], _address(made.scale), _address(made.shift))
+        return _Input(*start, *skip, made.slope)
+
+
+class _FoldedLayer(ctypes.Structure):
+    _fields_ = (
+        ("inputs", _LONG), ("outputs", _LONG), ("weight", _POINTER), ("bias", _POINTER), ("slope", _FLOAT),
+        ("adds", _INT), ("is_half", _INT),
+    )  # fmt: skip
+
+
+class _Stacks(ctypes.Structure):
+    _fields_ = (
+        ("uv", _POINTER), ("object_id", _POINTER), ("pixel_step", _LONG), ("layer_step", _LONG), ("layers", _LONG),
+        ("features", _LONG),
+        ("texels", _POINTER), ("places", _POINTER), ("positions", _POINTER), ("position_places", _POINTER),
+        ("camera", _POINTER), ("objects", _LONG), ("pixels_per_view", _LONG),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FoldedLayer:
+    """A layer of a network that learns no more, its batch norm folded in."""
+
+    weight: Float32[Tensor, "c_out c_in"]
+    bias: Float32[Tensor, " c_out"]
+    slope: float = 1.0
+    """Of the LeakyReLU below zero; 1 without one."""
+    adds: bool = False
+    """To what this layer makes, the output of the layer two before is added."""
+    is_half: bool = False
+    """It multiplies in bf16."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Stacks:
+    """The stored layers of pixels, and the tables in which a renderer looks them up."""
+
+    uv: Int16[Tensor, "pixel layer 2"]
+    """The bits of uint16."""
+    object_id: UInt8[Tensor, "pixel layer"]
+    texels: Float32[Tensor, "texel c"]
+    places: Int32[np.ndarray, "3 object"]
+    """First row, size and stride of each object's texture."""
+    positions: Float32[Tensor, "texel 3"] | None
+    """World positions on the surfaces, from which view vectors follow the features; None where they do not."""
+    position_places: Int32[np.ndarray, "3 object"] | None
+    p_camera: Float32[Tensor, "view 3"]
+    pixels_per_view: int
+
+
+class Network:
+    """Folded layers as the library reads them."""
+
+    def __init__(self, layers: Sequence[FoldedLayer]) -> None:
+        self.inputs, self.outputs = layers[0].weight.shape[1], layers[-1].weight.shape[0]
+        # What the structures point to.
+        self._weights = [_packed(layer) for layer in layers]
+        self._biases = [pad(layer.bias.numpy()) for layer in layers]
+        self.array = (_FoldedLayer * len(layers))(*(
+            _FoldedLayer(*layer.weight.shape[::-1], weight.data_ptr(), _address(bias), layer.slope, layer.adds,
+                         layer.is_half)
+            for layer, weight, bias in zip(layers, self._weights, self._biases, strict=True)
+        ))  # fmt: skip
+
+
+class Kernels:
+    """The compiled library."""
+
+    def __init__(self, library: ctypes.CDLL) -> None:
+        self._forward = library.mlp_layer_forward
+        self._forward.argtypes = [_LONG, _LONG, _LONG, *[_POINTER] * 6, _INT]
+        self._forward.restype = None
+        self._backward = library.mlp_layer_backward
+        self._backward.argtypes = [_LONG, _LONG, _LONG, *[_POINTER] * 11, _INT]
+        self._backward.restype = None
+        self._draw = library.mlp_draw
+        self._draw_stacks = library.mlp_draw_stacks
+        for function in (self._draw, self._draw_stacks):
+            function.argtypes = [_LONG, _POINTER, _POINTER, _LONG, _POINTER, _INT]
+            function.restype = None
+        self.can_multiply_bf16 = bool(library.can_multiply_bf16())
+
+    def forward(self, source: Source, weight: Float32[Tensor, "c_out c_in"], bias: Float32[Tensor, " c_out"], *,
+                measures: bool) -> tuple[Float32[Tensor, "pixel c_padded"], Moments | None]:  # fmt: skip
+        """A linear layer of a batch; with its moments where it `measures`."""
+        outputs, inputs = weight.shape
+        given = source.x if source.made is None else source.made.y
+        assert given is not None
+        y = torch.empty(len(given), padded(outputs))
+        moments = Moments(mean=np.empty(outputs), variance=np.empty(outputs)) if measures else None
+        self._forward(
+            len(given), inputs, outputs, ctypes.byref(source.as_input()), weight.data_ptr(), bias.data_ptr(),
+            y.data_ptr(), _address(moments and moments.mean), _address(moments and moments.variance),
+            torch.get_num_threads(),
+        )  # fmt: skip
+        return y, moments
+
+    def backward(
+        self, source: Source, weight: Float32[Tensor, "c_out c_in"], made: Made | None, upstream: Tensor, *,
+        needs_input: bool, further: Tensor | None,
+    ) -> tuple[Tensor | None, Float32[Tensor, "c_out c_in"], Float32[Tensor, " c_out"]]:  # fmt: skip
+        """The gradients of a layer's source (with `further` added), weight and bias.
+
+        Args:
+            made: what the layer made, `upstream` being the gradient after norm and activation; None for one that has
+                neither, where `upstream` is that of its output, (pixel, c_out).
+        """
+        outputs, inputs = weight.shape
+        before = source.made if source.made is not None and source.made.mean is not None else None
+        input_gradient = torch.empty(len(upstream), padded(inputs)) if needs_input else None
+        weight_gradient, bias_gradient = torch.empty(outputs, inputs), torch.empty(outputs)
+        sums = np.empty((2, inputs))
+        unit = None if made is None else ctypes.byref(made.as_unit())
+        self._backward(
+            len(upstream), inputs, outputs, ctypes.byref(source.as_input()), weight.data_ptr(), unit,
+            upstream.data_ptr(), None if input_gradient is None else input_gradient.data_ptr(),
+            None if further is None else further.data_ptr(), None if before is None else ctypes.byref(before.as_unit()),
+            _address(sums[0]), _address(sums[1]), weight_gradient.data_ptr(), bias_gradient.data_ptr(),
+            torch.get_num_threads(),
+        )  # fmt: skip
+        if before is not None:
+            before.sums = sums
+            before.mean_gradient, before.mean_product = (pad(values / len(upstream)) for values in sums)
+        return input_gradient, weight_gradient, bias_gradient
+
+    def draw(self, network: Network, x: Float32[Tensor, "pixel c_in"]) -> Float32[Tensor, "pixel c_out"]:
+        """What a network makes of its inputs."""
+        assert x.shape[1] == network.inputs
+        x, made = x.contiguous(), torch.empty(len(x), network.outputs)
+        self._draw(len(x), x.data_ptr(), network.array, len(network.array), made.data_ptr(), torch.get_num_threads())
+        return made
+
+    def draw_stacks(self, network: Network, stacks: Stacks) -> Float32[Tensor, "pixel 3"]:
+        """The colours that a network of three outputs makes of stacked layers, which are looked up on the way.
+
+        A network with more inputs than the stacks have channels gets zeros for the rest (an empty layer).
+        """
+        num_pixels, num_layers = stacks.object_id.shape
+        features = stacks.texels.shape[1]
+        channels = features + (0 if stacks.positions is None else 3)
+        uv, object_id = stacks.uv, stacks.object_id
+        pixel_step, layer_step = object_id.stride()
+        if uv.stride() != (2 * pixel_step, 2 * layer_step, 1):
+            uv, object_id, pixel_step, layer_step = uv.contiguous(), object_id.contiguous(), num_layers, 1
+        assert num_layers * channels <= network.inputs and network.outputs == 3
+        assert stacks.texels.is_contiguous() and stacks.p_camera.is_contiguous()
+        array = _Stacks(
+            uv.data_ptr(), object_id.data_ptr(), pixel_step, layer_step, num_layers, features,
+            stacks.texels.data_ptr(), _address(stacks.places),
+            None if stacks.positions is None else stacks.positions.data_ptr(), _address(stacks.position_places),
+            stacks.p_camera.data_ptr(), stacks.places.shape[1], stacks.pixels_per_view,
+        )  # fmt: skip
+        colors = torch.empty(num_pixels, 3)
+        self._draw_stacks(num_pixels, ctypes.byref(array), network.array, len(network.array), colors.data_ptr(),
+                          torch.get_num_threads())  # fmt: skip
+        return colors
+
+
+def _packed(layer: FoldedLayer) -> Tensor:
+    """A weight as the library multiplies by it: inputs by rows; in bf16 two of them side by side."""
+    outputs, inputs = layer.weight.shape
+    per_word = 2 if layer.is_half else 1
+    words = -(-inputs // per_word)
+    rows = torch.zeros(words * per_word, padded(outputs))
+    rows[:inputs, :outputs] = layer.weight.T
+    pairs = rows.view(words, per_word, -1).transpose(1, 2).contiguous()
+    return pairs.to(torch.bfloat16) if layer.is_half else pairs
+
+
+def padded(width: int) -> int:
+    """The width of a row of the library's arrays."""
+    return -(-width // PADDING) * PADDING
+
+
+def pad(values: np.ndarray) -> Float32[np.ndarray, " c_padded"]:
+    """Values of all channels as the library takes them: zeros follow."""
+    result = np.zeros(padded(len(values)), np.float32)
+    result[: len(values)] = values
+    return result
+
+
+@functools.cache
+def find_kernels() -> Kernels | None:
+    """The compiled layers, built when they are first asked for on a machine; None where there are none."""
+    if os.environ.get(SWITCH) == "off" or platform.system() != "Linux" or platform.machine() != "x86_64":
+        return None
+    compiler = os.environ.get("CXX") or shutil.which("g++") or shutil.which("c++")
+    if compiler is None:
+        return None
+    try:
+        version = subprocess.run([compiler, "--version"], capture_output=True, text=True, timeout=60, check=True).stdout
+        key = hashlib.sha256(repr((SOURCE.read_text(), version, FLAGS, _processor())).encode()).hexdigest()[:32]
+        path = _cache() / f"{key}.so"
+        if not path.is_file():
+            _build(compiler, path)
+        return Kernels(ctypes.CDLL(str(path)))
+    except (OSError, subprocess.SubprocessError, AttributeError) as error:
+        say(f"networks are left to torch, since their compiled layers cannot be built: {error}; {SWITCH}=off is silent")
+        return None
+
+
+def _build(compiler: str, path: Path) -> None:
+    """Compiles to a file that appears whole or not at all."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_suffix(f".{secrets.token_hex(4)}.partial")
+    try:
+        subprocess.run(
+            [compiler, *FLAGS, str(SOURCE), "-o", str(partial)], capture_output=True, text=True, timeout=300, check=True
+        )
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def _cache() -> Path:
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "hyaline" / "kernels"
+
+
+def _processor() -> str:
+    """What the processor can do: a cache may be shared by machines that differ."""
+    lines = Path("/proc/cpuinfo").read_text().splitlines()
+    return next((line for line in lines if line.startswith("flags")), "")
+
+
+def _address(values: np.ndarray | None) -> int | None:
+    return None if values is None else values.ctypes.data

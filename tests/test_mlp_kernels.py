@@ -1,0 +1,189 @@
+"""Owns the tests of the compiled layers: equal to torch's own in float64, and not needed."""
+
+import copy
+import dataclasses
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from model import fused_mlp, mlp_kernels, pixel_mlp
+from model.batches import Pixels
+from model.mlp_kernels import SWITCH, find_kernels
+from model.paper import PaperConfig, PaperRenderer
+from model.pixel_mlp import Norm, PixelMlp, Precision
+from model.predict import predict_colors
+
+needs_kernels = pytest.mark.skipif(find_kernels() is None, reason="no C++ compiler, or not Linux on x86-64")
+
+
+def reference(net: PixelMlp, x: Tensor) -> Tensor:
+    """What a network in float64 makes, by torch's own operations alone."""
+
+    def unit(module: nn.Module, x: Tensor) -> Tensor:
+        linear = module.get_submodule("linear")
+        x = functional.linear(x, linear.get_parameter("weight"), linear.get_parameter("bias"))
+        return functional.leaky_relu(module.get_submodule("norm")(x), 0.2)
+
+    x = unit(net.first, x)
+    for block in net.residual_blocks():
+        x = unit(block.halve, x + unit(block.second, unit(block.first, x)))
+    return functional.linear(x, net.last.weight, net.last.bias)
+
+
+def distance(found: Tensor, expected: Tensor) -> float:
+    found, expected = found.detach().double(), expected.detach()
+    return float((found - expected).norm() / expected.norm().clamp_min(1e-30))
+
+
+@needs_kernels
+@pytest.mark.parametrize("norm", ["batch", "none"])
+@pytest.mark.parametrize(("rows", "inputs", "width"), [(7, 5, 24), (64, 16, 16), (1000, 33, 40), (4097, 96, 88)])
+def test_a_training_step_is_that_of_torch_in_float64(norm: Norm, rows: int, inputs: int, width: int) -> None:
+    torch.manual_seed(rows)
+    net = PixelMlp(inputs, width=width, blocks=3, norm=norm)
+    for name, value in net.named_parameters():
+        if "norm" in name:
+            nn.init.uniform_(value, 0.5, 1.5)
+    exact = copy.deepcopy(net).double()
+    x = 3 + 2 * torch.randn(rows, inputs)
+    upstream = torch.randn(rows, 3)
+    own, exact_own = x.clone().requires_grad_(), x.double().requires_grad_()
+    found, expected = net(own), reference(exact, exact_own)
+    assert found.grad_fn is not None and "Chain" in type(found.grad_fn).__name__
+    found.backward(upstream)
+    expected.backward(upstream.double())
+    assert distance(found, expected) < 1e-5
+    assert own.grad is not None and exact_own.grad is not None
+    # Where rounding moves a value across the kink of an activation, that pixel's gradient is another one.
+    assert distance(own.grad, exact_own.grad) < 2e-3
+    for (name, ours), theirs in zip(net.named_parameters(), exact.parameters(), strict=True):
+        assert ours.grad is not None and theirs.grad is not None
+        is_lost = norm == "batch" and name.endswith("linear.bias")  # Batch norm takes it away again.
+        assert is_lost or distance(ours.grad, theirs.grad) < 2e-3, name
+    for (name, ours), theirs in zip(net.named_buffers(), exact.buffers(), strict=True):
+        assert distance(ours, theirs.double()) < 1e-5, name
+
+
+@needs_kernels
+def test_a_large_mean_does_not_drown_the_variance() -> None:
+    torch.manual_seed(0)
+    net = PixelMlp(4, width=8, blocks=0, norm="batch")
+    with torch.no_grad():
+        net.first.linear.bias.fill_(1000)
+    x = torch.randn(5000, 4)
+    exact = copy.deepcopy(net).double()
+    assert distance(net(x), reference(exact, x.double())) < 1e-3
+
+
+@needs_kernels
+def test_equal_numbers_of_threads_give_equal_bits() -> None:
+    torch.manual_seed(0)
+    net, x = PixelMlp(96, width=88, blocks=3, norm="batch"), torch.randn(8191, 96)
+    results = []
+    for _ in range(3):
+        net.zero_grad()
+        y = net(x)
+        y.square().sum().backward()
+        results.append([y.detach(), *(value.grad.clone() for value in net.parameters() if value.grad is not None)])
+    assert all(torch.equal(a, b) for other in results[1:] for a, b in zip(results[0], other, strict=True))
+
+
+def made_up_pixels(rows: int, layers: int, rng: np.random.Generator, *, share_empty: float) -> Pixels:
+    there = (rng.random((rows, 1)) >= share_empty) & (rng.random((rows, layers)) < 0.6)
+    return Pixels(
+        uv=torch.from_numpy(rng.integers(0, 1 << 16, (rows, layers, 2)).astype(np.uint16).view(np.int16)),
+        object_id=torch.from_numpy((rng.integers(1, 4, (rows, layers)) * there).astype(np.uint8)),
+        rgb=torch.zeros(rows, 3, dtype=torch.uint8),
+        p_camera=torch.from_numpy(rng.normal(size=(2, 3)).astype(np.float32)),
+        pixels_per_view=rows // 2,
+    )
+
+
+@needs_kernels
+@pytest.mark.parametrize("precision", ["fp32", "bf16"])
+@pytest.mark.parametrize("extrinsics", ["none", "view"])
+@pytest.mark.parametrize("zero_layer", [False, True])
+@pytest.mark.parametrize(("rows", "features", "share_empty"), [(2, 3, 0.0), (3000, 16, 0.4), (66, 21, 1.0)])
+def test_pictures_are_those_of_torch(
+    precision: Precision, extrinsics: str, zero_layer: bool, rows: int, features: int, share_empty: float,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    torch.manual_seed(0)
+    rng = np.random.default_rng(0)
+    config = PaperConfig(
+        texture_size=8, width=40, extrinsics="view" if extrinsics == "view" else "none", zero_layer=zero_layer,
+        texture_features=features, position_size=8, precision=precision,
+    )  # fmt: skip
+    positions = torch.randn(3 * 64, 3) if extrinsics == "view" else None
+    renderer = PaperRenderer(config, num_layers=5, num_objects=3, positions=positions).eval()
+    nn.init.normal_(renderer.textures.get_parameter("table"))
+    pixels = made_up_pixels(rows, 5, rng, share_empty=share_empty)
+    found = predict_colors(renderer, pixels)
+    monkeypatch.setattr(pixel_mlp, "find_kernels", lambda: None)
+    monkeypatch.setattr(fused_mlp, "find_kernels", lambda: None)
+    expected = predict_colors(renderer, pixels)
+    error = (found - expected).abs().max() / expected.abs().max()
+    assert error < (1e-5 if precision == "fp32" else 1e-2)
+
+
+@needs_kernels
+def test_layers_may_lie_behind_each_other_in_memory() -> None:
+    torch.manual_seed(0)
+    rng = np.random.default_rng(1)
+    renderer = PaperRenderer(
+        PaperConfig(texture_size=8, width=32, extrinsics="none"), num_layers=4, num_objects=3, positions=None
+    ).eval()
+    nn.init.normal_(renderer.textures.get_parameter("table"))
+    pixels = made_up_pixels(500, 4, rng, share_empty=0.2)
+    uv, object_id = pixels.uv.transpose(0, 1).contiguous().transpose(0, 1), pixels.object_id.T.contiguous().T
+    expected = predict_colors(renderer, pixels)
+    assert torch.equal(expected, predict_colors(renderer, dataclasses.replace(pixels, uv=uv, object_id=object_id)))
+    assert torch.equal(expected, predict_colors(renderer, dataclasses.replace(pixels, uv=uv)))
+
+
+@pytest.fixture
+def fresh_search(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """An empty cache, in which the compiled layers are looked for anew."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    find_kernels.cache_clear()
+    yield tmp_path / "hyaline" / "kernels"
+    find_kernels.cache_clear()
+
+
+@needs_kernels
+def test_the_library_is_built_once(fresh_search: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert find_kernels() is not None
+    (built,) = fresh_search.iterdir()
+    stamp = built.stat().st_mtime_ns
+    find_kernels.cache_clear()
+    monkeypatch.setattr(mlp_kernels, "_build", lambda *_: pytest.fail("built again"))
+    assert find_kernels() is not None
+    assert built.stat().st_mtime_ns == stamp
+
+
+@needs_kernels
+def test_a_compiler_that_fails_leaves_everything_to_torch_and_says_so(
+    fresh_search: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    broken = tmp_path / "c++"
+    broken.write_text('#!/bin/sh\n[ "$1" = --version ] && echo broken && exit 0\nexit 1\n')
+    broken.chmod(0o755)
+    monkeypatch.setenv("CXX", str(broken))
+    assert find_kernels() is None
+    said = capsys.readouterr()
+    assert "torch" in said.out + said.err and SWITCH in said.out + said.err
+    assert not list(fresh_search.iterdir())
+
+
+def test_the_switch_leaves_everything_to_torch(fresh_search: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(SWITCH, "off")
+    assert find_kernels() is None
+    torch.manual_seed(0)
+    net = PixelMlp(10, width=8, blocks=1, norm="batch")
+    assert "Chain" not in type(net(torch.randn(5, 10)).grad_fn).__name__
+    assert not fresh_search.exists()
