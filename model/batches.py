@@ -108,9 +108,10 @@ class Pixels:
         grid = grid_of(self, index, whole_views=self.whole_views)
         index = index.flatten()
         return RayBatch(
-            uv=(self.uv[index].int() & 0xFFFF).float() / UV_SCALE,
-            object_id=self.object_id[index],
-            p_camera=self.p_camera[index // self.pixels_per_view],
+            # `index_select` takes a third of the time of brackets.
+            uv=(self.uv.index_select(0, index).int() & 0xFFFF).float() / UV_SCALE,
+            object_id=self.object_id.index_select(0, index),
+            p_camera=self.p_camera.index_select(0, index // self.pixels_per_view),
             grid=grid,
         )
 
@@ -210,7 +211,7 @@ def read_colors(dataset: Dataset, split: Split, views: Sequence[int], *, with_im
 
 def take_colors(pixels: PixelSource, index: Int[Tensor, " ray"]) -> Float32[Tensor, "ray 3"]:
     """The true sRGB colours in [0, 1] of the pixels with these row numbers."""
-    return pixels.rgb[index].to(pixels.device).float() / 255
+    return pixels.rgb.index_select(0, index).to(pixels.device).float() / 255
 
 
 def insert_empty_layer(rays: RayBatch, place: Int[Tensor, " ray"]) -> RayBatch:

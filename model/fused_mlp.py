@@ -8,13 +8,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 import torch
 from jaxtyping import Float32
 from torch import Tensor, nn
 from torch.autograd.function import FunctionCtx
 
-from model.mlp_kernels import FoldedLayer, Kernels, Made, Moments, Network, Source, find_kernels, pad
+from model.mlp_kernels import FoldedLayer, Gradients, Kernels, Made, Network, Source, find_kernels
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -50,10 +49,10 @@ class _Chain(torch.autograd.Function):
         kernels, x = _kernels(), x.contiguous()
         made: list[Made] = []
         for index, layer in enumerate(layers):
-            weight, bias = layer.linear.weight.detach(), layer.linear.bias.detach()
-            source = _source(x, layers, made, index)
-            y, moments = kernels.forward(source, weight, bias, measures=layer.norm is not None)
-            made.append(_made(layer, y, moments))
+            slope = 1.0 if layer.slope is None else layer.slope
+            made.append(kernels.forward(_source(x, layers, made, index), layer.linear, layer.norm, slope))
+            if layer.norm is not None and layer.norm.num_batches_tracked is not None:
+                layer.norm.num_batches_tracked += 1
         ctx.chain = x, layers, made  # pyright: ignore[reportAttributeAccessIssue]
         return made[-1].y[:, : layers[-1].linear.out_features].contiguous()
 
@@ -62,27 +61,27 @@ class _Chain(torch.autograd.Function):
         kernels = _kernels()
         x, layers, made = ctx.chain  # pyright: ignore[reportAttributeAccessIssue]
         # Of what each layer made, after norm and activation; of the last one, which has neither, as it is.
-        gradients: list[Tensor | None] = [None] * len(layers)
-        gradients[-1] = upstream[0].contiguous()
-        of_parameters: list[tuple[Tensor, ...]] = [()] * len(layers)
-        of_x = None
+        above: list[Tensor | None] = [None] * len(layers)
+        above[-1] = upstream[0].contiguous()
+        found: list[Gradients] = []
         for index in range(len(layers) - 1, -1, -1):
-            layer, above = layers[index], gradients[index]
-            assert above is not None
-            source = _source(x, layers, made, index)
-            of_source, of_weight, of_bias = kernels.backward(
-                source, layer.linear.weight.detach(), None if layer.slope is None else made[index], above,
-                needs_input=index > 0 or ctx.needs_input_grad[0],  # pyright: ignore[reportAttributeAccessIssue]
-                further=gradients[index - 1] if index else None,
+            layer, of_output = layers[index], above[index]
+            assert of_output is not None
+            gradients = kernels.backward(
+                _source(x, layers, made, index), layer.linear, None if layer.slope is None else made[index], of_output,
+                needs_source=index > 0 or ctx.needs_input_grad[0],  # pyright: ignore[reportAttributeAccessIssue]
+                further=above[index - 1] if index else None,
             )  # fmt: skip
+            found.insert(0, gradients)
             if index:
-                gradients[index - 1] = of_source
+                above[index - 1] = gradients.source
                 if layers[index - 1].adds:
-                    gradients[index - 3] = of_source
-            else:
-                of_x = of_source
-            of_parameters[index] = (of_weight, of_bias, *_norm_gradients(layer, made[index]))
-        flat = [gradient for of_layer in of_parameters for gradient in of_layer]
+                    above[index - 3] = gradients.source
+        of_x = found[0].source
+        flat: list[Tensor] = []
+        for index, gradients in enumerate(found):
+            behind = found[index + 1].norm if layers[index].norm is not None else None
+            flat += [gradients.weight, gradients.bias, *(behind or ())]
         return (None if of_x is None else of_x[:, : x.shape[1]], None, *flat)
 
 
@@ -107,43 +106,3 @@ def _source(x: Tensor, layers: Sequence[ChainLayer], made: Sequence[Made], index
     if index == 0:
         return Source(x=x)
     return Source(made=made[index - 1], skip=made[index - 3] if layers[index - 1].adds else None)
-
-
-def _made(layer: ChainLayer, y: Tensor, moments: Moments | None) -> Made:
-    """A layer's result with its norm as scale and shift; the norm's running statistics move on."""
-    slope = 1.0 if layer.slope is None else layer.slope
-    outputs = layer.linear.out_features
-    if layer.norm is None:
-        return Made(y=y, scale=pad(np.ones(outputs)), shift=pad(np.zeros(outputs)), slope=slope)
-    assert moments is not None
-    norm = layer.norm
-    inverse_deviation = 1 / np.sqrt(moments.variance + norm.eps)
-    scale = norm.weight.detach().numpy() * inverse_deviation
-    _move_on(norm, moments, len(y))
-    return Made(
-        y=y, scale=pad(scale), shift=pad(norm.bias.detach().numpy() - moments.mean * scale), slope=slope,
-        mean=pad(moments.mean), inverse_deviation=pad(inverse_deviation),
-    )  # fmt: skip
-
-
-def _move_on(norm: nn.BatchNorm1d, moments: Moments, count: int) -> None:
-    """What torch does to the running statistics in training."""
-    assert norm.running_mean is not None
-    assert norm.running_var is not None
-    assert norm.num_batches_tracked is not None
-    assert norm.momentum is not None
-    for running, value in (
-        (norm.running_mean, moments.mean),
-        (norm.running_var, moments.variance * count / (count - 1)),
-    ):
-        values = running.numpy()
-        values += norm.momentum * (value - values)
-    norm.num_batches_tracked += 1
-
-
-def _norm_gradients(layer: ChainLayer, made: Made) -> tuple[Tensor, ...]:
-    """Of the norm's weight and bias."""
-    if layer.norm is None:
-        return ()
-    assert made.sums is not None
-    return tuple(torch.from_numpy(values.astype(np.float32)) for values in made.sums[::-1])

@@ -75,7 +75,7 @@ Vector leaky_slope(Vector value, float slope) { return value > 0 ? Vector{} + 1 
 
 // Numbers that a product multiplies; sums are float32. Rows of factors are read by words of 32 bits.
 struct Single {
-    static constexpr long NUMBERS = 1;
+    static constexpr long IN_WORD = 1;
     static Vector add_product(Vector sum, float word, Vector words) { return sum + word * words; }
     static Vector read(const float *row, long column) { return load(row + column); }
     static void write(float *row, long column, Vector value) { store(row + column, value); }
@@ -83,7 +83,7 @@ struct Single {
 
 #ifdef __AVX512BF16__
 struct Half {
-    static constexpr long NUMBERS = 2;
+    static constexpr long IN_WORD = 2;
     static Vector add_product(Vector sum, float word, Vector words) {
         return _mm512_dpbf16_ps(sum, reinterpret_cast<__m512bh>(_mm512_set1_ps(word)), reinterpret_cast<__m512bh>(words));
     }
@@ -145,51 +145,95 @@ void fetch(const float *from, long count) {
 
 extern "C" {
 
-// What a layer reads: its input itself, where `scale` is null, or leaky(scale * values + shift) of what the layer before
-// it made, and the same of another layer, `skip`, added. All widths are that of the layer's input.
-struct Input {
-    const float *values;
-    long ld;
-    const float *scale, *shift;
-    const float *skip;
-    const float *skip_scale, *skip_shift;
+// Rows of `Made::numbers`. The last two are there as soon as the layer behind has been gone back through: the means over
+// pixels of the gradient after the norm, and of that times the normalised value.
+enum { SCALE, SHIFT, MEAN, INVERSE_DEVIATION, MEAN_GRADIENT, MEAN_PRODUCT, NUMBERS };
+
+// What a layer made of a batch, and the norm and activation behind it: leaky(scale * y + shift).
+struct Made {
+    float *y;        // (pixels, padded(width))
+    float *numbers;  // (NUMBERS, padded(width)); of layers without batch norm only scale and shift
     float slope;
+    int has_norm;
+};
+
+// Batch norm in training; all (width).
+struct Norm {
+    const float *weight, *bias;
+    float *running_mean, *running_variance;
+    float epsilon, momentum;
+};
+
+// What a layer reads: `x` (pixels, width) itself, or what the layer before it made and, added to it, what another one
+// made.
+struct Input {
+    const float *x;
+    const Made *made, *skip;
 };
 
 }  // extern "C"
 
 namespace {
 
+const float *row_of(const Made &made, int row, long width) { return made.numbers + row * padded(width); }
+
+// LANES numbers of what a layer made, as the next one reads them.
+struct Reader {
+    const float *y, *scale, *shift;
+    float slope;
+    Reader(const Made &made, long width)
+        : y(made.y), scale(row_of(made, SCALE, width)), shift(row_of(made, SHIFT, width)), slope(made.slope) {}
+    Vector read(long row_start, long c) const {
+        return leaky(load(y + row_start + c) * load(scale + c) + load(shift + c), slope);
+    }
+};
+
 // Rows [first, first + TILE) of a layer's input; zeros beyond the last pixel and the last column.
 void load_tile(const Input &input, long width, long first, long pixels, float *tile) {
     const long wide = padded(width), rows = std::min(TILE, pixels - first);
-    std::fill(tile + rows * wide, tile + TILE * wide, 0.0f);
     const long next = first + TILE, coming = std::max(0L, std::min(TILE, pixels - next));
-    fetch(input.values + next * input.ld, coming * input.ld);
-    if (input.skip) fetch(input.skip + next * input.ld, coming * input.ld);
-    for (long row = 0; row < rows; row++) {
-        const float *values = input.values + (first + row) * input.ld;
-        for (long c = 0; c < wide; c += LANES) {
-            Vector value = input.scale ? load(values + c) : load_some(values + c, width - c);
-            if (input.scale) value = leaky(value * load(input.scale + c) + load(input.shift + c), input.slope);
-            if (input.skip) {
-                const Vector other = load(input.skip + (first + row) * input.ld + c);
-                value += leaky(other * load(input.skip_scale + c) + load(input.skip_shift + c), input.slope);
-            }
-            store(tile + row * wide + c, value);
-        }
+    std::fill(tile + rows * wide, tile + TILE * wide, 0.0f);
+    if (input.x) {
+        fetch(input.x + next * width, coming * width);
+        for (long row = 0; row < rows; row++)
+            for (long c = 0; c < wide; c += LANES)
+                store(tile + row * wide + c, load_some(input.x + (first + row) * width + c, width - c));
+        return;
     }
+    const Reader made(*input.made, width);
+    fetch(made.y + next * wide, coming * wide);
+    for (long row = 0; row < rows; row++)
+        for (long c = 0; c < wide; c += LANES) store(tile + row * wide + c, made.read((first + row) * wide, c));
+    if (!input.skip) return;
+    const Reader skip(*input.skip, width);
+    fetch(skip.y + next * wide, coming * wide);
+    for (long row = 0; row < rows; row++)
+        for (long c = 0; c < wide; c += LANES)
+            store(tile + row * wide + c, load(tile + row * wide + c) + skip.read((first + row) * wide, c));
 }
+
+// LANES values of one pixel of y, with their distances from the mean in deviations, and the gradient after the norm.
+struct Passed {
+    Vector normal, gradient;
+    Passed(const Made &made, long width, long row_start, long c, Vector upstream) {
+        const Vector y = load(made.y + row_start + c);
+        const Vector z = y * load(row_of(made, SCALE, width) + c) + load(row_of(made, SHIFT, width) + c);
+        gradient = upstream * leaky_slope(z, made.slope);
+        normal = Vector{};
+        if (made.has_norm)
+            normal = (y - load(row_of(made, MEAN, width) + c)) * load(row_of(made, INVERSE_DEVIATION, width) + c);
+    }
+};
 
 }  // namespace
 
 extern "C" {
 
-// y (pixels, padded(outputs)) = input weight^T + bias, and of each column its mean and its variance (biased).
+// made->y = input weight^T + bias, and made->numbers; the norm's running statistics move on.
 //
-// weight (outputs, inputs); bias (outputs); mean, variance (outputs), or null where nobody asks.
+// weight (outputs, inputs); bias (outputs); norm: null without one.
 void mlp_layer_forward(long pixels, long inputs, long outputs, const Input *input, const float *weight,
-                       const float *bias, float *y, double *mean, double *variance, int threads) {
+                       const float *bias, const Norm *norm, const Made *made, int threads) {
     const long wide_in = padded(inputs), wide_out = padded(outputs), tiles = tiles_of(pixels);
     Buffer right(inputs * wide_out), offset(wide_out);
     for (long out = 0; out < outputs; out++) {
@@ -197,7 +241,7 @@ void mlp_layer_forward(long pixels, long inputs, long outputs, const Input *inpu
         for (long in = 0; in < inputs; in++) right.get()[in * wide_out + out] = weight[out * inputs + in];
     }
     // Of each tile and column the mean, and the sum of squared distances from it.
-    std::vector<float> of_tiles(mean ? tiles * 2 * wide_out : 0);
+    std::vector<float> of_tiles(norm ? tiles * 2 * wide_out : 0);
 #pragma omp parallel num_threads(threads)
     {
         Buffer x(TILE * wide_in), last_tile(TILE * wide_out);
@@ -205,11 +249,11 @@ void mlp_layer_forward(long pixels, long inputs, long outputs, const Input *inpu
         for (long tile = share.first; tile < share.last; tile++) {
             const long first = tile * TILE, rows = std::min(TILE, pixels - first);
             load_tile(*input, inputs, first, pixels, x.get());
-            float *target = rows == TILE ? y + first * wide_out : last_tile.get();
+            float *y = made->y + first * wide_out, *target = rows == TILE ? y : last_tile.get();
             multiply<Single>(x.get(), wide_in, 1, right.get(), wide_out, inputs, offset.get(), 0, TILE, wide_out,
                              [&](long row, long c, Vector value) { store(target + row * wide_out + c, value); });
-            if (rows < TILE) std::copy_n(target, rows * wide_out, y + first * wide_out);
-            for (long c = 0; mean && c < wide_out; c += LANES) {
+            if (rows < TILE) std::copy_n(target, rows * wide_out, y);
+            for (long c = 0; norm && c < wide_out; c += LANES) {
                 // About a value nearby, or a small spread around a large mean would be lost in rounding.
                 const Vector near = load(target + c);
                 Vector sum = {}, squares = {};
@@ -224,71 +268,48 @@ void mlp_layer_forward(long pixels, long inputs, long outputs, const Input *inpu
             }
         }
     }
-    if (!mean) return;
-    // The tiles' moments together (Chan, Golub and LeVeque 1979).
+    float *numbers = made->numbers;
+    std::fill_n(numbers, NUMBERS * wide_out, 0.0f);
     for (long out = 0; out < outputs; out++) {
-        double count = 0, middle = 0, squares = 0;
+        numbers[SCALE * wide_out + out] = 1;
+        if (!norm) continue;
+        // The tiles' moments together (Chan, Golub and LeVeque 1979).
+        double count = 0, mean = 0, squares = 0;
         for (long tile = 0; tile < tiles; tile++) {
             const double rows = std::min(TILE, pixels - tile * TILE), total = count + rows;
-            const double distance = of_tiles[tile * 2 * wide_out + out] - middle;
+            const double distance = of_tiles[tile * 2 * wide_out + out] - mean;
             squares += of_tiles[(tile * 2 + 1) * wide_out + out] + distance * distance * count * rows / total;
-            middle += distance * rows / total;
+            mean += distance * rows / total;
             count = total;
         }
-        mean[out] = middle;
-        variance[out] = squares / count;
+        const double inverse_deviation = 1 / std::sqrt(squares / count + norm->epsilon);
+        const double scale = norm->weight[out] * inverse_deviation;
+        numbers[SCALE * wide_out + out] = scale;
+        numbers[SHIFT * wide_out + out] = norm->bias[out] - mean * scale;
+        numbers[MEAN * wide_out + out] = mean;
+        numbers[INVERSE_DEVIATION * wide_out + out] = inverse_deviation;
+        norm->running_mean[out] += norm->momentum * (mean - norm->running_mean[out]);
+        norm->running_variance[out] += norm->momentum * (squares / (count - 1) - norm->running_variance[out]);
     }
 }
 
-// The batch norm and activation behind a layer, as its backward pass needs them; all (padded(width)).
-struct Unit {
-    const float *y;
-    const float *scale, *shift;
-    // Without batch norm null: the batch's mean, 1 / its deviation, and the means over pixels of the gradient after the
-    // norm and of that times the normalised value.
-    const float *mean, *inverse_deviation;
-    const float *mean_gradient, *mean_product;
-    float slope;
-};
-
-}  // extern "C"
-
-namespace {
-
-// LANES values of one pixel of y, with their distances from the mean in deviations.
-struct Made {
-    Vector value, normal;
-    Made(const Unit &unit, long place, long column)
-        : value(load(unit.y + place + column)),
-          normal(unit.mean ? (value - load(unit.mean + column)) * load(unit.inverse_deviation + column) : value) {}
-};
-
-// The gradient after the norm, from that of the unit's output.
-Vector through_activation(const Unit &unit, const Made &made, long column, Vector gradient) {
-    const Vector z = made.value * load(unit.scale + column) + load(unit.shift + column);
-    return gradient * leaky_slope(z, unit.slope);
-}
-
-}  // namespace
-
-extern "C" {
-
 // From the gradient of a layer's output to those of its input, weight and bias.
 //
-// upstream: of leaky(norm(y)) where `unit` is there, (pixels, padded(outputs)); else of y, (pixels, outputs).
-// input_gradient (pixels, padded(inputs)): of what `input.values` became by their own norm and activation; `further`,
-// of the same shape, is added to it. Null where nobody asks.
-// before: the unit behind the layer that made `input.values`. Of its gradient after the norm, and of that times the
-// normalised value, the sums over pixels are written to sum_gradient and sum_product (inputs). Null where nobody asks.
+// made: what the layer made; `upstream` is the gradient after its norm and activation, (pixels, padded(outputs)). Null
+// for a layer that has neither, where `upstream` is that of y, (pixels, outputs).
+// input_gradient (pixels, padded(inputs)): of what input->made became by its own norm and activation, or of input->x;
+// `further`, of the same shape, is added to it. Null where nobody asks.
 // weight_gradient (outputs, inputs), bias_gradient (outputs): written.
-void mlp_layer_backward(long pixels, long inputs, long outputs, const Input *input, const float *weight, const Unit *unit,
-                        const float *upstream, float *input_gradient, const float *further, const Unit *before,
-                        double *sum_gradient, double *sum_product, float *weight_gradient, float *bias_gradient,
-                        int threads) {
+// norm_weight_gradient, norm_bias_gradient (inputs): those of the norm behind input->made, whose MEAN_GRADIENT and
+// MEAN_PRODUCT are written, too. Null where it has none.
+void mlp_layer_backward(long pixels, long inputs, long outputs, const Input *input, const float *weight, const Made *made,
+                        const float *upstream, float *input_gradient, const float *further, float *weight_gradient,
+                        float *bias_gradient, float *norm_weight_gradient, float *norm_bias_gradient, int threads) {
     const long wide_in = padded(inputs), wide_out = padded(outputs), tiles = tiles_of(pixels);
     const long weight_rows = (outputs + ROWS - 1) / ROWS * ROWS, of_thread = weight_rows * wide_in + wide_out;
     Buffer right(outputs * wide_in);
     for (long out = 0; out < outputs; out++) std::copy_n(weight + out * inputs, inputs, right.get() + out * wide_in);
+    const Made *before = norm_weight_gradient ? input->made : nullptr;
     std::vector<float> of_tiles(before ? tiles * 2 * wide_in : 0);
     // Of each thread the gradient of the weights, and in one more row that of the biases.
     Buffer of_threads(threads * of_thread);
@@ -299,24 +320,25 @@ void mlp_layer_backward(long pixels, long inputs, long outputs, const Input *inp
         const Share share(tiles, omp_get_thread_num(), omp_get_num_threads());
         for (long tile = share.first; tile < share.last; tile++) {
             const long first = tile * TILE, rows = std::min(TILE, pixels - first);
-            load_tile(*input, inputs, first, pixels, x.get());
             const long next = first + TILE, coming = std::max(0L, std::min(TILE, pixels - next));
-            fetch(upstream + next * (unit ? wide_out : outputs), coming * (unit ? wide_out : outputs));
-            if (unit) fetch(unit->y + next * wide_out, coming * wide_out);
+            load_tile(*input, inputs, first, pixels, x.get());
+            fetch(upstream + next * (made ? wide_out : outputs), coming * (made ? wide_out : outputs));
+            if (made) fetch(made->y + next * wide_out, coming * wide_out);
             if (further) fetch(further + next * wide_in, coming * wide_in);
             // The gradient of y.
             std::fill_n(down.get(), TILE * wide_out, 0.0f);
             for (long c = 0; c < wide_out; c += LANES) {
                 Vector bias = load(biases + c);
                 for (long row = 0; row < rows; row++) {
+                    const long start = (first + row) * wide_out;
                     Vector value;
-                    if (unit) {
-                        const long place = (first + row) * wide_out;
-                        const Made made(*unit, place, c);
-                        value = through_activation(*unit, made, c, load(upstream + place + c));
-                        if (unit->mean) {
-                            value -= load(unit->mean_gradient + c) + made.normal * load(unit->mean_product + c);
-                            value *= load(unit->scale + c);
+                    if (made) {
+                        const Passed passed(*made, outputs, start, c, load(upstream + start + c));
+                        value = passed.gradient;
+                        if (made->has_norm) {
+                            value -= load(row_of(*made, MEAN_GRADIENT, outputs) + c);
+                            value -= passed.normal * load(row_of(*made, MEAN_PRODUCT, outputs) + c);
+                            value *= load(row_of(*made, SCALE, outputs) + c);
                         }
                     } else {
                         value = load_some(upstream + (first + row) * outputs + c, outputs - c);
@@ -334,15 +356,14 @@ void mlp_layer_backward(long pixels, long inputs, long outputs, const Input *inp
             for (long c = 0; c < wide_in; c += LANES) {
                 Vector sum = {}, products = {};
                 for (long row = 0; row < rows; row++) {
-                    const long place = (first + row) * wide_in;
+                    const long start = (first + row) * wide_in;
                     Vector value = load(back.get() + row * wide_in + c);
-                    if (further) value += load(further + place + c);
-                    store(input_gradient + place + c, value);
+                    if (further) value += load(further + start + c);
+                    store(input_gradient + start + c, value);
                     if (!before) continue;
-                    const Made made(*before, place, c);
-                    value = through_activation(*before, made, c, value);
-                    sum += value;
-                    products += value * made.normal;
+                    const Passed passed(*before, inputs, start, c, value);
+                    sum += passed.gradient;
+                    products += passed.gradient * passed.normal;
                 }
                 if (!before) continue;
                 store(of_tiles.data() + tile * 2 * wide_in + c, sum);
@@ -351,11 +372,15 @@ void mlp_layer_backward(long pixels, long inputs, long outputs, const Input *inp
         }
     }
     for (long in = 0; before && in < inputs; in++) {
-        sum_gradient[in] = sum_product[in] = 0;
+        double sum = 0, products = 0;
         for (long tile = 0; tile < tiles; tile++) {
-            sum_gradient[in] += of_tiles[tile * 2 * wide_in + in];
-            sum_product[in] += of_tiles[(tile * 2 + 1) * wide_in + in];
+            sum += of_tiles[tile * 2 * wide_in + in];
+            products += of_tiles[(tile * 2 + 1) * wide_in + in];
         }
+        norm_bias_gradient[in] = sum;
+        norm_weight_gradient[in] = products;
+        before->numbers[MEAN_GRADIENT * wide_in + in] = sum / pixels;
+        before->numbers[MEAN_PRODUCT * wide_in + in] = products / pixels;
     }
     std::fill_n(weight_gradient, outputs * inputs, 0.0f);
     std::fill_n(bias_gradient, outputs, 0.0f);
@@ -504,8 +529,8 @@ public:
             // Rows become half as long, from the front: none is written before it is read.
             for (long row = 0; row < TILE; row++)
                 for (long c = 0; c < ld; c += LANES)
-                    Half::write(given_.get() + row * ld / Half::NUMBERS, c, load(given_.get() + row * ld + c));
-            ld /= Half::NUMBERS;
+                    Half::write(given_.get() + row * ld / Half::IN_WORD, c, load(given_.get() + row * ld + c));
+            ld /= Half::IN_WORD;
         }
         for (long l = 0; l < count_; l++) {
             const FoldedLayer &layer = layers_[l];
@@ -513,7 +538,7 @@ public:
             float *made = buffer(l);
             const float *skip = layer.adds ? buffer(l - 2) : nullptr;
             const bool to_half = l + 1 < count_ && layers_[l + 1].is_half;
-            const long ld_next = padded(layer.outputs) / (to_half ? Half::NUMBERS : 1);
+            const long ld_next = padded(layer.outputs) / (to_half ? Half::IN_WORD : 1);
             const auto work = !layer.is_half ? work_through<Single, Single>
                               : to_half      ? work_through<Half, Half>
                                              : work_through<Half, Single>;
@@ -537,7 +562,7 @@ private:
     template <class From, class To>
     static void work_through(const FoldedLayer &layer, const float *x, long ld_x, const float *skip, long ld_skip, float *made,
                              long ld_made) {
-        const long wide = padded(layer.outputs), depth = (layer.inputs + From::NUMBERS - 1) / From::NUMBERS;
+        const long wide = padded(layer.outputs), depth = (layer.inputs + From::IN_WORD - 1) / From::IN_WORD;
         multiply<From>(x, ld_x, 1, layer.weight, wide, depth, layer.bias, 0, TILE, wide,
                        [&](long row, long c, Vector value) {
                            value = leaky(value, layer.slope);
@@ -558,7 +583,7 @@ extern "C" {
 // What a network makes, (pixels, outputs), of its inputs `x`, (pixels, inputs).
 void mlp_draw(long pixels, const float *x, const FoldedLayer *layers, long count, float *made, int threads) {
     const long inputs = layers[0].inputs, outputs = layers[count - 1].outputs, tiles = tiles_of(pixels);
-    const Input input = {x, inputs, nullptr, nullptr, nullptr, nullptr, nullptr, 0};
+    const Input input = {x, nullptr, nullptr};
 #pragma omp parallel num_threads(threads)
     {
         Drawer drawer(layers, count);

@@ -17,8 +17,8 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Float32, Float64, Int16, Int32, UInt8
-from torch import Tensor
+from jaxtyping import Float32, Int16, Int32, UInt8
+from torch import Tensor, nn
 
 from datagen.command import say
 
@@ -35,51 +35,34 @@ PADDING = 16
 _POINTER, _LONG, _FLOAT, _INT = ctypes.c_void_p, ctypes.c_long, ctypes.c_float, ctypes.c_int
 
 
+class _Made(ctypes.Structure):
+    _fields_ = (("y", _POINTER), ("numbers", _POINTER), ("slope", _FLOAT), ("has_norm", _INT))
+
+
+class _Norm(ctypes.Structure):
+    _fields_ = (
+        ("weight", _POINTER), ("bias", _POINTER), ("running_mean", _POINTER), ("running_variance", _POINTER),
+        ("epsilon", _FLOAT), ("momentum", _FLOAT),
+    )  # fmt: skip
+
+
 class _Input(ctypes.Structure):
-    _fields_ = (
-        ("values", _POINTER), ("ld", _LONG), ("scale", _POINTER), ("shift", _POINTER),
-        ("skip", _POINTER), ("skip_scale", _POINTER), ("skip_shift", _POINTER), ("slope", _FLOAT),
-    )  # fmt: skip
+    _fields_ = (("x", _POINTER), ("made", ctypes.POINTER(_Made)), ("skip", ctypes.POINTER(_Made)))
 
 
-class _Unit(ctypes.Structure):
-    _fields_ = (
-        ("y", _POINTER), ("scale", _POINTER), ("shift", _POINTER), ("mean", _POINTER), ("inverse_deviation", _POINTER),
-        ("mean_gradient", _POINTER), ("mean_product", _POINTER), ("slope", _FLOAT),
-    )  # fmt: skip
+NUM_NUMBERS = 6
+"""Rows of `Made.numbers`."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Moments:
-    """What batch norm divides by: of each channel the mean over pixels, and the (biased) variance."""
-
-    mean: Float64[np.ndarray, " c"]
-    variance: Float64[np.ndarray, " c"]
-
-
-@dataclass(kw_only=True, eq=False)
 class Made:
     """What a layer made of a batch, and the norm and activation behind it: leaky(scale * y + shift)."""
 
-    y: Float32[Tensor, "pixel c_padded"]
-    scale: Float32[np.ndarray, " c_padded"]
-    shift: Float32[np.ndarray, " c_padded"]
-    slope: float
-    mean: Float32[np.ndarray, " c_padded"] | None = None
-    """None without batch norm."""
-    inverse_deviation: Float32[np.ndarray, " c_padded"] | None = None
-    mean_gradient: Float32[np.ndarray, " c_padded"] | None = None
-    """Over pixels, of the gradient after the norm; there as soon as the layer behind has been gone back through."""
-    mean_product: Float32[np.ndarray, " c_padded"] | None = None
-    """The same of that gradient times the normalised value."""
-    sums: Float64[np.ndarray, "2 c"] | None = None
-    """The gradients of the norm's bias and weight: sums of which those are the means."""
-
-    def as_unit(self) -> _Unit:
-        return _Unit(
-            self.y.data_ptr(), _address(self.scale), _address(self.shift), _address(self.mean),
-            _address(self.inverse_deviation), _address(self.mean_gradient), _address(self.mean_product), self.slope,
-        )  # fmt: skip
+    def __init__(self, num_pixels: int, width: int, slope: float, *, has_norm: bool) -> None:
+        self.width, self.has_norm = width, has_norm
+        self.y = torch.empty(num_pixels, padded(width))
+        self.numbers = torch.empty(NUM_NUMBERS, padded(width))
+        """Scale and shift, and what the way back needs."""
+        self.record = _Made(self.y.data_ptr(), self.numbers.data_ptr(), slope, has_norm)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -93,13 +76,20 @@ class Source:
     def as_input(self) -> _Input:
         if self.made is None:
             assert self.x is not None
-            return _Input(self.x.data_ptr(), self.x.shape[1], None, None, None, None, None, 0)
-        skip = (None, None, None)
-        if self.skip is not None:
-            skip = (self.skip.y.data_ptr(), _address(self.skip.scale), _address(self.skip.shift))
-        made = self.made
-        start = (made.y.data_ptr(), made.y.shape[1], _address(made.scale), _address(made.shift))
-        return _Input(*start, *skip, made.slope)
+            return _Input(self.x.data_ptr(), None, None)
+        skip = None if self.skip is None else ctypes.pointer(self.skip.record)
+        return _Input(None, ctypes.pointer(self.made.record), skip)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Gradients:
+    """What a layer sends back."""
+
+    source: Float32[Tensor, "pixel c_padded"] | None
+    weight: Float32[Tensor, "c_out c_in"]
+    bias: Float32[Tensor, " c_out"]
+    norm: tuple[Float32[Tensor, " c_in"], Float32[Tensor, " c_in"]] | None
+    """Of weight and bias of the batch norm behind the source; None where it has none."""
 
 
 class _FoldedLayer(ctypes.Structure):
@@ -169,10 +159,10 @@ class Kernels:
 
     def __init__(self, library: ctypes.CDLL) -> None:
         self._forward = library.mlp_layer_forward
-        self._forward.argtypes = [_LONG, _LONG, _LONG, *[_POINTER] * 6, _INT]
+        self._forward.argtypes = [_LONG, _LONG, _LONG, *[_POINTER] * 5, _INT]
         self._forward.restype = None
         self._backward = library.mlp_layer_backward
-        self._backward.argtypes = [_LONG, _LONG, _LONG, *[_POINTER] * 11, _INT]
+        self._backward.argtypes = [_LONG, _LONG, _LONG, *[_POINTER] * 10, _INT]
         self._backward.restype = None
         self._draw = library.mlp_draw
         self._draw_stacks = library.mlp_draw_stacks
@@ -181,48 +171,51 @@ class Kernels:
             function.restype = None
         self.can_multiply_bf16 = bool(library.can_multiply_bf16())
 
-    def forward(self, source: Source, weight: Float32[Tensor, "c_out c_in"], bias: Float32[Tensor, " c_out"], *,
-                measures: bool) -> tuple[Float32[Tensor, "pixel c_padded"], Moments | None]:  # fmt: skip
-        """A linear layer of a batch; with its moments where it `measures`."""
-        outputs, inputs = weight.shape
+    def forward(self, source: Source, linear: nn.Linear, norm: nn.BatchNorm1d | None, slope: float) -> Made:
+        """A linear layer of a batch, with the norm in training behind it, whose running statistics move on."""
         given = source.x if source.made is None else source.made.y
         assert given is not None
-        y = torch.empty(len(given), padded(outputs))
-        moments = Moments(mean=np.empty(outputs), variance=np.empty(outputs)) if measures else None
+        made = Made(len(given), linear.out_features, slope, has_norm=norm is not None)
+        record = None
+        if norm is not None:
+            assert norm.running_mean is not None
+            assert norm.running_var is not None
+            assert norm.momentum is not None
+            record = ctypes.byref(_Norm(
+                norm.weight.data_ptr(), norm.bias.data_ptr(), norm.running_mean.data_ptr(), norm.running_var.data_ptr(),
+                norm.eps, norm.momentum,
+            ))  # fmt: skip
         self._forward(
-            len(given), inputs, outputs, ctypes.byref(source.as_input()), weight.data_ptr(), bias.data_ptr(),
-            y.data_ptr(), _address(moments and moments.mean), _address(moments and moments.variance),
+            len(given), linear.in_features, linear.out_features, ctypes.byref(source.as_input()),
+            linear.weight.data_ptr(), linear.bias.data_ptr(), record, ctypes.byref(made.record),
             torch.get_num_threads(),
         )  # fmt: skip
-        return y, moments
+        return made
 
-    def backward(
-        self, source: Source, weight: Float32[Tensor, "c_out c_in"], made: Made | None, upstream: Tensor, *,
-        needs_input: bool, further: Tensor | None,
-    ) -> tuple[Tensor | None, Float32[Tensor, "c_out c_in"], Float32[Tensor, " c_out"]]:  # fmt: skip
+    def backward(self, source: Source, linear: nn.Linear, made: Made | None, upstream: Tensor, *, needs_source: bool,
+                 further: Tensor | None) -> Gradients:  # fmt: skip
         """The gradients of a layer's source (with `further` added), weight and bias.
 
         Args:
             made: what the layer made, `upstream` being the gradient after norm and activation; None for one that has
                 neither, where `upstream` is that of its output, (pixel, c_out).
         """
-        outputs, inputs = weight.shape
-        before = source.made if source.made is not None and source.made.mean is not None else None
-        input_gradient = torch.empty(len(upstream), padded(inputs)) if needs_input else None
-        weight_gradient, bias_gradient = torch.empty(outputs, inputs), torch.empty(outputs)
-        sums = np.empty((2, inputs))
-        unit = None if made is None else ctypes.byref(made.as_unit())
+        outputs, inputs = linear.weight.shape
+        gradients = Gradients(
+            source=torch.empty(len(upstream), padded(inputs)) if needs_source else None,
+            weight=torch.empty(outputs, inputs),
+            bias=torch.empty(outputs),
+            norm=(torch.empty(inputs), torch.empty(inputs)) if source.made and source.made.has_norm else None,
+        )
+        of_norm = (None, None) if gradients.norm is None else [tensor.data_ptr() for tensor in gradients.norm]
         self._backward(
-            len(upstream), inputs, outputs, ctypes.byref(source.as_input()), weight.data_ptr(), unit,
-            upstream.data_ptr(), None if input_gradient is None else input_gradient.data_ptr(),
-            None if further is None else further.data_ptr(), None if before is None else ctypes.byref(before.as_unit()),
-            _address(sums[0]), _address(sums[1]), weight_gradient.data_ptr(), bias_gradient.data_ptr(),
-            torch.get_num_threads(),
+            len(upstream), inputs, outputs, ctypes.byref(source.as_input()), linear.weight.data_ptr(),
+            None if made is None else ctypes.byref(made.record), upstream.data_ptr(),
+            None if gradients.source is None else gradients.source.data_ptr(),
+            None if further is None else further.data_ptr(), gradients.weight.data_ptr(), gradients.bias.data_ptr(),
+            *of_norm, torch.get_num_threads(),
         )  # fmt: skip
-        if before is not None:
-            before.sums = sums
-            before.mean_gradient, before.mean_product = (pad(values / len(upstream)) for values in sums)
-        return input_gradient, weight_gradient, bias_gradient
+        return gradients
 
     def draw(self, network: Network, x: Float32[Tensor, "pixel c_in"]) -> Float32[Tensor, "pixel c_out"]:
         """What a network makes of its inputs."""

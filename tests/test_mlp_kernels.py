@@ -2,6 +2,9 @@
 
 import copy
 import dataclasses
+import platform
+import shutil
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -17,6 +20,13 @@ from model.mlp_kernels import SWITCH, find_kernels
 from model.paper import PaperConfig, PaperRenderer
 from model.pixel_mlp import Norm, PixelMlp, Precision
 from model.predict import predict_colors
+
+
+@pytest.mark.skipif(not (sys.platform == "linux" and platform.machine() == "x86_64" and shutil.which("g++")),
+                    reason="no C++ compiler, or not Linux on x86-64")  # fmt: skip
+def test_where_a_compiler_is_there_the_layers_are_built() -> None:
+    assert find_kernels() is not None
+
 
 needs_kernels = pytest.mark.skipif(find_kernels() is None, reason="no C++ compiler, or not Linux on x86-64")
 

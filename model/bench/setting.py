@@ -12,6 +12,7 @@ from datagen.errors import HyalineError
 from datagen.number_formats import UV_SCALE
 from model.batches import Pixels, RayBatch
 from model.bench.choices import BenchChoices
+from model.mlp_kernels import find_kernels
 from model.paper import PaperConfig, PaperRenderer, count_inputs
 from model.pixel_mlp import width_for_34k
 
@@ -139,6 +140,7 @@ def describe(choices: BenchChoices, renderer: PaperRenderer) -> dict[str, object
         "texture": f"{choices.texture_size} x {choices.texture_size} x {choices.features}",
         "network": f"{num_parameters:,} parameters",
         "precision": choices.precision,
+        "compiled layers": "no" if find_kernels() is None else "yes",
         "threads": torch.get_num_threads(),
     }
 
