@@ -19,6 +19,7 @@ from datagen.meshes import is_there
 from datagen.mitsuba_scene import has_small_light, is_scalar, load_scene_mitsuba, load_sensor
 from datagen.scene import Dielectric, Scene
 from datagen.tonemap import srgb_from_linear, to_8bit
+from datagen.variant import start_workers
 
 MAX_PATHS_PER_PASS = 1 << 23
 """Samples of one film pass; more would not be faster and cost memory."""
@@ -149,6 +150,7 @@ def radiance_bytes(truth: Truth) -> bytes:
     names = ["R", "G", "B", "noise.R", "noise.G", "noise.B"]
     bitmap = mi.Bitmap(channels, pixel_format=mi.Bitmap.PixelFormat.MultiChannel, channel_names=names)
     stream = mi.MemoryStream()
+    start_workers()
     bitmap.write(stream, mi.Bitmap.FileFormat.OpenEXR)
     return cast(bytes, stream.raw_buffer())
 
@@ -160,6 +162,7 @@ def read_radiance(data: bytes) -> tuple[Float32[np.ndarray, "h w 3"], Float32[np
     stream = mi.MemoryStream()
     stream.write(data)
     stream.seek(0)
+    start_workers()
     bitmap = mi.Bitmap(stream, mi.Bitmap.FileFormat.OpenEXR)
     order = {field.name: index for index, field in enumerate(bitmap.struct_())}
     values = np.array(bitmap, np.float32)

@@ -3,10 +3,12 @@
 # Mitsuba's stubs describe no variant: what is a number in one is an array in another.
 # pyright: reportCallIssue=false
 
+import contextlib
 import functools
 import os
 import subprocess
 import sys
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -77,20 +79,24 @@ def num_cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
+_num_threads = 2
+"""Of Dr.Jit while it works, the calling one included; `use_mitsuba` sets it."""
+
+
 def use_mitsuba(*, quiet: bool = False, threads: int | None = None) -> str:
     """Sets up Mitsuba in this process and returns its variant; says in one line when that is the slow one.
 
     Args:
         threads: how many threads render; all cores unless given.
     """
+    global _num_threads
     choice = choose_variant()
     if choice.llvm is not None:
         os.environ[VARIABLE] = str(choice.llvm.path)
-    import drjit as dr
     import mitsuba as mi
 
-    # With one thread Dr.Jit 1.5 has no workers, and Mitsuba 3.9 then waits for ever for one to write an EXR.
-    dr.set_thread_count(max(2, threads or num_cores()))
+    _num_threads = max(2, threads or num_cores())
+    start_workers()
     # Plugins are looked for in the working directory first: a folder `plugins/` there would run foreign code.
     mi.set_variant(choice.variant)
     resolver = mi.file_resolver()
@@ -100,3 +106,29 @@ def use_mitsuba(*, quiet: bool = False, threads: int | None = None) -> str:
     if choice.variant == "scalar_rgb" and not quiet:
         say(f"Mitsuba runs as scalar_rgb, many times slower than it could: {choice.reason}")
     return choice.variant
+
+
+def start_workers() -> None:
+    """Starts Dr.Jit's worker threads where `short_lived_workers` has ended them.
+
+    With one thread Dr.Jit 1.5 has none, and Mitsuba 3.9 then waits for ever for one to write or read an EXR.
+    """
+    import drjit as dr
+
+    dr.set_thread_count(_num_threads)
+
+
+@contextlib.contextmanager
+def short_lived_workers() -> Iterator[None]:
+    """Ends Dr.Jit's worker threads after this block, until the next one begins. Call `use_mitsuba` first.
+
+    Idle workers spin for some 20 ms after each kernel (Dr.Jit 1.5), on cores that torch's threads wait for: training on
+    light paths took a fifth longer on two cores. To start and to end one takes 0.1 ms.
+    """
+    import drjit as dr
+
+    start_workers()
+    try:
+        yield
+    finally:
+        dr.set_thread_count(1)

@@ -14,6 +14,7 @@ from datagen.cameras import subpixel_offsets, subpixel_rays
 from datagen.dataset import Cameras, Dataset, Split, read_cameras
 from datagen.geometry import TRUTH, read_meshes
 from datagen.meshes import Mesh
+from datagen.variant import short_lived_workers
 from model.batches import RayBatch, read_colors
 from model.distributed import first_pixel
 from model.light_path_net import STACKED_VERTICES, Ends, LightPathBatch, LightPathConfig, Sky, Stack, default_light_path
@@ -80,7 +81,8 @@ class TracedLayerPixels:
         """The layers of the rays through these pixels; without `rng` as many rays as a rendering takes."""
         samples = self.train_samples if rng is not None else self.render_samples
         origins, directions = self.rays.through(index.flatten().cpu().numpy(), samples, rng)
-        uv, object_id = self.peeler.peel_rays(origins, directions, self.num_layers)
+        with short_lived_workers():
+            uv, object_id = self.peeler.peel_rays(origins, directions, self.num_layers)
         return RayBatch(
             uv=torch.from_numpy(uv).to(self.device),
             object_id=torch.from_numpy(object_id).to(self.device),
@@ -123,14 +125,15 @@ class LightPathPixels:
         origins, directions = self.rays.through(index.flatten().cpu().numpy(), samples, rng)
         # Of most branches the end is all that counts: one place holds the last vertex.
         seed = 0 if rng is None else int(rng.integers(1 << 31))
-        paths = self.tracer.trace(
-            origins,
-            directions,
-            max_branches=config.branches,
-            max_vertices=1,
-            seed=seed,
-            first_ray=first_pixel(rng) * samples,
-        )
+        with short_lived_workers():
+            paths = self.tracer.trace(
+                origins,
+                directions,
+                max_branches=config.branches,
+                max_vertices=1,
+                seed=seed,
+                first_ray=first_pixel(rng) * samples,
+            )
         stack = self._stack(origins, directions) if config.stack_hidden else None
         return LightPathBatch(
             num_pixels=index.numel(), samples=samples, ends=self._ends(paths), sky=self._sky(paths), stack=stack
@@ -160,13 +163,14 @@ class LightPathPixels:
         )
 
     def _stack(self, origins: np.ndarray, directions: np.ndarray) -> Stack:
-        paths = self.tracer.trace(
-            origins,
-            directions,
-            max_branches=len(STACKED_VERTICES),
-            max_vertices=max(STACKED_VERTICES),
-            max_depth=max(STACKED_VERTICES),
-        )
+        with short_lived_workers():
+            paths = self.tracer.trace(
+                origins,
+                directions,
+                max_branches=len(STACKED_VERTICES),
+                max_vertices=max(STACKED_VERTICES),
+                max_depth=max(STACKED_VERTICES),
+            )
         places = [(branch, vertex) for branch, count in enumerate(STACKED_VERTICES) for vertex in range(count)]
         slots = [_slot(paths, *place) for place in places]
         for slot in slots:
@@ -308,7 +312,8 @@ def _mirrored(direction: Float32[np.ndarray, "vertex 3"], normal: Float32[np.nda
 
 
 def _straight(tracer: "LightPathTracer", origins: np.ndarray, directions: np.ndarray, num_layers: int) -> "TracedPaths":
-    return tracer.trace(origins, directions, max_branches=1, max_vertices=num_layers, max_depth=num_layers)
+    with short_lived_workers():
+        return tracer.trace(origins, directions, max_branches=1, max_vertices=num_layers, max_depth=num_layers)
 
 
 def _tracer_factory() -> "type[LightPathTracer]":

@@ -15,7 +15,7 @@ from datagen.errors import HyalineError
 from datagen.geometry import TRUTH, ProxyStatistics, read_meshes, write_proxies
 from datagen.layers import read_layers
 from datagen.tonemap import srgb_from_linear
-from datagen.variant import use_mitsuba
+from datagen.variant import short_lived_workers, use_mitsuba
 from model.light_path_net import RELIEF_DEPTH, STACKED_VERTICES, LightPathConfig, LightPathRenderer, default_light_path
 from model.methods import METHODS
 from model.paper import PaperConfig, PaperRenderer
@@ -55,6 +55,19 @@ def pixels_of(dataset: Dataset, **config: int) -> LightPathPixels:
     return load_light_path_pixels(
         LightPathConfig(texture_sizes=(8, 8), **config), dataset, TRUTH, "train", [2, 5], True
     )
+
+
+def test_no_worker_of_drjit_spins_beside_torch_after_a_batch_is_traced(dataset: Dataset) -> None:
+    import drjit as dr
+
+    pixels = pixels_of(dataset, straight_layers=2)
+    for rng in (None, np.random.default_rng(0)):
+        pixels.take(torch.arange(64), rng)
+        assert dr.thread_count() == 1
+    with pytest.raises(KeyError, match="stopped"), short_lived_workers():
+        assert dr.thread_count() > 1
+        raise KeyError("stopped")
+    assert dr.thread_count() == 1
 
 
 def white(renderer: LightPathRenderer) -> LightPathRenderer:

@@ -2,6 +2,8 @@
 
 import dataclasses
 import math
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -360,6 +362,23 @@ def test_a_picture_repeats_to_the_last_bit_however_many_threads_share_its_pixels
         pictures.append(renderer.radiance(cameras, 0, spp=144, seed=3)[0])
     dr.set_thread_count(max(2, num_cores()))
     assert all(np.array_equal(pictures[0], other) for other in pictures[1:])
+
+
+def test_an_exr_is_written_and_read_after_the_workers_were_ended() -> None:
+    """In a process of its own: with a single thread Mitsuba 3.9 waits for ever."""
+    script = (
+        "from datagen.variant import short_lived_workers, use_mitsuba; use_mitsuba(quiet=True, threads=3)\n"
+        "import drjit as dr, numpy as np\n"
+        "from datagen.render import Truth, radiance_bytes, read_radiance\n"
+        "with short_lived_workers(): assert dr.thread_count() == 3\n"
+        "assert dr.thread_count() == 1\n"
+        "half = np.full((8, 8, 3), 0.5, np.float32)\n"
+        "data = radiance_bytes(Truth(radiance=half, half_difference=half, spp=2, noise_mse=0.0))\n"
+        "with short_lived_workers(): pass\n"
+        "assert (read_radiance(data)[0] == 0.5).all()\n"
+    )
+    answer = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=False)
+    assert answer.returncode == 0, answer.stderr
 
 
 def test_radiance_that_is_no_number_stops_the_view(monkeypatch: pytest.MonkeyPatch) -> None:
