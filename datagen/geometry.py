@@ -9,7 +9,7 @@ where `assignment` in proxies.json says for each object what stands for it.
 """
 
 import difflib
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from datagen.command import choose
@@ -170,16 +170,38 @@ def read_meshes(dataset: Dataset, geometry: str) -> tuple[Mesh, ...]:
     """
     dataset = dataset.home
     root = geometry_root(dataset.root, geometry)
-    if geometry == TRUTH:
-        promised = head_files(dataset.root)
-        files = {item.name: f"scene/meshes/{item.name}.ply" for item in dataset.objects}
-        files = {name: file for name, file in files.items() if file in promised or dataset.edit is None}
-        check_files(root, {file: promised[file] for file in files.values()})
-    else:
-        records = read_proxy_records(dataset, geometry)
-        files = {record.object: record.file for record in records}
-        check_files(root, {record.file: record.sha256 for record in records})
-    meshes = {name: read_ply(root / file)[0] for name, file in files.items()}
+    files = _mesh_files(dataset, geometry)
+    check_files(root, dict(files.values()))
+    meshes = {name: read_ply(root / file)[0] for name, (file, _) in files.items()}
     for name, mesh in meshes.items():
-        check_mesh(mesh, where=str(root / files[name]))
+        check_mesh(mesh, where=str(root / files[name][0]))
     return tuple(meshes.get(item.name) or no_mesh() for item in dataset.objects)
+
+
+@dataclass(frozen=True, kw_only=True)
+class GeometryKey:
+    """A geometry as the key of what is computed from it: equal where the dataset's head and all meshes are."""
+
+    dataset: Dataset = field(compare=False)
+    seal: str
+    geometry: str
+    mesh_hashes: tuple[str, ...]
+
+
+def geometry_key(dataset: Dataset, geometry: str) -> GeometryKey:
+    """The key of a geometry as its sealed list names it; no mesh is read.
+
+    Raises:
+        HyalineError: not made, or the list is damaged.
+    """
+    hashes = tuple(sha256 for _, sha256 in _mesh_files(dataset.home, geometry).values())
+    return GeometryKey(dataset=dataset.home, seal=dataset.home.seal, geometry=geometry, mesh_hashes=hashes)
+
+
+def _mesh_files(dataset: Dataset, geometry: str) -> dict[str, tuple[str, str]]:
+    """File and SHA-256 of each object's mesh, where the object is there; relative to the geometry's folder."""
+    if geometry != TRUTH:
+        return {record.object: (record.file, record.sha256) for record in read_proxy_records(dataset, geometry)}
+    promised = head_files(dataset.root)
+    files = {item.name: f"scene/meshes/{item.name}.ply" for item in dataset.objects}
+    return {name: (file, promised[file]) for name, file in files.items() if file in promised or dataset.edit is None}

@@ -1,6 +1,7 @@
 """Owns the sub-pixel rays of training and test pixels, traced anew for every batch: straight layers or light paths."""
 
 import dataclasses
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -12,9 +13,9 @@ from torch import Tensor
 
 from datagen.cameras import subpixel_offsets, subpixel_rays
 from datagen.dataset import Cameras, Dataset, Split, read_cameras
-from datagen.geometry import TRUTH, read_meshes
+from datagen.geometry import TRUTH, GeometryKey, geometry_key, read_meshes
 from datagen.meshes import Mesh
-from datagen.variant import short_lived_workers
+from datagen.variant import short_lived_workers, use_mitsuba
 from model.batches import RayBatch, read_colors
 from model.distributed import first_pixel
 from model.light_path_net import STACKED_VERTICES, Ends, LightPathBatch, LightPathConfig, Sky, Stack, default_light_path
@@ -230,7 +231,7 @@ def load_traced_layers(config: PaperConfig, dataset: Dataset, geometry: str, num
                        views: Sequence[int], with_images: bool) -> TracedLayerPixels:  # fmt: skip
     """Reads cameras and (unless told otherwise) images of some views, and loads the surfaces for tracing."""
     return TracedLayerPixels(
-        peeler=_load_peeler(read_meshes(dataset, geometry)),
+        peeler=_load_peeler(geometry_key(dataset, geometry)),
         rays=_rays_of(dataset, split, views),
         rgb=read_colors(dataset, split, views, with_images=with_images),
         num_layers=num_layers,
@@ -243,7 +244,7 @@ def load_traced_layers(config: PaperConfig, dataset: Dataset, geometry: str, num
 def trace_layers(meshes: tuple[Mesh, ...], cameras: Cameras, num_layers: int) -> TracedLayerPixels:
     """The pixels of any cameras, black, with one ray each through their centres."""
     return TracedLayerPixels(
-        peeler=_load_peeler(meshes),
+        peeler=_make_peeler(meshes),
         rays=SubpixelRays(cameras=cameras),
         rgb=torch.zeros(len(cameras.world_from_camera) * cameras.height * cameras.width, 3, dtype=torch.uint8),
         num_layers=num_layers,
@@ -256,17 +257,12 @@ def trace_layers(meshes: tuple[Mesh, ...], cameras: Cameras, num_layers: int) ->
 def load_light_path_pixels(config: LightPathConfig, dataset: Dataset, geometry: str, split: Split,
                            views: Sequence[int], with_images: bool) -> LightPathPixels:  # fmt: skip
     """Reads cameras and (unless told otherwise) images of some views, and loads the scene for tracing."""
-    from datagen.scene import is_glass, load_scene
-
-    tracer_of = _tracer_factory()
-    materials = tuple(item.material for item in load_scene(dataset.home.root / "scene").objects)
-    meshes = read_meshes(dataset, geometry)
-    nested = nest_shells(meshes, config.shells)
+    surfaces = _load_surfaces(geometry_key(dataset, geometry), config.shells if config.straight_layers else 0)
     return LightPathPixels(
-        tracer=tracer_of(meshes, materials),
-        straight_tracer=tracer_of(nested, (None,) * len(nested)) if config.straight_layers else None,
+        tracer=surfaces.tracer,
+        straight_tracer=surfaces.straight_tracer,
         rays=_rays_of(dataset, split, views),
-        is_opaque=np.array([False, *(not is_glass(material) for material in materials)]),
+        is_opaque=surfaces.is_opaque,
         rgb=read_colors(dataset, split, views, with_images=with_images),
         config=config,
         device=torch.device("cpu"),
@@ -316,19 +312,41 @@ def _straight(tracer: "LightPathTracer", origins: np.ndarray, directions: np.nda
         return tracer.trace(origins, directions, max_branches=1, max_vertices=num_layers, max_depth=num_layers)
 
 
-def _tracer_factory() -> "type[LightPathTracer]":
-    # The tracer's module can be imported only when Mitsuba has its variant.
-    from datagen.variant import use_mitsuba
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Surfaces:
+    """The loaded part of `LightPathPixels`."""
 
+    tracer: "LightPathTracer"
+    straight_tracer: "LightPathTracer | None"
+    is_opaque: Bool[np.ndarray, "object"]
+
+
+# Training, each view that is scored and each that is predicted ask for the same surfaces: they are loaded once, and
+# their kernels recorded once.
+@functools.lru_cache(maxsize=1)
+def _load_surfaces(key: GeometryKey, shells: int) -> _Surfaces:
+    from datagen.scene import is_glass, load_scene
+
+    # The tracer's module can be imported only when Mitsuba has its variant.
     use_mitsuba()
     from datagen.light_path import LightPathTracer
 
-    return LightPathTracer
+    materials = tuple(item.material for item in load_scene(key.dataset.root / "scene").objects)
+    meshes = read_meshes(key.dataset, key.geometry)
+    nested = nest_shells(meshes, shells)
+    return _Surfaces(
+        tracer=LightPathTracer(meshes, materials),
+        straight_tracer=LightPathTracer(nested, (None,) * len(nested)) if nested else None,
+        is_opaque=np.array([False, *(not is_glass(material) for material in materials)]),
+    )
 
 
-def _load_peeler(meshes: tuple[Mesh, ...]) -> "Peeler":
-    from datagen.variant import use_mitsuba
+@functools.lru_cache(maxsize=1)
+def _load_peeler(key: GeometryKey) -> "Peeler":
+    return _make_peeler(read_meshes(key.dataset, key.geometry))
 
+
+def _make_peeler(meshes: tuple[Mesh, ...]) -> "Peeler":
     use_mitsuba()
     from datagen.peel import Peeler
 

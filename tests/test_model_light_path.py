@@ -10,7 +10,7 @@ import torch
 from synthetic import write_synthetic_dataset
 from test_model_train import run_bytes, stop_at
 
-from datagen.dataset import Dataset, read_cameras, read_image
+from datagen.dataset import Dataset, Split, read_cameras, read_image
 from datagen.errors import HyalineError
 from datagen.geometry import TRUTH, ProxyStatistics, read_meshes, write_proxies
 from datagen.layers import read_layers
@@ -239,6 +239,26 @@ def test_texels_are_shared_among_objects_whatever_their_shells(tmp_path: Path) -
     colors = LightPathRenderer(config)(pixels.take(torch.arange(256), None))
     assert colors.shape == (256, 3)
     assert torch.isfinite(colors).all()
+
+
+def test_surfaces_are_loaded_once_as_long_as_meshes_and_shells_stay(tmp_path: Path) -> None:
+    dataset = write_synthetic_dataset(tmp_path / "data" / "synthetic", resolution=16)
+    truth = read_meshes(dataset, TRUTH)
+    statistics = (ProxyStatistics(volume_ratio=1, mean_distance=0, max_distance=0),) * 2
+
+    def tracer(split: Split, geometry: str, shells: int) -> object:
+        config = LightPathConfig(texture_sizes=(8, 8), render_samples=1, shells=shells, straight_layers=2)
+        return load_light_path_pixels(config, dataset, geometry, split, [1], False).tracer
+
+    first = tracer("train", TRUTH, 1)
+    assert tracer("interpolating", TRUTH, 1) is first
+    assert tracer("train", TRUTH, 2) is not first
+    write_proxies(dataset, "box", truth, statistics)
+    of_boxes = tracer("train", "box", 2)
+    assert tracer("train", "box", 2) is of_boxes
+    higher = dataclasses.replace(truth[1], vertices=truth[1].vertices + np.float32(0.01))
+    write_proxies(dataset, "box", (truth[0], higher), statistics)
+    assert tracer("train", "box", 2) is not of_boxes
 
 
 def test_shells_lie_one_inside_the_other_with_textures_of_their_own(dataset: Dataset) -> None:
