@@ -1,5 +1,6 @@
 """Owns what the renderer is told about the camera: nothing, the view vector of Eq. 3, or its spherical harmonics."""
 
+import functools
 from typing import Literal
 
 import numpy as np
@@ -10,7 +11,7 @@ from torch.nn import functional
 
 from datagen.dataset import Dataset
 from datagen.errors import HyalineError
-from datagen.geometry import read_meshes
+from datagen.geometry import GeometryKey, geometry_key, read_meshes
 from model.texture import object_layout, sample
 
 Extrinsics = Literal["none", "view", "sh"]
@@ -22,15 +23,24 @@ EXTRINSIC_CHANNELS: dict[Extrinsics, int] = {"none": 0, "view": 3, "sh": 9}
 def bake_position_table(dataset: Dataset, geometry: str, size: int) -> Float32[Tensor, "texel 3"]:
     """The position textures P of all objects, packed as `object_layout((size,) * objects)`: world positions in metres.
 
+    The last table is kept, for training and predicting ask for the same one: it must not be written to.
+
     Raises:
         HyalineError: a position is not finite.
     """
+    return _bake_position_table(geometry_key(dataset, geometry), size)
+
+
+@functools.lru_cache(maxsize=1)
+def _bake_position_table(key: GeometryKey, size: int) -> Float32[Tensor, "texel 3"]:
     from datagen.atlas import bake_positions
 
-    meshes = read_meshes(dataset, geometry)
+    meshes = read_meshes(key.dataset, key.geometry)
     table = np.concatenate([bake_positions(mesh, size).reshape(-1, 3) for mesh in meshes])
     if not np.isfinite(table).all():
-        raise HyalineError(f"{dataset.root}: a position texture of {geometry} is not finite; check its meshes and uv")
+        raise HyalineError(
+            f"{key.dataset.root}: a position texture of {key.geometry} is not finite; check its meshes and uv"
+        )
     return torch.from_numpy(np.ascontiguousarray(table, np.float32))
 
 

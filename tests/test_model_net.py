@@ -90,6 +90,7 @@ def test_view_vectors_point_back_along_the_pixels_rays(tmp_path: Path) -> None:
     pixels = load_pixels(dataset, "truth", "train", [3, 5])
     rays = pixels.take(torch.arange(len(pixels.rgb)), None)
     positions = bake_position_table(dataset, "truth", 128)
+    assert bake_position_table(dataset, "truth", 128) is positions  # Training and predicting share it.
     view = ExtrinsicInputs("view", positions, num_objects=2, size=128)(rays.uv, rays.object_id, rays.p_camera)
     cameras = read_cameras(dataset, "train")
     directions = np.concatenate([pixel_rays(cameras, index)[1].reshape(-1, 3) for index in (3, 5)])
