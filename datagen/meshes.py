@@ -1,6 +1,7 @@
 """Owns the triangle mesh: the record, its validation, and its PLY file."""
 
 import io
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -175,16 +176,57 @@ def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return np.where(lengths > 0, sums / np.where(lengths > 0, lengths, 1), [0.0, 0.0, 1.0])
 
 
+_OUR_HEADER = """ply
+format binary_little_endian 1.0
+comment https://github.com/mikedh/trimesh
+element vertex {vertices}
+property float x
+property float y
+property float z
+property float nx
+property float ny
+property float nz
+property double s
+property double t
+element face {faces}
+property list uchar int vertex_indices
+end_header
+"""
+"""Of every PLY that is written here: to the byte what trimesh 5.2 writes, as it did at first."""
+
+_OUR_VERTEX = np.dtype([("vertices", "<f4", 3), ("normals", "<f4", 3), ("uv", "<f8", 2)])
+_OUR_FACE = np.dtype([("count", "u1"), ("indices", "<i4", 3)])
+
+
 def write_ply(mesh: Mesh) -> bytes:
     """Binary PLY with normals and uv (`s`, `t`): reading it back gives the same arrays."""
-    import trimesh
-    from trimesh.visual.texture import TextureVisuals
+    vertices, faces = np.empty(len(mesh.vertices), _OUR_VERTEX), np.empty(len(mesh.faces), _OUR_FACE)
+    vertices["vertices"], vertices["normals"], vertices["uv"] = mesh.vertices, mesh.normals, mesh.uv
+    faces["count"], faces["indices"] = 3, mesh.faces
+    header = _OUR_HEADER.format(vertices=len(vertices), faces=len(faces))
+    return header.encode() + vertices.tobytes() + faces.tobytes()
 
-    exported = trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_normals=mesh.normals, process=False)
-    exported.visual = TextureVisuals(uv=mesh.uv)
-    data = exported.export(file_type="ply", encoding="binary", vertex_normal=True)
-    assert isinstance(data, bytes)
-    return data
+
+def _read_our_ply(data: bytes) -> Mesh | None:
+    """The mesh in the bytes that `write_ply` has written; None of any other PLY."""
+    counts = re.findall(rb"element (?:vertex|face) (\d{1,9})\n", data[: len(_OUR_HEADER) + 16])
+    if len(counts) != 2:
+        return None
+    num_vertices, num_faces = map(int, counts)
+    header = _OUR_HEADER.format(vertices=num_vertices, faces=num_faces).encode()
+    middle = len(header) + num_vertices * _OUR_VERTEX.itemsize
+    if not num_faces or not data.startswith(header) or len(data) != middle + num_faces * _OUR_FACE.itemsize:
+        return None
+    vertices = np.frombuffer(data[len(header) : middle], _OUR_VERTEX)
+    faces = np.frombuffer(data[middle:], _OUR_FACE)
+    if (faces["count"] != 3).any():
+        return None
+    return Mesh(
+        vertices=vertices["vertices"].astype(np.float32),
+        faces=faces["indices"].astype(np.int32),
+        normals=vertices["normals"].astype(np.float32),
+        uv=vertices["uv"].astype(np.float32),
+    )
 
 
 def read_ply(path: Path) -> tuple[Mesh, bool]:
@@ -195,12 +237,17 @@ def read_ply(path: Path) -> tuple[Mesh, bool]:
     Raises:
         HyalineError: the file is missing, truncated, or not a PLY of triangles.
     """
-    import trimesh
-
     if not path.is_file():
         raise HyalineError(f"{path}: the mesh file is missing")
+    data = path.read_bytes()
+    if (ours := _read_our_ply(data)) is not None:
+        _check_indices(ours.faces, len(ours.vertices), where=path)
+        return ours, True
+    # Slow to import, and not needed for what was written here.
+    import trimesh
+
     try:
-        loaded = trimesh.load(io.BytesIO(path.read_bytes()), file_type="ply", process=False, fix_texture=False)
+        loaded = trimesh.load(io.BytesIO(data), file_type="ply", process=False, fix_texture=False)
     # trimesh answers a broken file with eight kinds of exception (ValueError, KeyError, IndexError, ...).
     except Exception as error:
         raise HyalineError(f"{path}: not a PLY mesh that can be read ({type(error).__name__}: {error})") from error
@@ -219,11 +266,7 @@ def read_ply(path: Path) -> tuple[Mesh, bool]:
     names = vertex.dtype.names if isinstance(vertex, np.ndarray) else tuple(vertex)
     uv_names = next((pair for pair in (("s", "t"), ("u", "v")) if set(pair) <= set(names)), None)
     uv = np.stack([vertex[name] for name in uv_names], axis=-1) if uv_names else np.zeros((len(loaded.vertices), 2))
-    if len(faces) and (faces.min() < 0 or faces.max() >= len(loaded.vertices)):
-        raise HyalineError(
-            f"{path}: a face names vertex {faces.min() if faces.min() < 0 else faces.max()}; "
-            f"expected 0 to {len(loaded.vertices) - 1}"
-        )
+    _check_indices(faces, len(loaded.vertices), where=path)
     if {"nx", "ny", "nz"} <= set(names):
         normals = np.stack([vertex["nx"], vertex["ny"], vertex["nz"]], axis=-1)
     else:
@@ -235,3 +278,11 @@ def read_ply(path: Path) -> tuple[Mesh, bool]:
         uv=uv.reshape(-1, 2).astype(np.float32),
     )
     return mesh, uv_names is not None
+
+
+def _check_indices(faces: np.ndarray, num_vertices: int, *, where: Path) -> None:
+    if len(faces) and (faces.min() < 0 or faces.max() >= num_vertices):
+        raise HyalineError(
+            f"{where}: a face names vertex {faces.min() if faces.min() < 0 else faces.max()}; "
+            f"expected 0 to {num_vertices - 1}"
+        )

@@ -1,11 +1,13 @@
 """Tests the mesh record, its checks and its PLY file."""
 
 import dataclasses
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
+from trimesh.visual.texture import TextureVisuals
 
 from datagen.errors import HyalineError
 from datagen.meshes import (
@@ -39,6 +41,26 @@ def test_a_mesh_survives_its_ply_file(tmp_path: Path) -> None:
     assert has_uv
     for field in dataclasses.fields(Mesh):
         assert np.array_equal(getattr(loaded, field.name), getattr(BALL, field.name)), field.name
+
+
+def test_our_ply_files_are_those_of_trimesh_and_are_read_without_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    exported = trimesh.Trimesh(BALL.vertices, BALL.faces, vertex_normals=BALL.normals, process=False)
+    exported.visual = TextureVisuals(uv=BALL.uv)
+    assert write_ply(BALL) == exported.export(file_type="ply", encoding="binary", vertex_normal=True)
+    path = tmp_path / "ball.ply"
+    path.write_bytes(write_ply(BALL).replace(b"comment https", b"comment made of https"))
+    by_trimesh, _ = read_ply(path)
+    path.write_bytes(write_ply(BALL))
+    monkeypatch.setitem(sys.modules, "trimesh", None)
+    ours, _ = read_ply(path)
+    for field in dataclasses.fields(Mesh):
+        mine, theirs = getattr(ours, field.name), getattr(by_trimesh, field.name)
+        assert mine.dtype == theirs.dtype and np.array_equal(mine, theirs), field.name
+    path.write_bytes(write_ply(dataclasses.replace(BALL, faces=BALL.faces + 100)))
+    with pytest.raises(HyalineError, match=r"ball\.ply: a face names vertex 261; expected 0 to 161"):
+        read_ply(path)
 
 
 def test_every_truncation_of_a_ply_file_is_refused(tmp_path: Path) -> None:
