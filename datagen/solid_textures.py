@@ -18,6 +18,9 @@ Values = Float[np.ndarray, "*points"]
 EDGE = 0.12
 """Width of the soft edge between two colours, in half periods: hard edges alias in the bake."""
 
+POINTS_AT_ONCE = 1 << 14
+"""Points whose intermediate results stay in a processor's cache: 1 << 20 of them take three times as long each."""
+
 
 def evaluate_texture(texture: SolidTexture, positions: Positions) -> Float32[np.ndarray, "*points 3"]:
     """Linear reflectance in [0, 1] at world positions in metres."""
@@ -30,7 +33,11 @@ def evaluate_texture(texture: SolidTexture, positions: Positions) -> Float32[np.
 
 def bake_texture(texture: SolidTexture, mesh: Mesh, size: int) -> Float32[np.ndarray, "tex_h tex_w 3"]:
     """The texture at each texel of the mesh's atlas, linear."""
-    return evaluate_texture(texture, bake_positions(mesh, size))
+    positions = bake_positions(mesh, size)
+    rows = max(1, POINTS_AT_ONCE // size)
+    return np.concatenate([
+        evaluate_texture(texture, positions[first : first + rows]) for first in range(0, size, rows)
+    ])  # fmt: skip
 
 
 # Patterns: positions in periods -> share of the second colour
@@ -104,10 +111,11 @@ def value_noise(p: Positions) -> Values:
     cell = np.floor(p)
     t = p - cell
     t = t * t * t * (t * (6 * t - 15) + 10)
+    sides = (1 - t, t)
     total = np.zeros(p.shape[:-1])
     for corner in np.ndindex(2, 2, 2):
-        weight = np.prod(np.where(np.array(corner) == 1, t, 1 - t), axis=-1)
-        total += weight * _hash(cell + np.array(corner), 0)
+        x, y, z = (sides[side][..., axis] for axis, side in enumerate(corner))
+        total += x * y * z * _hash(cell + np.array(corner), 0)
     return total
 
 

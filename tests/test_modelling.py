@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from datagen import solid_textures
 from datagen.meshes import Mesh, check_closed, check_mesh, face_corners, open_edges, signed_volume, winding_number
 from datagen.modelling import (
     ball,
@@ -26,7 +27,7 @@ from datagen.modelling import (
     walled,
 )
 from datagen.scene import SolidTexture
-from datagen.solid_textures import PATTERNS, evaluate_texture, fractal_noise, value_noise
+from datagen.solid_textures import PATTERNS, bake_texture, evaluate_texture, fractal_noise, value_noise
 
 CIRCLE = np.linspace(0, 2 * np.pi, 60, endpoint=False)
 HELIX = np.stack([np.cos(CIRCLE), np.sin(CIRCLE), CIRCLE], axis=-1)
@@ -184,6 +185,15 @@ def test_every_pattern_mixes_its_two_colors_and_shows_both(pattern: str) -> None
     assert amount.max() <= 1 + 1e-6
     assert amount.std() > 0.1
     np.testing.assert_array_equal(values, evaluate_texture(texture, points()))
+
+
+def test_a_bake_in_pieces_has_the_bits_of_a_bake_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    mesh = sheet((0, 0, 0), (1, 0, 0), (0, 2, 0), cells=(3, 2))
+    textures = [SolidTexture(pattern=pattern, colors=(RED, BLUE), scale=0.1) for pattern in PATTERNS]  # pyright: ignore[reportArgumentType]
+    pieces = [bake_texture(texture, mesh, 200) for texture in textures]
+    monkeypatch.setattr(solid_textures, "POINTS_AT_ONCE", 1 << 20)
+    for texture, piece in zip(textures, pieces, strict=True):
+        np.testing.assert_array_equal(bake_texture(texture, mesh, 200), piece)
 
 
 @pytest.mark.parametrize("pattern", ["checker", "stripes"])
