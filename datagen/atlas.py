@@ -9,6 +9,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,6 +18,7 @@ from jaxtyping import Float32, Int32
 
 from datagen.errors import HyalineError
 from datagen.meshes import Mesh, is_there
+from datagen.variant import num_cores
 
 if TYPE_CHECKING:
     import xatlas
@@ -27,6 +29,8 @@ PADDING = 5
 """Texels between charts at `RESOLUTION`, so that a texel of gutter stays at 256."""
 BOX = 1024.0
 """Longest side given to xatlas, in its units: it takes triangles of less than 1e-7 square units for degenerate."""
+MAX_CHILDREN = 4
+"""Processes that unwrap side by side; each takes half a second to start."""
 MAX_COORDINATE = 1e18
 """Beyond it, squares overflow float32."""
 
@@ -44,18 +48,33 @@ def unwrap(mesh: Mesh, *, where: str) -> Mesh:
 
 
 def unwrap_all(meshes: dict[str, Mesh]) -> dict[str, Mesh]:
-    """`unwrap` for many meshes in one child process; the keys name them in errors.
+    """`unwrap` for many meshes, in a few child processes side by side; the keys name them in errors.
 
     xatlas hangs on infinite coordinates and could crash, so it never runs in this process.
 
     Raises:
         HyalineError: see `unwrap`.
     """
-    if not meshes:
-        return {}
-    arrays: dict[str, np.ndarray] = {}
-    for index, (where, mesh) in enumerate(meshes.items()):
+    for where, mesh in meshes.items():
         _check_input(mesh, where=where)
+    shares = _share_out(meshes, min(MAX_CHILDREN, num_cores()))
+    with ThreadPoolExecutor(max_workers=MAX_CHILDREN) as pool:
+        done = {where: mesh for share in pool.map(_unwrap_in_child, shares) for where, mesh in share.items()}
+    return {where: done[where] for where in meshes}
+
+
+def _share_out(meshes: dict[str, Mesh], most: int) -> list[dict[str, Mesh]]:
+    """At most so many shares of about as many faces each; none is empty."""
+    shares: list[dict[str, Mesh]] = [{} for _ in range(min(most, len(meshes)))]
+    for where, mesh in sorted(meshes.items(), key=lambda item: -len(item[1].faces)):
+        least = min(shares, key=lambda share: sum(len(other.faces) for other in share.values()))
+        least[where] = mesh
+    return shares
+
+
+def _unwrap_in_child(meshes: dict[str, Mesh]) -> dict[str, Mesh]:
+    arrays: dict[str, np.ndarray] = {}
+    for index, mesh in enumerate(meshes.values()):
         arrays[f"{index}.vertices"] = _in_box(mesh.vertices)
         arrays[f"{index}.normals"] = mesh.normals.astype(np.float32)
         arrays[f"{index}.faces"] = mesh.faces.astype(np.uint32)
