@@ -10,7 +10,7 @@ only.
 
 import dataclasses
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, cast
@@ -205,15 +205,15 @@ def read_layers_record(dataset: Dataset, geometry: str, kind: LayerKind, split: 
 
 
 def read_view(dataset: Dataset, geometry: str, kind: LayerKind, split: Split, view: int,
-              only: str | None = None) -> dict[str, np.ndarray]:  # fmt: skip
-    """One view's arrays by name (or the one named `only`), every byte verified."""
+              only: Collection[str] | None = None) -> dict[str, np.ndarray]:  # fmt: skip
+    """One view's arrays by name (or those named in `only`), every byte of them verified."""
     import zarr
 
     root = layers_root(dataset.root, geometry, kind)
     head, _ = read_layers_head(dataset, geometry, kind)
     metadata = {key: value for key, value in head.files.items() if f"/{split}/" in key}
     shards = read_layers_record(dataset, geometry, kind, split, view).files
-    shards = {path: promised for path, promised in shards.items() if only in (None, Path(path).parts[2])}
+    shards = {path: promised for path, promised in shards.items() if only is None or Path(path).parts[2] in only}
     check_files(root, metadata | shards)
     group = zarr.open_group(root / STORE / split, mode="r")
     names = [Path(path).parts[2] for path in shards]

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from datagen.dataset import Dataset, Split, read_cameras, read_image
 from datagen.errors import HyalineError
-from datagen.layers import read_layers
+from datagen.layers import read_uv_and_ids
 from datagen.number_formats import UV_SCALE
 
 ROUND_NUMBER = 1024
@@ -152,14 +152,14 @@ def read_stack(dataset: Dataset, geometry: str, split: Split, view: int, max_lay
     Raises:
         HyalineError: the view is missing or damaged, or names an object that the scene does not have.
     """
-    layers = read_layers(dataset, geometry, split, view)
-    if layers.object_id.max(initial=0) > len(dataset.objects):
+    uv, object_id = read_uv_and_ids(dataset, geometry, split, view)
+    if object_id.max(initial=0) > len(dataset.objects):
         raise HyalineError(
-            f"{dataset.root}: layers of {geometry}, {split} view {view}, name object {layers.object_id.max()}; "
+            f"{dataset.root}: layers of {geometry}, {split} view {view}, name object {object_id.max()}; "
             f"expected at most {len(dataset.objects)}, peel it again"
         )
-    kept_id = layers.object_id[:max_layers]
-    uv = np.moveaxis(layers.uv[:max_layers], 0, 2).reshape(-1, len(kept_id), 2)
+    kept_id = object_id[:max_layers]
+    uv = np.moveaxis(uv[:max_layers], 0, 2).reshape(-1, len(kept_id), 2)
     return uv, np.moveaxis(kept_id, 0, 2).reshape(-1, len(kept_id))
 
 
