@@ -38,8 +38,9 @@ void store(float *to, Vector value) { std::memcpy(to, &value, sizeof value); }
 
 // As many floats as there are, `count` at most LANES, then zeros.
 Vector load_some(const float *from, long count) {
+    if (count >= LANES) return load(from);
     Vector value = {};
-    std::memcpy(&value, from, std::max(0L, std::min(LANES, count)) * sizeof(float));
+    for (long lane = 0; lane < count; lane++) value[lane] = from[lane];
     return value;
 }
 
@@ -431,43 +432,49 @@ namespace {
 
 // The four texels around a point, and their weights: those of `model.texture.bilinear_taps`.
 struct Taps {
-    const float *texels[4];
+    std::int32_t texels[4];
     float weights[4];
 
-    Taps() = default;
-    Taps(const float *table, long channels, const int *places, long objects, long object, float u, float v) {
+    Taps(const int *places, long objects, long object, float u, float v) {
         const int base = places[object], size = places[objects + object], stride = places[2 * objects + object];
         const float last = static_cast<float>(size - 1);
         float x = std::min(std::max(u * size - 0.5f, 0.0f), last);
         float y = std::min(std::max((1.0f - v) * size - 0.5f, 0.0f), last);
         const int left = static_cast<int>(x), top = static_cast<int>(y);
         x -= left, y -= top;
-        const long upper = base + static_cast<long>(top) * stride, lower = upper + (top < size - 1 ? stride : 0);
-        const long right = left + (left < size - 1 ? 1 : 0);
-        texels[0] = table + (upper + left) * channels, texels[1] = table + (upper + right) * channels;
-        texels[2] = table + (lower + left) * channels, texels[3] = table + (lower + right) * channels;
+        const int upper = base + top * stride, lower = upper + (top < size - 1 ? stride : 0);
+        const int right = left + (left < size - 1 ? 1 : 0);
+        texels[0] = upper + left, texels[1] = upper + right, texels[2] = lower + left, texels[3] = lower + right;
         weights[0] = (1 - x) * (1 - y), weights[1] = x * (1 - y), weights[2] = (1 - x) * y, weights[3] = x * y;
-        for (const float *texel : texels) fetch(texel, channels);
     }
 
-    float mix(long channel) const {
-        return weights[0] * texels[0][channel] + weights[1] * texels[1][channel] + weights[2] * texels[2][channel] +
-               weights[3] * texels[3][channel];
+    void fetch_from(const float *table, long channels) const {
+        for (const long texel : texels) fetch(table + texel * channels, channels);
     }
 
-    void mix_all(long channels, float *target) const {
+    float mix(const float *table, long channels, long c) const {
+        float sum = 0;
+        for (int tap = 0; tap < 4; tap++) sum += weights[tap] * table[texels[tap] * channels + c];
+        return sum;
+    }
+
+    void mix_all(const float *table, long channels, float *target) const {
+        const float *from[4];
+        for (int tap = 0; tap < 4; tap++) from[tap] = table + texels[tap] * channels;
         long c = 0;
         for (; c + LANES <= channels; c += LANES)
-            store(target + c, weights[0] * load(texels[0] + c) + weights[1] * load(texels[1] + c) +
-                                  weights[2] * load(texels[2] + c) + weights[3] * load(texels[3] + c));
-        for (; c < channels; c++) target[c] = mix(c);
+            store(target + c, weights[0] * load(from[0] + c) + weights[1] * load(from[1] + c) +
+                                  weights[2] * load(from[2] + c) + weights[3] * load(from[3] + c));
+        for (; c < channels; c++) target[c] = mix(table, channels, c);
     }
 };
 
-// A layer of a pixel of a tile that is not empty.
-struct Hit {
-    long row, layer, view;
-    Taps look, place;
+// What the layers of a tile's pixels meet, and where in the network's inputs it belongs.
+struct Hits {
+    std::vector<long> targets;
+    std::vector<Taps> looks, places;
+
+    void clear() { targets.clear(), looks.clear(), places.clear(); }
 };
 
 bool is_empty(const Stacks &stacks, long pixel) {
@@ -477,7 +484,8 @@ bool is_empty(const Stacks &stacks, long pixel) {
 }
 
 // Lists what a tile of `rows` drawn pixels meets, and asks for the texels.
-void list_hits(const Stacks &stacks, const long *drawn, long rows, std::vector<Hit> &hits) {
+void list_hits(const Stacks &stacks, const long *drawn, long rows, long wide, Hits &hits) {
+    const long channels = stacks.features + (stacks.positions ? 3 : 0);
     hits.clear();
     for (long row = 0; row < rows; row++) {
         for (long layer = 0; layer < stacks.layers; layer++) {
@@ -485,25 +493,27 @@ void list_hits(const Stacks &stacks, const long *drawn, long rows, std::vector<H
             const long object = stacks.object_id[place] - 1L;
             if (object < 0) continue;
             const float u = stacks.uv[2 * place] / 65535.0f, v = stacks.uv[2 * place + 1] / 65535.0f;
-            Hit &hit = hits.emplace_back();
-            hit.row = row, hit.layer = layer, hit.view = drawn[row] / stacks.pixels_per_view;
-            hit.look = Taps(stacks.texels, stacks.features, stacks.places, stacks.objects, object, u, v);
-            if (stacks.positions) hit.place = Taps(stacks.positions, 3, stacks.position_places, stacks.objects, object, u, v);
+            hits.targets.push_back(row * wide + layer * channels);
+            hits.looks.emplace_back(stacks.places, stacks.objects, object, u, v);
+            hits.looks.back().fetch_from(stacks.texels, stacks.features);
+            if (!stacks.positions) continue;
+            hits.places.emplace_back(stacks.position_places, stacks.objects, object, u, v);
+            hits.places.back().fetch_from(stacks.positions, 3);
         }
     }
 }
 
 // The network's inputs of a tile, float32 (TILE, wide); zeros where a layer is empty.
-void look_up(const Stacks &stacks, const std::vector<Hit> &hits, float *x, long wide) {
-    const long channels = stacks.features + (stacks.positions ? 3 : 0);
+void look_up(const Stacks &stacks, const long *drawn, const Hits &hits, float *x, long wide) {
     std::fill(x, x + TILE * wide, 0.0f);
-    for (const Hit &hit : hits) {
-        float *target = x + hit.row * wide + hit.layer * channels;
-        hit.look.mix_all(stacks.features, target);
+    for (std::size_t hit = 0; hit < hits.targets.size(); hit++) {
+        float *target = x + hits.targets[hit];
+        hits.looks[hit].mix_all(stacks.texels, stacks.features, target);
         if (!stacks.positions) continue;
+        const float *camera = stacks.camera + 3 * (drawn[hits.targets[hit] / wide] / stacks.pixels_per_view);
         float view[3], square = 0;
         for (long axis = 0; axis < 3; axis++) {
-            view[axis] = stacks.camera[3 * hit.view + axis] - hit.place.mix(axis);
+            view[axis] = camera[axis] - hits.places[hit].mix(stacks.positions, 3, axis);
             square += view[axis] * view[axis];
         }
         const float length = std::max(std::sqrt(square), 1e-12f);
@@ -609,20 +619,21 @@ void mlp_draw_stacks(long pixels, const Stacks *stacks, const FoldedLayer *layer
 #pragma omp parallel num_threads(threads)
     {
         Drawer drawer(layers, count);
-        std::vector<Hit> hits, next;
+        Hits hits, next;
 #pragma omp for schedule(dynamic, 1)
         for (long start = 0; start < tiles; start += TILES_AT_ONCE) {
             const long stop = std::min(tiles, start + TILES_AT_ONCE);
-            list_hits(*stacks, drawn.data() + start * TILE, rows_of(start), hits);
+            list_hits(*stacks, drawn.data() + start * TILE, rows_of(start), wide, hits);
             for (long tile = start; tile < stop; tile++) {
-                look_up(*stacks, hits, drawer.inputs(), wide);
+                const long *of_tile = drawn.data() + tile * TILE;
+                look_up(*stacks, of_tile, hits, drawer.inputs(), wide);
                 // Texels of the next tile are on their way while this one is drawn.
-                if (tile + 1 < stop) list_hits(*stacks, drawn.data() + (tile + 1) * TILE, rows_of(tile + 1), next);
+                if (tile + 1 < stop) list_hits(*stacks, of_tile + TILE, rows_of(tile + 1), wide, next);
                 long ld;
                 const float *colors_of_tile = drawer.draw(&ld);
                 for (long row = 0; row < rows_of(tile); row++)
-                    std::copy_n(colors_of_tile + row * ld, 3, colors + 3 * drawn[tile * TILE + row]);
-                hits.swap(next);
+                    std::copy_n(colors_of_tile + row * ld, 3, colors + 3 * of_tile[row]);
+                std::swap(hits, next);
             }
         }
     }
