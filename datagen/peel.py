@@ -121,18 +121,35 @@ class Peeler:
     ) -> tuple[Float32[np.ndarray, "ray layer 2"], UInt8[np.ndarray, "ray layer"]]:
         """uv and object ids along any rays, nearest first; both 0 where there is no more surface."""
         hits = self.trace(origins, directions, num_layers)
-        uv, object_id = self._uv(hits), self._object_id[hits.shape + 1]
-        return np.ascontiguousarray(uv.swapaxes(0, 1)), np.ascontiguousarray(object_id.T)
+        shape = (len(directions), num_layers)
+        uv, object_id = np.empty((*shape, 2), np.float32), np.empty(shape, np.uint8)
+        _to_stacks(
+            hits.shape, hits.prim, hits.barycentric, self._object_id, self._first_face, self._corner_uv, uv, object_id
+        )
+        return uv, object_id
 
-    def _uv(self, hits: Hits) -> Float32[np.ndarray, "layer ray 2"]:
-        """Interpolated uv of every hit; (0, 0) where empty. Not by Numba's threads: training calls it beside them."""
-        uv = np.zeros((*hits.shape.shape, 2), np.float32)
-        found = hits.shape >= 0
-        corners = self._corner_uv[self._first_face[hits.shape[found]] + hits.prim[found]]
-        b1, b2 = np.moveaxis(hits.barycentric[found], -1, 0)
-        weights = np.stack([1 - b1 - b2, b1, b2], axis=-1)
-        uv[found] = np.einsum("hk,hkc->hc", weights, corners)
-        return uv
+
+@numba.njit(cache=True, nogil=True)
+def _to_stacks(shape: Int32[np.ndarray, "layer ray"], prim: Int32[np.ndarray, "layer ray"],
+               barycentric: Float32[np.ndarray, "layer ray 2"], object_ids: np.ndarray, first_face: np.ndarray,
+               corner_uv: Float32[np.ndarray, "face 3 2"], uv: Float32[np.ndarray, "ray layer 2"],
+               object_id: UInt8[np.ndarray, "ray layer"]) -> None:  # fmt: skip
+    """Writes interpolated uv and object id of every hit ray by ray; 0 where empty. It is too little for threads."""
+    one = np.float32(1)
+    for ray in range(shape.shape[1]):
+        for layer in range(len(shape)):
+            mesh = shape[layer, ray]
+            object_id[ray, layer] = object_ids[mesh + 1]
+            if mesh < 0:
+                uv[ray, layer, 0] = uv[ray, layer, 1] = 0
+                continue
+            face = first_face[mesh] + prim[layer, ray]
+            b1, b2 = barycentric[layer, ray, 0], barycentric[layer, ray, 1]
+            b0 = one - b1 - b2
+            for axis in range(2):
+                uv[ray, layer, axis] = (
+                    b0 * corner_uv[face, 0, axis] + b1 * corner_uv[face, 1, axis] + b2 * corner_uv[face, 2, axis]
+                )
 
 
 @numba.njit(parallel=True, cache=True, nogil=True)
