@@ -3,8 +3,8 @@
 // A network is worked through in tiles of TILE pixels, small enough that what one step of a tile leaves behind is still
 // in the caches when the next step reads it. Arrays are row-major with a row per pixel; `ld` is the number of floats
 // from one row to the next. Rows of the library's own arrays are filled up with zeros to a multiple of PADDING floats
-// (`padded`), those of the caller are not. Sums over pixels are taken tile by tile and then in the order of the tiles or
-// threads, so that equal numbers of threads give equal bits.
+// (`padded`), those of the caller are not. Sums over pixels are taken tile by tile and then in the order of the tiles
+// or threads, so that equal numbers of threads give equal bits.
 
 #include <immintrin.h>
 #include <omp.h>
@@ -66,7 +66,8 @@ private:
 // Which of `count` tiles each of `threads` takes: contiguous ones.
 struct Share {
     long first, last;
-    Share(long count, long thread, long threads) : first(count * thread / threads), last(count * (thread + 1) / threads) {}
+    Share(long count, long thread, long threads)
+        : first(count * thread / threads), last(count * (thread + 1) / threads) {}
 };
 
 Vector leaky(Vector value, float slope) { return value > 0 ? value : value * slope; }
@@ -86,7 +87,8 @@ struct Single {
 struct Half {
     static constexpr long IN_WORD = 2;
     static Vector add_product(Vector sum, float word, Vector words) {
-        return _mm512_dpbf16_ps(sum, reinterpret_cast<__m512bh>(_mm512_set1_ps(word)), reinterpret_cast<__m512bh>(words));
+        return _mm512_dpbf16_ps(sum, reinterpret_cast<__m512bh>(_mm512_set1_ps(word)),
+                                reinterpret_cast<__m512bh>(words));
     }
     static Vector read(const float *row, long column) {
         const __m256i numbers = _mm256_loadu_si256(reinterpret_cast<const __m256i *>(row + column / 2));
@@ -101,8 +103,8 @@ struct Half {
 using Half = Single;  // `can_multiply_bf16` says so.
 #endif
 
-// Calls finish(row, vector, start + a (ROWS, depth) b (depth, VECTORS * LANES)) for each row and vector. Word (r, d) of a
-// is at a[r * row_step + d * depth_step], row r of start at start + r * ld_start.
+// Calls finish(row, vector, start + a (ROWS, depth) b (depth, VECTORS * LANES)) for each row and vector. Word (r, d) of
+// a is at a[r * row_step + d * depth_step], row r of start at start + r * ld_start.
 template <class Numbers, int VECTORS, class Finish>
 void multiply_block(const float *a, long row_step, long depth_step, const float *b, long ld_b, long depth,
                     const float *start, long ld_start, const Finish &finish) {
@@ -130,9 +132,12 @@ void multiply(const float *a, long row_step, long depth_step, const float *b, lo
             const float *left = a + row * row_step, *right = b + column, *from = start + row * ld_start + column;
             const auto place = [&](int r, int v, Vector value) { finish(row + r, column + v * LANES, value); };
             const long vectors = (columns - column) / LANES;
-            if (vectors >= 3) multiply_block<Numbers, 3>(left, row_step, depth_step, right, ld_b, depth, from, ld_start, place);
-            if (vectors == 2) multiply_block<Numbers, 2>(left, row_step, depth_step, right, ld_b, depth, from, ld_start, place);
-            if (vectors == 1) multiply_block<Numbers, 1>(left, row_step, depth_step, right, ld_b, depth, from, ld_start, place);
+            if (vectors >= 3)
+                multiply_block<Numbers, 3>(left, row_step, depth_step, right, ld_b, depth, from, ld_start, place);
+            if (vectors == 2)
+                multiply_block<Numbers, 2>(left, row_step, depth_step, right, ld_b, depth, from, ld_start, place);
+            if (vectors == 1)
+                multiply_block<Numbers, 1>(left, row_step, depth_step, right, ld_b, depth, from, ld_start, place);
         }
     }
 }
@@ -146,8 +151,8 @@ void fetch(const float *from, long count) {
 
 extern "C" {
 
-// Rows of `Made::numbers`. The last two are there as soon as the layer behind has been gone back through: the means over
-// pixels of the gradient after the norm, and of that times the normalised value.
+// Rows of `Made::numbers`. The last two are there as soon as the layer behind has been gone back through: the means
+// over pixels of the gradient after the norm, and of that times the normalised value.
 enum { SCALE, SHIFT, MEAN, INVERSE_DEVIATION, MEAN_GRADIENT, MEAN_PRODUCT, NUMBERS };
 
 // What a layer made of a batch, and the norm and activation behind it: leaky(scale * y + shift).
@@ -303,9 +308,10 @@ void mlp_layer_forward(long pixels, long inputs, long outputs, const Input *inpu
 // weight_gradient (outputs, inputs), bias_gradient (outputs): written.
 // norm_weight_gradient, norm_bias_gradient (inputs): those of the norm behind input->made, whose MEAN_GRADIENT and
 // MEAN_PRODUCT are written, too. Null where it has none.
-void mlp_layer_backward(long pixels, long inputs, long outputs, const Input *input, const float *weight, const Made *made,
-                        const float *upstream, float *input_gradient, const float *further, float *weight_gradient,
-                        float *bias_gradient, float *norm_weight_gradient, float *norm_bias_gradient, int threads) {
+void mlp_layer_backward(long pixels, long inputs, long outputs, const Input *input, const float *weight,
+                        const Made *made, const float *upstream, float *input_gradient, const float *further,
+                        float *weight_gradient, float *bias_gradient, float *norm_weight_gradient,
+                        float *norm_bias_gradient, int threads) {
     const long wide_in = padded(inputs), wide_out = padded(outputs), tiles = tiles_of(pixels);
     const long weight_rows = (outputs + ROWS - 1) / ROWS * ROWS, of_thread = weight_rows * wide_in + wide_out;
     Buffer right(outputs * wide_in);
@@ -417,7 +423,8 @@ struct Stacks {
     long pixel_step, layer_step, layers, features;
     const float *texels;  // (texel, features)
     const int *places;    // (3, objects): first row, size and stride of each object's texture
-    // Null where the network is not told of the camera: world positions on the surfaces, where they are, and the camera.
+    // Null where the network is not told of the camera: world positions on the surfaces, where they are, and the
+    // camera.
     const float *positions;  // (texel, 3)
     const int *position_places;
     const float *camera;  // (view, 3)
@@ -525,7 +532,10 @@ void look_up(const Stacks &stacks, const long *drawn, const Hits &hits, float *x
 class Drawer {
 public:
     Drawer(const FoldedLayer *layers, long count)
-        : layers_(layers), count_(count), widest_(find_widest(layers, count)), given_(TILE * widest_),
+        : layers_(layers),
+          count_(count),
+          widest_(find_widest(layers, count)),
+          given_(TILE * widest_),
           buffers_(3 * TILE * widest_) {}
 
     // Where the inputs of a tile belong, float32 (TILE, padded(inputs)).
@@ -562,7 +572,8 @@ public:
 private:
     static long find_widest(const FoldedLayer *layers, long count) {
         long widest = 0;
-        for (long l = 0; l < count; l++) widest = std::max({widest, padded(layers[l].inputs), padded(layers[l].outputs)});
+        for (long l = 0; l < count; l++)
+            widest = std::max({widest, padded(layers[l].inputs), padded(layers[l].outputs)});
         return widest;
     }
 
@@ -570,8 +581,8 @@ private:
 
     // One layer: from its factors to those of the next one.
     template <class From, class To>
-    static void work_through(const FoldedLayer &layer, const float *x, long ld_x, const float *skip, long ld_skip, float *made,
-                             long ld_made) {
+    static void work_through(const FoldedLayer &layer, const float *x, long ld_x, const float *skip, long ld_skip,
+                             float *made, long ld_made) {
         const long wide = padded(layer.outputs), depth = (layer.inputs + From::IN_WORD - 1) / From::IN_WORD;
         multiply<From>(x, ld_x, 1, layer.weight, wide, depth, layer.bias, 0, TILE, wide,
                        [&](long row, long c, Vector value) {
@@ -603,13 +614,15 @@ void mlp_draw(long pixels, const float *x, const FoldedLayer *layers, long count
             load_tile(input, inputs, first, pixels, drawer.inputs());
             long ld;
             const float *drawn = drawer.draw(&ld);
-            for (long row = 0; row < rows; row++) std::copy_n(drawn + row * ld, outputs, made + outputs * (first + row));
+            for (long row = 0; row < rows; row++)
+                std::copy_n(drawn + row * ld, outputs, made + outputs * (first + row));
         }
     }
 }
 
 // Colours (pixel, 3) of stacked layers. Pixels without any layer are all of one colour, and drawn once.
-void mlp_draw_stacks(long pixels, const Stacks *stacks, const FoldedLayer *layers, long count, float *colors, int threads) {
+void mlp_draw_stacks(long pixels, const Stacks *stacks, const FoldedLayer *layers, long count, float *colors,
+                     int threads) {
     constexpr long TILES_AT_ONCE = 16;
     std::vector<long> drawn, empty;
     for (long pixel = 0; pixel < pixels; pixel++) (is_empty(*stacks, pixel) ? empty : drawn).push_back(pixel);
