@@ -289,7 +289,8 @@ def find_kernels() -> Kernels | None:
             _build(compiler, path)
         return Kernels(ctypes.CDLL(str(path)))
     except (OSError, subprocess.SubprocessError, AttributeError) as error:
-        say(f"networks are left to torch, since their compiled layers cannot be built: {error}; {SWITCH}=off is silent")
+        words = (getattr(error, "stderr", None) or str(error)).strip().partition("\n")[0]
+        say(f"networks are left to torch, since their compiled layers cannot be built: {words}; {SWITCH}=off is silent")
         return None
 
 
