@@ -292,21 +292,22 @@ def _code(value):
 def _write(count, zs, codes, ids, top, bottom, focal, uv, object_id, depth, has_more):
     """Turns the lists of a strip's pixels into layers."""
     num_layers, height, width = object_id.shape
+    stretch = np.empty(width, np.float64)
     for row in range(top, bottom):
         down = (row + 0.5 - 0.5 * height) / focal
         for column in range(width):
+            across = (column + 0.5 - 0.5 * width) / focal
+            stretch[column] = math.sqrt(across * across + down * down + 1)
             has_more[row, column] = count[(row - top) * width + column] > num_layers
         for layer in range(num_layers):
             for column in range(width):
                 pixel = (row - top) * width + column
-                across = (column + 0.5 - 0.5 * width) / focal
-                stretch = math.sqrt(across * across + down * down + 1)
                 is_hit = layer < count[pixel]
                 code = codes[pixel, layer] if is_hit else np.uint32(0)
                 uv[layer, row, column, 0] = code >> np.uint32(16)
                 uv[layer, row, column, 1] = code & np.uint32(0xFFFF)
                 object_id[layer, row, column] = ids[pixel, layer] if is_hit else np.uint8(0)
-                depth[layer, row, column] = zs[pixel, layer] * stretch if is_hit else np.float32(0)
+                depth[layer, row, column] = zs[pixel, layer] * stretch[column] if is_hit else np.float32(0)
 
 
 @numba.njit(inline="always")

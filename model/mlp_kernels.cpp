@@ -1,4 +1,4 @@
-// Layers of per-pixel networks on processors with AVX-512: what `model/mlp_kernels.py` builds and calls.
+// Layers of per-pixel networks, made for processors with AVX-512: what `model/mlp_kernels.py` builds and calls.
 //
 // A network is worked through in tiles of TILE pixels, small enough that what one step of a tile leaves behind is still
 // in the caches when the next step reads it. Arrays are row-major with a row per pixel; `ld` is the number of floats
@@ -624,8 +624,11 @@ void mlp_draw(long pixels, const float *x, const FoldedLayer *layers, long count
 void mlp_draw_stacks(long pixels, const Stacks *stacks, const FoldedLayer *layers, long count, float *colors,
                      int threads) {
     constexpr long TILES_AT_ONCE = 16;
+    std::vector<char> is_drawn(pixels);
+#pragma omp parallel for num_threads(threads)
+    for (long pixel = 0; pixel < pixels; pixel++) is_drawn[pixel] = !is_empty(*stacks, pixel);
     std::vector<long> drawn, empty;
-    for (long pixel = 0; pixel < pixels; pixel++) (is_empty(*stacks, pixel) ? empty : drawn).push_back(pixel);
+    for (long pixel = 0; pixel < pixels; pixel++) (is_drawn[pixel] ? drawn : empty).push_back(pixel);
     if (!empty.empty()) drawn.push_back(empty[0]);
     const long number = drawn.size(), tiles = tiles_of(number), wide = padded(layers[0].inputs);
     const auto rows_of = [&](long tile) { return std::min(TILE, number - tile * TILE); };

@@ -43,17 +43,16 @@ def predict_colors(renderer: nn.Module, pixels: PixelSource) -> Float32[Tensor, 
 
 
 def _predict(renderer: nn.Module, pixels: PixelSource) -> Float32[Tensor, "pixel 3"]:
-    index = torch.arange(len(pixels.rgb), device=pixels.rgb.device)
-    empty, folded = index[:0], {}
-    if isinstance(renderer, PaperRenderer):
-        # Equal up to rounding, and in a third of the time.
-        folded = {"folded": renderer.net.folded()}
-        if isinstance(pixels, Pixels):
-            drawn = renderer.draw(pixels, folded["folded"])
-            if drawn is not None:
-                return drawn
-            # Pixels without any layer are all of one colour.
-            index, empty = pixels.split_empty()
+    # Equal up to rounding, and in a third of the time.
+    folded = {"folded": renderer.net.folded()} if isinstance(renderer, PaperRenderer) else {}
+    if isinstance(renderer, PaperRenderer) and isinstance(pixels, Pixels):
+        drawn = renderer.draw(pixels, folded["folded"])
+        if drawn is not None:
+            return drawn
+        # Pixels without any layer are all of one colour.
+        index, empty = pixels.split_empty()
+    else:
+        index, empty = torch.arange(len(pixels.rgb), device=pixels.rgb.device), torch.arange(0)
     parts = [renderer(pixels.take(part, None), **folded) for part in index.split(pixels.chunk)]
     colors = torch.empty(len(pixels.rgb), 3, device=pixels.device)
     colors[index] = torch.cat(parts)
