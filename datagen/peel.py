@@ -129,13 +129,23 @@ class Peeler:
         return uv, object_id
 
 
+@numba.njit
+def _interpolate(corners, barycentric):
+    """uv at a hit from those of its face's corners, in float32."""
+    b1, b2 = barycentric[0], barycentric[1]
+    b0 = np.float32(1) - b1 - b2
+    return (
+        b0 * corners[0, 0] + b1 * corners[1, 0] + b2 * corners[2, 0],
+        b0 * corners[0, 1] + b1 * corners[1, 1] + b2 * corners[2, 1],
+    )
+
+
 @numba.njit(cache=True, nogil=True)
 def _to_stacks(shape: Int32[np.ndarray, "layer ray"], prim: Int32[np.ndarray, "layer ray"],
                barycentric: Float32[np.ndarray, "layer ray 2"], object_ids: np.ndarray, first_face: np.ndarray,
                corner_uv: Float32[np.ndarray, "face 3 2"], uv: Float32[np.ndarray, "ray layer 2"],
                object_id: UInt8[np.ndarray, "ray layer"]) -> None:  # fmt: skip
     """Writes interpolated uv and object id of every hit ray by ray; 0 where empty. It is too little for threads."""
-    one = np.float32(1)
     for ray in range(shape.shape[1]):
         for layer in range(len(shape)):
             mesh = shape[layer, ray]
@@ -143,13 +153,8 @@ def _to_stacks(shape: Int32[np.ndarray, "layer ray"], prim: Int32[np.ndarray, "l
             if mesh < 0:
                 uv[ray, layer, 0] = uv[ray, layer, 1] = 0
                 continue
-            face = first_face[mesh] + prim[layer, ray]
-            b1, b2 = barycentric[layer, ray, 0], barycentric[layer, ray, 1]
-            b0 = one - b1 - b2
-            for axis in range(2):
-                uv[ray, layer, axis] = (
-                    b0 * corner_uv[face, 0, axis] + b1 * corner_uv[face, 1, axis] + b2 * corner_uv[face, 2, axis]
-                )
+            corners = corner_uv[first_face[mesh] + prim[layer, ray]]
+            uv[ray, layer, 0], uv[ray, layer, 1] = _interpolate(corners, barycentric[layer, ray])
 
 
 @numba.njit(parallel=True, cache=True, nogil=True)
@@ -162,7 +167,7 @@ def _to_layers(order: Int32[np.ndarray, " ray"], shape: Int32[np.ndarray, "layer
 
     uv are computed in float32 and rounded from float64: stored layers depend on every step.
     """
-    one, last = np.float32(1), np.float64(UV_SCALE)
+    last = np.float64(UV_SCALE)
     for ray in prange(len(order)):
         pixel = order[ray]
         for layer in range(len(shape)):
@@ -172,12 +177,10 @@ def _to_layers(order: Int32[np.ndarray, " ray"], shape: Int32[np.ndarray, "layer
             if mesh < 0:
                 uv[layer, pixel, 0] = uv[layer, pixel, 1] = 0
                 continue
-            face = first_face[mesh] + prim[layer, ray]
-            b1, b2 = barycentric[layer, ray, 0], barycentric[layer, ray, 1]
-            b0 = one - b1 - b2
+            corners = corner_uv[first_face[mesh] + prim[layer, ray]]
+            found = _interpolate(corners, barycentric[layer, ray])
             for axis in range(2):
-                value = b0 * corner_uv[face, 0, axis] + b1 * corner_uv[face, 1, axis] + b2 * corner_uv[face, 2, axis]
-                uv[layer, pixel, axis] = np.uint16(np.rint(min(max(np.float64(value), 0.0), 1.0) * last))
+                uv[layer, pixel, axis] = np.uint16(np.rint(min(max(np.float64(found[axis]), 0.0), 1.0) * last))
 
 
 def _trace(scene, o, d, count, num_layers, is_coherent):
