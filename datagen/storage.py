@@ -19,6 +19,11 @@ TEMPORARY_SUFFIXES = (".tmp", ".partial")
 """Endings of files that a killed writer may leave: ours, and zarr's. Never part of a dataset."""
 
 
+def user_cache(name: str) -> Path:
+    """Where this package keeps what it can make again, by kind; it may not be there."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "hyaline" / name
+
+
 def sha256(data: bytes) -> str:
     """Hex SHA-256."""
     return hashlib.sha256(data).hexdigest()

@@ -400,10 +400,6 @@ void mlp_layer_backward(long pixels, long inputs, long outputs, const Input *inp
     }
 }
 
-}  // extern "C"
-
-extern "C" {
-
 // A layer of a network that learns no more, its batch norm folded in.
 struct FoldedLayer {
     long inputs, outputs;

@@ -5,7 +5,6 @@ Nothing depends on them: where they cannot be built, torch's operations compute 
 
 import ctypes
 import functools
-import hashlib
 import os
 import platform
 import secrets
@@ -21,6 +20,7 @@ from jaxtyping import Float32, Int16, Int32, UInt8
 from torch import Tensor, nn
 
 from datagen.command import say
+from datagen.storage import sha256, user_cache
 
 SWITCH = "HYALINE_KERNELS"
 """Environment variable; `off` leaves everything to torch."""
@@ -58,7 +58,7 @@ class Made:
     """What a layer made of a batch, and the norm and activation behind it: leaky(scale * y + shift)."""
 
     def __init__(self, num_pixels: int, width: int, slope: float, *, has_norm: bool) -> None:
-        self.width, self.has_norm = width, has_norm
+        self.has_norm = has_norm
         self.y = torch.empty(num_pixels, padded(width))
         self.numbers = torch.empty(NUM_NUMBERS, padded(width))
         """Scale and shift, and what the way back needs."""
@@ -283,8 +283,8 @@ def find_kernels() -> Kernels | None:
         return None
     try:
         version = subprocess.run([compiler, "--version"], capture_output=True, text=True, timeout=60, check=True).stdout
-        key = hashlib.sha256(repr((SOURCE.read_text(), version, FLAGS, _processor())).encode()).hexdigest()[:32]
-        path = _cache() / f"{key}.so"
+        key = sha256(repr((SOURCE.read_text(), version, FLAGS, _processor())).encode())[:32]
+        path = user_cache("kernels") / f"{key}.so"
         if not path.is_file():
             _build(compiler, path)
         return Kernels(ctypes.CDLL(str(path)))
@@ -305,10 +305,6 @@ def _build(compiler: str, path: Path) -> None:
         partial.replace(path)
     finally:
         partial.unlink(missing_ok=True)
-
-
-def _cache() -> Path:
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "hyaline" / "kernels"
 
 
 def _processor() -> str:

@@ -35,7 +35,7 @@ from datagen.errors import HyalineError
 from datagen.layer_store import LayersHead, read_layers_head, read_layers_record
 from datagen.number_formats import UV_SCALE
 from datagen.records import Json
-from datagen.storage import commit_sealed, dump_json, load_sealed, sha256
+from datagen.storage import commit_sealed, dump_json, load_sealed, sha256, user_cache
 from model.batches import RayBatch, grid_of, pixels_at_once, read_stack
 
 CACHE_VERSION = 1
@@ -172,7 +172,7 @@ def map_pixels(dataset: Dataset, geometry: str, split: Split, views: Sequence[in
 
 def cache_root() -> Path:
     """The folder of all caches."""
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "hyaline" / "pixels"
+    return user_cache("pixels")
 
 
 def choose_memory(asked: Memory, *, num_pixels: int, num_layers: int, processes: int, device: torch.device) -> bool:

@@ -81,28 +81,27 @@ class PixelMlp(nn.Module):
             hidden = self.blocks(self.first(x))
         return self.last(hidden.float())  # In bf16 a colour would have as few steps as an 8-bit picture.
 
-    def _chain(self) -> list[ChainLayer] | None:
-        """The layers in their order; None where compiled ones compute something else."""
-        units = [
-            self.first,
-            *(unit for block in self.residual_blocks() for unit in (block.first, block.second, block.halve)),
-        ]
-        # At evaluation, and among several processes, a batch's own moments are not what it is normalised by.
-        is_plain = [isinstance(unit.norm, nn.Identity) or (type(unit.norm) is nn.BatchNorm1d and self.training)
-                    for unit in units]  # fmt: skip
-        if not all(is_plain):
-            return None
-        second = [block.second for block in self.residual_blocks()]
-        layers = [
-            ChainLayer(linear=unit.linear, norm=unit.norm if isinstance(unit.norm, nn.BatchNorm1d) else None,
-                       slope=LEAKY_SLOPE, adds=unit in second)
-            for unit in units
-        ]  # fmt: skip
-        return [*layers, ChainLayer(linear=self.last)]
+    def units(self) -> list[tuple[LinearUnit, bool]]:
+        """All layers but the last, each with whether the output of the one two before is added to its own."""
+        units = [(self.first, False)]
+        for block in self.residual_blocks():
+            units += [(block.first, False), (block.second, True), (block.halve, False)]
+        return units
 
     def residual_blocks(self) -> list[ResidualBlock]:
         """The blocks in their order."""
         return cast(list[ResidualBlock], list(self.blocks))
+
+    def _chain(self) -> list[ChainLayer] | None:
+        """The layers in their order; None where compiled ones compute something else."""
+        layers: list[ChainLayer] = []
+        for unit, adds in self.units():
+            norm = unit.norm if isinstance(unit.norm, nn.BatchNorm1d) else None
+            # At evaluation, and among several processes, a batch's own moments are not what it is normalised by.
+            if norm is not None and (type(norm) is not nn.BatchNorm1d or not self.training):
+                return None
+            layers.append(ChainLayer(linear=unit.linear, norm=norm, slope=LEAKY_SLOPE, adds=adds))
+        return [*layers, ChainLayer(linear=self.last)]
 
     def folded(self) -> "FoldedMlp":
         """What this network computes at evaluation, several times faster; has no gradient, learns nothing more."""
@@ -114,12 +113,9 @@ class FoldedMlp:
 
     def __init__(self, net: PixelMlp) -> None:
         is_half = net.precision == "bf16"
-        units = [(net.first, False)]
-        for block in net.residual_blocks():
-            units += [(block.first, False), (block.second, True), (block.halve, False)]
         self.layers = [
             FoldedLayer(weight=weight, bias=bias, slope=LEAKY_SLOPE, adds=adds, is_half=is_half)
-            for (weight, bias), adds in ((unit.folded(), adds) for unit, adds in units)
+            for (weight, bias), adds in ((unit.folded(), adds) for unit, adds in net.units())
         ]
         # In bf16 a colour would have as few steps as an 8-bit picture.
         self.layers.append(FoldedLayer(weight=net.last.weight.detach(), bias=net.last.bias.detach()))

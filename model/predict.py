@@ -52,7 +52,8 @@ def _predict(renderer: nn.Module, pixels: PixelSource) -> Float32[Tensor, "pixel
         # Pixels without any layer are all of one colour.
         index, empty = pixels.split_empty()
     else:
-        index, empty = torch.arange(len(pixels.rgb), device=pixels.rgb.device), torch.arange(0)
+        index = torch.arange(len(pixels.rgb), device=pixels.rgb.device)
+        empty = index[:0]
     parts = [renderer(pixels.take(part, None), **folded) for part in index.split(pixels.chunk)]
     colors = torch.empty(len(pixels.rgb), 3, device=pixels.device)
     colors[index] = torch.cat(parts)

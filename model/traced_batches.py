@@ -135,7 +135,7 @@ class LightPathPixels:
                 seed=seed,
                 first_ray=first_pixel(rng) * samples,
             )
-        stack = self._stack(origins, directions) if config.stack_hidden else None
+            stack = self._stack(origins, directions) if config.stack_hidden else None
         return LightPathBatch(
             num_pixels=index.numel(), samples=samples, ends=self._ends(paths), sky=self._sky(paths), stack=stack
         )
@@ -164,14 +164,13 @@ class LightPathPixels:
         )
 
     def _stack(self, origins: np.ndarray, directions: np.ndarray) -> Stack:
-        with short_lived_workers():
-            paths = self.tracer.trace(
-                origins,
-                directions,
-                max_branches=len(STACKED_VERTICES),
-                max_vertices=max(STACKED_VERTICES),
-                max_depth=max(STACKED_VERTICES),
-            )
+        paths = self.tracer.trace(
+            origins,
+            directions,
+            max_branches=len(STACKED_VERTICES),
+            max_vertices=max(STACKED_VERTICES),
+            max_depth=max(STACKED_VERTICES),
+        )
         places = [(branch, vertex) for branch, count in enumerate(STACKED_VERTICES) for vertex in range(count)]
         slots = [_slot(paths, *place) for place in places]
         for slot in slots:
@@ -308,8 +307,7 @@ def _mirrored(direction: Float32[np.ndarray, "vertex 3"], normal: Float32[np.nda
 
 
 def _straight(tracer: "LightPathTracer", origins: np.ndarray, directions: np.ndarray, num_layers: int) -> "TracedPaths":
-    with short_lived_workers():
-        return tracer.trace(origins, directions, max_branches=1, max_vertices=num_layers, max_depth=num_layers)
+    return tracer.trace(origins, directions, max_branches=1, max_vertices=num_layers, max_depth=num_layers)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -54,7 +54,7 @@ class NaiveRenderer(nn.Module):
         images = renderer.textures.table.detach().view(len(layout.sizes), size, size, -1).permute(0, 3, 1, 2)
         self.images = nn.ParameterList([image[None].clone() for image in images])
         net = renderer.net
-        blocks = [NaiveBlock(block) for block in net.blocks if isinstance(block, ResidualBlock)]
+        blocks = [NaiveBlock(block) for block in net.residual_blocks()]
         self.net = nn.Sequential(unit_of(net.first), *blocks, conv_of(net.last))
 
     def sample(self, rays: RayBatch) -> Float32[Tensor, "1 c h w"]:
