@@ -83,8 +83,9 @@ def _room() -> list[SceneObject]:
     art = SolidTexture(pattern="checker", colors=((0.80, 0.62, 0.24), (0.10, 0.22, 0.34)), scale=0.36)
     weave = SolidTexture(pattern="checker", colors=((0.62, 0.55, 0.46), (0.24, 0.30, 0.40)), scale=0.30)
     floor = moved(rounded_box((7.0, 7.0, 0.05), bevel=0.004), (0.6, -0.6, -0.025))
-    back_wall = moved(rounded_box((6.6, 0.08, 3.4), bevel=0.004), (0.7, 2.64, 1.701))
-    left_wall = moved(rounded_box((0.08, 6.6, 3.4), bevel=0.004), (-2.66, -0.75, 1.701))
+    # The back wall reaches behind the left one: no camera in the room sees out through the corner.
+    back_wall = moved(rounded_box((6.7, 0.08, 3.4), bevel=0.004), (0.65, 2.64, 1.701))
+    left_wall = moved(rounded_box((0.08, 6.65 - GAP, 3.4), bevel=0.004), (-2.66, -0.725 - GAP / 2, 1.701))
     picture = moved(rounded_box((1.3, 0.03, 0.9), bevel=0.005), (0.75, 2.58, 1.55))
     rug = moved(cylinder(1.3, RUG_TOP - GAP, bevel=0.003, segments=96), (0.0, 0.1, GAP))
     return [
