@@ -24,7 +24,7 @@ $(STAMP): pyproject.toml constraints.txt
 
 demo: setup
 	$(BIN)/datagen build --scene glass_table
-	$(BIN)/proxies make --scene glass_table --kind ellipsoid
+	$(BIN)/proxies make --dataset glass_table --kind ellipsoid
 	$(BIN)/model train --dataset data/glass_table --method paper --resume
 	$(BIN)/model train --dataset data/glass_table --method paper --geometry ellipsoid --resume
 	$(BIN)/model train --dataset data/glass_table --method light-path --resume

@@ -145,7 +145,7 @@ def build(
             return
         say(f"{root}: part {part} is done, and with it the dataset")
         say(summary(dataset, TRUTH, layers))
-    where = "" if root == DATA_ROOT / description.name else f" --scene {root}"
+    where = "" if root == DATA_ROOT / description.name else f" --dataset {root}"
     next_command(f"proxies make --kind ellipsoid{where}")
 
 
@@ -202,7 +202,8 @@ def peel(
     """Peels layers of a geometry for every view, without rendering images again.
 
     Args:
-        dataset: A dataset's folder or its name under data/; the only one there unless given.
+        dataset: A dataset's folder or its name under data/; the only one there unless given. May stand first, without
+            the flag.
         geometry: truth, or a kind of proxy that `proxies make` has made.
         layers: Kinds of layers to peel: straight, light-path (which follows light through the glass) or both.
         num_layers: Layers kept per ray, vertices kept per branch of a light path.
@@ -224,11 +225,12 @@ def peel(
     next_command(f"model train --dataset {opened.root} --method {method}{suffix}")
 
 
-def verify(dataset: str | None = None, /) -> None:
+def verify(dataset: str | None = None) -> None:
     """Checks every byte of a dataset; exit status 1 names what is damaged.
 
     Args:
-        dataset: A dataset's folder or its name under data/; the only one there unless given.
+        dataset: A dataset's folder or its name under data/; the only one there unless given. May stand first, without
+            the flag.
     """
     from datagen.verify import verify_dataset
 

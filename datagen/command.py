@@ -2,6 +2,7 @@
 
 import difflib
 import functools
+import inspect
 import sys
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator
@@ -18,10 +19,15 @@ REPORT_EVERY_S = 15.0
 def run(program: str, description: str, commands: dict[str, Callable[..., None]], arguments: list[str]) -> None:
     """Parses `arguments`, calls the chosen function, and exits: 0 done, 1 our error in one line, 2 usage.
 
-    Results go to stdout, everything else to stderr.
+    Results go to stdout, everything else to stderr. A command whose first parameter is `dataset` also takes it as its
+    first word; each takes `--version`.
     """
+    if "--version" in arguments:
+        print(f"hyaline {version()}")
+        return
     import tyro
 
+    arguments = _dataset_first(commands, arguments)
     try:
         tyro.extras.subcommand_cli_from_dict(
             commands,
@@ -39,6 +45,26 @@ def run(program: str, description: str, commands: dict[str, Callable[..., None]]
         # A full disk, a read-only folder, a missing permission: what is committed stays valid.
         place = f"{error.filename}: " if error.filename else ""
         fail(f"{place}{error.strerror or error}; make room or choose another place, then run the same command again")
+
+
+def version() -> str:
+    """The version that is installed."""
+    from importlib import metadata
+
+    try:
+        return metadata.version("hyaline")
+    except metadata.PackageNotFoundError:
+        return "(not installed)"
+
+
+def _dataset_first(commands: dict[str, Callable[..., None]], arguments: list[str]) -> list[str]:
+    """The arguments, in which a first word that names a dataset has become that of `--dataset`."""
+    command = commands.get(arguments[0]) if arguments else None
+    if command is None or arguments[1:2] == [] or arguments[1].startswith("-"):
+        return arguments
+    if next(iter(inspect.signature(command).parameters), None) != "dataset":
+        return arguments
+    return [arguments[0], "--dataset", *arguments[1:]]
 
 
 @functools.cache

@@ -270,26 +270,26 @@ def open_dataset(root: Path) -> Dataset:
     )
 
 
-def find_dataset(given: str | None) -> Path:
-    """The dataset that a command means: a folder, a name under `data/`, or the only one there.
+def find_dataset(given: str | None, root: Path = DATA_ROOT) -> Path:
+    """The dataset that `--dataset` means: a folder, a name under `root`, or the only one there.
 
     Raises:
         HyalineError: none or several fit.
     """
     if given is not None:
         named = Path(given)
-        return named if (named / "dataset.json").is_file() or len(named.parts) > 1 else DATA_ROOT / given
-    found = list_datasets()
+        return named if (named / "dataset.json").is_file() or len(named.parts) > 1 else root / given
+    found = list_datasets(root)
     if len(found) == 1:
         return found[0]
     if not found:
-        raise HyalineError(f"{DATA_ROOT}: no dataset there; make one with `datagen build --scene glass_table`")
-    raise HyalineError(f"{DATA_ROOT}: holds {len(found)} datasets; choose one of {', '.join(map(str, found))}")
+        raise HyalineError(f"{root}: no dataset there; make one with `datagen build --scene glass_table`")
+    raise HyalineError(f"{root}: holds {len(found)} datasets; choose one with --dataset: {', '.join(map(str, found))}")
 
 
-def list_datasets() -> list[Path]:
-    """Every dataset folder under `data/`, sorted."""
-    return sorted(path.parent for path in DATA_ROOT.glob("*/dataset.json"))
+def list_datasets(root: Path = DATA_ROOT) -> list[Path]:
+    """Every dataset folder under `root`, sorted."""
+    return sorted(path.parent for path in root.glob("*/dataset.json"))
 
 
 def head_files(root: Path) -> dict[str, str]:

@@ -137,9 +137,9 @@ def describe_geometry(dataset: Dataset, geometry: str) -> str:
 
 def _make_command(dataset: Dataset, geometry: str) -> str:
     if geometry.startswith("mixed"):
-        return f"proxies make --scene {dataset.name} --name {geometry} --assign OBJECT=KIND"
+        return f"proxies make --dataset {dataset.root} --name {geometry} --assign OBJECT=KIND"
     kind, _, amount = geometry.partition("-")
-    return f"proxies make --scene {dataset.name} --kind {kind}" + (f" --amount {amount}" if amount else "")
+    return f"proxies make --dataset {dataset.root} --kind {kind}" + (f" --amount {amount}" if amount else "")
 
 
 def list_geometries(dataset: Dataset) -> list[str]:

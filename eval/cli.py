@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 from datagen.command import run, say
+from datagen.dataset import find_dataset
 
 DESCRIPTION = "Scores the pictures that methods predicted against a dataset's truth: tables, figures, JSON."
 
@@ -16,6 +17,7 @@ def report(
     *,
     runs: Path = Path("runs"),
     data: Path = Path("data"),
+    dataset: str | None = None,
     format: str = "table",  # noqa: A002  The flag's name; the builtin is not needed here.
     out: Path | None = None,
     table: tuple[str, ...] = (),
@@ -28,6 +30,7 @@ def report(
     Args:
         runs: Folder with the runs.
         data: Folder with the datasets, DATA/SCENE, for runs that do not say where theirs is.
+        dataset: Score only the runs of this dataset: its folder, or its name under DATA.
         format: What stdout gets: table, markdown, csv, latex or json.
         out: Folder for results.json and pictures; RUNS/report unless given.
         table: Print these tables alone, beside what the paper printed, and draw what their runs drew: table1
@@ -38,10 +41,12 @@ def report(
     """
     from eval.report import make_report, make_tables
 
+    place = out if out is not None else runs / "report"
+    only = None if dataset is None else find_dataset(dataset, data)
     if table:
-        make_tables(runs, data, out if out is not None else runs / "report", tables=table, output_format=format)
+        make_tables(runs, data, place, tables=table, output_format=format, only=only)
         return
-    make_report(runs, data, out if out is not None else runs / "report", output_format=format, order_layers=order)
+    make_report(runs, data, place, output_format=format, order_layers=order, only=only)
 
 
 def main() -> None:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from datagen.command import choose, say, track
-from datagen.dataset import TEST_SPLITS, Dataset, Split
+from datagen.dataset import TEST_SPLITS, Dataset, Split, open_dataset
 from datagen.errors import HyalineError
 from datagen.storage import commit
 from eval.claims import CLAIMS, claims_grid
@@ -29,11 +29,13 @@ TABLE_FORMATS = ("table", "markdown", "latex")
 """Of `make_tables`: what the tables hold is in the report's CSV and JSON."""
 
 
-def make_report(runs_root: Path, data_root: Path, out: Path, *, output_format: str, order_layers: int = 0) -> None:
+def make_report(runs_root: Path, data_root: Path, out: Path, *, output_format: str, order_layers: int = 0,
+                only: Path | None = None) -> None:  # fmt: skip
     """Scores all runs; a run that cannot be scored is reported after the others are.
 
     Args:
         order_layers: layers by whose order pixels are told apart; 0 leaves that table out.
+        only: the dataset whose runs are scored; those of all unless given.
 
     Raises:
         HyalineError: an unknown format, no run, or a run that cannot be scored.
@@ -41,7 +43,7 @@ def make_report(runs_root: Path, data_root: Path, out: Path, *, output_format: s
     choose("format", output_format, FORMATS)
     if order_layers:
         check_order_layers(order_layers)
-    runs, errors = _open_runs(runs_root, data_root, out)
+    runs, errors = _open_runs(runs_root, data_root, out, only)
     if not runs and not errors:
         raise HyalineError(
             f"{runs_root}: no predictions there; make some with `model train`, or put a method's pictures "
@@ -66,7 +68,8 @@ TABLES = (*COMPARISONS, "proxies", *ABLATIONS, "claims")
 """What `make_tables` prints."""
 
 
-def make_tables(runs_root: Path, data_root: Path, out: Path, *, tables: Sequence[str], output_format: str) -> None:
+def make_tables(runs_root: Path, data_root: Path, out: Path, *, tables: Sequence[str], output_format: str,
+                only: Path | None = None) -> None:  # fmt: skip
     """Scores the runs that some tables need and prints those alone; pictures of them are written to `out`.
 
     Raises:
@@ -76,7 +79,7 @@ def make_tables(runs_root: Path, data_root: Path, out: Path, *, tables: Sequence
         choose("table", table, TABLES)
     choose("format", output_format, TABLE_FORMATS)
     lines = [line for table in tables for line in _lines_of(table)]
-    runs, errors = _open_runs(runs_root, data_root, out)
+    runs, errors = _open_runs(runs_root, data_root, out, only)
     wanted = [run for run in runs if any(line.fits(run) for line in lines)]
     scenes = [scene for scene, _ in _score_scenes(wanted, errors)]
     if not scenes:
@@ -131,16 +134,23 @@ def _picture_of(table: str, scene: SceneScores) -> bytes | None:
     return None
 
 
-def _open_runs(runs_root: Path, data_root: Path, out: Path) -> tuple[list[Run], list[HyalineError]]:
+def _open_runs(runs_root: Path, data_root: Path, out: Path,
+               only: Path | None) -> tuple[list[Run], list[HyalineError]]:  # fmt: skip
+    """The runs that can be opened and why others cannot; of one dataset alone where `only` is given."""
+    dataset = None if only is None else open_dataset(only)
     runs, errors = [], []
     for folder in list_run_folders(runs_root, besides=out):
+        is_own = dataset is None or folder.parent.name == dataset.name
         try:
             if has_predictions(folder):
-                runs.append(open_run(folder, data_root))
-            else:
+                run = open_run(folder, data_root, dataset if is_own else None)
+                if dataset is None or run.dataset.seal == dataset.seal:
+                    runs.append(run)
+            elif is_own:
                 say(f"{folder}: no predictions yet; skipped")
         except HyalineError as error:
-            errors.append(error)
+            if is_own:
+                errors.append(error)
     return runs, errors
 
 

@@ -81,17 +81,18 @@ def has_predictions(folder: Path) -> bool:
     return bool(splits)
 
 
-def open_run(folder: Path, data_root: Path) -> Run:
+def open_run(folder: Path, data_root: Path, given: Dataset | None = None) -> Run:
     """The run in a folder, with the dataset that it was made for.
 
-    The dataset is the one that run.json names, or else `data_root`/SCENE.
+    The dataset is the given one, or the one that run.json names, or else `data_root`/SCENE.
 
     Raises:
         HyalineError: a damaged record, no dataset, or one that differs from the data the run was made for.
     """
     path = folder / "run.json"
     record = load_json(path) if path.is_file() else {}
-    places = [Path(given)] if (given := _optional(record, "dataset", str, path)) else []
+    named = _optional(record, "dataset", str, path)
+    places = [*([] if given is None else [given.root]), *([] if named is None else [Path(named)])]
     return Run(
         folder=folder,
         name=folder.name,

@@ -24,7 +24,7 @@ def main() -> None:
 
 
 def make(
-    scene: str | None = None,
+    dataset: str | None = None,
     kind: str = "ellipsoid",
     amount: float | None = None,
     assign: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = (),
@@ -39,7 +39,8 @@ def make(
     """Fits a proxy to every object and peels the proxies for every view; images are not rendered again.
 
     Args:
-        scene: A dataset's folder or its name under data/; every one there unless given.
+        dataset: A dataset's folder or its name under data/; every one there unless given. May stand first, without the
+            flag.
         kind: box (oriented, of least volume), ellipsoid (of least volume), hull (convex, its edges rounded), blocks (up
             to 8 boxes), wrap (shrink-wrapped, follows hollows), lowpoly (few triangles, follows hollows) or noise (the
             true surface displaced at random, which encloses nothing).
@@ -62,19 +63,19 @@ def make(
     if not assign and (rest, name) != (TRUTH, "mixed"):
         raise HyalineError(f"--rest {rest} --name {name}: nothing is mixed; they go with --assign OBJECT=KIND")
     one_kind = _one_kind(kind, amount)
-    datasets = _datasets(scene)
+    datasets = _datasets(dataset)
     from datagen.annex_build import peel_annexes
 
-    specs = [_mixture(dataset, name, assign, rest) if assign else one_kind for dataset in datasets]
-    for dataset, spec in zip(datasets, specs, strict=True):
+    specs = [_mixture(opened, name, assign, rest) if assign else one_kind for opened in datasets]
+    for opened, spec in zip(datasets, specs, strict=True):
         from datagen.build import peel_dataset
 
-        is_new = make_proxies(dataset, spec, overwrite=overwrite)
+        is_new = make_proxies(opened, spec, overwrite=overwrite)
         if not is_new:
-            say(f"{dataset.root}: keeps its {spec.geometry} proxies; --overwrite makes them anew")
-        _print_table(dataset, spec.geometry, read_reports(dataset, spec.geometry))
+            say(f"{opened.root}: keeps its {spec.geometry} proxies; --overwrite makes them anew")
+        _print_table(opened, spec.geometry, read_reports(opened, spec.geometry))
         peel_dataset(
-            dataset,
+            opened,
             spec.geometry,
             kinds=layers,
             num_layers=num_layers,
@@ -82,17 +83,18 @@ def make(
             overwrite=overwrite,
             workers=workers,
         )
-        peel_annexes(dataset, workers=workers)
+        peel_annexes(opened, workers=workers)
     next_command(f"model train --method paper --geometry {specs[0].geometry} --dataset {datasets[0].root}")
 
 
 def check(
-    scene: str | None = None, kind: str = "ellipsoid", amount: float | None = None, name: str | None = None
+    dataset: str | None = None, kind: str = "ellipsoid", amount: float | None = None, name: str | None = None
 ) -> None:
     """Verifies the proxies on disk: closed, outward, around the object, texels for every face.
 
     Args:
-        scene: A dataset's folder or its name under data/; every one there unless given.
+        dataset: A dataset's folder or its name under data/; every one there unless given. May stand first, without the
+            flag.
         kind: box, ellipsoid, hull, blocks, wrap, lowpoly or noise, which must only have the object's faces and uv.
         amount: Of the noise, 0.01 unless given.
         name: Of a mixture, instead of a kind.
@@ -101,11 +103,11 @@ def check(
 
     geometry = name if name is not None else _one_kind(kind, amount).geometry
     problems = []
-    for dataset in _datasets(scene):
-        reports = read_reports(dataset, geometry)
-        _print_table(dataset, geometry, reports)
+    for opened in _datasets(dataset):
+        reports = read_reports(opened, geometry)
+        _print_table(opened, geometry, reports)
         problems += [
-            f"{dataset.root}: the {report.kind} of {report.object} {report.problem}"
+            f"{opened.root}: the {report.kind} of {report.object} {report.problem}"
             for report in reports
             if report.problem
         ]
@@ -127,8 +129,8 @@ def _one_kind(kind: str, amount: float | None) -> "ProxySpec":
     return ProxySpec(kind=chosen, amount=AMOUNT if chosen == "noise" and amount is None else amount)
 
 
-def _datasets(scene: str | None) -> list[Dataset]:
-    roots = list_datasets() if scene is None else [find_dataset(scene)]
+def _datasets(given: str | None) -> list[Dataset]:
+    roots = list_datasets() if given is None else [find_dataset(given)]
     if not roots:
         raise HyalineError(f"{DATA_ROOT}: no dataset there; make one with `datagen build --scene glass_table`")
     return [open_dataset(Path(root)) for root in roots]

@@ -1,12 +1,13 @@
 """Tests how commands end: one line for a person, a status for a script."""
 
+import re
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from datagen.command import choose, track
+from datagen.command import choose, track, version
 from datagen.errors import HyalineError
 
 
@@ -41,6 +42,33 @@ def test_wrong_input_is_answered_with_the_way_out(line: str, status: int, messag
     if status == 1:
         assert len(answer.stderr.splitlines()) == 1
     assert answer.stdout == ""
+
+
+@pytest.mark.parametrize(
+    "line",
+    ["datagen", "datagen build", "datagen bench", "proxies", "proxies make", "model", "model train", "model bench step",
+     "eval", "eval report"],
+)  # fmt: skip
+def test_every_command_tells_its_version(line: str, tmp_path: Path) -> None:
+    answer = run(*line.split(), "--version", cwd=tmp_path)
+    assert (answer.returncode, answer.stdout, answer.stderr) == (0, f"hyaline {version()}\n", "")
+    assert re.fullmatch(r"\d+\.\d+\.\d+", version())
+
+
+@pytest.mark.parametrize("line", ["datagen verify", "datagen peel", "proxies make", "proxies check"])
+def test_a_dataset_may_stand_first_or_behind_its_flag(line: str, tmp_path: Path) -> None:
+    first, flag = (run(*line.split(), *words, cwd=tmp_path) for words in (["here"], ["--dataset", "here"]))
+    assert first.stderr == flag.stderr == "error: data/here: no dataset; make one with `datagen build --scene here`\n"
+    assert first.returncode == flag.returncode == 1
+
+
+@pytest.mark.parametrize("line", ["datagen verify", "datagen peel", "model train --method paper"])
+def test_of_several_datasets_the_flag_chooses_one(line: str, tmp_path: Path) -> None:
+    for name in "ab":
+        (tmp_path / "data" / name).mkdir(parents=True)
+        (tmp_path / "data" / name / "dataset.json").write_text("{}")
+    answer = run(*line.split(), cwd=tmp_path)
+    assert answer.stderr == "error: data: holds 2 datasets; choose one with --dataset: data/a, data/b\n"
 
 
 def test_a_choice_far_from_all_gets_no_suggestion() -> None:

@@ -290,6 +290,17 @@ def test_a_run_without_its_dataset_says_where_it_looked(copy: Path) -> None:
         report(copy)
 
 
+@pytest.mark.usefixtures("no_pictures")
+def test_only_the_runs_of_the_chosen_dataset_are_scored(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (copy / "runs" / "other" / "lost" / "predictions" / "interpolating").mkdir(parents=True)
+    moved = copy / "elsewhere" / "synthetic"
+    shutil.move(copy / "data", copy / "elsewhere")
+    make_report(copy / "runs", copy / "data", copy / "out", output_format="csv", only=moved)
+    assert list(csv_rows(capsys.readouterr().out)) == ["foreign_nerf", "grey", "perfect", CEILING]
+    with pytest.raises(HyalineError, match=r"^.*other/lost: no dataset at .*elsewhere/other"):
+        make_report(copy / "runs", copy / "elsewhere", copy / "out", output_format="csv")
+
+
 def test_no_run_at_all_says_how_to_make_one(tmp_path: Path) -> None:
     with pytest.raises(HyalineError, match=r"no predictions there; make some with `model train`"):
         report(tmp_path)

@@ -157,7 +157,7 @@ def test_a_killed_sweep_goes_on_to_the_bytes_of_train_and_tells_what_failed(
         lines[-2].startswith("failed: model train --method paper --steps 200 ")
         and "--geometry box --resume: " in lines[-2]
     )
-    assert "no box proxies; make them with `proxies make --scene synthetic --kind box`" in lines[-2]
+    assert "no box proxies; make them with `proxies make --dataset data/synthetic --kind box`" in lines[-2]
     assert lines[-1].startswith("error: sweep grid: 1 of 3 runs failed")
     assert {path: path.stat().st_mtime_ns for path in first} == first
 

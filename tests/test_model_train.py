@@ -266,7 +266,7 @@ def test_the_command_trains_skips_refuses_and_renders_again(
     [
         (("--method", "papr"), "method 'papr': there is none of that name; did you mean 'paper'"),
         (("--geometry", "truht"), "geometry 'truht': there is none of that name; did you mean 'truth'"),
-        (("--geometry", "box"), "no box proxies; make them with `proxies make --scene synthetic --kind box`"),
+        (("--geometry", "box"), "no box proxies; make them with `proxies make --dataset "),
         (("--width", "wide"), "width: is 'wide'; expected 34k, 256 or another number"),
         (("--resume", "--overwrite"), "exclude each other"),
         (("--lr", "-1"), r"lr: is -1.0; expected a learning rate"),

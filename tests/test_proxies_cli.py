@@ -54,7 +54,7 @@ def call(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> None:
 def test_make_writes_the_proxies_peels_them_and_prints_the_table(
     kind: str, here: Path, peeled: list[dict[str, Any]], monkeypatch: pytest.MonkeyPatch, capsys: Any
 ) -> None:
-    call(monkeypatch, "make", "--scene", "one", "--kind", kind, "--num-layers", "3")
+    call(monkeypatch, "make", "--dataset", "one", "--kind", kind, "--num-layers", "3")
     out, err = capsys.readouterr()
     assert [line.split()[0] for line in out.splitlines() if "100 %" in line] == ["pane", "floor"]
     assert f"model train --method paper --geometry {kind} --dataset data/one" in err
@@ -63,7 +63,7 @@ def test_make_writes_the_proxies_peels_them_and_prints_the_table(
     ]
     content = load_sealed(here / "data/one/proxies" / kind / "proxies.json")
     assert content["kind"] == kind
-    call(monkeypatch, "check", "--scene", "data/one", "--kind", kind)
+    call(monkeypatch, "check", "--dataset", "data/one", "--kind", kind)
     assert capsys.readouterr().out == out
 
 
@@ -185,8 +185,8 @@ def test_without_a_scene_every_dataset_gets_proxies(
         ),
         (("make", "--kind", "noise", "--amount", "0.2"), "amount 0.2: expected 0.001 to 0.05, parts of each object's"),
         (("make", "--kind", "box", "--amount", "0.01"), "amount 0.01: a box has no noise; it goes with `--kind noise`"),
-        (("check", "--kind", "noise"), "make them with `proxies make --scene one --kind noise --amount 0.01`"),
-        (("make", "--scene", "missing"), "data/missing: no dataset; make one with `datagen build --scene missing`"),
+        (("check", "--kind", "noise"), "make them with `proxies make --dataset data/one --kind noise --amount 0.01`"),
+        (("make", "--dataset", "missing"), "data/missing: no dataset; make one with `datagen build --scene missing`"),
         (("make", "--assign", "pain=box"), "object 'pain': there is none of that name; did you mean 'pane'?"),
         (("make", "--assign", "pane=bx"), "kind 'bx': there is none of that name; did you mean 'box'?"),
         (("make", "--assign", "pane"), "assign 'pane': expected OBJECT=KIND, such as fern=ellipsoid"),
@@ -198,8 +198,11 @@ def test_without_a_scene_every_dataset_gets_proxies(
             ("make", "--assign", "pane=noise-much"),
             "kind 'noise-much': 'much' is no number; expected such as noise-0.01",
         ),
-        (("check", "--name", "mixed"), "make them with `proxies make --scene one --name mixed --assign OBJECT=KIND`"),
-        (("check", "--kind", "box"), "no box proxies; make them with `proxies make --scene one --kind box`"),
+        (
+            ("check", "--name", "mixed"),
+            "make them with `proxies make --dataset data/one --name mixed --assign OBJECT=KIND`",
+        ),
+        (("check", "--kind", "box"), "no box proxies; make them with `proxies make --dataset data/one --kind box`"),
     ],
 )
 def test_errors_are_one_line_with_the_way_out(
@@ -219,7 +222,7 @@ def test_a_half_built_dataset_is_one_line(
 ) -> None:
     (here / "data/one/scene/meshes/floor.ply").unlink()
     with pytest.raises(SystemExit):
-        call(monkeypatch, "make", "--scene", "one")
+        call(monkeypatch, "make", "--dataset", "one")
     err = capsys.readouterr().err
     assert "floor.ply: the file is missing; build it again" in err
     assert err.count("\n") == 1
@@ -233,9 +236,9 @@ def test_proxies_of_another_dataset_are_refused(
     write_synthetic_dataset(here / "data" / "two", resolution=8, train_views=2)
     (here / "data/one/proxies").rename(here / "data/two/proxies")
     with pytest.raises(SystemExit):
-        call(monkeypatch, "make", "--scene", "two", "--kind", "box")
+        call(monkeypatch, "make", "--dataset", "two", "--kind", "box")
     assert "made for another dataset" in capsys.readouterr().err
-    call(monkeypatch, "make", "--scene", "two", "--kind", "box", "--overwrite")
+    call(monkeypatch, "make", "--dataset", "two", "--kind", "box", "--overwrite")
 
 
 def test_help_answers_before_anything_heavy_is_imported() -> None:
