@@ -24,13 +24,21 @@ from datagen.errors import HyalineError
 from datagen.media import Media, find_media, medium_of, no_solids, with_solid, without_solid
 from datagen.meshes import Mesh, is_there
 from datagen.mitsuba_scene import is_scalar, load_geometry_mitsuba, to_columns
-from datagen.scene import Conductor, Dielectric, Material, Plastic, ThinDielectric
+from datagen.scene import Conductor, Material, SurfaceKind, surface_kind
 
 if TYPE_CHECKING:
     import mitsuba as mi
 
 OPAQUE, DIELECTRIC, THIN, COATED, METAL = range(5)
-"""What a surface does to a ray; the tracer's own numbers for the classes of materials."""
+"""What a surface does to a ray, as numbers in the kernel."""
+
+KINDS: dict[SurfaceKind, int] = {
+    "diffuse": OPAQUE,
+    "dielectric": DIELECTRIC,
+    "thin": THIN,
+    "coated": COATED,
+    "metal": METAL,
+}
 
 OFFSET = 2e-6
 """How far, relative to 1 + its largest coordinate, a new ray starts from its surface: neighbouring faces round."""
@@ -210,17 +218,7 @@ def _make_tables(meshes: tuple[Mesh, ...], materials: tuple[Material | None, ...
 
 
 def _kind(material: Material | None) -> int:
-    match material:
-        case Dielectric():
-            return DIELECTRIC
-        case ThinDielectric() | None:
-            return THIN
-        case Plastic():
-            return COATED
-        case Conductor():
-            return METAL
-        case _:
-            return OPAQUE
+    return THIN if material is None else KINDS[surface_kind(material)]
 
 
 def _trace(scene, tables, media, o, d, rows, shift, count, max_branches, max_vertices, max_depth):

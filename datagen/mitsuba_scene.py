@@ -1,6 +1,6 @@
 """Owns the way from our scene to Mitsuba's: the only file that names its plugins. Call `use_mitsuba` first."""
 
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, assert_never, cast
 
 import numpy as np
 from jaxtyping import Float, Float32
@@ -215,6 +215,8 @@ def _bsdf(scene: Scene, item: SceneObject) -> dict[str, object]:
             if roughness > 0:
                 metal |= {"type": "roughconductor", "alpha": roughness, "distribution": "ggx"}
             return {"type": "twosided", "bsdf": metal}
+        case _:
+            assert_never(material)
 
 
 def _absorbing_medium(material: Dielectric) -> dict[str, object]:

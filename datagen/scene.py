@@ -1,11 +1,12 @@
 """Owns the renderer-neutral description of a scene (objects, materials, lights, cameras) and its folder on disk."""
 
+import dataclasses
 import math
 import re
 from dataclasses import dataclass, field
 from itertools import combinations
 from pathlib import Path
-from typing import Literal, cast
+from typing import Literal, TypeVar, cast
 
 from datagen.errors import HyalineError
 from datagen.meshes import (
@@ -21,11 +22,13 @@ from datagen.meshes import (
 from datagen.records import Json, from_json, to_json
 from datagen.storage import commit, dump_json, load_json
 
+Record = TypeVar("Record")
 Vector = tuple[float, float, float]
 Color = tuple[float, float, float]
 """Linear Rec. 709 reflectance or radiance."""
 
 SCENE_VERSION = 1
+OBJECT_NAME = r"[A-Za-z0-9_-]+"
 MAX_OBJECTS = 255
 """Object ids are 8 bits; 0 means empty."""
 MAX_NESTED = 32
@@ -145,9 +148,33 @@ class Conductor:
 Material = Dielectric | ThinDielectric | Diffuse | Plastic | Conductor
 
 
+SurfaceKind = Literal["dielectric", "thin", "diffuse", "coated", "metal"]
+
+SURFACE_KINDS: dict[type[Material], SurfaceKind] = {
+    Dielectric: "dielectric",
+    ThinDielectric: "thin",
+    Diffuse: "diffuse",
+    Plastic: "coated",
+    Conductor: "metal",
+}
+"""What each material does to a ray. Whoever traces or renders asks here, so that no material passes for another."""
+
+
+def surface_kind(material: Material) -> SurfaceKind:
+    """What a material does to a ray.
+
+    Raises:
+        HyalineError: the material is none of those that can be traced, even if it derives from one.
+    """
+    if (kind := SURFACE_KINDS.get(type(material))) is None:
+        known = ", ".join(choice.__name__ for choice in SURFACE_KINDS)
+        raise HyalineError(f"material: is a {type(material).__name__}, which cannot be traced; expected one of {known}")
+    return kind
+
+
 def is_glass(material: Material) -> bool:
     """True for materials that one sees through."""
-    return isinstance(material, (Dielectric, ThinDielectric))
+    return surface_kind(material) in ("dielectric", "thin")
 
 
 # Lights
@@ -282,11 +309,15 @@ def check_scene(scene: Scene) -> None:
     if not any(is_there(item.mesh) for item in scene.objects):
         raise HyalineError(f"scene {scene.name}: all of its objects were removed; expected at least one that is there")
     for item in scene.objects:
-        if not re.fullmatch(r"[A-Za-z0-9_-]+", item.name):
+        if not re.fullmatch(OBJECT_NAME, item.name):
             raise HyalineError(f"scene {scene.name}: object name {item.name!r}; expected letters, digits, _ and -")
+        where = f"scene {scene.name}: object {item.name}"
+        try:
+            surface_kind(item.material)
+        except HyalineError as error:
+            raise HyalineError(f"{where}: {error}") from error
         if not is_there(item.mesh):
             continue
-        where = f"scene {scene.name}: object {item.name}"
         check_mesh(item.mesh, where=where)
         if isinstance(item.material, Dielectric):
             check_closed(item.mesh, where=where)
@@ -379,11 +410,7 @@ def load_scene(folder: Path) -> Scene:
     data = load_json(path)
     if data.get("version") != SCENE_VERSION:
         raise HyalineError(f"{path}: version {data.get('version')!r}; this program reads version {SCENE_VERSION}")
-    try:
-        file = from_json(_SceneFile, cast(Json, data), where=str(path))
-    except HyalineError as error:
-        # Records check their own values and cannot know which file they came from.
-        raise error if str(error).startswith(str(path)) else HyalineError(f"{path}: {error}") from error
+    file = _parse_scene(data, path)
     objects = []
     for item in file.objects:
         if item.mesh is None:
@@ -413,6 +440,31 @@ def load_scene(folder: Path) -> Scene:
     )
     check_scene(scene)
     return scene
+
+
+def _parse_scene(data: dict[str, Json], path: Path) -> _SceneFile:
+    """The parsed scene.json; an error about an object names the object."""
+    listed, objects = data.get("objects"), ()
+    if isinstance(listed, list):
+        objects = tuple(
+            _parse_in(_ObjectFile, entry, where=f"{path}: {_name_in_errors(entry, index)}")
+            for index, entry in enumerate(listed)
+        )
+        data = {**data, "objects": []}
+    return dataclasses.replace(_parse_in(_SceneFile, data, where=str(path)), objects=objects)
+
+
+def _parse_in(kind: type[Record], data: Json, *, where: str) -> Record:
+    """`from_json`, whose errors all begin with `where`: records check their own values and cannot know their place."""
+    try:
+        return from_json(kind, data, where=where)
+    except HyalineError as error:
+        raise error if str(error).startswith(where) else HyalineError(f"{where}: {error}") from error
+
+
+def _name_in_errors(entry: Json, index: int) -> str:
+    name = entry.get("name") if isinstance(entry, dict) else None
+    return f"object {name}" if isinstance(name, str) and re.fullmatch(OBJECT_NAME, name) else f"objects[{index}]"
 
 
 def _inside(folder: Path, relative: str, *, where: str) -> Path:

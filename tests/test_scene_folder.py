@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import typing
 from pathlib import Path
 
 import numpy as np
@@ -10,20 +11,26 @@ from PIL import Image
 from synthetic import synthetic_scene
 
 from datagen.errors import HyalineError
+from datagen.light_path import KINDS
 from datagen.meshes import Mesh, write_ply
 from datagen.modelling import ball, merged, moved
 from datagen.scene import (
+    SURFACE_KINDS,
     Dielectric,
     Diffuse,
     ImageTexture,
     Lobe,
+    Material,
     Plastic,
     Scene,
     SceneObject,
+    SurfaceKind,
     check_scene,
+    is_glass,
     load_scene,
     save_scene,
     scene_files,
+    surface_kind,
 )
 
 
@@ -67,17 +74,28 @@ def test_a_mesh_without_uv_is_unwrapped(tmp_path: Path) -> None:
     ("change", "message"),
     [
         (lambda d: d.update(version=7), r"scene\.json: version 7; this program reads version 1"),
-        (lambda d: d["objects"][0]["material"].update(ior=0), r"scene\.json: ior: is 0\.0; expected .* above 1"),
+        (
+            lambda d: d["objects"][0]["material"].update(ior=0),
+            r"scene\.json: object pane: ior: is 0\.0; expected .* above 1",
+        ),
         (lambda d: d["objects"][0]["material"].update(ior=-1.5), r"ior: is -1\.5"),
-        (lambda d: d["objects"][0]["material"].update(iro=1.5), r"objects\[0\]\.material: unknown key 'iro'"),
+        (
+            lambda d: d["objects"][0]["material"].update(iro=1.5),
+            r"scene\.json: object pane\.material: unknown key 'iro'",
+        ),
         (
             lambda d: d["objects"][0].update(material={"type": "Dielectric", "priority": 10}),
-            r"scene\.json: priority: is 10; expected -9 to 9",
+            r"scene\.json: object pane: priority: is 10; expected -9 to 9",
         ),
         (lambda d: d["objects"][0].update(mesh="../evil.ply"), r"names '\.\./evil\.ply'; expected a file inside"),
         (lambda d: d["objects"][0].update(mesh="meshes/none.ply"), r"none\.ply: the mesh file is missing"),
         (lambda d: d["objects"][0].update(name="floor"), r"two objects are called 'floor'"),
         (lambda d: d["objects"][0].update(name="a/b"), r"object name 'a/b'"),
+        (lambda d: d["objects"][1].pop("mesh"), r"scene\.json: object floor: key 'mesh' is missing"),
+        (lambda d: d["objects"][1].update(mesh=7), r"scene\.json: object floor\.mesh: is 7; expected a str"),
+        (lambda d: d["objects"][1].update(material={"type": "Gold"}), r"object floor\.material\.type: is 'Gold'"),
+        (lambda d: d["objects"].append(3), r"scene\.json: objects\[2\]: is 3; expected an object"),
+        (lambda d: d["objects"][1].update(name="\x1b[2J", mesh=7), r"scene\.json: objects\[1\]\.mesh: is 7"),
         (lambda d: d["cameras"].update(radius=-1), r"camera radius: is -1"),
         (lambda d: d.pop("cameras"), r"key 'cameras' is missing"),
         (
@@ -161,3 +179,32 @@ def test_a_scene_with_a_nan_vertex_is_refused_on_load(tmp_path: Path) -> None:
     (tmp_path / "meshes" / "floor.ply").write_bytes(write_ply(dataclasses.replace(mesh, vertices=vertices)))
     with pytest.raises(HyalineError, match=r"floor: vertices\[2\] is .*nan"):
         load_scene(tmp_path)
+
+
+def test_every_material_has_one_kind_that_the_tracer_and_mitsuba_know() -> None:
+    assert set(SURFACE_KINDS) == set(typing.get_args(Material))
+    assert set(KINDS) == set(SURFACE_KINDS.values()) == set(typing.get_args(SurfaceKind))
+    assert len(set(KINDS.values())) == len(KINDS)
+    assert [kind.__name__ for kind in SURFACE_KINDS if is_glass(kind.__new__(kind))] == ["Dielectric", "ThinDielectric"]
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class FrostedGlass(Dielectric):
+    """What a plug-in might bring: it derives from what is known, and is something else."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Velvet:
+    color: tuple[float, float, float] = (0.5, 0.1, 0.1)
+
+
+@pytest.mark.parametrize("material", [FrostedGlass(), Velvet()])
+def test_a_material_that_nothing_traces_is_refused_instead_of_drawn_opaque(material: Dielectric | Velvet) -> None:
+    message = rf"material: is a {type(material).__name__}, which cannot be traced; expected one of Dielectric, Thin"
+    scene = synthetic_scene()
+    strange = dataclasses.replace(scene.objects[1], material=material)
+    with pytest.raises(HyalineError, match=rf"^scene synthetic: object floor: {message}"):
+        check_scene(dataclasses.replace(scene, objects=(scene.objects[0], strange)))
+    for ask in (surface_kind, is_glass):
+        with pytest.raises(HyalineError, match=rf"^{message}"):
+            ask(material)
