@@ -1,0 +1,60 @@
+"""What the tests of promises share: a small world of commands, and the states of the disk that they start from."""
+
+import dataclasses
+import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+import torch
+from support.commands import run
+from support.disk import State, empty, read_state
+from support.scenarios import PREPARED
+from synthetic import synthetic_scene
+
+from datagen.scene import save_scene
+
+
+@pytest.fixture(scope="session")
+def started() -> dict[str, State]:
+    """Folders as they are after some commands, by name; made when they are first asked for."""
+    return {}
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """An empty working folder. One thread computes, and nothing waits for the disk: no power cut is tried here."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(os, "fsync", lambda handle: None)
+    monkeypatch.setenv("HYALINE_KERNELS", "off")
+    # It would need a process for each call.
+    monkeypatch.setattr("proxies.meshlab.meshlab_problem", lambda: "left out")
+    monkeypatch.setattr("proxies.make.meshlab_problem", lambda: None)
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield tmp_path
+    torch.set_num_threads(before)
+
+
+@pytest.fixture
+def start(here: Path, started: dict[str, State], monkeypatch: pytest.MonkeyPatch) -> Callable[[str], State]:
+    """Makes the working folder what a prepared state's commands leave."""
+
+    def make(name: str) -> State:
+        empty(here)
+        if name not in started:
+            before, *lines = PREPARED[name]
+            if before:
+                make(before)
+            else:
+                scene = synthetic_scene()
+                rig = dataclasses.replace(scene.cameras, azimuth_deg=(-100, 100))
+                save_scene(dataclasses.replace(scene, cameras=rig), here / "scene")
+            for line in lines:
+                run(line)
+            started[name] = read_state(here)
+            empty(here)
+        started[name].restore(here)
+        return started[name]
+
+    return make

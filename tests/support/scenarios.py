@@ -1,0 +1,51 @@
+"""Commands that write, each with the folder it starts from: what is killed, starved and damaged in the tests."""
+
+from dataclasses import dataclass
+
+BUILD = (
+    "datagen build --scene scene --out data/one --preset tiny --resolution 8 --views 1 --test-views 1"
+    " --spp 2 --test-spp 2 --num-layers 2"
+)
+TRAIN = "model train --dataset data/one --method paper --steps 5 --batch 32 --texture-size 8 --width 8 --device cpu"
+GRID = """[[runs]]
+dataset = "data/one"
+method = "paper"
+steps = 2
+batch = 32
+texture-size = 8
+width = "8"
+zero-layer = [false, true]
+"""
+
+PREPARED: dict[str, tuple[str, ...]] = {
+    "scene": ("",),
+    "dataset": ("scene", BUILD),
+    "proxies": ("dataset", "proxies make --dataset data/one --kind box"),
+    "run": ("dataset", f"{TRAIN} --out runs/one/paper"),
+    "annexes": ("dataset", f"{BUILD} --angle-splits"),
+}
+"""By name: the state to start from (none: a scene's folder alone), and the commands that follow."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scenario:
+    """A command that writes."""
+
+    name: str
+    start: str
+    """The prepared state that it starts from."""
+    line: str
+
+
+SCENARIOS = (
+    Scenario(name="build", start="scene", line=f"{BUILD} --layers straight light-path"),
+    Scenario(name="build anew", start="dataset", line=f"{BUILD} --seed 1 --overwrite"),
+    Scenario(name="peel", start="dataset", line="datagen peel --dataset data/one --layers light-path --rays 1"),
+    Scenario(name="peel anew", start="proxies", line="datagen peel --dataset data/one --num-layers 1 --overwrite"),
+    Scenario(name="proxies", start="dataset", line="proxies make --dataset data/one --kind box"),
+    Scenario(name="proxies anew", start="proxies", line="proxies make --dataset data/one --kind box --overwrite"),
+    Scenario(name="angle splits", start="dataset", line=f"{BUILD} --angle-splits"),
+    Scenario(name="super-resolution", start="dataset", line=f"{BUILD} --super-resolution 2"),
+    Scenario(name="edit", start="proxies", line="datagen build --scene scene --out data/one --edit remove:pane"),
+    Scenario(name="render", start="run", line="model render --run runs/one/paper --device cpu --overwrite"),
+)
