@@ -22,7 +22,7 @@ from datagen.dataset import (
     open_dataset,
     write_head,
 )
-from datagen.errors import HyalineError
+from datagen.errors import DamagedError, HyalineError
 from datagen.geometry import TRUTH, read_meshes
 from datagen.jobs import PeelJob, RenderJob, Task, TraceJob, peel_task, render_task, trace_task
 from datagen.layer_store import (
@@ -100,15 +100,19 @@ def peel_dataset(dataset: Dataset, geometry: str, *, kinds: tuple[LayerKind, ...
             is_started = not overwrite and _is_started(
                 dataset, geometry, kind, meshes_hash, num_layers=num_layers, rays=rays
             )
-            tasks = own_tasks(shard, _tasks(dataset))
-            missing = [task for task in tasks if not (is_started and is_view_peeled(dataset, geometry, kind, *task))]
-            if missing and kind == "light-path":
+            if not is_started and kind == "light-path":
                 _require_vectorised()
-            if not is_started and shard is None:
-                shutil.rmtree(root, ignore_errors=True)
+            if shard is None:
+                if not is_started:
+                    # The head goes first, and nothing else: what verifies under the new one is kept, all else replaced.
+                    (root / "layers.json").unlink(missing_ok=True)
                 _start(dataset, geometry, kind, meshes_hash, num_layers=num_layers, rays=rays)
             elif not is_started:
                 _start_beside_others(dataset, geometry, kind, meshes_hash, num_layers=num_layers, rays=rays)
+            tasks = own_tasks(shard, _tasks(dataset))
+            missing = [task for task in tasks if overwrite or not is_view_peeled(dataset, geometry, kind, *task)]
+            if missing and kind == "light-path":
+                _require_vectorised()
             if missing:
                 arguments = (dataset.root, geometry)
                 if kind == "straight":
@@ -225,7 +229,11 @@ def _is_started(dataset: Dataset, geometry: str, kind: LayerKind, meshes_hash: s
     root = layers_root(dataset.root, geometry, kind)
     if not (root / "layers.json").is_file():
         return False
-    head, _ = read_layers_head(dataset, geometry, kind)
+    try:
+        head, _ = read_layers_head(dataset, geometry, kind)
+    except DamagedError as error:
+        say(f"{error}; makes it again")
+        return False
     if difference := _settings_difference(head, num_layers=num_layers, rays=rays):
         raise HyalineError(f"{root}: was {difference}")
     if head.geometry != meshes_hash:

@@ -35,7 +35,7 @@ from typing import Literal, cast
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from datagen.errors import HyalineError
+from datagen.errors import DamagedError, HyalineError
 from datagen.records import Json, from_json, to_json
 from datagen.storage import (
     SEAL,
@@ -387,10 +387,10 @@ def commit_view(
 
 
 def check_files(root: Path, files: dict[str, str]) -> None:
-    """Raises a HyalineError that names the first file whose bytes are not the promised ones."""
+    """Raises a DamagedError that names the first file whose bytes are not the promised ones."""
     for relative, promised in files.items():
         if sha256_file(root / relative) != promised:
-            raise HyalineError(f"{root / relative}: damaged (checksum differs); delete it and build again")
+            raise DamagedError(f"{root / relative}: damaged (checksum differs); delete it and build again")
 
 
 def read_image(dataset: Dataset, split: Split, view: int) -> UInt8[np.ndarray, "h w 3"]:

@@ -6,3 +6,7 @@ class HyalineError(Exception):
 
     Commands print it without a traceback and exit with status 1.
     """
+
+
+class DamagedError(HyalineError):
+    """A file is missing, or does not hold what was promised: what can make it may make it again."""

@@ -18,7 +18,7 @@ from typing import Literal, cast
 import numpy as np
 
 from datagen.dataset import Dataset, Split, check_files, view_name
-from datagen.errors import HyalineError
+from datagen.errors import DamagedError, HyalineError
 from datagen.geometry import geometry_root
 from datagen.records import Json, from_json, to_json
 from datagen.storage import (
@@ -110,15 +110,34 @@ def record_path_of_layers(root: Path, split: Split, view: int) -> Path:
 def create_store(dataset: Dataset, geometry: str, head: Head, arrays: Mapping[str, ArrayFormat]) -> None:
     """Lays out an empty store: zarr metadata first, the head (whose `files` are filled in) last.
 
-    Several processes may do the same at once: the bytes are the same, and no view that is there is touched.
+    Several processes may do the same at once: the bytes are the same, and no view that is there is touched. Of a store
+    that stands there, metadata that is missing or damaged is written again.
+
+    Raises:
+        DamagedError: metadata that stands there is damaged, and this version of zarr writes other bytes.
     """
     root = layers_root(dataset.root, geometry, head.kind)
+    stands = (root / "layers.json").is_file()
+    promised = read_layers_head(dataset, geometry, head.kind)[0].files if stands else {}
+    if stands and _are_good(root, promised):
+        return
     metadata = _store_metadata(dataset, arrays)
-    for path, data in metadata.items():
-        commit_same(root / path, data)
     files = {path: sha256(data) for path, data in metadata.items()}
+    for path, data in metadata.items():
+        if not stands or promised.get(path) == files[path]:
+            commit_same(root / path, data)
+    if stands:
+        check_files(root, promised)
     sealed = seal_bytes(cast(dict[str, Json], to_json(dataclasses.replace(head, files=files))))
     commit_first(root / "layers.json", sealed)
+
+
+def _are_good(root: Path, files: Mapping[str, str]) -> bool:
+    try:
+        check_files(root, dict(files))
+    except DamagedError:
+        return False
+    return True
 
 
 def _store_metadata(dataset: Dataset, arrays: Mapping[str, ArrayFormat]) -> dict[str, bytes]:
@@ -172,17 +191,21 @@ def write_view(dataset: Dataset, geometry: str, kind: LayerKind, split: Split, v
     root = layers_root(dataset.root, geometry, kind)
     _, seal = read_layers_head(dataset, geometry, kind)
     group = zarr.open_group(root / STORE / split, mode="r+")
+    record_path = record_path_of_layers(root, split, view)
+    record_path.unlink(missing_ok=True)  # A view that is made again stops to exist first.
     files = {}
     for name, value in values.items():
         # Chunks of zeros are left out of a shard. A shard of nothing else must still be there, or no record could
         # promise it. zarr 3.1 keeps the option in the array as it is opened, not in the store.
         with zarr.config.set({"array.write_empty_chunks": not value.any()}):
             array = cast(zarr.Array, group[name])
-        array[view] = value
         path = root.joinpath(STORE, split, name, "c", str(view), *("0",) * (array.ndim - 1))
+        # zarr 3.1 reads the shard that it is about to replace, and fails where that is damaged.
+        path.unlink(missing_ok=True)
+        array[view] = value
         files[path.relative_to(root).as_posix()] = sha256_file(path)
     record = LayersRecord(layers=seal, split=split, view=view, overflow_share=overflow_share, files=files)
-    commit_sealed(record_path_of_layers(root, split, view), cast(dict[str, Json], to_json(record)))
+    commit_sealed(record_path, cast(dict[str, Json], to_json(record)))
 
 
 def read_layers_record(dataset: Dataset, geometry: str, kind: LayerKind, split: Split, view: int) -> LayersRecord:

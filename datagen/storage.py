@@ -9,7 +9,7 @@ import secrets
 from collections.abc import Iterator
 from pathlib import Path
 
-from datagen.errors import HyalineError
+from datagen.errors import DamagedError, HyalineError
 from datagen.records import Json
 
 SEAL = "sha256"
@@ -33,10 +33,10 @@ def sha256_file(path: Path) -> str:
     """Hex SHA-256 of a file's bytes.
 
     Raises:
-        HyalineError: the file is missing.
+        DamagedError: the file is missing.
     """
     if not path.is_file():
-        raise HyalineError(f"{path}: the file is missing; build it again")
+        raise DamagedError(f"{path}: the file is missing; build it again")
     return sha256(path.read_bytes())
 
 
@@ -99,16 +99,16 @@ def load_json(path: Path) -> dict[str, Json]:
     """A JSON object from a file.
 
     Raises:
-        HyalineError: missing, not UTF-8 JSON, or not an object.
+        DamagedError: missing, not UTF-8 JSON, or not an object.
     """
     if not path.is_file():
-        raise HyalineError(f"{path}: the file is missing")
+        raise DamagedError(f"{path}: the file is missing")
     try:
         data = json.loads(path.read_bytes())
     except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
-        raise HyalineError(f"{path}: not a JSON file ({error})") from error
+        raise DamagedError(f"{path}: not a JSON file ({error})") from error
     if not isinstance(data, dict):
-        raise HyalineError(f"{path}: holds a {type(data).__name__}; expected a JSON object")
+        raise DamagedError(f"{path}: holds a {type(data).__name__}; expected a JSON object")
     return data
 
 
@@ -128,12 +128,12 @@ def load_sealed(path: Path) -> dict[str, Json]:
     """The content of a sealed JSON file, without its seal.
 
     Raises:
-        HyalineError: any byte differs from what was sealed.
+        DamagedError: any byte differs from what was sealed.
     """
     data = load_json(path)
     data.pop(SEAL, None)
     if path.read_bytes() != seal_bytes(data):
-        raise HyalineError(f"{path}: does not match its own checksum; the file was damaged or edited, build it again")
+        raise DamagedError(f"{path}: does not match its own checksum; the file was damaged or edited, build it again")
     return data
 
 

@@ -1,0 +1,77 @@
+"""A renderer and tracers that take no time: what `datagen build` calls for each view, without Mitsuba.
+
+The pictures and layers are those of the pane and the floor (tests/synthetic.py), whatever the scene's meshes are: a
+function of dataset, split and view alone, as the real ones are.
+"""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from synthetic import pixel_rays, shade, trace
+
+from datagen.dataset import Dataset, Split, commit_view, open_dataset, png_bytes, read_cameras
+from datagen.geometry import read_meshes
+from datagen.layer_store import LayersHead, read_layers_head, write_view
+from datagen.layers import Layers, write_layers
+from datagen.light_path_layers import _formats, read_light_paths_head
+
+Task = tuple[Split, int]
+
+
+class FakeJob:
+    """Stands for RenderJob, PeelJob and TraceJob."""
+
+    def __init__(self, threads: int, root: Path, geometry: str | None = None) -> None:
+        self.dataset, self.geometry = open_dataset(root), geometry
+        if geometry is not None:
+            read_meshes(self.dataset, geometry)  # As the real ones do, it refuses damaged meshes.
+
+
+def render(job: FakeJob, task: Task) -> None:
+    split, view = task
+    layers = _trace(job.dataset, split, view, 4)
+    noise = np.random.default_rng([view, len(split)]).bytes(50)
+    commit_view(
+        job.dataset, split, view, png=png_bytes(shade(layers)), exr=noise, seed=view, spp=4, noise_mse=1e-5,
+        variant="none",
+    )  # fmt: skip
+
+
+def peel(job: FakeJob, task: Task) -> None:
+    assert job.geometry is not None
+    head, _ = read_layers_head(job.dataset, job.geometry, "straight")
+    assert isinstance(head, LayersHead)
+    layers = _trace(job.dataset, *task, head.num_layers)
+    write_layers(job.dataset, job.geometry, *task, layers, overflow_share=0.0)
+
+
+def trace_paths(job: FakeJob, task: Task) -> None:
+    assert job.geometry is not None
+    split, view = task
+    formats = _formats(read_light_paths_head(job.dataset, job.geometry), job.dataset.config.resolution)
+    values = {name: np.full(array.shape, view + 1, array.dtype) for name, array in formats.items()}
+    write_view(job.dataset, job.geometry, "light-path", split, view, values, overflow_share=0.0)
+
+
+def _trace(dataset: Dataset, split: Split, view: int, num_layers: int) -> Layers:
+    return trace(*pixel_rays(read_cameras(dataset, split), view), num_layers)
+
+
+def install(patch: pytest.MonkeyPatch) -> None:
+    """Lets builds in this process call these."""
+    import datagen.build
+    import datagen.footprints
+    import datagen.variant
+
+    for name, function in (("render", render), ("peel", peel), ("trace", trace_paths)):
+        patch.setattr(datagen.build, f"{name.title()}Job", FakeJob)
+        patch.setattr(datagen.build, f"{name}_task", function)
+    patch.setattr(datagen.build, "_require_vectorised", lambda: None)
+    patch.setattr(datagen.variant, "use_mitsuba", lambda **options: "none")
+    patch.setattr(datagen.footprints, "_read_halves", _read_halves)
+
+
+def _read_halves(dataset: Dataset, split: Split, view: int) -> np.ndarray:
+    size = dataset.config.resolution
+    return np.random.default_rng([view, len(split), len(dataset.objects)]).random((2, size, size, 3))
