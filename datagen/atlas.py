@@ -261,6 +261,11 @@ def _run_child(source: Path, target: Path, timeout_s: float, *, where: str) -> N
         )
     except subprocess.TimeoutExpired:
         raise HyalineError(f"{where}: unwrapping took more than {timeout_s:.0f} s; simplify the mesh") from None
+    if answer.returncode < 0:
+        raise HyalineError(
+            f"{where}: unwrapping was ended by signal {-answer.returncode} (9: the system does that where memory runs "
+            "out); run the same command again, or bring a mesh with uv"
+        )
     if answer.returncode != 0 or not target.is_file():
         last = (answer.stderr.strip().splitlines() or ["no message"])[-1]
         raise HyalineError(f"{where}: unwrapping ended with status {answer.returncode} ({last}); bring a mesh with uv")

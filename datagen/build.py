@@ -1,12 +1,15 @@
 """Owns the making of a dataset: for every view render, commit, peel, commit; goes on where it was stopped."""
 
+import contextlib
+import functools
 import shutil
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 
 from datagen.cameras import make_cameras, subpixel_offsets
-from datagen.command import say, track
+from datagen.command import say, this_command, track
 from datagen.dataset import (
     Cameras,
     Dataset,
@@ -16,13 +19,14 @@ from datagen.dataset import (
     Split,
     check_files,
     config_difference,
+    describe_views,
     head_files,
     is_view_built,
     noise_ceiling_db,
     open_dataset,
     write_head,
 )
-from datagen.errors import DamagedError, HyalineError
+from datagen.errors import DamagedError, HyalineError, WorkerKilledError
 from datagen.geometry import TRUTH, read_meshes
 from datagen.jobs import PeelJob, RenderJob, Task, TraceJob, peel_task, render_task, trace_task
 from datagen.layer_store import (
@@ -34,6 +38,7 @@ from datagen.layer_store import (
     layers_root,
     read_layers_head,
     read_layers_record,
+    record_path_of_layers,
 )
 from datagen.layers import create_layers
 from datagen.light_path_layers import NUM_BRANCHES, create_light_paths
@@ -77,8 +82,9 @@ def render_dataset(dataset: Dataset, *, workers: int, shard: Shard | None = None
 
     say(f"{dataset.root}: renders {len(missing)} of {len(tasks)} views with {use_mitsuba()}")
     finished = in_workers(render_task, missing, workers, RenderJob, (dataset.root,))
-    for _ in track(finished, label="render", total=len(tasks), done=len(tasks) - len(missing)):
-        pass
+    with _told_missing(missing, lambda task: is_view_built(dataset, *task), where=f"{dataset.root}: render"):
+        for _ in track(finished, label="render", total=len(tasks), done=len(tasks) - len(missing)):
+            pass
 
 
 def peel_dataset(dataset: Dataset, geometry: str, *, kinds: tuple[LayerKind, ...], num_layers: int, overwrite: bool,
@@ -104,13 +110,15 @@ def peel_dataset(dataset: Dataset, geometry: str, *, kinds: tuple[LayerKind, ...
                 _require_vectorised()
             if shard is None:
                 if not is_started:
-                    # The head goes first, and nothing else: what verifies under the new one is kept, all else replaced.
+                    # The head goes first. Views that verify under the new one are kept, unless all are asked for anew.
                     (root / "layers.json").unlink(missing_ok=True)
+                    for task in _tasks(dataset) if overwrite else ():
+                        record_path_of_layers(root, *task).unlink(missing_ok=True)
                 _start(dataset, geometry, kind, meshes_hash, num_layers=num_layers, rays=rays)
             elif not is_started:
                 _start_beside_others(dataset, geometry, kind, meshes_hash, num_layers=num_layers, rays=rays)
             tasks = own_tasks(shard, _tasks(dataset))
-            missing = [task for task in tasks if overwrite or not is_view_peeled(dataset, geometry, kind, *task)]
+            missing = [task for task in tasks if not is_view_peeled(dataset, geometry, kind, *task)]
             if missing and kind == "light-path":
                 _require_vectorised()
             if missing:
@@ -119,9 +127,27 @@ def peel_dataset(dataset: Dataset, geometry: str, *, kinds: tuple[LayerKind, ...
                     finished = in_workers(peel_task, missing, workers, PeelJob, arguments)
                 else:
                     finished = in_workers(trace_task, missing, workers, TraceJob, arguments)
+                is_made = functools.partial(_is_peeled, dataset, geometry, kind)
                 done = len(tasks) - len(missing)
-                for _ in track(finished, label=f"peel {geometry} {kind}", total=len(tasks), done=done):
-                    pass
+                with _told_missing(missing, is_made, where=f"{root}: peel"):
+                    for _ in track(finished, label=f"peel {geometry} {kind}", total=len(tasks), done=done):
+                        pass
+
+
+def _is_peeled(dataset: Dataset, geometry: str, kind: LayerKind, task: Task) -> bool:
+    return is_view_peeled(dataset, geometry, kind, *task)
+
+
+@contextlib.contextmanager
+def _told_missing(tasks: list[Task], is_made: Callable[[Task], bool], *, where: str) -> Iterator[None]:
+    """Adds to the error of a killed worker which of its tasks are not done, and the command that goes on."""
+    try:
+        yield
+    except WorkerKilledError as error:
+        left = [task for task in tasks if not is_made(task)]
+        raise WorkerKilledError(
+            f"{where}: {error}; {len(left)} views are missing ({describe_views(left)}); go on with `{this_command()}`"
+        ) from None
 
 
 def summary(dataset: Dataset, geometry: str, kinds: tuple[LayerKind, ...]) -> str:

@@ -3,9 +3,11 @@
 import difflib
 import functools
 import inspect
+import shlex
 import sys
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator
+from pathlib import Path
 from typing import Annotated, NoReturn, TypeVar
 
 from datagen.errors import HyalineError
@@ -106,6 +108,13 @@ def say(message: str) -> None:
 def next_command(line: str) -> None:
     """The last line of a command: what to type next."""
     say(f"next: {line}")
+
+
+def this_command() -> str:
+    """What to type to go on with the command that runs: its own words, but without `--overwrite`, which starts anew."""
+    program = Path(sys.argv[0])
+    name = program.parent.name if program.name == "__main__.py" else program.name
+    return shlex.join([name, *(word for word in sys.argv[1:] if word != "--overwrite")])
 
 
 def choose(what: str, value: str, choices: Collection[str]) -> str:

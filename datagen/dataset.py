@@ -28,6 +28,7 @@ the camera looks along -z). Pixel (column i, row j) has its centre at (i + 0.5, 
 
 import dataclasses
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, cast
@@ -67,6 +68,8 @@ TRANSFORMS_FILES: dict[Split, str] = {
     "extrapolating": "transforms_extrapolating.json",
     **{split: f"transforms_{split}.json" for split in ANGLE_SPLITS},
 }
+
+SPLIT_ORDER: dict[Split, int] = {split: place for place, split in enumerate(TRANSFORMS_FILES)}
 
 DATA_ROOT = Path("data")
 """Where commands put and look for datasets, relative to the working directory."""
@@ -203,6 +206,20 @@ class ViewRecord:
 
 def view_name(view: int) -> str:
     return f"{view:04d}"
+
+
+def describe_views(views: Iterable[tuple[Split, int]]) -> str:
+    """Views in words, such as `train 3-7, 12; extrapolating 0`."""
+    by_split: dict[str, list[int]] = {}
+    for split, view in sorted(views, key=lambda item: (SPLIT_ORDER[item[0]], item[1])):
+        by_split.setdefault(split, []).append(view)
+    parts = []
+    for split, numbers in by_split.items():
+        starts = [view for view in numbers if view - 1 not in numbers]
+        ends = [view for view in numbers if view + 1 not in numbers]
+        runs = [f"{start}" if start == end else f"{start}-{end}" for start, end in zip(starts, ends, strict=True)]
+        parts.append(f"{split} {', '.join(runs)}")
+    return "; ".join(parts)
 
 
 def image_path(root: Path, split: Split, view: int) -> Path:

@@ -10,3 +10,7 @@ class HyalineError(Exception):
 
 class DamagedError(HyalineError):
     """A file is missing, or does not hold what was promised: what can make it may make it again."""
+
+
+class WorkerKilledError(HyalineError):
+    """A worker process ended in the middle of its work, by a signal; what others had finished is kept."""

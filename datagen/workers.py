@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from typing import TypeVar
 
-from datagen.errors import HyalineError
+from datagen.errors import HyalineError, WorkerKilledError
 
 Job = TypeVar("Job")
 Task = TypeVar("Task")
@@ -13,7 +13,12 @@ Task = TypeVar("Task")
 
 def in_workers(function: Callable[[Job, Task], None], tasks: list[Task], workers: int, make_job: Callable[..., Job],
                arguments: tuple[object, ...]) -> Iterable[None]:  # fmt: skip
-    """Calls `function` with a job and each task: here, or in spawned processes (a fork would hang torch and Dr.Jit)."""
+    """Calls `function` with a job and each task: here, or in spawned processes (a fork would hang torch and Dr.Jit).
+
+    Raises:
+        HyalineError: what the job or a task raised, in whichever process.
+        WorkerKilledError: a process was killed; all others have been ended.
+    """
     if workers < 1:
         raise HyalineError(f"workers: is {workers}; expected at least 1")
     if workers == 1:
@@ -33,26 +38,40 @@ def _here(function: Callable[[Job, Task], None], tasks: list[Task], make_job: Ca
 def _spawned(function: Callable[[Job, Task], None], tasks: list[Task], workers: int, make_job: Callable[..., Job],
              arguments: tuple[object, ...]) -> Iterator[None]:  # fmt: skip
     import multiprocessing
+    from concurrent.futures.process import BrokenProcessPool
 
     context = multiprocessing.get_context("spawn")
     start = (make_job, arguments, workers)
     with ProcessPoolExecutor(workers, mp_context=context, initializer=_start_worker, initargs=start) as pool:
-        yield from pool.map(_call_worker, [function] * len(tasks), tasks)
+        try:
+            yield from pool.map(_call_worker, [function] * len(tasks), tasks)
+        except BrokenProcessPool:
+            raise WorkerKilledError(
+                "a worker process was killed (where memory runs out, the system does that)"
+            ) from None
 
 
 _job: object = None
 """The job of this worker process."""
+_problem: HyalineError | None = None
+"""Why this worker has no job."""
 
 
 def _start_worker(make_job: Callable[..., object], arguments: tuple[object, ...], workers: int) -> None:
     from datagen.variant import num_cores
 
-    global _job
+    global _job, _problem
     die_with(os.getppid())
-    _job = make_job(max(1, num_cores() // workers), *arguments)
+    try:
+        _job = make_job(max(1, num_cores() // workers), *arguments)
+    except HyalineError as error:
+        # Raised here, it would be a traceback; the first task brings it to the parent.
+        _problem = error
 
 
 def _call_worker(function: Callable[[object, object], None], task: object) -> None:
+    if _problem is not None:
+        raise _problem
     function(_job, task)
 
 

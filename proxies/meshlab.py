@@ -142,6 +142,8 @@ def _run(task: Task, arrays: dict[str, np.ndarray], *, timeout_s: float | None =
             )
         except subprocess.TimeoutExpired:
             raise MeshlabError(f"it took more than {timeout_s:g} s") from None
+        if answer.returncode < 0:
+            raise MeshlabError(f"its process was ended by signal {-answer.returncode}")
         if answer.returncode != 0 or not target.is_file():
             last = (answer.stderr.strip().splitlines() or ["no message"])[-1]
             raise MeshlabError(f"its process ended with status {answer.returncode}: {last}")
