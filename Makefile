@@ -25,9 +25,9 @@ $(STAMP): pyproject.toml constraints.txt
 demo: setup
 	$(BIN)/datagen build --scene glass_table
 	$(BIN)/proxies make --dataset glass_table --kind ellipsoid
-	$(BIN)/model train --dataset data/glass_table --method paper --resume
-	$(BIN)/model train --dataset data/glass_table --method paper --geometry ellipsoid --resume
-	$(BIN)/model train --dataset data/glass_table --method light-path --resume
+	$(BIN)/model train --dataset data/glass_table --method paper
+	$(BIN)/model train --dataset data/glass_table --method paper --geometry ellipsoid
+	$(BIN)/model train --dataset data/glass_table --method light-path
 	$(BIN)/report
 
 test: setup

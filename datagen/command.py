@@ -4,6 +4,7 @@ import difflib
 import functools
 import inspect
 import shlex
+import signal
 import sys
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator
@@ -11,6 +12,7 @@ from pathlib import Path
 from typing import Annotated, NoReturn, TypeVar
 
 from datagen.errors import HyalineError
+from datagen.signals import Stopped, raise_on_sigterm
 
 Item = TypeVar("Item")
 
@@ -19,30 +21,34 @@ REPORT_EVERY_S = 15.0
 
 
 def run(program: str, description: str, commands: dict[str, Callable[..., None]], arguments: list[str]) -> None:
-    """Parses `arguments`, calls the chosen function, and exits: 0 done, 1 our error in one line, 2 usage.
+    """Parses `arguments`, calls the chosen function, and exits.
 
     Results go to stdout, everything else to stderr. A command whose first parameter is `dataset` also takes it as its
-    first word; each takes `--version`.
+    first word; each takes `--version`. Exit status: 0 done, 1 our error in one line, 2 usage, 3 a number that is not
+    finite, 130 and 143 stopped by SIGINT and SIGTERM.
     """
     if "--version" in arguments:
         print(f"hyaline {version()}")
         return
-    import tyro
-
     arguments = _dataset_first(commands, arguments)
     try:
-        tyro.extras.subcommand_cli_from_dict(
-            commands,
-            prog=program,
-            description=description,
-            args=arguments,
-            config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes),
-            sort_subcommands=False,
-        )
+        import tyro
+
+        with raise_on_sigterm():
+            tyro.extras.subcommand_cli_from_dict(
+                commands,
+                prog=program,
+                description=description,
+                args=arguments,
+                config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes),
+                sort_subcommands=False,
+            )
     except HyalineError as error:
-        fail(str(error))
+        fail(str(error), status=error.status)
     except KeyboardInterrupt:
-        fail("stopped; run the same command again to go on", status=130)
+        _end_stopped(Stopped(signal.SIGINT), arguments)
+    except Stopped as stopped:
+        _end_stopped(stopped, arguments)
     except OSError as error:
         # A full disk, a read-only folder, a missing permission: what is committed stays valid.
         place = f"{error.filename}: " if error.filename else ""
@@ -67,6 +73,13 @@ def _dataset_first(commands: dict[str, Callable[..., None]], arguments: list[str
     if next(iter(inspect.signature(command).parameters), None) != "dataset":
         return arguments
     return [arguments[0], "--dataset", *arguments[1:]]
+
+
+def _end_stopped(stopped: Stopped, arguments: list[str]) -> NoReturn:
+    """Says how to go on; of several processes that train together, only the first one does."""
+    same = "the same command without --overwrite" if "--overwrite" in arguments else "the same command again"
+    say(f"error: {stopped.message or f'stopped; run {same} to go on'}")
+    sys.exit(stopped.status)
 
 
 @functools.cache

@@ -1,11 +1,13 @@
-"""Owns the one exception that a user can act upon."""
+"""The exceptions that a user can act upon."""
 
 
 class HyalineError(Exception):
     """What went wrong, in one line: `{where}: {what, with the value}; {the way out}`.
 
-    Commands print it without a traceback and exit with status 1.
+    Commands print it without a traceback and exit with `status`.
     """
+
+    status = 1
 
 
 class DamagedError(HyalineError):
@@ -14,3 +16,9 @@ class DamagedError(HyalineError):
 
 class WorkerKilledError(HyalineError):
     """A worker process ended in the middle of its work, by a signal; what others had finished is kept."""
+
+
+class NumericsError(HyalineError):
+    """A number that has to be finite is not: it came from damaged data or from training that diverged."""
+
+    status = 3

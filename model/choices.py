@@ -58,8 +58,6 @@ class CommonChoices:
     """Where training data from stored layers is held: ram, or mapped, in files under ~/.cache/hyaline (or
     $XDG_CACHE_HOME) of which each step reads what it needs, so that a dataset may be larger than memory. The results
     are the same, bit by bit. auto maps what does not fit, and says so. The files may be deleted at any time."""
-    resume: bool = False
-    """Go on with an unfinished run."""
     overwrite: bool = False
     """Delete the run that is there and start anew."""
 

@@ -49,8 +49,8 @@ def trainer_of(method: str) -> Callable[..., None]:
         config, opened = configure(common, choices)
         out = common.out or Path("runs") / opened.name / folder_name(common, choices)
         label = common.name or out.name
-        _train(config, opened, out, label=label, device=_device(common.device), resume=common.resume,
-               anew=common.overwrite, memory=common.memory)  # fmt: skip
+        _train(config, opened, out, label=label, device=_device(common.device), anew=common.overwrite,
+               memory=common.memory)  # fmt: skip
 
     # tyro makes a flag of each field of these records.
     for record in (CommonChoices, LossChoices, CHOICES[method]):
@@ -104,23 +104,23 @@ def _train(
     *,
     label: str,
     device: "torch.device",
-    resume: bool,
     anew: bool,
     memory: "Memory",
 ) -> None:
     from datagen.storage import one_writer, remove_temporaries
+    from model.checkpoint import delete_checkpoints, has_checkpoint
     from model.distributed import join, own_device
     from model.predict import render_predictions
-    from model.run_folder import RUN, WEIGHTS, clear_run, is_finished
+    from model.run_folder import RUN, WEIGHTS, finish_clearing, is_finished
     from model.train import check_team
     from model.train import train as train_run
 
-    if resume and anew:
-        raise HyalineError("--resume and --overwrite: exclude each other; give one of them")
     device = own_device(device)
     with join(device) as team:
         check_team(config, team)
-        train = functools.partial(train_run, config, dataset, out, label=label, device=device, team=team, memory=memory)
+        train = functools.partial(
+            train_run, config, dataset, out, label=label, device=device, team=team, memory=memory, anew=anew
+        )
         if not team.is_first:
             # The first process holds the folder, and tells whether there is anything to train.
             if team.agree():
@@ -128,23 +128,23 @@ def _train(
             return
         with one_writer(out):
             remove_temporaries(out)
+            finish_clearing(out)
             if not (out / RUN).is_file() and any(out.iterdir()):
                 raise HyalineError(f"{out}: holds files but no run; choose another --out")
-            if anew:
-                clear_run(out)
-            if (out / RUN).is_file():
+            if (out / RUN).is_file() and not anew:
                 _check_same_run(out, config, dataset)
                 if is_finished(out):
                     say(f"{out}: finished before, nothing to do; --overwrite trains it anew")
                     team.agree(False)
                     _end(out)
                     return
-                if not resume:
-                    raise HyalineError(
-                        f"{out}: holds an unfinished run; go on with --resume, or start anew with --overwrite"
-                    )
-            if team.agree(not (out / WEIGHTS).is_file()):
+                if not (out / WEIGHTS).is_file() and not has_checkpoint(out):
+                    say(f"{out}: was stopped before its first checkpoint; starts at step 0")
+            if team.agree(anew or not (out / WEIGHTS).is_file()):
                 train()
+            else:
+                delete_checkpoints(out)
+                say(f"{out}: is trained; goes on with its predictions")
             render_predictions(out, config, dataset, device=device)
     _end(out)
 

@@ -53,12 +53,14 @@ class Team:
         """This process's part of the mean over a batch, from the mean over its share."""
         return loss if self.size == 1 else loss * (len(self.share(batch)) / batch)
 
-    def sum_loss(self, part: Tensor) -> float:
-        """The loss of the whole batch, the same in all processes."""
-        total = part.detach().clone()
-        if self.size > 1:
-            distributed.all_reduce(total)
-        return float(total.item())
+    def sum_loss(self, part: Tensor, *, is_stopped: bool) -> tuple[float, bool]:
+        """The loss of the whole batch, and whether any process was asked to stop; the same in all processes."""
+        if self.size == 1:
+            return float(part.item()), is_stopped
+        total = torch.stack([part.detach(), part.new_tensor(float(is_stopped))])
+        distributed.all_reduce(total)
+        loss, stopped = total.tolist()
+        return loss, stopped > 0
 
     def sum_gradients(self, renderer: nn.Module) -> None:
         """Adds up every gradient over all processes; those of textures are whole tables, too."""

@@ -30,8 +30,9 @@ from model.choices import CHOICES, CommonChoices, flags_of, named_method
 
 EXPERIMENTS = Path(__file__).parent / "experiments"
 
-KEPT_FLAGS = ("out", "name", "resume", "overwrite")
-"""Those that no run of an experiment may set: its folder is the one that `model train` gives, and it is resumed."""
+KEPT_FLAGS = ("out", "name", "overwrite")
+"""Those that no run of an experiment may set: its folder is the one that `model train` gives, and a run that was
+stopped goes on."""
 
 Value = bool | int | float | str
 

@@ -68,8 +68,13 @@ def load_renderer(out: Path, config: TrainConfig, dataset: Dataset) -> nn.Module
         HyalineError: the weights are missing, damaged, or of another configuration.
     """
     if not (out / WEIGHTS).is_file():
-        raise HyalineError(f"{out / WEIGHTS}: not there, the run is not trained to its end; use `model train --resume`")
-    state = load_state(out / WEIGHTS)
+        raise HyalineError(
+            f"{out / WEIGHTS}: not there, the run is not trained to its end; the same `model train` goes on with it"
+        )
+    try:
+        state = load_state(out / WEIGHTS)
+    except HyalineError as error:
+        raise HyalineError(f"{error}; train anew with --overwrite") from error
     if not is_config(state["config"], config):
         raise HyalineError(f"{out / WEIGHTS}: made by another configuration than run.json; train with --overwrite")
     method = METHODS[config.method]

@@ -1,6 +1,7 @@
 """Owns a run's folder: what was trained on what, which state it is in, and its files.
 
     RUN/run.json                    written first: the configuration and what it was trained on
+    RUN/run.next.json               while --overwrite deletes what the run before it left: what run.json will be
     RUN/metrics.jsonl               a line per evaluation: step, loss (mean since the line before), held_out_psnr
     RUN/checkpoint.pt               while training: everything that a resumed run needs (format: model/checkpoint.py)
     RUN/checkpoint.previous.pt      the one before
@@ -32,6 +33,7 @@ RUN_VERSION = 1
 
 RUN, METRICS, PREDICTIONS, WEIGHTS = "run.json", "metrics.jsonl", "predictions.json", "weights.pt"
 CHECKPOINT, PREVIOUS_CHECKPOINT = "checkpoint.pt", "checkpoint.previous.pt"
+NEXT_RUN = "run.next.json"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,7 +70,8 @@ class TrainConfig:
     evaluate_every: int = 500
     """Steps between two held-out PSNRs."""
     checkpoint_every: int = 1000
-    """Steps between two checkpoints: 15 MB each for 18 textures of 64 texels squared, 230 MB of 256."""
+    """Steps between two checkpoints, of which there is also one a minute: 15 MB each for 18 textures of 64 texels
+    squared, 230 MB of 256."""
 
     def __post_init__(self) -> None:
         for name in ("steps", "batch", "evaluate_every", "checkpoint_every"):
@@ -120,8 +123,23 @@ def describe_knowledge(dataset: Dataset, geometry: str, *more: str) -> str:
     return ", ".join([describe_geometry(dataset, geometry), *filter(None, more)])
 
 
-def write_run(out: Path, record: RunRecord) -> None:
-    commit(out / RUN, dump_json(to_json(record)))
+def begin_run(out: Path, record: RunRecord, *, anew: bool) -> None:
+    """Writes the record of a run that begins or goes on; `anew` deletes what stands there before.
+
+    Killed at any moment, the folder holds the old run or one that has begun: never files without a record.
+    """
+    if anew and (out / RUN).is_file():
+        commit(out / NEXT_RUN, dump_json(to_json(record)))
+        finish_clearing(out)
+    else:
+        commit(out / RUN, dump_json(to_json(record)))
+
+
+def finish_clearing(out: Path) -> None:
+    """Ends what an --overwrite has begun that was killed while it deleted; does nothing otherwise."""
+    if (out / NEXT_RUN).is_file():
+        clear_run(out)
+        (out / NEXT_RUN).replace(out / RUN)
 
 
 def read_run(out: Path) -> RunRecord:
@@ -193,7 +211,7 @@ def read_prediction_hashes(out: Path) -> dict[str, str]:
 
 
 def clear_run(out: Path) -> None:
-    """Deletes a run's own files, and nothing else; run.json last, so that a kill leaves an unfinished run."""
+    """Deletes what a run has made, and nothing else; its record stays until the next one takes its place."""
     for name in (PREDICTIONS, WEIGHTS, CHECKPOINT, PREVIOUS_CHECKPOINT, METRICS):
         (out / name).unlink(missing_ok=True)
     for split in (*TEST_SPLITS, *ANGLE_SPLITS):
@@ -201,20 +219,14 @@ def clear_run(out: Path) -> None:
     shutil.rmtree(out / "edits", ignore_errors=True)
     for scaled in out.glob(f"x[0-9]/{PREDICTIONS}"):
         shutil.rmtree(scaled.parent)
-    (out / RUN).unlink(missing_ok=True)
 
 
 def write_metrics(out: Path, metrics: list[dict[str, Json]]) -> None:
-    commit(out / METRICS, "".join(json.dumps(line, allow_nan=False) + "\n" for line in metrics).encode())
-
-
-def read_metrics(out: Path, *, up_to_step: int) -> list[dict[str, Json]]:
-    """The lines of metrics.jsonl up to a step, for a run that goes on from there."""
-    path = out / METRICS
-    if not path.is_file():
-        return []
-    lines = [json.loads(line) for line in path.read_text().splitlines()]
-    return [line for line in lines if line["step"] <= up_to_step]
+    """Commits the lines of metrics.jsonl; without any there is no such file."""
+    if metrics:
+        commit(out / METRICS, "".join(json.dumps(line, allow_nan=False) + "\n" for line in metrics).encode())
+    else:
+        (out / METRICS).unlink(missing_ok=True)
 
 
 def _flatten(data: Json) -> dict[str, Json]:

@@ -1,4 +1,4 @@
-"""Owns sweeps: trains the runs of an experiment, each in a process of its own, one a device or a few side by side.
+"""Sweeps: the runs of an experiment, each trained in a process of its own, one a device or a few side by side.
 
 Nothing is kept about a sweep: a run's own folder says what is finished. So a sweep that was stopped or killed goes on
 when it is started again, and ends in the same bytes as one that was not.
@@ -9,6 +9,7 @@ import queue
 import shlex
 import subprocess
 import sys
+import threading
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -31,9 +32,34 @@ class Failure:
     """The last error that it told, or the signal that ended it."""
 
 
+class Children:
+    """The processes that run, and those that begin while they are told to stop."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._living: set[subprocess.Popen[str]] = set()
+        self._is_stopped = False
+
+    def add(self, child: subprocess.Popen[str]) -> None:
+        with self._lock:
+            self._living.add(child)
+            if self._is_stopped:
+                child.terminate()
+
+    def remove(self, child: subprocess.Popen[str]) -> None:
+        with self._lock:
+            self._living.discard(child)
+
+    def stop(self) -> None:
+        with self._lock:
+            self._is_stopped = True
+            for child in self._living:
+                child.terminate()
+
+
 def command_line(arguments: Sequence[str]) -> str:
     """What a person would type for one run of an experiment."""
-    return shlex.join(["model", "train", *arguments, "--resume"])
+    return shlex.join(["model", "train", *arguments])
 
 
 def run_experiment(experiment: Experiment, *, devices: Sequence[str | None]) -> tuple[Failure, ...]:
@@ -49,7 +75,7 @@ def run_experiment(experiment: Experiment, *, devices: Sequence[str | None]) -> 
     free: queue.SimpleQueue[str | None] = queue.SimpleQueue()
     for device in devices:
         free.put(device)
-    living: set[subprocess.Popen[str]] = set()
+    children = Children()
     total = len(experiment.runs)
     threads = share_of_cores(devices.count(None))
 
@@ -57,7 +83,7 @@ def run_experiment(experiment: Experiment, *, devices: Sequence[str | None]) -> 
         device = free.get()
         environment = threads if device is None else {"CUDA_VISIBLE_DEVICES": device}
         try:
-            return _train_in_child(experiment.runs[place], f"[{place + 1}/{total}]", environment, living)
+            return _train_in_child(experiment.runs[place], f"[{place + 1}/{total}]", environment, children)
         finally:
             free.put(device)
 
@@ -65,10 +91,9 @@ def run_experiment(experiment: Experiment, *, devices: Sequence[str | None]) -> 
         try:
             results = list(pool.map(one_run, range(total)))
         except BaseException:
-            # Ctrl-C: what waits never starts, what runs is told to stop, and the pool waits for it.
+            # A signal: what waits never starts, what runs saves its work, and the pool waits for it.
             pool.shutdown(wait=False, cancel_futures=True)
-            for child in tuple(living):
-                child.terminate()
+            children.stop()
             raise
     return tuple(failure for failure in results if failure is not None)
 
@@ -116,20 +141,20 @@ def raise_failures(experiment: Experiment, failures: Sequence[Failure]) -> None:
 
 
 def _train_in_child(
-    arguments: Sequence[str], place: str, environment: Mapping[str, str], living: set[subprocess.Popen[str]]
+    arguments: Sequence[str], place: str, environment: Mapping[str, str], children: Children
 ) -> Failure | None:
     """Runs `model train` to its end, its words passed on behind `place`."""
     command = command_line(arguments)
     device = environment.get("CUDA_VISIBLE_DEVICES")
     say(f"{place} {command}" + ("" if device is None else f" (CUDA device {device})"))
     child = subprocess.Popen(
-        [sys.executable, "-c", CHILD.format(parent=os.getpid()), "train", *arguments, "--resume"],
+        [sys.executable, "-c", CHILD.format(parent=os.getpid()), "train", *arguments],
         env=os.environ | environment,
         stderr=subprocess.PIPE,
         text=True,
         errors="replace",
     )
-    living.add(child)
+    children.add(child)
     assert child.stderr is not None
     last = error = ""
     for line in child.stderr:
@@ -138,7 +163,7 @@ def _train_in_child(
         if not last.startswith("next: "):
             say(f"{place} {line.rstrip()}")
     status = child.wait()
-    living.discard(child)
+    children.remove(child)
     if status == 0:
         return None
     ended = f"ended by signal {-status}" if status < 0 else f"exit status {status}"

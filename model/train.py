@@ -1,6 +1,8 @@
-"""Owns training: straight-line code from a dataset to a run folder with weights."""
+"""Training: straight-line code from a dataset to a run folder with weights."""
 
 import math
+import signal
+import time
 from collections.abc import Iterable
 from pathlib import Path
 from typing import cast
@@ -11,11 +13,19 @@ from torch import Tensor, nn
 
 from datagen.command import say, track
 from datagen.dataset import Dataset
-from datagen.errors import HyalineError
+from datagen.errors import HyalineError, NumericsError
 from datagen.geometry import NO_GEOMETRY
 from datagen.records import Json, to_json
+from datagen.signals import Stopped, hold_signals
 from model.batches import Pixels, PixelSource
-from model.checkpoint import State, delete_checkpoints, load_checkpoint, save_checkpoint, save_state
+from model.checkpoint import (
+    State,
+    check_numbers,
+    delete_checkpoints,
+    load_checkpoint,
+    save_checkpoint,
+    save_state,
+)
 from model.distributed import ALONE, Team
 from model.inpaint import Inpainter
 from model.losses import pixel_loss
@@ -26,25 +36,28 @@ from model.pixel_cache import MappedPixels, Memory, choose_memory
 from model.predict import predict_pixels
 from model.run_folder import (
     CHECKPOINT,
-    METRICS,
     RUN_VERSION,
     WEIGHTS,
     LrDecay,
     RunRecord,
     TrainConfig,
+    begin_run,
     describe_knowledge,
     is_config,
-    read_metrics,
     write_metrics,
-    write_run,
 )
 from model.runtime import keep_freed_memory
 from model.texture import NeuralTextures
 
+CHECKPOINT_EVERY_S = 60.0
+"""At least so often a checkpoint is left, whatever the number of steps; no byte of the result depends on it."""
+
 
 def train(config: TrainConfig, dataset: Dataset, out: Path, *, label: str, device: torch.device,
-          team: Team = ALONE, memory: Memory = "ram") -> None:  # fmt: skip
+          team: Team = ALONE, memory: Memory = "ram", anew: bool = False) -> None:  # fmt: skip
     """Trains until `out` holds weights.pt; goes on from the newest intact checkpoint where there is one.
+
+    SIGINT and SIGTERM end it after the step at hand, with a checkpoint.
 
     A run that was stopped and resumed gives the same bytes as one that was not: each step draws its pixels from a
     generator of its own, seeded by (seed, step). That holds for equal numbers of CPU threads.
@@ -52,9 +65,12 @@ def train(config: TrainConfig, dataset: Dataset, out: Path, *, label: str, devic
     Args:
         team: the processes that call this together; the first of them alone writes to `out`.
         memory: where training pixels are held; no number depends on it.
+        anew: deletes the run that stands there.
 
     Raises:
-        HyalineError: data is missing or damaged, the loss is no longer a number, or cannot be shared by a team.
+        HyalineError: data is missing or damaged, or the loss cannot be shared by a team.
+        NumericsError: the loss, a gradient or a weight is not finite.
+        Stopped: a signal has arrived; the message says after which step.
     """
     keep_freed_memory()
     check_team(config, team)
@@ -82,6 +98,28 @@ def train(config: TrainConfig, dataset: Dataset, out: Path, *, label: str, devic
     # Dense Adam, as in the paper: a texel moves on by its momentum after the step that touched it.
     optimizer = torch.optim.Adam(groups, betas=(config.beta1, 0.999), fused=True)
 
+    record = RunRecord(
+        version=RUN_VERSION,
+        method=config.method,
+        geometry=config.geometry if method.uses_geometry else NO_GEOMETRY,
+        knowledge=describe_knowledge(dataset, config.geometry, method.knowledge, config.loss.describe())
+        if method.uses_geometry
+        else method.knowledge,
+        dataset=dataset.root.as_posix(),
+        dataset_seal=dataset.seal,
+        layers_seal=layers_seal,
+        seed=config.seed,
+        num_parameters=count(net_parameters) - num_critic,
+        num_texture_parameters=count(texture_parameters),
+        num_layers=num_layers or None,
+        label=label,
+        config=config,
+        torch=torch.__version__,
+    )
+    with team.in_turn():
+        if team.is_first:
+            begin_run(out, record, anew=anew)
+
     # The data.
     views = range(dataset.config.train.views)
     held_out = choose_held_out(len(views), config.held_out_views)
@@ -108,44 +146,24 @@ def train(config: TrainConfig, dataset: Dataset, out: Path, *, label: str, devic
         make_inpainter=lambda: make_inpainter(config, renderer, training, dataset, num_layers, device),
     )  # fmt: skip
 
-    record = RunRecord(
-        version=RUN_VERSION,
-        method=config.method,
-        geometry=config.geometry if method.uses_geometry else NO_GEOMETRY,
-        knowledge=describe_knowledge(dataset, config.geometry, method.knowledge, config.loss.describe())
-        if method.uses_geometry
-        else method.knowledge,
-        dataset=dataset.root.as_posix(),
-        dataset_seal=dataset.seal,
-        layers_seal=layers_seal,
-        seed=config.seed,
-        num_parameters=count(net_parameters) - num_critic,
-        num_texture_parameters=count(texture_parameters),
-        num_layers=num_layers or None,
-        label=label,
-        config=config,
-        torch=torch.__version__,
-    )
-    if team.is_first:
-        write_run(out, record)
-
     # Where to go on.
     first_step, loss_sum, loss_count = 0, 0.0, 0
     metrics: list[dict[str, Json]] = []
-    if (checkpoint := load_checkpoint(out)) is not None:
-        if not is_config(checkpoint["config"], config):
+    with team.in_turn():
+        checkpoint = load_checkpoint(out)
+    if checkpoint is not None:
+        if "metrics" not in checkpoint or not is_config(checkpoint["config"], config):
             raise HyalineError(f"{out / CHECKPOINT}: made by another configuration; start anew with --overwrite")
         renderer.load_state_dict(cast(dict[str, Tensor], checkpoint["renderer"]))
         optimizer.load_state_dict(cast(dict[str, Tensor], checkpoint["optimizer"]))
         losses.load_state(checkpoint.get("losses"))
         first_step = cast(int, checkpoint["step"])
         loss_sum, loss_count = cast(float, checkpoint["loss_sum"]), cast(int, checkpoint["loss_count"])
-        metrics = read_metrics(out, up_to_step=first_step)
-        say(f"{out}: going on from step {first_step}")
+        metrics = cast(list[dict[str, Json]], checkpoint["metrics"])
+        say(f"{out}: goes on from step {first_step:,} of {config.steps:,}")
     if team.is_first:
-        (out / METRICS).unlink(missing_ok=True)
-        if metrics:
-            write_metrics(out, metrics)
+        # There may be more of them than the checkpoint knows.
+        write_metrics(out, metrics)
     say(
         f"{label} on {dataset.root}: {len(shown)} training views and {len(held_out)} held out, "
         f"{num_layers or ('traced' if method.uses_geometry else 'no')} layers, "
@@ -160,54 +178,66 @@ def train(config: TrainConfig, dataset: Dataset, out: Path, *, label: str, devic
     def status() -> str:
         return f"loss {shown_loss:.4f}" + ("" if math.isnan(shown_psnr) else f", held out {shown_psnr:.2f} dB")
 
+    def save_progress(done: int) -> None:
+        state: dict[str, State] = {
+            "config": cast(State, to_json(config)),
+            "step": done,
+            "renderer": cast(State, dict(renderer.state_dict())),
+            "optimizer": cast(State, optimizer.state_dict()),
+            "loss_sum": loss_sum,
+            "loss_count": loss_count,
+            "losses": losses.state(),
+            "metrics": cast(State, metrics),
+        }
+        save_checkpoint(out, state)
+
     renderer.train()
-    for step in track(steps, label="train", total=config.steps, done=first_step, status=status):
-        rng = team.generator([config.seed, step], config.batch)
-        own = len(team.share(config.batch))
-        loss = team.weigh(losses.loss(method.loss, renderer, training, own, rng, step=step), config.batch)
-        optimizer.zero_grad(set_to_none=True)
-        loss.backward()
-        team.sum_gradients(renderer)
-        loss_value = team.sum_loss(loss)
-        check_finite(loss_value, renderer, step=step, out=out)
-        for group, rate in zip(optimizer.param_groups, rates, strict=True):
-            group["lr"] = losses.limit_rate(rate * decay(config.lr_decay, step / config.steps), step)
-        optimizer.step()
-        loss_sum, loss_count = loss_sum + loss_value, loss_count + 1
+    with hold_signals() as held:
+        saved_at = time.monotonic()
+        for step in track(steps, label="train", total=config.steps, done=first_step, status=status):
+            rng = team.generator([config.seed, step], config.batch)
+            own = len(team.share(config.batch))
+            loss = team.weigh(losses.loss(method.loss, renderer, training, own, rng, step=step), config.batch)
+            optimizer.zero_grad(set_to_none=True)
+            loss.backward()
+            team.sum_gradients(renderer)
+            loss_value, is_stopped = team.sum_loss(loss, is_stopped=held.number is not None)
+            check_finite(loss_value, renderer, step=step, out=out)
+            for group, rate in zip(optimizer.param_groups, rates, strict=True):
+                group["lr"] = losses.limit_rate(rate * decay(config.lr_decay, step / config.steps), step)
+            optimizer.step()
+            loss_sum, loss_count = loss_sum + loss_value, loss_count + 1
 
-        done, shown_loss = step + 1, loss_sum / loss_count
-        if not team.is_first:
-            continue
-        if done % config.evaluate_every == 0 or done == config.steps:
-            score = held_out_psnr(renderer, testing) if testing is not None else None
-            shown_psnr = math.nan if score is None else score
-            metrics.append({"step": done, "loss": shown_loss, "held_out_psnr": score})
-            write_metrics(out, metrics)
-            loss_sum, loss_count = 0.0, 0
-        if done % config.checkpoint_every == 0 and done < config.steps:
-            save_checkpoint(
-                out,
-                {
-                    "config": cast(State, to_json(config)),
-                    "step": done,
-                    "renderer": cast(State, dict(renderer.state_dict())),
-                    "optimizer": cast(State, optimizer.state_dict()),
-                    "loss_sum": loss_sum,
-                    "loss_count": loss_count,
-                    "losses": losses.state(),
-                },
-            )
+            done, shown_loss = step + 1, loss_sum / loss_count
+            if team.is_first and (done % config.evaluate_every == 0 or done == config.steps):
+                score = held_out_psnr(renderer, testing) if testing is not None else None
+                shown_psnr = math.nan if score is None else score
+                metrics.append({"step": done, "loss": shown_loss, "held_out_psnr": score})
+                write_metrics(out, metrics)
+                loss_sum, loss_count = 0.0, 0
+            if done == config.steps:
+                continue
+            is_due = done % config.checkpoint_every == 0 or time.monotonic() - saved_at >= CHECKPOINT_EVERY_S
+            if team.is_first and (is_due or is_stopped):
+                save_progress(done)
+                saved_at = time.monotonic()
+            if is_stopped:
+                team.agree()  # `torchrun` ends all as soon as one has ended, so the first has to have saved.
+                way_on = "the same command without --overwrite" if anew else "the same command"
+                raise Stopped(
+                    held.number or signal.SIGTERM,
+                    f"{out}: stopped after step {done:,} of {config.steps:,}; {way_on} goes on from there",
+                )
 
-    if team.is_first:
-        save_state(
-            out / WEIGHTS,
-            {
+        if team.is_first:
+            weights: dict[str, State] = {
                 "config": cast(State, to_json(config)),
                 "step": config.steps,
                 "renderer": cast(State, dict(renderer.state_dict())),
-            },
-        )
-        delete_checkpoints(out)
+            }
+            check_numbers(weights, where=str(out / WEIGHTS))
+            save_state(out / WEIGHTS, weights)
+            delete_checkpoints(out)
 
 
 def check_team(config: TrainConfig, team: Team) -> None:
@@ -263,7 +293,7 @@ def check_finite(loss: float, renderer: nn.Module, *, step: int, out: Path) -> N
     bad = [name for name, total in zip(sums, torch.stack(list(sums.values())).tolist()) if not math.isfinite(total)]
     if not math.isfinite(loss) or bad:
         what = f"the loss is {loss}" if not math.isfinite(loss) else f"the gradient of {bad[0]} is not finite"
-        raise HyalineError(
+        raise NumericsError(
             f"{out}: {what} at step {step}, so training stopped; the last good checkpoint is kept, "
             f"start anew with --overwrite and a lower --lr"
         )

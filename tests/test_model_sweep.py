@@ -54,10 +54,10 @@ def test_a_grid_is_every_combination_in_the_order_of_the_file(tmp_path: Path) ->
     expected = []
     for dataset in ("one", "'my two'"):
         for zero in ("", "--zero-layer "):
-            expected.append(f"model train --dataset {dataset} --method paper {zero}--lr 0.0001 --resume")
-    assert commands == [*expected, "model train --dataset one --method paper --extrinsics sh --lr 0.0001 --resume"]
+            expected.append(f"model train --dataset {dataset} --method paper {zero}--lr 0.0001")
+    assert commands == [*expected, "model train --dataset one --method paper --extrinsics sh --lr 0.0001"]
     asked = parse_train(tuple(shlex.split(commands[3])[2:]))
-    assert (asked["dataset"], asked["zero_layer"], asked["lr"], asked["resume"]) == ("my two", True, 1e-4, True)
+    assert (asked["dataset"], asked["zero_layer"], asked["lr"]) == ("my two", True, 1e-4)
 
     replaced = read_experiment(path, datasets=["three"], seeds=[4, 5]).runs
     assert [(parse_train(run)["dataset"], parse_train(run)["seed"]) for run in replaced] == [
@@ -121,8 +121,9 @@ def test_a_method_that_does_not_exist_stops_the_sweep_before_its_first_run(
 # Sweeps
 
 
-def test_a_killed_sweep_goes_on_to_the_bytes_of_train_and_tells_what_failed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM], ids=lambda number: number.name)
+def test_a_sweep_that_was_stopped_goes_on_to_the_bytes_of_train_and_tells_what_failed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: signal.Signals
 ) -> None:
     write_synthetic_dataset(tmp_path / "data" / "synthetic")
     size = {"method": "paper", "steps": 200, "batch": 64, "texture-size": 16, "width": "32"}
@@ -138,8 +139,12 @@ def test_a_killed_sweep_goes_on_to_the_bytes_of_train_and_tells_what_failed(
     for line in started.stderr:
         if line.startswith("[2/3] ") and "training views" in line:
             break
-    started.send_signal(signal.SIGKILL)
-    started.communicate()
+    started.send_signal(number)
+    _, said = started.communicate(timeout=120)
+    if number == signal.SIGTERM:
+        assert started.returncode == 143
+        assert "[2/3] error: " in said and "stopped" in said
+        assert said.endswith("error: stopped; run the same command again to go on\n")
     assert (last / "run.json").is_file() and not (last / "predictions.json").exists()
     first = {path: path.stat().st_mtime_ns for path in (last.parent / last.name.removesuffix("-seed1")).rglob("*")}
 
@@ -153,10 +158,7 @@ def test_a_killed_sweep_goes_on_to_the_bytes_of_train_and_tells_what_failed(
     first_run = f"runs/synthetic/{last.name.removesuffix('-seed1')}"
     assert f"[1/3] {first_run}: finished before, nothing to do; --overwrite" in done.stderr
     assert lines[-3] == "sweep grid: 2 of 3 runs are finished"
-    assert (
-        lines[-2].startswith("failed: model train --method paper --steps 200 ")
-        and "--geometry box --resume: " in lines[-2]
-    )
+    assert lines[-2].startswith("failed: model train --method paper --steps 200 ") and "--geometry box: " in lines[-2]
     assert "no box proxies; make them with `proxies make --dataset data/synthetic --kind box`" in lines[-2]
     assert lines[-1].startswith("error: sweep grid: 1 of 3 runs failed")
     assert {path: path.stat().st_mtime_ns for path in first} == first
@@ -184,7 +186,7 @@ def test_each_device_runs_one_process_at_a_time_and_none_is_idle(
     lock = threading.Lock()
 
     def train(
-        arguments: tuple[str, ...], place: str, environment: dict[str, str], living: object
+        arguments: tuple[str, ...], place: str, environment: dict[str, str], children: object
     ) -> sweep.Failure | None:
         (device,) = environment.values()
         with lock:
@@ -209,7 +211,7 @@ def test_jobs_on_the_cpu_run_side_by_side_and_share_its_cores(tmp_path: Path, mo
     met = threading.Barrier(2, timeout=20)
     environments: list[dict[str, str]] = []
 
-    def train(_: object, place: str, environment: dict[str, str], living: object) -> None:
+    def train(_: object, place: str, environment: dict[str, str], children: object) -> None:
         environments.append(environment)
         met.wait()  # Breaks, and with it the sweep, unless two are there at once.
 

@@ -239,7 +239,7 @@ def test_the_command_trains_skips_refuses_and_renders_again(
     dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     command = quick(dataset, tmp_path / "run")
-    assert call(monkeypatch, *command, "--resume") == 0  # Nothing there yet: starts.
+    assert call(monkeypatch, *command) == 0
     output = capsys.readouterr()
     assert output.out == f"{tmp_path / 'run'}\n" and output.err.endswith("next: eval report\n")
     before = run_bytes(tmp_path / "run")
@@ -252,9 +252,11 @@ def test_the_command_trains_skips_refuses_and_renders_again(
     assert "another lr: 0.001 there, 0.01 here; start anew with --overwrite" in capsys.readouterr().err
 
     (tmp_path / "run/predictions/interpolating/0000.png").write_bytes(b"broken")
-    assert call(monkeypatch, *command) == 1
-    assert "holds an unfinished run; go on with --resume, or start anew with --overwrite" in capsys.readouterr().err
     assert call(monkeypatch, "render", "--run", str(tmp_path / "run")) == 0
+    assert run_bytes(tmp_path / "run") == before
+    (tmp_path / "run/predictions/interpolating/0000.png").write_bytes(b"broken")
+    assert call(monkeypatch, *command) == 0
+    assert "run: is trained; goes on with its predictions" in capsys.readouterr().err
     assert run_bytes(tmp_path / "run") == before
 
     assert call(monkeypatch, *command, "--overwrite") == 0
@@ -268,7 +270,6 @@ def test_the_command_trains_skips_refuses_and_renders_again(
         (("--geometry", "truht"), "geometry 'truht': there is none of that name; did you mean 'truth'"),
         (("--geometry", "box"), "no box proxies; make them with `proxies make --dataset "),
         (("--width", "wide"), "width: is 'wide'; expected 34k, 256 or another number"),
-        (("--resume", "--overwrite"), "exclude each other"),
         (("--lr", "-1"), r"lr: is -1.0; expected a learning rate"),
         (("--dataset", "no/where"), "no/where: no dataset; make one with `datagen build"),
     ],

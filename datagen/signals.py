@@ -1,0 +1,84 @@
+"""Signals that ask a command to stop: SIGINT (Ctrl-C) and SIGTERM (a scheduler, a shutdown).
+
+Everywhere they raise at once, and what was committed stays. Where a block has work in hand that it can save in a
+moment, it holds them back and asks between two pieces of work.
+"""
+
+import contextlib
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from types import FrameType
+
+IMPATIENCE_S = 1.0
+"""Two Ctrl-C that lie farther apart were meant as two."""
+
+
+class Stopped(BaseException):
+    """A signal asked this process to stop; like KeyboardInterrupt, it passes whatever catches errors."""
+
+    def __init__(self, number: int, message: str | None = None) -> None:
+        super().__init__(message or "stopped")
+        self.message = message
+        """What was saved and how to go on; None: the command has nothing special to say."""
+        self.status = 128 + number
+        """The exit status, as shells count it: 130 for SIGINT, 143 for SIGTERM."""
+
+
+@dataclass
+class Held:
+    """The first signal that arrived while signals were held back."""
+
+    number: int | None = None
+    since: float = 0.0
+    """Its time.monotonic()."""
+
+
+@contextlib.contextmanager
+def raise_on_sigterm() -> Iterator[None]:
+    """Makes SIGTERM raise `Stopped` while the block runs, as SIGINT raises KeyboardInterrupt."""
+
+    def stop(number: int, frame: FrameType | None) -> None:  # noqa: ARG001
+        raise Stopped(number)
+
+    with _handling((signal.SIGTERM,), stop):
+        yield
+
+
+@contextlib.contextmanager
+def hold_signals() -> Iterator[Held]:
+    """Holds SIGINT and SIGTERM back while the block runs; what has arrived is raised when it ends.
+
+    A second Ctrl-C is not held back, unless it comes at once: a launcher that got the first one has passed it on then.
+    """
+    held = Held()
+
+    def note(number: int, frame: FrameType | None) -> None:  # noqa: ARG001
+        if held.number is None:
+            held.number, held.since = number, time.monotonic()
+        elif number == signal.SIGINT and time.monotonic() - held.since > IMPATIENCE_S:
+            raise KeyboardInterrupt
+
+    with _handling((signal.SIGINT, signal.SIGTERM), note):
+        yield held
+    if held.number is not None:
+        raise Stopped(held.number)
+
+
+@contextlib.contextmanager
+def _handling(numbers: tuple[signal.Signals, ...], handler: "signal._HANDLER") -> Iterator[None]:
+    """Handles signals in the block; those that the parent has told this process to ignore stay ignored."""
+    if threading.current_thread() is not threading.main_thread():
+        yield  # Python handles signals in the main thread alone.
+        return
+    ignored = (signal.SIG_IGN, None)
+    before = {number: old for number in numbers if (old := signal.getsignal(number)) not in ignored}
+    for number in before:
+        signal.signal(number, handler)
+    try:
+        yield
+    finally:
+        for number, old in before.items():
+            signal.signal(number, old)
