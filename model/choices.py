@@ -143,6 +143,8 @@ class LightPathChoices:
     """Learn how deep below the proxy the true surface lies, and look up colour there. Default: off, on proxies on."""
     environment: int = _choice(32, "sky{}")
     """Height in texels of the finest map of the learned sky; 1 makes it two colours."""
+    sky_lr: float = _choice(0.02, "sky-lr{}")
+    """Learning rate of the learned sky."""
     position_octaves: int = _choice(0, "{}-octaves")
     """Octaves of the position that the decoder is told."""
     texture_levels: int = _choice(5, "{}-levels")

@@ -89,6 +89,7 @@ def configure(common: CommonChoices, choices: MethodChoices) -> "tuple[TrainConf
         batch=defaults.batch if common.batch is None else common.batch,
         lr=defaults.lr if common.lr is None else common.lr,
         texture_lr=defaults.texture_lr if common.texture_lr is None else common.texture_lr,
+        sky_lr=defaults.sky_lr,
         lr_decay=common.lr_decay or defaults.lr_decay,
         beta1=defaults.beta1,
         weight_decay=defaults.weight_decay,

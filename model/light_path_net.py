@@ -14,17 +14,13 @@ from datagen.geometry import TRUTH
 from model.choices import LightPathChoices
 from model.extrinsics import spherical_harmonics
 from model.fused_mlp import ChainLayer, can_fuse, run_chain
+from model.learned_sky import LearnedSky
 from model.pixel_mlp import LEAKY_SLOPE
 from model.samples import check_samples, srgb_curve
-from model.texture import NeuralTextures, TexturePyramid, level_scales, object_layout
+from model.texture import FINER_COUNTS, NeuralTextures, TexturePyramid, object_layout
 
 STACKED_VERTICES = (4, 2)
 """Vertices of the refracted and of the first mirror branch that the stack network sees."""
-
-FINER_COUNTS = 0.5
-"""How much a level of a pyramid, of textures or of the sky, counts beside the next coarser one. Adam moves all texels
-alike, so coarse ones, moved by all rays, get there first, and fine ones add what is left: what few rays have met is
-filled in from around it. (Deferred Neural Rendering regularises its levels to that end.)"""
 
 RELIEF_DEPTH = 0.01
 """Metres of depth for a texel's 1 in a learned relief: at the textures' learning rate a step moves it by 0.4 mm."""
@@ -224,9 +220,7 @@ class LightPathRenderer(nn.Module):
             self.decoder = _Mlp(config.texture_features + 1 + 9 + 6 * config.position_octaves, config.hidden, 3)
             # Feature, cosine, spherical harmonics of the ray's direction -> opacity of a straight layer.
             self.cover = _Mlp(config.texture_features + 1 + 9, config.hidden, 1) if config.straight_layers else None
-            self.environment = nn.ParameterList(
-                torch.zeros(3, height, width) for height, width in _map_sizes(config.environment_size)
-            )
+            self.environment = LearnedSky(config.environment_size)
         slots = sum(STACKED_VERTICES) + config.straight_layers
         inputs = slots * (config.texture_features + 2) + (3 if config.straight_layers else 0)
         # Colour; opacity of each straight layer; share of the paths.
@@ -240,7 +234,7 @@ class LightPathRenderer(nn.Module):
         if self.config.composite:
             radiance = radiance.index_add(0, paths.ends.ray, self._shine(paths.ends) * paths.ends.throughput)
             radiance = radiance.index_add(
-                0, paths.sky.ray, self._environment(paths.sky.direction) * paths.sky.throughput
+                0, paths.sky.ray, self.environment(paths.sky.direction) * paths.sky.throughput
             )
         if self.stack_net is not None:
             assert paths.stack is not None
@@ -290,7 +284,7 @@ class LightPathRenderer(nn.Module):
         opacity = opacity * (stack.surface[:, first:] > 0)
         passed = torch.cumprod(1 - opacity, dim=1)
         before = torch.cat([torch.ones_like(passed[:, :1]), passed[:, :-1]], dim=1)
-        sky = self._environment(stack.direction) * passed[:, -1:]
+        sky = self.environment(stack.direction) * passed[:, -1:]
         return sky.index_add(0, hits[0], shine * (opacity * before)[hits][:, None])
 
     def _shine(self, ends: Ends) -> Float32[Tensor, "end 3"]:
@@ -308,15 +302,6 @@ class LightPathRenderer(nn.Module):
             inputs += [torch.sin(angle), torch.cos(angle)]
         # The first features are colour: a texel learns its own at once, and the decoder what depends on the view.
         return functional.softplus(self.decoder(torch.cat(inputs, dim=-1)) + features[:, :3])
-
-    def _environment(self, direction: Float32[Tensor, "exit 3"]) -> Float32[Tensor, "exit 3"]:
-        """Learned radiance from unit directions; whatever for the zero vector, whose throughput is 0."""
-        x, y, z = direction.unbind(-1)
-        azimuth = torch.atan2(y, x) / torch.pi  # Both from -1 to 1.
-        polar = 2 * torch.acos(z.clamp(-1, 1)) / torch.pi - 1
-        maps = [_look_up_map(texels, azimuth, polar) for texels in self.environment]
-        scales = level_scales(len(maps), FINER_COUNTS)
-        return functional.softplus(torch.stack([scale * level for scale, level in zip(scales, maps)]).sum(dim=0))
 
 
 def build_light_path(config: LightPathConfig, dataset: Dataset, geometry: str, num_layers: int) -> LightPathRenderer:  # noqa: ARG001
@@ -351,20 +336,3 @@ class _Mlp(nn.Sequential):
         return run_chain(
             input, [*(ChainLayer(linear=layer, slope=LEAKY_SLOPE) for layer in others), ChainLayer(linear=last)]
         )
-
-
-def _map_sizes(height: int) -> list[tuple[int, int]]:
-    """Heights and widths of the maps of the sky: twice as wide as high, then halved down to a single texel."""
-    return [*((height >> level, 2 * height >> level) for level in range(height.bit_length())), (1, 1)]
-
-
-def _look_up_map(
-    texels: Float32[Tensor, "3 tex_h tex_w"], azimuth: Float32[Tensor, " exit"], polar: Float32[Tensor, " exit"]
-) -> Float32[Tensor, "exit 3"]:
-    """Bilinear look-ups in a map that goes once around; both angles run from -1 to 1."""
-    # A column of the other end stands beside each end.
-    padded = functional.pad(texels[None], (1, 1, 0, 0), mode="circular")
-    width = texels.shape[2]
-    place = torch.stack([azimuth * width / (width + 2), polar], dim=-1)
-    found = functional.grid_sample(padded, place[None, None], padding_mode="border", align_corners=False)
-    return found[0, :, 0].T

@@ -103,10 +103,21 @@ def pixel_loss(
     index = torch.from_numpy(rng.integers(len(training.rgb), size=batch)).to(training.rgb.device)
     if patch_terms is None:
         colors = renderer(training.take(index, rng), rng=rng)
-        return (colors - take_colors(training, index)).abs().mean()
+        return difference(colors, take_colors(training, index)).abs().mean()
     patches = draw_patches(training, patch_terms.number, patch_terms.size, rng)
     together = torch.cat([index, patches.flatten()])
     colors, truth = renderer(training.take(together, rng), rng=rng), take_colors(training, together)
     shape = (*patches.shape, 3)
     terms = patch_terms.of(colors[batch:].view(shape), truth[batch:].view(shape))
-    return (colors[:batch] - truth[:batch]).abs().mean() + terms
+    return difference(colors[:batch], truth[:batch]).abs().mean() + terms
+
+
+def difference(colors: Float32[Tensor, "*b 3"], truth: Float32[Tensor, "*b 3"]) -> Float32[Tensor, "*b 3"]:
+    """Predicted minus true sRGB; 0 where the truth is white and the prediction beyond it.
+
+    A picture clips: its 255 stands for anything brighter, and pulling a lamp of radiance 4 down to 1 would dim its
+    reflections in glass, which are not clipped. Measured on the glass table (600 steps, at 20 and 40 degrees outside of
+    the training cameras): +0.3 dB on both for `light-path`.
+    """
+    missed = colors - truth
+    return torch.where(truth < 1, missed, missed.clamp_max(0))

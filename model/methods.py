@@ -37,6 +37,7 @@ class Optimisation:
     lr: float
     texture_lr: float | None
     lr_decay: LrDecay
+    sky_lr: float | None = None
     beta1: float = 0.9
     weight_decay: float = 0.0
 
@@ -163,6 +164,7 @@ METHODS: dict[str, Method] = {
         knowledge="materials (all but diffuse colours)",
         # A quarter of the pixels with four rays each: as many rays a step as `paper`.
         optimisation=Optimisation(batch=2048, lr=0.002, texture_lr=0.04, lr_decay="cosine"),
+        optimise=lambda choices, usual: dataclasses.replace(usual, sky_lr=choices.sky_lr),
         configure=configure_light_path,
         build=build_light_path,
         load=load_light_path_pixels,

@@ -56,6 +56,8 @@ class TrainConfig:
     """Learning rate of Adam, default betas (section 4.4)."""
     texture_lr: float | None = None
     """Learning rate of the textures; None: the same, as in the paper."""
+    sky_lr: float | None = None
+    """Learning rate of a learned sky; None: that of the network."""
     lr_decay: LrDecay = "linear"
     """`linear`: constant for the first half of the steps, then down to zero. The paper's text names no decay, but the
     authors' scripts ran exactly this one (100 epochs constant, 100 epochs linear)."""
@@ -82,7 +84,7 @@ class TrainConfig:
                 raise HyalineError(f"{name}: is {getattr(self, name)}; expected at least 0")
         if self.batch < 2:
             raise HyalineError(f"batch: is {self.batch}; expected at least 2 pixels, batch norm needs a spread")
-        for name in ("lr", "texture_lr"):
+        for name in ("lr", "texture_lr", "sky_lr"):
             rate = getattr(self, name)
             if rate is not None and not 0 < rate <= 1:
                 raise HyalineError(f"{name}: is {rate}; expected a learning rate in (0, 1], 0.001 in the paper")

@@ -19,6 +19,11 @@ from model.texels import add_gradient, add_look_ups, add_uv_gradient
 
 TextureSharing = Literal["object", "scene"]
 
+FINER_COUNTS = 0.5
+"""How much a level of a pyramid, of textures or of the sky, counts beside the next coarser one. Adam moves all texels
+alike, so coarse ones, moved by all rays, get there first, and fine ones add what is left: what few rays have met is
+filled in from around it. (Deferred Neural Rendering regularises its levels to that end.)"""
+
 
 @dataclass(frozen=True, kw_only=True)
 class TextureLayout:

@@ -28,6 +28,7 @@ from model.checkpoint import (
 )
 from model.distributed import ALONE, Team
 from model.inpaint import Inpainter
+from model.learned_sky import LearnedSky
 from model.losses import pixel_loss
 from model.methods import METHODS, read_layers_of, traces_layers
 from model.paper import PaperConfig, choose_layers
@@ -85,15 +86,21 @@ def train(config: TrainConfig, dataset: Dataset, out: Path, *, label: str, devic
         renderer = method.build(config.net, dataset, config.geometry, num_layers)
     team.share_norms(renderer)
     renderer.to(device)
-    named = dict(renderer.named_parameters())
-    textures = [f"{name}.table" for name, part in renderer.named_modules() if isinstance(part, NeuralTextures)]
-    texture_parameters = [value for name, value in named.items() if name in textures]
-    net_parameters = [value for name, value in named.items() if name not in textures]
-    num_critic = count([value for name, value in named.items() if name.startswith("critic.")])
-    rates = (config.lr, config.lr if config.texture_lr is None else config.texture_lr)
+    texture_parameters = parameters_of(renderer, NeuralTextures)
+    sky_parameters = parameters_of(renderer, LearnedSky)
+    apart = {id(value) for value in texture_parameters + sky_parameters}
+    net_parameters = [value for value in renderer.parameters() if id(value) not in apart]
+    num_critic = count([value for name, value in renderer.named_parameters() if name.startswith("critic.")])
+    num_net_parameters = count(net_parameters) + count(sky_parameters) - num_critic
+    rates = (
+        config.lr,
+        config.lr if config.texture_lr is None else config.texture_lr,
+        config.lr if config.sky_lr is None else config.sky_lr,
+    )
     groups = [
         {"params": net_parameters, "lr": rates[0], "weight_decay": config.weight_decay},
         {"params": texture_parameters, "lr": rates[1]},
+        {"params": sky_parameters, "lr": rates[2]},
     ]
     # Dense Adam, as in the paper: a texel moves on by its momentum after the step that touched it.
     optimizer = torch.optim.Adam(groups, betas=(config.beta1, 0.999), fused=True)
@@ -109,7 +116,7 @@ def train(config: TrainConfig, dataset: Dataset, out: Path, *, label: str, devic
         dataset_seal=dataset.seal,
         layers_seal=layers_seal,
         seed=config.seed,
-        num_parameters=count(net_parameters) - num_critic,
+        num_parameters=num_net_parameters,
         num_texture_parameters=count(texture_parameters),
         num_layers=num_layers or None,
         label=label,
@@ -167,7 +174,7 @@ def train(config: TrainConfig, dataset: Dataset, out: Path, *, label: str, devic
     say(
         f"{label} on {dataset.root}: {len(shown)} training views and {len(held_out)} held out, "
         f"{num_layers or ('traced' if method.uses_geometry else 'no')} layers, "
-        f"{count(net_parameters) - num_critic:,} parameters in the network and "
+        f"{num_net_parameters:,} parameters in the network and "
         f"{count(texture_parameters):,} in textures"
     )
 
@@ -306,6 +313,11 @@ def held_out_psnr(renderer: nn.Module, pixels: PixelSource) -> float:
     error = (prediction.astype(np.float64) - truth) / 255
     mse = np.square(error).reshape(-1, pixels.pixels_per_view * 3).mean(axis=1)
     return float(np.mean(-10 * np.log10(np.maximum(mse, 1e-12))))
+
+
+def parameters_of(renderer: nn.Module, kind: type[nn.Module]) -> list[nn.Parameter]:
+    """The parameters of all parts of a kind, in the order in which the renderer has them."""
+    return [value for part in renderer.modules() if isinstance(part, kind) for value in part.parameters()]
 
 
 def count(parameters: list[nn.Parameter]) -> int:

@@ -42,8 +42,8 @@ from model.methods import METHODS
         ),
         (
             {"method": "light-path"},
-            LightPathChoices(environment=1, position_octaves=3, texture_levels=1),
-            "light-path-sky1-3-octaves-1-levels",
+            LightPathChoices(environment=1, sky_lr=0.5, position_octaves=3, texture_levels=1),
+            "light-path-sky1-sky-lr0.5-3-octaves-1-levels",
         ),
         (
             {"batch": 64, "lr": 0.1, "texture_lr": 0.5, "lr_decay": "none", "steps": 10, "seed": 2},

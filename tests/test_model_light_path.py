@@ -16,10 +16,13 @@ from datagen.geometry import TRUTH, ProxyStatistics, read_meshes, write_proxies
 from datagen.layers import read_layers
 from datagen.tonemap import srgb_from_linear
 from datagen.variant import short_lived_workers, use_mitsuba
+from model.choices import LightPathChoices
+from model.learned_sky import LearnedSky
 from model.light_path_net import RELIEF_DEPTH, STACKED_VERTICES, LightPathConfig, LightPathRenderer, default_light_path
+from model.losses import difference
 from model.methods import METHODS
 from model.paper import PaperConfig, PaperRenderer
-from model.predict import render_predictions
+from model.predict import load_renderer, render_predictions
 from model.run_folder import TrainConfig, is_finished, read_run
 from model.samples import linear_curve, srgb_curve
 from model.traced_batches import LightPathPixels, load_light_path_pixels, nest_shells, share_texels
@@ -77,7 +80,7 @@ def white(renderer: LightPathRenderer) -> LightPathRenderer:
     with torch.no_grad():
         last.weight.zero_()
         last.bias.fill_(math.log(math.expm1(1)))
-        renderer.environment[-1].fill_(math.log(math.expm1(1)))
+        renderer.environment.maps[-1].fill_(math.log(math.expm1(1)))
     return renderer
 
 
@@ -149,16 +152,16 @@ def test_a_removed_object_leaves_no_trace(dataset: Dataset) -> None:
 
 def test_the_learned_sky_is_continuous_all_around() -> None:
     renderer = LightPathRenderer(LightPathConfig(texture_sizes=(8,)))
-    height = renderer.environment[0].shape[1]
+    height = renderer.environment.maps[0].shape[1]
     polar = (torch.arange(height) + 0.5) / height * math.pi
     azimuth = ((torch.arange(2 * height) + 0.5) / height - 1) * math.pi
     sin, cos = torch.sin(polar)[:, None], torch.cos(polar)[:, None]
     directions = torch.stack([sin * torch.cos(azimuth), sin * torch.sin(azimuth), cos.expand(-1, 2 * height)])
     with torch.no_grad():
-        finest_counts = 0.5 ** (len(renderer.environment) - 1)
-        renderer.environment[0].copy_(torch.log(torch.expm1(1 + 0.5 * directions)) / finest_counts)
+        finest_counts = 0.5 ** (len(renderer.environment.maps) - 1)
+        renderer.environment.maps[0].copy_(torch.log(torch.expm1(1 + 0.5 * directions)) / finest_counts)
         asked = torch.nn.functional.normalize(torch.randn(4000, 3, generator=torch.Generator().manual_seed(0)), dim=-1)
-        error = (renderer._environment(asked) - (1 + 0.5 * asked)).abs()
+        error = (renderer.environment(asked) - (1 + 0.5 * asked)).abs()
     assert error[asked[..., 2].abs() < 0.95].max() < 3e-3
     assert error.max() < 0.03  # Half a texel around the poles is flat.
 
@@ -171,12 +174,38 @@ def test_the_sky_where_no_ray_has_been_is_filled_in_from_around() -> None:
     optimizer = torch.optim.Adam(renderer.environment.parameters(), lr=0.02)
     for _ in range(300):
         optimizer.zero_grad()
-        (renderer._environment(directions[seen]) - color).abs().mean().backward()
+        (renderer.environment(directions[seen]) - color).abs().mean().backward()
         optimizer.step()
     with torch.no_grad():
-        behind = renderer._environment(directions[directions[:, 0] < -0.5])
-    assert (renderer._environment(directions[seen]) / color - 1).abs().max() < 0.05
+        behind = renderer.environment(directions[directions[:, 0] < -0.5])
+    assert (renderer.environment(directions[seen]) / color - 1).abs().max() < 0.05
     assert (behind - color).abs().max() < 0.2  # One map alone would say 0.69 there: 1.3 off.
+
+
+def test_the_sky_learns_a_lamp_brighter_than_white_from_its_reflections_alone() -> None:
+    # Pixel 0 looks at the lamp, and is clipped; pixel 1 sees it mirrored by glass of which 4 % reflect.
+    lamp, share = 4.0, 0.04
+    shares = torch.tensor([1.0, share])
+    truth = (srgb_curve(lamp * shares).clamp_max(1) * 255).round()[:, None].expand(2, 3) / 255
+    sky = LearnedSky(8)
+    towards = torch.tensor([[0.6, 0.0, 0.8]] * 2)
+    optimizer = torch.optim.Adam(sky.parameters(), lr=METHODS["light-path"].optimise(
+        LightPathChoices(), METHODS["light-path"].optimisation).sky_lr or 0)  # fmt: skip
+    for _ in range(300):
+        optimizer.zero_grad()
+        difference(srgb_curve(sky(towards) * shares[:, None]), truth).abs().mean().backward()
+        optimizer.step()
+    with torch.no_grad():
+        assert (sky(towards) / lamp - 1).abs().max() < 0.05
+
+
+def test_the_sky_learns_at_a_rate_of_its_own(dataset: Dataset, tmp_path: Path) -> None:
+    for rate in (1e-4, 0.3):
+        config = dataclasses.replace(SMALL, steps=3, sky_lr=rate, lr_decay="none")
+        train(config, dataset, tmp_path / str(rate), label="a", device=CPU)
+        learned = load_renderer(tmp_path / str(rate), config, dataset).environment.maps
+        # Adam's first steps are as long as its rate.
+        assert max(texels.abs().max().item() for texels in learned) == pytest.approx(3 * rate, rel=0.1)
 
 
 def test_the_curve_is_the_datasets_own_and_rises_on_above_one() -> None:

@@ -20,7 +20,7 @@ from model.adversarial import Adversary, PatchDiscriminator
 from model.batches import load_pixels, take_colors
 from model.choices import LossChoices
 from model.inpaint import Inpainter, count_visits, patches_around
-from model.losses import LossConfig, PatchTerms, configure_losses, pixel_loss
+from model.losses import LossConfig, PatchTerms, configure_losses, difference, pixel_loss
 from model.methods import METHODS
 from model.paper import PaperConfig, build_paper
 from model.perceptual import IMAGENET_MEAN, IMAGENET_STD, PerceptualLoss, VggSource, find_vgg, vgg_layers
@@ -106,6 +106,17 @@ def test_weights_come_from_a_file_and_only_the_features_are_read(
     with pytest.raises(HyalineError, match="torch cannot read it"):
         PerceptualLoss(source)
     assert find_vgg("vgg19", "random").describe() == "VGG19 of random weights (a stand-in)"
+
+
+def test_a_colour_beyond_white_costs_nothing_where_the_picture_clips() -> None:
+    truth = torch.tensor([[1.0, 1.0, 1.0], [254 / 255, 0.5, 0.0]])
+    colors = torch.tensor([[1.7, 1.0, 0.8], [1.7, 0.2, 0.3]], requires_grad=True)
+    missed = difference(colors, truth)
+    missed.abs().sum().backward()
+    torch.testing.assert_close(missed, torch.tensor([[0.0, 0.0, 0.8 - 1.0], [1.7 - 254 / 255, 0.2 - 0.5, 0.3]]))
+    assert colors.grad is not None
+    assert colors.grad[0, 0] == 0 and colors.grad[0, 2] == -1
+    assert torch.equal(colors.grad[1], torch.tensor([1.0, -1.0, 1.0]))
 
 
 def test_patch_terms_see_whole_patches_and_the_rest_stays_the_mean(dataset: Dataset) -> None:
