@@ -37,7 +37,7 @@ def build_angles(dataset: Dataset, *, workers: int, shard: Shard | None = None) 
     Raises:
         HyalineError: the scene has no place for such cameras, or another process writes there.
     """
-    cameras = make_angle_cameras(load_scene(dataset.root / "scene"), dataset.config)
+    cameras = make_angle_cameras(load_scene(dataset.root / "scene", is_sealed=True), dataset.config)
     return _build(dataset, ANGLES, dataset.config, cameras, workers=workers, shard=shard)
 
 

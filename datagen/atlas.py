@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float32, Int32
+from jaxtyping import Float, Float32, Int32
 
 from datagen.errors import HyalineError
 from datagen.meshes import Mesh, is_there
@@ -101,36 +101,41 @@ def bake_positions(mesh: Mesh, size: int) -> Float32[np.ndarray, "tex_h tex_w 3"
 
     Zeros for a mesh without faces. Source: paper section 4.3, Eq. 3.
     """
-    positions = np.zeros((size * size, 3), np.float32)
+    return bake_corners(mesh, mesh.vertices[mesh.faces].astype(np.float64), size)
+
+
+def bake_corners(mesh: Mesh, values: Float[np.ndarray, "face 3 c"], size: int) -> Float32[np.ndarray, "tex_h tex_w c"]:
+    """What faces have at their corners, mixed at each texel centre; gutters hold the nearest chart's border."""
+    channels = values.shape[-1]
+    baked = np.zeros((size * size, channels), np.float32)
     if not is_there(mesh):
-        return positions.reshape(size, size, 3)
+        return baked.reshape(size, size, channels)
     covered = np.zeros(size * size, bool)
-    # A chart thinner than a texel may miss every centre: its vertices stand in.
+    # A chart thinner than a texel may miss every centre: its corners stand in.
     uv_texel = np.clip(np.floor(_texel_coordinates(mesh, size) + 0.5).astype(np.int64), 0, size - 1)
-    at_vertex = uv_texel[:, 1] * size + uv_texel[:, 0]
-    used = np.unique(mesh.faces)
-    positions[at_vertex[used]] = mesh.vertices[used]
-    covered[at_vertex[used]] = True
+    corner = np.argsort(mesh.faces, axis=None, kind="stable")  # Of several in one texel the last vertex counts.
+    at_corner = (uv_texel[:, 1] * size + uv_texel[:, 0])[mesh.faces.reshape(-1)[corner]]
+    baked[at_corner] = values.reshape(-1, channels)[corner]
+    covered[at_corner] = True
     for face, texel, weights in _rasterise(mesh, size):
         inside = weights.min(axis=-1) >= -1e-9
-        corners = mesh.vertices[mesh.faces[face[inside]]].astype(np.float64)
-        positions[texel[inside]] = np.einsum("pk,pkc->pc", weights[inside], corners)
+        baked[texel[inside]] = np.einsum("pk,pkc->pc", weights[inside], values[face[inside]])
         covered[texel[inside]] = True
-    positions = positions.reshape(size, size, 3)
+    baked = baked.reshape(size, size, channels)
     if covered.all():
-        return positions
+        return baked
     from scipy.ndimage import distance_transform_edt
 
     nearest = distance_transform_edt(~covered.reshape(size, size), return_distances=False, return_indices=True)
     assert isinstance(nearest, np.ndarray)
-    return positions[nearest[0], nearest[1]]
+    return baked[nearest[0], nearest[1]]
 
 
 def coverage(mesh: Mesh, size: int) -> Int32[np.ndarray, "tex_h tex_w"]:
     """How many triangles have each texel centre in their interior: at most 1 when the atlas does not overlap."""
     counts = np.zeros(size * size, np.int32)
     for _, texel, weights in _rasterise(mesh, size):
-        np.add.at(counts, texel[weights.min(axis=-1) > 1e-7], 1)
+        counts += np.bincount(texel[weights.min(axis=-1) > 1e-7], minlength=size * size).astype(np.int32)
     return counts.reshape(size, size)
 
 

@@ -30,7 +30,7 @@ def build_edit(base: Dataset, edits: tuple[Edit, ...], *, workers: int, overwrit
     read_layers_head(base, TRUTH, "straight")
     # Verifies that the meshes are those that the dataset was rendered with.
     read_meshes(base, TRUTH)
-    before = load_scene(base.root / "scene")
+    before = load_scene(base.root / "scene", is_sealed=True)
     edited = edit_scene(before, edits)
     record = DatasetEdit(
         base=base.seal,

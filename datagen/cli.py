@@ -179,7 +179,7 @@ def _build_edit(scene: str, preset: str, out: Path | None, edit: tuple[str, ...]
         if is_given:
             raise HyalineError(f"--{flag}: does not go with --edit, which takes it from the dataset; leave it out")
     edits = tuple(map(parse_edit, edit))
-    name = load_scene(Path(scene)).name if (Path(scene) / "scene.json").is_file() else scene
+    name = load_scene(Path(scene), is_sealed=True).name if (Path(scene) / "scene.json").is_file() else scene
     base = open_dataset(out or find_dataset(name))
     if preset not in ("demo", base.config.preset):
         raise HyalineError(f"--preset: is {preset}, but {base.root} was built with {base.config.preset}; leave it out")

@@ -1,9 +1,10 @@
-"""Owns the search for faces that lie in faces of another mesh: where two surfaces coincide, layers get lost."""
+"""Where surfaces of two meshes coincide: there layers get lost, and glass vanishes."""
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from datagen.meshes import Mesh, face_corners
+from datagen.surface_points import points_on
 
 TOLERANCE = 1e-4
 """Metres from plane to plane that count as none: a path tracer's rays start about so far from their surface."""
@@ -11,7 +12,44 @@ TOLERANCE = 1e-4
 EDGE = 1e-7
 """Metres by which two faces of one plane must overlap: those that share an edge do not."""
 
+SAMPLES = 1024
+"""Points on a surface, spread by area, by which is told how much of it touches another."""
+
 _PAIRS_AT_ONCE = 1 << 22
+
+
+def touching_share(mesh: Mesh, other: Mesh) -> float:
+    """The share of a mesh's surface that lies in faces of the other, measured at `SAMPLES` points."""
+    (low, high), (other_low, other_high) = ((m.vertices.min(axis=0), m.vertices.max(axis=0)) for m in (mesh, other))
+    if (low > other_high + TOLERANCE).any() or (other_low > high + TOLERANCE).any():
+        return 0.0
+    from scipy.spatial import cKDTree
+
+    sampled = points_on(mesh, SAMPLES)
+    corners = face_corners(other).astype(np.float64)
+    corners = corners[_meets(corners, sampled.position)]
+    if not len(corners):
+        return 0.0
+    normals, mine = _unit_normals(corners), _unit_normals(face_corners(mesh)[sampled.face].astype(np.float64))
+    middle = (corners.max(axis=1) + corners.min(axis=1)) / 2
+    radius = np.linalg.norm(corners - middle[:, None], axis=-1).max(axis=1) + TOLERANCE
+    tree = cKDTree(sampled.position)
+    counts = np.asarray(tree.query_ball_point(middle, radius, return_length=True))
+    near = np.flatnonzero(counts)
+    touching = np.zeros(len(sampled.position), bool)
+    for piece in np.array_split(near, max(1, int(counts.sum()) >> 20)):
+        if len(piece):
+            found = tree.query_ball_point(middle[piece], radius[piece])
+            point = np.concatenate([np.asarray(places, np.int64) for places in found])
+            face = np.repeat(piece, counts[piece])
+            # Faces that look the same way, or the opposite one, and whose plane the point is in.
+            height = np.einsum("pc,pc->p", sampled.position[point] - corners[face, 0], normals[face])
+            near = np.abs(height) <= TOLERANCE
+            point, face = point[near], face[near]
+            parallel = np.abs(np.einsum("pc,pc->p", mine[point], normals[face])) > 0.9
+            point, face = point[parallel], face[parallel]
+            touching[point[_is_over(sampled.position[point], corners[face], normals[face])]] = True
+    return float(touching.mean())
 
 
 def count_touching_faces(mesh: Mesh, other: Mesh) -> int:
@@ -54,6 +92,16 @@ def _in_one_plane(a: Float[np.ndarray, "pair 3 3"], b: Float[np.ndarray, "pair 3
     # A face smaller than the tolerance lies in any plane that it meets.
     is_parallel = np.abs(np.einsum("pc,pc->p", n_a, n_b)) > 0.9
     return is_parallel & (np.minimum(a_from_b, b_from_a) <= TOLERANCE)
+
+
+def _is_over(point: Float[np.ndarray, "pair 3"], corners: Float[np.ndarray, "pair 3 3"],
+             normals: Float[np.ndarray, "pair 3"]) -> Bool[np.ndarray, " pair"]:  # fmt: skip
+    """Points whose foot on the face's plane is in the face."""
+    is_over = np.ones(len(point), bool)
+    for start in range(3):
+        corner, following = corners[:, start], corners[:, (start + 1) % 3]
+        is_over &= np.einsum("pc,pc->p", np.cross(normals, following - corner), point - corner) >= 0
+    return is_over
 
 
 def _overlap(a: Float[np.ndarray, "pair 3 3"], b: Float[np.ndarray, "pair 3 3"]) -> Bool[np.ndarray, " pair"]:

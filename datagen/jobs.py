@@ -7,7 +7,7 @@ from datagen.geometry import read_meshes
 from datagen.layer_store import LayersHead, read_layers_head
 from datagen.layers import write_layers
 from datagen.light_path_layers import read_light_paths_head, trace_view, write_light_paths
-from datagen.scene import load_scene
+from datagen.scene import Scene, load_scene
 
 Task = tuple[Split, int]
 
@@ -22,7 +22,9 @@ class RenderJob:
         self.variant = use_mitsuba(quiet=True, threads=threads)
         self.dataset = open_dataset(root)
         self.cameras = _all_cameras(self.dataset)
-        self.renderer = Renderer(load_scene(self.dataset.home.root / "scene"), max_depth=self.dataset.config.max_depth)
+        self.renderer = Renderer(
+            load_scene(self.dataset.home.root / "scene", is_sealed=True), max_depth=self.dataset.config.max_depth
+        )
 
 
 def render_task(job: RenderJob, task: Task) -> None:
@@ -86,7 +88,7 @@ class TraceJob:
         use_mitsuba(quiet=True, threads=threads)
         self.dataset, self.geometry = open_dataset(root), geometry
         self.cameras = _all_cameras(self.dataset)
-        materials = tuple(item.material for item in load_scene(self.dataset.home.root / "scene").objects)
+        materials = tuple(item.material for item in _scene_of(self.dataset).objects)
         self.tracer = LightPathTracer(read_meshes(self.dataset, geometry), materials)
         self.head = read_light_paths_head(self.dataset, geometry)
 
@@ -96,6 +98,10 @@ def trace_task(job: TraceJob, task: Task) -> None:
     split, view = task
     blocks = trace_view(job.tracer, job.cameras[split], view, job.head)
     write_light_paths(job.dataset, job.geometry, split, view, blocks)
+
+
+def _scene_of(dataset: Dataset) -> Scene:
+    return load_scene(dataset.home.root / "scene", is_sealed=True)
 
 
 def _all_cameras(dataset: Dataset) -> dict[Split, Cameras]:

@@ -13,6 +13,9 @@ from datagen.errors import HyalineError
 MAX_EXTENT = 1e5
 """Largest coordinate accepted, in metres: beyond it float32 rays lose millimetres."""
 
+MIN_AREA = 1e-14
+"""Square metres below which a face counts as none: a tenth of a micrometre a side."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Mesh:
@@ -121,16 +124,28 @@ def check_mesh(mesh: Mesh, *, where: str) -> None:
     Raises:
         HyalineError: empty, non-finite or huge values, indices out of range, zero-area faces, uv outside [0, 1].
     """
+    check_numbers(mesh, where=where)
+    for name, values in (("normals", mesh.normals), ("uv", mesh.uv)):
+        _check_finite(name, values, where=where)
+    check_areas(mesh, where=where)
+    if mesh.uv.min() < 0 or mesh.uv.max() > 1:
+        raise HyalineError(f"{where}: uv spans {mesh.uv.min():g} to {mesh.uv.max():g}; expected [0, 1], unwrap it")
+
+
+def check_numbers(mesh: Mesh, *, where: str) -> None:
+    """Refuses a mesh that is empty, of arrays that do not fit, or anywhere but in a place that can be traced.
+
+    Raises:
+        HyalineError: what it is.
+    """
     if len(mesh.vertices) == 0 or len(mesh.faces) == 0:
         raise HyalineError(
             f"{where}: has {len(mesh.vertices)} vertices and {len(mesh.faces)} faces; expected at least one of each"
         )
-    for name, values in (("vertices", mesh.vertices), ("normals", mesh.normals), ("uv", mesh.uv)):
-        if not np.isfinite(values).all():
-            index = int(np.argwhere(~np.isfinite(values))[0, 0])
-            raise HyalineError(f"{where}: {name}[{index}] is {values[index].tolist()}; expected finite numbers")
+    for name, values in (("normals", mesh.normals), ("uv", mesh.uv)):
         if len(values) != len(mesh.vertices):
             raise HyalineError(f"{where}: {len(values)} {name} for {len(mesh.vertices)} vertices; expected one each")
+    _check_finite("vertices", mesh.vertices, where=where)
     if np.abs(mesh.vertices).max() > MAX_EXTENT:
         raise HyalineError(
             f"{where}: a coordinate is {np.abs(mesh.vertices).max():g} m; expected at most {MAX_EXTENT:g}, rescale it"
@@ -140,10 +155,22 @@ def check_mesh(mesh: Mesh, *, where: str) -> None:
         raise HyalineError(
             f"{where}: a face names vertex {low if low < 0 else high}; expected 0 to {len(mesh.vertices) - 1}"
         )
-    if (areas := face_areas(mesh)).min() < 1e-14:
+
+
+def check_areas(mesh: Mesh, *, where: str) -> None:
+    """Refuses faces without area.
+
+    Raises:
+        HyalineError: there is one.
+    """
+    if (areas := face_areas(mesh)).min() < MIN_AREA:
         raise HyalineError(f"{where}: face {int(areas.argmin())} has no area; remove degenerate faces")
-    if mesh.uv.min() < 0 or mesh.uv.max() > 1:
-        raise HyalineError(f"{where}: uv spans {mesh.uv.min():g} to {mesh.uv.max():g}; expected [0, 1], unwrap it")
+
+
+def _check_finite(name: str, values: np.ndarray, *, where: str) -> None:
+    if not np.isfinite(values).all():
+        index = int(np.argwhere(~np.isfinite(values))[0, 0])
+        raise HyalineError(f"{where}: {name}[{index}] is {values[index].tolist()}; expected finite numbers")
 
 
 def check_closed(mesh: Mesh, *, where: str) -> None:

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, assert_never, cast
 import numpy as np
 from jaxtyping import Float, Float32
 
+from datagen.images import linear_pixels
 from datagen.meshes import Mesh, face_areas
 from datagen.scene import (
     Color,
@@ -20,6 +21,7 @@ from datagen.scene import (
     SoftEnvironment,
     SolidTexture,
     ThinDielectric,
+    image_bytes,
 )
 
 if TYPE_CHECKING:
@@ -230,12 +232,8 @@ def _texture(scene: Scene, mesh: Mesh, color: Reflectance) -> dict[str, object]:
             from datagen.solid_textures import bake_texture
 
             return _bitmap(bake_texture(color, mesh, _texture_size(mesh)))
-        case ImageTexture(path=path):
-            from datagen.dataset import read_png
-            from datagen.tonemap import linear_from_srgb
-
-            assert scene.folder is not None
-            return _bitmap(linear_from_srgb(read_png(scene.folder / path) / 255.0).astype(np.float32))
+        case ImageTexture():
+            return _bitmap(linear_pixels(image_bytes(scene, color), where=color.path))
         case _:
             return _rgb(color)
 

@@ -296,17 +296,29 @@ def deformed(mesh: Mesh, deform: Callable[[Points], Points], *, crease_deg: floa
 def shaded(positions: Points, faces: np.ndarray, *, crease_deg: float) -> Mesh:
     """A mesh of shared points with smooth normals, its vertices split where faces meet at more than the crease angle.
 
+    Faces without area are left out.
+    """
+    assert np.isfinite(positions).all(), "a point is not finite"
+    corners = positions[faces]
+    faces = faces[np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 1]), axis=-1) > 0]
+    normals, at = corner_normals(positions, faces, crease_deg=crease_deg), faces.reshape(-1)
+    # Corners that agree on point and normal become one vertex.
+    keys = np.concatenate([at[:, None], np.rint(normals * 4096).astype(np.int64)], axis=-1)
+    _, first, index = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+    return _mesh(positions[at[first]], index.reshape(-1, 3), normals[first])
+
+
+def corner_normals(positions: Points, faces: np.ndarray, *, crease_deg: float) -> Float[np.ndarray, "corner 3"]:
+    """Unit normals of all corners of faces with area, face by face.
+
     A corner's normal is the mean of the faces around its point that are within the angle of its own face, weighted
     by area and by the angle at the point.
     """
-    assert np.isfinite(positions).all(), "a point is not finite"
     corners = positions[faces]
     edges = np.roll(corners, -1, axis=1) - corners
     normals = np.cross(edges[:, 0], edges[:, 1])
     areas = np.linalg.norm(normals, axis=-1)
-    kept = areas > 0
-    faces, edges, areas = faces[kept], edges[kept], areas[kept]
-    normals = normals[kept] / areas[:, None]
+    normals = normals / areas[:, None]
     forth = edges / np.linalg.norm(edges, axis=-1, keepdims=True)
     angles = np.arccos(np.clip(-np.einsum("fki,fki->fk", forth, np.roll(forth, 1, axis=1)), -1, 1))
     weights = (angles * areas[:, None]).reshape(-1)
@@ -323,12 +335,7 @@ def shaded(positions: Points, faces: np.ndarray, *, crease_deg: float) -> Mesh:
     for axis in range(3):
         values = np.where(is_smooth, weights[other] * normals[other // 3, axis], 0.0)
         sums[:, axis] = np.bincount(one, values, minlength=len(at))
-    corner_normals = sums / np.linalg.norm(sums, axis=-1, keepdims=True)
-
-    # Corners that agree on point and normal become one vertex.
-    keys = np.concatenate([at[:, None], np.rint(corner_normals * 4096).astype(np.int64)], axis=-1)
-    _, first, index = np.unique(keys, axis=0, return_index=True, return_inverse=True)
-    return _mesh(positions[at[first]], index.reshape(-1, 3), corner_normals[first])
+    return sums / np.linalg.norm(sums, axis=-1, keepdims=True)
 
 
 def _mesh(positions: np.ndarray, faces: np.ndarray, normals: np.ndarray) -> Mesh:

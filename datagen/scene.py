@@ -3,6 +3,7 @@
 import dataclasses
 import math
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import combinations
 from pathlib import Path
@@ -293,24 +294,37 @@ class Scene:
     cameras: CameraRig
     folder: Path | None = field(default=None)
     """Where image textures lie; None for scenes made by code."""
+    baked: Mapping[str, bytes] = field(default_factory=dict)
+    """PNG files of image textures that were baked into another uv, by path; they lie in no folder yet."""
 
 
-def check_scene(scene: Scene) -> None:
+def image_of(material: Material) -> ImageTexture | None:
+    """The image that colours a material, if one does."""
+    color = getattr(material, "color", None)
+    return color if isinstance(color, ImageTexture) else None
+
+
+def image_bytes(scene: Scene, image: ImageTexture) -> bytes:
+    """The file of an image texture."""
+    if image.path in scene.baked:
+        return scene.baked[image.path]
+    assert scene.folder is not None, "a scene with images has a folder"
+    return (scene.folder / image.path).read_bytes()
+
+
+def check_scene(scene: Scene, *, is_sealed: bool = False) -> None:
     """Refuses a scene that would crash a native library or be rendered silently wrong.
+
+    Args:
+        is_sealed: all of this was found well when the scene's dataset was begun; single numbers are looked at again.
 
     Raises:
         HyalineError: naming the object, the value and what was expected.
     """
-    if not 1 <= len(scene.objects) <= MAX_OBJECTS:
-        raise HyalineError(f"scene {scene.name}: has {len(scene.objects)} objects; expected 1 to {MAX_OBJECTS}")
-    names = [item.name for item in scene.objects]
-    if repeated := sorted({name for name in names if names.count(name) > 1}):
-        raise HyalineError(f"scene {scene.name}: two objects are called {repeated[0]!r}; expected unique names")
+    _check_names(scene)
     if not any(is_there(item.mesh) for item in scene.objects):
         raise HyalineError(f"scene {scene.name}: all of its objects were removed; expected at least one that is there")
     for item in scene.objects:
-        if not re.fullmatch(OBJECT_NAME, item.name):
-            raise HyalineError(f"scene {scene.name}: object name {item.name!r}; expected letters, digits, _ and -")
         where = f"scene {scene.name}: object {item.name}"
         try:
             surface_kind(item.material)
@@ -322,6 +336,22 @@ def check_scene(scene: Scene) -> None:
         if isinstance(item.material, Dielectric):
             check_closed(item.mesh, where=where)
     _check_nesting(scene)
+    if not is_sealed:
+        from datagen.soundness import check_sound
+
+        check_sound(scene)
+
+
+def _check_names(scene: Scene) -> None:
+    """Refuses too many objects, and names that stand for nothing or for two things."""
+    if not 1 <= len(scene.objects) <= MAX_OBJECTS:
+        raise HyalineError(f"scene {scene.name}: has {len(scene.objects)} objects; expected 1 to {MAX_OBJECTS}")
+    names = [item.name for item in scene.objects]
+    if repeated := sorted({name for name in names if names.count(name) > 1}):
+        raise HyalineError(f"scene {scene.name}: two objects are called {repeated[0]!r}; expected unique names")
+    for name in names:
+        if not re.fullmatch(OBJECT_NAME, name):
+            raise HyalineError(f"scene {scene.name}: object name {name!r}; expected letters, digits, _ and -")
 
 
 def _check_nesting(scene: Scene) -> None:
@@ -375,9 +405,8 @@ def scene_files(scene: Scene) -> dict[str, bytes]:
         if mesh is not None:
             files[mesh] = write_ply(item.mesh)
         listed.append(_ObjectFile(name=item.name, mesh=mesh, material=item.material))
-        color = getattr(item.material, "color", None)
-        if isinstance(color, ImageTexture) and scene.folder is not None:
-            files[color.path] = (scene.folder / color.path).read_bytes()
+        if (image := image_of(item.material)) is not None:
+            files[image.path] = image_bytes(scene, image)
     file = _SceneFile(
         version=SCENE_VERSION,
         name=scene.name,
@@ -400,8 +429,11 @@ def scene_files(scene: Scene) -> dict[str, bytes]:
     return {**files, "scene.json": dump_json(data)}
 
 
-def load_scene(folder: Path) -> Scene:
-    """The checked scene in a folder; objects without uv get an atlas.
+def load_scene(folder: Path, *, is_sealed: bool = False) -> Scene:
+    """The checked scene in a folder. Objects without an atlas get one; what is mended is said in a line each.
+
+    Args:
+        is_sealed: the folder is a dataset's, whose scene was mended and checked when it was begun: read as it stands.
 
     Raises:
         HyalineError: a missing file, an unknown key, a bad value or a bad mesh.
@@ -411,21 +443,15 @@ def load_scene(folder: Path) -> Scene:
     if data.get("version") != SCENE_VERSION:
         raise HyalineError(f"{path}: version {data.get('version')!r}; this program reads version {SCENE_VERSION}")
     file = _parse_scene(data, path)
-    objects = []
+    objects, without_uv = [], set()
     for item in file.objects:
-        if item.mesh is None:
-            objects.append(SceneObject(name=item.name, mesh=no_mesh(), material=item.material))
-            continue
-        mesh_path = _inside(folder, item.mesh, where=f"{path}: object {item.name}")
-        mesh, has_uv = read_ply(mesh_path)
+        mesh, has_uv = no_mesh(), True
+        if item.mesh is not None:
+            mesh, has_uv = read_ply(_inside(folder, item.mesh, where=f"{path}: object {item.name}"))
         if not has_uv:
-            from datagen.atlas import unwrap
-
-            check_mesh(mesh, where=str(mesh_path))
-            mesh = unwrap(mesh, where=str(mesh_path))
-        color = getattr(item.material, "color", None)
-        if isinstance(color, ImageTexture):
-            texture = _inside(folder, color.path, where=f"{path}: object {item.name}")
+            without_uv.add(item.name)
+        if (image := image_of(item.material)) is not None:
+            texture = _inside(folder, image.path, where=f"{path}: object {item.name}")
             if not texture.is_file():
                 raise HyalineError(f"{texture}: the texture of object {item.name} is missing")
         objects.append(SceneObject(name=item.name, mesh=mesh, material=item.material))
@@ -438,7 +464,12 @@ def load_scene(folder: Path) -> Scene:
         cameras=file.cameras,
         folder=folder,
     )
-    check_scene(scene)
+    if not is_sealed:
+        from datagen.mending import mend_scene
+
+        _check_names(scene)
+        scene = mend_scene(scene, without_uv=without_uv)
+    check_scene(scene, is_sealed=is_sealed)
     return scene
 
 

@@ -106,7 +106,7 @@ def patches_around(pixel: Int[Tensor, " patch"], size: int, side: int) -> Int[Te
 def novel_cameras(dataset: Dataset, number: int, rng: np.random.Generator) -> Cameras:
     """Poses around those of training, but nearer, farther and lower; no test camera is looked at."""
     cameras = read_cameras(dataset, "train")
-    target = np.array(load_scene(dataset.root / "scene").cameras.target)
+    target = np.array(load_scene(dataset.root / "scene", is_sealed=True).cameras.target)
     offset = cameras.world_from_camera[rng.integers(len(cameras.world_from_camera), size=number), :3, 3] - target
     offset = offset * rng.uniform(*DISTANCES, (number, 1))
     offset[:, 2] *= rng.uniform(*HEIGHTS, number)

@@ -329,7 +329,7 @@ def _load_surfaces(key: GeometryKey, shells: int) -> _Surfaces:
     use_mitsuba()
     from datagen.light_path import LightPathTracer
 
-    materials = tuple(item.material for item in load_scene(key.dataset.root / "scene").objects)
+    materials = tuple(item.material for item in load_scene(key.dataset.root / "scene", is_sealed=True).objects)
     meshes = read_meshes(key.dataset, key.geometry)
     nested = nest_shells(meshes, shells)
     return _Surfaces(

@@ -63,7 +63,7 @@ def test_a_mesh_without_uv_is_unwrapped(tmp_path: Path) -> None:
     save_scene(synthetic_scene(), tmp_path)
     import trimesh
 
-    (tmp_path / "meshes" / "floor.ply").write_bytes(trimesh.creation.box().export(file_type="ply"))
+    (tmp_path / "meshes" / "floor.ply").write_bytes(trimesh.creation.box((1, 1, 0.5)).export(file_type="ply"))
     mesh = load_scene(tmp_path).objects[1].mesh
     assert mesh.uv.min() >= 0
     assert mesh.uv.max() <= 1
@@ -148,7 +148,7 @@ def test_a_priority_is_kept_and_none_leaves_the_bytes_that_older_scenes_have(tmp
     assert "priority" not in materials[0]
     assert materials[1]["priority"] == -1
     save_scene(scene, tmp_path)
-    loaded = load_scene(tmp_path)
+    loaded = load_scene(tmp_path, is_sealed=True)
     assert [item.material for item in loaded.objects] == [item.material for item in scene.objects]
     assert scene_files(loaded) == scene_files(scene)
 
