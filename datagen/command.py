@@ -12,9 +12,13 @@ from pathlib import Path
 from typing import Annotated, NoReturn, TypeVar
 
 from datagen.errors import HyalineError
+from datagen.records import shown
 from datagen.signals import Stopped, raise_on_sigterm
 
 Item = TypeVar("Item")
+
+MAX_SUGGESTED = 100
+"""Characters of a wrong name for which a similar one is sought; the time that takes grows with their square."""
 
 REPORT_EVERY_S = 15.0
 """Without a terminal, progress is a line this often."""
@@ -138,9 +142,11 @@ def choose(what: str, value: str, choices: Collection[str]) -> str:
     """
     if value in choices:
         return value
-    near = difflib.get_close_matches(value, choices, n=1, cutoff=0.5)
+    near = difflib.get_close_matches(value[:MAX_SUGGESTED], choices, n=1, cutoff=0.5)
     hint = f"did you mean {near[0]!r}? " if near else ""
-    raise HyalineError(f"{what} {value!r}: there is none of that name; {hint}known are {', '.join(sorted(choices))}")
+    raise HyalineError(
+        f"{what} {shown(value)}: there is none of that name; {hint}known are {', '.join(sorted(choices))}"
+    )
 
 
 def track(items: Iterable[Item], *, label: str, total: int, done: int = 0,

@@ -31,25 +31,28 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, cast
+from typing import TYPE_CHECKING, Literal, cast
 
 import numpy as np
 from jaxtyping import Float, UInt8
 
 from datagen.errors import DamagedError, HyalineError
-from datagen.records import Json, from_json, to_json
+from datagen.reading import load_json, read_regular
+from datagen.records import Json, entry, from_json, to_json
 from datagen.storage import (
     SEAL,
     commit,
     commit_first,
     commit_same,
     commit_sealed,
-    load_json,
     load_sealed,
     seal_bytes,
     sha256,
     sha256_file,
 )
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
 
 DATASET_VERSION = 1
 
@@ -70,6 +73,10 @@ TRANSFORMS_FILES: dict[Split, str] = {
 }
 
 SPLIT_ORDER: dict[Split, int] = {split: place for place, split in enumerate(TRANSFORMS_FILES)}
+
+MAX_PNG_SIDE = 16384
+"""Pixels: twice the largest dataset, whose decoding takes 1 GB."""
+MAX_PNG_BYTES = 1 << 30
 
 DATA_ROOT = Path("data")
 """Where commands put and look for datasets, relative to the working directory."""
@@ -278,11 +285,13 @@ def open_dataset(root: Path) -> Dataset:
         raise HyalineError(f"{path}: belongs to a dataset that stood there before; build it again, or delete {root}")
     return Dataset(
         root=root,
-        config=from_json(DatasetConfig, head["config"], where=f"{path}: config"),
-        objects=from_json(tuple[DatasetObject, ...], head["objects"], where=f"{path}: objects"),
+        config=from_json(DatasetConfig, entry(head, "config", where=path), where=f"{path}: config"),
+        objects=from_json(tuple[DatasetObject, ...], entry(head, "objects", where=path), where=f"{path}: objects"),
         seal=cast(str, load_json(path)[SEAL]),
         edit=from_json(DatasetEdit, head["edit"], where=f"{path}: edit") if "edit" in head else None,
-        splits=SPLITS if parent is None else from_json(tuple[Split, ...], head["splits"], where=f"{path}: splits"),
+        splits=SPLITS
+        if parent is None
+        else from_json(tuple[Split, ...], entry(head, "splits", where=path), where=f"{path}: splits"),
         parent=parent,
     )
 
@@ -311,23 +320,29 @@ def list_datasets(root: Path = DATA_ROOT) -> list[Path]:
 
 def head_files(root: Path) -> dict[str, str]:
     """SHA-256 of scene and camera files by path relative to the dataset, as the head promises them."""
-    return from_json(dict[str, str], load_sealed(root / "dataset.json")["files"], where=f"{root}/dataset.json: files")
+    path = root / "dataset.json"
+    return from_json(dict[str, str], entry(load_sealed(path), "files", where=path), where=f"{path}: files")
 
 
 def read_cameras(dataset: Dataset, split: Split) -> Cameras:
     """The cameras of one split, verified against the head."""
     relative = TRANSFORMS_FILES[split]
     path = dataset.root / relative
-    if sha256_file(path) != head_files(dataset.root)[relative]:
+    if sha256_file(path) != entry(head_files(dataset.root), relative, where=dataset.root):
         raise HyalineError(f"{path}: damaged or edited (checksum differs); restore it or build the dataset again")
     data = load_json(path)
-    frames = cast(list[dict[str, Json]], data["frames"])
-    return Cameras(
-        world_from_camera=np.array([frame["transform_matrix"] for frame in frames], np.float64).reshape(-1, 4, 4),
-        fov_x=float(cast(float, data["camera_angle_x"])),
-        width=int(cast(int, data["w"])),
-        height=int(cast(int, data["h"])),
-    )
+    try:
+        frames = cast(list[dict[str, Json]], data["frames"])
+        return Cameras(
+            world_from_camera=np.array([frame["transform_matrix"] for frame in frames], np.float64).reshape(-1, 4, 4),
+            fov_x=float(cast(float, data["camera_angle_x"])),
+            width=int(cast(int, data["w"])),
+            height=int(cast(int, data["h"])),
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        raise HyalineError(
+            f"{path}: holds no cameras ({type(error).__name__}: {error}); expected those that `datagen build` writes"
+        ) from error
 
 
 def transforms_bytes(cameras: Cameras, split: Split) -> bytes:
@@ -424,14 +439,38 @@ def read_png(path: Path) -> UInt8[np.ndarray, "h w 3"]:
     Raises:
         HyalineError: missing or not a picture.
     """
-    from PIL import Image, UnidentifiedImageError
+    return np.asarray(open_png(path).convert("RGB"))
 
+
+def open_png(path: Path, *, size: int | None = None) -> "Image":
+    """The picture in a PNG file, decoded, in the file's own mode.
+
+    Args:
+        size: its width and height; nothing of a picture of another size is decoded.
+
+    Raises:
+        HyalineError: missing, no regular file, not a PNG of at most 8 bits a channel, too large, or of another size.
+    """
+    import io
+
+    from PIL import Image
+
+    data = read_regular(path, at_most=MAX_PNG_BYTES)
+    if len(data) < 33 or data[:8] != b"\x89PNG\r\n\x1a\n" or data[12:16] != b"IHDR":
+        raise HyalineError(f"{path}: not a PNG that can be read; expected an 8-bit sRGB PNG")
+    width, height, depth = (int.from_bytes(data[at:end]) for at, end in ((16, 20), (20, 24), (24, 25)))
+    if size is not None and (width, height) != (size, size):
+        raise HyalineError(f"{path}: is {width} x {height} pixels; expected {size} x {size}, as the truth has")
+    if not (0 < width <= MAX_PNG_SIDE and 0 < height <= MAX_PNG_SIDE):
+        raise HyalineError(f"{path}: is {width} x {height} pixels; expected 1 to {MAX_PNG_SIDE} a side")
+    if depth > 8:
+        raise HyalineError(f"{path}: has {depth} bits a channel; expected 8-bit sRGB")
     try:
-        with Image.open(path) as picture:
-            return np.asarray(picture.convert("RGB"))
-    except FileNotFoundError:
-        raise HyalineError(f"{path}: the picture is missing") from None
-    except (UnidentifiedImageError, OSError, SyntaxError, ValueError) as error:
+        with Image.open(io.BytesIO(data), formats=["PNG"]) as picture:
+            picture.load()
+            return picture
+    # Pillow answers a broken file with many kinds of exception (OSError, SyntaxError, ValueError, struct.error, ...).
+    except Exception as error:
         raise HyalineError(f"{path}: not a PNG that can be read ({error})") from error
 
 

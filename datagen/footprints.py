@@ -26,7 +26,7 @@ from datagen.dataset import (
 )
 from datagen.geometry import TRUTH
 from datagen.layers import read_layers
-from datagen.records import from_json
+from datagen.records import entry, from_json
 from datagen.storage import commit, commit_sealed, load_sealed, sha256
 from datagen.tonemap import srgb_from_linear
 
@@ -72,7 +72,7 @@ def read_footprint(edited: Dataset, split: Split, view: int) -> UInt8[np.ndarray
     """Where the edit shows in a view, verified: `OBJECT`, `LIGHT` or `ELSEWHERE`."""
     path = _path(edited, split, view)
     file = path.relative_to(edited.root).as_posix()
-    check_files(edited.root, {file: footprint_files(edited)[file]})
+    check_files(edited.root, {file: entry(footprint_files(edited), file, where=edited.root)})
     return read_png(path)[..., 0]
 
 

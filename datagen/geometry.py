@@ -16,7 +16,7 @@ from datagen.command import choose
 from datagen.dataset import DATASET_VERSION, Dataset, check_files, head_files
 from datagen.errors import HyalineError
 from datagen.meshes import Mesh, check_mesh, is_there, no_mesh, read_ply, write_ply
-from datagen.records import Json, from_json, to_json
+from datagen.records import Json, entry, from_json, to_json
 from datagen.storage import commit, commit_sealed, load_sealed, sha256
 
 TRUTH = "truth"
@@ -99,7 +99,7 @@ def read_proxy_records(dataset: Dataset, kind: str) -> tuple[ProxyRecord, ...]:
         raise HyalineError(
             f"{path}: made for another dataset; make them again with `{_make_command(dataset, kind)} --overwrite`"
         )
-    return from_json(tuple[ProxyRecord, ...], content["proxies"], where=f"{path}: proxies")
+    return from_json(tuple[ProxyRecord, ...], entry(content, "proxies", where=path), where=f"{path}: proxies")
 
 
 def read_assignment(dataset: Dataset, geometry: str) -> tuple[str, ...] | None:
@@ -204,4 +204,7 @@ def _mesh_files(dataset: Dataset, geometry: str) -> dict[str, tuple[str, str]]:
         return {record.object: (record.file, record.sha256) for record in read_proxy_records(dataset, geometry)}
     promised = head_files(dataset.root)
     files = {item.name: f"scene/meshes/{item.name}.ply" for item in dataset.objects}
-    return {name: (file, promised[file]) for name, file in files.items() if file in promised or dataset.edit is None}
+    if dataset.edit is not None:
+        files = {name: file for name, file in files.items() if file in promised}
+    where = dataset.root / "dataset.json"
+    return {name: (file, entry(promised, file, where=where)) for name, file in files.items()}

@@ -20,13 +20,13 @@ import numpy as np
 from datagen.dataset import Dataset, Split, check_files, view_name
 from datagen.errors import DamagedError, HyalineError
 from datagen.geometry import geometry_root
+from datagen.reading import load_json
 from datagen.records import Json, from_json, to_json
 from datagen.storage import (
     SEAL,
     commit_first,
     commit_same,
     commit_sealed,
-    load_json,
     load_sealed,
     seal_bytes,
     sha256,

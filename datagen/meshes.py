@@ -9,12 +9,19 @@ import numpy as np
 from jaxtyping import Float32, Int32
 
 from datagen.errors import HyalineError
+from datagen.reading import read_regular
+from datagen.records import shown
 
 MAX_EXTENT = 1e5
 """Largest coordinate accepted, in metres: beyond it float32 rays lose millimetres."""
 
 MIN_AREA = 1e-14
 """Square metres below which a face counts as none: a tenth of a micrometre a side."""
+
+
+MAX_PLY_BYTES = 1 << 30
+"""Twenty million triangles."""
+MAX_HEADER_BYTES = 1 << 16
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -264,12 +271,11 @@ def read_ply(path: Path) -> tuple[Mesh, bool]:
     Raises:
         HyalineError: the file is missing, truncated, or not a PLY of triangles.
     """
-    if not path.is_file():
-        raise HyalineError(f"{path}: the mesh file is missing")
-    data = path.read_bytes()
+    data = read_regular(path, at_most=MAX_PLY_BYTES)
     if (ours := _read_our_ply(data)) is not None:
         _check_indices(ours.faces, len(ours.vertices), where=path)
         return ours, True
+    _check_header(data, where=path)
     # Slow to import, and not needed for what was written here.
     import trimesh
 
@@ -305,6 +311,20 @@ def read_ply(path: Path) -> tuple[Mesh, bool]:
         uv=uv.reshape(-1, 2).astype(np.float32),
     )
     return mesh, uv_names is not None
+
+
+def _check_header(data: bytes, *, where: Path) -> None:
+    """Refuses what is no PLY, and promises that its bytes cannot keep: trimesh would set memory aside for them."""
+    header, end, _ = data[:MAX_HEADER_BYTES].partition(b"end_header")
+    if not data.startswith(b"ply") or not end:
+        raise HyalineError(f"{where}: not a PLY mesh that can be read (it has no header); expected a PLY mesh")
+    rest = len(data) - len(header) - len(end)
+    for name, count in re.findall(rb"^\s*element\s+(\S+)\s+(\S+)\s*$", header, re.MULTILINE):
+        if not count.isdigit() or len(count) > 12 or int(count) > rest:
+            number, what = (shown(word.decode(errors="replace")) for word in (count, name))
+            raise HyalineError(
+                f"{where}: its header says {number} of {what}, in {rest:,} bytes; it is truncated, export it again"
+            )
 
 
 def _check_indices(faces: np.ndarray, num_vertices: int, *, where: Path) -> None:

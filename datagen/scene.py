@@ -20,8 +20,9 @@ from datagen.meshes import (
     read_ply,
     write_ply,
 )
+from datagen.reading import load_json
 from datagen.records import Json, from_json, to_json
-from datagen.storage import commit, dump_json, load_json
+from datagen.storage import commit, dump_json
 
 Record = TypeVar("Record")
 Vector = tuple[float, float, float]
@@ -442,6 +443,9 @@ def load_scene(folder: Path, *, is_sealed: bool = False) -> Scene:
     data = load_json(path)
     if data.get("version") != SCENE_VERSION:
         raise HyalineError(f"{path}: version {data.get('version')!r}; this program reads version {SCENE_VERSION}")
+    listed = data.get("objects")
+    if isinstance(listed, list) and len(listed) > MAX_OBJECTS:
+        raise HyalineError(f"{path}: has {len(listed):,} objects; expected at most {MAX_OBJECTS}")
     file = _parse_scene(data, path)
     objects, without_uv = [], set()
     for item in file.objects:

@@ -10,6 +10,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from datagen.errors import DamagedError, HyalineError
+from datagen.os_errors import naming
+from datagen.reading import MAX_JSON_BYTES, parse_json, read_regular
 from datagen.records import Json
 
 SEAL = "sha256"
@@ -34,10 +36,12 @@ def sha256_file(path: Path) -> str:
 
     Raises:
         DamagedError: the file is missing.
+        HyalineError: it is no regular file, or cannot be read.
     """
-    if not path.is_file():
-        raise DamagedError(f"{path}: the file is missing; build it again")
-    return sha256(path.read_bytes())
+    try:
+        return sha256(read_regular(path))
+    except DamagedError as error:
+        raise DamagedError(f"{error}; build it again") from None
 
 
 def commit(path: Path, data: bytes) -> None:
@@ -45,9 +49,10 @@ def commit(path: Path, data: bytes) -> None:
 
     Of several processes that commit to one path at once, on whichever machines, the last one wins, whole.
     """
-    temporary = _write_temporary(path, data)
-    temporary.replace(path)
-    _sync_folder(path.parent)
+    with naming(path):
+        temporary = _write_temporary(path, data)
+        temporary.replace(path)
+        _sync_folder(path.parent)
 
 
 def commit_same(path: Path, data: bytes) -> None:
@@ -60,15 +65,16 @@ def commit_first(path: Path, data: bytes) -> None:
     """Commits `data` unless a file stands there, which stays; of several at once, on whichever machines, one wins."""
     if path.is_file():
         return
-    temporary = _write_temporary(path, data)
-    try:
-        path.hardlink_to(temporary)
-    except FileExistsError:
-        pass
-    except OSError:  # A file system without hard links: there the last one wins.
-        temporary.replace(path)
-    temporary.unlink(missing_ok=True)
-    _sync_folder(path.parent)
+    with naming(path):
+        temporary = _write_temporary(path, data)
+        try:
+            path.hardlink_to(temporary)
+        except FileExistsError:
+            pass
+        except OSError:  # A file system without hard links: there the last one wins.
+            temporary.replace(path)
+        temporary.unlink(missing_ok=True)
+        _sync_folder(path.parent)
 
 
 def _write_temporary(path: Path, data: bytes) -> Path:
@@ -95,23 +101,6 @@ def dump_json(data: Json) -> bytes:
     return (json.dumps(data, indent=2, sort_keys=True, allow_nan=False) + "\n").encode()
 
 
-def load_json(path: Path) -> dict[str, Json]:
-    """A JSON object from a file.
-
-    Raises:
-        DamagedError: missing, not UTF-8 JSON, or not an object.
-    """
-    if not path.is_file():
-        raise DamagedError(f"{path}: the file is missing")
-    try:
-        data = json.loads(path.read_bytes())
-    except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
-        raise DamagedError(f"{path}: not a JSON file ({error})") from error
-    if not isinstance(data, dict):
-        raise DamagedError(f"{path}: holds a {type(data).__name__}; expected a JSON object")
-    return data
-
-
 def seal_bytes(data: dict[str, Json]) -> bytes:
     """The bytes of a sealed JSON file: canonical, with the hash of the rest under `SEAL`."""
     if SEAL in data:
@@ -130,9 +119,10 @@ def load_sealed(path: Path) -> dict[str, Json]:
     Raises:
         DamagedError: any byte differs from what was sealed.
     """
-    data = load_json(path)
+    text = read_regular(path, at_most=MAX_JSON_BYTES)
+    data = parse_json(text, where=str(path))
     data.pop(SEAL, None)
-    if path.read_bytes() != seal_bytes(data):
+    if text != seal_bytes(data):
         raise DamagedError(f"{path}: does not match its own checksum; the file was damaged or edited, build it again")
     return data
 
@@ -164,11 +154,13 @@ def shared_writers(root: Path) -> contextlib.AbstractContextManager[None]:
 
 @contextlib.contextmanager
 def _locked(root: Path, how: int) -> Iterator[None]:
-    root.mkdir(parents=True, exist_ok=True)
-    handle = os.open(root, os.O_RDONLY)
+    with naming(root):
+        root.mkdir(parents=True, exist_ok=True)
+        handle = os.open(root, os.O_RDONLY)
     try:
         try:
-            fcntl.flock(handle, how | fcntl.LOCK_NB)
+            with naming(root):
+                fcntl.flock(handle, how | fcntl.LOCK_NB)
         except BlockingIOError:
             raise HyalineError(f"{root}: another process is writing there; wait for it, or stop it") from None
         yield

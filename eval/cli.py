@@ -8,7 +8,6 @@ import sys
 from pathlib import Path
 
 from datagen.command import run, say
-from datagen.dataset import find_dataset
 
 DESCRIPTION = "Scores the pictures that methods predicted against a dataset's truth: tables, figures, JSON."
 
@@ -39,6 +38,7 @@ def report(
         order: Layers, 1 to 8: adds a table of pixels that show objects in an order which no training pixel has among
             its first so many layers. 0 adds none.
     """
+    from datagen.dataset import find_dataset
     from eval.report import make_report, make_tables
 
     place = out if out is not None else runs / "report"

@@ -4,13 +4,15 @@
     RUNS/SCENE/NAME/edits/EDIT/predictions/...       the same of the dataset's edits/EDIT (eval/edits.py)
     RUNS/SCENE/NAME/run.json                         optional: method, geometry, knowledge, dataset, dataset_seal,
                                                      seed, num_parameters, num_layers, label, config (an object of
-                                                     choices), layers_seal; other keys are not read here
+                                                     choices), layers_seal; what else `model train` writes is not
+                                                     read here, and any other key is refused
 
     RUNS/SCENE/NAME/x2/predictions/...               the same, twice as wide and high: super-resolution
 
 Test splits are scored; pictures of the training split may lie there, too.
 """
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
@@ -19,12 +21,19 @@ import numpy as np
 from jaxtyping import UInt8
 
 from datagen.command import choose
-from datagen.dataset import ANGLE_SPLITS, SPLITS, Dataset, Split, open_dataset, read_png, view_name
+from datagen.dataset import ANGLE_SPLITS, SPLITS, Dataset, Split, open_dataset, open_png, view_name
 from datagen.errors import HyalineError
-from datagen.records import Json
-from datagen.storage import load_json, sha256, sha256_file
+from datagen.reading import load_json
+from datagen.records import Json, shown
+from datagen.storage import sha256, sha256_file
 
 Value = TypeVar("Value", int, str)
+
+RUN_KEYS = frozenset({
+    "config", "dataset", "dataset_seal", "geometry", "knowledge", "label", "layers_seal", "method", "num_layers",
+    "num_parameters", "num_texture_parameters", "seed", "torch", "type", "version",
+})  # fmt: skip
+"""What run.json may hold: what `model train` writes, of which a foreign method may leave out any."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -90,7 +99,9 @@ def open_run(folder: Path, data_root: Path, given: Dataset | None = None) -> Run
         HyalineError: a damaged record, no dataset, or one that differs from the data the run was made for.
     """
     path = folder / "run.json"
-    record = load_json(path) if path.is_file() else {}
+    record = load_json(path) if os.path.lexists(path) else {}
+    if unknown := sorted(set(record) - RUN_KEYS):
+        raise HyalineError(f"{path}: unknown key {shown(unknown[0])}; known are {', '.join(sorted(RUN_KEYS))}")
     named = _optional(record, "dataset", str, path)
     places = [*([] if given is None else [given.root]), *([] if named is None else [Path(named)])]
     return Run(
@@ -141,21 +152,13 @@ def read_prediction(run: Run, split: Split, view: int) -> UInt8[np.ndarray, "h w
     Raises:
         HyalineError: unreadable, of another size than the truth, not 8 bits a channel, or not opaque.
     """
-    from PIL import Image
-
-    path, size = prediction_path(run, split, view), run.dataset.config.resolution
-    image = read_png(path)
-    with Image.open(path) as picture:
-        mode = picture.mode
-        opaque = not picture.has_transparency_data or picture.convert("RGBA").getchannel("A").getextrema() == (255, 255)
-    if mode not in ("RGB", "RGBA", "L", "LA", "P"):
-        raise HyalineError(f"{path}: its pixels are {mode!r}; expected 8-bit sRGB")
-    if not opaque:
+    path = prediction_path(run, split, view)
+    picture = open_png(path, size=run.dataset.config.resolution)
+    if picture.mode not in ("RGB", "RGBA", "L", "LA", "P"):
+        raise HyalineError(f"{path}: its pixels are {picture.mode!r}; expected 8-bit sRGB")
+    if picture.has_transparency_data and picture.convert("RGBA").getchannel("A").getextrema() != (255, 255):
         raise HyalineError(f"{path}: has transparent pixels; expected opaque ones: compose it over its background")
-    if image.shape != (size, size, 3):
-        height, width = image.shape[:2]
-        raise HyalineError(f"{path}: is {width} x {height} pixels; expected {size} x {size}, as the truth has")
-    return image
+    return np.asarray(picture.convert("RGB"))
 
 
 def predictions_sha256(run: Run, splits: list[Split]) -> str:
@@ -189,12 +192,12 @@ def _find_dataset(folder: Path, places: list[Path], seal: str | None) -> Dataset
 def _config(record: dict[str, Json], path: Path) -> dict[str, Json] | None:
     config = record.get("config")
     if config is not None and not isinstance(config, dict):
-        raise HyalineError(f"{path}: config is {config!r}; expected an object")
+        raise HyalineError(f"{path}: config is {shown(config)}; expected an object")
     return config
 
 
 def _optional(record: dict[str, Json], key: str, kind: type[Value], path: Path) -> Value | None:
     value = record.get(key)
     if value is not None and (not isinstance(value, kind) or isinstance(value, bool)):
-        raise HyalineError(f"{path}: {key} is {value!r}; expected {'an integer' if kind is int else 'text'}")
+        raise HyalineError(f"{path}: {key} is {shown(value)}; expected {'an integer' if kind is int else 'text'}")
     return value

@@ -19,13 +19,16 @@ import difflib
 import functools
 import io
 import itertools
-import tomllib
+import math
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from datagen.command import choose
 from datagen.errors import HyalineError
+from datagen.reading import load_toml
+from datagen.records import shown
 from model.choices import CHOICES, CommonChoices, flags_of, named_method
 
 EXPERIMENTS = Path(__file__).parent / "experiments"
@@ -33,6 +36,9 @@ EXPERIMENTS = Path(__file__).parent / "experiments"
 KEPT_FLAGS = ("out", "name", "overwrite")
 """Those that no run of an experiment may set: its folder is the one that `model train` gives, and a run that was
 stopped goes on."""
+
+MAX_RUNS = 1000
+"""Of an experiment: what asks for more has a slip in it, or would take a year."""
 
 Value = bool | int | float | str
 
@@ -67,25 +73,26 @@ def read_experiment(given: str, *, datasets: Sequence[str] = (), seeds: Sequence
     path = Path(given)
     if path.suffix != ".toml":
         path = EXPERIMENTS / f"{choose('experiment', given, list_experiments())}.toml"
-    if not path.is_file():
+    if not os.path.lexists(path):
         raise HyalineError(f"{path}: the file is missing; known without a file are {', '.join(list_experiments())}")
-    try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise HyalineError(f"{path}: not TOML ({error})") from error
+    content = load_toml(path)
     if unknown := sorted(set(content) - {"about", "runs"}):
-        raise HyalineError(f"{path}: unknown key {unknown[0]!r}; known are about and runs")
+        raise HyalineError(f"{path}: unknown key {shown(unknown[0])}; known are about and runs")
     about, blocks = content.get("about", ""), content.get("runs", [])
     if not isinstance(about, str):
-        raise HyalineError(f"{path}: about is {about!r}; expected text")
+        raise HyalineError(f"{path}: about is {shown(about)}; expected text")
     if not (isinstance(blocks, list) and blocks and all(isinstance(block, dict) for block in blocks)):
         raise HyalineError(f"{path}: has no runs; expected at least one block that begins with [[runs]]")
     replaced = {"dataset": list(datasets), "seed": list(seeds)}
+    # In the block's order, so that seeds given here vary as those of the file would.
+    asked = [block | {key: values for key, values in replaced.items() if values} for block in blocks]
+    if (count := sum(map(_count_runs, asked))) > MAX_RUNS:
+        raise HyalineError(
+            f"{path}: asks for {shown(count)} runs; expected at most {MAX_RUNS:,}, split it into several files"
+        )
     runs: dict[str, tuple[str, ...]] = {}
-    for place, block in enumerate(blocks):
-        # In the block's order, so that seeds given here vary as those of the file would.
-        asked = block | {key: values for key, values in replaced.items() if values}
-        for arguments, parsed in _grid(asked, where=f"{path}: runs[{place}]"):
+    for place, block in enumerate(asked):
+        for arguments, parsed in _grid(block, where=f"{path}: runs[{place}]"):
             runs.setdefault(repr(sorted(parsed.items())), arguments)
     return Experiment(name=path.stem, about=about, runs=tuple(runs.values()))
 
@@ -138,6 +145,10 @@ def _grid(block: Mapping[str, object], *, where: str) -> list[tuple[tuple[str, .
     return [(arguments, parse_train(arguments)) for arguments in runs]
 
 
+def _count_runs(block: Mapping[str, object]) -> int:
+    return math.prod(len(values) for values in block.values() if isinstance(values, list))
+
+
 def _values(block: Mapping[str, object], key: str, where: str) -> list[object]:
     given = block[key]
     values = given if isinstance(given, list) else [given]
@@ -151,10 +162,11 @@ def _check_key(key: str, method: str, where: str) -> None:
         raise HyalineError(f"{where}: {key} cannot be set; a run's folder is the one that `model train` gives it")
     flags = flags_of(CommonChoices) | flags_of(CHOICES[method])
     if key not in flags:
-        near = difflib.get_close_matches(key, flags, n=1, cutoff=0.5)
+        near = difflib.get_close_matches(key[:100], flags, n=1, cutoff=0.5)
         hint = f"did you mean {near[0]!r}? " if near else ""
         raise HyalineError(
-            f"{where}: unknown key {key!r}; {hint}expected a flag of `model train --method {method}` without its dashes"
+            f"{where}: unknown key {shown(key)}; {hint}"
+            f"expected a flag of `model train --method {method}` without its dashes"
         )
 
 
@@ -163,7 +175,7 @@ def _flag(key: str, value: object, method: str, where: str) -> tuple[str, ...]:
     is_switch = isinstance(parse_train(("--method", method))[key.replace("-", "_")], bool)
     if not isinstance(value, Value) or isinstance(value, bool) != is_switch:
         expected = "true or false" if is_switch else "a number or text, or a list of them"
-        raise HyalineError(f"{where}: {key} is {value!r}; expected {expected}")
+        raise HyalineError(f"{where}: {key} is {shown(value)}; expected {expected}")
     if is_switch:
         return (f"--{key}",) if value else ()
     arguments = (f"--{key}", str(value))
@@ -171,6 +183,6 @@ def _flag(key: str, value: object, method: str, where: str) -> tuple[str, ...]:
         parse_train(arguments if key == "method" else ("--method", method, *arguments))
     except HyalineError:
         raise HyalineError(
-            f"{where}: {key} is {value!r}, which `model train` does not take; see `model train --help`"
+            f"{where}: {key} is {shown(value)}, which `model train` does not take; see `model train --help`"
         ) from None
     return arguments

@@ -24,8 +24,9 @@ from datagen.annex import homes_of_test_splits
 from datagen.dataset import ANGLE_SPLITS, TEST_SPLITS, Dataset, check_files
 from datagen.errors import HyalineError
 from datagen.geometry import describe_geometry
+from datagen.reading import load_json
 from datagen.records import Json, from_json, to_json
-from datagen.storage import commit, commit_sealed, dump_json, load_json, load_sealed
+from datagen.storage import commit, commit_sealed, dump_json, load_sealed
 from model.losses import LossConfig
 from model.methods import LrDecay, MethodConfig
 

@@ -1,6 +1,7 @@
 """The report end to end: folders of pictures in, tables, data and contact sheets out."""
 
 import csv
+import dataclasses
 import io
 import json
 import math
@@ -22,8 +23,9 @@ from datagen.errors import HyalineError
 from datagen.geometry import TRUTH
 from datagen.layers import glass_mask, read_layers
 from eval.report import make_report
-from eval.runs import list_run_folders
+from eval.runs import RUN_KEYS, list_run_folders
 from eval.tables import CEILING, latex_escaped
+from model.run_folder import RunRecord
 
 SCRIPTS = Path(sys.executable).parent
 
@@ -42,7 +44,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "seed": 3,
         "num_parameters": 33267,
         "label": "tiny",
-        "unheard_of": [1, 2],
+        "num_texture_parameters": 1,
     }
     for name, change in {"perfect": lambda image: image, "grey": lambda image: np.full_like(image, 128)}.items():
         for split in TEST_SPLITS:
@@ -252,7 +254,7 @@ def test_a_wrong_size_is_refused(copy: Path) -> None:
     ("content", "message"),
     [
         (b"no picture", "not a PNG that can be read"),
-        (Image.new("I;16", (32, 32)), "pixels are 'I;16'; expected 8-bit sRGB"),
+        (Image.new("I;16", (32, 32)), "has 16 bits a channel; expected 8-bit sRGB"),
         (Image.new("RGBA", (32, 32), (0, 0, 0, 9)), "has transparent pixels"),
     ],
 )
@@ -299,6 +301,26 @@ def test_only_the_runs_of_the_chosen_dataset_are_scored(copy: Path, capsys: pyte
     assert list(csv_rows(capsys.readouterr().out)) == ["foreign_nerf", "grey", "perfect", CEILING]
     with pytest.raises(HyalineError, match=r"^.*other/lost: no dataset at .*elsewhere/other"):
         make_report(copy / "runs", copy / "elsewhere", copy / "out", output_format="csv")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('{"unheard_of": 1}', "unknown key 'unheard_of'; known are config, dataset"),
+        ('{"seed": 1, "seed": 2}', "key 'seed' stands twice in one object"),
+        ('{"seed": 1e999}', "the number '1e999' is not finite"),
+        ('{"config": ' + "[" * 70 + "]" * 70 + "}", "nested too deeply; expected at most 64 levels"),
+    ],
+)
+@pytest.mark.usefixtures("no_pictures")
+def test_a_record_that_cannot_be_trusted_is_refused(copy: Path, text: str, message: str) -> None:
+    (copy / "runs" / "synthetic" / "grey" / "run.json").write_text(text)
+    with pytest.raises(HyalineError, match=rf"grey/run\.json: {message}"):
+        report(copy)
+
+
+def test_the_report_knows_every_key_that_training_writes() -> None:
+    assert {item.name for item in dataclasses.fields(RunRecord)} | {"type"} == RUN_KEYS
 
 
 def test_no_run_at_all_says_how_to_make_one(tmp_path: Path) -> None:
