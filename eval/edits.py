@@ -1,6 +1,5 @@
 """Owns the scores of edited scenes: what a trained renderer draws from other layers, against the edited truth."""
 
-import dataclasses
 from dataclasses import dataclass
 from typing import Literal
 
@@ -12,7 +11,7 @@ from datagen.errors import HyalineError
 from datagen.footprints import ELSEWHERE, LIGHT, OBJECT, read_footprint
 from datagen.storage import load_sealed
 from eval.regions import Image, Masks, RegionScores, mean_share, predictions, psnr_by_region, truths
-from eval.runs import Run, has_split
+from eval.runs import Run, has_split, within
 from eval.score import SceneScores
 
 REGIONS: dict[str, tuple[int, ...]] = {
@@ -90,7 +89,7 @@ def edit_run(run: Run, edited: Dataset) -> Run | None:
         HyalineError: a picture is missing or too many, or they were made for another version of the edit.
     """
     folder = run.folder / "edits" / edited.name
-    found = dataclasses.replace(run, folder=folder, dataset=edited)
+    found = within(run, folder, edited)
     if not any(has_split(found, split) for split in TEST_SPLITS):
         return None
     record = folder / "predictions.json"

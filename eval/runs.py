@@ -8,10 +8,14 @@
                                                      read here, and any other key is refused
 
     RUNS/SCENE/NAME/x2/predictions/...               the same, twice as wide and high: super-resolution
+    .../predictions.json                             optional, beside each folder `predictions`; sealed: SHA-256 of each
+                                                     picture, which are verified then
 
+A PNG's own checksums are verified in any case (eval/png.py).
 Test splits are scored; pictures of the training split may lie there, too.
 """
 
+import dataclasses
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,11 +25,12 @@ import numpy as np
 from jaxtyping import UInt8
 
 from datagen.command import choose
-from datagen.dataset import ANGLE_SPLITS, SPLITS, Dataset, Split, open_dataset, open_png, view_name
+from datagen.dataset import ANGLE_SPLITS, MAX_PNG_BYTES, SPLITS, Dataset, Split, decode_png, open_dataset, view_name
 from datagen.errors import HyalineError
-from datagen.reading import load_json
-from datagen.records import Json, shown
-from datagen.storage import sha256, sha256_file
+from datagen.reading import load_json, read_regular
+from datagen.records import Json, from_json, shown
+from datagen.storage import SEAL, load_sealed, sha256
+from eval.png import check_png
 
 Value = TypeVar("Value", int, str)
 
@@ -57,6 +62,8 @@ class Run:
     """Everything that was chosen; runs that agree in it and differ in their seed are averaged."""
     layers_seal: str | None
     """Hash that names the layers it was trained on."""
+    promised: dict[str, str] | None
+    """SHA-256 of each picture by path relative to the folder; None: nobody has told."""
 
 
 def list_run_folders(root: Path, *, besides: Path) -> list[Path]:
@@ -100,6 +107,8 @@ def open_run(folder: Path, data_root: Path, given: Dataset | None = None) -> Run
     """
     path = folder / "run.json"
     record = load_json(path) if os.path.lexists(path) else {}
+    if SEAL in record:
+        record = load_sealed(path)
     if unknown := sorted(set(record) - RUN_KEYS):
         raise HyalineError(f"{path}: unknown key {shown(unknown[0])}; known are {', '.join(sorted(RUN_KEYS))}")
     named = _optional(record, "dataset", str, path)
@@ -119,7 +128,24 @@ def open_run(folder: Path, data_root: Path, given: Dataset | None = None) -> Run
         num_layers=_optional(record, "num_layers", int, path),
         config=_config(record, path),
         layers_seal=_optional(record, "layers_seal", str, path),
+        promised=_read_promised(folder),
     )
+
+
+def within(run: Run, folder: Path, dataset: Dataset) -> Run:
+    """A run's predictions of other truth, in a folder of its own inside the run's, as a run.
+
+    Raises:
+        HyalineError: the list of its pictures is damaged.
+    """
+    return dataclasses.replace(run, folder=folder, dataset=dataset, promised=_read_promised(folder))
+
+
+def _read_promised(folder: Path) -> dict[str, str] | None:
+    path = folder / "predictions.json"
+    if not path.is_file():
+        return None
+    return from_json(dict[str, str], load_sealed(path).get("files"), where=f"{path}: files")
 
 
 def prediction_path(run: Run, split: Split, view: int) -> Path:
@@ -150,10 +176,13 @@ def read_prediction(run: Run, split: Split, view: int) -> UInt8[np.ndarray, "h w
     """One predicted picture.
 
     Raises:
-        HyalineError: unreadable, of another size than the truth, not 8 bits a channel, or not opaque.
+        HyalineError: a bit of it differs from what was written, it is of another size than the truth, not 8 bits a
+            channel, or not opaque.
     """
     path = prediction_path(run, split, view)
-    picture = open_png(path, size=run.dataset.config.resolution)
+    data = _read_bytes(run, split, view)
+    check_png(data, where=str(path))
+    picture = decode_png(data, where=str(path), size=run.dataset.config.resolution)
     if picture.mode not in ("RGB", "RGBA", "L", "LA", "P"):
         raise HyalineError(f"{path}: its pixels are {picture.mode!r}; expected 8-bit sRGB")
     if picture.has_transparency_data and picture.convert("RGBA").getchannel("A").getextrema() != (255, 255):
@@ -161,10 +190,33 @@ def read_prediction(run: Run, split: Split, view: int) -> UInt8[np.ndarray, "h w
     return np.asarray(picture.convert("RGB"))
 
 
+def _read_bytes(run: Run, split: Split, view: int) -> bytes:
+    """The bytes of a prediction, those that were promised where somebody did."""
+    path = prediction_path(run, split, view)
+    data = read_regular(path, at_most=MAX_PNG_BYTES)
+    relative = path.relative_to(run.folder).as_posix()
+    if run.promised is not None and run.promised.get(relative) != sha256(data):
+        what = "damaged (checksum differs)" if relative in run.promised else "not among those that were written"
+        raise HyalineError(
+            f"{path}: {what}, says {run.folder / 'predictions.json'}; render it again with `{_render_command(run)}`"
+        )
+    return data
+
+
+def _render_command(run: Run) -> str:
+    """The command that writes a run's pictures; of an edit or a size, that inside the run."""
+    folder = run.folder
+    if folder.parent.name == "edits":
+        return f"model render --run {folder.parent.parent} --edit {folder.name}"
+    if folder.name != run.name:
+        return f"model render --run {folder.parent} --scale {folder.name.removeprefix('x')}"
+    return f"model render --run {folder}"
+
+
 def predictions_sha256(run: Run, splits: list[Split]) -> str:
     """One hash over the pictures of these splits: of the lines `SPLIT/0000.png SHA-256`, in the order given."""
     lines = [
-        f"{split}/{view_name(view)}.png {sha256_file(prediction_path(run, split, view))}\n"
+        f"{split}/{view_name(view)}.png {sha256(_read_bytes(run, split, view))}\n"
         for split in splits
         for view in range(run.dataset.config.split(split).views)
     ]

@@ -1,6 +1,5 @@
 """Owns super-resolution: what a run draws at twice the size and more, against truth of that size."""
 
-import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +11,7 @@ from datagen.dataset import TEST_SPLITS, Dataset, Split, open_dataset, read_imag
 from datagen.errors import HyalineError
 from datagen.records import Json, to_json
 from eval.angle_scores import splits_json
-from eval.runs import has_split, read_prediction
+from eval.runs import has_split, read_prediction, within
 from eval.score import RunScores, SceneScores, SplitScores, Truth, read_truth, score_picture, score_run
 from eval.tables import CEILING, MISSING, Column, Grid, format_number
 
@@ -108,8 +107,8 @@ def _score_annex(scene: SceneScores, annex: Dataset, errors: list[HyalineError])
         enlarged={TRUTH_ENLARGED: _enlarged(scene.dataset, annex, truths, None)},
     )
     for known in track(scene.runs, label=f"scoring {annex.root}", total=len(scene.runs)):
-        run = dataclasses.replace(known.run, dataset=annex, folder=known.run.folder / annex.root.name)
         try:
+            run = within(known.run, known.run.folder / annex.root.name, annex)
             if any(has_split(run, split) for split in truths):
                 scores.drawn[run.name] = score_run(run, truths).splits
                 scores.enlarged[run.name] = _enlarged(scene.dataset, annex, truths, known)
