@@ -7,7 +7,7 @@ from typing import Literal
 
 from datagen.dataset import TEST_SPLITS, Split
 from eval.comparison_tables import NOT_RUN, spread_cell
-from eval.comparisons import VIEW, Comparison, Entry, Line, find_entries
+from eval.comparisons import BEST, VIEW, Comparison, Entry, Line, find_entries
 from eval.published import DNR, SPHERICAL_HARMONICS, VIEW_VECTOR, PublishedRow
 from eval.score import SceneScores
 from eval.seeds import SeedGroup, Spread, group_seeds, spread
@@ -74,6 +74,8 @@ CLAIMS = (
         pairs=(
             _pair(_paper("paper"), U_NET, None),
             _pair(_paper("paper"), U_NET_LAYERS, None),
+            _pair(BEST, U_NET, None),
+            _pair(BEST, U_NET_LAYERS, None),
             _pair(Line(title="per pixel on the first layer", method="mlp-first"), U_NET, None),
         ),
         conditions=(Condition(what="drop", measure=lambda group, _: group.drop_db, should_be="lower"),),

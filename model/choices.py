@@ -11,8 +11,7 @@ from typing import Any, Literal
 
 from datagen.errors import HyalineError
 from datagen.geometry import TRUTH
-
-DEFAULT_STEPS = 2500
+from model.paper_presets import DEFAULT_STEPS, PAPER_PRESETS
 
 
 def _choice(default: object, suffix: str | dict[object, str]) -> Any:
@@ -38,18 +37,20 @@ class CommonChoices:
     """Folder of the run. Default: runs/SCENE/METHOD, with a suffix for each choice that is not the default."""
     name: str | None = None
     """Label of the run in tables. Default: from the folder's name."""
-    steps: int = DEFAULT_STEPS
-    """Optimiser steps; more for larger datasets."""
+    steps: int | None = None
+    """Optimiser steps; more for larger datasets. Default: 2500; 5000 with paper's best preset, each of half as many
+    rays."""
     batch: int | None = _choice(None, "batch{}")
     """Random pixels a step, for U-Nets about as many in crops. Default: 8192; 16384 for U-Nets, 2048 (of several rays)
-    for light-path; for deepvoxels 2 pictures."""
+    for light-path, 1024 for paper's best preset; for deepvoxels 2 pictures."""
     lr: float | None = _choice(None, "lr{}")
-    """Learning rate of Adam. Default: 0.001; 0.002 for light-path, for deepvoxels what --voxels says."""
+    """Learning rate of Adam. Default: 0.001; 0.002 for light-path and for paper's best preset, for deepvoxels what
+    --voxels says."""
     texture_lr: float | None = _choice(None, "texture-lr{}")
-    """Learning rate of the textures. Default: the same; 0.04 for light-path."""
+    """Learning rate of the textures. Default: the same; 0.04 for light-path and for paper's best preset."""
     lr_decay: Literal["none", "linear", "cosine"] | None = _choice(None, {"none": "no-decay", "": "{}-decay"})
     """none, linear (constant, then down to 0 over the second half) or cosine. Default: linear; cosine for
-    light-path, none for deepvoxels, but linear with `--voxels small`."""
+    light-path and for paper's best preset, none for deepvoxels, but linear with `--voxels small`."""
     seed: int = 0
     """Seed of everything random."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
@@ -87,31 +88,38 @@ class LossChoices:
 class PaperChoices:
     """What `paper` and `mlp-first` are made of."""
 
+    preset: Literal["published", "best"] = _choice("published", {"best": "best"})
+    """published: the renderer of the paper's text. best: the same idea (straight layers, neural textures, a network
+    for each pixel) with everything that was found to help it. Flags that are given override the preset's values, which
+    are listed in model/paper_presets.py."""
     extrinsics: Literal["none", "view", "sh"] = _choice("view", {"none": "no-extrinsics", "sh": "sh"})
     """What each layer is told of the camera: nothing, the view vector, or three bands of SH of it."""
-    width: str = _choice("34k", "w{}")
-    """Hidden units of the first layer: 34k (as many as make 34,000 parameters), 256, or any number."""
+    width: str | None = _choice(None, "w{}")
+    """Hidden units of the first layer: 34k (as many as make 34,000 parameters), 256, or any number. Default: 34k; 256
+    of the best preset."""
     blocks: int = _choice(3, "{}-blocks")
     """Residual blocks; each halves the channels."""
-    norm: Literal["batch", "none"] = _choice("batch", "no-norm")
-    """Batch norm after each linear layer (the paper's text) or none (the authors' code)."""
+    norm: Literal["batch", "none"] | None = _choice(None, {"none": "no-norm", "batch": "batch-norm"})
+    """Batch norm after each linear layer (the paper's text) or none (the authors' code). Default: batch; none with the
+    best preset."""
     textures: Literal["object", "scene"] = _choice("object", "scene-texture")
     """A neural texture for each object, or one for the whole scene."""
     texture_size: int | None = _choice(None, "t{}")
-    """Width and height of a texture in texels. Default: half the image's width."""
+    """Width and height of a texture in texels. Default: half the image's width; all of it with the best preset."""
     zero_layer: bool = _choice(False, "zero-layer")
     """Insert a layer of zeros at a random place while training (section 4.4)."""
     layers: str | None = _choice(None, "{}-layers")
     """Straight layers that are looked up: a number (the nearest ones), online (traced anew for each batch, through a
     random place of each pixel; no stored layer is read) or both, such as online-4. Default: all that are stored."""
     rays: int | None = _choice(None, "{}-rays")
-    """Rays per pixel while training, a square number. Default: 1."""
+    """Rays per pixel while training, a square number. Default: 1; 4 with the best preset."""
     render_rays: int | None = _choice(None, "{}-render-rays")
-    """Rays per pixel while rendering, a square number. Default: 1."""
+    """Rays per pixel while rendering, a square number. Default: 1; 16 with the best preset."""
     features: int = _choice(16, "{}-features")
     """Channels of a texture; 64 in the paper's runs on coarse proxies."""
-    texture_levels: int = _choice(1, "{}-levels")
-    """Textures summed, each half as wide as the one before; 4 in Deferred Neural Rendering."""
+    texture_levels: int | None = _choice(None, "{}-levels")
+    """Textures summed, each half as wide as the one before; 4 in Deferred Neural Rendering. Default: 1; 5 with the best
+    preset."""
     precision: Literal["fp32", "bf16"] = _choice("fp32", {"bf16": "bf16"})
     """Numbers that the network multiplies: bf16 is faster where the processor has instructions for it."""
     loss: LossChoices = LossChoices()
@@ -227,7 +235,8 @@ def folder_name(common: CommonChoices, choices: MethodChoices) -> str:
     parts = [common.method]
     parts += [common.geometry] if common.geometry != TRUTH else []
     parts += _suffixes(choices) + _suffixes(common)
-    parts += [f"{common.steps}-steps"] if common.steps != DEFAULT_STEPS else []
+    usual = PAPER_PRESETS[choices.preset].steps if isinstance(choices, PaperChoices) else DEFAULT_STEPS
+    parts += [f"{common.steps}-steps"] if common.steps not in (None, usual) else []
     parts += [f"seed{common.seed}"] if common.seed else []
     return "-".join(parts)
 

@@ -1,5 +1,6 @@
 """Owns the command `model`: parse, make a configuration, call one function."""
 
+import dataclasses
 import functools
 import os
 import sys
@@ -80,12 +81,13 @@ def configure(common: CommonChoices, choices: MethodChoices) -> "tuple[TrainConf
     check_geometry(opened, common.geometry)
     num_layers, _ = read_layers_of(method, opened, common.geometry)
     defaults = method.optimise(choices, method.optimisation)
+    losses = LossConfig() if isinstance(choices, DeepVoxelsChoices) else configure_losses(choices.loss)
     config = TrainConfig(
         method=common.method,
         geometry=common.geometry,
         net=method.configure(choices, opened, common.geometry, num_layers),
         seed=common.seed,
-        steps=common.steps,
+        steps=defaults.steps if common.steps is None else common.steps,
         batch=defaults.batch if common.batch is None else common.batch,
         lr=defaults.lr if common.lr is None else common.lr,
         texture_lr=defaults.texture_lr if common.texture_lr is None else common.texture_lr,
@@ -93,7 +95,7 @@ def configure(common: CommonChoices, choices: MethodChoices) -> "tuple[TrainConf
         lr_decay=common.lr_decay or defaults.lr_decay,
         beta1=defaults.beta1,
         weight_decay=defaults.weight_decay,
-        loss=LossConfig() if isinstance(choices, DeepVoxelsChoices) else configure_losses(choices.loss),
+        loss=dataclasses.replace(losses, softness=defaults.softness),
     )
     return config, opened
 

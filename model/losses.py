@@ -21,6 +21,9 @@ LEAST_PATCH = 32
 class LossConfig:
     """What is made small besides the difference of each pixel, whose weight is 1 (mean absolute, sRGB of 0 to 1)."""
 
+    softness: float = 0.0
+    """Differences of pixels well below it count by their squares, those above by their size: the Charbonnier loss, less
+    its value at 0. 0: all by their size, as in the paper. PSNR asks for squares."""
     vgg: VggSource | None = None
     """Whose features a perceptual term compares (section 4.4); None: there is none."""
     perceptual: float = 0.05
@@ -40,7 +43,7 @@ class LossConfig:
     """Of them, in each step, besides the random pixels."""
 
     def __post_init__(self) -> None:
-        for name in ("perceptual", "adversarial"):
+        for name in ("softness", "perceptual", "adversarial"):
             if getattr(self, name) < 0:
                 raise HyalineError(f"{name}: is {getattr(self, name)}; expected a weight of at least 0")
         if not 0 <= self.adversarial_from <= 1 or not 0 < self.adversarial_lr <= 1:
@@ -94,22 +97,23 @@ def pixel_loss(
     batch: int,
     rng: np.random.Generator,
     *,
+    softness: float = 0.0,
     patch_terms: PatchTerms | None = None,
 ) -> Tensor:
-    """Mean absolute difference in sRGB of `batch` random pixels of all training images (section 4.4), and patch terms.
+    """Mean difference in sRGB of `batch` random pixels of all training images (section 4.4), and patch terms.
 
     Patches are rendered together with the pixels, so that batch norm sees both.
     """
     index = torch.from_numpy(rng.integers(len(training.rgb), size=batch)).to(training.rgb.device)
     if patch_terms is None:
         colors = renderer(training.take(index, rng), rng=rng)
-        return difference(colors, take_colors(training, index)).abs().mean()
+        return _soft_mean(difference(colors, take_colors(training, index)), softness)
     patches = draw_patches(training, patch_terms.number, patch_terms.size, rng)
     together = torch.cat([index, patches.flatten()])
     colors, truth = renderer(training.take(together, rng), rng=rng), take_colors(training, together)
     shape = (*patches.shape, 3)
     terms = patch_terms.of(colors[batch:].view(shape), truth[batch:].view(shape))
-    return difference(colors[:batch], truth[:batch]).abs().mean() + terms
+    return _soft_mean(difference(colors[:batch], truth[:batch]), softness) + terms
 
 
 def difference(colors: Float32[Tensor, "*b 3"], truth: Float32[Tensor, "*b 3"]) -> Float32[Tensor, "*b 3"]:
@@ -121,3 +125,10 @@ def difference(colors: Float32[Tensor, "*b 3"], truth: Float32[Tensor, "*b 3"]) 
     """
     missed = colors - truth
     return torch.where(truth < 1, missed, missed.clamp_max(0))
+
+
+def _soft_mean(differences: Float32[Tensor, "pixel 3"], softness: float) -> Tensor:
+    """Their mean size; below `softness` they count by their squares."""
+    if not softness:
+        return differences.abs().mean()
+    return (differences.square() + softness**2).sqrt().mean() - softness

@@ -12,13 +12,14 @@ from datagen.dataset import Dataset, Split
 from datagen.layer_store import LayerKind, LayersHead, read_layers_head
 from model.authors_code import AuthorsConfig, authors_loss, build_authors, configure_authors
 from model.batches import PixelSource, load_pixels
-from model.choices import DeepVoxelsChoices
+from model.choices import DeepVoxelsChoices, PaperChoices
 from model.deepvoxels import PRESETS, DeepVoxelsConfig, build_deepvoxels, configure_deepvoxels, preset_of
 from model.deepvoxels_loss import deepvoxels_loss
 from model.dnr import DnrConfig, build_dnr, configure_dnr, image_loss
 from model.light_path_net import LightPathConfig, build_light_path, configure_light_path
 from model.losses import pixel_loss
 from model.paper import PaperConfig, build_paper, choose_layers, configure_paper
+from model.paper_presets import DEFAULT_STEPS, PAPER_PRESETS
 from model.pixel_cache import map_pixels
 from model.traced_batches import load_light_path_pixels, load_traced_layers
 from model.view_batches import load_views
@@ -38,6 +39,9 @@ class Optimisation:
     texture_lr: float | None
     lr_decay: LrDecay
     sky_lr: float | None = None
+    steps: int = DEFAULT_STEPS
+    softness: float = 0.0
+    """Of the loss (`LossConfig`)."""
     beta1: float = 0.9
     weight_decay: float = 0.0
 
@@ -103,6 +107,19 @@ def traces_layers(config: object) -> bool:
     return isinstance(config, PaperConfig) and (config.online or max(config.train_samples, config.render_samples) > 1)
 
 
+def _optimise_paper(choices: PaperChoices, usual: Optimisation) -> Optimisation:
+    preset = PAPER_PRESETS[choices.preset]
+    return dataclasses.replace(
+        usual,
+        steps=preset.steps,
+        batch=preset.batch,
+        lr=preset.lr,
+        texture_lr=preset.texture_lr,
+        lr_decay=preset.lr_decay,
+        softness=preset.softness,
+    )
+
+
 def _optimise_voxels(choices: DeepVoxelsChoices, usual: Optimisation) -> Optimisation:
     preset = PRESETS[preset_of(choices)]
     return dataclasses.replace(usual, lr=preset.lr, lr_decay=preset.lr_decay)
@@ -118,6 +135,7 @@ METHODS: dict[str, Method] = {
         layers="straight",
         knowledge="",
         optimisation=_PIXELS,
+        optimise=_optimise_paper,
         configure=configure_paper,
         build=build_paper,
         load=_load_straight,
@@ -126,6 +144,7 @@ METHODS: dict[str, Method] = {
         layers="straight",
         knowledge="",
         optimisation=_PIXELS,
+        optimise=_optimise_paper,
         configure=configure_paper,
         build=build_paper,
         load=partial(_load_straight, max_layers=1),

@@ -15,6 +15,7 @@ from model.batches import Pixels, RayBatch, insert_random_layer
 from model.choices import PaperChoices
 from model.extrinsics import EXTRINSIC_CHANNELS, ExtrinsicInputs, Extrinsics, positions_for
 from model.mlp_kernels import Stacks
+from model.paper_presets import PAPER_PRESETS
 from model.pixel_mlp import FoldedMlp, Norm, PixelMlp, Precision, check_width, width_for_34k
 from model.samples import check_samples, linear_curve, srgb_curve
 from model.texture import NeuralTextures, TexturePyramid, TextureSharing, make_layout, places_of
@@ -50,6 +51,8 @@ class PaperConfig:
     """Channels of a texture (section 4.3); 64 on coarse proxies."""
     texture_levels: int = 1
     """Textures summed, each half as wide as the one before; the paper has one (section 4.3)."""
+    finer_counts: float = 1.0
+    """How much a texture level counts beside the next coarser one."""
     position_size: int = 512
     """Width and height of the position textures of Eq. 3 in texels; the size that the authors ran."""
     zero_layer: bool = False
@@ -73,16 +76,20 @@ class PaperConfig:
             raise HyalineError(f"texture_features: is {self.texture_features}; expected 1 to 256")
         if not 1 <= self.texture_levels <= 8:
             raise HyalineError(f"texture_levels: is {self.texture_levels}; expected 1 to 8")
+        if not 0 < self.finer_counts <= 1:
+            raise HyalineError(f"finer_counts: is {self.finer_counts}; expected more than 0, at most 1")
 
 
-def default_texture_size(resolution: int, num_objects: int, sharing: TextureSharing) -> int:
+def default_texture_size(
+    resolution: int, num_objects: int, sharing: TextureSharing, *, texels_per_pixel: float = 0.5
+) -> int:
     """Half the image's width for each object, as the authors ran it: 256 texels for frames of 512 pixels.
 
     With more, the texels of small objects are seen so rarely that they learn single pixels by heart: at 128 pixels, 256
-    texels cost 1.9 dB (interpolating) and 1.1 dB (extrapolating) against 64.
+    texels cost 1.9 dB (interpolating) and 1.1 dB (extrapolating) against 64. (A pyramid of textures does not.)
     """
     cells = 1 if sharing == "object" else math.ceil(math.sqrt(num_objects))
-    return cells * max(16, resolution // 2)
+    return cells * max(16, int(resolution * texels_per_pixel))
 
 
 def configure_paper(choices: PaperChoices, dataset: Dataset, geometry: str, num_layers: int) -> PaperConfig:  # noqa: ARG001
@@ -91,6 +98,7 @@ def configure_paper(choices: PaperChoices, dataset: Dataset, geometry: str, num_
     Raises:
         HyalineError: a choice that cannot be.
     """
+    preset = PAPER_PRESETS[choices.preset]
     asked_layers, online = parse_layers(choices.layers)
     inputs = count_inputs(
         choose_layers(asked_layers, num_layers),
@@ -98,23 +106,27 @@ def configure_paper(choices: PaperChoices, dataset: Dataset, geometry: str, num_
         extrinsics=choices.extrinsics,
         zero_layer=choices.zero_layer,
     )
-    if choices.width != "34k" and not choices.width.isdecimal():
-        raise HyalineError(f"width: is {choices.width!r}; expected 34k, 256 or another number of hidden units")
-    default_size = default_texture_size(dataset.config.resolution, len(dataset.objects), choices.textures)
+    width = choices.width or preset.width
+    if width != "34k" and not width.isdecimal():
+        raise HyalineError(f"width: is {width!r}; expected 34k, 256 or another number of hidden units")
+    size = choices.texture_size or default_texture_size(
+        dataset.config.resolution, len(dataset.objects), choices.textures, texels_per_pixel=preset.texels_per_pixel
+    )
     return PaperConfig(
-        width=width_for_34k(inputs, choices.blocks) if choices.width == "34k" else int(choices.width),
+        width=width_for_34k(inputs, choices.blocks) if width == "34k" else int(width),
         blocks=choices.blocks,
-        norm=choices.norm,
+        norm=choices.norm or preset.norm,
         extrinsics=choices.extrinsics,
         textures=choices.textures,
-        texture_size=choices.texture_size or default_size,
+        texture_size=size,
         texture_features=choices.features,
-        texture_levels=choices.texture_levels,
+        texture_levels=choices.texture_levels or preset.texture_levels,
+        finer_counts=preset.finer_counts,
         zero_layer=choices.zero_layer,
         num_layers=asked_layers,
         online=online,
-        train_samples=1 if choices.rays is None else choices.rays,
-        render_samples=1 if choices.render_rays is None else choices.render_rays,
+        train_samples=preset.rays if choices.rays is None else choices.rays,
+        render_samples=preset.render_rays if choices.render_rays is None else choices.render_rays,
         precision=choices.precision,
     )
 
@@ -170,7 +182,7 @@ class PaperRenderer(nn.Module):
         self.textures = (
             NeuralTextures(layouts[0], config.texture_features, start=start)
             if len(layouts) == 1
-            else TexturePyramid(layouts, config.texture_features, start=start)
+            else TexturePyramid(layouts, config.texture_features, finer_counts=config.finer_counts, start=start)
         )
         self.extrinsics = (
             None

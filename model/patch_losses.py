@@ -1,6 +1,7 @@
 """Owns the losses of a run: the method's own, and the terms beside it, some of which learn themselves."""
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 import torch
@@ -50,6 +51,8 @@ class Losses:
                 total = total + config.adversarial * self.adversary.loss(colors, truth)
             return total
 
+        if config.softness:
+            own = partial(own, softness=config.softness)
         if self.perceptual is not None or (is_adversarial and self.inpainter is None):
             terms = PatchTerms(size=size, number=config.patches, of=of_patches)
             total = own(renderer, training, batch, rng, patch_terms=terms)

@@ -17,12 +17,13 @@ from datagen.geometry import TRUTH
 from datagen.storage import sha256_file
 from datagen.variant import use_mitsuba
 from model.adversarial import Adversary, PatchDiscriminator
-from model.batches import load_pixels, take_colors
+from model.batches import RayBatch, load_pixels, take_colors
 from model.choices import LossChoices
 from model.inpaint import Inpainter, count_visits, patches_around
 from model.losses import LossConfig, PatchTerms, configure_losses, difference, pixel_loss
 from model.methods import METHODS
 from model.paper import PaperConfig, build_paper
+from model.patch_losses import Losses
 from model.perceptual import IMAGENET_MEAN, IMAGENET_STD, PerceptualLoss, VggSource, find_vgg, vgg_layers
 from model.predict import render_predictions
 from model.run_folder import TrainConfig, check_same_run, is_finished, read_run
@@ -294,3 +295,36 @@ def test_in_painting_fills_what_training_never_saw_and_resumes_to_the_bit(
         train(many, dataset, tmp_path / "many", label="a", device=CPU)
     assert not (tmp_path / "many").exists()
     assert json.loads((tmp_path / "whole/run.json").read_text())["config"]["loss"]["inpaint"]
+
+
+# The difference of each pixel
+
+
+class OneColor(torch.nn.Module):
+    """Draws every pixel in one colour, which no 8-bit picture has."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.color = torch.nn.Parameter(torch.tensor([0.41, 0.52, 0.63]))
+
+    def forward(self, rays: RayBatch, *, rng: np.random.Generator) -> torch.Tensor:
+        return self.color.expand(len(rays.uv), 3)
+
+
+@pytest.mark.parametrize("softness", [0.0, 0.03, 0.5])
+def test_differences_below_the_softness_count_by_their_squares(dataset: Dataset, softness: float) -> None:
+    training, renderer = METHODS["paper"].load(NET, dataset, TRUTH, "train", [0, 1], True), OneColor()
+    losses = Losses(LossConfig(softness=softness), steps=1, seed=0, device=CPU, make_inpainter=lambda: pytest.fail(""))
+    loss = losses.loss(pixel_loss, renderer, training, 500, np.random.default_rng(3), step=0)
+    index = np.random.default_rng(3).integers(len(training.rgb), size=500)
+    missed = renderer.color.detach().double().numpy() - training.rgb.numpy()[index] / 255
+    assert loss.item() == pytest.approx(np.mean(np.hypot(missed, softness) - softness), rel=1e-4)
+    loss.backward()
+    slope = np.sign(missed) if not softness else missed / np.hypot(missed, softness)
+    assert renderer.color.grad is not None
+    np.testing.assert_allclose(renderer.color.grad.numpy(), slope.mean(axis=0) / 3, rtol=1e-4, atol=1e-7)
+
+
+def test_a_softness_below_zero_is_refused() -> None:
+    with pytest.raises(HyalineError, match="softness: is -1; expected a weight of at least 0"):
+        LossConfig(softness=-1)
