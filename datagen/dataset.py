@@ -384,6 +384,10 @@ def read_record(dataset: Dataset, split: Split, view: int) -> ViewRecord:
     record = from_json(ViewRecord, cast(Json, load_sealed(path)), where=str(path))
     if (record.dataset, record.split, record.view) != (dataset.seal, split, view):
         raise HyalineError(f"{path}: belongs to {record.split} view {record.view} of another dataset; build it again")
+    picture = image_path(Path(), split, view)
+    if set(record.files) != {picture.as_posix(), picture.with_suffix(".exr").as_posix()}:
+        raise HyalineError(f"{path}: promises {', '.join(sorted(record.files))}; expected its view's pictures, "
+                           "build it again")  # fmt: skip
     return record
 
 

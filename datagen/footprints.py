@@ -132,5 +132,5 @@ def _read_halves(dataset: Dataset, split: Split, view: int) -> Float[np.ndarray,
     use_mitsuba(quiet=True)
     path = image_path(dataset.root, split, view).with_suffix(".exr")
     check_files(dataset.root, read_record(dataset, split, view).files)
-    radiance, half_difference = read_radiance(path.read_bytes())
+    radiance, half_difference = read_radiance(path.read_bytes(), where=str(path))
     return srgb_from_linear(np.stack([radiance + half_difference, radiance - half_difference]))

@@ -124,7 +124,7 @@ def launch(arguments: Sequence[str], root: Path, choices: LaunchChoices, *, work
 def build_part(words: list[str], folder: str) -> int:
     """The exit status of `datagen WORDS` in a folder; it writes to the job's log. Runs in a job."""
     program = f"from datagen.workers import die_with; die_with({os.getpid()}); from datagen.cli import main; main()"
-    return subprocess.run([sys.executable, "-c", program, *words], cwd=folder, check=False).returncode
+    return subprocess.run([sys.executable, "-P", "-c", program, *words], cwd=folder, check=False).returncode
 
 
 def _parameters(choices: LaunchChoices, workers: int) -> dict[str, str | int]:

@@ -215,7 +215,7 @@ def read_layers_record(dataset: Dataset, geometry: str, kind: LayerKind, split: 
         HyalineError: not peeled, damaged, or of another store.
     """
     root = layers_root(dataset.root, geometry, kind)
-    _, seal = read_layers_head(dataset, geometry, kind)
+    head, seal = read_layers_head(dataset, geometry, kind)
     path = record_path_of_layers(root, split, view)
     if not path.is_file():
         raise HyalineError(
@@ -224,6 +224,11 @@ def read_layers_record(dataset: Dataset, geometry: str, kind: LayerKind, split: 
     record = from_json(LayersRecord, cast(Json, load_sealed(path)), where=str(path))
     if (record.layers, record.split, record.view) != (seal, split, view):
         raise HyalineError(f"{path}: belongs to {record.split} view {record.view} of other layers; peel it again")
+    arrays = {Path(file).parts[2] for file in head.files if file.count("/") == 3 and file.split("/")[1] == split}
+    shards = [Path(file).parts for file in record.files]
+    if sorted(shard[:5] for shard in shards) != sorted((STORE, split, name, "c", str(view)) for name in arrays):
+        raise HyalineError(f"{path}: promises {', '.join(sorted(record.files))}; expected its view's arrays, "
+                           "peel it again")  # fmt: skip
     return record
 
 

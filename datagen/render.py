@@ -14,6 +14,7 @@ from jaxtyping import Float, Float32
 
 from datagen.dataset import Cameras, Split, png_bytes
 from datagen.errors import HyalineError
+from datagen.exr import check_exr
 from datagen.media import find_media
 from datagen.meshes import is_there
 from datagen.mitsuba_scene import has_small_light, is_scalar, load_scene_mitsuba, load_sensor
@@ -155,18 +156,27 @@ def radiance_bytes(truth: Truth) -> bytes:
     return cast(bytes, stream.raw_buffer())
 
 
-def read_radiance(data: bytes) -> tuple[Float32[np.ndarray, "h w 3"], Float32[np.ndarray, "h w 3"]]:
-    """Radiance and half difference from an EXR's bytes; the inverse of `radiance_bytes`."""
+def read_radiance(data: bytes, *, where: str = "EXR"
+                  ) -> tuple[Float32[np.ndarray, "h w 3"], Float32[np.ndarray, "h w 3"]]:  # fmt: skip
+    """Radiance and half difference from an EXR's bytes; the inverse of `radiance_bytes`.
+
+    Raises:
+        HyalineError: not an EXR that this package has written, or a damaged one.
+    """
     import mitsuba as mi
 
+    check_exr(data, where=where)
     stream = mi.MemoryStream()
     stream.write(data)
     stream.seek(0)
     start_workers()
-    bitmap = mi.Bitmap(stream, mi.Bitmap.FileFormat.OpenEXR)
-    order = {field.name: index for index, field in enumerate(bitmap.struct_())}
-    values = np.array(bitmap, np.float32)
-    channels = [values[..., order[name]] for name in ("R", "G", "B", "noise.R", "noise.G", "noise.B")]
+    try:
+        bitmap = mi.Bitmap(stream, mi.Bitmap.FileFormat.OpenEXR)
+        order = {field.name: index for index, field in enumerate(bitmap.struct_())}
+        values = np.array(bitmap, np.float32)
+        channels = [values[..., order[name]] for name in ("R", "G", "B", "noise.R", "noise.G", "noise.B")]
+    except (RuntimeError, ValueError, KeyError) as error:
+        raise HyalineError(f"{where}: not an EXR with colours and noise ({error}); render it again") from error
     return np.stack(channels[:3], axis=-1), np.stack(channels[3:], axis=-1)
 
 

@@ -58,7 +58,7 @@ def choose_variant() -> VariantChoice:
 def cuda_problem() -> str | None:
     """Why the GPU can't render, found out by a child process that may die; None when it can."""
     answer = subprocess.run(
-        [sys.executable, "-c", _CUDA_PROBE], capture_output=True, text=True, timeout=120, check=False
+        [sys.executable, "-P", "-c", _CUDA_PROBE], capture_output=True, text=True, timeout=120, check=False
     )
     if answer.returncode == 0:
         return None

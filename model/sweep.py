@@ -148,7 +148,7 @@ def _train_in_child(
     device = environment.get("CUDA_VISIBLE_DEVICES")
     say(f"{place} {command}" + ("" if device is None else f" (CUDA device {device})"))
     child = subprocess.Popen(
-        [sys.executable, "-c", CHILD.format(parent=os.getpid()), "train", *arguments],
+        [sys.executable, "-P", "-c", CHILD.format(parent=os.getpid()), "train", *arguments],
         env=os.environ | environment,
         stderr=subprocess.PIPE,
         text=True,

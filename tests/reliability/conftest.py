@@ -2,17 +2,20 @@
 
 import dataclasses
 import os
-from collections.abc import Callable, Iterator
+import shlex
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import pytest
 import torch
 from support.commands import run
 from support.disk import State, empty, read_state
-from support.scenarios import PREPARED
+from support.fake_renderer import install
+from support.scenarios import GRID, PREPARED
 from synthetic import synthetic_scene
 
 from datagen.scene import save_scene
+from model.run_folder import TrainConfig
 
 
 @pytest.fixture(scope="session")
@@ -23,7 +26,14 @@ def started() -> dict[str, State]:
 
 @pytest.fixture
 def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """An empty working folder. One thread computes, and nothing waits for the disk: no power cut is tried here."""
+    """An empty working folder of commands that cost nothing but their writes.
+
+    Views are drawn by a formula, one thread computes, and nothing waits for the disk: no power cut is tried here.
+    """
+    install(monkeypatch)
+    monkeypatch.setattr("model.sweep._train_in_child", train_here)
+    often = (TrainConfig.__init__.__kwdefaults__ or {}) | {"checkpoint_every": 2}
+    monkeypatch.setattr(TrainConfig.__init__, "__kwdefaults__", often)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(os, "fsync", lambda handle: None)
     monkeypatch.setenv("HYALINE_KERNELS", "off")
@@ -50,6 +60,7 @@ def start(here: Path, started: dict[str, State], monkeypatch: pytest.MonkeyPatch
                 scene = synthetic_scene()
                 rig = dataclasses.replace(scene.cameras, azimuth_deg=(-100, 100))
                 save_scene(dataclasses.replace(scene, cameras=rig), here / "scene")
+                (here / "grid.toml").write_text(GRID)
             for line in lines:
                 run(line)
             started[name] = read_state(here)
@@ -58,3 +69,8 @@ def start(here: Path, started: dict[str, State], monkeypatch: pytest.MonkeyPatch
         return started[name]
 
     return make
+
+
+def train_here(arguments: Sequence[str], *_: object) -> None:
+    """A run of a sweep in this process, where its writes are seen."""
+    run(shlex.join(["model", "train", *arguments]))

@@ -21,6 +21,7 @@ BEGIN, END = "<!-- counts: written by `make reliability` -->", "<!-- end of coun
 def pytest_addoption(parser: pytest.Parser) -> None:
     group = parser.getgroup("promises")
     group.addoption("--full", action="store_true", help="try every case of the promises, not a quick selection")
+    group.addoption("--rewrite-outcomes", action="store_true", help="write the table of hostile files' outcomes anew")
     group.addoption("--promises", type=Path, metavar="FILE", help="write the table of counts into this file")
 
 

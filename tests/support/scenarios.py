@@ -14,6 +14,7 @@ steps = 2
 batch = 32
 texture-size = 8
 width = "8"
+device = "cpu"
 zero-layer = [false, true]
 """
 
@@ -41,11 +42,14 @@ SCENARIOS = (
     Scenario(name="build", start="scene", line=f"{BUILD} --layers straight light-path"),
     Scenario(name="build anew", start="dataset", line=f"{BUILD} --seed 1 --overwrite"),
     Scenario(name="peel", start="dataset", line="datagen peel --dataset data/one --layers light-path --rays 1"),
-    Scenario(name="peel anew", start="proxies", line="datagen peel --dataset data/one --num-layers 1 --overwrite"),
+    Scenario(name="peel anew", start="proxies", line="datagen peel --dataset data/one --num-layers 3 --overwrite"),
     Scenario(name="proxies", start="dataset", line="proxies make --dataset data/one --kind box"),
     Scenario(name="proxies anew", start="proxies", line="proxies make --dataset data/one --kind box --overwrite"),
     Scenario(name="angle splits", start="dataset", line=f"{BUILD} --angle-splits"),
     Scenario(name="super-resolution", start="dataset", line=f"{BUILD} --super-resolution 2"),
     Scenario(name="edit", start="proxies", line="datagen build --scene scene --out data/one --edit remove:pane"),
+    Scenario(name="train", start="dataset", line=f"{TRAIN} --out runs/one/paper"),
+    Scenario(name="train anew", start="run", line=f"{TRAIN} --out runs/one/paper --seed 1 --overwrite"),
     Scenario(name="render", start="run", line="model render --run runs/one/paper --device cpu --overwrite"),
+    Scenario(name="sweep", start="dataset", line="model sweep grid.toml"),
 )
