@@ -65,11 +65,23 @@ def build_dataset(scene: Scene, root: Path, config: DatasetConfig, *, kinds: tup
     with writing(root, shard):
         cameras = make_cameras(scene.cameras, config)
         dataset = open_or_start(scene, root, config, cameras, overwrite=overwrite, is_alone=shard is None)
+        if shard is None and not is_view_built(dataset, "train", 0):
+            _say_slits(scene, cameras)
         render_dataset(dataset, workers=workers, shard=shard)
     peel_dataset(
         dataset, TRUTH, kinds=kinds, num_layers=num_layers, rays=rays, overwrite=False, workers=workers, shard=shard
     )
     return dataset
+
+
+def _say_slits(scene: Scene, cameras: dict[Split, Cameras]) -> None:
+    """A remark on each slit through which the sky shines: it may be meant, and pictures of it are right."""
+    from datagen.slits import describe_slit, find_slits
+    from datagen.variant import use_mitsuba
+
+    use_mitsuba(quiet=True)
+    for slit in find_slits(scene, tuple(cameras.values())):
+        say(describe_slit(scene, slit))
 
 
 def render_dataset(dataset: Dataset, *, workers: int, shard: Shard | None = None) -> None:
