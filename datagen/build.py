@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from datagen.cameras import make_cameras, subpixel_offsets
+from datagen.cameras import make_cameras
 from datagen.command import say, this_command, track
 from datagen.dataset import (
     Cameras,
@@ -34,6 +34,7 @@ from datagen.layer_store import (
     LayerKind,
     LayersHead,
     LightPathsHead,
+    check_settings,
     is_view_peeled,
     layers_root,
     read_layers_head,
@@ -59,7 +60,7 @@ def build_dataset(scene: Scene, root: Path, config: DatasetConfig, *, kinds: tup
     Raises:
         HyalineError: something else stands at `root`, or another process writes there.
     """
-    _check_settings(num_layers=num_layers, rays=rays)
+    check_settings(num_layers=num_layers, rays=rays, workers=workers, kinds=kinds)
     if config.train.views < 1:
         raise HyalineError(f"views: are {config.train.views}; expected at least 1 training view")
     with writing(root, shard):
@@ -110,7 +111,7 @@ def peel_dataset(dataset: Dataset, geometry: str, *, kinds: tuple[LayerKind, ...
     Raises:
         HyalineError: the geometry does not exist, or was peeled with other settings.
     """
-    _check_settings(num_layers=num_layers, rays=rays)
+    check_settings(num_layers=num_layers, rays=rays, workers=workers, kinds=kinds)
     meshes_hash = _geometry_hash(dataset, geometry)
     for kind in kinds:
         root = layers_root(dataset.root, geometry, kind)
@@ -253,12 +254,6 @@ def _clear(root: Path, *, overwrite: bool) -> None:
 def _write_scene(root: Path, files: dict[str, bytes]) -> None:
     for path, data in files.items():
         commit_same(root / "scene" / path, data)
-
-
-def _check_settings(*, num_layers: int, rays: int) -> None:
-    if not 1 <= num_layers <= 255:
-        raise HyalineError(f"num_layers: is {num_layers}; expected 1 to 255")
-    subpixel_offsets(rays)
 
 
 def _is_started(dataset: Dataset, geometry: str, kind: LayerKind, meshes_hash: str, *, num_layers: int,

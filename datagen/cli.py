@@ -1,5 +1,6 @@
 """Owns the command line of `datagen`: parse, configure, call one function."""
 
+import dataclasses
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -10,7 +11,7 @@ from datagen.command import choose, fail, next_command, run, say, unwrap_help
 from datagen.dataset import DATA_ROOT, DatasetConfig, find_dataset, open_dataset
 from datagen.geometry import TRUTH, check_geometry
 from datagen.launch import LaunchChoices
-from datagen.layer_store import LayerKind
+from datagen.layer_store import LayerKind, check_settings
 from datagen.presets import PRESETS, resize
 
 
@@ -107,10 +108,12 @@ def build(
         spp=spp,
         test_spp=test_spp,
     )
-    description = find_scene(scene)
-    root = out or DATA_ROOT / description.name
+    _check_build(
+        layers=layers, num_layers=num_layers, rays=rays, workers=workers, scales=super_resolution,
+        scaled_views=super_resolution_views, test_views=size.interpolating.views,
+    )  # fmt: skip
     config = DatasetConfig(
-        scene=description.name,
+        scene="scene",  # Its name is known when it is read.
         preset=preset,
         resolution=size.resolution,
         train=size.train,
@@ -120,6 +123,9 @@ def build(
         max_depth=max_depth,
         seed=seed,
     )
+    description = find_scene(scene, built=None if overwrite else out or DATA_ROOT / scene)
+    root = out or DATA_ROOT / description.name
+    config = dataclasses.replace(config, scene=description.name)
     if launch.launcher is not None:
         # What follows then finds all views made, and reads every byte of them.
         send_off(sys.argv[1:], root, launch, workers=workers)
@@ -147,6 +153,22 @@ def build(
         say(summary(dataset, TRUTH, layers))
     where = "" if root == DATA_ROOT / description.name else f" --dataset {root}"
     next_command(f"proxies make --kind ellipsoid{where}")
+
+
+def _check_build(*, layers: tuple[LayerKind, ...], num_layers: int, rays: int, workers: int, scales: tuple[int, ...],
+                 scaled_views: int | None, test_views: int) -> None:  # fmt: skip
+    """Refuses numbers that cannot be before anything is modelled."""
+    from datagen.annex_build import MAX_SCALE
+    from datagen.errors import HyalineError
+
+    check_settings(num_layers=num_layers, rays=rays, workers=workers, kinds=layers)
+    for scale in scales:
+        if not 2 <= scale <= MAX_SCALE:
+            raise HyalineError(f"super_resolution: is {scale}; expected 2 to {MAX_SCALE} times the dataset's size")
+    if scaled_views is not None and not scales:
+        raise HyalineError("--super-resolution-views: goes with --super-resolution; give that, too, or leave it out")
+    if scaled_views is not None and not 1 <= scaled_views <= test_views:
+        raise HyalineError(f"super_resolution_views: is {scaled_views}; expected 1 to {test_views}")
 
 
 def _check_parts(shard: str | None, launch: LaunchChoices, *, overwrite: bool, edit: tuple[str, ...]) -> None:
@@ -215,6 +237,7 @@ def peel(
     from datagen.build import peel_dataset, summary
 
     opened = open_dataset(find_dataset(dataset))
+    check_settings(num_layers=num_layers, rays=rays, workers=workers, kinds=layers)
     check_geometry(opened, geometry)
     peel_dataset(opened, geometry, kinds=layers, num_layers=num_layers, rays=rays, overwrite=overwrite, workers=workers)
     say(summary(opened, geometry, layers))

@@ -1,8 +1,11 @@
 """Owns how a command starts, reports progress and ends: parse, run one function, errors as one line."""
 
+import contextlib
 import difflib
 import functools
 import inspect
+import os
+import select
 import shlex
 import signal
 import sys
@@ -12,6 +15,7 @@ from pathlib import Path
 from typing import Annotated, NoReturn, TypeVar
 
 from datagen.errors import HyalineError
+from datagen.os_errors import describe_os_error, naming
 from datagen.records import shown
 from datagen.signals import Stopped, raise_on_sigterm
 
@@ -31,14 +35,14 @@ def run(program: str, description: str, commands: dict[str, Callable[..., None]]
     first word; each takes `--version`. Exit status: 0 done, 1 our error in one line, 2 usage, 3 a number that is not
     finite, 130 and 143 stopped by SIGINT and SIGTERM.
     """
-    if "--version" in arguments:
-        print(f"hyaline {version()}")
-        return
     arguments = _dataset_first(commands, arguments)
     try:
+        if "--version" in arguments:
+            print(f"hyaline {version()}", flush=True)
+            return
         import tyro
 
-        with raise_on_sigterm():
+        with raise_on_sigterm(), _flushed():
             tyro.extras.subcommand_cli_from_dict(
                 commands,
                 prog=program,
@@ -55,8 +59,38 @@ def run(program: str, description: str, commands: dict[str, Callable[..., None]]
         _end_stopped(stopped, arguments)
     except OSError as error:
         # A full disk, a read-only folder, a missing permission: what is committed stays valid.
-        place = f"{error.filename}: " if error.filename else ""
-        fail(f"{place}{error.strerror or error}; make room or choose another place, then run the same command again")
+        if isinstance(error, BrokenPipeError) and _is_reader_gone():
+            _end_unread()
+        fail(describe_os_error(error, error.filename or "standard output, or a temporary file"))
+    except MemoryError:
+        fail("out of memory; use fewer --workers or smaller sizes, or a machine with more memory")
+
+
+@contextlib.contextmanager
+def _flushed() -> Iterator[None]:
+    """Writes out what was printed before the block is left, also by `sys.exit`, so that its errors are ours to tell."""
+    try:
+        yield
+    finally:
+        if sys.stdout is not None:
+            with naming(Path("standard output")):
+                sys.stdout.flush()
+
+
+def _is_reader_gone() -> bool:
+    """True when nobody reads standard output or standard error any more."""
+    poll = select.poll()
+    for number in (1, 2):
+        poll.register(number, 0)
+    return any(events & select.POLLERR for _, events in poll.poll(0))
+
+
+def _end_unread() -> NoReturn:
+    """Ends as other tools do whose output nobody reads any more (`report | head`): without a word."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    for number in (1, 2):
+        os.dup2(nowhere, number)  # Else the interpreter would complain when it flushes them at its end.
+    sys.exit(128 + signal.SIGPIPE)
 
 
 def version() -> str:
@@ -169,23 +203,50 @@ def track(items: Iterable[Item], *, label: str, total: int, done: int = 0,
 def _track_on_terminal(items: Iterable[Item], label: str, total: int, done: int,
                        status: Callable[[], str]) -> Iterator[Item]:  # fmt: skip
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, TextColumn("{task.fields[status]}"), console=Console(stderr=True)) as progress:
-        task = progress.add_task(label, total=total, completed=done, status="")
-        for item in items:
+    clock = _Clock()
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+    more = (TextColumn("{task.fields[left]}"), TextColumn("{task.fields[status]}"))
+    with Progress(*columns, *more, console=Console(stderr=True)) as progress:
+        task = progress.add_task(label, total=total, completed=done, left="", status="")
+        for count, item in enumerate(items, start=1):
             yield item
-            progress.update(task, advance=1, status=status())
+            clock.count()
+            left = clock.left_s(total - done - count)
+            when = "" if left is None else f"{left:.0f} s left"
+            progress.update(task, advance=1, left=when, status=status())
 
 
 def _track_in_lines(items: Iterable[Item], label: str, total: int, done: int,
                     status: Callable[[], str]) -> Iterator[Item]:  # fmt: skip
-    start = last = time.monotonic()
+    clock = _Clock()
+    last = time.monotonic()
     for count, item in enumerate(items, start=1):
         yield item
+        clock.count()
         now = time.monotonic()
         if now - last >= REPORT_EVERY_S or done + count == total:
-            left = (now - start) / count * (total - done - count)
-            say(f"{label}: {done + count}/{total}, about {left:.0f} s left {status()}".rstrip())
+            rest = total - done - count
+            left = clock.left_s(rest)
+            when = "" if left is None else f", about {left:.0f} s left"
+            say(f"{label}: {done + count}/{total}{when} {status()}".rstrip())
             last = now
+
+
+class _Clock:
+    """Tells how long the rest takes from how long all but the first took: the first also compiles and warms up."""
+
+    def __init__(self) -> None:
+        self.times: list[float] = []
+
+    def count(self) -> None:
+        self.times.append(time.monotonic())
+
+    def left_s(self, rest: int) -> float | None:
+        """Seconds for so many more; None: nobody can tell from a single one."""
+        if rest == 0:
+            return 0.0
+        if len(self.times) < 2:
+            return None
+        return (self.times[-1] - self.times[0]) / (len(self.times) - 1) * rest

@@ -74,6 +74,8 @@ TRANSFORMS_FILES: dict[Split, str] = {
 
 SPLIT_ORDER: dict[Split, int] = {split: place for place, split in enumerate(TRANSFORMS_FILES)}
 
+MAX_VIEWS, MAX_SPP, MAX_DEPTH = 10_000, 1 << 20, 1000
+"""Of a split, of a picture and of a light path: what is beyond has a slip in it."""
 MAX_PNG_SIDE = 16384
 """Pixels: twice the largest dataset, whose decoding takes 1 GB."""
 MAX_PNG_BYTES = 1 << 30
@@ -91,8 +93,11 @@ class SplitConfig:
     """Samples per pixel, both halves together; with a noise ceiling the number to start from."""
 
     def __post_init__(self) -> None:
-        if self.views < 0 or self.spp < 2:
-            raise HyalineError(f"split: has {self.views} views of {self.spp} spp; expected at least 1 view and 2 spp")
+        if not 0 <= self.views <= MAX_VIEWS or not 2 <= self.spp <= MAX_SPP:
+            raise HyalineError(
+                f"split: has {self.views} views of {self.spp} spp; expected at least 1 view and 2 spp, "
+                f"at most {MAX_VIEWS:,} and {MAX_SPP:,}"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,10 +124,10 @@ class DatasetConfig:
         for split in TEST_SPLITS:
             if self.split(split).views < 1:
                 raise HyalineError(f"{split}: has {self.split(split).views} views; expected at least 1")
-        if self.max_depth < 2:
-            raise HyalineError(f"max_depth: is {self.max_depth}; expected at least 2 (12 or more for glass)")
-        if self.seed < 0:
-            raise HyalineError(f"seed: is {self.seed}; expected 0 or more")
+        if not 2 <= self.max_depth <= MAX_DEPTH:
+            raise HyalineError(f"max_depth: is {self.max_depth}; expected 2 to {MAX_DEPTH} (12 or more for glass)")
+        if not 0 <= self.seed < 2**63:
+            raise HyalineError(f"seed: is {self.seed}; expected 0 or more, and at most 63 bits")
         if self.ceiling_db is not None and not 10 <= self.ceiling_db <= 80:
             raise HyalineError(f"ceiling_db: is {self.ceiling_db}; expected 10 to 80 dB")
 

@@ -17,6 +17,7 @@ from typing import Literal, cast
 
 import numpy as np
 
+from datagen.cameras import subpixel_offsets
 from datagen.dataset import Dataset, Split, check_files, view_name
 from datagen.errors import DamagedError, HyalineError
 from datagen.geometry import geometry_root
@@ -38,6 +39,8 @@ STORE = "peels.zarr"
 
 LayerKind = Literal["straight", "light-path"]
 LAYER_KINDS: tuple[LayerKind, ...] = ("straight", "light-path")
+MAX_RAYS = 1024
+"""A pixel."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -163,6 +166,23 @@ def _store_metadata(dataset: Dataset, arrays: Mapping[str, ArrayFormat]) -> dict
                 )
         found = sorted(Path(folder).rglob("zarr.json"))
         return {path.relative_to(folder).as_posix(): path.read_bytes() for path in found}
+
+
+def check_settings(*, num_layers: int, rays: int, workers: int, kinds: tuple[LayerKind, ...]) -> None:
+    """Refuses how layers cannot be made, before anything is done.
+
+    Raises:
+        HyalineError: naming the number.
+    """
+    if not kinds:
+        raise HyalineError("layers: is empty; expected straight, light-path or both")
+    if not 1 <= num_layers <= 255:
+        raise HyalineError(f"num_layers: is {num_layers}; expected 1 to 255")
+    if workers < 1:
+        raise HyalineError(f"workers: is {workers}; expected at least 1")
+    if rays > MAX_RAYS:
+        raise HyalineError(f"rays: is {rays}; expected at most {MAX_RAYS}")
+    subpixel_offsets(rays)
 
 
 def read_layers_head(dataset: Dataset, geometry: str, kind: LayerKind) -> tuple[Head, str]:

@@ -10,7 +10,7 @@ from datagen.command import choose, fail, next_command, run, say
 from datagen.dataset import DATA_ROOT, Dataset, find_dataset, list_datasets, open_dataset
 from datagen.errors import HyalineError
 from datagen.geometry import TRUTH
-from datagen.layer_store import LayerKind
+from datagen.layer_store import LayerKind, check_settings
 
 if TYPE_CHECKING:
     from proxies.make import ProxyReport
@@ -63,6 +63,7 @@ def make(
     if not assign and (rest, name) != (TRUTH, "mixed"):
         raise HyalineError(f"--rest {rest} --name {name}: nothing is mixed; they go with --assign OBJECT=KIND")
     one_kind = _one_kind(kind, amount)
+    check_settings(num_layers=num_layers, rays=rays, workers=workers, kinds=layers)
     datasets = _datasets(dataset)
     from datagen.annex_build import peel_annexes
 
@@ -70,6 +71,7 @@ def make(
     for opened, spec in zip(datasets, specs, strict=True):
         from datagen.build import peel_dataset
 
+        say(f"{opened.root}: makes {spec.geometry} proxies of {len(opened.objects)} objects")
         is_new = make_proxies(opened, spec, overwrite=overwrite)
         if not is_new:
             say(f"{opened.root}: keeps its {spec.geometry} proxies; --overwrite makes them anew")

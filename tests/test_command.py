@@ -1,14 +1,21 @@
 """Tests how commands end: one line for a person, a status for a script."""
 
+import errno
+import os
 import re
+import resource
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from datagen.command import choose, track, version
+from datagen.command import run as command_run
 from datagen.errors import HyalineError
+from datagen.os_errors import REASONS, describe_os_error, naming
+from datagen.storage import commit
 
 
 def run(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
@@ -22,6 +29,12 @@ def run(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
         ("datagen build --preset dmeo", 1, "did you mean 'demo'?"),
         ("datagen build --scene ./nowhere", 1, "nowhere/scene.json: the file is missing"),
         ("datagen build --resolution 0", 1, "resolution: is 0; expected 1 to 8192 pixels"),
+        ("datagen build --num-layers 0", 1, "num_layers: is 0; expected 1 to 255"),
+        ("datagen build --rays 1000000000", 1, "rays: is 1000000000; expected at most 1024"),
+        ("datagen build --workers 0", 1, "workers: is 0; expected at least 1"),
+        ("datagen build --super-resolution 9", 1, "super_resolution: is 9; expected 2 to 8 times"),
+        ("datagen build --super-resolution-views 2", 1, "goes with --super-resolution"),
+        ("datagen build --spp 99999999", 1, "at most 10,000 and 1,048,576"),
         ("datagen verify", 1, "data: no dataset there; make one with `datagen build --scene glass_table`"),
         ("datagen verify data/glass_table", 1, "no dataset; make one with `datagen build --scene glass_table`"),
         ("datagen peel --dataset nothing", 1, "data/nothing: no dataset; make one with"),
@@ -79,3 +92,65 @@ def test_a_choice_far_from_all_gets_no_suggestion() -> None:
 def test_progress_passes_items_through(capsys: pytest.CaptureFixture[str]) -> None:
     assert list(track(iter("abc"), label="work", total=5, done=2)) == ["a", "b", "c"]
     assert "work: 5/5" in capsys.readouterr().err
+
+
+def test_the_time_left_does_not_count_what_the_first_item_compiles(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    now = 0.0
+    monkeypatch.setattr("time.monotonic", lambda: now)
+
+    def work() -> Iterator[int]:
+        nonlocal now
+        for item in range(4):
+            now += 100 if item == 0 else 20
+            yield item
+
+    assert list(track(work(), label="work", total=12)) == [0, 1, 2, 3]
+    assert capsys.readouterr().err.splitlines() == [
+        "work: 1/12",
+        "work: 2/12, about 200 s left",
+        "work: 3/12, about 180 s left",
+        "work: 4/12, about 160 s left",
+    ]
+
+
+def test_output_that_nobody_reads_ends_the_command_without_a_word(tmp_path: Path) -> None:
+    line = f"{sys.executable} -m datagen build --help | true; echo ${{PIPESTATUS[0]}}"
+    answer = subprocess.run(["bash", "-c", line], capture_output=True, text=True, check=False, cwd=tmp_path)
+    assert (answer.stdout, answer.stderr) == ("141\n", "")
+
+
+@pytest.mark.parametrize(
+    "number", [errno.ENOSPC, errno.EROFS, errno.EACCES, errno.EMFILE, errno.EIO, errno.ENAMETOOLONG]
+)
+def test_each_refusal_of_the_system_names_the_file_and_its_own_way_out(number: int, tmp_path: Path) -> None:
+    with pytest.raises(OSError) as caught, naming(tmp_path / "file"):
+        raise OSError(number, os.strerror(number), "temporary name")
+    message = describe_os_error(caught.value)
+    assert message.startswith(f"{tmp_path / 'file'}: {REASONS[number][0]}; {REASONS[number][1]}")
+    assert len({reason for reason, _ in REASONS.values()}) == len(REASONS)
+
+
+def test_a_full_disk_and_a_forbidden_folder_are_told_apart(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fill(dataset: str) -> None:
+        commit(tmp_path / "folder" / "file", b"x" * 5000)
+
+    (tmp_path / "folder").mkdir()
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, limits[1]))
+    try:
+        with pytest.raises(SystemExit) as ended:
+            command_run("tool", "", {"fill": fill, "other": fill}, ["fill", "x"])
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert ended.value.code == 1
+    assert capsys.readouterr().err.startswith(
+        f"error: {tmp_path / 'folder' / 'file'}: the file would be larger than allowed; raise the limit"
+    )
+    (tmp_path / "folder" / "file").mkdir()
+    with pytest.raises(SystemExit):
+        command_run("tool", "", {"fill": fill, "other": fill}, ["fill", "x"])
+    assert "file: is a folder, where a file belongs; move it away" in capsys.readouterr().err
