@@ -44,10 +44,11 @@ class CommonChoices:
     """Random pixels a step, for U-Nets about as many in crops. Default: 8192; 16384 for U-Nets, 2048 (of several rays)
     for light-path, 1024 for paper's best preset; for deepvoxels 2 pictures."""
     lr: float | None = _choice(None, "lr{}")
-    """Learning rate of Adam. Default: 0.001; 0.002 for light-path and for paper's best preset, for deepvoxels what
+    """Learning rate of Adam. Default: 0.001; 0.002 for light-path, 0.003 for paper's best preset, for deepvoxels what
     --voxels says."""
     texture_lr: float | None = _choice(None, "texture-lr{}")
-    """Learning rate of the textures. Default: the same; 0.04 for light-path and for paper's best preset."""
+    """Learning rate of the textures. Default: the same; 0.04 for light-path, 0.02 for paper's best
+    preset."""
     lr_decay: Literal["none", "linear", "cosine"] | None = _choice(None, {"none": "no-decay", "": "{}-decay"})
     """none, linear (constant, then down to 0 over the second half) or cosine. Default: linear; cosine for
     light-path and for paper's best preset, none for deepvoxels, but linear with `--voxels small`."""

@@ -112,3 +112,20 @@ def test_a_run_of_the_best_preset_is_called_so_and_records_every_choice(
     renderer = build_paper(record.config.net, dataset, TRUTH, 4)  # pyright: ignore[reportArgumentType]
     assert isinstance(renderer, PaperRenderer)
     assert record.num_parameters == sum(value.numel() for value in renderer.net.parameters())
+
+
+def test_help_tells_the_values_of_the_best_preset(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.argv", ["model", "train", "--method", "paper", "--help"])
+    with pytest.raises(SystemExit):
+        cli.main()
+    told = " ".join(capsys.readouterr().out.replace("│", " ").split())
+    best = PAPER_PRESETS["best"]
+    for words in (
+        f"{best.steps} with paper's best preset", f"{best.batch} for paper's best preset",
+        f"{best.lr} for paper's best preset", f"{best.texture_lr} for paper's best preset",
+        f"{best.width} of the best preset", f"{best.norm} with the best preset", f"{best.rays} with the best preset",
+        f"{best.render_rays} with the best preset", f"{best.texture_levels} with the best preset",
+    ):  # fmt: skip
+        assert words in told, words
