@@ -34,6 +34,7 @@ from datagen.dataset import Dataset, Split, read_cameras, read_image, read_recor
 from datagen.errors import HyalineError
 from datagen.layer_store import LayersHead, read_layers_head, read_layers_record
 from datagen.number_formats import UV_SCALE
+from datagen.private import make_private
 from datagen.records import Json
 from datagen.storage import commit_sealed, dump_json, load_sealed, sha256, user_cache
 from model.batches import RayBatch, grid_of, pixels_at_once, read_stack
@@ -146,6 +147,8 @@ def map_pixels(dataset: Dataset, geometry: str, split: Split, views: Sequence[in
         "pictures": [cast(Json, read_record(dataset, split, view).files) for view in views],
         "hits": [cast(Json, read_layers_record(dataset, geometry, "straight", split, view).files) for view in views],
     }
+    if (wrong := make_private(cache_root())) is not None:
+        raise HyalineError(f"{wrong}; or use --memory ram")
     folder = cache_root() / sha256(dump_json(content))[:32]
     files = _open(folder)
     if files is None:

@@ -2,8 +2,10 @@
 
 import copy
 import dataclasses
+import os
 import platform
 import shutil
+import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,6 +16,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from datagen.private import is_intact, make_private, write_hashed
 from model import fused_mlp, mlp_kernels, pixel_mlp
 from model.batches import Pixels
 from model.mlp_kernels import SWITCH, find_kernels
@@ -174,6 +177,86 @@ def test_the_library_is_built_once(fresh_search: Path, monkeypatch: pytest.Monke
     monkeypatch.setattr(mlp_kernels, "_build", lambda *_: pytest.fail("built again"))
     assert find_kernels() is not None
     assert built.stat().st_mtime_ns == stamp
+
+
+def in_new_process(cache: Path) -> subprocess.CompletedProcess[str]:
+    """Looks for the compiled layers, and computes with them, where a crash kills nobody else."""
+    code = (
+        "from model.mlp_kernels import find_kernels; import torch\n"
+        "from model.pixel_mlp import PixelMlp\n"
+        "net = PixelMlp(10, width=8, blocks=1, norm='batch'); net(torch.ones(5, 10)).sum().backward()\n"
+        "print(find_kernels() is not None)"
+    )
+    environment = os.environ | {"XDG_CACHE_HOME": str(cache)}
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, env=environment)
+
+
+@needs_kernels
+@pytest.mark.parametrize("damage", ["half", "flipped", "empty", "foreign", "link", "writable"])
+def test_a_library_in_doubt_is_never_loaded_but_built_anew(
+    fresh_search: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], damage: str
+) -> None:
+    assert find_kernels() is not None
+    (built,) = fresh_search.iterdir()
+    assert built.stat().st_mode & 0o777 == 0o600 and fresh_search.stat().st_mode & 0o777 == 0o700
+    intact = built.read_bytes()
+    flipped = bytearray(intact)
+    flipped[len(intact) // 3] ^= 8
+    (tmp_path / "foreign.c").write_text("__attribute__((constructor)) static void run() { __builtin_trap(); }")
+    subprocess.run(["g++", "-shared", "-fPIC", "-o", tmp_path / "foreign.so", tmp_path / "foreign.c"], check=True)
+    built.unlink()
+    match damage:
+        case "half":
+            built.write_bytes(intact[: len(intact) // 2])
+        case "flipped":
+            built.write_bytes(flipped)
+        case "empty":
+            built.touch()
+        case "foreign":
+            built.write_bytes((tmp_path / "foreign.so").read_bytes())
+        case "link":
+            write_hashed(tmp_path / "elsewhere.so", (tmp_path / "foreign.so").read_bytes())
+            built.symlink_to(tmp_path / "elsewhere.so")
+        case _:
+            built.write_bytes(intact)
+            built.chmod(0o666)
+    answer = in_new_process(tmp_path)
+    assert (answer.returncode, answer.stdout) == (0, "True\n"), answer.stderr
+    assert answer.stderr == f"{built}: damaged, or not written by this user; builds the compiled layers anew\n"
+    assert is_intact(built) and not built.is_symlink()
+    again = in_new_process(tmp_path)
+    assert (again.returncode, again.stdout, again.stderr) == (0, "True\n", "")
+
+
+@needs_kernels
+@pytest.mark.parametrize("wrong", ["open to others", "a link", "a file"])
+def test_a_cache_in_which_others_may_write_is_not_used(tmp_path: Path, wrong: str) -> None:
+    folder = tmp_path / "hyaline" / "kernels"
+    folder.parent.mkdir()
+    match wrong:
+        case "open to others":
+            folder.mkdir()
+            folder.chmod(0o777)
+        case "a link":
+            (tmp_path / "other").mkdir()
+            folder.symlink_to(tmp_path / "other")
+        case _:
+            folder.touch()
+    answer = in_new_process(tmp_path)
+    assert (answer.returncode, answer.stdout) == (0, "True\n"), answer.stderr
+    assert answer.stderr.startswith(f"{folder}: ") and answer.stderr.count("\n") == 1
+    assert "not kept there but built for this run alone" in answer.stderr
+    assert not folder.is_dir() or not list(folder.iterdir())
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can give a file to somebody else")
+def test_what_belongs_to_somebody_else_is_not_trusted(tmp_path: Path) -> None:
+    write_hashed(tmp_path / "library.so", b"code")
+    assert is_intact(tmp_path / "library.so") and make_private(tmp_path) is None
+    os.chown(tmp_path / "library.so", 1, 1)
+    assert not is_intact(tmp_path / "library.so")
+    os.chown(tmp_path, 1, 1)
+    assert make_private(tmp_path) == f"{tmp_path}: belongs to user 1"
 
 
 @needs_kernels
