@@ -89,6 +89,7 @@ def configure(common: CommonChoices, choices: MethodChoices) -> "tuple[TrainConf
         seed=common.seed,
         steps=defaults.steps if common.steps is None else common.steps,
         batch=defaults.batch if common.batch is None else common.batch,
+        updates=defaults.updates if common.updates is None else common.updates,
         lr=defaults.lr if common.lr is None else common.lr,
         texture_lr=defaults.texture_lr if common.texture_lr is None else common.texture_lr,
         sky_lr=defaults.sky_lr,

@@ -53,6 +53,9 @@ class TrainConfig:
     """Random pixels a step, from all training images together; for deepvoxels pictures. The paper names no number; the
     authors ran one whole image a step, which a per-pixel network does not need. On a CPU the time of a step is nearly
     proportional to it."""
+    updates: int = 1
+    """Updates of the weights a step, each by an equal share of its batch. For as many rays, more of them fit better:
+    `light-path` gains 1.5 / 1.6 dB with two (400 steps of 1,024 pixels, one seed), 0.7 / 0.8 dB more with four."""
     lr: float = 0.001
     """Learning rate of Adam, default betas (section 4.4)."""
     texture_lr: float | None = None
@@ -77,14 +80,17 @@ class TrainConfig:
     squared, 230 MB of 256."""
 
     def __post_init__(self) -> None:
-        for name in ("steps", "batch", "evaluate_every", "checkpoint_every"):
+        for name in ("steps", "batch", "updates", "evaluate_every", "checkpoint_every"):
             if getattr(self, name) < 1:
                 raise HyalineError(f"{name}: is {getattr(self, name)}; expected at least 1")
         for name in ("seed", "held_out_views"):
             if getattr(self, name) < 0:
                 raise HyalineError(f"{name}: is {getattr(self, name)}; expected at least 0")
-        if self.batch < 2:
-            raise HyalineError(f"batch: is {self.batch}; expected at least 2 pixels, batch norm needs a spread")
+        if self.batch < 2 * self.updates:
+            raise HyalineError(
+                f"batch: is {self.batch}; expected at least 2 pixels for each of {self.updates} updates a step, "
+                "batch norm needs a spread"
+            )
         for name in ("lr", "texture_lr", "sky_lr"):
             rate = getattr(self, name)
             if rate is not None and not 0 < rate <= 1:

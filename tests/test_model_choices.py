@@ -42,15 +42,17 @@ from model.methods import METHODS
         ),
         (
             {"method": "light-path"},
-            LightPathChoices(environment=1, sky_lr=0.5, position_octaves=3, texture_levels=1),
-            "light-path-sky1-sky-lr0.5-3-octaves-1-levels",
+            LightPathChoices(
+                environment=1, sky_lobes=3, sky_lr=0.5, refined_rays=9, position_octaves=3, texture_levels=1
+            ),
+            "light-path-9-refined-rays-sky1-3-lobes-sky-lr0.5-3-octaves-1-levels",
         ),
         (
             {"batch": 64, "lr": 0.1, "texture_lr": 0.5, "lr_decay": "none", "steps": 10, "seed": 2},
             PaperChoices(layers="2"),
             "paper-2-layers-batch64-lr0.1-texture-lr0.5-no-decay-10-steps-seed2",
         ),
-        ({"lr_decay": "cosine"}, PaperChoices(), "paper-cosine-decay"),
+        ({"lr_decay": "cosine", "updates": 2}, PaperChoices(), "paper-2-updates-cosine-decay"),
     ],
 )
 def test_folders_are_named_as_ever(common: dict, choices: MethodChoices, name: str) -> None:
