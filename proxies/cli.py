@@ -142,8 +142,12 @@ def _print_table(dataset: Dataset, geometry: str, reports: "tuple[ProxyReport, .
     from rich.box import SIMPLE_HEAD
     from rich.console import Console
     from rich.table import Table
+    from rich.text import Text
 
-    table = Table(title=f"{geometry} proxies of {dataset.root}", box=SIMPLE_HEAD, title_justify="left")
+    from datagen.names import printable
+
+    # Names may hold square brackets, which rich would take for mark-up.
+    table = Table(title=Text(printable(f"{geometry} proxies of {dataset.root}")), box=SIMPLE_HEAD, title_justify="left")
     table.add_column("object", no_wrap=True)
     is_mixed = any(report.kind != geometry for report in reports)
     if is_mixed:

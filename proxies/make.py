@@ -18,7 +18,8 @@ from datagen.geometry import (
     write_proxies,
 )
 from datagen.meshes import Mesh
-from datagen.storage import load_sealed, one_writer, remove_temporaries
+from datagen.ownership import PROXIES, holding, refuse_others
+from datagen.storage import load_sealed
 from proxies.blocks import fit_blocks
 from proxies.box import fit_box
 from proxies.ellipsoid import fit_ellipsoid
@@ -87,13 +88,14 @@ def make_proxies(dataset: Dataset, spec: ProxySpec | MixedSpec, *, overwrite: bo
     root = geometry_root(dataset.root, spec.geometry)
     truths = read_meshes(dataset, TRUTH)
     assignment = spec.assignment if isinstance(spec, MixedSpec) else None
-    with one_writer(root):
-        remove_temporaries(root)
+    with holding(root, PROXIES, within=dataset.root):
         if not overwrite and _stand(dataset, spec.geometry):
             _check_same_assignment(dataset, spec.geometry, assignment)
             return False
         if (problem := meshlab_problem()) is not None:
             say(f"{problem}; SciPy and NumPy do its work")
+        own = {PROXIES.head, *(f"meshes/{item.name}.ply" for item in dataset.objects)}
+        refuse_others(root, PROXIES, but=lambda path: path in own)
         solids = make_solids(truths)
         parts = (spec,) * len(truths) if isinstance(spec, ProxySpec) else spec.parts
         meshes = fit_parts(truths, solids, parts)

@@ -20,7 +20,16 @@ from datagen.geometry import TRUTH
 from datagen.layers import Layers, create_layers, write_layers
 from datagen.meshes import Mesh
 from datagen.number_formats import quantize_uv
-from datagen.scene import CameraRig, Diffuse, Scene, SceneObject, SoftEnvironment, ThinDielectric, WalkPoint, save_scene
+from datagen.scene import (
+    CameraRig,
+    Diffuse,
+    Scene,
+    SceneObject,
+    SoftEnvironment,
+    ThinDielectric,
+    WalkPoint,
+    scene_files,
+)
 
 HEIGHTS = (0.5, 0.0)
 """z of the pane (object 1) and of the floor (object 2); both span [-1, 1] in x and y, uv = (x + 1, y + 1) / 2."""
@@ -119,7 +128,6 @@ def write_synthetic_dataset(root: Path, *, resolution: int = 32, num_layers: int
         extrapolating=few,
     )
     scene = synthetic_scene()
-    save_scene(scene, root / "scene")
     rng = np.random.default_rng(0)
     cameras = {}
     for split in SPLITS:
@@ -134,8 +142,7 @@ def write_synthetic_dataset(root: Path, *, resolution: int = 32, num_layers: int
             world_from_camera=np.stack(poses), fov_x=np.radians(50), width=resolution, height=resolution
         )
     objects = (DatasetObject(name="pane", is_glass=True), DatasetObject(name="floor", is_glass=False))
-    files = tuple(path.relative_to(root) for path in sorted((root / "scene").rglob("*")) if path.is_file())
-    dataset = write_head(root, config, objects, cameras, files)
+    dataset = write_head(root, config, objects, cameras, scene_files(scene))
     create_layers(dataset, TRUTH, num_layers=num_layers, geometry_hash="synthetic")
     for split in SPLITS:
         stored = read_cameras(dataset, split)

@@ -100,7 +100,7 @@ def test_a_spread_is_numpys_mean_and_sample_deviation() -> None:
 def test_the_report_averages_runs_that_differ_in_their_seed_alone(
     dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("eval.report.write_figures", lambda scenes, further, out: [])
+    monkeypatch.setattr("eval.report.figures_of", lambda *_: {})
     for seed, level in enumerate((5, 7, 10)):
         write_run(dataset, tmp_path, f"paper-seed{seed}" if seed else "paper", paper(seed=seed), level, 20)
     write_run(dataset, tmp_path, "paper-100-steps-seed1", paper(seed=1, steps=100), 30, 30)

@@ -58,7 +58,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def no_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     """Spares the second that pictures take."""
-    monkeypatch.setattr("eval.report.write_figures", lambda *_: [])
+    monkeypatch.setattr("eval.report.figures_of", lambda *_: {})
 
 
 @pytest.fixture
@@ -209,7 +209,7 @@ def test_pictures_are_written_and_do_not_depend_on_the_day(made: Path, tmp_path:
     names = ["cameras_synthetic", "comparison_synthetic", "curve_synthetic", "synthetic_foreign_nerf", "synthetic_grey",
              "synthetic_perfect"]  # fmt: skip
     assert sorted(path.name for path in (tmp_path / "a").iterdir()) == sorted(
-        [*(f"{n}.png" for n in names), "results.json"]
+        [*(f"{n}.png" for n in names), "report.json", "results.json"]
     )
     for path in (tmp_path / "a").iterdir():
         assert path.read_bytes() == (tmp_path / "b" / path.name).read_bytes()

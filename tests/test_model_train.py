@@ -189,6 +189,10 @@ def test_run_json_says_what_was_trained_on_what(dataset: Dataset, tmp_path: Path
     content = json.loads((tmp_path / "run/run.json").read_text())
     content["config"]["stepz"] = 3
     (tmp_path / "run/run.json").write_text(json.dumps(content))
+    with pytest.raises(HyalineError, match="does not match its own checksum"):
+        read_run(tmp_path / "run")
+    del content["sha256"]  # As older runs have none.
+    (tmp_path / "run/run.json").write_text(json.dumps(content))
     with pytest.raises(HyalineError, match="config: unknown key 'stepz'"):
         read_run(tmp_path / "run")
 
@@ -294,7 +298,7 @@ def test_a_folder_that_is_no_run_is_never_overwritten(
     (tmp_path / "thesis.txt").write_text("years of work")
     for flags in ((), ("--overwrite",)):
         assert call(monkeypatch, *quick(dataset, tmp_path), *flags) == 1
-        assert "holds files but no run" in capsys.readouterr().err
+        assert "is not empty (thesis.txt) and no run; choose another --out" in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.txt"]
 
 

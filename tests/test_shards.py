@@ -77,10 +77,10 @@ def test_a_killed_part_and_a_build_without_parts_end_in_the_same_bytes(
     os.killpg(process.pid, signal.SIGKILL)
     process.wait()
     # What a part that was killed in a commit leaves.
-    (out / "records/train/0000.json.12ab34cd.tmp").write_bytes(b"half a rec")
+    (out / "records/train/0000.json.0123456789abcdef.hyaline-tmp").write_bytes(b"half a rec")
     answer = subprocess.run(first, check=True, capture_output=True, text=True)
     assert "part 1/2 is done; " in answer.stderr and "for the other parts to make" in answer.stderr
-    assert (out / "records/train/0000.json.12ab34cd.tmp").is_file(), "a part deletes nothing"
+    assert (out / "records/train/0000.json.0123456789abcdef.hyaline-tmp").is_file(), "a part deletes nothing"
     subprocess.run(command(scene_folder, out), check=True, capture_output=True)
     assert tree(out) == tree(built)
 
@@ -166,7 +166,7 @@ def test_any_number_of_writers_may_start_one_dataset_at_once(tmp_path: Path) -> 
     cameras = make_cameras(scene.cameras, config)
 
     def start(root: Path, shard: bool) -> str:
-        dataset = open_or_start(scene, root, config, cameras, overwrite=False, is_alone=not shard)
+        dataset = open_or_start(scene, root, config, cameras, overwrite=False)
         root = layers_root(dataset.root, TRUTH, "straight")
         _start_beside_others(dataset, TRUTH, "straight", _geometry_hash(dataset, TRUTH), num_layers=4, rays=4)
         return dataset.seal
@@ -257,7 +257,7 @@ def test_a_part_is_not_put_beside_what_is_no_dataset(scene_folder: Path, tmp_pat
     part = command(scene_folder, tmp_path, "--shard", "1/2")
     answer = subprocess.run(part, capture_output=True, text=True, check=False)
     assert answer.returncode == 1
-    assert "is not empty (images) and no dataset; delete it, or choose another --out" in answer.stderr
+    assert "is not empty (images/thesis.png) and no dataset; choose another --out" in answer.stderr
     assert tree(tmp_path) == {"images/thesis.png": b"precious"}
 
 

@@ -1,0 +1,264 @@
+"""Tests that no command touches a file that hyaline did not make, however it is called and wherever it writes."""
+
+import dataclasses
+import importlib
+import inspect
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import pytest
+from support.commands import Answer, call
+from support.disk import State, read_state
+from support.scenarios import BUILD, GRID, TRAIN
+
+from model.sweep import Failure
+
+RENDER = "model render --run runs/one/paper --device cpu"
+REPORT = "report --runs runs --data data"
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Trip:
+    """A command that writes, among files that are not its own."""
+
+    line: str
+    start: str = "dataset"
+    """The prepared state that it starts from."""
+    taken: tuple[str, ...] = ()
+    """Foreign files in the very places where it would write: it must refuse, and name one of them."""
+
+
+TRIPS = (
+    Trip(line=BUILD, start="scene"),
+    Trip(line=f"{BUILD} --layers straight light-path --rays 1"),
+    Trip(line=f"{BUILD} --seed 1 --overwrite", start="proxies"),
+    Trip(line=f"{BUILD} --angle-splits"),
+    Trip(line=f"{BUILD} --super-resolution 2 --super-resolution-views 1"),
+    Trip(line=f"{BUILD} --shard 1/2", start="scene"),
+    Trip(line="datagen build --scene scene --out data/one --edit remove:pane"),
+    Trip(line="datagen build --scene scene --out data/one --edit remove:pane --overwrite"),
+    Trip(line="datagen peel --dataset data/one --num-layers 3 --overwrite"),
+    Trip(line="datagen verify data/one"),
+    Trip(line="proxies make --dataset data/one --kind box --overwrite", start="proxies"),
+    Trip(line="proxies make --dataset data/one --assign pane=box --rest hull --name mixed-a"),
+    Trip(line="proxies check --dataset data/one --kind box", start="proxies"),
+    Trip(line=f"{TRAIN} --out runs/one/paper"),
+    Trip(line=f"{TRAIN} --out runs/one/paper --seed 1 --overwrite", start="run"),
+    Trip(line=f"{RENDER} --overwrite", start="run"),
+    Trip(line="model sweep grid.toml"),
+    Trip(line=REPORT, start="run"),
+    Trip(line=f"{REPORT} --table table1 --out figures", start="run"),
+    # What is not ours stands where the command would write.
+    Trip(line=BUILD, start="scene", taken=("data/one/transforms_train.json",)),
+    Trip(line=f"{BUILD} --overwrite", start="scene", taken=("data/one/images/train/0000.png", "data/one/dataset.json")),
+    Trip(line=f"{BUILD} --shard 1/2", start="scene", taken=("data/one/scene/scene.json",)),
+    Trip(line=f"{BUILD} --launcher local", start="scene", taken=("data/one-jobs/1_submission.sh",)),
+    Trip(line=f"{BUILD} --views 2 --overwrite", taken=("data/one/images/train/0001.png",)),
+    Trip(line=f"{BUILD} --layers light-path", taken=("data/one/layers/light-path/mine.partial",)),
+    Trip(line=f"{BUILD} --angle-splits", taken=("data/one/annexes/angles/dataset.json",)),
+    Trip(line=f"{BUILD} --super-resolution 2", taken=("data/one/annexes/x2/images/interpolating/0000.png",)),
+    Trip(
+        line="datagen build --scene scene --out data/one --edit remove:pane --overwrite",
+        taken=("data/one/edits/remove-pane/thesis.tex",),
+    ),
+    Trip(line="proxies make --dataset data/one --kind box", taken=("data/one/proxies/box/meshes/floor.ply",)),
+    Trip(
+        line="proxies make --dataset data/one --kind box --overwrite", taken=("data/one/proxies/box/proxies.json",)
+    ),
+    Trip(line="datagen peel --dataset data/one --layers light-path --overwrite",
+         taken=("data/one/layers/light-path/layers.json",)),
+    Trip(line=f"{TRAIN} --out runs/one/paper --overwrite", taken=("runs/one/paper/weights.pt",)),
+    Trip(line=f"{TRAIN} --out runs/one/paper --overwrite", taken=("runs/one/paper/run.json",)),
+    Trip(line=f"{RENDER} --overwrite", taken=("runs/one/paper/run.json", "runs/one/paper/weights.pt")),
+    Trip(line="model sweep grid.toml", taken=("runs/one/paper-w8-t8-batch32-2-steps/weights.pt",)),
+    Trip(line=REPORT, start="run", taken=("runs/report/results.json",)),
+    Trip(line=f"{REPORT} --out figures", start="run", taken=("figures/cameras_one.png",)),
+    Trip(line=f"{REPORT} --table table1 --out figures", start="run", taken=("figures/report.json",)),
+    Trip(line="datagen bench scale --out figure.png", start="scene", taken=("figure.png",)),
+)  # fmt: skip
+
+WRITES_NOTHING = {
+    "datagen scenes", "datagen doctor", "datagen bench peel", "datagen bench truth", "datagen bench", "model bench",
+    "model bench ceilings", "model bench step", "model bench infer", "model bench online", "model bench gpu",
+}  # fmt: skip
+"""Commands that have no file to write."""
+
+ELSEWHERE = {
+    "datagen build": {"scene", "preset", "num_layers", "workers", "ceiling", "resolution", "test_views", "spp",
+                      "test_spp", "max_depth", "rays", "seed", "shards", "slurm_partition", "slurm_time", "slurm_cpus",
+                      "slurm_gpus"},
+    "datagen peel": {"geometry", "rays", "workers"},
+    "datagen bench scale": {"factors", "quantities", "rounds", "json", "overwrite"},
+    "proxies make": {"amount", "layers", "num_layers", "rays", "workers"},
+    "proxies check": {"amount", "name"},
+    "model render": {"dataset", "edit", "scale"},
+    "model sweep": {"dataset", "seed", "jobs", "dry_run"},
+    "report report": {"format", "order", "dataset"},
+}  # fmt: skip
+"""Flags that choose what is written, or by how many, and never where: no line above needs them."""
+
+STRANGERS = (
+    "download.partial", "notes.tmp", "0000.png.tmp", "0000.json.12ab34cd.tmp", "points3d.ply", "thesis.tex",
+    "0001.json", "9999.png", "weights.pt.bak", "cache.json", "index.md", ".hidden", "predictions/train/0000.png",
+    "0000.0123456789abcdef.hyaline-tmp.zip", "mine/run.json", "mine/layers.json", "x9/predictions/train/0000.png",
+)  # fmt: skip
+"""Foreign files that are put into each folder."""
+
+
+def put(path: Path) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(f"precious {path.name}".encode())
+
+
+def litter(here: Path) -> dict[str, bytes]:
+    """Puts foreign files into every folder there is; returns them."""
+    before = read_state(here)
+    folders = [here / folder for folder in sorted(before.folders)]
+    for path in (folder / name for folder in folders for name in STRANGERS):
+        if not path.exists():
+            put(path)
+    for name in STRANGERS:
+        put(here / name)
+    return {path: data for path, data in read_state(here).files.items() if path not in before.files}
+
+
+def in_process(arguments: tuple[str, ...], *_: object) -> Failure | None:
+    answer = call(" ".join(["model", "train", *arguments]))
+    return None if answer.status == 0 else Failure(command="model train", reason=answer.error)
+
+
+@pytest.fixture
+def prepared(start: Callable[[str], State], here: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
+    # A sweep's runs are commands of their own, each in a process; here they are called in this one.
+    monkeypatch.setattr("model.sweep._train_in_child", in_process)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(here.parent / "cache"))
+
+    def make(name: str) -> None:
+        start(name)
+        (here / "grid.toml").write_text(GRID)
+
+    return make
+
+
+FREE = [trip for trip in TRIPS if not trip.taken]
+TAKEN = [trip for trip in TRIPS if trip.taken]
+
+
+@pytest.mark.parametrize("trip", FREE, ids=lambda trip: f"{trip.line} ({trip.start})")
+def test_foreign_files_in_every_folder_stay_as_they_were(
+    trip: Trip, here: Path, prepared: Callable[[str], None]
+) -> None:
+    prepared(trip.start)
+    # Empty folders where commands write belong to nobody: what is begun in a folder must find it empty.
+    foreign = litter(here)
+    answer = call(trip.line)
+    _check_end(answer)
+    after = read_state(here).files
+    assert {path: after.get(path) for path in foreign} == foreign
+
+
+@pytest.mark.parametrize("trip", TAKEN, ids=lambda trip: f"{trip.line} ({', '.join(trip.taken)})")
+def test_a_foreign_file_where_a_command_would_write_is_named_and_kept(
+    trip: Trip, here: Path, prepared: Callable[[str], None]
+) -> None:
+    prepared(trip.start)
+    for file in trip.taken:
+        put(here / file)
+    before = read_state(here)
+    answer = call(trip.line)
+    _check_end(answer)
+    after = read_state(here)
+    assert answer.status == 1, answer.err
+    assert {path: after.files.get(path) for path in trip.taken} == {path: before.files[path] for path in trip.taken}
+    kept = {path: data for path, data in before.files.items() if not path.startswith("data/one/layers/light-path")}
+    assert {path: after.files.get(path) for path in kept} == kept, "and nothing else was lost"
+    assert any(Path(file).name in answer.err or str(Path(file).parent) in answer.err for file in trip.taken), answer.err
+
+
+@pytest.mark.parametrize("name", ["data/one", "runs/one/paper", "runs/report"])
+def test_a_link_to_a_foreign_folder_is_not_followed(name: str, here: Path, prepared: Callable[[str], None]) -> None:
+    prepared("run")
+    other = here / "elsewhere"
+    inner = {"data/one": "images", "runs/one/paper": "predictions", "runs/report": "."}[name]
+    place = here / name / inner
+    if inner == ".":
+        put(other / "results.json")
+        place = here / name
+    else:
+        (here / name / inner).rename(other)
+    place.symlink_to(other)
+    before = read_state(other)
+    line = {
+        "data/one": f"{BUILD} --seed 1 --overwrite",
+        "runs/one/paper": f"{RENDER} --overwrite",
+        "runs/report": REPORT,
+    }
+    answer = call(line[name])
+    assert answer.status == 1 and answer.error.startswith("error: "), answer.err
+    assert read_state(other) == before
+
+
+def _check_end(answer: Answer) -> None:
+    """It went well, or was refused in one line."""
+    assert answer.status in (0, 1), answer.err
+    assert "Traceback" not in answer.err
+    assert answer.status == 0 or answer.error.startswith("error: "), answer.err
+
+
+# The table names every command and every flag
+
+
+CLIS = {
+    "datagen": "datagen.cli", "proxies": "proxies.cli", "model": "model.cli", "report": "eval.cli",
+    "datagen bench": "datagen.bench.cli", "model bench": "model.bench.cli",
+}  # fmt: skip
+
+
+@pytest.fixture
+def commands(monkeypatch: pytest.MonkeyPatch) -> dict[str, Callable[..., None]]:
+    """Every command of every program, as the programs themselves list them."""
+    found: dict[str, Callable[..., None]] = {}
+    for program, module_name in CLIS.items():
+        module = importlib.import_module(module_name)
+
+        def keep(
+            _: str, __: str, listed: Mapping[str, Callable[..., None]], ___: list[str], program: str = program
+        ) -> None:
+            found.update({f"{program} {name}": function for name, function in listed.items()})
+
+        monkeypatch.setattr(module, "run", keep)
+        words = program.split()
+        monkeypatch.setattr("sys.argv", [words[0]])
+        module.main([]) if len(words) == 2 else module.main()
+    return found
+
+
+def flags_of(command: Callable[..., None]) -> set[str]:
+    """The names of a command's flags, those of records of choices among them."""
+    names: set[str] = set()
+    for parameter in inspect.signature(command).parameters.values():
+        kind = parameter.annotation
+        if dataclasses.is_dataclass(kind) and isinstance(kind, type):
+            names |= {item.name for item in dataclasses.fields(kind)}
+        else:
+            names.add(parameter.name)
+    return names
+
+
+def test_every_command_that_writes_is_tried_with_every_flag_that_says_where(
+    commands: dict[str, Callable[..., None]],
+) -> None:
+    missing = []
+    for name, command in commands.items():
+        if name in WRITES_NOTHING:
+            continue
+        lines = [trip.line for trip in TRIPS if trip.line.startswith(name.replace("report report", "report"))]
+        if not lines:
+            missing.append(name)
+        words = {word.removeprefix("--").replace("-", "_") for line in lines for word in line.split()}
+        positional = {"dataset", "experiment"} if name in ("datagen verify", "model sweep") else set()
+        # What `model train` is told beside --out and --overwrite makes the run's name: tried in its own tests.
+        known = flags_of(command) if name == "model train" else words | ELSEWHERE.get(name, set()) | positional
+        missing += [f"{name} --{flag}" for flag in sorted(flags_of(command) - known)]
+    assert not missing, "add a line to TRIPS that writes so, or say in this file why it writes nowhere else"
+    assert {name for name in WRITES_NOTHING if name not in commands} == set()
