@@ -1,7 +1,7 @@
 """Owns a dataset's geometries: the true meshes of its scene, and the proxies that stand in for them.
 
 scene/meshes/NAME.ply              the truth
-proxies/KIND/proxies.json          sealed, written first: one mesh per object, with SHA-256 and statistics
+proxies/KIND/proxies.json          sealed: one mesh per object, with SHA-256 and statistics
 proxies/KIND/meshes/NAME.ply
 
 KIND is a geometry's name: a kind of proxy such as box, a kind and its amount such as noise-0.01, or `mixed` and more,
@@ -16,10 +16,8 @@ from datagen.command import choose
 from datagen.dataset import DATASET_VERSION, Dataset, check_files, head_files
 from datagen.errors import HyalineError
 from datagen.meshes import Mesh, check_mesh, is_there, no_mesh, read_ply, write_ply
-from datagen.names import check_name, is_name
-from datagen.ownership import PROXIES, begin, is_ours, refuse_taken, remove_files
 from datagen.records import Json, entry, from_json, to_json
-from datagen.storage import commit, commit_sealed, load_sealed, seal_bytes, sha256
+from datagen.storage import commit, commit_sealed, load_sealed, sha256
 
 TRUTH = "truth"
 """The geometry that is not a proxy: the scene's own meshes."""
@@ -49,19 +47,13 @@ class ProxyRecord:
 
     object: str
     file: str
-    """meshes/NAME.ply, relative to the folder of the proxies."""
     sha256: str
     statistics: ProxyStatistics
-
-    def __post_init__(self) -> None:
-        check_name(self.object, where="object name")
-        if self.file != f"meshes/{self.object}.ply":
-            raise HyalineError(f"proxy of {self.object}: lies at {self.file!r}; expected meshes/{self.object}.ply")
 
 
 def geometry_root(root: Path, geometry: str) -> Path:
     """Where a geometry's meshes and layers lie: the dataset itself for the truth, else its proxy folder."""
-    return root if geometry == TRUTH else root / "proxies" / check_name(geometry, where="geometry")
+    return root if geometry == TRUTH else root / "proxies" / geometry
 
 
 def write_proxies(dataset: Dataset, kind: str, meshes: tuple[Mesh, ...], statistics: tuple[ProxyStatistics, ...],
@@ -72,12 +64,12 @@ def write_proxies(dataset: Dataset, kind: str, meshes: tuple[Mesh, ...], statist
         assignment: of a mixture, what stands for each object: truth, box, noise-0.01, ...
     """
     root = geometry_root(dataset.root, kind)
-    listed, files = [], {}
+    listed = []
     for item, mesh, numbers in zip(dataset.objects, meshes, statistics, strict=True):
         if not is_there(mesh):
             continue
         file, data = f"meshes/{item.name}.ply", write_ply(mesh)
-        files[file] = data
+        commit(root / file, data)
         listed.append(ProxyRecord(object=item.name, file=file, sha256=sha256(data), statistics=numbers))
     content: dict[str, Json] = {
         "version": DATASET_VERSION,
@@ -87,26 +79,7 @@ def write_proxies(dataset: Dataset, kind: str, meshes: tuple[Mesh, ...], statist
     }
     if assignment is not None:
         content["assignment"] = to_json(assignment)
-    if is_ours(root, PROXIES):
-        old = proxy_files(root)
-        refuse_taken(root, PROXIES, files, old)
-        remove_files(root, sorted(set(old) - set(files)))
-        commit_sealed(root / PROXIES.head, content)
-    else:
-        begin(root, PROXIES, seal_bytes(content), files)
-    for file, data in files.items():
-        commit(root / file, data)
-
-
-def proxy_files(root: Path) -> list[str]:
-    """The meshes that a folder of proxies lists, by path relative to it.
-
-    Raises:
-        HyalineError: the list is missing or damaged.
-    """
-    path = root / PROXIES.head
-    records = from_json(tuple[ProxyRecord, ...], load_sealed(path).get("proxies"), where=f"{path}: proxies")
-    return [record.file for record in records]
+    commit_sealed(root / "proxies.json", content)
 
 
 def read_proxy_records(dataset: Dataset, kind: str) -> tuple[ProxyRecord, ...]:
@@ -122,6 +95,10 @@ def read_proxy_records(dataset: Dataset, kind: str) -> tuple[ProxyRecord, ...]:
     content = load_sealed(path)
     if content.get("version") != DATASET_VERSION:
         raise HyalineError(f"{path}: format version {content.get('version')!r}; this program reads {DATASET_VERSION}")
+    if unknown := sorted(set(content) - {"version", "kind", "dataset", "proxies", "assignment"}):
+        raise HyalineError(f"{path}: unknown key {unknown[0]!r}; make the proxies again")
+    if content.get("kind") != kind:
+        raise HyalineError(f"{path}: is of kind {content.get('kind')!r}; expected {kind!r}, as its folder is called")
     if content.get("dataset") != dataset.seal:
         raise HyalineError(
             f"{path}: made for another dataset; make them again with `{_make_command(dataset, kind)} --overwrite`"
@@ -171,8 +148,7 @@ def _make_command(dataset: Dataset, geometry: str) -> str:
 
 def list_geometries(dataset: Dataset) -> list[str]:
     """`truth`, and every kind of proxy that was made for the dataset."""
-    made = (path.parent.name for path in dataset.home.root.glob("proxies/*/proxies.json"))
-    return [TRUTH, *sorted(filter(is_name, made))]
+    return [TRUTH, *sorted(path.parent.name for path in dataset.home.root.glob("proxies/*/proxies.json"))]
 
 
 def check_geometry(dataset: Dataset, geometry: str) -> None:

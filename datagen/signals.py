@@ -27,6 +27,18 @@ class Stopped(BaseException):
         """The exit status, as shells count it: 130 for SIGINT, 143 for SIGTERM."""
 
 
+def signal_within(error: BaseException) -> Stopped | None:
+    """The signal that a library has turned into an error of its own; None: no signal was the cause."""
+    cause: BaseException | None = error
+    while cause is not None:
+        if isinstance(cause, Stopped):
+            return cause
+        if isinstance(cause, KeyboardInterrupt):
+            return Stopped(signal.SIGINT)
+        cause = cause.__cause__ or cause.__context__
+    return None
+
+
 @dataclass
 class Held:
     """The first signal that arrived while signals were held back."""

@@ -88,8 +88,6 @@ LIGHT_PATH: dict[str, Json] = {
     "branches": 12,
     "composite": True,
     "environment_size": 32,
-    "sky_lobes": 12,
-    "hidden": 128,
     "position_octaves": 0,
     "straight_layers": 0,
     "shells": 1,
@@ -98,7 +96,6 @@ LIGHT_PATH: dict[str, Json] = {
     "texture_levels": 5,
     "train_samples": 4,
     "render_samples": 16,
-    "refined_samples": 64,
 }
 """`light-path` on the true geometry with all of its parts."""
 
@@ -188,7 +185,7 @@ ABLATIONS: dict[str, Line] = {
 }
 """Tables of what each choice of a method is worth, and the runs that they set beside each other."""
 
-FOLLOWING = ("width", "batch", "sky_lobes", "refined_samples")
+FOLLOWING = ("width", "batch")
 """Keys that follow from others: a difference in them alone counts, one beside another does not."""
 
 

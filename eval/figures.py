@@ -1,7 +1,6 @@
 """Owns the pictures of a report: which there are, and the one that shows where all cameras stand."""
 
-from collections.abc import Callable
-from functools import partial
+from pathlib import Path
 from typing import cast
 
 import numpy as np
@@ -15,7 +14,7 @@ from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 from datagen.dataset import SPLITS, TEST_SPLITS, Cameras, Dataset, Split, read_cameras
 from datagen.geometry import TRUTH, read_meshes
 from datagen.meshes import face_corners
-from datagen.names import file_name
+from datagen.storage import commit
 from eval.further import Further
 from eval.score import SceneScores
 from eval.sheets import DPI, comparison_sheet, contact_sheet, figure_png
@@ -28,19 +27,26 @@ MAX_FACES = 20_000
 """Triangles drawn of a scene; of more, the largest and an even selection of the others."""
 
 
-def figures_of(scenes: list[SceneScores], further: list[Further]) -> dict[str, Callable[[], bytes]]:
-    """A sheet per run, a comparison and the cameras per scene, then the analyses' figures: what draws each, by file."""
-    figures: dict[str, Callable[[], bytes]] = {}
+def write_figures(scenes: list[SceneScores], further: list[Further], out: Path) -> list[Path]:
+    """Writes a sheet per run, a comparison and the cameras per scene, then the analyses' figures; returns the paths."""
+    written = []
+
+    def keep(name: str, png: bytes) -> None:
+        path = out / f"{name}.png"
+        commit(path, png)
+        written.append(path)
+
     for scene in scenes:
-        name = file_name(scene.title)
+        name = scene.title.replace("/", "_")
         for scores in scene.runs:
-            figures[f"{name}_{file_name(scores.run.name)}"] = partial(contact_sheet, scene, scores)
+            keep(f"{name}_{scores.run.name}", contact_sheet(scene, scores))
         if len(scene.runs) > 1:
-            figures[f"comparison_{name}"] = partial(comparison_sheet, scene, "all runs")
-        figures[f"cameras_{name}"] = partial(cameras_figure, scene.dataset, scene.title)
+            keep(f"comparison_{name}", comparison_sheet(scene, "all runs"))
+        keep(f"cameras_{name}", cameras_figure(scene.dataset, scene.title))
     for analyses in further:
-        figures |= analyses.figures
-    return {f"{name}.png": draw for name, draw in figures.items()}
+        for name, draw in analyses.figures.items():
+            keep(name, draw())
+    return written
 
 
 def cameras_figure(dataset: Dataset, title: str) -> bytes:

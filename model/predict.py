@@ -16,13 +16,10 @@ from datagen.errors import HyalineError
 from datagen.storage import commit, sha256
 from model.batches import Pixels, PixelSource
 from model.checkpoint import load_state
-from model.light_path_net import LightPathRenderer
 from model.methods import METHODS, read_layers_of
 from model.paper import PaperRenderer
-from model.refined_pixels import draw_refined
 from model.run_folder import WEIGHTS, TrainConfig, is_config, write_prediction_hashes
 from model.runtime import keep_freed_memory
-from model.traced_batches import LightPathPixels
 
 
 def predict_pixels(renderer: nn.Module, pixels: PixelSource) -> UInt8[np.ndarray, "pixel 3"]:
@@ -54,8 +51,6 @@ def _predict(renderer: nn.Module, pixels: PixelSource) -> Float32[Tensor, "pixel
             return drawn
         # Pixels without any layer are all of one colour.
         index, empty = pixels.split_empty()
-    elif isinstance(renderer, LightPathRenderer) and isinstance(pixels, LightPathPixels):
-        return draw_refined(renderer, pixels)
     else:
         index = torch.arange(len(pixels.rgb), device=pixels.rgb.device)
         empty = index[:0]
@@ -80,13 +75,31 @@ def load_renderer(out: Path, config: TrainConfig, dataset: Dataset) -> nn.Module
         state = load_state(out / WEIGHTS)
     except HyalineError as error:
         raise HyalineError(f"{error}; train anew with --overwrite") from error
-    if not is_config(state["config"], config):
+    if not is_config(state.get("config"), config):
         raise HyalineError(f"{out / WEIGHTS}: made by another configuration than run.json; train with --overwrite")
     method = METHODS[config.method]
     num_layers, _ = read_layers_of(method, dataset, config.geometry)
     renderer = method.build(config.net, dataset, config.geometry, num_layers)
+    _check_parameters(renderer.state_dict(), state.get("renderer"), where=str(out / WEIGHTS))
     renderer.load_state_dict(cast(dict[str, Tensor], state["renderer"]))
     return renderer
+
+
+def _check_parameters(expected: Mapping[str, Tensor], found: object, *, where: str) -> None:
+    """Raises a HyalineError unless these are the numbers of a renderer, all finite: torch would cast what is not."""
+    values = found if isinstance(found, dict) else {}
+    for name in sorted(expected.keys() | values.keys(), key=str):
+        value, wanted = values.get(name), expected.get(name)
+        what = f"{tuple(value.shape)} of {value.dtype}" if isinstance(value, Tensor) else repr(value)[:40]
+        if (
+            wanted is None
+            or not isinstance(value, Tensor)
+            or (value.shape, value.dtype) != (wanted.shape, wanted.dtype)
+        ):
+            needed = "nothing" if wanted is None else f"{tuple(wanted.shape)} of {wanted.dtype}"
+            raise HyalineError(f"{where}: {name} is {what}; expected {needed}, train anew with --overwrite")
+        if not bool(torch.isfinite(value).all()):
+            raise HyalineError(f"{where}: {name} holds numbers that are not finite; train anew with --overwrite")
 
 
 def render_predictions(out: Path, config: TrainConfig, dataset: Dataset, *, device: torch.device) -> None:

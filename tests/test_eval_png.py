@@ -64,6 +64,15 @@ def test_a_png_that_is_cut_off_at_any_length_is_noticed(picture: np.ndarray) -> 
             check_png(data[:length], where="it")
 
 
+@pytest.mark.parametrize(("rows", "what"), [(SIZE - 1, "fewer"), (SIZE + 1, "more")])
+def test_a_png_of_other_pixels_than_its_header_promises_is_noticed(rows: int, what: str) -> None:
+    header = struct.pack(">IIBBBBB", SIZE, SIZE, 8, 2, 0, 0, 0)
+    body = zlib.compress((b"\0" + bytes(3 * SIZE)) * rows)
+    data = b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", body) + chunk(b"IEND", b"")
+    with pytest.raises(HyalineError, match=f"it has {what} pixels than the 16 x 16 of its header"):
+        check_png(data, where="it")
+
+
 def rgb16(size: int) -> bytes:
     """A PNG of 16 bits a channel, which Pillow reads as one of 8."""
     header = struct.pack(">IIBBBBB", size, size, 16, 2, 0, 0, 0)
@@ -117,7 +126,7 @@ def odd(name: str) -> bytes:
         ("trailing bytes", "damaged (goes on for 1 bytes behind its end)"),
         ("two pictures", "behind its end)"),
         ("no end", "damaged (cut off after"),
-        ("no pixels", "not a PNG that can be read"),
+        ("no pixels", "it has fewer pixels than the 16 x 16"),
         ("too large", "is 1048576 x 1048576 pixels; expected 16 x 16, as the truth has"),
         ("JPEG", "not a PNG (it begins with"),
         ("empty", "not a PNG (it begins with b'')"),

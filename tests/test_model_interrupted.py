@@ -13,7 +13,7 @@ from synthetic import write_synthetic_dataset
 
 from datagen.dataset import Dataset
 from datagen.errors import HyalineError
-from datagen.signals import Stopped, hold_signals
+from datagen.signals import Stopped, hold_signals, signal_within
 from model import cli
 from model import train as train_module
 from model.checkpoint import load_checkpoint, load_state, save_checkpoint
@@ -314,3 +314,16 @@ def test_a_signal_that_the_parent_ignores_stays_ignored() -> None:
         assert held.number is None
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.parametrize("stop", [KeyboardInterrupt(), Stopped(signal.SIGTERM)])
+def test_a_signal_that_a_library_has_wrapped_is_found(stop: BaseException) -> None:
+    """As Dr.Jit does with whatever is raised while it records a loop."""
+    with pytest.raises(RuntimeError) as wrapped:
+        try:
+            raise stop
+        except BaseException as error:
+            raise RuntimeError("encountered an exception (see above)") from error
+    found = signal_within(wrapped.value)
+    assert found is not None and found.status == (130 if isinstance(stop, KeyboardInterrupt) else 143)
+    assert signal_within(RuntimeError("of its own")) is None
