@@ -10,12 +10,13 @@ parent's; layers of its geometries lie in the annex.
 from pathlib import Path
 
 from datagen.dataset import TEST_SPLITS, Dataset, Split, open_dataset
+from datagen.names import check_name, is_name
 
 ANGLES = "angles"
 
 
 def annex_root(root: Path, name: str) -> Path:
-    return root / "annexes" / name
+    return root / "annexes" / check_name(name, where="annex")
 
 
 def scale_name(scale: int) -> str:
@@ -35,7 +36,7 @@ def parent_views(annex: Dataset, split: Split) -> list[int]:
 
 def list_annex_folders(root: Path) -> list[Path]:
     """The folders of a dataset's annexes, sorted."""
-    return sorted(path.parent for path in root.glob("annexes/*/dataset.json"))
+    return sorted(path.parent for path in root.glob("annexes/*/dataset.json") if is_name(path.parent.name))
 
 
 def open_annex(dataset: Dataset, name: str) -> Dataset | None:

@@ -1,31 +1,33 @@
 """Owns the making of annexes: splits by angle, and the test splits at larger sizes."""
 
 import dataclasses
-import shutil
 
 from datagen.angles import make_angle_cameras
 from datagen.annex import ANGLES, annex_root, evenly, list_annex_folders, scale_name
 from datagen.build import peel_dataset, render_dataset
+from datagen.clear import clear_dataset
 from datagen.dataset import (
     TEST_SPLITS,
-    TRANSFORMS_FILES,
     Cameras,
     Dataset,
     DatasetConfig,
     Split,
     SplitConfig,
     config_difference,
+    dataset_files,
+    head_contents,
     head_files,
     open_dataset,
     read_cameras,
-    transforms_bytes,
+    view_files,
     write_head,
 )
 from datagen.errors import HyalineError
 from datagen.geometry import list_geometries
 from datagen.layer_store import LayersHead, layers_root, read_layers_head
+from datagen.ownership import DATASET, holding, is_ours, refuse_taken
 from datagen.scene import load_scene
-from datagen.shards import Shard, writing
+from datagen.shards import Shard
 from datagen.storage import load_sealed, sha256
 
 MAX_SCALE = 8
@@ -97,7 +99,7 @@ def peel_annexes(dataset: Dataset, *, workers: int, shard: Shard | None = None) 
 def _build(dataset: Dataset, name: str, config: DatasetConfig, cameras: dict[Split, Cameras], *,
            workers: int, shard: Shard | None) -> Dataset:  # fmt: skip
     root = annex_root(dataset.root, name)
-    with writing(root, shard):
+    with holding(root, DATASET, within=dataset.root, shared=shard is not None):
         annex = _open_or_start(dataset, name, config, cameras, is_alone=shard is None)
         render_dataset(annex, workers=workers, shard=shard)
     return annex
@@ -111,19 +113,17 @@ def _open_or_start(dataset: Dataset, name: str, config: DatasetConfig, cameras: 
         is_alone: False: other processes may be doing the same; nothing is deleted.
     """
     root = annex_root(dataset.root, name)
-    path = root / "dataset.json"
-    if not is_alone and not path.is_file():
-        write_head(root, config, dataset.objects, cameras, (), parent=dataset)
-    if path.is_file() and load_sealed(path).get("annex_of") == dataset.seal:
+    if is_ours(root, DATASET) and load_sealed(root / DATASET.head).get("annex_of") == dataset.seal:
         annex = open_dataset(root)
         if difference := config_difference(annex.config, config):
             raise HyalineError(f"{root}: holds an annex with another configuration ({difference}); delete the folder")
-        promised = head_files(root)
-        wanted = {TRANSFORMS_FILES[split]: sha256(transforms_bytes(poses, split)) for split, poses in cameras.items()}
-        if promised == wanted:
-            return annex
-    if not is_alone:
-        raise HyalineError(f"{root}: holds an outdated annex; build without --shard, which replaces it")
-    for old in root.iterdir():
-        shutil.rmtree(old) if old.is_dir() else old.unlink()
-    return write_head(root, config, dataset.objects, cameras, (), parent=dataset)
+        wanted = {path: sha256(data) for path, data in head_contents({}, cameras).items()}
+        if head_files(root) == wanted:
+            return write_head(root, config, dataset.objects, cameras, {}, parent=dataset)
+    if is_ours(root, DATASET):
+        if not is_alone:
+            raise HyalineError(f"{root}: holds an outdated annex; build without --shard, which replaces it")
+        refuse_taken(root, DATASET, [*view_files(config, tuple(cameras)), *head_contents({}, cameras)],
+                     dataset_files(root))  # fmt: skip
+        clear_dataset(root)
+    return write_head(root, config, dataset.objects, cameras, {}, parent=dataset, replace=is_alone)

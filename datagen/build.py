@@ -2,15 +2,16 @@
 
 import contextlib
 import functools
-import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 
 from datagen.cameras import make_cameras
+from datagen.clear import clear_dataset
 from datagen.command import say, this_command, track
 from datagen.dataset import (
+    SPLITS,
     Cameras,
     Dataset,
     DatasetConfig,
@@ -19,11 +20,13 @@ from datagen.dataset import (
     Split,
     check_files,
     config_difference,
+    dataset_files,
     describe_views,
+    head_contents,
     head_files,
     is_view_built,
     noise_ceiling_db,
-    open_dataset,
+    view_files,
     write_head,
 )
 from datagen.errors import DamagedError, HyalineError, WorkerKilledError
@@ -44,9 +47,10 @@ from datagen.layer_store import (
 from datagen.layers import create_layers
 from datagen.light_path_layers import NUM_BRANCHES, create_light_paths
 from datagen.meshes import is_there, write_ply
+from datagen.ownership import DATASET, LAYERS, holding, is_ours, refuse_others, refuse_taken, remove_files
 from datagen.scene import Scene, is_glass, scene_files
-from datagen.shards import Shard, own_tasks, writing
-from datagen.storage import commit_same, sha256
+from datagen.shards import Shard, own_tasks
+from datagen.storage import sha256
 from datagen.workers import in_workers
 
 
@@ -63,9 +67,12 @@ def build_dataset(scene: Scene, root: Path, config: DatasetConfig, *, kinds: tup
     check_settings(num_layers=num_layers, rays=rays, workers=workers, kinds=kinds)
     if config.train.views < 1:
         raise HyalineError(f"views: are {config.train.views}; expected at least 1 training view")
-    with writing(root, shard):
+    with holding(root, DATASET, shared=shard is not None):
         cameras = make_cameras(scene.cameras, config)
-        dataset = open_or_start(scene, root, config, cameras, overwrite=overwrite, is_alone=shard is None)
+        dataset = open_or_start(scene, root, config, cameras, overwrite=overwrite)
+        own = (LAYERS.head, *(f"{folder}/" for folder in LAYERS.folders))
+        for kind in kinds:
+            refuse_others(layers_root(root, TRUTH, kind), LAYERS, but=lambda path: path.startswith(own))
         if shard is None and not is_view_built(dataset, "train", 0):
             _say_slits(scene, cameras)
         render_dataset(dataset, workers=workers, shard=shard)
@@ -115,19 +122,17 @@ def peel_dataset(dataset: Dataset, geometry: str, *, kinds: tuple[LayerKind, ...
     meshes_hash = _geometry_hash(dataset, geometry)
     for kind in kinds:
         root = layers_root(dataset.root, geometry, kind)
-        with writing(root, shard):
+        with holding(root, LAYERS, within=dataset.root, shared=shard is not None):
             is_started = not overwrite and _is_started(
                 dataset, geometry, kind, meshes_hash, num_layers=num_layers, rays=rays
             )
             if not is_started and kind == "light-path":
                 _require_vectorised()
             if shard is None:
-                if not is_started:
-                    # The head goes first. Views that verify under the new one are kept, unless all are asked for anew.
-                    (root / "layers.json").unlink(missing_ok=True)
-                    for task in _tasks(dataset) if overwrite else ():
-                        record_path_of_layers(root, *task).unlink(missing_ok=True)
-                _start(dataset, geometry, kind, meshes_hash, num_layers=num_layers, rays=rays)
+                if overwrite and is_ours(root, LAYERS):
+                    # Views that verify under the new head are kept, unless all are asked for anew.
+                    remove_files(root, [record_path_of_layers(Path(), *task).as_posix() for task in _tasks(dataset)])
+                _start(dataset, geometry, kind, meshes_hash, num_layers=num_layers, rays=rays, replace=not is_started)
             elif not is_started:
                 _start_beside_others(dataset, geometry, kind, meshes_hash, num_layers=num_layers, rays=rays)
             tasks = own_tasks(shard, _tasks(dataset))
@@ -163,7 +168,7 @@ def _told_missing(tasks: list[Task], is_made: Callable[[Task], bool], *, where: 
         ) from None
 
 
-def summary(dataset: Dataset, geometry: str, kinds: tuple[LayerKind, ...]) -> str:
+def summary(dataset: Dataset, geometry: str, kinds: tuple[LayerKind, ...]) -> list[str]:
     """What was made, in a few lines: noise ceilings, rays that were cut off."""
     splits: list[Split] = [split for split in dataset.splits if dataset.config.split(split).views]
     lines = [f"noise ceiling {split}: {noise_ceiling_db(dataset, split):.1f} dB" for split in splits]
@@ -178,34 +183,27 @@ def summary(dataset: Dataset, geometry: str, kinds: tuple[LayerKind, ...]) -> st
             views = range(dataset.config.split(split).views)
             shares = [read_layers_record(dataset, geometry, kind, split, view).overflow_share for view in views]
             lines.append(f"{what} {split}: {100 * float(np.mean(shares)):.2f} %")
-    return "\n".join(lines)
+    return lines
 
 
 # Starting and going on
 
 
 def open_or_start(scene: Scene, root: Path, config: DatasetConfig, cameras: dict[Split, Cameras], *, overwrite: bool,
-                  edit: DatasetEdit | None = None, is_alone: bool = True) -> Dataset:  # fmt: skip
+                  edit: DatasetEdit | None = None) -> Dataset:  # fmt: skip
     """The dataset at `root`, its head complete, or a new one without views; the caller holds the folder.
-
-    Args:
-        is_alone: False: other processes may be doing the same, and have begun to add views; nothing is deleted.
 
     Raises:
         HyalineError: another dataset, or something else, stands there.
     """
     files = scene_files(scene)
-    is_new = overwrite or not (root / "dataset.json").is_file()
-    if is_new:
-        if is_alone:
-            _clear(root, overwrite=overwrite)
-        else:
-            _refuse_rests(root)
-        _write_scene(root, files)
-        objects = tuple(DatasetObject(name=item.name, is_glass=is_glass(item.material)) for item in scene.objects)
-        write_head(root, config, objects, cameras, tuple(Path("scene") / path for path in files), edit=edit)
-    # Also of a new one: another process may have been there first.
-    dataset = open_dataset(root)
+    objects = tuple(DatasetObject(name=item.name, is_glass=is_glass(item.material)) for item in scene.objects)
+    if overwrite and is_ours(root, DATASET):
+        wanted = [*view_files(config, SPLITS), *head_contents(files, cameras)]
+        refuse_taken(root, DATASET, wanted, dataset_files(root))
+        clear_dataset(root)
+    # Another process may have been there first, with other settings.
+    dataset = write_head(root, config, objects, cameras, files, edit=edit, replace=overwrite)
     if difference := config_difference(dataset.config, config):
         raise HyalineError(
             f"{root}: holds a dataset with another configuration ({difference}); "
@@ -220,40 +218,7 @@ def open_or_start(scene: Scene, root: Path, config: DatasetConfig, cameras: dict
             f"{root}: holds a dataset of another version of scene {scene.name} ({changed[0]} differs); "
             "pass --overwrite to replace it, or --out for another place"
         )
-    if not is_new:
-        # A file of the head that was lost or damaged is written anew: its content is known.
-        _write_scene(root, files)
     return dataset
-
-
-OURS = ("scene", "images", "records", "layers", "proxies", "edits", "footprints", "annexes")
-"""Folders of a dataset."""
-
-
-def _refuse_rests(root: Path) -> None:
-    """Raises a HyalineError where a folder without a head holds views, or what is no part of a dataset."""
-    found = [path.name for path in root.iterdir() if path.name != "scene" and not path.name.startswith("transforms_")]
-    # Who begins a dataset commits its head before any view: a head that is there now means that another did so.
-    if found and not (root / "dataset.json").is_file() and not all(name.endswith(".tmp") for name in found):
-        what = next(name for name in found if not name.endswith(".tmp"))
-        raise HyalineError(f"{root}: is not empty ({what}) and no dataset; delete it, or choose another --out")
-
-
-def _clear(root: Path, *, overwrite: bool) -> None:
-    """Makes room for a new dataset; never deletes what is not one."""
-    if (root / "dataset.json").is_file():
-        # The head goes first: what is left without it is garbage, and the next run clears it.
-        (root / "dataset.json").unlink()
-    foreign = [path for path in root.iterdir() if path.name not in OURS and not path.name.startswith("transforms_")]
-    if foreign and not overwrite:
-        raise HyalineError(f"{root}: is not empty ({foreign[0].name}) and no dataset; choose another --out")
-    for name in OURS:
-        shutil.rmtree(root / name, ignore_errors=True)
-
-
-def _write_scene(root: Path, files: dict[str, bytes]) -> None:
-    for path, data in files.items():
-        commit_same(root / "scene" / path, data)
 
 
 def _is_started(dataset: Dataset, geometry: str, kind: LayerKind, meshes_hash: str, *, num_layers: int,
@@ -275,9 +240,9 @@ def _is_started(dataset: Dataset, geometry: str, kind: LayerKind, meshes_hash: s
 
 
 def _start(dataset: Dataset, geometry: str, kind: LayerKind, meshes_hash: str, *, num_layers: int,
-           rays: int) -> None:  # fmt: skip
+           rays: int, replace: bool = False) -> None:  # fmt: skip
     if kind == "straight":
-        create_layers(dataset, geometry, num_layers=num_layers, geometry_hash=meshes_hash)
+        create_layers(dataset, geometry, num_layers=num_layers, geometry_hash=meshes_hash, replace=replace)
     else:
         create_light_paths(
             dataset,
@@ -286,6 +251,7 @@ def _start(dataset: Dataset, geometry: str, kind: LayerKind, meshes_hash: str, *
             max_vertices=num_layers,
             samples=rays,
             geometry_hash=meshes_hash,
+            replace=replace,
         )
 
 

@@ -9,11 +9,20 @@ from datagen.edited import edit_root
 from datagen.edits import Edit, EditedScene, describe_edit, edit_scene, edits_name, moved_mesh
 from datagen.errors import HyalineError
 from datagen.footprints import write_footprints
-from datagen.geometry import TRUTH, list_geometries, read_assignment, read_meshes, read_proxy_records, write_proxies
+from datagen.geometry import (
+    TRUTH,
+    geometry_root,
+    list_geometries,
+    read_assignment,
+    read_meshes,
+    read_proxy_records,
+    write_proxies,
+)
 from datagen.layer_store import LAYER_KINDS, LayersHead, LightPathsHead, layers_root, read_layers_head
 from datagen.meshes import Mesh, is_there, no_mesh, write_ply
+from datagen.ownership import DATASET, PROXIES, holding
 from datagen.scene import load_scene
-from datagen.storage import one_writer, remove_temporaries, sha256
+from datagen.storage import sha256
 
 
 def build_edit(base: Dataset, edits: tuple[Edit, ...], *, workers: int, overwrite: bool) -> Dataset:
@@ -44,17 +53,16 @@ def build_edit(base: Dataset, edits: tuple[Edit, ...], *, workers: int, overwrit
     nowhere = cameras["train"].world_from_camera[:0]
     cameras["train"] = dataclasses.replace(cameras["train"], world_from_camera=nowhere)
     root = edit_root(base, edits_name(edits))
-    with one_writer(root):
-        remove_temporaries(root)
+    with holding(root, DATASET, within=base.root):
         dataset = open_or_start(edited.scene, root, config, cameras, overwrite=overwrite, edit=record)
         render_dataset(dataset, workers=workers)
     for geometry in list_geometries(base):
         if geometry != TRUTH:
-            _write_proxies(base, dataset, edited, geometry)
+            with holding(geometry_root(dataset.root, geometry), PROXIES, within=dataset.root):
+                _write_proxies(base, dataset, edited, geometry)
         _peel_like(base, dataset, geometry, workers=workers)
-    with one_writer(root):
-        say(f"{root}: finds where the edit shows")
-        write_footprints(base, dataset)
+    say(f"{root}: finds where the edit shows")
+    write_footprints(base, dataset)
     return dataset
 
 

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import tyro
 
-from datagen.command import choose, fail, next_command, run, say, unwrap_help
+from datagen.command import choose, fail, next_command, run, say, tell, unwrap_help
 from datagen.dataset import DATA_ROOT, DatasetConfig, find_dataset, open_dataset
 from datagen.geometry import TRUTH, check_geometry
 from datagen.launch import LaunchChoices
@@ -135,13 +135,13 @@ def build(
         overwrite=overwrite, shard=part,
     )  # fmt: skip
     if part is None:
-        say(summary(dataset, TRUTH, layers))
+        _say_all(summary(dataset, TRUTH, layers))
     if angle_splits:
         build_angles(dataset, workers=workers, shard=part)
     for scale in super_resolution:
         build_scaled(dataset, scale, views=super_resolution_views, workers=workers, shard=part)
     peel_annexes(dataset, workers=workers, shard=part)
-    print(root)
+    tell(str(root))
     if part is not None:
         missing, total = count_missing(dataset, layers)
         if missing:
@@ -150,7 +150,7 @@ def build(
             )
             return
         say(f"{root}: part {part} is done, and with it the dataset")
-        say(summary(dataset, TRUTH, layers))
+        _say_all(summary(dataset, TRUTH, layers))
     where = "" if root == DATA_ROOT / description.name else f" --dataset {root}"
     next_command(f"proxies make --kind ellipsoid{where}")
 
@@ -169,6 +169,11 @@ def _check_build(*, layers: tuple[LayerKind, ...], num_layers: int, rays: int, w
         raise HyalineError("--super-resolution-views: goes with --super-resolution; give that, too, or leave it out")
     if scaled_views is not None and not 1 <= scaled_views <= test_views:
         raise HyalineError(f"super_resolution_views: is {scaled_views}; expected 1 to {test_views}")
+
+
+def _say_all(lines: list[str]) -> None:
+    for line in lines:
+        say(line)
 
 
 def _check_parts(shard: str | None, launch: LaunchChoices, *, overwrite: bool, edit: tuple[str, ...]) -> None:
@@ -207,8 +212,8 @@ def _build_edit(scene: str, preset: str, out: Path | None, edit: tuple[str, ...]
         raise HyalineError(f"--preset: is {preset}, but {base.root} was built with {base.config.preset}; leave it out")
     edited = build_edit(base, edits, workers=workers, overwrite=overwrite)
     kinds: tuple[LayerKind, ...] = tuple(kind for kind in LAYER_KINDS if layers_root(base.root, TRUTH, kind).is_dir())
-    say(summary(edited, TRUTH, kinds))
-    print(edited.root)
+    _say_all(summary(edited, TRUTH, kinds))
+    tell(str(edited.root))
     next_command(f"model render --run runs/{base.name}/light-path --edit {edited.name}")
 
 
@@ -240,9 +245,9 @@ def peel(
     check_settings(num_layers=num_layers, rays=rays, workers=workers, kinds=layers)
     check_geometry(opened, geometry)
     peel_dataset(opened, geometry, kinds=layers, num_layers=num_layers, rays=rays, overwrite=overwrite, workers=workers)
-    say(summary(opened, geometry, layers))
+    _say_all(summary(opened, geometry, layers))
     peel_annexes(opened, workers=workers)
-    print(opened.root)
+    tell(str(opened.root))
     suffix = "" if geometry == TRUTH else f" --geometry {geometry}"
     method = "paper" if "straight" in layers else "light-path"
     next_command(f"model train --dataset {opened.root} --method {method}{suffix}")
@@ -260,10 +265,10 @@ def verify(dataset: str | None = None) -> None:
     root = find_dataset(dataset)
     count, problems = verify_dataset(root)
     for problem in problems:
-        print(problem)
+        tell(problem)
     if problems:
         fail(f"{root}: {len(problems)} problems; the lines above name the files")
-    print(f"{root}: {count} files verified")
+    tell(f"{root}: {count} files verified")
 
 
 def scenes() -> None:

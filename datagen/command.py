@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Annotated, NoReturn, TypeVar
 
 from datagen.errors import HyalineError
+from datagen.names import printable
 from datagen.os_errors import describe_os_error, naming
 from datagen.records import shown
 from datagen.signals import Stopped, raise_on_sigterm, signal_within
@@ -142,8 +143,13 @@ def unwrap_help(record: type) -> None:
 
 def fail(message: str, *, status: int = 1) -> NoReturn:
     """Prints one line on stderr and exits."""
-    print(f"error: {' '.join(message.split())}", file=sys.stderr)
+    print(f"error: {printable(' '.join(message.split()))}", file=sys.stderr)
     sys.exit(status)
+
+
+def tell(line: str) -> None:
+    """A line of the result, on stdout."""
+    print(printable(line))
 
 
 _is_mute = False
@@ -158,7 +164,7 @@ def mute() -> None:
 def say(message: str) -> None:
     """A line for the person who waits, on stderr."""
     if not _is_mute:
-        print(message, file=sys.stderr, flush=True)
+        print(printable(message), file=sys.stderr, flush=True)
 
 
 def next_command(line: str) -> None:
@@ -211,10 +217,10 @@ def _track_on_terminal(items: Iterable[Item], label: str, total: int, done: int,
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
     clock = _Clock()
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn())
     more = (TextColumn("{task.fields[left]}"), TextColumn("{task.fields[status]}"))
     with Progress(*columns, *more, console=Console(stderr=True)) as progress:
-        task = progress.add_task(label, total=total, completed=done, left="", status="")
+        task = progress.add_task(printable(label), total=total, completed=done, left="", status="")
         for count, item in enumerate(items, start=1):
             yield item
             clock.count()

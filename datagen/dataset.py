@@ -8,7 +8,8 @@ the camera looks along -z). Pixel (column i, row j) has its centre at (i + 0.5, 
 1 + the object's place in the scene, 0 where a layer is empty. uv is in [0, 1], v up: texel row `(1 - v) tex_h - 0.5`.
 
     data/SCENE/
-      dataset.json                       sealed: version, configuration, objects, SHA-256 of the next two lines' files
+      dataset.json                       sealed, written first: version, configuration, objects, SHA-256 of the
+                                         files of the next two lines
       scene/                             the scene as rendered: scene.json, meshes/*.ply; `--scene FOLDER` reads it
       transforms_{train,test,extrapolating}.json   cameras as NeRF tools read them; `test` is the interpolating split
       images/SPLIT/0000.png              8-bit sRGB: what metrics compare
@@ -28,7 +29,7 @@ the camera looks along -z). Pixel (column i, row j) has its centre at (i + 0.5, 
 
 import dataclasses
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, cast
@@ -37,16 +38,18 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from datagen.errors import DamagedError, HyalineError
+from datagen.names import check_name, check_relative, find_file
+from datagen.ownership import DATASET, begin, is_ours
 from datagen.reading import load_json, read_regular
 from datagen.records import Json, entry, from_json, to_json
 from datagen.storage import (
     SEAL,
     commit,
-    commit_first,
     commit_same,
     commit_sealed,
     load_sealed,
     seal_bytes,
+    seal_of,
     sha256,
     sha256_file,
 )
@@ -119,6 +122,7 @@ class DatasetConfig:
     seed: int = 0
 
     def __post_init__(self) -> None:
+        check_name(self.scene, where="scene name")
         if not 1 <= self.resolution <= 8192:
             raise HyalineError(f"resolution: is {self.resolution}; expected 1 to 8192 pixels")
         for split in TEST_SPLITS:
@@ -144,6 +148,9 @@ class DatasetObject:
     name: str
     is_glass: bool
 
+    def __post_init__(self) -> None:
+        check_name(self.name, where="object name")
+
 
 @dataclass(frozen=True, kw_only=True)
 class DatasetEdit:
@@ -157,6 +164,10 @@ class DatasetEdit:
     """Names of the objects that are not what they were: removed, moved, copied, of another material."""
     copies: dict[str, str]
     """The original's name by the name of each copy: objects that no renderer was trained on look like these."""
+
+    def __post_init__(self) -> None:
+        for name in (*self.changed, *self.copies, *self.copies.values()):
+            check_name(name, where="object name")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -247,30 +258,80 @@ def record_path(root: Path, split: Split, view: int) -> Path:
 
 
 def write_head(root: Path, config: DatasetConfig, objects: tuple[DatasetObject, ...], cameras: dict[Split, Cameras],
-               scene_files: tuple[Path, ...], *, edit: DatasetEdit | None = None,
-               parent: Dataset | None = None) -> Dataset:  # fmt: skip
-    """Commits cameras and the head of a new dataset, whose scene folder already stands in `root`.
+               scene: Mapping[str, bytes], *, edit: DatasetEdit | None = None, parent: Dataset | None = None,
+               replace: bool = False) -> Dataset:  # fmt: skip
+    """Commits the head of a dataset, then the scene and the cameras that it promises; the caller holds the folder.
 
-    Several processes may do the same at once. A head that stands there stays: whose it is says what is returned.
+    Several processes may do the same at once. A head that stands there stays: whose it is says what is returned. Where
+    it is the same, files of it that were lost or damaged are written anew.
 
     Args:
-        scene_files: what belongs to the scene's folder, relative to `root`; nothing in an annex.
+        scene: the files of the scene's folder, by path relative to it; none in an annex.
         parent: the dataset that this one is an annex of; it has the splits of `cameras` only.
+        replace: take the place of a head of ours, whose views and further files the caller has removed.
+
+    Raises:
+        HyalineError: something else stands at `root`.
     """
-    for split, poses in cameras.items():
-        commit_same(root / TRANSFORMS_FILES[split], transforms_bytes(poses, split))
-    files = [*scene_files, *(Path(TRANSFORMS_FILES[split]) for split in cameras)]
+    files = head_contents(scene, cameras)
     head: dict[str, Json] = {
         "version": DATASET_VERSION,
         "config": to_json(config),
         "objects": to_json(objects),
-        "files": {path.as_posix(): sha256_file(root / path) for path in sorted(files)},
+        "files": {path: sha256(data) for path, data in sorted(files.items())},
         **({} if edit is None else {"edit": to_json(edit)}),
     }
     if parent is not None:
         head |= {"annex_of": parent.seal, "splits": list(cameras)}
-    commit_first(root / "dataset.json", seal_bytes(head))
-    return open_dataset(root)
+    if replace and is_ours(root, DATASET):
+        commit(root / DATASET.head, seal_bytes(head))
+    else:
+        begin(root, DATASET, seal_bytes(head), files, is_proven=lambda: _has_record_of(root, seal_of(head)))
+    dataset = open_dataset(root)
+    if dataset.seal == seal_of(head):
+        for path, data in files.items():
+            commit_same(root / path, data)
+    return dataset
+
+
+def head_contents(scene: Mapping[str, bytes], cameras: Mapping[Split, Cameras]) -> dict[str, bytes]:
+    """The files that a head promises, by path relative to the dataset."""
+    files = {f"scene/{path}": data for path, data in scene.items()}
+    return files | {TRANSFORMS_FILES[split]: transforms_bytes(poses, split) for split, poses in cameras.items()}
+
+
+def _has_record_of(root: Path, seal: str) -> bool:
+    """True when a view there was made under the head of this seal, which may have been lost since."""
+    for path in root.glob("records/*/*.json"):
+        try:
+            if load_sealed(path).get("dataset") == seal:
+                return True
+        except HyalineError:
+            continue
+    return False
+
+
+def dataset_files(root: Path) -> list[str]:
+    """What may stand in a dataset's folder besides its head, its layers and what has a head of its own.
+
+    By path relative to `root`, records first: without them, no view is there any more.
+    """
+    path = root / DATASET.head
+    head = load_sealed(path)
+    if head.get("version") != DATASET_VERSION:
+        raise HyalineError(f"{path}: format version {head.get('version')!r}; this program reads {DATASET_VERSION}")
+    config = from_json(DatasetConfig, head.get("config"), where=f"{path}: config")
+    splits = from_json(tuple[Split, ...], head.get("splits", list(SPLITS)), where=f"{path}: splits")
+    return [*view_files(config, splits), *head_files(root)]
+
+
+def view_files(config: DatasetConfig, splits: Sequence[Split]) -> list[str]:
+    """The files of all views, by path relative to the dataset: records first."""
+    here = Path()
+    views = [(split, view) for split in splits for view in range(config.split(split).views)]
+    records = [record_path(here, split, view) for split, view in views]
+    pictures = [image_path(here, split, view) for split, view in views]
+    return [path.as_posix() for path in (*records, *pictures, *(path.with_suffix(".exr") for path in pictures))]
 
 
 def open_dataset(root: Path) -> Dataset:
@@ -325,8 +386,9 @@ def list_datasets(root: Path = DATA_ROOT) -> list[Path]:
 
 def head_files(root: Path) -> dict[str, str]:
     """SHA-256 of scene and camera files by path relative to the dataset, as the head promises them."""
-    path = root / "dataset.json"
-    return from_json(dict[str, str], entry(load_sealed(path), "files", where=path), where=f"{path}: files")
+    path = root / DATASET.head
+    files = from_json(dict[str, str], entry(load_sealed(path), "files", where=path), where=f"{path}: files")
+    return {check_relative(file, where=f"{path}: files"): promised for file, promised in files.items()}
 
 
 def read_cameras(dataset: Dataset, split: Split) -> Cameras:
@@ -430,7 +492,7 @@ def commit_view(
 def check_files(root: Path, files: dict[str, str]) -> None:
     """Raises a DamagedError that names the first file whose bytes are not the promised ones."""
     for relative, promised in files.items():
-        if sha256_file(root / relative) != promised:
+        if sha256_file(find_file(root, relative, where=str(root))) != promised:
             raise DamagedError(f"{root / relative}: damaged (checksum differs); delete it and build again")
 
 

@@ -4,16 +4,17 @@ from pathlib import Path
 
 from datagen.dataset import Dataset, open_dataset
 from datagen.errors import HyalineError
+from datagen.names import check_name, is_name
 
 
 def edit_root(base: Dataset, name: str) -> Path:
     """Where the dataset of an edited scene lies."""
-    return base.root / "edits" / name
+    return base.root / "edits" / check_name(name, where="edit")
 
 
 def list_edits(base: Dataset) -> list[str]:
     """Names of all edits that were built for a dataset."""
-    return sorted(path.parent.name for path in base.root.glob("edits/*/dataset.json"))
+    return sorted(path.parent.name for path in base.root.glob("edits/*/dataset.json") if is_name(path.parent.name))
 
 
 def open_edit(base: Dataset, name: str) -> Dataset:

@@ -1,13 +1,15 @@
 """Owns an edit's footprints: in which pixels of the test views it shows, and how.
 
     edits/NAME/footprints/SPLIT/0000.png     per pixel 0 elsewhere, 255 the objects, 128 their light
-    edits/NAME/footprints/footprints.json    sealed, written last: SHA-256 of each picture
+    edits/NAME/footprints/footprints.json    sealed, written first: SHA-256 of each picture
 
 The objects: pixels whose centre ray meets a changed object, in the scene before or after, not behind anything opaque.
 Their light: other pixels around which the truth differs between both scenes, by more than the noise of that difference
 (shadows, caustics, mirror images, what glass bends, the edges that a centre ray may miss). Elsewhere: all others.
 """
 
+import contextlib
+import re
 from pathlib import Path
 
 import numpy as np
@@ -24,10 +26,12 @@ from datagen.dataset import (
     read_record,
     view_name,
 )
+from datagen.errors import HyalineError
 from datagen.geometry import TRUTH
 from datagen.layers import read_layers
-from datagen.records import entry, from_json
-from datagen.storage import commit, commit_sealed, load_sealed, sha256
+from datagen.ownership import FOOTPRINTS, begin, holding, is_ours
+from datagen.records import Json, entry, from_json
+from datagen.storage import commit_same, commit_sealed, load_sealed, seal_bytes, sha256
 from datagen.tonemap import srgb_from_linear
 
 ELSEWHERE, LIGHT, OBJECT = 0, 128, 255
@@ -45,27 +49,42 @@ WINDOW = 5
 
 def write_footprints(base: Dataset, edited: Dataset) -> None:
     """Finds and commits the footprints of all test views, unless they are there; both truths are built and peeled."""
-    index = edited.root / "footprints" / "footprints.json"
-    if index.is_file() and load_sealed(index).get("dataset") == edited.seal:
-        files = footprint_files(edited)
-        if all((edited.root / file).is_file() for file in files):
-            check_files(edited.root, files)
+    root = edited.root / "footprints"
+    if is_ours(root, FOOTPRINTS) and load_sealed(root / FOOTPRINTS.head).get("dataset") == edited.seal:
+        with contextlib.suppress(HyalineError):  # Missing, or damaged: found anew.
+            check_files(edited.root, footprint_files(edited))
             return
-    files = {}
+    files: dict[str, bytes] = {}
     for split in TEST_SPLITS:
         for view in range(edited.config.split(split).views):
             shown = shows_objects(base, edited, split, view)
             mask = find_footprint(shown, _read_halves(base, split, view), _read_halves(edited, split, view))
-            path, data = _path(edited, split, view), png_bytes(np.repeat(mask[..., None], 3, axis=-1))
-            commit(path, data)
-            files[path.relative_to(edited.root).as_posix()] = sha256(data)
-    commit_sealed(index, {"dataset": edited.seal, "files": dict(files)})
+            file = _path(edited, split, view).relative_to(root).as_posix()
+            files[file] = png_bytes(np.repeat(mask[..., None], 3, axis=-1))
+    promised: dict[str, Json] = {f"{root.name}/{file}": sha256(data) for file, data in files.items()}
+    content: dict[str, Json] = {"dataset": edited.seal, "files": promised}
+    with holding(root, FOOTPRINTS, within=edited.root):
+        if is_ours(root, FOOTPRINTS):
+            commit_sealed(root / FOOTPRINTS.head, content)
+        else:
+            begin(root, FOOTPRINTS, seal_bytes(content), files)
+        for file, data in files.items():
+            commit_same(root / file, data)
 
 
 def footprint_files(edited: Dataset) -> dict[str, str]:
     """SHA-256 of each footprint by path relative to the edited dataset."""
-    path = edited.root / "footprints" / "footprints.json"
-    return from_json(dict[str, str], load_sealed(path).get("files"), where=f"{path}: files")
+    return list_footprints(edited.root / "footprints")
+
+
+def list_footprints(root: Path) -> dict[str, str]:
+    """SHA-256 of each picture that a folder of footprints lists, by path relative to the folder above it."""
+    path = root / FOOTPRINTS.head
+    files = from_json(dict[str, str], load_sealed(path).get("files"), where=f"{path}: files")
+    for file in files:
+        if not re.fullmatch(rf"footprints/({'|'.join(TEST_SPLITS)})/[0-9]{{4,}}\.png", file):
+            raise HyalineError(f"{path}: files: names {file!r}; expected footprints/SPLIT/0000.png")
+    return files
 
 
 def read_footprint(edited: Dataset, split: Split, view: int) -> UInt8[np.ndarray, "h w"]:

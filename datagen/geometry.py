@@ -1,7 +1,7 @@
 """Owns a dataset's geometries: the true meshes of its scene, and the proxies that stand in for them.
 
 scene/meshes/NAME.ply              the truth
-proxies/KIND/proxies.json          sealed: one mesh per object, with SHA-256 and statistics
+proxies/KIND/proxies.json          sealed, written first: one mesh per object, with SHA-256 and statistics
 proxies/KIND/meshes/NAME.ply
 
 KIND is a geometry's name: a kind of proxy such as box, a kind and its amount such as noise-0.01, or `mixed` and more,
@@ -16,8 +16,10 @@ from datagen.command import choose
 from datagen.dataset import DATASET_VERSION, Dataset, check_files, head_files
 from datagen.errors import HyalineError
 from datagen.meshes import Mesh, check_mesh, is_there, no_mesh, read_ply, write_ply
+from datagen.names import check_name, is_name
+from datagen.ownership import PROXIES, begin, is_ours, refuse_taken, remove_files
 from datagen.records import Json, entry, from_json, to_json
-from datagen.storage import commit, commit_sealed, load_sealed, sha256
+from datagen.storage import commit, commit_sealed, load_sealed, seal_bytes, sha256
 
 TRUTH = "truth"
 """The geometry that is not a proxy: the scene's own meshes."""
@@ -47,13 +49,19 @@ class ProxyRecord:
 
     object: str
     file: str
+    """meshes/NAME.ply, relative to the folder of the proxies."""
     sha256: str
     statistics: ProxyStatistics
+
+    def __post_init__(self) -> None:
+        check_name(self.object, where="object name")
+        if self.file != f"meshes/{self.object}.ply":
+            raise HyalineError(f"proxy of {self.object}: lies at {self.file!r}; expected meshes/{self.object}.ply")
 
 
 def geometry_root(root: Path, geometry: str) -> Path:
     """Where a geometry's meshes and layers lie: the dataset itself for the truth, else its proxy folder."""
-    return root if geometry == TRUTH else root / "proxies" / geometry
+    return root if geometry == TRUTH else root / "proxies" / check_name(geometry, where="geometry")
 
 
 def write_proxies(dataset: Dataset, kind: str, meshes: tuple[Mesh, ...], statistics: tuple[ProxyStatistics, ...],
@@ -64,12 +72,12 @@ def write_proxies(dataset: Dataset, kind: str, meshes: tuple[Mesh, ...], statist
         assignment: of a mixture, what stands for each object: truth, box, noise-0.01, ...
     """
     root = geometry_root(dataset.root, kind)
-    listed = []
+    listed, files = [], {}
     for item, mesh, numbers in zip(dataset.objects, meshes, statistics, strict=True):
         if not is_there(mesh):
             continue
         file, data = f"meshes/{item.name}.ply", write_ply(mesh)
-        commit(root / file, data)
+        files[file] = data
         listed.append(ProxyRecord(object=item.name, file=file, sha256=sha256(data), statistics=numbers))
     content: dict[str, Json] = {
         "version": DATASET_VERSION,
@@ -79,7 +87,26 @@ def write_proxies(dataset: Dataset, kind: str, meshes: tuple[Mesh, ...], statist
     }
     if assignment is not None:
         content["assignment"] = to_json(assignment)
-    commit_sealed(root / "proxies.json", content)
+    if is_ours(root, PROXIES):
+        old = proxy_files(root)
+        refuse_taken(root, PROXIES, files, old)
+        remove_files(root, sorted(set(old) - set(files)))
+        commit_sealed(root / PROXIES.head, content)
+    else:
+        begin(root, PROXIES, seal_bytes(content), files)
+    for file, data in files.items():
+        commit(root / file, data)
+
+
+def proxy_files(root: Path) -> list[str]:
+    """The meshes that a folder of proxies lists, by path relative to it.
+
+    Raises:
+        HyalineError: the list is missing or damaged.
+    """
+    path = root / PROXIES.head
+    records = from_json(tuple[ProxyRecord, ...], load_sealed(path).get("proxies"), where=f"{path}: proxies")
+    return [record.file for record in records]
 
 
 def read_proxy_records(dataset: Dataset, kind: str) -> tuple[ProxyRecord, ...]:
@@ -148,7 +175,8 @@ def _make_command(dataset: Dataset, geometry: str) -> str:
 
 def list_geometries(dataset: Dataset) -> list[str]:
     """`truth`, and every kind of proxy that was made for the dataset."""
-    return [TRUTH, *sorted(path.parent.name for path in dataset.home.root.glob("proxies/*/proxies.json"))]
+    made = (path.parent.name for path in dataset.home.root.glob("proxies/*/proxies.json"))
+    return [TRUTH, *sorted(filter(is_name, made))]
 
 
 def check_geometry(dataset: Dataset, geometry: str) -> None:

@@ -15,11 +15,16 @@ from typing import TYPE_CHECKING, Literal
 
 from datagen.command import say
 from datagen.errors import HyalineError
+from datagen.ownership import FolderKind, begin, holding, is_ours
+from datagen.storage import seal_bytes
 
 if TYPE_CHECKING:
     import submitit
 
 INSTALL = 'pip install "submitit>=1.5,<2"'
+
+JOBS = FolderKind(what="jobs of a build", head="jobs.json", way_out="move that elsewhere, or choose another --out")
+"""What submitit and the jobs write there, DATASET-jobs/, has names of its own."""
 
 POLL_S = 0.5
 WEEK_MIN = 7 * 24 * 60
@@ -88,6 +93,9 @@ def launch(arguments: Sequence[str], root: Path, choices: LaunchChoices, *, work
     except RuntimeError as error:
         raise HyalineError(f"--launcher {choices.launcher}: there is none on this machine ({error})") from error
     executor.update_parameters(**_parameters(choices, workers))
+    with holding(folder, JOBS):
+        if not is_ours(folder, JOBS):
+            begin(folder, JOBS, seal_bytes({"version": 1, "dataset": root.name}), {})
     words = _without_launch(arguments)
     names = [f"{number}/{choices.shards}" for number in range(1, choices.shards + 1)]
     say(f"{root}: sends off {choices.shards} jobs ({choices.launcher}); their logs: {folder}")

@@ -1,6 +1,6 @@
 """Owns how layers of any kind lie on disk: a zarr store of arrays, its sealed head, a sealed record for each view.
 
-    LAYERS/layers.json                   sealed: version, kind, geometry, settings, SHA-256 of the store's metadata
+    LAYERS/layers.json                   sealed, written first: version, kind, geometry, settings, SHA-256 of metadata
     LAYERS/peels.zarr/SPLIT/ARRAY        (view, ...): a kind's arrays are listed in its own file
     LAYERS/records/SPLIT/0000.json       sealed, written last: SHA-256 of the view's shards, one for each array
 
@@ -21,15 +21,17 @@ from datagen.cameras import subpixel_offsets
 from datagen.dataset import Dataset, Split, check_files, view_name
 from datagen.errors import DamagedError, HyalineError
 from datagen.geometry import geometry_root
+from datagen.names import check_relative
+from datagen.ownership import LAYERS, begin, is_ours
 from datagen.reading import load_json
 from datagen.records import Json, from_json, to_json
 from datagen.storage import (
     SEAL,
-    commit_first,
     commit_same,
     commit_sealed,
     load_sealed,
     seal_bytes,
+    seal_of,
     sha256,
     sha256_file,
 )
@@ -110,29 +112,70 @@ def record_path_of_layers(root: Path, split: Split, view: int) -> Path:
     return root / "records" / split / f"{view_name(view)}.json"
 
 
-def create_store(dataset: Dataset, geometry: str, head: Head, arrays: Mapping[str, ArrayFormat]) -> None:
-    """Lays out an empty store: zarr metadata first, the head (whose `files` are filled in) last.
+def create_store(dataset: Dataset, geometry: str, head: Head, arrays: Mapping[str, ArrayFormat], *,
+                 replace: bool = False) -> None:  # fmt: skip
+    """Commits the head of a store (whose `files` are filled in), then zarr's metadata: an empty store.
 
     Several processes may do the same at once: the bytes are the same, and no view that is there is touched. Of a store
     that stands there, metadata that is missing or damaged is written again.
 
+    Args:
+        replace: take the place of a head that stands there; views that verify under the new one are kept.
+
     Raises:
         DamagedError: metadata that stands there is damaged, and this version of zarr writes other bytes.
+        HyalineError: something else stands there.
     """
     root = layers_root(dataset.root, geometry, head.kind)
-    stands = (root / "layers.json").is_file()
+    stands = not replace and is_ours(root, LAYERS)
     promised = read_layers_head(dataset, geometry, head.kind)[0].files if stands else {}
     if stands and _are_good(root, promised):
         return
     metadata = _store_metadata(dataset, arrays)
     files = {path: sha256(data) for path, data in metadata.items()}
+    content = cast(dict[str, Json], to_json(dataclasses.replace(head, files=files)))
+    if replace and is_ours(root, LAYERS):
+        commit_sealed(root / LAYERS.head, content)
+    elif not stands:
+        begin(root, LAYERS, seal_bytes(content), metadata, is_proven=lambda: _has_record_of(root, seal_of(content)))
     for path, data in metadata.items():
         if not stands or promised.get(path) == files[path]:
             commit_same(root / path, data)
     if stands:
         check_files(root, promised)
-    sealed = seal_bytes(cast(dict[str, Json], to_json(dataclasses.replace(head, files=files))))
-    commit_first(root / "layers.json", sealed)
+
+
+def _has_record_of(root: Path, seal: str) -> bool:
+    """True when a view there was peeled under the head of this seal, which may have been lost since."""
+    return any(_record(path).get("layers") == seal for path in root.glob("records/*/*.json"))
+
+
+def _record(path: Path) -> dict[str, Json]:
+    """The content of a view's record; empty when it is none, or damaged."""
+    try:
+        content = load_sealed(path)
+    except HyalineError:
+        return {}
+    return content if "layers" in content else {}
+
+
+def layers_files(root: Path) -> list[str]:
+    """What stands in a folder of layers besides its head, by path relative to it, records first.
+
+    Pieces of arrays go by zarr's names for them, since one that was being written stands in no record yet.
+    """
+    path = root / LAYERS.head
+    files = from_json(dict[str, str], load_sealed(path).get("files"), where=f"{path}: files")
+    metadata = [check_relative(file, where=f"{path}: files") for file in files]
+    records = [found for found in sorted(root.glob("records/*/*.json")) if _record(found)]
+    arrays = [(root / file).parent for file in metadata if len(Path(file).parts) == 4]
+    pieces = [
+        piece
+        for array in arrays
+        for piece in sorted(array.glob("c/**/*"))
+        if all(part.isdecimal() for part in piece.relative_to(array / "c").parts) and piece.is_file()
+    ]
+    return [*(found.relative_to(root).as_posix() for found in (*records, *pieces)), *metadata]
 
 
 def _are_good(root: Path, files: Mapping[str, str]) -> bool:

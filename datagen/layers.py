@@ -30,7 +30,8 @@ class Layers:
     """Distance from the camera's centre along the unit ray in metres; 0 where empty."""
 
 
-def create_layers(dataset: Dataset, geometry: str, *, num_layers: int, geometry_hash: str) -> None:
+def create_layers(dataset: Dataset, geometry: str, *, num_layers: int, geometry_hash: str,
+                  replace: bool = False) -> None:  # fmt: skip
     """Lays out an empty store."""
     size = dataset.config.resolution
     plane = ArrayFormat(dtype="uint8", axes=("layer", "y", "x"), shape=(num_layers, size, size), chunk=(1, size, size))
@@ -40,7 +41,7 @@ def create_layers(dataset: Dataset, geometry: str, *, num_layers: int, geometry_
         "depth": dataclasses.replace(plane, dtype="float32"),
     }
     head = LayersHead(version=LAYERS_VERSION, kind="straight", geometry=geometry_hash, num_layers=num_layers, files={})
-    create_store(dataset, geometry, head, arrays)
+    create_store(dataset, geometry, head, arrays, replace=replace)
 
 
 def write_layers(dataset: Dataset, geometry: str, split: Split, view: int, layers: Layers,

@@ -104,7 +104,7 @@ NUM_COMPONENTS = {"uv": 2, "octahedral": 2, "xyz": 3, "rgb": 3}
 
 
 def create_light_paths(dataset: Dataset, geometry: str, *, num_branches: int, max_vertices: int, samples: int,
-                       geometry_hash: str) -> None:  # fmt: skip
+                       geometry_hash: str, replace: bool = False) -> None:  # fmt: skip
     """Lays out an empty store."""
     head = LightPathsHead(
         version=LAYERS_VERSION,
@@ -116,7 +116,7 @@ def create_light_paths(dataset: Dataset, geometry: str, *, num_branches: int, ma
         samples=samples,
         files={},
     )
-    create_store(dataset, geometry, head, _formats(head, dataset.config.resolution))
+    create_store(dataset, geometry, head, _formats(head, dataset.config.resolution), replace=replace)
 
 
 def trace_view(tracer: "LightPathTracer", cameras: Cameras, view: int, head: LightPathsHead) -> Iterator[LightPaths]:

@@ -190,13 +190,19 @@ def check_closed(mesh: Mesh, *, where: str) -> None:
     """
     if count := open_edges(mesh):
         raise HyalineError(f"{where}: {count} open edges; glass must be a closed mesh, fill its holes")
-    corners, component = face_corners(mesh), component_of_faces(mesh)
-    for part in range(int(component.max()) + 1):
-        mine = component == part
-        volume = _signed_volume(corners[mine])
-        if volume <= 0 and winding_number(corners[mine][0, 0], corners[~mine]) < 0.5:
-            which = f"part {part + 1} of {int(component.max()) + 1} " if component.any() else ""
-            raise HyalineError(f"{where}: {which}encloses {volume:g} m^3, so it is inside out; reverse its faces")
+    from datagen.windings import windings
+
+    corners, part = face_corners(mesh).astype(np.float64), component_of_faces(mesh)
+    a, b, c = np.moveaxis(corners - corners.mean(axis=(0, 1)), 1, 0)
+    volumes = np.bincount(part, np.einsum("fi,fi->f", a, np.cross(b, c)) / 6)
+    hollow = np.flatnonzero(volumes <= 0)
+    if not len(hollow):
+        return
+    # On the outer side of a cavity's faces is air that the rest of the mesh has gone around: 1 - 1 = 0.
+    face = np.unique(part, return_index=True)[1][hollow]
+    for index in hollow[windings(corners, corners[face].mean(axis=1), face) < 0][:1]:
+        which = f"part {index + 1} of {len(volumes)} " if len(volumes) > 1 else ""
+        raise HyalineError(f"{where}: {which}encloses {volumes[index]:g} m^3, so it is inside out; reverse its faces")
 
 
 def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:

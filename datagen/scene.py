@@ -20,6 +20,7 @@ from datagen.meshes import (
     read_ply,
     write_ply,
 )
+from datagen.names import check_name, check_relative, find_file
 from datagen.reading import load_json
 from datagen.records import Json, from_json, to_json
 from datagen.storage import commit, dump_json
@@ -30,7 +31,7 @@ Color = tuple[float, float, float]
 """Linear Rec. 709 reflectance or radiance."""
 
 SCENE_VERSION = 1
-OBJECT_NAME = r"[A-Za-z0-9_-]+"
+OBJECT_NAME = r"[A-Za-z0-9_][A-Za-z0-9_-]*"
 MAX_OBJECTS = 255
 """Object ids are 8 bits; 0 means empty."""
 MAX_NESTED = 32
@@ -69,8 +70,9 @@ class ImageTexture:
     """Relative to the scene's folder."""
 
     def __post_init__(self) -> None:
-        if Path(self.path).is_absolute() or ".." in Path(self.path).parts:
-            raise HyalineError(f"texture path: is {self.path!r}; expected a file inside the scene's folder")
+        check_relative(self.path, where="texture path")
+        if not self.path.endswith((".png", ".PNG")):
+            raise HyalineError(f"texture path: is {self.path!r}; expected a PNG inside the scene's folder")
 
 
 Reflectance = Color | SolidTexture | ImageTexture
@@ -310,7 +312,7 @@ def image_bytes(scene: Scene, image: ImageTexture) -> bytes:
     if image.path in scene.baked:
         return scene.baked[image.path]
     assert scene.folder is not None, "a scene with images has a folder"
-    return (scene.folder / image.path).read_bytes()
+    return find_file(scene.folder, image.path, where=f"scene {scene.name}").read_bytes()
 
 
 def check_scene(scene: Scene, *, is_sealed: bool = False) -> None:
@@ -322,6 +324,7 @@ def check_scene(scene: Scene, *, is_sealed: bool = False) -> None:
     Raises:
         HyalineError: naming the object, the value and what was expected.
     """
+    check_name(scene.name, where="scene name")
     _check_names(scene)
     if not any(is_there(item.mesh) for item in scene.objects):
         raise HyalineError(f"scene {scene.name}: all of its objects were removed; expected at least one that is there")
@@ -439,7 +442,7 @@ def load_scene(folder: Path, *, is_sealed: bool = False) -> Scene:
     Raises:
         HyalineError: a missing file, an unknown key, a bad value or a bad mesh.
     """
-    path = folder / "scene.json"
+    path = find_file(folder, "scene.json", where=str(folder))
     data = load_json(path)
     if data.get("version") != SCENE_VERSION:
         raise HyalineError(f"{path}: version {data.get('version')!r}; this program reads version {SCENE_VERSION}")
@@ -451,11 +454,11 @@ def load_scene(folder: Path, *, is_sealed: bool = False) -> Scene:
     for item in file.objects:
         mesh, has_uv = no_mesh(), True
         if item.mesh is not None:
-            mesh, has_uv = read_ply(_inside(folder, item.mesh, where=f"{path}: object {item.name}"))
+            mesh, has_uv = read_ply(find_file(folder, item.mesh, where=f"{path}: object {item.name}"))
         if not has_uv:
             without_uv.add(item.name)
         if (image := image_of(item.material)) is not None:
-            texture = _inside(folder, image.path, where=f"{path}: object {item.name}")
+            texture = find_file(folder, image.path, where=f"{path}: object {item.name}")
             if not texture.is_file():
                 raise HyalineError(f"{texture}: the texture of object {item.name} is missing")
         objects.append(SceneObject(name=item.name, mesh=mesh, material=item.material))
@@ -500,13 +503,6 @@ def _parse_in(kind: type[Record], data: Json, *, where: str) -> Record:
 def _name_in_errors(entry: Json, index: int) -> str:
     name = entry.get("name") if isinstance(entry, dict) else None
     return f"object {name}" if isinstance(name, str) and re.fullmatch(OBJECT_NAME, name) else f"objects[{index}]"
-
-
-def _inside(folder: Path, relative: str, *, where: str) -> Path:
-    path = folder / relative
-    if not path.resolve().is_relative_to(folder.resolve()):
-        raise HyalineError(f"{where}: names {relative!r}; expected a file inside {folder}")
-    return path
 
 
 def _check_reflectance(color: Reflectance) -> None:

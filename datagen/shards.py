@@ -6,10 +6,8 @@ writes whole and of the same content, a head that stands there is never replaced
 left is cleared by a build without a part, when all have ended.
 """
 
-import contextlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TypeVar
 
 from datagen.annex import list_annex_folders
@@ -17,7 +15,6 @@ from datagen.dataset import Dataset, Split, open_dataset, read_record
 from datagen.errors import HyalineError
 from datagen.geometry import TRUTH
 from datagen.layer_store import LayerKind, layers_root, read_layers_record
-from datagen.storage import one_writer, remove_temporaries, shared_writers
 
 T = TypeVar("T")
 
@@ -57,19 +54,6 @@ def parse_shard(text: str) -> Shard:
 def own_tasks(shard: Shard | None, tasks: list[T]) -> list[T]:
     """What a part makes of the tasks of the whole; all of them without parts."""
     return tasks if shard is None else shard.of(tasks)
-
-
-@contextlib.contextmanager
-def writing(root: Path, shard: Shard | None) -> Iterator[None]:
-    """Holds a folder: alone, where what killed writers left is cleared, or as one part beside others.
-
-    Raises:
-        HyalineError: another process of this machine writes there, and not as a part.
-    """
-    with one_writer(root) if shard is None else shared_writers(root):
-        if shard is None:
-            remove_temporaries(root)
-        yield
 
 
 def count_missing(dataset: Dataset, kinds: Sequence[LayerKind]) -> tuple[int, int]:

@@ -5,6 +5,7 @@ import fcntl
 import hashlib
 import json
 import os
+import re
 import secrets
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,8 +18,8 @@ from datagen.records import Json
 SEAL = "sha256"
 """Key under which a sealed JSON file holds the SHA-256 of everything else in it."""
 
-TEMPORARY_SUFFIXES = (".tmp", ".partial")
-"""Endings of files that a killed writer may leave: ours, and zarr's. Never part of a dataset."""
+TEMPORARY = re.compile(r".+\.[0-9a-f]{16}\.hyaline-tmp")
+"""What a file that is being written is called, which a killed writer may leave; nobody else gives such names."""
 
 
 def user_cache(name: str) -> Path:
@@ -80,7 +81,7 @@ def commit_first(path: Path, data: bytes) -> None:
 def _write_temporary(path: Path, data: bytes) -> Path:
     path.parent.mkdir(parents=True, exist_ok=True)
     # A name of its own: another process may be committing to the same path.
-    temporary = path.with_name(f"{path.name}.{secrets.token_hex(4)}.tmp")
+    temporary = path.with_name(f"{path.name}.{secrets.token_hex(8)}.hyaline-tmp")
     with temporary.open("wb") as file:
         file.write(data)
         file.flush()
@@ -101,11 +102,16 @@ def dump_json(data: Json) -> bytes:
     return (json.dumps(data, indent=2, sort_keys=True, allow_nan=False) + "\n").encode()
 
 
+def seal_of(data: dict[str, Json]) -> str:
+    """The hash under which `seal_bytes` seals `data`."""
+    return sha256(dump_json(data))
+
+
 def seal_bytes(data: dict[str, Json]) -> bytes:
     """The bytes of a sealed JSON file: canonical, with the hash of the rest under `SEAL`."""
     if SEAL in data:
         raise ValueError(f"the key {SEAL!r} is reserved")
-    return dump_json({**data, SEAL: sha256(dump_json(data))})
+    return dump_json({**data, SEAL: seal_of(data)})
 
 
 def commit_sealed(path: Path, data: dict[str, Json]) -> None:
@@ -125,13 +131,6 @@ def load_sealed(path: Path) -> dict[str, Json]:
     if text != seal_bytes(data):
         raise DamagedError(f"{path}: does not match its own checksum; the file was damaged or edited, build it again")
     return data
-
-
-def remove_temporaries(root: Path) -> None:
-    """Deletes what killed writers left anywhere under `root`."""
-    for path in root.rglob("*"):
-        if path.name.endswith(TEMPORARY_SUFFIXES) and path.is_file():
-            path.unlink(missing_ok=True)
 
 
 def one_writer(root: Path) -> contextlib.AbstractContextManager[None]:

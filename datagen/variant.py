@@ -15,6 +15,8 @@ from pathlib import Path
 from datagen.command import say
 from datagen.errors import HyalineError
 from datagen.llvm import VARIABLE, LlvmLibrary, advice, choose_llvm
+from datagen.private import make_private
+from datagen.storage import user_cache
 
 OVERRIDE = "HYALINE_VARIANT"
 """Environment variable that names the variant to use, for example `scalar_rgb`."""
@@ -93,6 +95,7 @@ def use_mitsuba(*, quiet: bool = False, threads: int | None = None) -> str:
     choice = choose_variant()
     if choice.llvm is not None:
         os.environ[VARIABLE] = str(choice.llvm.path)
+    _keep_kernels_private()
     import mitsuba as mi
 
     _num_threads = max(2, threads or num_cores())
@@ -106,6 +109,21 @@ def use_mitsuba(*, quiet: bool = False, threads: int | None = None) -> str:
     if choice.variant == "scalar_rgb" and not quiet:
         say(f"Mitsuba runs as scalar_rgb, many times slower than it could: {choice.reason}")
     return choice.variant
+
+
+def _keep_kernels_private() -> None:
+    """Lets Dr.Jit keep its kernels, machine code that it loads by name, where nobody else can write.
+
+    By default it does so in ~/.drjit, which gets the mode that the user's umask leaves. Kernels that are damaged there
+    it makes again by itself (1.5). DRJIT_CACHE_DIR in the environment is the user's own choice.
+    """
+    if "DRJIT_CACHE_DIR" not in os.environ:
+        folder = user_cache("drjit")
+        if (wrong := make_private(folder)) is None:
+            os.environ["DRJIT_CACHE_DIR"] = str(folder)
+        else:
+            say(f"{wrong}; Dr.Jit compiles its kernels anew in each run")
+            os.environ["DRJIT_CACHE_DIR"] = os.devnull  # No folder: it keeps none.
 
 
 def start_workers() -> None:

@@ -88,6 +88,8 @@ LIGHT_PATH: dict[str, Json] = {
     "branches": 12,
     "composite": True,
     "environment_size": 32,
+    "sky_lobes": 12,
+    "hidden": 128,
     "position_octaves": 0,
     "straight_layers": 0,
     "shells": 1,
@@ -96,6 +98,7 @@ LIGHT_PATH: dict[str, Json] = {
     "texture_levels": 5,
     "train_samples": 4,
     "render_samples": 16,
+    "refined_samples": 64,
 }
 """`light-path` on the true geometry with all of its parts."""
 
@@ -185,7 +188,7 @@ ABLATIONS: dict[str, Line] = {
 }
 """Tables of what each choice of a method is worth, and the runs that they set beside each other."""
 
-FOLLOWING = ("width", "batch")
+FOLLOWING = ("width", "batch", "sky_lobes", "refined_samples")
 """Keys that follow from others: a difference in them alone counts, one beside another does not."""
 
 

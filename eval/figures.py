@@ -1,6 +1,7 @@
 """Owns the pictures of a report: which there are, and the one that shows where all cameras stand."""
 
-from pathlib import Path
+from collections.abc import Callable
+from functools import partial
 from typing import cast
 
 import numpy as np
@@ -14,7 +15,7 @@ from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 from datagen.dataset import SPLITS, TEST_SPLITS, Cameras, Dataset, Split, read_cameras
 from datagen.geometry import TRUTH, read_meshes
 from datagen.meshes import face_corners
-from datagen.storage import commit
+from datagen.names import file_name
 from eval.further import Further
 from eval.score import SceneScores
 from eval.sheets import DPI, comparison_sheet, contact_sheet, figure_png
@@ -27,26 +28,19 @@ MAX_FACES = 20_000
 """Triangles drawn of a scene; of more, the largest and an even selection of the others."""
 
 
-def write_figures(scenes: list[SceneScores], further: list[Further], out: Path) -> list[Path]:
-    """Writes a sheet per run, a comparison and the cameras per scene, then the analyses' figures; returns the paths."""
-    written = []
-
-    def keep(name: str, png: bytes) -> None:
-        path = out / f"{name}.png"
-        commit(path, png)
-        written.append(path)
-
+def figures_of(scenes: list[SceneScores], further: list[Further]) -> dict[str, Callable[[], bytes]]:
+    """A sheet per run, a comparison and the cameras per scene, then the analyses' figures: what draws each, by file."""
+    figures: dict[str, Callable[[], bytes]] = {}
     for scene in scenes:
-        name = scene.title.replace("/", "_")
+        name = file_name(scene.title)
         for scores in scene.runs:
-            keep(f"{name}_{scores.run.name}", contact_sheet(scene, scores))
+            figures[f"{name}_{file_name(scores.run.name)}"] = partial(contact_sheet, scene, scores)
         if len(scene.runs) > 1:
-            keep(f"comparison_{name}", comparison_sheet(scene, "all runs"))
-        keep(f"cameras_{name}", cameras_figure(scene.dataset, scene.title))
+            figures[f"comparison_{name}"] = partial(comparison_sheet, scene, "all runs")
+        figures[f"cameras_{name}"] = partial(cameras_figure, scene.dataset, scene.title)
     for analyses in further:
-        for name, draw in analyses.figures.items():
-            keep(name, draw())
-    return written
+        figures |= analyses.figures
+    return {f"{name}.png": draw for name, draw in figures.items()}
 
 
 def cameras_figure(dataset: Dataset, title: str) -> bytes:

@@ -8,6 +8,7 @@ from datagen.annex import homes_of_test_splits
 from datagen.command import say, track
 from datagen.dataset import Split
 from datagen.errors import HyalineError
+from datagen.names import file_name
 from datagen.records import Json, to_json
 from eval.angle_scores import angle_grid, angles_json, read_angle_truths, score_angles
 from eval.budget import budget_grid, find_budgets
@@ -48,7 +49,7 @@ def analyse(scene: SceneScores, truths: dict[Split, Truth], errors: list[Hyaline
     grids: list[Grid] = []
     data: dict[str, Json] = {}
     figures: dict[str, Callable[[], bytes]] = {}
-    name = scene.title.replace("/", "_")
+    name = file_name(scene.title)
 
     angle_truths = read_angle_truths(scene, errors)
     if by_angle := score_angles(scene, angle_truths, errors):
@@ -69,7 +70,7 @@ def analyse(scene: SceneScores, truths: dict[Split, Truth], errors: list[Hyaline
     if edits := score_edits(scene, errors):
         grids += edit_grids(scene.title, edits, scene.runs)
         data["edits"] = [edit_json(edit) for edit in edits]
-        figures |= {f"edit_{name}_{edit.edited.name}": partial(edit_sheet, scene, edit) for edit in edits}
+        figures |= {f"edit_{name}_{file_name(edit.edited.name)}": partial(edit_sheet, scene, edit) for edit in edits}
     if order_layers:
         order = score_order(scene, edits, order_layers)
         grids.append(order_grid(scene.title, order, scene.runs))
@@ -94,5 +95,6 @@ def _curves(scene: SceneScores, truths: dict[Split, Truth], by_angle: dict[str, 
         predicted: dict[Split, tuple[PixelCoverage, ...]] = {
             split: covered[split] for split, values in (scores.splits | further).items() if values is not None
         }
-        curves[scores.run.name] = make_curve(scores.run, truths, predicted)
+        if predicted:
+            curves[scores.run.name] = make_curve(scores.run, truths, predicted)
     return curves

@@ -3,20 +3,22 @@
 import dataclasses
 import sys
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 from datagen.command import choose, say, track
 from datagen.dataset import TEST_SPLITS, Dataset, Split, open_dataset
 from datagen.errors import HyalineError
-from datagen.storage import commit
+from datagen.names import file_name
 from eval.claims import CLAIMS, claims_grid
 from eval.comparison_tables import ablation_grid, comparison_grid, find_ladder, ladder_grid
 from eval.comparisons import ABLATIONS, COMPARISONS, LADDER, Line, find_entries
 from eval.edits import object_psnr, score_edits
-from eval.figures import write_figures
+from eval.figures import figures_of
 from eval.further import Further, analyse
 from eval.order import check_order_layers
 from eval.proxy_error import ladder_figure
+from eval.report_folder import check_report_folder, write_report
 from eval.results import results_csv, results_json
 from eval.runs import Run, has_predictions, list_run_folders, open_run
 from eval.score import RunScores, SceneScores, Truth, has_glass_mask, read_truth, score_run
@@ -41,6 +43,7 @@ def make_report(runs_root: Path, data_root: Path, out: Path, *, output_format: s
         HyalineError: an unknown format, no run, or a run that cannot be scored.
     """
     choose("format", output_format, FORMATS)
+    check_report_folder(out)
     if order_layers:
         check_order_layers(order_layers)
     runs, errors = _open_runs(runs_root, data_root, out, only)
@@ -54,9 +57,7 @@ def make_report(runs_root: Path, data_root: Path, out: Path, *, output_format: s
         scenes = [scene for scene, _ in scored]
         further = [analyse(scene, truths, errors, order_layers=order_layers) for scene, truths in scored]
         _print_scores(scenes, further, output_format)
-        commit(out / "results.json", _json(scenes, further))
-        say(f"wrote {out / 'results.json'}")
-        for path in write_figures(scenes, further, out):
+        for path in write_report(out, {"results.json": partial(_json, scenes, further), **figures_of(scenes, further)}):
             say(f"wrote {path}")
     for error in errors[:-1]:
         say(f"error: {error}")
@@ -78,6 +79,7 @@ def make_tables(runs_root: Path, data_root: Path, out: Path, *, tables: Sequence
     for table in tables:
         choose("table", table, TABLES)
     choose("format", output_format, TABLE_FORMATS)
+    check_report_folder(out)
     lines = [line for table in tables for line in _lines_of(table)]
     runs, errors = _open_runs(runs_root, data_root, out, only)
     wanted = [run for run in runs if any(line.fits(run) for line in lines)]
@@ -91,12 +93,10 @@ def make_tables(runs_root: Path, data_root: Path, out: Path, *, tables: Sequence
         for grid in _grids_of(table, scenes, errors):
             sys.stdout.write(grid_text(grid, output_format, width=_output_width(), color=sys.stdout.isatty()) + "\n")
     sys.stdout.flush()
-    for table in tables:
-        for scene in scenes:
-            if (png := _picture_of(table, scene)) is not None:
-                path = out / f"{table}_{scene.title.replace('/', '_')}.png"
-                commit(path, png)
-                say(f"wrote {path}")
+    pictures = {(table, scene.title): _picture_of(table, scene) for table in tables for scene in scenes}
+    files = {f"{table}_{file_name(title)}.png": png for (table, title), png in pictures.items() if png is not None}
+    for path in write_report(out, {name: partial(bytes, png) for name, png in files.items()}) if files else ():
+        say(f"wrote {path}")
     for error in errors[:-1]:
         say(f"error: {error}")
     if errors:

@@ -4,7 +4,7 @@ import csv
 import io
 import math
 from collections.abc import Mapping
-from typing import cast
+from typing import TypeVar, cast
 
 from datagen.dataset import TEST_SPLITS
 from datagen.records import Json, to_json
@@ -15,6 +15,8 @@ from eval.seeds import SeedGroup, Spread, describe_run, group_seeds
 from eval.tables import CEILING, left_out_notes
 
 RESULTS_VERSION = 1
+
+Cell = TypeVar("Cell", str, int, None)
 
 
 def results_json(scenes: list[SceneScores], analyses: Mapping[str, dict[str, Json]] | None = None) -> bytes:
@@ -48,28 +50,36 @@ def results_csv(scenes: list[SceneScores]) -> str:
     )
     table.writeheader()
     for scene in scenes:
-        place = {"scene": scene.title, "dataset_seal": scene.dataset.seal}
+        place = {"scene": csv_text(scene.title), "dataset_seal": scene.dataset.seal}
         for scores in scene.runs:
             means = {f"{m.key}_{split}": scores.mean(m.key, split) for m in METRICS for split in TEST_SPLITS}
-            about = {key: getattr(scores.run, key) for key in known}
+            about = {key: csv_text(getattr(scores.run, key)) for key in known}
             last = {
                 "drop_db": scores.drop_db,
                 "predictions_sha256": scores.predictions_sha256,
                 "config_sha256": describe_run(scores.run),
             }
-            table.writerow({**place, "run": scores.run.name, **about, **means, **last})
+            table.writerow({**place, "run": csv_text(scores.run.name), **about, **means, **last})
         for group in group_seeds(scene.runs):
             if len(group.runs) > 1:
-                same = {key: getattr(group.first, key) for key in ("method", "geometry", "knowledge", "num_parameters")}
+                keys = ("method", "geometry", "knowledge", "num_parameters")
+                same = {key: csv_text(getattr(group.first, key)) for key in keys}
                 spreads = _group_spreads(group)
                 same["config_sha256"] = describe_run(group.first)
                 count = len(group.runs)
                 for what in ("mean", "deviation"):
                     numbers = {key: getattr(value, what) for key, value in spreads.items()}
-                    table.writerow({**place, "run": f"{group.name} ({what} of {count} seeds)", **same, **numbers})
+                    table.writerow(
+                        {**place, "run": csv_text(f"{group.name} ({what} of {count} seeds)"), **same, **numbers}
+                    )
         ceilings = {f"psnr_db_{split}": scene.ceilings_db[split] for split in TEST_SPLITS}
         table.writerow({**place, "run": CEILING, **ceilings})
     return buffer.getvalue()
+
+
+def csv_text(value: Cell) -> Cell:
+    """A cell that no spreadsheet takes for a formula: text that begins like one gets an apostrophe."""
+    return f"'{value}" if isinstance(value, str) and value.startswith(("=", "+", "-", "@")) else value
 
 
 def _scene_json(scene: SceneScores, analyses: dict[str, Json]) -> Json:

@@ -27,6 +27,7 @@ from jaxtyping import UInt8
 from datagen.command import choose
 from datagen.dataset import ANGLE_SPLITS, MAX_PNG_BYTES, SPLITS, Dataset, Split, decode_png, open_dataset, view_name
 from datagen.errors import HyalineError
+from datagen.names import printable
 from datagen.reading import load_json, read_regular
 from datagen.records import Json, from_json, shown
 from datagen.storage import SEAL, load_sealed, sha256
@@ -115,7 +116,7 @@ def open_run(folder: Path, data_root: Path, given: Dataset | None = None) -> Run
     places = [*([] if given is None else [given.root]), *([] if named is None else [Path(named)])]
     return Run(
         folder=folder,
-        name=folder.name,
+        name=printable(folder.name),
         dataset=_find_dataset(
             folder, [*places, data_root / folder.parent.name], _optional(record, "dataset_seal", str, path)
         ),
@@ -252,4 +253,4 @@ def _optional(record: dict[str, Json], key: str, kind: type[Value], path: Path) 
     value = record.get(key)
     if value is not None and (not isinstance(value, kind) or isinstance(value, bool)):
         raise HyalineError(f"{path}: {key} is {shown(value)}; expected {'an integer' if kind is int else 'text'}")
-    return value
+    return printable(value) if isinstance(value, str) else value

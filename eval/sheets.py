@@ -13,6 +13,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import PowerNorm
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 
 from datagen.dataset import TEST_SPLITS, Split, read_image, view_name
 from datagen.footprints import OBJECT, read_footprint
@@ -129,6 +130,10 @@ def shown_views(scene: SceneScores) -> list[tuple[Split, int]]:
 def figure_png(figure: Figure) -> bytes:
     """The figure as a PNG that depends on nothing but the figure."""
     buffer = io.BytesIO()
+    for text in figure.findobj(Text):
+        # Names with two dollars are no formula; the ticks of logarithmic axes are one.
+        if isinstance(text, Text) and not text.get_text().startswith(r"$\mathdefault{"):
+            text.set_parse_math("$" not in text.get_text())
     # matplotlib would write its own version into the file.
     FigureCanvasAgg(figure).print_png(buffer, metadata={"Software": None})
     return buffer.getvalue()

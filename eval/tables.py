@@ -1,10 +1,13 @@
 """Owns the printed tables: for each scene one of scores and one of what the runs are, for people and for papers."""
 
+import dataclasses
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 from datagen.dataset import TEST_SPLITS, Split
+from datagen.names import printable
 from eval.published import PUBLISHED, PUBLISHED_NOTE
 from eval.score import METRIC_NOTES, METRICS, RunScores, SceneScores
 from eval.seeds import SeedGroup, Spread, group_seeds
@@ -198,6 +201,13 @@ def tables_text(scenes: list[SceneScores], output_format: str, *, width: int, co
 
 def grid_text(grid: Grid, output_format: str, *, width: int, color: bool = False) -> str:
     """One table as `table` (plain text of so many columns), `markdown` or `latex`."""
+    # Names come from folders and files: in no format may they end a line, or tell a terminal to do something.
+    grid = dataclasses.replace(
+        grid,
+        title=printable(grid.title),
+        rows=tuple(tuple(map(printable, row)) for row in grid.rows),
+        notes=tuple(map(printable, grid.notes)),
+    )
     if output_format == "table":
         return _plain(grid, width, color)
     return {"markdown": _markdown, "latex": _latex}[output_format](grid)
@@ -235,18 +245,23 @@ def _paragraphs(notes: tuple[str, ...], output_format: str, width: int) -> str:
     import textwrap
 
     if output_format == "markdown":
-        return "".join(f"\n{note}\n" for note in notes)
+        return "".join(f"\n{markdown_escaped(note)}\n" for note in notes)
     if output_format == "latex":
         return "".join(f"% {note}\n" for note in notes)
     return "".join(f"{textwrap.fill(note, width - 2, subsequent_indent='  ')}\n" for note in notes)
+
+
+def markdown_escaped(text: str) -> str:
+    """Text that Markdown shows as it is: no tag, link, code or column of a table begins in it."""
+    return re.sub(r"([\\`|<>\[\]])", r"\\\1", text)
 
 
 def _markdown(grid: Grid) -> str:
     heads = [column.group if column.split is None else f"{column.group}, {column.split}" for column in grid.columns]
     rules = ["---:" if column.is_number else "---" for column in grid.columns]
     lines = [heads, rules, *grid.rows]
-    body = "".join(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in line)} |\n" for line in lines)
-    return f"### {grid.title}\n\n{body}" + _paragraphs(grid.notes, "markdown", TABLE_WIDTH)
+    body = "".join(f"| {' | '.join(map(markdown_escaped, line))} |\n" for line in lines)
+    return f"### {markdown_escaped(grid.title)}\n\n{body}" + _paragraphs(grid.notes, "markdown", TABLE_WIDTH)
 
 
 LATEX_SPELLING = {

@@ -43,6 +43,8 @@ class CommonChoices:
     batch: int | None = _choice(None, "batch{}")
     """Random pixels a step, for U-Nets about as many in crops. Default: 8192; 16384 for U-Nets, 2048 (of several rays)
     for light-path, 1024 for paper's best preset; for deepvoxels 2 pictures."""
+    updates: int | None = _choice(None, "{}-updates")
+    """Updates of the weights a step, each by an equal share of its batch. Default: 1; 4 for light-path."""
     lr: float | None = _choice(None, "lr{}")
     """Learning rate of Adam. Default: 0.001; 0.002 for light-path, 0.003 for paper's best preset, for deepvoxels what
     --voxels says."""
@@ -137,6 +139,9 @@ class LightPathChoices:
     """Rays per pixel while training, a square number. Default: 4."""
     render_rays: int | None = _choice(None, "{}-render-rays")
     """Rays per pixel while rendering, a square number. Default: 16."""
+    refined_rays: int | None = _choice(None, "{}-refined-rays")
+    """Rays per pixel while rendering pixels whose rays differ, a square number. Default: 64, or what --render-rays
+    says."""
     branches: int = _choice(12, "{}-branches")
     """Branches followed for each ray: refracted, first mirror, then those of most light."""
     compositing: Literal["physics", "stack"] = _choice("physics", "{}")
@@ -152,8 +157,10 @@ class LightPathChoices:
     """Learn how deep below the proxy the true surface lies, and look up colour there. Default: off, on proxies on."""
     environment: int = _choice(32, "sky{}")
     """Height in texels of the finest map of the learned sky; 1 makes it two colours."""
-    sky_lr: float = _choice(0.02, "sky-lr{}")
-    """Learning rate of the learned sky."""
+    sky_lobes: int = _choice(12, "{}-lobes")
+    """Spherical Gaussians of the learned sky, which lamps are made of. Without effect on a sky of two colours."""
+    sky_lr: float = _choice(0.005, "sky-lr{}")
+    """Learning rate of the learned sky's maps; its lobes learn 2.5 times as fast."""
     position_octaves: int = _choice(0, "{}-octaves")
     """Octaves of the position that the decoder is told."""
     texture_levels: int = _choice(5, "{}-levels")

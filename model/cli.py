@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from datagen.command import choose, fail, mute, next_command, run, say, unwrap_help
+from datagen.command import choose, fail, mute, next_command, run, say, tell, unwrap_help
 from datagen.dataset import Dataset, find_dataset, open_dataset
 from datagen.errors import HyalineError
 from datagen.geometry import TRUTH, check_geometry
@@ -89,6 +89,7 @@ def configure(common: CommonChoices, choices: MethodChoices) -> "tuple[TrainConf
         seed=common.seed,
         steps=defaults.steps if common.steps is None else common.steps,
         batch=defaults.batch if common.batch is None else common.batch,
+        updates=defaults.updates if common.updates is None else common.updates,
         lr=defaults.lr if common.lr is None else common.lr,
         texture_lr=defaults.texture_lr if common.texture_lr is None else common.texture_lr,
         sky_lr=defaults.sky_lr,
@@ -110,11 +111,11 @@ def _train(
     anew: bool,
     memory: "Memory",
 ) -> None:
-    from datagen.storage import one_writer, remove_temporaries
+    from datagen.ownership import holding, is_ours, refuse_others
     from model.checkpoint import delete_checkpoints, has_checkpoint
     from model.distributed import join, own_device
     from model.predict import render_predictions
-    from model.run_folder import RUN, WEIGHTS, finish_clearing, is_finished
+    from model.run_folder import FOLDER, WEIGHTS, finish_clearing, is_finished
     from model.train import check_team
     from model.train import train as train_run
 
@@ -129,12 +130,10 @@ def _train(
             if team.agree():
                 train()
             return
-        with one_writer(out):
-            remove_temporaries(out)
+        with holding(out, FOLDER):
+            refuse_others(out, FOLDER)
             finish_clearing(out)
-            if not (out / RUN).is_file() and any(out.iterdir()):
-                raise HyalineError(f"{out}: holds files but no run; choose another --out")
-            if (out / RUN).is_file() and not anew:
+            if is_ours(out, FOLDER) and not anew:
                 _check_same_run(out, config, dataset)
                 if is_finished(out):
                     say(f"{out}: finished before, nothing to do; --overwrite trains it anew")
@@ -173,9 +172,9 @@ def render(
         overwrite: Render again even where the predictions are intact.
     """
     from datagen.annex import scale_name
-    from datagen.storage import one_writer, remove_temporaries
+    from datagen.ownership import holding
     from model.predict import render_predictions, render_scaled
-    from model.run_folder import is_finished, lacks_a_split, read_run
+    from model.run_folder import FOLDER, is_finished, lacks_a_split, read_run
 
     record = read_run(run)
     opened = open_dataset(find_dataset(dataset) if dataset else Path(record.dataset))
@@ -187,8 +186,7 @@ def render(
     if is_finished(out) and not (scale == 1 and lacks_a_split(run, opened)) and not overwrite:
         say(f"{out}: its predictions are intact, nothing to do; --overwrite renders them again")
     else:
-        with one_writer(run):
-            remove_temporaries(run)
+        with holding(run, FOLDER):
             if scale == 1:
                 render_predictions(run, record.config, opened, device=_device(device))
             else:
@@ -201,9 +199,10 @@ def _render_edit(run: Path, config: "TrainConfig", base: Dataset, edit: tuple[st
     from datagen.edited import open_edit
     from datagen.edits import edits_name, parse_edit
     from datagen.geometry import list_geometries
-    from datagen.storage import one_writer, remove_temporaries
+    from datagen.ownership import holding
     from model.edits import edit_folder, is_edit_rendered, render_edit
     from model.methods import METHODS
+    from model.run_folder import FOLDER
 
     if not METHODS[config.method].uses_geometry:
         raise HyalineError(f"--edit {edit[0]}: method {config.method} knows no geometry, so it cannot draw an edit")
@@ -218,8 +217,7 @@ def _render_edit(run: Path, config: "TrainConfig", base: Dataset, edit: tuple[st
     if is_edit_rendered(run, edited) and not overwrite:
         say(f"{folder}: its predictions are intact, nothing to do; --overwrite renders them again")
     else:
-        with one_writer(run):
-            remove_temporaries(folder)
+        with holding(run, FOLDER):
             render_edit(run, config, base, edited, device=device)
     return folder
 
@@ -244,7 +242,8 @@ def sweep(
 
     asked = read_experiment(experiment, datasets=dataset, seeds=seed)
     if dry_run:
-        print("\n".join(command_line(arguments) for arguments in asked.runs))
+        for arguments in asked.runs:
+            tell(command_line(arguments))
         return
     raise_failures(asked, run_experiment(asked, devices=find_devices(jobs)))
     next_command("eval report")
@@ -292,5 +291,5 @@ def _device(name: str) -> "torch.device":
 
 
 def _end(out: Path) -> None:
-    print(out)
+    tell(str(out))
     next_command("eval report")

@@ -103,6 +103,9 @@ def pixel_loss(
     """Mean difference in sRGB of `batch` random pixels of all training images (section 4.4), and patch terms.
 
     Patches are rendered together with the pixels, so that batch norm sees both.
+
+    Args:
+        softness: differences well below it count by their squares (Charbonnier's penalty); 0: none.
     """
     index = torch.from_numpy(rng.integers(len(training.rgb), size=batch)).to(training.rgb.device)
     if patch_terms is None:

@@ -1,4 +1,4 @@
-"""Owns the compiled layers of per-pixel networks: builds `mlp_kernels.cpp` where a compiler is there, and calls it.
+"""The compiled layers of per-pixel networks: builds `mlp_kernels.cpp` where a compiler is there, and calls it.
 
 Nothing depends on them: where they cannot be built, torch's operations compute the same, up to rounding.
 """
@@ -7,9 +7,9 @@ import ctypes
 import functools
 import os
 import platform
-import secrets
 import shutil
 import subprocess
+import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +20,7 @@ from jaxtyping import Float32, Int16, Int32, UInt8
 from torch import Tensor, nn
 
 from datagen.command import say
+from datagen.private import is_intact, make_private, write_hashed
 from datagen.storage import sha256, user_cache
 
 SWITCH = "HYALINE_KERNELS"
@@ -284,27 +285,37 @@ def find_kernels() -> Kernels | None:
     try:
         version = subprocess.run([compiler, "--version"], capture_output=True, text=True, timeout=60, check=True).stdout
         key = sha256(repr((SOURCE.read_text(), version, FLAGS, _processor())).encode())[:32]
-        path = user_cache("kernels") / f"{key}.so"
-        if not path.is_file():
-            _build(compiler, path)
-        return Kernels(ctypes.CDLL(str(path)))
+        return Kernels(_load(compiler, user_cache("kernels"), key))
     except (OSError, subprocess.SubprocessError, AttributeError) as error:
         words = (getattr(error, "stderr", None) or str(error)).strip().partition("\n")[0]
         say(f"networks are left to torch, since their compiled layers cannot be built: {words}; {SWITCH}=off is silent")
         return None
 
 
-def _build(compiler: str, path: Path) -> None:
-    """Compiles to a file that appears whole or not at all."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_suffix(f".{secrets.token_hex(4)}.partial")
-    try:
-        subprocess.run(
-            [compiler, *FLAGS, str(SOURCE), "-o", str(partial)], capture_output=True, text=True, timeout=300, check=True
-        )
-        partial.replace(path)
-    finally:
-        partial.unlink(missing_ok=True)
+def _load(compiler: str, cache: Path, key: str) -> ctypes.CDLL:
+    """The library from the cache, built where it is not there or in doubt.
+
+    A library of which half is there kills the process with a bus error, and any library runs: so only one is loaded
+    that this user has written, in a folder where nobody else can, and whose every bit is as it was.
+    """
+    if (wrong := make_private(cache)) is not None:
+        say(f"{wrong}; compiled layers are not kept there but built for this run alone")
+        with tempfile.TemporaryDirectory() as folder:  # A library that is loaded needs its file no longer.
+            return ctypes.CDLL(str(_build(compiler, Path(folder) / f"{key}.so")))
+    path = cache / f"mlp-{key}.so"
+    if not is_intact(path):
+        if path.exists():
+            say(f"{path}: damaged, or not written by this user; builds the compiled layers anew")
+        with tempfile.TemporaryDirectory() as folder:
+            write_hashed(path, _build(compiler, Path(folder) / path.name).read_bytes())
+    return ctypes.CDLL(str(path))
+
+
+def _build(compiler: str, path: Path) -> Path:
+    subprocess.run(
+        [compiler, *FLAGS, str(SOURCE), "-o", str(path)], capture_output=True, text=True, timeout=300, check=True
+    )
+    return path
 
 
 def _processor() -> str:

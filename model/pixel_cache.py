@@ -10,12 +10,12 @@ cache can neither be outdated nor mistaken; all runs on the same views share it.
 and may be deleted at any time.
 """
 
+import contextlib
 import dataclasses
 import hashlib
 import mmap
 import os
 import secrets
-import shutil
 import sys
 import time
 import warnings
@@ -34,8 +34,10 @@ from datagen.dataset import Dataset, Split, read_cameras, read_image, read_recor
 from datagen.errors import HyalineError
 from datagen.layer_store import LayersHead, read_layers_head, read_layers_record
 from datagen.number_formats import UV_SCALE
+from datagen.ownership import remove_files
+from datagen.private import make_private
 from datagen.records import Json
-from datagen.storage import commit_sealed, dump_json, load_sealed, sha256, user_cache
+from datagen.storage import TEMPORARY, commit_sealed, dump_json, load_sealed, sha256, user_cache
 from model.batches import RayBatch, grid_of, pixels_at_once, read_stack
 
 CACHE_VERSION = 1
@@ -146,10 +148,12 @@ def map_pixels(dataset: Dataset, geometry: str, split: Split, views: Sequence[in
         "pictures": [cast(Json, read_record(dataset, split, view).files) for view in views],
         "hits": [cast(Json, read_layers_record(dataset, geometry, "straight", split, view).files) for view in views],
     }
+    if (wrong := make_private(cache_root())) is not None:
+        raise HyalineError(f"{wrong}; or use --memory ram")
     folder = cache_root() / sha256(dump_json(content))[:32]
     files = _open(folder)
     if files is None:
-        shutil.rmtree(folder, ignore_errors=True)  # Damaged, if anything.
+        _remove(folder)  # Damaged, if anything.
         _lay_out(folder, dataset, geometry, split, views, num_layers)
         files = _open(folder)
         if files is None:
@@ -268,8 +272,8 @@ def _lay_out(folder: Path, dataset: Dataset, geometry: str, split: Split, views:
     folder.parent.mkdir(parents=True, exist_ok=True)
     for old in folder.parent.glob(f"{folder.name}.*.partial"):
         if time.time() - old.stat().st_mtime > DAY_S:  # Of a process that was killed.
-            shutil.rmtree(old, ignore_errors=True)
-    partial = folder.with_name(f"{folder.name}.{secrets.token_hex(4)}.partial")
+            _remove(old)
+    partial = folder.with_name(f"{folder.name}.{secrets.token_hex(8)}.partial")
     partial.mkdir()
     try:
         digests = {name: hashlib.sha256() for name in (STARTS, HITS, RGB)}
@@ -311,4 +315,12 @@ def _lay_out(folder: Path, dataset: Dataset, geometry: str, split: Split, views:
             if not (folder / "cache.json").is_file():
                 raise
     finally:
-        shutil.rmtree(partial, ignore_errors=True)
+        _remove(partial)
+
+
+def _remove(folder: Path) -> None:
+    """Deletes a cache's own files, and its folder when it is empty then."""
+    rests = [path.name for path in folder.glob("cache.json.*") if TEMPORARY.fullmatch(path.name)]
+    remove_files(folder, ["cache.json", STARTS, HITS, RGB, *rests])
+    with contextlib.suppress(OSError):
+        folder.rmdir()

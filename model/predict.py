@@ -16,10 +16,13 @@ from datagen.errors import HyalineError
 from datagen.storage import commit, sha256
 from model.batches import Pixels, PixelSource
 from model.checkpoint import load_state
+from model.light_path_net import LightPathRenderer
 from model.methods import METHODS, read_layers_of
 from model.paper import PaperRenderer
+from model.refined_pixels import draw_refined
 from model.run_folder import WEIGHTS, TrainConfig, is_config, write_prediction_hashes
 from model.runtime import keep_freed_memory
+from model.traced_batches import LightPathPixels
 
 
 def predict_pixels(renderer: nn.Module, pixels: PixelSource) -> UInt8[np.ndarray, "pixel 3"]:
@@ -51,6 +54,8 @@ def _predict(renderer: nn.Module, pixels: PixelSource) -> Float32[Tensor, "pixel
             return drawn
         # Pixels without any layer are all of one colour.
         index, empty = pixels.split_empty()
+    elif isinstance(renderer, LightPathRenderer) and isinstance(pixels, LightPathPixels):
+        return draw_refined(renderer, pixels)
     else:
         index = torch.arange(len(pixels.rgb), device=pixels.rgb.device)
         empty = index[:0]

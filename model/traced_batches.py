@@ -116,6 +116,11 @@ class LightPathPixels:
         """Pixels that a rendering takes at once."""
         return max(1, 65_536 // self.config.render_samples)
 
+    def refined(self) -> "LightPathPixels":
+        """The same pixels with as many rays as those get whose rays differ."""
+        samples = self.config.refined_samples
+        return dataclasses.replace(self, config=dataclasses.replace(self.config, render_samples=samples))
+
     def to(self, device: torch.device) -> "LightPathPixels":
         return dataclasses.replace(self, rgb=self.rgb.to(device), device=device)
 

@@ -181,6 +181,7 @@ def train(config: TrainConfig, dataset: Dataset, out: Path, *, label: str, devic
     # The loop.
     shown_loss, shown_psnr = math.nan, math.nan
     steps: Iterable[int] = range(first_step, config.steps)
+    batch = config.batch // config.updates
 
     def status() -> str:
         return f"loss {shown_loss:.4f}" + ("" if math.isnan(shown_psnr) else f", held out {shown_psnr:.2f} dB")
@@ -202,18 +203,22 @@ def train(config: TrainConfig, dataset: Dataset, out: Path, *, label: str, devic
     with hold_signals() as held:
         saved_at = time.monotonic()
         for step in track(steps, label="train", total=config.steps, done=first_step, status=status):
-            rng = team.generator([config.seed, step], config.batch)
-            own = len(team.share(config.batch))
-            loss = team.weigh(losses.loss(method.loss, renderer, training, own, rng, step=step), config.batch)
-            optimizer.zero_grad(set_to_none=True)
-            loss.backward()
-            team.sum_gradients(renderer)
-            loss_value, is_stopped = team.sum_loss(loss, is_stopped=held.number is not None)
-            check_finite(loss_value, renderer, step=step, out=out)
-            for group, rate in zip(optimizer.param_groups, rates, strict=True):
-                group["lr"] = losses.limit_rate(rate * decay(config.lr_decay, step / config.steps), step)
-            optimizer.step()
-            loss_sum, loss_count = loss_sum + loss_value, loss_count + 1
+            is_stopped = False
+            for update in range(config.updates):
+                rng = team.generator([config.seed, step, update] if update else [config.seed, step], batch)
+                own = len(team.share(batch))
+                loss = team.weigh(losses.loss(method.loss, renderer, training, own, rng, step=step), batch)
+                optimizer.zero_grad(set_to_none=True)
+                loss.backward()
+                team.sum_gradients(renderer)
+                loss_value, is_asked = team.sum_loss(loss, is_stopped=held.number is not None)
+                is_stopped = is_stopped or is_asked
+                check_finite(loss_value, renderer, step=step, out=out)
+                progress = (step + update / config.updates) / config.steps
+                for group, rate in zip(optimizer.param_groups, rates, strict=True):
+                    group["lr"] = losses.limit_rate(rate * decay(config.lr_decay, progress), step)
+                optimizer.step()
+                loss_sum, loss_count = loss_sum + loss_value, loss_count + 1
 
             done, shown_loss = step + 1, loss_sum / loss_count
             if team.is_first and (done % config.evaluate_every == 0 or done == config.steps):
@@ -256,8 +261,9 @@ def check_team(config: TrainConfig, team: Team) -> None:
             f"{config.method}: its steps look at whole patches, pictures or dropout, which several processes cannot "
             "share; train it without torchrun (paper, mlp-first and light-path can be, with losses of pixels alone)"
         )
-    if config.batch < team.size:
-        raise HyalineError(f"batch: is {config.batch}; expected at least a pixel for each of {team.size} processes")
+    if config.batch // config.updates < team.size:
+        raise HyalineError(f"batch: is {config.batch}; expected at least a pixel for each of {team.size} processes in "
+                           f"each of {config.updates} updates")  # fmt: skip
 
 
 def make_inpainter(config: TrainConfig, renderer: nn.Module, training: PixelSource, dataset: Dataset, num_layers: int,

@@ -85,17 +85,23 @@ def scale(
     out: Path = Path("bench-scale.png"),
     rounds: int = 3,
     json: bool = False,
+    overwrite: bool = False,
 ) -> None:
     """How time and memory grow with resolution, layers, objects and triangles: a power law each, and a figure.
 
     Args:
         factors: Each quantity is multiplied by these, the others staying as they are.
         quantities: Only these of pixels, layers, objects, triangles.
-        out: The figure, a PNG.
+        out: The figure, a PNG; a file that stands there is kept.
         rounds: Turns of each engine at each size.
         json: Print JSON instead of a table.
+        overwrite: Replace a file that stands at --out.
     """
     from datagen.command import choose
+    from datagen.ownership import refuse_file
+
+    if not overwrite:
+        refuse_file(out)
     from datagen.variant import use_mitsuba
 
     use_mitsuba()

@@ -5,6 +5,7 @@ memory is what this point needs. A power law through each series says how steep 
 """
 
 import dataclasses
+import io
 import json
 import math
 import multiprocessing
@@ -21,6 +22,7 @@ from datagen.bench.harness import Machine, describe_machine
 from datagen.bench.shells import SHELLS, make_shells, random_cameras
 from datagen.command import say, track
 from datagen.errors import HyalineError
+from datagen.storage import commit
 
 Quantity = Literal["pixels", "layers", "objects", "triangles"]
 
@@ -214,4 +216,6 @@ def _draw(report: ScaleReport, out: Path) -> None:
         for row, label in enumerate(("ms a view", "MB")):
             axes[row, column].set(xlabel=quantity, ylabel=label)
             axes[row, column].legend()
-    figure.savefig(out, dpi=120)
+    buffer = io.BytesIO()
+    figure.savefig(buffer, dpi=120, format="png")
+    commit(out, buffer.getvalue())
