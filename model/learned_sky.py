@@ -28,13 +28,11 @@ class LearnedSky(nn.Module):
 
     def __init__(self, height: int, lobes: int) -> None:
         super().__init__()
-        # As of the list that they once were.
+        # Named as in runs from before there were lobes, whose weights load.
         for level, size in enumerate(_map_sizes(height)):
             self.register_parameter(str(level), nn.Parameter(torch.zeros(3, *size)))
         self.num_maps = len(_map_sizes(height))
-        self.axis = nn.Parameter(spread_directions(lobes) / LOBE_RATE)
-        self.sharpness = nn.Parameter(torch.zeros(lobes))
-        self.brightness = nn.Parameter(torch.full((lobes, 3), -1 / LOBE_RATE))
+        self.lobes = SkyLobes(lobes) if lobes else None
 
     @property
     def maps(self) -> list[Float32[Tensor, "3 tex_h tex_w"]]:
@@ -49,16 +47,30 @@ class LearnedSky(nn.Module):
         maps = [_look_up_map(texels, azimuth, polar) for texels in self.maps]
         scales = level_scales(len(maps), FINER_COUNTS)
         soft = functional.softplus(torch.stack([scale * level for scale, level in zip(scales, maps)]).sum(dim=0))
+        return soft if self.lobes is None else soft + self.lobes(direction)
+
+
+class SkyLobes(nn.Module):
+    """Spherical Gaussians: lamps of learned direction, width and colour, each as bright as it has to be."""
+
+    def __init__(self, count: int) -> None:
+        super().__init__()
+        self.axis = nn.Parameter(spread_directions(count) / LOBE_RATE)
+        self.sharpness = nn.Parameter(torch.zeros(count))
+        self.brightness = nn.Parameter(torch.full((count, 3), -1 / LOBE_RATE))
+
+    def forward(self, direction: Float32[Tensor, "exit 3"]) -> Float32[Tensor, "exit 3"]:
+        """Radiance from unit directions."""
         axis = functional.normalize(self.axis, dim=1)
         sharpness = LOBE_SHARPNESS * torch.exp(LOBE_RATE * self.sharpness)
         falloff = torch.exp(sharpness * (direction @ axis.T - 1))
-        return soft + falloff @ functional.softplus(3 * LOBE_RATE * self.brightness)
+        return falloff @ functional.softplus(3 * LOBE_RATE * self.brightness)
 
 
 def spread_directions(count: int) -> Float32[Tensor, "direction 3"]:
     """Unit directions spread evenly over the sphere, on a Fibonacci spiral."""
     place = torch.arange(count) + 0.5
-    z = 1 - 2 * place / max(count, 1)
+    z = 1 - 2 * place / count
     azimuth = math.pi * (1 + math.sqrt(5)) * place
     radius = torch.sqrt(1 - z * z)
     return torch.stack([radius * torch.cos(azimuth), radius * torch.sin(azimuth), z], dim=1)

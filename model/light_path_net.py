@@ -28,6 +28,9 @@ RELIEF_DEPTH = 0.01
 RELIEF_COARSER = 4
 """How many times wider a texel of the relief is than the finest one of colour."""
 
+SKY_LOBES = 12
+"""Lobes of the learned sky unless told otherwise."""
+
 MAX_SURFACES = 255
 """Ids of surfaces are bytes, and 0 is the empty one."""
 
@@ -63,8 +66,8 @@ class LightPathConfig:
     """Height in texels of the finest of the learned latitude-longitude maps that sum to the light from outside. It is
     twice as wide; the others are halved down to a single colour: directions in which no training ray left are filled in
     from around them, as texels are."""
-    sky_lobes: int = 12
-    """Spherical Gaussians that the learned sky has besides its maps."""
+    sky_lobes: int = 0
+    """Spherical Gaussians that the learned sky has besides its maps; runs from before there were any have none."""
     branches: int = 12
     """Branches traced for each ray: refracted, first mirror, further ones."""
     train_samples: int = 4
@@ -102,9 +105,14 @@ def default_light_path(texture_sizes: tuple[int, ...], *, is_proxy: bool) -> Lig
     if is_proxy:
         shells = max(1, min(4, MAX_SURFACES // len(texture_sizes)))
         return LightPathConfig(
-            texture_sizes=texture_sizes, stack_hidden=96, straight_layers=24, shells=shells, relief=True
+            texture_sizes=texture_sizes,
+            stack_hidden=96,
+            straight_layers=24,
+            shells=shells,
+            relief=True,
+            sky_lobes=SKY_LOBES,
         )
-    return LightPathConfig(texture_sizes=texture_sizes)
+    return LightPathConfig(texture_sizes=texture_sizes, sky_lobes=SKY_LOBES)
 
 
 def configure_light_path(

@@ -34,7 +34,7 @@ if use_mitsuba(quiet=True).startswith("scalar"):
 
 CPU = torch.device("cpu")
 NET = LightPathConfig(
-    texture_sizes=(24, 24), hidden=32, stack_hidden=16, environment_size=8, branches=4, render_samples=4
+    texture_sizes=(24, 24), hidden=32, stack_hidden=16, environment_size=8, sky_lobes=5, branches=4, render_samples=4
 )
 SMALL = TrainConfig(
     method="light-path",
@@ -83,7 +83,8 @@ def white(renderer: LightPathRenderer) -> LightPathRenderer:
         last.weight.zero_()
         last.bias.fill_(math.log(math.expm1(1)))
         renderer.environment.maps[-1].fill_(math.log(math.expm1(1)))
-        renderer.environment.brightness.fill_(-100)
+        if renderer.environment.lobes is not None:
+            renderer.environment.lobes.brightness.fill_(-100)
     return renderer
 
 
@@ -154,7 +155,7 @@ def test_a_removed_object_leaves_no_trace(dataset: Dataset) -> None:
 
 
 def test_the_learned_sky_is_continuous_all_around() -> None:
-    renderer = LightPathRenderer(LightPathConfig(texture_sizes=(8,), sky_lobes=0))
+    renderer = LightPathRenderer(LightPathConfig(texture_sizes=(8,)))
     height = renderer.environment.maps[0].shape[1]
     polar = (torch.arange(height) + 0.5) / height * math.pi
     azimuth = ((torch.arange(2 * height) + 0.5) / height - 1) * math.pi
@@ -167,6 +168,16 @@ def test_the_learned_sky_is_continuous_all_around() -> None:
         error = (renderer.environment(asked) - (1 + 0.5 * asked)).abs()
     assert error[asked[..., 2].abs() < 0.95].max() < 3e-3
     assert error.max() < 0.03  # Half a texel around the poles is flat.
+
+
+def test_skies_of_runs_from_before_there_were_lobes_load_and_shine_as_they_did() -> None:
+    names = [str(level) for level in range(5)]
+    sky = LearnedSky(8, 0)
+    assert list(sky.state_dict()) == names
+    sky.load_state_dict({name: torch.full_like(sky.get_parameter(name), 0.5) for name in names})
+    total = 0.5 * sum(0.5**level for level in range(5))
+    shine = sky(torch.eye(3))
+    torch.testing.assert_close(shine, torch.full((3, 3), math.log1p(math.exp(total))))
 
 
 @pytest.mark.parametrize(("lobes", "most"), [(0, 0.2), (12, 0.6)])
