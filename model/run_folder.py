@@ -244,18 +244,14 @@ def write_prediction_hashes(out: Path, files: dict[str, str]) -> None:
 def read_prediction_hashes(out: Path) -> dict[str, str]:
     """SHA-256 of each prediction by path relative to the run."""
     path = out / PREDICTIONS
-<<<<<<< 5780fe386c9cf735227078dbdb8a7e5fabec0d03
-    files = from_json(dict[str, str], load_sealed(path).get("files"), where=f"{path}: files")
+    content = load_sealed(path)
+    if content.get("version") != RUN_VERSION:
+        raise HyalineError(f"{path}: format version {content.get('version')!r}; this program reads {RUN_VERSION}")
+    files = from_json(dict[str, str], content.get("files"), where=f"{path}: files")
     for file in files:
         if not re.fullmatch(rf"predictions/({'|'.join((*TEST_SPLITS, *ANGLE_SPLITS))})/[0-9]{{4,}}\.png", file):
             raise HyalineError(f"{path}: lists {file!r}; expected predictions/SPLIT/0000.png")
     return files
-=======
-    content = load_sealed(path)
-    if content.get("version") != RUN_VERSION:
-        raise HyalineError(f"{path}: format version {content.get('version')!r}; this program reads {RUN_VERSION}")
-    return from_json(dict[str, str], content.get("files"), where=f"{path}: files")
->>>>>>> 0f07544b67a7b4cbf7c7f2f0bef3a8f2308bf55a
 
 
 def clear_run(out: Path) -> None:
