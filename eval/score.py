@@ -7,11 +7,12 @@ import numpy as np
 from jaxtyping import Bool, UInt8
 
 from datagen.dataset import TEST_SPLITS, Dataset, Split, noise_ceiling_db, read_image
+from datagen.errors import NumericsError
 from datagen.geometry import TRUTH
 from datagen.layer_store import layers_root
 from datagen.layers import glass_mask, read_layers
 from eval.metrics import SSIM_WINDOW, delta_e_2000, masked_psnr, mean_of, psnr, psnr_uint8_wrap, ssim
-from eval.runs import Run, has_split, predictions_sha256, read_prediction
+from eval.runs import Run, has_split, prediction_path, predictions_sha256, read_prediction
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -139,6 +140,7 @@ def score_run(run: Run, truths: dict[Split, Truth]) -> RunScores:
 
     Raises:
         HyalineError: a missing, surplus, unreadable or wrongly sized picture.
+        NumericsError: a score is not a number.
     """
     predicted: list[Split] = [split for split in truths if has_split(run, split)]
     splits: dict[Split, SplitScores | None] = dict.fromkeys(truths)
@@ -146,9 +148,12 @@ def score_run(run: Run, truths: dict[Split, Truth]) -> RunScores:
         rows = []
         for view, target in enumerate(truths[split].images):
             glass = truths[split].glass
-            rows.append(
-                score_picture(read_prediction(run, split, view), target, None if glass is None else glass[view])
-            )
+            row = score_picture(read_prediction(run, split, view), target, None if glass is None else glass[view])
+            if bad := [key for key, value in row.items() if value is not None and math.isnan(value)]:
+                raise NumericsError(
+                    f"{prediction_path(run, split, view)}: its {bad[0]} is not a number; run not scored"
+                )
+            rows.append(row)
         splits[split] = SplitScores(images={key: tuple(row[key] for row in rows) for key in rows[0]})
     return RunScores(run=run, splits=splits, predictions_sha256=predictions_sha256(run, predicted))
 

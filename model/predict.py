@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from datagen.annex import homes_of_test_splits, open_annex, scale_name
 from datagen.command import say, track
 from datagen.dataset import Dataset, Split, png_bytes, view_name
-from datagen.errors import HyalineError
+from datagen.errors import HyalineError, NumericsError
 from datagen.storage import commit, sha256
 from model.batches import Pixels, PixelSource
 from model.checkpoint import load_state
@@ -29,9 +29,18 @@ def predict_pixels(renderer: nn.Module, pixels: PixelSource) -> UInt8[np.ndarray
     """8-bit sRGB colours of all pixels, clipped and rounded; batch norm uses its running statistics.
 
     The renderer's mode (training or not) is the same afterwards.
+
+    Raises:
+        NumericsError: a colour is not finite, which 8 bits would show as black.
     """
     with torch.inference_mode():
-        return (predict_colors(renderer, pixels).clamp_(0, 1) * 255).round_().byte().cpu().numpy()
+        colors = predict_colors(renderer, pixels)
+        if not bool(colors.isfinite().all()):
+            raise NumericsError(
+                "a predicted colour is not finite, so no picture of it is written; train anew with --overwrite and a "
+                "lower --lr, or check the data with `datagen verify`"
+            )
+        return (colors.clamp_(0, 1) * 255).round_().byte().cpu().numpy()
 
 
 @torch.inference_mode()
@@ -156,7 +165,10 @@ def render_views(renderer: nn.Module, config: TrainConfig, homes: Mapping[Split,
         path = out / "predictions" / split / f"{view_name(view)}.png"
         size = home.config.resolution
         pixels = method.load(config.net, home, config.geometry, split, [view], False).to(device)
-        data = png_bytes(predict_pixels(renderer, pixels).reshape(size, size, 3))
+        try:
+            data = png_bytes(predict_pixels(renderer, pixels).reshape(size, size, 3))
+        except NumericsError as error:
+            raise NumericsError(f"{path}: {error}") from error
         commit(path, data)
         files[path.relative_to(out).as_posix()] = sha256(data)
     return files

@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from torch.autograd.function import FunctionCtx
 from torch.nn import functional
 
-from datagen.errors import HyalineError
+from datagen.errors import HyalineError, NumericsError
 from model.texels import add_gradient, add_look_ups, add_uv_gradient
 
 TextureSharing = Literal["object", "scene"]
@@ -98,6 +98,9 @@ def sample(
     Gradients flow to tables and uv. They are summed in a fixed order, so that a run on a CPU repeats bit by bit.
     """
     flat_uv, flat_id = uv.flatten(0, 1), object_id.flatten()
+    # On a GPU such a uv makes a loss of NaN; compiled loops would turn it into the place of some texel.
+    if flat_uv.device.type == "cpu" and not math.isfinite(flat_uv.detach().sum().item()):
+        raise NumericsError("uv: a layer has one that is not finite; check the data with `datagen verify`")
     if flat_uv.device.type != "cpu":
         levels = [scale * sample_by_bags(table, flat_uv, flat_id, layout)
                   for table, layout, scale in zip(tables, layouts, scales, strict=True)]  # fmt: skip
