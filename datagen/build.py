@@ -30,7 +30,7 @@ from datagen.dataset import (
     write_head,
 )
 from datagen.errors import DamagedError, HyalineError, WorkerKilledError
-from datagen.geometry import TRUTH, read_meshes
+from datagen.geometry import TRUTH, geometry_hash
 from datagen.jobs import PeelJob, RenderJob, Task, TraceJob, peel_task, render_task, trace_task
 from datagen.layer_store import (
     Head,
@@ -46,8 +46,7 @@ from datagen.layer_store import (
 )
 from datagen.layers import create_layers
 from datagen.light_path_layers import NUM_BRANCHES, create_light_paths
-from datagen.meshes import is_there, write_ply
-from datagen.ownership import DATASET, LAYERS, holding, is_ours, refuse_others, refuse_taken, remove_files
+from datagen.ownership import DATASET, LAYERS, holding, is_ours, refuse_taken, remove_files
 from datagen.scene import Scene, is_glass, scene_files
 from datagen.shards import Shard, own_tasks
 from datagen.storage import sha256
@@ -70,9 +69,13 @@ def build_dataset(scene: Scene, root: Path, config: DatasetConfig, *, kinds: tup
     with holding(root, DATASET, shared=shard is not None):
         cameras = make_cameras(scene.cameras, config)
         dataset = open_or_start(scene, root, config, cameras, overwrite=overwrite)
-        own = (LAYERS.head, *(f"{folder}/" for folder in LAYERS.folders))
+        meshes_hash = geometry_hash(dataset, TRUTH)
         for kind in kinds:
-            refuse_others(layers_root(root, TRUTH, kind), LAYERS, but=lambda path: path.startswith(own))
+            # Now, so that a dataset that is stopped while it renders says which layers it is to have.
+            with holding(layers_root(root, TRUTH, kind), LAYERS, within=root, shared=shard is not None):
+                _start_layers(
+                    dataset, TRUTH, kind, meshes_hash, num_layers=num_layers, rays=rays, overwrite=False, shard=shard
+                )
         if shard is None and not is_view_built(dataset, "train", 0):
             _say_slits(scene, cameras)
         render_dataset(dataset, workers=workers, shard=shard)
@@ -119,22 +122,13 @@ def peel_dataset(dataset: Dataset, geometry: str, *, kinds: tuple[LayerKind, ...
         HyalineError: the geometry does not exist, or was peeled with other settings.
     """
     check_settings(num_layers=num_layers, rays=rays, workers=workers, kinds=kinds)
-    meshes_hash = _geometry_hash(dataset, geometry)
+    meshes_hash = geometry_hash(dataset, geometry)
     for kind in kinds:
         root = layers_root(dataset.root, geometry, kind)
         with holding(root, LAYERS, within=dataset.root, shared=shard is not None):
-            is_started = not overwrite and _is_started(
-                dataset, geometry, kind, meshes_hash, num_layers=num_layers, rays=rays
+            _start_layers(
+                dataset, geometry, kind, meshes_hash, num_layers=num_layers, rays=rays, overwrite=overwrite, shard=shard
             )
-            if not is_started and kind == "light-path":
-                _require_vectorised()
-            if shard is None:
-                if overwrite and is_ours(root, LAYERS):
-                    # Views that verify under the new head are kept, unless all are asked for anew.
-                    remove_files(root, [record_path_of_layers(Path(), *task).as_posix() for task in _tasks(dataset)])
-                _start(dataset, geometry, kind, meshes_hash, num_layers=num_layers, rays=rays, replace=not is_started)
-            elif not is_started:
-                _start_beside_others(dataset, geometry, kind, meshes_hash, num_layers=num_layers, rays=rays)
             tasks = own_tasks(shard, _tasks(dataset))
             missing = [task for task in tasks if not is_view_peeled(dataset, geometry, kind, *task)]
             if missing and kind == "light-path":
@@ -150,6 +144,22 @@ def peel_dataset(dataset: Dataset, geometry: str, *, kinds: tuple[LayerKind, ...
                 with _told_missing(missing, is_made, where=f"{root}: peel"):
                     for _ in track(finished, label=f"peel {geometry} {kind}", total=len(tasks), done=done):
                         pass
+
+
+def _start_layers(dataset: Dataset, geometry: str, kind: LayerKind, meshes_hash: str, *, num_layers: int, rays: int,
+                  overwrite: bool, shard: Shard | None) -> None:  # fmt: skip
+    """Sees to it that a store of these settings stands there, without views or with some; the caller holds it."""
+    root = layers_root(dataset.root, geometry, kind)
+    is_started = not overwrite and _is_started(dataset, geometry, kind, meshes_hash, num_layers=num_layers, rays=rays)
+    if not is_started and kind == "light-path":
+        _require_vectorised()
+    if shard is None:
+        if overwrite and is_ours(root, LAYERS):
+            # Views that verify under the new head are kept, unless all are asked for anew.
+            remove_files(root, [record_path_of_layers(Path(), *task).as_posix() for task in _tasks(dataset)])
+        _start(dataset, geometry, kind, meshes_hash, num_layers=num_layers, rays=rays, replace=not is_started)
+    elif not is_started:
+        _start_beside_others(dataset, geometry, kind, meshes_hash, num_layers=num_layers, rays=rays)
 
 
 def _is_peeled(dataset: Dataset, geometry: str, kind: LayerKind, task: Task) -> bool:
@@ -292,10 +302,6 @@ def _settings_difference(head: Head, *, num_layers: int, rays: int) -> str | Non
         case LightPathsHead(num_branches=stored) if stored != NUM_BRANCHES:
             return f"traced in {stored} branches, which are now {NUM_BRANCHES}; pass --overwrite"
     return None
-
-
-def _geometry_hash(dataset: Dataset, geometry: str) -> str:
-    return sha256(b"".join(write_ply(mesh) for mesh in read_meshes(dataset, geometry) if is_there(mesh)))
 
 
 def _tasks(dataset: Dataset) -> list[Task]:

@@ -60,13 +60,14 @@ def build_edit(base: Dataset, edits: tuple[Edit, ...], *, workers: int, overwrit
         if geometry != TRUTH:
             with holding(geometry_root(dataset.root, geometry), PROXIES, within=dataset.root):
                 _write_proxies(base, dataset, edited, geometry)
-        _peel_like(base, dataset, geometry, workers=workers)
+        peel_like(base, dataset, geometry, workers=workers)
     say(f"{root}: finds where the edit shows")
     write_footprints(base, dataset)
     return dataset
 
 
-def _peel_like(base: Dataset, dataset: Dataset, geometry: str, *, workers: int) -> None:
+def peel_like(base: Dataset, dataset: Dataset, geometry: str, *, workers: int) -> None:
+    """Peels what is missing of a geometry, each kind of layers that the base has of it, with the base's settings."""
     for kind in LAYER_KINDS:
         if not (layers_root(base.root, geometry, kind) / "layers.json").is_file():
             continue

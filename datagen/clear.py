@@ -9,6 +9,7 @@ from pathlib import Path
 from datagen.dataset import dataset_files
 from datagen.footprints import list_footprints
 from datagen.geometry import proxy_files
+from datagen.heads import HEADS, home_of, list_heads
 from datagen.layer_store import layers_files
 from datagen.ownership import DATASET, FOOTPRINTS, LAYERS, PROXIES, FolderKind, holding, is_ours, remove_files
 
@@ -36,6 +37,9 @@ def clear_dataset(root: Path) -> None:
             remove_files(folder, [*files, FOOTPRINTS.head])
         _prune(root, folder)
     remove_files(root, dataset_files(root))
+    home = home_of(root)
+    gone = [head for head in list_heads(home) if not (home / head).is_file()]
+    remove_files(home, [f"{HEADS}/{head}" for head in gone])
 
 
 def clear_layers(root: Path, folder: Path) -> None:

@@ -3,7 +3,7 @@
 import dataclasses
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
@@ -13,6 +13,9 @@ from datagen.geometry import TRUTH, check_geometry
 from datagen.launch import LaunchChoices
 from datagen.layer_store import LayerKind, check_settings
 from datagen.presets import PRESETS, resize
+
+if TYPE_CHECKING:
+    from datagen.verify import Findings
 
 
 def main() -> None:
@@ -24,7 +27,10 @@ def main() -> None:
         main_of_bench(sys.argv[2:])
         return
     unwrap_help(LaunchChoices)
-    commands = {"build": build, "peel": peel, "verify": verify, "scenes": scenes, "doctor": doctor, "bench": bench}
+    commands = {
+        "build": build, "peel": peel, "verify": verify, "mend": mend, "scenes": scenes, "doctor": doctor,
+        "bench": bench,
+    }  # fmt: skip
     run("datagen", "Path-traced datasets of transparent objects, with peeled layers.", commands, sys.argv[1:])
 
 
@@ -263,12 +269,39 @@ def verify(dataset: str | None = None) -> None:
     from datagen.verify import verify_dataset
 
     root = find_dataset(dataset)
-    count, problems = verify_dataset(root)
-    for problem in problems:
+    found = verify_dataset(root)
+    for remark in found.remarks:
+        say(remark)
+    _tell_problems(root, found)
+    tell(f"{root}: {found.verified} files verified")
+
+
+def _tell_problems(root: Path, found: "Findings") -> None:
+    """Prints what a search found, and ends with status 1 when that is damage."""
+    for problem in found.problems:
         tell(problem)
-    if problems:
-        fail(f"{root}: {len(problems)} problems; the lines above name the files")
-    tell(f"{root}: {count} files verified")
+    if found.problems:
+        commands = ", then ".join(f"`{command}`" for command in found.commands)
+        fail(f"{root}: {len(found.problems)} problems, which the lines above name; mend them with {commands}")
+
+
+def mend(dataset: str | None = None, scene: str | None = None, workers: int = 1) -> None:
+    """Makes a damaged or unfinished dataset whole, from what its own heads say; touches nothing that verifies.
+
+    Args:
+        dataset: A dataset's folder or its name under data/; the only one there unless given.
+        scene: The folder that the dataset was built from: needed where a file of its scene is lost, and the scene is
+            no built-in one.
+        workers: Processes that render side by side.
+    """
+    from datagen.mend import mend_dataset
+    from datagen.verify import verify_dataset
+
+    root = find_dataset(dataset)
+    mended = mend_dataset(root, scene=scene, workers=workers)
+    found = verify_dataset(mended.root)
+    _tell_problems(mended.root, found)
+    tell(f"{mended.root}: {found.verified} files verified")
 
 
 def scenes() -> None:

@@ -23,6 +23,7 @@ the camera looks along -z). Pixel (column i, row j) has its centre at (i + 0.5, 
       proxies/KIND/proxies.json          sealed: one mesh per object, with SHA-256 and statistics
       proxies/KIND/meshes/NAME.ply
       proxies/KIND/layers/...            the same of the proxies
+      heads/                             a second copy of every head (datagen/heads.py)
       annexes/NAME/                      more truth, when asked for (datagen/annex.py): laid out like a dataset, but
                                          without a scene and meshes of its own
 """
@@ -38,6 +39,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from datagen.errors import DamagedError, HyalineError
+from datagen.heads import HEADS, keep_head, mend_command
 from datagen.names import check_name, check_relative, find_file
 from datagen.ownership import DATASET, begin, is_ours
 from datagen.reading import load_json, read_regular
@@ -291,6 +293,7 @@ def write_head(root: Path, config: DatasetConfig, objects: tuple[DatasetObject, 
     if dataset.seal == seal_of(head):
         for path, data in files.items():
             commit_same(root / path, data)
+    keep_head(root, root / DATASET.head)
     return dataset
 
 
@@ -370,7 +373,8 @@ def find_dataset(given: str | None, root: Path = DATA_ROOT) -> Path:
     """
     if given is not None:
         named = Path(given)
-        return named if (named / "dataset.json").is_file() or len(named.parts) > 1 else root / given
+        is_there = any((named / path).is_file() for path in ("dataset.json", f"{HEADS}/dataset.json"))
+        return named if is_there or len(named.parts) > 1 else root / given
     found = list_datasets(root)
     if len(found) == 1:
         return found[0]
@@ -396,7 +400,7 @@ def read_cameras(dataset: Dataset, split: Split) -> Cameras:
     relative = TRANSFORMS_FILES[split]
     path = dataset.root / relative
     if sha256_file(path) != entry(head_files(dataset.root), relative, where=dataset.root):
-        raise HyalineError(f"{path}: damaged or edited (checksum differs); restore it or build the dataset again")
+        raise DamagedError(f"{path}: damaged or edited (checksum differs); mend it with `{mend_command(path)}`")
     data = load_json(path)
     try:
         frames = cast(list[dict[str, Json]], data["frames"])
@@ -444,17 +448,17 @@ def read_record(dataset: Dataset, split: Split, view: int) -> ViewRecord:
     """
     path = record_path(dataset.root, split, view)
     if not path.is_file():
-        flags = "".join(f" --edit {edit}" for edit in dataset.edit.edits) if dataset.edit else ""
-        raise HyalineError(
-            f"{path}: the view is not built yet; finish with `datagen build --scene {dataset.config.scene}{flags}`"
-        )
+        raise HyalineError(f"{path}: the view is not built yet; finish with `{mend_command(path)}`")
     record = from_json(ViewRecord, cast(Json, load_sealed(path)), where=str(path))
     if (record.dataset, record.split, record.view) != (dataset.seal, split, view):
-        raise HyalineError(f"{path}: belongs to {record.split} view {record.view} of another dataset; build it again")
+        raise HyalineError(
+            f"{path}: belongs to {record.split} view {record.view} of another dataset; "
+            f"mend it with `{mend_command(path)}`"
+        )
     picture = image_path(Path(), split, view)
     if set(record.files) != {picture.as_posix(), picture.with_suffix(".exr").as_posix()}:
         raise HyalineError(f"{path}: promises {', '.join(sorted(record.files))}; expected its view's pictures, "
-                           "build it again")  # fmt: skip
+                           f"mend it with `{mend_command(path)}`")  # fmt: skip
     return record
 
 
@@ -493,7 +497,8 @@ def check_files(root: Path, files: dict[str, str]) -> None:
     """Raises a DamagedError that names the first file whose bytes are not the promised ones."""
     for relative, promised in files.items():
         if sha256_file(find_file(root, relative, where=str(root))) != promised:
-            raise DamagedError(f"{root / relative}: damaged (checksum differs); delete it and build again")
+            path = root / relative
+            raise DamagedError(f"{path}: damaged (checksum differs); mend it with `{mend_command(path)}`")
 
 
 def read_image(dataset: Dataset, split: Split, view: int) -> UInt8[np.ndarray, "h w 3"]:

@@ -15,6 +15,7 @@ from pathlib import Path
 from datagen.command import choose
 from datagen.dataset import DATASET_VERSION, Dataset, check_files, head_files
 from datagen.errors import HyalineError
+from datagen.heads import keep_head
 from datagen.meshes import Mesh, check_mesh, is_there, no_mesh, read_ply, write_ply
 from datagen.names import check_name, is_name
 from datagen.ownership import PROXIES, begin, is_ours, refuse_taken, remove_files
@@ -96,6 +97,7 @@ def write_proxies(dataset: Dataset, kind: str, meshes: tuple[Mesh, ...], statist
         begin(root, PROXIES, seal_bytes(content), files)
     for file, data in files.items():
         commit(root / file, data)
+    keep_head(dataset.root, root / PROXIES.head)
 
 
 def proxy_files(root: Path) -> list[str]:
@@ -208,6 +210,11 @@ def read_meshes(dataset: Dataset, geometry: str) -> tuple[Mesh, ...]:
     for name, mesh in meshes.items():
         check_mesh(mesh, where=str(root / files[name][0]))
     return tuple(meshes.get(item.name) or no_mesh() for item in dataset.objects)
+
+
+def geometry_hash(dataset: Dataset, geometry: str) -> str:
+    """Hash over a geometry's meshes, which layers hold of those that they were made of."""
+    return sha256(b"".join(write_ply(mesh) for mesh in read_meshes(dataset, geometry) if is_there(mesh)))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -21,6 +21,7 @@ from datagen.cameras import subpixel_offsets
 from datagen.dataset import Dataset, Split, check_files, view_name
 from datagen.errors import DamagedError, HyalineError
 from datagen.geometry import geometry_root
+from datagen.heads import keep_head
 from datagen.names import check_relative
 from datagen.ownership import LAYERS, begin, is_ours
 from datagen.reading import load_json
@@ -130,6 +131,7 @@ def create_store(dataset: Dataset, geometry: str, head: Head, arrays: Mapping[st
     stands = not replace and is_ours(root, LAYERS)
     promised = read_layers_head(dataset, geometry, head.kind)[0].files if stands else {}
     if stands and _are_good(root, promised):
+        keep_head(dataset.root, root / "layers.json")
         return
     metadata = _store_metadata(dataset, arrays)
     files = {path: sha256(data) for path, data in metadata.items()}
@@ -143,6 +145,7 @@ def create_store(dataset: Dataset, geometry: str, head: Head, arrays: Mapping[st
             commit_same(root / path, data)
     if stands:
         check_files(root, promised)
+    keep_head(dataset.root, root / LAYERS.head)
 
 
 def _has_record_of(root: Path, seal: str) -> bool:

@@ -46,8 +46,8 @@ class FolderKind:
 DATASET = FolderKind(
     what="dataset",
     head="dataset.json",
-    folders=("scene", "images", "records"),
-    nested=("layers/*", "proxies/*", "edits/*", "annexes/*", "footprints"),
+    folders=("scene", "images", "records", "heads"),
+    nested=("layers/*", "proxies/*", "edits/*", "annexes/*", "footprints", "heads"),
 )
 LAYERS = FolderKind(
     what="layers", head="layers.json", folders=("peels.zarr", "records"), store="peels.zarr",

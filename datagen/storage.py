@@ -42,16 +42,21 @@ def sha256_file(path: Path) -> str:
     try:
         return sha256(read_regular(path))
     except DamagedError as error:
-        raise DamagedError(f"{error}; build it again") from None
+        raise DamagedError(f"{error}; `datagen verify` names what makes it again") from None
 
 
-def commit(path: Path, data: bytes) -> None:
+def commit(path: Path, data: bytes, *, beside: Path | None = None) -> None:
     """Writes `data` so that `path` holds either its old bytes or all the new ones, whenever the process dies.
 
     Of several processes that commit to one path at once, on whichever machines, the last one wins, whole.
+
+    Args:
+        beside: a file in the folder where the temporary one lies, and is cleared away when the process dies; `path`
+            itself unless given.
     """
     with naming(path):
-        temporary = _write_temporary(path, data)
+        temporary = _write_temporary(beside or path, data)
+        path.parent.mkdir(parents=True, exist_ok=True)
         temporary.replace(path)
         _sync_folder(path.parent)
 
@@ -129,7 +134,9 @@ def load_sealed(path: Path) -> dict[str, Json]:
     data = parse_json(text, where=str(path))
     data.pop(SEAL, None)
     if text != seal_bytes(data):
-        raise DamagedError(f"{path}: does not match its own checksum; the file was damaged or edited, build it again")
+        raise DamagedError(
+            f"{path}: does not match its own checksum, was damaged or edited; `datagen verify` names what mends it"
+        )
     return data
 
 

@@ -47,7 +47,7 @@ def _spawned(function: Callable[[Job, Task], None], tasks: list[Task], workers: 
             yield from pool.map(_call_worker, [function] * len(tasks), tasks)
         except BrokenProcessPool:
             raise WorkerKilledError(
-                "a worker process was killed (where memory runs out, the system does that)"
+                "a worker process was killed (the system does that where memory runs out)"
             ) from None
 
 

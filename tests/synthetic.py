@@ -16,7 +16,7 @@ from datagen.dataset import (
     read_cameras,
     write_head,
 )
-from datagen.geometry import TRUTH
+from datagen.geometry import TRUTH, geometry_hash
 from datagen.layers import Layers, create_layers, write_layers
 from datagen.meshes import Mesh
 from datagen.number_formats import quantize_uv
@@ -143,7 +143,7 @@ def write_synthetic_dataset(root: Path, *, resolution: int = 32, num_layers: int
         )
     objects = (DatasetObject(name="pane", is_glass=True), DatasetObject(name="floor", is_glass=False))
     dataset = write_head(root, config, objects, cameras, scene_files(scene))
-    create_layers(dataset, TRUTH, num_layers=num_layers, geometry_hash="synthetic")
+    create_layers(dataset, TRUTH, num_layers=num_layers, geometry_hash=geometry_hash(dataset, TRUTH))
     for split in SPLITS:
         stored = read_cameras(dataset, split)
         for view in range(config.split(split).views):

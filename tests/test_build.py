@@ -139,9 +139,8 @@ def test_a_folder_with_something_else_in_it_is_not_touched(scene_folder: Path, t
 def test_verify_names_every_file_with_a_flipped_bit(tmp_path: Path) -> None:
     root = tmp_path / "data"
     write_synthetic_dataset(root, resolution=8, train_views=2)
-    count, problems = verify_dataset(root)
     files = sorted(tree(root))
-    assert (count, problems) == (len(files), [])
+    assert verify_dataset(root)[:2] == (len(files), [])
     rng = np.random.default_rng(0)
     for name in files:
         path = root / name
@@ -172,7 +171,7 @@ def test_verify_finds_lost_swapped_and_foreign_files(tmp_path: Path) -> None:
     problems = "\n".join(verify_dataset(root)[1])
     assert f"{one}: damaged" in problems
     assert f"{two}: damaged" in problems
-    assert "notes.txt: belongs to no record" in problems
+    assert any("images/notes.txt" in remark for remark in verify_dataset(root).remarks)
     assert f"{lost}: the file is missing" in problems
     with pytest.raises(HyalineError, match=r"0000\.png: damaged"):
         read_image(dataset, "train", 0)

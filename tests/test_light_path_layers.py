@@ -225,6 +225,7 @@ def test_the_command_with_two_workers_writes_the_same_bytes(built: Path, copy: D
     assert "rays with a branch given up after 24 surfaces train" in answer.stderr
     assert verify_dataset(copy.root)[1] == []
     shutil.rmtree(layers_root(copy.root, TRUTH, "straight"))
+    shutil.rmtree(copy.root / "heads" / "layers" / "straight")
     assert tree(copy.root) == tree(built)
 
 
@@ -246,7 +247,7 @@ def test_verify_and_the_reader_find_a_flipped_bit(copy: Dataset) -> None:
             read_light_paths(copy, TRUTH, "train", 1)
         path.write_bytes(good)
     (store / "notes.txt").write_text("mine")
-    assert [problem for problem in verify_dataset(copy.root)[1] if "notes.txt: belongs to no record" in problem]
+    assert any("notes.txt" in remark for remark in verify_dataset(copy.root).remarks)
 
 
 @needs_tracer

@@ -224,7 +224,7 @@ def test_a_half_built_dataset_is_one_line(
     with pytest.raises(SystemExit):
         call(monkeypatch, "make", "--dataset", "one")
     err = capsys.readouterr().err
-    assert "floor.ply: the file is missing; build it again" in err
+    assert "floor.ply: the file is missing; `datagen verify` names what makes it again" in err
     assert err.count("\n") == 1
     assert not (here / "data/one/proxies/ellipsoid/proxies.json").exists()
 

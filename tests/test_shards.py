@@ -15,11 +15,11 @@ from synthetic import synthetic_scene
 from test_build import command, tree
 
 import datagen.cli
-from datagen.build import _geometry_hash, _start_beside_others, open_or_start
+from datagen.build import _start_beside_others, open_or_start
 from datagen.cameras import make_cameras
 from datagen.dataset import DatasetConfig, SplitConfig
 from datagen.errors import HyalineError
-from datagen.geometry import TRUTH
+from datagen.geometry import TRUTH, geometry_hash
 from datagen.launch import LaunchChoices, _without_launch
 from datagen.layer_store import layers_root
 from datagen.scene import save_scene
@@ -168,7 +168,7 @@ def test_any_number_of_writers_may_start_one_dataset_at_once(tmp_path: Path) -> 
     def start(root: Path, shard: bool) -> str:
         dataset = open_or_start(scene, root, config, cameras, overwrite=False)
         root = layers_root(dataset.root, TRUTH, "straight")
-        _start_beside_others(dataset, TRUTH, "straight", _geometry_hash(dataset, TRUTH), num_layers=4, rays=4)
+        _start_beside_others(dataset, TRUTH, "straight", geometry_hash(dataset, TRUTH), num_layers=4, rays=4)
         return dataset.seal
 
     (tmp_path / "alone").mkdir()
