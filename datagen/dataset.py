@@ -43,7 +43,7 @@ from datagen.heads import HEADS, keep_head, mend_command
 from datagen.names import check_name, check_relative, find_file
 from datagen.ownership import DATASET, begin, is_ours
 from datagen.reading import load_json, read_regular
-from datagen.records import Json, entry, from_json, to_json
+from datagen.records import Json, entry, from_json, shown, to_json
 from datagen.storage import (
     SEAL,
     commit,
@@ -348,7 +348,7 @@ def open_dataset(root: Path) -> Dataset:
         raise HyalineError(f"{root}: no dataset; make one with `datagen build --scene {root.name}`")
     head = load_sealed(path)
     if head.get("version") != DATASET_VERSION:
-        raise HyalineError(f"{path}: format version {head.get('version')!r}; this program reads {DATASET_VERSION}")
+        raise HyalineError(f"{path}: format version {shown(head.get('version'))}; this program reads {DATASET_VERSION}")
     parent = open_dataset(root.parent.parent) if "annex_of" in head else None
     if parent is not None and parent.seal != head["annex_of"]:
         raise HyalineError(f"{path}: belongs to a dataset that stood there before; build it again, or delete {root}")

@@ -1,13 +1,20 @@
 """The exceptions that a user can act upon."""
 
+MAX_MESSAGE = 900
+"""Characters."""
+
 
 class HyalineError(Exception):
     """What went wrong, in one line: `{where}: {what, with the value}; {the way out}`.
 
-    Commands print it without a traceback and exit with `status`.
+    Commands print it without a traceback and exit with `status`. Where a value that somebody wrote makes it longer than
+    a few lines of a terminal, its middle is left out.
     """
 
     status = 1
+
+    def __init__(self, message: str) -> None:
+        super().__init__(message if len(message) <= MAX_MESSAGE else f"{message[:600]} ... {message[-250:]}")
 
 
 class DamagedError(HyalineError):

@@ -19,7 +19,7 @@ from datagen.heads import keep_head
 from datagen.meshes import Mesh, check_mesh, is_there, no_mesh, read_ply, write_ply
 from datagen.names import check_name, is_name
 from datagen.ownership import PROXIES, begin, is_ours, refuse_taken, remove_files
-from datagen.records import Json, entry, from_json, to_json
+from datagen.records import Json, entry, from_json, shown, to_json
 from datagen.storage import commit, commit_sealed, load_sealed, seal_bytes, sha256
 
 TRUTH = "truth"
@@ -123,7 +123,9 @@ def read_proxy_records(dataset: Dataset, kind: str) -> tuple[ProxyRecord, ...]:
         raise HyalineError(f"{path}: no {kind} proxies; make them with `{_make_command(dataset, kind)}`")
     content = load_sealed(path)
     if content.get("version") != DATASET_VERSION:
-        raise HyalineError(f"{path}: format version {content.get('version')!r}; this program reads {DATASET_VERSION}")
+        raise HyalineError(
+            f"{path}: format version {shown(content.get('version'))}; this program reads {DATASET_VERSION}"
+        )
     if unknown := sorted(set(content) - {"version", "kind", "dataset", "proxies", "assignment"}):
         raise HyalineError(f"{path}: unknown key {unknown[0]!r}; make the proxies again")
     if content.get("kind") != kind:

@@ -25,7 +25,7 @@ from datagen.heads import keep_head
 from datagen.names import check_relative
 from datagen.ownership import LAYERS, begin, is_ours
 from datagen.reading import load_json
-from datagen.records import Json, from_json, to_json
+from datagen.records import Json, from_json, shown, to_json
 from datagen.storage import (
     SEAL,
     commit_same,
@@ -244,7 +244,9 @@ def read_layers_head(dataset: Dataset, geometry: str, kind: LayerKind) -> tuple[
         )
     content = load_sealed(path)
     if content.get("version") != LAYERS_VERSION:
-        raise HyalineError(f"{path}: format version {content.get('version')!r}; this program reads {LAYERS_VERSION}")
+        raise HyalineError(
+            f"{path}: format version {shown(content.get('version'))}; this program reads {LAYERS_VERSION}"
+        )
     classes: dict[LayerKind, type[Head]] = {"straight": LayersHead, "light-path": LightPathsHead}
     return from_json(classes[kind], cast(Json, content), where=str(path)), cast(str, load_json(path)[SEAL])
 

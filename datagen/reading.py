@@ -20,7 +20,7 @@ from datagen.records import Json, shown
 
 MAX_JSON_BYTES = 16 << 20
 """The largest that is written here holds the cameras of 10,000 views."""
-MAX_TOML_BYTES = 1 << 20
+MAX_TOML_BYTES = 1 << 18
 MAX_NESTING = 64
 MAX_DIGITS = 20
 """Of an integer in JSON; those of 64 bits have at most 19."""
@@ -103,6 +103,9 @@ def load_toml(path: Path) -> dict[str, object]:
         HyalineError: see there.
     """
     text = read_regular(path, at_most=MAX_TOML_BYTES)
+    # The time that tomllib takes for a key such as a.a.a grows with the cube of its length. (Numbers have commas.)
+    if any(line.count(b".") > MAX_NESTING + line.count(b",") for line in text.splitlines()):
+        raise DamagedError(f"{path}: nested too deeply; expected at most {MAX_NESTING} levels")
     try:
         # TOML asks for newlines as they are; `read_text` would have made them all alike.
         data = tomllib.loads(text.decode().replace("\r\n", "\n"))

@@ -22,7 +22,7 @@ from datagen.meshes import (
 )
 from datagen.names import check_name, check_relative, find_file
 from datagen.reading import load_json
-from datagen.records import Json, from_json, to_json
+from datagen.records import Json, from_json, shown, to_json
 from datagen.storage import commit, dump_json
 
 Record = TypeVar("Record")
@@ -445,7 +445,7 @@ def load_scene(folder: Path, *, is_sealed: bool = False) -> Scene:
     path = find_file(folder, "scene.json", where=str(folder))
     data = load_json(path)
     if data.get("version") != SCENE_VERSION:
-        raise HyalineError(f"{path}: version {data.get('version')!r}; this program reads version {SCENE_VERSION}")
+        raise HyalineError(f"{path}: version {shown(data.get('version'))}; this program reads version {SCENE_VERSION}")
     listed = data.get("objects")
     if isinstance(listed, list) and len(listed) > MAX_OBJECTS:
         raise HyalineError(f"{path}: has {len(listed):,} objects; expected at most {MAX_OBJECTS}")

@@ -27,7 +27,7 @@ from datagen.errors import HyalineError
 from datagen.geometry import describe_geometry
 from datagen.ownership import FolderKind, begin, is_ours, refuse_taken, remove_files
 from datagen.reading import load_json
-from datagen.records import Json, from_json, to_json
+from datagen.records import Json, from_json, shown, to_json
 from datagen.storage import SEAL, commit, commit_sealed, load_sealed, seal_bytes
 from model.losses import LossConfig
 from model.methods import LrDecay, MethodConfig
@@ -190,7 +190,7 @@ def _read_record(path: Path) -> RunRecord:
     if SEAL in content:  # Older runs have none.
         content = load_sealed(path)
     if content.get("version") != RUN_VERSION:
-        raise HyalineError(f"{path}: format version {content.get('version')!r}; this program reads {RUN_VERSION}")
+        raise HyalineError(f"{path}: format version {shown(content.get('version'))}; this program reads {RUN_VERSION}")
     return from_json(RunRecord, cast(Json, content), where=str(path))
 
 
