@@ -18,7 +18,7 @@ from datagen.records import to_json
 from eval import claims, comparisons
 from eval.report import TABLES, make_report, make_tables
 from eval.seeds import spread
-from model.light_path_net import LightPathConfig, default_light_path
+from model.light_path_net import default_light_path
 from model.losses import LossConfig
 from model.paper import PaperConfig
 from model.perceptual import VggSource
@@ -33,7 +33,7 @@ BEST = dataclasses.replace(
     ),
     loss=LossConfig(softness=0.03),
 )  # fmt: skip
-LIGHT = TrainConfig(method="light-path", geometry="truth", net=LightPathConfig(texture_sizes=(64, 64)))
+LIGHT = TrainConfig(method="light-path", geometry="truth", net=default_light_path((64, 64), is_proxy=False))
 
 
 def decibels(level: int) -> float:
