@@ -74,7 +74,7 @@ VIEW: dict[str, Json] = {**PAPER, "extrinsics": "view"}
 
 PAPER_BEST: dict[str, Json] = {
     **VIEW,
-    "width": 256,
+    "width": 128,
     "norm": "none",
     "texture_levels": 5,
     "finer_counts": 0.5,

@@ -98,7 +98,7 @@ class PaperChoices:
     extrinsics: Literal["none", "view", "sh"] = _choice("view", {"none": "no-extrinsics", "sh": "sh"})
     """What each layer is told of the camera: nothing, the view vector, or three bands of SH of it."""
     width: str | None = _choice(None, "w{}")
-    """Hidden units of the first layer: 34k (as many as make 34,000 parameters), 256, or any number. Default: 34k; 256
+    """Hidden units of the first layer: 34k (as many as make 34,000 parameters), 256, or any number. Default: 34k; 128
     of the best preset."""
     blocks: int = _choice(3, "{}-blocks")
     """Residual blocks; each halves the channels."""

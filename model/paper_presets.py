@@ -52,7 +52,7 @@ PAPER_PRESETS: dict[PaperPresetName, PaperPreset] = {
     ),
     # Half as many rays a step in twice as many steps: as many rays as the published form trains on.
     "best": PaperPreset(
-        width="256",
+        width="128",
         norm="none",
         texture_levels=5,
         finer_counts=0.5,

@@ -28,7 +28,7 @@ PAPER = TrainConfig(method="paper", geometry="truth", net=PaperConfig(width=80, 
 BEST = dataclasses.replace(
     PAPER,
     net=PaperConfig(
-        width=256, norm="none", texture_size=128, texture_levels=5, finer_counts=0.5,
+        width=128, norm="none", texture_size=128, texture_levels=5, finer_counts=0.5,
         train_samples=4, render_samples=16,
     ),
     loss=LossConfig(softness=0.03),
