@@ -26,6 +26,7 @@ demo: setup
 	$(BIN)/datagen build --scene glass_table
 	$(BIN)/proxies make --dataset glass_table --kind ellipsoid
 	$(BIN)/model train --dataset data/glass_table --method paper
+	$(BIN)/model train --dataset data/glass_table --method paper --preset best
 	$(BIN)/model train --dataset data/glass_table --method paper --geometry ellipsoid
 	$(BIN)/model train --dataset data/glass_table --method light-path
 	$(BIN)/report
