@@ -19,7 +19,12 @@ from datagen.storage import SEAL, commit, load_sealed, sha256_file
 
 HEADS = "heads"
 
-_PARTS = ("dataset.json", "layers/*/layers.json", "proxies/*/proxies.json", "proxies/*/layers/*/layers.json")
+_KINDS = ("straight", "light-path")
+_PARTS = (
+    "dataset.json",
+    "proxies/*/proxies.json",
+    *(f"{outer}layers/{kind}/layers.json" for outer in ("", "proxies/*/") for kind in _KINDS),
+)
 PATTERNS = tuple(f"{outer}{inner}" for outer in ("", "annexes/*/", "edits/*/") for inner in _PARTS)
 """Where heads lie in a dataset."""
 

@@ -24,7 +24,7 @@ from datagen.heads import HEADS, home_of, list_heads, true_head
 from datagen.ownership import DATASET, holding
 from datagen.scene import Scene, load_scene, scene_files
 from datagen.storage import commit, commit_same, one_writer, sha256
-from datagen.verify import is_good, list_obstacles
+from datagen.verify import check_is_there, is_good, list_obstacles
 
 
 def mend_dataset(root: Path, *, scene: str | None, workers: int) -> Dataset:
@@ -38,6 +38,7 @@ def mend_dataset(root: Path, *, scene: str | None, workers: int) -> Dataset:
         HyalineError: the head is lost together with its copy, or the scene is no longer the one that was rendered.
     """
     home = home_of(root)
+    check_is_there(home)  # Before anything is touched.
     with one_writer(home):
         _clear_the_way(home)
         _restore_heads(home)

@@ -51,14 +51,24 @@ def verify_dataset(root: Path) -> Findings:
         HyalineError: no dataset there, or its head is lost together with its copy.
     """
     home = home_of(root)
-    if not any((home / path).is_file() for path in ("dataset.json", f"{HEADS}/dataset.json")):
-        if (home / "records").is_dir():
-            raise HyalineError(
-                f"{home}: dataset.json and its copy {HEADS}/dataset.json are lost; build it again with the command and "
-                "the flags that it was built with, which keeps all views that are whole"
-            )
-        open_dataset(root)  # Says that there is none.
+    check_is_there(home)
     return _search(home, root).findings()
+
+
+def check_is_there(home: Path) -> None:
+    """Refuses a folder that is no dataset by its head, nor by the copy of that.
+
+    Raises:
+        HyalineError: with what to do about it.
+    """
+    if true_head(home, "dataset.json") is not None:
+        return
+    if (home / "records").is_dir():
+        raise HyalineError(
+            f"{home}: dataset.json and its copy {HEADS}/dataset.json are lost; build it again with the command and "
+            "the flags that it was built with, which keeps all views that are whole"
+        )
+    open_dataset(home)  # Says what is wrong with it.
 
 
 def _search(home: Path, root: Path) -> "_Search":

@@ -213,6 +213,18 @@ def test_a_head_that_is_lost_with_its_copy_comes_back_by_the_command_that_built_
     assert tree(ROOT) == whole
 
 
+def test_a_folder_that_is_no_dataset_is_not_mended(here: Path) -> None:
+    Path("data/mine/heads").mkdir(parents=True)
+    Path("data/mine/heads/dataset.json").symlink_to(here / "precious")
+    before = tree(Path("data/mine"))
+    for folder, message in (("data/mine", "data/mine: no dataset"), ("data/none", "data/none: no dataset")):
+        answer = call(f"datagen mend {folder}")
+        assert answer.status == 1
+        assert message in answer.error
+    assert tree(Path("data/mine")) == before
+    assert not Path("data/none").exists()
+
+
 def test_foreign_files_are_a_remark_and_no_damage(here: Path) -> None:
     (ROOT / "points3d.ply").write_bytes(b"of a Gaussian-splatting tool")
     answer = call("datagen verify data/one")

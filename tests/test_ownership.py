@@ -37,7 +37,7 @@ def test_a_clearing_removes_what_the_heads_list_and_no_other_byte(tmp_path: Path
     put(root, *strangers)
     with holding(root, DATASET):
         clear_dataset(root)
-    assert tree(root).keys() == {*strangers, "dataset.json"}
+    assert tree(root).keys() == {*strangers, "dataset.json", "heads/dataset.json"}
     assert all((root / file).read_text() == f"precious {file}" for file in strangers)
 
 

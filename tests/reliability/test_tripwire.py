@@ -39,6 +39,7 @@ TRIPS = (
     Trip(line="datagen build --scene scene --out data/one --edit remove:pane --overwrite"),
     Trip(line="datagen peel --dataset data/one --num-layers 3 --overwrite"),
     Trip(line="datagen verify data/one"),
+    Trip(line="datagen mend --dataset data/one --scene scene --workers 1", start="proxies"),
     Trip(line="proxies make --dataset data/one --kind box --overwrite", start="proxies"),
     Trip(line="proxies make --dataset data/one --assign pane=box --rest hull --name mixed-a"),
     Trip(line="proxies check --dataset data/one --kind box", start="proxies"),
