@@ -1,6 +1,6 @@
 # `make demo` and `make test` set everything up by themselves; neither needs root.
 # An active virtual or conda environment is used as it is; otherwise .venv is made.
-.PHONY: setup demo test clean
+.PHONY: setup demo test reliability clean
 
 ENVIRONMENT := $(or $(VIRTUAL_ENV),$(CONDA_PREFIX),$(CURDIR)/.venv)
 BIN := $(ENVIRONMENT)/bin
@@ -36,6 +36,10 @@ test: setup
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
 	$(BIN)/python -m pytest
+
+# Every promise of docs/reliability.md with every case, an hour on two cores; writes the counts into that file.
+reliability: setup
+	$(BIN)/python -m pytest -m promise --full --promises docs/reliability.md
 
 clean:
 	rm -rf .venv *.egg-info

@@ -23,6 +23,7 @@ from datagen.errors import DamagedError, HyalineError
 from datagen.geometry import geometry_root
 from datagen.heads import keep_head
 from datagen.names import check_relative
+from datagen.os_errors import naming
 from datagen.ownership import LAYERS, begin, is_ours
 from datagen.reading import load_json
 from datagen.records import Json, from_json, shown, to_json
@@ -270,7 +271,8 @@ def write_view(dataset: Dataset, geometry: str, kind: LayerKind, split: Split, v
         path = root.joinpath(STORE, split, name, "c", str(view), *("0",) * (array.ndim - 1))
         # zarr 3.1 reads the shard that it is about to replace, and fails where that is damaged.
         path.unlink(missing_ok=True)
-        array[view] = value
+        with naming(path):
+            array[view] = value
         files[path.relative_to(root).as_posix()] = sha256_file(path)
     record = LayersRecord(layers=seal, split=split, view=view, overflow_share=overflow_share, files=files)
     commit_sealed(record_path, cast(dict[str, Json], to_json(record)))

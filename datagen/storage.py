@@ -130,6 +130,8 @@ def load_sealed(path: Path) -> dict[str, Json]:
     Raises:
         DamagedError: any byte differs from what was sealed.
     """
+    if path.is_symlink():
+        raise HyalineError(f"{path}: is a link; expected the file itself, which is written in its place")
     text = read_regular(path, at_most=MAX_JSON_BYTES)
     data = parse_json(text, where=str(path))
     data.pop(SEAL, None)

@@ -18,6 +18,8 @@ from datagen.storage import commit_sealed, sha256
 from eval.png import check_png
 from eval.runs import Run, open_run, read_prediction, within
 
+pytestmark = pytest.mark.promise("R4")
+
 SIZE = 16
 
 

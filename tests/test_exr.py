@@ -8,6 +8,8 @@ from datagen.exr import check_exr
 from datagen.render import Truth, radiance_bytes, read_radiance
 from datagen.variant import use_mitsuba
 
+pytestmark = pytest.mark.promise("R6")
+
 
 @pytest.fixture(scope="module")
 def good() -> bytes:

@@ -18,6 +18,8 @@ from datagen.storage import SEAL, dump_json, sha256
 from eval.runs import open_run
 from model.experiment import read_experiment
 
+pytestmark = pytest.mark.promise("R6")
+
 LIMIT_S = 2.0
 
 

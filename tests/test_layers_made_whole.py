@@ -13,6 +13,8 @@ from datagen.dataset import DatasetConfig, SplitConfig, open_dataset
 from datagen.geometry import TRUTH
 from datagen.layer_store import LAYER_KINDS, LayerKind
 
+pytestmark = pytest.mark.promise("R1")
+
 FEW = SplitConfig(views=1, spp=4)
 CONFIG = DatasetConfig(
     scene="synthetic", preset="tiny", resolution=4, train=SplitConfig(views=2, spp=4), interpolating=FEW,

@@ -19,6 +19,8 @@ from model import train as train_module
 from model.checkpoint import load_checkpoint, load_state, save_checkpoint
 from model.run_folder import TrainConfig
 
+pytestmark = pytest.mark.promise("R3")
+
 SIZE = ("--steps", "6", "--batch", "64", "--texture-size", "16", "--width", "32", "--device", "cpu")
 
 

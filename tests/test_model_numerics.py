@@ -18,6 +18,8 @@ from model.batches import Pixels, RayBatch
 from model.checkpoint import check_numbers, load_state
 from model.run_folder import TrainConfig
 
+pytestmark = pytest.mark.promise("R10")
+
 NAN = float("nan")
 LAST_GOOD = 4
 """The step of the last checkpoint before the poison, which is given in the step after it."""

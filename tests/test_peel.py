@@ -69,6 +69,7 @@ def count_differences(meshes: tuple[Mesh, ...], origin: np.ndarray, directions: 
 
 
 @pytest.mark.parametrize("seed", range(10))
+@pytest.mark.promise("R9")
 def test_random_scenes_peel_like_brute_force(seed: int) -> None:
     rng = np.random.default_rng(seed)
     meshes = random_meshes(rng, 7)
@@ -78,6 +79,7 @@ def test_random_scenes_peel_like_brute_force(seed: int) -> None:
 
 
 @pytest.mark.parametrize("name", sorted(SCENES))
+@pytest.mark.promise("R9")
 def test_the_built_in_scenes_peel_like_brute_force(name: str) -> None:
     scene = make_scene(name)
     meshes = tuple(item.mesh for item in scene.objects)
@@ -92,6 +94,7 @@ def test_the_built_in_scenes_peel_like_brute_force(name: str) -> None:
     assert different == 0
 
 
+@pytest.mark.promise("R9")
 def test_objects_along_a_ray_equal_embrees() -> None:
     pytest.importorskip("embreex", reason="embreex has no wheel for this machine")
     rng = np.random.default_rng(5)
@@ -161,6 +164,7 @@ def test_permuted_objects_permute_ids_and_nothing_else() -> None:
     assert np.array_equal(other.uv, one.uv)
 
 
+@pytest.mark.promise("R9")
 def test_pane_and_floor_peel_like_the_closed_formula() -> None:
     from synthetic import synthetic_scene
 

@@ -10,6 +10,8 @@ import pytest
 from datagen.errors import HyalineError
 from datagen.reading import MAX_JSON_BYTES, load_json, load_toml, read_regular
 
+pytestmark = pytest.mark.promise("R6")
+
 
 def refusal(read, path: Path) -> str:
     start = time.process_time()

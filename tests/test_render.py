@@ -346,6 +346,7 @@ def test_same_seed_same_bytes_and_another_seed_other_noise() -> None:
     assert np.abs(noise - one.half_difference).max() < 1e-3
 
 
+@pytest.mark.promise("R8")
 def test_a_picture_repeats_to_the_last_bit_however_many_threads_share_its_pixels() -> None:
     """At this size threads meet within pixels; Mitsuba's own film then differs from run to run."""
     import drjit as dr
@@ -381,6 +382,7 @@ def test_an_exr_is_written_and_read_after_the_workers_were_ended() -> None:
     assert answer.returncode == 0, answer.stderr
 
 
+@pytest.mark.promise("R10")
 def test_radiance_that_is_no_number_stops_the_view(monkeypatch: pytest.MonkeyPatch) -> None:
     pane = SceneObject(name="pane", mesh=quad(0.0), material=Diffuse(color=(0.5, 0.4, 0.3)))
     renderer = Renderer(scene_of(pane), max_depth=8)

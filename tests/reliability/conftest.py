@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 import torch
-from support.commands import run
+from support.commands import call, run
 from support.disk import State, empty, read_state
 from support.fake_renderer import install
 from support.scenarios import GRID, PREPARED
@@ -16,6 +16,7 @@ from synthetic import synthetic_scene
 
 from datagen.scene import save_scene
 from model.run_folder import TrainConfig
+from model.sweep import Failure
 
 
 @pytest.fixture(scope="session")
@@ -71,6 +72,8 @@ def start(here: Path, started: dict[str, State], monkeypatch: pytest.MonkeyPatch
     return make
 
 
-def train_here(arguments: Sequence[str], *_: object) -> None:
+def train_here(arguments: Sequence[str], *_: object) -> Failure | None:
     """A run of a sweep in this process, where its writes are seen."""
-    run(shlex.join(["model", "train", *arguments]))
+    line = shlex.join(["model", "train", *arguments])
+    answer = call(line)
+    return None if answer.status == 0 else Failure(command=line, reason=answer.error.removeprefix("error: "))

@@ -11,7 +11,7 @@ from support.scenarios import SCENARIOS, Scenario
 
 pytestmark = pytest.mark.promise("R1")
 
-QUICK = 8
+QUICK = 6
 """States of each command that a quick run tries."""
 
 

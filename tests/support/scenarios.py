@@ -52,4 +52,5 @@ SCENARIOS = (
     Scenario(name="train anew", start="run", line=f"{TRAIN} --out runs/one/paper --seed 1 --overwrite"),
     Scenario(name="render", start="run", line="model render --run runs/one/paper --device cpu --overwrite"),
     Scenario(name="sweep", start="dataset", line="model sweep grid.toml"),
+    Scenario(name="report", start="run", line="report"),
 )

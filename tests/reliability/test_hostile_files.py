@@ -1,0 +1,80 @@
+"""Tests that hostile files are refused in one line or accepted with exact counts, and that none is the end of anything.
+
+What is expected of each stands in outcomes.tsv. After a change of what is refused, or how it is said,
+`--rewrite-outcomes` writes it anew: read its difference before you commit it.
+"""
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+OUTCOMES = Path(__file__).with_name("outcomes.tsv")
+CHILD = Path(__file__).resolve().parents[1] / "support" / "hostile" / "try_all.py"
+SECONDS_WITHOUT_A_WORD = 60
+MOST_BYTES = 2 << 30
+DIED = "DIED"
+
+
+@pytest.fixture(scope="module")
+def tried(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, str], int]:
+    """What came of each file, by its name, and the most memory that was held; a child that dies is started again."""
+    out = tmp_path_factory.mktemp("hostile") / "out.jsonl"
+    outcomes: dict[str, str] = {}
+    first, peak = 0, 0
+    for _ in range(10):
+        child = subprocess.Popen(
+            [sys.executable, str(CHILD), str(out), str(first)], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
+        )
+        said = _wait(child, out)
+        lines = [json.loads(line) for line in out.read_text().splitlines()] if out.exists() else []
+        assert lines, said
+        outcomes |= {line["name"]: line["outcome"] for line in lines if "outcome" in line}
+        if "peak" in lines[-1]:
+            return outcomes, lines[-1]["peak"]
+        begun = [line for line in lines if "begin" in line][-1]
+        outcomes[begun["name"]] = f"{DIED}: status {child.returncode}"
+        first = begun["begin"] + 1
+    pytest.fail(
+        f"the reader died ten times: {[name for name, outcome in outcomes.items() if outcome[:4] == DIED]}, {peak}"
+    )
+
+
+def _wait(child: subprocess.Popen[bytes], out: Path) -> str:
+    """Waits for a child; one that has said nothing for too long is killed. Returns what it said on stderr."""
+    size = -1
+    while True:
+        try:
+            _, said = child.communicate(timeout=SECONDS_WITHOUT_A_WORD)
+            return said.decode(errors="replace")[-2000:]
+        except subprocess.TimeoutExpired:
+            now = out.stat().st_size if out.exists() else 0
+            if now == size:
+                child.kill()
+            size = now
+
+
+@pytest.mark.promise("R6", "R7")
+def test_every_hostile_file_ends_as_the_table_says(
+    tried: tuple[dict[str, str], int], cases: Callable[[int, str], None], request: pytest.FixtureRequest
+) -> None:
+    outcomes, peak = tried
+    if request.config.getoption("--rewrite-outcomes"):
+        OUTCOMES.write_text("".join(f"{name}\t{outcome}\n" for name, outcome in outcomes.items()))
+    wrong = [
+        f"{name}: {outcome}" for name, outcome in outcomes.items() if not outcome.startswith(("refused", "accept"))
+    ]
+    assert not wrong, f"{len(wrong)} of {len(outcomes)}:\n" + "\n".join(wrong)
+    expected = dict(line.split("\t", 1) for line in OUTCOMES.read_text().splitlines())
+    assert len(expected) >= 700
+    different = [
+        f"{name}: {outcomes.get(name)}; expected {expected.get(name)}"
+        for name in sorted(outcomes.keys() | expected.keys())
+        if outcomes.get(name) != expected.get(name)
+    ]
+    assert not different, f"{len(different)}:\n" + "\n".join(different[:40])
+    assert peak < MOST_BYTES, f"{peak >> 20} MB were held"
+    cases(len(outcomes), "hostile files")

@@ -1,0 +1,102 @@
+"""All hostile files, and the world of good ones that each of them is put into."""
+
+import json
+from pathlib import Path
+
+from support.hostile.case import Case, not_files
+from support.hostile.jsons import experiment_cases, json_cases, sealed, text_cases, text_of
+from support.hostile.meshes import mesh_cases
+from support.hostile.pictures import PREDICTION, exr_cases, picture_cases
+from support.hostile.states import state_cases
+from synthetic import synthetic_scene, write_synthetic_dataset
+
+from datagen.geometry import TRUTH, ProxyStatistics, read_meshes, write_proxies
+from datagen.scene import save_scene
+
+DATASET = "data/one"
+RUN = "runs/one/paper/run.json"
+LAYERS = f"{DATASET}/layers/straight"
+SEALED = {
+    "dataset": (f"{DATASET}/dataset.json", 2),
+    "record": (f"{DATASET}/records/train/0000.json", 3),
+    "layers": (f"{LAYERS}/layers.json", 3),
+    "layers record": (f"{LAYERS}/records/train/0000.json", 3),
+    "proxies": (f"{DATASET}/proxies/box/proxies.json", 3),
+    "predictions": ("runs/one/paper/predictions.json", 4),
+}
+"""By reader, a sealed file and how many values are tried at each of its places."""
+
+
+def write_world(root: Path) -> None:
+    """A scene, a dataset with layers and proxies, a trained run, a foreign method's pictures, an EXR: all good."""
+    import shutil
+
+    import numpy as np
+    import torch
+
+    from datagen.dataset import png_bytes, read_image
+    from datagen.render import Truth, radiance_bytes
+    from datagen.variant import use_mitsuba
+    from model.paper import PaperConfig
+    from model.predict import render_predictions
+    from model.run_folder import TrainConfig
+    from model.train import train
+
+    save_scene(synthetic_scene(), root / "scene")
+    dataset = write_synthetic_dataset(root / DATASET, resolution=8, train_views=2)
+    numbers = ProxyStatistics(volume_ratio=1.0, mean_distance=0.0, max_distance=0.0)
+    write_proxies(dataset, "box", read_meshes(dataset, TRUTH), (numbers, numbers))
+    config = TrainConfig(
+        method="paper", geometry=TRUTH, net=PaperConfig(width=8, texture_size=8, position_size=8), steps=1, batch=16
+    )
+    run = root / "runs/one/paper"
+    cpu = torch.device("cpu")
+    train(config, dataset, run, label="paper", device=cpu)
+    render_predictions(run, config, dataset, device=cpu)
+    shutil.copytree(run / "predictions", root / "runs/one/foreign/predictions")
+    (root / PREDICTION).write_bytes(png_bytes(read_image(dataset, "interpolating", 0)))
+    use_mitsuba(quiet=True)
+    ramp = np.linspace(0, 1, 192, dtype=np.float32).reshape(8, 8, 3)
+    truth = Truth(radiance=ramp, half_difference=0.01 * ramp, spp=4, noise_mse=1e-5)
+    (root / "view.exr").write_bytes(radiance_bytes(truth))
+    (root / "grid.toml").write_text('[[runs]]\nmethod = "paper"\n')
+
+
+def cases_of(root: Path) -> list[Case]:
+    """Every hostile file of a world, in a fixed order."""
+
+    def read(path: str) -> bytes:
+        return (root / path).read_bytes()
+
+    cases = [
+        *mesh_cases(read("scene/meshes/pane.ply")),
+        *json_cases("scene", "scene/scene.json", json.loads(read("scene/scene.json")), each=2),
+        *text_cases("scene", "scene/scene.json", read("scene/scene.json")),
+        *not_files("scene", "scene/scene.json"),
+        *not_files("scene", "scene/meshes/pane.ply"),
+        *experiment_cases(),
+        *not_files("experiment", "grid.toml", may_be_link=True),
+        *picture_cases(read(PREDICTION)),
+        *not_files("prediction", PREDICTION, may_be_link=True),
+        *state_cases(read("runs/one/paper/weights.pt")),
+        *not_files("weights", "runs/one/paper/weights.pt", may_be_link=True),
+        *json_cases(
+            "run", "runs/one/paper/run.json", json.loads(read("runs/one/paper/run.json")), each=1, write=sealed
+        ),
+        *text_cases("run", RUN, read(RUN)),
+        *not_files("run", RUN, may_be_link=True),
+        *exr_cases(read("view.exr")),
+    ]
+    for reader, (path, each) in SEALED.items():
+        cases += json_cases(reader, path, json.loads(read(path)), each=each, write=sealed)
+        cases += text_cases(reader, path, read(path))
+        cases += not_files(reader, path, may_be_link=path.startswith("runs/"))
+    metadata = f"{LAYERS}/peels.zarr/train/uv/zarr.json"
+    cases += json_cases("metadata", metadata, json.loads(read(metadata)), each=1, write=text_of)
+    cases += text_cases("metadata", metadata, read(metadata))
+    cameras = f"{DATASET}/transforms_train.json"
+    cases += json_cases("cameras", cameras, json.loads(read(cameras)), each=2)
+    cases += text_cases("cameras", cameras, read(cameras))
+    names = [case.name for case in cases]
+    assert len(names) == len(set(names)), sorted(name for name in names if names.count(name) > 1)[:5]
+    return cases

@@ -1,0 +1,128 @@
+"""Who reads a hostile file, and what it says of it: accepted with these counts, or a HyalineError."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from support.hostile.corpus import DATASET
+from support.hostile.pictures import PREDICTION
+
+from datagen.dataset import Dataset, open_dataset, read_cameras, read_record
+from datagen.errors import HyalineError
+from datagen.geometry import TRUTH, read_meshes
+from datagen.layers import read_layers
+from datagen.verify import verify_dataset
+
+
+def _scene(root: Path) -> str:
+    from datagen.scene import load_scene
+
+    scene = load_scene(root / "scene")
+    vertices, faces = (sum(len(getattr(item.mesh, name)) for item in scene.objects) for name in ("vertices", "faces"))
+    return f"{len(scene.objects)} objects, {vertices} vertices, {faces} faces"
+
+
+def _dataset(root: Path) -> str:
+    dataset = open_dataset(root / DATASET)
+    views = [read_cameras(dataset, split).world_from_camera.shape[0] for split in dataset.splits]
+    return f"{len(dataset.objects)} objects, {views} cameras; {_verified(root)}"
+
+
+def _verified(root: Path) -> str:
+    findings = verify_dataset(root / DATASET)
+    if findings.problems:
+        raise HyalineError(findings.problems[0])
+    return f"{findings.verified} files"
+
+
+def _opened(read: Callable[[Dataset], object]) -> Callable[[Path], str]:
+    def reader(root: Path) -> str:
+        read(open_dataset(root / DATASET))
+        return _verified(root)
+
+    return reader
+
+
+def _layers(root: Path) -> str:
+    layers = read_layers(open_dataset(root / DATASET), TRUTH, "train", 0)
+    return (
+        f"layers {layers.uv.shape} of {layers.uv.dtype}, {int(np.count_nonzero(layers.object_id))} hits; "
+        + _verified(root)
+    )
+
+
+def _cameras(root: Path) -> str:
+    cameras = read_cameras(open_dataset(root / DATASET), "train")
+    return f"{cameras.world_from_camera.shape} cameras"
+
+
+def _experiment(root: Path) -> str:
+    from model.experiment import read_experiment
+
+    return f"{len(read_experiment(str(root / 'grid.toml')).runs)} runs"
+
+
+def _run(root: Path) -> str:
+    from eval.runs import open_run
+    from model.run_folder import read_run
+
+    folder = root / "runs/one/paper"
+    record = read_run(folder)
+    open_run(folder, root / "data")
+    return f"{record.method}, {record.config.steps} steps"
+
+
+def _prediction(root: Path) -> str:
+    from eval.runs import has_predictions, open_run, read_prediction
+
+    folder = (root / PREDICTION).parents[2]
+    assert has_predictions(folder)
+    picture = read_prediction(open_run(folder, root / "data"), "interpolating", 0)
+    return f"picture {picture.shape}, sum {int(picture.sum(dtype=np.int64))}"
+
+
+def _predictions(root: Path) -> str:
+    from eval.runs import open_run, read_prediction
+    from model.run_folder import is_finished, read_prediction_hashes
+
+    folder = root / "runs/one/paper"
+    count = len(read_prediction_hashes(folder))
+    run = open_run(folder, root / "data")
+    picture = read_prediction(run, "interpolating", 0)
+    return f"{count} predictions, finished {is_finished(folder)}, picture {picture.shape}"
+
+
+def _weights(root: Path) -> str:
+    from model.predict import load_renderer
+    from model.run_folder import read_run
+
+    folder = root / "runs/one/paper"
+    renderer = load_renderer(folder, read_run(folder).config, open_dataset(root / DATASET))
+    return f"{sum(value.numel() for value in renderer.parameters())} parameters"
+
+
+def _exr(root: Path) -> str:
+    from datagen.render import read_radiance
+    from datagen.variant import use_mitsuba
+
+    use_mitsuba(quiet=True)
+    radiance, noise = read_radiance((root / "view.exr").read_bytes())
+    return f"radiance {radiance.shape}, noise {noise.shape}"
+
+
+READERS: dict[str, Callable[[Path], str]] = {
+    "scene": _scene,
+    "dataset": _dataset,
+    "record": _opened(lambda dataset: read_record(dataset, "train", 0)),
+    "layers": _layers,
+    "layers record": _layers,
+    "metadata": _layers,
+    "proxies": _opened(lambda dataset: read_meshes(dataset, "box")),
+    "cameras": _cameras,
+    "experiment": _experiment,
+    "run": _run,
+    "prediction": _prediction,
+    "predictions": _predictions,
+    "weights": _weights,
+    "exr": _exr,
+}

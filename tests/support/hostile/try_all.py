@@ -1,0 +1,135 @@
+"""A process that reads hostile files one after the other and writes down what came of each.
+
+`python try_all.py OUT [FIRST]` appends a JSON line a case to OUT, from the case of that number on. The working folder
+is where code that should never run would leave its mark.
+"""
+
+import json
+import os
+import resource
+import shutil
+import signal
+import sys
+import tempfile
+import traceback
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+SECONDS = 10
+"""A file may take so long."""
+
+MARK = "CODE RAN"
+
+
+class TookTooLong(BaseException):
+    """Not to be caught by what reads the file."""
+
+
+def main() -> None:
+    out, first = Path(sys.argv[1]), int(sys.argv[2]) if len(sys.argv) > 2 else 0
+    with tempfile.TemporaryDirectory() as folder:
+        base = Path(folder).resolve()
+        secret = base / "secret"
+        secret.write_text("secret\n")
+        os.environ["HYALINE_SECRET"] = str(secret)
+        place = base / "work"
+        place.mkdir()
+        os.chdir(place)
+        _try(base / "world", place, out, first)
+
+
+def _try(world: Path, place: Path, out: Path, first: int) -> None:
+    from support.disk import read_state
+    from support.hostile.corpus import cases_of, write_world
+    from support.hostile.readers import READERS
+
+    write_world(world)
+    opened = _listen(world, place)
+    cases = cases_of(world)
+    good = read_state(world)
+    with out.open("a") as lines:
+        for number, case in enumerate(cases[first:], first):
+            lines.write(json.dumps({"begin": number, "name": case.name}) + "\n")
+            lines.flush()
+            case.place(world)
+            opened.clear()
+            outcome = _read(READERS[case.reader], world)
+            if opened:
+                outcome = f"READ OUTSIDE: {opened[0]}"
+            if any(place.iterdir()):
+                outcome = MARK
+                shutil.rmtree(place)
+                place.mkdir()
+            # The pipe goes, too.
+            path = world / case.path
+            shutil.rmtree(path) if path.is_dir() and not path.is_symlink() else path.unlink(missing_ok=True)
+            path.write_bytes(good.files[case.path])
+            lines.write(json.dumps({"name": case.name, "outcome": outcome}) + "\n")
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+        lines.write(json.dumps({"peak": peak, "cases": len(cases)}) + "\n")
+
+
+def _read(read: Any, world: Path) -> str:
+    """What came of reading a file, in one line that is the same on every machine."""
+    from datagen.errors import HyalineError
+
+    def too_long(*_: object) -> None:
+        raise TookTooLong
+
+    signal.signal(signal.SIGALRM, too_long)
+    signal.setitimer(signal.ITIMER_REAL, SECONDS)
+    try:
+        return "accepted: " + read(world)
+    except HyalineError as error:
+        return "refused: " + _plain(str(error), world)
+    except TookTooLong:
+        return f"HANG: more than {SECONDS} s"
+    except Exception as error:
+        last = traceback.extract_tb(error.__traceback__)[-1]
+        return f"TRACEBACK: {type(error).__name__} in {Path(last.filename).name} {last.name}"
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+
+
+def _plain(text: str, world: Path) -> str:
+    """A message without folders of this machine, without what a library said (in brackets), and not too long."""
+    text = " ".join(text.replace(f"{world}/", "").replace(str(world), ".").split())
+    text = text.encode("ascii", "backslashreplace").decode()
+    return text.split(" (")[0][:140].rstrip()
+
+
+def _listen(world: Path, place: Path) -> list[str]:
+    """Hears which files are opened; the list holds those that nothing that reads the world should open."""
+    import matplotlib  # noqa: F401  It reads its settings when it is first imported, here and not below.
+    import mitsuba
+    import torch
+
+    roots = [world, place, Path(sys.prefix), Path(sys.base_prefix), Path(__file__).resolve().parents[3]]
+    roots += [Path(module.__file__).resolve().parents[1] for module in (torch, mitsuba)]  # pyright: ignore
+    roots += [
+        Path("/proc"),
+        Path("/sys"),
+        Path("/usr"),
+        Path("/etc/localtime"),
+        Path("/dev/null"),
+        Path.home() / ".cache",
+    ]
+    # Folders of this package's own child processes.
+    roots.append(Path(tempfile.gettempdir()) / "hyaline-")
+    allowed = tuple(str(root.resolve()) for root in roots)
+    opened: list[str] = []
+
+    def hear(event: str, arguments: tuple[Any, ...]) -> None:
+        if event == "open" and isinstance(arguments[0], str | bytes | os.PathLike):
+            path = Path(os.path.realpath(os.fsdecode(arguments[0])))
+            if not str(path).startswith(allowed) and path.exists() and not path.is_dir():
+                opened.append(str(path))
+
+    sys.addaudithook(hear)
+    return opened
+
+
+if __name__ == "__main__":
+    main()
