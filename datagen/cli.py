@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from datagen.advice import after_build, after_edit, after_layers, build_command
 from datagen.command import choose, fail, next_command, run, say, tell, unwrap_help
-from datagen.dataset import DATA_ROOT, DatasetConfig, find_dataset, open_dataset
+from datagen.dataset import DATA_ROOT, Dataset, DatasetConfig, find_dataset, open_dataset
 from datagen.geometry import TRUTH, check_geometry
 from datagen.launch import LaunchChoices
 from datagen.layer_store import LayerKind, check_settings
@@ -55,6 +56,7 @@ def build(
     angle_splits: bool = False,
     super_resolution: tuple[int, ...] = (),
     super_resolution_views: int | None = None,
+    dataset: str | None = None,
     shard: str | None = None,
     launch: LaunchChoices = LaunchChoices(),  # noqa: B008
 ) -> None:
@@ -83,6 +85,8 @@ def build(
         super_resolution: Also render the test splits so many times as wide and high, such as 2 4; may be added to a
             finished dataset.
         super_resolution_views: Views of each test split at those sizes, evenly chosen; all unless given.
+        dataset: Instead of --scene: the folder of a dataset that is there, or its name under data/, to which --edit,
+            --angle-splits or --super-resolution add.
         edit: Renders a scene whose dataset is there after an edit, at the same test cameras, into its edits/NAME:
             remove:OBJECT, move:OBJECT:dx,dy,dz (metres), duplicate:OBJECT:dx,dy,dz, glass:OBJECT (which makes glass of
             what is opaque, and the reverse) or swap:OBJECT:OBJECT. Several --edit change one scene one after the other.
@@ -92,13 +96,22 @@ def build(
         launch: Parts as jobs.
     """
     _check_parts(shard, launch, overwrite=overwrite, edit=edit)
-    if edit:
+    if edit or dataset is not None:
         given = {"layers": layers != ("straight",), "num-layers": num_layers != 8,
                  "rays": rays != 4, "seed": seed != 0, "ceiling": ceiling is not None, "views": views is not None,
                  "resolution": resolution is not None, "test-views": test_views is not None, "spp": spp is not None,
-                 "test-spp": test_spp is not None, "max-depth": max_depth != 24, "angle-splits": angle_splits,
-                 "super-resolution": bool(super_resolution)}  # fmt: skip
-        _build_edit(scene, preset, out, edit, given, workers=workers, overwrite=overwrite)
+                 "test-spp": test_spp is not None, "max-depth": max_depth != 24}  # fmt: skip
+        _refuse("--edit" if edit else "--dataset", given)
+        base = _open_base(scene, out, dataset, preset)
+        if edit:
+            _refuse("--edit", {"angle-splits": angle_splits, "super-resolution": bool(super_resolution)})
+            _build_edit(base, edit, workers=workers, overwrite=overwrite)
+            return
+        parts = {"shard": shard is not None, "launcher": launch.launcher is not None}
+        _refuse("--dataset", {"overwrite": overwrite, **parts})
+        _build_more(
+            base, angles=angle_splits, scales=super_resolution, scaled_views=super_resolution_views, workers=workers
+        )
         return
     from datagen.annex_build import build_angles, build_scaled, peel_annexes
     from datagen.build import build_dataset, summary
@@ -136,29 +149,28 @@ def build(
         # What follows then finds all views made, and reads every byte of them.
         send_off(sys.argv[1:], root, launch, workers=workers)
     part = None if shard is None else parse_shard(shard)
-    dataset = build_dataset(
+    made = build_dataset(
         description, root, config, kinds=layers, num_layers=num_layers, rays=rays, workers=workers,
         overwrite=overwrite, shard=part,
     )  # fmt: skip
     if part is None:
-        _say_all(summary(dataset, TRUTH, layers))
+        _say_all(summary(made, TRUTH, layers))
     if angle_splits:
-        build_angles(dataset, workers=workers, shard=part)
+        build_angles(made, workers=workers, shard=part)
     for scale in super_resolution:
-        build_scaled(dataset, scale, views=super_resolution_views, workers=workers, shard=part)
-    peel_annexes(dataset, workers=workers, shard=part)
+        build_scaled(made, scale, views=super_resolution_views, workers=workers, shard=part)
+    peel_annexes(made, workers=workers, shard=part)
     tell(str(root))
     if part is not None:
-        missing, total = count_missing(dataset, layers)
+        missing, total = count_missing(made, layers)
         if missing:
             say(
                 f"{root}: part {part} is done; {missing} of {total} pictures and layers are for the other parts to make"
             )
             return
         say(f"{root}: part {part} is done, and with it the dataset")
-        _say_all(summary(dataset, TRUTH, layers))
-    where = "" if root == DATA_ROOT / description.name else f" --dataset {root}"
-    next_command(f"proxies make --kind ellipsoid{where}")
+        _say_all(summary(made, TRUTH, layers))
+    next_command(after_build(made))
 
 
 def _check_build(*, layers: tuple[LayerKind, ...], num_layers: int, rays: int, workers: int, scales: tuple[int, ...],
@@ -199,28 +211,62 @@ def _check_parts(shard: str | None, launch: LaunchChoices, *, overwrite: bool, e
         raise HyalineError(f"--edit: does not go with {flag}; its few views are made by one machine")
 
 
-def _build_edit(scene: str, preset: str, out: Path | None, edit: tuple[str, ...], given: dict[str, bool], *,
-                workers: int, overwrite: bool) -> None:  # fmt: skip
-    from datagen.build import summary
-    from datagen.build_edit import build_edit
-    from datagen.edits import parse_edit
+def _refuse(wanted: str, given: dict[str, bool]) -> None:
     from datagen.errors import HyalineError
-    from datagen.layer_store import LAYER_KINDS, layers_root
-    from datagen.scene import load_scene
 
     for flag, is_given in given.items():
         if is_given:
-            raise HyalineError(f"--{flag}: does not go with --edit, which takes it from the dataset; leave it out")
-    edits = tuple(map(parse_edit, edit))
-    name = load_scene(Path(scene), is_sealed=True).name if (Path(scene) / "scene.json").is_file() else scene
-    base = open_dataset(out or find_dataset(name))
+            raise HyalineError(f"--{flag}: does not go with {wanted}, which takes it from the dataset; leave it out")
+
+
+def _open_base(scene: str, out: Path | None, dataset: str | None, preset: str) -> Dataset:
+    """The dataset that is added to: what --dataset names, or what --scene or --out would have been built into."""
+    from datagen.errors import HyalineError
+    from datagen.scene import load_scene
+
+    if dataset is None:
+        name = load_scene(Path(scene), is_sealed=True).name if (Path(scene) / "scene.json").is_file() else scene
+        base = open_dataset(out or find_dataset(name))
+    else:
+        _refuse("--dataset", {"scene": scene != "glass_table", "out": out is not None})
+        base = open_dataset(find_dataset(dataset))
     if preset not in ("demo", base.config.preset):
         raise HyalineError(f"--preset: is {preset}, but {base.root} was built with {base.config.preset}; leave it out")
+    return base
+
+
+def _build_more(base: Dataset, *, angles: bool, scales: tuple[int, ...], scaled_views: int | None,
+                workers: int) -> None:  # fmt: skip
+    from datagen.annex_build import build_angles, build_scaled, peel_annexes
+    from datagen.errors import HyalineError
+
+    if not angles and not scales:
+        raise HyalineError("--dataset: goes with --edit, --angle-splits or --super-resolution; a new one takes --scene")
+    _check_build(layers=("straight",), num_layers=8, rays=4, workers=workers, scales=scales, scaled_views=scaled_views,
+                 test_views=base.config.interpolating.views)  # fmt: skip
+    if base.edit is not None or base.parent is not None:
+        raise HyalineError(f"{base.root}: is an edit or an annex; name the dataset around it")
+    if angles:
+        build_angles(base, workers=workers)
+    for scale in scales:
+        build_scaled(base, scale, views=scaled_views, workers=workers)
+    peel_annexes(base, workers=workers)
+    tell(str(base.root))
+    next_command(after_build(base))
+
+
+def _build_edit(base: Dataset, edit: tuple[str, ...], *, workers: int, overwrite: bool) -> None:
+    from datagen.build import summary
+    from datagen.build_edit import build_edit
+    from datagen.edits import parse_edit
+    from datagen.layer_store import LAYER_KINDS, layers_root
+
+    edits = tuple(map(parse_edit, edit))
     edited = build_edit(base, edits, workers=workers, overwrite=overwrite)
     kinds: tuple[LayerKind, ...] = tuple(kind for kind in LAYER_KINDS if layers_root(base.root, TRUTH, kind).is_dir())
     _say_all(summary(edited, TRUTH, kinds))
     tell(str(edited.root))
-    next_command(f"model render --run runs/{base.name}/light-path --edit {edited.name}")
+    next_command(after_edit(base, edited))
 
 
 def peel(
@@ -254,9 +300,7 @@ def peel(
     _say_all(summary(opened, geometry, layers))
     peel_annexes(opened, workers=workers)
     tell(str(opened.root))
-    suffix = "" if geometry == TRUTH else f" --geometry {geometry}"
-    method = "paper" if "straight" in layers else "light-path"
-    next_command(f"model train --dataset {opened.root} --method {method}{suffix}")
+    next_command(after_layers(opened, geometry))
 
 
 def verify(dataset: str | None = None) -> None:
@@ -310,7 +354,7 @@ def scenes() -> None:
 
     for name, description in describe_scenes().items():
         print(f"{name:14} {description}")
-    next_command("datagen build --scene glass_table")
+    next_command(build_command())
 
 
 def doctor() -> None:
@@ -323,7 +367,7 @@ def doctor() -> None:
         if finding.remedy:
             print(f"{'':10} mend it with: {finding.remedy}")
     if not any(finding.remedy for finding in findings):
-        next_command("datagen build --scene glass_table")
+        next_command(build_command())
 
 
 def bench() -> None:

@@ -345,7 +345,9 @@ def open_dataset(root: Path) -> Dataset:
     """
     path = root / "dataset.json"
     if not path.is_file():
-        raise HyalineError(f"{root}: no dataset; make one with `datagen build --scene {root.name}`")
+        from datagen.advice import where_datasets_are
+
+        raise HyalineError(f"{root}: no dataset; {where_datasets_are(root)}")
     head = load_sealed(path)
     if head.get("version") != DATASET_VERSION:
         raise HyalineError(f"{path}: format version {shown(head.get('version'))}; this program reads {DATASET_VERSION}")
@@ -379,7 +381,10 @@ def find_dataset(given: str | None, root: Path = DATA_ROOT) -> Path:
     if len(found) == 1:
         return found[0]
     if not found:
-        raise HyalineError(f"{root}: no dataset there; make one with `datagen build --scene glass_table`")
+        from datagen.advice import build_command
+
+        place = root if root == DATA_ROOT else root / "glass_table"
+        raise HyalineError(f"{root}: no dataset there; make one with `{build_command(place)}`")
     raise HyalineError(f"{root}: holds {len(found)} datasets; choose one with --dataset: {', '.join(map(str, found))}")
 
 

@@ -1,5 +1,6 @@
 """Owns where the datasets of edited scenes lie: beside their base, in edits/NAME, one a scene."""
 
+import shlex
 from pathlib import Path
 
 from datagen.dataset import Dataset, open_dataset
@@ -27,8 +28,8 @@ def open_edit(base: Dataset, name: str) -> Dataset:
     if not (root / "dataset.json").is_file():
         made = ", ".join(list_edits(base)) or "none"
         raise HyalineError(
-            f"{root}: no such edit (there are: {made}); make it with "
-            f"`datagen build --scene {base.config.scene} --edit EDIT`"
+            f"{root}: no such edit (there are: {made}); make one with "
+            f"`datagen build --dataset {shlex.quote(str(base.root))} --edit EDIT`"
         )
     edited = open_dataset(root)
     if edited.edit is None or edited.edit.base != base.seal:

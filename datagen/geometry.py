@@ -9,6 +9,7 @@ where `assignment` in proxies.json says for each object what stands for it.
 """
 
 import difflib
+import shlex
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -171,10 +172,12 @@ def describe_geometry(dataset: Dataset, geometry: str) -> str:
 
 
 def _make_command(dataset: Dataset, geometry: str) -> str:
+    words = ["proxies", "make", "--dataset", str(dataset.root)]
     if geometry.startswith("mixed"):
-        return f"proxies make --dataset {dataset.root} --name {geometry} --assign OBJECT=KIND"
+        # Any object and kind will do to show how it is written.
+        return shlex.join([*words, "--name", geometry, "--assign", f"{dataset.objects[0].name}=box"])
     kind, _, amount = geometry.partition("-")
-    return f"proxies make --dataset {dataset.root} --kind {kind}" + (f" --amount {amount}" if amount else "")
+    return shlex.join([*words, "--kind", kind, *(["--amount", amount] if amount else [])])
 
 
 def list_geometries(dataset: Dataset) -> list[str]:

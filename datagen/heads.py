@@ -40,10 +40,22 @@ def home_of(root: Path) -> Path:
 
 def mend_command(path: Path) -> str:
     """What makes a lost or damaged file of a dataset again, as one types it."""
+    return f"datagen mend {shlex.quote(str(_around(path) or path.parent))}"
+
+
+def way_out(path: Path) -> str:
+    """What to do about a damaged or lost file, of a dataset or not."""
+    home = _around(path)
+    if home is None:
+        return "restore it, or make it again"
+    return f"`datagen verify {shlex.quote(str(home))}` names what makes it again"
+
+
+def _around(path: Path) -> Path | None:
+    """The dataset's folder in which a file lies, or would lie; None where there is none."""
     heads = ("dataset.json", f"{HEADS}/dataset.json")
-    inner = (folder for folder in path.parents if any((folder / head).is_file() for head in heads))
-    home = next(inner, None)
-    return f"datagen mend {shlex.quote(str(path.parent if home is None else home_of(home)))}"
+    inner = next((folder for folder in path.parents if any((folder / head).is_file() for head in heads)), None)
+    return None if inner is None else home_of(inner)
 
 
 def keep_head(root: Path, path: Path) -> None:

@@ -9,6 +9,7 @@ only.
 """
 
 import dataclasses
+import shlex
 import tempfile
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
@@ -329,5 +330,12 @@ def is_view_peeled(dataset: Dataset, geometry: str, kind: LayerKind, split: Spli
 
 
 def _peel_command(dataset: Dataset, geometry: str, kind: LayerKind) -> str:
-    flags = "" if kind == "straight" else f" --layers {kind}"
-    return f"datagen peel --dataset {dataset.root} --geometry {geometry}{flags}"
+    words = ["datagen", "peel", "--dataset", str(dataset.root), "--geometry", geometry]
+    words += [] if kind == "straight" else ["--layers", kind]
+    if (layers_root(dataset.root, geometry, kind) / "layers.json").is_file():
+        head, _ = read_layers_head(dataset, geometry, kind)
+        if isinstance(head, LayersHead):
+            words += ["--num-layers", str(head.num_layers)]
+        else:
+            words += ["--num-layers", str(head.max_vertices), "--rays", str(head.samples)]
+    return shlex.join(words)

@@ -42,7 +42,9 @@ def sha256_file(path: Path) -> str:
     try:
         return sha256(read_regular(path))
     except DamagedError as error:
-        raise DamagedError(f"{error}; `datagen verify` names what makes it again") from None
+        from datagen.heads import way_out
+
+        raise DamagedError(f"{error}; {way_out(path)}") from None
 
 
 def commit(path: Path, data: bytes, *, beside: Path | None = None) -> None:
@@ -136,9 +138,9 @@ def load_sealed(path: Path) -> dict[str, Json]:
     data = parse_json(text, where=str(path))
     data.pop(SEAL, None)
     if text != seal_bytes(data):
-        raise DamagedError(
-            f"{path}: does not match its own checksum, was damaged or edited; `datagen verify` names what mends it"
-        )
+        from datagen.heads import way_out
+
+        raise DamagedError(f"{path}: does not match its own checksum, was damaged or edited; {way_out(path)}")
     return data
 
 

@@ -1,5 +1,6 @@
 """Owns the scores of edited scenes: what a trained renderer draws from other layers, against the edited truth."""
 
+import shlex
 from dataclasses import dataclass
 from typing import Literal
 
@@ -96,7 +97,7 @@ def edit_run(run: Run, edited: Dataset) -> Run | None:
     if record.is_file() and load_sealed(record).get("dataset_seal") != edited.seal:
         raise HyalineError(
             f"{folder}: made for another version of {edited.root}; "
-            f"render again with `model render --run {run.folder} --edit {edited.name}`"
+            f"render again with `model render --run {shlex.quote(str(run.folder))} --edit {edited.name}`"
         )
     return found
 

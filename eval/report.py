@@ -1,13 +1,15 @@
 """Owns the report: finds the runs, scores them, prints tables, writes results.json and pictures."""
 
 import dataclasses
+import shlex
 import sys
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
+from datagen.advice import train_command
 from datagen.command import choose, say, track
-from datagen.dataset import TEST_SPLITS, Dataset, Split, open_dataset
+from datagen.dataset import TEST_SPLITS, Dataset, Split, list_datasets, open_dataset
 from datagen.errors import HyalineError
 from datagen.names import file_name
 from eval.claims import CLAIMS, claims_grid
@@ -49,7 +51,7 @@ def make_report(runs_root: Path, data_root: Path, out: Path, *, output_format: s
     runs, errors = _open_runs(runs_root, data_root, out, only)
     if not runs and not errors:
         raise HyalineError(
-            f"{runs_root}: no predictions there; make some with `model train`, or put a method's pictures "
+            f"{runs_root}: no predictions there; make some with `{train_command()}`, or put a method's pictures "
             f"at {runs_root}/SCENE/NAME/predictions/SPLIT/0000.png"
         )
     scored = _score_scenes(runs, errors)
@@ -87,7 +89,7 @@ def make_tables(runs_root: Path, data_root: Path, out: Path, *, tables: Sequence
     if not scenes:
         errors.append(HyalineError(
             f"{runs_root}: no run there that stands in {', '.join(tables)}; "
-            f"make them with `model sweep {tables[0]}`"
+            f"make them with `{_sweep_command(tables[0], only)}`"
         ))  # fmt: skip
     for table in tables:
         for grid in _grids_of(table, scenes, errors):
@@ -101,6 +103,11 @@ def make_tables(runs_root: Path, data_root: Path, out: Path, *, tables: Sequence
         say(f"error: {error}")
     if errors:
         raise errors[-1]
+
+
+def _sweep_command(table: str, only: Path | None) -> str:
+    datasets = list_datasets() if only is None else [only]
+    return shlex.join(["model", "sweep", table, *(["--dataset", *map(str, datasets)] if datasets else [])])
 
 
 def _lines_of(table: str) -> tuple[Line, ...]:
@@ -179,7 +186,7 @@ def _score_scene(dataset: Dataset, title: str, runs: list[Run], errors: list[Hya
     if not has_glass_mask(dataset):
         say(
             f"{dataset.root}: no layers of the true geometry, so no PSNR on glass; "
-            f"make them with `datagen peel --dataset {dataset.root}`"
+            f"make them with `datagen peel --dataset {shlex.quote(str(dataset.root))}`"
         )
     scored: list[RunScores] = []
     for run in track(runs, label=f"scoring {title}", total=len(runs)):

@@ -17,6 +17,7 @@ Test splits are scored; pictures of the training split may lie there, too.
 
 import dataclasses
 import os
+import shlex
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
@@ -208,10 +209,10 @@ def _render_command(run: Run) -> str:
     """The command that writes a run's pictures; of an edit or a size, that inside the run."""
     folder = run.folder
     if folder.parent.name == "edits":
-        return f"model render --run {folder.parent.parent} --edit {folder.name}"
+        return shlex.join(["model", "render", "--run", str(folder.parent.parent), "--edit", folder.name])
     if folder.name != run.name:
-        return f"model render --run {folder.parent} --scale {folder.name.removeprefix('x')}"
-    return f"model render --run {folder}"
+        return shlex.join(["model", "render", "--run", str(folder.parent), "--scale", folder.name.removeprefix("x")])
+    return shlex.join(["model", "render", "--run", str(folder)])
 
 
 def predictions_sha256(run: Run, splits: list[Split]) -> str:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from datagen.advice import edit_command, report_command
 from datagen.command import choose, fail, mute, next_command, run, say, tell, unwrap_help
 from datagen.dataset import Dataset, find_dataset, open_dataset
 from datagen.errors import HyalineError
@@ -138,7 +139,7 @@ def _train(
                 if is_finished(out):
                     say(f"{out}: finished before, nothing to do; --overwrite trains it anew")
                     team.agree(False)
-                    _end(out)
+                    _end(out, run=out)
                     return
                 if not (out / WEIGHTS).is_file() and not has_checkpoint(out):
                     say(f"{out}: was stopped before its first checkpoint; starts at step 0")
@@ -148,7 +149,7 @@ def _train(
                 delete_checkpoints(out)
                 say(f"{out}: is trained; goes on with its predictions")
             render_predictions(out, config, dataset, device=device)
-    _end(out)
+    _end(out, run=out)
 
 
 def render(
@@ -180,7 +181,7 @@ def render(
     opened = open_dataset(find_dataset(dataset) if dataset else Path(record.dataset))
     _check_same_run(run, record.config, opened)
     if edit:
-        _end(_render_edit(run, record.config, opened, edit, device=_device(device), overwrite=overwrite))
+        _end(_render_edit(run, record.config, opened, edit, device=_device(device), overwrite=overwrite), run=run)
         return
     out = run if scale == 1 else run / scale_name(scale)
     if is_finished(out) and not (scale == 1 and lacks_a_split(run, opened)) and not overwrite:
@@ -191,7 +192,7 @@ def render(
                 render_predictions(run, record.config, opened, device=_device(device))
             else:
                 render_scaled(run, record.config, opened, scale, device=_device(device))
-    _end(out)
+    _end(out, run=run)
 
 
 def _render_edit(run: Path, config: "TrainConfig", base: Dataset, edit: tuple[str, ...], *, device: "torch.device",
@@ -210,7 +211,7 @@ def _render_edit(run: Path, config: "TrainConfig", base: Dataset, edit: tuple[st
     edited = open_edit(base, edit[0] if is_name else edits_name(tuple(map(parse_edit, edit))))
     if config.geometry not in list_geometries(edited):
         raise HyalineError(
-            f"{edited.root}: has no {config.geometry} proxies; the `datagen build --edit` that made it adds those that "
+            f"{edited.root}: has no {config.geometry} proxies; `{edit_command(base, edited)}` adds those that "
             f"{base.root} has now"
         )
     folder = edit_folder(run, edited)
@@ -290,6 +291,6 @@ def _device(name: str) -> "torch.device":
     return torch.device("cuda" if name != "cpu" and torch.cuda.is_available() else "cpu")
 
 
-def _end(out: Path) -> None:
+def _end(out: Path, *, run: Path) -> None:
     tell(str(out))
-    next_command("eval report")
+    next_command(report_command(run))

@@ -1,6 +1,7 @@
 """Owns the method `paper`: neural textures on straight layers, stacked into a per-pixel residual MLP."""
 
 import math
+import shlex
 from dataclasses import dataclass
 
 import numpy as np
@@ -92,7 +93,7 @@ def default_texture_size(
     return cells * max(16, int(resolution * texels_per_pixel))
 
 
-def configure_paper(choices: PaperChoices, dataset: Dataset, geometry: str, num_layers: int) -> PaperConfig:  # noqa: ARG001
+def configure_paper(choices: PaperChoices, dataset: Dataset, geometry: str, num_layers: int) -> PaperConfig:
     """The configuration that a user's choices make on a dataset with so many layers.
 
     Raises:
@@ -101,7 +102,7 @@ def configure_paper(choices: PaperChoices, dataset: Dataset, geometry: str, num_
     preset = PAPER_PRESETS[choices.preset]
     asked_layers, online = parse_layers(choices.layers)
     inputs = count_inputs(
-        choose_layers(asked_layers, num_layers),
+        choose_layers(asked_layers, num_layers, more=_deeper_command(dataset, geometry, asked_layers)),
         texture_features=choices.features,
         extrinsics=choices.extrinsics,
         zero_layer=choices.zero_layer,
@@ -147,8 +148,16 @@ def parse_layers(text: str | None) -> tuple[int | None, bool]:
     return int(number), bool(dash)
 
 
-def choose_layers(asked: int | None, num_stored: int) -> int:
+def _deeper_command(dataset: Dataset, geometry: str, num_layers: int | None) -> str:
+    words = ["datagen", "peel", "--dataset", str(dataset.root), "--geometry", geometry]
+    return f" (`{shlex.join([*words, '--num-layers', str(num_layers), '--overwrite'])}` stores more)"
+
+
+def choose_layers(asked: int | None, num_stored: int, *, more: str = "") -> int:
     """How many layers a renderer looks up: all that are stored, or the nearest ones of them.
+
+    Args:
+        more: in words, what stores more.
 
     Raises:
         HyalineError: none, or more than are stored.
@@ -157,8 +166,7 @@ def choose_layers(asked: int | None, num_stored: int) -> int:
         return num_stored
     if not 1 <= asked <= num_stored:
         raise HyalineError(
-            f"layers: is {asked}; expected 1 to {num_stored}, as many as are stored "
-            "(`datagen peel --num-layers N --overwrite` stores more)"
+            f"layers: is {asked}; expected 1 to {num_stored}, as many as are stored{more if asked > 0 else ''}"
         )
     return asked
 

@@ -1,5 +1,6 @@
 """Owns prediction: from a run's weights to 8-bit pictures of the test splits."""
 
+import shlex
 from collections.abc import Mapping
 from pathlib import Path
 from typing import cast
@@ -38,7 +39,7 @@ def predict_pixels(renderer: nn.Module, pixels: PixelSource) -> UInt8[np.ndarray
         if not bool(colors.isfinite().all()):
             raise NumericsError(
                 "a predicted colour is not finite, so no picture of it is written; train anew with --overwrite and a "
-                "lower --lr, or check the data with `datagen verify`"
+                "lower --lr, or let `datagen verify` check its data"
             )
         return (colors.clamp_(0, 1) * 255).round_().byte().cpu().numpy()
 
@@ -139,7 +140,7 @@ def render_scaled(out: Path, config: TrainConfig, dataset: Dataset, scale: int, 
     if annex is None:
         raise HyalineError(
             f"{dataset.root}: has no truth {scale} times as large; make it with "
-            f"`datagen build --super-resolution {scale}` and what else it was built with"
+            f"`datagen build --dataset {shlex.quote(str(dataset.root))} --super-resolution {scale}`"
         )
     renderer = load_renderer(out, config, dataset).to(device)
     place = out / scale_name(scale)

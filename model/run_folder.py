@@ -21,6 +21,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import cast
 
+from datagen.advice import train_command
 from datagen.annex import homes_of_test_splits
 from datagen.dataset import ANGLE_SPLITS, TEST_SPLITS, Dataset, check_files, view_name
 from datagen.errors import HyalineError
@@ -181,7 +182,7 @@ def read_run(out: Path) -> RunRecord:
         HyalineError: no run there, a damaged one, of another version, or with an unknown key.
     """
     if not (out / RUN).is_file():
-        raise HyalineError(f"{out}: no run there; make one with `model train --out {out}`")
+        raise HyalineError(f"{out}: no run there; make one with `{train_command(out)}`")
     return _read_record(out / RUN)
 
 

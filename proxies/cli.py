@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, cast
 
 import tyro
 
+from datagen.advice import after_layers, build_command
 from datagen.command import choose, fail, next_command, run, say
 from datagen.dataset import DATA_ROOT, Dataset, find_dataset, list_datasets, open_dataset
 from datagen.errors import HyalineError
@@ -86,7 +87,7 @@ def make(
             workers=workers,
         )
         peel_annexes(opened, workers=workers)
-    next_command(f"model train --method paper --geometry {specs[0].geometry} --dataset {datasets[0].root}")
+    next_command(after_layers(datasets[0], specs[0].geometry))
 
 
 def check(
@@ -134,7 +135,7 @@ def _one_kind(kind: str, amount: float | None) -> "ProxySpec":
 def _datasets(given: str | None) -> list[Dataset]:
     roots = list_datasets() if given is None else [find_dataset(given)]
     if not roots:
-        raise HyalineError(f"{DATA_ROOT}: no dataset there; make one with `datagen build --scene glass_table`")
+        raise HyalineError(f"{DATA_ROOT}: no dataset there; make one with `{build_command()}`")
     return [open_dataset(Path(root)) for root in roots]
 
 

@@ -71,7 +71,11 @@ def test_every_command_tells_its_version(line: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize("line", ["datagen verify", "datagen peel", "proxies make", "proxies check"])
 def test_a_dataset_may_stand_first_or_behind_its_flag(line: str, tmp_path: Path) -> None:
     first, flag = (run(*line.split(), *words, cwd=tmp_path) for words in (["here"], ["--dataset", "here"]))
-    assert first.stderr == flag.stderr == "error: data/here: no dataset; make one with `datagen build --scene here`\n"
+    assert (
+        first.stderr
+        == flag.stderr
+        == "error: data/here: no dataset; make one with `datagen build --scene glass_table --out data/here`\n"
+    )
     assert first.returncode == flag.returncode == 1
 
 

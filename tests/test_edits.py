@@ -146,7 +146,7 @@ def command(root: Path, *words: str) -> subprocess.CompletedProcess[str]:
 def test_the_commands_edit_and_draw_what_is_there(made: Path) -> None:
     data = command(made, "datagen", "build", "--scene", "edit", "--edit", "remove:ball")
     assert data.stdout == "data/edit/edits/remove-ball\n"
-    assert data.stderr.splitlines()[-1] == "next: model render --run runs/edit/light-path --edit remove-ball"
+    assert data.stderr.splitlines()[-1] == "next: eval report"
     run = ("model", "render", "--run", "runs/edit/paper", "--dataset", "edit", "--edit")
     picture = made / "runs" / "edit" / "paper" / "edits" / "remove-ball" / "predictions" / SPLIT / "0001.png"
     drawn = picture.read_bytes()

@@ -330,7 +330,7 @@ def test_unknown_tables_formats_and_missing_runs_are_one_line(dataset: Dataset, 
     with pytest.raises(HyalineError, match="format 'csv': there is none of that name"):
         tables(dataset, tmp_path, "table1", output_format="csv")
     write_run(dataset, tmp_path, "view", paper(), 10, 11)
-    with pytest.raises(HyalineError, match=r"no run there that stands in table2; make them with `model sweep table2`"):
+    with pytest.raises(HyalineError, match=r"no run there that stands in table2; make them with `model sweep table2"):
         tables(dataset, tmp_path / "nowhere", "table2")
 
 

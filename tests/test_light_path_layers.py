@@ -291,5 +291,5 @@ def test_paths_that_were_not_traced_name_the_command(tmp_path: Path) -> None:
     with pytest.raises(HyalineError, match=command):
         read_light_paths(dataset, TRUTH, "train", 0)
     create_light_paths(dataset, TRUTH, num_branches=2, max_vertices=3, samples=1, geometry_hash="synthetic")
-    with pytest.raises(HyalineError, match=r"the view is not peeled yet; finish with .* --layers light-path`"):
+    with pytest.raises(HyalineError, match=r"not peeled yet; finish with .* light-path --num-layers 3 --rays 1`"):
         read_light_paths(dataset, TRUTH, "train", 0)

@@ -171,7 +171,7 @@ def test_two_processes_end_where_one_does(
 @pytest.mark.slow
 def test_only_the_first_process_speaks(two: tuple[Path, str]) -> None:
     folder, said = two
-    assert said.count("next: eval report\n") == len(RUNS)
+    assert said.count("next: eval report") == len(RUNS)
     assert said.count(f"{folder / 'plain'}: rendered 4 views\n") == 1
     assert said.count(" training views and 1 held out, ") == len(RUNS)
 

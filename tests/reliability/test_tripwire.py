@@ -37,6 +37,7 @@ TRIPS = (
     Trip(line=f"{BUILD} --shard 1/2", start="scene"),
     Trip(line="datagen build --scene scene --out data/one --edit remove:pane"),
     Trip(line="datagen build --scene scene --out data/one --edit remove:pane --overwrite"),
+    Trip(line="datagen build --dataset data/one --angle-splits --super-resolution 2"),
     Trip(line="datagen peel --dataset data/one --num-layers 3 --overwrite"),
     Trip(line="datagen verify data/one"),
     Trip(line="datagen mend --dataset data/one --scene scene --workers 1", start="proxies"),

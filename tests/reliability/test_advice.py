@@ -1,0 +1,196 @@
+"""Tests that what a command advises works as it stands: its folders, runs, edits and proxies are there."""
+
+import functools
+import itertools
+import re
+import shlex
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from support.commands import MAINS, call
+from support.disk import State
+from support.scenarios import BUILD, TRAIN
+
+import datagen.command
+from datagen.advice import BLIND_METHODS
+from datagen.dataset import find_dataset, open_dataset
+from datagen.edited import list_edits
+from datagen.errors import HyalineError
+from datagen.geometry import check_geometry
+from model.methods import METHODS
+from model.predict import load_renderer
+from model.run_folder import read_run
+
+ADVICE = re.compile(r"^next: (.*)$|`((?:datagen|proxies|model|report|eval report) [^`]*)`", re.MULTILINE)
+SPACED = "data/two words"
+
+
+def advised(text: str) -> list[str]:
+    """The commands in what was said, but those that only point to more help."""
+    found = ["".join(pair).replace("eval report", "report") for pair in ADVICE.findall(text)]
+    return [line for line in found if not line.endswith("--help")]
+
+
+def check_parses(line: str, patch: pytest.MonkeyPatch) -> dict[str, object]:
+    """What a command's function would be called with; nothing is run."""
+    called: list[dict[str, object]] = []
+    real = datagen.command.run
+
+    def stub(function: Callable[..., None]) -> Callable[..., None]:
+        @functools.wraps(function)
+        def record(*given: object, **named: object) -> None:
+            called.append({"": given, **named})
+
+        return record
+
+    def run(program: str, description: str, commands: dict[str, Callable[..., None]], arguments: list[str]) -> None:
+        real(program, description, {name: stub(function) for name, function in commands.items()}, arguments)
+
+    with patch.context() as inner:
+        for module in MAINS.values():
+            inner.setattr(f"{module}.run", run)
+        answer = call(line)
+    assert (answer.status, len(called)) == (0, 1), f"{line}: {answer.err}"
+    return called[0]
+
+
+def check_advice(line: str, patch: pytest.MonkeyPatch) -> None:
+    """Fails unless a command parses, and finds every folder, run, edit and geometry that it names."""
+    check_parses(line, patch)
+    words = shlex.split(line)
+
+    def values(flag: str) -> list[str]:
+        return [value for name, value in itertools.pairwise(words) if name == flag]
+
+    for name in [
+        *values("--dataset"),
+        *([words[2]] if words[:2] in (["datagen", "verify"], ["datagen", "mend"]) else []),
+    ]:
+        opened = open_dataset(find_dataset(name))
+        for geometry in values("--geometry") if words[0] == "model" else []:
+            check_geometry(opened, geometry)
+    for name in values("--run"):
+        record = read_run(Path(name))
+        dataset = open_dataset(find_dataset((values("--dataset") or [record.dataset])[0]))
+        load_renderer(Path(name), record.config, dataset)
+        for edit in values("--edit"):
+            assert edit in list_edits(dataset), f"{line}: no such edit"
+    for name in values("--runs"):
+        assert list(Path(name).glob("*/*/predictions")), f"{line}: no runs there"
+    if words[:2] == ["model", "train"]:
+        scene = open_dataset(find_dataset(values("--dataset")[0])).name
+        out = values("--out") or [f"runs/{scene}/{'-'.join([*values('--method'), *values('--geometry')])}"]
+        assert not Path(out[0]).exists(), f"{line}: a run of other settings may stand there"
+
+
+@pytest.fixture
+def ask(start: Callable[[str], State], monkeypatch: pytest.MonkeyPatch) -> Callable[..., list[str]]:
+    """Runs a command in a folder with a scene, checks and returns what it advises, and follows that if it is quick."""
+    start("scene")
+
+    def asked(line: str, *, status: int = 0, follow: bool = True) -> list[str]:
+        answer = call(line)
+        assert answer.status == status, f"{line}: {answer.err}"
+        lines = advised(answer.err)
+        assert lines, f"{line}: advises nothing: {answer.err}"
+        for advice in lines:
+            check_advice(advice, monkeypatch)
+            if follow and not advice.startswith(("model train", "model sweep", "datagen build --scene glass_table")):
+                followed = call(advice)
+                assert followed.status == 0, f"{line} advises {advice}: {followed.err}"
+        return lines
+
+    return asked
+
+
+def test_every_command_of_a_workflow_advises_what_works_as_it_stands(ask: Callable[..., list[str]]) -> None:
+    build = BUILD.replace("data/one", f"'{SPACED}'")
+    train = TRAIN.replace("data/one", f"'{SPACED}'")
+    assert ask("datagen verify nothing", status=1) == ["datagen build --scene glass_table --out data/nothing"]
+    assert ask("datagen scenes") == ["datagen build --scene glass_table"]
+    assert ask("report --runs runs", status=1) == ["datagen build --scene glass_table"]
+    # The advice is followed: the proxies are made.
+    assert ask(build) == [f"proxies make --dataset '{SPACED}' --kind ellipsoid"]
+    assert ask(build) == [f"model train --method paper --dataset '{SPACED}'"]
+    edit = f"datagen build --dataset '{SPACED}' --edit remove:pane"
+    # No run is there that could draw it.
+    assert ask(edit) == [f"model train --method paper --dataset '{SPACED}'"]
+    assert ask(f"model render --run runs/none --dataset '{SPACED}'", status=1) == [
+        f"model train --method paper --dataset '{SPACED}' --out runs/none"
+    ]
+    assert ask("report --runs runs", status=1) == [f"model train --method paper --dataset '{SPACED}'"]
+    assert ask("report --table table1", status=1) == [f"model sweep table1 --dataset '{SPACED}'"]
+    assert ask(f"proxies make --dataset '{SPACED}' --kind box") == [
+        f"model train --method paper --dataset '{SPACED}' --geometry box"
+    ]
+    assert ask(f"{train} --geometry hull", status=1) == [f"proxies make --dataset '{SPACED}' --kind hull"]
+    assert ask(f"{train} --geometry mixed-a", status=1) == [
+        f"proxies make --dataset '{SPACED}' --name mixed-a --assign pane=box"
+    ]
+    assert ask(f"{train} --out 'elsewhere/two words/paper'") == ["report --runs elsewhere"]
+    assert ask(train) == ["report"]
+    run = "'runs/two words/paper-w8-t8-batch32-5-steps'"
+    assert ask(edit, follow=False) == [f"model render --run {run} --edit remove-pane"]
+    assert ask(edit) == [f"model render --run {run} --edit remove-pane"]
+    assert ask(edit) == ["report"]
+    assert ask(f"model render --run {run} --scale 2", status=1) == [
+        f"datagen build --dataset '{SPACED}' --super-resolution 2"
+    ]
+    assert ask(f"model render --run {run} --scale 2") == ["report"]
+    assert ask(f"model render --run {run} --edit remove-floor", status=1, follow=False) == [
+        f"datagen build --dataset '{SPACED}' --edit EDIT"
+    ]
+
+
+def test_damage_and_other_settings_advise_what_works_as_it_stands(ask: Callable[..., list[str]]) -> None:
+    ask(BUILD)
+    call(
+        "model train --dataset data/one --method paper --steps 2 --batch 32 --width 8 --device cpu --out runs/one/paper"
+    )
+    # A run of other layers stands in the usual place.
+    assert ask("datagen peel --dataset data/one --num-layers 3 --overwrite") == [
+        "model train --method paper --dataset data/one --out runs/one/paper-2"
+    ]
+    assert ask(f"{TRAIN} --layers 9", status=1) == [
+        "datagen peel --dataset data/one --geometry truth --num-layers 9 --overwrite"
+    ]
+    assert ask("datagen build --dataset data/one --edit remove:pane") == [
+        "model train --method paper --dataset data/one --out runs/one/paper-2"
+    ]
+    Path("data/one/layers/straight/records/train/0000.json").unlink()
+    assert ask(TRAIN, status=1) == ["datagen peel --dataset data/one --geometry truth --num-layers 9"]
+    picture = Path("data/one/images/train/0000.png")
+    picture.write_bytes(picture.read_bytes()[:-1] + b"x")
+    assert ask(TRAIN, status=1) == ["datagen mend data/one"]
+    next(Path("data/one/scene").rglob("*.ply")).unlink()
+    call("datagen build --scene scene --out data/two --preset tiny --resolution 8 --views 1 --test-views 1 --spp 2")
+    assert "datagen verify data/one" in "".join(
+        ask("datagen peel --dataset data/one --overwrite", status=1, follow=False)
+    )
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "model render --run runs/one/light-path --edit remove-pane",
+        "model render --run runs/one/paper --edit remove-pane",
+        "model train --method paper --dataset data/none",
+        "model train --method paper --dataset data/one --geometry box",
+        "model train --method paper --dataset data/one --out runs/one/paper",
+        "proxies make --data data/one --kind box",
+        "datagen build --scene scene --edits remove:pane",
+        "report --runs elsewhere",
+    ],
+)
+def test_advice_that_does_not_work_is_noticed(
+    start: Callable[[str], State], monkeypatch: pytest.MonkeyPatch, line: str
+) -> None:
+    start("run")
+    check_advice("model render --run runs/one/paper", monkeypatch)
+    with pytest.raises((AssertionError, HyalineError)):
+        check_advice(line, monkeypatch)
+
+
+def test_methods_that_draw_no_edits_are_those_that_know_no_geometry() -> None:
+    assert tuple(name for name, method in METHODS.items() if not method.uses_geometry) == BLIND_METHODS
