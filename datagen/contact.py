@@ -23,7 +23,7 @@ def touching_share(mesh: Mesh, other: Mesh) -> float:
     (low, high), (other_low, other_high) = ((m.vertices.min(axis=0), m.vertices.max(axis=0)) for m in (mesh, other))
     if (low > other_high + TOLERANCE).any() or (other_low > high + TOLERANCE).any():
         return 0.0
-    from scipy.spatial import cKDTree
+    from scipy.spatial import KDTree
 
     sampled = points_on(mesh, SAMPLES)
     corners = face_corners(other).astype(np.float64)
@@ -33,7 +33,7 @@ def touching_share(mesh: Mesh, other: Mesh) -> float:
     normals, mine = _unit_normals(corners), _unit_normals(face_corners(mesh)[sampled.face].astype(np.float64))
     middle = (corners.max(axis=1) + corners.min(axis=1)) / 2
     radius = np.linalg.norm(corners - middle[:, None], axis=-1).max(axis=1) + TOLERANCE
-    tree = cKDTree(sampled.position)
+    tree = KDTree(sampled.position)
     counts = np.asarray(tree.query_ball_point(middle, radius, return_length=True))
     near = np.flatnonzero(counts)
     touching = np.zeros(len(sampled.position), bool)

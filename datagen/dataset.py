@@ -331,7 +331,7 @@ def dataset_files(root: Path) -> list[str]:
 def view_files(config: DatasetConfig, splits: Sequence[Split]) -> list[str]:
     """The files of all views, by path relative to the dataset: records first."""
     here = Path()
-    views = [(split, view) for split in splits for view in range(config.split(split).views)]
+    views: list[tuple[Split, int]] = [(split, view) for split in splits for view in range(config.split(split).views)]
     records = [record_path(here, split, view) for split, view in views]
     pictures = [image_path(here, split, view) for split, view in views]
     return [path.as_posix() for path in (*records, *pictures, *(path.with_suffix(".exr") for path in pictures))]

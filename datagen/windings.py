@@ -41,7 +41,7 @@ def windings(corners: Float[np.ndarray, "face 3 3"], points: Float[np.ndarray, "
         edges = np.roll(flat, -1, axis=1) - flat
         to_point = points[point, None, :2] - flat
         side = edges[..., 0] * to_point[..., 1] - edges[..., 1] * to_point[..., 0]
-        leaves, enters = (side > 0).all(axis=-1), (side < 0).all(axis=-1)
+        leaves, enters = np.all(side > 0, axis=-1), np.all(side < 0, axis=-1)
         crossed = leaves | enters
         if own is not None:
             crossed &= face != own[point]
@@ -94,11 +94,11 @@ def _generic_rotation() -> Float[np.ndarray, "3 3"]:
 def _pairs_of_ray_and_face(flat: Float[np.ndarray, "face 3 2"], rays: Float[np.ndarray, "point 2"]
                            ) -> list[tuple[np.ndarray, np.ndarray]]:  # fmt: skip
     """(face, point) of all rays through the circle around a face's shadow, in pieces."""
-    from scipy.spatial import cKDTree
+    from scipy.spatial import KDTree
 
     middle = (flat.max(axis=1) + flat.min(axis=1)) / 2
     radius = np.linalg.norm(flat - middle[:, None], axis=-1).max(axis=1)
-    tree = cKDTree(rays)
+    tree = KDTree(rays)
     counts = np.asarray(tree.query_ball_point(middle, radius, return_length=True))
     met = np.flatnonzero(counts)
     pairs = []

@@ -35,7 +35,8 @@ def write_report(out: Path, files: Mapping[str, Callable[[], bytes]]) -> Iterato
     with holding(out, REPORT):
         own = _report_files(out) if is_ours(out, REPORT) else []
         refuse_taken(out, REPORT, files, own)
-        content: dict[str, Json] = {"version": REPORT_VERSION, "files": sorted({*own, *files})}
+        names: list[Json] = [*sorted({*own, *files})]
+        content: dict[str, Json] = {"version": REPORT_VERSION, "files": names}
         if is_ours(out, REPORT):
             commit_sealed(out / REPORT.head, content)
         else:

@@ -4,7 +4,7 @@ import csv
 import io
 import math
 from collections.abc import Mapping
-from typing import TypeVar, cast
+from typing import cast
 
 from datagen.dataset import TEST_SPLITS
 from datagen.records import Json, to_json
@@ -16,7 +16,7 @@ from eval.tables import CEILING, left_out_notes
 
 RESULTS_VERSION = 1
 
-Cell = TypeVar("Cell", str, int, None)
+Cell = str | int | None
 
 
 def results_json(scenes: list[SceneScores], analyses: Mapping[str, dict[str, Json]] | None = None) -> bytes:

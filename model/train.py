@@ -69,7 +69,8 @@ def train(config: TrainConfig, dataset: Dataset, out: Path, *, label: str, devic
         anew: deletes the run that stands there.
 
     Raises:
-        HyalineError: data is missing or damaged, or the loss cannot be shared by a team.
+        HyalineError: data is missing or damaged, the loss cannot be shared by a team, or in-painting cannot tell which
+            texels training visits.
         NumericsError: the loss, a gradient or a weight is not finite.
         Stopped: a signal has arrived; the message says after which step.
     """
@@ -79,6 +80,9 @@ def train(config: TrainConfig, dataset: Dataset, out: Path, *, label: str, devic
     num_layers, layers_seal = read_layers_of(method, dataset, config.geometry)
     if isinstance(config.net, PaperConfig):
         num_layers = choose_layers(config.net.num_layers, num_layers)
+    if config.loss.inpaint and (traces_layers(config.net) or not num_layers):
+        raise HyalineError("inpaint: counts which texels the stored layers' rays visit; expected paper with one ray "
+                           "per pixel, or another method that reads straight layers")  # fmt: skip
 
     # The renderer.
     with torch.random.fork_rng(devices=[]):
@@ -271,11 +275,10 @@ def make_inpainter(config: TrainConfig, renderer: nn.Module, training: PixelSour
     """The in-painting of a run.
 
     Raises:
-        HyalineError: nothing is left to in-paint, or training rays are random, so that all texels may be visited.
+        HyalineError: nothing is left to in-paint.
     """
-    if not isinstance(training, Pixels | MappedPixels):
-        raise HyalineError("inpaint: counts which texels the stored layers' rays visit; expected paper with one ray "
-                           "per pixel, or another method that reads straight layers")  # fmt: skip
+    # Random rays might visit any texel; the start of the training has refused them.
+    assert isinstance(training, Pixels | MappedPixels)
     return Inpainter(renderer, training, dataset, config.geometry, num_layers=num_layers, seed=config.seed,
                      device=device)  # fmt: skip
 

@@ -181,7 +181,8 @@ def test_a_full_disk_is_one_line_and_loses_nothing(built: Path, scene_folder: Pa
     answer = subprocess.run(arguments, capture_output=True, text=True, check=False, env=environment)
     assert answer.returncode == 1
     assert answer.stderr.splitlines()[-1].startswith("error: ")
-    assert "File too large" in answer.stderr
+    assert f"{out}/" in answer.stderr.splitlines()[-1]
+    assert "the file would be larger than allowed" in answer.stderr
     assert "Traceback" not in answer.stderr
     subprocess.run(command(scene_folder, out), check=True, capture_output=True)
     assert tree(out) == tree(built)
