@@ -18,6 +18,7 @@ from jaxtyping import Float, Float32, Int32
 
 from datagen.errors import HyalineError
 from datagen.meshes import Mesh, is_there
+from datagen.os_errors import naming
 from datagen.variant import num_cores
 
 if TYPE_CHECKING:
@@ -81,7 +82,8 @@ def _unwrap_in_child(meshes: dict[str, Mesh]) -> dict[str, Mesh]:
     timeout_s = 60 + sum(len(mesh.faces) for mesh in meshes.values()) / 200
     with tempfile.TemporaryDirectory(prefix="hyaline-atlas-") as folder:
         source, target = Path(folder) / "in.npz", Path(folder) / "out.npz"
-        np.savez(source, allow_pickle=False, **arrays)
+        with naming(source):
+            np.savez(source, allow_pickle=False, **arrays)
         _run_child(source, target, timeout_s, where=", ".join(meshes))
         with np.load(target) as answers:
             return {

@@ -9,6 +9,7 @@ import secrets
 import stat
 from pathlib import Path
 
+from datagen.os_errors import naming
 from datagen.storage import sha256
 
 HASH_BYTES = 32
@@ -38,11 +39,12 @@ def write_hashed(path: Path, data: bytes) -> None:
     """
     temporary = path.with_suffix(f".{secrets.token_hex(4)}.partial")
     try:
-        with os.fdopen(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
-            file.write(data + bytes.fromhex(sha256(data)))
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(path)
+        with naming(path):
+            with os.fdopen(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
+                file.write(data + bytes.fromhex(sha256(data)))
+                file.flush()
+                os.fsync(file.fileno())
+            temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
 

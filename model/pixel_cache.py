@@ -314,6 +314,10 @@ def _lay_out(folder: Path, dataset: Dataset, geometry: str, split: Split, views:
             # Another process has just laid out the same.
             if not (folder / "cache.json").is_file():
                 raise
+    except OSError as error:
+        # Of a full disk, writing and closing name no file.
+        error.filename = error.filename or str(folder)
+        raise
     finally:
         _remove(partial)
 

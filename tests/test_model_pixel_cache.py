@@ -1,6 +1,7 @@
 """Tests training data in mapped files: the same bits as in memory, bounded memory, and no damage unnoticed."""
 
 import dataclasses
+import errno
 import os
 import shutil
 import subprocess
@@ -219,3 +220,16 @@ def test_every_method_on_stored_layers_can_be_fed_from_files(dataset: Dataset, m
     assert isinstance(pixels, MappedPixels)
     loaded = METHODS[method].load(SMALL.net, dataset, TRUTH, "train", VIEWS, True)
     assert_same_batches(loaded, pixels, torch.arange(2048))  # pyright: ignore
+
+
+def test_a_full_disk_is_told_with_the_folder_of_the_cache(
+    dataset: Dataset, cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(handle: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(OSError) as caught:
+        map_pixels(dataset, TRUTH, "train", VIEWS)
+    assert Path(caught.value.filename).parent == cache
+    assert list(cache.iterdir()) == []

@@ -1,5 +1,6 @@
 """Tests that files are committed whole, and that a sealed file notices every flipped bit."""
 
+import errno
 import os
 import subprocess
 import sys
@@ -8,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from datagen.errors import HyalineError
+from datagen.private import write_hashed
 from datagen.storage import TEMPORARY, commit, commit_sealed, load_sealed, one_writer
 
 
@@ -59,3 +61,17 @@ with one_writer(Path({str(tmp_path)!r})):
         other.kill()
     with one_writer(tmp_path):
         assert list(tmp_path.iterdir()) == []
+
+
+def test_a_full_disk_is_told_with_the_file_and_not_with_its_temporary_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(handle: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "fsync", full)
+    for write in (commit, write_hashed):
+        with pytest.raises(OSError) as caught:
+            write(tmp_path / "file.so", b"bytes")
+        assert caught.value.filename == str(tmp_path / "file.so")
+    assert not (tmp_path / "file.so").exists()
