@@ -9,7 +9,7 @@ import tyro
 
 from datagen.advice import after_build, after_edit, after_layers, build_command
 from datagen.command import choose, fail, next_command, run, say, tell, unwrap_help
-from datagen.dataset import DATA_ROOT, Dataset, DatasetConfig, find_dataset, open_dataset
+from datagen.dataset import DATA_ROOT, TRANSFORMS_FILES, Dataset, DatasetConfig, find_dataset, open_dataset
 from datagen.geometry import TRUTH, check_geometry
 from datagen.launch import LaunchChoices
 from datagen.layer_store import LayerKind, check_settings
@@ -116,6 +116,7 @@ def build(
     from datagen.annex_build import build_angles, build_scaled, peel_annexes
     from datagen.build import build_dataset, summary
     from datagen.launch import launch as send_off
+    from datagen.ownership import DATASET, refuse_strangers
     from datagen.scenes import find_scene
     from datagen.shards import count_missing, parse_shard
 
@@ -142,6 +143,9 @@ def build(
         max_depth=max_depth,
         seed=seed,
     )
+    if out is not None or "/" not in scene:
+        # Before anything is modelled; what may be a dataset's is judged when it is known what should stand there.
+        refuse_strangers(out or DATA_ROOT / scene, DATASET, {DATASET.head, *TRANSFORMS_FILES.values()})
     description = find_scene(scene, built=None if overwrite else out or DATA_ROOT / scene)
     root = out or DATA_ROOT / description.name
     config = dataclasses.replace(config, scene=description.name)

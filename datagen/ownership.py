@@ -11,7 +11,7 @@ import itertools
 import os
 import re
 import stat
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -132,6 +132,19 @@ def refuse_others(root: Path, kind: FolderKind, *, but: Callable[[str], bool] | 
     foreign = next((path for path in _foreign_files(root, kind, {}) if but is None or not but(path)), None)
     if foreign is not None and not is_ours(root, kind):
         raise refusal(root, kind, foreign)
+
+
+def refuse_strangers(root: Path, kind: FolderKind, names: Container[str]) -> None:
+    """Refuses a folder in which something stands that this kind of folder never holds; `begin` judges the rest.
+
+    Args:
+        names: files that such a folder may hold besides those in its own folders.
+
+    Raises:
+        HyalineError: naming what stands there.
+    """
+    tops = {folder.split("/")[0] for folder in (*kind.folders, *kind.nested)}
+    refuse_others(root, kind, but=lambda path: path in names or (Path(path).parts[0] in tops and "/" in path))
 
 
 def refuse_taken(root: Path, kind: FolderKind, wanted: Iterable[str], own: Iterable[str]) -> None:

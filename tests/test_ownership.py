@@ -6,6 +6,7 @@ import pytest
 from synthetic import write_synthetic_dataset
 
 from datagen.clear import clear_dataset
+from datagen.cli import main
 from datagen.dataset import open_dataset
 from datagen.errors import HyalineError
 from datagen.ownership import DATASET, LAYERS, FolderKind, begin, holding, refuse_taken, remove_files
@@ -119,3 +120,21 @@ def test_a_sealed_head_that_names_files_outside_harms_nothing(tmp_path: Path) ->
     with pytest.raises(HyalineError, match=r"files: names '\.\./\.\./\.\./thesis\.tex'"):
         clear_dataset(root)
     assert (tmp_path / "thesis.tex").is_file() and open_dataset(root).seal == dataset.seal
+
+
+@pytest.mark.parametrize("stranger", ["project/download.partial", "notes.txt", "images"])
+def test_a_build_refuses_a_folder_of_something_else_before_it_models_anything(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], stranger: str
+) -> None:
+    def model(name: str) -> None:
+        raise AssertionError(f"{name} was modelled")
+
+    monkeypatch.setattr("datagen.scenes.make_scene", model)
+    path = tmp_path / "out" / stranger
+    path.parent.mkdir(parents=True)
+    path.write_text("theirs")
+    monkeypatch.setattr("sys.argv", ["datagen", "build", "--preset", "tiny", "--out", str(tmp_path / "out")])
+    with pytest.raises(SystemExit):
+        main()
+    assert f"is not empty ({stranger}) and no dataset; choose another --out" in capsys.readouterr().err
+    assert path.read_text() == "theirs"
