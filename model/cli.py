@@ -72,6 +72,8 @@ def configure(common: CommonChoices, choices: MethodChoices) -> "tuple[TrainConf
     if opened.edit is not None:
         raise HyalineError(f"{opened.root}: is an edit, without training views; train on the dataset that was edited")
 
+    if "torch" not in sys.modules:
+        say(f"{opened.root}: loads torch")  # Seconds, in which nothing else is heard.
     from model.losses import LossConfig, configure_losses
     from model.methods import METHODS, read_layers_of
     from model.run_folder import TrainConfig

@@ -49,7 +49,10 @@ def find_scene(given: str, *, built: Path | None = None) -> Scene:
     Raises:
         HyalineError: neither, or the folder's scene is bad.
     """
-    if (Path(given) / "scene.json").is_file() or "/" in given:
+    if (Path(given) / "scene.json").is_file():
+        say(f"scene {given}: reads and checks it")
+        return load_scene(Path(given))
+    if "/" in given:
         return load_scene(Path(given))
     choose("scene", given, SCENES)
     return (None if built is None else _same_scene(given, built)) or make_scene(given)
