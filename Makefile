@@ -39,7 +39,7 @@ test: setup
 
 # Every promise of docs/reliability.md with every case, an hour on two cores; writes the counts into that file.
 reliability: setup
-	$(BIN)/python -m pytest -m promise --full --promises docs/reliability.md
+	$(BIN)/python -m pytest -m promise --full --promises=docs/reliability.md
 
 clean:
 	rm -rf .venv *.egg-info

@@ -2,7 +2,7 @@
 
 A test says `@pytest.mark.promise("R4")` (of a whole file: `pytestmark = ...`) and, where it tries many cases, takes the
 fixture `cases` and adds how many it has tried; else each of its parameters is one case. `pytest -m promise --full
---promises docs/reliability.md` tries everything and writes the counts into that file.
+--promises=docs/reliability.md` tries everything and writes the counts into that file.
 """
 
 import collections
@@ -80,7 +80,7 @@ class Counts:
 
     def pytest_sessionfinish(self) -> None:
         path: Path | None = self.config.getoption("--promises")
-        if path is None or not self.promises:
+        if path is None or not self.tried:
             return
         before, _, rest = path.read_text().partition(BEGIN)
         _, _, after = rest.partition(END)
