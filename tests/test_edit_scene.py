@@ -345,7 +345,7 @@ def test_damage_to_an_edit_is_found_and_mended(base: Dataset, file: str) -> None
 def test_what_cannot_be_edited_is_refused(base: Dataset) -> None:
     with pytest.raises(HyalineError, match=r"is an edit itself; give all edits of one scene in one command"):
         build(build(base, "remove:ball"), "remove:post")
-    with pytest.raises(HyalineError, match=r"no such edit \(there are: .*remove-ball.*\); make it with"):
+    with pytest.raises(HyalineError, match=r"no such edit \(there are: .*remove-ball.*\); make one with"):
         open_edit(base, "remove-sofa")
 
 
