@@ -158,7 +158,8 @@ def test_runs_predict_annexes_and_the_report_scores_them(
     assert read_png(runs / "paper/x2/predictions/extrapolating/0001.png").shape == (32, 32, 3)
     with pytest.raises(SystemExit):
         call(model.cli.main, "render", "--run", runs / "paper", "--scale", 4)
-    assert "has no truth 4 times as large; make it with `datagen build --super-resolution 4`" in capsys.readouterr().err
+    advice = f"make it with `datagen build --dataset {root / 'data/mine'} --super-resolution 4`"
+    assert f"has no truth 4 times as large; {advice}" in capsys.readouterr().err
 
     # A foreign method that knows the truth, and one that enlarges its own pictures.
     dataset = open_dataset(root / "data/mine")

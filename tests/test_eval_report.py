@@ -324,7 +324,10 @@ def test_the_report_knows_every_key_that_training_writes() -> None:
 
 
 def test_no_run_at_all_says_how_to_make_one(tmp_path: Path) -> None:
-    with pytest.raises(HyalineError, match=r"no predictions there; make some with `model train`"):
+    with pytest.raises(
+        HyalineError,
+        match=r"no predictions there; make some with `datagen build --scene glass_table`, or put a method",
+    ):
         report(tmp_path)
 
 

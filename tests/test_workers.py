@@ -54,7 +54,7 @@ def test_a_killed_worker_is_one_line_that_names_the_missing_views_and_the_comman
     shutil.rmtree(out / "scene" / "meshes")
     image_path(out, "train", 1).unlink()
     image_path(out, "train", 2).unlink()
-    with pytest.raises(HyalineError, match=r"meshes/.*\.ply: the mesh file is missing"):
+    with pytest.raises(HyalineError, match=r"meshes/.*\.ply: the file is missing"):
         render_dataset(dataset, workers=2)  # The workers cannot start: an error of theirs, and no traceback.
 
 
