@@ -640,7 +640,7 @@ def test_a_child_that_dies_hangs_or_says_nothing_leaves_the_result_as_it_is(
     proxy = box.fit_box(solids[0], padding=1e-5)
     assert measure.proxy_statistics((proxy,), truths[:1], solids[:1])[0].mean_distance > 0
     said = capsys.readouterr().err
-    reason = {"dies": "status -11", "hangs": "more than 1 s", "says nothing": "status 0"}[way]
+    reason = {"dies": "ended by signal 11", "hangs": "more than 1 s", "says nothing": "status 0"}[way]
     assert reason in said
     assert "SciPy makes them" in said
     assert "NumPy measures them" in said
