@@ -52,24 +52,26 @@ def run(program: str, description: str, commands: dict[str, Callable[..., None]]
                 config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes),
                 sort_subcommands=False,
             )
-    except HyalineError as error:
+    except (Exception, KeyboardInterrupt, Stopped) as error:
+        _end(error, arguments)
+
+
+def _end(error: BaseException, arguments: list[str]) -> None:
+    """Ends the process in one line that says what `error` was; one that is a fault of ours is raised again."""
+    # A signal that arrives inside of a library may reach us as the cause of its own error: of a RuntimeError while
+    # Dr.Jit 1.5 records a loop, of a SystemError or an ImportError while a compiled module is imported.
+    if (stopped := signal_within(error)) is not None:
+        _end_stopped(stopped, arguments)
+    if isinstance(error, HyalineError):
         fail(str(error), status=error.status)
-    except KeyboardInterrupt:
-        _end_stopped(Stopped(signal.SIGINT), arguments)
-    except Stopped as stopped:
-        _end_stopped(stopped, arguments)
-    except RuntimeError as error:
-        # What a signal raises while Dr.Jit 1.5 records a loop arrives as the cause of a RuntimeError.
-        if (stopped := signal_within(error)) is None:
-            raise
-        _end_stopped(stopped, arguments)
-    except OSError as error:
+    if isinstance(error, OSError):
         # A full disk, a read-only folder, a missing permission: what is committed stays valid.
         if isinstance(error, BrokenPipeError) and _is_reader_gone():
             _end_unread()
         fail(describe_os_error(error, error.filename or "standard output, or a temporary file"))
-    except MemoryError:
+    if isinstance(error, MemoryError):
         fail("out of memory; use fewer --workers or smaller sizes, or a machine with more memory")
+    raise error
 
 
 @contextlib.contextmanager

@@ -16,6 +16,7 @@ from datagen.command import say
 from datagen.errors import HyalineError
 from datagen.llvm import VARIABLE, LlvmLibrary, advice, choose_llvm
 from datagen.private import make_private
+from datagen.signals import hold_signals
 from datagen.storage import user_cache
 
 OVERRIDE = "HYALINE_VARIANT"
@@ -96,12 +97,14 @@ def use_mitsuba(*, quiet: bool = False, threads: int | None = None) -> str:
     if choice.llvm is not None:
         os.environ[VARIABLE] = str(choice.llvm.path)
     _keep_kernels_private()
-    import mitsuba as mi
-
     _num_threads = max(2, threads or num_cores())
-    start_workers()
+    # A signal that raises while Mitsuba's modules import each other leaves them half imported (3.9).
+    with hold_signals():
+        import mitsuba as mi
+
+        start_workers()
+        mi.set_variant(choice.variant)
     # Plugins are looked for in the working directory first: a folder `plugins/` there would run foreign code.
-    mi.set_variant(choice.variant)
     resolver = mi.file_resolver()
     resolver.clear()
     resolver.append(str(Path(mi.__file__).parent))

@@ -4,6 +4,7 @@ import errno
 import os
 import re
 import resource
+import signal
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -15,6 +16,7 @@ from datagen.command import choose, track, version
 from datagen.command import run as command_run
 from datagen.errors import HyalineError
 from datagen.os_errors import REASONS, describe_os_error, naming
+from datagen.signals import Stopped
 from datagen.storage import commit
 
 
@@ -158,3 +160,20 @@ def test_a_full_disk_and_a_forbidden_folder_are_told_apart(
     with pytest.raises(SystemExit):
         command_run("tool", "", {"fill": fill, "other": fill}, ["fill", "x"])
     assert "file: is a folder, where a file belongs; move it away" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("wrapper", [RuntimeError, SystemError, ImportError, HyalineError, OSError])
+@pytest.mark.parametrize(("stop", "status"), [(KeyboardInterrupt(), 130), (Stopped(signal.SIGTERM), 143)])
+def test_a_signal_that_a_library_turned_into_its_own_error_still_ends_the_command_as_a_signal(
+    wrapper: type[Exception], stop: BaseException, status: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def work() -> None:
+        try:
+            raise stop
+        except BaseException as error:
+            raise wrapper("a library's words") from error
+
+    with pytest.raises(SystemExit) as ended:
+        command_run("program", "Tests a stop.", {"work": work, "rest": lambda: None}, ["work"])
+    assert ended.value.code == status
+    assert capsys.readouterr().err == "error: stopped; run the same command again to go on\n"
