@@ -14,7 +14,7 @@ $(STAMP): pyproject.toml constraints.txt
 	test -x $(BIN)/python || python3 -m venv $(ENVIRONMENT)
 	@if $(BIN)/python -c "import torch" 2>/dev/null; then grep -v '^torch==' constraints.txt; else cat constraints.txt; fi \
 		> $(ENVIRONMENT)/hyaline-constraints.txt
-	@system=$$($(BIN)/python -m datagen.llvm); \
+	@system=$$($(BIN)/python -m datagen.machine.llvm); \
 	extras=$$(test -n "$$system" && echo dev || echo llvm,dev); \
 	echo "installs hyaline[$$extras]$${system:+ (uses $$system)}"; \
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check \

@@ -7,30 +7,23 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from datagen.advice import after_build, after_edit, after_layers, build_command
-from datagen.command import choose, fail, next_command, run, say, tell, unwrap_help
-from datagen.dataset import DATA_ROOT, TRANSFORMS_FILES, Dataset, DatasetConfig, find_dataset, open_dataset
-from datagen.geometry import TRUTH, check_geometry
-from datagen.launch import LaunchChoices
-from datagen.layer_store import LayerKind, check_settings
-from datagen.presets import PRESETS, resize
+from datagen.build.launch import LaunchChoices
+from datagen.build.presets import PRESETS, resize
+from datagen.data.advice import after_build, after_edit, after_layers, build_command
+from datagen.data.dataset import DATA_ROOT, TRANSFORMS_FILES, Dataset, DatasetConfig, find_dataset, open_dataset
+from datagen.data.geometries import TRUTH, check_geometry
+from datagen.data.layer_store import LayerKind, check_settings
+from datagen.terminal.command import choose, fail, next_command, run, say, tell, unwrap_help
 
 if TYPE_CHECKING:
-    from datagen.verify import Findings
+    from datagen.build.verify import Findings
 
 
 def main() -> None:
     """Entry point of the console script."""
-    if sys.argv[1:2] == ["bench"]:
-        # It has commands of its own.
-        from datagen.bench.cli import main as main_of_bench
-
-        main_of_bench(sys.argv[2:])
-        return
     unwrap_help(LaunchChoices)
     commands = {
         "build": build, "peel": peel, "verify": verify, "mend": mend, "scenes": scenes, "doctor": doctor,
-        "bench": bench,
     }  # fmt: skip
     run("datagen", "Path-traced datasets of transparent objects, with peeled layers.", commands, sys.argv[1:])
 
@@ -113,12 +106,12 @@ def build(
             base, angles=angle_splits, scales=super_resolution, scaled_views=super_resolution_views, workers=workers
         )
         return
-    from datagen.annex_build import build_angles, build_scaled, peel_annexes
-    from datagen.build import build_dataset, summary
-    from datagen.launch import launch as send_off
-    from datagen.ownership import DATASET, refuse_strangers
-    from datagen.scenes import find_scene
-    from datagen.shards import count_missing, parse_shard
+    from datagen.build.build import build_dataset, summary
+    from datagen.build.build_variant import build_angles, build_scaled, peel_annexes
+    from datagen.build.launch import launch as send_off
+    from datagen.build.shards import count_missing, parse_shard
+    from datagen.disk.ownership import DATASET, refuse_strangers
+    from datagen.scene.builtin import find_scene
 
     size = resize(
         PRESETS[choose("preset", preset, PRESETS)],
@@ -180,8 +173,8 @@ def build(
 def _check_build(*, layers: tuple[LayerKind, ...], num_layers: int, rays: int, workers: int, scales: tuple[int, ...],
                  scaled_views: int | None, test_views: int) -> None:  # fmt: skip
     """Refuses numbers that cannot be before anything is modelled."""
-    from datagen.annex_build import MAX_SCALE
-    from datagen.errors import HyalineError
+    from datagen.build.build_variant import MAX_SCALE
+    from datagen.disk.errors import HyalineError
 
     check_settings(num_layers=num_layers, rays=rays, workers=workers, kinds=layers)
     for scale in scales:
@@ -199,8 +192,8 @@ def _say_all(lines: list[str]) -> None:
 
 
 def _check_parts(shard: str | None, launch: LaunchChoices, *, overwrite: bool, edit: tuple[str, ...]) -> None:
-    from datagen.errors import HyalineError
-    from datagen.shards import parse_shard
+    from datagen.build.shards import parse_shard
+    from datagen.disk.errors import HyalineError
 
     flag = "--shard" if shard is not None else "--launcher"
     if shard is None and launch.launcher is None:
@@ -216,7 +209,7 @@ def _check_parts(shard: str | None, launch: LaunchChoices, *, overwrite: bool, e
 
 
 def _refuse(wanted: str, given: dict[str, bool]) -> None:
-    from datagen.errors import HyalineError
+    from datagen.disk.errors import HyalineError
 
     for flag, is_given in given.items():
         if is_given:
@@ -225,8 +218,8 @@ def _refuse(wanted: str, given: dict[str, bool]) -> None:
 
 def _open_base(scene: str, out: Path | None, dataset: str | None, preset: str) -> Dataset:
     """The dataset that is added to: what --dataset names, or what --scene or --out would have been built into."""
-    from datagen.errors import HyalineError
-    from datagen.scene import load_scene
+    from datagen.disk.errors import HyalineError
+    from datagen.scene.description import load_scene
 
     if dataset is None:
         name = load_scene(Path(scene), is_sealed=True).name if (Path(scene) / "scene.json").is_file() else scene
@@ -241,8 +234,8 @@ def _open_base(scene: str, out: Path | None, dataset: str | None, preset: str) -
 
 def _build_more(base: Dataset, *, angles: bool, scales: tuple[int, ...], scaled_views: int | None,
                 workers: int) -> None:  # fmt: skip
-    from datagen.annex_build import build_angles, build_scaled, peel_annexes
-    from datagen.errors import HyalineError
+    from datagen.build.build_variant import build_angles, build_scaled, peel_annexes
+    from datagen.disk.errors import HyalineError
 
     if not angles and not scales:
         raise HyalineError("--dataset: goes with --edit, --angle-splits or --super-resolution; a new one takes --scene")
@@ -260,10 +253,10 @@ def _build_more(base: Dataset, *, angles: bool, scales: tuple[int, ...], scaled_
 
 
 def _build_edit(base: Dataset, edit: tuple[str, ...], *, workers: int, overwrite: bool) -> None:
-    from datagen.build import summary
-    from datagen.build_edit import build_edit
-    from datagen.edits import parse_edit
-    from datagen.layer_store import LAYER_KINDS, layers_root
+    from datagen.build.build import summary
+    from datagen.build.build_edit import build_edit
+    from datagen.data.layer_store import LAYER_KINDS, layers_root
+    from datagen.scene.edits import parse_edit
 
     edits = tuple(map(parse_edit, edit))
     edited = build_edit(base, edits, workers=workers, overwrite=overwrite)
@@ -294,8 +287,8 @@ def peel(
         workers: Processes that peel side by side.
         overwrite: Peel again what is there.
     """
-    from datagen.annex_build import peel_annexes
-    from datagen.build import peel_dataset, summary
+    from datagen.build.build import peel_dataset, summary
+    from datagen.build.build_variant import peel_annexes
 
     opened = open_dataset(find_dataset(dataset))
     check_settings(num_layers=num_layers, rays=rays, workers=workers, kinds=layers)
@@ -314,7 +307,7 @@ def verify(dataset: str | None = None) -> None:
         dataset: A dataset's folder or its name under data/; the only one there unless given. May stand first, without
             the flag.
     """
-    from datagen.verify import verify_dataset
+    from datagen.build.verify import verify_dataset
 
     root = find_dataset(dataset)
     found = verify_dataset(root)
@@ -342,8 +335,8 @@ def mend(dataset: str | None = None, scene: str | None = None, workers: int = 1)
             no built-in one.
         workers: Processes that render side by side.
     """
-    from datagen.mend import mend_dataset
-    from datagen.verify import verify_dataset
+    from datagen.build.mend import mend_dataset
+    from datagen.build.verify import verify_dataset
 
     root = find_dataset(dataset)
     mended = mend_dataset(root, scene=scene, workers=workers)
@@ -354,7 +347,7 @@ def mend(dataset: str | None = None, scene: str | None = None, workers: int = 1)
 
 def scenes() -> None:
     """Lists the scenes that `datagen build --scene` knows by name."""
-    from datagen.scenes import describe_scenes
+    from datagen.scene.builtin import describe_scenes
 
     for name, description in describe_scenes().items():
         print(f"{name:14} {description}")
@@ -363,7 +356,7 @@ def scenes() -> None:
 
 def doctor() -> None:
     """Says what this machine has, which Mitsuba variant will be used, and what mends what is missing."""
-    from datagen.doctor import examine
+    from datagen.machine.doctor import examine
 
     findings = examine()
     for finding in findings:
@@ -372,7 +365,3 @@ def doctor() -> None:
             print(f"{'':10} mend it with: {finding.remedy}")
     if not any(finding.remedy for finding in findings):
         next_command(build_command())
-
-
-def bench() -> None:
-    """Measures speed; `datagen bench --help` lists what."""

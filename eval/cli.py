@@ -7,7 +7,7 @@ here, and the word `report` may or may not be there.
 import sys
 from pathlib import Path
 
-from datagen.command import run, say
+from datagen.terminal.command import run, say
 
 DESCRIPTION = "Scores the pictures that methods predicted against a dataset's truth: tables, figures, JSON."
 
@@ -38,8 +38,8 @@ def report(
         order: Layers, 1 to 8: adds a table of pixels that show objects in an order which no training pixel has among
             its first so many layers. 0 adds none.
     """
-    from datagen.dataset import find_dataset
-    from eval.report import make_report, make_tables
+    from datagen.data.dataset import find_dataset
+    from eval.page.report import make_report, make_tables
 
     place = out if out is not None else runs / "report"
     only = None if dataset is None else find_dataset(dataset, data)

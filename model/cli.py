@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from datagen.advice import edit_command, report_command
-from datagen.command import choose, fail, mute, next_command, run, say, tell, unwrap_help
-from datagen.dataset import Dataset, find_dataset, open_dataset
-from datagen.errors import HyalineError
-from datagen.geometry import TRUTH, check_geometry
-from model.choices import (
+from datagen.data.advice import edit_command, report_command
+from datagen.data.dataset import Dataset, find_dataset, open_dataset
+from datagen.data.geometries import TRUTH, check_geometry
+from datagen.disk.errors import HyalineError
+from datagen.terminal.command import choose, fail, mute, next_command, run, say, tell, unwrap_help
+from model.settings.choices import (
     CHOICES,
     CommonChoices,
     DeepVoxelsChoices,
@@ -25,13 +25,13 @@ from model.choices import (
     named_method,
     refuse_foreign_flags,
 )
-from model.runtime import wait_briefly
+from model.settings.runtime import wait_briefly
 
 if TYPE_CHECKING:
     import torch
 
-    from model.pixel_cache import Memory
-    from model.run_folder import TrainConfig
+    from model.batches.pixel_cache import Memory
+    from model.run.run_folder import TrainConfig
 
 DEFAULT_HELP = "paper"
 """Whose choices `model train --help` shows as long as no method is named."""
@@ -74,9 +74,9 @@ def configure(common: CommonChoices, choices: MethodChoices) -> "tuple[TrainConf
 
     if "torch" not in sys.modules:
         say(f"{opened.root}: loads torch")  # Seconds, in which nothing else is heard.
-    from model.losses import LossConfig, configure_losses
-    from model.methods import METHODS, read_layers_of
-    from model.run_folder import TrainConfig
+    from model.losses.pixel_losses import LossConfig, configure_losses
+    from model.methods.table import METHODS, read_layers_of
+    from model.run.run_folder import TrainConfig
 
     method = METHODS[common.method]
     if not method.uses_geometry and common.geometry != TRUTH:
@@ -114,13 +114,13 @@ def _train(
     anew: bool,
     memory: "Memory",
 ) -> None:
-    from datagen.ownership import holding, is_ours, refuse_others
-    from model.checkpoint import delete_checkpoints, has_checkpoint
-    from model.distributed import join, own_device
-    from model.predict import render_predictions
-    from model.run_folder import FOLDER, WEIGHTS, finish_clearing, is_finished
-    from model.train import check_team
-    from model.train import train as train_run
+    from datagen.disk.ownership import holding, is_ours, refuse_others
+    from model.batches.distributed import join, own_device
+    from model.run.checkpoint import delete_checkpoints, has_checkpoint
+    from model.run.predict import render_predictions
+    from model.run.run_folder import FOLDER, WEIGHTS, finish_clearing, is_finished
+    from model.run.train import check_team
+    from model.run.train import train as train_run
 
     device = own_device(device)
     with join(device) as team:
@@ -174,10 +174,10 @@ def render(
         device: Where to compute; auto takes a GPU where there is one.
         overwrite: Render again even where the predictions are intact.
     """
-    from datagen.annex import scale_name
-    from datagen.ownership import holding
-    from model.predict import render_predictions, render_scaled
-    from model.run_folder import FOLDER, is_finished, lacks_a_split, read_run
+    from datagen.data.variants import scale_name
+    from datagen.disk.ownership import holding
+    from model.run.predict import render_predictions, render_scaled
+    from model.run.run_folder import FOLDER, is_finished, lacks_a_split, read_run
 
     record = read_run(run)
     opened = open_dataset(find_dataset(dataset) if dataset else Path(record.dataset))
@@ -199,13 +199,13 @@ def render(
 
 def _render_edit(run: Path, config: "TrainConfig", base: Dataset, edit: tuple[str, ...], *, device: "torch.device",
                  overwrite: bool) -> Path:  # fmt: skip
-    from datagen.edited import open_edit
-    from datagen.edits import edits_name, parse_edit
-    from datagen.geometry import list_geometries
-    from datagen.ownership import holding
-    from model.edits import edit_folder, is_edit_rendered, render_edit
-    from model.methods import METHODS
-    from model.run_folder import FOLDER
+    from datagen.data.edited import open_edit
+    from datagen.data.geometries import list_geometries
+    from datagen.disk.ownership import holding
+    from datagen.scene.edits import edits_name, parse_edit
+    from model.methods.table import METHODS
+    from model.run.edits import edit_folder, is_edit_rendered, render_edit
+    from model.run.run_folder import FOLDER
 
     if not METHODS[config.method].uses_geometry:
         raise HyalineError(f"--edit {edit[0]}: method {config.method} knows no geometry, so it cannot draw an edit")
@@ -232,7 +232,7 @@ def sweep(
     """Train all runs of an experiment file, one process a GPU (one on a CPU); what is finished is skipped.
 
     Args:
-        experiment: A TOML file (format: model/experiment.py), or one of table1, table2, square, zero-layer, claims,
+        experiment: A TOML file (format: model/run/experiment.py), or one of table1, table2, square, zero-layer, claims,
             headline, proxies, ablation, variants and budget.
         dataset: Datasets to train on, instead of the file's.
         seed: Seeds to train with, instead of the file's.
@@ -240,8 +240,8 @@ def sweep(
             are finished in an hour by as many as memory allows (4 GB each); a run's numbers differ by rounding.
         dry_run: Print the command of each run, and do nothing.
     """
-    from model.experiment import read_experiment
-    from model.sweep import command_line, find_devices, raise_failures, run_experiment
+    from model.run.experiment import read_experiment
+    from model.run.sweep import command_line, find_devices, raise_failures, run_experiment
 
     asked = read_experiment(experiment, datasets=dataset, seeds=seed)
     if dry_run:
@@ -252,34 +252,22 @@ def sweep(
     next_command("eval report")
 
 
-def bench() -> None:
-    """Measure speed beside a naive baseline: ceilings, step, infer, online or gpu (see `model bench --help`)."""
-
-
 def main() -> None:
     wait_briefly()
     description = "Train neural renderers on datasets of transparent objects, and render with them."
     arguments = sys.argv[1:]
-    if arguments[:1] == ["bench"]:
-        # It has commands of its own.
-        from model.bench.cli import main as main_of_bench
-
-        main_of_bench(arguments[1:])
-        return
     try:
         method = choose("method", named_method(arguments) or DEFAULT_HELP, CHOICES)
         if arguments[:1] == ["train"]:
             refuse_foreign_flags(method, arguments)
     except HyalineError as error:
         fail(str(error))
-    run(
-        "model", description, {"train": trainer_of(method), "render": render, "sweep": sweep, "bench": bench}, arguments
-    )
+    run("model", description, {"train": trainer_of(method), "render": render, "sweep": sweep}, arguments)
 
 
 def _check_same_run(out: Path, config: "TrainConfig", dataset: Dataset) -> None:
-    from model.methods import METHODS, read_layers_of
-    from model.run_folder import check_same_run
+    from model.methods.table import METHODS, read_layers_of
+    from model.run.run_folder import check_same_run
 
     _, layers_seal = read_layers_of(METHODS[config.method], dataset, config.geometry)
     check_same_run(out, config, dataset_seal=dataset.seal, layers_seal=layers_seal)

@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING, Annotated, cast
 
 import tyro
 
-from datagen.advice import after_layers, build_command
-from datagen.command import choose, fail, next_command, run, say
-from datagen.dataset import DATA_ROOT, Dataset, find_dataset, list_datasets, open_dataset
-from datagen.errors import HyalineError
-from datagen.geometry import TRUTH
-from datagen.layer_store import LayerKind, check_settings
+from datagen.data.advice import after_layers, build_command
+from datagen.data.dataset import DATA_ROOT, Dataset, find_dataset, list_datasets, open_dataset
+from datagen.data.geometries import TRUTH
+from datagen.data.layer_store import LayerKind, check_settings
+from datagen.disk.errors import HyalineError
+from datagen.terminal.command import choose, fail, next_command, run, say
 
 if TYPE_CHECKING:
     from proxies.make import ProxyReport
@@ -66,11 +66,11 @@ def make(
     one_kind = _one_kind(kind, amount)
     check_settings(num_layers=num_layers, rays=rays, workers=workers, kinds=layers)
     datasets = _datasets(dataset)
-    from datagen.annex_build import peel_annexes
+    from datagen.build.build_variant import peel_annexes
 
     specs = [_mixture(opened, name, assign, rest) if assign else one_kind for opened in datasets]
     for opened, spec in zip(datasets, specs, strict=True):
-        from datagen.build import peel_dataset
+        from datagen.build.build import peel_dataset
 
         say(f"{opened.root}: makes {spec.geometry} proxies of {len(opened.objects)} objects")
         is_new = make_proxies(opened, spec, overwrite=overwrite)
@@ -145,7 +145,7 @@ def _print_table(dataset: Dataset, geometry: str, reports: "tuple[ProxyReport, .
     from rich.table import Table
     from rich.text import Text
 
-    from datagen.names import printable
+    from datagen.disk.names import printable
 
     # Names may hold square brackets, which rich would take for mark-up.
     table = Table(title=Text(printable(f"{geometry} proxies of {dataset.root}")), box=SIMPLE_HEAD, title_justify="left")

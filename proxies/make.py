@@ -5,10 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from datagen.command import say
-from datagen.dataset import Dataset, check_files
-from datagen.errors import HyalineError
-from datagen.geometry import (
+from datagen.data.dataset import Dataset, check_files
+from datagen.data.geometries import (
     TRUTH,
     ProxyStatistics,
     geometry_root,
@@ -17,19 +15,21 @@ from datagen.geometry import (
     read_proxy_records,
     write_proxies,
 )
-from datagen.meshes import Mesh
-from datagen.ownership import PROXIES, holding, refuse_others
-from datagen.storage import load_sealed
-from proxies.blocks import fit_blocks
-from proxies.box import fit_box
-from proxies.ellipsoid import fit_ellipsoid
-from proxies.hull import fit_hulls
-from proxies.measure import enclosure, proxy_statistics
-from proxies.meshlab import meshlab_problem
-from proxies.noise import noise_problem, noisy_mesh
-from proxies.solid import Solid, make_solids
+from datagen.data.meshes import Mesh
+from datagen.disk.errors import HyalineError
+from datagen.disk.ownership import PROXIES, holding, refuse_others
+from datagen.disk.storage import load_sealed
+from datagen.terminal.command import say
+from proxies.kinds.blocks import fit_blocks
+from proxies.kinds.box import fit_box
+from proxies.kinds.ellipsoid import fit_ellipsoid
+from proxies.kinds.hull import fit_hulls
+from proxies.kinds.wrap import fit_lowpolys, fit_wraps
+from proxies.meshing.measure import enclosure, proxy_statistics
+from proxies.meshing.meshlab import meshlab_problem
+from proxies.meshing.noise import noise_problem, noisy_mesh
+from proxies.meshing.solid import Solid, make_solids
 from proxies.spec import MixedSpec, ProxyKind, ProxySpec, parse_part
-from proxies.wrap import fit_lowpolys, fit_wraps
 
 Fitter = Callable[[tuple[Solid, ...], tuple[float, ...]], tuple[Mesh, ...]]
 

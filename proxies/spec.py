@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from typing import Literal, cast, get_args
 
-from datagen.command import choose
-from datagen.errors import HyalineError
-from datagen.geometry import TRUTH
-from proxies.noise import check_amount
+from datagen.data.geometries import TRUTH
+from datagen.disk.errors import HyalineError
+from datagen.terminal.command import choose
+from proxies.meshing.noise import check_amount
 
 ProxyKind = Literal["box", "ellipsoid", "hull", "lowpoly", "wrap", "blocks", "noise"]
 

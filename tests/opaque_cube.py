@@ -6,9 +6,8 @@
 import sys
 from pathlib import Path
 
-from datagen.atlas import unwrap_all
-from datagen.modelling import cylinder, moved, rounded_box
-from datagen.scene import (
+from datagen.scene.atlas import unwrap_all
+from datagen.scene.description import (
     CameraRig,
     Diffuse,
     Scene,
@@ -19,6 +18,7 @@ from datagen.scene import (
     check_scene,
     save_scene,
 )
+from datagen.scene.modelling import cylinder, moved, rounded_box
 
 
 def opaque_cube() -> Scene:

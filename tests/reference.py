@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from datagen.meshes import Mesh
+from datagen.data.meshes import Mesh
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from datagen.dataset import (
+from datagen.data.dataset import (
     SPLITS,
     Cameras,
     Dataset,
@@ -16,11 +16,11 @@ from datagen.dataset import (
     read_cameras,
     write_head,
 )
-from datagen.geometry import TRUTH, geometry_hash
-from datagen.layers import Layers, create_layers, write_layers
-from datagen.meshes import Mesh
-from datagen.number_formats import quantize_uv
-from datagen.scene import (
+from datagen.data.geometries import TRUTH, geometry_hash
+from datagen.data.layers import Layers, create_layers, write_layers
+from datagen.data.meshes import Mesh
+from datagen.data.number_formats import quantize_uv
+from datagen.scene.description import (
     CameraRig,
     Diffuse,
     Scene,

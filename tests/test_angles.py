@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from synthetic import quad, synthetic_scene
 
-from datagen.angles import angle_outside, make_angle_cameras, places_outside
-from datagen.dataset import ANGLE_SPLITS, DatasetConfig, SplitConfig
-from datagen.errors import HyalineError
-from datagen.meshes import Mesh
-from datagen.scene import CameraRig
+from datagen.build.angles import angle_outside, make_angle_cameras, places_outside
+from datagen.data.dataset import ANGLE_SPLITS, DatasetConfig, SplitConfig
+from datagen.data.meshes import Mesh
+from datagen.disk.errors import HyalineError
+from datagen.scene.description import CameraRig
 
 RIG = dataclasses.replace(
     synthetic_scene().cameras, target=(0.2, -0.1, 0.5), radius=2.0, elevation_deg=(8, 60), azimuth_deg=(-150, 40)

@@ -14,15 +14,15 @@ from synthetic import synthetic_scene
 
 import datagen.cli
 import model.cli
-from datagen.annex import evenly, homes_of_test_splits, open_annex, parent_views
-from datagen.dataset import ANGLE_SPLITS, TEST_SPLITS, image_path, open_dataset, read_cameras, read_image, read_png
-from datagen.errors import HyalineError
-from datagen.geometry import TRUTH
-from datagen.layers import read_layers
-from datagen.scene import save_scene
-from datagen.verify import verify_dataset
-from eval.report import make_report
-from eval.super_resolution import enlarge
+from datagen.build.verify import verify_dataset
+from datagen.data.dataset import ANGLE_SPLITS, TEST_SPLITS, image_path, open_dataset, read_cameras, read_image, read_png
+from datagen.data.geometries import TRUTH
+from datagen.data.layers import read_layers
+from datagen.data.variants import evenly, homes_of_test_splits, open_annex, parent_views
+from datagen.disk.errors import HyalineError
+from datagen.scene.description import save_scene
+from eval.analyses.super_resolution import enlarge
+from eval.page.report import make_report
 
 FLAGS = (
     *("--preset", "tiny", "--resolution", "16", "--num-layers", "4"),

@@ -19,14 +19,23 @@ ALLOWED = {
 HOMES = {
     "mitsuba": {"datagen"},
     "drjit": {"datagen"},
-    "pymeshlab": {"proxies/meshlab.py"},
+    "pymeshlab": {"proxies/meshing/meshlab.py"},
     "torch": {"model"},
     "skimage": {"eval"},
     "colour": {"eval"},
-    "xatlas": {"datagen/atlas.py"},
-    "zarr": {"datagen/layer_store.py"},
-    "submitit": {"datagen/launch.py"},
+    "xatlas": {"datagen/scene/atlas.py"},
+    "zarr": {"datagen/data/layer_store.py"},
+    "submitit": {"datagen/build/launch.py"},
 }
+
+
+FLOORS = {
+    "datagen": ("cli", "build", "trace", "render", "scene", "data", "machine", "terminal", "disk"),
+    "proxies": ("cli", "make", "spec", "kinds", "meshing"),
+    "model": ("cli", "run", "methods", "losses", "batches", "nets", "settings"),
+    "eval": ("cli", "page", "papers", "analyses", "figures", "tables", "score"),
+}
+"""The rooms of each package, the highest first: a file imports from its own room and from those below it."""
 
 
 def imports_of(path: Path) -> set[str]:
@@ -58,6 +67,20 @@ def test_each_file_says_in_its_first_line_what_it_owns(path: Path) -> None:
         assert ast.get_docstring(ast.parse(path.read_text()))
 
 
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.relative_to(ROOT).as_posix())
+def test_each_file_imports_only_from_its_room_and_those_below(path: Path) -> None:
+    package, *rest = path.relative_to(ROOT).with_suffix("").parts
+    if rest[0] in ("__init__", "__main__"):
+        return
+    floors = FLOORS[package]
+    assert rest[0] in floors, f"a room that no floor has; the floors are {floors}"
+    for node in ast.walk(ast.parse(path.read_text())):
+        modules = [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+        modules += [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+        for other in (module.split(".")[1] for module in modules if module.startswith(f"{package}.")):
+            assert floors.index(other) >= floors.index(rest[0]), f"{rest[0]} imports {other}, a room above it"
+
+
 def loaded_after(statement: str) -> set[str]:
     program = f"{statement}; import sys; print(*sys.modules)"
     answer = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
@@ -66,7 +89,13 @@ def loaded_after(statement: str) -> set[str]:
 
 @pytest.mark.parametrize(
     "module",
-    ["datagen.dataset", "datagen.layers", "datagen.light_path_layers", "datagen.scene", "datagen.meshes"],
+    [
+        "datagen.data.dataset",
+        "datagen.data.layers",
+        "datagen.trace.light_path_layers",
+        "datagen.scene.description",
+        "datagen.data.meshes",
+    ],
 )
 def test_the_contract_imports_without_heavy_packages(module: str) -> None:
     heavy = {"mitsuba", "drjit", "torch", "trimesh", "pymeshlab", "xatlas", "zarr", "scipy", "skimage", "numba"}

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from datagen.atlas import bake_positions, chart_map, coverage, unwrap, unwrap_all
-from datagen.errors import HyalineError
-from datagen.meshes import Mesh, face_corners
-from datagen.modelling import ball, lathe, merged, rounded_box, sheet
+from datagen.data.meshes import Mesh, face_corners
+from datagen.disk.errors import HyalineError
+from datagen.scene.atlas import bake_positions, chart_map, coverage, unwrap, unwrap_all
+from datagen.scene.modelling import ball, lathe, merged, rounded_box, sheet
 
 
 def mesh_of(solid: trimesh.Trimesh) -> Mesh:
@@ -155,7 +155,9 @@ def test_nothing_to_unwrap_starts_no_process() -> None:
 
 
 def test_the_child_imports_neither_torch_nor_mitsuba() -> None:
-    code = "import datagen.atlas, xatlas, sys; print([m for m in ('torch', 'mitsuba', 'drjit') if m in sys.modules])"
+    code = (
+        "import datagen.scene.atlas, xatlas, sys; print([m for m in ('torch', 'mitsuba', 'drjit') if m in sys.modules])"
+    )
     answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert answer.stdout.strip() == "[]"
 

@@ -5,8 +5,8 @@ import time
 
 import pytest
 
-from datagen.bench.harness import BenchReport, Candidate, Check, Gate, machine_ceilings, measure, show
-from datagen.errors import HyalineError
+from benchmarks.harness import BenchReport, Candidate, Check, Gate, machine_ceilings, measure, show
+from datagen.disk.errors import HyalineError
 
 
 def sleeper(name: str, milliseconds: float, calls: float = 1.0) -> Candidate:

@@ -13,20 +13,20 @@ from synthetic import quad, synthetic_scene
 from test_cameras import config
 from test_meshes import mesh_of
 
-from datagen.bench.scale import Point, ScaleReport, Task, bench_scale, fit_growth, measure_task, show_scale
-from datagen.bench.shells import make_shells, random_cameras
-from datagen.cameras import make_cameras
-from datagen.errors import HyalineError
-from datagen.meshes import check_closed, check_mesh
-from datagen.raster import Rasterizer
-from datagen.scene import Dielectric, SceneObject
-from datagen.variant import use_mitsuba
+from benchmarks.generator.scale import Point, ScaleReport, Task, bench_scale, fit_growth, measure_task, show_scale
+from benchmarks.generator.shells import make_shells, random_cameras
+from datagen.data.meshes import check_closed, check_mesh
+from datagen.disk.errors import HyalineError
+from datagen.machine.mitsuba_variant import use_mitsuba
+from datagen.scene.description import Dielectric, SceneObject
+from datagen.scene.rig import make_cameras
+from datagen.trace.raster import Rasterizer
 
 use_mitsuba(quiet=True)
 
-from datagen.bench.peel import ENGINES, bench_peel, check_parity, compare_engines, is_general  # noqa: E402
-from datagen.bench.truth import bench_truth, fit_noise  # noqa: E402
-from datagen.peel import Peeler  # noqa: E402
+from benchmarks.generator.peel import ENGINES, bench_peel, check_parity, compare_engines, is_general  # noqa: E402
+from benchmarks.generator.truth import bench_truth, fit_noise  # noqa: E402
+from datagen.trace.peel import Peeler  # noqa: E402
 
 
 def test_the_shells_are_closed_and_as_many_as_asked_for() -> None:
@@ -110,7 +110,7 @@ def test_growth_is_the_exponent_of_the_power_law(tmp_path: Path, capsys: pytest.
     assert [law.wall for law in growth] == pytest.approx([0.7, 1.3])
     assert [law.cpu for law in growth] == pytest.approx([1, 1])
     assert [law.memory for law in growth] == pytest.approx([0, 0], abs=1e-9)
-    from datagen.bench.harness import describe_machine
+    from benchmarks.harness import describe_machine
 
     report = ScaleReport(machine=describe_machine(), points=tuple(points), growth=growth)
     show_scale(report, tmp_path / "scale.png", as_json=True)
@@ -133,7 +133,7 @@ def test_factors_that_lead_nowhere_are_refused() -> None:
 
 
 def test_the_command_lists_its_benches_and_prints_json_alone() -> None:
-    command = [sys.executable, "-m", "datagen", "bench"]
+    command = [sys.executable, "-m", "benchmarks"]
     answer = subprocess.run([*command, "--help"], capture_output=True, text=True, check=True)
     assert all(name in answer.stdout for name in ("peel", "truth", "scale"))
     tiny = ["peel", "--size", "16", "--triangles", "0.01", "--rounds", "3", "--engines", "raster", "exr", "--json"]

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 from synthetic import synthetic_scene, write_synthetic_dataset
 
-from datagen.build import build_dataset, peel_dataset
-from datagen.dataset import (
+from datagen.build.build import build_dataset, peel_dataset
+from datagen.build.verify import verify_dataset
+from datagen.data.dataset import (
     SPLITS,
     DatasetConfig,
     SplitConfig,
@@ -21,12 +22,11 @@ from datagen.dataset import (
     read_image,
     read_record,
 )
-from datagen.errors import HyalineError
-from datagen.geometry import TRUTH, read_meshes
-from datagen.layer_store import layers_root
-from datagen.layers import Layers, glass_mask, read_layers, write_layers
-from datagen.scene import save_scene
-from datagen.verify import verify_dataset
+from datagen.data.geometries import TRUTH, read_meshes
+from datagen.data.layer_store import layers_root
+from datagen.data.layers import Layers, glass_mask, read_layers, write_layers
+from datagen.disk.errors import HyalineError
+from datagen.scene.description import save_scene
 
 FLAGS = (
     *("--preset", "tiny", "--resolution", "16", "--num-layers", "4"),
@@ -223,7 +223,7 @@ def test_peeling_equals_the_closed_formula_on_the_whole_dataset(tmp_path: Path) 
 
 
 def test_two_builds_at_once_do_not_mix(scene_folder: Path, tmp_path: Path) -> None:
-    from datagen.storage import one_writer
+    from datagen.disk.storage import one_writer
 
     few = SplitConfig(views=1, spp=2)
     config = DatasetConfig(scene="s", preset="tiny", resolution=8, train=few, interpolating=few, extrapolating=few)

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from synthetic import pixel_rays, synthetic_scene
 
-from datagen.cameras import look_at, make_cameras, pixel_center_rays, subpixel_offsets, subpixel_rays
-from datagen.dataset import Cameras, DatasetConfig, SplitConfig
-from datagen.errors import HyalineError
-from datagen.scene import CameraRig, WalkPoint
+from datagen.data.cameras import look_at, pixel_center_rays, subpixel_offsets, subpixel_rays
+from datagen.data.dataset import Cameras, DatasetConfig, SplitConfig
+from datagen.disk.errors import HyalineError
+from datagen.scene.description import CameraRig, WalkPoint
+from datagen.scene.rig import make_cameras
 
 RIG = CameraRig(
     target=(0.1, 0.2, 0.5),
@@ -91,7 +92,7 @@ def test_rays_equal_the_ones_of_a_second_implementation() -> None:
 def test_cameras_survive_the_transforms_files(tmp_path: Path) -> None:
     from synthetic import write_synthetic_dataset
 
-    from datagen.dataset import read_cameras
+    from datagen.data.dataset import read_cameras
 
     dataset = write_synthetic_dataset(tmp_path)
     once = read_cameras(dataset, "train")

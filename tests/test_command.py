@@ -12,12 +12,12 @@ from pathlib import Path
 
 import pytest
 
-from datagen.command import choose, track, version
-from datagen.command import run as command_run
-from datagen.errors import HyalineError
-from datagen.os_errors import REASONS, describe_os_error, naming
-from datagen.signals import Stopped
-from datagen.storage import commit
+from datagen.disk.errors import HyalineError
+from datagen.disk.os_errors import REASONS, describe_os_error, naming
+from datagen.disk.storage import commit
+from datagen.terminal.command import choose, track, version
+from datagen.terminal.command import run as command_run
+from datagen.terminal.signals import Stopped
 
 
 def run(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
@@ -61,7 +61,7 @@ def test_wrong_input_is_answered_with_the_way_out(line: str, status: int, messag
 
 @pytest.mark.parametrize(
     "line",
-    ["datagen", "datagen build", "datagen bench", "proxies", "proxies make", "model", "model train", "model bench step",
+    ["datagen", "datagen build", "proxies", "proxies make", "model", "model train",
      "eval", "eval report"],
 )  # fmt: skip
 def test_every_command_tells_its_version(line: str, tmp_path: Path) -> None:

@@ -14,26 +14,23 @@ from reference import convolve, interpolate
 from synthetic import look_at, write_synthetic_dataset
 from torch import nn
 
-from datagen.cameras import make_cameras, pixel_center_rays
-from datagen.dataset import Cameras, Dataset, DatasetConfig, SplitConfig, read_image, read_png
-from datagen.errors import HyalineError
-from datagen.scene import is_glass
+from datagen.data.cameras import pixel_center_rays
+from datagen.data.dataset import Cameras, Dataset, DatasetConfig, SplitConfig, read_image, read_png
+from datagen.disk.errors import HyalineError
+from datagen.scene.description import is_glass
+from datagen.scene.rig import make_cameras
 from model import cli
-from model import train as train_module
-from model.checkpoint import load_state
-from model.deepvoxels import (
+from model.batches.view_batches import Views, load_views
+from model.methods.deepvoxels import (
     DeepVoxels,
     DeepVoxelsConfig,
     build_deepvoxels,
     grid_coordinates,
     preset_deepvoxels,
 )
-from model.deepvoxels_loss import adversarial_loss
-from model.run_folder import TrainConfig, read_run
-from model.train import train
-from model.view_batches import Views, load_views
-from model.voxel_blocks import ONEDNN_ROWS, Conv3d
-from model.voxel_grid import (
+from model.methods.deepvoxels_loss import adversarial_loss
+from model.nets.voxel_blocks import ONEDNN_ROWS, Conv3d
+from model.nets.voxel_grid import (
     ViewCamera,
     VoxelGrid,
     fit_cube,
@@ -44,7 +41,11 @@ from model.voxel_grid import (
     sample_frustum,
     voxel_centers,
 )
-from model.voxel_nets import Critic, Integration, Occlusion, collapse
+from model.nets.voxel_nets import Critic, Integration, Occlusion, collapse
+from model.run import train as train_module
+from model.run.checkpoint import load_state
+from model.run.run_folder import TrainConfig, read_run
+from model.run.train import train
 
 CPU = torch.device("cpu")
 SIZE = 16

@@ -10,27 +10,37 @@ import torch
 from reference import common_area
 from synthetic import pixel_rays, quad, synthetic_scene, trace
 
-from datagen.build import build_dataset, peel_dataset
-from datagen.build_edit import build_edit
-from datagen.contact import TOLERANCE, count_touching_faces
-from datagen.dataset import SPLITS, Cameras, Dataset, DatasetConfig, SplitConfig, read_cameras, read_image
-from datagen.edited import open_edit
-from datagen.edits import Edit, describe_edit, edit_scene, edits_name, moved_mesh, parse_edit
-from datagen.errors import HyalineError
-from datagen.footprints import ELSEWHERE, LIGHT, OBJECT, find_footprint, read_footprint, shows_objects
-from datagen.geometry import TRUTH, ProxyStatistics, read_meshes, write_proxies
-from datagen.layers import read_layers
-from datagen.meshes import Mesh, is_there, no_mesh
-from datagen.modelling import ball, cylinder, moved
-from datagen.peel import Peeler
-from datagen.scene import Dielectric, Diffuse, Scene, SceneObject, SolidTexture, load_scene, save_scene, scene_files
-from datagen.solid_textures import evaluate_texture
-from datagen.storage import sha256
-from datagen.variant import use_mitsuba
-from datagen.verify import verify_dataset
-from eval.order import orders
-from model.edits import with_copies
-from model.texture import NeuralTextures, object_layout
+from datagen.build.build import build_dataset, peel_dataset
+from datagen.build.build_edit import build_edit
+from datagen.build.find_edit_masks import find_footprint, shows_objects
+from datagen.build.verify import verify_dataset
+from datagen.data.dataset import SPLITS, Cameras, Dataset, DatasetConfig, SplitConfig, read_cameras, read_image
+from datagen.data.edit_masks import ELSEWHERE, LIGHT, OBJECT, read_footprint
+from datagen.data.edited import open_edit
+from datagen.data.geometries import TRUTH, ProxyStatistics, read_meshes, write_proxies
+from datagen.data.layers import read_layers
+from datagen.data.meshes import Mesh, is_there, no_mesh
+from datagen.disk.errors import HyalineError
+from datagen.disk.storage import sha256
+from datagen.machine.mitsuba_variant import use_mitsuba
+from datagen.scene.contact import TOLERANCE, count_touching_faces
+from datagen.scene.description import (
+    Dielectric,
+    Diffuse,
+    Scene,
+    SceneObject,
+    SolidTexture,
+    load_scene,
+    save_scene,
+    scene_files,
+)
+from datagen.scene.edits import Edit, describe_edit, edit_scene, edits_name, moved_mesh, parse_edit
+from datagen.scene.modelling import ball, cylinder, moved
+from datagen.scene.solid_textures import evaluate_texture
+from datagen.trace.peel import Peeler
+from eval.analyses.order import orders
+from model.nets.texture import NeuralTextures, object_layout
+from model.run.edits import with_copies
 
 use_mitsuba(quiet=True)
 

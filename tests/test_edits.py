@@ -14,9 +14,9 @@ import trimesh
 from synthetic import quad, synthetic_scene
 from test_meshes import mesh_of
 
-from datagen.build import build_dataset
-from datagen.build_edit import build_edit
-from datagen.dataset import (
+from datagen.build.build import build_dataset
+from datagen.build.build_edit import build_edit
+from datagen.data.dataset import (
     TEST_SPLITS,
     Dataset,
     DatasetConfig,
@@ -27,25 +27,25 @@ from datagen.dataset import (
     read_image,
     read_png,
 )
-from datagen.edited import open_edit
-from datagen.edits import parse_edit
-from datagen.footprints import ELSEWHERE, LIGHT, OBJECT, read_footprint
-from datagen.geometry import TRUTH
-from datagen.layers import read_layers
-from datagen.scene import Dielectric, Diffuse, Scene, SceneObject, SoftEnvironment, SolidTexture
-from datagen.storage import SEAL, commit_sealed
-from datagen.variant import use_mitsuba
-from eval.report import make_report
+from datagen.data.edit_masks import ELSEWHERE, LIGHT, OBJECT, read_footprint
+from datagen.data.edited import open_edit
+from datagen.data.geometries import TRUTH
+from datagen.data.layers import read_layers
+from datagen.disk.storage import SEAL, commit_sealed
+from datagen.machine.mitsuba_variant import use_mitsuba
+from datagen.scene.description import Dielectric, Diffuse, Scene, SceneObject, SoftEnvironment, SolidTexture
+from datagen.scene.edits import parse_edit
+from eval.page.report import make_report
 
 if use_mitsuba(quiet=True).startswith("scalar"):
     pytest.skip("light paths need a vectorised variant of Mitsuba", allow_module_level=True)
 
-from model.edits import is_edit_rendered, render_edit
-from model.light_path_net import LightPathConfig
-from model.paper import PaperConfig
-from model.predict import render_predictions
-from model.run_folder import TrainConfig
-from model.train import train
+from model.methods.light_path.config import LightPathConfig
+from model.methods.paper import PaperConfig
+from model.run.edits import is_edit_rendered, render_edit
+from model.run.predict import render_predictions
+from model.run.run_folder import TrainConfig
+from model.run.train import train
 
 GLASS = Dielectric(ior=1.5, absorption=(0.2, 0.6, 1.5))
 CHECKER = Diffuse(color=SolidTexture(pattern="checker", colors=((0.7, 0.6, 0.2), (0.1, 0.2, 0.5)), scale=0.5))
@@ -162,7 +162,7 @@ def test_the_commands_edit_and_draw_what_is_there(made: Path) -> None:
 def test_the_report_scores_edits_by_region_and_pixels_by_order(
     made: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("eval.figures.contact_sheet", lambda scene, scores: b"")
+    monkeypatch.setattr("eval.page.figures.contact_sheet", lambda scene, scores: b"")
     make_report(made / "runs", made / "data", made / "out", output_format="markdown", order_layers=3)
     text = capsys.readouterr().out
     assert "### edit, after remove:ball (object " in text
@@ -229,7 +229,9 @@ def test_seeds_share_a_row_in_the_tables_of_edits_and_orders_and_the_first_stand
     for path in black.rglob("predictions.json"):
         path.unlink()
     heads = []
-    monkeypatch.setattr("eval.sheets._draw", lambda title, found, rows, size: heads.append((title, found)) or b"")
+    monkeypatch.setattr(
+        "eval.figures.sheets._draw", lambda title, found, rows, size: heads.append((title, found)) or b""
+    )
     make_report(tmp_path / "runs", made / "data", tmp_path / "out", output_format="markdown", order_layers=3)
 
     results = json.loads((tmp_path / "out" / "results.json").read_text())["scenes"][0]["analyses"]

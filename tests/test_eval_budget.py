@@ -9,15 +9,15 @@ import pytest
 import torch
 from synthetic import write_synthetic_dataset
 
-from datagen.dataset import TEST_SPLITS, Dataset
-from datagen.geometry import TRUTH
-from datagen.layers import read_layers
-from eval.budget import missed_shares
-from eval.report import make_report
+from datagen.data.dataset import TEST_SPLITS, Dataset
+from datagen.data.geometries import TRUTH
+from datagen.data.layers import read_layers
+from eval.analyses.budget import missed_shares
+from eval.page.report import make_report
 from model import cli
-from model.batches import load_pixels
-from model.predict import load_renderer, predict_pixels
-from model.run_folder import read_run
+from model.batches.rays import load_pixels
+from model.run.predict import load_renderer, predict_pixels
+from model.run.run_folder import read_run
 
 FLAGS = ("--method", "paper", "--steps", "3", "--batch", "64", "--texture-size", "16", "--device", "cpu")
 
@@ -115,7 +115,7 @@ def test_a_run_from_before_there_were_budgets_still_renders(
     dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert train(monkeypatch, dataset, tmp_path / "run") == 0
-    from model.checkpoint import load_state, save_state
+    from model.run.checkpoint import load_state, save_state
 
     state = load_state(tmp_path / "run/weights.pt")
     del state["config"]["net"]["num_layers"]  # pyright: ignore

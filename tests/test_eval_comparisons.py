@@ -11,18 +11,18 @@ import pytest
 from PIL import Image
 from synthetic import write_synthetic_dataset
 
-from datagen.dataset import TEST_SPLITS, Dataset, png_bytes, read_image
-from datagen.errors import HyalineError
-from datagen.geometry import TRUTH, ProxyStatistics, read_meshes, write_proxies
-from datagen.records import to_json
-from eval import claims, comparisons
-from eval.report import TABLES, make_report, make_tables
-from eval.seeds import spread
-from model.light_path_net import default_light_path
-from model.losses import LossConfig
-from model.paper import PaperConfig
-from model.perceptual import VggSource
-from model.run_folder import TrainConfig
+from datagen.data.dataset import TEST_SPLITS, Dataset, png_bytes, read_image
+from datagen.data.geometries import TRUTH, ProxyStatistics, read_meshes, write_proxies
+from datagen.disk.errors import HyalineError
+from datagen.disk.records import to_json
+from eval.page.report import TABLES, make_report, make_tables
+from eval.papers import claims, comparisons
+from eval.score.seeds import spread
+from model.losses.perceptual import VggSource
+from model.losses.pixel_losses import LossConfig
+from model.methods.light_path.config import default_light_path
+from model.methods.paper import PaperConfig
+from model.run.run_folder import TrainConfig
 
 PAPER = TrainConfig(method="paper", geometry="truth", net=PaperConfig(width=80, texture_size=64))
 BEST = dataclasses.replace(
@@ -100,7 +100,7 @@ def test_a_spread_is_numpys_mean_and_sample_deviation() -> None:
 def test_the_report_averages_runs_that_differ_in_their_seed_alone(
     dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("eval.report.figures_of", lambda *_: {})
+    monkeypatch.setattr("eval.page.report.figures_of", lambda *_: {})
     for seed, level in enumerate((5, 7, 10)):
         write_run(dataset, tmp_path, f"paper-seed{seed}" if seed else "paper", paper(seed=seed), level, 20)
     write_run(dataset, tmp_path, "paper-100-steps-seed1", paper(seed=1, steps=100), 30, 30)
@@ -316,7 +316,7 @@ def test_edited_scenes_decide_whether_zero_layers_help(
         scores = {
             "synthetic": {"with": dict.fromkeys(TEST_SPLITS, edited), "without": dict.fromkeys(TEST_SPLITS, 23.0)}
         }
-        monkeypatch.setattr("eval.report.claims_grid", lambda scenes, _, scores=scores: make(scenes, scores))
+        monkeypatch.setattr("eval.page.report.claims_grid", lambda scenes, _, scores=scores: make(scenes, scores))
         tables(dataset, tmp_path, "claims")
         assert verdicts(capsys.readouterr().out)["4"] == [verdict]
 

@@ -9,12 +9,12 @@ import pytest
 from reference import nearest_training_angles
 from synthetic import pixel_rays, write_synthetic_dataset
 
-from datagen.dataset import TEST_SPLITS, Dataset, png_bytes, read_cameras, read_image
-from datagen.geometry import TRUTH
-from datagen.layers import Layers, read_layers
-from eval.coverage import cover_view, read_coverage, visible_layers
-from eval.curve import ANGLE_EDGES, Bin, curve_of, pool_seeds, slope_db_per_10deg
-from eval.report import make_report
+from datagen.data.dataset import TEST_SPLITS, Dataset, png_bytes, read_cameras, read_image
+from datagen.data.geometries import TRUTH
+from datagen.data.layers import Layers, read_layers
+from eval.analyses.coverage import cover_view, read_coverage, visible_layers
+from eval.analyses.curve import ANGLE_EDGES, Bin, curve_of, pool_seeds, slope_db_per_10deg
+from eval.page.report import make_report
 
 
 @pytest.fixture(scope="module")
@@ -55,8 +55,8 @@ def test_a_training_view_has_no_angle_to_training(dataset: Dataset) -> None:
 def test_of_many_pixels_a_random_choice_is_looked_at(dataset: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
     coverage = read_coverage(dataset)
     whole = cover_view(coverage, dataset, "interpolating", 0)
-    monkeypatch.setattr("eval.coverage.MAX_PIXELS", 20)
-    monkeypatch.setattr("eval.coverage.CHUNK", 7)
+    monkeypatch.setattr("eval.analyses.coverage.MAX_PIXELS", 20)
+    monkeypatch.setattr("eval.analyses.coverage.CHUNK", 7)
     part = cover_view(coverage, dataset, "interpolating", 0)
     assert len(part.pixel) == 20
     place = np.searchsorted(whole.pixel, part.pixel)
@@ -110,7 +110,7 @@ def test_seeds_of_the_same_pixels_share_a_curve_of_mean_errors(monkeypatch: pyte
     curves["other"] = curve_of(angle[:3000], views[:3000], errors[0][:3000])
     # Here the runs say themselves which belong together.
     monkeypatch.setattr(
-        "eval.curve.by_group", lambda runs, found: {name: [found[run] for run in runs[name]] for name in runs}
+        "eval.analyses.curve.by_group", lambda runs, found: {name: [found[run] for run in runs[name]] for name in runs}
     )
     pooled = pool_seeds({"both": ("seed0", "seed1")}, curves)  # pyright: ignore[reportArgumentType]
     expected = curve_of(angle, views, np.mean(errors, axis=0))

@@ -7,7 +7,7 @@ import pytest
 from skimage.color import deltaE_ciede2000, rgb2lab
 from skimage.metrics import peak_signal_noise_ratio
 
-from eval.metrics import delta_e_2000, masked_psnr, mean_of, psnr, psnr_uint8_wrap, ssim
+from eval.score.metrics import delta_e_2000, masked_psnr, mean_of, psnr, psnr_uint8_wrap, ssim
 
 
 def random_pair(seed: int, size: int = 48) -> tuple[np.ndarray, np.ndarray]:

@@ -11,12 +11,12 @@ import pytest
 from PIL import Image
 from synthetic import write_synthetic_dataset
 
-from datagen.dataset import Dataset, png_bytes, read_image
-from datagen.errors import HyalineError
-from datagen.records import Json
-from datagen.storage import commit_sealed, sha256
-from eval.png import check_png
-from eval.runs import Run, open_run, read_prediction, within
+from datagen.data.dataset import Dataset, png_bytes, read_image
+from datagen.disk.errors import HyalineError
+from datagen.disk.records import Json
+from datagen.disk.storage import commit_sealed, sha256
+from eval.score.png import check_png
+from eval.score.runs import Run, open_run, read_prediction, within
 
 pytestmark = pytest.mark.promise("R4")
 

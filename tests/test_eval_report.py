@@ -18,14 +18,14 @@ import pytest
 from PIL import Image
 from synthetic import write_synthetic_dataset
 
-from datagen.dataset import TEST_SPLITS, Dataset, Split, open_dataset, png_bytes, read_image, read_png
-from datagen.errors import HyalineError
-from datagen.geometry import TRUTH
-from datagen.layers import glass_mask, read_layers
-from eval.report import make_report
-from eval.runs import RUN_KEYS, list_run_folders
-from eval.tables import CEILING, latex_escaped
-from model.run_folder import RunRecord
+from datagen.data.dataset import TEST_SPLITS, Dataset, Split, open_dataset, png_bytes, read_image, read_png
+from datagen.data.geometries import TRUTH
+from datagen.data.layers import glass_mask, read_layers
+from datagen.disk.errors import HyalineError
+from eval.page.report import make_report
+from eval.score.runs import RUN_KEYS, list_run_folders
+from eval.tables.grids import CEILING, latex_escaped
+from model.run.run_folder import RunRecord
 
 SCRIPTS = Path(sys.executable).parent
 
@@ -58,7 +58,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def no_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     """Spares the second that pictures take."""
-    monkeypatch.setattr("eval.report.figures_of", lambda *_: {})
+    monkeypatch.setattr("eval.page.report.figures_of", lambda *_: {})
 
 
 @pytest.fixture
@@ -392,7 +392,7 @@ def test_the_package_imports_neither_torch_nor_mitsuba_and_its_help_nothing_heav
     code = (
         "import sys, eval.cli\n"
         "assert not {'numpy', 'matplotlib', 'tyro'} & set(sys.modules)\n"
-        "import eval.report, eval.figures, eval.metrics\n"
+        "import eval.page.report, eval.page.figures, eval.score.metrics\n"
         "assert not {'torch', 'mitsuba', 'drjit', 'skimage', 'colour'} & set(sys.modules)"
     )
     done = command(sys.executable, "-c", code, cwd=tmp_path)

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from datagen.errors import HyalineError
-from datagen.exr import check_exr
-from datagen.render import Truth, radiance_bytes, read_radiance
-from datagen.variant import use_mitsuba
+from datagen.data.exr import check_exr
+from datagen.disk.errors import HyalineError
+from datagen.machine.mitsuba_variant import use_mitsuba
+from datagen.render.truth import Truth, radiance_bytes, read_radiance
 
 pytestmark = pytest.mark.promise("R6")
 

@@ -9,14 +9,14 @@ import pytest
 from support.hostile_values import JSON_TEXTS, PLACEHOLDER, places, replaced, without
 from synthetic import synthetic_scene, write_synthetic_dataset
 
-from datagen.dataset import SPLITS, open_dataset, read_cameras, read_record
-from datagen.errors import HyalineError
-from datagen.geometry import TRUTH, read_meshes
-from datagen.layer_store import read_layers_head
-from datagen.scene import load_scene, save_scene
-from datagen.storage import SEAL, dump_json, sha256
-from eval.runs import open_run
-from model.experiment import read_experiment
+from datagen.data.dataset import SPLITS, open_dataset, read_cameras, read_record
+from datagen.data.geometries import TRUTH, read_meshes
+from datagen.data.layer_store import read_layers_head
+from datagen.disk.errors import HyalineError
+from datagen.disk.storage import SEAL, dump_json, sha256
+from datagen.scene.description import load_scene, save_scene
+from eval.score.runs import open_run
+from model.run.experiment import read_experiment
 
 pytestmark = pytest.mark.promise("R6")
 

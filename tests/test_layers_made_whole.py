@@ -8,10 +8,10 @@ import pytest
 from support import fake_renderer
 from synthetic import synthetic_scene
 
-from datagen.build import build_dataset, peel_dataset
-from datagen.dataset import DatasetConfig, SplitConfig, open_dataset
-from datagen.geometry import TRUTH
-from datagen.layer_store import LAYER_KINDS, LayerKind
+from datagen.build.build import build_dataset, peel_dataset
+from datagen.data.dataset import DatasetConfig, SplitConfig, open_dataset
+from datagen.data.geometries import TRUTH
+from datagen.data.layer_store import LAYER_KINDS, LayerKind
 
 pytestmark = pytest.mark.promise("R1")
 

@@ -10,19 +10,19 @@ from synthetic import look_at, quad
 from test_meshes import mesh_of
 from test_render import DUSK, box, rendered, scene_of
 
-from datagen import mitsuba_scene
-from datagen.cameras import pixel_center_rays
-from datagen.dataset import Cameras
-from datagen.errors import HyalineError
-from datagen.meshes import Mesh
-from datagen.scene import Conductor, Dielectric, Diffuse, Material, Plastic, SceneObject, ThinDielectric
-from datagen.variant import use_mitsuba
+from datagen.data.cameras import pixel_center_rays
+from datagen.data.dataset import Cameras
+from datagen.data.meshes import Mesh
+from datagen.disk.errors import HyalineError
+from datagen.machine.mitsuba_variant import use_mitsuba
+from datagen.render import mitsuba_scene
+from datagen.scene.description import Conductor, Dielectric, Diffuse, Material, Plastic, SceneObject, ThinDielectric
 
 if use_mitsuba(quiet=True).startswith("scalar"):
     pytest.skip("light paths need a vectorised variant of Mitsuba", allow_module_level=True)
 
-from datagen.light_path import LightPathTracer, TracedPaths
-from datagen.mitsuba_scene import load_scene_mitsuba, load_sensor, radiance_of_environment
+from datagen.render.mitsuba_scene import load_scene_mitsuba, load_sensor, radiance_of_environment
+from datagen.trace.light_path import LightPathTracer, TracedPaths
 
 GREY = Diffuse(color=(0.5, 0.5, 0.5))
 
@@ -270,7 +270,7 @@ def test_decoding_branches_by_formula_gives_mitsubas_own_image(
 
 
 def test_the_scalar_variant_is_refused_with_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("datagen.light_path.is_scalar", lambda: True)
+    monkeypatch.setattr("datagen.trace.light_path.is_scalar", lambda: True)
     with pytest.raises(HyalineError, match="light paths: Mitsuba runs as scalar_rgb"):
         LightPathTracer((quad(0.0),), (GREY,))
 

@@ -12,19 +12,19 @@ from synthetic import synthetic_scene, write_synthetic_dataset
 from test_build import tree
 from test_render import box
 
-from datagen.build import build_dataset, peel_dataset, summary
-from datagen.cameras import pixel_center_rays
-from datagen.dataset import Dataset, DatasetConfig, SplitConfig, open_dataset, read_cameras
-from datagen.errors import HyalineError
-from datagen.geometry import TRUTH, ProxyStatistics, read_meshes, write_proxies
-from datagen.layer_store import is_view_peeled, layers_root, read_layers_record
-from datagen.light_path import LightPaths, LightPathTracer
-from datagen.light_path_layers import NUM_BRANCHES, create_light_paths, read_light_paths, write_light_paths
-from datagen.meshes import Mesh
-from datagen.number_formats import decode_directions, encode_directions
-from datagen.scene import Dielectric, Scene, SceneObject, load_scene
-from datagen.variant import use_mitsuba
-from datagen.verify import verify_dataset
+from datagen.build.build import build_dataset, peel_dataset, summary
+from datagen.build.verify import verify_dataset
+from datagen.data.cameras import pixel_center_rays
+from datagen.data.dataset import Dataset, DatasetConfig, SplitConfig, open_dataset, read_cameras
+from datagen.data.geometries import TRUTH, ProxyStatistics, read_meshes, write_proxies
+from datagen.data.layer_store import is_view_peeled, layers_root, read_layers_record
+from datagen.data.meshes import Mesh
+from datagen.data.number_formats import decode_directions, encode_directions
+from datagen.disk.errors import HyalineError
+from datagen.machine.mitsuba_variant import use_mitsuba
+from datagen.scene.description import Dielectric, Scene, SceneObject, load_scene
+from datagen.trace.light_path import LightPaths, LightPathTracer
+from datagen.trace.light_path_layers import NUM_BRANCHES, create_light_paths, read_light_paths, write_light_paths
 
 SIZE, VERTICES = 8, 5
 BRANCH_FIELDS = ("has_left", "end_direction", "end_throughput")
@@ -172,7 +172,7 @@ def test_stored_paths_are_a_fresh_trace_of_a_finer_pictures_pixel_centres(built:
 @needs_tracer
 def test_the_share_of_paths_that_are_given_up_is_known(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     dataset = write_synthetic_dataset(tmp_path, resolution=SIZE, train_views=2)
-    monkeypatch.setattr("datagen.light_path_layers.MAX_DEPTH", 1)
+    monkeypatch.setattr("datagen.trace.light_path_layers.MAX_DEPTH", 1)
     peel(dataset, rays=1)
     # One surface suffices for the floor and for what the pane mirrors, not for what is behind the pane.
     sees_pane = read_light_paths(dataset, TRUTH, "train", 0).object_id[0, 0] == 1
@@ -182,7 +182,7 @@ def test_the_share_of_paths_that_are_given_up_is_known(tmp_path: Path, monkeypat
 
 @needs_tracer
 def test_blocks_do_not_change_a_byte(built: Path, copy: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("datagen.light_path_layers.BLOCK_RAYS", 3 * SIZE * 4)
+    monkeypatch.setattr("datagen.trace.light_path_layers.BLOCK_RAYS", 3 * SIZE * 4)
     peel(copy, overwrite=True)
     assert tree(copy.root) == tree(built)
 
@@ -198,7 +198,7 @@ def test_stopped_tracing_goes_on_to_the_same_bytes(built: Path, copy: Dataset, m
         write_light_paths(*arguments)  # type: ignore[arg-type]
 
     with monkeypatch.context() as patch:
-        patch.setattr("datagen.jobs.write_light_paths", stop)
+        patch.setattr("datagen.build.jobs.write_light_paths", stop)
         with pytest.raises(KeyboardInterrupt):
             peel(copy, overwrite=True)
     views = [(split, view) for split in ("train", "interpolating", "extrapolating") for view in range(2)]
@@ -264,10 +264,10 @@ def test_other_settings_are_refused_with_the_way_out(
         monkeypatch.context() as patch,
         pytest.raises(HyalineError, match="branches, which are now 7; pass --overwrite"),
     ):
-        patch.setattr("datagen.build.NUM_BRANCHES", 7)
+        patch.setattr("datagen.build.build.NUM_BRANCHES", 7)
         peel(copy)
     with monkeypatch.context() as patch, pytest.raises(HyalineError, match="light paths: Mitsuba runs as scalar_rgb"):
-        patch.setattr("datagen.variant.use_mitsuba", lambda **_: "scalar_rgb")
+        patch.setattr("datagen.machine.mitsuba_variant.use_mitsuba", lambda **_: "scalar_rgb")
         peel(copy, overwrite=True)
     assert tree(copy.root) == tree(built)
     peel(copy, rays=1, overwrite=True)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from datagen import llvm
+from datagen.machine import llvm
 
 SOURCE = """
 void LLVMGetVersion(unsigned *major, unsigned *minor, unsigned *patch) { *major = %d; *minor = 0; *patch = 6; }
@@ -66,10 +66,10 @@ def test_the_scalar_variant_builds_a_dataset_of_the_same_scene(tmp_path: Path) -
     from synthetic import synthetic_scene
     from test_build import command
 
-    from datagen.dataset import SPLITS, open_dataset, read_image, read_record
-    from datagen.geometry import TRUTH
-    from datagen.layers import read_layers
-    from datagen.scene import save_scene
+    from datagen.data.dataset import SPLITS, open_dataset, read_image, read_record
+    from datagen.data.geometries import TRUTH
+    from datagen.data.layers import read_layers
+    from datagen.scene.description import save_scene
 
     save_scene(synthetic_scene(), tmp_path / "scene")
     roots = {}

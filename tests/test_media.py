@@ -7,11 +7,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_meshes import mesh_of
 
-from datagen.errors import HyalineError
-from datagen.media import find_media, medium_of, no_solids, with_solid, without_solid
-from datagen.meshes import Mesh
-from datagen.scene import MAX_NESTED, Dielectric, Diffuse, Material
-from datagen.variant import use_mitsuba
+from datagen.data.meshes import Mesh
+from datagen.disk.errors import HyalineError
+from datagen.machine.mitsuba_variant import use_mitsuba
+from datagen.scene.description import MAX_NESTED, Dielectric, Diffuse, Material
+from datagen.scene.media import find_media, medium_of, no_solids, with_solid, without_solid
 
 IS_SCALAR = use_mitsuba(quiet=True).startswith("scalar")
 

@@ -12,8 +12,8 @@ from support import fake_renderer
 from support.commands import call, run
 from synthetic import synthetic_scene
 
-from datagen.scene import save_scene
-from datagen.survey import Survey
+from datagen.build.survey import Survey
+from datagen.scene.description import save_scene
 
 pytestmark = pytest.mark.promise("R4")
 
@@ -48,7 +48,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def prepare(patch: pytest.MonkeyPatch, folder: Path) -> None:
     patch.chdir(folder)
     patch.setattr(os, "fsync", lambda handle: None)
-    patch.setattr("proxies.meshlab.meshlab_problem", lambda: "left out")
+    patch.setattr("proxies.meshing.meshlab.meshlab_problem", lambda: "left out")
     patch.setattr("proxies.make.meshlab_problem", lambda: None)
     fake_renderer.install(patch)
 
@@ -265,7 +265,7 @@ def test_a_build_that_was_stopped_while_it_rendered_is_finished_by_mend_with_its
         fake_renderer.render(job, task)
 
     with monkeypatch.context() as patch:
-        patch.setattr("datagen.build.render_task", stop)
+        patch.setattr("datagen.build.build.render_task", stop)
         assert call(BUILD).status == 130
     answer = call("datagen verify data/one")
     assert answer.status == 1

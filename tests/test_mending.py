@@ -9,14 +9,14 @@ import pytest
 from PIL import Image
 from synthetic import synthetic_scene
 
-from datagen.atlas import coverage
-from datagen.errors import HyalineError
-from datagen.images import linear_pixels
-from datagen.meshes import Mesh, check_closed, face_areas, write_ply
-from datagen.modelling import ball, merged, moved
-from datagen.scene import ImageTexture, Scene, image_bytes, image_of, load_scene, save_scene, scene_files
-from datagen.shading_normals import opposing_share
-from datagen.surface_points import points_on
+from datagen.data.meshes import Mesh, check_closed, face_areas, write_ply
+from datagen.data.surface_points import points_on
+from datagen.disk.errors import HyalineError
+from datagen.scene.atlas import coverage
+from datagen.scene.description import ImageTexture, Scene, image_bytes, image_of, load_scene, save_scene, scene_files
+from datagen.scene.images import linear_pixels
+from datagen.scene.modelling import ball, merged, moved
+from datagen.scene.shading_normals import opposing_share
 
 
 def with_uv(mesh: Mesh) -> Mesh:

@@ -9,8 +9,7 @@ import pytest
 import trimesh
 from trimesh.visual.texture import TextureVisuals
 
-from datagen.errors import HyalineError
-from datagen.meshes import (
+from datagen.data.meshes import (
     Mesh,
     check_closed,
     check_mesh,
@@ -23,6 +22,7 @@ from datagen.meshes import (
     winding_number,
     write_ply,
 )
+from datagen.disk.errors import HyalineError
 
 
 def mesh_of(shape: trimesh.Trimesh, seed: int = 0) -> Mesh:

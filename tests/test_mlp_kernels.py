@@ -16,13 +16,14 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from datagen.private import is_intact, make_private, write_hashed
-from model import fused_mlp, mlp_kernels, pixel_mlp
-from model.batches import Pixels
-from model.mlp_kernels import SWITCH, find_kernels
-from model.paper import PaperConfig, PaperRenderer
-from model.pixel_mlp import Norm, PixelMlp, Precision
-from model.predict import predict_colors
+from datagen.disk.private import is_intact, make_private, write_hashed
+from model.batches.rays import Pixels
+from model.methods.paper import PaperConfig, PaperRenderer
+from model.nets import pixel_mlp
+from model.nets.cpu import fused_mlp, mlp_kernels
+from model.nets.cpu.mlp_kernels import SWITCH, find_kernels
+from model.nets.pixel_mlp import Norm, PixelMlp, Precision
+from model.run.predict import predict_colors
 
 
 @pytest.mark.skipif(not (sys.platform == "linux" and platform.machine() == "x86_64" and shutil.which("g++")),
@@ -182,8 +183,8 @@ def test_the_library_is_built_once(fresh_search: Path, monkeypatch: pytest.Monke
 def in_new_process(cache: Path) -> subprocess.CompletedProcess[str]:
     """Looks for the compiled layers, and computes with them, where a crash kills nobody else."""
     code = (
-        "from model.mlp_kernels import find_kernels; import torch\n"
-        "from model.pixel_mlp import PixelMlp\n"
+        "from model.nets.cpu.mlp_kernels import find_kernels; import torch\n"
+        "from model.nets.pixel_mlp import PixelMlp\n"
         "net = PixelMlp(10, width=8, blocks=1, norm='batch'); net(torch.ones(5, 10)).sum().backward()\n"
         "print(find_kernels() is not None)"
     )

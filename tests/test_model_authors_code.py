@@ -9,16 +9,22 @@ import torch
 from synthetic import write_synthetic_dataset
 from test_model_train import one_thread, run_bytes, stop_at  # noqa: F401
 
-from datagen.dataset import Dataset, read_image, read_png
-from datagen.geometry import TRUTH
-from model.authors_code import AuthorsConfig, AuthorsMlp, AuthorsRenderer, build_authors, harmonics_without_constants
-from model.batches import load_pixels
-from model.choices import AuthorsChoices, CommonChoices
+from datagen.data.dataset import Dataset, read_image, read_png
+from datagen.data.geometries import TRUTH
+from model.batches.rays import load_pixels
 from model.cli import configure
-from model.extrinsics import Extrinsics, spherical_harmonics
-from model.predict import load_renderer, predict_pixels, render_predictions
-from model.run_folder import TrainConfig
-from model.train import train
+from model.methods.authors_code import (
+    AuthorsConfig,
+    AuthorsMlp,
+    AuthorsRenderer,
+    build_authors,
+    harmonics_without_constants,
+)
+from model.nets.extrinsics import Extrinsics, spherical_harmonics
+from model.run.predict import load_renderer, predict_pixels, render_predictions
+from model.run.run_folder import TrainConfig
+from model.run.train import train
+from model.settings.choices import AuthorsChoices, CommonChoices
 
 CPU = torch.device("cpu")
 NET = AuthorsConfig(texture_size=24, position_size=64, zero_layer=True)

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 import torch
 
-from datagen.bench.harness import show
-from model.bench.choices import BenchChoices
-from model.bench.gpu import bench_gpu
-from model.bench.infer import bench_infer
-from model.bench.online import bench_online
-from model.bench.setting import COVERED, made_up_frame
-from model.bench.step import bench_step
+from benchmarks.harness import show
+from benchmarks.networks.choices import BenchChoices
+from benchmarks.networks.gpu import bench_gpu
+from benchmarks.networks.infer import bench_infer
+from benchmarks.networks.online import bench_online
+from benchmarks.networks.setting import COVERED, made_up_frame
+from benchmarks.networks.step import bench_step
 
 TINY = {"pixels": 512, "resolution": 24, "objects": 3, "layers": 4, "texture_size": 16, "rounds": 3}
 

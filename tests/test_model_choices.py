@@ -4,8 +4,10 @@ import dataclasses
 
 import pytest
 
-from datagen.errors import HyalineError
-from model.choices import (
+from datagen.disk.errors import HyalineError
+from model.cli import main
+from model.methods.table import METHODS
+from model.settings.choices import (
     CHOICES,
     CommonChoices,
     LightPathChoices,
@@ -16,8 +18,6 @@ from model.choices import (
     named_method,
     refuse_foreign_flags,
 )
-from model.cli import main
-from model.methods import METHODS
 
 
 @pytest.mark.parametrize(

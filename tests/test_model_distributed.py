@@ -12,16 +12,16 @@ import torch
 from synthetic import write_synthetic_dataset
 from test_model_train import SMALL, call, run_bytes
 
-from datagen.dataset import Dataset, read_png
-from datagen.errors import HyalineError
-from datagen.geometry import TRUTH, read_meshes
-from datagen.scene import Conductor
-from datagen.variant import use_mitsuba
-from model.checkpoint import load_state
-from model.distributed import SharedGenerator, Team, join, own_device
-from model.losses import LossConfig
-from model.run_folder import TrainConfig
-from model.train import check_team
+from datagen.data.dataset import Dataset, read_png
+from datagen.data.geometries import TRUTH, read_meshes
+from datagen.disk.errors import HyalineError
+from datagen.machine.mitsuba_variant import use_mitsuba
+from datagen.scene.description import Conductor
+from model.batches.distributed import SharedGenerator, Team, join, own_device
+from model.losses.pixel_losses import LossConfig
+from model.run.checkpoint import load_state
+from model.run.run_folder import TrainConfig
+from model.run.train import check_team
 
 QUICK = ("--steps", "20", "--batch", "255", "--device", "cpu")
 EVERY = {"evaluate_every": 5, "checkpoint_every": 4}
@@ -39,7 +39,7 @@ import copy, json, multiprocessing, os, sys, time
 def check_norm():
     import torch
     from torch import nn
-    from model.distributed import join
+    from model.batches.distributed import join
     with join(torch.device("cpu")) as team:
         torch.manual_seed(0)
         x, target = torch.randn(2, 255, 7, dtype=torch.float64)
@@ -65,14 +65,14 @@ def work(rank, ports, last, every, runs):
     os.environ |= {"RANK": str(rank), "LOCAL_RANK": str(rank), "WORLD_SIZE": "2", "OMP_NUM_THREADS": "1",
                    "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(ports[0])}
     check_norm()
-    import model.cli, model.run_folder, model.train
-    model.run_folder.TrainConfig.__init__.__kwdefaults__ |= every
-    check = model.train.check_finite
+    import model.cli, model.run.run_folder, model.run.train
+    model.run.run_folder.TrainConfig.__init__.__kwdefaults__ |= every
+    check = model.run.train.check_finite
     def die(loss, renderer, *, step, out):
         if step == last:
             os._exit(9)
         check(loss, renderer, step=step, out=out)
-    model.train.check_finite = die
+    model.run.train.check_finite = die
     for port, words in zip(ports[1:], runs):
         os.environ["MASTER_PORT"] = str(port)
         sys.argv = ["model", "train", *words]
@@ -210,7 +210,7 @@ def test_the_shares_of_all_processes_are_the_batch_and_its_draws(batch: int) -> 
 def test_a_share_of_the_rays_meets_the_facets_that_it_meets_among_all(dataset: Dataset) -> None:
     if use_mitsuba(quiet=True).startswith("scalar"):
         pytest.skip("light paths need a vectorised variant of Mitsuba")
-    from datagen.light_path import LightPathTracer
+    from datagen.trace.light_path import LightPathTracer
 
     rough = Conductor(color=(0.9, 0.8, 0.7), roughness=0.4)
     tracer = LightPathTracer(read_meshes(dataset, TRUTH), (rough, rough))

@@ -10,18 +10,18 @@ from reference import slow_convolution, slow_transposed_convolution
 from synthetic import write_synthetic_dataset
 from test_model_train import one_thread, run_bytes, stop_at  # noqa: F401
 
-from datagen.dataset import Dataset, read_image, read_png
-from datagen.errors import HyalineError
-from datagen.geometry import TRUTH
-from model.batches import draw_patches, load_pixels
-from model.choices import DnrChoices, PaperChoices
-from model.dnr import LEVEL_WEIGHTS, DnrConfig, DnrRenderer, build_dnr, configure_dnr, image_loss
-from model.extrinsics import spherical_harmonics
-from model.methods import METHODS, read_layers_of
-from model.predict import render_predictions
-from model.run_folder import TrainConfig, is_finished, read_run
-from model.train import train
-from model.unet import UNet
+from datagen.data.dataset import Dataset, read_image, read_png
+from datagen.data.geometries import TRUTH
+from datagen.disk.errors import HyalineError
+from model.batches.rays import draw_patches, load_pixels
+from model.methods.dnr import LEVEL_WEIGHTS, DnrConfig, DnrRenderer, build_dnr, configure_dnr, image_loss
+from model.methods.table import METHODS, read_layers_of
+from model.nets.extrinsics import spherical_harmonics
+from model.nets.unet import UNet
+from model.run.predict import render_predictions
+from model.run.run_folder import TrainConfig, is_finished, read_run
+from model.run.train import train
+from model.settings.choices import DnrChoices, PaperChoices
 
 CPU = torch.device("cpu")
 NET = DnrConfig(texture_size=24, position_size=64, unet_width=4, crop=32)

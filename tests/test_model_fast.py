@@ -4,12 +4,12 @@ import pytest
 import torch
 from torch import nn
 
-from model import linear, pixel_mlp
-from model.batches import Pixels
-from model.linear import Linear
-from model.paper import PaperConfig, PaperRenderer
-from model.pixel_mlp import Norm, PixelMlp, Precision
-from model.predict import predict_colors
+from model.batches.rays import Pixels
+from model.methods.paper import PaperConfig, PaperRenderer
+from model.nets import linear, pixel_mlp
+from model.nets.linear import Linear
+from model.nets.pixel_mlp import Norm, PixelMlp, Precision
+from model.run.predict import predict_colors
 
 
 def trained_net(norm: Norm, precision: Precision = "fp32") -> tuple[PixelMlp, torch.Tensor]:

@@ -11,13 +11,13 @@ import pytest
 import torch
 from synthetic import write_synthetic_dataset
 
-from datagen.dataset import Dataset
-from datagen.errors import HyalineError
-from datagen.signals import Stopped, hold_signals, signal_within
+from datagen.data.dataset import Dataset
+from datagen.disk.errors import HyalineError
+from datagen.terminal.signals import Stopped, hold_signals, signal_within
 from model import cli
-from model import train as train_module
-from model.checkpoint import load_checkpoint, load_state, save_checkpoint
-from model.run_folder import TrainConfig
+from model.run import train as train_module
+from model.run.checkpoint import load_checkpoint, load_state, save_checkpoint
+from model.run.run_folder import TrainConfig
 
 pytestmark = pytest.mark.promise("R3")
 
@@ -185,7 +185,7 @@ def test_a_signal_while_pictures_are_drawn_ends_in_the_same_bytes(
 ) -> None:
     assert train("whole") == 0
     with monkeypatch.context() as patch:
-        from model import predict
+        from model.run import predict
 
         draw = predict.png_bytes
 
@@ -301,7 +301,7 @@ def test_a_signal_that_is_held_back_is_raised_when_the_block_ends(number: signal
 
 
 def test_a_second_ctrl_c_is_not_held_back(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("datagen.signals.IMPATIENCE_S", -1.0)
+    monkeypatch.setattr("datagen.terminal.signals.IMPATIENCE_S", -1.0)
     with pytest.raises(KeyboardInterrupt), hold_signals():
         os.kill(os.getpid(), signal.SIGINT)
         os.kill(os.getpid(), signal.SIGINT)

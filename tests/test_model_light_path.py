@@ -10,24 +10,26 @@ import torch
 from synthetic import write_synthetic_dataset
 from test_model_train import run_bytes, stop_at
 
-from datagen.dataset import Dataset, Split, read_cameras, read_image
-from datagen.errors import HyalineError
-from datagen.geometry import TRUTH, ProxyStatistics, read_meshes, write_proxies
-from datagen.layers import read_layers
-from datagen.tonemap import srgb_from_linear
-from datagen.variant import short_lived_workers, use_mitsuba
-from model.choices import LightPathChoices
-from model.learned_sky import LearnedSky
-from model.light_path_net import RELIEF_DEPTH, STACKED_VERTICES, LightPathConfig, LightPathRenderer, default_light_path
-from model.losses import difference
-from model.methods import METHODS
-from model.paper import PaperConfig, PaperRenderer
-from model.predict import load_renderer, predict_colors, render_predictions
-from model.refined_pixels import is_doubtful
-from model.run_folder import TrainConfig, is_finished, read_run
-from model.samples import linear_curve, srgb_curve
-from model.traced_batches import LightPathPixels, load_light_path_pixels, nest_shells, share_texels
-from model.train import train
+from datagen.data.dataset import Dataset, Split, read_cameras, read_image
+from datagen.data.geometries import TRUTH, ProxyStatistics, read_meshes, write_proxies
+from datagen.data.layers import read_layers
+from datagen.data.tonemap import srgb_from_linear
+from datagen.disk.errors import HyalineError
+from datagen.machine.mitsuba_variant import short_lived_workers, use_mitsuba
+from model.batches.samples import linear_curve, srgb_curve
+from model.losses.pixel_losses import difference
+from model.methods.light_path.config import LightPathConfig, default_light_path
+from model.methods.light_path.net import RELIEF_DEPTH, LightPathRenderer
+from model.methods.light_path.paths import STACKED_VERTICES
+from model.methods.light_path.pixels import LightPathPixels, load_light_path_pixels, nest_shells, share_texels
+from model.methods.light_path.refined_pixels import is_doubtful
+from model.methods.paper import PaperConfig, PaperRenderer
+from model.methods.table import METHODS
+from model.nets.learned_sky import LearnedSky
+from model.run.predict import load_renderer, predict_colors, render_predictions
+from model.run.run_folder import TrainConfig, is_finished, read_run
+from model.run.train import train
+from model.settings.choices import LightPathChoices
 
 if use_mitsuba(quiet=True).startswith("scalar"):
     pytest.skip("light paths need a vectorised variant of Mitsuba", allow_module_level=True)
@@ -136,8 +138,8 @@ def test_a_removed_object_leaves_no_trace(dataset: Dataset) -> None:
     assert table is not None
     half = len(table) // 2
     assert table[:half].abs().sum() > 0  # With the pane its texels matter, through the residual.
-    from datagen.light_path import LightPathTracer
-    from datagen.scene import load_scene
+    from datagen.scene.description import load_scene
+    from datagen.trace.light_path import LightPathTracer
 
     scene = load_scene(dataset.root / "scene")
     floor = scene.objects[1]

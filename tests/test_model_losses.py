@@ -11,23 +11,23 @@ from scipy.signal import correlate2d
 from synthetic import write_synthetic_dataset
 from test_model_train import one_thread, run_bytes, stop_at  # noqa: F401
 
-from datagen.dataset import Dataset
-from datagen.errors import HyalineError
-from datagen.geometry import TRUTH
-from datagen.storage import sha256_file
-from datagen.variant import use_mitsuba
-from model.adversarial import Adversary, PatchDiscriminator
-from model.batches import RayBatch, load_pixels, take_colors
-from model.choices import LossChoices
-from model.inpaint import Inpainter, count_visits, patches_around
-from model.losses import LossConfig, PatchTerms, configure_losses, difference, pixel_loss
-from model.methods import METHODS
-from model.paper import PaperConfig, build_paper
-from model.patch_losses import Losses
-from model.perceptual import IMAGENET_MEAN, IMAGENET_STD, PerceptualLoss, VggSource, find_vgg, vgg_layers
-from model.predict import render_predictions
-from model.run_folder import TrainConfig, check_same_run, is_finished, read_run
-from model.train import train
+from datagen.data.dataset import Dataset
+from datagen.data.geometries import TRUTH
+from datagen.disk.errors import HyalineError
+from datagen.disk.storage import sha256_file
+from datagen.machine.mitsuba_variant import use_mitsuba
+from model.batches.rays import RayBatch, load_pixels, take_colors
+from model.losses.adversarial import Adversary, PatchDiscriminator
+from model.losses.inpaint import Inpainter, count_visits, patches_around
+from model.losses.patch_losses import Losses
+from model.losses.perceptual import IMAGENET_MEAN, IMAGENET_STD, PerceptualLoss, VggSource, find_vgg, vgg_layers
+from model.losses.pixel_losses import LossConfig, PatchTerms, configure_losses, difference, pixel_loss
+from model.methods.paper import PaperConfig, build_paper
+from model.methods.table import METHODS
+from model.run.predict import render_predictions
+from model.run.run_folder import TrainConfig, check_same_run, is_finished, read_run
+from model.run.train import train
+from model.settings.choices import LossChoices
 
 CPU = torch.device("cpu")
 NET = PaperConfig(width=16, texture_size=100, position_size=32)
@@ -181,8 +181,8 @@ def test_the_adversary_learns_to_tell_and_its_judgement_pulls_fakes_towards_the_
 def test_a_run_with_all_losses_resumes_to_the_bit(
     dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, method: str
 ) -> None:
-    from model.authors_code import AuthorsConfig
-    from model.dnr import DnrConfig
+    from model.methods.authors_code import AuthorsConfig
+    from model.methods.dnr import DnrConfig
 
     net = {
         "paper": NET,

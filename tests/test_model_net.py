@@ -9,14 +9,20 @@ import torch
 from scipy.special import sph_harm_y
 from synthetic import pixel_rays, write_synthetic_dataset
 
-from datagen.dataset import read_cameras
-from datagen.errors import HyalineError
-from model.batches import insert_empty_layer, load_pixels
-from model.choices import PaperChoices
-from model.extrinsics import EXTRINSIC_CHANNELS, ExtrinsicInputs, Extrinsics, bake_position_table, spherical_harmonics
-from model.paper import PaperConfig, PaperRenderer, build_paper, configure_paper, default_texture_size
-from model.pixel_mlp import PixelMlp, count_parameters, width_for_34k
-from model.texture import TexturePyramid
+from datagen.data.dataset import read_cameras
+from datagen.disk.errors import HyalineError
+from model.batches.rays import insert_empty_layer, load_pixels
+from model.methods.paper import PaperConfig, PaperRenderer, build_paper, configure_paper, default_texture_size
+from model.nets.extrinsics import (
+    EXTRINSIC_CHANNELS,
+    ExtrinsicInputs,
+    Extrinsics,
+    bake_position_table,
+    spherical_harmonics,
+)
+from model.nets.pixel_mlp import PixelMlp, count_parameters, width_for_34k
+from model.nets.texture import TexturePyramid
+from model.settings.choices import PaperChoices
 
 
 @pytest.mark.parametrize(
@@ -165,9 +171,9 @@ def test_the_papers_textures_can_be_a_pyramid(tmp_path: Path, textures: str) -> 
 
 
 def test_stored_uv_and_colors_come_back_exactly(tmp_path: Path) -> None:
-    from datagen.dataset import read_image
-    from datagen.layers import read_layers
-    from model.batches import take_colors
+    from datagen.data.dataset import read_image
+    from datagen.data.layers import read_layers
+    from model.batches.rays import take_colors
 
     dataset = write_synthetic_dataset(tmp_path / "data")
     pixels = load_pixels(dataset, "truth", "train", [1, 6])

@@ -11,12 +11,13 @@ from torch import Tensor, nn
 
 import eval.cli
 import model.cli
-from datagen.dataset import Dataset
-from model import losses, predict
-from model import train as train_module
-from model.batches import Pixels, RayBatch
-from model.checkpoint import check_numbers, load_state
-from model.run_folder import TrainConfig
+from datagen.data.dataset import Dataset
+from model.batches.rays import Pixels, RayBatch
+from model.losses import pixel_losses as losses
+from model.run import predict
+from model.run import train as train_module
+from model.run.checkpoint import check_numbers, load_state
+from model.run.run_folder import TrainConfig
 
 pytestmark = pytest.mark.promise("R10")
 
@@ -167,7 +168,7 @@ def test_a_metric_that_is_no_number_reaches_no_table(
 ) -> None:
     assert call("train") == 0
     capsys.readouterr()
-    monkeypatch.setattr("eval.score.ssim", lambda *_: NAN)
+    monkeypatch.setattr("eval.score.scores.ssim", lambda *_: NAN)
     assert call("report") == 3
     said = capsys.readouterr()
     assert said.err.splitlines()[-1].endswith(

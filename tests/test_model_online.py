@@ -8,15 +8,15 @@ import pytest
 import torch
 from synthetic import write_synthetic_dataset
 
-from datagen.dataset import Dataset
-from datagen.errors import HyalineError
-from datagen.geometry import TRUTH
-from model.choices import PaperChoices
-from model.methods import METHODS
-from model.paper import PaperConfig, configure_paper, parse_layers
-from model.predict import render_predictions
-from model.run_folder import TrainConfig, is_finished
-from model.train import train
+from datagen.data.dataset import Dataset
+from datagen.data.geometries import TRUTH
+from datagen.disk.errors import HyalineError
+from model.methods.paper import PaperConfig, configure_paper, parse_layers
+from model.methods.table import METHODS
+from model.run.predict import render_predictions
+from model.run.run_folder import TrainConfig, is_finished
+from model.run.train import train
+from model.settings.choices import PaperChoices
 
 CPU = torch.device("cpu")
 NET = PaperConfig(width=16, texture_size=16, position_size=32, online=True)
@@ -70,7 +70,7 @@ def test_online_training_reads_no_stored_layer(
     def refuse(*_: object) -> None:
         raise AssertionError("a stored layer was read")
 
-    monkeypatch.setattr("model.batches.read_uv_and_ids", refuse)
+    monkeypatch.setattr("model.batches.rays.read_uv_and_ids", refuse)
     config = TrainConfig(method="paper", geometry=TRUTH, net=NET, steps=4, batch=128)
     train(config, dataset, tmp_path / "run", label="a", device=CPU)
     render_predictions(tmp_path / "run", config, dataset, device=CPU)

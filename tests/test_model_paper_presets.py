@@ -8,19 +8,19 @@ import pytest
 import torch
 from synthetic import write_synthetic_dataset
 
-from datagen.dataset import Dataset
-from datagen.errors import HyalineError
-from datagen.geometry import TRUTH
-from datagen.records import to_json
-from eval import comparisons
+from datagen.data.dataset import Dataset
+from datagen.data.geometries import TRUTH
+from datagen.disk.errors import HyalineError
+from datagen.disk.records import to_json
+from eval.papers import comparisons
 from model import cli
-from model.batches import load_pixels
-from model.choices import CommonChoices, PaperChoices, folder_name
-from model.losses import LossConfig
-from model.paper import PaperConfig, PaperRenderer, build_paper, configure_paper
-from model.paper_presets import DEFAULT_STEPS, PAPER_PRESETS
-from model.run_folder import is_finished, read_run
-from model.texture import TexturePyramid
+from model.batches.rays import load_pixels
+from model.losses.pixel_losses import LossConfig
+from model.methods.paper import PaperConfig, PaperRenderer, build_paper, configure_paper
+from model.nets.texture import TexturePyramid
+from model.run.run_folder import is_finished, read_run
+from model.settings.choices import CommonChoices, PaperChoices, folder_name
+from model.settings.paper_presets import DEFAULT_STEPS, PAPER_PRESETS
 
 
 @pytest.fixture(scope="module")

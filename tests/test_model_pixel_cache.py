@@ -16,15 +16,15 @@ import torch
 from synthetic import write_synthetic_dataset
 from test_model_train import SMALL, call, quick, run_bytes
 
-from datagen.dataset import Dataset
-from datagen.errors import HyalineError
-from datagen.geometry import TRUTH
-from datagen.layers import Layers, read_layers, write_layers
-from model import pixel_cache
-from model.batches import Pixels, load_pixels, take_colors
-from model.methods import METHODS
-from model.pixel_cache import MappedPixels, cache_root, choose_memory, map_pixels
-from model.train import train
+from datagen.data.dataset import Dataset
+from datagen.data.geometries import TRUTH
+from datagen.data.layers import Layers, read_layers, write_layers
+from datagen.disk.errors import HyalineError
+from model.batches import pixel_cache
+from model.batches.pixel_cache import MappedPixels, cache_root, choose_memory, map_pixels
+from model.batches.rays import Pixels, load_pixels, take_colors
+from model.methods.table import METHODS
+from model.run.train import train
 
 CPU = torch.device("cpu")
 VIEWS = [0, 1, 3, 6]
@@ -147,7 +147,7 @@ BOUNDED = """
 import sys
 from pathlib import Path
 import numpy as np
-import model.pixel_cache as cache
+import model.batches.pixel_cache as cache
 
 views, pixels, hits, held = 60, 512 * 512, 8, 32 << 20
 folder = Path(sys.argv[1])

@@ -14,9 +14,10 @@ import pytest
 import torch
 from synthetic import write_synthetic_dataset
 
-from datagen.errors import HyalineError
-from model import cli, sweep
-from model.experiment import list_experiments, parse_train, read_experiment
+from datagen.disk.errors import HyalineError
+from model import cli
+from model.run import sweep
+from model.run.experiment import list_experiments, parse_train, read_experiment
 
 
 def write(folder: Path, text: str) -> str:

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from torch import Tensor
 from torch.nn import functional
 
-from datagen.errors import HyalineError
-from model.texels import add_gradient
-from model.texture import TextureLayout, level_scales, object_layout, sample, sample_by_bags, scene_layout
+from datagen.disk.errors import HyalineError
+from model.nets.texels import add_gradient
+from model.nets.texture import TextureLayout, level_scales, object_layout, sample, sample_by_bags, scene_layout
 
 
 def slow_sample(table: np.ndarray, uv: np.ndarray, object_id: np.ndarray, layout: TextureLayout) -> np.ndarray:
@@ -215,7 +215,7 @@ def test_the_gradient_of_uv_equals_that_of_grid_sample() -> None:
 def test_look_ups_leave_torch_the_threads_that_it_was_told() -> None:
     """Numba's first parallel loop would set them to all cores, and sums over pixels would no longer repeat."""
     script = (
-        "import torch; from model.texture import object_layout, sample; "
+        "import torch; from model.nets.texture import object_layout, sample; "
         "uv, object_id = torch.rand(9, 1, 2), torch.ones(9, 1, dtype=torch.uint8); "
         "sample([torch.zeros(4, 3)], uv, object_id, [object_layout((2,))], [1]); "
         "print(torch.get_num_threads())"

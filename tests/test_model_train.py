@@ -12,15 +12,15 @@ import pytest
 import torch
 from synthetic import write_synthetic_dataset
 
-from datagen.dataset import Dataset, read_image, read_png
-from datagen.errors import HyalineError
+from datagen.data.dataset import Dataset, read_image, read_png
+from datagen.disk.errors import HyalineError
 from model import cli
-from model import train as train_module
-from model.checkpoint import fingerprint, load_checkpoint, load_state, save_checkpoint
-from model.paper import PaperConfig
-from model.predict import render_predictions
-from model.run_folder import TrainConfig, check_same_run, is_finished, read_run
-from model.train import choose_held_out, decay, train
+from model.methods.paper import PaperConfig
+from model.run import train as train_module
+from model.run.checkpoint import fingerprint, load_checkpoint, load_state, save_checkpoint
+from model.run.predict import render_predictions
+from model.run.run_folder import TrainConfig, check_same_run, is_finished, read_run
+from model.run.train import choose_held_out, decay, train
 
 CPU = torch.device("cpu")
 SMALL = TrainConfig(

@@ -5,9 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from datagen import solid_textures
-from datagen.meshes import Mesh, check_closed, check_mesh, face_corners, open_edges, signed_volume, winding_number
-from datagen.modelling import (
+from datagen.data.meshes import Mesh, check_closed, check_mesh, face_corners, open_edges, signed_volume, winding_number
+from datagen.scene import solid_textures
+from datagen.scene.description import SolidTexture
+from datagen.scene.modelling import (
     ball,
     cylinder,
     deformed,
@@ -26,8 +27,7 @@ from datagen.modelling import (
     turned,
     walled,
 )
-from datagen.scene import SolidTexture
-from datagen.solid_textures import PATTERNS, bake_texture, evaluate_texture, fractal_noise, value_noise
+from datagen.scene.solid_textures import PATTERNS, bake_texture, evaluate_texture, fractal_noise, value_noise
 
 CIRCLE = np.linspace(0, 2 * np.pi, 60, endpoint=False)
 HELIX = np.stack([np.cos(CIRCLE), np.sin(CIRCLE), CIRCLE], axis=-1)

@@ -7,12 +7,12 @@ from pathlib import Path
 import pytest
 from synthetic import synthetic_scene
 
-from datagen.command import fail, say, tell
-from datagen.errors import HyalineError
-from datagen.names import check_name, check_relative, file_name, find_file, printable
-from datagen.scene import load_scene, save_scene
-from eval.results import csv_text
-from eval.tables import Column, Grid, grid_text
+from datagen.disk.errors import HyalineError
+from datagen.disk.names import check_name, check_relative, file_name, find_file, printable
+from datagen.scene.description import load_scene, save_scene
+from datagen.terminal.command import fail, say, tell
+from eval.tables.grids import Column, Grid, grid_text
+from eval.tables.results import csv_text
 
 EVIL = "a\x1b[2J\x1b]0;owned\x07\r\nerror: \u202eforged | <b> \\ [x](y) `z` & $1$"
 

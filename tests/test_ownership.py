@@ -5,12 +5,12 @@ from pathlib import Path
 import pytest
 from synthetic import write_synthetic_dataset
 
-from datagen.clear import clear_dataset
 from datagen.cli import main
-from datagen.dataset import open_dataset
-from datagen.errors import HyalineError
-from datagen.ownership import DATASET, LAYERS, FolderKind, begin, holding, refuse_taken, remove_files
-from datagen.storage import commit_sealed, seal_bytes, sha256
+from datagen.data.clear import clear_dataset
+from datagen.data.dataset import open_dataset
+from datagen.disk.errors import HyalineError
+from datagen.disk.ownership import DATASET, LAYERS, FolderKind, begin, holding, refuse_taken, remove_files
+from datagen.disk.storage import commit_sealed, seal_bytes, sha256
 
 KIND = FolderKind(what="thing", head="thing.json", folders=("parts",))
 HEAD = seal_bytes({"version": 1})
@@ -129,7 +129,7 @@ def test_a_build_refuses_a_folder_of_something_else_before_it_models_anything(
     def model(name: str) -> None:
         raise AssertionError(f"{name} was modelled")
 
-    monkeypatch.setattr("datagen.scenes.make_scene", model)
+    monkeypatch.setattr("datagen.scene.builtin.make_scene", model)
     path = tmp_path / "out" / stranger
     path.parent.mkdir(parents=True)
     path.write_text("theirs")

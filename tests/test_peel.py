@@ -10,15 +10,16 @@ from synthetic import pixel_rays, quad, trace
 from test_cameras import RIG, config
 from test_meshes import mesh_of
 
-from datagen.cameras import make_cameras, pixel_center_rays
-from datagen.meshes import Mesh
-from datagen.number_formats import quantize_uv, round_mantissa
-from datagen.scenes import SCENES, make_scene
-from datagen.variant import use_mitsuba
+from datagen.data.cameras import pixel_center_rays
+from datagen.data.meshes import Mesh
+from datagen.data.number_formats import quantize_uv, round_mantissa
+from datagen.machine.mitsuba_variant import use_mitsuba
+from datagen.scene.builtin import SCENES, make_scene
+from datagen.scene.rig import make_cameras
 
 use_mitsuba(quiet=True)
 
-from datagen.peel import Peeler  # noqa: E402
+from datagen.trace.peel import Peeler  # noqa: E402
 
 
 def random_meshes(rng: np.random.Generator, count: int) -> tuple[Mesh, ...]:

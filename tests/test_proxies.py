@@ -8,8 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from datagen.errors import HyalineError
-from datagen.meshes import (
+from datagen.data.meshes import (
     Mesh,
     check_closed,
     check_mesh,
@@ -19,9 +18,11 @@ from datagen.meshes import (
     vertex_normals,
     winding_number,
 )
-from proxies import box, ellipsoid, hull, inside, measure, meshlab, noise, solid
+from datagen.disk.errors import HyalineError
+from proxies.kinds import box, ellipsoid, hull
 from proxies.make import FITTERS, paddings
-from proxies.solid import Solid, make_solids, outside_by
+from proxies.meshing import inside, measure, meshlab, noise, solid
+from proxies.meshing.solid import Solid, make_solids, outside_by
 from proxies.spec import ProxyKind
 
 KINDS = list(FITTERS)

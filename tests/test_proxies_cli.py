@@ -11,19 +11,19 @@ import numpy as np
 import pytest
 from synthetic import write_synthetic_dataset
 
-from datagen.dataset import Dataset, open_dataset
-from datagen.geometry import describe_geometry, list_geometries, read_meshes, read_proxy_records
-from datagen.storage import load_sealed
-from proxies import meshlab
+from datagen.data.dataset import Dataset, open_dataset
+from datagen.data.geometries import describe_geometry, list_geometries, read_meshes, read_proxy_records
+from datagen.disk.storage import load_sealed
 from proxies.cli import main
 from proxies.make import FITTERS
+from proxies.meshing import meshlab
 
 
 @pytest.fixture
 def peeled(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
     """Stands in for the peeler, which needs Mitsuba, and for pymeshlab, which needs a process; lists the calls."""
     calls: list[dict[str, Any]] = []
-    stand_in = types.ModuleType("datagen.build")
+    stand_in = types.ModuleType("datagen.build.build")
 
     def peel_dataset(dataset: Dataset, geometry: str, **settings: object) -> None:
         read_meshes(dataset, geometry)
@@ -31,8 +31,8 @@ def peeled(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
 
     stand_in.peel_dataset = peel_dataset  # type: ignore[attr-defined]
     stand_in.peel_annexes = lambda dataset, *, workers: None  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "datagen.build", stand_in)
-    monkeypatch.setitem(sys.modules, "datagen.annex_build", stand_in)
+    monkeypatch.setitem(sys.modules, "datagen.build.build", stand_in)
+    monkeypatch.setitem(sys.modules, "datagen.build.build_variant", stand_in)
     monkeypatch.setattr(meshlab, "meshlab_problem", lambda: "left out")
     monkeypatch.setattr("proxies.make.meshlab_problem", lambda: None)
     return calls

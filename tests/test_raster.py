@@ -15,17 +15,18 @@ from test_cameras import config
 from test_meshes import mesh_of
 from test_peel import random_meshes
 
-from datagen.cameras import look_at, make_cameras, pixel_center_rays
-from datagen.dataset import Cameras
-from datagen.layers import Layers
-from datagen.meshes import Mesh, no_mesh
-from datagen.raster import Rasterizer
-from datagen.scenes import make_scene
-from datagen.variant import use_mitsuba
+from datagen.data.cameras import look_at, pixel_center_rays
+from datagen.data.dataset import Cameras
+from datagen.data.layers import Layers
+from datagen.data.meshes import Mesh, no_mesh
+from datagen.machine.mitsuba_variant import use_mitsuba
+from datagen.scene.builtin import make_scene
+from datagen.scene.rig import make_cameras
+from datagen.trace.raster import Rasterizer
 
 use_mitsuba(quiet=True)
 
-from datagen.peel import Peeler  # noqa: E402
+from datagen.trace.peel import Peeler  # noqa: E402
 
 
 def camera(position: object, target: object, width: int = 48, height: int = 48, fov_deg: float = 50) -> Cameras:

@@ -5,8 +5,8 @@ from typing import Literal
 
 import pytest
 
-from datagen.errors import HyalineError
-from datagen.records import from_json, to_json
+from datagen.disk.errors import HyalineError
+from datagen.disk.records import from_json, to_json
 
 
 @dataclass(frozen=True, kw_only=True)

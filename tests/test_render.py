@@ -12,12 +12,11 @@ from reference import fresnel_reflectance
 from synthetic import look_at, quad, synthetic_scene
 from test_meshes import mesh_of
 
-from datagen.dataset import Cameras
-from datagen.errors import HyalineError
-from datagen.media import Media, find_media
-from datagen.meshes import Mesh
-from datagen.modelling import ball, merged, moved
-from datagen.scene import (
+from datagen.data.dataset import Cameras
+from datagen.data.meshes import Mesh
+from datagen.disk.errors import HyalineError
+from datagen.machine.mitsuba_variant import use_mitsuba
+from datagen.scene.description import (
     Dielectric,
     Diffuse,
     Lobe,
@@ -29,12 +28,13 @@ from datagen.scene import (
     ThinDielectric,
     check_scene,
 )
-from datagen.variant import use_mitsuba
+from datagen.scene.media import Media, find_media
+from datagen.scene.modelling import ball, merged, moved
 
 use_mitsuba(quiet=True)
 
-from datagen.mitsuba_scene import radiance_of_environment  # noqa: E402
-from datagen.render import Renderer, picture_bytes, radiance_bytes, read_radiance, render_view  # noqa: E402
+from datagen.render.mitsuba_scene import radiance_of_environment  # noqa: E402
+from datagen.render.truth import Renderer, picture_bytes, radiance_bytes, read_radiance, render_view  # noqa: E402
 
 WHITE = SoftEnvironment(zenith=(1, 1, 1), horizon=(1, 1, 1), ground=(1, 1, 1))
 DUSK = SoftEnvironment(
@@ -138,7 +138,7 @@ def mitsubas_own(scene: Scene, cameras: Cameras) -> np.ndarray:
     """Eight pictures (8, h, w, 3) by Mitsuba's `path`, as it comes but for Russian roulette."""
     import mitsuba as mi
 
-    from datagen.mitsuba_scene import load_scene_mitsuba, load_sensor
+    from datagen.render.mitsuba_scene import load_scene_mitsuba, load_sensor
 
     loaded = load_scene_mitsuba(scene)
     sensor = load_sensor(cameras.world_from_camera[0], cameras.fov_x, cameras.width, cameras.height)
@@ -164,13 +164,13 @@ def test_glass_in_air_is_mitsubas_own_to_the_last_bit() -> None:
     """Our formulas against the same integrator that leaves all glass to Mitsuba's `dielectric`."""
     import mitsuba as mi
 
-    from datagen.mitsuba_scene import is_scalar
+    from datagen.render.mitsuba_scene import is_scalar
 
     if is_scalar():
         pytest.skip("the scalar variant uses Mitsuba's own path tracer")
     if (mi.variant() or "").startswith("cuda"):
         pytest.skip("on CUDA a reciprocal that is known when the kernel is compiled is rounded better than others")
-    from datagen.path_integrator import PathTracer
+    from datagen.render.path_integrator import PathTracer
 
     objects = (
         SceneObject(name="ball", mesh=mesh_of(trimesh.creation.icosphere(3, 0.4)), material=Dielectric(ior=1.33)),
@@ -242,7 +242,7 @@ def test_water_in_a_glass_shell_is_mitsubas_own_picture_of_its_two_interfaces(
     modelled: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A ball of water that displaces solid glass, and one that reaches into the wall of a hollow shell."""
-    from datagen import mitsuba_scene
+    from datagen.render import mitsuba_scene
 
     skip_scalar()
     outer, inner, larger = ball(0.5), ball(0.4), ball(0.43)
@@ -294,14 +294,14 @@ def test_surfaces_that_are_none_are_no_bounces() -> None:
 
 
 def test_priorities_are_refused_where_mitsuba_runs_as_scalar(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("datagen.render.is_scalar", lambda: True)
+    monkeypatch.setattr("datagen.render.truth.is_scalar", lambda: True)
     drink = SceneObject(name="drink", mesh=ball(0.4), material=Dielectric(ior=1.33, priority=-1))
     with pytest.raises(HyalineError, match="scene synthetic: has dielectrics with priorities"):
         Renderer(scene_of(drink), max_depth=8)
 
 
 def skip_scalar() -> None:
-    from datagen.mitsuba_scene import is_scalar
+    from datagen.render.mitsuba_scene import is_scalar
 
     if is_scalar():
         pytest.skip("nested media need a vectorised variant of Mitsuba")
@@ -313,7 +313,7 @@ def test_the_noise_estimate_is_the_real_error() -> None:
     scene = scene_of(ball, floor, environment=DUSK)
     cameras = camera((2, 1, 1), fov=0.7, size=32)
     renderer = Renderer(scene, max_depth=24)
-    from datagen.tonemap import srgb_from_linear
+    from datagen.data.tonemap import srgb_from_linear
 
     reference = srgb_from_linear(render_view(renderer, cameras, 0, spp=16384, view_seed=99, ceiling_db=None).radiance)
     few = [render_view(renderer, cameras, 0, spp=32, view_seed=seed, ceiling_db=None) for seed in range(8)]
@@ -351,7 +351,7 @@ def test_a_picture_repeats_to_the_last_bit_however_many_threads_share_its_pixels
     """At this size threads meet within pixels; Mitsuba's own film then differs from run to run."""
     import drjit as dr
 
-    from datagen.variant import num_cores
+    from datagen.machine.mitsuba_variant import num_cores
 
     ball = SceneObject(name="ball", mesh=mesh_of(trimesh.creation.icosphere(3, 0.4)), material=Dielectric(ior=1.5))
     floor = SceneObject(name="floor", mesh=quad(-0.5), material=Diffuse(color=(0.7, 0.3, 0.2)))
@@ -368,9 +368,10 @@ def test_a_picture_repeats_to_the_last_bit_however_many_threads_share_its_pixels
 def test_an_exr_is_written_and_read_after_the_workers_were_ended() -> None:
     """In a process of its own: with a single thread Mitsuba 3.9 waits for ever."""
     script = (
-        "from datagen.variant import short_lived_workers, use_mitsuba; use_mitsuba(quiet=True, threads=3)\n"
+        "from datagen.machine.mitsuba_variant import short_lived_workers, use_mitsuba\n"
+        "use_mitsuba(quiet=True, threads=3)\n"
         "import drjit as dr, numpy as np\n"
-        "from datagen.render import Truth, radiance_bytes, read_radiance\n"
+        "from datagen.render.truth import Truth, radiance_bytes, read_radiance\n"
         "with short_lived_workers(): assert dr.thread_count() == 3\n"
         "assert dr.thread_count() == 1\n"
         "half = np.full((8, 8, 3), 0.5, np.float32)\n"

@@ -10,11 +10,9 @@ import pytest
 from PIL import Image
 from synthetic import synthetic_scene
 
-from datagen.errors import HyalineError
-from datagen.light_path import KINDS
-from datagen.meshes import Mesh, write_ply
-from datagen.modelling import ball, merged, moved
-from datagen.scene import (
+from datagen.data.meshes import Mesh, write_ply
+from datagen.disk.errors import HyalineError
+from datagen.scene.description import (
     SURFACE_KINDS,
     Dielectric,
     Diffuse,
@@ -32,6 +30,8 @@ from datagen.scene import (
     scene_files,
     surface_kind,
 )
+from datagen.scene.modelling import ball, merged, moved
+from datagen.trace.light_path import KINDS
 
 
 def edit(folder: Path, change: object) -> None:

@@ -5,11 +5,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datagen.atlas import chart_map, coverage
-from datagen.errors import HyalineError
-from datagen.meshes import Mesh, component_of_faces, face_areas, face_corners, open_edges, signed_volume
-from datagen.scene import Dielectric, Scene, SceneObject, check_scene, is_glass, load_scene, save_scene, scene_files
-from datagen.scenes import SCENES, make_scene
+from datagen.data.advice import BUILT_IN_SCENES
+from datagen.data.meshes import Mesh, component_of_faces, face_areas, face_corners, open_edges, signed_volume
+from datagen.disk.errors import HyalineError
+from datagen.scene.atlas import chart_map, coverage
+from datagen.scene.builtin import SCENES, make_scene
+from datagen.scene.description import (
+    Dielectric,
+    Scene,
+    SceneObject,
+    check_scene,
+    is_glass,
+    load_scene,
+    save_scene,
+    scene_files,
+)
 
 GAP = 0.0005
 """Metres that any two objects must keep between them."""
@@ -206,7 +216,7 @@ def point_distance(mesh: Mesh, points: np.ndarray) -> float:
 
 
 def test_winding_numbers_tell_inside_from_outside() -> None:
-    from datagen.modelling import ball
+    from datagen.scene.modelling import ball
 
     inside, outside = winding_numbers(ball(1.0, subdivisions=2), np.array([[0.1, 0.2, 0.3], [1.2, 0, 0]]))
     assert inside == pytest.approx(1)
@@ -245,3 +255,7 @@ def test_saving_and_loading_gives_the_same_scene(scene: Scene, tmp_path: Path) -
 def test_an_unknown_scene_is_answered_with_the_nearest() -> None:
     with pytest.raises(HyalineError, match="did you mean 'vitrine'"):
         make_scene("vitrin")
+
+
+def test_the_names_that_advice_knows_are_those_of_the_makers() -> None:
+    assert tuple(SCENES) == BUILT_IN_SCENES

@@ -15,17 +15,17 @@ from synthetic import synthetic_scene
 from test_build import command, tree
 
 import datagen.cli
-from datagen.build import _start_beside_others, open_or_start
-from datagen.cameras import make_cameras
-from datagen.dataset import DatasetConfig, SplitConfig
-from datagen.errors import HyalineError
-from datagen.geometry import TRUTH, geometry_hash
-from datagen.launch import LaunchChoices, _without_launch
-from datagen.layer_store import layers_root
-from datagen.scene import save_scene
-from datagen.shards import Shard, parse_shard
-from datagen.storage import commit, commit_first, one_writer, shared_writers
-from datagen.verify import verify_dataset
+from datagen.build.build import _start_beside_others, open_or_start
+from datagen.build.launch import LaunchChoices, _without_launch
+from datagen.build.shards import Shard, parse_shard
+from datagen.build.verify import verify_dataset
+from datagen.data.dataset import DatasetConfig, SplitConfig
+from datagen.data.geometries import TRUTH, geometry_hash
+from datagen.data.layer_store import layers_root
+from datagen.disk.errors import HyalineError
+from datagen.disk.storage import commit, commit_first, one_writer, shared_writers
+from datagen.scene.description import save_scene
+from datagen.scene.rig import make_cameras
 
 ALL = (
     *("--layers", "straight", "light-path"),

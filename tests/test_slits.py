@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from synthetic import synthetic_scene
 
-from datagen.cameras import make_cameras
-from datagen.dataset import Cameras, DatasetConfig, SplitConfig
-from datagen.meshes import Mesh
-from datagen.modelling import merged, moved, rounded_box
-from datagen.scene import CameraRig, Dielectric, Diffuse, Material, Scene, SceneObject, WalkPoint
-from datagen.scenes import SCENES
-from datagen.slits import Slit, describe_slit, find_slits
-from datagen.variant import use_mitsuba
+from datagen.data.dataset import Cameras, DatasetConfig, SplitConfig
+from datagen.data.meshes import Mesh
+from datagen.machine.mitsuba_variant import use_mitsuba
+from datagen.scene.builtin import SCENES
+from datagen.scene.description import CameraRig, Dielectric, Diffuse, Material, Scene, SceneObject, WalkPoint
+from datagen.scene.modelling import merged, moved, rounded_box
+from datagen.scene.rig import make_cameras
+from datagen.trace.slits import Slit, describe_slit, find_slits
 
 GREY, GLASS = Diffuse(color=(0.5, 0.5, 0.5)), Dielectric()
 

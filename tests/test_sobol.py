@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy.stats import qmc
 
-from datagen.variant import use_mitsuba
+from datagen.machine.mitsuba_variant import use_mitsuba
 
 use_mitsuba(quiet=True)
 
-from datagen.mitsuba_scene import is_scalar  # noqa: E402
+from datagen.render.mitsuba_scene import is_scalar  # noqa: E402
 
 if is_scalar():
     pytest.skip("Sobol's points are drawn by a vectorised variant of Mitsuba", allow_module_level=True)
@@ -16,7 +16,7 @@ if is_scalar():
 import drjit as dr  # noqa: E402
 import mitsuba as mi  # noqa: E402
 
-from datagen.sobol import NUM_DIMENSIONS, SobolPoints  # noqa: E402
+from datagen.render.sobol import NUM_DIMENSIONS, SobolPoints  # noqa: E402
 
 
 def points_of(pixel: int, count: int, num_dimensions: int, *, seed: int = 0) -> np.ndarray:

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from synthetic import synthetic_scene
 
-from datagen.errors import HyalineError
-from datagen.meshes import Mesh, check_closed, face_corners, signed_volume
-from datagen.modelling import ball, cylinder, lathe, merged, moved, rounded_box, sheet, transformed, tube, walled
-from datagen.scene import (
+from datagen.data.meshes import Mesh, check_closed, face_corners, signed_volume
+from datagen.data.windings import check_solid, windings
+from datagen.disk.errors import HyalineError
+from datagen.scene.description import (
     CameraRig,
     Conductor,
     Dielectric,
@@ -21,7 +21,7 @@ from datagen.scene import (
     WalkPoint,
     check_scene,
 )
-from datagen.windings import check_solid, windings
+from datagen.scene.modelling import ball, cylinder, lathe, merged, moved, rounded_box, sheet, transformed, tube, walled
 
 GLASS, GREY, PANE = Dielectric(), Diffuse(color=(0.5, 0.5, 0.5)), ThinDielectric()
 BALL = ball(0.2, subdivisions=3)

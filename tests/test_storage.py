@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from datagen.errors import HyalineError
-from datagen.private import write_hashed
-from datagen.storage import TEMPORARY, commit, commit_sealed, load_sealed, one_writer
+from datagen.disk.errors import HyalineError
+from datagen.disk.private import write_hashed
+from datagen.disk.storage import TEMPORARY, commit, commit_sealed, load_sealed, one_writer
 
 
 def test_a_sealed_file_notices_any_flipped_bit(tmp_path: Path) -> None:
@@ -48,7 +48,7 @@ def test_a_commit_that_dies_at_any_step_leaves_the_old_bytes(
 def test_only_one_process_writes_to_a_folder(tmp_path: Path) -> None:
     program = f"""
 from pathlib import Path
-from datagen.storage import one_writer
+from datagen.disk.storage import one_writer
 with one_writer(Path({str(tmp_path)!r})):
     print("in", flush=True)
     input()

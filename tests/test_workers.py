@@ -11,11 +11,11 @@ from pathlib import Path
 import pytest
 from synthetic import quad, synthetic_scene
 
-from datagen.atlas import unwrap
-from datagen.build import render_dataset
-from datagen.dataset import describe_views, image_path, open_dataset
-from datagen.errors import HyalineError
-from datagen.scene import save_scene
+from datagen.build.build import render_dataset
+from datagen.data.dataset import describe_views, image_path, open_dataset
+from datagen.disk.errors import HyalineError
+from datagen.scene.atlas import unwrap
+from datagen.scene.description import save_scene
 
 FLAGS = (
     *("--preset", "tiny", "--resolution", "16", "--num-layers", "4"),

@@ -14,9 +14,9 @@ from support.fake_renderer import install
 from support.scenarios import GRID, PREPARED
 from synthetic import synthetic_scene
 
-from datagen.scene import save_scene
-from model.run_folder import TrainConfig
-from model.sweep import Failure
+from datagen.scene.description import save_scene
+from model.run.run_folder import TrainConfig
+from model.run.sweep import Failure
 
 
 @pytest.fixture(scope="session")
@@ -32,14 +32,14 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     Views are drawn by a formula, one thread computes, and nothing waits for the disk: no power cut is tried here.
     """
     install(monkeypatch)
-    monkeypatch.setattr("model.sweep._train_in_child", train_here)
+    monkeypatch.setattr("model.run.sweep._train_in_child", train_here)
     often = (TrainConfig.__init__.__kwdefaults__ or {}) | {"checkpoint_every": 2}
     monkeypatch.setattr(TrainConfig.__init__, "__kwdefaults__", often)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(os, "fsync", lambda handle: None)
     monkeypatch.setenv("HYALINE_KERNELS", "off")
     # It would need a process for each call.
-    monkeypatch.setattr("proxies.meshlab.meshlab_problem", lambda: "left out")
+    monkeypatch.setattr("proxies.meshing.meshlab.meshlab_problem", lambda: "left out")
     monkeypatch.setattr("proxies.make.meshlab_problem", lambda: None)
     before = torch.get_num_threads()
     torch.set_num_threads(1)

@@ -12,15 +12,15 @@ from support.commands import MAINS, call
 from support.disk import State
 from support.scenarios import BUILD, TRAIN
 
-import datagen.command
-from datagen.advice import BLIND_METHODS
-from datagen.dataset import find_dataset, open_dataset
-from datagen.edited import list_edits
-from datagen.errors import HyalineError
-from datagen.geometry import check_geometry
-from model.methods import METHODS
-from model.predict import load_renderer
-from model.run_folder import read_run
+import datagen.terminal.command
+from datagen.data.advice import BLIND_METHODS
+from datagen.data.dataset import find_dataset, open_dataset
+from datagen.data.edited import list_edits
+from datagen.data.geometries import check_geometry
+from datagen.disk.errors import HyalineError
+from model.methods.table import METHODS
+from model.run.predict import load_renderer
+from model.run.run_folder import read_run
 
 ADVICE = re.compile(r"^next: (.*)$|`((?:datagen|proxies|model|report|eval report) [^`]*)`", re.MULTILINE)
 SPACED = "data/two words"
@@ -35,7 +35,7 @@ def advised(text: str) -> list[str]:
 def check_parses(line: str, patch: pytest.MonkeyPatch) -> dict[str, object]:
     """What a command's function would be called with; nothing is run."""
     called: list[dict[str, object]] = []
-    real = datagen.command.run
+    real = datagen.terminal.command.run
 
     def stub(function: Callable[..., None]) -> Callable[..., None]:
         @functools.wraps(function)

@@ -11,18 +11,18 @@ import pytest
 import torch
 from support.hostile.corpus import DATASET, LAYERS
 
-from datagen.dataset import open_dataset
-from datagen.errors import HyalineError
-from datagen.geometry import TRUTH, read_proxy_records
-from datagen.layer_store import read_layers_head
-from datagen.layers import read_layers
-from datagen.scene import load_scene
-from datagen.storage import SEAL, seal_bytes
-from datagen.verify import verify_dataset
-from eval.runs import open_run, read_prediction
-from model.checkpoint import fingerprint, load_state
-from model.predict import load_renderer
-from model.run_folder import read_prediction_hashes, read_run
+from datagen.build.verify import verify_dataset
+from datagen.data.dataset import open_dataset
+from datagen.data.geometries import TRUTH, read_proxy_records
+from datagen.data.layer_store import read_layers_head
+from datagen.data.layers import read_layers
+from datagen.disk.errors import HyalineError
+from datagen.disk.storage import SEAL, seal_bytes
+from datagen.scene.description import load_scene
+from eval.score.runs import open_run, read_prediction
+from model.run.checkpoint import fingerprint, load_state
+from model.run.predict import load_renderer
+from model.run.run_folder import read_prediction_hashes, read_run
 
 pytestmark = pytest.mark.promise("R13")
 

@@ -12,8 +12,8 @@ import os, sys
 sys.path.insert(0, {tests!r})
 from pathlib import Path
 from synthetic import synthetic_scene
-import datagen.build as build
-from datagen.dataset import DatasetConfig, SplitConfig
+import datagen.build.build as build
+from datagen.data.dataset import DatasetConfig, SplitConfig
 
 def resident():
     return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")

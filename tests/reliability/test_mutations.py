@@ -11,14 +11,14 @@ from support.hostile.corpus import write_world
 from support.promises import spread
 from synthetic import write_synthetic_dataset
 
-from datagen.dataset import TEST_SPLITS
-from datagen.errors import HyalineError
-from datagen.storage import load_sealed, seal_bytes
-from datagen.verify import verify_dataset
-from eval.runs import open_run, read_prediction
-from model.checkpoint import fingerprint, load_state
-from model.predict import load_renderer
-from model.run_folder import read_run
+from datagen.build.verify import verify_dataset
+from datagen.data.dataset import TEST_SPLITS
+from datagen.disk.errors import HyalineError
+from datagen.disk.storage import load_sealed, seal_bytes
+from eval.score.runs import open_run, read_prediction
+from model.run.checkpoint import fingerprint, load_state
+from model.run.predict import load_renderer
+from model.run.run_folder import read_run
 
 pytestmark = pytest.mark.promise("R4")
 

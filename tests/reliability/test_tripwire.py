@@ -7,11 +7,11 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import pytest
-from support.commands import Answer, call
+from support.commands import MAINS, call
 from support.disk import State, read_state
 from support.scenarios import BUILD, GRID, TRAIN
 
-from model.sweep import Failure
+from model.run.sweep import Failure
 
 RENDER = "model render --run runs/one/paper --device cpu"
 REPORT = "report --runs runs --data data"
@@ -76,12 +76,12 @@ TRIPS = (
     Trip(line=REPORT, start="run", taken=("runs/report/results.json",)),
     Trip(line=f"{REPORT} --out figures", start="run", taken=("figures/cameras_one.png",)),
     Trip(line=f"{REPORT} --table table1 --out figures", start="run", taken=("figures/report.json",)),
-    Trip(line="datagen bench scale --out figure.png", start="scene", taken=("figure.png",)),
+    Trip(line="benchmarks scale --out figure.png", start="scene", taken=("figure.png",)),
 )  # fmt: skip
 
 WRITES_NOTHING = {
-    "datagen scenes", "datagen doctor", "datagen bench peel", "datagen bench truth", "datagen bench", "model bench",
-    "model bench ceilings", "model bench step", "model bench infer", "model bench online", "model bench gpu",
+    "datagen scenes", "datagen doctor", "benchmarks peel", "benchmarks truth",
+    "benchmarks ceilings", "benchmarks step", "benchmarks infer", "benchmarks online", "benchmarks gpu",
 }  # fmt: skip
 """Commands that have no file to write."""
 
@@ -90,7 +90,7 @@ ELSEWHERE = {
                       "test_spp", "max_depth", "rays", "seed", "shards", "slurm_partition", "slurm_time", "slurm_cpus",
                       "slurm_gpus"},
     "datagen peel": {"geometry", "rays", "workers"},
-    "datagen bench scale": {"factors", "quantities", "rounds", "json", "overwrite"},
+    "benchmarks scale": {"factors", "quantities", "rounds", "json", "overwrite"},
     "proxies make": {"amount", "layers", "num_layers", "rays", "workers"},
     "proxies check": {"amount", "name"},
     "model render": {"dataset", "edit", "scale"},
@@ -132,7 +132,7 @@ def in_process(arguments: tuple[str, ...], *_: object) -> Failure | None:
 @pytest.fixture
 def prepared(start: Callable[[str], State], here: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
     # A sweep's runs are commands of their own, each in a process; here they are called in this one.
-    monkeypatch.setattr("model.sweep._train_in_child", in_process)
+    monkeypatch.setattr("model.run.sweep._train_in_child", in_process)
     monkeypatch.setenv("XDG_CACHE_HOME", str(here.parent / "cache"))
 
     def make(name: str) -> None:
@@ -210,17 +210,11 @@ def _check_end(answer: Answer) -> None:
 # The table names every command and every flag
 
 
-CLIS = {
-    "datagen": "datagen.cli", "proxies": "proxies.cli", "model": "model.cli", "report": "eval.cli",
-    "datagen bench": "datagen.bench.cli", "model bench": "model.bench.cli",
-}  # fmt: skip
-
-
 @pytest.fixture
 def commands(monkeypatch: pytest.MonkeyPatch) -> dict[str, Callable[..., None]]:
     """Every command of every program, as the programs themselves list them."""
     found: dict[str, Callable[..., None]] = {}
-    for program, module_name in CLIS.items():
+    for program, module_name in MAINS.items():
         module = importlib.import_module(module_name)
 
         def keep(
@@ -229,9 +223,8 @@ def commands(monkeypatch: pytest.MonkeyPatch) -> dict[str, Callable[..., None]]:
             found.update({f"{program} {name}": function for name, function in listed.items()})
 
         monkeypatch.setattr(module, "run", keep)
-        words = program.split()
-        monkeypatch.setattr("sys.argv", [words[0]])
-        module.main([]) if len(words) == 2 else module.main()
+        monkeypatch.setattr("sys.argv", [program])
+        module.main()
     return found
 
 

@@ -7,7 +7,13 @@ import shlex
 import sys
 from dataclasses import dataclass
 
-MAINS = {"datagen": "datagen.cli", "proxies": "proxies.cli", "model": "model.cli", "report": "eval.cli"}
+MAINS = {
+    "datagen": "datagen.cli",
+    "proxies": "proxies.cli",
+    "model": "model.cli",
+    "report": "eval.cli",
+    "benchmarks": "benchmarks.cli",
+}
 
 
 @dataclass(frozen=True, kw_only=True)

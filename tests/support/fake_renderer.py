@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from synthetic import pixel_rays, shade, trace
 
-from datagen.dataset import Dataset, Split, commit_view, open_dataset, png_bytes, read_cameras
-from datagen.geometry import read_meshes
-from datagen.layer_store import LayersHead, read_layers_head, write_view
-from datagen.layers import Layers, write_layers
-from datagen.light_path_layers import _formats, read_light_paths_head
+from datagen.data.dataset import Dataset, Split, commit_view, open_dataset, png_bytes, read_cameras
+from datagen.data.geometries import read_meshes
+from datagen.data.layer_store import LayersHead, read_layers_head, write_view
+from datagen.data.layers import Layers, write_layers
+from datagen.trace.light_path_layers import _formats, read_light_paths_head
 
 Task = tuple[Split, int]
 
@@ -60,16 +60,16 @@ def _trace(dataset: Dataset, split: Split, view: int, num_layers: int) -> Layers
 
 def install(patch: pytest.MonkeyPatch) -> None:
     """Lets builds in this process call these."""
-    import datagen.build
-    import datagen.footprints
-    import datagen.variant
+    import datagen.build.build
+    import datagen.data.edit_masks
+    import datagen.machine.mitsuba_variant
 
     for name, function in (("render", render), ("peel", peel), ("trace", trace_paths)):
-        patch.setattr(datagen.build, f"{name.title()}Job", FakeJob)
-        patch.setattr(datagen.build, f"{name}_task", function)
-    patch.setattr(datagen.build, "_require_vectorised", lambda: None)
-    patch.setattr(datagen.variant, "use_mitsuba", lambda **options: "none")
-    patch.setattr(datagen.footprints, "_read_halves", _read_halves)
+        patch.setattr(datagen.build.build, f"{name.title()}Job", FakeJob)
+        patch.setattr(datagen.build.build, f"{name}_task", function)
+    patch.setattr(datagen.build.build, "_require_vectorised", lambda: None)
+    patch.setattr(datagen.machine.mitsuba_variant, "use_mitsuba", lambda **options: "none")
+    patch.setattr(datagen.data.edit_masks, "_read_halves", _read_halves)
 
 
 def _read_halves(dataset: Dataset, split: Split, view: int) -> np.ndarray:

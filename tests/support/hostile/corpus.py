@@ -10,8 +10,8 @@ from support.hostile.pictures import PREDICTION, exr_cases, picture_cases
 from support.hostile.states import state_cases
 from synthetic import synthetic_scene, write_synthetic_dataset
 
-from datagen.geometry import TRUTH, ProxyStatistics, read_meshes, write_proxies
-from datagen.scene import save_scene
+from datagen.data.geometries import TRUTH, ProxyStatistics, read_meshes, write_proxies
+from datagen.scene.description import save_scene
 
 DATASET = "data/one"
 RUN = "runs/one/paper/run.json"
@@ -34,13 +34,13 @@ def write_world(root: Path) -> None:
     import numpy as np
     import torch
 
-    from datagen.dataset import png_bytes, read_image
-    from datagen.render import Truth, radiance_bytes
-    from datagen.variant import use_mitsuba
-    from model.paper import PaperConfig
-    from model.predict import render_predictions
-    from model.run_folder import TrainConfig
-    from model.train import train
+    from datagen.data.dataset import png_bytes, read_image
+    from datagen.machine.mitsuba_variant import use_mitsuba
+    from datagen.render.truth import Truth, radiance_bytes
+    from model.methods.paper import PaperConfig
+    from model.run.predict import render_predictions
+    from model.run.run_folder import TrainConfig
+    from model.run.train import train
 
     save_scene(synthetic_scene(), root / "scene")
     dataset = write_synthetic_dataset(root / DATASET, resolution=8, train_views=2)

@@ -7,8 +7,8 @@ from typing import Any
 
 from support.hostile.case import Case
 
-from datagen.errors import HyalineError
-from datagen.storage import SEAL, seal_bytes
+from datagen.disk.errors import HyalineError
+from datagen.disk.storage import SEAL, seal_bytes
 
 RAW = {"NAN": "NaN", "INFINITY": "Infinity", "HUGE": "1" + "0" * 400, "DIGITS": "9" * 5000, "EXPONENT": "1e999"}
 """Numbers that no Python number would be written as."""

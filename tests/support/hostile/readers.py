@@ -7,15 +7,15 @@ import numpy as np
 from support.hostile.corpus import DATASET
 from support.hostile.pictures import PREDICTION
 
-from datagen.dataset import Dataset, open_dataset, read_cameras, read_record
-from datagen.errors import HyalineError
-from datagen.geometry import TRUTH, read_meshes
-from datagen.layers import read_layers
-from datagen.verify import verify_dataset
+from datagen.build.verify import verify_dataset
+from datagen.data.dataset import Dataset, open_dataset, read_cameras, read_record
+from datagen.data.geometries import TRUTH, read_meshes
+from datagen.data.layers import read_layers
+from datagen.disk.errors import HyalineError
 
 
 def _scene(root: Path) -> str:
-    from datagen.scene import load_scene
+    from datagen.scene.description import load_scene
 
     scene = load_scene(root / "scene")
     vertices, faces = (sum(len(getattr(item.mesh, name)) for item in scene.objects) for name in ("vertices", "faces"))
@@ -57,14 +57,14 @@ def _cameras(root: Path) -> str:
 
 
 def _experiment(root: Path) -> str:
-    from model.experiment import read_experiment
+    from model.run.experiment import read_experiment
 
     return f"{len(read_experiment(str(root / 'grid.toml')).runs)} runs"
 
 
 def _run(root: Path) -> str:
-    from eval.runs import open_run
-    from model.run_folder import read_run
+    from eval.score.runs import open_run
+    from model.run.run_folder import read_run
 
     folder = root / "runs/one/paper"
     record = read_run(folder)
@@ -73,7 +73,7 @@ def _run(root: Path) -> str:
 
 
 def _prediction(root: Path) -> str:
-    from eval.runs import has_predictions, open_run, read_prediction
+    from eval.score.runs import has_predictions, open_run, read_prediction
 
     folder = (root / PREDICTION).parents[2]
     assert has_predictions(folder)
@@ -82,8 +82,8 @@ def _prediction(root: Path) -> str:
 
 
 def _predictions(root: Path) -> str:
-    from eval.runs import open_run, read_prediction
-    from model.run_folder import is_finished, read_prediction_hashes
+    from eval.score.runs import open_run, read_prediction
+    from model.run.run_folder import is_finished, read_prediction_hashes
 
     folder = root / "runs/one/paper"
     count = len(read_prediction_hashes(folder))
@@ -93,8 +93,8 @@ def _predictions(root: Path) -> str:
 
 
 def _weights(root: Path) -> str:
-    from model.predict import load_renderer
-    from model.run_folder import read_run
+    from model.run.predict import load_renderer
+    from model.run.run_folder import read_run
 
     folder = root / "runs/one/paper"
     renderer = load_renderer(folder, read_run(folder).config, open_dataset(root / DATASET))
@@ -102,8 +102,8 @@ def _weights(root: Path) -> str:
 
 
 def _exr(root: Path) -> str:
-    from datagen.render import read_radiance
-    from datagen.variant import use_mitsuba
+    from datagen.machine.mitsuba_variant import use_mitsuba
+    from datagen.render.truth import read_radiance
 
     use_mitsuba(quiet=True)
     radiance, noise = read_radiance((root / "view.exr").read_bytes())

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from support.hostile.case import Case
 
-from model.checkpoint import CHECKPOINT_VERSION, fingerprint
+from model.run.checkpoint import CHECKPOINT_VERSION, fingerprint
 
 PATH = "runs/one/paper/weights.pt"
 MARK = "MARK-OF-CODE-THAT-RAN"

@@ -73,7 +73,7 @@ def _try(world: Path, place: Path, out: Path, first: int) -> None:
 
 def _read(read: Any, world: Path) -> str:
     """What came of reading a file, in one line that is the same on every machine."""
-    from datagen.errors import HyalineError
+    from datagen.disk.errors import HyalineError
 
     def too_long(*_: object) -> None:
         raise TookTooLong

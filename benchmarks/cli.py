@@ -1,0 +1,167 @@
+"""The command line of the benchmarks: what is measured, and how the report is printed."""
+
+import sys
+from pathlib import Path
+from typing import Literal
+
+from benchmarks.networks.choices import BenchChoices
+from datagen.terminal.command import run, unwrap_help
+
+DESCRIPTION = "Measure speed: rivals by turns in one process, checked first; exit status 1 where a ratio is missed."
+
+
+def main() -> None:
+    """`python -m benchmarks NAME ...`."""
+    unwrap_help(BenchChoices)
+    commands = {
+        "peel": peel, "truth": truth, "scale": scale,
+        "ceilings": ceilings, "step": step, "infer": infer, "online": online, "gpu": gpu,
+    }  # fmt: skip
+    run("python -m benchmarks", DESCRIPTION, commands, sys.argv[1:])
+
+
+def peel(
+    size: int = 512,
+    layers: int = 6,
+    triangles: float = 1.0,
+    rounds: int = 7,
+    engines: tuple[str, ...] = (),
+    json: bool = False,
+) -> None:
+    """Peeling a view: the tracer and the rasteriser against a plain loop, all hits by Embree, and stored layers.
+
+    Args:
+        size: Width and height in pixels.
+        layers: Layers kept per ray.
+        triangles: A factor on the 315,000 triangles of the scene.
+        rounds: Turns of each engine.
+        engines: Only these of mitsuba-eager, mitsuba-fused, raster, trimesh, exr, light-path-loop, light-path.
+        json: Print JSON instead of tables.
+    """
+    from datagen.machine.mitsuba_variant import use_mitsuba
+    from datagen.terminal.command import choose
+
+    use_mitsuba()
+    from benchmarks.generator.peel import ENGINES, Engine, bench_peel
+    from benchmarks.harness import show
+
+    chosen: tuple[Engine, ...] = tuple(name for name in ENGINES if not engines or name in engines)
+    for name in engines:
+        choose("engine", name, ENGINES)
+    show(bench_peel(size=size, num_layers=layers, triangles=triangles, rounds=rounds, engines=chosen), as_json=json)
+
+
+def truth(
+    scene: str = "glass_table",
+    light: Literal["soft", "scene"] = "soft",
+    size: int = 128,
+    rounds: int = 7,
+    json: bool = False,
+) -> None:
+    """Rendering until noise allows 45 dB: the sampling of `datagen build` against Mitsuba's defaults.
+
+    Args:
+        scene: A name that `datagen scenes` lists, or a folder with a scene.json; its glass is made clear.
+        light: An even sky, or the scene's own lights.
+        size: Width and height in pixels.
+        rounds: Turns of each.
+        json: Print JSON instead of tables.
+    """
+    from datagen.machine.mitsuba_variant import use_mitsuba
+
+    use_mitsuba()
+    from benchmarks.generator.truth import bench_truth, under_soft_light
+    from benchmarks.harness import show
+    from datagen.data.dataset import DatasetConfig, SplitConfig
+    from datagen.scene.builtin import find_scene
+    from datagen.scene.rig import make_cameras
+
+    description = find_scene(scene)
+    if light == "soft":
+        description = under_soft_light(description)
+    split = SplitConfig(views=4, spp=4)
+    config = DatasetConfig(scene=description.name, preset="bench", resolution=size, train=split, interpolating=split,
+                           extrapolating=split)  # fmt: skip
+    cameras = make_cameras(description.cameras, config)["train"]
+    show(bench_truth(description, cameras, rounds=rounds), as_json=json)
+
+
+def scale(
+    factors: tuple[float, ...] = (1, 2, 4, 8),
+    quantities: tuple[str, ...] = (),
+    out: Path = Path("bench-scale.png"),
+    rounds: int = 3,
+    json: bool = False,
+    overwrite: bool = False,
+) -> None:
+    """How time and memory grow with resolution, layers, objects and triangles: a power law each, and a figure.
+
+    Args:
+        factors: Each quantity is multiplied by these, the others staying as they are.
+        quantities: Only these of pixels, layers, objects, triangles.
+        out: The figure, a PNG; a file that stands there is kept.
+        rounds: Turns of each engine at each size.
+        json: Print JSON instead of a table.
+        overwrite: Replace a file that stands at --out.
+    """
+    from datagen.disk.ownership import refuse_file
+    from datagen.terminal.command import choose
+
+    if not overwrite:
+        refuse_file(out)
+    from datagen.machine.mitsuba_variant import use_mitsuba
+
+    use_mitsuba()
+    from benchmarks.generator.scale import QUANTITIES, Quantity, bench_scale, show_scale
+
+    for name in quantities:
+        choose("quantity", name, QUANTITIES)
+    chosen: tuple[Quantity, ...] = tuple(name for name in QUANTITIES if not quantities or name in quantities)
+    show_scale(bench_scale(factors, chosen, rounds=rounds), out, as_json=json)
+
+
+def ceilings(*, json: bool = False) -> None:
+    """What this machine does at best: matrix products, copies, gathers, page faults.
+
+    Args:
+        json: Print JSON instead of tables.
+    """
+    from benchmarks.harness import show
+    from benchmarks.networks.ceilings import bench_ceilings
+
+    show(bench_ceilings(), as_json=json)
+
+
+def step(choices: BenchChoices) -> None:
+    """A training step on a CPU: whole, its phases, its texture part."""
+    from benchmarks.harness import show
+    from benchmarks.networks.ceilings import all_ceilings
+    from benchmarks.networks.step import bench_step
+
+    show(bench_step(choices, ceilings=all_ceilings()), as_json=choices.json)
+
+
+def infer(choices: BenchChoices) -> None:
+    """A frame from stored layers on a CPU."""
+    from benchmarks.harness import show
+    from benchmarks.networks.ceilings import all_ceilings
+    from benchmarks.networks.infer import bench_infer
+
+    show(bench_infer(choices, ceilings=all_ceilings()), as_json=choices.json)
+
+
+def online(choices: BenchChoices) -> None:
+    """A frame from meshes and a camera alone, on a CPU."""
+    from benchmarks.harness import show
+    from benchmarks.networks.ceilings import all_ceilings
+    from benchmarks.networks.online import bench_online
+
+    show(bench_online(choices, ceilings=all_ceilings()), as_json=choices.json)
+
+
+def gpu(choices: BenchChoices) -> None:
+    """A 1080p frame and a step of 262,144 pixels on a GPU, beside plain torch; skipped without CUDA."""
+    from benchmarks.harness import show
+    from benchmarks.networks.gpu import bench_gpu
+
+    show(bench_gpu(choices), as_json=choices.json)

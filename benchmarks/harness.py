@@ -1,0 +1,367 @@
+"""Owns how speed is measured: rivals timed by turns in one process, checked first, and judged by their ratios alone.
+
+A bench names its candidates, its checks and its gates; `measure` runs them and `show` prints what came out:
+
+1. The checks run. Where one fails nothing is timed: a fast wrong answer has no speed.
+2. Each candidate is called twice to warm up; the very first call, with whatever it compiles, is reported apart.
+3. The candidates take turns (A B C A B C ...), so that a neighbour's load falls on all of them alike.
+4. A gate compares two candidates round by round and passes when the median ratio is large enough. No gate is on
+   seconds, which say more about the machine than about the code; what the machine can do at best stands beside them.
+
+Imports neither Mitsuba nor torch: whoever has more ceilings to show passes them.
+"""
+
+import dataclasses
+import gc
+import json
+import math
+import os
+import platform
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from datagen.disk.errors import HyalineError
+from datagen.machine.mitsuba_variant import num_cores
+from datagen.terminal.command import fail, say
+
+Clock = Literal["wall", "cpu"]
+
+MIN_ROUNDS = 3
+"""Fewer have no quartiles."""
+
+MIN_BLOCK_S = 0.002
+"""Calls shorter than this are repeated within their turn, so that the clock's own cost does not count."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Candidate:
+    """One way to do the task; `run` must not return before the work is done."""
+
+    name: str
+    run: Callable[[], object]
+    calls: float = 1.0
+    """How many such calls the whole task takes; gates compare the time of one call times this."""
+    note: str = ""
+    """What the reader should know about it, in a few words."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Check:
+    """Something that must hold before speed means anything; `run` says whether it does, and what it saw."""
+
+    name: str
+    run: Callable[[], tuple[bool, str]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Gate:
+    """`candidate` must be at least so many times as fast as `baseline`."""
+
+    name: str
+    baseline: str
+    candidate: str
+    at_least: float
+    clock: Clock = "wall"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ceiling:
+    """What this machine does at best at one thing, whatever program asks."""
+
+    name: str
+    value: float
+    unit: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Machine:
+    """Where it ran, without a name: figures of two machines are never compared."""
+
+    cpu: str
+    cores: int
+    """Cores that this process may use."""
+    threads: dict[str, str]
+    """Threads of each library that was loaded, and what the environment asks for."""
+    python: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Seconds:
+    """What one call took, over all rounds."""
+
+    first: float
+    """The very first call, compiling included."""
+    median: float
+    low: float
+    """Lower quartile."""
+    high: float
+    """Upper quartile."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Timing:
+    """One candidate's times; `cpu` adds up all threads of the process."""
+
+    name: str
+    note: str
+    calls: float
+    wall: Seconds
+    cpu: Seconds
+
+
+@dataclass(frozen=True, kw_only=True)
+class Verdict:
+    """What a check or a gate came to."""
+
+    name: str
+    passed: bool
+    detail: str
+    ratio: float | None = None
+    """A gate's ratio, the median over the rounds; None for a check, and where a candidate did not run."""
+    at_least: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchReport:
+    """All that a bench found."""
+
+    title: str
+    settings: dict[str, object]
+    facts: dict[str, object]
+    """What was counted or estimated beside the times."""
+    machine: Machine
+    ceilings: tuple[Ceiling, ...]
+    checks: tuple[Verdict, ...]
+    timings: tuple[Timing, ...]
+    """In the order of the candidates; empty where a check failed."""
+    gates: tuple[Verdict, ...]
+
+    @property
+    def passed(self) -> bool:
+        return all(verdict.passed for verdict in self.checks + self.gates)
+
+
+def measure(title: str, candidates: Sequence[Candidate], *, checks: Sequence[Check] = (), gates: Sequence[Gate] = (),
+            ceilings: Sequence[Ceiling] = (), settings: Mapping[str, object] | None = None,
+            facts: Mapping[str, object] | None = None, rounds: int = 7) -> BenchReport:  # fmt: skip
+    """Checks, then times by turns, then judges.
+
+    Args:
+        ceilings: usually `machine_ceilings()` and the caller's own.
+        rounds: turns of every candidate, warm-up apart.
+
+    Raises:
+        HyalineError: too few rounds, or two candidates of one name.
+    """
+    if rounds < MIN_ROUNDS:
+        raise HyalineError(f"rounds: is {rounds}; expected at least {MIN_ROUNDS}")
+    names = [candidate.name for candidate in candidates]
+    if len(set(names)) < len(names):
+        raise HyalineError(f"bench {title}: candidates are called {', '.join(names)}; expected different names")
+    checked = []
+    for check in checks:
+        say(f"{title}: checks {check.name}")
+        passed, detail = check.run()
+        checked.append(Verdict(name=check.name, passed=bool(passed), detail=detail))
+    timings: tuple[Timing, ...] = ()
+    judged: tuple[Verdict, ...] = ()
+    if all(verdict.passed for verdict in checked):
+        walls, cpus = _time_by_turns(title, candidates, rounds)
+        timings = tuple(
+            Timing(name=one.name, note=one.note, calls=one.calls, wall=_seconds(wall), cpu=_seconds(cpu))
+            for one, wall, cpu in zip(candidates, walls, cpus, strict=True)
+        )
+        series = {one.name: {"wall": one.calls * wall[1:], "cpu": one.calls * cpu[1:]}
+                  for one, wall, cpu in zip(candidates, walls, cpus, strict=True)}  # fmt: skip
+        judged = tuple(_judge(gate, series) for gate in gates)
+    return BenchReport(
+        title=title,
+        settings={**(settings or {}), "rounds": rounds},
+        facts=dict(facts or {}),
+        machine=describe_machine(),
+        ceilings=tuple(ceilings),
+        checks=tuple(checked),
+        timings=timings,
+        gates=judged,
+    )
+
+
+def show(report: BenchReport, *, as_json: bool) -> None:
+    """Prints the report on stdout; exits with status 1 when a check or a gate failed."""
+    if as_json:
+        print(json.dumps({**dataclasses.asdict(report), "passed": report.passed}, indent=2, allow_nan=False))
+    else:
+        _print_tables(report)
+    if not report.passed:
+        failed = [verdict for verdict in report.checks + report.gates if not verdict.passed]
+        fail("; ".join(f"{report.title}: {verdict.name}: {verdict.detail}" for verdict in failed))
+
+
+def machine_ceilings() -> tuple[Ceiling, ...]:
+    """Matrix product of all cores, copy and random gather of one, each the best of a few tries; about a second."""
+    return (
+        Ceiling(name="float32 matrix product, all cores", value=_matmul_gflops(), unit="GFLOP/s"),
+        Ceiling(name="copy, one core, bytes read and written", value=_copy_gigabytes(), unit="GB/s"),
+        Ceiling(name="gather of random 64-byte rows, one core", value=_gather_nanoseconds(), unit="ns/row"),
+    )
+
+
+def describe_machine() -> Machine:
+    """The processor, its cores, and how many threads the loaded libraries use."""
+    wanted = (
+        "OMP_NUM_THREADS",
+        "OMP_WAIT_POLICY",
+        "GOMP_SPINCOUNT",
+        "OPENBLAS_NUM_THREADS",
+        "MKL_NUM_THREADS",
+        "NUMBA_NUM_THREADS",
+    )
+    threads = {name: os.environ[name] for name in wanted if name in os.environ}
+    # Only what the bench itself has loaded: asking must not start another library's threads.
+    for library, ask in (("numba", "get_num_threads"), ("torch", "get_num_threads"), ("drjit", "thread_count")):
+        if (loaded := sys.modules.get(library)) is not None:
+            threads[library] = str(getattr(loaded, ask)())
+    return Machine(cpu=_cpu_name(), cores=num_cores(), threads=threads, python=platform.python_version())
+
+
+def best_seconds(run: Callable[[], object], *, tries: int = 5) -> float:
+    """The shortest of a few calls after one to warm up: for ceilings, not for candidates."""
+    run()
+    times = []
+    for _ in range(tries):
+        start = time.perf_counter()
+        run()
+        times.append(time.perf_counter() - start)
+    return min(times)
+
+
+def _time_by_turns(title: str, candidates: Sequence[Candidate], rounds: int) -> tuple[list[np.ndarray], ...]:
+    """Seconds of (first call, every round) of each candidate: wall and cpu."""
+    walls, cpus = ([np.zeros(1 + rounds) for _ in candidates] for _ in range(2))
+    repeats = []
+    for index, candidate in enumerate(candidates):
+        say(f"{title}: warms up {candidate.name}")
+        walls[index][0], cpus[index][0] = _time(candidate.run, 1)
+        again, _ = _time(candidate.run, 1)
+        repeats.append(max(1, math.ceil(MIN_BLOCK_S / max(again, 1e-7))))
+    was_collecting = gc.isenabled()
+    gc.collect()
+    gc.disable()
+    try:
+        for turn in range(1, rounds + 1):
+            say(f"{title}: round {turn} of {rounds}")
+            for index, candidate in enumerate(candidates):
+                walls[index][turn], cpus[index][turn] = _time(candidate.run, repeats[index])
+    finally:
+        if was_collecting:
+            gc.enable()
+    return walls, cpus
+
+
+def _time(run: Callable[[], object], repeats: int) -> tuple[float, float]:
+    wall, cpu = time.perf_counter(), time.process_time()
+    for _ in range(repeats):
+        run()
+    return (time.perf_counter() - wall) / repeats, (time.process_time() - cpu) / repeats
+
+
+def _seconds(times: np.ndarray) -> Seconds:
+    low, median, high = np.quantile(times[1:], [0.25, 0.5, 0.75])
+    return Seconds(first=float(times[0]), median=float(median), low=float(low), high=float(high))
+
+
+def _judge(gate: Gate, series: Mapping[str, Mapping[str, np.ndarray]]) -> Verdict:
+    missing = [name for name in (gate.baseline, gate.candidate) if name not in series]
+    if missing:
+        detail = f"not judged: {' and '.join(missing)} did not run"
+        return Verdict(name=gate.name, passed=True, detail=detail, at_least=gate.at_least)
+    # Neighbours in time are compared, so a slow minute of the machine cancels out.
+    ratios = series[gate.baseline][gate.clock] / np.maximum(series[gate.candidate][gate.clock], 1e-12)
+    low, ratio, high = np.quantile(ratios, [0.25, 0.5, 0.75])
+    detail = (
+        f"{gate.candidate} is {ratio:.2f} times as fast as {gate.baseline} ({gate.clock}; quartiles {low:.2f} to "
+        f"{high:.2f}); expected at least {gate.at_least:g}"
+    )
+    passed = bool(ratio >= gate.at_least)
+    return Verdict(name=gate.name, passed=passed, detail=detail, ratio=float(ratio), at_least=gate.at_least)
+
+
+def _print_tables(report: BenchReport) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console(highlight=False)
+    if not console.is_terminal:
+        console = Console(highlight=False, width=140)
+    settings = ", ".join(f"{name} {value}" for name, value in report.settings.items())
+    console.print(f"{report.title}: {settings}", markup=False)
+    threads = ", ".join(f"{name} {count}" for name, count in report.machine.threads.items()) or "as each library likes"
+    console.print(f"{report.machine.cpu}, {report.machine.cores} cores; threads: {threads}", markup=False)
+    for name, value in report.facts.items():
+        console.print(f"{name}: {value}", markup=False)
+    if report.timings:
+        table = Table("", "wall ms", "quartiles", "cpu ms", "first call ms", "note")
+        for column in table.columns[1:5]:
+            column.justify = "right"
+        for one in report.timings:
+            spread = f"{1e3 * one.wall.low:.2f} to {1e3 * one.wall.high:.2f}"
+            numbers = [one.wall.median, one.cpu.median, one.wall.first]
+            wall, cpu, first = (f"{1e3 * value:.2f}" for value in numbers)
+            table.add_row(one.name, wall, spread, cpu, first, one.note)
+        console.print(table)
+    if report.ceilings:
+        ceilings = Table("the machine at its best", "", "")
+        for ceiling in report.ceilings:
+            ceilings.add_row(ceiling.name, f"{ceiling.value:.1f}", ceiling.unit)
+        console.print(ceilings)
+    for kind, verdicts in (("check", report.checks), ("gate", report.gates)):
+        for verdict in verdicts:
+            word = "passed" if verdict.passed else "FAILED"
+            console.print(f"{kind} {word}: {verdict.name}: {verdict.detail}", markup=False, soft_wrap=True)
+
+
+def _cpu_name() -> str:
+    path = Path("/proc/cpuinfo")
+    if path.is_file():
+        for line in path.read_text().splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    return platform.processor() or platform.machine()
+
+
+def _matmul_gflops() -> float:
+    size = 1536
+    a, b = np.random.default_rng(0).random((2, size, size), np.float32)
+    out = np.empty((size, size), np.float32)
+    return 2 * size**3 / best_seconds(lambda: np.matmul(a, b, out=out)) * 1e-9
+
+
+def _copy_gigabytes() -> float:
+    source = np.ones(1 << 25, np.float32)  # 128 MiB, beyond the caches.
+    target = np.zeros_like(source)
+    return 2 * source.nbytes / best_seconds(lambda: np.copyto(target, source)) * 1e-9
+
+
+def _gather_nanoseconds() -> float:
+    import numba
+
+    # 16 floats are one texel of a neural texture, and one cache line.
+    rows, picks = 1 << 21, 1 << 18
+    table = np.ones((rows, 16), np.float32)
+    index = np.random.default_rng(0).integers(0, rows, picks)
+    out = np.zeros((picks, 16), np.float32)
+
+    @numba.njit
+    def gather(table, index, out):
+        for place in range(len(index)):
+            row = index[place]
+            for channel in range(16):
+                out[place, channel] = table[row, channel]
+
+    return best_seconds(lambda: gather(table, index, out)) / picks * 1e9

@@ -1,0 +1,116 @@
+"""Where an edit shows in the pictures of its dataset: found from both truths, pixel by pixel."""
+
+import contextlib
+
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+
+from datagen.data.dataset import (
+    TEST_SPLITS,
+    Dataset,
+    Split,
+    check_files,
+    image_path,
+    png_bytes,
+    read_record,
+)
+from datagen.data.edit_masks import ELSEWHERE, LIGHT, OBJECT, footprint_files, footprint_path
+from datagen.data.geometries import TRUTH
+from datagen.data.layers import read_layers
+from datagen.data.tonemap import srgb_from_linear
+from datagen.disk.errors import HyalineError
+from datagen.disk.ownership import FOOTPRINTS, begin, holding, is_ours
+from datagen.disk.records import Json
+from datagen.disk.storage import commit_same, commit_sealed, load_sealed, seal_bytes, sha256
+
+SIGMAS = 3.0
+"""A difference counts when it is so many times the standard deviation of its noise."""
+
+
+LEAST = 0.5 / 255
+"""And when it is at least half a step of an 8-bit picture."""
+
+
+WINDOW = 5
+"""Pixels a side over which difference and noise are averaged: light spreads, the noise of single pixels does not."""
+
+
+def write_footprints(base: Dataset, edited: Dataset) -> None:
+    """Finds and commits the footprints of all test views, unless they are there; both truths are built and peeled."""
+    root = edited.root / "footprints"
+    if is_ours(root, FOOTPRINTS) and load_sealed(root / FOOTPRINTS.head).get("dataset") == edited.seal:
+        with contextlib.suppress(HyalineError):  # Missing, or damaged: found anew.
+            check_files(edited.root, footprint_files(edited))
+            return
+    files: dict[str, bytes] = {}
+    for split in TEST_SPLITS:
+        for view in range(edited.config.split(split).views):
+            shown = shows_objects(base, edited, split, view)
+            mask = find_footprint(shown, _read_halves(base, split, view), _read_halves(edited, split, view))
+            file = footprint_path(edited, split, view).relative_to(root).as_posix()
+            files[file] = png_bytes(np.repeat(mask[..., None], 3, axis=-1))
+    promised: dict[str, Json] = {f"{root.name}/{file}": sha256(data) for file, data in files.items()}
+    content: dict[str, Json] = {"dataset": edited.seal, "files": promised}
+    with holding(root, FOOTPRINTS, within=edited.root):
+        if is_ours(root, FOOTPRINTS):
+            commit_sealed(root / FOOTPRINTS.head, content)
+        else:
+            begin(root, FOOTPRINTS, seal_bytes(content), files)
+        for file, data in files.items():
+            commit_same(root / file, data)
+
+
+def shows_objects(base: Dataset, edited: Dataset, split: Split, view: int) -> Bool[np.ndarray, "h w"]:
+    """Pixels whose centre ray meets a changed object in either scene, before or as its first opaque surface."""
+    assert edited.edit is not None
+    size = edited.config.resolution
+    shown = np.zeros((size, size), bool)
+    for dataset in (base, edited):
+        is_changed = np.array([False, *(item.name in edited.edit.changed for item in dataset.objects)])
+        is_glass = np.array([True, *(item.is_glass for item in dataset.objects)])
+        in_view = np.ones((size, size), bool)
+        for object_id in read_layers(dataset, TRUTH, split, view).object_id:
+            shown |= in_view & is_changed[object_id]
+            in_view &= is_glass[object_id]
+    return shown
+
+
+def find_footprint(
+    shown: Bool[np.ndarray, "h w"], before: Float[np.ndarray, "half h w 3"], after: Float[np.ndarray, "half h w 3"]
+) -> UInt8[np.ndarray, "h w"]:
+    """Where an edit shows.
+
+    Args:
+        shown: pixels that show a changed object.
+        before: the two independent halves of the truth before the edit, in sRGB.
+        after: the same after it. Where both truths were rendered with the same random numbers, their noise is the same
+            but for light that the edit touches; so the noise is taken from the difference, not from each truth.
+    """
+    from scipy.ndimage import uniform_filter
+
+    def mean_around(values: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
+        return uniform_filter(np.where(shown, 0, values), WINDOW, mode="constant")
+
+    # Of the pixels around that show no changed object, which would outshine what its light does beside it.
+    share = np.maximum(mean_around(np.ones(shown.shape)), WINDOW**-2)
+    first, second = after - before
+    means = [mean_around(channel) / share for channel in np.moveaxis((first + second) / 2, -1, 0)]
+    # The variance of the mean of two halves is the mean square of half their difference.
+    variance = mean_around((((first - second) / 2) ** 2).mean(axis=-1)) / share
+    # A running sum of squares may end a little below zero.
+    deviation = np.sqrt(np.maximum(variance, 0) / (share * WINDOW**2))
+    difference = np.sqrt(np.mean(np.square(means), axis=0))
+    is_light = difference > np.maximum(SIGMAS * deviation, LEAST)
+    return np.where(shown, OBJECT, np.where(is_light, LIGHT, ELSEWHERE)).astype(np.uint8)
+
+
+def _read_halves(dataset: Dataset, split: Split, view: int) -> Float[np.ndarray, "half h w 3"]:
+    """The two independent halves of a view's truth, in sRGB."""
+    from datagen.machine.mitsuba_variant import use_mitsuba
+    from datagen.render.truth import read_radiance
+
+    use_mitsuba(quiet=True)
+    path = image_path(dataset.root, split, view).with_suffix(".exr")
+    check_files(dataset.root, read_record(dataset, split, view).files)
+    radiance, half_difference = read_radiance(path.read_bytes(), where=str(path))
+    return srgb_from_linear(np.stack([radiance + half_difference, radiance - half_difference]))

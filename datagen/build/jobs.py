@@ -1,0 +1,108 @@
+"""Owns what is done for one view of a dataset: rendered, peeled or traced, and committed. Runs in workers."""
+
+from pathlib import Path
+
+from datagen.data.dataset import Cameras, Dataset, Split, commit_view, open_dataset, read_cameras
+from datagen.data.geometries import read_meshes
+from datagen.data.layer_store import LayersHead, read_layers_head
+from datagen.data.layers import write_layers
+from datagen.scene.description import Scene, load_scene
+from datagen.trace.light_path_layers import read_light_paths_head, trace_view, write_light_paths
+
+Task = tuple[Split, int]
+
+
+class RenderJob:
+    """What a worker keeps between the views that it renders."""
+
+    def __init__(self, threads: int, root: Path) -> None:
+        from datagen.machine.mitsuba_variant import use_mitsuba
+        from datagen.render.truth import Renderer
+
+        self.variant = use_mitsuba(quiet=True, threads=threads)
+        self.dataset = open_dataset(root)
+        self.cameras = _all_cameras(self.dataset)
+        self.renderer = Renderer(
+            load_scene(self.dataset.home.root / "scene", is_sealed=True), max_depth=self.dataset.config.max_depth
+        )
+
+
+def render_task(job: RenderJob, task: Task) -> None:
+    """Renders one view and commits it."""
+    from datagen.render.truth import picture_bytes, radiance_bytes, render_view, view_seed
+
+    split, view = task
+    config = job.dataset.config
+    seed = view_seed(config.seed, split, view)
+    truth = render_view(
+        job.renderer,
+        job.cameras[split],
+        view,
+        spp=config.split(split).spp,
+        view_seed=seed,
+        ceiling_db=config.ceiling_db if split != "train" else None,
+    )
+    commit_view(
+        job.dataset,
+        split,
+        view,
+        png=picture_bytes(truth),
+        exr=radiance_bytes(truth),
+        seed=seed,
+        spp=truth.spp,
+        noise_mse=truth.noise_mse,
+        variant=job.variant,
+    )
+
+
+class PeelJob:
+    """What a worker keeps between the views that it peels."""
+
+    def __init__(self, threads: int, root: Path, geometry: str) -> None:
+        from datagen.machine.mitsuba_variant import use_mitsuba
+        from datagen.trace.peel import Peeler
+
+        use_mitsuba(quiet=True, threads=threads)
+        self.dataset, self.geometry = open_dataset(root), geometry
+        self.cameras = _all_cameras(self.dataset)
+        self.peeler = Peeler(read_meshes(self.dataset, geometry))
+        head, _ = read_layers_head(self.dataset, geometry, "straight")
+        assert isinstance(head, LayersHead)
+        self.num_layers = head.num_layers
+
+
+def peel_task(job: PeelJob, task: Task) -> None:
+    """Peels one view into straight layers and commits them."""
+    split, view = task
+    layers, overflow_share = job.peeler.peel(job.cameras[split], view, job.num_layers)
+    write_layers(job.dataset, job.geometry, split, view, layers, overflow_share=overflow_share)
+
+
+class TraceJob:
+    """What a worker keeps between the views of which it traces the light paths."""
+
+    def __init__(self, threads: int, root: Path, geometry: str) -> None:
+        from datagen.machine.mitsuba_variant import use_mitsuba
+        from datagen.trace.light_path import LightPathTracer
+
+        use_mitsuba(quiet=True, threads=threads)
+        self.dataset, self.geometry = open_dataset(root), geometry
+        self.cameras = _all_cameras(self.dataset)
+        materials = tuple(item.material for item in _scene_of(self.dataset).objects)
+        self.tracer = LightPathTracer(read_meshes(self.dataset, geometry), materials)
+        self.head = read_light_paths_head(self.dataset, geometry)
+
+
+def trace_task(job: TraceJob, task: Task) -> None:
+    """Traces one view's light paths and commits them."""
+    split, view = task
+    blocks = trace_view(job.tracer, job.cameras[split], view, job.head)
+    write_light_paths(job.dataset, job.geometry, split, view, blocks)
+
+
+def _scene_of(dataset: Dataset) -> Scene:
+    return load_scene(dataset.home.root / "scene", is_sealed=True)
+
+
+def _all_cameras(dataset: Dataset) -> dict[Split, Cameras]:
+    return {split: read_cameras(dataset, split) for split in dataset.splits}

@@ -1,0 +1,131 @@
+"""Making a dataset whole again, from what its own heads say: whatever is missing or damaged is made once more.
+
+Nothing that verifies is touched. Heads come back from their copies (disk/heads.py), scene and cameras from the scene
+that the dataset was built from, all else from those, by the functions that made it first. Proxies are made by another
+program: `datagen verify` names its command.
+"""
+
+import contextlib
+from collections.abc import Iterator
+from pathlib import Path
+
+from datagen.build.build import render_dataset
+from datagen.build.build_edit import build_edit, peel_like
+from datagen.build.build_variant import build_angles, build_scaled, peel_annexes
+from datagen.build.verify import check_is_there, is_good, list_obstacles
+from datagen.data.dataset import TRANSFORMS_FILES, Dataset, head_files, open_dataset, transforms_bytes
+from datagen.data.edited import edit_root, list_edits
+from datagen.data.geometries import list_geometries
+from datagen.data.variants import ANGLES, list_annex_folders
+from datagen.disk.errors import DamagedError, HyalineError
+from datagen.disk.heads import HEADS, home_of, list_heads, true_head
+from datagen.disk.ownership import DATASET, holding
+from datagen.disk.storage import commit, commit_same, one_writer, sha256
+from datagen.scene.description import Scene, load_scene, scene_files
+from datagen.scene.edits import parse_edit
+from datagen.scene.rig import make_cameras
+from datagen.terminal.command import say
+
+
+def mend_dataset(root: Path, *, scene: str | None, workers: int) -> Dataset:
+    """Makes all that is missing or damaged of a dataset, its layers, edits and annexes; returns it.
+
+    Args:
+        scene: the scene's name, or the folder that it was built from; needed where the copy in the dataset is damaged
+            and the scene is no built-in one.
+
+    Raises:
+        HyalineError: the head is lost together with its copy, or the scene is no longer the one that was rendered.
+    """
+    home = home_of(root)
+    check_is_there(home)  # Before anything is touched.
+    with one_writer(home):
+        _clear_the_way(home)
+        _restore_heads(home)
+        # What stands in the way of a folder's files is known when its head is there.
+        _clear_the_way(home)
+    with holding(home, DATASET):
+        dataset = open_dataset(home)
+        _restore_scene(dataset, scene)
+        render_dataset(dataset, workers=workers)
+    for geometry in list_geometries(dataset):
+        with _passing_over_proxies(f"{home}: layers of {geometry}"):
+            peel_like(dataset, dataset, geometry, workers=workers)
+    for folder in list_annex_folders(home):
+        if folder.name == ANGLES:
+            build_angles(dataset, workers=workers)
+        else:
+            views = open_dataset(folder).config.interpolating.views
+            build_scaled(dataset, int(folder.name.removeprefix("x")), views=views, workers=workers)
+    with _passing_over_proxies(f"{home}: layers of annexes"):
+        peel_annexes(dataset, workers=workers)
+    for name in list_edits(dataset):
+        edited = open_dataset(edit_root(dataset, name))
+        assert edited.edit is not None
+        with _passing_over_proxies(str(edited.root)):
+            build_edit(dataset, tuple(map(parse_edit, edited.edit.edits)), workers=workers, overwrite=False)
+    return dataset
+
+
+@contextlib.contextmanager
+def _passing_over_proxies(what: str) -> Iterator[None]:
+    """Leaves what needs damaged proxies, which are another command's to make, for the next time."""
+    try:
+        yield
+    except DamagedError as error:
+        say(f"{what}: not mended yet: {error}")
+
+
+def _clear_the_way(home: Path) -> None:
+    """Removes links and pipes, and moves other things aside, that stand where files of the dataset belong."""
+    for path in list_obstacles(home):
+        is_folder = path.is_dir() and not path.is_symlink()
+        if is_folder and not any(path.iterdir()):
+            path.rmdir()
+        elif is_folder or (path.is_file() and not path.is_symlink() and path.stat().st_size):
+            number = next(number for number in range(1, 1000) if not path.with_name(f"{path.name}.{number}").exists())
+            aside = path.rename(path.with_name(f"{path.name}.{number}"))
+            say(f"{path}: stood in the way; is now {aside}")
+        else:
+            path.unlink()
+
+
+def _restore_heads(home: Path) -> None:
+    for head in list_heads(home):
+        data = true_head(home, head)
+        if data is None:
+            continue  # What made it must make it again.
+        commit_same(home / head, data)
+        commit_same(home / HEADS / head, data)
+
+
+def _restore_scene(dataset: Dataset, given: str | None) -> None:
+    """Writes lost scene files and cameras again."""
+    promised = head_files(dataset.root)
+    lost = [file for file, digest in promised.items() if not is_good(dataset.root / file, digest)]
+    if not lost:
+        return
+    scene = _find_scene(dataset, given, lost)
+    cameras = make_cameras(scene.cameras, dataset.config)
+    contents = {f"scene/{path}": data for path, data in scene_files(scene).items()}
+    contents |= {TRANSFORMS_FILES[split]: transforms_bytes(poses, split) for split, poses in cameras.items()}
+    for file in lost:
+        if file not in contents or sha256(contents[file]) != promised[file]:
+            raise HyalineError(
+                f"{dataset.root / file}: cannot be made again: scene {scene.name} is not what it was when the dataset "
+                "was built; restore the file from elsewhere, or build the dataset anew with --overwrite"
+            )
+        commit(dataset.root / file, contents[file])
+
+
+def _find_scene(dataset: Dataset, given: str | None, lost: list[str]) -> Scene:
+    from datagen.scene.builtin import SCENES, find_scene
+
+    if not any(file.startswith("scene/") for file in lost):
+        return load_scene(dataset.root / "scene")
+    if given is None and dataset.config.scene not in SCENES:
+        raise HyalineError(
+            f"{dataset.root / lost[0]}: is lost or damaged, and comes from a scene of yours; name the folder that the "
+            "dataset was built from with --scene"
+        )
+    return find_scene(given or dataset.config.scene)

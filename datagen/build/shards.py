@@ -1,0 +1,89 @@
+"""Owns the parts of a build that machines make at once: which views are whose, and what the whole still lacks.
+
+Machines meet in the folder alone, without a lock that all of them would have to see (flock often ends at the machine).
+So a part never deletes or replaces anything but by the same bytes: what several need (scene, cameras, heads) each
+writes whole and of the same content, a head that stands there is never replaced, views are disjoint. What a killed part
+left is cleared by a build without a part, when all have ended.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TypeVar
+
+from datagen.data.dataset import Dataset, Split, open_dataset, read_record
+from datagen.data.geometries import TRUTH
+from datagen.data.layer_store import LayerKind, layers_root, read_layers_record
+from datagen.data.variants import list_annex_folders
+from datagen.disk.errors import HyalineError
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shard:
+    """One of `count` disjoint parts of the views of a dataset."""
+
+    number: int
+    """From 1 to `count`."""
+    count: int
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.number <= self.count:
+            raise HyalineError(f"shard: is {self}; expected a part from 1/{self.count} to {self.count}/{self.count}")
+
+    def __str__(self) -> str:
+        return f"{self.number}/{self.count}"
+
+    def of(self, tasks: Sequence[T]) -> list[T]:
+        """The part's own of the tasks of the whole, evenly spread."""
+        return list(tasks[self.number - 1 :: self.count])
+
+
+def parse_shard(text: str) -> Shard:
+    """The part that `--shard 2/4` names.
+
+    Raises:
+        HyalineError: no such part.
+    """
+    number, slash, count = text.partition("/")
+    if not (slash and number.isascii() and number.isdecimal() and count.isascii() and count.isdecimal() and int(count)):
+        raise HyalineError(f"shard: is {text!r}; expected the part and the number of parts, such as 2/4")
+    return Shard(number=int(number), count=int(count))
+
+
+def own_tasks(shard: Shard | None, tasks: list[T]) -> list[T]:
+    """What a part makes of the tasks of the whole; all of them without parts."""
+    return tasks if shard is None else shard.of(tasks)
+
+
+def count_missing(dataset: Dataset, kinds: Sequence[LayerKind]) -> tuple[int, int]:
+    """How many views, and sets of layers of views, are not committed yet, and how many there are in all.
+
+    Counts by the records, which are written last; only a build without a part reads every byte. Annexes count, too.
+    """
+    found = [_is_there(dataset, kinds, split, view) for split, view in _views(dataset)]
+    for folder in list_annex_folders(dataset.root):
+        annex = open_dataset(folder)
+        has_straight = (layers_root(dataset.root, TRUTH, "straight") / "layers.json").is_file()
+        found += [_is_there(annex, ("straight",) if has_straight else (), *view) for view in _views(annex)]
+    states = [state for view in found for state in view]
+    return states.count(False), len(states)
+
+
+def _is_there(dataset: Dataset, kinds: Sequence[LayerKind], split: Split, view: int) -> list[bool]:
+    """Whether a view's record, and that of each kind of its layers, stands there."""
+    states = []
+    for kind in (None, *kinds):
+        try:
+            if kind is None:
+                read_record(dataset, split, view)
+            else:
+                read_layers_record(dataset, TRUTH, kind, split, view)
+            states.append(True)
+        except HyalineError:
+            states.append(False)
+    return states
+
+
+def _views(dataset: Dataset) -> list[tuple[Split, int]]:
+    return [(split, view) for split in dataset.splits for view in range(dataset.config.split(split).views)]

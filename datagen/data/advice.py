@@ -1,0 +1,141 @@
+"""What to type next: commands that work as they stand, with the folders that are there."""
+
+import os
+import shlex
+from collections.abc import Iterator
+from pathlib import Path
+
+from datagen.data.dataset import DATA_ROOT, Dataset, list_datasets, open_dataset
+from datagen.data.geometries import TRUTH, list_geometries
+from datagen.data.layer_store import read_layers_head
+from datagen.disk.errors import HyalineError
+from datagen.disk.heads import HEADS, home_of, mend_command
+from datagen.disk.records import Json
+from datagen.disk.storage import load_sealed
+
+BUILT_IN_SCENES = ("glass_table", "vitrine", "plant_shelf", "drinks")
+"""Names that `datagen build --scene` takes; `datagen.scene.builtin` has their makers."""
+
+RUNS = Path("runs")
+"""Where runs lie unless told."""
+BLIND_METHODS = ("deepvoxels",)
+"""Methods that know no geometry, and so cannot draw an edit."""
+
+
+def build_command(root: Path = DATA_ROOT) -> str:
+    """The command that makes a dataset of this folder, or of the first built-in scene that is not built in it yet."""
+    if root.name in BUILT_IN_SCENES or root != DATA_ROOT:
+        scene = root.name if root.name in BUILT_IN_SCENES else "glass_table"
+    else:
+        scene = next((name for name in BUILT_IN_SCENES if not (root / name).exists()), "glass_table")
+        root = root / scene
+    return shlex.join(
+        ["datagen", "build", "--scene", scene, *([] if root == DATA_ROOT / scene else ["--out", str(root)])]
+    )
+
+
+def where_datasets_are(root: Path) -> str:
+    """The way out for somebody who named a folder without a dataset."""
+    if (root / HEADS / "dataset.json").is_file():
+        return f"mend it with `{mend_command(root / 'dataset.json')}`"
+    known = ", ".join(shlex.quote(str(place)) for place in list_datasets())
+    there = f"there is {known}" if known else ""
+    is_free = not os.path.lexists(root) or (root.is_dir() and not any(root.iterdir()))
+    if not is_free or home_of(root) != root:
+        return there or f"make one elsewhere with `{build_command()}`"
+    return "; or ".join(filter(None, [f"make one with `{build_command(root)}`", there]))
+
+
+def after_build(dataset: Dataset) -> str:
+    """What comes after a dataset."""
+    if "ellipsoid" not in list_geometries(dataset):
+        return shlex.join(["proxies", "make", "--dataset", str(dataset.root), "--kind", "ellipsoid"])
+    return after_layers(dataset, TRUTH)
+
+
+def after_layers(dataset: Dataset, geometry: str) -> str:
+    """What comes after layers of a geometry: a run that learns from them, or the report when there is one."""
+    home = dataset.home
+    if home.edit is not None:
+        return after_edit(open_dataset(home_of(home.root)), home)
+    seal = _layers_seal(home, geometry)
+    method, seal = ("light-path", home.seal) if seal is None else ("paper", seal)
+    usual = RUNS / home.name / (method if geometry == TRUTH else f"{method}-{geometry}")
+    command = ["model", "train", "--method", method, "--dataset", str(home.root)]
+    command += [] if geometry == TRUTH else ["--geometry", geometry]
+    if not os.path.lexists(usual):
+        return shlex.join(command)
+    record = _read_record(usual)
+    if (record.get("dataset_seal"), record.get("layers_seal")) == (home.seal, seal) and _is_predicted(usual):
+        return report_command(usual)
+    others = (usual.with_name(f"{usual.name}-{number}") for number in range(2, 1000))
+    return shlex.join([*command, "--out", str(next(path for path in others if not os.path.lexists(path)))])
+
+
+def after_edit(base: Dataset, edited: Dataset) -> str:
+    """What comes after an edit: a trained run draws it; training where there is none, the report where all have."""
+    runs = list(_runs_that_draw(base, edited))
+    if not runs:
+        return after_layers(base, TRUTH)
+    undrawn = [(run, record) for run, record in runs if not _is_predicted(run / "edits" / edited.name)]
+    if not undrawn:
+        return report_command(runs[0][0])
+    run, record = min(undrawn, key=lambda item: (item[1].get("method") != "light-path", item[0]))
+    command = ["model", "render", "--run", str(run), "--edit", edited.name]
+    found = Path(str(record.get("dataset"))).resolve() == base.root.resolve()
+    return shlex.join(command if found else [*command, "--dataset", str(base.root)])
+
+
+def report_command(run: Path) -> str:
+    """The report of the folder RUNS in which a run is RUNS/SCENE/NAME."""
+    root = os.path.normpath(run / ".." / "..")
+    return "eval report" if root == str(RUNS) else f"eval report --runs {shlex.quote(root)}"
+
+
+def train_command(out: Path | None = None) -> str:
+    """The command that trains a run of `paper` in a folder; that of a dataset where there is none to train on."""
+    datasets = list_datasets()
+    if not datasets:
+        return build_command()
+    named = [root for root in datasets if out is not None and root.name == out.parent.name]
+    place = [] if out is None else ["--out", str(out)]
+    return shlex.join(["model", "train", "--method", "paper", "--dataset", str([*named, *datasets][0]), *place])
+
+
+def edit_command(base: Dataset, edited: Dataset) -> str:
+    """The command that makes an edit again, or what it lacks."""
+    assert edited.edit is not None
+    words = [word for edit in edited.edit.edits for word in ("--edit", edit)]
+    return shlex.join(["datagen", "build", "--dataset", str(base.root), *words])
+
+
+def _runs_that_draw(base: Dataset, edited: Dataset) -> Iterator[tuple[Path, dict[str, Json]]]:
+    geometries = list_geometries(edited)
+    for path in sorted((RUNS / base.name).glob("*/run.json")):
+        record = _read_record(path.parent)
+        geometry = str(record.get("geometry"))
+        if record.get("dataset_seal") != base.seal or geometry not in geometries:
+            continue
+        is_current = record.get("layers_seal") in (base.seal, _layers_seal(base, geometry))
+        is_able = record.get("method") not in BLIND_METHODS and (path.parent / "weights.pt").is_file()
+        if is_current and is_able:
+            yield path.parent, record
+
+
+def _layers_seal(dataset: Dataset, geometry: str) -> str | None:
+    """What names the straight layers of a geometry; None where it has none."""
+    try:
+        return read_layers_head(dataset, geometry, "straight")[1]
+    except HyalineError:
+        return None
+
+
+def _read_record(run: Path) -> dict[str, Json]:
+    try:
+        return load_sealed(run / "run.json")
+    except HyalineError:
+        return {}  # None there, or of another method's making.
+
+
+def _is_predicted(folder: Path) -> bool:
+    return (folder / "predictions.json").is_file()

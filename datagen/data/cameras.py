@@ -1,0 +1,78 @@
+"""Owns where cameras stand and which rays they shoot: the three splits of a rig, pixel-centre and sub-pixel rays."""
+
+import math
+
+import numpy as np
+from jaxtyping import Float, Float32, Int
+
+from datagen.data.dataset import Cameras
+from datagen.disk.errors import HyalineError
+
+
+def look_at(position: Float[np.ndarray, "3"], target: Float[np.ndarray, "3"]) -> Float[np.ndarray, "4 4"]:
+    """world_from_camera of a level camera (OpenGL convention, +z up).
+
+    Raises:
+        HyalineError: the camera looks straight up or down, or at its own place.
+    """
+    back = np.asarray(position, np.float64) - target
+    right = np.cross([0.0, 0.0, 1.0], back)
+    if np.linalg.norm(right) < 1e-6 * max(np.linalg.norm(back), 1e-6):
+        raise HyalineError(f"camera at {position}: looks straight up or down at {target}; move the target aside")
+    back, right = back / np.linalg.norm(back), right / np.linalg.norm(right)
+    matrix = np.eye(4)
+    matrix[:3] = np.stack([right, np.cross(back, right), back, position], axis=1)
+    return matrix
+
+
+def pixel_center_rays(cameras: Cameras, view: int) -> tuple[Float32[np.ndarray, "3"], Float32[np.ndarray, "h w 3"]]:
+    """Origin and unit directions of the rays through pixel centres, computed in float64."""
+    focal = 0.5 * cameras.width / math.tan(0.5 * cameras.fov_x)
+    x = (np.arange(cameras.width) + 0.5 - 0.5 * cameras.width) / focal
+    y = (0.5 * cameras.height - np.arange(cameras.height) - 0.5) / focal
+    d_camera = np.stack(np.broadcast_arrays(x[None, :], y[:, None], -1.0), axis=-1)
+    world_from_camera = cameras.world_from_camera[view]
+    d_world = d_camera @ world_from_camera[:3, :3].T
+    d_world /= np.linalg.norm(d_world, axis=-1, keepdims=True)
+    return world_from_camera[:3, 3].astype(np.float32), d_world.astype(np.float32)
+
+
+def subpixel_offsets(samples: int, place: float | Float[np.ndarray, "... sample 2"] = 0.5
+                     ) -> Float[np.ndarray, "... sample 2"]:  # fmt: skip
+    """Where the rays of a pixel pass through it: (down, right) from its upper left corner, in [0, 1)^2 of its width.
+
+    Each ray has a cell of its own in a regular grid that tiles the pixel, row by row.
+
+    Args:
+        samples: rays per pixel, a square number.
+        place: where in its cell a ray is, in [0, 1); 0.5 is the cell's centre.
+
+    Raises:
+        HyalineError: no square number.
+    """
+    side = math.isqrt(max(samples, 0))
+    if samples < 1 or side**2 != samples:
+        raise HyalineError(f"rays: is {samples}; expected a square number of rays per pixel")
+    cells = np.stack(np.divmod(np.arange(samples), side), axis=-1)
+    return (cells + place) / side
+
+
+def subpixel_rays(cameras: Cameras, pixel: Int[np.ndarray, " pixel"], offsets: Float[np.ndarray, "pixel sample 2"]
+                  ) -> tuple[Float32[np.ndarray, "ray 3"], Float32[np.ndarray, "ray 3"]]:  # fmt: skip
+    """Origins and unit directions of rays through pixels of any views, pixel by pixel, computed in float64.
+
+    Args:
+        pixel: its place among all pixels of all views: row by row and view by view.
+        offsets: as `subpixel_offsets` gives them.
+    """
+    view, place = np.divmod(pixel, cameras.height * cameras.width)
+    row, column = np.divmod(place, cameras.width)
+    focal = 0.5 * cameras.width / math.tan(0.5 * cameras.fov_x)
+    x = (column[:, None] + offsets[..., 1] - 0.5 * cameras.width) / focal
+    y = (0.5 * cameras.height - row[:, None] - offsets[..., 0]) / focal
+    d_camera = np.stack([x, y, -np.ones_like(x)], axis=-1)
+    world_from_camera = cameras.world_from_camera[view]
+    d_world = np.einsum("psc,pdc->psd", d_camera, world_from_camera[:, :3, :3])
+    d_world /= np.linalg.norm(d_world, axis=-1, keepdims=True)
+    origins = np.broadcast_to(world_from_camera[:, None, :3, 3], d_world.shape)
+    return origins.reshape(-1, 3).astype(np.float32), d_world.reshape(-1, 3).astype(np.float32)

@@ -1,0 +1,58 @@
+"""The layout of an EXR file, read before Mitsuba reads the file: on some that are cut short, OpenEXR never ends."""
+
+import struct
+
+from datagen.disk.errors import HyalineError
+
+START = b"v/1\x01\x02\x00\x00\x00"
+"""Of an EXR with scan lines and one part."""
+
+PIZ, ROWS_PER_BLOCK = 4, 32
+"""The compression that Mitsuba 3.9 writes, and the rows that it compresses at once."""
+
+MAX_WIDTH = 1 << 16
+
+
+def check_exr(data: bytes, *, where: str) -> None:
+    """Refuses what is no EXR as this package writes them: half floats in scan lines, every block within the file.
+
+    Raises:
+        HyalineError: names the first thing that is wrong.
+    """
+    try:
+        attributes, place = _header(data)
+        window = struct.unpack("<4i", attributes["dataWindow"])
+        compression = attributes["compression"]
+    except (KeyError, ValueError, struct.error) as error:
+        raise HyalineError(f"{where}: damaged, the header of the EXR is incomplete; render it again") from error
+    width, height = window[2] + 1 - window[0], window[3] + 1 - window[1]
+    if compression != bytes([PIZ]) or not (0 < width <= MAX_WIDTH and 0 < height <= MAX_WIDTH):
+        raise HyalineError(f"{where}: damaged, an EXR of {width} x {height} pixels; render it again")
+    count = -(-height // ROWS_PER_BLOCK)
+    if len(data) < place + 8 * count:
+        raise HyalineError(f"{where}: damaged, the EXR ends before its pixels; render it again")
+    for block, offset in enumerate(struct.unpack_from(f"<{count}Q", data, place)):
+        if offset + 8 > len(data):
+            raise HyalineError(f"{where}: damaged, block {block} of the EXR is missing; render it again")
+        row, size = struct.unpack_from("<iI", data, offset)
+        if row != window[1] + block * ROWS_PER_BLOCK or offset + 8 + size > len(data):
+            raise HyalineError(f"{where}: damaged, block {block} of the EXR is incomplete; render it again")
+
+
+def _header(data: bytes) -> tuple[dict[str, bytes], int]:
+    """The attributes by name, and where they end."""
+    if not data.startswith(START):
+        raise ValueError("not an EXR")
+    attributes: dict[str, bytes] = {}
+    place = len(START)
+    while data[place : place + 1] != b"\x00":
+        # A name and a type, both ended by zeros, then the size and the value.
+        name, _, rest = data[place : place + 64].partition(b"\x00")
+        kind, zero, _ = rest.partition(b"\x00")
+        place += len(name) + len(kind) + 2
+        (size,) = struct.unpack_from("<I", data, place)
+        if not zero or place + 4 + size > len(data):
+            raise ValueError("cut short")
+        attributes[name.decode("latin-1")] = data[place + 4 : place + 4 + size]
+        place += 4 + size
+    return attributes, place + 1

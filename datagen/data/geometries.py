@@ -1,0 +1,254 @@
+"""Owns a dataset's geometries: the true meshes of its scene, and the proxies that stand in for them.
+
+scene/meshes/NAME.ply              the truth
+proxies/KIND/proxies.json          sealed, written first: one mesh per object, with SHA-256 and statistics
+proxies/KIND/meshes/NAME.ply
+
+KIND is a geometry's name: a kind of proxy such as box, a kind and its amount such as noise-0.01, or `mixed` and more,
+where `assignment` in proxies.json says for each object what stands for it.
+"""
+
+import difflib
+import shlex
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from datagen.data.dataset import DATASET_VERSION, Dataset, check_files, head_files
+from datagen.data.meshes import Mesh, check_mesh, is_there, no_mesh, read_ply, write_ply
+from datagen.disk.errors import HyalineError
+from datagen.disk.heads import keep_head
+from datagen.disk.names import check_name, is_name
+from datagen.disk.ownership import PROXIES, begin, is_ours, refuse_taken, remove_files
+from datagen.disk.records import Json, entry, from_json, shown, to_json
+from datagen.disk.storage import commit, commit_sealed, load_sealed, seal_bytes, sha256
+from datagen.terminal.command import choose
+
+TRUTH = "truth"
+"""The geometry that is not a proxy: the scene's own meshes."""
+
+NO_GEOMETRY = "none"
+"""What stands for it where a method looks up no layers."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProxyStatistics:
+    """How far one proxy is from its object."""
+
+    volume_ratio: float
+    """Volume of the proxy over the volume of the object's convex hull (>= 1 for a conservative convex proxy).
+
+    Where boxes of `blocks` overlap, they count twice. Of an open mesh with noise, the volume means nothing.
+    """
+    mean_distance: float
+    """Mean distance in metres from points on the proxy to the object's surface."""
+    max_distance: float
+    """Largest such distance in metres."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProxyRecord:
+    """One object's proxy on disk."""
+
+    object: str
+    file: str
+    """meshes/NAME.ply, relative to the folder of the proxies."""
+    sha256: str
+    statistics: ProxyStatistics
+
+    def __post_init__(self) -> None:
+        check_name(self.object, where="object name")
+        if self.file != f"meshes/{self.object}.ply":
+            raise HyalineError(f"proxy of {self.object}: lies at {self.file!r}; expected meshes/{self.object}.ply")
+
+
+def geometry_root(root: Path, geometry: str) -> Path:
+    """Where a geometry's meshes and layers lie: the dataset itself for the truth, else its proxy folder."""
+    return root if geometry == TRUTH else root / "proxies" / check_name(geometry, where="geometry")
+
+
+def write_proxies(dataset: Dataset, kind: str, meshes: tuple[Mesh, ...], statistics: tuple[ProxyStatistics, ...],
+                  assignment: tuple[str, ...] | None = None) -> None:  # fmt: skip
+    """Commits one proxy mesh per object, in object order, but none of an object that an edit removed.
+
+    Args:
+        assignment: of a mixture, what stands for each object: truth, box, noise-0.01, ...
+    """
+    root = geometry_root(dataset.root, kind)
+    listed, files = [], {}
+    for item, mesh, numbers in zip(dataset.objects, meshes, statistics, strict=True):
+        if not is_there(mesh):
+            continue
+        file, data = f"meshes/{item.name}.ply", write_ply(mesh)
+        files[file] = data
+        listed.append(ProxyRecord(object=item.name, file=file, sha256=sha256(data), statistics=numbers))
+    content: dict[str, Json] = {
+        "version": DATASET_VERSION,
+        "kind": kind,
+        "dataset": dataset.seal,
+        "proxies": to_json(tuple(listed)),
+    }
+    if assignment is not None:
+        content["assignment"] = to_json(assignment)
+    if is_ours(root, PROXIES):
+        old = proxy_files(root)
+        refuse_taken(root, PROXIES, files, old)
+        remove_files(root, sorted(set(old) - set(files)))
+        commit_sealed(root / PROXIES.head, content)
+    else:
+        begin(root, PROXIES, seal_bytes(content), files)
+    for file, data in files.items():
+        commit(root / file, data)
+    keep_head(dataset.root, root / PROXIES.head)
+
+
+def proxy_files(root: Path) -> list[str]:
+    """The meshes that a folder of proxies lists, by path relative to it.
+
+    Raises:
+        HyalineError: the list is missing or damaged.
+    """
+    path = root / PROXIES.head
+    records = from_json(tuple[ProxyRecord, ...], load_sealed(path).get("proxies"), where=f"{path}: proxies")
+    return [record.file for record in records]
+
+
+def read_proxy_records(dataset: Dataset, kind: str) -> tuple[ProxyRecord, ...]:
+    """The list of a dataset's proxies of one kind, in object order.
+
+    Raises:
+        HyalineError: they were not made, are damaged, or were made for another dataset.
+    """
+    dataset = dataset.home
+    path = geometry_root(dataset.root, kind) / "proxies.json"
+    if not path.is_file():
+        raise HyalineError(f"{path}: no {kind} proxies; make them with `{_make_command(dataset, kind)}`")
+    content = load_sealed(path)
+    if content.get("version") != DATASET_VERSION:
+        raise HyalineError(
+            f"{path}: format version {shown(content.get('version'))}; this program reads {DATASET_VERSION}"
+        )
+    if unknown := sorted(set(content) - {"version", "kind", "dataset", "proxies", "assignment"}):
+        raise HyalineError(f"{path}: unknown key {unknown[0]!r}; make the proxies again")
+    if content.get("kind") != kind:
+        raise HyalineError(f"{path}: is of kind {content.get('kind')!r}; expected {kind!r}, as its folder is called")
+    if content.get("dataset") != dataset.seal:
+        raise HyalineError(
+            f"{path}: made for another dataset; make them again with `{_make_command(dataset, kind)} --overwrite`"
+        )
+    return from_json(tuple[ProxyRecord, ...], entry(content, "proxies", where=path), where=f"{path}: proxies")
+
+
+def read_assignment(dataset: Dataset, geometry: str) -> tuple[str, ...] | None:
+    """What stands for each object in a mixture, in object order; None for the truth and for one kind of proxy.
+
+    Raises:
+        HyalineError: the proxies were not made, or are damaged.
+    """
+    if geometry == TRUTH:
+        return None
+    path = geometry_root(dataset.root, geometry) / "proxies.json"
+    assignment = load_sealed(path).get("assignment")
+    return None if assignment is None else from_json(tuple[str, ...], assignment, where=f"{path}: assignment")
+
+
+def describe_geometry(dataset: Dataset, geometry: str) -> str:
+    """A geometry in words: what a method knows of the scene's shape.
+
+    Raises:
+        HyalineError: the proxies were not made, or are damaged.
+    """
+    if geometry == TRUTH:
+        return "true geometry"
+    assignment = read_assignment(dataset, geometry)
+    if assignment is None:
+        return f"proxy geometry ({geometry})"
+    most = max(sorted(set(assignment)), key=lambda kind: (assignment.count(kind), kind == TRUTH))
+    named = [kind for kind in dict.fromkeys(assignment) if kind != most]
+    parts = [
+        f"{kind} for {', '.join(item.name for item, own in zip(dataset.objects, assignment) if own == kind)}"
+        for kind in named
+    ]
+    return f"proxy geometry ({geometry}: {'; '.join([*parts, f'{most} for the rest'])})"
+
+
+def _make_command(dataset: Dataset, geometry: str) -> str:
+    words = ["proxies", "make", "--dataset", str(dataset.root)]
+    if geometry.startswith("mixed"):
+        # Any object and kind will do to show how it is written.
+        return shlex.join([*words, "--name", geometry, "--assign", f"{dataset.objects[0].name}=box"])
+    kind, _, amount = geometry.partition("-")
+    return shlex.join([*words, "--kind", kind, *(["--amount", amount] if amount else [])])
+
+
+def list_geometries(dataset: Dataset) -> list[str]:
+    """`truth`, and every kind of proxy that was made for the dataset."""
+    made = (path.parent.name for path in dataset.home.root.glob("proxies/*/proxies.json"))
+    return [TRUTH, *sorted(filter(is_name, made))]
+
+
+def check_geometry(dataset: Dataset, geometry: str) -> None:
+    """Refuses a geometry that the dataset does not have.
+
+    Raises:
+        HyalineError: a slip of the pen gets a suggestion, proxies that were not made the command that makes them.
+    """
+    made = list_geometries(dataset)
+    if geometry not in made and difflib.get_close_matches(geometry, made, n=1, cutoff=0.5):
+        choose("geometry", geometry, made)
+    if geometry not in made:
+        read_proxy_records(dataset, geometry)
+
+
+def read_meshes(dataset: Dataset, geometry: str) -> tuple[Mesh, ...]:
+    """The meshes of `truth` or of a proxy kind, in object order, verified against their checksums.
+
+    That of an object which an edit removed has no faces.
+
+    Raises:
+        HyalineError: not made, missing or damaged.
+    """
+    dataset = dataset.home
+    root = geometry_root(dataset.root, geometry)
+    files = _mesh_files(dataset, geometry)
+    check_files(root, dict(files.values()))
+    meshes = {name: read_ply(root / file)[0] for name, (file, _) in files.items()}
+    for name, mesh in meshes.items():
+        check_mesh(mesh, where=str(root / files[name][0]))
+    return tuple(meshes.get(item.name) or no_mesh() for item in dataset.objects)
+
+
+def geometry_hash(dataset: Dataset, geometry: str) -> str:
+    """Hash over a geometry's meshes, which layers hold of those that they were made of."""
+    return sha256(b"".join(write_ply(mesh) for mesh in read_meshes(dataset, geometry) if is_there(mesh)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class GeometryKey:
+    """A geometry as the key of what is computed from it: equal where the dataset's head and all meshes are."""
+
+    dataset: Dataset = field(compare=False)
+    seal: str
+    geometry: str
+    mesh_hashes: tuple[str, ...]
+
+
+def geometry_key(dataset: Dataset, geometry: str) -> GeometryKey:
+    """The key of a geometry as its sealed list names it; no mesh is read.
+
+    Raises:
+        HyalineError: not made, or the list is damaged.
+    """
+    hashes = tuple(sha256 for _, sha256 in _mesh_files(dataset.home, geometry).values())
+    return GeometryKey(dataset=dataset.home, seal=dataset.home.seal, geometry=geometry, mesh_hashes=hashes)
+
+
+def _mesh_files(dataset: Dataset, geometry: str) -> dict[str, tuple[str, str]]:
+    """File and SHA-256 of each object's mesh, where the object is there; relative to the geometry's folder."""
+    if geometry != TRUTH:
+        return {record.object: (record.file, record.sha256) for record in read_proxy_records(dataset, geometry)}
+    promised = head_files(dataset.root)
+    files = {item.name: f"scene/meshes/{item.name}.ply" for item in dataset.objects}
+    if dataset.edit is not None:
+        files = {name: file for name, file in files.items() if file in promised}
+    where = dataset.root / "dataset.json"
+    return {name: (file, entry(promised, file, where=where)) for name, file in files.items()}

@@ -1,0 +1,116 @@
+"""The second copies of a dataset's heads, which tell what was there, and with which settings, when it is gone.
+
+    heads/dataset.json                          a copy of dataset.json
+    heads/layers/straight/layers.json           a copy of layers/straight/layers.json; and so on for every head of
+                                                layers, proxies, annexes and edits: at the same path, the same bytes
+
+A head is committed first and copied then. So a head that verifies counts, and the copy where it does not; where both do
+and differ, the one under which the views were made. Datasets made before there were copies get them from the next
+command that writes there.
+"""
+
+import shlex
+from collections.abc import Iterator
+from pathlib import Path
+
+from datagen.disk.errors import HyalineError
+from datagen.disk.reading import load_json
+from datagen.disk.storage import SEAL, commit, load_sealed, sha256_file
+
+HEADS = "heads"
+
+_KINDS = ("straight", "light-path")
+_PARTS = (
+    "dataset.json",
+    "proxies/*/proxies.json",
+    *(f"{outer}layers/{kind}/layers.json" for outer in ("", "proxies/*/") for kind in _KINDS),
+)
+PATTERNS = tuple(f"{outer}{inner}" for outer in ("", "annexes/*/", "edits/*/") for inner in _PARTS)
+"""Where heads lie in a dataset."""
+
+
+def home_of(root: Path) -> Path:
+    """The dataset's folder that keeps the copies: for an edit or an annex, that of the dataset around it."""
+    outer = root.parent.parent
+    is_inner = root.parent.name in ("annexes", "edits")
+    return (
+        outer if is_inner and any((outer / path).is_file() for path in ("dataset.json", "heads/dataset.json")) else root
+    )
+
+
+def mend_command(path: Path) -> str:
+    """What makes a lost or damaged file of a dataset again, as one types it."""
+    return f"datagen mend {shlex.quote(str(_around(path) or path.parent))}"
+
+
+def way_out(path: Path) -> str:
+    """What to do about a damaged or lost file, of a dataset or not."""
+    home = _around(path)
+    if home is None:
+        return "restore it, or make it again"
+    return f"`datagen verify {shlex.quote(str(home))}` names what makes it again"
+
+
+def _around(path: Path) -> Path | None:
+    """The dataset's folder in which a file lies, or would lie; None where there is none."""
+    heads = ("dataset.json", f"{HEADS}/dataset.json")
+    inner = next((folder for folder in path.parents if any((folder / head).is_file() for head in heads)), None)
+    return None if inner is None else home_of(inner)
+
+
+def keep_head(root: Path, path: Path) -> None:
+    """Copies the head at `path`, of the dataset, annex or edit at `root`, when the copy is not the same."""
+    home = home_of(root)
+    copy, data = home / HEADS / path.relative_to(home), path.read_bytes()
+    if not copy.is_file() or copy.read_bytes() != data:
+        commit(copy, data, beside=path)
+
+
+def list_heads(home: Path) -> list[str]:
+    """Every head that is there, or was by its copy, by path relative to the dataset; outer ones first."""
+    found = {
+        path.relative_to(folder).as_posix()
+        for folder in (home, home / HEADS)
+        for pattern in PATTERNS
+        for path in folder.glob(pattern)
+    }
+    return sorted(found, key=lambda path: (path.count("/"), path))
+
+
+def true_head(home: Path, relative: str) -> bytes | None:
+    """The bytes of a head that count, its own or its copy's; None when neither verifies."""
+    head, copy = _verified(home / relative), _verified(home / HEADS / relative)
+    if head is None or copy is None or head == copy:
+        return head if head is not None else copy
+    is_older = _is_proven(home / HEADS / relative, home / relative) and not _is_proven(home / relative, home / relative)
+    return copy if is_older else head
+
+
+def _verified(path: Path) -> bytes | None:
+    if path.is_symlink():
+        return None
+    try:
+        load_sealed(path)
+    except HyalineError:
+        return None
+    return path.read_bytes()
+
+
+def _is_proven(head: Path, place: Path) -> bool:
+    """True when what lies beside `place` was made under a head: a view's record says so, or a mesh's checksum."""
+    content = load_json(head)
+    if place.name == "proxies.json":
+        listed = content.get("proxies")
+        meshes = [item for item in listed if isinstance(item, dict)] if isinstance(listed, list) else []
+        files = [(place.parent / str(item.get("file")), item.get("sha256")) for item in meshes]
+        return any(path.is_file() and sha256_file(path) == promised for path, promised in files)
+    key = "dataset" if place.name == "dataset.json" else "layers"
+    return any(record.get(key) == content[SEAL] for record in _records(place.parent))
+
+
+def _records(root: Path) -> Iterator[dict]:
+    for path in sorted(root.glob("records/*/*.json")):
+        try:
+            yield load_sealed(path)
+        except HyalineError:
+            continue

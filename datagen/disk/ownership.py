@@ -1,0 +1,261 @@
+"""Whose a folder is: what in it may be removed or replaced, and what is never touched.
+
+A folder is ours when its head says so, a sealed JSON file that is written before all else: whatever a killed command
+leaves is then ours, too. Only what a head lists, or what the folder's format names, is ever removed or replaced there,
+and the temporary files of writers, whose names nobody else gives; all else stays. In a folder without a head nothing is
+written, unless it is empty. Below a folder's head no links are followed: they lead to what is not ours.
+"""
+
+import contextlib
+import itertools
+import os
+import re
+import stat
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from datagen.disk.errors import HyalineError
+from datagen.disk.names import check_relative, printable
+from datagen.disk.storage import TEMPORARY, commit, commit_first, load_sealed, one_writer, shared_writers
+
+ZARR_TEMPORARY = re.compile(r".+\.[0-9a-f]{32}\.partial")
+"""What zarr calls a file that it is writing (zarr 3.1); ours in a store of ours alone."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FolderKind:
+    """A kind of folder that this program makes."""
+
+    what: str
+    """In words."""
+    head: str
+    """The sealed file in it that makes it ours."""
+    folders: tuple[str, ...] = ()
+    """Patterns of the folders below in which its files lie, but for those of folders with a head of their own."""
+    nested: tuple[str, ...] = ()
+    """Patterns of the folders below that have heads of their own."""
+    store: str | None = None
+    """Its zarr store, if it has one: one of `folders`."""
+    way_out: str = "choose another --out"
+    """What to do when something else stands there."""
+    holds_head: Callable[[Path], bool] | None = None
+    """Whether such a file is a head, where a verified seal is not the answer."""
+
+
+DATASET = FolderKind(
+    what="dataset",
+    head="dataset.json",
+    folders=("scene", "images", "records", "heads"),
+    nested=("layers/*", "proxies/*", "edits/*", "annexes/*", "footprints", "heads"),
+)
+LAYERS = FolderKind(
+    what="layers", head="layers.json", folders=("peels.zarr", "records"), store="peels.zarr",
+    way_out="move that elsewhere, or delete the folder",
+)  # fmt: skip
+PROXIES = FolderKind(
+    what="proxies", head="proxies.json", folders=("meshes",), nested=("layers/*",),
+    way_out="move that elsewhere, or delete the folder",
+)  # fmt: skip
+FOOTPRINTS = FolderKind(
+    what="footprints", head="footprints.json", folders=("*",), way_out="move that elsewhere, or delete the folder"
+)
+
+
+def is_ours(root: Path, kind: FolderKind) -> bool:
+    """True when the folder's head stands there and verifies."""
+    if kind.holds_head is not None:
+        return kind.holds_head(root / kind.head)
+    try:
+        load_sealed(root / kind.head)
+    except HyalineError:
+        return False
+    return True
+
+
+@contextlib.contextmanager
+def holding(root: Path, kind: FolderKind, *, within: Path | None = None, shared: bool = False) -> Iterator[None]:
+    """Holds a folder alone, and clears what killed writers left if it is ours; or `shared`, where nothing is removed.
+
+    Args:
+        within: a folder of ours above it, from which no link may lead here.
+
+    Raises:
+        HyalineError: another process writes there, or a link leads from there to somewhere else.
+    """
+    if within is not None:
+        refuse_links(within, root.relative_to(within))
+    with shared_writers(root) if shared else one_writer(root):
+        if is_ours(root, kind):
+            _refuse_linked_folders(root, kind)
+            if not shared:
+                _remove_temporaries(root, kind)
+        elif not shared and next(_foreign_files(root, kind, {}), None) is None:
+            _remove_temporaries(root, kind)
+        yield
+
+
+def begin(root: Path, kind: FolderKind, head: bytes, files: Mapping[str, bytes] = {}, *,
+          is_proven: Callable[[], bool] = lambda: False) -> None:  # fmt: skip
+    """Writes the head of a folder that has none yet, or whose head was lost or damaged; the caller holds the folder.
+
+    Several processes may begin a folder at once: one of their heads stays.
+
+    Args:
+        files: what will stand there, by path relative to `root`: where nothing else stands, the folder is ours.
+        is_proven: says whether what stands there can only have been made under this head.
+
+    Raises:
+        HyalineError: something else stands there.
+    """
+    foreign = list(itertools.islice(_foreign_files(root, kind, files), 2))
+    if is_ours(root, kind):  # Also when another process has just begun it.
+        return
+    is_damaged = foreign == [kind.head] and any((root / path).is_file() for path in files)
+    if foreign and not is_damaged and not is_proven():
+        raise refusal(root, kind, next((path for path in foreign if path != kind.head), kind.head))
+    if os.path.lexists(root / kind.head):
+        commit(root / kind.head, head)
+    else:
+        commit_first(root / kind.head, head)
+
+
+def refuse_others(root: Path, kind: FolderKind, *, but: Callable[[str], bool] | None = None) -> None:
+    """Refuses a folder that is neither ours nor empty, before work is done for it.
+
+    Args:
+        but: says of which paths `begin` will judge, when it is known what should stand there.
+
+    Raises:
+        HyalineError: naming what stands there.
+    """
+    foreign = next((path for path in _foreign_files(root, kind, {}) if but is None or not but(path)), None)
+    if foreign is not None and not is_ours(root, kind):
+        raise refusal(root, kind, foreign)
+
+
+def refuse_strangers(root: Path, kind: FolderKind, names: Container[str]) -> None:
+    """Refuses a folder in which something stands that this kind of folder never holds; `begin` judges the rest.
+
+    Args:
+        names: files that such a folder may hold besides those in its own folders.
+
+    Raises:
+        HyalineError: naming what stands there.
+    """
+    tops = {folder.split("/")[0] for folder in (*kind.folders, *kind.nested)}
+    refuse_others(root, kind, but=lambda path: path in names or (Path(path).parts[0] in tops and "/" in path))
+
+
+def refuse_taken(root: Path, kind: FolderKind, wanted: Iterable[str], own: Iterable[str]) -> None:
+    """Refuses to write files where others stand that are not ours.
+
+    Args:
+        wanted: paths relative to `root` that will be written.
+        own: those that are ours already.
+    """
+    known = set(own)
+    for path in wanted:
+        if path not in known and os.path.lexists(root / path):
+            raise HyalineError(
+                f"{root / path}: is in the way, and no file of this {kind.what}; move it elsewhere, or {kind.way_out}"
+            )
+
+
+def refuse_file(path: Path) -> None:
+    """Refuses to write an output file where one stands.
+
+    Raises:
+        HyalineError: naming it.
+    """
+    if os.path.lexists(path):
+        raise HyalineError(f"{path}: is there already; pass --overwrite to replace it, or choose another --out")
+
+
+def refusal(root: Path, kind: FolderKind, foreign: str) -> HyalineError:
+    """What to say of a folder that is not ours, which holds `foreign`."""
+    return HyalineError(f"{root}: is not empty ({printable(foreign)}) and no {kind.what}; {kind.way_out}")
+
+
+def refuse_links(root: Path, relative: Path) -> None:
+    """Refuses a path below a folder of ours on which a link stands: what it leads to is not ours.
+
+    Raises:
+        HyalineError: naming the link.
+    """
+    path = root
+    for part in relative.parts:
+        path = path / part
+        if path.is_symlink():
+            raise HyalineError(
+                f"{path}: is a link, which nothing is written through; put what it leads to in its place, or remove it"
+            )
+
+
+def remove_files(root: Path, files: Iterable[str]) -> None:
+    """Deletes files of ours below `root`, then the folders that are empty without them; the caller holds the folder.
+
+    What is no regular file stays.
+
+    Args:
+        files: paths relative to `root`; those at which nothing stands are passed over.
+    """
+    emptied: set[Path] = set()
+    for file in files:
+        relative = Path(check_relative(file, where=str(root)))
+        refuse_links(root, relative.parent)
+        if _is_regular(root / relative):
+            (root / relative).unlink(missing_ok=True)
+        emptied.update((root / relative).parents)
+    below = [folder for folder in emptied if root in folder.parents]
+    for folder in sorted(below, key=lambda path: len(path.parts), reverse=True):
+        with contextlib.suppress(OSError):  # Not there, or not empty: something else lies in it.
+            folder.rmdir()
+
+
+def _is_regular(path: Path) -> bool:
+    try:
+        return stat.S_ISREG(path.lstat().st_mode)
+    except OSError:
+        return False
+
+
+def _own_folders(root: Path, kind: FolderKind) -> list[Path]:
+    return sorted(path for pattern in kind.folders for path in root.glob(pattern))
+
+
+def _refuse_linked_folders(root: Path, kind: FolderKind) -> None:
+    for top in _own_folders(root, kind):
+        refuse_links(root, top.relative_to(root))
+        for place, folders, _ in os.walk(top):
+            for folder in folders:
+                refuse_links(root, (Path(place) / folder).relative_to(root))
+
+
+def _remove_temporaries(root: Path, kind: FolderKind) -> None:
+    """Deletes what killed writers left, in the folder and in those that are its own; no link is followed."""
+    places = [root, *(Path(place) for top in _own_folders(root, kind) for place, _, _ in os.walk(top))]
+    for place in places:
+        in_store = kind.store is not None and (root / kind.store) in (place, *place.parents)
+        for path in place.iterdir():
+            is_temporary = TEMPORARY.fullmatch(path.name) or (in_store and ZARR_TEMPORARY.fullmatch(path.name))
+            if is_temporary and _is_regular(path):
+                path.unlink(missing_ok=True)
+
+
+def _foreign_files(root: Path, kind: FolderKind, files: Mapping[str, bytes]) -> Iterator[str]:
+    """What stands in a folder besides `files`, temporaries, and folders that have heads of their own."""
+    nested = {path for pattern in kind.nested for path in root.glob(pattern) if _has_own_head(path)}
+    for place, folders, names in os.walk(root):
+        folders[:] = sorted(name for name in folders if Path(place) / name not in nested)
+        links = [name for name in folders if (Path(place) / name).is_symlink()]
+        for name in sorted([*names, *links]):
+            path = Path(place) / name
+            relative = path.relative_to(root).as_posix()
+            is_known = relative in files and _is_regular(path) and path.read_bytes() == files[relative]
+            if not is_known and not TEMPORARY.fullmatch(name):
+                yield relative
+
+
+def _has_own_head(folder: Path) -> bool:
+    return any(is_ours(folder, kind) for kind in (DATASET, LAYERS, PROXIES, FOOTPRINTS))

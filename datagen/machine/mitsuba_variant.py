@@ -1,0 +1,155 @@
+"""Owns the choice of Mitsuba's variant on this machine, made before anything imports Mitsuba or Dr.Jit."""
+
+# Mitsuba's stubs describe no variant: what is a number in one is an array in another.
+# pyright: reportCallIssue=false
+
+import contextlib
+import functools
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from datagen.disk.errors import HyalineError
+from datagen.disk.private import make_private
+from datagen.disk.storage import user_cache
+from datagen.machine.llvm import VARIABLE, LlvmLibrary, advice, choose_llvm
+from datagen.terminal.command import say
+from datagen.terminal.signals import hold_signals
+
+OVERRIDE = "HYALINE_VARIANT"
+"""Environment variable that names the variant to use, for example `scalar_rgb`."""
+
+VARIANTS = ("cuda_ad_rgb", "llvm_ad_rgb", "scalar_rgb")
+"""What this package can run on, fastest first."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class VariantChoice:
+    """The variant that this machine will use, and why."""
+
+    variant: str
+    reason: str
+    llvm: LlvmLibrary | None
+
+
+@functools.cache
+def choose_variant() -> VariantChoice:
+    """CUDA where a GPU renders, else LLVM where a library works, else the slow scalar variant.
+
+    Raises:
+        HyalineError: the override names no variant of ours.
+    """
+    library = choose_llvm()
+    if named := os.environ.get(OVERRIDE):
+        if named not in VARIANTS:
+            raise HyalineError(f"{OVERRIDE}={named}: no such variant; expected one of {', '.join(VARIANTS)}")
+        return VariantChoice(variant=named, reason=f"{OVERRIDE} says so", llvm=library)
+    if Path("/proc/driver/nvidia/version").exists() and cuda_problem() is None:
+        return VariantChoice(variant="cuda_ad_rgb", reason="the GPU renders a test scene", llvm=library)
+    if library is not None:
+        version = ".".join(map(str, library.version))
+        return VariantChoice(
+            variant="llvm_ad_rgb", reason=f"LLVM {version} from {library.source} {library.path}", llvm=library
+        )
+    return VariantChoice(variant="scalar_rgb", reason=f"no libLLVM >= 17; `{advice()}` makes it fast", llvm=None)
+
+
+@functools.cache
+def cuda_problem() -> str | None:
+    """Why the GPU can't render, found out by a child process that may die; None when it can."""
+    answer = subprocess.run(
+        [sys.executable, "-P", "-c", _CUDA_PROBE], capture_output=True, text=True, timeout=120, check=False
+    )
+    if answer.returncode == 0:
+        return None
+    lines = answer.stderr.strip().splitlines()
+    return lines[-1] if lines else f"the test render ended with status {answer.returncode}"
+
+
+_CUDA_PROBE = """
+import mitsuba as mi
+mi.set_variant("cuda_ad_rgb")
+image = mi.render(mi.load_dict(mi.cornell_box()), spp=1)
+assert float(image.array[0]) >= 0
+"""
+
+
+def num_cores() -> int:
+    """The cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+_num_threads = 2
+"""Of Dr.Jit while it works, the calling one included; `use_mitsuba` sets it."""
+
+
+def use_mitsuba(*, quiet: bool = False, threads: int | None = None) -> str:
+    """Sets up Mitsuba in this process and returns its variant; says in one line when that is the slow one.
+
+    Args:
+        threads: how many threads render; all cores unless given.
+    """
+    global _num_threads
+    choice = choose_variant()
+    if choice.llvm is not None:
+        os.environ[VARIABLE] = str(choice.llvm.path)
+    _keep_kernels_private()
+    _num_threads = max(2, threads or num_cores())
+    # A signal that raises while Mitsuba's modules import each other leaves them half imported (3.9).
+    with hold_signals():
+        import mitsuba as mi
+
+        start_workers()
+        mi.set_variant(choice.variant)
+    # Plugins are looked for in the working directory first: a folder `plugins/` there would run foreign code.
+    resolver = mi.file_resolver()
+    resolver.clear()
+    resolver.append(str(Path(mi.__file__).parent))
+    mi.set_log_level(mi.LogLevel.Error)
+    if choice.variant == "scalar_rgb" and not quiet:
+        say(f"Mitsuba runs as scalar_rgb, many times slower than it could: {choice.reason}")
+    return choice.variant
+
+
+def _keep_kernels_private() -> None:
+    """Lets Dr.Jit keep its kernels, machine code that it loads by name, where nobody else can write.
+
+    By default it does so in ~/.drjit, which gets the mode that the user's umask leaves. Kernels that are damaged there
+    it makes again by itself (1.5). DRJIT_CACHE_DIR in the environment is the user's own choice.
+    """
+    if "DRJIT_CACHE_DIR" not in os.environ:
+        folder = user_cache("drjit")
+        if (wrong := make_private(folder)) is None:
+            os.environ["DRJIT_CACHE_DIR"] = str(folder)
+        else:
+            say(f"{wrong}; Dr.Jit compiles its kernels anew in each run")
+            os.environ["DRJIT_CACHE_DIR"] = os.devnull  # No folder: it keeps none.
+
+
+def start_workers() -> None:
+    """Starts Dr.Jit's worker threads where `short_lived_workers` has ended them.
+
+    With one thread Dr.Jit 1.5 has none, and Mitsuba 3.9 then waits for ever for one to write or read an EXR.
+    """
+    import drjit as dr
+
+    dr.set_thread_count(_num_threads)
+
+
+@contextlib.contextmanager
+def short_lived_workers() -> Iterator[None]:
+    """Ends Dr.Jit's worker threads after this block, until the next one begins. Call `use_mitsuba` first.
+
+    Idle workers spin for some 20 ms after each kernel (Dr.Jit 1.5), on cores that torch's threads wait for: training on
+    light paths took a fifth longer on two cores. To start and to end one takes 0.1 ms.
+    """
+    import drjit as dr
+
+    start_workers()
+    try:
+        yield
+    finally:
+        dr.set_thread_count(1)

@@ -1,0 +1,275 @@
+"""Owns the way from our scene to Mitsuba's: the only file that names its plugins. Call `use_mitsuba` first."""
+
+from typing import TYPE_CHECKING, assert_never, cast
+
+import numpy as np
+from jaxtyping import Float, Float32
+
+from datagen.data.meshes import Mesh, face_areas
+from datagen.scene.description import (
+    Color,
+    Conductor,
+    Dielectric,
+    Diffuse,
+    ImageTexture,
+    Material,
+    Plastic,
+    Reflectance,
+    Scene,
+    SceneObject,
+    SoftEnvironment,
+    SolidTexture,
+    ThinDielectric,
+    image_bytes,
+)
+from datagen.scene.images import linear_pixels
+
+if TYPE_CHECKING:
+    import mitsuba as mi
+
+TEXEL_SIZE = 0.001
+"""Metres per texel that a baked solid texture aims at; a floor has to do with MAX_TEXTURE_SIZE texels a side."""
+
+MIN_TEXTURE_SIZE, MAX_TEXTURE_SIZE = 128, 1024
+
+SMALL_LIGHT = 32.0
+"""Sharpness of a lobe from which on it is aimed at. Measured on the glass table, its lobes made sharper at equal power:
+to 45 dB it takes 0.8, 1.0 and 1.2 times as long without aiming at 16, 32 and 64. Shipped scenes have 4 to 8."""
+
+ENVIRONMENT_SIZE = (256, 512)
+"""Height and width of the latitude-longitude map; the sky is smooth, so more adds nothing."""
+
+
+def load_scene_mitsuba(scene: Scene, *, aims_at_sky: bool = True) -> "mi.Scene":
+    """The whole scene, ready to render; `shapes()` keeps the order of `scene.objects`, then the lights.
+
+    Args:
+        aims_at_sky: the environment is among the emitters that are sampled; so it is where there is no other.
+    """
+    import mitsuba as mi
+
+    environment = _environment(scene.environment)
+    if scene.lights and not aims_at_sky:
+        environment["sampling_weight"] = 0.0
+    content: dict[str, object] = {"type": "scene", "environment": environment}
+    use_media = is_scalar()
+    for index, item in enumerate(scene.objects):
+        props = mi.Properties()
+        props["bsdf"] = mi.load_dict(_bsdf(scene, item))
+        if use_media and isinstance(item.material, Dielectric) and any(item.material.absorption):
+            props["interior"] = mi.load_dict(_absorbing_medium(item.material))
+        content[_shape_id(index)] = _load_mesh(item.mesh, props)
+    for index, light in enumerate(scene.lights):
+        to_world = np.eye(4)
+        u, v = np.array(light.edge_u), np.array(light.edge_v)
+        normal = np.cross(u, v)
+        center = np.array(light.corner) + 0.5 * (u + v)
+        to_world[:3] = np.stack([u / 2, v / 2, normal / np.linalg.norm(normal), center], axis=1)
+        content[f"z_light_{index:03d}"] = {
+            "type": "rectangle",
+            "to_world": _transform(to_world),
+            "emitter": {"type": "area", "radiance": {"type": "rgb", "value": list(light.radiance)}},
+        }
+    return _load(content, len(scene.objects))
+
+
+def has_small_light(environment: SoftEnvironment) -> bool:
+    """Whether a part of the sky is so small and bright that it is worth a ray to aim at it."""
+    return any(lobe.sharpness > SMALL_LIGHT for lobe in environment.lobes)
+
+
+def is_scalar() -> bool:
+    """True when Mitsuba runs ray by ray, without Dr.Jit's arrays."""
+    import mitsuba as mi
+
+    return (mi.variant() or "").startswith("scalar")
+
+
+def load_geometry_mitsuba(meshes: tuple[Mesh, ...]) -> "mi.Scene":
+    """Bare meshes, ready to peel: shape i is object i + 1."""
+    import mitsuba as mi
+
+    shapes = {_shape_id(index): _load_mesh(mesh, mi.Properties()) for index, mesh in enumerate(meshes)}
+    return _load({"type": "scene", **shapes}, len(meshes))
+
+
+def to_columns(vectors: Float[np.ndarray, "ray 3"]) -> "list[mi.Float]":
+    """x, y and z of vectors, in memory aligned to a cache line.
+
+    Dr.Jit maps NumPy's memory instead of copying it, and code for unaligned memory is another kernel: one that depends
+    on where NumPy happened to put an array is compiled again and again.
+    """
+    import mitsuba as mi
+
+    count = len(vectors)
+    width = -(-count // 16) * 16  # Floats; 16 of them fill a line of 64 bytes.
+    memory = np.empty(3 * width + 16, np.float32)
+    start = -memory.ctypes.data % 64 // 4
+    columns = memory[start : start + 3 * width].reshape(3, width)[:, :count]
+    columns[:] = vectors.T
+    return [mi.Float(column) for column in columns]
+
+
+def load_sensor(world_from_camera: Float[np.ndarray, "4 4"], fov_x: float, width: int, height: int,
+                *, sampler: str = "multijitter") -> "mi.Sensor":  # fmt: skip
+    """A pinhole camera with a box filter, so that a sample counts for its own pixel alone.
+
+    Args:
+        sampler: of `mi.render`; our own path tracer has its own (datagen/render/sobol.py).
+    """
+    import mitsuba as mi
+
+    # Mitsuba's camera looks along +z and has +x on its left.
+    to_world = world_from_camera @ np.diag([-1.0, 1.0, -1.0, 1.0])
+    return cast(
+        "mi.Sensor",
+        mi.load_dict({
+            "type": "perspective",
+            "fov": float(np.degrees(fov_x)),
+            "fov_axis": "x",
+            "near_clip": 1e-3,
+            "far_clip": 1e4,
+            "to_world": _transform(to_world),
+            "film": {
+                "type": "hdrfilm",
+                "width": width,
+                "height": height,
+                "pixel_format": "rgb",
+                "component_format": "float32",
+                "rfilter": {"type": "box"},
+            },
+            "sampler": {"type": sampler},
+        }),
+    )  # fmt: skip
+
+
+def radiance_of_environment(environment: SoftEnvironment, directions: Float[np.ndarray, "... 3"]) -> np.ndarray:
+    """Radiance (..., 3) that arrives from unit directions (world space, +z up)."""
+    up = directions[..., 2:3]
+    sky = np.clip(up, 0, 1) ** 0.6
+    ground = np.clip(-up, 0, 1) ** 0.6
+    zenith, horizon, nadir = (np.array(c) for c in (environment.zenith, environment.horizon, environment.ground))
+    radiance = horizon * (1 - sky - ground) + zenith * sky + nadir * ground
+    for lobe in environment.lobes:
+        axis = np.array(lobe.direction) / np.linalg.norm(lobe.direction)
+        falloff = np.exp(lobe.sharpness * (directions @ axis - 1))[..., None]
+        radiance = radiance + falloff * np.array(lobe.radiance)
+    return radiance
+
+
+def _shape_id(index: int) -> str:
+    # Names sort like indices, so that shapes keep our order whatever a container does to it.
+    return f"object_{index:03d}"
+
+
+def _load(content: dict[str, object], num_objects: int) -> "mi.Scene":
+    import mitsuba as mi
+
+    # parallel=False: concurrent loading deadlocks now and then (drjit 524). optimize=False: merging renumbers shapes.
+    loaded = cast("mi.Scene", mi.load_dict({**content, "embree_use_robust_intersections": True}, False, False))
+    found = [shape.id() for shape in loaded.shapes()][:num_objects]
+    assert found == [_shape_id(index) for index in range(num_objects)], f"Mitsuba reordered the shapes: {found}"
+    return loaded
+
+
+def _load_mesh(mesh: Mesh, props: "mi.Properties") -> "mi.Mesh":
+    import mitsuba as mi
+
+    loaded = mi.Mesh(
+        "mesh",
+        vertex_count=len(mesh.vertices),
+        face_count=len(mesh.faces),
+        props=props,
+        has_vertex_normals=True,
+        has_vertex_texcoords=True,
+    )
+    params = mi.traverse(loaded)
+    params["vertex_positions"] = np.ascontiguousarray(mesh.vertices).ravel()
+    params["vertex_normals"] = np.ascontiguousarray(mesh.normals).ravel()
+    params["vertex_texcoords"] = np.ascontiguousarray(mesh.uv).ravel()
+    params["faces"] = np.ascontiguousarray(mesh.faces).ravel().astype(np.uint32)
+    params.update()
+    return loaded
+
+
+def _bsdf(scene: Scene, item: SceneObject) -> dict[str, object]:
+    material: Material = item.material
+    match material:
+        case Dielectric(ior=ior):
+            return {"type": "dielectric", "int_ior": ior, "ext_ior": 1.0}
+        case ThinDielectric(ior=ior):
+            return {"type": "thindielectric", "int_ior": ior, "ext_ior": 1.0}
+        case Diffuse(color=color):
+            return {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": _texture(scene, item.mesh, color)}}
+        case Plastic(color=color, ior=ior, roughness=roughness):
+            plastic = {
+                "type": "roughplastic",
+                "diffuse_reflectance": _texture(scene, item.mesh, color),
+                "int_ior": ior,
+                "ext_ior": 1.0,
+                "alpha": roughness,
+                "distribution": "ggx",
+                "nonlinear": True,
+            }
+            return {"type": "twosided", "bsdf": plastic}
+        case Conductor(color=color, roughness=roughness):
+            metal: dict[str, object] = {"type": "conductor", "material": "none", "specular_reflectance": _rgb(color)}
+            if roughness > 0:
+                metal |= {"type": "roughconductor", "alpha": roughness, "distribution": "ggx"}
+            return {"type": "twosided", "bsdf": metal}
+        case _:
+            assert_never(material)
+
+
+def _absorbing_medium(material: Dielectric) -> dict[str, object]:
+    # Only the scalar variant needs it: the vectorised ones attenuate in closed form (render/path_integrator.py).
+    return {"type": "homogeneous", "albedo": 0.0, "sigma_t": _rgb(material.absorption), "scale": 1.0}
+
+
+def _texture(scene: Scene, mesh: Mesh, color: Reflectance) -> dict[str, object]:
+    match color:
+        case SolidTexture():
+            from datagen.scene.solid_textures import bake_texture
+
+            return _bitmap(bake_texture(color, mesh, _texture_size(mesh)))
+        case ImageTexture():
+            return _bitmap(linear_pixels(image_bytes(scene, color), where=color.path))
+        case _:
+            return _rgb(color)
+
+
+def _texture_size(mesh: Mesh) -> int:
+    """The power of two that gives the mesh's area texels of TEXEL_SIZE, were its atlas full."""
+    wanted = float(face_areas(mesh).sum()) ** 0.5 / TEXEL_SIZE
+    return int(np.clip(2 ** np.ceil(np.log2(wanted)), MIN_TEXTURE_SIZE, MAX_TEXTURE_SIZE))
+
+
+def _bitmap(linear: Float32[np.ndarray, "tex_h tex_w 3"]) -> dict[str, object]:
+    import mitsuba as mi
+
+    # Mitsuba's bitmap has v = 0 in its first row, our textures have v = 1 there.
+    pixels = np.ascontiguousarray(np.flipud(linear), np.float32)
+    return {"type": "bitmap", "bitmap": mi.Bitmap(pixels), "raw": True, "wrap_mode": "clamp"}
+
+
+def _transform(matrix: Float[np.ndarray, "4 4"]) -> "mi.ScalarTransform4f":
+    import mitsuba as mi
+
+    return mi.ScalarTransform4f(matrix.tolist())
+
+
+def _rgb(color: Color) -> dict[str, object]:
+    return {"type": "rgb", "value": [float(value) for value in color]}
+
+
+def _environment(environment: SoftEnvironment) -> dict[str, object]:
+    import mitsuba as mi
+
+    height, width = ENVIRONMENT_SIZE
+    theta = (np.arange(height) + 0.5)[:, None] / height * np.pi
+    phi = (np.arange(width) + 0.5)[None, :] / width * 2 * np.pi
+    # Mitsuba's map has +y up: u runs with atan2(x, -z), v with acos(y). Turned about x, its y is our z.
+    x, y, z = np.broadcast_arrays(np.sin(phi) * np.sin(theta), np.cos(theta), -np.cos(phi) * np.sin(theta))
+    radiance = radiance_of_environment(environment, np.stack([x, -z, y], axis=-1))
+    turned = _transform(np.array([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]], np.float64))
+    return {"type": "envmap", "bitmap": mi.Bitmap(radiance.astype(np.float32)), "to_world": turned}

@@ -1,0 +1,171 @@
+"""Owns the path tracer of truth: absorbing and nested glass, and the cheapest samples that soft light allows.
+
+What it estimates is what Mitsuba's `path` does, and more. Mitsuba has absorption only as a participating medium, where
+a path is absorbed or not by a throw of dice; here the throughput is multiplied by exp(-absorption * length). Mitsuba's
+`dielectric` borders on the same medium everywhere; here a surface of glass borders on whatever the ray is in
+(datagen/scene/media.py), by the formulas of `dielectric`.
+
+Two things make a picture cheap. Its random numbers are Sobol's (render/sobol.py). And light is sampled only where
+there is something to aim at, a lamp or a small bright place of the sky: a soft sky is found as well by the rays that
+materials send out, for half the rays.
+Import this module after `use_mitsuba`; vectorised variants only.
+"""
+
+# Dr.Jit's stubs do not know that a registry array can be reinterpreted, nor what `@dr.syntax` makes of a loop.
+# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from jaxtyping import Float32
+
+from datagen.render.sobol import SobolPoints
+from datagen.scene.media import Media, medium_of, no_solids, with_solid, without_solid
+
+MAX_VANISHED = 64
+"""Surfaces that are none, since a solid of higher priority fills both sides, on one path: they are no bounces, but no
+path may go on for ever."""
+
+
+class PathTracer:
+    """Unidirectional path tracing with multiple importance sampling. Cameras and lights stand in air.
+
+    There is no Russian roulette: it costs more in noise than it saves.
+    """
+
+    def __init__(self, scene: "mi.Scene", media: Media, *, max_depth: int, has_lamps: bool, aims: bool) -> None:
+        """Args:
+        has_lamps: there are emitters besides the environment.
+        aims: light is sampled at each rough vertex, too.
+        """
+        self._scene = scene
+        self._tables = _Tables(scene, media, max_depth=max_depth, has_lamps=has_lamps, aims=aims)
+
+    def render(self, sensor: "mi.Sensor", *, width: int, height: int, spp: int, seed: int
+               ) -> Float32[np.ndarray, "h w 3"]:  # fmt: skip
+        """Mean radiance of each pixel under a box filter; the same to the last bit every time.
+
+        (Mitsuba's film adds a pixel's samples in the order in which threads come by, and floats mind the order.)
+        """
+        sample = dr.arange(mi.UInt32, width * height * spp)
+        pixel, index = sample // spp, sample % spp
+        points = SobolPoints(spp, seed)
+        scramble = points.scramble_of(pixel)
+        place = mi.Point2f(mi.Float(pixel % width), mi.Float(pixel // width))
+        place += points.sample_2d(scramble, index, mi.UInt32(0), mi.Bool(True))
+        ray, _ = sensor.sample_ray(0, 0, place / mi.Point2f(width, height), mi.Point2f(0.5))
+        radiance = _trace(self._scene, mi.Ray3f(ray), points, scramble, index, self._tables)
+        dr.eval(radiance)
+        channels = [np.array(channel).reshape(height, width, spp) for channel in radiance]
+        return np.stack([channel.mean(axis=2, dtype=np.float64) for channel in channels], axis=-1).astype(np.float32)
+
+
+class _Tables:
+    """What the kernel is made for, and what it looks up: the rank of a shape by its registry id, and the media.
+
+    No dataclass: Dr.Jit 1.5 would take it for state of the loop and assign its fields.
+    """
+
+    def __init__(self, scene: "mi.Scene", media: Media, *, max_depth: int, has_lamps: bool, aims: bool) -> None:
+        # Registry ids of shapes are not their places in the scene and change between loads, hence a table by id.
+        ids = np.array(dr.reinterpret_array(mi.UInt32, scene.shapes_dr()))
+        rank = np.full(ids.max() + 1, -1, np.int32)
+        rank[ids[: len(media.rank)]] = media.rank
+        self.media = media
+        self.max_depth, self.has_lamps, self.aims = max_depth, has_lamps, aims
+        self.rank = mi.Int32(rank)
+        self.ior = mi.Float(media.ior)
+        self.absorption = mi.Float(media.absorption.ravel())
+
+
+@dr.syntax
+def _trace(scene, ray, points, scramble, index, tables):
+    """Radiance along camera rays."""
+    context = mi.BSDFContext()
+    radiance = mi.Spectrum(0)
+    throughput = mi.Spectrum(1)
+    solids = mi.UInt32(no_solids(tables.media))  # The solids that the ray is in.
+    dimension = mi.UInt32(2)  # Of the random numbers; the camera took two.
+    depth = mi.UInt32(0)
+    vanished = mi.UInt32(0)  # Surfaces passed that are none.
+    previous = dr.zeros(mi.Interaction3f)
+    previous_pdf = mi.Float(1)
+    previous_is_delta = mi.Bool(True)
+    active = mi.Bool(True)
+    escaped = mi.Bool(False)  # Did the path run into the sky?
+
+    while active:
+        si = scene.ray_intersect(ray, mi.RayFlags.All, depth == 0, active)
+        hit = si.is_valid()
+
+        # The medium between the last vertex and this one. A ray in glass always hits; the guard is for leaky meshes.
+        sigma_a = dr.gather(mi.Spectrum, tables.absorption, medium_of(tables.media, solids), active)
+        throughput *= dr.select(hit, dr.exp(-sigma_a * dr.select(hit, si.t, 0)), 1)
+
+        # The media on both sides of smooth glass.
+        rank = dr.gather(mi.Int32, tables.rank, dr.reinterpret_array(mi.UInt32, si.shape), active & hit)
+        is_glass = active & hit & (rank >= 0)
+        rank = mi.UInt32(dr.maximum(rank, 0))
+        with_it, without_it = with_solid(tables.media, solids, rank), without_solid(tables.media, solids, rank)
+        inner, outer = medium_of(tables.media, with_it), medium_of(tables.media, without_it)
+        vanishes = is_glass & (inner == outer) if tables.media.is_nested else mi.Bool(False)
+
+        # Light that the ray runs into, weighted against having been aimed at from the last vertex.
+        weight = mi.Float(1)
+        if dr.hint(tables.aims, mode="scalar"):
+            ds = mi.DirectionSample3f(scene, si, previous)
+            emitter_pdf = scene.pdf_emitter_direction(previous, ds, active & ~previous_is_delta)
+            weight = dr.select(previous_is_delta, 1, _balance(previous_pdf, emitter_pdf))
+        if dr.hint(tables.has_lamps, mode="scalar"):
+            radiance += throughput * weight * si.emitter(scene, active & hit).eval(si, active & hit)
+        escaped |= active & ~hit
+        throughput *= dr.select(hit, 1, weight)  # The sky's radiance follows after the loop.
+        active &= hit & ((depth + 1 < tables.max_depth) | vanishes) & (vanished < MAX_VANISHED)
+
+        sample1 = points.sample(scramble, index, dimension, active)
+        sample2 = points.sample_2d(scramble, index, dimension + 1, active)
+        dimension += 3
+        bsdf = si.bsdf(ray)
+        is_rough = active & ~is_glass
+        if dr.hint(tables.aims, mode="scalar"):
+            # Light aimed at from here; smooth glass has no such term.
+            active_light = active & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
+            place = points.sample_2d(scramble, index, dimension, active_light)
+            dimension += 2
+            ds, light = scene.sample_emitter_direction(si, place, True, active_light)
+            active_light &= ds.pdf != 0
+            wo = si.to_local(ds.d)
+            value, pdf, bsdf_sample, bsdf_weight = bsdf.eval_pdf_sample(context, si, wo, sample1, sample2, is_rough)
+            weight = dr.select(ds.delta, 1, _balance(ds.pdf, pdf))
+            radiance += dr.select(active_light, throughput * value * light * weight, 0)
+        else:
+            bsdf_sample, bsdf_weight = bsdf.sample(context, si, sample1, sample2, is_rough)
+
+        # Smooth glass reflects or refracts. Where its surface is none, both media are one: nothing is reflected.
+        sides = [dr.gather(mi.Float, tables.ior, side, active & is_glass) for side in (inner, outer)]
+        reflectance, cos_t, _, eta_ti = mi.fresnel(mi.Frame3f.cos_theta(si.wi), sides[0] / sides[1])
+        is_reflected = (sample1 <= reflectance) & ~vanishes
+        glass_wo = dr.select(is_reflected, mi.reflect(si.wi), mi.refract(si.wi, cos_t, eta_ti))
+        goes_in = dr.select(vanishes, dr.dot(ray.d, si.n) < 0, glass_wo.z < 0)
+        solids = dr.select(is_glass & ~is_reflected, dr.select(goes_in, with_it, without_it), solids)
+
+        # The next segment; a path that has ended keeps its last. Radiance is scaled as its solid angle is squeezed.
+        factor = dr.select(is_glass, dr.select(is_reflected, 1, dr.square(eta_ti)), bsdf_weight)
+        throughput *= dr.select(active, factor, 1)
+        to_world = si.to_world(dr.select(is_glass, glass_wo, bsdf_sample.wo))
+        ray = dr.select(active, si.spawn_ray(dr.select(vanishes, ray.d, to_world)), ray)
+        previous = mi.Interaction3f(si)
+        previous_pdf = bsdf_sample.pdf
+        previous_is_delta = is_glass | mi.has_flag(bsdf_sample.sampled_type, mi.BSDFFlags.Delta)
+        active &= dr.max(throughput) > 0
+        depth += dr.select(vanishes, 0, 1)
+        vanished += dr.select(vanishes, 1, 0)
+
+    sky = dr.zeros(mi.SurfaceInteraction3f)
+    sky.wi = -ray.d
+    return radiance + dr.select(escaped, throughput * scene.environment().eval(sky, escaped), 0)
+
+
+def _balance(pdf, other):
+    """The power heuristic; 0 where the technique cannot have made the sample."""
+    return dr.select(pdf > 0, (pdf * pdf) / dr.fma(pdf, pdf, other * other), 0)

@@ -1,0 +1,200 @@
+"""Owns the path-traced truth of one view: two independent halves, their mean, and the noise that is left."""
+
+# Mitsuba's stubs describe no variant: what is a number in one is an array in another.
+# pyright: reportAttributeAccessIssue=false, reportArgumentType=false, reportCallIssue=false
+
+import dataclasses
+import hashlib
+import math
+from dataclasses import dataclass
+from typing import cast
+
+import numpy as np
+from jaxtyping import Float, Float32
+
+from datagen.data.dataset import Cameras, Split, png_bytes
+from datagen.data.exr import check_exr
+from datagen.data.meshes import is_there
+from datagen.data.tonemap import srgb_from_linear, to_8bit
+from datagen.disk.errors import HyalineError
+from datagen.machine.mitsuba_variant import start_workers
+from datagen.render.mitsuba_scene import has_small_light, is_scalar, load_scene_mitsuba, load_sensor
+from datagen.scene.description import Dielectric, Scene
+from datagen.scene.media import find_media
+
+MAX_PATHS_PER_PASS = 1 << 23
+"""Samples of one film pass; more would not be faster and cost memory."""
+
+MAX_SPP_PER_PASS = 1 << 12
+"""Of small pictures: the table of Sobol's points should stay in a cache."""
+
+MAX_SPP = 1 << 17
+"""Where `--ceiling` gives up."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Truth:
+    """A rendered view."""
+
+    radiance: Float32[np.ndarray, "h w 3"]
+    """Linear, the mean of both halves."""
+    half_difference: Float32[np.ndarray, "h w 3"]
+    """(first half - second half) / 2, linear: an estimate of the noise in `radiance`."""
+    spp: int
+    """Samples per pixel that were really drawn, both halves together."""
+    noise_mse: float
+    """Estimated mean squared error of the clipped sRGB picture."""
+
+
+class Renderer:
+    """A loaded scene with its integrator; renders any number of views. Call `use_mitsuba` first."""
+
+    def __init__(self, scene: Scene, *, max_depth: int) -> None:
+        """Loads the scene.
+
+        Raises:
+            HyalineError: there are priorities, and Mitsuba runs as scalar_rgb.
+        """
+        import mitsuba as mi
+
+        scene = dataclasses.replace(scene, objects=tuple(item for item in scene.objects if is_there(item.mesh)))
+        materials, meshes = zip(*((item.material, item.mesh) for item in scene.objects), strict=True)
+        if is_scalar() and any(isinstance(material, Dielectric) and material.priority for material in materials):
+            raise HyalineError(
+                f"scene {scene.name}: has dielectrics with priorities, which Mitsuba as scalar_rgb cannot render; "
+                "`datagen doctor` names the libLLVM to install"
+            )
+        media = find_media(materials, meshes)
+        if is_scalar():
+            self._scene = load_scene_mitsuba(scene)
+            kind = "volpath" if media.absorption.any() else "path"
+            self._integrator = mi.load_dict({"type": kind, "max_depth": max_depth, "rr_depth": max_depth + 1})
+        else:
+            from datagen.render.path_integrator import PathTracer
+
+            has_lamps, aims_at_sky = bool(scene.lights), has_small_light(scene.environment)
+            self._scene = load_scene_mitsuba(scene, aims_at_sky=aims_at_sky)
+            self._tracer = PathTracer(
+                self._scene, media, max_depth=max_depth, has_lamps=has_lamps, aims=has_lamps or aims_at_sky
+            )
+
+    def radiance(self, cameras: Cameras, view: int, *, spp: int, seed: int) -> tuple[np.ndarray, int]:
+        """Linear radiance (h, w, 3) float32 and the samples per pixel really drawn (Mitsuba as scalar rounds them)."""
+        import mitsuba as mi
+
+        sensor = load_sensor(cameras.world_from_camera[view], cameras.fov_x, cameras.width, cameras.height)
+        if not is_scalar():
+            width, height = cameras.width, cameras.height
+            return self._tracer.render(sensor, width=width, height=height, spp=spp, seed=seed), spp
+        sensor.sampler().set_sample_count(spp)
+        spp = int(sensor.sampler().sample_count())
+        image = mi.render(self._scene, sensor=sensor, integrator=self._integrator, spp=spp, seed=mi.UInt32(seed))
+        return np.array(image, np.float32), spp
+
+
+def render_view(renderer: Renderer, cameras: Cameras, view: int, *, spp: int, view_seed: int,
+                ceiling_db: float | None) -> Truth:  # fmt: skip
+    """Renders both halves of a view, in passes that fit into memory.
+
+    Args:
+        spp: samples per pixel, both halves together; with a ceiling the number to start from.
+        ceiling_db: go on, doubling the samples, until the view's own noise ceiling reaches this.
+
+    Raises:
+        HyalineError: radiance is not finite, or the ceiling is out of reach.
+    """
+    halves = [np.zeros((cameras.height, cameras.width, 3)) for _ in range(2)]
+    drawn, passes, wanted = 0, 0, spp
+    while True:
+        while drawn < wanted:
+            count = min(_pass_spp(cameras), max(1, (wanted - drawn) // 2))
+            real = 0
+            for half in range(2):
+                seed = derive_seed(view_seed, half, passes)
+                image, real = renderer.radiance(cameras, view, spp=count, seed=seed)
+                halves[half] += image.astype(np.float64) * real
+            drawn += 2 * real
+            passes += 1
+        truth = _truth(halves[0] * (2 / drawn), halves[1] * (2 / drawn), drawn)
+        reached = -10 * math.log10(max(truth.noise_mse, 1e-12))
+        if ceiling_db is None or reached >= ceiling_db:
+            return truth
+        if drawn >= MAX_SPP:
+            raise HyalineError(
+                f"view {view}: its noise ceiling is {reached:.1f} dB after {drawn} samples per pixel, "
+                f"expected {ceiling_db:g}; make the scene's lights larger and softer, or lower --ceiling"
+            )
+        wanted = 2 * drawn
+
+
+def derive_seed(*parts: object) -> int:
+    """A 32-bit seed that depends on every part and on nothing else."""
+    digest = hashlib.sha256("|".join(map(str, parts)).encode()).digest()
+    return int.from_bytes(digest[:4], "little")
+
+
+def view_seed(seed: int, split: Split, view: int) -> int:
+    """The seed of one view of a dataset; views are independent of each other and of their order."""
+    return derive_seed(seed, split, view, "render")
+
+
+def picture_bytes(truth: Truth) -> bytes:
+    """The 8-bit sRGB PNG."""
+    return png_bytes(to_8bit(srgb_from_linear(truth.radiance)))
+
+
+def radiance_bytes(truth: Truth) -> bytes:
+    """The EXR: linear R, G, B and the half difference as noise.R, noise.G, noise.B, all half floats."""
+    import mitsuba as mi
+
+    channels = np.concatenate([truth.radiance, truth.half_difference], axis=-1).astype(np.float16)
+    names = ["R", "G", "B", "noise.R", "noise.G", "noise.B"]
+    bitmap = mi.Bitmap(channels, pixel_format=mi.Bitmap.PixelFormat.MultiChannel, channel_names=names)
+    stream = mi.MemoryStream()
+    start_workers()
+    bitmap.write(stream, mi.Bitmap.FileFormat.OpenEXR)
+    return cast(bytes, stream.raw_buffer())
+
+
+def read_radiance(data: bytes, *, where: str = "EXR"
+                  ) -> tuple[Float32[np.ndarray, "h w 3"], Float32[np.ndarray, "h w 3"]]:  # fmt: skip
+    """Radiance and half difference from an EXR's bytes; the inverse of `radiance_bytes`.
+
+    Raises:
+        HyalineError: not an EXR that this package has written, or a damaged one.
+    """
+    import mitsuba as mi
+
+    check_exr(data, where=where)
+    stream = mi.MemoryStream()
+    stream.write(data)
+    stream.seek(0)
+    start_workers()
+    try:
+        bitmap = mi.Bitmap(stream, mi.Bitmap.FileFormat.OpenEXR)
+        order = {field.name: index for index, field in enumerate(bitmap.struct_())}
+        values = np.array(bitmap, np.float32)
+        channels = [values[..., order[name]] for name in ("R", "G", "B", "noise.R", "noise.G", "noise.B")]
+    except (RuntimeError, ValueError, KeyError) as error:
+        raise HyalineError(f"{where}: not an EXR with colours and noise ({error}); render it again") from error
+    return np.stack(channels[:3], axis=-1), np.stack(channels[3:], axis=-1)
+
+
+def _pass_spp(cameras: Cameras) -> int:
+    return min(MAX_SPP_PER_PASS, max(1, MAX_PATHS_PER_PASS // (cameras.width * cameras.height)))
+
+
+def _truth(first: Float[np.ndarray, "h w 3"], second: Float[np.ndarray, "h w 3"], spp: int) -> Truth:
+    if not (np.isfinite(first).all() and np.isfinite(second).all()):
+        bad = np.argwhere(~np.isfinite(first + second))[0]
+        raise HyalineError(
+            f"pixel (column {bad[1]}, row {bad[0]}): radiance is not finite; check the scene's materials"
+        )
+    # The variance of the mean of two halves is a quarter of the mean squared difference.
+    noise_mse = float(np.mean((srgb_from_linear(first) - srgb_from_linear(second)) ** 2) / 4)
+    return Truth(
+        radiance=((first + second) / 2).astype(np.float32),
+        half_difference=((first - second) / 2).astype(np.float32),
+        spp=spp,
+        noise_mse=noise_mse,
+    )

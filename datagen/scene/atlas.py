@@ -1,0 +1,335 @@
+"""Owns the uv atlas: unwrapping a mesh so that every surface point has texels of its own, and what lies at each texel.
+
+Texture arrays are (tex_h, tex_w, c), row 0 on top: texel (r, c) is centred on u = (c + 0.5) / size,
+v = 1 - (r + 0.5) / size.
+"""
+
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float, Float32, Int32
+
+from datagen.data.meshes import Mesh, is_there
+from datagen.disk.errors import HyalineError
+from datagen.disk.os_errors import naming
+from datagen.machine.mitsuba_variant import num_cores
+
+if TYPE_CHECKING:
+    import xatlas
+
+RESOLUTION = 1024
+"""Texels a side for which the charts are packed; xatlas may need more."""
+PADDING = 5
+"""Texels between charts at `RESOLUTION`, so that a texel of gutter stays at 256."""
+BOX = 1024.0
+"""Longest side given to xatlas, in its units: it takes triangles of less than 1e-7 square units for degenerate."""
+MAX_CHILDREN = 4
+"""Processes that unwrap side by side; each takes half a second to start."""
+MAX_COORDINATE = 1e18
+"""Beyond it, squares overflow float32."""
+
+
+def unwrap(mesh: Mesh, *, where: str) -> Mesh:
+    """The same surface with a uv of its own for every point: charts that neither overlap nor touch.
+
+    Vertices are duplicated along the atlas's seams with the position and the normal they had; faces keep their
+    order. The same mesh always gives the same bytes.
+
+    Raises:
+        HyalineError: values that are not finite, faces without area, or a mesh that xatlas cannot unwrap.
+    """
+    return unwrap_all({where: mesh})[where]
+
+
+def unwrap_all(meshes: dict[str, Mesh]) -> dict[str, Mesh]:
+    """`unwrap` for many meshes, in a few child processes side by side; the keys name them in errors.
+
+    xatlas hangs on infinite coordinates and could crash, so it never runs in this process.
+
+    Raises:
+        HyalineError: see `unwrap`.
+    """
+    for where, mesh in meshes.items():
+        _check_input(mesh, where=where)
+    shares = _share_out(meshes, min(MAX_CHILDREN, num_cores()))
+    with ThreadPoolExecutor(max_workers=MAX_CHILDREN) as pool:
+        done = {where: mesh for share in pool.map(_unwrap_in_child, shares) for where, mesh in share.items()}
+    return {where: done[where] for where in meshes}
+
+
+def _share_out(meshes: dict[str, Mesh], most: int) -> list[dict[str, Mesh]]:
+    """At most so many shares of about as many faces each; none is empty."""
+    shares: list[dict[str, Mesh]] = [{} for _ in range(min(most, len(meshes)))]
+    for where, mesh in sorted(meshes.items(), key=lambda item: -len(item[1].faces)):
+        least = min(shares, key=lambda share: sum(len(other.faces) for other in share.values()))
+        least[where] = mesh
+    return shares
+
+
+def _unwrap_in_child(meshes: dict[str, Mesh]) -> dict[str, Mesh]:
+    arrays: dict[str, np.ndarray] = {}
+    for index, mesh in enumerate(meshes.values()):
+        arrays[f"{index}.vertices"] = _in_box(mesh.vertices)
+        arrays[f"{index}.normals"] = mesh.normals.astype(np.float32)
+        arrays[f"{index}.faces"] = mesh.faces.astype(np.uint32)
+    timeout_s = 60 + sum(len(mesh.faces) for mesh in meshes.values()) / 200
+    with tempfile.TemporaryDirectory(prefix="hyaline-atlas-") as folder:
+        source, target = Path(folder) / "in.npz", Path(folder) / "out.npz"
+        with naming(source):
+            np.savez(source, allow_pickle=False, **arrays)
+        _run_child(source, target, timeout_s, where=", ".join(meshes))
+        with np.load(target) as answers:
+            return {
+                where: _with_uv(
+                    mesh,
+                    answers[f"{index}.vertex_of"].astype(np.int64),
+                    answers[f"{index}.faces"].astype(np.int32),
+                    answers[f"{index}.uv"],
+                    where=where,
+                )
+                for index, (where, mesh) in enumerate(meshes.items())
+            }
+
+
+def bake_positions(mesh: Mesh, size: int) -> Float32[np.ndarray, "tex_h tex_w 3"]:
+    """World position of the surface at each texel centre; gutters hold the nearest chart's border.
+
+    Zeros for a mesh without faces. Source: paper section 4.3, Eq. 3.
+    """
+    return bake_corners(mesh, mesh.vertices[mesh.faces].astype(np.float64), size)
+
+
+def bake_corners(mesh: Mesh, values: Float[np.ndarray, "face 3 c"], size: int) -> Float32[np.ndarray, "tex_h tex_w c"]:
+    """What faces have at their corners, mixed at each texel centre; gutters hold the nearest chart's border."""
+    channels = values.shape[-1]
+    baked = np.zeros((size * size, channels), np.float32)
+    if not is_there(mesh):
+        return baked.reshape(size, size, channels)
+    covered = np.zeros(size * size, bool)
+    # A chart thinner than a texel may miss every centre: its corners stand in.
+    uv_texel = np.clip(np.floor(_texel_coordinates(mesh, size) + 0.5).astype(np.int64), 0, size - 1)
+    corner = np.argsort(mesh.faces, axis=None, kind="stable")  # Of several in one texel the last vertex counts.
+    at_corner = (uv_texel[:, 1] * size + uv_texel[:, 0])[mesh.faces.reshape(-1)[corner]]
+    baked[at_corner] = values.reshape(-1, channels)[corner]
+    covered[at_corner] = True
+    for face, texel, weights in _rasterise(mesh, size):
+        inside = weights.min(axis=-1) >= -1e-9
+        baked[texel[inside]] = np.einsum("pk,pkc->pc", weights[inside], values[face[inside]])
+        covered[texel[inside]] = True
+    baked = baked.reshape(size, size, channels)
+    if covered.all():
+        return baked
+    from scipy.ndimage import distance_transform_edt
+
+    nearest = distance_transform_edt(~covered.reshape(size, size), return_distances=False, return_indices=True)
+    assert isinstance(nearest, np.ndarray)
+    return baked[nearest[0], nearest[1]]
+
+
+def coverage(mesh: Mesh, size: int) -> Int32[np.ndarray, "tex_h tex_w"]:
+    """How many triangles have each texel centre in their interior: at most 1 when the atlas does not overlap."""
+    counts = np.zeros(size * size, np.int32)
+    for _, texel, weights in _rasterise(mesh, size):
+        counts += np.bincount(texel[weights.min(axis=-1) > 1e-7], minlength=size * size).astype(np.int32)
+    return counts.reshape(size, size)
+
+
+def chart_map(mesh: Mesh, size: int) -> Int32[np.ndarray, "tex_h tex_w"]:
+    """Which chart covers each texel centre, counted from 0; -1 in the gutters. A chart is a connected piece of uv."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    # A crease splits vertices but no chart: points are the same where position and uv are.
+    _, point = np.unique(np.concatenate([mesh.vertices, mesh.uv], axis=-1), axis=0, return_inverse=True)
+    faces = point.reshape(-1)[mesh.faces]
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]]])
+    graph = coo_array((np.ones(len(edges), np.int8), (edges[:, 0], edges[:, 1])), shape=(int(point.max()) + 1,) * 2)
+    _, label = connected_components(graph, directed=False)
+    _, chart_of_face = np.unique(label[faces[:, 0]], return_inverse=True)
+    charts = np.full(size * size, -1, np.int32)
+    for face, texel, weights in _rasterise(mesh, size):
+        inside = weights.min(axis=-1) >= 0
+        charts[texel[inside]] = chart_of_face[face[inside]]
+    return charts.reshape(size, size)
+
+
+# Rasterising
+
+
+_PAIRS_AT_ONCE = 1 << 18
+_SLACK = 1e-6
+"""Texels by which a face may miss a centre that is on its edge but for rounding."""
+
+
+def _texel_coordinates(mesh: Mesh, size: int) -> np.ndarray:
+    """The vertices' uv as (column, row), where texel centres are integers."""
+    uv = mesh.uv.astype(np.float64)
+    return np.stack([uv[:, 0] * size - 0.5, (1 - uv[:, 1]) * size - 0.5], axis=-1)
+
+
+def _rasterise(mesh: Mesh, size: int) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Yields (face, texel, barycentric weights) of all texel centres in or just beside each face, in pieces."""
+    corners = _texel_coordinates(mesh, size)[mesh.faces]
+    a, b, c = np.moveaxis(corners, 1, 0)
+    area = _cross(b - a, c - a)
+    low = np.clip(np.ceil(corners[..., 1].min(axis=1) - _SLACK), 0, size).astype(np.int64)
+    high = np.clip(np.floor(corners[..., 1].max(axis=1) + _SLACK), -1, size - 1).astype(np.int64)
+    kept = np.flatnonzero((high >= low) & (np.abs(area) > 1e-12))
+    # One item is one row of texels through one face, from its first to its last column.
+    heights = (high - low + 1)[kept]
+    row_face = np.repeat(kept, heights)
+    row = _counted(heights) + low[row_face]
+    first, last = _columns(corners[row_face], row)
+    first = np.clip(np.ceil(first - _SLACK), 0, size).astype(np.int64)
+    last = np.clip(np.floor(last + _SLACK), -1, size - 1).astype(np.int64)
+    widths = np.maximum(last - first + 1, 0)
+    ends = np.cumsum(widths)
+    start = 0
+    while start < len(row_face):
+        before = ends[start - 1] if start else 0
+        stop = max(start + 1, int(np.searchsorted(ends, before + _PAIRS_AT_ONCE, side="right")))
+        part = slice(start, stop)
+        face, y = np.repeat(row_face[part], widths[part]), np.repeat(row[part], widths[part])
+        x = _counted(widths[part]) + np.repeat(first[part], widths[part])
+        # Measured from the corner: exact enough for slivers far from the origin.
+        from_a = np.stack([x, y], axis=-1) - a[face]
+        at_b = _cross(from_a, (c - a)[face]) / area[face]
+        at_c = _cross((b - a)[face], from_a) / area[face]
+        yield face, y * size + x, np.stack([1 - at_b - at_c, at_b, at_c], axis=-1)
+        start = stop
+
+
+def _columns(corners: np.ndarray, row: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Smallest and largest column (n,) at which triangles (n, 3, 2) cross a row; near its tips, of the nearest edge."""
+    first, last = np.full(len(row), np.inf), np.full(len(row), -np.inf)
+    for start, end in ((0, 1), (1, 2), (2, 0)):
+        p, q = corners[:, start], corners[:, end]
+        rise = q[:, 1] - p[:, 1]
+        is_level = np.abs(rise) < _SLACK
+        t = np.where(is_level, 0.0, (row - p[:, 1]) / np.where(is_level, 1.0, rise))
+        crosses = (np.minimum(p[:, 1], q[:, 1]) - _SLACK <= row) & (row <= np.maximum(p[:, 1], q[:, 1]) + _SLACK)
+        for x in (p[:, 0] + np.clip(t, 0, 1) * (q[:, 0] - p[:, 0]), np.where(is_level, q[:, 0], np.nan)):
+            first = np.where(crosses, np.fmin(first, x), first)
+            last = np.where(crosses, np.fmax(last, x), last)
+    return np.where(first <= last, first, 0.0), np.where(first <= last, last, -1.0)
+
+
+def _counted(lengths: np.ndarray) -> np.ndarray:
+    """0, 1, ..., n - 1 for each n in `lengths`, one after the other."""
+    return np.arange(lengths.sum()) - np.repeat(np.cumsum(lengths) - lengths, lengths)
+
+
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+
+
+# xatlas and the process it lives in
+
+
+def _check_input(mesh: Mesh, *, where: str) -> None:
+    if len(mesh.faces) == 0:
+        raise HyalineError(f"{where}: has no faces; expected at least one to unwrap")
+    for name, values in (("vertices", mesh.vertices), ("normals", mesh.normals)):
+        if not np.isfinite(values).all() or np.abs(values).max() > MAX_COORDINATE:
+            raise HyalineError(f"{where}: {name} that are not finite; expected finite numbers, xatlas hangs on others")
+    if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
+        raise HyalineError(f"{where}: faces name vertices that do not exist; expected 0 to {len(mesh.vertices) - 1}")
+
+
+def _in_box(vertices: np.ndarray) -> np.ndarray:
+    """Moved and scaled alike on all axes into a box of `BOX` units."""
+    wide = vertices.astype(np.float64)
+    low = wide.min(axis=0)
+    extent = float((wide.max(axis=0) - low).max())
+    return ((wide - low) * (BOX / (extent or 1.0))).astype(np.float32)
+
+
+def _run_child(source: Path, target: Path, timeout_s: float, *, where: str) -> None:
+    # The child finds this package where the parent found it; -P keeps the working directory out of its path.
+    package_root = str(Path(__file__).resolve().parents[2])
+    paths = [package_root, *filter(None, [os.environ.get("PYTHONPATH")])]
+    command = [sys.executable, "-P", "-m", "datagen.scene.atlas", str(source), str(target)]
+    try:
+        answer = subprocess.run(
+            command,
+            env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            timeout=timeout_s,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        raise HyalineError(f"{where}: unwrapping took more than {timeout_s:.0f} s; simplify the mesh") from None
+    if answer.returncode < 0:
+        raise HyalineError(
+            f"{where}: unwrapping was ended by signal {-answer.returncode} (9: the system does that where memory runs "
+            "out); run the same command again, or bring a mesh with uv"
+        )
+    if answer.returncode != 0 or not target.is_file():
+        last = (answer.stderr.strip().splitlines() or ["no message"])[-1]
+        raise HyalineError(f"{where}: unwrapping ended with status {answer.returncode} ({last}); bring a mesh with uv")
+
+
+def _with_uv(mesh: Mesh, vertex_of: np.ndarray, faces: np.ndarray, uv: np.ndarray, *, where: str) -> Mesh:
+    if not np.isfinite(uv).all():
+        raise HyalineError(f"{where}: xatlas found no uv for {int((~np.isfinite(uv)).any(axis=-1).sum())} vertices; "
+                           "remove degenerate faces")  # fmt: skip
+    if uv.min() < 0 or uv.max() > 1:
+        raise HyalineError(f"{where}: xatlas's uv span {uv.min():g} to {uv.max():g}; expected [0, 1]")
+    assert np.array_equal(vertex_of[faces], mesh.faces), "xatlas keeps the faces and their order"
+    return Mesh(
+        vertices=mesh.vertices[vertex_of].astype(np.float32),
+        faces=faces,
+        normals=mesh.normals[vertex_of].astype(np.float32),
+        uv=uv.astype(np.float32),
+    )
+
+
+def _unwrap_here(vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Source vertex of each new one, new faces, and uv in [0, 1], by xatlas in this process."""
+    atlas = _pack(vertices, faces, normals, PADDING)
+    # The atlas may be larger than asked (xatlas 0.0.11), and then its gutter is narrower than asked.
+    if (longest := max(atlas.width, atlas.height)) > 1.1 * RESOLUTION:
+        atlas = _pack(vertices, faces, normals, -(-PADDING * longest // RESOLUTION))
+    vertex_of, new_faces, uv = atlas[0]
+    return vertex_of, new_faces, uv
+
+
+def _pack(vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray, padding: int) -> "xatlas.Atlas":
+    import xatlas
+
+    atlas = xatlas.Atlas()
+    atlas.add_mesh(vertices, faces, normals)
+    options = xatlas.PackOptions()
+    options.resolution = RESOLUTION
+    options.padding = padding
+    # A closed strip can unroll into a chart four times as long as the atlas (xatlas 0.0.11), which squeezes all others.
+    options.max_chart_size = RESOLUTION
+    options.bilinear = True
+    options.rotate_charts_to_axis = True
+    atlas.generate(pack_options=options)
+    if atlas.atlas_count != 1:
+        raise HyalineError(f"xatlas made {atlas.atlas_count} atlases; expected 1")
+    return atlas
+
+
+def _child(source: Path, target: Path) -> None:
+    answers: dict[str, np.ndarray] = {}
+    with np.load(source) as arrays:
+        for index in range(len(arrays.files) // 3):
+            vertices, faces, normals = (arrays[f"{index}.{name}"] for name in ("vertices", "faces", "normals"))
+            vertex_of, new_faces, uv = _unwrap_here(vertices, faces, normals)
+            answers |= {f"{index}.vertex_of": vertex_of, f"{index}.faces": new_faces, f"{index}.uv": uv}
+    np.savez(target, allow_pickle=False, **answers)
+
+
+if __name__ == "__main__":
+    _child(Path(sys.argv[1]), Path(sys.argv[2]))

@@ -1,0 +1,94 @@
+"""Owns the list of built-in scenes: all made by code, one file each, the same bytes every time."""
+
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from datagen.data.dataset import check_files, head_files
+from datagen.data.meshes import Mesh, is_there
+from datagen.disk.errors import HyalineError
+from datagen.disk.storage import sha256
+from datagen.scene.atlas import unwrap_all
+from datagen.scene.builtin import drinks, glass_table, plant_shelf, vitrine
+from datagen.scene.description import Scene, check_scene, load_scene, scene_files
+from datagen.terminal.command import choose, say
+
+SCENES: dict[str, Callable[[], Scene]] = {
+    "glass_table": glass_table.make,
+    "vitrine": vitrine.make,
+    "plant_shelf": plant_shelf.make,
+    "drinks": drinks.make,
+}
+"""Makers of the scenes, whose objects have no uv yet."""
+
+
+def make_scene(name: str) -> Scene:
+    """A built-in scene, unwrapped and checked.
+
+    Raises:
+        HyalineError: there is none of that name.
+    """
+    make = SCENES[choose("scene", name, SCENES)]
+    say(f"scene {name}: models it and unwraps its surfaces")
+    scene = make()
+    meshes = unwrap_all({item.name: item.mesh for item in scene.objects})
+    objects = tuple(dataclasses.replace(item, mesh=meshes[item.name]) for item in scene.objects)
+    scene = dataclasses.replace(scene, objects=objects)
+    check_scene(scene)
+    return scene
+
+
+def find_scene(given: str, *, built: Path | None = None) -> Scene:
+    """The scene that `--scene` means: a folder with a scene.json, or the name of a built-in one.
+
+    Args:
+        built: a dataset that may hold the same scene, unwrapped.
+
+    Raises:
+        HyalineError: neither, or the folder's scene is bad.
+    """
+    if (Path(given) / "scene.json").is_file():
+        say(f"scene {given}: reads and checks it")
+        return load_scene(Path(given))
+    if "/" in given:
+        return load_scene(Path(given))
+    choose("scene", given, SCENES)
+    return (None if built is None else _same_scene(given, built)) or make_scene(given)
+
+
+def _same_scene(name: str, root: Path) -> Scene | None:
+    """A built-in scene as a dataset holds it, so that it is not unwrapped again; None where that is another scene.
+
+    The dataset's copy counts when every byte of it is what the head promises, and it is what is modelled today, to the
+    last bit but for the uv.
+    """
+    try:
+        files = {path: promised for path, promised in head_files(root).items() if path.startswith("scene/")}
+        check_files(root, files)
+        stored = load_scene(root / "scene", is_sealed=True)
+    except HyalineError:
+        return None
+    scene = SCENES[name]()
+    objects = tuple(
+        dataclasses.replace(item, mesh=there.mesh)
+        for item, there in zip(scene.objects, stored.objects)
+        if is_there(there.mesh) and _same_surface(item.mesh, there.mesh)
+    )
+    same = dataclasses.replace(scene, objects=objects)
+    is_same = files == {f"scene/{path}": sha256(data) for path, data in scene_files(same).items()}
+    return same if is_same else None
+
+
+def _same_surface(mesh: Mesh, unwrapped: Mesh) -> bool:
+    """True when unwrapping has added nothing but uv and seams: the faces have the same corners and normals."""
+    return len(mesh.faces) == len(unwrapped.faces) and all(
+        np.array_equal(values[mesh.faces], others[unwrapped.faces])
+        for values, others in ((mesh.vertices, unwrapped.vertices), (mesh.normals, unwrapped.normals))
+    )
+
+
+def describe_scenes() -> dict[str, str]:
+    """One line about each built-in scene, by name."""
+    return {name: make().description for name, make in SCENES.items()}

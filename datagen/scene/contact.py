@@ -1,0 +1,118 @@
+"""Where surfaces of two meshes coincide: there layers get lost, and glass vanishes."""
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from datagen.data.meshes import Mesh, face_corners
+from datagen.data.surface_points import points_on
+
+TOLERANCE = 1e-4
+"""Metres from plane to plane that count as none: a path tracer's rays start about so far from their surface."""
+
+EDGE = 1e-7
+"""Metres by which two faces of one plane must overlap: those that share an edge do not."""
+
+SAMPLES = 1024
+"""Points on a surface, spread by area, by which is told how much of it touches another."""
+
+_PAIRS_AT_ONCE = 1 << 22
+
+
+def touching_share(mesh: Mesh, other: Mesh) -> float:
+    """The share of a mesh's surface that lies in faces of the other, measured at `SAMPLES` points."""
+    (low, high), (other_low, other_high) = ((m.vertices.min(axis=0), m.vertices.max(axis=0)) for m in (mesh, other))
+    if (low > other_high + TOLERANCE).any() or (other_low > high + TOLERANCE).any():
+        return 0.0
+    from scipy.spatial import KDTree
+
+    sampled = points_on(mesh, SAMPLES)
+    corners = face_corners(other).astype(np.float64)
+    corners = corners[_meets(corners, sampled.position)]
+    if not len(corners):
+        return 0.0
+    normals, mine = _unit_normals(corners), _unit_normals(face_corners(mesh)[sampled.face].astype(np.float64))
+    middle = (corners.max(axis=1) + corners.min(axis=1)) / 2
+    radius = np.linalg.norm(corners - middle[:, None], axis=-1).max(axis=1) + TOLERANCE
+    tree = KDTree(sampled.position)
+    counts = np.asarray(tree.query_ball_point(middle, radius, return_length=True))
+    near = np.flatnonzero(counts)
+    touching = np.zeros(len(sampled.position), bool)
+    for piece in np.array_split(near, max(1, int(counts.sum()) >> 20)):
+        if len(piece):
+            found = tree.query_ball_point(middle[piece], radius[piece])
+            point = np.concatenate([np.asarray(places, np.int64) for places in found])
+            face = np.repeat(piece, counts[piece])
+            # Faces that look the same way, or the opposite one, and whose plane the point is in.
+            height = np.einsum("pc,pc->p", sampled.position[point] - corners[face, 0], normals[face])
+            near = np.abs(height) <= TOLERANCE
+            point, face = point[near], face[near]
+            parallel = np.abs(np.einsum("pc,pc->p", mine[point], normals[face])) > 0.9
+            point, face = point[parallel], face[parallel]
+            touching[point[_is_over(sampled.position[point], corners[face], normals[face])]] = True
+    return float(touching.mean())
+
+
+def count_touching_faces(mesh: Mesh, other: Mesh) -> int:
+    """How many faces of a mesh overlap a face of the other that lies in the same plane, whichever way they look.
+
+    Planes that are up to `TOLERANCE` apart are the same, if the smaller face lies in it with all three corners.
+    """
+    a, b = (face_corners(item).astype(np.float64) for item in (mesh, other))
+    if not (len(a) and len(b)):
+        return 0
+    a, b = a[_meets(a, b.reshape(-1, 3))], b[_meets(b, a.reshape(-1, 3))]
+    touching = np.zeros(len(a), bool)
+    step = max(1, _PAIRS_AT_ONCE // max(1, len(b)))
+    low, high = b.min(axis=1) - TOLERANCE, b.max(axis=1) + TOLERANCE
+    for start in range(0, len(a), step):
+        part = a[start : start + step]
+        meets = (part.min(axis=1)[:, None] <= high).all(axis=-1) & (part.max(axis=1)[:, None] >= low).all(axis=-1)
+        first, second = np.nonzero(meets)
+        same = _in_one_plane(part[first], b[second])
+        first, second = first[same], second[same]
+        touching[start + first[_overlap(part[first], b[second])]] = True
+    return int(touching.sum())
+
+
+def _meets(corners: Float[np.ndarray, "face 3 3"], points: Float[np.ndarray, "point 3"]) -> Bool[np.ndarray, " face"]:
+    """Faces whose bounding box meets that of the points."""
+    low, high = points.min(axis=0) - TOLERANCE, points.max(axis=0) + TOLERANCE
+    return ((corners.min(axis=1) <= high) & (corners.max(axis=1) >= low)).all(axis=-1)
+
+
+def _unit_normals(corners: Float[np.ndarray, "pair 3 3"]) -> Float[np.ndarray, "pair 3"]:
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return normals / np.linalg.norm(normals, axis=-1, keepdims=True)
+
+
+def _in_one_plane(a: Float[np.ndarray, "pair 3 3"], b: Float[np.ndarray, "pair 3 3"]) -> Bool[np.ndarray, " pair"]:
+    n_a, n_b = _unit_normals(a), _unit_normals(b)
+    a_from_b = np.abs(np.einsum("pkc,pc->pk", a - b[:, :1], n_b)).max(axis=1)
+    b_from_a = np.abs(np.einsum("pkc,pc->pk", b - a[:, :1], n_a)).max(axis=1)
+    # A face smaller than the tolerance lies in any plane that it meets.
+    is_parallel = np.abs(np.einsum("pc,pc->p", n_a, n_b)) > 0.9
+    return is_parallel & (np.minimum(a_from_b, b_from_a) <= TOLERANCE)
+
+
+def _is_over(point: Float[np.ndarray, "pair 3"], corners: Float[np.ndarray, "pair 3 3"],
+             normals: Float[np.ndarray, "pair 3"]) -> Bool[np.ndarray, " pair"]:  # fmt: skip
+    """Points whose foot on the face's plane is in the face."""
+    is_over = np.ones(len(point), bool)
+    for start in range(3):
+        corner, following = corners[:, start], corners[:, (start + 1) % 3]
+        is_over &= np.einsum("pc,pc->p", np.cross(normals, following - corner), point - corner) >= 0
+    return is_over
+
+
+def _overlap(a: Float[np.ndarray, "pair 3 3"], b: Float[np.ndarray, "pair 3 3"]) -> Bool[np.ndarray, " pair"]:
+    """Pairs of triangles in about one plane that no line in this plane parts (the separating axis theorem)."""
+    normals = _unit_normals(b)
+    overlap = np.ones(len(a), bool)
+    for corners in (a, b):
+        for start in range(3):
+            axis = np.cross(normals, corners[:, (start + 1) % 3] - corners[:, start])
+            axis /= np.maximum(np.linalg.norm(axis, axis=-1, keepdims=True), 1e-30)
+            on_a, on_b = (np.einsum("pkc,pc->pk", item, axis) for item in (a, b))
+            first_end = np.minimum(on_a.max(axis=1), on_b.max(axis=1))
+            overlap &= first_end > np.maximum(on_a.min(axis=1), on_b.min(axis=1)) + EDGE
+    return overlap

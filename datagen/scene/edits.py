@@ -1,0 +1,225 @@
+"""Owns edits: what may be changed of a scene whose renderer is trained already, how it is written, and what it does.
+
+Objects keep their ids, their names and their atlases, so that trained textures stay valid. A removed object leaves its
+id unused. A copy is an object of its own behind all others, with an id of its own: it moves, hides and refracts by
+itself, and whoever renders it looks up the textures of its original (`EditedScene.copies`). One object of two instances
+would keep its id, but then one texel had two positions, and no layer would tell which of both it came from.
+"""
+
+import dataclasses
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal, cast
+
+import numpy as np
+from jaxtyping import Float
+
+from datagen.data.meshes import Mesh, is_there, no_mesh
+from datagen.disk.errors import HyalineError
+from datagen.scene.contact import count_touching_faces
+from datagen.scene.description import (
+    Dielectric,
+    Diffuse,
+    Plastic,
+    Scene,
+    SceneObject,
+    SolidTexture,
+    Vector,
+    check_scene,
+    is_glass,
+)
+from datagen.terminal.command import choose
+
+Verb = Literal["remove", "move", "duplicate", "glass", "swap"]
+
+USAGE: dict[Verb, str] = {
+    "remove": "remove:OBJECT",
+    "move": "move:OBJECT:dx,dy,dz",
+    "duplicate": "duplicate:OBJECT:dx,dy,dz",
+    "glass": "glass:OBJECT",
+    "swap": "swap:OBJECT:OBJECT",
+}
+
+CLEAR_GLASS = Dielectric(ior=1.5)
+"""What `glass` makes of an opaque object."""
+
+GREY = Diffuse(color=(0.5, 0.5, 0.5))
+"""What `glass` makes of a transparent object."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Edit:
+    """One change of a scene."""
+
+    verb: Verb
+    objects: tuple[str, ...]
+    """Names; two of `swap`, else one."""
+    offset: Vector | None = None
+    """Metres, of `move` and `duplicate`."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class EditedScene:
+    """A scene after some edits."""
+
+    scene: Scene
+    copies: dict[str, str]
+    """The original's name by the name of each copy."""
+    offsets: dict[str, Vector]
+    """How far each object stands from where it, or its original, stood; 0 for those that are not named."""
+
+    def changed(self, before: Scene) -> tuple[str, ...]:
+        """Names of all objects that are not what they were, in the order of their ids."""
+        old = {item.name: item for item in before.objects}
+        return tuple(item.name for item in self.scene.objects if item is not old.get(item.name))
+
+
+def parse_edit(text: str) -> Edit:
+    """The edit that `verb:object[:object or offset]` describes.
+
+    Raises:
+        HyalineError: no such verb, or not what it needs.
+    """
+    start, *rest = text.split(":")
+    if start not in USAGE:
+        raise HyalineError(f"edit {text!r}: there is no {start!r}; expected {', '.join(USAGE.values())}")
+    verb = cast(Verb, start)
+    usage = USAGE[verb]
+    if len(rest) != usage.count(":") or not all(rest):
+        raise HyalineError(f"edit {text!r}: has {len(rest)} parts after the verb; expected {usage}")
+    if "dx" not in usage:
+        return Edit(verb=verb, objects=tuple(rest))
+    try:
+        offset = tuple(float(number) for number in rest[1].split(","))
+    except ValueError:
+        offset = ()
+    if len(offset) != 3 or not all(map(math.isfinite, offset)):
+        raise HyalineError(f"edit {text!r}: moves by {rest[1]!r}; expected {usage}, three numbers in metres")
+    return Edit(verb=verb, objects=(rest[0],), offset=cast(Vector, offset))
+
+
+def describe_edit(edit: Edit) -> str:
+    """The edit as `parse_edit` reads it, always written in one way."""
+    offset = [",".join(f"{value:g}" for value in edit.offset)] if edit.offset else []
+    return ":".join([edit.verb, *edit.objects, *offset])
+
+
+def edits_name(edits: tuple[Edit, ...]) -> str:
+    """The name of a folder for the scene after these edits, such as `remove-ball+move-mug-0.1,0,0`."""
+    return "+".join(describe_edit(edit).replace(":", "-") for edit in edits)
+
+
+def edit_scene(scene: Scene, edits: tuple[Edit, ...]) -> EditedScene:
+    """The checked scene after all edits, one after the other.
+
+    Raises:
+        HyalineError: no such object, an object that cannot be glass, or surfaces that would coincide.
+    """
+    edited = EditedScene(scene=scene, copies={}, offsets={})
+    for edit in edits:
+        there = [item.name for item in edited.scene.objects if is_there(item.mesh)]
+        for name in edit.objects:
+            choose(f"edit {describe_edit(edit)!r}: object", name, there)
+        edited = VERBS[edit.verb](edited, edit)
+        _check_contact(scene, edited.scene, edit)
+        try:
+            check_scene(edited.scene)
+        except HyalineError as error:
+            raise HyalineError(f"edit {describe_edit(edit)!r}: {error}") from error
+    return edited
+
+
+def _remove(edited: EditedScene, edit: Edit) -> EditedScene:
+    return _with_object(edited, dataclasses.replace(_find(edited, edit.objects[0]), mesh=no_mesh()))
+
+
+def _move(edited: EditedScene, edit: Edit) -> EditedScene:
+    assert edit.offset is not None
+    return _moved(edited, edit.objects[0], np.array(edit.offset))
+
+
+def _duplicate(edited: EditedScene, edit: Edit) -> EditedScene:
+    assert edit.offset is not None
+    original = _find(edited, edit.objects[0])
+    first = edited.copies.get(original.name, original.name)
+    names = {item.name for item in edited.scene.objects}
+    name = next(name for count in range(1, 256) if (name := f"{first}_copy{count}") not in names)
+    copy = dataclasses.replace(original, name=name)
+    with_copy = EditedScene(
+        scene=dataclasses.replace(edited.scene, objects=(*edited.scene.objects, copy)),
+        copies={**edited.copies, name: first},
+        offsets={**edited.offsets, name: edited.offsets.get(original.name, (0.0, 0.0, 0.0))},
+    )
+    return _moved(with_copy, name, np.array(edit.offset))
+
+
+def _toggle_glass(edited: EditedScene, edit: Edit) -> EditedScene:
+    item = _find(edited, edit.objects[0])
+    return _with_object(edited, dataclasses.replace(item, material=GREY if is_glass(item.material) else CLEAR_GLASS))
+
+
+def _swap(edited: EditedScene, edit: Edit) -> EditedScene:
+    """Each comes to stand where the other stood: the middles of their feet change places."""
+    one, other = edit.objects
+    offset = _foot(_find(edited, other).mesh) - _foot(_find(edited, one).mesh)
+    return _moved(_moved(edited, one, offset), other, -offset)
+
+
+VERBS: dict[Verb, Callable[[EditedScene, Edit], EditedScene]] = {
+    "remove": _remove,
+    "move": _move,
+    "duplicate": _duplicate,
+    "glass": _toggle_glass,
+    "swap": _swap,
+}
+
+
+def _find(edited: EditedScene, name: str) -> SceneObject:
+    return next(item for item in edited.scene.objects if item.name == name)
+
+
+def _with_object(edited: EditedScene, changed: SceneObject) -> EditedScene:
+    objects = tuple(changed if item.name == changed.name else item for item in edited.scene.objects)
+    return dataclasses.replace(edited, scene=dataclasses.replace(edited.scene, objects=objects))
+
+
+def _moved(edited: EditedScene, name: str, offset: Float[np.ndarray, "3"]) -> EditedScene:
+    item = _find(edited, name)
+    material = item.material
+    if isinstance(material, Diffuse | Plastic) and isinstance(material.color, SolidTexture):
+        # A pattern that is carved from space moves with its object.
+        color = dataclasses.replace(material.color, origin=_sum(material.color.origin, offset))
+        material = dataclasses.replace(material, color=color)
+    moved = _with_object(edited, dataclasses.replace(item, mesh=moved_mesh(item.mesh, offset), material=material))
+    offsets = {**edited.offsets, name: _sum(edited.offsets.get(name, (0.0, 0.0, 0.0)), offset)}
+    return dataclasses.replace(moved, offsets=offsets)
+
+
+def moved_mesh(mesh: Mesh, offset: Vector | Float[np.ndarray, "3"]) -> Mesh:
+    """The mesh, moved by so many metres."""
+    return dataclasses.replace(mesh, vertices=(mesh.vertices.astype(np.float64) + offset).astype(np.float32))
+
+
+def _sum(place: Vector, offset: Float[np.ndarray, "3"]) -> Vector:
+    return cast(Vector, tuple((np.array(place) + offset).tolist()))
+
+
+def _foot(mesh: Mesh) -> np.ndarray:
+    """Middle of the bottom of the bounding box."""
+    low, high = mesh.vertices.min(axis=0).astype(np.float64), mesh.vertices.max(axis=0).astype(np.float64)
+    return np.array([*(low + high)[:2] / 2, low[2]])
+
+
+def _check_contact(before: Scene, after: Scene, edit: Edit) -> None:
+    """Refuses surfaces of which the edit makes one: peeling would lose layers there, and paths go astray."""
+    old = {item.name: item for item in before.objects}
+    for item in after.objects:
+        if not is_there(item.mesh) or item is old.get(item.name):
+            continue
+        for other in after.objects:
+            if other.name != item.name and (count := count_touching_faces(item.mesh, other.mesh)):
+                raise HyalineError(
+                    f"edit {describe_edit(edit)!r}: {count} faces of {item.name} would lie in faces of {other.name}; "
+                    "leave a gap of a millimetre, or let one reach into the other"
+                )

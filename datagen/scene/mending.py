@@ -1,0 +1,159 @@
+"""What is wrong with a mesh that a user brings and can be mended without asking: each mend is said in one line."""
+
+import dataclasses
+from functools import partial
+
+import numpy as np
+from jaxtyping import Bool
+
+from datagen.data.meshes import MIN_AREA, Mesh, check_areas, check_numbers, face_areas, is_there, welded
+from datagen.disk.errors import HyalineError
+from datagen.scene.atlas import coverage, unwrap_all
+from datagen.scene.description import (
+    Diffuse,
+    ImageTexture,
+    Material,
+    Plastic,
+    Scene,
+    image_bytes,
+    image_of,
+    surface_kind,
+)
+from datagen.scene.images import baked_image, linear_pixels
+from datagen.scene.modelling import CREASE_DEG
+from datagen.scene.shading_normals import mended_normals
+from datagen.terminal.command import say
+
+COVERAGE_SIZE = 256
+"""Texels a side of the picture in which uv that overlap are found."""
+MAX_SHARED = 0.005
+"""Share of the covered texels that several faces may share; an atlas whose charts overlap has many times as many."""
+MIN_COVERED = 0.005
+"""Share of the atlas that a surface must cover: else all of it has a few texels, or none."""
+
+
+def mend_scene(scene: Scene, *, without_uv: set[str]) -> Scene:
+    """The scene with meshes that can be drawn and textured; a line is said for each change of what a user brought.
+
+    Args:
+        without_uv: names of objects whose files have no uv: they get an atlas, and nobody needs to be told.
+
+    Raises:
+        HyalineError: what cannot be mended, naming the object.
+    """
+    objects, faults = [], {}
+    for item in scene.objects:
+        if not is_there(item.mesh):
+            objects.append(item)
+            continue
+        where = f"scene {scene.name}: object {item.name}"
+        check_numbers(item.mesh, where=where)
+        mesh, remarks = mend_surface(item.mesh, is_solid=surface_kind(item.material) == "dielectric")
+        for remark in remarks:
+            say(f"{where}: {remark}")
+        objects.append(dataclasses.replace(item, mesh=mesh))
+        image = image_of(item.material)
+        if image is not None:
+            linear_pixels(image_bytes(scene, image), where=f"{where}: {image.path}")
+            if item.name in without_uv:
+                raise HyalineError(f"{where}: has no uv for {image.path}; export its mesh with uv, or give it a color")
+        if (fault := "" if item.name in without_uv else atlas_fault(mesh)) is not None:
+            faults[item.name] = fault
+    return _with_atlases(dataclasses.replace(scene, objects=tuple(objects)), faults)
+
+
+def _with_atlases(scene: Scene, faults: dict[str, str]) -> Scene:
+    """The scene with a new atlas for each object in `faults`, and its image baked into it."""
+    wheres = {name: f"scene {scene.name}: object {name}" for name in faults}
+    for item in scene.objects:
+        if item.name in faults:
+            check_areas(item.mesh, where=wheres[item.name])
+    meshes = unwrap_all({wheres[item.name]: item.mesh for item in scene.objects if item.name in faults})
+    objects, baked = [], {}
+    for item in scene.objects:
+        if (fault := faults.get(item.name)) is None:
+            objects.append(item)
+            continue
+        mesh, material, what = meshes[wheres[item.name]], item.material, "unwrapped anew"
+        if (image := image_of(material)) is not None:
+            if not np.ptp(item.mesh.uv, axis=0).all():
+                raise HyalineError(f"{wheres[item.name]}: {fault}; {image.path} needs uv, export its mesh with them")
+            path, what = f"baked/{item.name}.png", f"unwrapped anew, and {image.path} baked into its new uv"
+            baked[path] = baked_image(linear_pixels(image_bytes(scene, image), where=image.path), item.mesh, mesh)
+            material = _with_image(material, ImageTexture(path=path))
+        if fault:
+            say(f"{wheres[item.name]}: {fault}; it was {what}")
+        objects.append(dataclasses.replace(item, mesh=mesh, material=material))
+    return dataclasses.replace(scene, objects=tuple(objects), baked=baked)
+
+
+def _with_image(material: Material, image: ImageTexture) -> Material:
+    assert isinstance(material, Diffuse | Plastic), "no other material has an image"
+    return dataclasses.replace(material, color=image)
+
+
+def mend_surface(mesh: Mesh, *, is_solid: bool) -> tuple[Mesh, list[str]]:
+    """A mesh without the faces and vertices that only do harm, its normals fit to shade with.
+
+    Args:
+        is_solid: its faces bound a solid: then only those of equal sense are there twice.
+
+    Returns:
+        The mesh (the same one where nothing was wrong), and a remark for each change.
+    """
+    remarks = []
+    for what, useless in (("have no area", _without_area), ("are there twice", partial(_twice, is_solid=is_solid))):
+        left_out = useless(mesh)
+        if left_out.any() and not left_out.all():
+            mesh = dataclasses.replace(mesh, faces=np.ascontiguousarray(mesh.faces[~left_out]))
+            remarks.append(f"{int(left_out.sum())} of its faces {what}; they were left out")
+    mesh, unused = _without_unused(mesh)
+    if unused:
+        remarks.append(f"{unused} of its vertices belong to no face; they were left out")
+    if not _without_area(mesh).any():
+        mesh, remark = mended_normals(mesh, crease_deg=CREASE_DEG)
+        remarks += [remark] if remark else []
+    return mesh, remarks
+
+
+def atlas_fault(mesh: Mesh) -> str | None:
+    """Why the uv of a mesh are no atlas, in which each point of the surface has texels of its own; None if they are."""
+    if not np.isfinite(mesh.uv).all():
+        return "some of its uv are no numbers"
+    if mesh.uv.min() < 0 or mesh.uv.max() > 1:
+        return f"its uv span {mesh.uv.min():g} to {mesh.uv.max():g}"
+    counts = coverage(mesh, COVERAGE_SIZE)
+    covered = int((counts > 0).sum())
+    if covered < MIN_COVERED * counts.size:
+        return f"its uv cover {100 * covered / counts.size:.2g} % of the atlas"
+    if (shared := float((counts > 1).sum()) / covered) > MAX_SHARED:
+        return f"its uv overlap on {100 * shared:.1f} % of their texels"
+    return None
+
+
+def _without_area(mesh: Mesh) -> Bool[np.ndarray, " face"]:
+    # Of a vertex that is no number the area is none either: that is refused, not left out.
+    return face_areas(mesh) < MIN_AREA
+
+
+def _twice(mesh: Mesh, *, is_solid: bool) -> Bool[np.ndarray, " face"]:
+    """Faces at the same three places as one before, which hide it or are hidden by it."""
+    _, faces = welded(mesh)
+    turned = np.stack([np.roll(faces, -shift, axis=1) for shift in range(3)])
+    same = turned[faces.argmin(axis=1), np.arange(len(faces))] if is_solid else np.sort(faces, axis=1)
+    _, first = np.unique(same, axis=0, return_index=True)
+    twice = np.ones(len(faces), bool)
+    twice[first] = False
+    return twice
+
+
+def _without_unused(mesh: Mesh) -> tuple[Mesh, int]:
+    used = np.unique(mesh.faces)
+    if len(used) == len(mesh.vertices):
+        return mesh, 0
+    place = np.zeros(len(mesh.vertices), np.int32)
+    place[used] = np.arange(len(used), dtype=np.int32)
+    kept = Mesh(
+        vertices=mesh.vertices[used], faces=place[mesh.faces], normals=mesh.normals[used], uv=mesh.uv[used]
+    )  # fmt: skip
+    return kept, len(mesh.vertices) - len(used)

@@ -1,0 +1,380 @@
+"""Owns the procedural shapes that scenes are built of: closed and outward (but for sheets), smooth but for creases.
+
+All lengths are metres, +z is up. Shapes have no uv yet (all 0): `datagen.scene.atlas` unwraps finished objects.
+"""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from datagen.data.meshes import Mesh
+
+Point = tuple[float, float, float]
+Points = Float[np.ndarray, "p 3"]
+Profile = Sequence[tuple[float, float]]
+"""Points (radius, z) of a lathe's outline."""
+
+CREASE_DEG = 40.0
+"""Faces that meet at a sharper angle than this get an edge that shades as an edge."""
+
+
+# Solids
+
+
+def rounded_box(size: Point, *, bevel: float, segments: int = 3) -> Mesh:
+    """A box centred on the origin, its edges rounded with radius `bevel` in `segments` steps per 45 degrees."""
+    half = np.asarray(size, np.float64) / 2
+    assert 0 < bevel < half.min(), f"bevel {bevel} of a box {size}"
+    # Grid lines a side: evenly spaced angles on the rounded edge; the last is set so that faces meet bit for bit.
+    steps = np.tan(np.linspace(0, np.pi / 4, segments + 1))
+    steps[-1] = 1.0
+    lines = [np.concatenate([-(h - bevel + bevel * steps[::-1]), h - bevel + bevel * steps]) for h in half]
+    positions, faces = [], []
+    for axis in range(3):
+        u, v = (axis + 1) % 3, (axis + 2) % 3
+        for side in (-1, 1):
+            grid = np.empty((len(lines[u]), len(lines[v]), 3))
+            grid[..., axis] = side * half[axis]
+            grid[..., u], grid[..., v] = lines[u][:, None], lines[v][None, :]
+            quads = _grid_faces(*grid.shape[:2]) + sum(map(len, positions))
+            positions.append(grid.reshape(-1, 3))
+            faces.append(quads if side > 0 else quads[:, ::-1])
+    on_cube, index = np.unique(np.concatenate(positions), axis=0, return_inverse=True)
+    core = np.clip(on_cube, bevel - half, half - bevel)
+    normals = on_cube - core
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    return _mesh(core + bevel * normals, index.reshape(-1)[np.concatenate(faces)], normals)
+
+
+def ball(radius: float, *, subdivisions: int = 4) -> Mesh:
+    """A geodesic sphere around the origin with exact normals: 20 * 4^subdivisions faces."""
+    import trimesh
+
+    sphere = trimesh.creation.icosphere(subdivisions)
+    directions = sphere.vertices / np.linalg.norm(sphere.vertices, axis=-1, keepdims=True)
+    return _mesh(radius * directions, np.asarray(sphere.faces), directions)
+
+
+def lathe(profile: Profile, *, segments: int = 96, crease_deg: float = CREASE_DEG) -> Mesh:
+    """The solid that an outline (radius, z) sweeps around the z axis.
+
+    The outline either starts and ends on the axis, or closes on itself off the axis (a ring). Its sense does not
+    matter: the solid is outward. One vertex stands on the axis where the outline meets it, so it is watertight there.
+    """
+    outline = np.asarray(profile, np.float64)
+    assert (outline[:, 0] >= 0).all(), "a radius is negative"
+    area = np.sum(outline[:, 0] * np.roll(outline[:, 1], -1) - np.roll(outline[:, 0], -1) * outline[:, 1])
+    if area < 0:
+        outline = outline[::-1]
+    on_axis = outline[:, 0] == 0
+    is_ring = not on_axis.any()
+    assert is_ring or (on_axis[[0, -1]].all() and on_axis.sum() == 2), "only the outline's ends may be on the axis"
+
+    angles = np.arange(segments) * (2 * np.pi / segments)
+    ring_of = [np.full(segments, 0) for _ in outline]
+    positions: list[np.ndarray] = []
+    for index, (radius, z) in enumerate(outline):
+        count = sum(map(len, positions))
+        if on_axis[index]:
+            positions.append(np.array([[0.0, 0.0, z]]))
+            ring_of[index] = np.full(segments, count)
+        else:
+            height = np.full(segments, z)
+            positions.append(np.stack([radius * np.cos(angles), radius * np.sin(angles), height], axis=-1))
+            ring_of[index] = count + np.arange(segments)
+    following = ring_of[1:] + ring_of[:1] if is_ring else ring_of[1:]
+    faces = [_band(low, high) for low, high in zip(ring_of, following)]
+    return shaded(np.concatenate(positions), np.concatenate(faces), crease_deg=crease_deg)
+
+
+def cylinder(radius: float, height: float, *, top_radius: float | None = None, bevel: float = 0.002,
+             segments: int = 48) -> Mesh:  # fmt: skip
+    """A standing cylinder or cone stump with rounded edges, from z = 0 to z = height."""
+    top = radius if top_radius is None else top_radius
+    outline = filleted([(0, 0, 0), (radius, 0, bevel), (top, height, bevel), (0, height, 0)])
+    return lathe(outline, segments=segments)
+
+
+def tube(path: Points, radius: float | np.ndarray, *, segments: int = 16, is_loop: bool = False) -> Mesh:
+    """A pipe along a path of points with one radius each; its ends are flat, a loop has none."""
+    path = np.asarray(path, np.float64)
+    radii = np.broadcast_to(np.asarray(radius, np.float64), (len(path),))
+    tangents = np.roll(path, -1, axis=0) - np.roll(path, 1, axis=0) if is_loop else np.gradient(path, axis=0)
+    tangents /= np.linalg.norm(tangents, axis=-1, keepdims=True)
+    sides = _carried_frame(tangents, is_loop=is_loop)
+    ups = np.cross(tangents, sides)
+    angles = np.arange(segments) * (2 * np.pi / segments)
+    around = np.cos(angles)[None, :, None] * sides[:, None] + np.sin(angles)[None, :, None] * ups[:, None]
+    rings = path[:, None] + radii[:, None, None] * around
+    indices = np.arange(len(path) * segments).reshape(len(path), segments)
+    following = np.roll(indices, -1, axis=0) if is_loop else indices[1:]
+    faces = [_band(low, high) for low, high in zip(indices, following)]
+    positions = rings.reshape(-1, 3)
+    if not is_loop:
+        first, last = len(positions), len(positions) + 1
+        positions = np.concatenate([positions, path[[0, -1]]])
+        faces += [_band(np.full(segments, first), indices[0]), _band(indices[-1], np.full(segments, last))]
+    return shaded(positions, np.concatenate(faces), crease_deg=60)
+
+
+# Sheets: open surfaces for what is seen from both sides
+
+
+def sheet(corner: Point, edge_u: Point, edge_v: Point, *, cells: tuple[int, int] = (1, 1)) -> Mesh:
+    """A flat parallelogram; its front is on the side of edge_u x edge_v."""
+    u, v = (np.linspace(0, 1, count + 1) for count in cells)
+    positions = np.asarray(corner) + u[:, None, None] * np.asarray(edge_u) + v[None, :, None] * np.asarray(edge_v)
+    normal = np.cross(edge_u, edge_v)
+    positions = positions.reshape(-1, 3)
+    normals = np.broadcast_to(normal / np.linalg.norm(normal), positions.shape)
+    return _mesh(positions, _grid_faces(cells[0] + 1, cells[1] + 1), normals)
+
+
+def leaf(length: float, width: float, *, droop: float, fold: float = 0.25, rows: int = 5) -> Mesh:
+    """A blade that grows from the origin along +x, folded along its midrib and bent down by `droop` radians.
+
+    Args:
+        fold: how high the rims stand above the midrib, in half widths.
+        rows: parts along the midrib; the leaf has 4 (rows - 1) triangles.
+    """
+    t = np.linspace(0, 1, rows + 1)
+    angle = -droop * t
+    step = length / rows
+    x = np.concatenate([[0], np.cumsum(step * np.cos((angle[1:] + angle[:-1]) / 2))])
+    z = np.concatenate([[0], np.cumsum(step * np.sin((angle[1:] + angle[:-1]) / 2))])
+    half = 0.5 * width * np.sin(np.pi * t**0.8) ** 0.9
+    middle = np.stack([x, np.zeros_like(x), z], axis=-1)
+    up = np.stack([-np.sin(angle), np.zeros_like(x), np.cos(angle)], axis=-1)
+    sides = [
+        middle[1:-1] + half[1:-1, None] * (side * np.array([0.0, 1.0, 0.0]) + fold * up[1:-1]) for side in (-1.0, 1.0)
+    ]
+    positions = np.concatenate([middle, *sides])
+    inner = np.arange(1, rows)
+    right, left = rows + inner, 2 * rows - 1 + inner
+    faces = [(0, right[0], 1), (0, 1, left[0])]
+    for i in range(rows - 2):
+        m, n = inner[i], inner[i + 1]
+        faces += [(m, right[i], right[i + 1]), (m, right[i + 1], n), (m, n, left[i + 1]), (m, left[i + 1], left[i])]
+    faces += [(inner[-1], right[-1], rows), (inner[-1], rows, left[-1])]
+    return shaded(positions, np.array(faces), crease_deg=75)
+
+
+# Outlines
+
+
+def filleted(corners: Sequence[tuple[float, float, float]], *, segments: int = 4) -> list[tuple[float, float]]:
+    """An open outline through corners (radius, z, fillet radius), each but the ends rounded by an arc."""
+    outline = [(float(corners[0][0]), float(corners[0][1]))]
+    for before, (r, z, fillet), after in zip(corners, corners[1:], corners[2:]):
+        corner = np.array([r, z], np.float64)
+        back, forth = np.array(before[:2]) - corner, np.array(after[:2]) - corner
+        room = 0.499 * min(np.linalg.norm(back), np.linalg.norm(forth))
+        back, forth = back / np.linalg.norm(back), forth / np.linalg.norm(forth)
+        half = np.arccos(np.clip(back @ forth, -1, 1)) / 2
+        if fillet <= 0 or half > 0.49 * np.pi:
+            outline.append((float(r), float(z)))
+            continue
+        reach = min(fillet / np.tan(half), room)
+        centre = corner + (back + forth) / np.linalg.norm(back + forth) * (reach / np.cos(half))
+        start, end = corner + reach * back - centre, corner + reach * forth - centre
+        total = np.arctan2(start[0] * end[1] - start[1] * end[0], start @ end)
+        for angle in np.linspace(0, total, segments + 1):
+            cos, sin = np.cos(angle), np.sin(angle)
+            outline.append((
+                float(centre[0] + cos * start[0] - sin * start[1]), float(centre[1] + sin * start[0] + cos * start[1])
+            ))  # fmt: skip
+    outline.append((float(corners[-1][0]), float(corners[-1][1])))
+    return outline
+
+
+def curved(points: Sequence[tuple[float, ...]], *, count: int) -> np.ndarray:
+    """`count` points along a smooth curve (centripetal in spirit: cubic over chord length) through `points`."""
+    from scipy.interpolate import CubicSpline
+
+    through = np.asarray(points, np.float64)
+    chords = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(through, axis=0), axis=-1) ** 0.5)])
+    return CubicSpline(chords, through, axis=0)(np.linspace(0, chords[-1], count))
+
+
+def walled(outer: Profile, *, wall: float, floor: float) -> list[tuple[float, float]]:
+    """The outline of a vessel: `outer` from the axis up to the rim, a round rim, and back inside at `wall` metres.
+
+    Args:
+        floor: height of the lowest inner point above the lowest outer point.
+    """
+    line = np.asarray(outer, np.float64)
+    tangents = np.gradient(line, axis=0)
+    tangents /= np.linalg.norm(tangents, axis=-1, keepdims=True)
+    inward = np.stack([-tangents[:, 1], tangents[:, 0]], axis=-1)
+    inner = line + wall * inward
+    bottom = float(line[:, 1].min() + floor)
+    below = int(np.flatnonzero(inner[:, 1] <= bottom)[-1])
+    share = (bottom - inner[below, 1]) / (inner[below + 1, 1] - inner[below, 1])
+    corner = inner[below] + share * (inner[below + 1] - inner[below])
+    inner = inner[:below:-1]
+    middle, arm = (line[-1] + inner[0]) / 2, (line[-1] - inner[0]) / 2
+    up = np.array([-arm[1], arm[0]])
+    up = up if up @ tangents[-1] > 0 else -up
+    rim = [middle + np.cos(a) * arm + np.sin(a) * up for a in np.linspace(0, np.pi, 7)[1:-1]]
+    round_corner = filleted([(*_pair(inner[-1]), 0.0), (*_pair(corner), 0.6 * float(corner[0])), (0.0, bottom, 0.0)])
+    return [*map(_pair, line), *map(_pair, rim), *map(_pair, inner[:-1]), *round_corner]
+
+
+def filled(outer: Profile, *, wall: float, floor: float, level: float, reach: float) -> list[tuple[float, float]]:
+    """The outline of a drink in the vessel `walled(outer, wall=wall, floor=floor)`, with a flat top.
+
+    Args:
+        level: height of the drink's top, in the heights of `outer`.
+        reach: how far the drink goes into the wall and the floor; give its material the lower priority.
+    """
+    assert 0 < reach < min(wall, floor), f"reach {reach} of a wall of {wall} and a floor of {floor}"
+    vessel = np.array(walled(outer, wall=wall - reach, floor=floor - reach))
+    inner = vessel[vessel[:, 1].argmax() :]
+    above = int(np.flatnonzero(inner[:, 1] > level)[-1])
+    assert above + 1 < len(inner), f"level {level} is below the floor"
+    share = (inner[above, 1] - level) / (inner[above, 1] - inner[above + 1, 1])
+    edge = inner[above] + share * (inner[above + 1] - inner[above])
+    return [(0.0, level), _pair(edge), *map(_pair, inner[above + 1 :])]
+
+
+def _pair(point: np.ndarray) -> tuple[float, float]:
+    return float(point[0]), float(point[1])
+
+
+# Putting together
+
+
+def merged(parts: Sequence[Mesh]) -> Mesh:
+    """All parts as one mesh."""
+    offsets = np.cumsum([0, *(len(part.vertices) for part in parts)])
+    return Mesh(
+        vertices=np.concatenate([part.vertices for part in parts]),
+        faces=np.concatenate([part.faces + offset for part, offset in zip(parts, offsets)]).astype(np.int32),
+        normals=np.concatenate([part.normals for part in parts]),
+        uv=np.concatenate([part.uv for part in parts]),
+    )
+
+
+def moved(mesh: Mesh, offset: Sequence[float]) -> Mesh:
+    """The mesh translated."""
+    return transformed(mesh, np.eye(3), offset)
+
+
+def turned(mesh: Mesh, axis: Point, angle_deg: float) -> Mesh:
+    """The mesh rotated about an axis through the origin, counter-clockwise seen from the axis's tip."""
+    return transformed(mesh, rotation(axis, angle_deg), (0, 0, 0))
+
+
+def rotation(axis: Point, angle_deg: float) -> np.ndarray:
+    """Rotation matrix (3, 3). Source: Rodrigues' formula."""
+    x, y, z = np.asarray(axis, np.float64) / np.linalg.norm(axis)
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    angle = np.radians(angle_deg)
+    return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * (cross @ cross)
+
+
+def transformed(mesh: Mesh, linear: np.ndarray, offset: Sequence[float]) -> Mesh:
+    """The mesh under x -> linear x + offset; re-wound when `linear` mirrors, so that outward stays outward."""
+    normals = mesh.normals.astype(np.float64) @ np.linalg.inv(linear)
+    faces = mesh.faces[:, ::-1] if np.linalg.det(linear) < 0 else mesh.faces
+    vertices = mesh.vertices.astype(np.float64) @ np.asarray(linear).T + np.asarray(offset, np.float64)
+    return Mesh(
+        vertices=vertices.astype(np.float32),
+        faces=np.ascontiguousarray(faces),
+        normals=(normals / np.linalg.norm(normals, axis=-1, keepdims=True)).astype(np.float32),
+        uv=mesh.uv,
+    )
+
+
+def deformed(mesh: Mesh, deform: Callable[[Points], Points], *, crease_deg: float = CREASE_DEG) -> Mesh:
+    """The mesh with its points moved by a continuous function, shaded anew."""
+    positions, index = np.unique(mesh.vertices, axis=0, return_inverse=True)
+    return shaded(deform(positions.astype(np.float64)), index.reshape(-1)[mesh.faces], crease_deg=crease_deg)
+
+
+def shaded(positions: Points, faces: np.ndarray, *, crease_deg: float) -> Mesh:
+    """A mesh of shared points with smooth normals, its vertices split where faces meet at more than the crease angle.
+
+    Faces without area are left out.
+    """
+    assert np.isfinite(positions).all(), "a point is not finite"
+    corners = positions[faces]
+    faces = faces[np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 1]), axis=-1) > 0]
+    normals, at = corner_normals(positions, faces, crease_deg=crease_deg), faces.reshape(-1)
+    # Corners that agree on point and normal become one vertex.
+    keys = np.concatenate([at[:, None], np.rint(normals * 4096).astype(np.int64)], axis=-1)
+    _, first, index = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+    return _mesh(positions[at[first]], index.reshape(-1, 3), normals[first])
+
+
+def corner_normals(positions: Points, faces: np.ndarray, *, crease_deg: float) -> Float[np.ndarray, "corner 3"]:
+    """Unit normals of all corners of faces with area, face by face.
+
+    A corner's normal is the mean of the faces around its point that are within the angle of its own face, weighted
+    by area and by the angle at the point.
+    """
+    corners = positions[faces]
+    edges = np.roll(corners, -1, axis=1) - corners
+    normals = np.cross(edges[:, 0], edges[:, 1])
+    areas = np.linalg.norm(normals, axis=-1)
+    normals = normals / areas[:, None]
+    forth = edges / np.linalg.norm(edges, axis=-1, keepdims=True)
+    angles = np.arccos(np.clip(-np.einsum("fki,fki->fk", forth, np.roll(forth, 1, axis=1)), -1, 1))
+    weights = (angles * areas[:, None]).reshape(-1)
+
+    # All pairs of corners at the same point.
+    at = faces.reshape(-1)
+    order = np.argsort(at, kind="stable")
+    starts = np.searchsorted(at[order], at)
+    counts = np.bincount(at, minlength=len(positions))[at]
+    one = np.repeat(np.arange(len(at)), counts)
+    other = order[np.repeat(starts, counts) + np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)]
+    is_smooth = np.einsum("pi,pi->p", normals[one // 3], normals[other // 3]) >= np.cos(np.radians(crease_deg))
+    sums = np.zeros((len(at), 3))
+    for axis in range(3):
+        values = np.where(is_smooth, weights[other] * normals[other // 3, axis], 0.0)
+        sums[:, axis] = np.bincount(one, values, minlength=len(at))
+    return sums / np.linalg.norm(sums, axis=-1, keepdims=True)
+
+
+def _mesh(positions: np.ndarray, faces: np.ndarray, normals: np.ndarray) -> Mesh:
+    return Mesh(
+        vertices=np.ascontiguousarray(positions, np.float32),
+        faces=np.ascontiguousarray(faces, np.int32),
+        normals=np.ascontiguousarray(normals, np.float32),
+        uv=np.zeros((len(positions), 2), np.float32),
+    )
+
+
+def _grid_faces(rows: int, columns: int) -> np.ndarray:
+    """Two triangles a cell of a (rows, columns) grid of points, facing along row direction x column direction."""
+    index = np.arange(rows * columns).reshape(rows, columns)
+    a, b, c, d = (part.reshape(-1) for part in (index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]))
+    return np.concatenate([np.stack([a, b, c], axis=-1), np.stack([a, c, d], axis=-1)])
+
+
+def _band(low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Triangles between two rings of point indices; a ring that is one point gives a fan."""
+    next_low, next_high = np.roll(low, -1), np.roll(high, -1)
+    faces = np.concatenate([
+        np.stack([low, next_low, next_high], axis=-1), np.stack([low, next_high, high], axis=-1)
+    ])  # fmt: skip
+    distinct = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
+    return faces[distinct]
+
+
+def _carried_frame(tangents: np.ndarray, *, is_loop: bool) -> np.ndarray:
+    """One unit normal a point, carried along the path without twist; a loop spreads what is left over its length."""
+    seed = np.eye(3)[np.abs(tangents[0]).argmin()]
+    sides = [np.cross(tangents[0], seed)]
+    for tangent in tangents[1:]:
+        side = sides[-1] - tangent * (sides[-1] @ tangent)
+        sides.append(side / np.linalg.norm(side))
+    carried = np.array(sides) / np.linalg.norm(sides, axis=-1, keepdims=True)
+    if not is_loop:
+        return carried
+    back = carried[-1] - tangents[0] * (carried[-1] @ tangents[0])
+    twist = np.arctan2(np.cross(back, carried[0]) @ tangents[0], back @ carried[0])
+    angles = np.linspace(0, 1, len(tangents), endpoint=False)[:, None] * twist
+    return np.cos(angles) * carried + np.sin(angles) * np.cross(tangents, carried)

@@ -1,0 +1,70 @@
+"""The cameras of every split, placed by a scene's rig."""
+
+import math
+
+import numpy as np
+from jaxtyping import Float
+
+from datagen.data.cameras import look_at
+from datagen.data.dataset import SPLITS, Cameras, DatasetConfig, Split
+from datagen.scene.description import CameraRig, Vector
+
+
+def make_cameras(rig: CameraRig, config: DatasetConfig) -> dict[Split, Cameras]:
+    """The cameras of all splits; only the training ones are random, from the dataset's seed.
+
+    Source: paper section 4.5. Training cameras lie on a hemisphere that is cropped at the floor, the interpolating path
+    lies on the same hemisphere, the extrapolating walk leaves it: nearer, farther, lower, looking elsewhere.
+    """
+    poses = {
+        "train": _hemisphere(rig, config.train.views, np.random.default_rng(config.seed)),
+        "interpolating": _path_on_hemisphere(rig, config.interpolating.views),
+        "extrapolating": _walk(rig, config.extrapolating.views),
+    }
+    size, fov_x = config.resolution, math.radians(rig.fov_deg)
+    return {split: Cameras(world_from_camera=poses[split], fov_x=fov_x, width=size, height=size) for split in SPLITS}
+
+
+def _hemisphere(rig: CameraRig, count: int, rng: np.random.Generator) -> Float[np.ndarray, "view 4 4"]:
+    """Uniform in solid angle over the allowed elevations and azimuths, by a shifted R2 low-discrepancy sequence."""
+    # The generalised golden ratio: successive points stay well spread for every count.
+    golden = 1.32471795724474602596
+    steps = np.arange(count)[:, None] / golden ** np.arange(1, 3)
+    unit = (steps + rng.uniform(size=2)) % 1
+    low, high = np.sin(np.radians(rig.elevation_deg))
+    elevation = np.arcsin(low + unit[:, 0] * (high - low))
+    first, last = np.radians(rig.azimuth_deg)
+    azimuth = first + unit[:, 1] * (last - first)
+    offset = rng.uniform(-1, 1, size=(count, 3)) * rig.target_jitter * rig.radius
+    positions = np.array(rig.target) + rig.radius * _direction(elevation, azimuth)
+    return np.stack([look_at(p, np.array(rig.target) + o) for p, o in zip(positions, offset, strict=True)])
+
+
+def _path_on_hemisphere(rig: CameraRig, count: int) -> Float[np.ndarray, "view 4 4"]:
+    """A sweep over the middle 90 % of the azimuths while the elevation swings twice."""
+    s = (np.arange(count) + 0.5) / count
+    first, last = np.radians(rig.azimuth_deg)
+    low, high = np.radians(rig.elevation_deg)
+    azimuth = first + (0.05 + 0.9 * s) * (last - first)
+    elevation = low + (0.5 + 0.4 * np.sin(4 * np.pi * s)) * (high - low)
+    positions = np.array(rig.target) + rig.radius * _direction(elevation, azimuth)
+    return np.stack([look_at(position, np.array(rig.target)) for position in positions])
+
+
+def _walk(rig: CameraRig, count: int) -> Float[np.ndarray, "view 4 4"]:
+    """A smooth curve through the rig's walk points, evenly timed between them."""
+    from scipy.interpolate import PchipInterpolator
+
+    def curve(points: list[Vector]) -> np.ndarray:
+        # Monotone between key points, so the walk never swings through a wall that the points avoid.
+        keys = np.arange(len(points))
+        return PchipInterpolator(keys, np.array(points))(np.linspace(0, keys[-1], count))
+
+    positions = curve([point.position for point in rig.walk])
+    targets = curve([point.target for point in rig.walk])
+    return np.stack([look_at(position, target) for position, target in zip(positions, targets, strict=True)])
+
+
+def _direction(elevation: Float[np.ndarray, "view"], azimuth: Float[np.ndarray, "view"]) -> np.ndarray:
+    across = np.cos(elevation)
+    return np.stack([across * np.cos(azimuth), across * np.sin(azimuth), np.sin(elevation)], axis=-1)

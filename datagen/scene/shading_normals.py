@@ -1,0 +1,73 @@
+"""Vertex normals against the faces they shade: which are wrong, and how they are computed anew."""
+
+import dataclasses
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from datagen.data.meshes import Mesh, vertex_normals, welded
+
+MAX_OPPOSING = 0.01
+"""Share of face corners whose normal may point to the back of the face. The worst good asset that was measured has
+0.0009, one with flipped normals 1; the truth of such glass is 25 dB off."""
+
+
+def count_without_normal(mesh: Mesh) -> int:
+    """How many vertices of faces have a normal that is 0 or not finite."""
+    return int(_is_without(mesh)[np.unique(mesh.faces)].sum())
+
+
+def opposing_share(mesh: Mesh) -> float:
+    """The share of face corners whose normal points to the back of their face."""
+    normals = mesh.normals.astype(np.float64)[mesh.faces]
+    return float((np.einsum("fc,fkc->fk", _face_normals(mesh), normals) < 0).mean())
+
+
+def mended_normals(mesh: Mesh, *, crease_deg: float) -> tuple[Mesh, str | None]:
+    """The mesh with normals that can be shaded with, and a remark on what was done; the same mesh where all is well.
+
+    Args:
+        crease_deg: faces that meet at a sharper angle get an edge, where all normals are computed anew.
+    """
+    bad = _is_without(mesh)
+    bad_share = float(bad[mesh.faces].mean())
+    known = dataclasses.replace(mesh, normals=np.where(bad[:, None], 0, mesh.normals).astype(np.float32))
+    if (opposing := opposing_share(known)) > MAX_OPPOSING:
+        remark = f"{100 * opposing:.1f} % of its vertex normals pointed to the back of their faces"
+        return shaded_anew(mesh, crease_deg=crease_deg), f"{remark}; normals were computed anew"
+    if bad_share > MAX_OPPOSING:
+        remark = f"{100 * bad_share:.1f} % of its vertex normals were 0 or no numbers"
+        return shaded_anew(mesh, crease_deg=crease_deg), f"{remark}; normals were computed anew"
+    if bad_share > 0:
+        normals = np.where(bad[:, None], vertex_normals(mesh.vertices, mesh.faces), mesh.normals)
+        few = dataclasses.replace(mesh, normals=normals.astype(np.float32))
+        return few, f"{count_without_normal(mesh)} of its vertex normals were 0 or no numbers; these were computed anew"
+    return mesh, None
+
+
+def shaded_anew(mesh: Mesh, *, crease_deg: float) -> Mesh:
+    """The mesh with smooth normals, its vertices split where faces meet at more than the crease angle; uv are kept."""
+    from datagen.scene.modelling import corner_normals
+
+    positions, faces = welded(mesh)
+    normals = corner_normals(positions.astype(np.float64), faces, crease_deg=crease_deg)
+    at = mesh.faces.reshape(-1)
+    # Corners that agree on vertex and normal stay one vertex.
+    keys = np.concatenate([at[:, None], np.rint(normals * 4096).astype(np.int64)], axis=-1)
+    _, first, index = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+    return Mesh(
+        vertices=mesh.vertices[at[first]],
+        faces=index.reshape(-1, 3).astype(np.int32),
+        normals=normals[first].astype(np.float32),
+        uv=mesh.uv[at[first]],
+    )
+
+
+def _is_without(mesh: Mesh) -> Bool[np.ndarray, " vertex"]:
+    lengths = np.linalg.norm(mesh.normals.astype(np.float64), axis=-1)
+    return ~(np.isfinite(lengths) & (lengths > 1e-6))
+
+
+def _face_normals(mesh: Mesh) -> Float[np.ndarray, "face 3"]:
+    a, b, c = np.moveaxis(mesh.vertices[mesh.faces].astype(np.float64), 1, 0)
+    return np.cross(b - a, c - a)

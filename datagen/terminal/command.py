@@ -1,0 +1,265 @@
+"""Owns how a command starts, reports progress and ends: parse, run one function, errors as one line."""
+
+import contextlib
+import difflib
+import functools
+import inspect
+import os
+import select
+import shlex
+import signal
+import sys
+import time
+from collections.abc import Callable, Collection, Iterable, Iterator
+from pathlib import Path
+from typing import Annotated, NoReturn, TypeVar
+
+from datagen.disk.errors import HyalineError
+from datagen.disk.names import printable
+from datagen.disk.os_errors import describe_os_error, naming
+from datagen.disk.records import shown
+from datagen.terminal.signals import Stopped, raise_on_sigterm, signal_within
+
+Item = TypeVar("Item")
+
+MAX_SUGGESTED = 100
+"""Characters of a wrong name for which a similar one is sought; the time that takes grows with their square."""
+
+REPORT_EVERY_S = 15.0
+"""Without a terminal, progress is a line this often."""
+
+
+def run(program: str, description: str, commands: dict[str, Callable[..., None]], arguments: list[str]) -> None:
+    """Parses `arguments`, calls the chosen function, and exits.
+
+    Results go to stdout, everything else to stderr. A command whose first parameter is `dataset` also takes it as its
+    first word; each takes `--version`. Exit status: 0 done, 1 our error in one line, 2 usage, 3 a number that is not
+    finite, 130 and 143 stopped by SIGINT and SIGTERM.
+    """
+    arguments = _dataset_first(commands, arguments)
+    try:
+        if "--version" in arguments:
+            print(f"hyaline {version()}", flush=True)
+            return
+        import tyro
+
+        with raise_on_sigterm(), _flushed():
+            tyro.extras.subcommand_cli_from_dict(
+                commands,
+                prog=program,
+                description=description,
+                args=arguments,
+                config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes),
+                sort_subcommands=False,
+            )
+    except (Exception, KeyboardInterrupt, Stopped) as error:
+        _end(error, arguments)
+
+
+def _end(error: BaseException, arguments: list[str]) -> None:
+    """Ends the process in one line that says what `error` was; one that is a fault of ours is raised again."""
+    # A signal that arrives inside of a library may reach us as the cause of its own error: of a RuntimeError while
+    # Dr.Jit 1.5 records a loop, of a SystemError or an ImportError while a compiled module is imported.
+    if (stopped := signal_within(error)) is not None:
+        _end_stopped(stopped, arguments)
+    if isinstance(error, HyalineError):
+        fail(str(error), status=error.status)
+    if isinstance(error, OSError):
+        # A full disk, a read-only folder, a missing permission: what is committed stays valid.
+        if isinstance(error, BrokenPipeError) and _is_reader_gone():
+            _end_unread()
+        fail(describe_os_error(error, error.filename or "standard output, or a temporary file"))
+    if isinstance(error, MemoryError):
+        fail("out of memory; use fewer --workers or smaller sizes, or a machine with more memory")
+    raise error
+
+
+@contextlib.contextmanager
+def _flushed() -> Iterator[None]:
+    """Writes out what was printed before the block is left, also by `sys.exit`, so that its errors are ours to tell."""
+    try:
+        yield
+    finally:
+        if sys.stdout is not None:
+            with naming(Path("standard output")):
+                sys.stdout.flush()
+
+
+def _is_reader_gone() -> bool:
+    """True when nobody reads standard output or standard error any more."""
+    poll = select.poll()
+    for number in (1, 2):
+        poll.register(number, 0)
+    return any(events & select.POLLERR for _, events in poll.poll(0))
+
+
+def _end_unread() -> NoReturn:
+    """Ends as other tools do whose output nobody reads any more (`report | head`): without a word."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    for number in (1, 2):
+        os.dup2(nowhere, number)  # Else the interpreter would complain when it flushes them at its end.
+    sys.exit(128 + signal.SIGPIPE)
+
+
+def version() -> str:
+    """The version that is installed."""
+    from importlib import metadata
+
+    try:
+        return metadata.version("hyaline")
+    except metadata.PackageNotFoundError:
+        return "(not installed)"
+
+
+def _dataset_first(commands: dict[str, Callable[..., None]], arguments: list[str]) -> list[str]:
+    """The arguments, in which a first word that names a dataset has become that of `--dataset`."""
+    command = commands.get(arguments[0]) if arguments else None
+    if command is None or arguments[1:2] == [] or arguments[1].startswith("-"):
+        return arguments
+    if next(iter(inspect.signature(command).parameters), None) != "dataset":
+        return arguments
+    return [arguments[0], "--dataset", *arguments[1:]]
+
+
+def _end_stopped(stopped: Stopped, arguments: list[str]) -> NoReturn:
+    """Says how to go on; of several processes that train together, only the first one does."""
+    same = "the same command without --overwrite" if "--overwrite" in arguments else "the same command again"
+    say(f"error: {stopped.message or f'stopped; run {same} to go on'}")
+    sys.exit(stopped.status)
+
+
+@functools.cache
+def unwrap_help(record: type) -> None:
+    """Makes `--help` print the docstrings under a record's fields as text that flows.
+
+    tyro 1.0.17 keeps their line breaks, because the lines after the first begin with blanks.
+    """
+    import docstring_parser
+    import tyro
+
+    for item in docstring_parser.parse_from_object(record).params:
+        if item.description and item.arg_name in record.__annotations__:
+            flowing = tyro.conf.arg(help=" ".join(item.description.split()))
+            record.__annotations__[item.arg_name] = Annotated[record.__annotations__[item.arg_name], flowing]
+
+
+def fail(message: str, *, status: int = 1) -> NoReturn:
+    """Prints one line on stderr and exits."""
+    print(f"error: {printable(' '.join(message.split()))}", file=sys.stderr)
+    sys.exit(status)
+
+
+def tell(line: str) -> None:
+    """A line of the result, on stdout."""
+    print(printable(line))
+
+
+_is_mute = False
+
+
+def mute() -> None:
+    """Lets this process say nothing more but errors: another one says the same."""
+    global _is_mute
+    _is_mute = True
+
+
+def say(message: str) -> None:
+    """A line for the person who waits, on stderr."""
+    if not _is_mute:
+        print(printable(message), file=sys.stderr, flush=True)
+
+
+def next_command(line: str) -> None:
+    """The last line of a command: what to type next."""
+    say(f"next: {line}")
+
+
+def this_command() -> str:
+    """What to type to go on with the command that runs: its own words, but without `--overwrite`, which starts anew."""
+    program = Path(sys.argv[0])
+    name = program.parent.name if program.name == "__main__.py" else program.name
+    return shlex.join([name, *(word for word in sys.argv[1:] if word != "--overwrite")])
+
+
+def choose(what: str, value: str, choices: Collection[str]) -> str:
+    """`value`, when it is one of `choices`.
+
+    Raises:
+        HyalineError: it is not; the nearest choice is suggested.
+    """
+    if value in choices:
+        return value
+    near = difflib.get_close_matches(value[:MAX_SUGGESTED], choices, n=1, cutoff=0.5)
+    hint = f"did you mean {near[0]!r}? " if near else ""
+    raise HyalineError(
+        f"{what} {shown(value)}: there is none of that name; {hint}known are {', '.join(sorted(choices))}"
+    )
+
+
+def track(items: Iterable[Item], *, label: str, total: int, done: int = 0,
+          status: Callable[[], str] = lambda: "") -> Iterator[Item]:  # fmt: skip
+    """Yields `items` while stderr shows how far they are and how long the rest will take.
+
+    Args:
+        total: how many items there are, those already done included.
+        done: how many were done before; they do not count for the estimate.
+        status: what else to show, asked for at each update.
+    """
+    if _is_mute:
+        yield from items
+    elif sys.stderr.isatty():
+        yield from _track_on_terminal(items, label, total, done, status)
+    else:
+        yield from _track_in_lines(items, label, total, done, status)
+
+
+def _track_on_terminal(items: Iterable[Item], label: str, total: int, done: int,
+                       status: Callable[[], str]) -> Iterator[Item]:  # fmt: skip
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+
+    clock = _Clock()
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn())
+    more = (TextColumn("{task.fields[left]}"), TextColumn("{task.fields[status]}"))
+    with Progress(*columns, *more, console=Console(stderr=True)) as progress:
+        task = progress.add_task(printable(label), total=total, completed=done, left="", status="")
+        for count, item in enumerate(items, start=1):
+            yield item
+            clock.count()
+            left = clock.left_s(total - done - count)
+            when = "" if left is None else f"{left:.0f} s left"
+            progress.update(task, advance=1, left=when, status=status())
+
+
+def _track_in_lines(items: Iterable[Item], label: str, total: int, done: int,
+                    status: Callable[[], str]) -> Iterator[Item]:  # fmt: skip
+    clock = _Clock()
+    last = time.monotonic()
+    for count, item in enumerate(items, start=1):
+        yield item
+        clock.count()
+        now = time.monotonic()
+        if now - last >= REPORT_EVERY_S or done + count == total:
+            rest = total - done - count
+            left = clock.left_s(rest)
+            when = "" if left is None else f", about {left:.0f} s left"
+            say(f"{label}: {done + count}/{total}{when} {status()}".rstrip())
+            last = now
+
+
+class _Clock:
+    """Tells how long the rest takes from how long all but the first took: the first also compiles and warms up."""
+
+    def __init__(self) -> None:
+        self.times: list[float] = []
+
+    def count(self) -> None:
+        self.times.append(time.monotonic())
+
+    def left_s(self, rest: int) -> float | None:
+        """Seconds for so many more; None: nobody can tell from a single one."""
+        if rest == 0:
+            return 0.0
+        if len(self.times) < 2:
+            return None
+        return (self.times[-1] - self.times[0]) / (len(self.times) - 1) * rest

@@ -1,0 +1,115 @@
+"""Owns the tables of edits and of order, and what results.json says of them."""
+
+from collections.abc import Iterable, Mapping, Sequence
+
+from datagen.data.dataset import TEST_SPLITS, Split
+from datagen.disk.records import Json
+from eval.analyses.edits import IGNORED, REGIONS, EditScores
+from eval.analyses.order import OrderScores
+from eval.score.metrics import mean_of
+from eval.score.regions import RegionScores
+from eval.score.scores import RunScores
+from eval.score.seeds import by_group
+from eval.tables.grids import MEANS_NOTE, Column, Grid, format_number
+from eval.tables.results import json_number
+
+EDIT_NOTE = (
+    "Object: pixels that show a changed object in either scene. Light: other pixels where the truth changes by more "
+    "than its noise. Unedited: the same pixels of the same run before the edit. Truth before the edit: what a perfect "
+    "renderer that ignores the edit would score."
+)
+
+
+def edit_grids(title: str, edits: Sequence[EditScores], runs: Sequence[RunScores]) -> list[Grid]:
+    """For each edit PSNR by region, with the scores before the edit below those after it; means over seeds of `runs`,
+    all of the scene."""
+    return [_edit_grid(title, edit, runs, notes=(EDIT_NOTE, MEANS_NOTE) if edit is edits[-1] else ()) for edit in edits]
+
+
+def _edit_grid(title: str, edit: EditScores, runs: Sequence[RunScores], *, notes: tuple[str, ...]) -> Grid:
+    record = edit.edited.edit
+    assert record is not None
+    shares = ", ".join(
+        f"{region} {' / '.join(f'{100 * edit.shares[region, split]:.1f}' for split in TEST_SPLITS)} %"
+        for region in ("object", "light")
+    )
+    columns = [Column(group="run", is_number=False), Column(group="seeds"), Column(group="scene", is_number=False)]
+    columns += [Column(group=f"{region} dB ↑", split=split) for region in REGIONS for split in TEST_SPLITS]
+    scores = {(row.run, row.scene): row.psnr_db for row in edit.rows}
+    rows = []
+    for name, members in by_group(runs, {run: run for run, _ in scores}).items():
+        for scene in ("edited", "unedited"):
+            found = [scores[run, scene] for run in members]
+            rows.append((name, str(len(found)), scene, *_decibels(found, REGIONS)))
+    rows.append((IGNORED, "", "edited", *_decibels([scores[IGNORED, "edited"]], REGIONS)))
+    return Grid(
+        title=f"{title}, after {' then '.join(record.edits)} ({shares} of the pixels)",
+        columns=tuple(columns),
+        rows=tuple(rows),
+        last_row_apart=True,
+        notes=notes,
+    )
+
+
+def order_grid(title: str, order: OrderScores, runs: Sequence[RunScores]) -> Grid:
+    """PSNR on pixels whose order of surfaces training has shown, and on those where it is new; means over seeds."""
+    regions = ("seen", "new")
+    columns = [Column(group="scene", is_number=False), Column(group="run", is_number=False), Column(group="seeds")]
+    columns += [Column(group=f"{region} dB ↑", split=split) for region in regions for split in TEST_SPLITS]
+    columns += [Column(group="new %", split=split) for split in TEST_SPLITS]
+    rows = []
+    for scene in dict.fromkeys(row.scene for row in order.rows):
+        of_run = {row.run: row for row in order.rows if row.scene == scene}
+        for name, found in by_group(runs, of_run).items():
+            shares = (f"{100 * found[0].new_share[split]:.2f}" for split in TEST_SPLITS)
+            psnr_db = _decibels([row.psnr_db for row in found], regions)
+            rows.append((scene, name, str(len(found)), *psnr_db, *shares))
+    return Grid(
+        title=f"{title}: PSNR by order of the first {order.num_layers} layers",
+        columns=tuple(columns),
+        rows=tuple(rows),
+        notes=("New: pixels whose sequence of objects along the centre ray no training pixel has.", MEANS_NOTE),
+    )
+
+
+def edit_json(edit: EditScores) -> Json:
+    record = edit.edited.edit
+    assert record is not None
+    return {
+        "edits": list(record.edits),
+        "dataset_seal": edit.edited.seal,
+        "shares": _nested(edit.shares),
+        "rows": [{"run": row.run, "scene": row.scene, "psnr_db": _nested(row.psnr_db)} for row in edit.rows],
+    }
+
+
+def order_json(order: OrderScores) -> Json:
+    return {
+        "num_layers": order.num_layers,
+        "rows": [
+            {
+                "scene": row.scene,
+                "run": row.run,
+                "psnr_db": _nested(row.psnr_db),
+                "new_share": {split: row.new_share[split] for split in TEST_SPLITS},
+            }
+            for row in order.rows
+        ],
+    }
+
+
+def _decibels(scores: Sequence[RegionScores], regions: Iterable[str]) -> tuple[str, ...]:
+    """Means over the runs, region by region, of each split."""
+    return tuple(
+        format_number(mean_of([of_run.get((region, split)) for of_run in scores]), 2)
+        for region in regions
+        for split in TEST_SPLITS
+    )
+
+
+def _nested(scores: Mapping[tuple[str, Split], float | None]) -> Json:
+    regions = dict.fromkeys(region for region, _ in scores)
+    return {
+        region: {split: json_number(value) for (name, split), value in scores.items() if name == region}
+        for region in regions
+    }

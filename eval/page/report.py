@@ -1,0 +1,232 @@
+"""Owns the report: finds the runs, scores them, prints tables, writes results.json and pictures."""
+
+import dataclasses
+import shlex
+import sys
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+
+from datagen.data.advice import train_command
+from datagen.data.dataset import TEST_SPLITS, Dataset, Split, list_datasets, open_dataset
+from datagen.disk.errors import HyalineError
+from datagen.disk.names import file_name
+from datagen.terminal.command import choose, say, track
+from eval.analyses.edits import object_psnr, score_edits
+from eval.analyses.order import check_order_layers
+from eval.figures.sheets import comparison_sheet
+from eval.page.figures import figures_of
+from eval.page.further import Further, analyse
+from eval.page.report_folder import check_report_folder, write_report
+from eval.papers.claims import CLAIMS, claims_grid
+from eval.papers.comparison_tables import ablation_grid, comparison_grid, find_ladder, ladder_grid
+from eval.papers.comparisons import ABLATIONS, COMPARISONS, LADDER, Line, find_entries
+from eval.papers.ladder import ladder_figure
+from eval.papers.published import published_grid, published_json
+from eval.score.runs import Run, has_predictions, list_run_folders, open_run
+from eval.score.scores import RunScores, SceneScores, Truth, has_glass_mask, read_truth, score_run
+from eval.score.seeds import group_seeds
+from eval.tables.grids import TABLE_WIDTH, Grid, grid_text, tables_text
+from eval.tables.results import results_csv, results_json
+
+FORMATS = ("table", "markdown", "csv", "latex", "json")
+TABLE_FORMATS = ("table", "markdown", "latex")
+"""Of `make_tables`: what the tables hold is in the report's CSV and JSON."""
+
+
+def make_report(runs_root: Path, data_root: Path, out: Path, *, output_format: str, order_layers: int = 0,
+                only: Path | None = None) -> None:  # fmt: skip
+    """Scores all runs; a run that cannot be scored is reported after the others are.
+
+    Args:
+        order_layers: layers by whose order pixels are told apart; 0 leaves that table out.
+        only: the dataset whose runs are scored; those of all unless given.
+
+    Raises:
+        HyalineError: an unknown format, no run, or a run that cannot be scored.
+    """
+    choose("format", output_format, FORMATS)
+    check_report_folder(out)
+    if order_layers:
+        check_order_layers(order_layers)
+    runs, errors = _open_runs(runs_root, data_root, out, only)
+    if not runs and not errors:
+        raise HyalineError(
+            f"{runs_root}: no predictions there; make some with `{train_command()}`, or put a method's pictures "
+            f"at {runs_root}/SCENE/NAME/predictions/SPLIT/0000.png"
+        )
+    scored = _score_scenes(runs, errors)
+    if scored:
+        scenes = [scene for scene, _ in scored]
+        further = [analyse(scene, truths, errors, order_layers=order_layers) for scene, truths in scored]
+        _print_scores(scenes, further, output_format)
+        for path in write_report(out, {"results.json": partial(_json, scenes, further), **figures_of(scenes, further)}):
+            say(f"wrote {path}")
+    for error in errors[:-1]:
+        say(f"error: {error}")
+    if errors:
+        raise errors[-1]
+
+
+TABLES = (*COMPARISONS, "proxies", *ABLATIONS, "claims")
+"""What `make_tables` prints."""
+
+
+def make_tables(runs_root: Path, data_root: Path, out: Path, *, tables: Sequence[str], output_format: str,
+                only: Path | None = None) -> None:  # fmt: skip
+    """Scores the runs that some tables need and prints those alone; pictures of them are written to `out`.
+
+    Raises:
+        HyalineError: an unknown table or format, or a run that cannot be scored.
+    """
+    for table in tables:
+        choose("table", table, TABLES)
+    choose("format", output_format, TABLE_FORMATS)
+    check_report_folder(out)
+    lines = [line for table in tables for line in _lines_of(table)]
+    runs, errors = _open_runs(runs_root, data_root, out, only)
+    wanted = [run for run in runs if any(line.fits(run) for line in lines)]
+    scenes = [scene for scene, _ in _score_scenes(wanted, errors)]
+    if not scenes:
+        errors.append(HyalineError(
+            f"{runs_root}: no run there that stands in {', '.join(tables)}; "
+            f"make them with `{_sweep_command(tables[0], only)}`"
+        ))  # fmt: skip
+    for table in tables:
+        for grid in _grids_of(table, scenes, errors):
+            sys.stdout.write(grid_text(grid, output_format, width=_output_width(), color=sys.stdout.isatty()) + "\n")
+    sys.stdout.flush()
+    pictures = {(table, scene.title): _picture_of(table, scene) for table in tables for scene in scenes}
+    files = {f"{table}_{file_name(title)}.png": png for (table, title), png in pictures.items() if png is not None}
+    for path in write_report(out, {name: partial(bytes, png) for name, png in files.items()}) if files else ():
+        say(f"wrote {path}")
+    for error in errors[:-1]:
+        say(f"error: {error}")
+    if errors:
+        raise errors[-1]
+
+
+def _sweep_command(table: str, only: Path | None) -> str:
+    datasets = list_datasets() if only is None else [only]
+    return shlex.join(["model", "sweep", table, *(["--dataset", *map(str, datasets)] if datasets else [])])
+
+
+def _lines_of(table: str) -> tuple[Line, ...]:
+    """Which runs a table can show."""
+    if table in COMPARISONS:
+        return COMPARISONS[table].lines
+    if table == "claims":
+        return tuple(line for claim in CLAIMS for pair in claim.pairs for line in pair.lines)
+    return LADDER.lines if table == "proxies" else (ABLATIONS[table],)
+
+
+def _grids_of(table: str, scenes: list[SceneScores], errors: list[HyalineError]) -> list[Grid]:
+    if table == "claims":
+        return [claims_grid(scenes, {scene.title: object_psnr(score_edits(scene, errors)) for scene in scenes})]
+    if table in ABLATIONS:
+        return [ablation_grid(ABLATIONS[table], scene) for scene in scenes]
+    if table == "proxies":
+        return [ladder_grid(scene) for scene in scenes]
+    return [comparison_grid(COMPARISONS[table], scene) for scene in scenes]
+
+
+def _picture_of(table: str, scene: SceneScores) -> bytes | None:
+    """Of a comparison what its runs drew, of the ladder a plot."""
+    if table in COMPARISONS:
+        comparison = COMPARISONS[table]
+        entries = [entry for part in find_entries(comparison, group_seeds(scene.runs)) for entry in part]
+        runs = tuple(entry.group.runs[0] for entry in entries)
+        return comparison_sheet(dataclasses.replace(scene, runs=runs), comparison.title) if runs else None
+    if table == "proxies" and (ladder := find_ladder(scene)):
+        return ladder_figure(scene.title, ladder)
+    return None
+
+
+def _open_runs(runs_root: Path, data_root: Path, out: Path,
+               only: Path | None) -> tuple[list[Run], list[HyalineError]]:  # fmt: skip
+    """The runs that can be opened and why others cannot; of one dataset alone where `only` is given."""
+    dataset = None if only is None else open_dataset(only)
+    runs, errors = [], []
+    for folder in list_run_folders(runs_root, besides=out):
+        is_own = dataset is None or folder.parent.name == dataset.name
+        try:
+            if has_predictions(folder):
+                run = open_run(folder, data_root, dataset if is_own else None)
+                if dataset is None or run.dataset.seal == dataset.seal:
+                    runs.append(run)
+            elif is_own:
+                say(f"{folder}: no predictions yet; skipped")
+        except HyalineError as error:
+            if is_own:
+                errors.append(error)
+    return runs, errors
+
+
+ScoredScene = tuple[SceneScores, dict[Split, Truth]]
+
+
+def _score_scenes(runs: list[Run], errors: list[HyalineError]) -> list[ScoredScene]:
+    """The scores by dataset, sorted by name, and the truth; what a run's pictures lack is added to `errors`."""
+    datasets: dict[str, Dataset] = {}
+    for run in runs:
+        datasets.setdefault(run.dataset.seal, run.dataset)
+    ordered = sorted(datasets.values(), key=lambda dataset: (dataset.name, dataset.root))
+    names = [dataset.name for dataset in ordered]
+    scenes = []
+    for dataset in ordered:
+        here = [run for run in runs if run.dataset.seal == dataset.seal]
+        # Two datasets of one name (an old one beside a new one) are told apart by their folders.
+        title = dataset.name if names.count(dataset.name) == 1 else dataset.root.as_posix()
+        if scored := _score_scene(dataset, title, here, errors):
+            scenes.append(scored)
+    return scenes
+
+
+def _score_scene(dataset: Dataset, title: str, runs: list[Run], errors: list[HyalineError]) -> ScoredScene | None:
+    truths: dict[Split, Truth] = {split: read_truth(dataset, split) for split in TEST_SPLITS}
+    if not has_glass_mask(dataset):
+        say(
+            f"{dataset.root}: no layers of the true geometry, so no PSNR on glass; "
+            f"make them with `datagen peel --dataset {shlex.quote(str(dataset.root))}`"
+        )
+    scored: list[RunScores] = []
+    for run in track(runs, label=f"scoring {title}", total=len(runs)):
+        try:
+            scored.append(score_run(run, truths))
+        except HyalineError as error:
+            errors.append(error)
+    if not scored:
+        return None
+    scene = SceneScores(
+        dataset=dataset,
+        title=title,
+        has_glass_mask=has_glass_mask(dataset),
+        ceilings_db={split: truths[split].ceiling_db for split in TEST_SPLITS},
+        runs=tuple(sorted(scored, key=lambda scores: scores.run.name)),
+    )
+    return scene, truths
+
+
+def _json(scenes: list[SceneScores], further: list[Further]) -> bytes:
+    return results_json(
+        scenes, {analyses.title: analyses.data for analyses in further}, {"published": published_json()}
+    )
+
+
+def _print_scores(scenes: list[SceneScores], further: list[Further], output_format: str) -> None:
+    if output_format == "json":
+        text = _json(scenes, further).decode()
+    elif output_format == "csv":
+        text = results_csv(scenes)
+    else:
+        grids = (*(grid for analyses in further for grid in analyses.grids), published_grid())
+        text = tables_text(scenes, output_format, width=_output_width(), color=sys.stdout.isatty(), more=grids)
+    sys.stdout.write(text)
+    sys.stdout.flush()
+
+
+def _output_width() -> int:
+    """Columns of the terminal, at least what the tables need; the same 120 everywhere else."""
+    import shutil
+
+    return max(TABLE_WIDTH, shutil.get_terminal_size().columns) if sys.stdout.isatty() else TABLE_WIDTH

@@ -1,0 +1,214 @@
+"""Owns the paper's four claims: what each says of runs, and whether the runs bear it out."""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from datagen.data.dataset import TEST_SPLITS, Split
+from eval.papers.comparison_tables import NOT_RUN, spread_cell
+from eval.papers.comparisons import BEST, VIEW, Comparison, Entry, Line, find_entries
+from eval.papers.published import DNR, SPHERICAL_HARMONICS, VIEW_VECTOR, PublishedRow
+from eval.score.scores import SceneScores
+from eval.score.seeds import SeedGroup, Spread, group_seeds, spread
+from eval.tables.grids import MISSING, SHORT_SPLITS, Column, Grid
+
+EditScores = Mapping[str, Mapping[Split, float | None]]
+"""PSNR in dB of edited scenes where the edited object is or was, by the run's name and the split."""
+
+Measure = Callable[[SeedGroup, EditScores], Spread]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Condition:
+    """What must be so of the first run of a pair, against the second."""
+
+    what: str
+    measure: Measure
+    should_be: Literal["higher", "lower"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Claim:
+    """A claim, and the pairs of runs on which it is tried; it holds where all conditions do."""
+
+    text: str
+    pairs: tuple[Comparison, ...]
+    """Of two lines each: the one that should win, and the other."""
+    conditions: tuple[Condition, ...]
+    published: tuple[PublishedRow, PublishedRow] | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """A claim tried on one pair."""
+
+    claim: str
+    scene: str
+    pair: str
+    numbers: str
+    verdict: str
+
+
+def _psnr(split: Split) -> Measure:
+    return lambda group, _: group.score("psnr_db", split)
+
+
+def _edited(split: Split) -> Measure:
+    return lambda group, edited: spread([edited.get(run.run.name, {}).get(split) for run in group.runs])
+
+
+def _pair(first: Line, second: Line, varied: tuple[str, ...] | None) -> Comparison:
+    return Comparison(title=f"{first.title} against {second.title}", lines=(first, second), varied=varied)
+
+
+def _paper(title: str, geometry: str = "truth", **changed: bool | str) -> Line:
+    return Line(title=title, method="paper", choices={**VIEW, **changed}, geometry=geometry)
+
+
+U_NET, U_NET_LAYERS = Line(title="DNR", method="dnr"), Line(title="U-Net on all layers", method="dnr-layers")
+
+CLAIMS = (
+    Claim(
+        text="1. The per-pixel network loses less when extrapolating than the U-Net",
+        pairs=(
+            _pair(_paper("paper"), U_NET, None),
+            _pair(_paper("paper"), U_NET_LAYERS, None),
+            _pair(BEST, U_NET, None),
+            _pair(BEST, U_NET_LAYERS, None),
+            _pair(Line(title="per pixel on the first layer", method="mlp-first"), U_NET, None),
+        ),
+        conditions=(Condition(what="drop", measure=lambda group, _: group.drop_db, should_be="lower"),),
+        published=(VIEW_VECTOR, DNR),
+    ),
+    Claim(
+        text="2. Spherical harmonics help near and hurt far",
+        pairs=(_pair(_paper("spherical harmonics", extrinsics="sh"), _paper("view vector"), ("extrinsics", "width")),),
+        conditions=(
+            Condition(what="inter", measure=_psnr("interpolating"), should_be="higher"),
+            Condition(what="extra", measure=_psnr("extrapolating"), should_be="lower"),
+        ),
+        published=(SPHERICAL_HARMONICS, VIEW_VECTOR),
+    ),
+    Claim(
+        text="3. Ellipsoids beat boxes",
+        pairs=(
+            _pair(_paper("paper on ellipsoids", "ellipsoid"), _paper("paper on boxes", "box"), ("geometry",)),
+            _pair(
+                Line(title="light-path on ellipsoids", method="light-path", geometry="ellipsoid"),
+                Line(title="light-path on boxes", method="light-path", geometry="box"),
+                ("geometry", "texture_sizes"),
+            ),
+        ),
+        conditions=(
+            Condition(what="inter", measure=_psnr("interpolating"), should_be="higher"),
+            Condition(what="extra", measure=_psnr("extrapolating"), should_be="higher"),
+        ),
+    ),
+    Claim(
+        text="4. Zero layers make edits possible",
+        pairs=(_pair(_paper("with zero layers", zero_layer=True), _paper("without"), ("zero_layer", "width")),),
+        conditions=tuple(
+            Condition(what=f"edited {SHORT_SPLITS[split]}", measure=_edited(split), should_be="higher")
+            for split in TEST_SPLITS
+        ),
+    ),
+)
+"""Source: the paper, sections 4.3 and 5.1 (1), 4.6 (2), 5.2 (3), 4.4 (4)."""
+
+
+def find_claims(scenes: Sequence[SceneScores], edited: Mapping[str, EditScores]) -> list[Finding]:
+    """Every claim on every pair of runs that it can be tried on; one finding `not run` where there is no pair.
+
+    A difference below twice its standard error, where there are several seeds, is said to be within the spread.
+
+    Args:
+        edited: by the scene's title.
+    """
+    findings = []
+    for claim in CLAIMS:
+        tried = [
+            _try(claim, scene.title, first, second, edited.get(scene.title, {}))
+            for scene in scenes
+            for comparison in claim.pairs
+            for first, second in _find_pairs(comparison, group_seeds(scene.runs))
+        ]
+        found = [finding for finding in tried if finding is not None]
+        if claim.published is not None:
+            found.insert(0, _published(claim, *claim.published))
+        if not any(finding.verdict for finding in found):
+            found.append(Finding(claim=claim.text, scene=MISSING, pair=MISSING, numbers=MISSING, verdict=NOT_RUN))
+        findings += found
+    return findings
+
+
+def claims_grid(scenes: Sequence[SceneScores], edited: Mapping[str, EditScores]) -> Grid:
+    """The findings as a table."""
+    texts = ("claim", "scene", "first run against second", "dB of the first against the second", "verdict")
+    seals = ", ".join(f"{scene.title} {scene.dataset.seal[:12]}" for scene in scenes)
+    return Grid(
+        title="The paper's claims",
+        columns=tuple(Column(group=text, is_number=False) for text in texts),
+        rows=tuple(
+            (finding.claim, finding.scene, finding.pair, finding.numbers, finding.verdict or MISSING)
+            for finding in find_claims(scenes, edited)
+        ),
+        notes=(
+            "Published: what the paper printed, most likely the wrapped PSNR; no verdict rests on it. Drop: PSNR "
+            "interpolating minus extrapolating. Edited: PSNR where the edited object is or was. Within the spread: a "
+            "difference is below twice its standard error over seeds.",
+            f"Data: dataset seals {seals or 'none'}.",
+        ),
+    )
+
+
+def _find_pairs(comparison: Comparison, groups: Sequence[SeedGroup]) -> list[tuple[Entry, Entry]]:
+    """Both lines of a comparison; of several runs in the second, the one of the size nearest to the first."""
+    winner, loser = comparison.lines
+    pairs = []
+    for part in find_entries(comparison, groups):
+        others = [entry for entry in part if entry.line is loser]
+        for entry in part:
+            if entry.line is winner and others:
+                size = entry.group.first.num_parameters or 0
+                pairs.append(
+                    (entry, min(others, key=lambda other: abs((other.group.first.num_parameters or 0) - size)))
+                )
+    return pairs
+
+
+def _try(claim: Claim, scene: str, first: Entry, second: Entry, edited: EditScores) -> Finding | None:
+    """None where a score is missing."""
+    numbers, holds, is_clear = [], [], []
+    for condition in claim.conditions:
+        one, other = (condition.measure(entry.group, edited) for entry in (first, second))
+        if one.mean is None or other.mean is None or not math.isfinite(one.mean - other.mean):
+            return None
+        difference = one.mean - other.mean
+        holds.append(difference > 0 if condition.should_be == "higher" else difference < 0)
+        is_clear.append(abs(difference) >= 2 * _standard_error(one, other))
+        numbers.append(f"{condition.what} {spread_cell(one)} against {spread_cell(other)}")
+    # A claim falls with one condition that clearly fails; it stands clearly when all of them do.
+    decisive = is_clear if all(holds) else [clear for clear, hold in zip(is_clear, holds) if not hold]
+    clear = all(decisive) if all(holds) else any(decisive)
+    verdict = ("confirmed" if all(holds) else "contradicted") + ("" if clear else ", within the spread")
+    pair = f"{first.group.name} against {second.group.name}"
+    return Finding(claim=claim.text, scene=scene, pair=pair, numbers="; ".join(numbers), verdict=verdict)
+
+
+def _published(claim: Claim, first: PublishedRow, second: PublishedRow) -> Finding:
+    numbers = []
+    for condition in claim.conditions:
+        values = {
+            "inter": lambda row: row.interpolating_db,
+            "extra": lambda row: row.extrapolating_db,
+            "drop": lambda row: row.interpolating_db - row.extrapolating_db,
+        }[condition.what]
+        numbers.append(f"{condition.what} {values(first):.2f} against {values(second):.2f}")
+    pair = f"{first.method} against {second.method}"
+    return Finding(claim=claim.text, scene="published", pair=pair, numbers="; ".join(numbers), verdict="")
+
+
+def _standard_error(one: Spread, other: Spread) -> float:
+    """Of the difference of two means, in dB; 0 where neither has several seeds."""
+    return math.sqrt(sum((value.deviation or 0.0) ** 2 / value.count for value in (one, other)))

@@ -1,0 +1,266 @@
+"""Owns what a run is on disk: a folder of predicted pictures, with or without a record of what made them.
+
+    RUNS/SCENE/NAME/predictions/SPLIT/0000.png ...   8-bit sRGB, one a view of the split, the size of the truth
+    RUNS/SCENE/NAME/edits/EDIT/predictions/...       the same of the dataset's edits/EDIT (eval/analyses/edits.py)
+    RUNS/SCENE/NAME/run.json                         optional: method, geometry, knowledge, dataset, dataset_seal,
+                                                     seed, num_parameters, num_layers, label, config (an object of
+                                                     choices), layers_seal; what else `model train` writes is not
+                                                     read here, and any other key is refused
+
+    RUNS/SCENE/NAME/x2/predictions/...               the same, twice as wide and high: super-resolution
+    .../predictions.json                             optional, beside each folder `predictions`; sealed: SHA-256 of each
+                                                     picture, which are verified then
+
+A PNG's own checksums are verified in any case (eval/score/png.py).
+Test splits are scored; pictures of the training split may lie there, too.
+"""
+
+import dataclasses
+import os
+import shlex
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+from jaxtyping import UInt8
+
+from datagen.data.dataset import (
+    ANGLE_SPLITS,
+    MAX_PNG_BYTES,
+    SPLITS,
+    Dataset,
+    Split,
+    decode_png,
+    open_dataset,
+    view_name,
+)
+from datagen.disk.errors import HyalineError
+from datagen.disk.names import printable
+from datagen.disk.reading import load_json, read_regular
+from datagen.disk.records import Json, from_json, shown
+from datagen.disk.storage import SEAL, load_sealed, sha256
+from datagen.terminal.command import choose
+from eval.score.png import check_png
+
+Value = TypeVar("Value", int, str)
+
+RUN_KEYS = frozenset({
+    "config", "dataset", "dataset_seal", "geometry", "knowledge", "label", "layers_seal", "method", "num_layers",
+    "num_parameters", "num_texture_parameters", "seed", "torch", "type", "version",
+})  # fmt: skip
+"""What run.json may hold: what `model train` writes, of which a foreign method may leave out any."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Run:
+    """One method's predictions for one dataset. What a foreign method does not tell is None."""
+
+    folder: Path
+    name: str
+    dataset: Dataset
+    method: str | None
+    geometry: str | None
+    knowledge: str | None
+    """What the method knows beside pictures and cameras, in words."""
+    num_parameters: int | None
+    seed: int | None
+    label: str | None
+    """What else tells runs of one method apart, such as a preset."""
+    num_layers: int | None
+    """Straight layers that it was given."""
+    config: dict[str, Json] | None
+    """Everything that was chosen; runs that agree in it and differ in their seed are averaged."""
+    layers_seal: str | None
+    """Hash that names the layers it was trained on."""
+    promised: dict[str, str] | None
+    """SHA-256 of each picture by path relative to the folder; None: nobody has told."""
+
+
+def list_run_folders(root: Path, *, besides: Path) -> list[Path]:
+    """Every folder RUNS/SCENE/NAME, sorted; links to neighbours (such as `latest`) are left out.
+
+    Args:
+        besides: the report's own folder.
+    """
+    folders = [path for path in root.glob("*/*") if path.is_dir() and not path.name.startswith(".")]
+    own = besides.resolve()
+    return sorted(
+        path
+        for path in folders
+        if own not in (path.resolve(), *path.resolve().parents)
+        and not (path.is_symlink() and path.resolve().parent == path.parent.resolve())
+    )
+
+
+def has_predictions(folder: Path) -> bool:
+    """True when the run has begun to predict; names of splits are checked.
+
+    Raises:
+        HyalineError: a folder of predictions that is no split.
+    """
+    splits = [path.name for path in sorted((folder / "predictions").glob("*")) if path.is_dir()]
+    for name in splits:
+        try:
+            choose("split", name, (*SPLITS, *ANGLE_SPLITS))
+        except HyalineError as error:
+            raise HyalineError(f"{folder / 'predictions' / name}: {error}") from None
+    return bool(splits)
+
+
+def open_run(folder: Path, data_root: Path, given: Dataset | None = None) -> Run:
+    """The run in a folder, with the dataset that it was made for.
+
+    The dataset is the given one, or the one that run.json names, or else `data_root`/SCENE.
+
+    Raises:
+        HyalineError: a damaged record, no dataset, or one that differs from the data the run was made for.
+    """
+    path = folder / "run.json"
+    record = load_json(path) if os.path.lexists(path) else {}
+    if SEAL in record:
+        record = load_sealed(path)
+    if unknown := sorted(set(record) - RUN_KEYS):
+        raise HyalineError(f"{path}: unknown key {shown(unknown[0])}; known are {', '.join(sorted(RUN_KEYS))}")
+    named = _optional(record, "dataset", str, path)
+    places = [*([] if given is None else [given.root]), *([] if named is None else [Path(named)])]
+    return Run(
+        folder=folder,
+        name=printable(folder.name),
+        dataset=_find_dataset(
+            folder, [*places, data_root / folder.parent.name], _optional(record, "dataset_seal", str, path)
+        ),
+        method=_optional(record, "method", str, path),
+        geometry=_optional(record, "geometry", str, path),
+        knowledge=_optional(record, "knowledge", str, path),
+        num_parameters=_optional(record, "num_parameters", int, path),
+        seed=_optional(record, "seed", int, path),
+        label=_optional(record, "label", str, path),
+        num_layers=_optional(record, "num_layers", int, path),
+        config=_config(record, path),
+        layers_seal=_optional(record, "layers_seal", str, path),
+        promised=_read_promised(folder),
+    )
+
+
+def within(run: Run, folder: Path, dataset: Dataset) -> Run:
+    """A run's predictions of other truth, in a folder of its own inside the run's, as a run.
+
+    Raises:
+        HyalineError: the list of its pictures is damaged.
+    """
+    return dataclasses.replace(run, folder=folder, dataset=dataset, promised=_read_promised(folder))
+
+
+def _read_promised(folder: Path) -> dict[str, str] | None:
+    path = folder / "predictions.json"
+    if not path.is_file():
+        return None
+    return from_json(dict[str, str], load_sealed(path).get("files"), where=f"{path}: files")
+
+
+def prediction_path(run: Run, split: Split, view: int) -> Path:
+    return run.folder / "predictions" / split / f"{view_name(view)}.png"
+
+
+def has_split(run: Run, split: Split) -> bool:
+    """True when the run predicted the split: all of its views, and no others.
+
+    Raises:
+        HyalineError: a view is missing, or there is one that the dataset does not have.
+    """
+    folder = run.folder / "predictions" / split
+    if not folder.is_dir():
+        return False
+    views = run.dataset.config.split(split).views
+    span = f"{view_name(0)}.png to {view_name(views - 1)}.png, the {views} views of {run.dataset.root}"
+    expected = {f"{view_name(view)}.png" for view in range(views)}
+    found = {path.name for path in folder.glob("*.png")}
+    if missing := sorted(expected - found):
+        raise HyalineError(f"{folder / missing[0]}: missing ({len(missing)} of {views} are); expected {span}")
+    if extra := sorted(found - expected):
+        raise HyalineError(f"{folder / extra[0]}: no view of that name in the {split} split; expected only {span}")
+    return True
+
+
+def read_prediction(run: Run, split: Split, view: int) -> UInt8[np.ndarray, "h w 3"]:
+    """One predicted picture.
+
+    Raises:
+        HyalineError: a bit of it differs from what was written, it is of another size than the truth, not 8 bits a
+            channel, or not opaque.
+    """
+    path = prediction_path(run, split, view)
+    data = _read_bytes(run, split, view)
+    check_png(data, where=str(path))
+    picture = decode_png(data, where=str(path), size=run.dataset.config.resolution)
+    if picture.mode not in ("RGB", "RGBA", "L", "LA", "P"):
+        raise HyalineError(f"{path}: its pixels are {picture.mode!r}; expected 8-bit sRGB")
+    if picture.has_transparency_data and picture.convert("RGBA").getchannel("A").getextrema() != (255, 255):
+        raise HyalineError(f"{path}: has transparent pixels; expected opaque ones: compose it over its background")
+    return np.asarray(picture.convert("RGB"))
+
+
+def _read_bytes(run: Run, split: Split, view: int) -> bytes:
+    """The bytes of a prediction, those that were promised where somebody did."""
+    path = prediction_path(run, split, view)
+    data = read_regular(path, at_most=MAX_PNG_BYTES)
+    relative = path.relative_to(run.folder).as_posix()
+    if run.promised is not None and run.promised.get(relative) != sha256(data):
+        what = "damaged (checksum differs)" if relative in run.promised else "not among those that were written"
+        raise HyalineError(
+            f"{path}: {what}, says {run.folder / 'predictions.json'}; render it again with `{_render_command(run)}`"
+        )
+    return data
+
+
+def _render_command(run: Run) -> str:
+    """The command that writes a run's pictures; of an edit or a size, that inside the run."""
+    folder = run.folder
+    if folder.parent.name == "edits":
+        return shlex.join(["model", "render", "--run", str(folder.parent.parent), "--edit", folder.name])
+    if folder.name != run.name:
+        return shlex.join(["model", "render", "--run", str(folder.parent), "--scale", folder.name.removeprefix("x")])
+    return shlex.join(["model", "render", "--run", str(folder)])
+
+
+def predictions_sha256(run: Run, splits: list[Split]) -> str:
+    """One hash over the pictures of these splits: of the lines `SPLIT/0000.png SHA-256`, in the order given."""
+    lines = [
+        f"{split}/{view_name(view)}.png {sha256(_read_bytes(run, split, view))}\n"
+        for split in splits
+        for view in range(run.dataset.config.split(split).views)
+    ]
+    return sha256("".join(lines).encode())
+
+
+def _find_dataset(folder: Path, places: list[Path], seal: str | None) -> Dataset:
+    """The first dataset of `places` that is the one with this seal; the first of all when the run has none."""
+    there = [place for place in places if (place / "dataset.json").is_file()]
+    if not there:
+        raise HyalineError(
+            f"{folder}: no dataset at {' or '.join(map(str, places))}; say where it is with --data, "
+            "as the folder that holds it under the scene's name"
+        )
+    datasets = [open_dataset(place) for place in there]
+    for dataset in datasets:
+        if seal in (None, dataset.seal):
+            return dataset
+    raise HyalineError(
+        f"{folder}: the predictions were made for other data (dataset seal {str(seal)[:12]}...) than "
+        f"{datasets[0].root} holds ({datasets[0].seal[:12]}...); train again, or name the right folder with --data"
+    )
+
+
+def _config(record: dict[str, Json], path: Path) -> dict[str, Json] | None:
+    config = record.get("config")
+    if config is not None and not isinstance(config, dict):
+        raise HyalineError(f"{path}: config is {shown(config)}; expected an object")
+    return config
+
+
+def _optional(record: dict[str, Json], key: str, kind: type[Value], path: Path) -> Value | None:
+    value = record.get(key)
+    if value is not None and (not isinstance(value, kind) or isinstance(value, bool)):
+        raise HyalineError(f"{path}: {key} is {shown(value)}; expected {'an integer' if kind is int else 'text'}")
+    return printable(value) if isinstance(value, str) else value

@@ -1,0 +1,173 @@
+"""Owns the scores of runs: every metric of every predicted picture, and what the truth itself allows."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, UInt8
+
+from datagen.data.dataset import TEST_SPLITS, Dataset, Split, noise_ceiling_db, read_image
+from datagen.data.geometries import TRUTH
+from datagen.data.layer_store import layers_root
+from datagen.data.layers import glass_mask, read_layers
+from datagen.disk.errors import NumericsError
+from eval.score.metrics import SSIM_WINDOW, delta_e_2000, masked_psnr, mean_of, psnr, psnr_uint8_wrap, ssim
+from eval.score.runs import Run, has_split, prediction_path, predictions_sha256, read_prediction
+
+
+@dataclass(frozen=True, kw_only=True)
+class Metric:
+    """How a metric is called and printed."""
+
+    key: str
+    """In CSV and JSON."""
+    title: str
+    decimals: int
+    in_db: bool = False
+
+
+METRICS = (
+    Metric(key="psnr_db", title="PSNR dB ↑", decimals=2, in_db=True),
+    Metric(key="glass_psnr_db", title="PSNR glass dB ↑", decimals=2, in_db=True),
+    Metric(key="ssim", title="SSIM ↑", decimals=3),
+    Metric(key="delta_e", title="ΔE2000 ↓", decimals=2),
+    Metric(key="delta_e_p95", title="ΔE2000 p95 ↓", decimals=2),
+    Metric(key="psnr_uint8_wrap_db", title="PSNR wrapped (authors' script)", decimals=2, in_db=True),
+)
+
+METRIC_NOTES = (
+    "Each score is the mean over a split's pictures of one value per picture. All compare 8-bit sRGB, peak 255.",
+    "PSNR glass: pixels whose centre ray meets glass before anything opaque; pictures without such pixels are left "
+    "out. SSIM: Wang et al. 2004, Gaussian window, sigma 1.5. ΔE2000: CIE DE2000 under D65, mean over pixels (p95: "
+    "the pixels' 95th percentile).",
+    "PSNR wrapped (authors' script): squared errors modulo 256, as the script that the paper's authors released "
+    "counts them. No PSNR; it stands here only beside their tables.",
+    "Drop: PSNR interpolating minus extrapolating. Truth's noise (ceiling): the PSNR that a perfect method would get "
+    "against these noisy pictures.",
+)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Truth:
+    """What one split's predictions are compared with."""
+
+    images: tuple[UInt8[np.ndarray, "h w 3"], ...]
+    glass: tuple[Bool[np.ndarray, "h w"], ...] | None
+    """Pixels that see glass; None where the true geometry was not peeled."""
+    ceiling_db: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class SplitScores:
+    """One run on one split: per metric, one value per picture."""
+
+    images: dict[str, tuple[float | None, ...]]
+    """By the metric's key; None where it is not defined for the picture, inf dB where both are identical."""
+
+    def mean(self, key: str) -> float | None:
+        return mean_of(self.images[key])
+
+    def identical(self, key: str) -> int:
+        """How many pictures the mean leaves out because they are infinitely good."""
+        values = self.images[key]
+        infinite = sum(value is not None and math.isinf(value) for value in values)
+        return 0 if self.mean(key) == math.inf else infinite
+
+    def undefined(self, key: str) -> int:
+        """How many pictures the mean leaves out because the metric is not defined for them."""
+        return sum(value is None for value in self.images[key])
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RunScores:
+    """One run on all test splits; None for a split that it did not predict."""
+
+    run: Run
+    splits: dict[Split, SplitScores | None]
+    predictions_sha256: str
+
+    def mean(self, key: str, split: Split) -> float | None:
+        scores = self.splits[split]
+        return None if scores is None else scores.mean(key)
+
+    @property
+    def drop_db(self) -> float | None:
+        """PSNR interpolating minus extrapolating."""
+        near, far = (self.mean("psnr_db", split) for split in TEST_SPLITS)
+        if near is None or far is None or math.isinf(near) or math.isinf(far):
+            return None
+        return near - far
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SceneScores:
+    """All runs on one dataset."""
+
+    dataset: Dataset
+    title: str
+    has_glass_mask: bool
+    ceilings_db: dict[Split, float]
+    runs: tuple[RunScores, ...]
+
+
+def read_truth(dataset: Dataset, split: Split) -> Truth:
+    """Pictures, glass masks and noise ceiling of a split, every byte verified.
+
+    Raises:
+        HyalineError: a view is not built, is damaged, or is not peeled in a dataset that has layers.
+    """
+    views = range(dataset.config.split(split).views)
+    glass = None
+    if has_glass_mask(dataset):
+        glass = tuple(glass_mask(dataset, read_layers(dataset, TRUTH, split, view)) for view in views)
+    return Truth(
+        images=tuple(read_image(dataset, split, view) for view in views),
+        glass=glass,
+        ceiling_db=noise_ceiling_db(dataset, split),
+    )
+
+
+def has_glass_mask(dataset: Dataset) -> bool:
+    """True when the true geometry has straight layers, which tell the pixels that see glass."""
+    return (layers_root(dataset.root, TRUTH, "straight") / "layers.json").is_file()
+
+
+def score_run(run: Run, truths: dict[Split, Truth]) -> RunScores:
+    """Every metric of every picture that the run predicted.
+
+    Args:
+        truths: of each test split; all of them in the run's dataset.
+
+    Raises:
+        HyalineError: a missing, surplus, unreadable or wrongly sized picture.
+        NumericsError: a score is not a number.
+    """
+    predicted: list[Split] = [split for split in truths if has_split(run, split)]
+    splits: dict[Split, SplitScores | None] = dict.fromkeys(truths)
+    for split in predicted:
+        rows = []
+        for view, target in enumerate(truths[split].images):
+            glass = truths[split].glass
+            row = score_picture(read_prediction(run, split, view), target, None if glass is None else glass[view])
+            if bad := [key for key, value in row.items() if value is not None and math.isnan(value)]:
+                raise NumericsError(
+                    f"{prediction_path(run, split, view)}: its {bad[0]} is not a number; run not scored"
+                )
+            rows.append(row)
+        splits[split] = SplitScores(images={key: tuple(row[key] for row in rows) for key in rows[0]})
+    return RunScores(run=run, splits=splits, predictions_sha256=predictions_sha256(run, predicted))
+
+
+def score_picture(
+    pred: UInt8[np.ndarray, "h w 3"], target: UInt8[np.ndarray, "h w 3"], glass: Bool[np.ndarray, "h w"] | None
+) -> dict[str, float | None]:
+    """Every metric of one picture by its key; None where it is not defined."""
+    delta_e = delta_e_2000(pred, target)
+    return {
+        "psnr_db": psnr(pred, target),
+        "glass_psnr_db": masked_psnr(pred, target, glass) if glass is not None and glass.any() else None,
+        "ssim": ssim(pred, target) if min(target.shape[:2]) >= SSIM_WINDOW else None,
+        "delta_e": float(delta_e.mean()),
+        "delta_e_p95": float(np.percentile(delta_e, 95)),
+        "psnr_uint8_wrap_db": psnr_uint8_wrap(pred, target),
+    }

@@ -1,0 +1,103 @@
+"""Owns what several seeds tell: runs that differ in their seed alone, and the mean and spread of their scores."""
+
+import math
+import re
+import statistics
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TypeVar
+
+from datagen.data.dataset import Split
+from datagen.disk.storage import dump_json, sha256
+from eval.score.runs import Run
+from eval.score.scores import RunScores
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Spread:
+    """A score over seeds."""
+
+    mean: float | None
+    """None where a run has no such score."""
+    deviation: float | None
+    """Sample standard deviation (n - 1); None of one seed, or where a score is infinite."""
+    count: int
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SeedGroup:
+    """Runs of one configuration on the same data, by seed; one run alone is a group, too."""
+
+    runs: tuple[RunScores, ...]
+
+    @property
+    def first(self) -> Run:
+        return self.runs[0].run
+
+    @property
+    def name(self) -> str:
+        """The runs' name without what tells their seeds apart."""
+        return re.sub(r"-seed\d+", "", self.first.name) if len(self.runs) > 1 else self.first.name
+
+    def score(self, key: str, split: Split) -> Spread:
+        """Of a metric on a split."""
+        return spread([scores.mean(key, split) for scores in self.runs])
+
+    @property
+    def drop_db(self) -> Spread:
+        """Of PSNR interpolating minus extrapolating."""
+        return spread([scores.drop_db for scores in self.runs])
+
+
+def spread(values: Sequence[float | None]) -> Spread:
+    """Mean and sample standard deviation; no mean unless every value is there."""
+    known = [value for value in values if value is not None]
+    if not known or len(known) < len(values):
+        return Spread(mean=None, deviation=None, count=len(values))
+    if any(math.isinf(value) for value in known):
+        return Spread(mean=math.inf, deviation=None, count=len(values))
+    deviation = statistics.stdev(known) if len(known) > 1 else None
+    return Spread(mean=statistics.fmean(known), deviation=deviation, count=len(values))
+
+
+def group_seeds(runs: Sequence[RunScores]) -> tuple[SeedGroup, ...]:
+    """The runs in groups, in the order of each group's first run.
+
+    A run without a configuration stays alone, since nothing tells what else differs; so do runs of one configuration
+    that share a seed: repeated, they would make the spread look smaller.
+    """
+    by_description: dict[str, list[RunScores]] = {}
+    for place, scores in enumerate(runs):
+        by_description.setdefault(describe_run(scores.run) or f"alone {place}", []).append(scores)
+    groups = []
+    for members in by_description.values():
+        seeds = [scores.run.seed for scores in members]
+        if len(members) > 1 and (None in seeds or len(set(seeds)) < len(seeds)):
+            groups += [SeedGroup(runs=(scores,)) for scores in members]
+        else:
+            groups.append(SeedGroup(runs=tuple(sorted(members, key=lambda scores: scores.run.seed or 0))))
+    return tuple(groups)
+
+
+def describe_run(run: Run) -> str | None:
+    """A hash of all that makes a run but its seed: configuration and data; None where it does not tell."""
+    if run.config is None:
+        return None
+    config = {key: value for key, value in run.config.items() if key != "seed"}
+    about = [run.dataset.seal, run.layers_seal, run.method, run.geometry, config]
+    return sha256(dump_json(about))
+
+
+def by_group(runs: Sequence[RunScores], found: Mapping[str, T]) -> dict[str, list[T]]:
+    """What was found of each run, by its name, together for runs that differ in their seed alone; in the runs' order.
+
+    The name is the group's, but the run's own where nothing was found of the others.
+    """
+    together: dict[str, list[T]] = {}
+    for group in group_seeds(runs):
+        names = [scores.run.name for scores in group.runs if scores.run.name in found]
+        if names:
+            together[group.name if len(names) > 1 else names[0]] = [found[name] for name in names]
+    return together

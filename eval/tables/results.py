@@ -1,0 +1,154 @@
+"""Owns the scores as data: results.json, with every picture's value, and CSV, one line a run."""
+
+import csv
+import io
+import math
+from collections.abc import Mapping
+from typing import cast
+
+from datagen.data.dataset import TEST_SPLITS
+from datagen.disk.records import Json
+from datagen.disk.storage import dump_json
+from eval.score.scores import METRIC_NOTES, METRICS, RunScores, SceneScores
+from eval.score.seeds import SeedGroup, Spread, describe_run, group_seeds
+from eval.tables.grids import CEILING, left_out_notes
+
+RESULTS_VERSION = 1
+
+Cell = str | int | None
+
+
+def results_json(scenes: list[SceneScores], analyses: Mapping[str, dict[str, Json]] | None = None,
+                 more: Mapping[str, Json] | None = None) -> bytes:  # fmt: skip
+    """The bytes of results.json. Infinite values are the string "inf", since JSON has no such number.
+
+    Args:
+        analyses: what else was found out, by the scene's title.
+        more: further entries beside the scenes.
+    """
+    return dump_json(
+        {
+            "version": RESULTS_VERSION,
+            "notes": list(METRIC_NOTES),
+            "scenes": [_scene_json(scene, (analyses or {}).get(scene.title, {})) for scene in scenes],
+            **(more or {}),
+        }
+    )
+
+
+def results_csv(scenes: list[SceneScores]) -> str:
+    """One line a run, two for each group of seeds, one a scene for the noise ceiling.
+
+    Empty where not computed, `inf` where infinite.
+    """
+    scored = [f"{metric.key}_{split}" for metric in METRICS for split in TEST_SPLITS]
+    known = ["method", "label", "geometry", "knowledge", "num_parameters", "seed"]
+    buffer = io.StringIO()
+    table = csv.DictWriter(
+        buffer,
+        ["scene", "run", *known, *scored, "drop_db", "dataset_seal", "predictions_sha256", "config_sha256"],
+        lineterminator="\n",
+    )
+    table.writeheader()
+    for scene in scenes:
+        place = {"scene": csv_text(scene.title), "dataset_seal": scene.dataset.seal}
+        for scores in scene.runs:
+            means = {f"{m.key}_{split}": scores.mean(m.key, split) for m in METRICS for split in TEST_SPLITS}
+            about = {key: csv_text(getattr(scores.run, key)) for key in known}
+            last = {
+                "drop_db": scores.drop_db,
+                "predictions_sha256": scores.predictions_sha256,
+                "config_sha256": describe_run(scores.run),
+            }
+            table.writerow({**place, "run": csv_text(scores.run.name), **about, **means, **last})
+        for group in group_seeds(scene.runs):
+            if len(group.runs) > 1:
+                keys = ("method", "geometry", "knowledge", "num_parameters")
+                same = {key: csv_text(getattr(group.first, key)) for key in keys}
+                spreads = _group_spreads(group)
+                same["config_sha256"] = describe_run(group.first)
+                count = len(group.runs)
+                for what in ("mean", "deviation"):
+                    numbers = {key: getattr(value, what) for key, value in spreads.items()}
+                    table.writerow(
+                        {**place, "run": csv_text(f"{group.name} ({what} of {count} seeds)"), **same, **numbers}
+                    )
+        ceilings = {f"psnr_db_{split}": scene.ceilings_db[split] for split in TEST_SPLITS}
+        table.writerow({**place, "run": CEILING, **ceilings})
+    return buffer.getvalue()
+
+
+def csv_text(value: Cell) -> Cell:
+    """A cell that no spreadsheet takes for a formula: text that begins like one gets an apostrophe."""
+    return f"'{value}" if isinstance(value, str) and value.startswith(("=", "+", "-", "@")) else value
+
+
+def _scene_json(scene: SceneScores, analyses: dict[str, Json]) -> Json:
+    return {
+        "scene": scene.title,
+        "dataset_seal": scene.dataset.seal,
+        "resolution": scene.dataset.config.resolution,
+        "noise_ceiling_db": {split: scene.ceilings_db[split] for split in TEST_SPLITS},
+        "notes": list(left_out_notes(scene)),
+        "runs": [_run_json(scores) for scores in scene.runs],
+        "seeds": [_group_json(group) for group in group_seeds(scene.runs) if len(group.runs) > 1],
+        "analyses": _finite(analyses),
+    }
+
+
+def _group_json(group: SeedGroup) -> Json:
+    return {
+        "runs": [scores.run.name for scores in group.runs],
+        "config_sha256": describe_run(group.first),
+        "scores": {
+            key: {"mean": json_number(value.mean), "deviation": value.deviation}
+            for key, value in _group_spreads(group).items()
+        },
+    }
+
+
+def _group_spreads(group: SeedGroup) -> dict[str, Spread]:
+    """By the names of the CSV's columns."""
+    scores = {f"{m.key}_{split}": group.score(m.key, split) for m in METRICS for split in TEST_SPLITS}
+    return {**scores, "drop_db": group.drop_db}
+
+
+def _run_json(scores: RunScores) -> Json:
+    run = scores.run
+    splits: dict[str, Json] = {}
+    for split, values in scores.splits.items():
+        if values is None:
+            splits[split] = None
+            continue
+        splits[split] = {
+            metric.key: {
+                "mean": json_number(values.mean(metric.key)),
+                "pictures": [json_number(value) for value in values.images[metric.key]],
+            }
+            for metric in METRICS
+        }
+    return {
+        "run": run.name,
+        "method": run.method,
+        "label": run.label,
+        "geometry": run.geometry,
+        "knowledge": run.knowledge,
+        "num_parameters": run.num_parameters,
+        "seed": run.seed,
+        "config_sha256": describe_run(run),
+        "predictions_sha256": scores.predictions_sha256,
+        "drop_db": cast(Json, scores.drop_db),
+        "splits": splits,
+    }
+
+
+def _finite(data: Json) -> Json:
+    if isinstance(data, dict):
+        return {key: _finite(value) for key, value in data.items()}
+    if isinstance(data, list):
+        return [_finite(value) for value in data]
+    return json_number(data) if isinstance(data, float) else data
+
+
+def json_number(value: float | None) -> Json:
+    return "inf" if value is not None and math.isinf(value) else value

@@ -1,0 +1,241 @@
+"""Owns the training data in memory: every pixel of some views with its layers, and random batches of them."""
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+import torch
+from jaxtyping import Float32, Int, Int16, UInt8, UInt16
+from torch import Tensor
+
+from datagen.data.dataset import Dataset, Split, read_cameras, read_image
+from datagen.data.layers import read_uv_and_ids
+from datagen.data.number_formats import UV_SCALE
+from datagen.disk.errors import HyalineError
+
+ROUND_NUMBER = 1024
+"""oneDNN prepares, and keeps, the products of each new number of rows: there should be few."""
+
+
+class PixelSource(Protocol):
+    """All pixels of some views, row by row and view by view, and what a renderer is told of any of them."""
+
+    @property
+    def rgb(self) -> UInt8[Tensor, "pixel 3"]:
+        """8-bit sRGB; black where images were not asked for."""
+        ...
+
+    @property
+    def device(self) -> torch.device:
+        """Where a batch is put; `rgb` may stay elsewhere."""
+        ...
+
+    @property
+    def pixels_per_view(self) -> int: ...
+
+    @property
+    def chunk(self) -> int:
+        """Pixels that a rendering takes at once."""
+        ...
+
+    def to(self, device: torch.device) -> "PixelSource": ...
+
+    def take(self, index: Int[Tensor, "*pixel"], rng: np.random.Generator | None) -> Any:
+        """The renderer's input for the pixels with these row numbers; `rng` is there while training only.
+
+        Row numbers with three axes are square patches (patch, row, column), in this order; see `draw_patches`.
+        """
+        ...
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RayBatch:
+    """What a renderer sees of some pixels: the layers along each pixel's ray, nearest first."""
+
+    uv: Float32[Tensor, "ray layer 2"]
+    object_id: UInt8[Tensor, "ray layer"]
+    """0 where the layer is empty."""
+    p_camera: Float32[Tensor, "ray 3"]
+    """Camera centres in world space, metres."""
+    samples: int = 1
+    """Rays of each pixel, pixel by pixel; their colours are averaged."""
+    grid: tuple[int, int, int] | None = None
+    """Patches, rows and columns that the pixels form, in this order; None where they are in no order."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Pixels:
+    """All pixels of some views, row by row and view by view, in the dataset's own small integers."""
+
+    uv: Int16[Tensor, "pixel layer 2"]
+    """The bits of uint16: torch 2.13 has few operations on that type."""
+    object_id: UInt8[Tensor, "pixel layer"]
+    rgb: UInt8[Tensor, "pixel 3"]
+    """8-bit sRGB."""
+    p_camera: Float32[Tensor, "view 3"]
+    pixels_per_view: int
+    whole_views: bool = False
+    """A rendering takes one view at once, because its renderer looks at neighbours."""
+
+    @property
+    def device(self) -> torch.device:
+        return self.rgb.device
+
+    @property
+    def chunk(self) -> int:
+        return self.pixels_per_view if self.whole_views else pixels_at_once(self.device)
+
+    def to(self, device: torch.device) -> "Pixels":
+        names = ("uv", "object_id", "rgb", "p_camera")
+        return dataclasses.replace(self, **{name: getattr(self, name).to(device) for name in names})
+
+    def split_empty(self) -> tuple[Int[Tensor, " distinct"], Int[Tensor, " empty"]]:
+        """Row numbers of the pixels that differ, and of those without any layer; the first of these differs, too.
+
+        The former are filled up by repeating one until there are a multiple of `ROUND_NUMBER`.
+        """
+        is_empty = (self.object_id == 0).all(dim=1)
+        empty = is_empty.nonzero().flatten()
+        is_empty[empty[:1]] = False
+        distinct = (~is_empty).nonzero().flatten()
+        return torch.cat([distinct, distinct[:1].expand(-len(distinct) % ROUND_NUMBER)]), empty
+
+    def take(self, index: Int[Tensor, "*pixel"], rng: np.random.Generator | None) -> RayBatch:  # noqa: ARG002
+        """The rays of the pixels with these row numbers: always those through pixel centres."""
+        grid = grid_of(self, index, whole_views=self.whole_views)
+        index = index.flatten()
+        return RayBatch(
+            # `index_select` takes a third of the time of brackets.
+            uv=(self.uv.index_select(0, index).int() & 0xFFFF).float() / UV_SCALE,
+            object_id=self.object_id.index_select(0, index),
+            p_camera=self.p_camera.index_select(0, index // self.pixels_per_view),
+            grid=grid,
+        )
+
+
+def pixels_at_once(device: torch.device) -> int:
+    """Pixels that a rendering from stored layers takes at once: on a CPU so few that what one layer of a network makes
+    is still in the caches when the next one reads it."""
+    return 16_384 if device.type == "cpu" else 65_536
+
+
+def load_pixels(dataset: Dataset, geometry: str, split: Split, views: Sequence[int], *, with_images: bool = True,
+                max_layers: int | None = None, whole_views: bool = False) -> Pixels:  # fmt: skip
+    """Reads layers, cameras and (unless told otherwise) images of some views, every byte verified.
+
+    Args:
+        max_layers: the nearest layers that are kept; all of them unless told.
+        whole_views: the renderer looks at neighbours.
+
+    Raises:
+        HyalineError: a view is missing or damaged, or names an object that the scene does not have.
+    """
+    p_camera = read_cameras(dataset, split).world_from_camera[list(views), :3, 3].astype(np.float32)
+    stacks = [read_stack(dataset, geometry, split, view, max_layers) for view in views]
+    return Pixels(
+        uv=torch.from_numpy(np.concatenate([uv for uv, _ in stacks]).view(np.int16)),
+        object_id=torch.from_numpy(np.concatenate([object_id for _, object_id in stacks])),
+        rgb=read_colors(dataset, split, views, with_images=with_images),
+        p_camera=torch.from_numpy(p_camera),
+        pixels_per_view=dataset.config.resolution**2,
+        whole_views=whole_views,
+    )
+
+
+def read_stack(dataset: Dataset, geometry: str, split: Split, view: int, max_layers: int | None
+               ) -> tuple[UInt16[np.ndarray, "pixel layer 2"], UInt8[np.ndarray, "pixel layer"]]:  # fmt: skip
+    """uv and object ids of a view's pixels in its nearest layers, every byte verified.
+
+    Raises:
+        HyalineError: the view is missing or damaged, or names an object that the scene does not have.
+    """
+    uv, object_id = read_uv_and_ids(dataset, geometry, split, view)
+    if object_id.max(initial=0) > len(dataset.objects):
+        raise HyalineError(
+            f"{dataset.root}: layers of {geometry}, {split} view {view}, name object {object_id.max()}; "
+            f"expected at most {len(dataset.objects)}, peel it again"
+        )
+    kept_id = object_id[:max_layers]
+    uv = np.moveaxis(uv[:max_layers], 0, 2).reshape(-1, len(kept_id), 2)
+    return uv, np.moveaxis(kept_id, 0, 2).reshape(-1, len(kept_id))
+
+
+def grid_of(pixels: PixelSource, index: Int[Tensor, "*pixel"], *, whole_views: bool) -> tuple[int, int, int] | None:
+    """Patches, rows and columns that the pixels with these row numbers form; None where they are in no order.
+
+    Args:
+        whole_views: row numbers with one axis are those of whole views.
+    """
+    if index.ndim == 3:
+        return index.shape[0], index.shape[1], index.shape[2]
+    if whole_views:
+        return len(index) // pixels.pixels_per_view, side_of(pixels), side_of(pixels)
+    return None
+
+
+def side_of(pixels: PixelSource) -> int:
+    """Height and width of the views in pixels."""
+    return math.isqrt(pixels.pixels_per_view)
+
+
+def draw_patches(pixels: PixelSource, number: int, size: int, rng: np.random.Generator, *, strides: Sequence[int] = (1,)
+                 ) -> Int[Tensor, "patch row column"]:  # fmt: skip
+    """Row numbers of the pixels of square patches at random places of random views.
+
+    Args:
+        size: rows and columns of a patch, at most those of a view.
+        strides: a patch takes every pixel, every second one ...; each draws one of these, as far as it fits.
+    """
+    side = side_of(pixels)
+    fitting = [stride for stride in strides if (size - 1) * stride < side]
+    stride = rng.choice(fitting, size=number)
+    free = side - (size - 1) * stride
+    view = rng.integers(len(pixels.rgb) // pixels.pixels_per_view, size=number)
+    row, column = rng.integers(free, size=(2, number))
+    rows, columns = (first[:, None] + np.arange(size) * stride[:, None] for first in (row, column))
+    index = (view[:, None, None] * side + rows[:, :, None]) * side + columns[:, None, :]
+    return torch.from_numpy(index).to(pixels.rgb.device)
+
+
+def read_colors(dataset: Dataset, split: Split, views: Sequence[int], *, with_images: bool
+                ) -> UInt8[Tensor, "pixel 3"]:  # fmt: skip
+    """All pixels of the views; black without images: rendering a test view never opens its truth."""
+    size = dataset.config.resolution
+    black = np.zeros((size, size, 3), np.uint8)
+    images = [read_image(dataset, split, view) if with_images else black for view in views]
+    return torch.from_numpy(np.concatenate([image.reshape(-1, 3) for image in images]))
+
+
+def take_colors(pixels: PixelSource, index: Int[Tensor, " ray"]) -> Float32[Tensor, "ray 3"]:
+    """The true sRGB colours in [0, 1] of the pixels with these row numbers."""
+    return pixels.rgb.index_select(0, index).to(pixels.device).float() / 255
+
+
+def insert_empty_layer(rays: RayBatch, place: Int[Tensor, " ray"]) -> RayBatch:
+    """The rays with one more layer, empty, which becomes layer `place` (0 to num_layers) of its ray.
+
+    An empty layer's features and extrinsics are zeros, so this is the paper's random zero layer (section 4.4).
+    """
+    num_rays, num_layers = rays.object_id.shape
+    padded_id = torch.cat([rays.object_id, rays.object_id.new_zeros(num_rays, 1)], dim=1)
+    padded_uv = torch.cat([rays.uv, rays.uv.new_zeros(num_rays, 1, 2)], dim=1)
+    layer = torch.arange(num_layers + 1, device=place.device)[None]
+    source = torch.where(layer == place[:, None], num_layers, layer - (layer > place[:, None]).long())
+    return RayBatch(
+        uv=padded_uv.gather(1, source[..., None].expand(-1, -1, 2)),
+        object_id=padded_id.gather(1, source),
+        p_camera=rays.p_camera,
+        samples=rays.samples,
+        grid=rays.grid,
+    )
+
+
+def insert_random_layer(rays: RayBatch, rng: np.random.Generator | None) -> RayBatch:
+    """The rays with one more empty layer: at a random place of each ray, or behind all others without `rng`."""
+    num_rays, num_layers = rays.object_id.shape
+    last = np.full(num_rays, num_layers)
+    place = last if rng is None else rng.integers(num_layers + 1, size=num_rays)
+    return insert_empty_layer(rays, torch.from_numpy(place).to(rays.object_id.device))

@@ -1,0 +1,131 @@
+"""Owns the sub-pixel rays of training and test pixels, traced anew for every batch: straight layers or light paths."""
+
+import dataclasses
+import functools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from jaxtyping import Float32, Int, UInt8
+from torch import Tensor
+
+from datagen.data.cameras import subpixel_offsets, subpixel_rays
+from datagen.data.dataset import Cameras, Dataset, Split, read_cameras
+from datagen.data.geometries import GeometryKey, geometry_key, read_meshes
+from datagen.data.meshes import Mesh
+from datagen.machine.mitsuba_variant import short_lived_workers, use_mitsuba
+from model.batches.rays import RayBatch, read_colors
+
+if TYPE_CHECKING:
+    from datagen.trace.peel import Peeler
+
+
+Rays = tuple[Float32[np.ndarray, "ray 3"], Float32[np.ndarray, "ray 3"]]
+"""Origins and unit directions."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SubpixelRays:
+    """The rays through all pixels of some views, row by row and view by view."""
+
+    cameras: Cameras
+    """Those of the views alone."""
+
+    @property
+    def pixels_per_view(self) -> int:
+        return self.cameras.width * self.cameras.height
+
+    def through(self, index: Int[np.ndarray, " pixel"], samples: int, rng: np.random.Generator | None) -> Rays:
+        """Origins and unit directions of `samples` (a square number) rays through each of the pixels, pixel by pixel.
+
+        They lie in the cells of a grid that tiles the pixel: at their centres, or jittered in them by `rng`.
+        """
+        shape = (len(index), samples, 2)
+        offsets = subpixel_offsets(samples) if rng is None else subpixel_offsets(samples, rng.random(shape))
+        return subpixel_rays(self.cameras, index, np.broadcast_to(offsets, shape))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TracedLayerPixels:
+    """All pixels of some views; the straight layers of their rays are traced when they are asked for."""
+
+    peeler: "Peeler"
+    rays: SubpixelRays
+    rgb: UInt8[Tensor, "pixel 3"]
+    num_layers: int
+    train_samples: int
+    render_samples: int
+    device: torch.device
+
+    @property
+    def pixels_per_view(self) -> int:
+        return self.rays.pixels_per_view
+
+    @property
+    def chunk(self) -> int:
+        return max(1, 65_536 // self.render_samples)
+
+    def to(self, device: torch.device) -> "TracedLayerPixels":
+        return dataclasses.replace(self, rgb=self.rgb.to(device), device=device)
+
+    def take(self, index: Int[Tensor, "*pixel"], rng: np.random.Generator | None) -> RayBatch:
+        """The layers of the rays through these pixels; without `rng` as many rays as a rendering takes."""
+        samples = self.train_samples if rng is not None else self.render_samples
+        origins, directions = self.rays.through(index.flatten().cpu().numpy(), samples, rng)
+        with short_lived_workers():
+            uv, object_id = self.peeler.peel_rays(origins, directions, self.num_layers)
+        return RayBatch(
+            uv=torch.from_numpy(uv).to(self.device),
+            object_id=torch.from_numpy(object_id).to(self.device),
+            p_camera=torch.from_numpy(origins).to(self.device),
+            samples=samples,
+            grid=(index.shape[0], index.shape[1], index.shape[2]) if index.ndim == 3 else None,
+        )
+
+
+def load_traced_layers(dataset: Dataset, geometry: str, num_layers: int, split: Split, views: Sequence[int],
+                       with_images: bool, *, train_samples: int, render_samples: int
+                       ) -> TracedLayerPixels:  # fmt: skip
+    """Reads cameras and (unless told otherwise) images of some views, and loads the surfaces for tracing."""
+    return TracedLayerPixels(
+        peeler=_load_peeler(geometry_key(dataset, geometry)),
+        rays=rays_of(dataset, split, views),
+        rgb=read_colors(dataset, split, views, with_images=with_images),
+        num_layers=num_layers,
+        train_samples=train_samples,
+        render_samples=render_samples,
+        device=torch.device("cpu"),
+    )
+
+
+def trace_layers(meshes: tuple[Mesh, ...], cameras: Cameras, num_layers: int) -> TracedLayerPixels:
+    """The pixels of any cameras, black, with one ray each through their centres."""
+    return TracedLayerPixels(
+        peeler=_make_peeler(meshes),
+        rays=SubpixelRays(cameras=cameras),
+        rgb=torch.zeros(len(cameras.world_from_camera) * cameras.height * cameras.width, 3, dtype=torch.uint8),
+        num_layers=num_layers,
+        train_samples=1,
+        render_samples=1,
+        device=torch.device("cpu"),
+    )
+
+
+@functools.lru_cache(maxsize=1)
+def _load_peeler(key: GeometryKey) -> "Peeler":
+    return _make_peeler(read_meshes(key.dataset, key.geometry))
+
+
+def _make_peeler(meshes: tuple[Mesh, ...]) -> "Peeler":
+    use_mitsuba()
+    from datagen.trace.peel import Peeler
+
+    return Peeler(meshes)
+
+
+def rays_of(dataset: Dataset, split: Split, views: Sequence[int]) -> SubpixelRays:
+    """The rays through the pixels of some views of a split."""
+    cameras = read_cameras(dataset, split)
+    return SubpixelRays(cameras=dataclasses.replace(cameras, world_from_camera=cameras.world_from_camera[list(views)]))

@@ -1,0 +1,100 @@
+"""Owns whole views as training data: cameras, pictures, and which training views look the same way."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float32, Int, UInt8
+from torch import Tensor
+
+from datagen.data.dataset import Dataset, Split, read_cameras
+from model.batches.rays import read_colors
+from model.nets.voxel_grid import ViewCamera
+
+NUM_NEIGHBOURS = 4
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ViewBatch:
+    """Views to draw, one after the other."""
+
+    cameras: tuple[ViewCamera, ...]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Views:
+    """Some views of a dataset for renderers that draw whole pictures."""
+
+    rgb: UInt8[Tensor, "pixel 3"]
+    """8-bit sRGB, row by row and view by view; black where images were not asked for."""
+    world_from_camera: Float32[Tensor, "view 4 4"]
+    fov_x: float
+    """Radians."""
+    size: int
+    """Width and height of a view."""
+
+    @property
+    def device(self) -> torch.device:
+        return self.rgb.device
+
+    @property
+    def pixels_per_view(self) -> int:
+        return self.size**2
+
+    @property
+    def chunk(self) -> int:
+        """A rendering takes one view at once."""
+        return self.pixels_per_view
+
+    @property
+    def num_views(self) -> int:
+        return len(self.world_from_camera)
+
+    def to(self, device: torch.device) -> "Views":
+        return Views(
+            rgb=self.rgb.to(device),
+            world_from_camera=self.world_from_camera.to(device),
+            fov_x=self.fov_x,
+            size=self.size,
+        )
+
+    def take(self, index: Int[Tensor, " ray"], rng: np.random.Generator | None) -> ViewBatch:  # noqa: ARG002
+        """The views that these pixels fill; they must be all pixels of whole views, in order."""
+        first = index[:: self.pixels_per_view]
+        assert len(index) == len(first) * self.pixels_per_view, "pixels of half a view"
+        return ViewBatch(cameras=tuple(self.camera(int(view)) for view in first // self.pixels_per_view))
+
+    def camera(self, view: int) -> ViewCamera:
+        return ViewCamera(world_from_camera=self.world_from_camera[view], fov_x=self.fov_x)
+
+    def image(self, view: int) -> Float32[Tensor, "1 3 h w"]:
+        """sRGB in [0, 1]."""
+        pixels = self.rgb[view * self.pixels_per_view : (view + 1) * self.pixels_per_view]
+        return (pixels.float() / 255).T.reshape(1, 3, self.size, self.size)
+
+    def neighbours(self, view: int) -> list[int]:
+        """The at most four other views whose optical axes are nearest in angle, nearest first."""
+        forward = -self.world_from_camera[:, :3, 2]
+        cosine = forward @ forward[view]
+        cosine[view] = -torch.inf
+        nearest = torch.argsort(cosine, descending=True, stable=True)
+        return nearest[: min(NUM_NEIGHBOURS, self.num_views - 1)].tolist()
+
+
+def load_views(
+    config: object,  # noqa: ARG001
+    dataset: Dataset,
+    geometry: str,  # noqa: ARG001
+    split: Split,
+    views: Sequence[int],
+    with_images: bool,
+) -> Views:
+    """Cameras and (unless told otherwise) pictures of some views, every byte verified."""
+    cameras = read_cameras(dataset, split)
+    return Views(
+        rgb=read_colors(dataset, split, views, with_images=with_images),
+        world_from_camera=torch.from_numpy(cameras.world_from_camera[list(views)]).float(),
+        fov_x=cameras.fov_x,
+        size=dataset.config.resolution,
+    )

@@ -1,0 +1,121 @@
+"""Owns in-painting: on poses without truth, only the texels that no training ray has visited learn to look real.
+
+Source: the remedy that the paper proposes for surfaces never seen in training (section 6), on the idea of DeepVoxels to
+let a discriminator judge views that have no truth.
+"""
+
+import dataclasses
+from collections.abc import Iterator
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Int
+from torch import Tensor, nn
+from torch.func import functional_call
+
+from datagen.data.cameras import look_at
+from datagen.data.dataset import Cameras, Dataset, read_cameras
+from datagen.data.geometries import read_meshes
+from datagen.disk.errors import HyalineError
+from datagen.scene.description import load_scene
+from model.batches.rays import PixelSource, RayBatch, side_of
+from model.batches.traced_layers import trace_layers
+from model.nets.texture import NeuralTextures, bilinear_taps
+
+NUM_POSES = 64
+"""Poses without truth from which texels are in-painted."""
+
+DISTANCES, HEIGHTS = (0.4, 1.2), (0.1, 1.0)
+"""How far and how high they are from the rig's target, as shares of those of random training cameras."""
+
+AIM = 0.25
+"""They look past the target by up to this share of their distance."""
+
+
+class Inpainter:
+    """Renders patches of poses without truth through which only unvisited texels get a gradient."""
+
+    def __init__(self, renderer: nn.Module, training: PixelSource, dataset: Dataset, geometry: str, *, num_layers: int,
+                 seed: int, device: torch.device) -> None:  # fmt: skip
+        """Counts the visits of all training rays, and looks for pixels that show a texel without any.
+
+        Raises:
+            HyalineError: there are none, so there is nothing to in-paint.
+        """
+        self.visits = {
+            f"{name}.table": count_visits(module, training)
+            for name, module in renderer.named_modules()
+            if isinstance(module, NeuralTextures)
+        }
+        cameras = novel_cameras(dataset, NUM_POSES, np.random.default_rng([seed, 1]))
+        self.pixels = trace_layers(read_meshes(dataset, geometry), cameras, num_layers).to(device)
+        finest = next(module for module in renderer.modules() if isinstance(module, NeuralTextures))
+        self.showing = pixels_showing(finest, next(iter(self.visits.values())) == 0, self.pixels).nonzero().flatten()
+        if not len(self.showing):
+            raise HyalineError(f"{dataset.root}: training rays visit all that is ever seen; leave out --inpaint")
+
+    def render(self, renderer: nn.Module, number: int, size: int, rng: np.random.Generator) -> Tensor:
+        """Colours (patch, row, column, 3) of patches around pixels that show an unvisited texel.
+
+        The network and all visited texels are constants, and batch norm uses what it knows from training.
+        """
+        index = patches_around(self.showing[torch.from_numpy(rng.integers(len(self.showing), size=number))],
+                               size, side_of(self.pixels))  # fmt: skip
+        parameters = {name: value.detach() for name, value in renderer.named_parameters()}
+        for name, visits in self.visits.items():
+            table = renderer.get_parameter(name)
+            parameters[name] = torch.where(visits[:, None] > 0, table.detach(), table)
+        renderer.eval()
+        colors = functional_call(renderer, parameters, (self.pixels.take(index, None),))
+        renderer.train()
+        return colors.view(number, size, size, 3)
+
+
+def count_visits(textures: NeuralTextures, pixels: PixelSource) -> Int[Tensor, " texel"]:
+    """How many layers of the pixels' centre rays take a share, however small, of each texel."""
+    counts = torch.zeros(textures.layout.num_texels, dtype=torch.int64, device=pixels.device)
+    for rays in _chunks(pixels):
+        hit = rays.object_id != 0
+        texels, weights = bilinear_taps(rays.uv[hit], rays.object_id[hit], textures.layout)
+        counts += torch.bincount(texels[weights > 0], minlength=len(counts))
+    return counts
+
+
+def pixels_showing(textures: NeuralTextures, wanted: Bool[Tensor, " texel"], pixels: PixelSource
+                   ) -> Bool[Tensor, " pixel"]:  # fmt: skip
+    """The pixels in one of whose layers at least half of what is looked up comes from wanted texels."""
+    found = []
+    for rays in _chunks(pixels):
+        hit = rays.object_id != 0
+        texels, weights = bilinear_taps(rays.uv[hit], rays.object_id[hit], textures.layout)
+        is_wanted = torch.zeros(hit.shape, dtype=torch.bool, device=hit.device)
+        is_wanted[hit] = (weights * wanted[texels]).sum(dim=1) >= 0.5
+        found.append(is_wanted.any(dim=1))
+    return torch.cat(found)
+
+
+def patches_around(pixel: Int[Tensor, " patch"], size: int, side: int) -> Int[Tensor, "patch row column"]:
+    """Row numbers of the square patches whose middles are these pixels, moved inwards where a view ends."""
+    view, row, column = pixel // side**2, pixel // side % side, pixel % side
+    first_row, first_column = ((place - size // 2).clamp(0, side - size) for place in (row, column))
+    steps = torch.arange(size, device=pixel.device)
+    rows, columns = first_row[:, None, None] + steps[:, None], first_column[:, None, None] + steps
+    return (view[:, None, None] * side + rows) * side + columns
+
+
+def novel_cameras(dataset: Dataset, number: int, rng: np.random.Generator) -> Cameras:
+    """Poses around those of training, but nearer, farther and lower; no test camera is looked at."""
+    cameras = read_cameras(dataset, "train")
+    target = np.array(load_scene(dataset.root / "scene", is_sealed=True).cameras.target)
+    offset = cameras.world_from_camera[rng.integers(len(cameras.world_from_camera), size=number), :3, 3] - target
+    offset = offset * rng.uniform(*DISTANCES, (number, 1))
+    offset[:, 2] *= rng.uniform(*HEIGHTS, number)
+    aims = target + AIM * np.linalg.norm(offset, axis=1, keepdims=True) * rng.uniform(-1, 1, (number, 3))
+    poses = [look_at(position, aim) for position, aim in zip(target + offset, aims, strict=True)]
+    return dataclasses.replace(cameras, world_from_camera=np.stack(poses))
+
+
+def _chunks(pixels: PixelSource) -> Iterator[RayBatch]:
+    index = torch.arange(len(pixels.rgb), device=pixels.rgb.device)
+    for part in index.split(pixels.chunk):
+        yield pixels.take(part, None)

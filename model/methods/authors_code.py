@@ -1,0 +1,203 @@
+"""Owns the method `authors-code`: what the paper's released code really ran, to explain its published numbers.
+
+Source: the public repository that the paper's author links (Mirjang/TransparentNeuralRendering): its renderer network,
+its dispatcher (which drops the width that the scripts ask for, so that 64 is left) and its experiments' scripts.
+"""
+
+import itertools
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float32
+from torch import Tensor, nn
+from torch.nn import functional
+
+from datagen.data.dataset import Dataset
+from datagen.disk.errors import HyalineError
+from model.batches.rays import PixelSource, RayBatch, insert_random_layer
+from model.losses.pixel_losses import PatchTerms, pixel_loss
+from model.methods.paper import default_texture_size
+from model.nets.extrinsics import ExtrinsicInputs, Extrinsics, positions_for
+from model.nets.texture import NeuralTextures, object_layout
+from model.settings.choices import AuthorsChoices
+
+LEAST_WIDTH = 4
+"""Halving the channels stops here."""
+
+LOSS_SCALE = 100 * 2
+"""Their L1 has a weight of 100, on colours from -1 to 1. Adam cares little, but for the weight decay beside it."""
+
+XAVIER_GAIN = 0.02
+"""Their start. Nothing is normalised, so that a signal arrives 50 times weaker behind every layer: training begins
+slowly. Measured on the glass table at 128 pixels, pictures are still grey after 500 steps; theirs were a million."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class AuthorsConfig:
+    """What the renderer of the released code is made of; defaults as in the scripts of the paper's Table 1."""
+
+    texture_size: int
+    """Width and height of a texture in texels: half the picture's, 256 for their 512 pixels."""
+    texture_features: int = 16
+    """Nine more with spherical harmonics."""
+    texture_start: float = 0.5
+    extrinsics: Extrinsics = "view"
+    """`view` adds the view vector, from the camera to the surface, to each layer's inputs; `sh` gives textures nine
+    more channels and multiplies channels 3 to 11 by spherical harmonics of it, without their constants."""
+    position_size: int = 512
+    width: int = 64
+    blocks: int = 3
+    dropout: float = 0.2
+    test_dropout: bool = True
+    """Their test script leaves dropout on. Here it is drawn by a seed that the batch's own uv gives, so that
+    predictions repeat."""
+    zero_layer: bool = False
+    """`--pad_front`: a layer of zeros at a random place while training, behind all others at test."""
+
+    def __post_init__(self) -> None:
+        for name in ("texture_size", "position_size"):
+            if not 2 <= getattr(self, name) <= 8192:
+                raise HyalineError(f"{name}: is {getattr(self, name)}; expected 2 to 8192 texels")
+        if self.width < LEAST_WIDTH or self.blocks < 0:
+            raise HyalineError(f"width: is {self.width} with {self.blocks} blocks; expected at least {LEAST_WIDTH}")
+        if not 0 <= self.dropout < 1:
+            raise HyalineError(f"dropout: is {self.dropout}; expected a share in [0, 1), 0.2 in the code")
+        if not 3 <= self.texture_features <= 256:
+            raise HyalineError(f"features: is {self.texture_features}; expected 3 to 256")
+
+
+def configure_authors(choices: AuthorsChoices, dataset: Dataset, geometry: str, num_layers: int) -> AuthorsConfig:  # noqa: ARG001
+    """The configuration that a user's choices make on a dataset.
+
+    Raises:
+        HyalineError: a choice that cannot be.
+    """
+    default_size = default_texture_size(dataset.config.resolution, len(dataset.objects), "object")
+    return AuthorsConfig(
+        texture_size=choices.texture_size or default_size,
+        texture_features=choices.features,
+        extrinsics=choices.extrinsics,
+        width=choices.width,
+        test_dropout=choices.test_dropout == "on",
+        zero_layer=choices.zero_layer,
+    )
+
+
+class AuthorsBlock(nn.Module):
+    """ReLU(x + f(x)) with dropout after both layers of f, then a layer that halves the channels."""
+
+    def __init__(self, width: int, narrower: int) -> None:
+        super().__init__()
+        self.first = nn.Linear(width, width)
+        self.second = nn.Linear(width, width)
+        self.halve = nn.Linear(width, narrower)
+
+    def forward(self, x: Float32[Tensor, "ray c"], dropout: float) -> Float32[Tensor, "ray c_half"]:
+        inner = functional.relu(functional.dropout(self.first(x), dropout))
+        x = functional.relu(x + functional.dropout(self.second(inner), dropout))
+        return functional.relu(self.halve(x))
+
+
+class AuthorsMlp(nn.Module):
+    """Colours of pixels from their stacked layers: 33,267 parameters for 16 layers with view vectors."""
+
+    def __init__(self, num_inputs: int, *, width: int, blocks: int) -> None:
+        super().__init__()
+        widths = [max(LEAST_WIDTH, width >> index) for index in range(blocks + 1)]
+        self.first = nn.Linear(num_inputs, width)
+        self.blocks = nn.ModuleList(AuthorsBlock(*pair) for pair in itertools.pairwise(widths))
+        self.last = nn.Linear(widths[-1], 3)
+        for module in self.modules():
+            if isinstance(module, nn.Linear):
+                nn.init.xavier_normal_(module.weight, gain=XAVIER_GAIN)
+                nn.init.zeros_(module.bias)
+
+    def forward(self, x: Float32[Tensor, "ray c"], dropout: float) -> Float32[Tensor, "ray 3"]:
+        """Colours in (-1, 1), with a share `dropout` of the activations left out."""
+        x = self.first(x)
+        for block in self.blocks:
+            x = block(x, dropout)
+        return torch.tanh(self.last(x))
+
+
+class AuthorsRenderer(nn.Module):
+    """Rays with layers in, sRGB colours of their pixels out."""
+
+    def __init__(
+        self, config: AuthorsConfig, *, num_layers: int, num_objects: int, positions: Float32[Tensor, "texel 3"] | None
+    ) -> None:
+        super().__init__()
+        self.config = config
+        features = config.texture_features + (9 if config.extrinsics == "sh" else 0)
+        self.textures = NeuralTextures(
+            object_layout((config.texture_size,) * num_objects), features, start=config.texture_start
+        )
+        self.extrinsics = (
+            None
+            if positions is None
+            else ExtrinsicInputs("view", positions, num_objects=num_objects, size=config.position_size)
+        )
+        channels = features + (3 if config.extrinsics == "view" else 0)
+        num_inputs = (num_layers + config.zero_layer) * channels
+        self.net = AuthorsMlp(num_inputs, width=config.width, blocks=config.blocks)
+
+    def forward(self, rays: RayBatch, *, rng: np.random.Generator | None = None) -> Float32[Tensor, "pixel 3"]:
+        """sRGB colours in (0, 1) of the pixels.
+
+        Args:
+            rng: draws zero layers and dropout while training; without it, dropout at test is drawn from the rays' uv.
+        """
+        if self.config.zero_layer:
+            rays = insert_random_layer(rays, rng)
+        stack = self.textures(rays.uv, rays.object_id)
+        if self.extrinsics is not None:
+            away = -self.extrinsics(rays.uv, rays.object_id, rays.p_camera)
+            if self.config.extrinsics == "view":
+                stack = torch.cat([stack, away], dim=-1)
+            else:
+                turned = stack[..., 3:12] * harmonics_without_constants(away)
+                stack = torch.cat([stack[..., :3], turned, stack[..., 12:]], dim=-1)
+        is_dropping = self.training or self.config.test_dropout
+        seed = zlib.crc32(rays.uv.cpu().numpy().tobytes()) if rng is None else int(rng.integers(1 << 31))
+        with seeded(seed, stack.device):
+            colors = self.net(stack.flatten(1), self.config.dropout if is_dropping else 0.0)
+        return (colors + 1) / 2
+
+
+def harmonics_without_constants(direction: Float32[Tensor, "*b 3"]) -> Float32[Tensor, "*b 9"]:
+    """The first three bands of spherical harmonics without their constants, as in the released code."""
+    x, y, z = direction.unbind(-1)
+    return torch.stack([torch.ones_like(x), y, z, x, x * y, y * z, 3 * z * z - 1, x * z, x * x - y * y], dim=-1)
+
+
+@contextmanager
+def seeded(seed: int, device: torch.device) -> Iterator[None]:
+    """Inside, torch draws from this seed; afterwards it goes on as if nothing had been drawn."""
+    with torch.random.fork_rng(devices=[device] if device.type == "cuda" else []):
+        torch.manual_seed(seed)
+        yield
+
+
+def authors_loss(
+    renderer: nn.Module,
+    training: PixelSource,
+    batch: int,
+    rng: np.random.Generator,
+    *,
+    patch_terms: PatchTerms | None = None,
+) -> Tensor:
+    """The mean absolute difference of random pixels as the released code scales it.
+
+    A step of theirs is one whole picture; this one draws as many pixels from all pictures.
+    """
+    return LOSS_SCALE * pixel_loss(renderer, training, batch, rng, patch_terms=patch_terms)
+
+
+def build_authors(config: AuthorsConfig, dataset: Dataset, geometry: str, num_layers: int) -> AuthorsRenderer:
+    """A fresh renderer for a dataset; its random start is drawn from torch's default generator."""
+    positions = positions_for(config.extrinsics, dataset, geometry, config.position_size)
+    return AuthorsRenderer(config, num_layers=num_layers, num_objects=len(dataset.objects), positions=positions)

@@ -1,0 +1,175 @@
+"""Owns the method `light-path`: neural textures where light paths end, composited by the physics of glass."""
+
+import torch
+from jaxtyping import Float32, UInt8
+from torch import Tensor, nn
+from torch.nn import functional
+
+from datagen.data.dataset import Dataset
+from datagen.disk.errors import HyalineError
+from model.batches.samples import srgb_curve
+from model.methods.light_path.config import LightPathConfig
+from model.methods.light_path.paths import STACKED_VERTICES, Ends, LightPathBatch, Stack
+from model.nets.cpu.fused_mlp import ChainLayer, can_fuse, run_chain
+from model.nets.extrinsics import spherical_harmonics
+from model.nets.learned_sky import LearnedSky
+from model.nets.pixel_mlp import LEAKY_SLOPE
+from model.nets.texture import FINER_COUNTS, NeuralTextures, TexturePyramid, object_layout
+
+RELIEF_DEPTH = 0.01
+"""Metres of depth for a texel's 1 in a learned relief: at the textures' learning rate a step moves it by 0.4 mm."""
+
+RELIEF_COARSER = 4
+"""How many times wider a texel of the relief is than the finest one of colour."""
+
+
+class LightPathRenderer(nn.Module):
+    """Light paths in, sRGB colours out.
+
+    Radiance = sum over branches of throughput times what shines at the branch's end (a texel's decoded radiance, or
+    the environment), averaged over the pixel's rays in linear light; plus a small non-negative residual from the
+    stacked features of the first vertices, for the paths that are not traced. Edits stay valid: what is removed from
+    the scene is no vertex of any path.
+
+    With straight layers (on proxies) the same decoder shades these, too, each gets an opacity from its own texel and
+    from the stack network, they are laid over each other, and a learned share of the paths' radiance is replaced.
+    """
+
+    def __init__(self, config: LightPathConfig) -> None:
+        super().__init__()
+        self.config = config
+        self.textures = TexturePyramid(
+            [
+                object_layout([max(2, size >> level) for size in config.texture_sizes for _ in range(config.shells)])
+                for level in range(config.texture_levels)
+            ],
+            config.texture_features,
+            finer_counts=FINER_COUNTS,
+        )
+        relief_sizes = [max(2, size // RELIEF_COARSER) for size in config.texture_sizes for _ in range(config.shells)]
+        self.relief = NeuralTextures(object_layout(relief_sizes), 1) if config.relief else None
+        if config.composite:
+            # Feature, cosine, spherical harmonics of the mirrored direction, position -> linear radiance.
+            self.decoder = _Mlp(config.texture_features + 1 + 9 + 6 * config.position_octaves, config.hidden, 3)
+            # Feature, cosine, spherical harmonics of the ray's direction -> opacity of a straight layer.
+            self.cover = _Mlp(config.texture_features + 1 + 9, config.hidden, 1) if config.straight_layers else None
+            self.environment = LearnedSky(config.environment_size, config.sky_lobes)
+        slots = sum(STACKED_VERTICES) + config.straight_layers
+        inputs = slots * (config.texture_features + 2) + (3 if config.straight_layers else 0)
+        # Colour; opacity of each straight layer; share of the paths.
+        outputs = 3 + (config.straight_layers + 1 if config.straight_layers else 0)
+        self.stack_net = _Mlp(inputs, config.stack_hidden, outputs) if config.stack_hidden else None
+
+    def forward(self, paths: LightPathBatch, **_: object) -> Float32[Tensor, "pixel 3"]:
+        """sRGB colours of the pixels, at least 0."""
+        return srgb_curve(self.radiance(paths).mean(dim=1))
+
+    def radiance(self, paths: LightPathBatch) -> Float32[Tensor, "pixel sample 3"]:
+        """Linear radiance of every ray."""
+        num_rays = paths.num_pixels * paths.samples
+        radiance = torch.zeros(num_rays, 3, device=paths.ends.uv.device)
+        if self.config.composite:
+            radiance = radiance.index_add(0, paths.ends.ray, self._shine(paths.ends) * paths.ends.throughput)
+            radiance = radiance.index_add(
+                0, paths.sky.ray, self.environment(paths.sky.direction) * paths.sky.throughput
+            )
+        if self.stack_net is not None:
+            assert paths.stack is not None
+            stack = paths.stack
+            uv = self._relieved(stack)
+            features = self.textures(uv, stack.surface)
+            inputs = torch.cat([features, stack.throughput[..., None], stack.cosine[..., None]], dim=-1).flatten(1)
+            if self.config.straight_layers:
+                inputs = torch.cat([inputs, stack.direction], dim=-1)
+            out = self.stack_net(inputs)
+            if self.config.straight_layers and self.config.composite:
+                share = torch.sigmoid(out[:, 3:4])
+                radiance = share * radiance + (1 - share) * self._over(stack, features, out[:, 4:])
+            radiance = radiance + functional.softplus(out[:, :3] - (4 if self.config.composite else 1))
+        return radiance.view(-1, paths.samples, 3)
+
+    def _relieved(self, stack: Stack) -> Float32[Tensor, "ray slot 2"]:
+        """Where the stack looks up its textures: only its straight layers, which pass on, are shifted."""
+        if self.relief is None or stack.uv_slope is None:
+            return stack.uv
+        first = sum(STACKED_VERTICES)
+        straight = self._shifted(stack.uv[:, first:], stack.surface[:, first:], stack.uv_slope)
+        return torch.cat([stack.uv[:, :first], straight], dim=1)
+
+    def _shifted(
+        self, uv: Float32[Tensor, "ray slot 2"], surface: UInt8[Tensor, "ray slot"],
+        uv_slope: Float32[Tensor, "ray slot 2"],
+    ) -> Float32[Tensor, "ray slot 2"]:  # fmt: skip
+        """Where the rays meet the learned relief below (or above) the surfaces."""
+        if self.relief is None:
+            return uv
+        return (uv + RELIEF_DEPTH * self.relief(uv, surface) * uv_slope).clamp(0, 1)
+
+    def _over(self, stack: Stack, features: Tensor, opacity_logits: Float32[Tensor, "ray straight"]) -> Tensor:
+        """Linear radiance of the straight layers, each laid over those behind it, and of the sky behind all."""
+        first = sum(STACKED_VERTICES)
+        hits = (stack.surface[:, first:] > 0).nonzero(as_tuple=True)
+        behind = (hits[0], hits[1] + first)
+        assert stack.position is not None
+        assert stack.reflected is not None
+        shine = self._decode(features[behind], stack.cosine[behind], stack.reflected[hits], stack.position[hits])
+        # What the layer itself says of its opacity, and what the whole stack says.
+        assert self.cover is not None
+        turned = spherical_harmonics(stack.direction)[hits[0]]
+        own = self.cover(torch.cat([features[behind], stack.cosine[behind][:, None], turned], dim=-1))[:, 0]
+        opacity = torch.sigmoid(opacity_logits.index_put(hits, own, accumulate=True))
+        opacity = opacity * (stack.surface[:, first:] > 0)
+        passed = torch.cumprod(1 - opacity, dim=1)
+        before = torch.cat([torch.ones_like(passed[:, :1]), passed[:, :-1]], dim=1)
+        sky = self.environment(stack.direction) * passed[:, -1:]
+        return sky.index_add(0, hits[0], shine * (opacity * before)[hits][:, None])
+
+    def _shine(self, ends: Ends) -> Float32[Tensor, "end 3"]:
+        """Linear radiance that leaves the ends towards their rays."""
+        uv = self._shifted(ends.uv[:, None], ends.surface[:, None], ends.uv_slope[:, None])
+        features = self.textures(uv, ends.surface[:, None])[:, 0]
+        return self._decode(features, ends.cosine, ends.reflected, ends.position)
+
+    def _decode(
+        self, features: Tensor, cosine: Tensor, reflected: Tensor, position: Tensor
+    ) -> Float32[Tensor, "end 3"]:
+        inputs = [features, cosine[:, None], spherical_harmonics(reflected)]
+        for octave in range(self.config.position_octaves):
+            angle = position * (torch.pi * 2**octave)
+            inputs += [torch.sin(angle), torch.cos(angle)]
+        # The first features are colour: a texel learns its own at once, and the decoder what depends on the view.
+        return functional.softplus(self.decoder(torch.cat(inputs, dim=-1)) + features[:, :3])
+
+
+def build_light_path(config: LightPathConfig, dataset: Dataset, geometry: str, num_layers: int) -> LightPathRenderer:  # noqa: ARG001
+    """A fresh renderer for a dataset; its random start is drawn from torch's default generator.
+
+    Raises:
+        HyalineError: the configuration is of a scene with another number of objects.
+    """
+    if len(config.texture_sizes) != len(dataset.objects):
+        raise HyalineError(
+            f"texture_sizes: are {len(config.texture_sizes)}; expected one for each of {len(dataset.objects)} objects"
+        )
+    return LightPathRenderer(config)
+
+
+class _Mlp(nn.Sequential):
+    """Linear layers with a LeakyReLU between each two of them."""
+
+    def __init__(self, num_inputs: int, hidden: int, num_outputs: int) -> None:
+        super().__init__(
+            nn.Linear(num_inputs, hidden),
+            nn.LeakyReLU(LEAKY_SLOPE, inplace=True),
+            nn.Linear(hidden, hidden),
+            nn.LeakyReLU(LEAKY_SLOPE, inplace=True),
+            nn.Linear(hidden, num_outputs),
+        )
+
+    def forward(self, input: Float32[Tensor, "row c_in"]) -> Float32[Tensor, "row c_out"]:  # noqa: A002  (torch's name)
+        if not can_fuse(input):
+            return super().forward(input)
+        *others, last = [layer for layer in self if isinstance(layer, nn.Linear)]
+        return run_chain(
+            input, [*(ChainLayer(linear=layer, slope=LEAKY_SLOPE) for layer in others), ChainLayer(linear=last)]
+        )

@@ -1,0 +1,255 @@
+"""The pixels of some views, with the light paths of their rays traced for every batch."""
+
+import dataclasses
+import functools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float32, Int, UInt8
+from torch import Tensor
+
+from datagen.data.dataset import Dataset, Split
+from datagen.data.geometries import TRUTH, GeometryKey, geometry_key, read_meshes
+from datagen.data.meshes import Mesh
+from datagen.machine.mitsuba_variant import short_lived_workers, use_mitsuba
+from model.batches.distributed import first_pixel
+from model.batches.rays import read_colors
+from model.batches.traced_layers import SubpixelRays, rays_of
+from model.methods.light_path.config import LightPathConfig, default_light_path
+from model.methods.light_path.paths import STACKED_VERTICES, Ends, LightPathBatch, Sky, Stack
+
+if TYPE_CHECKING:
+    from datagen.trace.light_path import LightPathTracer, TracedPaths
+
+COUNTED_PIXELS = 4096
+"""Pixels that decide the sizes of textures."""
+
+
+MAX_TEXTURE_SIZE = 2048
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LightPathPixels:
+    """All pixels of some views; the light paths of their rays are traced when they are asked for."""
+
+    tracer: "LightPathTracer"
+    straight_tracer: "LightPathTracer | None"
+    """The same surfaces, none of which bends or stops a ray; None where the configuration has no straight layers."""
+    rays: SubpixelRays
+    is_opaque: Bool[np.ndarray, "object"]
+    """By object id; True where a path ends. Id 0, the empty one, is not."""
+    rgb: UInt8[Tensor, "pixel 3"]
+    config: LightPathConfig
+    device: torch.device
+
+    @property
+    def pixels_per_view(self) -> int:
+        return self.rays.pixels_per_view
+
+    @property
+    def chunk(self) -> int:
+        """Pixels that a rendering takes at once."""
+        return max(1, 65_536 // self.config.render_samples)
+
+    def refined(self) -> "LightPathPixels":
+        """The same pixels with as many rays as those get whose rays differ."""
+        samples = self.config.refined_samples
+        return dataclasses.replace(self, config=dataclasses.replace(self.config, render_samples=samples))
+
+    def to(self, device: torch.device) -> "LightPathPixels":
+        return dataclasses.replace(self, rgb=self.rgb.to(device), device=device)
+
+    def take(self, index: Int[Tensor, "*pixel"], rng: np.random.Generator | None) -> LightPathBatch:
+        """The paths of the rays through these pixels; without `rng` as many rays as a rendering takes."""
+        config = self.config
+        samples = config.train_samples if rng is not None else config.render_samples
+        origins, directions = self.rays.through(index.flatten().cpu().numpy(), samples, rng)
+        # Of most branches the end is all that counts: one place holds the last vertex.
+        seed = 0 if rng is None else int(rng.integers(1 << 31))
+        with short_lived_workers():
+            paths = self.tracer.trace(
+                origins,
+                directions,
+                max_branches=config.branches,
+                max_vertices=1,
+                seed=seed,
+                first_ray=first_pixel(rng) * samples,
+            )
+            stack = self._stack(origins, directions) if config.stack_hidden else None
+        return LightPathBatch(
+            num_pixels=index.numel(), samples=samples, ends=self._ends(paths), sky=self._sky(paths), stack=stack
+        )
+
+    def _ends(self, paths: "TracedPaths") -> Ends:
+        branch, ray = np.nonzero(~paths.has_left & self.is_opaque[paths.object_id[:, 0]])
+        place = (branch, 0, ray)
+        cosine, reflected = _mirrored(paths.direction[place], paths.normal[place])
+        return Ends(
+            ray=self._tensor(ray),
+            surface=self._tensor(_surface_of(paths.object_id[place], self.config.shells)),
+            uv=self._tensor(paths.uv[place]),
+            position=self._tensor(paths.position[place]),
+            throughput=self._tensor(paths.throughput[place]),
+            cosine=self._tensor(cosine),
+            reflected=self._tensor(reflected),
+            uv_slope=self._tensor(paths.uv_slope[place]),
+        )
+
+    def _sky(self, paths: "TracedPaths") -> Sky:
+        place = np.nonzero(paths.has_left)
+        return Sky(
+            ray=self._tensor(place[1]),
+            direction=self._tensor(paths.end_direction[place]),
+            throughput=self._tensor(paths.end_throughput[place]),
+        )
+
+    def _stack(self, origins: np.ndarray, directions: np.ndarray) -> Stack:
+        paths = self.tracer.trace(
+            origins,
+            directions,
+            max_branches=len(STACKED_VERTICES),
+            max_vertices=max(STACKED_VERTICES),
+            max_depth=max(STACKED_VERTICES),
+        )
+        places = [(branch, vertex) for branch, count in enumerate(STACKED_VERTICES) for vertex in range(count)]
+        slots = [_slot(paths, *place) for place in places]
+        for slot in slots:
+            slot["surface"] = _surface_of(slot["surface"], self.config.shells)
+        straight_layers = []
+        if self.config.straight_layers:
+            assert self.straight_tracer is not None
+            straight = _straight(self.straight_tracer, origins, directions, self.config.straight_layers)
+            straight_layers = [_slot(straight, 0, layer) for layer in range(self.config.straight_layers)]
+        slots += straight_layers
+
+        def column(key: str, slots: list[dict[str, np.ndarray]]) -> Tensor:
+            return self._tensor(np.stack([slot[key] for slot in slots], axis=1))
+
+        return Stack(
+            surface=column("surface", slots),
+            uv=column("uv", slots),
+            throughput=column("throughput", slots),
+            cosine=column("cosine", slots),
+            direction=self._tensor(directions),
+            position=column("position", straight_layers) if straight_layers else None,
+            reflected=column("reflected", straight_layers) if straight_layers else None,
+            uv_slope=column("uv_slope", straight_layers) if straight_layers else None,
+        )
+
+    def _tensor(self, values: np.ndarray) -> Tensor:
+        return torch.from_numpy(np.ascontiguousarray(values)).to(self.device)
+
+
+def share_texels(dataset: Dataset, geometry: str, size: int) -> tuple[int, ...]:
+    """Widths of the objects' textures: about `size` squared texels for each, shared as the training rays need them.
+
+    An object on which many paths end (a floor) gets a wide one, one seen in few pixels a narrow one, but no narrower
+    than a third of `size`; one where no path ends (glass) an eighth. On proxies all that straight rays meet counts too.
+    """
+    pixels = load_light_path_pixels(
+        default_light_path((2,) * len(dataset.objects), is_proxy=geometry != TRUTH),
+        dataset, geometry, "train", range(dataset.config.train.views), False,
+    )  # fmt: skip
+    index = np.random.default_rng(0).integers(len(pixels.rgb), size=COUNTED_PIXELS)
+    batch = pixels.take(torch.from_numpy(index), None)
+    met = [batch.ends.surface]
+    if geometry != TRUTH:
+        assert batch.stack is not None
+        met.append(batch.stack.surface[:, sum(STACKED_VERTICES) :].flatten())
+    surfaces = torch.cat(met).long()
+    # The textures of a proxy's shells are as wide as its own.
+    objects = (surfaces[surfaces > 0] - 1) // pixels.config.shells
+    counts = torch.bincount(objects, minlength=len(dataset.objects))
+    share = counts.double() / counts.sum().clamp_min(1)
+    wanted = (share * len(share)).sqrt() * size
+    least = torch.where(share > 0, size // 3, size // 8).clamp_min(2)
+    return tuple(int(width) for width in wanted.maximum(least).clamp_max(MAX_TEXTURE_SIZE).round())
+
+
+def load_light_path_pixels(config: LightPathConfig, dataset: Dataset, geometry: str, split: Split,
+                           views: Sequence[int], with_images: bool) -> LightPathPixels:  # fmt: skip
+    """Reads cameras and (unless told otherwise) images of some views, and loads the scene for tracing."""
+    surfaces = _load_surfaces(geometry_key(dataset, geometry), config.shells if config.straight_layers else 0)
+    return LightPathPixels(
+        tracer=surfaces.tracer,
+        straight_tracer=surfaces.straight_tracer,
+        rays=rays_of(dataset, split, views),
+        is_opaque=surfaces.is_opaque,
+        rgb=read_colors(dataset, split, views, with_images=with_images),
+        config=config,
+        device=torch.device("cpu"),
+    )
+
+
+def nest_shells(meshes: tuple[Mesh, ...], shells: int) -> tuple[Mesh, ...]:
+    """Each mesh, then smaller copies of it about the centre of its bounding box, 1 - k / shells as large for copy k."""
+    return tuple(_scaled(mesh, 1 - copy / shells) for mesh in meshes for copy in range(shells))
+
+
+def _scaled(mesh: Mesh, scale: float) -> Mesh:
+    if scale == 1 or not len(mesh.vertices):  # Of a removed object there is nothing.
+        return mesh
+    center = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2
+    return dataclasses.replace(mesh, vertices=center + np.float32(scale) * (mesh.vertices - center))
+
+
+def _slot(paths: "TracedPaths", branch: int, vertex: int) -> dict[str, np.ndarray]:
+    """What the stack network is told of one vertex of all rays."""
+    cosine, reflected = _mirrored(paths.direction[branch, vertex], paths.normal[branch, vertex])
+    return {
+        "surface": paths.object_id[branch, vertex],
+        "uv": paths.uv[branch, vertex],
+        "throughput": paths.throughput[branch, vertex].mean(axis=-1),
+        "cosine": cosine,
+        "position": paths.position[branch, vertex],
+        "reflected": reflected,
+        "uv_slope": paths.uv_slope[branch, vertex],
+    }
+
+
+def _surface_of(object_id: UInt8[np.ndarray, " vertex"], shells: int) -> UInt8[np.ndarray, " vertex"]:
+    """The outermost shell of each object; 0, the empty one, stays."""
+    return np.where(object_id > 0, (object_id.astype(np.int64) - 1) * shells + 1, 0).astype(np.uint8)
+
+
+def _mirrored(direction: Float32[np.ndarray, "vertex 3"], normal: Float32[np.ndarray, "vertex 3"]
+              ) -> tuple[Float32[np.ndarray, " vertex"], Float32[np.ndarray, "vertex 3"]]:  # fmt: skip
+    """The cosine, in [0, 1], at which rays arrive at surfaces, and their directions mirrored there."""
+    cosine = -np.einsum("vc,vc->v", direction, normal)
+    return np.clip(cosine, 0, 1), direction + 2 * cosine[:, None] * normal
+
+
+def _straight(tracer: "LightPathTracer", origins: np.ndarray, directions: np.ndarray, num_layers: int) -> "TracedPaths":
+    return tracer.trace(origins, directions, max_branches=1, max_vertices=num_layers, max_depth=num_layers)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Surfaces:
+    """The loaded part of `LightPathPixels`."""
+
+    tracer: "LightPathTracer"
+    straight_tracer: "LightPathTracer | None"
+    is_opaque: Bool[np.ndarray, "object"]
+
+
+# Training, each view that is scored and each that is predicted ask for the same surfaces: they are loaded once, and
+# their kernels recorded once.
+@functools.lru_cache(maxsize=1)
+def _load_surfaces(key: GeometryKey, shells: int) -> _Surfaces:
+    from datagen.scene.description import is_glass, load_scene
+
+    # The tracer's module can be imported only when Mitsuba has its variant.
+    use_mitsuba()
+    from datagen.trace.light_path import LightPathTracer
+
+    materials = tuple(item.material for item in load_scene(key.dataset.root / "scene", is_sealed=True).objects)
+    meshes = read_meshes(key.dataset, key.geometry)
+    nested = nest_shells(meshes, shells)
+    return _Surfaces(
+        tracer=LightPathTracer(meshes, materials),
+        straight_tracer=LightPathTracer(nested, (None,) * len(nested)) if nested else None,
+        is_opaque=np.array([False, *(not is_glass(material) for material in materials)]),
+    )

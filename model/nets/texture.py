@@ -1,0 +1,250 @@
+"""Owns neural textures: where an object's texels lie in one packed table, and the bilinear lookup of layers in it."""
+
+import functools
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, cast
+
+import numpy as np
+import torch
+from jaxtyping import Float32, Int32, UInt8
+from torch import Tensor, nn
+from torch.autograd.function import FunctionCtx
+from torch.nn import functional
+
+from datagen.disk.errors import HyalineError, NumericsError
+from model.nets.texels import add_gradient, add_look_ups, add_uv_gradient
+
+TextureSharing = Literal["object", "scene"]
+
+FINER_COUNTS = 0.5
+"""How much a level of a pyramid, of textures or of the sky, counts beside the next coarser one. Adam moves all texels
+alike, so coarse ones, moved by all rays, get there first, and fine ones add what is left: what few rays have met is
+filled in from around it. (Deferred Neural Rendering regularises its levels to that end.)"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TextureLayout:
+    """Square images of texels inside one table with a row per texel."""
+
+    bases: tuple[int, ...]
+    """Row of each object's texel (0, 0); object id 1 comes first."""
+    sizes: tuple[int, ...]
+    """Width and height of each object's image in texels."""
+    strides: tuple[int, ...]
+    """Rows of the table from one of each object's texels to the texel below it."""
+    num_texels: int
+
+
+def object_layout(sizes: Sequence[int]) -> TextureLayout:
+    """A texture of `sizes[k]` texels squared for object k + 1, one after the other."""
+    *bases, num_texels = itertools.accumulate((size * size for size in sizes), initial=0)
+    return TextureLayout(bases=tuple(bases), sizes=tuple(sizes), strides=tuple(sizes), num_texels=num_texels)
+
+
+def scene_layout(num_objects: int, size: int) -> TextureLayout:
+    """One texture of `size` texels squared for the whole scene, a grid of equal cells, one cell an object.
+
+    Lookups are clamped to the object's cell, so neighbours in the grid never mix.
+
+    Raises:
+        HyalineError: the cells would be narrower than 2 texels.
+    """
+    cells = math.ceil(math.sqrt(num_objects))
+    cell = size // cells
+    if cell < 2:
+        raise HyalineError(f"texture_size: is {size} for {num_objects} objects; expected at least {2 * cells} texels")
+    bases = tuple((index // cells * size + index % cells) * cell for index in range(num_objects))
+    return TextureLayout(
+        bases=bases, sizes=(cell,) * num_objects, strides=(size,) * num_objects, num_texels=size * size
+    )
+
+
+def bilinear_taps(
+    uv: Float32[Tensor, "hit 2"], object_id: UInt8[Tensor, " hit"], layout: TextureLayout
+) -> tuple[Int32[Tensor, "hit 4"], Float32[Tensor, "hit 4"]]:
+    """Rows of the four texels around each point, and their weights, which sum to 1.
+
+    Texel (row r, column c) has its centre at u = (c + 0.5) / size, v = 1 - (r + 0.5) / size. Outside the outermost
+    centres the border texel goes on: `grid_sample(align_corners=False, padding_mode="border")`.
+    """
+    of_objects = torch.tensor([layout.bases, layout.sizes, layout.strides], dtype=torch.int32, device=uv.device)
+    base, size, stride = of_objects[:, object_id.int() - 1]
+    last = size - 1
+    zero = torch.zeros((), device=uv.device)
+    x = torch.clamp(uv[:, 0] * size - 0.5, zero, last)
+    y = torch.clamp((1 - uv[:, 1]) * size - 0.5, zero, last)
+    left, top = x.int(), y.int()
+    x, y = x - left, y - top
+    upper = base + top * stride
+    lower = upper + stride * (top < last).int()
+    right = left + (left < last)
+    texels = torch.stack([upper + left, upper + right, lower + left, lower + right], dim=1)
+    weights = torch.stack([(1 - x) * (1 - y), x * (1 - y), (1 - x) * y, x * y], dim=1)
+    return texels, weights
+
+
+def sample(
+    tables: Sequence[Float32[Tensor, "texel c"]],
+    uv: Float32[Tensor, "ray layer 2"],
+    object_id: UInt8[Tensor, "ray layer"],
+    layouts: Sequence[TextureLayout],
+    scales: Sequence[float],
+) -> Float32[Tensor, "ray layer c"]:
+    """The scaled sum of the bilinear features of every layer in several tables; zeros where it is empty (object id 0).
+
+    Gradients flow to tables and uv. They are summed in a fixed order, so that a run on a CPU repeats bit by bit.
+    """
+    flat_uv, flat_id = uv.flatten(0, 1), object_id.flatten()
+    # On a GPU such a uv makes a loss of NaN; compiled loops would turn it into the place of some texel.
+    if flat_uv.device.type == "cpu" and not math.isfinite(flat_uv.detach().sum().item()):
+        raise NumericsError("uv: a layer has one that is not finite; check the data with `datagen verify`")
+    if flat_uv.device.type != "cpu":
+        levels = [scale * sample_by_bags(table, flat_uv, flat_id, layout)
+                  for table, layout, scale in zip(tables, layouts, scales, strict=True)]  # fmt: skip
+        features = torch.stack(levels).sum(dim=0) if len(levels) > 1 else levels[0]
+    else:
+        features = _CompiledSample.apply(flat_uv, flat_id, tuple(layouts), tuple(scales), *tables)
+    return features.view(*object_id.shape, tables[0].shape[1])
+
+
+class _CompiledSample(torch.autograd.Function):
+    """`sample` by the loops of `model.nets.texels`."""
+
+    @staticmethod
+    def forward(ctx: FunctionCtx, uv: Tensor, object_id: Tensor, layouts: tuple[TextureLayout, ...],
+                scales: tuple[float, ...], *tables: Tensor) -> Tensor:  # fmt: skip
+        ctx.save_for_backward(uv, object_id, *tables)
+        ctx.levels = [(places_of(layout), np.float32(scale)) for layout, scale in zip(layouts, scales, strict=True)]  # pyright: ignore[reportAttributeAccessIssue]
+        result = torch.zeros(len(object_id), tables[0].shape[1])
+        slots = uv.detach().contiguous().numpy(), object_id.numpy()
+        for table, (places, scale) in zip(tables, ctx.levels, strict=True):  # pyright: ignore[reportAttributeAccessIssue]
+            add_look_ups(result.numpy(), table.detach().contiguous().numpy(), *slots, places, scale)
+        return result
+
+    @staticmethod
+    def backward(ctx: FunctionCtx, *upstream: Tensor) -> tuple[Tensor | None, ...]:
+        uv, object_id, *tables = ctx.saved_tensors  # pyright: ignore[reportAttributeAccessIssue]
+        above = upstream[0].contiguous().numpy()
+        slots = uv.detach().contiguous().numpy(), object_id.numpy()
+        gradients = [torch.zeros(table.shape) for table in tables]
+        uv_gradient = torch.zeros(uv.shape) if ctx.needs_input_grad[0] else None  # pyright: ignore[reportAttributeAccessIssue]
+        for table, gradient, (places, scale) in zip(tables, gradients, ctx.levels, strict=True):  # pyright: ignore[reportAttributeAccessIssue]
+            add_gradient(gradient.numpy(), above, *slots, places, scale, torch.get_num_threads())
+            if uv_gradient is not None:
+                texels = table.detach().contiguous().numpy()
+                add_uv_gradient(uv_gradient.numpy(), above, texels, *slots, places, scale)
+        return uv_gradient, None, None, None, *gradients
+
+
+@functools.cache
+def places_of(layout: TextureLayout) -> Int32[np.ndarray, "3 object"]:
+    """First row, size and stride of each object's texture, as compiled loops read them."""
+    return np.array([layout.bases, layout.sizes, layout.strides], np.int32)
+
+
+def sample_by_bags(
+    table: Float32[Tensor, "texel c"],
+    uv: Float32[Tensor, "slot 2"],
+    object_id: UInt8[Tensor, " slot"],
+    layout: TextureLayout,
+) -> Float32[Tensor, "slot c"]:
+    """Bilinear features of every slot in one table, by torch's operations on any device.
+
+    Every slot is a bag of four texels, or an empty bag, whose sum is zero by definition: empty slots cost nothing.
+    """
+    hits = (object_id != 0).nonzero().squeeze(1)
+    texels, weights = bilinear_taps(uv[hits], object_id[hits], layout)
+    return _WeightedTexels.apply(table, texels, weights, hits, object_id.numel())
+
+
+class _WeightedTexels(torch.autograd.Function):
+    """Sums four weighted rows of a table into row `hits` of a result that is zero elsewhere.
+
+    The forward pass is `embedding_bag`; its own backward pass in torch 2.13 sorts the texels and takes twice as long as
+    this one.
+    """
+
+    @staticmethod
+    def forward(
+        ctx: FunctionCtx, table: Tensor, texels: Tensor, weights: Tensor, hits: Tensor, num_results: int
+    ) -> Tensor:
+        ctx.save_for_backward(table, texels, weights, hits)
+        sizes = torch.zeros(num_results, dtype=torch.int32, device=table.device)
+        sizes[hits] = 4
+        starts = torch.cumsum(sizes, 0, dtype=torch.int32) - sizes
+        return functional.embedding_bag(
+            texels.flatten(), table, starts, mode="sum", per_sample_weights=weights.flatten()
+        )
+
+    @staticmethod
+    def backward(ctx: FunctionCtx, *upstream: Tensor) -> tuple[Tensor | None, ...]:
+        table, texels, weights, hits = ctx.saved_tensors  # pyright: ignore[reportAttributeAccessIssue]
+        above = upstream[0][hits][:, None]
+        gradient = torch.zeros_like(table)
+        gradient.index_add_(0, texels.flatten(), (above * weights[..., None]).flatten(0, 1))
+        needs_weights = ctx.needs_input_grad[2]  # pyright: ignore[reportAttributeAccessIssue]
+        return gradient, None, (above * table[texels]).sum(dim=-1) if needs_weights else None, None, None
+
+
+class NeuralTextures(nn.Module):
+    """Learned features on the surface of every object: one table of texels, all trained together."""
+
+    def __init__(self, layout: TextureLayout, features: int, *, start: float = 0.0) -> None:
+        """A table of equal features.
+
+        The paper names no initial value. Zeros, like an empty layer: a texel that no training ray touched stays
+        neutral. Measured on the glass table at 128 pixels: 0.6 dB better than the authors' 0.5, 1.5 dB better than
+        noise of 0.1, which unseen texels keep.
+        """
+        super().__init__()
+        self.layout = layout
+        self.table = nn.Parameter(torch.full((self.layout.num_texels, features), start))
+
+    def forward(
+        self, uv: Float32[Tensor, "ray layer 2"], object_id: UInt8[Tensor, "ray layer"]
+    ) -> Float32[Tensor, "ray layer c"]:
+        return sample([self.table], uv, object_id, [self.layout], [1.0])
+
+
+class TexturePyramid(nn.ModuleList):
+    """Textures of one surface whose features are summed, finest first, each half as wide as the one before.
+
+    Source: hierarchical neural textures, Thies et al. 2019 (arXiv 1904.12356): what few rays have met is filled in from
+    around it. A list, so that level k's table is named `k.table`.
+    """
+
+    def __init__(
+        self, layouts: Sequence[TextureLayout], features: int, *, finer_counts: float = 1.0, start: float = 0.0
+    ) -> None:
+        """`finer_counts`: how much a level counts beside the next coarser one; the coarsest counts whole, and is where
+        the sum's `start` lies."""
+        super().__init__(
+            NeuralTextures(layout, features, start=start if layout is layouts[-1] else 0.0) for layout in layouts
+        )
+        self.finer_counts = finer_counts
+
+    def forward(
+        self, uv: Float32[Tensor, "ray layer 2"], object_id: UInt8[Tensor, "ray layer"]
+    ) -> Float32[Tensor, "ray layer c"]:
+        layouts = [level.layout for level in self._levels()]
+        return sample(self.tables(), uv, object_id, layouts, level_scales(len(self), self.finer_counts))
+
+    def tables(self) -> list[Float32[Tensor, "texel c"]]:
+        """The texels of each level, finest first."""
+        return [level.table for level in self._levels()]
+
+    def _levels(self) -> "list[NeuralTextures]":
+        return cast(list[NeuralTextures], list(self))
+
+
+def level_scales(num_levels: int, finer_counts: float) -> list[float]:
+    """What each level of a pyramid counts, finest first: `finer_counts` times as much as the next coarser one."""
+    return [finer_counts ** (num_levels - 1 - level) for level in range(num_levels)]
+
+
+def make_layout(num_objects: int, size: int, sharing: TextureSharing) -> TextureLayout:
+    """A texture of `size` texels squared for each object, at least 2, or one of that size for all."""
+    return object_layout((max(2, size),) * num_objects) if sharing == "object" else scene_layout(num_objects, size)

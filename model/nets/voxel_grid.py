@@ -1,0 +1,164 @@
+"""Owns the geometry of DeepVoxels: where its grid stands, which pixel each voxel falls on, which voxels each ray meets.
+
+Axis words besides the contract's: `z y x` voxels of the grid along the world's axes, `d` planes of a view's frustum,
+nearest first, `p q` rows and columns of the small picture plane on which features are lifted and projected.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Float32, Int
+from torch import Tensor
+from torch.nn import functional
+
+from datagen.data.dataset import Cameras
+from datagen.disk.errors import HyalineError
+
+CLEARANCE = 0.9
+"""The grid's bounding sphere reaches at most so far from its origin towards the nearest training camera."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ViewCamera:
+    """One camera with square pixels."""
+
+    world_from_camera: Float32[Tensor, "4 4"]
+    """OpenGL convention: it looks along -z."""
+    fov_x: float
+    """Field of view in radians."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class VoxelGrid:
+    """A cube of voxels, its edges along the world's axes."""
+
+    origin: Float32[Tensor, "3"]
+    """World position of voxel (n/2, n/2, n/2), metres: the middle of the cube but for half a voxel, as in the code of
+    the method's authors."""
+    voxel_size: Float32[Tensor, ""]
+    """Metres."""
+    num_voxels: int
+    """n: along each edge."""
+
+    @property
+    def num_planes(self) -> int:
+        """Planes of a view's frustum, a voxel apart: more than the cube's diagonal, sqrt(3) n."""
+        return 2 * self.num_voxels
+
+
+def fit_cube(cameras: Cameras, vertices: Float[np.ndarray, "vertex 3"]) -> tuple[Float[np.ndarray, "3"], float]:
+    """Origin and edge in metres of the cube that the grid fills, from the training cameras and the scene's extent.
+
+    The origin is the point nearest to all optical axes, in the sense of least squares. The cube is the smallest around
+    it that holds the scene, unless cameras stand inside its bounding sphere: then that ends before the nearest camera.
+    The method asks for it (its cameras look at the grid from outside); what a room has behind the grid must then be
+    drawn from within.
+
+    Source: DeepVoxels gives origin, scale and near plane by hand for each scene; here nobody chooses them.
+
+    Raises:
+        HyalineError: all cameras look the same way, or one stands where they look at.
+    """
+    position = cameras.world_from_camera[:, :3, 3]
+    forward = -cameras.world_from_camera[:, :3, 2]
+    # The square of a point's distance to an axis is |across (point - position)|^2.
+    across = np.eye(3) - forward[:, :, None] * forward[:, None, :]
+    total = across.sum(axis=0)
+    if np.linalg.eigvalsh(total)[0] < 1e-6 * len(position):
+        raise HyalineError(f"cameras: all {len(position)} look the same way; deepvoxels needs views from around")
+    origin = np.linalg.solve(total, np.einsum("vij,vj->i", across, position))
+    nearest = float(np.linalg.norm(position - origin, axis=1).min())
+    edge = min(2 * float(np.abs(vertices - origin).max()), CLEARANCE * nearest * 2 / math.sqrt(3))
+    if edge <= 0:
+        raise HyalineError(f"cameras: one stands at {origin.tolist()}, where all look; expected cameras around a scene")
+    return origin, edge
+
+
+def near_plane(camera: ViewCamera, grid: VoxelGrid) -> Float32[Tensor, ""]:
+    """Depth in metres of a view's first plane: where the grid's bounding sphere begins, but never behind the camera.
+
+    DeepVoxels has one near plane for all views. Each view has its own here, which is the same for cameras on a sphere
+    around the grid, and still meets the grid on a walk that comes nearer or goes farther.
+    """
+    to_origin = grid.origin - camera.world_from_camera[:3, 3]
+    depth = -(to_origin @ camera.world_from_camera[:3, 2])
+    return torch.maximum(depth - 0.5 * math.sqrt(3) * grid.num_voxels * grid.voxel_size, grid.voxel_size)
+
+
+def voxel_centers(grid: VoxelGrid) -> Float32[Tensor, "voxel 3"]:
+    """World positions of all voxels; voxel (x, y, z) is row (z n + y) n + x."""
+    steps = torch.arange(grid.num_voxels, device=grid.origin.device) - grid.num_voxels // 2
+    z, y, x = torch.meshgrid(steps, steps, steps, indexing="ij")
+    return grid.origin + grid.voxel_size * torch.stack([x, y, z], dim=-1).reshape(-1, 3)
+
+
+def project_points(p_world: Float32[Tensor, "point 3"], camera: ViewCamera, size: int) -> Float32[Tensor, "point 3"]:
+    """Column and row on a plane of `size` x `size` pixels, and depth in metres; pixel i has its centre at i + 0.5.
+
+    Column and row mean nothing where the depth is not positive.
+    """
+    p_camera = (p_world - camera.world_from_camera[:3, 3]) @ camera.world_from_camera[:3, :3]
+    right, up, depth = p_camera[:, 0], p_camera[:, 1], -p_camera[:, 2]
+    focal = 0.5 * size / math.tan(0.5 * camera.fov_x)
+    return torch.stack([0.5 * size + focal * right / depth, 0.5 * size - focal * up / depth, depth], dim=1)
+
+
+def frustum_points(camera: ViewCamera, grid: VoxelGrid, size: int) -> Float32[Tensor, "point 3"]:
+    """World positions of a view's frustum: plane by plane from the near plane on, row by row, at pixel centres."""
+    device = grid.origin.device
+    focal = 0.5 * size / math.tan(0.5 * camera.fov_x)
+    offset = (torch.arange(size, device=device) + 0.5 - 0.5 * size) / focal
+    depth = near_plane(camera, grid) + grid.voxel_size * torch.arange(grid.num_planes, device=device)
+    z, down, right = torch.meshgrid(depth, offset, offset, indexing="ij")
+    p_camera = torch.stack([right * z, -down * z, -z], dim=-1).reshape(-1, 3)
+    return camera.world_from_camera[:3, 3] + p_camera @ camera.world_from_camera[:3, :3].T
+
+
+def lift(features: Float32[Tensor, "1 c p q"], camera: ViewCamera, grid: VoxelGrid) -> Float32[Tensor, "1 c z y x"]:
+    """What a view shows at every voxel: its feature map, bilinear where the centre falls; 0 where the view ends.
+
+    The authors' code also drops voxels outside a frustum whose bounds it rounds to whole metres; that is left out.
+    Theirs takes pixel centres for whole numbers, half a pixel off.
+    """
+    size = features.shape[-1]
+    column, row, depth = project_points(voxel_centers(grid), camera, size).unbind(1)
+    is_seen = (depth > 0) & (column >= 0) & (column < size) & (row >= 0) & (row < size)
+    # Within half a pixel of the border, its pixel goes on.
+    place = torch.stack([row, column], dim=1)[is_seen].sub(0.5).clamp(0, size - 1)
+    rows = _gather(features[0].flatten(1).T, place, size)
+    return _spread(rows, is_seen).T.reshape(1, -1, *[grid.num_voxels] * 3)
+
+
+def sample_frustum(volume: Float32[Tensor, "1 c z y x"], camera: ViewCamera, grid: VoxelGrid, size: int
+                   ) -> Float32[Tensor, "1 c d p q"]:  # fmt: skip
+    """The grid's features on a view's frustum, trilinear between voxel centres; 0 outside the outermost centres."""
+    points = frustum_points(camera, grid, size)
+    place = (points - grid.origin) / grid.voxel_size + grid.num_voxels // 2
+    is_inside = ((place >= 0) & (place <= grid.num_voxels - 1)).all(dim=1)
+    rows = _gather(volume[0].flatten(1).T, place[is_inside].flip(1), grid.num_voxels)
+    return _spread(rows, is_inside).T.reshape(1, -1, grid.num_planes, size, size)
+
+
+def _gather(table: Float32[Tensor, "cell c"], place: Float32[Tensor, "point axis"], size: int
+            ) -> Float32[Tensor, "point c"]:  # fmt: skip
+    """Rows of a square or cubic table between its cells, linear along each axis; the last axis varies fastest.
+
+    A bag of four or eight rows for each point. `grid_sample` in five dimensions runs on one CPU thread.
+    """
+    low = place.floor().clamp(max=size - 2)
+    share = place - low
+    taps = place.new_zeros(len(place), 1, dtype=torch.int64)
+    weights = place.new_ones(len(place), 1)
+    for axis in range(place.shape[1]):
+        first, part = low[:, axis, None].long(), share[:, axis, None]
+        taps = torch.cat([size * taps + first, size * taps + first + 1], dim=1)
+        weights = torch.cat([weights * (1 - part), weights * part], dim=1)
+    return functional.embedding_bag(taps, table.contiguous(), per_sample_weights=weights, mode="sum")
+
+
+def _spread(rows: Float32[Tensor, "point c"], is_there: Bool[Tensor, " cell"]) -> Float32[Tensor, "cell c"]:
+    """Each row in the next place that is there; zeros elsewhere."""
+    index: Int[Tensor, " point"] = is_there.nonzero().squeeze(1)
+    return rows.new_zeros(len(is_there), rows.shape[1]).index_copy(0, index, rows)

@@ -1,0 +1,294 @@
+"""Owns a run's folder: what was trained on what, which state it is in, and its files.
+
+    RUN/run.json                    sealed, written first: the configuration and what it was trained on
+    RUN/run.next.json               while --overwrite deletes what the run before it left: what run.json will be
+    RUN/metrics.jsonl               a line per evaluation: step, loss (mean since the line before), held_out_psnr
+    RUN/checkpoint.pt               while training: everything that a resumed run needs (format: run/checkpoint.py)
+    RUN/checkpoint.previous.pt      the one before
+    RUN/weights.pt                  after training: the renderer alone; the checkpoints are deleted then
+    RUN/predictions/SPLIT/0000.png  8-bit sRGB
+    RUN/predictions.json            sealed, written last: SHA-256 of each prediction; a run that has it is finished
+    RUN/edits/NAME/...              predictions of edited scenes (format: model/run/edits.py)
+    RUN/x2/predictions...           the same, twice as wide and high (`model render --scale 2`)
+
+No time, host or thread count is in any of them: the same command gives the same bytes (on the same machine).
+"""
+
+import itertools
+import json
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import cast
+
+from datagen.data.advice import train_command
+from datagen.data.dataset import ANGLE_SPLITS, TEST_SPLITS, Dataset, check_files, view_name
+from datagen.data.geometries import describe_geometry
+from datagen.data.variants import homes_of_test_splits
+from datagen.disk.errors import HyalineError
+from datagen.disk.ownership import FolderKind, begin, is_ours, refuse_taken, remove_files
+from datagen.disk.reading import load_json
+from datagen.disk.records import Json, from_json, shown, to_json
+from datagen.disk.storage import SEAL, commit, commit_sealed, load_sealed, seal_bytes
+from model.losses.pixel_losses import LossConfig
+from model.methods.table import LrDecay, MethodConfig
+
+RUN_VERSION = 1
+
+RUN, METRICS, PREDICTIONS, WEIGHTS = "run.json", "metrics.jsonl", "predictions.json", "weights.pt"
+CHECKPOINT, PREVIOUS_CHECKPOINT = "checkpoint.pt", "checkpoint.previous.pt"
+NEXT_RUN = "run.next.json"
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainConfig:
+    """What `model train` does; two runs with equal configurations on equal data give equal bytes."""
+
+    method: str
+    geometry: str
+    """`truth`, a kind of proxy or a mixture."""
+    net: MethodConfig
+    seed: int = 0
+    steps: int = 2500
+    """Optimiser steps. The paper names no number; at 128 pixels the held-out PSNR has flattened after so many, which
+    take two minutes on two CPU cores."""
+    batch: int = 8192
+    """Random pixels a step, from all training images together; for deepvoxels pictures. The paper names no number; the
+    authors ran one whole image a step, which a per-pixel network does not need. On a CPU the time of a step is nearly
+    proportional to it."""
+    updates: int = 1
+    """Updates of the weights a step, each by an equal share of its batch. For as many rays, more of them fit better:
+    `light-path` gains 1.5 / 1.6 dB with two (400 steps of 1,024 pixels, one seed), 0.7 / 0.8 dB more with four."""
+    lr: float = 0.001
+    """Learning rate of Adam, default betas (section 4.4)."""
+    texture_lr: float | None = None
+    """Learning rate of the textures; None: the same, as in the paper."""
+    sky_lr: float | None = None
+    """Learning rate of a learned sky; None: that of the network."""
+    lr_decay: LrDecay = "linear"
+    """`linear`: constant for the first half of the steps, then down to zero. The paper's text names no decay, but the
+    authors' scripts ran exactly this one (100 epochs constant, 100 epochs linear)."""
+    beta1: float = 0.9
+    """Adam's first decay rate; 0.5 in the authors' code."""
+    weight_decay: float = 0.0
+    """On the network alone, as Adam's own (added to the gradient); 0.0001 in the authors' code."""
+    loss: LossConfig = field(default_factory=LossConfig)
+    """What is made small besides the method's own loss."""
+    held_out_views: int = 4
+    """Training views set aside for the progress line's PSNR: at most so many, and at most a fifth."""
+    evaluate_every: int = 500
+    """Steps between two held-out PSNRs."""
+    checkpoint_every: int = 1000
+    """Steps between two checkpoints, of which there is also one a minute: 15 MB each for 18 textures of 64 texels
+    squared, 230 MB of 256."""
+
+    def __post_init__(self) -> None:
+        for name in ("steps", "batch", "updates", "evaluate_every", "checkpoint_every"):
+            if getattr(self, name) < 1:
+                raise HyalineError(f"{name}: is {getattr(self, name)}; expected at least 1")
+        for name in ("seed", "held_out_views"):
+            if getattr(self, name) < 0:
+                raise HyalineError(f"{name}: is {getattr(self, name)}; expected at least 0")
+        if self.batch < 2 * self.updates:
+            raise HyalineError(
+                f"batch: is {self.batch}; expected at least 2 pixels for each of {self.updates} updates a step, "
+                "batch norm needs a spread"
+            )
+        for name in ("lr", "texture_lr", "sky_lr"):
+            rate = getattr(self, name)
+            if rate is not None and not 0 < rate <= 1:
+                raise HyalineError(f"{name}: is {rate}; expected a learning rate in (0, 1], 0.001 in the paper")
+        if not 0 <= self.beta1 < 1 or self.weight_decay < 0:
+            raise HyalineError(
+                f"beta1: is {self.beta1} with weight decay {self.weight_decay}; expected [0, 1) and >= 0"
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunRecord:
+    """The content of run.json, sealed."""
+
+    version: int
+    method: str
+    geometry: str
+    knowledge: str
+    """What the method was given besides images and cameras."""
+    dataset: str
+    """The dataset's folder as it was named."""
+    dataset_seal: str
+    layers_seal: str
+    seed: int
+    num_parameters: int
+    """Of the network alone."""
+    num_texture_parameters: int
+    num_layers: int | None = None
+    """Straight layers that it looks up; None: it traces its own paths, or an older program wrote the record."""
+    label: str
+    """How tables and figures call the run."""
+    config: TrainConfig
+    torch: str
+    """Version of torch."""
+
+
+def _is_run(path: Path) -> bool:
+    try:
+        _read_record(path)
+    except HyalineError:
+        return False
+    return True
+
+
+FOLDER = FolderKind(
+    what="run", head=RUN, folders=("predictions", "x[2-8]/predictions", "edits/*/predictions"), holds_head=_is_run
+)
+"""A folder in which a method from elsewhere keeps its pictures, and says so in a run.json of its own, is none."""
+
+
+def describe_knowledge(dataset: Dataset, geometry: str, *more: str) -> str:
+    """What a method was given besides images and cameras, in words; empty ones are left out."""
+    return ", ".join([describe_geometry(dataset, geometry), *filter(None, more)])
+
+
+def begin_run(out: Path, record: RunRecord, *, anew: bool) -> None:
+    """Writes the record of a run that begins or goes on; `anew` deletes what stands there before.
+
+    Killed at any moment, the folder holds the old run or one that has begun: never files without a record.
+
+    Raises:
+        HyalineError: something else stands there.
+    """
+    content = cast(dict[str, Json], to_json(record))
+    if not is_ours(out, FOLDER):
+        begin(out, FOLDER, seal_bytes(content), {})
+    elif anew:
+        refuse_taken(out, FOLDER, [] if _is_run(out / NEXT_RUN) else [NEXT_RUN], [])
+        commit_sealed(out / NEXT_RUN, content)
+        finish_clearing(out)
+    else:
+        commit_sealed(out / RUN, content)
+
+
+def finish_clearing(out: Path) -> None:
+    """Ends what an --overwrite has begun that was killed while it deleted; does nothing otherwise."""
+    if is_ours(out, FOLDER) and _is_run(out / NEXT_RUN):
+        clear_run(out)
+        (out / NEXT_RUN).replace(out / RUN)
+
+
+def read_run(out: Path) -> RunRecord:
+    """The record of a run.
+
+    Raises:
+        HyalineError: no run there, a damaged one, of another version, or with an unknown key.
+    """
+    if not (out / RUN).is_file():
+        raise HyalineError(f"{out}: no run there; make one with `{train_command(out)}`")
+    return _read_record(out / RUN)
+
+
+def _read_record(path: Path) -> RunRecord:
+    content = load_json(path)
+    if SEAL in content:  # Older runs have none.
+        content = load_sealed(path)
+    if content.get("version") != RUN_VERSION:
+        raise HyalineError(f"{path}: format version {shown(content.get('version'))}; this program reads {RUN_VERSION}")
+    return from_json(RunRecord, cast(Json, content), where=str(path))
+
+
+def check_same_run(out: Path, config: TrainConfig, *, dataset_seal: str, layers_seal: str) -> None:
+    """Refuses to go on with, or to skip, a run of another configuration or of other data.
+
+    Labels, folder names and torch's version do not count.
+
+    Raises:
+        HyalineError: names the first key that differs.
+    """
+    record = read_run(out)
+    before = {**_flatten(to_json(record.config)), "dataset": record.dataset_seal, "layers": record.layers_seal}
+    after = {**_flatten(to_json(config)), "dataset": dataset_seal, "layers": layers_seal}
+    for key in {**after, **before}:
+        if before.get(key) != after.get(key):
+            raise HyalineError(
+                f"{out}: holds a run with another {key}: {before.get(key)} there, {after.get(key)} here; "
+                f"start anew with --overwrite, or choose another --out"
+            )
+
+
+def is_config(stored: object, config: TrainConfig) -> bool:
+    """True when a configuration stored as JSON is this one; what is younger than it counts as the default.
+
+    Raises:
+        HyalineError: an unknown key.
+    """
+    return from_json(TrainConfig, cast(Json, stored), where="config") == config
+
+
+def is_finished(out: Path) -> bool:
+    """True when all predictions are there and verify."""
+    try:
+        check_files(out, read_prediction_hashes(out))
+    except HyalineError:
+        return False
+    return True
+
+
+def lacks_a_split(out: Path, dataset: Dataset) -> bool:
+    """True when the dataset has got splits, by angle, since the run was finished."""
+    predicted = {Path(path).parts[1] for path in read_prediction_hashes(out)}
+    return not predicted >= set(homes_of_test_splits(dataset))
+
+
+def write_prediction_hashes(out: Path, files: dict[str, str]) -> None:
+    commit_sealed(out / PREDICTIONS, {"version": RUN_VERSION, "files": dict(files)})
+
+
+def read_prediction_hashes(out: Path) -> dict[str, str]:
+    """SHA-256 of each prediction by path relative to the run."""
+    path = out / PREDICTIONS
+    content = load_sealed(path)
+    if content.get("version") != RUN_VERSION:
+        raise HyalineError(f"{path}: format version {content.get('version')!r}; this program reads {RUN_VERSION}")
+    files = from_json(dict[str, str], content.get("files"), where=f"{path}: files")
+    for file in files:
+        if not re.fullmatch(rf"predictions/({'|'.join((*TEST_SPLITS, *ANGLE_SPLITS))})/[0-9]{{4,}}\.png", file):
+            raise HyalineError(f"{path}: lists {file!r}; expected predictions/SPLIT/0000.png")
+    return files
+
+
+def clear_run(out: Path) -> None:
+    """Deletes what a run has made, and nothing else; its record stays until the next one takes its place."""
+    remove_files(out, [PREDICTIONS, WEIGHTS, CHECKPOINT, PREVIOUS_CHECKPOINT, METRICS, *_pictures(out)])
+    for pattern in ("x[2-8]", "edits/*"):
+        for folder in sorted(out.glob(pattern)):
+            name = folder.relative_to(out).as_posix()
+            remove_files(out, [f"{name}/{PREDICTIONS}", *(f"{name}/{file}" for file in _pictures(folder))])
+
+
+def _pictures(folder: Path) -> list[str]:
+    """The predictions in a folder, by path relative to it; others may have put further files there.
+
+    Those that are listed; where rendering was stopped, and nothing is listed yet, those that it makes one by one.
+    """
+    try:
+        return list(read_prediction_hashes(folder))
+    except HyalineError:
+        found = []
+    for split in (*TEST_SPLITS, *ANGLE_SPLITS):
+        names = (f"predictions/{split}/{view_name(view)}.png" for view in itertools.count())
+        found += itertools.takewhile(lambda name: (folder / name).is_file(), names)
+    return found
+
+
+def write_metrics(out: Path, metrics: list[dict[str, Json]]) -> None:
+    """Commits the lines of metrics.jsonl; without any there is no such file."""
+    if metrics:
+        commit(out / METRICS, "".join(json.dumps(line, allow_nan=False) + "\n" for line in metrics).encode())
+    else:
+        (out / METRICS).unlink(missing_ok=True)
+
+
+def _flatten(data: Json) -> dict[str, Json]:
+    flat: dict[str, Json] = {}
+    for key, value in cast(dict[str, Json], data).items():
+        flat |= _flatten(value) if isinstance(value, dict) else {key: value}
+    return flat

@@ -1,0 +1,180 @@
+"""Owns the kind `box`: the oriented bounding box of least volume."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+from datagen.data.meshes import Mesh
+from proxies.meshing.solid import Solid
+
+MAX_DIRECTIONS = 400
+"""Face normals of the hull that are tried as a side of the box, largest area first."""
+
+CELLS = 8
+"""Parts along the box's longest side; shorter sides have fewer, so that triangles stay near to square."""
+
+MAX_EDGES = 20
+"""Hull edges that are tried in pairs as flush with two neighbouring sides of the box, longest first."""
+
+WORTH_TURNING = 5e-3
+"""Least gain in volume for which a box leaves the world's axes."""
+
+GUTTER = 1.25 / 256
+"""Distance of a chart from its slot's rim: 2.5 texels between charts at 256^2, so bilinear lookups never mix two."""
+
+MIN_ROW = 1 / 16
+"""Least height of a row of charts, in parts of the atlas: the thin sides of a slab keep some texels."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Box:
+    """An oriented box."""
+
+    center: Float64[np.ndarray, "3"]
+    axes: Float64[np.ndarray, "3 3"]
+    """Unit axes as rows, right-handed, longest side first."""
+    half: Float64[np.ndarray, "3"]
+    """Half of each side in metres."""
+
+
+def fit_box(solid: Solid, *, padding: float) -> Mesh:
+    """The solid's smallest oriented box, each side moved outward by `padding` metres."""
+    box = smallest_box(solid)
+    return box_mesh(Box(center=box.center, axes=box.axes, half=box.half + padding))
+
+
+def smallest_box(solid: Solid) -> Box:
+    """The oriented box of least volume around all points.
+
+    A least box need not lie flush with a face of the hull (O'Rourke 1985), so the best ones that do are the start of a
+    descent: the box is turned about each of its axes in turn, each time to the exact optimum, until nothing improves.
+    """
+    points = solid.hull_points
+    frames = [np.eye(3), *(_turned_about(direction, points) for direction in _directions(solid))]
+    volumes = np.array([_volume(frame, points) for frame in frames])
+    # Round things fit all ways equally well: a turned box must be better than the upright one by more than a trace.
+    best, least = frames[0], volumes[0] * (1 - WORTH_TURNING)
+    for index in np.argsort(volumes, kind="stable")[:5]:
+        frame, volume = frames[index], volumes[index]
+        for _ in range(20):
+            turned = min(
+                (_turned_about(axis, points) for axis in frame), key=lambda candidate: _volume(candidate, points)
+            )
+            if _volume(turned, points) > volume * (1 - 1e-7):
+                break
+            frame, volume = turned, _volume(turned, points)
+        if volume < least * (1 - 1e-6):
+            least = volume
+            best = frame
+    return _box_of_frame(best, solid.points)
+
+
+def box_mesh(box: Box) -> Mesh:
+    """The box as a closed mesh: a grid on each of the six sides, each side a chart of its own, flat normals."""
+    counts = np.clip(np.ceil(CELLS * box.half / box.half.max()), 1, CELLS).astype(int)
+    heights = _row_heights(box.half)
+    vertices, faces, normals, uv = [], [], [], []
+    total = 0
+    # Each row of the atlas holds the two sides across one axis: (u axis, v axis, normal axis), widest row first.
+    for row, (along_u, along_v, across) in enumerate(((0, 1, 2), (0, 2, 1), (1, 2, 0))):
+        for side, sign in enumerate((1, -1)):
+            # u x v must be the outward normal, or the texture would be mirrored.
+            handedness = sign * np.linalg.det(np.eye(3)[[along_u, along_v, across]])
+            s, t = (np.arange(counts[axis] + 1) / counts[axis] for axis in (along_u, along_v))
+            s, t = (grid.reshape(-1) for grid in np.meshgrid(s, t, indexing="ij"))
+            local = np.empty((len(s), 3))
+            local[:, along_u] = (2 * s - 1 if handedness > 0 else 1 - 2 * s) * box.half[along_u]
+            local[:, along_v] = (2 * t - 1) * box.half[along_v]
+            local[:, across] = sign * box.half[across]
+            low = np.array([0.5 * side, heights[:row].sum()]) + GUTTER
+            high = np.array([0.5 * (side + 1), heights[: row + 1].sum()]) - GUTTER
+            vertices.append(_to_world(box, local))
+            normals.append(np.broadcast_to(sign * box.axes[across], local.shape))
+            uv.append(low + np.stack([s, t], axis=-1) * (high - low))
+            faces.append(total + _grid_faces(counts[along_u], counts[along_v]))
+            total += len(s)
+    return Mesh(
+        vertices=np.concatenate(vertices).astype(np.float32),
+        faces=np.concatenate(faces).astype(np.int32),
+        normals=np.concatenate(normals).astype(np.float32),
+        uv=np.clip(np.concatenate(uv), 0, 1).astype(np.float32),
+    )
+
+
+def _directions(solid: Solid) -> np.ndarray:
+    """Unit vectors (n, 3) that may stand across a side: normals of hull faces, and of planes along two hull edges."""
+    corners = solid.hull_points[solid.hull_faces]
+    a, b, c = np.moveaxis(corners, 1, 0)
+    normals = _largest(np.cross(b - a, c - a), MAX_DIRECTIONS)
+    edges = _largest((np.roll(corners, -1, axis=1) - corners).reshape(-1, 3), MAX_EDGES)
+    one, other = np.triu_indices(len(edges), k=1)
+    return np.concatenate([normals, _largest(np.cross(edges[one], edges[other]), MAX_DIRECTIONS)])
+
+
+def _largest(vectors: np.ndarray, count: int) -> np.ndarray:
+    """The longest vectors made unit, nearly equal and opposite ones once."""
+    lengths = np.linalg.norm(vectors, axis=-1)
+    order = np.argsort(-lengths, kind="stable")
+    order = order[lengths[order] > 1e-6 * lengths.max(initial=0)]
+    units = vectors[order] / lengths[order, None]
+    # Of a vector and its opposite, the one whose largest component is positive.
+    signs = np.sign(np.take_along_axis(units, np.abs(units).argmax(axis=1)[:, None], axis=1))
+    _, first = np.unique(np.round(units * signs, 3), axis=0, return_index=True)
+    return units[np.sort(first)][:count]
+
+
+def _turned_about(axis: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Of all frames (3, 3) with the row `axis`, the one with the smallest box: its base is flush with a hull edge."""
+    from scipy.spatial import ConvexHull
+
+    seed = np.eye(3)[np.abs(axis).argmin()]
+    side = np.cross(axis, seed)
+    side /= np.linalg.norm(side)
+    base = np.stack([side, np.cross(axis, side)])
+    flat = points @ base.T
+    outline = flat[ConvexHull(flat, qhull_options="QJ").vertices]
+    edges = np.roll(outline, -1, axis=0) - outline
+    lengths = np.linalg.norm(edges, axis=-1)
+    edges = edges[lengths > 1e-9 * lengths.max()] / lengths[lengths > 1e-9 * lengths.max(), None]
+    across = np.stack([-edges[:, 1], edges[:, 0]], axis=-1)
+    areas = np.ptp(outline @ edges.T, axis=0) * np.ptp(outline @ across.T, axis=0)
+    best = int(areas.argmin())
+    return np.stack([edges[best] @ base, across[best] @ base, axis])
+
+
+def _volume(frame: np.ndarray, points: np.ndarray) -> float:
+    return float(np.prod(np.ptp(points @ frame.T, axis=0)))
+
+
+def _box_of_frame(frame: np.ndarray, points: np.ndarray) -> Box:
+    """The box in a frame, its axes in a fixed order and sense whatever the search gave."""
+    sizes = np.ptp(points @ frame.T, axis=0)
+    # Equal sides (to rounding) are told apart by the world axis that they are nearest to.
+    nearest = np.abs(frame).argmax(axis=1)
+    axes = frame[np.lexsort((nearest, -np.round(sizes / sizes.max(), 6)))]
+    for axis in axes[:2]:
+        axis *= np.sign(axis[np.abs(axis).argmax()])
+    axes[2] = np.cross(axes[0], axes[1])
+    local = points @ axes.T
+    low, high = local.min(axis=0), local.max(axis=0)
+    return Box(center=0.5 * (low + high) @ axes, axes=axes, half=0.5 * (high - low))
+
+
+def _row_heights(half: np.ndarray) -> np.ndarray:
+    """Heights of the three rows of charts in parts of the atlas, by the sides that stand upright in them."""
+    heights = half[[1, 2, 2]] / half[[1, 2, 2]].sum()
+    return np.maximum(heights, MIN_ROW) / np.maximum(heights, MIN_ROW).sum()
+
+
+def _to_world(box: Box, local: np.ndarray) -> np.ndarray:
+    """Element by element, not by matrix product: BLAS rounds equal rows differently, and seams would open."""
+    x, y, z = (local[:, axis, None] for axis in range(3))
+    return box.center + x * box.axes[0] + y * box.axes[1] + z * box.axes[2]
+
+
+def _grid_faces(rows: int, columns: int) -> np.ndarray:
+    """Two counter-clockwise triangles a cell of a grid of (rows + 1, columns + 1) vertices, rows along u."""
+    index = np.arange((rows + 1) * (columns + 1)).reshape(rows + 1, columns + 1)
+    a, b, c, d = (part.reshape(-1) for part in (index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]))
+    return np.concatenate([np.stack([a, b, c], axis=-1), np.stack([a, c, d], axis=-1)])

@@ -1,0 +1,87 @@
+"""Owns the kind `hull`: the convex hull with its edges and corners rounded, a smooth convex mesh around the object.
+
+All is done in the space in which the hull's smallest ellipsoid is the unit sphere. A hull is never thinner there than a
+third of the sphere (John 1948), so a slab's rim gets a rounding of its own size, and texels.
+"""
+
+import numpy as np
+
+from datagen.data.meshes import Mesh
+from proxies.kinds.ellipsoid import smallest_ellipsoid, sphere_grid
+from proxies.meshing.solid import Solid, hull_by_scipy, outside_by
+from proxies.meshing.surface import Surface, unwrap_sound
+
+CELLS = 12
+"""Grid cells along an edge of the octahedron: 4 * 12^2 + 2 = 578 normals, each of which gives the hull a vertex."""
+
+ROUNDING = 0.1
+"""Radius of the roundings in parts of the ellipsoid's radii: 19 % more volume around a cube, 3 % around a ball."""
+
+MIN_FACES = (1e-5, 1e-4, 1e-3, 1e-2)
+"""Least area of a face in parts of the whole: the first with which the atlas, which stretches charts, has room."""
+
+
+def fit_hulls(solids: tuple[Solid, ...], paddings: tuple[float, ...]) -> tuple[Mesh, ...]:
+    """Each solid's rounded convex hull, with all points behind each facet's plane by the padding in metres."""
+    return unwrap_sound(
+        lambda index, place: (rounded_hull(solids[index], padding=paddings[index], min_face=MIN_FACES[place]), place),
+        count=len(solids),
+        places=len(MIN_FACES),
+    )
+
+
+def rounded_hull(solid: Solid, *, padding: float, min_face: float) -> Surface:
+    """The sum of the shrunken hull and a ball, just as large as it takes to enclose the hull and the padding.
+
+    Of the sum of two convex bodies, the point farthest along a normal is the sum of theirs. So evenly spread normals
+    give vertices that lie close where the hull is rounded and far apart where it is flat, and the normals are exact.
+    """
+    ellipsoid = smallest_ellipsoid(solid.hull_points)
+    root, center = ellipsoid.root, ellipsoid.center
+    local = np.linalg.solve(root, (solid.hull_points - center).T).T
+    normals = sphere_grid(CELLS).positions
+    body = local[(normals @ local.T).argmax(axis=1)] + ROUNDING * normals
+    kept = _without_slivers(body, min_face)
+    body, normals = body[kept], normals[kept]
+    # The ball has grown the flat sides, too: the body shrinks until one of its facets touches the hull.
+    body *= _gauge(body, local)
+    normals_world = np.linalg.solve(root, normals.T).T
+    normals_world /= np.linalg.norm(normals_world, axis=-1, keepdims=True)
+    outward = np.linalg.solve(root, normals_world.T).T
+    offset = padding
+    while True:  # Two or three times: a facet moves by the offset, less the cosine of what it leans by.
+        grown = body + offset * outward
+        used, faces = hull_by_scipy(grown)
+        assert len(used) == len(grown), "each is the farthest along its normal"
+        vertices = center + grown @ root
+        missing = float(outside_by(vertices[faces], solid.hull_points).max()) + padding
+        if missing <= 0.1 * padding:
+            return Surface(vertices=vertices, faces=faces, normals=normals_world, charted=grown)
+        offset += missing
+
+
+def _without_slivers(points: np.ndarray, min_face: float) -> np.ndarray:
+    """Indices of points whose convex hull has no tiny faces: of each such face, the flattest corner is left out."""
+    kept = np.arange(len(points))
+    while True:
+        _, faces = hull_by_scipy(points[kept])
+        corners = points[kept][faces]
+        opposite = np.linalg.norm(np.roll(corners, -1, axis=1) - np.roll(corners, -2, axis=1), axis=-1)
+        areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=-1)
+        tiny = np.flatnonzero(areas < min_face * areas.sum())
+        if len(tiny) == 0:
+            return kept
+        is_kept = np.ones(len(kept), bool)
+        for face in tiny[np.argsort(areas[tiny], kind="stable")]:
+            # Once a corner is gone, its other faces are no more.
+            if is_kept[faces[face]].all():
+                is_kept[faces[face, opposite[face].argmax()]] = False
+        kept = kept[is_kept]
+
+
+def _gauge(body: np.ndarray, points: np.ndarray) -> float:
+    """The factor by which the convex hull of `body` must grow about the origin to enclose the points."""
+    a, b, c = np.moveaxis(body[hull_by_scipy(body)[1]], 1, 0)
+    planes = np.cross(b - a, c - a)
+    planes /= np.einsum("fi,fi->f", planes, a)[:, None]
+    return max(float((points @ planes[start : start + 256].T).max()) for start in range(0, len(planes), 256))
