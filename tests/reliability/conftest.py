@@ -12,7 +12,7 @@ from support.commands import call, run
 from support.disk import State, empty, read_state
 from support.fake_renderer import install
 from support.scenarios import GRID, PREPARED
-from synthetic import synthetic_scene
+from support.synthetic import synthetic_scene
 
 from datagen.scene.description import save_scene
 from model.run.run_folder import TrainConfig

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from support.scenarios import BUILD, TRAIN
-from synthetic import synthetic_scene
+from support.synthetic import synthetic_scene
 
 from datagen.scene.description import save_scene
 

@@ -11,7 +11,7 @@ PROGRAM = """
 import os, sys
 sys.path.insert(0, {tests!r})
 from pathlib import Path
-from synthetic import synthetic_scene
+from support.synthetic import synthetic_scene
 import datagen.build.build as build
 from datagen.data.dataset import DatasetConfig, SplitConfig
 

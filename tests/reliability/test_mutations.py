@@ -9,7 +9,7 @@ import torch
 from support.disk import State, read_state
 from support.hostile.corpus import write_world
 from support.promises import spread
-from synthetic import write_synthetic_dataset
+from support.synthetic import write_synthetic_dataset
 
 from datagen.build.verify import verify_dataset
 from datagen.data.dataset import TEST_SPLITS

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.disk import State, differing, read_state
-from synthetic import synthetic_scene
+from support.synthetic import synthetic_scene
 
 from datagen.scene.description import save_scene
 

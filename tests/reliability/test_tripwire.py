@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import pytest
-from support.commands import MAINS, call
+from support.commands import MAINS, Answer, call
 from support.disk import State, read_state
 from support.scenarios import BUILD, GRID, TRAIN
 

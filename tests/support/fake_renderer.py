@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from synthetic import pixel_rays, shade, trace
+from support.synthetic import pixel_rays, shade, trace
 
 from datagen.data.dataset import Dataset, Split, commit_view, open_dataset, png_bytes, read_cameras
 from datagen.data.geometries import read_meshes
@@ -61,7 +61,7 @@ def _trace(dataset: Dataset, split: Split, view: int, num_layers: int) -> Layers
 def install(patch: pytest.MonkeyPatch) -> None:
     """Lets builds in this process call these."""
     import datagen.build.build
-    import datagen.data.edit_masks
+    import datagen.build.find_edit_masks
     import datagen.machine.mitsuba_variant
 
     for name, function in (("render", render), ("peel", peel), ("trace", trace_paths)):
@@ -69,7 +69,7 @@ def install(patch: pytest.MonkeyPatch) -> None:
         patch.setattr(datagen.build.build, f"{name}_task", function)
     patch.setattr(datagen.build.build, "_require_vectorised", lambda: None)
     patch.setattr(datagen.machine.mitsuba_variant, "use_mitsuba", lambda **options: "none")
-    patch.setattr(datagen.data.edit_masks, "_read_halves", _read_halves)
+    patch.setattr(datagen.build.find_edit_masks, "_read_halves", _read_halves)
 
 
 def _read_halves(dataset: Dataset, split: Split, view: int) -> np.ndarray:

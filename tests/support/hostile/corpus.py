@@ -8,7 +8,7 @@ from support.hostile.jsons import experiment_cases, json_cases, sealed, text_cas
 from support.hostile.meshes import mesh_cases
 from support.hostile.pictures import PREDICTION, exr_cases, picture_cases
 from support.hostile.states import state_cases
-from synthetic import synthetic_scene, write_synthetic_dataset
+from support.synthetic import synthetic_scene, write_synthetic_dataset
 
 from datagen.data.geometries import TRUTH, ProxyStatistics, read_meshes, write_proxies
 from datagen.scene.description import save_scene

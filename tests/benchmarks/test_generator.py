@@ -1,0 +1,143 @@
+"""Tests the benches at tiny sizes: that they check what they time, and count right. Speed is not asserted here."""
+
+import dataclasses
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from support.meshes import mesh_of
+from support.rigs import config
+from support.synthetic import quad, synthetic_scene
+
+from benchmarks.generator.scale import Point, ScaleReport, Task, bench_scale, fit_growth, measure_task, show_scale
+from benchmarks.generator.shells import make_shells, random_cameras
+from datagen.data.meshes import check_closed, check_mesh
+from datagen.disk.errors import HyalineError
+from datagen.machine.mitsuba_variant import use_mitsuba
+from datagen.scene.description import Dielectric, SceneObject
+from datagen.scene.rig import make_cameras
+from datagen.trace.raster import Rasterizer
+
+use_mitsuba(quiet=True)
+
+from benchmarks.generator.peel import ENGINES, bench_peel, check_parity, compare_engines, is_general  # noqa: E402
+from benchmarks.generator.truth import bench_truth, fit_noise  # noqa: E402
+from datagen.trace.peel import Peeler  # noqa: E402
+
+
+def test_the_shells_are_closed_and_as_many_as_asked_for() -> None:
+    meshes = make_shells(3000, 7)
+    assert len(meshes) == 7
+    assert 0.7 < sum(len(mesh.faces) for mesh in meshes) / 3000 < 1.3
+    for index, mesh in enumerate(meshes):
+        check_mesh(mesh, where=f"shell {index}")
+        check_closed(mesh, where=f"shell {index}")
+
+
+def test_every_engine_is_timed_after_all_checks_passed() -> None:
+    pytest.importorskip("embreex", reason="embreex has no wheel for this machine")
+    report = bench_peel(size=24, num_layers=3, triangles=0.01, rounds=3)
+    assert [timing.name for timing in report.timings] == list(ENGINES)
+    assert [check.name for check in report.checks] == [
+        "same objects", "even parity", "stored layers are the peeled ones", "same light paths"
+    ]  # fmt: skip
+    assert all(check.passed for check in report.checks)
+    assert all(gate.ratio is not None for gate in report.gates)
+
+
+def test_a_wrong_engine_fails_the_check() -> None:
+    meshes, cameras = make_shells(2000), random_cameras(2, 24)
+    passed, detail = compare_engines(meshes, Peeler(meshes), Rasterizer(meshes[::-1]), cameras, 4)
+    assert not passed
+    assert "first (view, row, column)" in detail
+
+
+def test_an_open_mesh_fails_the_parity() -> None:
+    meshes, cameras = make_shells(500), random_cameras(2, 24)
+    assert check_parity(meshes, Rasterizer(meshes), cameras)[0]
+    assert not check_parity((quad(0.0),), Rasterizer((quad(0.0),)), cameras)[0]
+
+
+def test_rays_through_edges_and_through_coincident_faces_are_in_no_general_position() -> None:
+    up, down = np.array([0.3, 0.1, 2.0], np.float32), np.array([0.0, 0.0, -1.0], np.float32)
+    assert is_general((quad(0.0), quad(-0.1)), up, down)
+    assert not is_general((quad(0.0), quad(-5e-6)), up, down)
+    diagonal = np.array([0.25, 0.25, 2.0], np.float32)
+    assert not is_general((quad(0.0),), diagonal, down)
+
+
+def test_truth_is_checked_and_its_noise_extrapolated() -> None:
+    ball = mesh_of(trimesh.creation.icosphere(2, 0.4))
+    scene = synthetic_scene()
+    glass = SceneObject(name="ball", mesh=ball, material=Dielectric(ior=1.5, absorption=(3.0, 1.0, 2.0)))
+    scene = dataclasses.replace(scene, objects=(*scene.objects[1:], glass))
+    cameras = make_cameras(scene.cameras, config(views=2))["train"]
+    report = bench_truth(scene, cameras, low_spp=4, high_spp=16, mean_spp=256, rounds=3)
+    assert [check.passed for check in report.checks] == [True], report.checks
+    ours = report.facts["datagen build: samples per pixel for 45 dB"]
+    default = report.facts["mitsuba's defaults: samples per pixel for 45 dB"]
+    assert isinstance(ours, float) and isinstance(default, float)
+    assert 1 < ours < default
+    assert report.gates[0].ratio is not None
+
+
+def test_noise_of_a_known_law_is_extrapolated_exactly() -> None:
+    def radiance(*, spp: int, seed: int) -> tuple[np.ndarray, int]:
+        # In the linear range of the sRGB curve, whose slope is 12.92.
+        noise = np.random.default_rng(seed).normal(size=(64, 64, 3)) * 1e-4 / np.sqrt(spp)
+        return (0.0015 + noise).astype(np.float32), spp
+
+    law = fit_noise(radiance, 4, 64)
+    assert law.exponent == pytest.approx(1, abs=0.02)
+    assert law.spp_for(60) == pytest.approx((12.92 * 1e-4) ** 2 / 1e-6, rel=0.05)
+
+
+def points_of_a_law(exponent: float) -> list[Point]:
+    return [
+        Point(engine="raster", quantity="pixels", factor=factor, value=100 * factor, wall_s=0.1 * factor**exponent,
+              cpu_s=0.2 * factor, memory_mb=7.0)
+        for factor in (1, 2, 8)
+    ]  # fmt: skip
+
+
+def test_growth_is_the_exponent_of_the_power_law(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    points = [*points_of_a_law(0.7), *(dataclasses.replace(p, engine="mitsuba") for p in points_of_a_law(1.3))]
+    growth = fit_growth(points)
+    assert [law.wall for law in growth] == pytest.approx([0.7, 1.3])
+    assert [law.cpu for law in growth] == pytest.approx([1, 1])
+    assert [law.memory for law in growth] == pytest.approx([0, 0], abs=1e-9)
+    from benchmarks.harness import describe_machine
+
+    report = ScaleReport(machine=describe_machine(), points=tuple(points), growth=growth)
+    show_scale(report, tmp_path / "scale.png", as_json=True)
+    assert json.loads(capsys.readouterr().out)["growth"][0]["quantity"] == "pixels"
+    assert (tmp_path / "scale.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_point_has_times_and_memory() -> None:
+    wall, cpu, memory = measure_task("raster", Task(pixels=900, triangles=2000), rounds=2)
+    assert 0 < wall < 10
+    assert 0 < cpu < 10
+    assert memory > 0
+
+
+def test_factors_that_lead_nowhere_are_refused() -> None:
+    with pytest.raises(HyalineError, match="expected two or more"):
+        bench_scale((1,))
+    with pytest.raises(HyalineError, match="lead to 500 objects"):
+        bench_scale((1, 100), ("objects",))
+
+
+def test_the_command_lists_its_benches_and_prints_json_alone() -> None:
+    command = [sys.executable, "-m", "benchmarks"]
+    answer = subprocess.run([*command, "--help"], capture_output=True, text=True, check=True)
+    assert all(name in answer.stdout for name in ("peel", "truth", "scale"))
+    tiny = ["peel", "--size", "16", "--triangles", "0.01", "--rounds", "3", "--engines", "raster", "exr", "--json"]
+    answer = subprocess.run([*command, *tiny], capture_output=True, text=True, check=False)
+    parsed = json.loads(answer.stdout)
+    assert answer.returncode == (0 if parsed["passed"] else 1)
+    assert [timing["name"] for timing in parsed["timings"]] == ["raster", "exr"]

@@ -1,0 +1,371 @@
+"""Tests edits of scenes: what they change and what they leave, what is refused, and their datasets on disk."""
+
+import dataclasses
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from support.reference import common_area
+from support.synthetic import pixel_rays, quad, synthetic_scene, trace
+
+from datagen.build.build import build_dataset, peel_dataset
+from datagen.build.build_edit import build_edit
+from datagen.build.find_edit_masks import find_footprint, shows_objects
+from datagen.build.verify import verify_dataset
+from datagen.data.dataset import SPLITS, Cameras, Dataset, DatasetConfig, SplitConfig, read_cameras, read_image
+from datagen.data.edit_masks import ELSEWHERE, LIGHT, OBJECT, read_footprint
+from datagen.data.edited import open_edit
+from datagen.data.geometries import TRUTH, ProxyStatistics, read_meshes, write_proxies
+from datagen.data.layers import read_layers
+from datagen.data.meshes import Mesh, is_there, no_mesh
+from datagen.disk.errors import HyalineError
+from datagen.disk.storage import sha256
+from datagen.machine.mitsuba_variant import use_mitsuba
+from datagen.scene.contact import TOLERANCE, count_touching_faces
+from datagen.scene.description import (
+    Dielectric,
+    Diffuse,
+    Scene,
+    SceneObject,
+    SolidTexture,
+    load_scene,
+    save_scene,
+    scene_files,
+)
+from datagen.scene.edits import Edit, describe_edit, edit_scene, edits_name, moved_mesh, parse_edit
+from datagen.scene.modelling import ball, cylinder, moved
+from datagen.scene.solid_textures import evaluate_texture
+from datagen.trace.peel import Peeler
+from eval.analyses.order import orders
+from model.nets.texture import NeuralTextures, object_layout
+from model.run.edits import with_copies
+
+use_mitsuba(quiet=True)
+
+STRIPES = SolidTexture(pattern="stripes", colors=((0.8, 0.7, 0.6), (0.1, 0.1, 0.3)), scale=0.15, axis="x")
+
+
+def edited(scene: Scene, *texts: str) -> Scene:
+    return edit_scene(scene, tuple(map(parse_edit, texts))).scene
+
+
+def with_uv(mesh: Mesh) -> Mesh:
+    """Any uv: nothing here reads texels of it."""
+    return dataclasses.replace(mesh, uv=np.full((len(mesh.vertices), 2), 0.5, np.float32))
+
+
+def table() -> Scene:
+    """A striped floor, a ball of glass and a striped post, a millimetre above it."""
+    sphere, post = moved(ball(0.3, subdivisions=2), (0.5, 0, 0.301)), moved(cylinder(0.2, 0.5), (-0.5, 0, 0.001))
+    objects = (
+        SceneObject(name="floor", mesh=quad(0.0), material=Diffuse(color=STRIPES)),
+        SceneObject(name="ball", mesh=with_uv(sphere), material=Dielectric()),
+        SceneObject(name="post", mesh=with_uv(post), material=Diffuse(color=STRIPES)),
+    )
+    return dataclasses.replace(synthetic_scene(), objects=objects)
+
+
+# The scene
+
+
+@pytest.mark.parametrize(
+    ("text", "edit", "name"),
+    [
+        ("remove:ball", Edit(verb="remove", objects=("ball",)), "remove-ball"),
+        ("move:a_b:0.10,-2,0", Edit(verb="move", objects=("a_b",), offset=(0.1, -2.0, 0.0)), "move-a_b-0.1,-2,0"),
+        ("swap:a:b", Edit(verb="swap", objects=("a", "b")), "swap-a-b"),
+    ],
+)
+def test_an_edit_is_read_and_written_in_one_way(text: str, edit: Edit, name: str) -> None:
+    assert parse_edit(text) == edit
+    assert parse_edit(describe_edit(edit)) == edit
+    assert edits_name((edit, parse_edit("glass:c"))) == f"{name}+glass-c"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("delete:ball", r"edit 'delete:ball': there is no 'delete'; expected remove:OBJECT, move:OBJECT:dx,dy,dz"),
+        ("remove", r"edit 'remove': has 0 parts after the verb; expected remove:OBJECT"),
+        ("remove:", r"expected remove:OBJECT"),
+        ("swap:ball", r"has 1 parts after the verb; expected swap:OBJECT:OBJECT"),
+        ("move:ball:1,2", r"moves by '1,2'; expected move:OBJECT:dx,dy,dz, three numbers in metres"),
+        ("move:ball:1,2,nan", r"moves by '1,2,nan'"),
+        ("remove:bal", r"edit 'remove:bal': object 'bal': there is none of that name; did you mean 'ball'\?"),
+        ("glass:floor", r"edit 'glass:floor': .* object floor: 4 open edges; glass must be a closed mesh"),
+        ("move:post:0,0,-0.001", r"faces of post would lie in faces of floor; leave a gap of a millimetre"),
+        ("duplicate:ball:0,0,0", r"edit 'duplicate:ball:0,0,0': 320 faces of ball_copy1 would lie in faces of ball"),
+    ],
+)
+def test_an_impossible_edit_gets_one_line_that_names_it(text: str, message: str) -> None:
+    with pytest.raises(HyalineError, match=message):
+        edited(table(), text)
+
+
+def test_a_removed_object_cannot_be_edited_again() -> None:
+    with pytest.raises(HyalineError, match=r"object 'ball': there is none of that name"):
+        edited(table(), "remove:ball", "move:ball:0,0,1")
+    with pytest.raises(HyalineError, match=r"all of its objects were removed"):
+        edited(table(), "remove:ball", "remove:floor", "remove:post")
+
+
+def test_a_moved_object_takes_its_carved_pattern_along() -> None:
+    after = edited(table(), "move:post:0.1,0.2,0.3", "move:post:0.03,0,0").objects[2]
+    assert isinstance(after.material, Diffuse)
+    assert isinstance(after.material.color, SolidTexture)
+    before = table().objects[2].mesh.vertices
+    np.testing.assert_allclose(after.mesh.vertices, before + np.float32([0.13, 0.2, 0.3]), atol=1e-6)
+    colors = evaluate_texture(after.material.color, after.mesh.vertices)
+    np.testing.assert_allclose(colors, evaluate_texture(STRIPES, before), atol=1e-4)
+    # It would not be so had the pattern stayed in space.
+    assert np.abs(evaluate_texture(STRIPES, after.mesh.vertices) - colors).max() > 0.3
+
+
+def test_swapped_objects_stand_where_the_other_stood() -> None:
+    _, one, other = edited(table(), "swap:ball:post").objects
+    low, high = one.mesh.vertices.min(axis=0), one.mesh.vertices.max(axis=0)
+    np.testing.assert_allclose([*(low + high)[:2] / 2, low[2]], [-0.5, 0, 0.001], atol=1e-6)
+    np.testing.assert_allclose(other.mesh.vertices.mean(axis=0)[:2], [0.5, 0], atol=1e-2)
+    back = edited(table(), "swap:ball:post", "swap:post:ball").objects
+    for item, before in zip(back, table().objects, strict=True):
+        np.testing.assert_allclose(item.mesh.vertices, before.mesh.vertices, atol=1e-6)
+
+
+def test_a_copy_stands_behind_all_others_and_names_its_original() -> None:
+    scene = table()
+    result = edit_scene(scene, tuple(map(parse_edit, ("duplicate:ball:0,0.7,0", "duplicate:ball_copy1:0,-1.4,0"))))
+    assert [item.name for item in result.scene.objects] == ["floor", "ball", "post", "ball_copy1", "ball_copy2"]
+    assert result.copies == {"ball_copy1": "ball", "ball_copy2": "ball"}
+    assert result.changed(scene) == ("ball_copy1", "ball_copy2")
+    np.testing.assert_allclose(result.offsets["ball_copy2"], (0, -0.7, 0), atol=1e-12)
+
+
+def test_an_edited_scene_survives_its_folder_and_an_old_one_keeps_its_bytes(tmp_path: Path) -> None:
+    scene = edited(table(), "remove:ball", "move:post:0,0.1,0")
+    save_scene(scene, tmp_path)
+    loaded = load_scene(tmp_path, is_sealed=True)
+    assert not is_there(loaded.objects[1].mesh)
+    assert scene_files(loaded) == scene_files(scene)
+    assert b"origin" in scene_files(scene)["scene.json"]
+    # Neither key stood in scenes before there were edits.
+    assert b"origin" not in scene_files(table())["scene.json"]
+    assert b"null" not in scene_files(table())["scene.json"]
+
+
+def test_a_removed_object_leaves_its_id_unused() -> None:
+    cameras = Cameras(world_from_camera=_above(), fov_x=0.9, width=24, height=24)
+    whole, _ = Peeler((quad(0.5), quad(0.0))).peel(cameras, 0, 3)
+    rest, _ = Peeler((no_mesh(), quad(0.0))).peel(cameras, 0, 3)
+    expected = trace(*pixel_rays(cameras, 0), 3)
+    assert set(np.unique(whole.object_id)) == {0, 1, 2}
+    assert set(np.unique(rest.object_id)) == {0, 2}
+    floor = (expected.object_id == 2).any(axis=0)
+    assert np.array_equal(rest.object_id[0] == 2, floor)
+    assert np.array_equal(whole.object_id, expected.object_id)
+
+
+def _above() -> np.ndarray:
+    pose = np.eye(4)
+    pose[:3, 3] = (0.1, 0.05, 3.0)
+    return pose[None]
+
+
+# Contact
+
+
+@pytest.mark.parametrize(
+    ("offset", "count"),
+    [
+        ((0, 0, 0.5 * TOLERANCE), 2),
+        ((0, 0, -0.5 * TOLERANCE), 2),
+        ((0, 0, 2 * TOLERANCE), 0),
+        ((1.5, 0, 0), 2),
+        ((2, 0, 0), 0),  # An edge in common.
+        ((2.5, 0, 0), 0),
+        ((1.9, -1.9, 0), 1),  # The corner of one face alone.
+    ],
+)
+def test_faces_in_one_plane_touch_where_they_overlap(offset: tuple[float, float, float], count: int) -> None:
+    assert count_touching_faces(moved_mesh(quad(0.0), offset), quad(0.0)) == count
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_touching_faces_are_those_that_share_area(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    basis = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    flat = rng.uniform(-1, 1, size=(2, 6, 3, 2))
+
+    def mesh(corners: np.ndarray) -> Mesh:
+        vertices = (corners.reshape(-1, 2) @ basis[:2]).astype(np.float32)
+        faces = np.arange(len(vertices), dtype=np.int32).reshape(-1, 3)
+        return Mesh(vertices=vertices, faces=faces, normals=np.zeros_like(vertices), uv=vertices[:, :2])
+
+    expected = sum(any(common_area(a, b) > 1e-6 for b in flat[1]) for a in flat[0])
+    assert count_touching_faces(mesh(flat[0]), mesh(flat[1])) == expected
+
+
+# Footprints
+
+
+def test_a_footprint_finds_the_light_that_an_edit_moves_and_no_noise() -> None:
+    rng = np.random.default_rng(0)
+    size = 48
+    shown = np.zeros((size, size), bool)
+    shown[4:12, 4:12] = True
+    light = np.zeros((size, size, 3))
+    light[24:36, 20:40] = -0.03
+    before = 0.5 + rng.normal(scale=0.02, size=(2, size, size, 3))
+    shared = before + light + 0.3 * shown[..., None]
+    apart = 0.5 + light + 0.3 * shown[..., None] + rng.normal(scale=0.02, size=before.shape)
+    for after in (shared, apart):
+        found = find_footprint(shown, before, after)
+        assert np.array_equal(found == OBJECT, shown)
+        # Sure two pixels inside the shadow, and of all that lies more than two pixels outside of it.
+        assert (found[26:34, 22:38] == LIGHT).all()
+        far = np.ones((size, size), bool)
+        far[22:38, 18:42] = False
+        assert (found[far & ~shown] == LIGHT).mean() < 0.02
+    assert (find_footprint(shown, before, shared)[far & ~shown] == ELSEWHERE).all()
+
+
+# Textures of copies, orders
+
+
+def test_a_copy_looks_up_the_texels_of_its_original() -> None:
+    textures = NeuralTextures(object_layout((4, 8, 2)), 3)
+    torch.nn.init.normal_(textures.table)
+    textures.layout = with_copies(textures.layout, [1, 1], 3)
+    uv = torch.rand(50, 1, 2)
+    ids = torch.full((50, 1), 2, dtype=torch.uint8)
+    for copy in (4, 5):
+        assert torch.equal(textures(uv, torch.full_like(ids, copy)), textures(uv, ids))
+    assert not torch.equal(textures(uv, torch.full_like(ids, 1)), textures(uv, ids))
+
+
+def test_a_copy_has_all_shells_of_its_original() -> None:
+    layout = with_copies(object_layout((4, 3, 8, 2)), [1], 2)  # Two objects of two shells each, the second copied.
+    assert layout.sizes == (4, 3, 8, 2, 8, 2)
+    assert layout.bases[4:] == layout.bases[2:4]
+
+
+@pytest.mark.parametrize("num_layers", [1, 3, 8])
+def test_orders_are_equal_where_the_first_layers_are(num_layers: int) -> None:
+    ids = np.random.default_rng(0).integers(0, 3, size=(5, 6, 6)).astype(np.uint8)
+    codes = orders(ids, num_layers).ravel()
+    columns = [tuple(ids[:num_layers, row, column]) for row in range(6) for column in range(6)]
+    for one in range(36):
+        for other in range(36):
+            assert (codes[one] == codes[other]) == (columns[one] == columns[other])
+
+
+# On disk
+
+
+@pytest.fixture(scope="module")
+def base(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    dataset = _build(tmp_path_factory.mktemp("edit") / "table", seed=0)
+    numbers = ProxyStatistics(volume_ratio=1.0, mean_distance=0.0, max_distance=0.0)
+    proxies = tuple(moved_mesh(mesh, (0, 0, 0.05)) for mesh in read_meshes(dataset, TRUTH))
+    write_proxies(dataset, "box", proxies, (numbers,) * len(proxies))
+    peel_dataset(dataset, "box", kinds=("straight",), num_layers=4, overwrite=False)
+    return dataset
+
+
+def _build(root: Path, *, seed: int) -> Dataset:
+    few = SplitConfig(views=2, spp=32)
+    config = DatasetConfig(
+        scene="table", preset="tiny", resolution=24, train=SplitConfig(views=2, spp=8), interpolating=few,
+        extrapolating=few, seed=seed,
+    )  # fmt: skip
+    return build_dataset(table(), root, config, kinds=("straight",), num_layers=4, workers=1, overwrite=seed > 0)
+
+
+def build(base: Dataset, *texts: str, overwrite: bool = False) -> Dataset:
+    return build_edit(base, tuple(map(parse_edit, texts)), workers=1, overwrite=overwrite)
+
+
+def hashes(root: Path) -> dict[str, tuple[str, int]]:
+    files = (path for path in root.rglob("*") if path.is_file())
+    return {str(path): (sha256(path.read_bytes()), path.stat().st_mtime_ns) for path in files}
+
+
+def test_an_edited_dataset_has_the_truth_at_the_same_cameras(base: Dataset) -> None:
+    kept = hashes(base.root)
+    after = build(base, "remove:ball", "duplicate:post:0.1,0.6,0")
+    assert after.root == base.root / "edits" / "remove-ball+duplicate-post-0.1,0.6,0"
+    assert {path: kept[path] for path in kept} == {p: h for p, h in hashes(base.root).items() if p in kept}
+    assert after.edit is not None
+    assert (after.edit.base, after.edit.changed) == (base.seal, ("ball", "post_copy1"))
+    assert [item.name for item in after.objects] == ["floor", "ball", "post", "post_copy1"]
+    assert [is_there(mesh) for mesh in read_meshes(after, TRUTH)] == [True, False, True, True]
+    for split in SPLITS[1:]:
+        np.testing.assert_array_equal(
+            read_cameras(after, split).world_from_camera, read_cameras(base, split).world_from_camera
+        )
+        ids = np.concatenate([read_layers(after, TRUTH, split, view).object_id for view in range(2)])
+        assert 2 not in ids
+        assert {1, 3, 4} <= set(np.unique(ids))
+        for view in range(2):
+            before, now = (read_image(dataset, split, view).astype(int) for dataset in (base, after))
+            footprint = read_footprint(after, split, view)
+            assert np.array_equal(footprint == OBJECT, shows_objects(base, after, split, view))
+            # The same random numbers: where no light changed, not even the noise did.
+            assert np.abs(now - before)[footprint == OBJECT].mean() > 5
+            assert np.abs(now - before)[footprint == ELSEWHERE].mean() < 2
+    assert len(read_cameras(after, "train").world_from_camera) == 0
+
+
+def test_proxies_are_edited_as_their_objects_are(base: Dataset) -> None:
+    after = build(base, "remove:ball", "duplicate:post:0.1,0.6,0")
+    floor, gone, post, copy = read_meshes(after, "box")
+    before = read_meshes(base, "box")
+    assert not is_there(gone)
+    np.testing.assert_array_equal(floor.vertices, before[0].vertices)
+    np.testing.assert_array_equal(post.vertices, before[2].vertices)
+    np.testing.assert_allclose(copy.vertices, before[2].vertices + np.float32([0.1, 0.6, 0]), atol=1e-6)
+    assert {0, 1, 3, 4} == set(np.unique(read_layers(after, "box", "interpolating", 0).object_id))
+
+
+def test_a_built_edit_is_left_alone_and_verifies(base: Dataset) -> None:
+    after = build(base, "move:ball:-0.2,0.3,0.1")
+    before = hashes(after.root)
+    count, problems = verify_dataset(base.root)[:2]
+    assert not problems
+    assert build(base, "move:ball:-0.2,0.3,0.1").seal == after.seal
+    assert hashes(after.root) == before
+    assert count == len(hashes(base.root))
+
+
+@pytest.mark.parametrize("file", ["footprints/extrapolating/0001.png", "scene/meshes/ball.ply"])
+def test_damage_to_an_edit_is_found_and_mended(base: Dataset, file: str) -> None:
+    after = build(base, "move:ball:-0.2,0.3,0.1")
+    path = after.root / file
+    good = path.read_bytes()
+    path.write_bytes(good[:-1] + bytes([good[-1] ^ 1]))
+    problems = verify_dataset(base.root).problems
+    assert len(problems) == 1
+    assert file in problems[0]
+    path.unlink()
+    build(base, "move:ball:-0.2,0.3,0.1")
+    assert path.read_bytes() == good
+
+
+def test_what_cannot_be_edited_is_refused(base: Dataset) -> None:
+    with pytest.raises(HyalineError, match=r"is an edit itself; give all edits of one scene in one command"):
+        build(build(base, "remove:ball"), "remove:post")
+    with pytest.raises(HyalineError, match=r"no such edit \(there are: .*remove-ball.*\); make one with"):
+        open_edit(base, "remove-sofa")
+
+
+def test_an_edit_of_an_older_dataset_is_not_taken_for_one_of_the_new(base: Dataset, tmp_path: Path) -> None:
+    build(base, "remove:ball")
+    shutil.copytree(base.root / "edits", tmp_path / "edits")
+    root = tmp_path / "table"
+    newer = _build(root, seed=1)
+    shutil.copytree(tmp_path / "edits", root / "edits")
+    with pytest.raises(HyalineError, match=r"remove-ball: was made for another version of .*table"):
+        open_edit(newer, "remove-ball")
+    with pytest.raises(HyalineError, match=r"configuration \(seed: 0 -> 1\); pass --overwrite"):
+        build(newer, "remove:ball")

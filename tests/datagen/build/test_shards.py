@@ -1,0 +1,266 @@
+"""Tests builds in parts: at once, killed, sent off as jobs; each ends in the bytes of one build."""
+
+import dataclasses
+import os
+import signal
+import subprocess
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.builds import command, tree
+from support.synthetic import synthetic_scene
+
+import datagen.cli
+from datagen.build.build import _start_beside_others, open_or_start
+from datagen.build.launch import LaunchChoices, _without_launch
+from datagen.build.shards import Shard, parse_shard
+from datagen.build.verify import verify_dataset
+from datagen.data.dataset import DatasetConfig, SplitConfig
+from datagen.data.geometries import TRUTH, geometry_hash
+from datagen.data.layer_store import layers_root
+from datagen.disk.errors import HyalineError
+from datagen.disk.storage import commit, commit_first, one_writer, shared_writers
+from datagen.scene.description import save_scene
+from datagen.scene.rig import make_cameras
+
+ALL = (
+    *("--layers", "straight", "light-path"),
+    *("--angle-splits", "--super-resolution", "2", "--super-resolution-views", "1"),
+)
+"""Both kinds of layers and both kinds of annexes."""
+
+
+@pytest.fixture(scope="module")
+def scene_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("scene") / "mine"
+    scene = synthetic_scene()
+    rig = dataclasses.replace(scene.cameras, azimuth_deg=(-100, 100))
+    save_scene(dataclasses.replace(scene, cameras=rig), folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def built(scene_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("data") / "built"
+    subprocess.run(command(scene_folder, out), check=True, capture_output=True)
+    return out
+
+
+@pytest.mark.slow
+def test_parts_made_at_once_are_the_whole_byte_for_byte(scene_folder: Path, tmp_path: Path) -> None:
+    subprocess.run(command(scene_folder, tmp_path / "whole", *ALL), check=True, capture_output=True)
+    out = tmp_path / "parts"
+    parts = [
+        subprocess.Popen(command(scene_folder, out, *ALL, *words), stderr=subprocess.PIPE, text=True)
+        for words in (("--shard", "1/2"), ("--shard", "2/2", "--workers", "2"))
+    ]
+    said = [part.communicate()[1] for part in parts]
+    assert [part.returncode for part in parts] == [0, 0], said
+    assert tree(out) == tree(tmp_path / "whole")
+    assert verify_dataset(out)[1] == []
+    assert any("and with it the dataset\nnoise ceiling train: " in text for text in said)
+
+
+def test_a_killed_part_and_a_build_without_parts_end_in_the_same_bytes(
+    built: Path, scene_folder: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "killed"
+    first = command(scene_folder, out, "--shard", "1/2")
+    process = subprocess.Popen(first, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
+    start = time.monotonic()
+    while not list(out.glob("records/*/*.json")) and time.monotonic() - start < 60:
+        time.sleep(0.02)
+    os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    # What a part that was killed in a commit leaves.
+    (out / "records/train/0000.json.0123456789abcdef.hyaline-tmp").write_bytes(b"half a rec")
+    answer = subprocess.run(first, check=True, capture_output=True, text=True)
+    assert "part 1/2 is done; " in answer.stderr and "for the other parts to make" in answer.stderr
+    assert (out / "records/train/0000.json.0123456789abcdef.hyaline-tmp").is_file(), "a part deletes nothing"
+    subprocess.run(command(scene_folder, out), check=True, capture_output=True)
+    assert tree(out) == tree(built)
+
+
+@pytest.mark.slow
+def test_the_launcher_makes_all_parts_as_jobs_and_tells_of_those_that_fail(
+    built: Path, scene_folder: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "jobs"
+    words = ("--launcher", "local", "--shards=2")
+    answer = subprocess.run(command(scene_folder, out, *words), capture_output=True, text=True, check=False)
+    assert answer.returncode == 0, answer.stderr
+    assert answer.stdout.strip() == str(out)
+    assert "part 2/2: done" in answer.stderr and "noise ceiling" in answer.stderr
+    assert tree(out) == tree(built)
+    logs = list((tmp_path / "jobs-jobs").glob("*.err"))
+    assert len(logs) == 2 and all("views with" in log.read_text() for log in logs)
+
+    other = command(scene_folder, out, *words, "--seed", "3")
+    answer = subprocess.run(other, capture_output=True, text=True, check=False)
+    assert answer.returncode == 1
+    assert answer.stderr.count("(seed: 0 -> 3)") == 2 and "2 of 2 jobs failed" in answer.stderr.splitlines()[-1]
+    failed = next(line for line in answer.stderr.splitlines() if line.startswith("failed: part "))
+    assert Path(failed.partition("; log: ")[2]).is_file()
+    assert "Traceback" not in answer.stderr
+    assert tree(out) == tree(built)
+
+
+# Stand-ins for Slurm's programs: both tasks of the array run here, at once; a wrong partition is refused.
+SLURM = {
+    "sbatch": """#!/bin/sh
+if grep -q partition=wrong "$1"; then echo "sbatch: error: invalid partition specified: wrong" >&2; exit 1; fi
+for task in 0 1; do
+  SLURM_JOB_ID=$((100 + task)) SLURM_ARRAY_JOB_ID=77 SLURM_ARRAY_TASK_ID=$task SLURM_PROCID=0 SLURM_LOCALID=0 \\
+  SLURM_NODEID=0 SLURM_JOB_NUM_NODES=1 SLURM_NTASKS=1 SLURM_JOB_NODELIST=here sh "$1" >/dev/null 2>&1 &
+done
+echo "Submitted batch job 77"
+""",
+    "srun": """#!/bin/sh
+while [ "${1#--}" != "$1" ]; do
+  case "$1" in --output) out=$2; shift;; --error) err=$2; shift;; esac
+  shift
+done
+name() { echo "$1" | sed "s/%A/77/; s/%a/$SLURM_ARRAY_TASK_ID/; s/%t/0/"; }
+exec "$@" >"$(name "$out")" 2>"$(name "$err")"
+""",
+    "sacct": """#!/bin/sh
+echo "JobID|State|NodeList"
+for task in 0 1; do echo "77_$task|RUNNING|here"; done
+""",
+}
+
+
+@pytest.mark.slow
+def test_the_launcher_sends_parts_to_slurm(built: Path, scene_folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "bin").mkdir()
+    for name, script in SLURM.items():
+        (tmp_path / "bin" / name).write_text(script)
+        (tmp_path / "bin" / name).chmod(0o755)
+    environment = {**os.environ, "PATH": f"{tmp_path / 'bin'}:{os.environ['PATH']}"}
+    out = tmp_path / "out"
+    asked = command(scene_folder, out, "--launcher", "slurm", "--shards", "2", "--slurm-time", "30", "--workers", "2")
+
+    wrong = [*asked, "--slurm-partition", "wrong"]
+    answer = subprocess.run(wrong, capture_output=True, text=True, check=False, env=environment)
+    assert answer.returncode == 1
+    assert answer.stderr.splitlines()[-1].startswith("error: --launcher slurm: the cluster took no job (")
+    assert "invalid partition specified: wrong" in answer.stderr.splitlines()[-1] and not out.exists()
+
+    good = [*asked, "--slurm-partition", "many", "--slurm-gpus", "1"]
+    answer = subprocess.run(good, capture_output=True, text=True, check=False, env=environment)
+    assert answer.returncode == 0, answer.stderr
+    assert tree(out) == tree(built)
+    submitted = (tmp_path / "out-jobs/77_submission.sh").read_text()
+    for option in ("--array=0-1%2", "--partition=many", "--time=30", "--cpus-per-task=2", "--gpus-per-node=1"):
+        assert f"#SBATCH {option}\n" in submitted
+
+
+def test_any_number_of_writers_may_start_one_dataset_at_once(tmp_path: Path) -> None:
+    few = SplitConfig(views=3, spp=2)
+    config = DatasetConfig(scene="s", preset="tiny", resolution=8, train=few, interpolating=few, extrapolating=few)
+    scene = synthetic_scene()
+    cameras = make_cameras(scene.cameras, config)
+
+    def start(root: Path, shard: bool) -> str:
+        dataset = open_or_start(scene, root, config, cameras, overwrite=False)
+        root = layers_root(dataset.root, TRUTH, "straight")
+        _start_beside_others(dataset, TRUTH, "straight", geometry_hash(dataset, TRUTH), num_layers=4, rays=4)
+        return dataset.seal
+
+    (tmp_path / "alone").mkdir()
+    seal = start(tmp_path / "alone", False)
+    for attempt in range(4):
+        root = tmp_path / f"at-once-{attempt}"
+        root.mkdir()
+        with ThreadPoolExecutor(8) as pool:
+            assert set(pool.map(start, [root] * 8, [True] * 8)) == {seal}
+        assert tree(root) == tree(tmp_path / "alone")
+
+
+def test_of_several_first_commits_one_wins_whole(tmp_path: Path) -> None:
+    contents = [bytes([value]) * 100_000 for value in range(8)]
+    with ThreadPoolExecutor(8) as pool:
+        list(pool.map(commit_first, [tmp_path / "head"] * 8, contents))
+        assert (winner := (tmp_path / "head").read_bytes()) in contents
+        commit_first(tmp_path / "head", b"late")
+        assert (tmp_path / "head").read_bytes() == winner
+        list(pool.map(commit, [tmp_path / "head"] * 8, contents))
+    assert (tmp_path / "head").read_bytes() in contents
+    assert [path.name for path in tmp_path.iterdir()] == ["head"]
+
+
+def test_parts_hold_a_folder_together_and_others_alone(tmp_path: Path) -> None:
+    refused = pytest.raises(HyalineError, match="another process is writing there")
+    with shared_writers(tmp_path), shared_writers(tmp_path), refused, one_writer(tmp_path):
+        pass
+    with one_writer(tmp_path), pytest.raises(HyalineError, match="another process"), shared_writers(tmp_path):
+        pass
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 7, 40])
+def test_parts_are_disjoint_even_and_make_the_whole(count: int) -> None:
+    tasks = list(range(23))
+    parts = [Shard(number=number, count=count).of(tasks) for number in range(1, count + 1)]
+    assert sorted(np.concatenate(parts).astype(int).tolist()) == tasks
+    assert max(map(len, parts)) - min(map(len, parts)) <= 1
+
+
+@pytest.mark.parametrize("text", ["0/3", "4/3", "3", "1/0", "-1/2", "a/b", "1/2/3", "", "½/2"])
+def test_a_part_that_cannot_be_is_refused(text: str) -> None:
+    with pytest.raises(HyalineError, match=r"^shard: is .*; expected"):
+        parse_shard(text)
+
+
+def test_jobs_are_told_what_the_command_was_told_but_how_to_send_it_off() -> None:
+    own = ["build", "--scene", "a", "--views=3", "--layers", "straight", "light-path"]
+    sent = [*own[:3], "--launcher", "slurm", *own[3:4], "--slurm-partition=gpu", "--slurm_time", "5", *own[4:]]
+    assert _without_launch([*sent, "--shards", "9"]) == own
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("--shards", "3"), "--shards: goes with --launcher; give slurm or local"),
+        (("--launcher", "local", "--slurm-gpus", "1"), "--slurm-gpus: goes with --launcher slurm; leave it out"),
+        (("--launcher", "local", "--shards", "0"), "shards: is 0; expected at least 1"),
+        (("--launcher", "local", "--shard", "1/2"), "--launcher: makes all parts itself; leave out --shard"),
+        (("--shard", "1/2", "--overwrite"), "--overwrite: does not go with --shard, which deletes nothing"),
+        (("--shard", "1/2", "--edit", "remove:pane"), "--edit: does not go with --shard"),
+        (("--launcher", "local"), 'needs submitit, which is not installed; pip install "submitit>=1.5,<2"'),
+    ],
+)
+def test_flags_that_do_not_go_together_are_one_line(
+    scene_folder: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    words: tuple[str, ...],
+    message: str,
+) -> None:
+    monkeypatch.setitem(sys.modules, "submitit", None)
+    monkeypatch.setattr(sys, "argv", command(scene_folder, tmp_path / "out", *words)[2:])
+    with pytest.raises(SystemExit) as end:
+        datagen.cli.main()
+    assert end.value.code == 1
+    errors = capsys.readouterr().err
+    assert message in errors and errors.count("error: ") == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_part_is_not_put_beside_what_is_no_dataset(scene_folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "images").mkdir()
+    (tmp_path / "images" / "thesis.png").write_text("precious")
+    part = command(scene_folder, tmp_path, "--shard", "1/2")
+    answer = subprocess.run(part, capture_output=True, text=True, check=False)
+    assert answer.returncode == 1
+    assert "is not empty (images/thesis.png) and no dataset; choose another --out" in answer.stderr
+    assert tree(tmp_path) == {"images/thesis.png": b"precious"}
+
+
+def test_the_choices_of_a_launch_are_checked() -> None:
+    with pytest.raises(HyalineError, match="slurm_time: is 0; expected at least 1"):
+        LaunchChoices(launcher="slurm", slurm_time=0)

@@ -1,0 +1,133 @@
+"""Tests the mesh record, its checks and its PLY file."""
+
+import dataclasses
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from support.meshes import mesh_of
+from trimesh.visual.texture import TextureVisuals
+
+from datagen.data.meshes import (
+    Mesh,
+    check_closed,
+    check_mesh,
+    component_of_faces,
+    face_corners,
+    open_edges,
+    read_ply,
+    signed_volume,
+    winding_number,
+    write_ply,
+)
+from datagen.disk.errors import HyalineError
+
+BALL = mesh_of(trimesh.creation.icosphere(2))
+
+
+def test_a_mesh_survives_its_ply_file(tmp_path: Path) -> None:
+    path = tmp_path / "ball.ply"
+    path.write_bytes(write_ply(BALL))
+    loaded, has_uv = read_ply(path)
+    assert has_uv
+    for field in dataclasses.fields(Mesh):
+        assert np.array_equal(getattr(loaded, field.name), getattr(BALL, field.name)), field.name
+
+
+def test_our_ply_files_are_those_of_trimesh_and_are_read_without_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    exported = trimesh.Trimesh(BALL.vertices, BALL.faces, vertex_normals=BALL.normals, process=False)
+    exported.visual = TextureVisuals(uv=BALL.uv)
+    assert write_ply(BALL) == exported.export(file_type="ply", encoding="binary", vertex_normal=True)
+    path = tmp_path / "ball.ply"
+    path.write_bytes(write_ply(BALL).replace(b"comment https", b"comment made of https"))
+    by_trimesh, _ = read_ply(path)
+    path.write_bytes(write_ply(BALL))
+    monkeypatch.setitem(sys.modules, "trimesh", None)
+    ours, _ = read_ply(path)
+    for field in dataclasses.fields(Mesh):
+        mine, theirs = getattr(ours, field.name), getattr(by_trimesh, field.name)
+        assert mine.dtype == theirs.dtype and np.array_equal(mine, theirs), field.name
+    path.write_bytes(write_ply(dataclasses.replace(BALL, faces=BALL.faces + 100)))
+    with pytest.raises(HyalineError, match=r"ball\.ply: a face names vertex 261; expected 0 to 161"):
+        read_ply(path)
+
+
+def test_every_truncation_of_a_ply_file_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "ball.ply"
+    for data in (write_ply(BALL), trimesh.creation.box().export(file_type="ply", encoding="ascii")):
+        for end in range(0, len(data) - 1, max(1, len(data) // 60)):
+            path.write_bytes(data[:end])
+            with pytest.raises(HyalineError, match=r"ball\.ply"):
+                read_ply(path)
+
+
+def test_volume_and_openness_of_known_shapes() -> None:
+    box = mesh_of(trimesh.creation.box((1, 2, 3)))
+    assert signed_volume(box) == pytest.approx(6)
+    assert open_edges(box) == 0
+    reversed_box = dataclasses.replace(box, faces=box.faces[:, ::-1])
+    assert signed_volume(reversed_box) == pytest.approx(-6)
+    assert open_edges(dataclasses.replace(box, faces=box.faces[1:])) == 3
+
+
+def test_components_are_counted_across_seams() -> None:
+    two = trimesh.util.concatenate([trimesh.creation.box(), trimesh.creation.box().apply_translation((5, 0, 0))])
+    two.unmerge_vertices()
+    components = component_of_faces(mesh_of(two))
+    assert sorted(np.bincount(components)) == [12, 12]
+
+
+def broken(**changes: object) -> Mesh:
+    return dataclasses.replace(BALL, **changes)
+
+
+def with_value(values: np.ndarray, value: float) -> np.ndarray:
+    changed = values.copy()
+    changed[7, 0] = value
+    return changed
+
+
+@pytest.mark.parametrize(
+    ("mesh", "message"),
+    [
+        (broken(vertices=with_value(BALL.vertices, np.nan)), r"vertices\[7\] is \[nan"),
+        (broken(vertices=with_value(BALL.vertices, 1e7)), r"a coordinate is 1e\+07 m"),
+        (broken(faces=with_value(BALL.faces, 1_000_000)), r"a face names vertex 1000000; expected 0 to 161"),
+        (broken(faces=with_value(BALL.faces, -5)), r"a face names vertex -5"),
+        (broken(faces=np.tile(BALL.faces[:1, :1], (1, 3))), r"face 0 has no area"),
+        (broken(faces=BALL.faces[:0]), r"0 faces; expected at least one"),
+        (broken(uv=with_value(BALL.uv, np.inf)), r"uv\[7\] is \[inf"),
+        (broken(uv=with_value(BALL.uv, 7.0)), r"uv spans .* to 7; expected \[0, 1\]"),
+    ],
+)
+def test_a_bad_mesh_is_refused_before_a_native_library_sees_it(mesh: Mesh, message: str) -> None:
+    with pytest.raises(HyalineError, match=rf"^vase: .*{message}"):
+        check_mesh(mesh, where="vase")
+
+
+def test_open_and_inside_out_glass_is_refused() -> None:
+    with pytest.raises(HyalineError, match="3 open edges; glass must be a closed mesh"):
+        check_closed(broken(faces=BALL.faces[1:]), where="vase")
+    with pytest.raises(HyalineError, match="is inside out; reverse its faces"):
+        check_closed(broken(faces=BALL.faces[:, ::-1]), where="vase")
+
+
+def test_an_inverted_part_is_refused_and_a_cavity_is_not() -> None:
+    ball, small = trimesh.creation.icosphere(2, 1.0), trimesh.creation.icosphere(2, 0.4)
+    small.invert()
+    bubble = mesh_of(trimesh.util.concatenate([ball, small]))
+    check_closed(bubble, where="bubble")
+    beside = mesh_of(trimesh.util.concatenate([ball, small.copy().apply_translation((3, 0, 0))]))
+    assert signed_volume(beside) > 0  # Looking at the whole would not tell.
+    with pytest.raises(HyalineError, match=r"part 2 of 2 encloses -0\.2\d* m\^3, so it is inside out"):
+        check_closed(beside, where="balls")
+
+
+def test_the_winding_number_tells_inside_from_outside() -> None:
+    corners = face_corners(BALL)
+    assert winding_number(np.array([0.3, 0.2, -0.5]), corners) == pytest.approx(1)
+    assert winding_number(np.array([1.3, 0.2, -0.5]), corners) == pytest.approx(0, abs=1e-9)

@@ -1,0 +1,140 @@
+"""Tests that only what a head lists is ever removed, and that nothing is begun where something else stands."""
+
+from pathlib import Path
+
+import pytest
+from support.synthetic import write_synthetic_dataset
+
+from datagen.cli import main
+from datagen.data.clear import clear_dataset
+from datagen.data.dataset import open_dataset
+from datagen.disk.errors import HyalineError
+from datagen.disk.ownership import DATASET, LAYERS, FolderKind, begin, holding, refuse_taken, remove_files
+from datagen.disk.storage import commit_sealed, seal_bytes, sha256
+
+KIND = FolderKind(what="thing", head="thing.json", folders=("parts",))
+HEAD = seal_bytes({"version": 1})
+
+
+def tree(root: Path) -> dict[str, bytes]:
+    return {path.relative_to(root).as_posix(): path.read_bytes() for path in root.rglob("*") if path.is_file()}
+
+
+def put(root: Path, *files: str) -> None:
+    for file in files:
+        (root / file).parent.mkdir(parents=True, exist_ok=True)
+        (root / file).write_text(f"precious {file}")
+
+
+def test_a_clearing_removes_what_the_heads_list_and_no_other_byte(tmp_path: Path) -> None:
+    root = tmp_path / "data"
+    write_synthetic_dataset(root, resolution=8, train_views=2)
+    strangers = (
+        "points3d.ply", "images/train/0002.png", "images/train/0000.png.tmp", "images/thesis.tex", "edits/mine/notes",
+        "records/train/0000.json.12ab34cd.tmp", "layers/straight/peels.zarr/train/uv/c/notes.partial",
+        "layers/own/layers.json", "proxies/box/meshes/pane.ply", "annexes/x2/dataset.json", "scene/meshes/cat.ply",
+        "images/train/0001.png.0123456789abcdef.hyaline-tmp.txt",
+    )  # fmt: skip
+    put(root, *strangers)
+    with holding(root, DATASET):
+        clear_dataset(root)
+    assert tree(root).keys() == {*strangers, "dataset.json", "heads/dataset.json"}
+    assert all((root / file).read_text() == f"precious {file}" for file in strangers)
+
+
+def test_temporaries_go_only_where_the_head_verifies_and_zarrs_only_in_a_store(tmp_path: Path) -> None:
+    root = tmp_path / "data"
+    dataset = write_synthetic_dataset(root, resolution=8, train_views=1)
+    ours = "images/train/0000.png.0123456789abcdef.hyaline-tmp"
+    partial = f"peels.zarr/train/uv/c/0/0/0/0/0.{'0a' * 16}.partial"
+    put(root, ours, f"images/train/0.{'0a' * 16}.partial", f"layers/straight/{partial}", "layers/straight/a.partial")
+    with holding(root, DATASET):
+        assert not (root / ours).exists() and (root / "layers/straight" / partial).exists()
+    with holding(dataset.root / "layers/straight", LAYERS, within=root):
+        assert not (root / "layers/straight" / partial).exists()
+    assert (root / f"images/train/0.{'0a' * 16}.partial").exists() and (root / "layers/straight/a.partial").exists()
+    other = tmp_path / "other"
+    put(other, "a.0123456789abcdef.hyaline-tmp", "thesis.tex")
+    with holding(other, KIND):
+        assert (other / "a.0123456789abcdef.hyaline-tmp").exists()
+
+
+def test_a_folder_is_begun_only_where_nothing_else_stands(tmp_path: Path) -> None:
+    put(tmp_path, "parts/a.partial")
+    before = tree(tmp_path)
+    with pytest.raises(HyalineError, match=r"is not empty \(parts/a\.partial\) and no thing; choose another --out"):
+        begin(tmp_path, KIND, HEAD, {})
+    commit_sealed(tmp_path / "parts/thing.json", {"version": 1})  # A head of ours, elsewhere.
+    with pytest.raises(HyalineError, match="is not empty"):
+        begin(tmp_path, KIND, HEAD, {"parts/a.partial": b"something else"})
+    assert before.items() <= tree(tmp_path).items() and not (tmp_path / "thing.json").exists()
+
+
+def test_a_lost_or_damaged_head_is_written_anew_where_all_else_is_as_it_promises(tmp_path: Path) -> None:
+    root = tmp_path / "data"
+    write_synthetic_dataset(root, resolution=8, train_views=1)
+    good = tree(root)
+    for damage in (None, b"{}", good["dataset.json"][:-9]):
+        (root / "dataset.json").unlink() if damage is None else (root / "dataset.json").write_bytes(damage)
+        write_synthetic_dataset(root, resolution=8, train_views=1)
+        assert tree(root) == good
+    (root / "dataset.json").unlink()
+    with pytest.raises(HyalineError, match="and no dataset"):
+        write_synthetic_dataset(root, resolution=8, train_views=2)  # Another one: its views would be overwritten.
+    assert tree(root) == {path: data for path, data in good.items() if path != "dataset.json"}
+
+
+def test_nothing_is_removed_or_written_through_a_link(tmp_path: Path) -> None:
+    root, other = tmp_path / "data", tmp_path / "other"
+    write_synthetic_dataset(root, resolution=8, train_views=1)
+    (root / "images").rename(other)
+    (root / "images").symlink_to(other)
+    before = {path: sha256(data) for path, data in tree(other).items()}
+    with pytest.raises(HyalineError, match="images: is a link"), holding(root, DATASET):
+        pass
+    with pytest.raises(HyalineError, match="images: is a link"):
+        remove_files(root, ["images/train/0000.png"])
+    assert {path: sha256(data) for path, data in tree(other).items()} == before
+
+
+@pytest.mark.parametrize("path", ["../thesis.tex", "/etc/passwd", "a/../../b", "a//b", "", "a\x1b[31m", "a\\..\\b"])
+def test_a_path_that_leads_out_of_its_folder_is_never_removed(tmp_path: Path, path: str) -> None:
+    put(tmp_path, "thesis.tex")
+    with pytest.raises(HyalineError, match="expected a file inside the folder"):
+        remove_files(tmp_path / "mine", [path])
+    assert tree(tmp_path).keys() == {"thesis.tex"}
+
+
+def test_a_new_file_takes_no_place_that_is_taken(tmp_path: Path) -> None:
+    put(tmp_path, "images/0001.png", "images/0002.png")
+    with pytest.raises(HyalineError, match=r"images/0002\.png: is in the way"):
+        refuse_taken(tmp_path, DATASET, ["images/0001.png", "images/0002.png"], ["images/0001.png"])
+
+
+def test_a_sealed_head_that_names_files_outside_harms_nothing(tmp_path: Path) -> None:
+    root = tmp_path / "data"
+    dataset = write_synthetic_dataset(root, resolution=8, train_views=1)
+    put(tmp_path, "thesis.tex")
+    layers = root / "layers/straight"
+    commit_sealed(layers / "layers.json", {"version": 1, "files": {"../../../thesis.tex": "0"}})
+    with pytest.raises(HyalineError, match=r"files: names '\.\./\.\./\.\./thesis\.tex'"):
+        clear_dataset(root)
+    assert (tmp_path / "thesis.tex").is_file() and open_dataset(root).seal == dataset.seal
+
+
+@pytest.mark.parametrize("stranger", ["project/download.partial", "notes.txt", "images"])
+def test_a_build_refuses_a_folder_of_something_else_before_it_models_anything(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], stranger: str
+) -> None:
+    def model(name: str) -> None:
+        raise AssertionError(f"{name} was modelled")
+
+    monkeypatch.setattr("datagen.scene.builtin.make_scene", model)
+    path = tmp_path / "out" / stranger
+    path.parent.mkdir(parents=True)
+    path.write_text("theirs")
+    monkeypatch.setattr("sys.argv", ["datagen", "build", "--preset", "tiny", "--out", str(tmp_path / "out")])
+    with pytest.raises(SystemExit):
+        main()
+    assert f"is not empty ({stranger}) and no dataset; choose another --out" in capsys.readouterr().err
+    assert path.read_text() == "theirs"

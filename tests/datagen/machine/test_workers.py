@@ -1,0 +1,74 @@
+"""Tests that a killed child process ends in one line: what is missing, what goes on, and nothing lost."""
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from support.synthetic import quad, synthetic_scene
+
+from datagen.build.build import render_dataset
+from datagen.data.dataset import describe_views, image_path, open_dataset
+from datagen.disk.errors import HyalineError
+from datagen.scene.atlas import unwrap
+from datagen.scene.description import save_scene
+
+FLAGS = (
+    *("--preset", "tiny", "--resolution", "16", "--num-layers", "4"),
+    *("--views", "40", "--test-views", "1", "--spp", "64", "--test-spp", "64"),
+)
+
+
+def children(process: int) -> list[int]:
+    """Those that Python's spawn method started, not its resource tracker."""
+    found = [int(word) for word in Path(f"/proc/{process}/task/{process}/children").read_text().split()]
+    return [child for child in found if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes()]
+
+
+def test_a_killed_worker_is_one_line_that_names_the_missing_views_and_the_command_that_goes_on(tmp_path: Path) -> None:
+    save_scene(synthetic_scene(), tmp_path / "scene")
+    out = tmp_path / "out"
+    words = ["build", "--scene", str(tmp_path / "scene"), "--out", str(out), *FLAGS, "--workers", "2"]
+    command = subprocess.Popen([sys.executable, "-m", "datagen", *words], stderr=subprocess.PIPE, text=True)
+    start = time.monotonic()
+    while len(list(out.glob("records/*/*.json"))) < 2 and time.monotonic() - start < 120:
+        time.sleep(0.02)
+    os.kill(children(command.pid)[0], signal.SIGKILL)
+    said = command.communicate()[1]
+    assert command.returncode == 1
+    assert "Traceback" not in said
+    kept = {path.name: path.read_bytes() for path in out.glob("records/train/*.json")}
+    missing = [view for view in range(40) if f"{view:04d}.json" not in kept]
+    error = said.splitlines()[-1]
+    assert error.startswith(f"error: {out}: render: a worker process was killed (")
+    assert describe_views(("train", view) for view in missing) in error
+    assert error.endswith(f"; go on with `datagen {' '.join(words)}`")
+    subprocess.run([sys.executable, "-m", "datagen", *words], check=True, capture_output=True)
+    dataset = open_dataset(out)
+    assert all(image_path(dataset.root, "train", view).is_file() for view in range(40))
+    assert {name: (out / "records/train" / name).read_bytes() for name in kept} == kept
+    shutil.rmtree(out / "scene" / "meshes")
+    image_path(out, "train", 1).unlink()
+    image_path(out, "train", 2).unlink()
+    with pytest.raises(HyalineError, match=r"meshes/.*\.ply: the file is missing"):
+        render_dataset(dataset, workers=2)  # The workers cannot start: an error of theirs, and no traceback.
+
+
+def test_views_are_named_in_runs() -> None:
+    views = [("extrapolating", 0), *(("train", view) for view in (7, 3, 4, 5, 12))]
+    assert describe_views(views) == "train 3-5, 7, 12; extrapolating 0"  # type: ignore[arg-type]
+
+
+def test_an_unwrapping_child_that_is_killed_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    really_run = subprocess.run
+
+    def run_and_die(command: list[str], **options):
+        return really_run([sys.executable, "-c", "import os; os.kill(os.getpid(), 9)"], **options)
+
+    monkeypatch.setattr(subprocess, "run", run_and_die)
+    with pytest.raises(HyalineError, match=r"^floor: unwrapping was ended by signal 9 .*; run the same command again"):
+        unwrap(quad(0.0), where="floor")

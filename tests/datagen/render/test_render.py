@@ -1,0 +1,371 @@
+"""Tests path-traced truth against closed formulas, and its own account of its noise."""
+
+import dataclasses
+import math
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import trimesh
+from support.meshes import box, mesh_of
+from support.reference import fresnel_reflectance
+from support.scenes import DUSK, rendered, scene_of
+from support.synthetic import look_at, quad
+
+from datagen.data.dataset import Cameras
+from datagen.disk.errors import HyalineError
+from datagen.machine.mitsuba_variant import use_mitsuba
+from datagen.scene.description import (
+    Dielectric,
+    Diffuse,
+    Lobe,
+    Plastic,
+    RectangleLight,
+    Scene,
+    SceneObject,
+    SoftEnvironment,
+    ThinDielectric,
+    check_scene,
+)
+from datagen.scene.media import Media, find_media
+from datagen.scene.modelling import ball, merged, moved
+
+use_mitsuba(quiet=True)
+
+
+from datagen.render.mitsuba_scene import radiance_of_environment  # noqa: E402
+from datagen.render.truth import Renderer, picture_bytes, radiance_bytes, read_radiance, render_view  # noqa: E402
+
+
+def camera(position: tuple[float, float, float], *, fov: float, size: int = 8) -> Cameras:
+    pose = look_at(np.array(position), np.zeros(3))[None]
+    return Cameras(world_from_camera=pose, fov_x=fov, width=size, height=size)
+
+
+def test_black_glass_reflects_four_percent_at_normal_incidence() -> None:
+    block = SceneObject(name="block", mesh=box((4, 4, 4)), material=Dielectric(ior=1.5, absorption=(1e4,) * 3))
+    image = rendered(scene_of(block), camera((9, 0, 0.0), fov=0.02))
+    assert image.mean() == pytest.approx(0.04, rel=0.02)
+
+
+@pytest.mark.parametrize("absorption", [0.0, 0.7, 5.0])
+def test_a_slab_transmits_and_reflects_what_fresnel_and_beer_say(absorption: float) -> None:
+    slab = SceneObject(name="slab", mesh=box((0.2, 8, 8)), material=Dielectric(ior=1.5, absorption=(absorption,) * 3))
+    image = rendered(scene_of(slab), camera((9, 0, 0.0), fov=0.02), spp=2048)
+    r, tau = fresnel_reflectance(1.0, 1.5), math.exp(-absorption * 0.2)
+    through = (1 - r) ** 2 * tau / (1 - (r * tau) ** 2)
+    back = r + r * (1 - r) ** 2 * tau**2 / (1 - (r * tau) ** 2)
+    assert image.mean() == pytest.approx(through + back, rel=0.01)
+
+
+def test_light_goes_straight_through_a_thin_pane() -> None:
+    pane = SceneObject(name="pane", mesh=quad(0.0), material=ThinDielectric(ior=1.5))
+    cameras = camera((0.9, 0.4, 1.5), fov=0.05)
+    image = rendered(scene_of(pane, environment=DUSK), cameras, spp=4096)
+    direction = -cameras.world_from_camera[0, :3, 2]
+    r = fresnel_reflectance(abs(direction[2]), 1.5)
+    reflected = 2 * r / (1 + r)  # Both faces and all reflections between them.
+    expected = (1 - reflected) * radiance_of_environment(DUSK, direction) + reflected * radiance_of_environment(
+        DUSK, direction * [1, 1, -1]
+    )
+    assert image.mean(axis=(0, 1)) == pytest.approx(expected, rel=0.01)
+
+
+def test_clear_glass_and_white_walls_vanish_in_a_white_furnace() -> None:
+    ball = mesh_of(trimesh.creation.icosphere(3, 0.5))
+    objects = (
+        SceneObject(name="ball", mesh=ball, material=Dielectric(ior=1.5, absorption=(0, 0, 0))),
+        SceneObject(name="floor", mesh=quad(-0.6), material=Diffuse(color=(1, 1, 1))),
+    )
+    image = rendered(scene_of(*objects), camera((2, 1, 1), fov=0.6, size=16), spp=64)
+    # What is missing went on for more than 24 segments between ball and floor.
+    assert image.mean() == pytest.approx(1, abs=5e-3)
+    assert np.abs(image - 1).max() < 0.1
+
+
+SPARK = dataclasses.replace(DUSK, lobes=(Lobe(direction=(1, 1, 1), radiance=(9, 7, 5), sharpness=60),))
+PANEL = RectangleLight(corner=(-0.5, -1.5, 2), edge_u=(0, 1, 0), edge_v=(1, 0, 0), radiance=(4, 5, 6))
+
+
+@pytest.mark.parametrize(
+    ("environment", "lights"), [(DUSK, ()), (SPARK, ()), (DUSK, (PANEL,)), (SPARK, (PANEL,))],
+    ids=["soft sky", "small light in it", "lamp", "both"],
+)  # fmt: skip
+def test_the_path_tracer_is_unbiased_against_mitsubas_own(
+    environment: SoftEnvironment, lights: tuple[RectangleLight, ...]
+) -> None:
+    """Whether light is aimed at or only run into."""
+    skip_scalar()
+    objects = (
+        SceneObject(name="ball", mesh=mesh_of(trimesh.creation.icosphere(4, 0.4)), material=Dielectric(ior=1.5)),
+        SceneObject(name="floor", mesh=quad(-0.5), material=Diffuse(color=(0.7, 0.3, 0.2))),
+        SceneObject(
+            name="pot", mesh=moved(ball(0.3), (0, 0.9, 0)), material=Plastic(color=(0.2, 0.4, 0.6), roughness=0.2)
+        ),
+    )
+    scene = dataclasses.replace(scene_of(*objects, environment=environment), lights=lights)
+    cameras = camera((2, 1, 1), fov=0.7, size=32)
+    renderer = Renderer(scene, max_depth=24)
+    ours = np.stack([renderer.radiance(cameras, 0, spp=256, seed=100 + seed)[0] for seed in range(8)])
+    assert_same_estimate(mitsubas_own(scene, cameras), ours)
+
+
+def mitsubas_own(scene: Scene, cameras: Cameras) -> np.ndarray:
+    """Eight pictures (8, h, w, 3) by Mitsuba's `path`, as it comes but for Russian roulette."""
+    import mitsuba as mi
+
+    from datagen.render.mitsuba_scene import load_scene_mitsuba, load_sensor
+
+    loaded = load_scene_mitsuba(scene)
+    sensor = load_sensor(cameras.world_from_camera[0], cameras.fov_x, cameras.width, cameras.height)
+    path = mi.load_dict({"type": "path", "max_depth": 24, "rr_depth": 50})
+    return np.stack([np.array(mi.render(loaded, sensor=sensor, integrator=path, spp=256, seed=s)) for s in range(8)])
+
+
+def media_of(*objects: SceneObject) -> Media:
+    return find_media(tuple(item.material for item in objects), tuple(item.mesh for item in objects))
+
+
+def assert_same_estimate(one: np.ndarray, other: np.ndarray) -> None:
+    """Two-sided: pictures (8, h, w, 3) of eight seeds each differ by no more than their own noise."""
+    error = np.sqrt(sum(run.var(axis=0, ddof=1) / len(run) for run in (one, other))) + 1e-4
+    z = (one.mean(axis=0) - other.mean(axis=0)) / error
+    # With 7 + 7 degrees of freedom |z| has a mean near 0.83 and hardly ever reaches 10.
+    assert np.abs(z).mean() < 1.0
+    assert np.abs(z).max() < 10
+    assert one.mean() == pytest.approx(other.mean(), rel=1e-3)
+
+
+def test_glass_in_air_is_mitsubas_own_to_the_last_bit() -> None:
+    """Our formulas against the same integrator that leaves all glass to Mitsuba's `dielectric`."""
+    import mitsuba as mi
+
+    from datagen.render.mitsuba_scene import is_scalar
+
+    if is_scalar():
+        pytest.skip("the scalar variant uses Mitsuba's own path tracer")
+    if (mi.variant() or "").startswith("cuda"):
+        pytest.skip("on CUDA a reciprocal that is known when the kernel is compiled is rounded better than others")
+    from datagen.render.path_integrator import PathTracer
+
+    objects = (
+        SceneObject(name="ball", mesh=mesh_of(trimesh.creation.icosphere(3, 0.4)), material=Dielectric(ior=1.33)),
+        SceneObject(name="block", mesh=moved(box((0.5, 0.5, 0.5)), (0, 1, 0)), material=Dielectric(ior=1.52)),
+        SceneObject(name="floor", mesh=quad(-0.5), material=Diffuse(color=(0.7, 0.3, 0.2))),
+    )
+    renderer = Renderer(scene_of(*objects, environment=DUSK), max_depth=16)
+    media = media_of(*objects)
+    cameras = camera((2, 1, 1), fov=0.9, size=48)
+    pictures = []
+    for given in (media, dataclasses.replace(media, rank=np.full_like(media.rank, -1))):
+        renderer._tracer = PathTracer(renderer._scene, given, max_depth=16, has_lamps=False, aims=False)
+        pictures.append(renderer.radiance(cameras, 0, spp=64, seed=5)[0])
+    assert np.array_equal(*pictures)
+
+
+@pytest.mark.parametrize(("glass_first", "priorities"), [(True, (1, 0)), (True, (0, 1)), (True, (0, 0)),
+                                                         (False, (0, 0)), (False, (-1, 3))])  # fmt: skip
+@pytest.mark.parametrize("absorptions", [(0.0, 0.0), (2.0, 5.0)])
+def test_glass_and_water_that_overlap_pass_what_fresnel_and_beer_say(
+    glass_first: bool, priorities: tuple[int, int], absorptions: tuple[float, float]
+) -> None:
+    """Air, glass, water, air at normal incidence; whose medium the 0.1 m of overlap are depends on the priorities."""
+    skip_scalar()
+    iors = (1.5, 1.33) if glass_first else (1.33, 1.5)
+    slabs = [
+        SceneObject(name=name, mesh=moved(box((0.3, size, size)), (x, 0, 0)), material=material)
+        for name, x, size, material in zip(
+            ("right", "left"), (0.1, -0.1), (8, 7), (
+                Dielectric(ior=ior, absorption=(absorption,) * 3, priority=priority)
+                for ior, absorption, priority in zip(iors, absorptions, priorities)
+            )
+        )
+    ]  # fmt: skip
+    image = rendered(scene_of(*slabs), camera((9, 0, 0.0), fov=0.02), spp=4096)
+    right_wins = priorities[0] >= priorities[1]
+    lengths = (0.3, 0.2) if right_wins else (0.2, 0.3)
+    taus = [math.exp(-absorption * length) for absorption, length in zip(absorptions, lengths)]
+    faces = [fresnel_reflectance(1.0, ratio) for ratio in (iors[0], iors[1] / iors[0], 1 / iors[1])]
+    through, back = 1 - faces[-1], faces[-1]  # Of what stands to the left, of light that comes from the right.
+    for face, tau in zip(faces[-2::-1], taus[::-1]):
+        passes = (1 - face) * tau / (1 - face * back * tau**2)
+        through, back = passes * through, face + (1 - face) * passes * tau * back
+    if absorptions == (0.0, 0.0):
+        assert through + back == pytest.approx(1)
+    assert image.mean() == pytest.approx(through + back, rel=0.01)
+
+
+def test_nested_media_vanish_in_a_white_furnace_however_they_overlap() -> None:
+    skip_scalar()
+    tilted = trimesh.creation.box((0.4, 0.4, 0.4)).apply_transform(
+        trimesh.transformations.rotation_matrix(0.7, (1, 2, 3), (0, 0, 0))
+    )
+    tilted.unmerge_vertices()
+    objects = (
+        SceneObject(name="water", mesh=ball(0.5), material=Dielectric(ior=1.33)),
+        SceneObject(name="ice", mesh=moved(mesh_of(tilted), (0.1, 0, 0.35)), material=Dielectric(ior=1.31, priority=2)),
+        SceneObject(name="glass", mesh=moved(ball(0.5), (0, 0.4, -0.1)), material=Dielectric(ior=1.5, priority=1)),
+        SceneObject(name="floor", mesh=quad(-0.7), material=Diffuse(color=(1, 1, 1))),
+    )
+    cameras = camera((2, 1, 1), fov=0.6, size=16)
+    image = render_view(Renderer(scene_of(*objects), max_depth=64), cameras, 0, spp=64, view_seed=0, ceiling_db=None)
+    assert image.radiance.mean() == pytest.approx(1, abs=5e-3)
+    assert np.abs(image.radiance - 1).max() < 0.1
+
+
+@pytest.mark.parametrize("modelled", ["inside", "overlapping"])
+def test_water_in_a_glass_shell_is_mitsubas_own_picture_of_its_two_interfaces(
+    modelled: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A ball of water that displaces solid glass, and one that reaches into the wall of a hollow shell."""
+    from datagen.render import mitsuba_scene
+
+    skip_scalar()
+    outer, inner, larger = ball(0.5), ball(0.4), ball(0.43)
+    cavity = dataclasses.replace(inner, faces=np.ascontiguousarray(inner.faces[:, ::-1]), normals=-inner.normals)
+    opaque = (
+        SceneObject(name="floor", mesh=quad(-0.6), material=Diffuse(color=(0.7, 0.3, 0.2))),
+        SceneObject(name="pearl", mesh=moved(ball(0.12), (0, 0.1, 0)), material=Diffuse(color=(0.8, 0.8, 0.7))),
+    )
+    glass, water = Dielectric(ior=1.6), Dielectric(ior=1.2)
+    explicit = scene_of(
+        SceneObject(name="glass", mesh=outer, material=glass),
+        SceneObject(name="water", mesh=inner, material=water),
+        *opaque,
+        environment=DUSK,
+    )
+    wet, shell = (inner, outer) if modelled == "inside" else (larger, merged([outer, cavity]))
+    priority = 1 if modelled == "inside" else -1
+    nested = scene_of(
+        SceneObject(name="glass", mesh=shell, material=glass),
+        SceneObject(name="water", mesh=wet, material=dataclasses.replace(water, priority=priority)),
+        *opaque,
+        environment=DUSK,
+    )
+    check_scene(nested)
+    cameras = camera((2, 1, 0.6), fov=0.6, size=32)
+    renderer = Renderer(nested, max_depth=24)
+    ours = np.stack([renderer.radiance(cameras, 0, spp=256, seed=100 + seed)[0] for seed in range(8)])
+
+    plain = mitsuba_scene._bsdf
+    in_glass = {"type": "dielectric", "int_ior": 1.2, "ext_ior": 1.6}
+    monkeypatch.setattr(
+        mitsuba_scene, "_bsdf", lambda scene, item: in_glass if item.name == "water" else plain(scene, item)
+    )
+    assert_same_estimate(mitsubas_own(explicit, cameras), ours)
+
+
+def test_surfaces_that_are_none_are_no_bounces() -> None:
+    skip_scalar()
+    block = SceneObject(name="block", mesh=box((2, 8, 8)), material=Dielectric(ior=1.5, priority=1))
+    sheets = [moved(box((0.04, 7, 7)), (0.06 * index - 0.5, 0, 0)) for index in range(15)]
+    hidden = [SceneObject(name=f"hidden{i}", mesh=mesh, material=Dielectric()) for i, mesh in enumerate(sheets)]
+    cameras = camera((9, 0, 0.0), fov=0.02)
+    bare, full = (
+        render_view(Renderer(scene_of(*objects), max_depth=6), cameras, 0, spp=4096, view_seed=0, ceiling_db=None)
+        for objects in ((block,), (block, *hidden))
+    )
+    assert full.radiance.mean() == pytest.approx(bare.radiance.mean(), rel=2e-3)
+    assert bare.radiance.mean() > 0.99  # What lacks was reflected more than four times.
+
+
+def test_priorities_are_refused_where_mitsuba_runs_as_scalar(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("datagen.render.truth.is_scalar", lambda: True)
+    drink = SceneObject(name="drink", mesh=ball(0.4), material=Dielectric(ior=1.33, priority=-1))
+    with pytest.raises(HyalineError, match="scene synthetic: has dielectrics with priorities"):
+        Renderer(scene_of(drink), max_depth=8)
+
+
+def skip_scalar() -> None:
+    from datagen.render.mitsuba_scene import is_scalar
+
+    if is_scalar():
+        pytest.skip("nested media need a vectorised variant of Mitsuba")
+
+
+def test_the_noise_estimate_is_the_real_error() -> None:
+    ball = SceneObject(name="ball", mesh=mesh_of(trimesh.creation.icosphere(3, 0.4)), material=Dielectric(ior=1.5))
+    floor = SceneObject(name="floor", mesh=quad(-0.5), material=Diffuse(color=(0.7, 0.3, 0.2)))
+    scene = scene_of(ball, floor, environment=DUSK)
+    cameras = camera((2, 1, 1), fov=0.7, size=32)
+    renderer = Renderer(scene, max_depth=24)
+    from datagen.data.tonemap import srgb_from_linear
+
+    reference = srgb_from_linear(render_view(renderer, cameras, 0, spp=16384, view_seed=99, ceiling_db=None).radiance)
+    few = [render_view(renderer, cameras, 0, spp=32, view_seed=seed, ceiling_db=None) for seed in range(8)]
+    real = np.mean([np.mean((srgb_from_linear(truth.radiance) - reference) ** 2) for truth in few])
+    assert np.mean([truth.noise_mse for truth in few]) == pytest.approx(real, rel=0.15)
+
+
+def test_a_ceiling_is_reached_and_costs_more_samples() -> None:
+    ball = SceneObject(name="ball", mesh=mesh_of(trimesh.creation.icosphere(3, 0.4)), material=Dielectric(ior=1.5))
+    renderer = Renderer(scene_of(ball, environment=DUSK), max_depth=24)
+    cameras = camera((2, 1, 1), fov=0.7, size=16)
+    low = render_view(renderer, cameras, 0, spp=8, view_seed=0, ceiling_db=None)
+    high = render_view(renderer, cameras, 0, spp=8, view_seed=0, ceiling_db=50)
+    assert -10 * math.log10(low.noise_mse) < 50 <= -10 * math.log10(high.noise_mse)
+    assert high.spp > low.spp
+
+
+def test_same_seed_same_bytes_and_another_seed_other_noise() -> None:
+    pane = SceneObject(name="pane", mesh=quad(0.0), material=Diffuse(color=(0.5, 0.4, 0.3)))
+    renderer = Renderer(scene_of(pane, environment=DUSK), max_depth=8)
+    cameras = camera((2, 1, 1), fov=0.7, size=16)
+    one, same, other = (
+        render_view(renderer, cameras, 0, spp=18, view_seed=seed, ceiling_db=None) for seed in (0, 0, 1)
+    )
+    assert picture_bytes(one) == picture_bytes(same)
+    assert radiance_bytes(one) == radiance_bytes(same)
+    assert radiance_bytes(one) != radiance_bytes(other)
+    radiance, noise = read_radiance(radiance_bytes(one))
+    assert np.abs(radiance - one.radiance).max() < 1e-3
+    assert np.abs(noise - one.half_difference).max() < 1e-3
+
+
+@pytest.mark.promise("R8")
+def test_a_picture_repeats_to_the_last_bit_however_many_threads_share_its_pixels() -> None:
+    """At this size threads meet within pixels; Mitsuba's own film then differs from run to run."""
+    import drjit as dr
+
+    from datagen.machine.mitsuba_variant import num_cores
+
+    ball = SceneObject(name="ball", mesh=mesh_of(trimesh.creation.icosphere(3, 0.4)), material=Dielectric(ior=1.5))
+    floor = SceneObject(name="floor", mesh=quad(-0.5), material=Diffuse(color=(0.7, 0.3, 0.2)))
+    renderer = Renderer(scene_of(ball, floor, environment=DUSK), max_depth=16)
+    cameras = camera((2, 1, 1), fov=0.7, size=96)
+    pictures = []
+    for threads in (2, 2, 3, 5):
+        dr.set_thread_count(threads)
+        pictures.append(renderer.radiance(cameras, 0, spp=144, seed=3)[0])
+    dr.set_thread_count(max(2, num_cores()))
+    assert all(np.array_equal(pictures[0], other) for other in pictures[1:])
+
+
+def test_an_exr_is_written_and_read_after_the_workers_were_ended() -> None:
+    """In a process of its own: with a single thread Mitsuba 3.9 waits for ever."""
+    script = (
+        "from datagen.machine.mitsuba_variant import short_lived_workers, use_mitsuba\n"
+        "use_mitsuba(quiet=True, threads=3)\n"
+        "import drjit as dr, numpy as np\n"
+        "from datagen.render.truth import Truth, radiance_bytes, read_radiance\n"
+        "with short_lived_workers(): assert dr.thread_count() == 3\n"
+        "assert dr.thread_count() == 1\n"
+        "half = np.full((8, 8, 3), 0.5, np.float32)\n"
+        "data = radiance_bytes(Truth(radiance=half, half_difference=half, spp=2, noise_mse=0.0))\n"
+        "with short_lived_workers(): pass\n"
+        "assert (read_radiance(data)[0] == 0.5).all()\n"
+    )
+    answer = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=False)
+    assert answer.returncode == 0, answer.stderr
+
+
+@pytest.mark.promise("R10")
+def test_radiance_that_is_no_number_stops_the_view(monkeypatch: pytest.MonkeyPatch) -> None:
+    pane = SceneObject(name="pane", mesh=quad(0.0), material=Diffuse(color=(0.5, 0.4, 0.3)))
+    renderer = Renderer(scene_of(pane), max_depth=8)
+    bad = np.ones((16, 16, 3), np.float32)
+    bad[3, 5] = np.nan
+    monkeypatch.setattr(renderer, "radiance", lambda cameras, view, spp, seed: (bad, spp))
+    with pytest.raises(HyalineError, match=r"pixel \(column 5, row 3\): radiance is not finite"):
+        render_view(renderer, camera((2, 1, 1), fov=0.7, size=16), 0, spp=18, view_seed=0, ceiling_db=None)

@@ -1,0 +1,272 @@
+"""Tests what is mended of a scene that a user brings: that it is said, and that what comes out is right."""
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from support.synthetic import synthetic_scene
+
+from datagen.data.meshes import Mesh, check_closed, face_areas, write_ply
+from datagen.data.surface_points import points_on
+from datagen.disk.errors import HyalineError
+from datagen.scene.atlas import coverage
+from datagen.scene.description import ImageTexture, Scene, image_bytes, image_of, load_scene, save_scene, scene_files
+from datagen.scene.images import linear_pixels
+from datagen.scene.modelling import ball, merged, moved
+from datagen.scene.shading_normals import opposing_share
+
+
+def with_uv(mesh: Mesh) -> Mesh:
+    """The mesh with an atlas of two charts, seen from above and from below."""
+    corners = mesh.vertices[mesh.faces]
+    is_upper = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2] > 0
+    low, size = mesh.vertices.min(axis=0), np.ptp(mesh.vertices, axis=0)
+    xy = ((corners - low) / size)[..., :2] * [0.49, 1]
+    xy[is_upper, :, 0] += 0.5
+    return Mesh(
+        vertices=corners.reshape(-1, 3),
+        faces=np.arange(3 * len(corners), dtype=np.int32).reshape(-1, 3),
+        normals=mesh.normals[mesh.faces].reshape(-1, 3),
+        uv=xy.reshape(-1, 2).astype(np.float32),
+    )
+
+
+BALL = with_uv(ball(0.3, subdivisions=2))
+GLASS = {"type": "Dielectric", "ior": 1.5}
+GREY = {"type": "Diffuse", "color": [0.5, 0.5, 0.5]}
+PHOTO = {"type": "Diffuse", "color": {"type": "ImageTexture", "path": "photo.png"}}
+
+
+def scene_folder(folder: Path, mesh: Mesh | bytes, material: object = GREY) -> Path:
+    """A floor at z = 0 and, above it, the mesh as object `thing`."""
+    save_scene(synthetic_scene(), folder)
+    data = json.loads((folder / "scene.json").read_text())
+    data["objects"][0] = {"name": "thing", "mesh": "meshes/thing.ply", "material": material}
+    (folder / "scene.json").write_text(json.dumps(data))
+    if isinstance(mesh, Mesh):
+        mesh = write_ply(dataclasses.replace(mesh, vertices=mesh.vertices + np.float32([0, 0, 1])))
+    (folder / "meshes" / "thing.ply").write_bytes(mesh)
+    return folder
+
+
+def with_faces(mesh: Mesh, *more: tuple[int, int, int]) -> Mesh:
+    return dataclasses.replace(mesh, faces=np.concatenate([mesh.faces, np.array(more, np.int32)]))
+
+
+def with_normals(mesh: Mesh, count: int, factor: float) -> Mesh:
+    normals = mesh.normals.copy()
+    normals[:count] *= factor
+    return dataclasses.replace(mesh, normals=normals)
+
+
+def with_other_uv(mesh: Mesh, change: object) -> Mesh:
+    return dataclasses.replace(mesh, uv=change(mesh.uv).astype(np.float32))
+
+
+A, B, C = BALL.faces[0].tolist()
+LONELY = dataclasses.replace(
+    BALL,
+    vertices=np.concatenate([BALL.vertices, np.float32([[0, 0, 90]])]),
+    normals=np.concatenate([BALL.normals, np.float32([[np.nan] * 3])]),
+    uv=np.concatenate([BALL.uv, np.float32([[7, 7]])]),
+)
+
+MENDED: dict[str, tuple[Mesh, object, str]] = {
+    "flipped normals": (
+        with_normals(BALL, 10_000, -1),
+        GLASS,
+        "100.0 % of its vertex normals pointed to the back of their faces; normals were computed anew",
+    ),
+    "no normals": (
+        with_normals(BALL, 10_000, 0),
+        GLASS,
+        "100.0 % of its vertex normals were 0 or no numbers; normals were computed anew",
+    ),
+    "a normal that is no number": (
+        with_normals(BALL, 1, np.nan),
+        GLASS,
+        "1 of its vertex normals were 0 or no numbers; these were computed anew",
+    ),
+    "a face of one point": (with_faces(BALL, (A, A, A)), GLASS, "1 of its faces have no area; they were left out"),
+    "a face of two points": (with_faces(BALL, (A, A, B)), GLASS, "1 of its faces have no area; they were left out"),
+    "a face twice": (with_faces(BALL, (B, C, A)), GLASS, "1 of its faces are there twice; they were left out"),
+    "a face and its back": (with_faces(BALL, (B, A, C)), GREY, "1 of its faces are there twice; they were left out"),
+    "a vertex of no face": (LONELY, GLASS, "1 of its vertices belong to no face; they were left out"),
+    "uv that are all 0": (
+        with_other_uv(BALL, np.zeros_like),
+        GLASS,
+        "its uv cover 0 % of the atlas; it was unwrapped anew",
+    ),
+    "uv of both halves in one place": (
+        with_other_uv(BALL, lambda uv: np.stack([uv[:, 0] % 0.5, uv[:, 1]], axis=-1)),
+        GREY,
+        "its uv overlap on 100.0 % of their texels; it was unwrapped anew",
+    ),
+    "uv beyond 1": (with_other_uv(BALL, lambda uv: 2 * uv), GREY, "its uv span 0 to 2; it was unwrapped anew"),
+}
+
+
+@pytest.mark.parametrize("case", MENDED)
+def test_what_can_be_mended_is_and_a_line_names_the_object(
+    case: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    mesh, material, remark = MENDED[case]
+    scene = load_scene(scene_folder(tmp_path / "mine", mesh, material))
+    said = capsys.readouterr().err
+    assert said.startswith(f"scene synthetic: object thing: {remark}")
+    assert said.count("\n") == 1
+    found = scene.objects[0].mesh
+    check_closed(found, where="thing")
+    assert len(found.faces) == len(BALL.faces)
+    assert opposing_share(found) == 0
+    # The corners of a ball's faces look away from its middle.
+    outward = found.vertices - np.float32([0, 0, 1])
+    outward /= np.linalg.norm(outward, axis=-1, keepdims=True)
+    assert np.einsum("vc,vc->v", outward, found.normals).min() > 0.98
+    assert coverage(found, 256).max() == 1
+    assert (coverage(found, 256) > 0).mean() > 0.2
+    # What was mended is not mended again.
+    save_scene(scene, tmp_path / "copy")
+    assert scene_files(load_scene(tmp_path / "copy")) == scene_files(scene)
+    assert capsys.readouterr().err == ""
+
+
+REFUSED: dict[str, tuple[Mesh, object, str]] = {
+    "glass with a sliver in its wall": (
+        with_faces(dataclasses.replace(BALL, faces=BALL.faces[1:]), (A, A, B)),
+        GLASS,
+        r"^scene synthetic: object thing: 3 open edges; glass must be a closed mesh",
+    ),
+    "nothing but slivers": (
+        dataclasses.replace(BALL, faces=np.tile(np.int32([[A, A, B]]), (4, 1))),
+        GREY,
+        r"object thing: face 0 has no area",
+    ),
+    "a corner that is no number": (
+        dataclasses.replace(
+            BALL, vertices=np.where(np.arange(len(BALL.vertices))[:, None] == A, np.nan, BALL.vertices)
+        ),
+        GREY,
+        r"object thing: vertices\[\d+\] is \[nan",
+    ),
+    "an image and uv that are all 0": (
+        with_other_uv(BALL, np.zeros_like),
+        PHOTO,
+        r"object thing: its uv cover 0 % of the atlas; photo\.png needs uv, export its mesh with them",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_what_cannot_be_mended_is_refused_by_name(case: str, tmp_path: Path) -> None:
+    mesh, material, message = REFUSED[case]
+    scene_folder(tmp_path, mesh, material)
+    Image.fromarray(photo()).save(tmp_path / "photo.png")
+    with pytest.raises(HyalineError, match=message):
+        load_scene(tmp_path)
+
+
+def test_an_image_without_uv_is_refused(tmp_path: Path) -> None:
+    import trimesh
+
+    cube = trimesh.creation.box().apply_translation((0, 0, 1)).export(file_type="ply")
+    scene_folder(tmp_path, cube, PHOTO)
+    Image.fromarray(photo()).save(tmp_path / "photo.png")
+    with pytest.raises(HyalineError, match=r"object thing: has no uv for photo\.png; export its mesh with uv"):
+        load_scene(tmp_path)
+
+
+def test_a_file_that_is_no_image_is_refused_when_the_scene_is_read(tmp_path: Path) -> None:
+    scene_folder(tmp_path, BALL, PHOTO)
+    (tmp_path / "photo.png").write_bytes(b"\x89PNG\r\n but no picture")
+    with pytest.raises(HyalineError, match=r"object thing: photo\.png: not an image that can be read"):
+        load_scene(tmp_path)
+
+
+def photo() -> np.ndarray:
+    """Soft blotches in all colours."""
+    y, x = np.mgrid[:64, :64] / 64 * 2 * np.pi
+    waves = [np.sin(x + 2 * y), np.cos(2 * x) * np.sin(y), np.sin(3 * x) * np.cos(y)]
+    return np.rint(127.5 + 100 * np.stack(waves, axis=-1)).astype(np.uint8)
+
+
+def colours_at(scene: Scene, face: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """What the image of object 0 shows at places on its faces, from the nearest texel; the image repeats."""
+    item = scene.objects[0]
+    image = image_of(item.material)
+    assert image is not None
+    pixels = linear_pixels(image_bytes(scene, image), where=image.path)
+    uv = np.einsum("pk,pkc->pc", weights, item.mesh.uv[item.mesh.faces[face]])
+    height, width = pixels.shape[:2]
+    return pixels[
+        np.floor((1 - uv[:, 1]) * height).astype(int) % height, np.floor(uv[:, 0] * width).astype(int) % width
+    ]
+
+
+@pytest.mark.parametrize("change", ["mirrored", "tiled"])
+def test_an_image_whose_uv_overlap_is_baked_into_an_atlas_and_looks_the_same(
+    change: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    mesh = with_other_uv(
+        BALL, lambda uv: np.stack([uv[:, 0] % 0.5, uv[:, 1]], axis=-1) if change == "mirrored" else 1.5 * uv
+    )
+    scene = load_scene(scene_folder_with_photo(tmp_path / "mine", mesh))
+    said = capsys.readouterr().err
+    assert "it was unwrapped anew, and photo.png baked into its new uv" in said
+    assert scene.objects[0].mesh.uv.max() <= 1
+    assert coverage(scene.objects[0].mesh, 256).max() == 1
+    save_scene(scene, tmp_path / "copy")
+    assert sorted(path.name for path in (tmp_path / "copy").rglob("*.png")) == ["thing.png"]
+
+    before = dataclasses.replace(
+        scene,
+        folder=tmp_path / "mine",
+        baked={},
+        objects=(
+            dataclasses.replace(
+                scene.objects[0],
+                mesh=mesh,
+                material=dataclasses.replace(scene.objects[0].material, color=ImageTexture(path="photo.png")),
+            ),
+        ),
+    )
+    rng = np.random.default_rng(2)
+    face = rng.integers(len(BALL.faces), size=3000)
+    weights = rng.dirichlet([1, 1, 1], size=3000)
+    error = np.abs(colours_at(before, face, weights) - colours_at(load_scene(tmp_path / "copy"), face, weights))
+    assert error.mean() < 0.03
+    assert np.quantile(error, 0.95) < 0.1
+
+
+def scene_folder_with_photo(folder: Path, mesh: Mesh) -> Path:
+    scene_folder(folder, mesh, PHOTO)
+    Image.fromarray(photo()).save(folder / "photo.png")
+    return folder
+
+
+def test_a_sound_scene_is_taken_as_it_is_and_nothing_is_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    thing = dataclasses.replace(BALL, uv=BALL.uv * np.float32([1, 0.7]))
+    scene = load_scene(scene_folder(tmp_path, thing, GREY))
+    assert capsys.readouterr().err == ""
+    for field in dataclasses.fields(Mesh):
+        expected = getattr(dataclasses.replace(thing, vertices=thing.vertices + np.float32([0, 0, 1])), field.name)
+        np.testing.assert_array_equal(getattr(scene.objects[0].mesh, field.name), expected)
+
+
+def test_points_are_spread_by_area_and_lie_on_their_faces() -> None:
+    mesh = merged([moved(ball(0.1, subdivisions=2), (1, 0, 0)), ball(0.2, subdivisions=2)])
+    part = np.repeat([0, 1], 320)
+    found = points_on(mesh, 4000, part=part, count_a_part=10)
+    assert len(found.face) == 4020
+    assert np.bincount(part[found.face[4000:]]).tolist() == [10, 10]
+    shares = np.bincount(part[found.face[:4000]], minlength=2) / 4000
+    areas = np.bincount(part, face_areas(mesh))
+    np.testing.assert_allclose(shares, areas / areas.sum(), atol=0.03)
+    a, b, c = np.moveaxis(mesh.vertices[mesh.faces[found.face]].astype(np.float64), 1, 0)
+    normals = np.cross(b - a, c - a)
+    assert np.abs(np.einsum("pc,pc->p", found.position - a, normals)).max() < 1e-9

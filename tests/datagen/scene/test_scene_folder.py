@@ -1,0 +1,210 @@
+"""Tests the scene record and its folder: what users bring, good and bad."""
+
+import dataclasses
+import json
+import typing
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from support.synthetic import synthetic_scene
+
+from datagen.data.meshes import Mesh, write_ply
+from datagen.disk.errors import HyalineError
+from datagen.scene.description import (
+    SURFACE_KINDS,
+    Dielectric,
+    Diffuse,
+    ImageTexture,
+    Lobe,
+    Material,
+    Plastic,
+    Scene,
+    SceneObject,
+    SurfaceKind,
+    check_scene,
+    is_glass,
+    load_scene,
+    save_scene,
+    scene_files,
+    surface_kind,
+)
+from datagen.scene.modelling import ball, merged, moved
+from datagen.trace.light_path import KINDS
+
+
+def edit(folder: Path, change: object) -> None:
+    path = folder / "scene.json"
+    data = json.loads(path.read_text())
+    change(data)
+    path.write_text(json.dumps(data))
+
+
+def test_a_scene_survives_its_folder_with_equal_bytes(tmp_path: Path) -> None:
+    scene = synthetic_scene()
+    save_scene(scene, tmp_path)
+    assert scene_files(load_scene(tmp_path)) == scene_files(scene)
+
+
+def test_a_users_folder_with_an_image_texture_is_copied_whole(tmp_path: Path) -> None:
+    scene = synthetic_scene()
+    save_scene(scene, tmp_path / "mine")
+    Image.fromarray(np.full((4, 4, 3), 200, np.uint8)).save(tmp_path / "mine" / "photo.png")
+    texture = {"type": "Diffuse", "color": {"type": "ImageTexture", "path": "photo.png"}}
+    edit(tmp_path / "mine", lambda data: data["objects"][1].update(material=texture))
+    loaded = load_scene(tmp_path / "mine")
+    assert loaded.objects[1].material == Diffuse(color=ImageTexture(path="photo.png"))
+    save_scene(loaded, tmp_path / "copy")
+    assert (tmp_path / "copy" / "photo.png").read_bytes() == (tmp_path / "mine" / "photo.png").read_bytes()
+
+
+def test_a_mesh_without_uv_is_unwrapped(tmp_path: Path) -> None:
+    save_scene(synthetic_scene(), tmp_path)
+    import trimesh
+
+    (tmp_path / "meshes" / "floor.ply").write_bytes(trimesh.creation.box((1, 1, 0.5)).export(file_type="ply"))
+    mesh = load_scene(tmp_path).objects[1].mesh
+    assert mesh.uv.min() >= 0
+    assert mesh.uv.max() <= 1
+    assert np.ptp(mesh.uv) > 0.5
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda d: d.update(version=7), r"scene\.json: version 7; this program reads version 1"),
+        (
+            lambda d: d["objects"][0]["material"].update(ior=0),
+            r"scene\.json: object pane: ior: is 0\.0; expected .* above 1",
+        ),
+        (lambda d: d["objects"][0]["material"].update(ior=-1.5), r"ior: is -1\.5"),
+        (
+            lambda d: d["objects"][0]["material"].update(iro=1.5),
+            r"scene\.json: object pane\.material: unknown key 'iro'",
+        ),
+        (
+            lambda d: d["objects"][0].update(material={"type": "Dielectric", "priority": 10}),
+            r"scene\.json: object pane: priority: is 10; expected -9 to 9",
+        ),
+        (lambda d: d["objects"][0].update(mesh="../evil.ply"), r"names '\.\./evil\.ply'; expected a file inside"),
+        (lambda d: d["objects"][0].update(mesh="meshes/none.ply"), r"none\.ply: the file is missing"),
+        (lambda d: d["objects"][0].update(name="floor"), r"two objects are called 'floor'"),
+        (lambda d: d["objects"][0].update(name="a/b"), r"object name 'a/b'"),
+        (lambda d: d["objects"][1].pop("mesh"), r"scene\.json: object floor: key 'mesh' is missing"),
+        (lambda d: d["objects"][1].update(mesh=7), r"scene\.json: object floor\.mesh: is 7; expected text"),
+        (lambda d: d["objects"][1].update(material={"type": "Gold"}), r"object floor\.material\.type: is 'Gold'"),
+        (lambda d: d["objects"].append(3), r"scene\.json: objects\[2\]: is 3; expected an object"),
+        (lambda d: d["objects"][1].update(name="\x1b[2J", mesh=7), r"scene\.json: objects\[1\]\.mesh: is 7"),
+        (lambda d: d["cameras"].update(radius=-1), r"camera radius: is -1"),
+        (lambda d: d.pop("cameras"), r"key 'cameras' is missing"),
+        (
+            lambda d: d["objects"][0].update(material={"type": "Dielectric", "ior": 1.5}),
+            r"object pane: 4 open edges; glass must be a closed mesh",
+        ),
+    ],
+)
+def test_a_bad_scene_gets_one_line_that_names_place_and_value(tmp_path: Path, change: object, message: str) -> None:
+    save_scene(synthetic_scene(), tmp_path)
+    edit(tmp_path, change)
+    with pytest.raises(HyalineError, match=message):
+        load_scene(tmp_path)
+
+
+@pytest.mark.parametrize("data", [b"", b"\xff\xfe", b"[1, 2]", b"{" * 100_000, b'{"version": 1'])
+def test_a_foreign_scene_file_is_refused(tmp_path: Path, data: bytes) -> None:
+    (tmp_path / "scene.json").write_bytes(data)
+    with pytest.raises(HyalineError, match=r"scene\.json"):
+        load_scene(tmp_path)
+
+
+def test_values_that_render_silently_wrong_are_refused() -> None:
+    with pytest.raises(HyalineError, match="roughness"):
+        Plastic(color=(0.5, 0.5, 0.5), roughness=0)
+    with pytest.raises(HyalineError, match="color: is"):
+        Diffuse(color=(0.5, 0.5, 1.2))
+    with pytest.raises(HyalineError, match="absorption"):
+        Dielectric(absorption=(float("nan"), 0, 0))
+    with pytest.raises(HyalineError, match="lobe radiance"):
+        Lobe(direction=(0, 0, 1), radiance=(-1, 0, 0), sharpness=5)
+
+
+def test_more_objects_than_ids_are_refused() -> None:
+    scene = synthetic_scene()
+    floor = scene.objects[1]
+    many = tuple(SceneObject(name=f"o{i}", mesh=floor.mesh, material=floor.material) for i in range(256))
+    with pytest.raises(HyalineError, match="256 objects; expected 1 to 255"):
+        check_scene(dataclasses.replace(scene, objects=many))
+
+
+def glass_scene(*glass: tuple[Mesh, Dielectric]) -> Scene:
+    objects = tuple(SceneObject(name=f"g{i}", mesh=mesh, material=material) for i, (mesh, material) in enumerate(glass))
+    return dataclasses.replace(synthetic_scene(), objects=objects)
+
+
+def test_a_priority_is_kept_and_none_leaves_the_bytes_that_older_scenes_have(tmp_path: Path) -> None:
+    scene = glass_scene((ball(1.0), Dielectric()), (ball(2.0), Dielectric(ior=1.33, priority=-1)))
+    materials = [entry["material"] for entry in json.loads(scene_files(scene)["scene.json"])["objects"]]
+    assert "priority" not in materials[0]
+    assert materials[1]["priority"] == -1
+    save_scene(scene, tmp_path)
+    loaded = load_scene(tmp_path, is_sealed=True)
+    assert [item.material for item in loaded.objects] == [item.material for item in scene.objects]
+    assert scene_files(loaded) == scene_files(scene)
+
+
+def test_more_dielectrics_with_priorities_than_a_ray_can_tell_apart_are_refused() -> None:
+    balls = [moved(ball(0.4, subdivisions=1), (i, 0, 0)) for i in range(33)]
+    check_scene(glass_scene(*((mesh, Dielectric()) for mesh in balls)))
+    check_scene(glass_scene(*((mesh, Dielectric(priority=i // 20)) for i, mesh in enumerate(balls[:32]))))
+    with pytest.raises(HyalineError, match="33 dielectrics of different priority; expected at most 32"):
+        check_scene(glass_scene(*((mesh, Dielectric(priority=i // 20)) for i, mesh in enumerate(balls))))
+
+
+def test_a_drink_that_ends_exactly_on_its_glass_is_refused() -> None:
+    bubble = ball(0.8, subdivisions=2)
+    inside_out = dataclasses.replace(bubble, faces=np.ascontiguousarray(bubble.faces[:, ::-1]), normals=-bubble.normals)
+    shell = merged([ball(1.0, subdivisions=2), inside_out])
+    with pytest.raises(HyalineError, match=r"objects g0 and g1 share 320 faces; let one reach into the other"):
+        check_scene(glass_scene((shell, Dielectric()), (bubble, Dielectric(ior=1.33))))
+    check_scene(glass_scene((shell, Dielectric()), (ball(0.85, subdivisions=2), Dielectric(ior=1.33))))
+
+
+def test_a_scene_with_a_nan_vertex_is_refused_on_load(tmp_path: Path) -> None:
+    scene = synthetic_scene()
+    save_scene(scene, tmp_path)
+    mesh = scene.objects[1].mesh
+    vertices = mesh.vertices.copy()
+    vertices[2, 1] = np.nan
+    (tmp_path / "meshes" / "floor.ply").write_bytes(write_ply(dataclasses.replace(mesh, vertices=vertices)))
+    with pytest.raises(HyalineError, match=r"floor: vertices\[2\] is .*nan"):
+        load_scene(tmp_path)
+
+
+def test_every_material_has_one_kind_that_the_tracer_and_mitsuba_know() -> None:
+    assert set(SURFACE_KINDS) == set(typing.get_args(Material))
+    assert set(KINDS) == set(SURFACE_KINDS.values()) == set(typing.get_args(SurfaceKind))
+    assert len(set(KINDS.values())) == len(KINDS)
+    assert [kind.__name__ for kind in SURFACE_KINDS if is_glass(kind.__new__(kind))] == ["Dielectric", "ThinDielectric"]
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class FrostedGlass(Dielectric):
+    """What a plug-in might bring: it derives from what is known, and is something else."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Velvet:
+    color: tuple[float, float, float] = (0.5, 0.1, 0.1)
+
+
+@pytest.mark.parametrize("material", [FrostedGlass(), Velvet()])
+def test_a_material_that_nothing_traces_is_refused_instead_of_drawn_opaque(material: Dielectric | Velvet) -> None:
+    message = rf"material: is a {type(material).__name__}, which cannot be traced; expected one of Dielectric, Thin"
+    scene = synthetic_scene()
+    strange = dataclasses.replace(scene.objects[1], material=material)
+    with pytest.raises(HyalineError, match=rf"^scene synthetic: object floor: {message}"):
+        check_scene(dataclasses.replace(scene, objects=(scene.objects[0], strange)))
+    for ask in (surface_kind, is_glass):
+        with pytest.raises(HyalineError, match=rf"^{message}"):
+            ask(material)

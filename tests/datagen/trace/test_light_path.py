@@ -1,0 +1,302 @@
+"""Tests light paths against closed formulas and against Mitsuba's own path tracer."""
+
+import math
+
+import numpy as np
+import pytest
+import trimesh
+from support.meshes import box, mesh_of
+from support.reference import fresnel_reflectance
+from support.scenes import DUSK, rendered, scene_of
+from support.synthetic import look_at, quad
+
+from datagen.data.cameras import pixel_center_rays
+from datagen.data.dataset import Cameras
+from datagen.data.meshes import Mesh
+from datagen.disk.errors import HyalineError
+from datagen.machine.mitsuba_variant import use_mitsuba
+from datagen.render import mitsuba_scene
+from datagen.scene.description import Conductor, Dielectric, Diffuse, Material, Plastic, SceneObject, ThinDielectric
+
+if use_mitsuba(quiet=True).startswith("scalar"):
+    pytest.skip("light paths need a vectorised variant of Mitsuba", allow_module_level=True)
+
+from datagen.render.mitsuba_scene import load_scene_mitsuba, load_sensor, radiance_of_environment
+from datagen.trace.light_path import LightPathTracer, TracedPaths
+
+GREY = Diffuse(color=(0.5, 0.5, 0.5))
+
+
+def wide(z: float) -> Mesh:
+    """A horizontal square of 40 m, so that slanted rays land on it."""
+    mesh = quad(z)
+    return Mesh(vertices=mesh.vertices * np.float32([20, 20, 1]), faces=mesh.faces, normals=mesh.normals, uv=mesh.uv)
+
+
+def traced(*objects: tuple[Mesh, Material], origins: object, directions: object, max_branches: int = 2,
+           **limits: int) -> TracedPaths:  # fmt: skip
+    directions = np.atleast_2d(np.asarray(directions, np.float64))
+    directions = directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    origins = np.broadcast_to(np.asarray(origins, np.float64), directions.shape)
+    meshes, materials = zip(*objects, strict=True)
+    return LightPathTracer(meshes, materials).trace(
+        origins.astype(np.float32), directions.astype(np.float32), max_branches=max_branches, **limits
+    )
+
+
+@pytest.mark.parametrize("ior", [1.1, 1.5, 2.4])
+@pytest.mark.parametrize("angle_deg", [0.0, 10.0, 35.0, 60.0, 80.0])
+def test_a_slab_shifts_and_dims_a_ray_as_snell_fresnel_and_beer_say(ior: float, angle_deg: float) -> None:
+    thickness, absorption = 0.3, np.array([1.0, 2.0, 3.0])
+    slab = mesh_of(trimesh.creation.box((30, 30, thickness)))
+    glass = Dielectric(ior=ior, absorption=tuple(absorption))
+    slab = box((30, 30, thickness))
+    angle = math.radians(angle_deg)
+    direction = (math.sin(angle), 0, -math.cos(angle))
+    paths = traced((slab, glass), (wide(-0.9), GREY), origins=(0, 0.1, 1), directions=direction)
+    assert paths.object_id[0, :, 0].tolist() == [1, 1, 2, 0, 0, 0, 0, 0]
+    inside = math.asin(math.sin(angle) / ior)
+    expected_x = math.tan(angle) * (1.9 - thickness) + math.tan(inside) * thickness
+    assert paths.position[0, 2, 0, 0] == pytest.approx(expected_x, abs=2e-4)
+    assert paths.direction[0, 2, 0] == pytest.approx(direction, abs=1e-5)  # Parallel to what came in.
+    assert paths.direction[0, 1, 0] == pytest.approx((math.sin(inside), 0, -math.cos(inside)), abs=1e-5)
+    length = thickness / math.cos(inside)
+    assert paths.medium_length[0, :3, 0] == pytest.approx([0, length, 0], abs=5e-5)
+    r = fresnel_reflectance(math.cos(angle), ior)
+    assert paths.throughput[0, 2, 0] == pytest.approx((1 - r) ** 2 * np.exp(-absorption * length), rel=1e-3)
+    # The mirror branch takes what the refracted one does not: together they make one.
+    assert paths.has_left[1, 0]
+    assert paths.end_throughput[1, 0] == pytest.approx([r] * 3, rel=1e-3)
+    assert paths.end_direction[1, 0] == pytest.approx((direction[0], 0, -direction[2]), abs=1e-5)
+    unscaled = paths.throughput[0, 1, 0] * np.exp(absorption * length) * ior**2
+    assert unscaled + paths.end_throughput[1, 0] == pytest.approx([1.0] * 3, rel=1e-3)
+
+
+def test_beyond_the_critical_angle_light_stays_inside() -> None:
+    # Into the top of a cube, out of its side: beyond 41.8 degrees (ior 1.5) the side reflects totally.
+    cube = box((2, 2, 2))
+    for angle_deg, leaves_at_side in ((85.0, False), (30.0, False)):
+        angle = math.radians(angle_deg)
+        start = np.array([0.9, 0.0, 1.0]) - 0.1 * np.array([math.sin(angle), 0, -math.cos(angle)])
+        paths = traced((cube, Dielectric(ior=1.5)), origins=start, directions=(math.sin(angle), 0, -math.cos(angle)))
+        inside = math.asin(math.sin(angle) / 1.5)
+        side_angle = math.pi / 2 - inside
+        assert (math.sin(side_angle) * 1.5 < 1) == leaves_at_side
+        assert paths.direction[0, 2, 0] == pytest.approx((-math.sin(inside), 0, -math.cos(inside)), abs=1e-5)
+        assert paths.throughput[0, 2, 0] == pytest.approx(paths.throughput[0, 1, 0], rel=1e-5)  # Nothing was lost.
+    cube_low = traced((cube, Dielectric(ior=1.2)), origins=(0.5, 0, 1.01), directions=(0.99, 0, -0.1))
+    inside = math.asin(0.99 / math.hypot(0.99, 0.1) / 1.2)
+    assert math.sin(math.pi / 2 - inside) * 1.2 < 1
+    assert cube_low.has_left[0, 0]  # Below the critical angle it leaves at the side.
+    assert cube_low.object_id[0, :3, 0].tolist() == [1, 1, 0]
+
+
+def test_a_weak_lens_focuses_where_the_lens_maker_says() -> None:
+    # A biconvex lens cut from two balls of radius R: 1/f = (n - 1) (2/R - (n - 1) d / (n R^2)).
+    radius, thickness, ior = 4.0, 0.08, 1.5
+    rim = math.sqrt(radius**2 - (radius - thickness / 2) ** 2)
+    heights = np.linspace(0, rim * 0.999, 200)
+    sag = np.sqrt(radius**2 - heights**2) - (radius - thickness / 2)
+    profile = np.concatenate([np.stack([heights, -sag], 1), np.stack([heights, sag], 1)[::-1]])
+    lens = trimesh.creation.revolve(profile, sections=400)
+    lens.fix_normals()
+    vertices = np.asarray(lens.vertices)
+    up = np.where(vertices[:, 2] >= 0, 1.0, -1.0)
+    centers = np.stack([0 * up, 0 * up, -up * (radius - thickness / 2)], axis=1)
+    normals = vertices - centers
+    mesh = Mesh(
+        vertices=vertices.astype(np.float32),
+        faces=np.asarray(lens.faces, np.int32),
+        normals=(normals / np.linalg.norm(normals, axis=1, keepdims=True)).astype(np.float32),
+        uv=np.zeros((len(vertices), 2), np.float32),
+    )
+    focal = 1 / ((ior - 1) * (2 / radius - (ior - 1) * thickness / (ior * radius**2)))
+    offsets = np.array([0.05, 0.1, 0.15])
+    origins = np.stack([offsets, 0.3 * offsets, np.full(3, 1.0)], axis=1)
+    paths = traced(
+        (mesh, Dielectric(ior=ior)), (wide(-9.0), GREY), origins=origins, directions=np.tile([0.0, 0, -1], (3, 1))
+    )
+    p, d = paths.position[0, 1].astype(float), paths.direction[0, 2].astype(float)
+    t = -(p[:, 0] * d[:, 0] + p[:, 1] * d[:, 1]) / (d[:, 0] ** 2 + d[:, 1] ** 2)
+    crossing = -(p[:, 2] + t * d[:, 2])
+    assert crossing == pytest.approx([focal] * 3, rel=0.02)
+
+
+def test_thin_panes_do_not_bend_and_metals_mirror_with_their_colour() -> None:
+    gold = Conductor(color=(1.0, 0.8, 0.3), roughness=0.0)
+    paths = traced((quad(0.5), ThinDielectric(ior=1.5)), (wide(0), gold), origins=(0, 0, 2), directions=(0.2, 0.1, -1))
+    r = fresnel_reflectance(1 / math.hypot(0.2, 0.1, 1), 1.5)
+    assert paths.direction[0, 1, 0] == pytest.approx(paths.direction[0, 0, 0], abs=1e-6)
+    assert paths.throughput[0, 1, 0] == pytest.approx([1 - 2 * r / (1 + r)] * 3, rel=1e-3)
+    assert paths.end_throughput[1, 0] == pytest.approx([2 * r / (1 + r)] * 3, rel=1e-3)
+    bare = traced((wide(0), gold), origins=(0, 0, 2), directions=(0.2, 0.1, -1))
+    assert bare.end_throughput[1, 0] == pytest.approx(gold.color, rel=1e-5)
+    assert not bare.has_left[0, 0]
+    coated = traced((wide(0), Plastic(color=(0.5, 0.5, 0.5), ior=1.5)), origins=(0, 0, 2), directions=(0, 0.0, -1))
+    assert coated.end_throughput[1, 0] == pytest.approx([0.04] * 3, rel=1e-3)
+    matte = traced((wide(0), GREY), origins=(0, 0, 2), directions=(0, 0.0, -1))
+    assert not matte.has_left.any()
+    assert not matte.object_id[1].any()
+
+
+def test_a_path_longer_than_its_places_keeps_its_end_and_one_too_deep_says_nothing_of_it() -> None:
+    panes = [(quad(0.1 * index), ThinDielectric(ior=1.5)) for index in range(6)]
+    wall = (wide(-1.0), GREY)
+    long = traced(*panes, wall, origins=(0, 0, 2), directions=(0, 0, -1), max_vertices=4)
+    assert long.object_id[0, :, 0].tolist() == [6, 5, 4, 7]
+    assert long.position[0, 3, 0] == pytest.approx((0, 0, -1), abs=1e-6)
+    r = 2 * 0.04 / 1.04
+    assert long.throughput[0, 3, 0] == pytest.approx([(1 - r) ** 6] * 3, rel=1e-3)
+    deep = traced(*panes, wall, origins=(0, 0, 2), directions=(0, 0, -1), max_vertices=4, max_depth=5)
+    assert deep.object_id[0, 3, 0] == 2
+    assert not deep.has_left[0, 0]
+    assert (deep.end_throughput[0, 0] == 0).all()
+
+
+@pytest.mark.parametrize("slope", [0.3, 2.0])
+def test_a_rough_metal_mirrors_as_much_of_the_sky_as_in_mitsuba(slope: float) -> None:
+    gold = Conductor(color=(1.0, 0.8, 0.3), roughness=0.3)
+    direction = np.array([1.0, 0.0, -slope]) / math.hypot(1, slope)
+    floor = SceneObject(name="floor", mesh=wide(0), material=gold)
+    view = Cameras(world_from_camera=look_at(-3 * direction, np.zeros(3))[None], fov_x=1e-3, width=2, height=2)
+    truth = rendered(scene_of(floor, environment=DUSK), view, spp=8192).mean(axis=(0, 1))
+    rays = np.tile(direction, (4096, 1))
+    paths = traced((wide(0), gold), origins=-3 * direction, directions=rays)
+    sky = radiance_of_environment(DUSK, paths.end_direction[1].astype(np.float64))
+    assert (paths.end_throughput[1] * sky).mean(axis=0) == pytest.approx(truth, rel=0.01)
+    again = traced((wide(0), gold), origins=-3 * direction, directions=rays, seed=1)
+    assert (again.end_throughput[1] * sky).mean(axis=0) != pytest.approx(truth, rel=1e-6)
+    # Each sixteen rays, as many as a pixel has, are a fair share of the facets.
+    parts = (paths.end_throughput[1] * sky).reshape(-1, 16, 3).mean(axis=1)
+    assert parts.std(axis=0) == pytest.approx(0, abs=0.05)
+
+
+def test_water_and_the_glass_around_it_share_one_surface() -> None:
+    outer, inner = (trimesh.creation.icosphere(5, radius) for radius in (0.5, 0.44))
+    inner.invert()
+    shell, water = mesh_of(outer + inner), mesh_of(trimesh.creation.icosphere(5, 0.45))
+    glass, drink = (
+        Dielectric(ior=1.5, absorption=(1.0, 2.0, 0.0), priority=1),
+        Dielectric(ior=1.33, absorption=(0.0, 1.0, 3.0)),
+    )
+    # Not through a vertex of the spheres, whose faces are flat: hence the tolerances.
+    direction = np.array([-0.9998, 0.0012, 0.0007])
+    paths = traced((shell, glass), (water, drink), origins=-2 * direction, directions=direction, max_branches=1)
+    assert paths.object_id[0, :, 0].tolist() == [1, 1, 1, 1, 0, 0, 0, 0]
+    assert paths.medium_length[0, :4, 0] == pytest.approx([0, 0.06, 0.88, 0.06], abs=2e-3)
+    air_glass, glass_water = ((a - b) ** 2 / (a + b) ** 2 for a, b in ((1.5, 1.0), (1.5, 1.33)))
+    dimmed = np.exp(-0.12 * np.array(glass.absorption) - 0.88 * np.array(drink.absorption))
+    expected = (1 - air_glass) ** 2 * (1 - glass_water) ** 2 * dimmed
+    assert paths.end_throughput[0, 0] == pytest.approx(expected, rel=5e-3)
+    assert paths.end_direction[0, 0] == pytest.approx(direction, abs=2e-3)
+
+
+def test_with_enough_branches_no_light_is_lost_and_each_adds_some() -> None:
+    """In a white furnace all that a ray brings is 1: refracted, mirrored, and every reflection inside."""
+    ball = mesh_of(trimesh.creation.icosphere(4, 0.5))
+    rng = np.random.default_rng(0)
+    target = rng.normal(size=(400, 3))
+    target *= 0.45 * rng.random((400, 1)) ** (1 / 3) / np.linalg.norm(target, axis=1, keepdims=True)
+    origin = np.array([0.0, -3.0, 1.0])
+    totals = []
+    for branches in (1, 2, 4):
+        paths = traced((ball, Dielectric(ior=1.5)), origins=origin, directions=target - origin, max_branches=branches)
+        total = paths.end_throughput.sum(axis=0).mean(axis=-1)
+        assert total.max() < 1 + 1e-4
+        totals.append(total.mean())
+    assert (np.diff(totals) > 0.0005).all()
+    assert totals[-1] > 0.997
+
+
+def test_branches_come_by_their_throughput_after_the_first_mirror() -> None:
+    panes = [(quad(0.1 * index), ThinDielectric(ior=1.2 + 0.1 * index)) for index in range(5)]
+    paths = traced(*panes, origins=(0, 0, 2), directions=(0.0, 0.001, -1), max_branches=5)
+    start = paths.end_throughput[:, 0, 0]
+    assert paths.has_left[:, 0].all()
+    assert paths.object_id[1, 0, 0] == 0  # From the first pane straight into the open.
+    r = [((0.2 + 0.1 * index) / (2.2 + 0.1 * index)) ** 2 for index in range(5)]
+    assert start[0] == pytest.approx(np.prod([(1 - x) / (1 + x) for x in r]), rel=1e-3)
+    assert paths.object_id[2, 0, 0] == 5  # Mirrored at the second pane, back through the first.
+
+
+@pytest.mark.parametrize("branch", [0, 1, None])
+def test_decoding_branches_by_formula_gives_mitsubas_own_image(
+    branch: int | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Glass that only refracts, or only reflects, or does as glass does, before an environment known by formula."""
+    import mitsuba as mi
+
+    # Of rays from outside a ball reflects none totally. The mirror branch would go on through a second ball.
+    centers = [(0.0, 0.0, 0.0), (-1.2, 0.3, -0.2)][: 1 if branch == 1 else 2]
+    balls = [mesh_of(trimesh.creation.icosphere(5, 0.5).apply_translation(center)) for center in centers]
+    glass = Dielectric(ior=1.5, absorption=(0.0, 0.0, 0.0))
+    objects = tuple(SceneObject(name=f"ball{index}", mesh=ball, material=glass) for index, ball in enumerate(balls))
+    position = np.array([3.0, 0.4, 0.8])
+    size = 48
+    cameras = Cameras(world_from_camera=look_at(position, np.zeros(3))[None], fov_x=0.6, width=size, height=size)
+    plain = mitsuba_scene._bsdf
+    switched_off = {0: {"specular_reflectance": 0.0}, 1: {"specular_transmittance": 0.0}, None: {}}[branch]
+    monkeypatch.setattr(mitsuba_scene, "_bsdf", lambda *given: {**plain(*given), **switched_off})
+    scene = load_scene_mitsuba(scene_of(*objects, environment=DUSK))
+    sensor = load_sensor(cameras.world_from_camera[0], cameras.fov_x, size, size)
+    integrator = mi.load_dict({"type": "path", "max_depth": 16, "rr_depth": 50})
+    image = np.array(mi.render(scene, sensor=sensor, integrator=integrator, spp=4096, seed=1))
+
+    jitter = np.random.default_rng(0)
+    decoded = np.zeros((size * size, 3))
+    rounds = 64
+    tracer = LightPathTracer(tuple(item.mesh for item in objects), tuple(item.material for item in objects))
+    focal = 0.5 * size / math.tan(0.5 * cameras.fov_x)
+    origin, _ = pixel_center_rays(cameras, 0)
+    column, row = np.meshgrid(np.arange(size), np.arange(size))
+    for _ in range(rounds):
+        dx, dy = jitter.random((2, size, size))
+        x, y = (column + dx - size / 2) / focal, (size / 2 - row - dy) / focal
+        d = np.stack([x, y, -np.ones_like(x)], axis=-1).reshape(-1, 3) @ cameras.world_from_camera[0, :3, :3].T
+        d /= np.linalg.norm(d, axis=1, keepdims=True)
+        paths = tracer.trace(
+            np.broadcast_to(origin, d.shape), d.astype(np.float32), max_branches=2 if branch == 1 else 8
+        )
+        environment = radiance_of_environment(DUSK, paths.end_direction.astype(np.float64))
+        light = paths.end_throughput * environment
+        # Rays that meet no glass belong to branch 0; Mitsuba shows them in both images.
+        direct = ~paths.object_id[0, 0].astype(bool)
+        seen = light.sum(axis=0) if branch is None else light[branch]
+        decoded += np.where(direct[:, None], light[0], seen) / rounds
+    difference = decoded.reshape(size, size, 3) - image
+    # What is left is mostly how Mitsuba interpolates its map of the sky at the horizon.
+    assert np.abs(difference).mean() < 4e-3
+    assert np.sqrt(np.square(difference).mean()) < 0.008
+
+
+def test_the_scalar_variant_is_refused_with_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("datagen.trace.light_path.is_scalar", lambda: True)
+    with pytest.raises(HyalineError, match="light paths: Mitsuba runs as scalar_rgb"):
+        LightPathTracer((quad(0.0),), (GREY,))
+
+
+@pytest.mark.parametrize("height", [1.0, -1.0])
+def test_uv_slopes_lead_to_where_the_ray_meets_a_deeper_surface(height: float) -> None:
+    """From above the deeper one comes later; out of what lies below the surface it comes before."""
+    depth = 1e-2
+    rng = np.random.default_rng(0)
+    directions = np.c_[rng.uniform(-2, 2, (200, 2)), np.full(200, -height)]
+    surface, deeper = (
+        traced((wide(z), None), origins=(0.3, -0.2, height), directions=directions, max_branches=1)
+        for z in (0.0, -depth)
+    )
+    expected = deeper.uv[0, 0] - surface.uv[0, 0]
+    assert np.abs(expected).max() > 2e-4
+    assert np.abs(depth * surface.uv_slope[0, 0] - expected).max() < 2e-6
+
+
+@pytest.mark.parametrize("offset", [0, 1, 5, 16])
+def test_a_tracer_records_its_kernel_once_wherever_rays_lie_in_memory(offset: int) -> None:
+    tracer = LightPathTracer((wide(0.0),), (GREY,))
+    memory = np.zeros(offset + 3 * 50, np.float32)
+    for shift in (0, offset):
+        directions = memory[shift : shift + 150].reshape(50, 3)
+        directions[:] = (0, 0, -1)
+        paths = tracer.trace(np.ones((50, 3), np.float32), directions)
+        assert (paths.object_id[0, 0] == 1).all()
+    assert tracer._trace.n_recordings == 1

@@ -1,0 +1,367 @@
+"""Owns the tests of seeds, the paper's tables, the proxy ladder and the claims, on errors of known size."""
+
+import dataclasses
+import json
+import math
+import statistics
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from support.synthetic import write_synthetic_dataset
+
+from datagen.data.dataset import TEST_SPLITS, Dataset, png_bytes, read_image
+from datagen.data.geometries import TRUTH, ProxyStatistics, read_meshes, write_proxies
+from datagen.disk.errors import HyalineError
+from datagen.disk.records import to_json
+from eval.page.report import TABLES, make_report, make_tables
+from eval.papers import claims, comparisons
+from eval.score.seeds import spread
+from model.losses.perceptual import VggSource
+from model.losses.pixel_losses import LossConfig
+from model.methods.light_path.config import default_light_path
+from model.methods.paper import PaperConfig
+from model.run.run_folder import TrainConfig
+
+PAPER = TrainConfig(method="paper", geometry="truth", net=PaperConfig(width=80, texture_size=64))
+BEST = dataclasses.replace(
+    PAPER,
+    net=PaperConfig(
+        width=128, norm="none", texture_size=128, texture_levels=5, finer_counts=0.5,
+        train_samples=4, render_samples=16,
+    ),
+    loss=LossConfig(softness=0.03),
+)  # fmt: skip
+LIGHT = TrainConfig(method="light-path", geometry="truth", net=default_light_path((64, 64), is_proxy=False))
+
+
+def decibels(level: int) -> float:
+    return 20 * math.log10(255 / level)
+
+
+def wrapped(level: int) -> float:
+    return 10 * math.log10(255**2 / (level**2 % 256))
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    return write_synthetic_dataset(
+        tmp_path_factory.mktemp("tables") / "data" / "synthetic", resolution=8, train_views=1
+    )
+
+
+def write_run(dataset: Dataset, runs: Path, name: str, config: TrainConfig | str, near: int, far: int,
+              *, geometry: str = "truth") -> None:  # fmt: skip
+    """A run all of whose pixels are off by so many levels of 255; a method's name instead of a configuration."""
+    folder = runs / "synthetic" / name
+    for split, level in zip(TEST_SPLITS, (near, far), strict=True):
+        (folder / "predictions" / split).mkdir(parents=True)
+        for view in range(2):
+            truth = read_image(dataset, split, view)
+            off = np.where(truth < 128, truth + np.uint8(level), truth - np.uint8(level))
+            (folder / "predictions" / split / f"{view:04d}.png").write_bytes(png_bytes(off))
+    record: dict[str, object] = {"dataset": dataset.root.as_posix(), "dataset_seal": dataset.seal}
+    if isinstance(config, str):
+        record |= {"method": config, "geometry": geometry}
+    else:
+        record |= {"method": config.method, "geometry": config.geometry, "seed": config.seed, "config": to_json(config),
+                   "layers_seal": "the same", "num_parameters": 34483}  # fmt: skip
+    (folder / "run.json").write_text(json.dumps(record))
+
+
+def paper(*, seed: int = 0, geometry: str = "truth", steps: int = 2500, **net: object) -> TrainConfig:
+    return dataclasses.replace(
+        PAPER, seed=seed, geometry=geometry, steps=steps, net=dataclasses.replace(PAPER.net, **net)
+    )
+
+
+def tables(dataset: Dataset, runs: Path, *names: str, output_format: str = "markdown") -> None:
+    make_tables(runs, dataset.root.parent, runs / "report", tables=names, output_format=output_format)
+
+
+def rows_of(text: str) -> list[list[str]]:
+    lines = [line for line in text.splitlines() if line.startswith("| ")]
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines if "---" not in line]
+
+
+# Seeds
+
+
+def test_a_spread_is_numpys_mean_and_sample_deviation() -> None:
+    values = np.random.default_rng(1).normal(30, 2, size=7)
+    found = spread([float(value) for value in values])
+    assert found.mean == pytest.approx(values.mean()) and found.deviation == pytest.approx(values.std(ddof=1))
+    assert spread([3.0]) == dataclasses.replace(found, mean=3.0, deviation=None, count=1)
+    assert spread([3.0, None]).mean is None
+    assert spread([3.0, math.inf]) == dataclasses.replace(found, mean=math.inf, deviation=None, count=2)
+
+
+def test_the_report_averages_runs_that_differ_in_their_seed_alone(
+    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("eval.page.report.figures_of", lambda *_: {})
+    for seed, level in enumerate((5, 7, 10)):
+        write_run(dataset, tmp_path, f"paper-seed{seed}" if seed else "paper", paper(seed=seed), level, 20)
+    write_run(dataset, tmp_path, "paper-100-steps-seed1", paper(seed=1, steps=100), 30, 30)
+    write_run(dataset, tmp_path, "again", paper(seed=1, steps=100), 31, 31)  # The same seed: no spread to be had.
+    make_report(tmp_path, dataset.root.parent, tmp_path / "report", output_format="markdown")
+    text = capsys.readouterr().out
+    (start,) = [place for place, line in enumerate(text.splitlines()) if "over seeds" in line and line.startswith("#")]
+    mean, deviation = rows_of("\n".join(text.splitlines()[start + 3 : start + 6]))[:2]
+    expected = [decibels(level) for level in (5, 7, 10)]
+    assert mean[:3] == ["paper", "3", f"{statistics.fmean(expected):.2f}"]
+    assert deviation[:4] == ["±", "", f"{statistics.stdev(expected):.2f}", "0.00"]
+    assert f"dataset seal {dataset.seal[:12]}" in text and "100-steps (" not in text
+
+    make_report(tmp_path, dataset.root.parent, tmp_path / "report", output_format="json")
+    (scene,) = json.loads(capsys.readouterr().out)["scenes"]
+    (group,) = scene["seeds"]
+    assert group["runs"] == ["paper", "paper-seed1", "paper-seed2"]
+    assert group["scores"]["psnr_db_interpolating"]["deviation"] == pytest.approx(statistics.stdev(expected))
+    hashes = {run["run"]: run["config_sha256"] for run in scene["runs"]}
+    assert hashes["paper"] == hashes["paper-seed2"] == group["config_sha256"] != hashes["again"]
+
+    make_report(tmp_path, dataset.root.parent, tmp_path / "report", output_format="csv")
+    (line,) = [line for line in capsys.readouterr().out.splitlines() if "paper (mean of 3 seeds)" in line]
+    assert f"{statistics.fmean(expected)!r}"[:12] in line
+
+
+# The paper's tables
+
+
+def test_table_1_sets_comparable_runs_beside_the_papers_numbers(
+    dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for seed, level in enumerate((17, 20)):
+        write_run(dataset, tmp_path, f"view{seed}", paper(seed=seed), level, 25)
+    write_run(dataset, tmp_path, "harmonics", paper(extrinsics="sh", width=72), 18, 30)
+    write_run(dataset, tmp_path, "short", paper(steps=100), 90, 90)  # Nothing to compare it with.
+    write_run(dataset, tmp_path, "zero", paper(zero_layer=True), 90, 90)  # Not the paper's table.
+    tables(dataset, tmp_path, "table1")
+    with Image.open(tmp_path / "report" / "table1_synthetic.png") as sheet:
+        # The truth, one seed of the view vector, the harmonics: three panels of 304 pixels and their margins.
+        assert sheet.width == 44 + 3 * (304 + 14) - 14 + 20
+    rows = {row[0]: row[1:] for row in rows_of(capsys.readouterr().out)[1:]}
+    near = [decibels(17), decibels(20)]
+    cell = f"{statistics.fmean(near):.2f}±{statistics.stdev(near):.2f}"
+    assert rows["view vector"][1:4] == ["2", cell, f"{decibels(25):.2f}±0.00"]
+    assert rows["spherical harmonics"] == [
+        "harmonics", "1", f"{decibels(18):.2f}", f"{decibels(30):.2f}", f"{decibels(18) - decibels(30):.2f}",
+        f"{wrapped(18):.2f}", f"{wrapped(30):.2f}", "33.80", "32.52",
+    ]  # fmt: skip
+    assert rows["no extrinsics"][0] == "not run" and rows["no extrinsics"][-2:] == ["33.09", "32.96"]
+    assert len(rows) == 3
+
+
+def test_methods_are_told_by_their_records_whoever_made_them(
+    dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_run(dataset, tmp_path, "somebodys", "dnr", 5, 40)
+    write_run(dataset, tmp_path, "wide", "mlp-first", 12, 13)
+    write_run(dataset, tmp_path, "ours", paper(), 10, 12)
+    write_run(dataset, tmp_path, "voxels", "deepvoxels", 30, 35, geometry="none")
+    write_run(dataset, tmp_path, "boxes", "dnr", 20, 20, geometry="box")
+    tables(dataset, tmp_path, "square", "table2")
+    rows = rows_of(capsys.readouterr().out)
+    assert [row[:2] for row in rows if row[0]] == [
+        ["U-Net, first layer (DNR)", "somebodys"], ["per pixel, first layer", "wide"],
+        ["per pixel, all layers (paper)", "ours"], ["U-Net, all layers", "not run"],
+        ["per pixel, all layers (paper-best)", "not run"],
+        ["DNR", "somebodys"], ["paper", "ours"], ["DeepVoxels", "voxels"],
+        ["paper-best", "not run"], ["what the authors ran", "not run"],
+    ]  # fmt: skip
+    assert [row[-2:] for row in rows if row[1] == "ours"] == [["33.19", "32.99"]] * 2
+
+
+def test_the_paper_at_its_best_has_a_row_of_its_own_beside_the_paper_as_published(
+    dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for seed in range(2):
+        write_run(dataset, tmp_path, f"paper{seed}", paper(seed=seed), 20, 30)
+        write_run(dataset, tmp_path, f"paper-best{seed}", dataclasses.replace(BEST, seed=seed), 10, 15)
+    # No rival at its best: a part of it is left out.
+    less = dataclasses.replace(BEST, net=dataclasses.replace(BEST.net, render_samples=1))
+    write_run(dataset, tmp_path, "paper-best-1-render-rays", less, 90, 90)
+    write_run(dataset, tmp_path, "light-path", LIGHT, 5, 6)
+    tables(dataset, tmp_path, "headline", "table2", "square", "claims")
+    text = capsys.readouterr().out
+    rows = [row for row in rows_of(text) if len(row) == 10]
+    assert [[row[0], row[2], row[3][:5], row[4][:5]] for row in rows if row[1].startswith(("paper", "light"))] == [
+        ["light-path", "1", f"{decibels(5):.2f}", f"{decibels(6):.2f}"],
+        ["paper-best", "2", f"{decibels(10):.2f}", f"{decibels(15):.2f}"],
+        ["paper", "2", f"{decibels(20):.2f}", f"{decibels(30):.2f}"],
+        ["paper", "2", f"{decibels(20):.2f}", f"{decibels(30):.2f}"],
+        ["paper-best", "2", f"{decibels(10):.2f}", f"{decibels(15):.2f}"],
+        ["per pixel, all layers (paper)", "2", f"{decibels(20):.2f}", f"{decibels(30):.2f}"],
+        ["per pixel, all layers (paper-best)", "2", f"{decibels(10):.2f}", f"{decibels(15):.2f}"],
+    ]
+    assert "paper-best-1-render-rays" not in text
+    write_run(dataset, tmp_path, "unet", "dnr", 9, 20)
+    tables(dataset, tmp_path, "claims")
+    drops = [row for row in rows_of(capsys.readouterr().out) if row[2] == "paper-best0 against unet"]
+    assert [row[-1] for row in drops] == ["confirmed"]
+
+
+def test_the_ladder_goes_from_the_truth_to_the_farthest_proxy(
+    dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    copy = write_synthetic_dataset(tmp_path / "data" / "synthetic", resolution=8, train_views=1)
+    meshes = read_meshes(copy, TRUTH)
+    levels = {"truth": 4, "box": 20, "hull": 8, "noise-0.01": 6}
+    for geometry, distance in {"box": 0.3, "hull": 0.02, "noise-0.01": 0.001}.items():
+        numbers = [
+            ProxyStatistics(volume_ratio=1, mean_distance=distance * k, max_distance=distance * k) for k in (1, 3)
+        ]
+        write_proxies(copy, geometry, meshes, tuple(numbers))
+    for geometry, level in levels.items():
+        write_run(copy, tmp_path / "runs", f"paper-{geometry}", paper(geometry=geometry), level, 2 * level)
+        net = default_light_path((32 if geometry == "truth" else 64, 64), is_proxy=geometry != "truth")
+        light = dataclasses.replace(LIGHT, geometry=geometry, net=net)
+        write_run(copy, tmp_path / "runs", f"light-path-{geometry}", light, level - 2, level)
+        # What leaves out a part is an ablation, and no rung.
+        less = dataclasses.replace(light, net=dataclasses.replace(net, relief=False, stack_hidden=0))
+        write_run(copy, tmp_path / "runs", f"light-path-{geometry}-less", less, level, level)
+        best = dataclasses.replace(BEST, geometry=geometry)
+        write_run(copy, tmp_path / "runs", f"paper-best-{geometry}", best, level - 1, level)
+    tables(copy, tmp_path / "runs", "proxies")
+    rows = rows_of(capsys.readouterr().out)[1:]
+    order, methods = ["truth", "noise-0.01", "hull", "box"], ("light-path", "paper-best", "paper")
+    assert [row[:2] for row in rows] == [[method, kind] for method in methods for kind in order]
+    assert [row[3:6] for row in rows[8:]] == [
+        [mean, largest, f"{decibels(levels[kind]):.2f}"]
+        for kind, mean, largest in zip(order, ("0.00", "2.00", "40.00", "600.00"), ("0.0", "3.0", "60.0", "900.0"))
+    ]
+    path = tmp_path / "runs/report/proxies_synthetic.png"
+    with Image.open(path) as picture:
+        assert picture.size == (1500, 620) and np.asarray(picture.convert("L")).std() > 5
+    before = path.read_bytes()
+    tables(copy, tmp_path / "runs", "proxies")
+    assert path.read_bytes() == before
+
+
+def test_the_ablation_starts_from_the_run_with_most_neighbours_and_names_what_changed(
+    dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_run(dataset, tmp_path, "light-path", LIGHT, 4, 5)
+    for name, net in {"b2": {"branches": 2}, "sky": {"environment_size": 1}, "stack": {"composite": False}}.items():
+        config = dataclasses.replace(LIGHT, net=dataclasses.replace(LIGHT.net, **net))
+        write_run(dataset, tmp_path, f"light-path-{name}", config, 8, 5)
+    rays = dataclasses.replace(LIGHT, batch=1024, net=dataclasses.replace(LIGHT.net, train_samples=1))
+    write_run(dataset, tmp_path, "rays", rays, 4, 10)
+    tables(dataset, tmp_path, "ablation")
+    rows = {row[1]: row for row in rows_of(capsys.readouterr().out)}
+    assert rows["light-path"][0] == "the base"
+    assert rows["light-path-b2"][0] == "branches: 12 → 2" and rows["light-path-stack"][0] == "composite: true → false"
+    assert rows["light-path-sky"][-2:] == [f"{decibels(8) - decibels(4):+.2f}", "+0.00"]
+    assert rows["rays"][0] == "train_samples: 4 → 1" and rows["rays"][-1] == f"{decibels(10) - decibels(5):+.2f}"
+
+
+def test_the_variants_of_paper_stand_apart_from_its_other_tables(
+    dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_run(dataset, tmp_path, "paper", paper(), 10, 11)
+    write_run(dataset, tmp_path, "paper-bf16", paper(precision="bf16"), 10, 12)
+    losses = LossConfig(vgg=VggSource(), adversarial=0.01)
+    write_run(dataset, tmp_path, "paper-losses", dataclasses.replace(paper(), loss=losses), 10, 13)
+    tables(dataset, tmp_path, "variants", "table2")
+    variants, table2 = capsys.readouterr().out.split("synthetic: Table 2")
+    rows = {row[1]: row for row in rows_of(variants)}
+    assert rows["paper-bf16"][0] == "precision: fp32 → bf16" and rows["paper"][0] == "the base"
+    assert rows["paper-losses"][0] == "vgg: – → vgg16 random; adversarial: 0.0 → 0.01"  # noqa: RUF001
+    assert "paper-losses" not in table2 and "paper-bf16" not in table2
+
+
+# The claims
+
+
+def verdicts(text: str) -> dict[str, list[str]]:
+    found: dict[str, list[str]] = {}
+    for row in rows_of(text)[1:]:
+        found.setdefault(row[0][0], []).append(row[-1])
+    return found
+
+
+def test_claims_are_judged_by_the_runs_and_not_run_without_them(
+    dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_run(dataset, tmp_path, "view", paper(), 10, 11)
+    tables(dataset, tmp_path, "claims")
+    assert verdicts(capsys.readouterr().out) == {
+        "1": ["–", "not run"], "2": ["–", "not run"], "3": ["not run"], "4": ["not run"],  # noqa: RUF001
+    }  # fmt: skip
+    write_run(dataset, tmp_path, "unet", "dnr", 9, 20)
+    write_run(dataset, tmp_path, "unet-layers", "dnr-layers", 9, 9)
+    write_run(dataset, tmp_path, "sh", paper(extrinsics="sh", width=72), 9, 12)
+    for seed, levels in enumerate(((20, 22), (21, 20))):
+        write_run(dataset, tmp_path, f"ellipsoid{seed}", paper(seed=seed, geometry="ellipsoid"), levels[0], 20)
+        write_run(dataset, tmp_path, f"box{seed}", paper(seed=seed, geometry="box"), levels[1], 40)
+    tables(dataset, tmp_path, "claims")
+    text = capsys.readouterr().out
+    assert verdicts(text) == {
+        "1": ["–", "confirmed", "contradicted"], "2": ["–", "confirmed"],  # noqa: RUF001
+        "3": ["confirmed, within the spread"], "4": ["not run"],
+    }  # fmt: skip
+    assert f"drop {decibels(10) - decibels(11):.2f} against {decibels(9) - decibels(20):.2f}" in text
+    assert "inter 33.80 against 33.19; extra 32.52 against 32.99" in text and "drop 0.20 against 2.66" in text
+
+
+def test_edited_scenes_decide_whether_zero_layers_help(
+    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_run(dataset, tmp_path, "without", paper(), 10, 11)
+    write_run(dataset, tmp_path, "with", paper(zero_layer=True), 10, 11)
+    make = claims.claims_grid
+    for edited, verdict in ((24.0, "confirmed"), (22.0, "contradicted")):
+        scores = {
+            "synthetic": {"with": dict.fromkeys(TEST_SPLITS, edited), "without": dict.fromkeys(TEST_SPLITS, 23.0)}
+        }
+        monkeypatch.setattr("eval.page.report.claims_grid", lambda scenes, _, scores=scores: make(scenes, scores))
+        tables(dataset, tmp_path, "claims")
+        assert verdicts(capsys.readouterr().out)["4"] == [verdict]
+
+
+# What is refused, and what the records must be
+
+
+def test_unknown_tables_formats_and_missing_runs_are_one_line(dataset: Dataset, tmp_path: Path) -> None:
+    with pytest.raises(HyalineError, match="table 'tabel1': there is none of that name; did you mean 'table1'"):
+        tables(dataset, tmp_path, "tabel1")
+    with pytest.raises(HyalineError, match="format 'csv': there is none of that name"):
+        tables(dataset, tmp_path, "table1", output_format="csv")
+    write_run(dataset, tmp_path, "view", paper(), 10, 11)
+    with pytest.raises(HyalineError, match=r"no run there that stands in table2; make them with `model sweep table2"):
+        tables(dataset, tmp_path / "nowhere", "table2")
+
+
+@pytest.mark.parametrize("name", TABLES)
+@pytest.mark.parametrize("output_format", ["table", "latex"])
+def test_every_table_is_printed_in_every_format(
+    dataset: Dataset, tmp_path: Path, name: str, output_format: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for seed in range(2):
+        write_run(dataset, tmp_path, f"paper_{seed}", paper(seed=seed), 10 + seed, 11)
+        write_run(dataset, tmp_path, f"light-path{seed}", dataclasses.replace(LIGHT, seed=seed), 10, 11)
+    tables(dataset, tmp_path, name, output_format=output_format)
+    text = capsys.readouterr().out
+    assert dataset.seal[:12] in text
+    if output_format == "table":
+        assert max(map(len, text.splitlines())) <= 120
+    else:
+        body = "".join(line for line in text.splitlines() if not line.startswith("%"))
+        assert body.startswith(r"\begin{tabular}") and not set(body) & set("±→∞↑↓_") - (
+            {"_"} if r"\_" in body else set()
+        )
+
+
+def test_the_choices_that_tables_look_for_are_the_defaults_of_the_methods() -> None:
+    paper_net, light_net = (dataclasses.asdict(config.net) for config in (PAPER, LIGHT))
+    paper_choices = paper_net | dataclasses.asdict(PAPER.loss)
+    assert comparisons.VIEW == {key: paper_choices[key] for key in comparisons.VIEW}
+    assert comparisons.LIGHT_PATH == {key: light_net[key] for key in comparisons.LIGHT_PATH}
+    proxy_net = dataclasses.asdict(default_light_path((64, 64), is_proxy=True))
+    on_proxies = comparisons.LIGHT_PATH_ON_PROXIES
+    assert on_proxies == {key: proxy_net[key] for key in on_proxies}
+    known = {*paper_net, *light_net, "geometry", "batch"}
+    varied = {key for comparison in comparisons.COMPARISONS.values() for key in comparison.varied or ()}
+    assert varied | {*comparisons.PROXY_KEYS, *comparisons.FOLLOWING} <= known

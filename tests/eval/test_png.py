@@ -1,0 +1,231 @@
+"""Tests that a prediction is scored as it was written or not at all: no flipped bit, cut or odd PNG gets through."""
+
+import io
+import re
+import struct
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from support.synthetic import write_synthetic_dataset
+
+from datagen.data.dataset import Dataset, png_bytes, read_image
+from datagen.disk.errors import HyalineError
+from datagen.disk.records import Json
+from datagen.disk.storage import commit_sealed, sha256
+from eval.score.png import check_png
+from eval.score.runs import Run, open_run, read_prediction, within
+
+pytestmark = pytest.mark.promise("R4")
+
+SIZE = 16
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    return write_synthetic_dataset(tmp_path_factory.mktemp("png") / "data" / "synthetic", resolution=SIZE)
+
+
+@pytest.fixture(scope="module")
+def picture() -> np.ndarray:
+    ramp = np.linspace(0, 255, SIZE).astype(np.uint8)
+    return np.stack(np.broadcast_arrays(ramp[:, None], ramp[None], ramp[None, ::-1]), axis=-1)
+
+
+def encode(image: Image.Image, **options: object) -> bytes:
+    buffer = io.BytesIO()
+    image.save(buffer, format="PNG", **options)  # pyright: ignore[reportArgumentType]
+    return buffer.getvalue()
+
+
+def chunk(kind: bytes, content: bytes) -> bytes:
+    return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
+
+
+def with_text(data: bytes) -> bytes:
+    """The PNG with a chunk that no picture needs, as other programs write."""
+    return data[:33] + chunk(b"tEXt", b"Software\0a renderer") + data[33:]
+
+
+def test_every_flipped_bit_of_a_png_is_noticed_by_its_own_checksums(picture: np.ndarray) -> None:
+    data = with_text(png_bytes(picture))
+    check_png(data, where="it")
+    for bit in range(8 * len(data)):
+        broken = bytearray(data)
+        broken[bit // 8] ^= 1 << bit % 8
+        with pytest.raises(HyalineError, match=r"^it: (damaged|not a PNG)"):
+            check_png(bytes(broken), where="it")
+
+
+def test_a_png_that_is_cut_off_at_any_length_is_noticed(picture: np.ndarray) -> None:
+    data = png_bytes(picture)
+    for length in range(len(data)):
+        with pytest.raises(HyalineError, match=r"^it: (damaged \(cut off after|not a PNG)"):
+            check_png(data[:length], where="it")
+
+
+@pytest.mark.parametrize(("rows", "what"), [(SIZE - 1, "fewer"), (SIZE + 1, "more")])
+def test_a_png_of_other_pixels_than_its_header_promises_is_noticed(rows: int, what: str) -> None:
+    header = struct.pack(">IIBBBBB", SIZE, SIZE, 8, 2, 0, 0, 0)
+    body = zlib.compress((b"\0" + bytes(3 * SIZE)) * rows)
+    data = b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", body) + chunk(b"IEND", b"")
+    with pytest.raises(HyalineError, match=f"it has {what} pixels than the 16 x 16 of its header"):
+        check_png(data, where="it")
+
+
+def rgb16(size: int) -> bytes:
+    """A PNG of 16 bits a channel, which Pillow reads as one of 8."""
+    header = struct.pack(">IIBBBBB", size, size, 16, 2, 0, 0, 0)
+    rows = b"".join(b"\0" + bytes(6 * size) for _ in range(size))
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(rows)) + chunk(b"IEND", b"")
+
+
+def odd(name: str) -> bytes:
+    plain = Image.new("RGB", (SIZE, SIZE))
+    match name:
+        case "16-bit grey":
+            return encode(Image.new("I;16", (SIZE, SIZE)))
+        case "16-bit colours":
+            return rgb16(SIZE)
+        case "bilevel":
+            return encode(Image.new("1", (SIZE, SIZE)))
+        case "transparent":
+            return encode(Image.new("RGBA", (SIZE, SIZE), (0, 0, 0, 9)))
+        case "transparent palette":
+            return encode(plain.quantize(4), transparency=0)
+        case "animation":
+            return encode(plain, save_all=True, append_images=[Image.new("RGB", (SIZE, SIZE), "red")])
+        case "trailing bytes":
+            return encode(plain) + b"\0"
+        case "two pictures":
+            return encode(plain) + encode(plain)
+        case "no end":
+            return encode(plain)[:-12]
+        case "no pixels":
+            return encode(plain)[:33] + chunk(b"IEND", b"")
+        case "too large":
+            header = struct.pack(">IIBBBBB", 1 << 20, 1 << 20, 8, 2, 0, 0, 0)
+            return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IEND", b"")
+        case "JPEG":
+            buffer = io.BytesIO()
+            plain.save(buffer, format="JPEG")
+            return buffer.getvalue()
+        case _:
+            return b""
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("16-bit grey", "has 16 bits a channel; expected 8-bit sRGB"),
+        ("16-bit colours", "has 16 bits a channel; expected 8-bit sRGB"),
+        ("bilevel", "its pixels are '1'; expected 8-bit sRGB"),
+        ("transparent", "has transparent pixels; expected opaque ones"),
+        ("transparent palette", "has transparent pixels; expected opaque ones"),
+        ("animation", "is an animation; expected one picture"),
+        ("trailing bytes", "damaged (goes on for 1 bytes behind its end)"),
+        ("two pictures", "behind its end)"),
+        ("no end", "damaged (cut off after"),
+        ("no pixels", "it has fewer pixels than the 16 x 16"),
+        ("too large", "is 1048576 x 1048576 pixels; expected 16 x 16, as the truth has"),
+        ("JPEG", "not a PNG (it begins with"),
+        ("empty", "not a PNG (it begins with b'')"),
+    ],
+)
+def test_an_odd_picture_is_refused_in_one_line(dataset: Dataset, tmp_path: Path, name: str, message: str) -> None:
+    path = tmp_path / "synthetic/nerf/predictions/interpolating/0000.png"
+    path.parent.mkdir(parents=True)
+    path.write_bytes(odd(name))
+    run = open_run(tmp_path / "synthetic/nerf", dataset.root.parent)
+    with pytest.raises(HyalineError, match=f"^{path}: .*{re.escape(message)}") as error:
+        read_prediction(run, "interpolating", 0)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("mode", ["RGB", "L", "P", "RGBA", "LA"])
+def test_opaque_pictures_of_8_bits_are_read_whatever_their_kind(
+    dataset: Dataset, picture: np.ndarray, tmp_path: Path, mode: str
+) -> None:
+    image = Image.fromarray(picture).quantize(9) if mode == "P" else Image.fromarray(picture).convert(mode)
+    path = tmp_path / "synthetic/nerf/predictions/interpolating/0000.png"
+    path.parent.mkdir(parents=True)
+    path.write_bytes(with_text(encode(image)))
+    run = open_run(tmp_path / "synthetic/nerf", dataset.root.parent)
+    assert np.array_equal(read_prediction(run, "interpolating", 0), np.asarray(image.convert("RGB")))
+
+
+# What hyaline wrote
+
+
+def write_run(folder: Path, dataset: Dataset) -> None:
+    """Perfect predictions with the list of their hashes."""
+    files: dict[str, Json] = {}
+    for view in range(2):
+        path = folder / f"predictions/interpolating/000{view}.png"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(png_bytes(read_image(dataset, "interpolating", view)))
+        files[path.relative_to(folder).as_posix()] = sha256(path.read_bytes())
+    commit_sealed(folder / "predictions.json", {"version": 1, "files": files})
+
+
+def run_at(place: str, root: Path, dataset: Dataset) -> Run:
+    """The run, or what it drew of an edit or at another size."""
+    run = open_run(root / "synthetic" / "paper", dataset.root.parent)
+    return run if place == "." else within(run, run.folder / place, dataset)
+
+
+@pytest.mark.parametrize(
+    ("place", "command"),
+    [
+        (".", "model render --run {root}/synthetic/paper"),
+        ("edits/moved", "model render --run {root}/synthetic/paper --edit moved"),
+        ("x2", "model render --run {root}/synthetic/paper --scale 2"),
+    ],
+)
+def test_a_picture_that_is_not_what_was_written_is_named_with_the_command_that_writes_it(
+    dataset: Dataset, tmp_path: Path, place: str, command: str
+) -> None:
+    folder = tmp_path / "synthetic" / "paper" / place
+    for each in (folder, tmp_path / "synthetic" / "paper"):
+        write_run(each, dataset)
+    path = folder / "predictions/interpolating/0001.png"
+    run = run_at(place, tmp_path, dataset)
+    assert np.array_equal(read_prediction(run, "interpolating", 1), read_image(dataset, "interpolating", 1))
+
+    data = path.read_bytes()
+    other = png_bytes(read_image(dataset, "interpolating", 0))  # A whole picture, but another one.
+    flipped = bytearray(data)
+    flipped[len(data) // 2] ^= 2
+    for broken in (bytes(flipped), other, data + b"\0", data[:-1]):
+        path.write_bytes(broken)
+        with pytest.raises(HyalineError) as error:
+            read_prediction(run, "interpolating", 1)
+        told = command.format(root=tmp_path)
+        assert str(error.value) == (
+            f"{path}: damaged (checksum differs), says {folder / 'predictions.json'}; render it again with `{told}`"
+        )
+    assert np.array_equal(read_prediction(run, "interpolating", 0), read_image(dataset, "interpolating", 0))
+
+
+def test_a_flipped_bit_in_the_list_of_pictures_is_noticed(dataset: Dataset, tmp_path: Path) -> None:
+    write_run(tmp_path / "synthetic" / "paper", dataset)
+    path = tmp_path / "synthetic" / "paper" / "predictions.json"
+    data = path.read_bytes()
+    for place in range(len(data)):
+        broken = bytearray(data)
+        broken[place] ^= 1 << place % 7
+        path.write_bytes(broken)
+        with pytest.raises(HyalineError, match=r"predictions\.json"):
+            run_at(".", tmp_path, dataset)
+
+
+def test_a_picture_that_the_list_does_not_name_is_refused(dataset: Dataset, tmp_path: Path) -> None:
+    folder = tmp_path / "synthetic" / "paper"
+    write_run(folder, dataset)
+    path = folder / "predictions/extrapolating/0000.png"
+    path.parent.mkdir()
+    path.write_bytes(png_bytes(read_image(dataset, "extrapolating", 0)))
+    with pytest.raises(HyalineError, match=r"0000\.png: not among those that were written, says"):
+        read_prediction(run_at(".", tmp_path, dataset), "extrapolating", 0)

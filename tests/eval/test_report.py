@@ -1,0 +1,399 @@
+"""The report end to end: folders of pictures in, tables, data and contact sheets out."""
+
+import csv
+import dataclasses
+import io
+import json
+import math
+import os
+import re
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from support.synthetic import write_synthetic_dataset
+
+from datagen.data.dataset import TEST_SPLITS, Dataset, Split, open_dataset, png_bytes, read_image, read_png
+from datagen.data.geometries import TRUTH
+from datagen.data.layers import glass_mask, read_layers
+from datagen.disk.errors import HyalineError
+from eval.page.report import make_report
+from eval.score.runs import RUN_KEYS, list_run_folders
+from eval.tables.grids import CEILING, latex_escaped
+from model.run.run_folder import RunRecord
+
+SCRIPTS = Path(sys.executable).parent
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with data/synthetic and three runs: perfect ones, grey ones, and a foreign method's folder."""
+    root = tmp_path_factory.mktemp("report")
+    dataset = write_synthetic_dataset(root / "data" / "synthetic")
+    about = {
+        "method": "ours",
+        "geometry": "truth",
+        "knowledge": "true geometry",
+        "dataset": (root / "data" / "synthetic").as_posix(),
+        "dataset_seal": dataset.seal,
+        "seed": 3,
+        "num_parameters": 33267,
+        "label": "tiny",
+        "num_texture_parameters": 1,
+    }
+    for name, change in {"perfect": lambda image: image, "grey": lambda image: np.full_like(image, 128)}.items():
+        for split in TEST_SPLITS:
+            write_predictions(dataset, root / "runs" / "synthetic" / name, split, change)
+        (root / "runs" / "synthetic" / name / "run.json").write_text(json.dumps(about))
+    write_predictions(dataset, root / "runs" / "synthetic" / "foreign_nerf", "interpolating", darken)
+    (root / "runs" / "synthetic" / "unfinished").mkdir()
+    return root
+
+
+@pytest.fixture
+def no_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Spares the second that pictures take."""
+    monkeypatch.setattr("eval.page.report.figures_of", lambda *_: {})
+
+
+@pytest.fixture
+def copy(made: Path, tmp_path: Path, no_pictures: None) -> Path:
+    """The same, to be broken; its runs know no dataset folder but its own."""
+    shutil.copytree(made, tmp_path, dirs_exist_ok=True)
+    for path in tmp_path.rglob("run.json"):
+        path.write_text(json.dumps(json.loads(path.read_text()) | {"dataset": "nowhere"}))
+    return tmp_path
+
+
+def darken(image: np.ndarray) -> np.ndarray:
+    return image - np.minimum(image, 3)
+
+
+def write_predictions(dataset: Dataset, run: Path, split: Split, change) -> None:
+    folder = run / "predictions" / split
+    folder.mkdir(parents=True)
+    for view in range(dataset.config.split(split).views):
+        (folder / f"{view:04d}.png").write_bytes(png_bytes(change(read_image(dataset, split, view))))
+
+
+def report(root: Path, output_format: str = "csv") -> None:
+    make_report(root / "runs", root / "data", root / "out", output_format=output_format)
+
+
+def csv_rows(text: str) -> dict[str, dict[str, str]]:
+    return {row["run"]: row for row in csv.DictReader(io.StringIO(text))}
+
+
+# What the report says
+
+
+@pytest.mark.usefixtures("no_pictures")
+def test_csv_holds_every_runs_scores(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    make_report(made / "runs", made / "data", tmp_path, output_format="csv")
+    out, err = capsys.readouterr()
+    rows = csv_rows(out)
+    assert list(rows) == ["foreign_nerf", "grey", "perfect", CEILING]
+    assert "unfinished: no predictions yet; skipped" in err
+
+    perfect, grey, foreign = rows["perfect"], rows["grey"], rows["foreign_nerf"]
+    assert float(perfect["psnr_db_interpolating"]) == math.inf
+    assert float(perfect["ssim_extrapolating"]) == pytest.approx(1)
+    assert perfect["drop_db"] == ""
+    assert (perfect["method"], perfect["num_parameters"], perfect["seed"]) == ("ours", "33267", "3")
+    assert float(foreign["psnr_db_interpolating"]) == pytest.approx(20 * math.log10(255 / 3), abs=0.1)
+    assert foreign["method"] == foreign["psnr_db_extrapolating"] == ""
+    assert float(rows[CEILING]["psnr_db_interpolating"]) == pytest.approx(50)
+
+    dataset = open_dataset(made / "data" / "synthetic")
+    for split in TEST_SPLITS:
+        truths = [read_image(dataset, split, view) for view in range(2)]
+        masks = [glass_mask(dataset, read_layers(dataset, TRUTH, split, view)) for view in range(2)]
+        errors = [(truth.astype(float) - 128) ** 2 for truth in truths]
+        whole = [10 * math.log10(255**2 / error.mean()) for error in errors]
+        glass = [10 * math.log10(255**2 / error[mask].mean()) for error, mask in zip(errors, masks, strict=True)]
+        assert float(grey[f"psnr_db_{split}"]) == pytest.approx(np.mean(whole), abs=1e-9)
+        assert float(grey[f"glass_psnr_db_{split}"]) == pytest.approx(np.mean(glass), abs=1e-9)
+    drop = float(grey["psnr_db_interpolating"]) - float(grey["psnr_db_extrapolating"])
+    assert float(grey["drop_db"]) == pytest.approx(drop)
+
+
+@pytest.mark.usefixtures("no_pictures")
+def test_json_on_stdout_is_the_file_and_holds_every_picture(
+    made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    make_report(made / "runs", made / "data", tmp_path, output_format="json")
+    text = capsys.readouterr().out
+    assert (tmp_path / "results.json").read_text() == text
+    assert str(made) not in text  # No path of this machine.
+    (scene,) = json.loads(text)["scenes"]
+    runs = {run["run"]: run for run in scene["runs"]}
+    assert runs["perfect"]["splits"]["interpolating"]["psnr_db"] == {"mean": "inf", "pictures": ["inf", "inf"]}
+    assert runs["foreign_nerf"]["splits"]["extrapolating"] is None
+    assert len(runs["grey"]["splits"]["extrapolating"]["delta_e"]["pictures"]) == 2
+    assert re.fullmatch("[0-9a-f]{64}", runs["grey"]["predictions_sha256"])
+    assert len({run["predictions_sha256"] for run in runs.values()}) == 3
+
+
+@pytest.mark.usefixtures("no_pictures")
+def test_table_fits_120_columns_and_says_what_it_measures(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    make_report(made / "runs", made / "data", made / "runs" / "report", output_format="table")
+    text = capsys.readouterr().out
+    assert max(map(len, text.splitlines())) <= 120
+    for words in (CEILING, "PSNR wrapped (authors' script)", "33,267", "–", "∞", "Not comparable", "33.80"):  # noqa: RUF001
+        assert words in text
+    assert "foreign_nerf: has no predictions for the extrapolating split." in text
+    (line,) = [line for line in text.splitlines() if line.split()[:1] == [CEILING.split()[0]]]
+    assert line.split()[3:5] == ["50.00", "50.00"]
+
+
+@pytest.mark.usefixtures("no_pictures")
+def test_markdown_has_as_many_cells_in_each_line(made: Path, tmp_path: Path,
+                                                 capsys: pytest.CaptureFixture[str]) -> None:  # fmt: skip
+    make_report(made / "runs", made / "data", tmp_path, output_format="markdown")
+    tables = re.findall(r"(?:^\|.*\n)+", capsys.readouterr().out, re.MULTILINE)
+    assert len(tables) == 4
+    for table in tables:
+        lines = table.splitlines()
+        assert len({line.count("|") for line in lines}) == 1
+        assert set(lines[1]) <= set("|-: ")
+    assert "PSNR dB ↑, interpolating" in tables[0]
+
+
+@pytest.mark.usefixtures("no_pictures")
+def test_latex_is_booktabs_with_balanced_rows(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    make_report(made / "runs", made / "data", tmp_path, output_format="latex")
+    text = capsys.readouterr().out
+    tables = re.findall(r"\\begin\{tabular\}\{(\w+)\}\n(.*?)\\end\{tabular\}", text, re.DOTALL)
+    assert len(tables) == 4
+    for alignment, body in tables:
+        assert [body.count(rule) for rule in (r"\toprule", r"\bottomrule")] == [1, 1]
+        rows = [line for line in body.splitlines() if line.endswith(r"\\")]
+        for row in rows:
+            spans = sum(int(span) - 1 for span in re.findall(r"\\multicolumn\{(\d+)\}", row))
+            assert len(re.findall(r"(?<!\\)&", row)) + 1 + spans == len(alignment)
+    assert r"foreign\_nerf" in text
+    assert "∞" not in text
+    assert r"$\infty$" in text
+
+
+def test_latex_escapes_what_would_break_it() -> None:
+    assert latex_escaped(r"a_b & 5% {x}\y") == r"a\_b \& 5\% \{x\}\textbackslash{}y"
+
+
+def test_a_partly_identical_split_says_so(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    truth = copy / "data" / "synthetic" / "images" / "interpolating" / "0000.png"
+    shutil.copy(truth, copy / "runs/synthetic/grey/predictions/interpolating/0000.png")
+    report(copy, "table")
+    assert "grey, interpolating: PSNR dB is infinite in 1 of 2 pictures, left out." in capsys.readouterr().out
+
+
+def test_without_layers_the_glass_column_is_empty(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    shutil.rmtree(copy / "data" / "synthetic" / "layers")
+    report(copy)
+    out, err = capsys.readouterr()
+    assert csv_rows(out)["grey"]["glass_psnr_db_interpolating"] == ""
+    assert "no layers of the true geometry, so no PSNR on glass" in err
+
+
+# Pictures
+
+
+def test_pictures_are_written_and_do_not_depend_on_the_day(made: Path, tmp_path: Path) -> None:
+    for out in (tmp_path / "a", tmp_path / "b"):
+        make_report(made / "runs", made / "data", out, output_format="json")
+    names = ["cameras_synthetic", "comparison_synthetic", "curve_synthetic", "synthetic_foreign_nerf", "synthetic_grey",
+             "synthetic_perfect"]  # fmt: skip
+    assert sorted(path.name for path in (tmp_path / "a").iterdir()) == sorted(
+        [*(f"{n}.png" for n in names), "report.json", "results.json"]
+    )
+    for path in (tmp_path / "a").iterdir():
+        assert path.read_bytes() == (tmp_path / "b" / path.name).read_bytes()
+    with Image.open(tmp_path / "a" / "synthetic_grey.png") as picture:
+        assert picture.info.keys() <= {"dpi"}
+
+
+def test_a_sheet_shows_the_pixels_unfiltered(made: Path, tmp_path: Path) -> None:
+    make_report(made / "runs", made / "data", tmp_path, output_format="json")
+    sheet = read_png(tmp_path / "synthetic_perfect.png")
+    truth = read_image(open_dataset(made / "data" / "synthetic"), "interpolating", 0)
+    enlarged = truth.repeat(10, axis=0).repeat(10, axis=1)  # 32 pixels become 320.
+    for column in range(2):
+        left, top = 44 + column * (320 + 14), 64
+        np.testing.assert_array_equal(sheet[top : top + 320, left : left + 320], enlarged)
+
+
+# What the report refuses
+
+
+def test_a_missing_view_is_named(copy: Path) -> None:
+    (copy / "runs/synthetic/grey/predictions/interpolating/0001.png").unlink()
+    with pytest.raises(HyalineError, match=r"grey/predictions/interpolating/0001\.png: missing \(1 of 2 are\)"):
+        report(copy)
+
+
+def test_an_extra_view_is_named(copy: Path) -> None:
+    folder = copy / "runs/synthetic/grey/predictions/interpolating"
+    shutil.copy(folder / "0000.png", folder / "0002.png")
+    with pytest.raises(HyalineError, match=r"0002\.png: no view of that name in the interpolating split"):
+        report(copy)
+
+
+def test_a_wrong_size_is_refused(copy: Path) -> None:
+    path = copy / "runs/synthetic/grey/predictions/extrapolating/0000.png"
+    path.write_bytes(png_bytes(np.zeros((32, 31, 3), np.uint8)))
+    with pytest.raises(HyalineError, match=r"0000\.png: is 31 x 32 pixels; expected 32 x 32"):
+        report(copy)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"no picture", "not a PNG"),
+        (Image.new("I;16", (32, 32)), "has 16 bits a channel; expected 8-bit sRGB"),
+        (Image.new("RGBA", (32, 32), (0, 0, 0, 9)), "has transparent pixels"),
+    ],
+)
+def test_an_unreadable_picture_is_refused(copy: Path, content: bytes | Image.Image, message: str) -> None:
+    path = copy / "runs/synthetic/grey/predictions/extrapolating/0000.png"
+    if isinstance(content, bytes):
+        path.write_bytes(content)
+    else:
+        content.save(path)
+    with pytest.raises(HyalineError, match=rf"0000\.png: .*{message}"):
+        report(copy)
+
+
+def test_predictions_for_other_data_are_refused_but_the_others_are_scored(
+    copy: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = copy / "runs/synthetic/grey/run.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"dataset_seal": "f" * 64}))
+    with pytest.raises(HyalineError, match=r"synthetic/grey: the predictions were made for other data"):
+        report(copy)
+    assert set(csv_rows(capsys.readouterr().out)) == {"perfect", "foreign_nerf", CEILING}
+
+
+def test_every_broken_run_is_told(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (copy / "runs/synthetic/grey/run.json").write_text('{"seed": "three"}')
+    (copy / "runs/synthetic/perfect/predictions/extrapolatin").mkdir()
+    with pytest.raises(HyalineError, match=r"extrapolatin: split .* did you mean 'extrapolating'"):
+        report(copy)
+    assert "seed is 'three'; expected an integer" in capsys.readouterr().err
+
+
+def test_a_run_without_its_dataset_says_where_it_looked(copy: Path) -> None:
+    shutil.rmtree(copy / "data")
+    with pytest.raises(HyalineError, match=r"no dataset at .*data/synthetic; say where it is with --data"):
+        report(copy)
+
+
+@pytest.mark.usefixtures("no_pictures")
+def test_only_the_runs_of_the_chosen_dataset_are_scored(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (copy / "runs" / "other" / "lost" / "predictions" / "interpolating").mkdir(parents=True)
+    moved = copy / "elsewhere" / "synthetic"
+    shutil.move(copy / "data", copy / "elsewhere")
+    make_report(copy / "runs", copy / "data", copy / "out", output_format="csv", only=moved)
+    assert list(csv_rows(capsys.readouterr().out)) == ["foreign_nerf", "grey", "perfect", CEILING]
+    with pytest.raises(HyalineError, match=r"^.*other/lost: no dataset at .*elsewhere/other"):
+        make_report(copy / "runs", copy / "elsewhere", copy / "out", output_format="csv")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('{"unheard_of": 1}', "unknown key 'unheard_of'; known are config, dataset"),
+        ('{"seed": 1, "seed": 2}', "key 'seed' stands twice in one object"),
+        ('{"seed": 1e999}', "the number '1e999' is not finite"),
+        ('{"config": ' + "[" * 70 + "]" * 70 + "}", "nested too deeply; expected at most 64 levels"),
+    ],
+)
+@pytest.mark.usefixtures("no_pictures")
+def test_a_record_that_cannot_be_trusted_is_refused(copy: Path, text: str, message: str) -> None:
+    (copy / "runs" / "synthetic" / "grey" / "run.json").write_text(text)
+    with pytest.raises(HyalineError, match=rf"grey/run\.json: {message}"):
+        report(copy)
+
+
+def test_the_report_knows_every_key_that_training_writes() -> None:
+    assert {item.name for item in dataclasses.fields(RunRecord)} | {"type"} == RUN_KEYS
+
+
+def test_no_run_at_all_says_how_to_make_one(tmp_path: Path) -> None:
+    with pytest.raises(
+        HyalineError,
+        match=r"no predictions there; make some with `datagen build --scene glass_table`, or put a method",
+    ):
+        report(tmp_path)
+
+
+def test_a_link_to_the_latest_run_counts_once(copy: Path) -> None:
+    runs = copy / "runs"
+    (runs / "synthetic" / "latest").symlink_to("grey")
+    (runs / "report" / "inner").mkdir(parents=True)
+    names = [path.name for path in list_run_folders(runs, besides=runs / "report")]
+    assert names == ["foreign_nerf", "grey", "perfect", "unfinished"]
+
+
+# The command
+
+
+def environment() -> dict[str, str]:
+    return os.environ | {"PATH": f"{SCRIPTS}{os.pathsep}{os.environ['PATH']}", "COLUMNS": "120"}
+
+
+def command(*words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(words, cwd=cwd, env=environment(), capture_output=True, text=True, timeout=60)
+
+
+@pytest.mark.parametrize(
+    "form",
+    [["report"], ["env", "eval", "report"], ["env", "eval"], [sys.executable, "-m", "eval", "report"],
+     ["bash", "-c", "eval report --help"]],
+    ids=["report", "eval-report", "eval", "python-m", "bash"],
+)  # fmt: skip
+def test_every_form_answers_help(form: list[str], tmp_path: Path) -> None:
+    start = time.monotonic()
+    done = command(*form, "--help", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "usage: eval report" in done.stdout
+    assert "--format" in done.stdout
+    assert time.monotonic() - start < 5  # 0.2 s on an idle machine: no heavy import.
+
+
+def test_typed_in_bash_it_prints_only_the_table_on_stdout(made: Path, tmp_path: Path) -> None:
+    done = command("bash", "-c", f"eval report --data {made}/data --runs {made}/runs --out out --format csv",
+                   cwd=tmp_path)  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert set(csv_rows(done.stdout)) == {"foreign_nerf", "grey", "perfect", CEILING}
+    assert "wrote out/results.json" in done.stderr
+
+
+def test_an_unknown_format_is_one_line_with_a_suggestion(tmp_path: Path) -> None:
+    done = command("report", "--format", "markdwn", cwd=tmp_path)
+    assert (done.returncode, done.stdout) == (1, "")
+    assert done.stderr == (
+        "error: format 'markdwn': there is none of that name; did you mean 'markdown'? "
+        "known are csv, json, latex, markdown, table\n"
+    )
+
+
+def test_a_mistyped_flag_points_to_help_that_a_shell_can_reach(tmp_path: Path) -> None:
+    done = command("report", "--rnus", "x", cwd=tmp_path)
+    assert done.returncode == 2
+    assert done.stderr.endswith("help: `eval report --help`\n")
+
+
+def test_the_package_imports_neither_torch_nor_mitsuba_and_its_help_nothing_heavy(tmp_path: Path) -> None:
+    code = (
+        "import sys, eval.cli\n"
+        "assert not {'numpy', 'matplotlib', 'tyro'} & set(sys.modules)\n"
+        "import eval.page.report, eval.page.figures, eval.score.metrics\n"
+        "assert not {'torch', 'mitsuba', 'drjit', 'skimage', 'colour'} & set(sys.modules)"
+    )
+    done = command(sys.executable, "-c", code, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr

@@ -1,0 +1,333 @@
+"""Owns the tests of the perceptual and the adversarial loss and of in-painting."""
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from scipy.signal import correlate2d
+from support.synthetic import write_synthetic_dataset
+from support.training import run_bytes, stop_at
+
+from datagen.data.dataset import Dataset
+from datagen.data.geometries import TRUTH
+from datagen.disk.errors import HyalineError
+from datagen.disk.storage import sha256_file
+from datagen.machine.mitsuba_variant import use_mitsuba
+from model.batches.rays import RayBatch, load_pixels, take_colors
+from model.losses.adversarial import Adversary, PatchDiscriminator
+from model.losses.inpaint import Inpainter, count_visits, patches_around
+from model.losses.patch_losses import Losses
+from model.losses.perceptual import IMAGENET_MEAN, IMAGENET_STD, PerceptualLoss, VggSource, find_vgg, vgg_layers
+from model.losses.pixel_losses import LossConfig, PatchTerms, configure_losses, difference, pixel_loss
+from model.methods.paper import PaperConfig, build_paper
+from model.methods.table import METHODS
+from model.run.predict import render_predictions
+from model.run.run_folder import TrainConfig, check_same_run, is_finished, read_run
+from model.run.train import train
+from model.settings.choices import LossChoices
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+
+
+CPU = torch.device("cpu")
+NET = PaperConfig(width=16, texture_size=100, position_size=32)
+SMALL = TrainConfig(method="paper", geometry=TRUTH, net=NET, steps=5, batch=128, evaluate_every=5, checkpoint_every=2)
+RANDOM_VGG = VggSource(weights="random")
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    return write_synthetic_dataset(tmp_path_factory.mktemp("losses") / "data" / "synthetic", train_views=5)
+
+
+# The perceptual loss.
+
+
+def test_the_vggs_have_their_published_sizes_and_layers() -> None:
+    with torch.device("meta"):
+        nets = {"vgg16": vgg_layers("vgg16"), "vgg19": vgg_layers("vgg19")}
+    counts = {kind: sum(parameter.numel() for parameter in net.parameters()) for kind, net in nets.items()}
+    assert counts == {"vgg16": 14_714_688, "vgg19": 20_024_384}
+    places = {
+        kind: [index for index, layer in enumerate(net) if isinstance(layer, torch.nn.Conv2d)]
+        for kind, net in nets.items()
+    }
+    assert places["vgg16"] == [0, 2, 5, 7, 10, 12, 14, 17, 19, 21, 24, 26, 28]
+    assert places["vgg19"] == [0, 2, 5, 7, 10, 12, 14, 16, 19, 21, 23, 25, 28, 30, 32, 34]
+
+
+def test_its_first_layers_equal_scipy() -> None:
+    loss = PerceptualLoss(RANDOM_VGG)
+    picture = torch.rand(1, 3, 8, 8, generator=torch.Generator().manual_seed(1))
+    x = (picture[0].double().numpy() - np.array(IMAGENET_MEAN)[:, None, None]) / np.array(IMAGENET_STD)[:, None, None]
+    for place in (0, 2):
+        layer = loss.features[place]  # pyright: ignore[reportIndexIssue]
+        weight, bias = layer.weight.double().numpy(), layer.bias.double().numpy()
+        x = np.stack(
+            [sum(correlate2d(channel, kernel, "same") for channel, kernel in zip(x, kernels)) for kernels in weight]
+        )
+        x = np.maximum(x + bias[:, None, None], 0)
+    found = loss.compare_layers(picture)
+    np.testing.assert_allclose(found[0][0].numpy(), x, atol=1e-4)
+    assert [layer.shape[1:] for layer in found] == [(64, 8, 8), (128, 4, 4), (256, 2, 2)]
+
+
+def test_it_compares_after_the_last_activation_of_three_stages() -> None:
+    for kind, places in (("vgg16", [3, 8, 15]), ("vgg19", [3, 8, 17])):
+        loss = PerceptualLoss(VggSource(kind=kind, weights="random"))  # pyright: ignore[reportArgumentType]
+        assert loss.compared == places
+        assert not any(parameter.requires_grad for parameter in loss.parameters())
+    generator = torch.Generator().manual_seed(0)
+    truth = torch.rand(2, 32, 32, 3, generator=generator)
+    assert float(loss(truth, truth)) == 0
+    off = truth + 0.1 * torch.randn(truth.shape, generator=generator)
+    assert 0 < float(loss(0.5 * (truth + off), truth)) < float(loss(off, truth))
+
+
+def test_weights_come_from_a_file_and_only_the_features_are_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TORCH_HOME", str(tmp_path))
+    place = tmp_path / "hub/checkpoints/vgg16-397923af.pth"
+    with pytest.raises(HyalineError, match=r"hub/checkpoints/vgg16-397923af.pth: no VGG16 weights; put torchvision's"):
+        find_vgg("vgg16", "auto")
+    trained = vgg_layers("vgg16", stages=3)
+    state = {f"features.{name}": value for name, value in trained.state_dict().items()}
+    place.parent.mkdir(parents=True)
+    torch.save({**state, "classifier.0.weight": "whatever"}, place)
+    with pytest.raises(HyalineError, match="damaged, its SHA-256 is"):
+        find_vgg("vgg16", "auto")  # Not the file that the name promises.
+    source = find_vgg("vgg16", str(place))
+    assert source.sha256 == sha256_file(place) and source.describe() == "pre-trained VGG16"
+    loss = PerceptualLoss(source)
+    assert all(torch.equal(value, trained.state_dict()[name]) for name, value in loss.features.state_dict().items())
+    with pytest.raises(HyalineError, match=r"features.14.weight is \[256, 256, 3, 3\]|features.16.weight is missing"):
+        PerceptualLoss(dataclasses.replace(source, kind="vgg19"))
+    place.write_bytes(b"no weights")
+    with pytest.raises(HyalineError, match="torch cannot read it"):
+        PerceptualLoss(source)
+    assert find_vgg("vgg19", "random").describe() == "VGG19 of random weights (a stand-in)"
+
+
+def test_a_colour_beyond_white_costs_nothing_where_the_picture_clips() -> None:
+    truth = torch.tensor([[1.0, 1.0, 1.0], [254 / 255, 0.5, 0.0]])
+    colors = torch.tensor([[1.7, 1.0, 0.8], [1.7, 0.2, 0.3]], requires_grad=True)
+    missed = difference(colors, truth)
+    missed.abs().sum().backward()
+    torch.testing.assert_close(missed, torch.tensor([[0.0, 0.0, 0.8 - 1.0], [1.7 - 254 / 255, 0.2 - 0.5, 0.3]]))
+    assert colors.grad is not None
+    assert colors.grad[0, 0] == 0 and colors.grad[0, 2] == -1
+    assert torch.equal(colors.grad[1], torch.tensor([1.0, -1.0, 1.0]))
+
+
+def test_patch_terms_see_whole_patches_and_the_rest_stays_the_mean(dataset: Dataset) -> None:
+    torch.manual_seed(0)
+    renderer = build_paper(dataclasses.replace(NET, norm="none"), dataset, TRUTH, 4)
+    pixels = load_pixels(dataset, TRUTH, "train", range(5))
+    seen = []
+
+    def of(colors: torch.Tensor, truth: torch.Tensor) -> torch.Tensor:
+        seen.append((colors, truth))
+        return 3 * (colors - truth).abs().mean()
+
+    loss = pixel_loss(renderer, pixels, 64, np.random.default_rng(1), patch_terms=PatchTerms(size=32, number=1, of=of))
+    alone = pixel_loss(renderer, pixels, 64, np.random.default_rng(1))
+    colors, truth = seen[0]
+    # At 32 pixels a patch is a whole view.
+    views = pixels.rgb.view(5, 32, 32, 3).float() / 255
+    assert any(torch.equal(truth[0], view) for view in views)
+    expected = alone + 3 * (colors - truth).abs().mean()
+    assert loss.item() == pytest.approx(expected.item(), rel=1e-5)
+
+
+# The adversarial loss.
+
+
+def test_the_discriminator_has_the_known_size_and_sees_70_pixels() -> None:
+    net = PatchDiscriminator()
+    assert sum(parameter.numel() for parameter in net.parameters()) == 2_764_737
+    small = PatchDiscriminator(width=4)
+    for place, layer in enumerate(small):
+        if isinstance(layer, torch.nn.InstanceNorm2d):
+            small[place] = torch.nn.Identity()  # Its means look at everything.
+    pictures = torch.rand(1, 128, 128, 3, requires_grad=True)
+    logits = small.judge(pictures)
+    assert logits.shape == (1, 1, 14, 14)
+    logits[0, 0, 7, 7].backward()
+    assert pictures.grad is not None
+    rows, columns = pictures.grad[0].abs().sum(dim=-1).nonzero(as_tuple=True)
+    assert (rows.max() - rows.min() + 1, columns.max() - columns.min() + 1) == (70, 70)
+
+
+def test_the_adversary_learns_to_tell_and_its_judgement_pulls_fakes_towards_the_truth() -> None:
+    adversary = Adversary(lr=0.004, seed=0, device=CPU, width=8)
+    generator = torch.Generator().manual_seed(0)
+    fake = torch.zeros(1, requires_grad=True)
+    for _ in range(6):
+        real = 0.8 + 0.05 * torch.randn(1, 32, 32, 3, generator=generator)
+        loss = adversary.loss(fake + 0.3 + 0.01 * torch.randn(1, 32, 32, 3, generator=generator), real)
+    loss.backward()
+    assert loss.item() > 0.75  # More than log 2: it is no longer guessing.
+    assert fake.grad is not None and fake.grad.abs() > 0
+    assert all(
+        parameter.grad is None or not parameter.requires_grad for parameter in adversary.discriminator.parameters()
+    )
+    other = Adversary(lr=0.004, seed=1, device=CPU, width=8)
+    other.load_state(adversary.state())
+    assert torch.equal(other.discriminator.judge(real), adversary.discriminator.judge(real))
+
+
+@pytest.mark.parametrize("method", ["paper", "dnr", "authors-code"])
+def test_a_run_with_all_losses_resumes_to_the_bit(
+    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, method: str
+) -> None:
+    from model.methods.authors_code import AuthorsConfig
+    from model.methods.dnr import DnrConfig
+
+    net = {
+        "paper": NET,
+        "dnr": DnrConfig(texture_size=16, position_size=32, unet_width=4, crop=32),
+        "authors-code": AuthorsConfig(texture_size=16, position_size=32),
+    }[method]
+    terms = LossConfig(vgg=RANDOM_VGG, adversarial=0.01, adversarial_from=0.3, patch=32)
+    config = dataclasses.replace(SMALL, method=method, net=net, loss=terms)
+    train(config, dataset, tmp_path / "whole", label="a", device=CPU)
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        stop_at(patch, 4)  # The discriminator has learned since step 2; the newest checkpoint is of step 4.
+        train(config, dataset, tmp_path / "parts", label="a", device=CPU)
+    train(config, dataset, tmp_path / "parts", label="a", device=CPU)
+    assert run_bytes(tmp_path / "whole") == run_bytes(tmp_path / "parts")
+    render_predictions(tmp_path / "parts", config, dataset, device=CPU)
+    assert is_finished(tmp_path / "parts")
+    record = read_run(tmp_path / "parts")
+    assert record.knowledge == "true geometry, VGG16 of random weights (a stand-in)" and record.config == config
+    seals = {"dataset_seal": dataset.seal, "layers_seal": record.layers_seal}
+    with pytest.raises(HyalineError, match="another"):
+        check_same_run(tmp_path / "parts", dataclasses.replace(config, loss=LossConfig()), **seals)
+
+
+def test_impossible_losses_are_refused() -> None:
+    with pytest.raises(HyalineError, match="inpaint: needs the discriminator's judgement; give --adversarial"):
+        configure_losses(LossChoices(inpaint=True))
+    with pytest.raises(HyalineError, match="perceptual: there is no network to compare with; give --vgg-weights"):
+        configure_losses(LossChoices(perceptual=0.1))
+    with pytest.raises(HyalineError, match="patch: is 16; expected at least 32 pixels"):
+        configure_losses(LossChoices(patch=16))
+
+
+# In-painting.
+
+
+def test_visits_are_where_gradients_arrive(dataset: Dataset) -> None:
+    renderer = build_paper(NET, dataset, TRUTH, 4)
+    pixels = load_pixels(dataset, TRUTH, "train", range(5))
+    rays = pixels.take(torch.arange(len(pixels.rgb)), None)
+    renderer.textures(rays.uv, rays.object_id).sum().backward()
+    gradient = renderer.get_parameter("textures.table").grad
+    assert gradient is not None
+    visits = count_visits(renderer.textures, pixels)  # pyright: ignore[reportArgumentType]
+    assert torch.equal(visits > 0, gradient[:, 0] > 0)
+    assert 0 < (visits == 0).sum() < len(visits)
+    assert (rays.object_id > 0).sum() < visits.sum() <= 4 * (rays.object_id > 0).sum()
+
+
+def test_patches_lie_around_their_pixels_inside_their_views() -> None:
+    pixel = torch.tensor([0, 2 * 1024 + 16 * 32 + 20, 3 * 1024 - 1])
+    index = patches_around(pixel, 9, 32)
+    assert index.shape == (3, 9, 9)
+    assert [int(part.min()) for part in index] == [0, 2 * 1024 + 12 * 32 + 16, 2 * 1024 + 23 * 32 + 23]
+    assert all(place in part for place, part in zip(pixel, index))
+    assert torch.equal(index[0, :, 0], 32 * torch.arange(9))
+
+
+def make_inpainter(dataset: Dataset, renderer: torch.nn.Module) -> Inpainter:
+    if use_mitsuba(quiet=True).startswith("scalar"):
+        pytest.skip("layers of new poses need a vectorised variant of Mitsuba")
+    training = load_pixels(dataset, TRUTH, "train", range(5))
+    return Inpainter(renderer, training, dataset, TRUTH, num_layers=4, seed=0, device=CPU)
+
+
+def test_only_texels_without_visits_get_a_gradient(dataset: Dataset) -> None:
+    torch.manual_seed(0)
+    renderer = build_paper(dataclasses.replace(NET, texture_levels=2), dataset, TRUTH, 4).train()
+    for parameter in renderer.parameters():
+        torch.nn.init.normal_(parameter, std=0.3)
+    inpainter = make_inpainter(dataset, renderer)
+    before = {name: value.clone() for name, value in renderer.state_dict().items()}
+    colors = inpainter.render(renderer, 2, 32, np.random.default_rng(0))
+    colors.sum().backward()
+    assert colors.shape == (2, 32, 32, 3) and renderer.training
+    assert all(torch.equal(value, before[name]) for name, value in renderer.state_dict().items())  # Running statistics.
+    for name, parameter in renderer.named_parameters():
+        if not name.startswith("textures."):
+            assert parameter.grad is None
+    table = renderer.get_parameter("textures.0.table")
+    assert table.grad is not None
+    visits = inpainter.visits["textures.0.table"]
+    assert (table.grad[visits > 0] == 0).all() and table.grad[visits == 0].abs().sum() > 0
+    # What is seen is what the renderer itself draws there.
+    index = patches_around(inpainter.showing[torch.from_numpy(
+        np.random.default_rng(0).integers(len(inpainter.showing), size=2))], 32, 32)  # fmt: skip
+    with torch.no_grad():
+        expected = renderer.eval()(inpainter.pixels.take(index, None)).view(2, 32, 32, 3)
+    torch.testing.assert_close(colors, expected)
+    assert (take_colors(inpainter.pixels, index.flatten()) == 0).all()  # Poses without truth.
+
+
+def test_in_painting_fills_what_training_never_saw_and_resumes_to_the_bit(
+    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    make_inpainter(dataset, build_paper(NET, dataset, TRUTH, 4))  # Skips where Mitsuba cannot.
+    terms = LossConfig(adversarial=0.01, adversarial_from=0.3, inpaint=True, patch=32)
+    config = dataclasses.replace(SMALL, loss=terms)
+    train(config, dataset, tmp_path / "whole", label="a", device=CPU)
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        stop_at(patch, 4)
+        train(config, dataset, tmp_path / "parts", label="a", device=CPU)
+    train(config, dataset, tmp_path / "parts", label="a", device=CPU)
+    assert run_bytes(tmp_path / "whole") == run_bytes(tmp_path / "parts")
+    weights = torch.load(tmp_path / "whole/weights.pt", weights_only=True)["renderer"]["textures.table"]
+    training = METHODS["paper"].load(NET, dataset, TRUTH, "train", [0, 1, 3, 4], True)
+    visits = count_visits(build_paper(NET, dataset, TRUTH, 4).textures, training)  # pyright: ignore
+    assert (weights[visits == 0] != 0).any()  # Without in-painting they would still be the zeros of the start.
+    with pytest.raises(HyalineError, match="inpaint: counts which texels the stored layers' rays visit"):
+        many = dataclasses.replace(config, net=dataclasses.replace(NET, train_samples=4))
+        train(many, dataset, tmp_path / "many", label="a", device=CPU)
+    assert not (tmp_path / "many").exists()
+    assert json.loads((tmp_path / "whole/run.json").read_text())["config"]["loss"]["inpaint"]
+
+
+# The difference of each pixel
+
+
+class OneColor(torch.nn.Module):
+    """Draws every pixel in one colour, which no 8-bit picture has."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.color = torch.nn.Parameter(torch.tensor([0.41, 0.52, 0.63]))
+
+    def forward(self, rays: RayBatch, *, rng: np.random.Generator) -> torch.Tensor:
+        return self.color.expand(len(rays.uv), 3)
+
+
+@pytest.mark.parametrize("softness", [0.0, 0.03, 0.5])
+def test_differences_below_the_softness_count_by_their_squares(dataset: Dataset, softness: float) -> None:
+    training, renderer = METHODS["paper"].load(NET, dataset, TRUTH, "train", [0, 1], True), OneColor()
+    losses = Losses(LossConfig(softness=softness), steps=1, seed=0, device=CPU, make_inpainter=lambda: pytest.fail(""))
+    loss = losses.loss(pixel_loss, renderer, training, 500, np.random.default_rng(3), step=0)
+    index = np.random.default_rng(3).integers(len(training.rgb), size=500)
+    missed = renderer.color.detach().double().numpy() - training.rgb.numpy()[index] / 255
+    assert loss.item() == pytest.approx(np.mean(np.hypot(missed, softness) - softness), rel=1e-4)
+    loss.backward()
+    slope = np.sign(missed) if not softness else missed / np.hypot(missed, softness)
+    assert renderer.color.grad is not None
+    np.testing.assert_allclose(renderer.color.grad.numpy(), slope.mean(axis=0) / 3, rtol=1e-4, atol=1e-7)
+
+
+def test_a_softness_below_zero_is_refused() -> None:
+    with pytest.raises(HyalineError, match="softness: is -1; expected a weight of at least 0"):
+        LossConfig(softness=-1)

@@ -1,0 +1,475 @@
+"""Owns the tests of the method `deepvoxels`: its geometry, its networks, its loss, its run."""
+
+import dataclasses
+import json
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from support.opaque_cube import opaque_cube
+from support.reference import convolve, interpolate
+from support.synthetic import look_at, write_synthetic_dataset
+from torch import nn
+
+from datagen.data.cameras import pixel_center_rays
+from datagen.data.dataset import Cameras, Dataset, DatasetConfig, SplitConfig, read_image, read_png
+from datagen.disk.errors import HyalineError
+from datagen.scene.description import is_glass
+from datagen.scene.rig import make_cameras
+from model import cli
+from model.batches.view_batches import Views, load_views
+from model.methods.deepvoxels import (
+    DeepVoxels,
+    DeepVoxelsConfig,
+    build_deepvoxels,
+    grid_coordinates,
+    preset_deepvoxels,
+)
+from model.methods.deepvoxels_loss import adversarial_loss
+from model.nets.voxel_blocks import ONEDNN_ROWS, Conv3d
+from model.nets.voxel_grid import (
+    ViewCamera,
+    VoxelGrid,
+    fit_cube,
+    frustum_points,
+    lift,
+    near_plane,
+    project_points,
+    sample_frustum,
+    voxel_centers,
+)
+from model.nets.voxel_nets import Critic, Integration, Occlusion, collapse
+from model.run import train as train_module
+from model.run.checkpoint import load_state
+from model.run.run_folder import TrainConfig, read_run
+from model.run.train import train
+
+CPU = torch.device("cpu")
+SIZE = 16
+TINY = DeepVoxelsConfig(
+    image_size=64, plane_size=16, num_voxels=8, voxel_features=3, width=2, bounded=True, adversarial=True
+)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def one_thread() -> Iterator[None]:
+    """On steps this small the threads' waiting for each other costs more than they compute."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    root = tmp_path_factory.mktemp("deepvoxels") / "data" / "synthetic"
+    return write_synthetic_dataset(root, resolution=64, train_views=5)
+
+
+def some_cameras(count: int, *, target: tuple[float, float, float] = (0.3, -0.2, 0.1), radius: float = 2.0) -> Cameras:
+    rng = np.random.default_rng(count)
+    way = rng.normal(size=(count, 3)) * [1, 1, 0.5]
+    way /= np.linalg.norm(way, axis=1, keepdims=True)
+    poses = [look_at(np.array(target) + radius * direction, np.array(target)) for direction in way]
+    return Cameras(world_from_camera=np.stack(poses), fov_x=np.radians(50), width=SIZE, height=SIZE)
+
+
+def camera_of(cameras: Cameras, view: int) -> ViewCamera:
+    return ViewCamera(world_from_camera=torch.from_numpy(cameras.world_from_camera[view]).float(), fov_x=cameras.fov_x)
+
+
+def some_grid(num_voxels: int = 8, edge: float = 1.2) -> VoxelGrid:
+    origin = torch.tensor([0.3, -0.2, 0.1])
+    return VoxelGrid(origin=origin, voxel_size=torch.tensor(edge / num_voxels), num_voxels=num_voxels)
+
+
+# Geometry
+
+
+def test_points_on_a_pixels_ray_project_to_its_centre() -> None:
+    cameras = some_cameras(3)
+    for view in range(3):
+        origin, directions = pixel_center_rays(cameras, view)
+        depth = np.random.default_rng(view).uniform(0.5, 9, size=(SIZE, SIZE, 1))
+        points = torch.from_numpy((origin + depth * directions).reshape(-1, 3)).float()
+        found = project_points(points, camera_of(cameras, view), SIZE)
+        column, row = np.meshgrid(np.arange(SIZE) + 0.5, np.arange(SIZE) + 0.5)
+        np.testing.assert_allclose(found[:, 0], column.ravel(), atol=1e-3)
+        np.testing.assert_allclose(found[:, 1], row.ravel(), atol=1e-3)
+        along = directions @ -cameras.world_from_camera[view, :3, 2]
+        np.testing.assert_allclose(found[:, 2], (depth[..., 0] * along).ravel(), rtol=1e-4)
+
+
+def test_a_frustum_lies_on_the_pixels_rays_a_voxel_apart_around_the_grid() -> None:
+    cameras, grid = some_cameras(4), some_grid()
+    for view in range(4):
+        camera = camera_of(cameras, view)
+        points = frustum_points(camera, grid, SIZE).reshape(grid.num_planes, SIZE, SIZE, 3).numpy()
+        origin, directions = pixel_center_rays(cameras, view)
+        forward = -cameras.world_from_camera[view, :3, 2]
+        # The cameras stand 2 metres off: the grid's bounding sphere begins there but for half its diagonal.
+        depth = 2 - 0.6 * np.sqrt(3) + 0.15 * np.arange(grid.num_planes)
+        expected = origin + depth[:, None, None, None] * (directions / (directions @ forward)[..., None])
+        np.testing.assert_allclose(points, expected, atol=2e-5)
+        assert depth[-1] > 2 + 0.6 * np.sqrt(3)
+
+
+def test_the_near_plane_never_comes_behind_the_camera() -> None:
+    inside = ViewCamera(
+        world_from_camera=torch.from_numpy(look_at(np.array([0.4, 0, 0]), np.zeros(3))).float(), fov_x=0.8
+    )
+    assert float(near_plane(inside, some_grid())) == pytest.approx(0.15)
+
+
+def test_lifting_and_projecting_return_places_themselves() -> None:
+    """A map of its own columns and rows, and a grid of its own positions: linear fields, which interpolation keeps."""
+    cameras, grid = some_cameras(3), some_grid()
+    centres = torch.arange(SIZE) + 0.5
+    places = torch.stack(torch.meshgrid(centres, centres, indexing="xy"))[None]
+    for view in range(3):
+        camera = camera_of(cameras, view)
+        expected = project_points(voxel_centers(grid), camera, SIZE)[:, :2]
+        lifted = lift(places, camera, grid)[0].flatten(1).T
+        is_within = ((expected > 0.5) & (expected < SIZE - 0.5)).all(dim=1)
+        assert is_within.float().mean() > 0.5
+        torch.testing.assert_close(lifted[is_within], expected[is_within], atol=1e-3, rtol=0)
+
+        positions = voxel_centers(grid).T.reshape(1, 3, 8, 8, 8)
+        points = frustum_points(camera, grid, SIZE)
+        sampled = sample_frustum(positions, camera, grid, SIZE)[0].flatten(1).T
+        low, high = voxel_centers(grid)[0], voxel_centers(grid)[-1]
+        is_inside = ((points > low) & (points < high)).all(dim=1)
+        assert is_inside.float().mean() > 0.02
+        torch.testing.assert_close(sampled[is_inside], points[is_inside], atol=1e-4, rtol=0)
+        assert (sampled[~is_inside] == 0).all()
+
+
+def test_lifting_equals_a_loop_and_leaves_unseen_voxels_empty() -> None:
+    # So large and so near that some voxels are behind the camera, some beside the picture.
+    cameras, grid = some_cameras(2, radius=0.7), some_grid(edge=3.0)
+    features = torch.rand(1, 3, SIZE, SIZE) + 1
+    for view in range(2):
+        lifted = lift(features, camera_of(cameras, view), grid)[0].numpy()
+        table = features[0].permute(1, 2, 0).numpy()
+        camera_from_world = np.linalg.inv(cameras.world_from_camera[view])
+        focal = 0.5 * SIZE / np.tan(cameras.fov_x / 2)
+        seen = 0
+        for z, y, x in np.ndindex(8, 8, 8):
+            p_world = grid.origin.numpy() + 3.0 / 8 * (np.array([x, y, z]) - 4)
+            right, up, back, _ = camera_from_world @ [*p_world, 1]
+            row, column = SIZE / 2 + focal * up / back, SIZE / 2 - focal * right / back
+            is_seen = back < 0 and 0 <= row < SIZE and 0 <= column < SIZE
+            place = np.clip([row - 0.5, column - 0.5], 0, SIZE - 1)
+            expected = interpolate(table, place) if is_seen else np.zeros(3)
+            np.testing.assert_allclose(lifted[:, z, y, x], expected, atol=1e-4)
+            seen += is_seen
+        assert 20 < seen < 400
+
+
+def test_projecting_equals_a_loop_and_has_a_gradient() -> None:
+    cameras, grid = some_cameras(1), some_grid(num_voxels=4)
+    volume = torch.rand(1, 2, 4, 4, 4, requires_grad=True)
+    camera = camera_of(cameras, 0)
+    sampled = sample_frustum(volume, camera, grid, 8)
+    points = frustum_points(camera, grid, 8).numpy()
+    table = volume.detach()[0].permute(1, 2, 3, 0).numpy()
+    expected = np.zeros((len(points), 2))
+    for index, point in enumerate(points):
+        x, y, z = (point - grid.origin.numpy()) / 0.3 + 2
+        if min(x, y, z) >= 0 and max(x, y, z) <= 3:
+            expected[index] = interpolate(table, np.array([z, y, x]))
+    assert 20 < (expected[:, 0] > 0).sum() < len(expected)
+    np.testing.assert_allclose(sampled.detach()[0].flatten(1).T, expected, atol=1e-4)
+    # The weights of a point inside sum to 1, so each hands on all of its gradient.
+    sampled.sum().backward()
+    assert volume.grad is not None
+    assert float(volume.grad.sum()) == pytest.approx(2 * (expected[:, 0] > 0).sum(), rel=1e-4)
+
+
+def test_the_cube_stands_where_cameras_look_and_holds_the_scene() -> None:
+    vertices = np.random.default_rng(0).normal(size=(50, 3)) * 0.2 + [0.3, -0.2, 0.1]
+    origin, edge = fit_cube(some_cameras(9), vertices)
+    np.testing.assert_allclose(origin, [0.3, -0.2, 0.1], atol=1e-9)
+    assert np.abs(vertices - origin).max() == pytest.approx(edge / 2)
+
+
+def test_in_a_room_the_cube_ends_before_the_nearest_camera() -> None:
+    walls = np.array([[5.0, 5, 5], [-5, -5, -5]])
+    _, edge = fit_cube(some_cameras(9), walls)
+    assert np.sqrt(3) / 2 * edge == pytest.approx(0.9 * 2)
+
+
+def test_cameras_that_look_one_way_are_refused() -> None:
+    cameras = some_cameras(1)
+    same = dataclasses.replace(cameras, world_from_camera=np.repeat(cameras.world_from_camera, 3, axis=0))
+    with pytest.raises(HyalineError, match="all 3 look the same way; deepvoxels needs views from around"):
+        fit_cube(same, np.zeros((1, 3)))
+
+
+def test_neighbours_are_the_nearest_in_angle_and_never_the_view_itself() -> None:
+    cameras = some_cameras(12)
+    poses = torch.from_numpy(cameras.world_from_camera).float()
+    views = Views(rgb=torch.zeros(0, 3, dtype=torch.uint8), world_from_camera=poses, fov_x=1.0, size=SIZE)
+    for view in range(12):
+        forward = cameras.world_from_camera[:, :3, 2]
+        angles = [np.arccos(np.clip(forward[view] @ other, -1, 1)) for other in forward]
+        assert views.neighbours(view) == sorted(set(range(12)) - {view}, key=lambda other: angles[other])[:4]
+
+
+# Networks
+
+
+@pytest.mark.parametrize(
+    ("size", "width", "features", "parts"),
+    [
+        # Source: the authors' modules, counted by arithmetic.
+        (128, 64, 64, (57_709_120, 238_854, 4_007_872, 219_824, 75_351_715)),
+        (256, 64, 64, (74_899_904, 238_854, 4_007_872, 219_824, 91_554_723)),
+        (512, 64, 64, (91_599_040, 238_854, 4_007_872, 219_824, 102_816_931)),
+        (128, 32, 64, (14_450_016, 238_854, 4_007_872, 219_824, 18_861_395)),
+        (128, 16, 32, (3_614_640, 64_294, 1_003_488, 216_368, 4_717_867)),
+    ],
+)
+def test_every_part_has_its_authors_number_of_parameters(
+    size: int, width: int, features: int, parts: tuple[int, ...]
+) -> None:
+    with torch.device("meta"):
+        config = DeepVoxelsConfig(image_size=size, width=width, voxel_features=features)
+        net = DeepVoxels(config, origin=torch.zeros(3), edge=1.0)
+    modules = (net.feature_extractor, net.integration, net.inpainting, net.occlusion, net.rendering)
+    assert tuple(sum(p.numel() for p in module.parameters()) for module in modules) == parts
+    total = {(128, 64): 137.5, (256, 64): 170.9, (512, 64): 198.9, (128, 32): 37.8, (128, 16): 9.6}[size, width]
+    assert round(sum(parts) / 1e6, 1) == total == round(sum(p.numel() for p in net.parameters()) / 1e6, 1)
+
+
+def test_the_critic_has_its_number_of_parameters_and_sees_70_pixels() -> None:
+    critic = Critic().eval()
+    assert round(sum(p.numel() for p in critic.parameters()) / 1e6, 2) == 0.53
+    image = torch.rand(1, 3, 128, 128, requires_grad=True)
+    patches = critic(image)
+    assert patches.shape == (1, 1, 14, 14)
+    patches[0, 0, 7, 7].backward()
+    assert image.grad is not None
+    rows = image.grad.abs().sum(dim=(0, 1, 3)).nonzero()
+    assert int(rows.max() - rows.min()) + 1 == 70
+
+
+@pytest.mark.parametrize("bounded", [False, True])
+def test_the_integration_is_the_gated_unit_of_its_formula(bounded: bool) -> None:
+    torch.manual_seed(0)
+    unit = Integration(2, dropout=0.2, bounded=bounded).eval()
+    new, old = torch.randn(1, 2, 4, 4, 4), torch.randn(1, 2, 4, 4, 4)
+    result = unit(new, old, grid_coordinates(4))[0].detach().numpy()
+
+    place = np.stack(np.meshgrid(*[[-0.5, -0.25, 0.0, 0.25]] * 3, indexing="ij"))
+    h, x = np.concatenate([old[0].numpy(), place]), np.concatenate([new[0].numpy(), place])
+    conv_x, conv_h, conv_rh = (part[1] for part in (unit.new, unit.old_gates, unit.old_candidate))
+
+    def loops(volume: np.ndarray, layer: torch.nn.Module, channels: slice) -> np.ndarray:
+        kernels = layer.get_parameter("weight").detach().numpy()[channels]
+        has_bias = layer is conv_x
+        biases = layer.get_parameter("bias").detach().numpy()[channels] if has_bias else np.zeros(len(kernels))
+        return convolve(volume, kernels, biases)
+
+    reset = 1 / (1 + np.exp(-loops(x, conv_x, slice(0, 1)) - loops(h, conv_h, slice(0, 1))))
+    update = 1 / (1 + np.exp(-loops(x, conv_x, slice(1, 2)) - loops(h, conv_h, slice(1, 2))))
+    activated = np.tanh if bounded else lambda value: np.maximum(0, value)
+    candidate = activated(loops(x, conv_x, slice(2, 4)) + loops(reset * h, conv_rh, slice(0, 2)))
+    np.testing.assert_allclose(result, (1 - update) * old[0].numpy() + update * candidate, atol=1e-5)
+
+
+@pytest.mark.parametrize(("channels", "stride"), [(8, 1), (9, 2), (12, 1)])
+def test_zero_channels_change_neither_a_convolution_nor_its_gradient(channels: int, stride: int) -> None:
+    torch.manual_seed(channels)
+    x = torch.randn(1, channels, 66, 34, 6)
+    assert (x.shape[:4].numel() <= ONEDNN_ROWS) == (channels < 12)
+    layer = Conv3d(channels, 3, 3, stride=stride)
+    plain = nn.Conv3d(channels, 3, 3, stride=stride).double()
+    plain.load_state_dict(layer.state_dict())
+    ours, theirs = x.clone().requires_grad_(), x.double().requires_grad_()
+    y, expected = layer(ours), plain(theirs)
+    torch.testing.assert_close(y.double(), expected, atol=1e-5, rtol=0)
+    y.square().mean().backward()
+    expected.square().mean().backward()
+    for tensor, true in ((ours, theirs), (layer.weight, plain.weight), (layer.bias, plain.bias)):
+        torch.testing.assert_close(tensor.grad.double(), true.grad, atol=1e-5, rtol=1e-4)
+
+
+def test_visibility_sums_to_one_and_features_are_its_mean_over_depth() -> None:
+    torch.manual_seed(0)
+    frustum = torch.randn(1, 3, 8, 16, 16)
+    visibility = Occlusion(3, num_planes=8, plane_size=16)(frustum).detach()
+    assert visibility.shape == (1, 1, 8, 16, 16) and (visibility >= 0).all()
+    torch.testing.assert_close(visibility.sum(dim=2), torch.ones(1, 1, 16, 16))
+    features = collapse(frustum, visibility)
+    for row, column in ((0, 0), (5, 11)):
+        total = sum(visibility[0, 0, d, row, column] * frustum[0, :, d, row, column] for d in range(8))
+        torch.testing.assert_close(features[0, :, row, column], total / 8)
+
+
+def test_drawing_leaves_the_grid_and_observing_keeps_it_without_gradient(dataset: Dataset) -> None:
+    net = build_deepvoxels(TINY, dataset, "truth", 0)
+    views = load_views(TINY, dataset, "truth", "train", [0, 1, 2], True)
+    net.observe(views.image(0), views.camera(0))
+    kept = net.get_buffer("volume").clone()
+    assert kept.abs().sum() > 0 and not net.get_buffer("volume").requires_grad
+    net.eval()
+    both = net(views.take(torch.arange(64 * 64, 3 * 64 * 64), None))
+    assert both.shape == (2 * 64 * 64, 3) and ((both >= 0) & (both <= 1)).all()
+    torch.testing.assert_close(both[64 * 64 :], net(views.take(torch.arange(2 * 64 * 64, 3 * 64 * 64), None)))
+    assert torch.equal(net.get_buffer("volume"), kept)
+
+
+@pytest.mark.parametrize("size", [32, 64, 128])
+def test_pictures_of_every_size_are_drawn_whole(size: int) -> None:
+    config = dataclasses.replace(preset_deepvoxels("small", size), width=2, voxel_features=2, num_voxels=8)
+    net = DeepVoxels(config, origin=torch.tensor([0.3, -0.2, 0.1]), edge=1.2)
+    camera = camera_of(some_cameras(1), 0)
+    inpainted = net.inpaint(net.observe(torch.rand(1, 3, size, size), camera))
+    assert net.draw(inpainted, camera).shape == (1, 3, size, size)
+
+
+# The loss
+
+
+def test_each_side_of_the_game_gets_its_own_gradient() -> None:
+    torch.manual_seed(0)
+    critic = Critic(width=2).eval()
+    drawn, true = torch.rand(1, 3, 64, 64, requires_grad=True), torch.rand(1, 3, 64, 64)
+    parameters = list(critic.parameters())
+    together = torch.autograd.grad(adversarial_loss(critic, drawn, true), [drawn, *parameters])
+
+    probability = torch.sigmoid(critic(drawn))
+    of_picture = torch.autograd.grad(-torch.log(probability).mean(), drawn)[0]
+    critic_side = -0.5 * (torch.log(torch.sigmoid(critic(true))).mean() + torch.log(1 - critic(drawn).sigmoid()).mean())
+    of_critic = torch.autograd.grad(critic_side, parameters)
+    for found, expected in zip(together, [of_picture, *of_critic], strict=True):
+        torch.testing.assert_close(found, expected)
+
+
+# The run
+
+
+def run_config(net: DeepVoxelsConfig, *, steps: int) -> TrainConfig:
+    return TrainConfig(
+        method="deepvoxels", geometry="truth", net=net, steps=steps, batch=2, lr=4e-4, lr_decay="none",
+        evaluate_every=2, checkpoint_every=2,
+    )  # fmt: skip
+
+
+def test_a_stopped_and_resumed_run_has_the_same_bytes(
+    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = run_config(TINY, steps=5)
+    train(config, dataset, tmp_path / "whole", label="deepvoxels", device=CPU)
+    check = train_module.check_finite
+
+    def die(loss: float, renderer: torch.nn.Module, *, step: int, out: Path) -> None:
+        if step == 3:
+            raise KeyboardInterrupt
+        check(loss, renderer, step=step, out=out)
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(train_module, "check_finite", die)
+        train(config, dataset, tmp_path / "parts", label="deepvoxels", device=CPU)
+    stopped = load_state(tmp_path / "parts/checkpoint.pt")["renderer"]
+    assert isinstance(stopped, dict)
+    assert stopped["volume"].abs().sum() > 0 and "critic.layers.1.weight" in stopped
+    torch.rand(7)  # Dropout must not depend on torch's own generator.
+    train(config, dataset, tmp_path / "parts", label="deepvoxels", device=CPU)
+    for name in ("weights.pt", "metrics.jsonl", "run.json"):
+        assert (tmp_path / "whole" / name).read_bytes() == (tmp_path / "parts" / name).read_bytes(), name
+    record = read_run(tmp_path / "whole")
+    net = build_deepvoxels(dataclasses.replace(TINY, adversarial=False), dataset, "truth", 0)
+    assert (record.geometry, record.knowledge) == ("none", "cameras only, and the scene's extent")
+    assert record.num_parameters == sum(value.numel() for value in net.parameters())  # The critic does not count.
+
+
+def test_it_learns_what_each_camera_sees(tmp_path: Path) -> None:
+    dataset = write_synthetic_dataset(tmp_path / "data" / "synthetic", train_views=4)
+    net = dataclasses.replace(TINY, image_size=32, width=8, voxel_features=8, dropout=0.0, adversarial=False)
+    config = dataclasses.replace(run_config(net, steps=60), lr=0.004, lr_decay="linear", evaluate_every=20)
+    train(config, dataset, tmp_path / "run", label="deepvoxels", device=CPU)
+    losses = [json.loads(line)["loss"] for line in (tmp_path / "run/metrics.jsonl").read_text().splitlines()]
+    true = np.stack([read_image(dataset, "train", view)[5:-5, 5:-5] / 255 for view in range(4)])
+    # The median is the best picture for a network that draws the same for every camera.
+    same_for_all = np.abs(true - np.median(true, axis=0)).mean()
+    assert losses[-1] < 0.8 * same_for_all
+
+
+def test_the_grid_around_the_opaque_cube_holds_it_and_no_camera() -> None:
+    scene = opaque_cube()
+    split = SplitConfig(views=30, spp=2)
+    config = DatasetConfig(
+        scene=scene.name, preset="demo", resolution=32, train=split, interpolating=split, extrapolating=split
+    )
+    cameras = make_cameras(scene.cameras, config)["train"]
+    vertices = np.concatenate([item.mesh.vertices for item in scene.objects]).astype(np.float64)
+    origin, edge = fit_cube(cameras, vertices)
+    assert np.abs(origin - scene.cameras.target).max() < 0.1
+    assert np.abs(vertices - origin).max() == pytest.approx(edge / 2)
+    assert np.linalg.norm(cameras.world_from_camera[:, :3, 3] - origin, axis=1).min() > np.sqrt(3) / 2 * edge
+    assert not any(is_glass(item.material) for item in scene.objects)
+
+
+def call(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
+    """The exit code of `model train --method deepvoxels ARGUMENTS`, run in this process."""
+    monkeypatch.setattr(sys, "argv", ["model", "train", "--method", "deepvoxels", *arguments])
+    try:
+        cli.main()
+    except SystemExit as end:
+        return int(end.code or 0)
+    return 0
+
+
+def test_the_command_trains_the_small_preset_on_a_cpu(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    dataset = write_synthetic_dataset(tmp_path / "data" / "synthetic")
+    command = ("--dataset", str(dataset.root), "--out", str(tmp_path / "run"), "--steps", "1", "--device", "cpu")
+    assert call(monkeypatch, *command) == 0
+    assert "no layers" in capsys.readouterr().err
+    run = json.loads((tmp_path / "run/run.json").read_text())
+    assert run["config"]["lr"] == 2e-3 and run["config"]["batch"] == 2
+    assert (run["config"]["net"]["width"], run["config"]["net"]["plane_size"]) == (16, 32)
+    assert read_png(tmp_path / "run/predictions/extrapolating/0001.png").shape == (32, 32, 3)
+    monkeypatch.setattr(sys, "argv", ["model", "render", "--run", str(tmp_path / "run"), "--edit", "remove:pane"])
+    with pytest.raises(SystemExit):
+        cli.main()
+    assert "method deepvoxels knows no geometry, so it cannot draw an edit" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("flags", "message"),
+    [
+        (("--geometry", "box"), "--geometry box: method deepvoxels uses no geometry; leave it out"),
+        (("--texture-size", "64"), "--texture-size: method deepvoxels has no such choice"),
+        (("--zero-layer",), "--zero-layer: method deepvoxels has no such choice"),
+        (("--branches", "2"), "--branches: method deepvoxels has no such choice"),
+        (("--batch", "1"), "batch: is 1; expected at least 2"),
+    ],
+)
+def test_a_flag_that_it_does_not_have_is_refused(
+    dataset: Dataset,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    flags: tuple[str, ...],
+    message: str,
+) -> None:
+    assert call(monkeypatch, "--dataset", str(dataset.root), "--out", str(tmp_path / "run"), *flags) == 1
+    errors = capsys.readouterr().err
+    assert message in errors and errors.count("\n") == 1
+    assert not (tmp_path / "run").exists()
+
+
+def test_sizes_that_are_no_powers_of_two_are_refused() -> None:
+    with pytest.raises(HyalineError, match=r"resolution: is 100; .* so build the dataset with --resolution 128"):
+        preset_deepvoxels("small", 100)
+    with pytest.raises(HyalineError, match="image_size: is 32; deepvoxels needs a power of two of 64 or more"):
+        DeepVoxelsConfig(image_size=32, plane_size=32, adversarial=True)
+    with pytest.raises(HyalineError, match="plane_size: is 64; expected at most the pictures' 32"):
+        DeepVoxelsConfig(image_size=32)

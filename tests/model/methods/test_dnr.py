@@ -1,0 +1,205 @@
+"""Owns the tests of Deferred Neural Rendering and of the paper's network on the first layer alone."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from support.reference import slow_convolution, slow_transposed_convolution
+from support.synthetic import write_synthetic_dataset
+from support.training import run_bytes, stop_at
+
+from datagen.data.dataset import Dataset, read_image, read_png
+from datagen.data.geometries import TRUTH
+from datagen.disk.errors import HyalineError
+from model.batches.rays import draw_patches, load_pixels
+from model.methods.dnr import LEVEL_WEIGHTS, DnrConfig, DnrRenderer, build_dnr, configure_dnr, image_loss
+from model.methods.table import METHODS, read_layers_of
+from model.nets.extrinsics import spherical_harmonics
+from model.nets.unet import UNet
+from model.run.predict import render_predictions
+from model.run.run_folder import TrainConfig, is_finished, read_run
+from model.run.train import train
+from model.settings.choices import DnrChoices, PaperChoices
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+
+
+CPU = torch.device("cpu")
+NET = DnrConfig(texture_size=24, position_size=64, unet_width=4, crop=32)
+SMALL = TrainConfig(
+    method="dnr", geometry=TRUTH, net=NET, steps=8, batch=2048, lr=0.003, evaluate_every=4, checkpoint_every=3
+)
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    return write_synthetic_dataset(tmp_path_factory.mktemp("dnr") / "data" / "synthetic")
+
+
+@pytest.mark.parametrize(
+    ("inputs", "expected"), [(16, 16_671_107), (19, 16_674_179), (16 * 4, 16_720_259), (16 * 8, 16_785_795)]
+)
+def test_the_u_net_has_the_derived_number_of_parameters(inputs: int, expected: int) -> None:
+    with torch.device("meta"):
+        net = UNet(inputs)
+    assert sum(parameter.numel() for parameter in net.parameters()) == expected
+
+
+@pytest.mark.parametrize("norm", ["instance", "batch"])
+def test_the_u_net_equals_slow_loops(norm: str) -> None:
+    torch.manual_seed(0)
+    net = UNet(3, width=2, norm=norm).eval()  # pyright: ignore[reportArgumentType]
+    picture = torch.randn(1, 3, 32, 64)
+
+    def weights(module: torch.nn.Module) -> tuple[np.ndarray, np.ndarray]:
+        return (
+            module.get_parameter("weight").detach().double().numpy(),
+            module.get_parameter("bias").detach().double().numpy(),
+        )
+
+    skips, x = [], picture[0].double().numpy()
+    for place, conv in enumerate(net.down):
+        x = np.where(x > 0, x, 0.2 * x) if place else x
+        x = slow_convolution(x, *weights(conv), stride=2, padding=1)
+        skips.append(x)
+    x = skips.pop()
+    for conv in net.up:
+        x = slow_transposed_convolution(np.maximum(x, 0), *weights(conv), stride=2, padding=1)
+        x = (x - x.mean(axis=(1, 2), keepdims=True)) / np.sqrt(x.var(axis=(1, 2), keepdims=True) + 1e-5)
+        x = np.concatenate([skips.pop(), x])
+    expected = np.tanh(slow_transposed_convolution(np.maximum(x, 0), *weights(net.last), stride=2, padding=1))
+    np.testing.assert_allclose(net(picture)[0].detach().numpy(), expected, atol=2e-5)
+
+
+def test_a_picture_of_any_size_is_as_if_padded_with_zeros() -> None:
+    torch.manual_seed(0)
+    net = UNet(3, width=2)
+    picture = torch.randn(1, 3, 40, 32)
+    padded = torch.cat([picture, torch.zeros(1, 3, 24, 32)], dim=2)
+    torch.testing.assert_close(net(picture), net(padded)[:, :, :40])
+
+
+def test_patches_are_square_pieces_of_views_at_every_scale(dataset: Dataset) -> None:
+    pixels = load_pixels(dataset, TRUTH, "train", [1, 4, 6])
+    index = draw_patches(pixels, 500, 9, np.random.default_rng(0), strides=(1, 2, 4)).numpy()
+    view, place = np.divmod(index, 32 * 32)
+    row, column = np.divmod(place, 32)
+    assert (view == view[:, :1, :1]).all() and set(view[:, 0, 0]) == {0, 1, 2}
+    stride = row[:, 1, 0] - row[:, 0, 0]
+    assert set(stride) == {1, 2}  # 9 pixels four apart do not fit into 32.
+    steps = np.arange(9) * stride[:, None]
+    assert (row == row[:, :1, :1] + steps[:, :, None]).all() and (column == column[:, :1, :1] + steps[:, None]).all()
+    assert row.max() == column.max() == 31 and row.min() == column.min() == 0
+    whole = draw_patches(pixels, 2, 32, np.random.default_rng(0), strides=(1, 2))
+    assert torch.equal(whole[0].flatten() % 1024, torch.arange(1024))
+
+
+def test_spherical_harmonics_multiply_nine_features_of_each_pixel(dataset: Dataset) -> None:
+    config = dataclasses.replace(NET, texture_levels=1)
+    renderer = build_dnr(config, dataset, TRUTH, 2)
+    torch.nn.init.normal_(renderer.textures[0].table, generator=torch.Generator().manual_seed(0))
+    source = load_pixels(dataset, TRUTH, "train", [3], max_layers=2, whole_views=True)
+    rays = source.take(torch.arange(1024), None)
+    assert rays.grid == (1, 32, 32)
+    seen = []
+    renderer.net.register_forward_pre_hook(lambda _, inputs: seen.append(inputs[0]))
+    renderer(rays)
+    features = renderer.textures(rays.uv, rays.object_id)
+    # The scene in closed form: pane at z = 0.5, floor at 0, uv = (x + 1, y + 1) / 2.
+    height = torch.where(rays.object_id == 1, 0.5, 0.0)
+    points = torch.cat([2 * rays.uv - 1, height[..., None]], dim=-1)
+    view = torch.nn.functional.normalize(rays.p_camera[:, None] - points, dim=-1)
+    for ray, layer in rays.object_id.nonzero()[::97].tolist():
+        expected = features[ray, layer].clone()
+        expected[3:12] *= spherical_harmonics(view[ray, layer])
+        row, column = divmod(ray, 32)
+        found = seen[0][0, 16 * layer : 16 * layer + 16, row, column]
+        torch.testing.assert_close(found, expected, atol=0.05, rtol=0)  # A position texel is 3 cm wide.
+    empty = (rays.object_id == 0).view(32, 32, 2)
+    assert (seen[0][0].permute(1, 2, 0).view(32, 32, 2, 16)[empty] == 0).all()
+
+
+def test_the_loss_is_the_sum_written_out(dataset: Dataset) -> None:
+    renderer = build_dnr(NET, dataset, TRUTH, 1)
+    for seed, table in enumerate(renderer.textures.tables()):
+        torch.nn.init.normal_(table, std=0.3, generator=torch.Generator().manual_seed(seed))
+    source = load_pixels(dataset, TRUTH, "train", [0, 1, 2], max_layers=1, whole_views=True)
+    loss = image_loss(renderer, source, 2048, np.random.default_rng(5))
+    rng = np.random.default_rng(5)
+    index = draw_patches(source, 2, 32, rng, strides=(1, 2)).flatten()
+    rays = dataclasses.replace(source.take(index, None), grid=(2, 32, 32))
+    truth = 2 * source.rgb[index].double() / 255 - 1
+    expected = (2 * renderer(rays).double() - 1 - truth).abs().mean()
+    features = renderer.textures(rays.uv, rays.object_id)[:, 0, :3].double()
+    hit = rays.object_id[:, 0] > 0
+    assert 0 < hit.sum() < len(hit)
+    expected = expected + (features - truth)[hit].abs().mean()
+    for weight, table in zip((8, 2, 1, 0), renderer.textures.tables()):
+        expected = expected + 0.1 * weight * (table.double() ** 2).mean()
+    assert loss.item() == pytest.approx(expected.item(), rel=1e-5)
+    assert len(LEVEL_WEIGHTS) == 4
+    loss.backward()
+    touched = renderer.textures.tables()[3].grad
+    assert touched is not None and touched.abs().sum() > 0
+
+
+def test_it_learns_the_pane_and_the_floor(tmp_path: Path) -> None:
+    dataset = write_synthetic_dataset(tmp_path / "data", train_views=24)
+    net = dataclasses.replace(NET, unet_width=8)
+    config = dataclasses.replace(SMALL, net=net, steps=80, lr=0.01, checkpoint_every=100)
+    train(config, dataset, tmp_path / "run", label="dnr", device=CPU)
+    render_predictions(tmp_path / "run", config, dataset, device=CPU)
+    scores = []
+    for view in range(2):
+        prediction = read_png(tmp_path / f"run/predictions/interpolating/000{view}.png").astype(np.float64)
+        truth = read_image(dataset, "interpolating", view)
+        scores.append(-10 * np.log10(np.mean((prediction - truth) ** 2) / 255**2))
+    # The mean colour of the training images scores 14 dB.
+    assert np.mean(scores) > 19
+    assert is_finished(tmp_path / "run")
+
+
+@pytest.mark.parametrize("method", ["dnr", "dnr-layers", "mlp-first"])
+def test_a_stopped_and_resumed_run_has_the_same_bytes(
+    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, method: str
+) -> None:
+    layers, _ = read_layers_of(METHODS[method], dataset, TRUTH)
+    assert layers == (4 if method == "dnr-layers" else 1)
+    config = dataclasses.replace(SMALL, method=method)
+    if method == "mlp-first":
+        config = dataclasses.replace(config, net=METHODS[method].configure(PaperChoices(), dataset, TRUTH, layers))
+    train(config, dataset, tmp_path / "whole", label="a", device=CPU)
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        stop_at(patch, 5)
+        train(config, dataset, tmp_path / "parts", label="a", device=CPU)
+    train(config, dataset, tmp_path / "parts", label="a", device=CPU)
+    for out in (tmp_path / "whole", tmp_path / "parts"):
+        render_predictions(out, config, dataset, device=CPU)
+    assert run_bytes(tmp_path / "whole") == run_bytes(tmp_path / "parts")
+    if method == "mlp-first":
+        assert abs(read_run(tmp_path / "whole").num_parameters - 34_000) < 3000
+
+
+def test_the_first_layer_alone_is_blind_to_what_lies_behind(dataset: Dataset) -> None:
+    first = METHODS["dnr"].load(NET, dataset, TRUTH, "train", [2], True).take(torch.arange(1024), None)
+    every = METHODS["dnr-layers"].load(NET, dataset, TRUTH, "train", [2], True).take(torch.arange(1024), None)
+    assert first.object_id.shape == (1024, 1) and every.object_id.shape == (1024, 4)
+    assert torch.equal(first.object_id[:, 0], every.object_id[:, 0])
+    assert (every.object_id[:, 1] == 2).any()
+
+
+def test_presets_and_impossible_choices(dataset: Dataset) -> None:
+    fair = configure_dnr(DnrChoices(), dataset, TRUTH, 1)
+    assert (fair.texture_features, fair.texture_levels, fair.extrinsics, fair.crop) == (16, 4, "sh", 32)
+    weak = configure_dnr(DnrChoices(preset="authors"), dataset, TRUTH, 1)
+    assert (weak.texture_features, weak.texture_levels, weak.extrinsics, weak.norm) == (8, 1, "view", "batch")
+    net = DnrRenderer(weak, num_layers=1, num_objects=2, positions=torch.zeros(2 * 512 * 512, 3)).net
+    assert net.down[0].weight.shape[1] == 11
+    mixed = configure_dnr(DnrChoices(preset="authors", features=16, extrinsics="sh"), dataset, TRUTH, 1)
+    assert (mixed.texture_features, mixed.extrinsics, mixed.texture_levels) == (16, "sh", 1)
+    with pytest.raises(HyalineError, match="features: is 8 with extrinsics sh; expected 12 to 256"):
+        configure_dnr(DnrChoices(features=8), dataset, TRUTH, 1)
+    with pytest.raises(HyalineError, match="crop: is 64; expected at most the picture's 32 pixels"):
+        configure_dnr(DnrChoices(crop=64), dataset, TRUTH, 1)

@@ -1,0 +1,446 @@
+"""Tests the method `light-path`: its rays, its physics, its training."""
+
+import dataclasses
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from support.synthetic import write_synthetic_dataset
+from support.training import run_bytes, stop_at
+
+from datagen.data.dataset import Dataset, Split, read_cameras, read_image
+from datagen.data.geometries import TRUTH, ProxyStatistics, read_meshes, write_proxies
+from datagen.data.layers import read_layers
+from datagen.data.tonemap import srgb_from_linear
+from datagen.disk.errors import HyalineError
+from datagen.machine.mitsuba_variant import short_lived_workers, use_mitsuba
+from model.batches.samples import linear_curve, srgb_curve
+from model.losses.pixel_losses import difference
+from model.methods.light_path.config import LightPathConfig, default_light_path
+from model.methods.light_path.net import RELIEF_DEPTH, LightPathRenderer
+from model.methods.light_path.paths import STACKED_VERTICES
+from model.methods.light_path.pixels import LightPathPixels, load_light_path_pixels, nest_shells, share_texels
+from model.methods.light_path.refined_pixels import is_doubtful
+from model.methods.paper import PaperConfig, PaperRenderer
+from model.methods.table import METHODS
+from model.nets.learned_sky import LearnedSky
+from model.run.predict import load_renderer, predict_colors, render_predictions
+from model.run.run_folder import TrainConfig, is_finished, read_run
+from model.run.train import train
+from model.settings.choices import LightPathChoices
+
+if use_mitsuba(quiet=True).startswith("scalar"):
+    pytest.skip("light paths need a vectorised variant of Mitsuba", allow_module_level=True)
+
+CPU = torch.device("cpu")
+NET = LightPathConfig(
+    texture_sizes=(24, 24), hidden=32, stack_hidden=16, environment_size=8, sky_lobes=5, branches=4, render_samples=4
+)
+SMALL = TrainConfig(
+    method="light-path",
+    geometry="truth",
+    net=NET,
+    steps=12,
+    batch=128,
+    lr=0.005,
+    texture_lr=0.02,
+    lr_decay="cosine",
+    updates=2,
+    evaluate_every=6,
+    checkpoint_every=5,
+)
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    return write_synthetic_dataset(tmp_path_factory.mktemp("light") / "data" / "synthetic")
+
+
+def pixels_of(dataset: Dataset, **config: int) -> LightPathPixels:
+    return load_light_path_pixels(
+        LightPathConfig(texture_sizes=(8, 8), **config), dataset, TRUTH, "train", [2, 5], True
+    )
+
+
+def test_no_worker_of_drjit_spins_beside_torch_after_a_batch_is_traced(dataset: Dataset) -> None:
+    import drjit as dr
+
+    pixels = pixels_of(dataset, straight_layers=2)
+    for rng in (None, np.random.default_rng(0)):
+        pixels.take(torch.arange(64), rng)
+        assert dr.thread_count() == 1
+    with pytest.raises(KeyError, match="stopped"), short_lived_workers():
+        assert dr.thread_count() > 1
+        raise KeyError("stopped")
+    assert dr.thread_count() == 1
+
+
+def white(renderer: LightPathRenderer) -> LightPathRenderer:
+    """Everything shines with radiance 1: each texel and the environment."""
+    last = renderer.decoder[-1]
+    assert isinstance(last, torch.nn.Linear)
+    with torch.no_grad():
+        last.weight.zero_()
+        last.bias.fill_(math.log(math.expm1(1)))
+        renderer.environment.maps[-1].fill_(math.log(math.expm1(1)))
+        if renderer.environment.lobes is not None:
+            renderer.environment.lobes.brightness.fill_(-100)
+    return renderer
+
+
+def test_one_ray_a_pixel_goes_through_its_centre_and_meets_the_straight_layers(dataset: Dataset) -> None:
+    pixels = pixels_of(dataset, render_samples=1)
+    paths = pixels.take(torch.arange(len(pixels.rgb)), None)
+    for place, view in enumerate((2, 5)):
+        layers = read_layers(dataset, TRUTH, "train", view)
+        here = slice(place * 1024, (place + 1) * 1024)
+        assert np.array_equal(paths.stack.surface[here, :4].numpy().T.reshape(4, 32, 32), layers.object_id)
+        uv = paths.stack.uv[here, :4].numpy().transpose(1, 0, 2).reshape(4, 32, 32, 2)
+        assert np.abs(uv - layers.uv / 65535).max() < 1e-4
+
+
+def test_training_rays_fill_their_pixels_one_in_each_cell(dataset: Dataset) -> None:
+    pixels = pixels_of(dataset, train_samples=4)
+    index = torch.full((500,), 1024 + 17 * 32 + 5)
+    paths = pixels.take(index, np.random.default_rng(0))
+    again = pixels.take(index, np.random.default_rng(0))
+    assert torch.equal(paths.ends.uv, again.ends.uv)
+    camera = read_cameras(dataset, "train")
+    d = paths.stack.direction.numpy().astype(np.float64) @ camera.world_from_camera[5][:3, :3]
+    focal = 16 / math.tan(camera.fov_x / 2)
+    column, row = 16 - d[:, 0] / d[:, 2] * focal, 16 + d[:, 1] / d[:, 2] * focal
+    place = np.stack([row - 17, column - 5], axis=-1)
+    assert place.min() > -1e-3
+    assert place.max() < 1 + 1e-3
+    cells = np.floor(np.clip(place.reshape(500, 4, 2), 0, 0.999) * 2).astype(int)
+    assert (np.sort(cells[..., 0] * 2 + cells[..., 1], axis=1) == np.arange(4)).mean() > 0.99
+
+
+def test_where_everything_shines_alike_glass_disappears(dataset: Dataset) -> None:
+    pixels = pixels_of(dataset)
+    renderer = white(LightPathRenderer(LightPathConfig(texture_sizes=(8, 8), stack_hidden=0)))
+    with torch.no_grad():
+        colors = renderer(pixels.take(torch.arange(len(pixels.rgb)), None))
+    assert (colors - 1).abs().max() < 1e-3
+
+
+def test_a_removed_object_leaves_no_trace(dataset: Dataset) -> None:
+    """Drawn without the pane, the picture depends on the pane's texels no more."""
+    pixels = pixels_of(dataset, render_samples=1)
+    renderer = LightPathRenderer(NET)
+    index = torch.arange(1024)
+    paths = pixels.take(index, None)
+    assert (paths.stack.surface == 1).any()
+    renderer(paths).sum().backward()
+    table = renderer.textures[0].table.grad
+    assert table is not None
+    half = len(table) // 2
+    assert table[:half].abs().sum() > 0  # With the pane its texels matter, through the residual.
+    from datagen.scene.description import load_scene
+    from datagen.trace.light_path import LightPathTracer
+
+    scene = load_scene(dataset.root / "scene")
+    floor = scene.objects[1]
+    # The floor keeps its id: an object that is gone leaves a mesh that no ray meets.
+    away = scene.objects[0].mesh
+    away = type(away)(vertices=away.vertices + 1000, faces=away.faces, normals=away.normals, uv=away.uv)
+    tracer = LightPathTracer((away, floor.mesh), (scene.objects[0].material, floor.material))
+    edited = LightPathPixels(**{**vars(pixels), "tracer": tracer}).take(index, None)
+    renderer.zero_grad()
+    renderer(edited).sum().backward()
+    table = renderer.textures[0].table.grad
+    assert table is not None
+    assert table[:half].abs().sum() == 0
+    assert table[half:].abs().sum() > 0
+
+
+def test_the_learned_sky_is_continuous_all_around() -> None:
+    renderer = LightPathRenderer(LightPathConfig(texture_sizes=(8,)))
+    height = renderer.environment.maps[0].shape[1]
+    polar = (torch.arange(height) + 0.5) / height * math.pi
+    azimuth = ((torch.arange(2 * height) + 0.5) / height - 1) * math.pi
+    sin, cos = torch.sin(polar)[:, None], torch.cos(polar)[:, None]
+    directions = torch.stack([sin * torch.cos(azimuth), sin * torch.sin(azimuth), cos.expand(-1, 2 * height)])
+    with torch.no_grad():
+        finest_counts = 0.5 ** (len(renderer.environment.maps) - 1)
+        renderer.environment.maps[0].copy_(torch.log(torch.expm1(1 + 0.5 * directions)) / finest_counts)
+        asked = torch.nn.functional.normalize(torch.randn(4000, 3, generator=torch.Generator().manual_seed(0)), dim=-1)
+        error = (renderer.environment(asked) - (1 + 0.5 * asked)).abs()
+    assert error[asked[..., 2].abs() < 0.95].max() < 3e-3
+    assert error.max() < 0.03  # Half a texel around the poles is flat.
+
+
+def test_skies_of_runs_from_before_there_were_lobes_load_and_shine_as_they_did() -> None:
+    names = [str(level) for level in range(5)]
+    sky = LearnedSky(8, 0)
+    assert list(sky.state_dict()) == names
+    sky.load_state_dict({name: torch.full_like(sky.get_parameter(name), 0.5) for name in names})
+    total = 0.5 * sum(0.5**level for level in range(5))
+    shine = sky(torch.eye(3))
+    torch.testing.assert_close(shine, torch.full((3, 3), math.log1p(math.exp(total))))
+
+
+@pytest.mark.parametrize(("lobes", "most"), [(0, 0.2), (12, 0.6)])
+def test_the_sky_where_no_ray_has_been_is_filled_in_from_around(lobes: int, most: float) -> None:
+    renderer = LightPathRenderer(LightPathConfig(texture_sizes=(8,), sky_lobes=lobes))
+    directions = torch.nn.functional.normalize(torch.randn(4000, 3, generator=torch.Generator().manual_seed(0)), dim=-1)
+    seen = directions[:, 0] > 0.2
+    color = torch.tensor([2.0, 0.3, 0.05])
+    optimizer = torch.optim.Adam(renderer.environment.parameters(), lr=0.02)
+    for _ in range(300):
+        optimizer.zero_grad()
+        (renderer.environment(directions[seen]) - color).abs().mean().backward()
+        optimizer.step()
+    with torch.no_grad():
+        behind = renderer.environment(directions[directions[:, 0] < -0.5])
+    assert (renderer.environment(directions[seen]) / color - 1).abs().max() < 0.05
+    assert (behind - color).abs().max() < most  # One map alone would say 0.69 there: 1.3 off.
+
+
+def test_the_sky_learns_a_lamp_brighter_than_white_from_its_reflections_alone() -> None:
+    # Pixel 0 looks at the lamp, and is clipped; pixel 1 sees it mirrored by glass of which 4 % reflect.
+    lamp, share = 4.0, 0.04
+    shares = torch.tensor([1.0, share])
+    truth = (srgb_curve(lamp * shares).clamp_max(1) * 255).round()[:, None].expand(2, 3) / 255
+    sky = LearnedSky(8, 4)
+    towards = torch.tensor([[0.6, 0.0, 0.8]] * 2)
+    optimizer = torch.optim.Adam(sky.parameters(), lr=METHODS["light-path"].optimise(
+        LightPathChoices(), METHODS["light-path"].optimisation).sky_lr or 0)  # fmt: skip
+    for _ in range(300):
+        optimizer.zero_grad()
+        difference(srgb_curve(sky(towards) * shares[:, None]), truth).abs().mean().backward()
+        optimizer.step()
+    with torch.no_grad():
+        assert (sky(towards) / lamp - 1).abs().max() < 0.05
+
+
+@pytest.mark.parametrize(("rate", "updates"), [(1e-4, 1), (0.3, 1), (1e-3, 4)])
+def test_the_sky_learns_at_a_rate_of_its_own_with_each_update(
+    dataset: Dataset, tmp_path: Path, rate: float, updates: int
+) -> None:
+    config = dataclasses.replace(SMALL, steps=3, updates=updates, sky_lr=rate, lr_decay="none")
+    train(config, dataset, tmp_path / "run", label="a", device=CPU)
+    learned = load_renderer(tmp_path / "run", config, dataset).environment.maps
+    # Adam's first steps are as long as its rate.
+    assert max(texels.abs().max().item() for texels in learned) == pytest.approx(3 * updates * rate, rel=0.1)
+
+
+def test_pixels_whose_rays_differ_are_drawn_with_more_rays_and_the_others_are_not(dataset: Dataset) -> None:
+    torch.manual_seed(0)
+    renderer = LightPathRenderer(LightPathConfig(texture_sizes=(24, 24))).eval()
+    with torch.no_grad():
+        renderer.environment.maps[0].normal_(std=400.0)  # A sky of much detail.
+    drawn = {}
+    for refined in (4, 64):
+        drawn[refined] = pixels_of(dataset, render_samples=4, refined_samples=refined)
+    few, many = (predict_colors(renderer, pixels) for pixels in drawn.values())
+    with torch.inference_mode():
+        every = torch.arange(len(few))
+        finest = renderer(drawn[64].refined().take(every, None))
+        doubtful = is_doubtful(renderer.radiance(drawn[64].take(every, None)))
+    assert 0.02 < doubtful.float().mean() < 0.98
+    assert torch.equal(many[~doubtful], few[~doubtful])
+    # Which facet of rough metal a ray meets depends on its place in the bundle, so only most colours are the same.
+    assert (many - finest)[doubtful].abs().mean() < 0.25 * (few - finest)[doubtful].abs().mean()
+    assert torch.equal(predict_colors(renderer, drawn[64]), many)
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "expected"),
+    [(0.5, 0.5, False), (0.5, 0.52, False), (0.2, 0.8, True), (0.9, 9.0, False), (0.2, 1.6, True), (0.5, 1.6, True)],
+)
+def test_a_pixel_is_doubtful_where_its_rays_differ_but_not_beyond_white(
+    low: float, high: float, expected: bool
+) -> None:
+    radiance = torch.tensor([low, high] * 8)[None, :, None].expand(1, 16, 3)
+    assert bool(is_doubtful(radiance)) is expected
+
+
+def test_the_curve_is_the_datasets_own_and_rises_on_above_one() -> None:
+    linear = torch.linspace(0, 1, 1001)
+    assert np.abs(srgb_curve(linear).numpy() - srgb_from_linear(linear.numpy())).max() < 1e-5
+    above = torch.tensor([1.5, 3.0], requires_grad=True)
+    srgb_curve(above).sum().backward()
+    assert above.grad is not None
+    assert (above.grad > 0).all()
+
+
+def test_training_learns_the_synthetic_scene_and_resumes_to_the_bit(
+    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    train(SMALL, dataset, tmp_path / "whole", label="a", device=CPU)
+    with monkeypatch.context() as patch:
+        stop_at(patch, 8)
+        with pytest.raises(KeyboardInterrupt):
+            train(SMALL, dataset, tmp_path / "parts", label="a", device=CPU)
+    train(SMALL, dataset, tmp_path / "parts", label="a", device=CPU)
+    for out in (tmp_path / "whole", tmp_path / "parts"):
+        render_predictions(out, SMALL, dataset, device=CPU)
+        assert is_finished(out)
+    assert run_bytes(tmp_path / "whole") == run_bytes(tmp_path / "parts")
+    assert read_run(tmp_path / "whole").knowledge == "true geometry, materials (all but diffuse colours)"
+
+
+def test_it_learns_what_it_sees(dataset: Dataset, tmp_path: Path) -> None:
+    import json
+
+    config = dataclasses.replace(SMALL, steps=150, batch=256, updates=1, evaluate_every=150)
+    train(config, dataset, tmp_path / "run", label="a", device=CPU)
+    last = json.loads((tmp_path / "run" / "metrics.jsonl").read_text().splitlines()[-1])
+    truth = np.stack([read_image(dataset, "train", view) for view in range(8)]) / 255.0
+    best_constant = -10 * math.log10(np.square(truth - truth.mean(axis=(0, 1, 2))).mean())
+    assert last["held_out_psnr"] > best_constant + 5
+
+
+def test_straight_layers_stand_beside_the_paths_on_proxies(dataset: Dataset) -> None:
+    config = dataclasses.replace(default_light_path((32, 32), is_proxy=True), shells=1, straight_layers=8)
+    pixels = load_light_path_pixels(dataclasses.replace(config, render_samples=1), dataset, TRUTH, "train", [2], True)
+    stack = pixels.take(torch.arange(1024), None).stack
+    layers = read_layers(dataset, TRUTH, "train", 2)
+    assert np.array_equal(stack.surface[:, -8:-4].numpy().T.reshape(4, 32, 32), layers.object_id)
+    assert (stack.throughput[:, -8:][stack.surface[:, -8:] > 0] == 1).all()
+    renderer = LightPathRenderer(config)
+    assert renderer(pixels.take(torch.arange(64), None)).shape == (64, 3)
+
+
+def test_texels_are_shared_among_objects_whatever_their_shells(tmp_path: Path) -> None:
+    dataset = write_synthetic_dataset(tmp_path / "data" / "synthetic", resolution=16)
+    statistics = (ProxyStatistics(volume_ratio=1, mean_distance=0, max_distance=0),) * 2
+    write_proxies(dataset, "box", read_meshes(dataset, TRUTH), statistics)
+    pane, floor = share_texels(dataset, "box", 24)
+    # As these proxies are the truth, about as much is met of them; but no path ends on a pane of glass.
+    assert share_texels(dataset, TRUTH, 24)[0] == 3
+    assert 8 <= pane < floor
+    config = default_light_path((pane, floor), is_proxy=True)
+    pixels = load_light_path_pixels(config, dataset, "box", "train", [2], True)
+    colors = LightPathRenderer(config)(pixels.take(torch.arange(256), None))
+    assert colors.shape == (256, 3)
+    assert torch.isfinite(colors).all()
+
+
+def test_surfaces_are_loaded_once_as_long_as_meshes_and_shells_stay(tmp_path: Path) -> None:
+    dataset = write_synthetic_dataset(tmp_path / "data" / "synthetic", resolution=16)
+    truth = read_meshes(dataset, TRUTH)
+    statistics = (ProxyStatistics(volume_ratio=1, mean_distance=0, max_distance=0),) * 2
+
+    def tracer(split: Split, geometry: str, shells: int) -> object:
+        config = LightPathConfig(texture_sizes=(8, 8), render_samples=1, shells=shells, straight_layers=2)
+        return load_light_path_pixels(config, dataset, geometry, split, [1], False).tracer
+
+    first = tracer("train", TRUTH, 1)
+    assert tracer("interpolating", TRUTH, 1) is first
+    assert tracer("train", TRUTH, 2) is not first
+    write_proxies(dataset, "box", truth, statistics)
+    of_boxes = tracer("train", "box", 2)
+    assert tracer("train", "box", 2) is of_boxes
+    higher = dataclasses.replace(truth[1], vertices=truth[1].vertices + np.float32(0.01))
+    write_proxies(dataset, "box", (truth[0], higher), statistics)
+    assert tracer("train", "box", 2) is not of_boxes
+
+
+def test_shells_lie_one_inside_the_other_with_textures_of_their_own(dataset: Dataset) -> None:
+    config = LightPathConfig(texture_sizes=(8, 8), render_samples=1, shells=3, straight_layers=6)
+    truth = read_meshes(dataset, TRUTH)
+    nested = nest_shells(truth, 3)
+    for copy, mesh in enumerate(nested):
+        outer = truth[copy // 3].vertices.astype(np.float64)
+        center = (outer.min(axis=0) + outer.max(axis=0)) / 2
+        assert np.allclose(mesh.vertices, center + (1 - copy % 3 / 3) * (outer - center), atol=1e-6)
+    batch = load_light_path_pixels(config, dataset, TRUTH, "train", [2], True).take(torch.arange(1024), None)
+    assert batch.stack is not None
+    met = batch.stack.surface[:, sum(STACKED_VERTICES) :]
+    assert set(met.flatten().tolist()) == {0, 1, 2, 3, 4, 5, 6}
+    renderer = LightPathRenderer(config)
+    # The second copy of the second object is surface 5: its texels alone change under it.
+    before = renderer.textures(batch.stack.uv, batch.stack.surface)
+    with torch.no_grad():
+        renderer.textures[0].table[4 * 64 : 5 * 64] += 1
+    changed = (renderer.textures(batch.stack.uv, batch.stack.surface) != before).any(dim=-1)
+    assert torch.equal(changed, batch.stack.surface == 5)
+    with pytest.raises(HyalineError, match="shells: is 128 for 2 objects"):
+        LightPathConfig(texture_sizes=(8, 8), shells=128)
+
+
+def test_a_relief_shifts_look_ups_by_its_depth_and_learns(dataset: Dataset) -> None:
+    config = dataclasses.replace(default_light_path((32, 32), is_proxy=True), shells=1, straight_layers=8)
+    assert config.relief
+    batch = load_light_path_pixels(config, dataset, TRUTH, "train", [2], True).take(torch.arange(64), None)
+    assert batch.stack is not None and batch.stack.uv_slope is not None
+    torch.manual_seed(0)
+    renderer = LightPathRenderer(config)
+    assert renderer.relief is not None
+    with torch.no_grad():
+        renderer.textures[0].table.normal_()
+        flat = renderer(batch)
+        renderer.relief.table.fill_(2.0)
+        deep = renderer(batch)
+        # The same as textures looked up at shifted uv, without a relief.
+        shift = 2.0 * RELIEF_DEPTH
+        straight = sum(STACKED_VERTICES)
+        uv = batch.stack.uv.clone()
+        uv[:, straight:] = (uv[:, straight:] + shift * batch.stack.uv_slope).clamp(0, 1)
+        ends = dataclasses.replace(batch.ends, uv=(batch.ends.uv + shift * batch.ends.uv_slope).clamp(0, 1))
+        moved = dataclasses.replace(batch, ends=ends, stack=dataclasses.replace(batch.stack, uv=uv))
+        renderer.relief.table.zero_()
+        expected = renderer(moved)
+    assert not torch.allclose(deep, flat, atol=1e-3)
+    torch.testing.assert_close(deep, expected, atol=1e-4, rtol=1e-3)
+    renderer(batch).sum().backward()
+    assert renderer.relief.table.grad is not None and renderer.relief.table.grad.any()
+
+
+def test_finer_textures_are_added_to_coarser_ones(dataset: Dataset) -> None:
+    pixels = pixels_of(dataset, render_samples=1, texture_levels=3)
+    renderer = LightPathRenderer(LightPathConfig(texture_sizes=(16, 12), texture_levels=3))
+    assert [textures.layout.sizes for textures in renderer.textures] == [(16, 12), (8, 6), (4, 3)]
+    batch = pixels.take(torch.arange(1024), None)
+    before = renderer.textures(batch.stack.uv, batch.stack.surface)
+    with torch.no_grad():
+        for level, textures in enumerate(renderer.textures):
+            textures.table.fill_(10.0**level)
+    after = renderer.textures(batch.stack.uv, batch.stack.surface)
+    assert (before == 0).all()
+    # The coarsest counts whole, each finer one half as much as the one before.
+    assert torch.allclose(after[batch.stack.surface > 0], torch.tensor(100 + 10 / 2 + 1 / 4))
+    assert (after[batch.stack.surface == 0] == 0).all()
+
+
+def test_foreign_flags_and_odd_numbers_are_refused(
+    dataset: Dataset, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(HyalineError, match="train_samples: is 5; expected a square number"):
+        LightPathConfig(texture_sizes=(8,), train_samples=5)
+    from model import cli
+
+    for flags in (("--method", "light-path", "--width", "256"), ("--method", "paper", "--branches", "9")):
+        monkeypatch.setattr("sys.argv", ["model", "train", "--dataset", str(dataset.root), *flags])
+        with pytest.raises(SystemExit) as end:
+            cli.main()
+        assert end.value.code == 1
+        assert f"{flags[2]}: method {flags[1]} has no such choice" in capsys.readouterr().err
+
+
+def test_the_papers_renderer_takes_several_rays_a_pixel(dataset: Dataset, tmp_path: Path) -> None:
+    one = PaperConfig(width=16, texture_size=16, extrinsics="none", norm="none")
+    many = dataclasses.replace(one, train_samples=4, render_samples=9)
+    stored = METHODS["paper"].load(one, dataset, TRUTH, "train", [2], True)
+    traced = METHODS["paper"].load(many, dataset, TRUTH, "train", [2], True)
+    assert torch.equal(stored.rgb, traced.rgb)
+    index = torch.arange(1024)
+    batch = traced.take(index, None)
+    assert batch.samples == 9
+    center = stored.take(index, None)
+    # The middle one of nine goes through the pixel's centre.
+    assert torch.equal(batch.object_id.view(1024, 9, -1)[:, 4], center.object_id)
+    assert (batch.uv.view(1024, 9, -1, 2)[:, 4] - center.uv).abs().max() < 1e-4
+    assert torch.equal(batch.p_camera[::9], center.p_camera)
+    torch.manual_seed(0)
+    renderer = PaperRenderer(many, num_layers=4, num_objects=2, positions=None)
+    whole, middle = renderer(batch), renderer(dataclasses.replace(batch, samples=1))
+    assert torch.allclose(whole, srgb_curve(linear_curve(middle).view(1024, 9, 3).mean(dim=1)))
+    config = dataclasses.replace(SMALL, method="paper", net=many, steps=3)
+    train(config, dataset, tmp_path / "run", label="a", device=CPU)
+    render_predictions(tmp_path / "run", config, dataset, device=CPU)
+    assert is_finished(tmp_path / "run")

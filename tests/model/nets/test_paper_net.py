@@ -1,0 +1,194 @@
+"""Owns the tests of the renderer network and its extrinsic inputs."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from scipy.special import sph_harm_y
+from support.synthetic import pixel_rays, write_synthetic_dataset
+
+from datagen.data.dataset import read_cameras
+from datagen.disk.errors import HyalineError
+from model.batches.rays import insert_empty_layer, load_pixels
+from model.methods.paper import PaperConfig, PaperRenderer, build_paper, configure_paper, default_texture_size
+from model.nets.extrinsics import (
+    EXTRINSIC_CHANNELS,
+    ExtrinsicInputs,
+    Extrinsics,
+    bake_position_table,
+    spherical_harmonics,
+)
+from model.nets.pixel_mlp import PixelMlp, count_parameters, width_for_34k
+from model.nets.texture import TexturePyramid
+from model.settings.choices import PaperChoices
+
+
+@pytest.mark.parametrize(
+    ("width", "num_layers", "extrinsics", "without_norm", "with_norm"),
+    [
+        (256, 4, "view", 235_971, 238_723),
+        (256, 8, "view", 255_427, 258_179),
+        (256, 16, "view", 294_339, 297_091),
+        (80, 8, "view", 33_623, 34_483),
+        (64, 4, "view", 18_675, None),
+        (64, 8, "sh", 26_611, None),
+        (64, 16, "none", 30_195, 30_883),
+        (64, 16, "view", 33_267, 33_955),
+        (64, 16, "sh", 39_411, 40_099),
+        (64, 17, "view", 34_483, None),
+        (64, 14, "sh", 36_211, None),
+    ],
+)
+def test_the_network_has_the_derived_number_of_parameters(
+    width: int, num_layers: int, extrinsics: Extrinsics, without_norm: int, with_norm: int | None
+) -> None:
+    inputs = num_layers * (16 + EXTRINSIC_CHANNELS[extrinsics])
+    assert count_parameters(inputs, width, 3, "none") == without_norm
+    if with_norm is not None:
+        assert count_parameters(inputs, width, 3, "batch") == with_norm
+
+
+@pytest.mark.parametrize(("num_layers", "width"), [(8, 80), (16, 64)])
+def test_34k_finds_the_width_that_the_published_count_needs(num_layers: int, width: int) -> None:
+    assert width_for_34k(num_layers * 19, 3) == width
+
+
+def test_the_network_equals_its_formula_written_out() -> None:
+    torch.manual_seed(0)
+    net = PixelMlp(10, width=8, blocks=1, norm="none")
+    x = torch.randn(5, 10)
+    layers = [module for module in net.modules() if isinstance(module, torch.nn.Linear)]
+    first, inner, outer, halve, last = ((item.weight.detach().numpy(), item.bias.detach().numpy()) for item in layers)
+
+    def unit(values: np.ndarray, parameters: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+        linear = values @ parameters[0].T + parameters[1]
+        return np.where(linear > 0, linear, 0.2 * linear)
+
+    hidden = unit(x.numpy(), first)
+    hidden = hidden + unit(unit(hidden, inner), outer)
+    expected = unit(hidden, halve) @ last[0].T + last[1]
+    np.testing.assert_allclose(net(x).detach().numpy(), expected, atol=1e-6)
+
+
+def test_a_width_that_cannot_be_halved_is_refused() -> None:
+    with pytest.raises(HyalineError, match="width: is 90 with 3 blocks; expected a multiple of 8"):
+        PaperConfig(width=90, texture_size=64)
+
+
+def test_spherical_harmonics_equal_scipy() -> None:
+    direction = np.random.default_rng(0).normal(size=(50, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    theta, phi = np.arccos(direction[:, 2]), np.arctan2(direction[:, 1], direction[:, 0])
+
+    def real(degree: int, order: int) -> np.ndarray:
+        value = sph_harm_y(degree, abs(order), theta, phi) * (-1) ** order  # Without the Condon-Shortley phase.
+        return value.real if order == 0 else np.sqrt(2) * (value.imag if order < 0 else value.real)
+
+    orders = [(0, 0), (1, -1), (1, 0), (1, 1), (2, -2), (2, -1), (2, 0), (2, 1), (2, 2)]
+    expected = np.stack([real(*order) for order in orders], axis=1)
+    np.testing.assert_allclose(spherical_harmonics(torch.from_numpy(direction).float()).numpy(), expected, atol=1e-6)
+
+
+def test_view_vectors_point_back_along_the_pixels_rays(tmp_path: Path) -> None:
+    dataset = write_synthetic_dataset(tmp_path / "data")
+    pixels = load_pixels(dataset, "truth", "train", [3, 5])
+    rays = pixels.take(torch.arange(len(pixels.rgb)), None)
+    positions = bake_position_table(dataset, "truth", 128)
+    assert bake_position_table(dataset, "truth", 128) is positions  # Training and predicting share it.
+    view = ExtrinsicInputs("view", positions, num_objects=2, size=128)(rays.uv, rays.object_id, rays.p_camera)
+    cameras = read_cameras(dataset, "train")
+    directions = np.concatenate([pixel_rays(cameras, index)[1].reshape(-1, 3) for index in (3, 5)])
+    hit = rays.object_id != 0
+    expected = torch.from_numpy(-directions)[:, None].expand(-1, 4, -1)
+    # Half a texel at the border, 2 m / 128 / 2, seen from 2 m.
+    assert (view[hit] - expected[hit]).norm(dim=-1).max() < 0.006
+    assert hit.any() and (view[~hit] == 0).all()
+    harmonics = ExtrinsicInputs("sh", positions, num_objects=2, size=128)(rays.uv, rays.object_id, rays.p_camera)
+    assert harmonics.shape[-1] == 9 and (harmonics[~hit] == 0).all() and (harmonics[hit][:, 0] > 0.28).all()
+
+
+def test_an_inserted_layer_is_empty_and_keeps_the_others_in_order(tmp_path: Path) -> None:
+    dataset = write_synthetic_dataset(tmp_path / "data", num_layers=3)
+    rays = load_pixels(dataset, "truth", "train", [0]).take(torch.arange(400, 404), None)
+    place = torch.tensor([0, 1, 2, 3])
+    more = insert_empty_layer(rays, place)
+    for ray in range(4):
+        kept = [layer for layer in range(4) if layer != int(place[ray])]
+        assert more.object_id[ray, place[ray]] == 0
+        assert torch.equal(more.object_id[ray, kept], rays.object_id[ray])
+        assert torch.equal(more.uv[ray, kept], rays.uv[ray])
+
+
+def test_the_zero_layer_comes_last_at_test_and_anywhere_in_training(tmp_path: Path) -> None:
+    dataset = write_synthetic_dataset(tmp_path / "data", num_layers=3)
+    rays = load_pixels(dataset, "truth", "train", [0]).take(torch.arange(1024), None)
+    config = PaperConfig(width=16, extrinsics="none", texture_size=16, zero_layer=True)
+    renderer = PaperRenderer(config, num_layers=3, num_objects=2, positions=None).eval()
+    torch.nn.init.normal_(renderer.textures.table)  # Fresh ones are the same everywhere.
+    assert renderer.net.first.linear.in_features == 4 * 16
+    stack = torch.cat([renderer.textures(rays.uv, rays.object_id).flatten(1), torch.zeros(1024, 16)], dim=1)
+    torch.testing.assert_close(renderer(rays), renderer.net(stack))
+    moved = renderer(rays, rng=np.random.default_rng(0))
+    assert not torch.allclose(moved, renderer(rays))
+    assert torch.equal(moved, renderer(rays, rng=np.random.default_rng(0)))
+
+
+@pytest.mark.parametrize("levels", [1, 3])
+def test_textures_start_at_zero_but_at_one_half_where_the_network_sees_nothing_else(
+    tmp_path: Path, levels: int
+) -> None:
+    dataset = write_synthetic_dataset(tmp_path / "data", num_layers=2)
+    rays = load_pixels(dataset, "truth", "train", [0]).take(torch.arange(1024), None)
+    hit = rays.object_id != 0
+    alone = PaperConfig(width=16, extrinsics="none", texture_size=16, texture_levels=levels, position_size=8)
+    for config, start in ((alone, 0.5), (dataclasses.replace(alone, extrinsics="view"), 0.0)):
+        features = build_paper(config, dataset, "truth", 2).textures(rays.uv, rays.object_id)
+        torch.testing.assert_close(features, start * hit[..., None].float().expand_as(features))
+
+
+@pytest.mark.parametrize("textures", ["object", "scene"])
+def test_the_papers_textures_can_be_a_pyramid(tmp_path: Path, textures: str) -> None:
+    dataset = write_synthetic_dataset(tmp_path / "data", num_layers=2)
+    choices = PaperChoices(extrinsics="none", textures=textures, texture_size=16, texture_levels=3, features=64)  # pyright: ignore
+    config = configure_paper(choices, dataset, "truth", 2)
+    renderer = build_paper(config, dataset, "truth", 2).eval()
+    assert isinstance(renderer.textures, TexturePyramid)
+    assert renderer.net.first.linear.in_features == 2 * 64
+    assert abs(count_parameters(128, config.width, 3) - 34_000) < 2000
+    texels = [table.shape[0] for table in renderer.textures.tables()]
+    assert texels == ([512, 128, 32] if textures == "object" else [256, 64, 16])
+    rays = load_pixels(dataset, "truth", "train", [0]).take(torch.arange(1024), None)
+    with torch.no_grad():
+        for level, table in enumerate(renderer.textures.tables()):
+            table.fill_(10.0**level)
+    seen = []
+    renderer.net.register_forward_pre_hook(lambda _, inputs: seen.append(inputs[0]))
+    renderer(rays)
+    expected = 111.0 * (rays.object_id != 0).repeat_interleave(64, dim=1)
+    torch.testing.assert_close(seen[0], expected)
+
+
+def test_stored_uv_and_colors_come_back_exactly(tmp_path: Path) -> None:
+    from datagen.data.dataset import read_image
+    from datagen.data.layers import read_layers
+    from model.batches.rays import take_colors
+
+    dataset = write_synthetic_dataset(tmp_path / "data")
+    pixels = load_pixels(dataset, "truth", "train", [1, 6])
+    row, column = 20, 9
+    index = torch.tensor([1024 + row * 32 + column])  # In the second of the two views.
+    layers = read_layers(dataset, "truth", "train", 6)
+    rays = pixels.take(index, None)
+    np.testing.assert_array_equal(rays.object_id[0].numpy(), layers.object_id[:, row, column])
+    np.testing.assert_allclose(rays.uv[0].numpy(), layers.uv[:, row, column] / 65535, atol=1e-7)
+    expected = read_image(dataset, "train", 6)[row, column] / 255
+    np.testing.assert_allclose(take_colors(pixels, index)[0].numpy(), expected, atol=1e-7)
+    position = read_cameras(dataset, "train").world_from_camera[6, :3, 3]
+    np.testing.assert_allclose(rays.p_camera[0].numpy(), position, rtol=1e-6)
+
+
+def test_textures_have_half_the_images_width() -> None:
+    assert default_texture_size(512, 18, "object") == 256  # What the authors ran.
+    assert default_texture_size(512, 18, "scene") == 5 * 256

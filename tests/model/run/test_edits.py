@@ -1,0 +1,252 @@
+"""Tests that a trained renderer draws an edited scene: what is removed from the geometry vanishes from the picture."""
+
+import dataclasses
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+from support.meshes import mesh_of
+from support.synthetic import quad, synthetic_scene
+
+from datagen.build.build import build_dataset
+from datagen.build.build_edit import build_edit
+from datagen.data.dataset import (
+    TEST_SPLITS,
+    Dataset,
+    DatasetConfig,
+    Split,
+    SplitConfig,
+    open_dataset,
+    png_bytes,
+    read_image,
+    read_png,
+)
+from datagen.data.edit_masks import ELSEWHERE, LIGHT, OBJECT, read_footprint
+from datagen.data.edited import open_edit
+from datagen.data.geometries import TRUTH
+from datagen.data.layers import read_layers
+from datagen.disk.storage import SEAL, commit_sealed
+from datagen.machine.mitsuba_variant import use_mitsuba
+from datagen.scene.description import Dielectric, Diffuse, Scene, SceneObject, SoftEnvironment, SolidTexture
+from datagen.scene.edits import parse_edit
+from eval.page.report import make_report
+
+if use_mitsuba(quiet=True).startswith("scalar"):
+    pytest.skip("light paths need a vectorised variant of Mitsuba", allow_module_level=True)
+
+from model.methods.light_path.config import LightPathConfig
+from model.methods.paper import PaperConfig
+from model.run.edits import is_edit_rendered, render_edit
+from model.run.predict import render_predictions
+from model.run.run_folder import TrainConfig
+from model.run.train import train
+
+GLASS = Dielectric(ior=1.5, absorption=(0.2, 0.6, 1.5))
+CHECKER = Diffuse(color=SolidTexture(pattern="checker", colors=((0.7, 0.6, 0.2), (0.1, 0.2, 0.5)), scale=0.5))
+LIGHT_PATH = TrainConfig(
+    method="light-path", geometry=TRUTH, steps=200, batch=512, lr=0.002, texture_lr=0.02, lr_decay="cosine",
+    net=LightPathConfig(texture_sizes=(8, 64), texture_levels=2, branches=6, render_samples=9), evaluate_every=200,
+)  # fmt: skip
+PAPER = TrainConfig(
+    method="paper", geometry=TRUTH, steps=3, batch=512, evaluate_every=200,
+    net=PaperConfig(width=16, texture_size=16, position_size=32, zero_layer=True),
+)  # fmt: skip
+EDITS = ("remove:ball", "duplicate:ball:0.3,0.8,0")
+SPLIT: Split = "interpolating"
+
+
+def scene() -> Scene:
+    """A ball of tinted glass over a chequered floor."""
+    ball = mesh_of(trimesh.creation.icosphere(4, 0.4).apply_translation((0.0, 0.0, 0.45)))
+    return dataclasses.replace(
+        synthetic_scene(),
+        objects=(
+            SceneObject(name="ball", mesh=ball, material=GLASS),
+            SceneObject(name="floor", mesh=quad(0.0), material=CHECKER),
+        ),
+        environment=SoftEnvironment(zenith=(0.9, 0.9, 0.9), horizon=(0.8, 0.7, 0.6), ground=(0.3, 0.3, 0.3)),
+    )
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A dataset, two edits of it, and two runs that drew them all."""
+    root = tmp_path_factory.mktemp("edits")
+    few = SplitConfig(views=2, spp=128)
+    config = DatasetConfig(
+        scene="edit", preset="tiny", resolution=48, train=SplitConfig(views=16, spp=50), interpolating=few,
+        extrapolating=few,
+    )  # fmt: skip
+    base = build_dataset(
+        scene(), root / "data" / "edit", config, kinds=("straight",), num_layers=4, workers=1, overwrite=False
+    )
+    edits = [build_edit(base, (parse_edit(text),), workers=1, overwrite=False) for text in EDITS]
+    for name, run in (("ours", LIGHT_PATH), ("paper", PAPER)):
+        out = root / "runs" / "edit" / name
+        train(run, base, out, label=name, device=torch.device("cpu"))
+        render_predictions(out, run, base, device=torch.device("cpu"))
+        for edited in edits:
+            render_edit(out, run, base, edited, device=torch.device("cpu"))
+    return root
+
+
+def datasets(root: Path) -> tuple[Dataset, Dataset, Dataset]:
+    """The base, without the ball, with two balls."""
+    base = open_dataset(root / "data" / "edit")
+    return base, open_edit(base, "remove-ball"), open_edit(base, "duplicate-ball-0.3,0.8,0")
+
+
+def psnr(pred: np.ndarray, truth: np.ndarray, mask: np.ndarray) -> float:
+    error = (pred[mask].astype(np.float64) - truth[mask]) / 255
+    return float(-10 * np.log10(np.square(error).mean()))
+
+
+def test_a_removed_ball_of_glass_leaves_the_floor_that_was_behind_it(made: Path) -> None:
+    base, after, _ = datasets(made)
+    run = made / "runs" / "edit" / "ours"
+    kept = read_png(run / "predictions" / SPLIT / "0000.png")
+    edited = read_png(run / "edits" / "remove-ball" / "predictions" / SPLIT / "0000.png")
+    in_ball = read_layers(base, TRUTH, SPLIT, 0).object_id[0] == 1
+    assert 0.05 < in_ball.mean() < 0.5
+    assert np.array_equal(read_footprint(after, SPLIT, 0) == OBJECT, in_ball)
+    truth_before, truth_after = (read_image(dataset, SPLIT, 0) for dataset in (base, after))
+    assert psnr(kept, truth_before, in_ball) > 24
+    assert psnr(edited, truth_after, in_ball) > 24
+    # The edit is seen: neither picture would pass for the other.
+    assert psnr(kept, truth_after, in_ball) < 18
+    assert psnr(edited, truth_before, in_ball) < 18
+
+
+def test_a_copy_of_the_ball_refracts_the_floor_behind_it(made: Path) -> None:
+    base, _, after = datasets(made)
+    assert 3 in read_layers(after, TRUTH, SPLIT, 0).object_id
+    in_copy = read_footprint(after, SPLIT, 0) == OBJECT
+    edited = read_png(made / "runs" / "edit" / "ours" / "edits" / after.name / "predictions" / SPLIT / "0000.png")
+    assert psnr(edited, read_image(after, SPLIT, 0), in_copy) > 20
+    assert psnr(read_image(base, SPLIT, 0), read_image(after, SPLIT, 0), in_copy) < 18
+
+
+def test_predictions_of_another_version_of_an_edit_count_as_none(made: Path) -> None:
+    _, after, _ = datasets(made)
+    run = made / "runs" / "edit" / "ours"
+    assert is_edit_rendered(run, after)
+    assert not is_edit_rendered(run, dataclasses.replace(after, seal="another"))
+    assert not is_edit_rendered(made / "runs" / "edit", after)
+
+
+def command(root: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, "-m", *words], cwd=root, capture_output=True, text=True)
+
+
+def test_the_commands_edit_and_draw_what_is_there(made: Path) -> None:
+    data = command(made, "datagen", "build", "--scene", "edit", "--edit", "remove:ball")
+    assert data.stdout == "data/edit/edits/remove-ball\n"
+    assert data.stderr.splitlines()[-1] == "next: eval report"
+    run = ("model", "render", "--run", "runs/edit/paper", "--dataset", "edit", "--edit")
+    picture = made / "runs" / "edit" / "paper" / "edits" / "remove-ball" / "predictions" / SPLIT / "0001.png"
+    drawn = picture.read_bytes()
+    picture.unlink()
+    assert command(made, *run, "remove:ball").stdout == "runs/edit/paper/edits/remove-ball\n"
+    assert picture.read_bytes() == drawn
+    refused = command(made, "datagen", "build", "--scene", "edit", "--edit", "remove:ball", "--spp", "8")
+    assert (refused.returncode, refused.stdout) == (1, "")
+    assert "error: --spp: does not go with --edit" in refused.stderr
+
+
+def test_the_report_scores_edits_by_region_and_pixels_by_order(
+    made: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("eval.page.figures.contact_sheet", lambda scene, scores: b"")
+    make_report(made / "runs", made / "data", made / "out", output_format="markdown", order_layers=3)
+    text = capsys.readouterr().out
+    assert "### edit, after remove:ball (object " in text
+    assert "### edit: PSNR by order of the first 3 layers" in text
+    results = json.loads((made / "out" / "results.json").read_text())
+    base, after, doubled = datasets(made)
+
+    # Regions, by a slow loop over pixels.
+    scored = {tuple(edit["edits"]): edit for edit in results["scenes"][0]["analyses"]["edits"]}
+    rows = {(row["run"], row["scene"]): row["psnr_db"] for row in scored[("remove:ball",)]["rows"]}
+    assert set(rows) == {
+        ("ours", "edited"), ("ours", "unedited"), ("paper", "edited"), ("paper", "unedited"),
+        ("truth before the edit", "edited"),
+    }  # fmt: skip
+    folder = made / "runs" / "edit" / "ours"
+    for row, place, dataset in (
+        ("edited", folder / "edits" / "remove-ball", after),
+        ("unedited", folder, base),
+    ):
+        for split in TEST_SPLITS:
+            for region, value in (("object", OBJECT), ("light", LIGHT), ("elsewhere", ELSEWHERE)):
+                values = []
+                for view in range(2):
+                    mask = read_footprint(after, split, view) == value
+                    pred = read_png(place / "predictions" / split / f"000{view}.png")
+                    if mask.any():
+                        values.append(psnr(pred, read_image(dataset, split, view), mask))
+                assert rows["ours", row][region][split] == pytest.approx(np.mean(values))
+    assert rows["truth before the edit", "edited"]["object"][SPLIT] < rows["ours", "edited"]["object"][SPLIT] - 5
+    assert (made / "out" / "edit_edit_remove-ball.png").is_file()
+
+    # Orders, by sets of tuples.
+    known = set()
+    for view in range(16):
+        ids = read_layers(base, TRUTH, "train", view).object_id[:3]
+        known |= {tuple(column) for column in ids.reshape(3, -1).T.tolist()}
+    by_order = {(row["scene"], row["run"]): row for row in results["scenes"][0]["analyses"]["order"]["rows"]}
+    assert len(by_order) == 6
+    for scene_name, dataset in (("as trained", base), (doubled.name, doubled)):
+        for split in TEST_SPLITS:
+            new = []
+            for view in range(2):
+                # A copy is drawn with the texels of its original, so it counts as that.
+                ids = read_layers(dataset, TRUTH, split, view).object_id[:3]
+                columns = np.where(ids == 3, 1, ids).reshape(3, -1).T.tolist()
+                new += [tuple(column) not in known for column in columns]
+            assert by_order[scene_name, "ours"]["new_share"][split] == pytest.approx(np.mean(new))
+    assert max(by_order[doubled.name, "ours"]["new_share"].values()) > 0
+
+
+def test_seeds_share_a_row_in_the_tables_of_edits_and_orders_and_the_first_stands_on_the_sheet(
+    made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The second seed of `paper` draws everything black."""
+    shutil.copytree(made / "runs", tmp_path / "runs")
+    black = tmp_path / "runs" / "edit" / "paper-seed1"
+    shutil.copytree(black.with_name("paper"), black)
+    record = json.loads((black / "run.json").read_text())
+    record["seed"] = record["config"]["seed"] = 1
+    del record[SEAL]
+    commit_sealed(black / "run.json", record)
+    for path in black.rglob("*.png"):
+        path.write_bytes(png_bytes(np.zeros_like(read_png(path))))
+    for path in black.rglob("predictions.json"):
+        path.unlink()
+    heads = []
+    monkeypatch.setattr(
+        "eval.figures.sheets._draw", lambda title, found, rows, size: heads.append((title, found)) or b""
+    )
+    make_report(tmp_path / "runs", made / "data", tmp_path / "out", output_format="markdown", order_layers=3)
+
+    results = json.loads((tmp_path / "out" / "results.json").read_text())["scenes"][0]["analyses"]
+    (removed,) = (edit for edit in results["edits"] if edit["edits"] == ["remove:ball"])
+    of_run = {row["run"]: row["psnr_db"]["object"][SPLIT] for row in removed["rows"] if row["scene"] == "edited"}
+    text = capsys.readouterr().out
+    table = text.split("### edit, after remove:ball")[1].split("###")[0]
+    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in table.splitlines() if line.startswith("| ")]
+    column = 3 + TEST_SPLITS.index(SPLIT)
+    (row,) = (row for row in rows if row[:3] == ["paper", "2", "edited"])
+    assert row[column] == f"{(of_run['paper'] + of_run['paper-seed1']) / 2:.2f}"
+    assert of_run["paper"] > of_run["paper-seed1"] + 5
+    assert [row[1] for row in rows if row[0] == "ours"] == ["1", "1"] and "paper-seed1" not in table
+    orders = text.split("### edit: PSNR by order")[1]
+    assert "| as trained | paper | 2 |" in orders and "paper-seed1" not in orders.split("###")[0]
+    sheets = dict(heads)
+    assert sheets["edit: remove-ball"] == ("truth before", "truth after", "ours", "paper")
+    assert sheets["edit: all runs"] == ("truth", "ours", "paper")

@@ -1,0 +1,331 @@
+"""Tests that training which was interrupted, in whatever way and however often, ends as if it had not been."""
+
+import os
+import shutil
+import signal
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+import torch
+from support.synthetic import write_synthetic_dataset
+
+from datagen.data.dataset import Dataset
+from datagen.disk.errors import HyalineError
+from datagen.terminal.signals import Stopped, hold_signals, signal_within
+from model import cli
+from model.run import train as train_module
+from model.run.checkpoint import load_checkpoint, load_state, save_checkpoint
+from model.run.run_folder import TrainConfig
+
+pytestmark = pytest.mark.promise("R3")
+
+SIZE = ("--steps", "6", "--batch", "64", "--texture-size", "16", "--width", "32", "--device", "cpu")
+
+
+@pytest.fixture(autouse=True, scope="module")
+def one_thread() -> Iterator[None]:
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
+@pytest.fixture(autouse=True)
+def often(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Checkpoints and evaluations of a run of six steps."""
+    defaults = (TrainConfig.__init__.__kwdefaults__ or {}) | {"checkpoint_every": 2, "evaluate_every": 3}
+    monkeypatch.setattr(TrainConfig.__init__, "__kwdefaults__", defaults)
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    return write_synthetic_dataset(tmp_path_factory.mktemp("model") / "data" / "synthetic")
+
+
+Train = Callable[..., int]
+
+
+@pytest.fixture
+def train(dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Train:
+    """`model train --out tmp_path/NAME` in this process; answers its exit status."""
+
+    def command(name: str, *flags: str) -> int:
+        words = ["--method", "paper", "--dataset", str(dataset.root), "--out", str(tmp_path / name), "--name", "it"]
+        monkeypatch.setattr(sys, "argv", ["model", "train", *words, *SIZE, *flags])
+        try:
+            cli.main()
+        except SystemExit as end:
+            return int(end.code or 0)
+        return 0
+
+    return command
+
+
+def run_bytes(out: Path) -> dict[str, bytes]:
+    return {path.relative_to(out).as_posix(): path.read_bytes() for path in sorted(out.rglob("*")) if path.is_file()}
+
+
+class Killed(BaseException):
+    """The process is gone: nothing that it would have done comes to pass."""
+
+
+WRITES = ("os.fsync", "os.replace", "os.unlink", "os.rmdir", "os.rename", "os.mkdir")
+"""Whatever changes a run's folder ends in one of these; `pathlib` and `shutil` call them, too."""
+
+
+def at_each_write(monkeypatch: pytest.MonkeyPatch, act: Callable[[int], None]) -> None:
+    """Calls `act` with the number of each write, before it happens."""
+    count = 0
+
+    def watched(original: Callable[..., object]) -> Callable[..., object]:
+        def write(*arguments: object, **named: object) -> object:
+            nonlocal count
+            act(count)
+            count += 1
+            return original(*arguments, **named)
+
+        return write
+
+    for name in WRITES:
+        monkeypatch.setattr(name, watched(getattr(os, name.removeprefix("os."))))
+
+
+@pytest.mark.parametrize("flags", [(), ("--overwrite",)], ids=["fresh", "overwrite"])
+def test_killed_before_any_write_the_same_command_ends_in_the_same_bytes(
+    train: Train, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, flags: tuple[str, ...]
+) -> None:
+    """A kill leaves the folder as it is at some write: so it is copied there, each copy is finished, and compared."""
+    out = tmp_path / "whole"
+    if flags:
+        assert train("whole", "--lr", "0.01") == 0
+        (out / "edits/moved/predictions/interpolating").mkdir(parents=True)
+        (out / "edits/moved/predictions/interpolating/0000.png").write_bytes(b"of the run before")
+
+    states: list[Path] = []
+
+    def keep(number: int) -> None:
+        if out.is_dir():
+            copy = tmp_path / f"state{number}"
+            with monkeypatch.context() as patch:
+                for name in WRITES:
+                    patch.setattr(name, originals[name])
+                shutil.copytree(out, copy)
+            states.append(copy)
+
+    originals = {name: getattr(os, name.removeprefix("os.")) for name in WRITES}
+    with monkeypatch.context() as patch:
+        at_each_write(patch, keep)
+        assert train("whole", *flags) == 0
+    expected = run_bytes(out)
+    assert len(states) >= (60 if flags else 50)
+
+    contents: list[dict[str, bytes]] = []
+    for state in states:
+        if run_bytes(state) in contents:
+            continue
+        contents.append(run_bytes(state))
+        # What is finished or only begun to be overwritten is the run before, which has another rate.
+        is_old = flags and "run.next.json" not in contents[-1] and b'"lr": 0.01' in contents[-1].get("run.json", b"")
+        assert train(state.name, *(flags if is_old else ())) == 0, state
+        assert run_bytes(state) == expected, f"{state}: {sorted(contents[-1])}"
+    assert len(contents) > 25
+
+
+def test_a_run_that_is_killed_again_and_again_ends_in_the_same_bytes(
+    train: Train, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert train("whole") == 0
+    for least in range(2, 200, 3):
+        with monkeypatch.context() as patch:
+
+            def die(number: int, last: int = least) -> None:
+                if number >= last:
+                    raise Killed
+
+            at_each_write(patch, die)
+            try:
+                assert train("parts") == 0
+            except Killed:
+                continue
+        break
+    assert run_bytes(tmp_path / "parts") == run_bytes(tmp_path / "whole")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=lambda number: number.name)
+@pytest.mark.parametrize("flags", [(), ("--overwrite",)], ids=["fresh", "overwrite"])
+def test_a_signal_leaves_a_checkpoint_from_which_the_same_command_goes_on(
+    train: Train, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
+    number: signal.Signals, flags: tuple[str, ...],
+) -> None:  # fmt: skip
+    assert train("whole") == 0
+    capsys.readouterr()
+    check = train_module.check_finite
+
+    def interrupt(loss: float, renderer: torch.nn.Module, *, step: int, out: Path) -> None:
+        if step == 2:
+            os.kill(os.getpid(), number)
+        check(loss, renderer, step=step, out=out)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(train_module, "check_finite", interrupt)
+        assert train("parts", *flags) == 128 + number
+    way_on = "the same command without --overwrite" if flags else "the same command"
+    said = capsys.readouterr().err.splitlines()
+    assert said[-1] == f"error: {tmp_path / 'parts'}: stopped after step 4 of 6; {way_on} goes on from there"
+    assert load_state(tmp_path / "parts/checkpoint.pt")["step"] == 4
+    assert train("parts") == 0
+    assert f"{tmp_path / 'parts'}: goes on from step 4 of 6\n" in capsys.readouterr().err
+    assert run_bytes(tmp_path / "parts") == run_bytes(tmp_path / "whole")
+
+
+def test_a_signal_while_pictures_are_drawn_ends_in_the_same_bytes(
+    train: Train, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert train("whole") == 0
+    with monkeypatch.context() as patch:
+        from model.run import predict
+
+        draw = predict.png_bytes
+
+        def interrupt(image: object) -> bytes:
+            if (tmp_path / "parts/predictions/interpolating/0001.png").exists():
+                os.kill(os.getpid(), signal.SIGTERM)
+            return draw(image)  # pyright: ignore[reportArgumentType]
+
+        patch.setattr(predict, "png_bytes", interrupt)
+        assert train("parts", "--overwrite") == 143
+    assert capsys.readouterr().err.endswith("error: stopped; run the same command without --overwrite to go on\n")
+    assert not (tmp_path / "parts/predictions.json").exists()
+    assert train("parts") == 0
+    assert run_bytes(tmp_path / "parts") == run_bytes(tmp_path / "whole")
+
+
+def test_checkpoints_by_the_clock_change_no_byte(
+    train: Train, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert train("whole") == 0
+    saved: list[object] = []
+    save = train_module.save_checkpoint
+    monkeypatch.setattr(train_module, "save_checkpoint", lambda *given: (saved.append(given[1]["step"]), save(*given)))
+    monkeypatch.setattr(train_module, "CHECKPOINT_EVERY_S", 0.0)
+    assert train("often") == 0
+    assert saved == [1, 2, 3, 4, 5]
+    assert run_bytes(tmp_path / "often") == run_bytes(tmp_path / "whole")
+
+
+def test_overwriting_that_is_killed_while_data_loads_leaves_a_run_that_any_command_opens(
+    train: Train, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert train("run", "--lr", "0.01") == 0
+    assert train("whole") == 0
+    with monkeypatch.context() as patch, pytest.raises(Killed):
+        patch.setattr(train_module, "choose_held_out", lambda *_: (_ for _ in ()).throw(Killed))
+        train("run", "--overwrite")
+    assert [path.name for path in (tmp_path / "run").rglob("*") if path.is_file()] == ["run.json"]
+    shutil.copytree(tmp_path / "run", tmp_path / "anew")
+    assert train("run") == train("anew", "--overwrite") == 0
+    assert "run: was stopped before its first checkpoint; starts at step 0\n" in capsys.readouterr().err
+    assert run_bytes(tmp_path / "run") == run_bytes(tmp_path / "anew") == run_bytes(tmp_path / "whole")
+
+
+@pytest.fixture(scope="module")
+def two_checkpoints(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("checkpoints")
+    for step in (1, 2):
+        save_checkpoint(folder, {"step": step, "net": {"a": torch.arange(50_000.0)}, "more": {0: [1, 2.5, None, "b"]}})
+    return folder
+
+
+NUM_LENGTHS = 301
+
+
+def test_a_newest_checkpoint_of_any_shorter_length_falls_back_to_the_one_before_and_says_so(
+    two_checkpoints: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    newest, before = ((two_checkpoints / name).read_bytes() for name in ("checkpoint.pt", "checkpoint.previous.pt"))
+    (tmp_path / "checkpoint.previous.pt").write_bytes(before)
+    for place in range(NUM_LENGTHS):
+        path = tmp_path / "checkpoint.pt"
+        path.write_bytes(newest[: len(newest) * place // NUM_LENGTHS])
+        state = load_checkpoint(tmp_path)
+        assert state is not None and state["step"] == 1
+        said = capsys.readouterr().err.splitlines()
+        assert len(said) == 2 and said[0].startswith(f"{path}: damaged, torch cannot read it (")
+        assert said[1] == f"{path}: deleted; goes on from the checkpoint before it"
+        assert not path.exists() and (tmp_path / "checkpoint.previous.pt").read_bytes() == before
+
+
+def test_every_flipped_bit_of_a_checkpoint_is_noticed_or_changes_no_value(
+    two_checkpoints: Path, tmp_path: Path
+) -> None:
+    path = tmp_path / "checkpoint.pt"
+    data = (two_checkpoints / "checkpoint.pt").read_bytes()
+    intact = load_state(two_checkpoints / "checkpoint.pt")
+    noticed = 0
+    for place in range(0, len(data), len(data) // 400):
+        broken = bytearray(data)
+        broken[place] ^= 1 << place % 8
+        path.write_bytes(broken)
+        try:
+            state = load_state(path)
+        except HyalineError:
+            noticed += 1
+        else:
+            assert state.keys() == intact.keys() and torch.equal(state["net"]["a"], intact["net"]["a"])  # pyright: ignore
+    assert noticed > 390
+
+
+def test_two_damaged_checkpoints_are_refused_and_kept(two_checkpoints: Path, tmp_path: Path) -> None:
+    for path in two_checkpoints.iterdir():
+        (tmp_path / path.name).write_bytes(path.read_bytes()[:1000])
+    with pytest.raises(HyalineError, match="no checkpoint there is intact; start anew with --overwrite"):
+        load_checkpoint(tmp_path)
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+# Signals
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_that_is_held_back_is_raised_when_the_block_ends(number: signal.Signals) -> None:
+    handlers = [signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)]
+    done = []
+    with pytest.raises(Stopped) as stopped, hold_signals() as held:
+        os.kill(os.getpid(), number)
+        os.kill(os.getpid(), number)  # A launcher passes on what the terminal has sent to all.
+        done.append(held.number)
+    assert done == [number] and stopped.value.status == 128 + number
+    assert [signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)] == handlers
+
+
+def test_a_second_ctrl_c_is_not_held_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("datagen.terminal.signals.IMPATIENCE_S", -1.0)
+    with pytest.raises(KeyboardInterrupt), hold_signals():
+        os.kill(os.getpid(), signal.SIGINT)
+        os.kill(os.getpid(), signal.SIGINT)
+        pytest.fail("went on")
+
+
+def test_a_signal_that_the_parent_ignores_stays_ignored() -> None:
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        with hold_signals() as held:
+            os.kill(os.getpid(), signal.SIGINT)
+        assert held.number is None
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.parametrize("stop", [KeyboardInterrupt(), Stopped(signal.SIGTERM)])
+def test_a_signal_that_a_library_has_wrapped_is_found(stop: BaseException) -> None:
+    """As Dr.Jit does with whatever is raised while it records a loop."""
+    with pytest.raises(RuntimeError) as wrapped:
+        try:
+            raise stop
+        except BaseException as error:
+            raise RuntimeError("encountered an exception (see above)") from error
+    found = signal_within(wrapped.value)
+    assert found is not None and found.status == (130 if isinstance(stop, KeyboardInterrupt) else 143)
+    assert signal_within(RuntimeError("of its own")) is None

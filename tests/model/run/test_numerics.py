@@ -1,0 +1,187 @@
+"""Tests that a number that is not finite, wherever it comes from, stops a command before it is kept or shown."""
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import torch
+from support.synthetic import write_synthetic_dataset
+from torch import Tensor, nn
+
+import eval.cli
+import model.cli
+from datagen.data.dataset import Dataset
+from model.batches.rays import Pixels, RayBatch
+from model.losses import pixel_losses as losses
+from model.run import predict
+from model.run import train as train_module
+from model.run.checkpoint import check_numbers, load_state
+from model.run.run_folder import TrainConfig
+
+pytestmark = pytest.mark.promise("R10")
+
+NAN = float("nan")
+LAST_GOOD = 4
+"""The step of the last checkpoint before the poison, which is given in the step after it."""
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    return write_synthetic_dataset(tmp_path_factory.mktemp("model") / "data" / "synthetic")
+
+
+@pytest.fixture
+def call(dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], int]:
+    """`train` or `report` in this process; answers its exit status."""
+    defaults = (TrainConfig.__init__.__kwdefaults__ or {}) | {"checkpoint_every": 2, "evaluate_every": 5}
+    monkeypatch.setattr(TrainConfig.__init__, "__kwdefaults__", defaults)
+    lines = {
+        "train": f"model train --method paper --dataset {dataset.root} --out {tmp_path}/runs/synthetic/paper --steps 8 "
+        "--batch 64 --texture-size 16 --width 32 --device cpu",
+        "report": f"report --runs {tmp_path}/runs --data {dataset.root.parent} --out {tmp_path}/report",
+    }
+
+    def command(name: str) -> int:
+        monkeypatch.setattr(sys, "argv", lines[name].split())
+        try:
+            (model.cli if name == "train" else eval.cli).main()
+        except SystemExit as end:
+            return int(end.code or 0)
+        return 0
+
+    return command
+
+
+def poison_image(batch: Tensor) -> Tensor:
+    batch[3] = NAN
+    return batch
+
+
+def poison_uv(batch: RayBatch) -> RayBatch:
+    batch.uv[0, 0] = NAN
+    return batch
+
+
+def poison_parameter(name: str, row: int) -> Callable[[nn.Module], None]:
+    def poison(renderer: nn.Module) -> None:
+        with torch.no_grad():
+            renderer.get_parameter(name)[row] = NAN
+
+    return poison
+
+
+def inject(monkeypatch: pytest.MonkeyPatch, site: str) -> None:
+    """Puts one NaN where it is asked for, in the step after the last good checkpoint."""
+    step_now = 0
+    check = train_module.check_finite
+
+    def before_check(loss: float, renderer: nn.Module, *, step: int, out: Path) -> None:
+        nonlocal step_now
+        step_now = step + 1
+        if step == LAST_GOOD and site == "gradient":
+            renderer.get_parameter("net.last.weight").grad[0, 0] = NAN  # pyright: ignore[reportOptionalSubscript]
+        if step == LAST_GOOD and site == "loss":
+            loss = NAN
+        check(loss, renderer, step=step, out=out)
+        if step == LAST_GOOD and site in parameters:
+            parameters[site](renderer)
+
+    # A texel that no ray meets, and a bias: neither has to show in any loss.
+    parameters = {
+        "texture": poison_parameter("textures.table", 0),
+        "weights": poison_parameter("net.first.linear.weight", 0),
+    }
+    monkeypatch.setattr(train_module, "check_finite", before_check)
+    take_colors, take, colors = losses.take_colors, Pixels.take, predict.predict_colors
+    if site == "image":
+        monkeypatch.setattr(
+            losses, "take_colors",
+            lambda *given: poison_image(take_colors(*given)) if step_now == LAST_GOOD else take_colors(*given),
+        )  # fmt: skip
+    if site == "uv":
+        monkeypatch.setattr(
+            Pixels, "take",
+            lambda self, index, rng: poison_uv(take(self, index, rng)) if step_now == LAST_GOOD
+            else take(self, index, rng),
+        )  # fmt: skip
+    if site == "prediction":
+        monkeypatch.setattr(predict, "predict_colors", lambda *given: poison_image(colors(*given).clone()))
+
+
+SITES = {
+    "image": "the loss is nan at step 4, so training stopped; the last good checkpoint is kept",
+    "uv": "uv: a layer has one that is not finite",
+    "texture": "is not finite",
+    "loss": "the loss is nan at step 4, so training stopped; the last good checkpoint is kept",
+    "gradient": "the gradient of net.last.weight is not finite at step 4, so training stopped",
+    "weights": "is not finite",
+    "prediction": "a predicted colour is not finite",
+}
+
+
+@pytest.mark.promise("R10")
+@pytest.mark.parametrize("site", SITES)
+def test_training_stops_before_it_keeps_a_number_that_is_not_finite(
+    call: Callable[[str], int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
+    site: str,
+) -> None:  # fmt: skip
+    inject(monkeypatch, site)
+    assert call("train") == 3
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert last.startswith("error: ") and SITES[site] in last
+    out = tmp_path / "runs/synthetic/paper"
+    kept = load_state(out / "checkpoint.pt")
+    assert kept["step"] == LAST_GOOD
+    check_numbers(kept, where="checkpoint")
+    assert not (out / "weights.pt").exists() and not list(out.rglob("*.png"))
+    assert not (out / "metrics.jsonl").exists()
+
+
+@pytest.mark.promise("R10")
+def test_a_renderer_that_predicts_no_number_writes_no_picture(
+    call: Callable[[str], int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    draw = predict.render_predictions
+
+    def poisoned(*given: object, **named: object) -> None:
+        colors = predict.predict_colors
+        with monkeypatch.context() as patch:
+            patch.setattr(predict, "predict_colors", lambda *those: poison_image(colors(*those).clone()))
+            draw(*given, **named)  # pyright: ignore[reportArgumentType]
+
+    with monkeypatch.context() as patch:
+        patch.setattr(predict, "render_predictions", poisoned)
+        assert call("train") == 3
+    out = tmp_path / "runs/synthetic/paper"
+    assert (
+        f"error: {out}/predictions/interpolating/0000.png: a predicted colour is not finite" in capsys.readouterr().err
+    )
+    assert not list(out.rglob("*.png")) and not (out / "predictions.json").exists()
+    assert call("train") == 0
+    assert len(list(out.rglob("*.png"))) == 4
+
+
+@pytest.mark.promise("R10")
+def test_a_metric_that_is_no_number_reaches_no_table(
+    call: Callable[[str], int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert call("train") == 0
+    capsys.readouterr()
+    monkeypatch.setattr("eval.score.scores.ssim", lambda *_: NAN)
+    assert call("report") == 3
+    said = capsys.readouterr()
+    assert said.err.splitlines()[-1].endswith(
+        "predictions/interpolating/0000.png: its ssim is not a number; run not scored"
+    )
+    assert said.out == "" and not (tmp_path / "report/results.json").exists()
+
+
+@pytest.mark.parametrize("value", [NAN, float("inf"), torch.tensor([1.0, NAN]), torch.full((3,), 3e38)])
+def test_what_is_not_finite_is_named_and_a_large_sum_is_not(value: float | Tensor) -> None:
+    state = {"a": torch.ones(3), "b": [1, {"c": value}]}
+    if isinstance(value, Tensor) and bool(value.isfinite().all()):
+        check_numbers(state, where="it")
+    else:
+        with pytest.raises(Exception, match=r"^it: not written, since b\[1\]\.c is not finite"):
+            check_numbers(state, where="it")

@@ -1,0 +1,77 @@
+"""Owns the tests of layers that are traced for each batch of training and rendering."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from support.synthetic import write_synthetic_dataset
+
+from datagen.data.dataset import Dataset
+from datagen.data.geometries import TRUTH
+from datagen.disk.errors import HyalineError
+from model.methods.paper import PaperConfig, configure_paper, parse_layers
+from model.methods.table import METHODS
+from model.run.predict import render_predictions
+from model.run.run_folder import TrainConfig, is_finished
+from model.run.train import train
+from model.settings.choices import PaperChoices
+
+CPU = torch.device("cpu")
+NET = PaperConfig(width=16, texture_size=16, position_size=32, online=True)
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    return write_synthetic_dataset(tmp_path_factory.mktemp("online") / "data" / "synthetic")
+
+
+@pytest.mark.parametrize(
+    ("text", "parsed"),
+    [(None, (None, False)), ("4", (4, False)), ("online", (None, True)), ("online-4", (4, True))],
+)
+def test_layers_are_a_number_or_online_or_both(text: str | None, parsed: tuple) -> None:
+    assert parse_layers(text) == parsed
+
+
+@pytest.mark.parametrize("text", ["offline", "4-online", "online-", "online-x", "-4", "2.5", ""])
+def test_other_layers_are_refused(text: str) -> None:
+    with pytest.raises(HyalineError, match="expected a number, online, or both such as online-4"):
+        parse_layers(text)
+
+
+def test_online_layers_can_have_a_budget(dataset: Dataset) -> None:
+    config = configure_paper(PaperChoices(layers="online-2"), dataset, TRUTH, 4)
+    assert config.online and config.num_layers == 2
+    pixels = METHODS["paper"].load(config, dataset, TRUTH, "train", [0], True)
+    assert pixels.take(torch.arange(10), None).object_id.shape == (10, 2)
+
+
+def test_online_layers_are_the_stored_ones_through_centres_and_jittered_while_training(dataset: Dataset) -> None:
+    stored = METHODS["paper"].load(dataclasses.replace(NET, online=False), dataset, TRUTH, "train", [2, 5], True)
+    online = METHODS["paper"].load(NET, dataset, TRUTH, "train", [2, 5], True)
+    index = torch.from_numpy(np.random.default_rng(0).permutation(2048)[:1000])
+    expected, centers = stored.take(index, None), online.take(index, None)
+    assert torch.equal(centers.object_id, expected.object_id)
+    assert (centers.uv - expected.uv).abs().max() < 1e-4
+    assert torch.equal(centers.p_camera, expected.p_camera)
+    first, second, again = (online.take(index, np.random.default_rng(seed)) for seed in (1, 2, 1))
+    assert torch.equal(first.uv, again.uv) and first.samples == 1
+    # A pixel is at most 0.07 of the pane wide here; a random place in it is nearly always another one.
+    same = (first.object_id == second.object_id) & (first.object_id > 0)
+    moved = (first.uv - second.uv).abs().amax(dim=-1)[same]
+    assert 0 < moved.median() < 0.07 and (moved > 1e-4).float().mean() > 0.99
+
+
+def test_online_training_reads_no_stored_layer(
+    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> None:
+        raise AssertionError("a stored layer was read")
+
+    monkeypatch.setattr("model.batches.rays.read_uv_and_ids", refuse)
+    config = TrainConfig(method="paper", geometry=TRUTH, net=NET, steps=4, batch=128)
+    train(config, dataset, tmp_path / "run", label="a", device=CPU)
+    render_predictions(tmp_path / "run", config, dataset, device=CPU)
+    assert is_finished(tmp_path / "run")

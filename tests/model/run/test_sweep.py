@@ -1,0 +1,246 @@
+"""Owns the tests of experiment files and of sweeps: grids equal to commands, sweeps that survive a kill."""
+
+import os
+import shlex
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections import Counter
+from pathlib import Path
+
+import pytest
+import torch
+from support.synthetic import write_synthetic_dataset
+
+from datagen.disk.errors import HyalineError
+from model import cli
+from model.run import sweep
+from model.run.experiment import list_experiments, parse_train, read_experiment
+
+
+def write(folder: Path, text: str) -> str:
+    path = folder / "grid.toml"
+    path.write_text(text)
+    return str(path)
+
+
+def call(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
+    monkeypatch.setattr(sys, "argv", ["model", *arguments])
+    try:
+        cli.main()
+    except SystemExit as end:
+        return int(end.code or 0)
+    return 0
+
+
+# Files
+
+
+def test_a_grid_is_every_combination_in_the_order_of_the_file(tmp_path: Path) -> None:
+    path = write(tmp_path, """
+        [[runs]]
+        dataset = ["one", "my two"]
+        method = "paper"
+        zero-layer = [false, true]
+        lr = 1e-4
+        [[runs]]
+        dataset = "one"
+        method = "paper"
+        extrinsics = ["view", "sh"]   # The default, and so the same run as without it.
+        lr = 0.0001
+    """)  # fmt: skip
+    commands = [sweep.command_line(arguments) for arguments in read_experiment(path).runs]
+    expected = []
+    for dataset in ("one", "'my two'"):
+        for zero in ("", "--zero-layer "):
+            expected.append(f"model train --dataset {dataset} --method paper {zero}--lr 0.0001")
+    assert commands == [*expected, "model train --dataset one --method paper --extrinsics sh --lr 0.0001"]
+    asked = parse_train(tuple(shlex.split(commands[3])[2:]))
+    assert (asked["dataset"], asked["zero_layer"], asked["lr"]) == ("my two", True, 1e-4)
+
+    replaced = read_experiment(path, datasets=["three"], seeds=[4, 5]).runs
+    assert [(parse_train(run)["dataset"], parse_train(run)["seed"]) for run in replaced] == [
+        ("three", 4),
+        ("three", 5),
+    ] * 3
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('[[runs]]\nmethod = "paper"\nextrinsic = "sh"', r"runs\[0\]: unknown key 'extrinsic'; did you mean 'ext"),
+        ('[[runs]]\nmethod = "paper"\n[[runs]]\nmethod = "paper"\nzero_layer = true', "unknown key 'zero_layer'"),
+        ('[[runs]]\nmethod = ["paper", "light-path"]\nextrinsics = "sh"', "--method light-path` without its"),
+        ('[[run]]\nmethod = "paper"', "unknown key 'run'; known are about and runs"),
+        ('[[runs]]\nmethod = "paper"\nsteps = [10, "many"]', "steps is 'many', which `model train` does not take"),
+        ('[[runs]]\nmethod = "paper"\nextrinsics = "all"', "extrinsics is 'all', which `model train` does not take"),
+        ('[[runs]]\nmethod = "paper"\nzero-layer = "yes"', "zero-layer is 'yes'; expected true or false"),
+        ('[[runs]]\nmethod = "paper"\nsteps = false', "steps is False; expected a number or text"),
+        ('[[runs]]\nmethod = "paper"\nout = "here"', "out cannot be set; a run's folder is the one that"),
+        ('[[runs]]\nmethod = "paper"\nseed = []', "seed is an empty list; expected at least one value"),
+        ('[[runs]]\nseed = 1', 'key "method" is missing'),
+        ('about = "nothing"', "has no runs; expected at least one block"),
+        ('about = 3\n[[runs]]', "about is 3; expected text"),
+        ("[[runs]", "not TOML"),
+    ],
+)  # fmt: skip
+def test_what_no_command_could_be_is_named(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(HyalineError, match=message):
+        read_experiment(write(tmp_path, text))
+
+
+def test_a_file_that_is_missing_names_those_that_are_there(tmp_path: Path) -> None:
+    with pytest.raises(HyalineError, match="'tabel1': there is none of that name; did you mean 'table1'"):
+        read_experiment("tabel1")
+    with pytest.raises(HyalineError, match="the file is missing; known without a file are ablation, budget"):
+        read_experiment(str(tmp_path / "mine.toml"))
+
+
+@pytest.mark.parametrize("name", list_experiments())
+def test_every_experiment_that_comes_with_the_program_is_one_that_train_takes(
+    name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    experiment = read_experiment(name)
+    assert experiment.about.endswith(".")
+    assert call(monkeypatch, "sweep", name, "--dry-run") == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == len(set(lines)) == len(experiment.runs)
+    assert name in cli.sweep.__doc__  # pyright: ignore[reportOperatorIssue]
+
+
+def test_a_method_that_does_not_exist_stops_the_sweep_before_its_first_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sweep, "run_experiment", lambda *_, **__: pytest.fail("a run was started"))
+    path = write(tmp_path, '[[runs]]\nmethod = ["paper", "papr"]')
+    assert call(monkeypatch, "sweep", path) == 1
+    assert "runs[0]: method 'papr': there is none of that name; did you mean 'paper'?" in capsys.readouterr().err
+
+
+# Sweeps
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM], ids=lambda number: number.name)
+def test_a_sweep_that_was_stopped_goes_on_to_the_bytes_of_train_and_tells_what_failed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: signal.Signals
+) -> None:
+    write_synthetic_dataset(tmp_path / "data" / "synthetic")
+    size = {"method": "paper", "steps": 200, "batch": 64, "texture-size": 16, "width": "32"}
+    block = "[[runs]]\n" + "".join(f"{key} = {value!r}\n" for key, value in size.items())
+    path = write(tmp_path, f'{block}seed = [0, 1]\n{block}geometry = "box"\n')
+    command = [sys.executable, "-m", "model", "sweep", path]
+    environment = os.environ | {"OMP_NUM_THREADS": "1"}
+    runs = tmp_path / "runs" / "synthetic"
+    last = runs / "paper-w32-t16-batch64-200-steps-seed1"
+
+    started = subprocess.Popen(command, cwd=tmp_path, env=environment, stderr=subprocess.PIPE, text=True)
+    assert started.stderr is not None
+    for line in started.stderr:
+        if line.startswith("[2/3] ") and "training views" in line:
+            break
+    started.send_signal(number)
+    _, said = started.communicate(timeout=120)
+    if number == signal.SIGTERM:
+        assert started.returncode == 143
+        assert "[2/3] error: " in said and "stopped" in said
+        assert said.endswith("error: stopped; run the same command again to go on\n")
+    assert (last / "run.json").is_file() and not (last / "predictions.json").exists()
+    first = {path: path.stat().st_mtime_ns for path in (last.parent / last.name.removesuffix("-seed1")).rglob("*")}
+
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert done.stdout.splitlines() == [
+        f"runs/synthetic/{last.name.removesuffix('-seed1')}",
+        f"runs/synthetic/{last.name}",
+    ]
+    lines = done.stderr.splitlines()
+    first_run = f"runs/synthetic/{last.name.removesuffix('-seed1')}"
+    assert f"[1/3] {first_run}: finished before, nothing to do; --overwrite" in done.stderr
+    assert lines[-3] == "sweep grid: 2 of 3 runs are finished"
+    assert lines[-2].startswith("failed: model train --method paper --steps 200 ") and "--geometry box: " in lines[-2]
+    assert "no box proxies; make them with `proxies make --dataset data/synthetic --kind box`" in lines[-2]
+    assert lines[-1].startswith("error: sweep grid: 1 of 3 runs failed")
+    assert {path: path.stat().st_mtime_ns for path in first} == first
+
+    monkeypatch.chdir(tmp_path)
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    flags = [word for key, value in size.items() for word in (f"--{key}", str(value))]
+    assert call(monkeypatch, "train", *flags, "--seed", "1", "--out", "byhand", "--name", last.name) == 0
+    torch.set_num_threads(threads)
+    made, by_hand = (
+        {path.relative_to(root): path.read_bytes() for path in root.rglob("*") if path.is_file()}
+        for root in (last, tmp_path / "byhand")
+    )
+    assert made == by_hand
+
+
+def test_each_device_runs_one_process_at_a_time_and_none_is_idle(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    experiment = read_experiment(write(tmp_path, f'[[runs]]\nmethod = "paper"\nseed = {list(range(12))}'))
+    busy: Counter[str] = Counter()
+    used: Counter[str] = Counter()
+    most = [0]
+    lock = threading.Lock()
+
+    def train(
+        arguments: tuple[str, ...], place: str, environment: dict[str, str], children: object
+    ) -> sweep.Failure | None:
+        (device,) = environment.values()
+        with lock:
+            busy[device] += 1
+            used[device] += 1
+            assert busy[device] == 1
+            most[0] = max(most[0], busy.total())
+        time.sleep(0.02)
+        with lock:
+            busy[device] -= 1
+        return sweep.Failure(command=arguments[-1], reason=place) if int(arguments[-1]) % 5 == 3 else None
+
+    monkeypatch.setattr(sweep, "_train_in_child", train)
+    failures = sweep.run_experiment(experiment, devices=("0", "GPU-b", "2"))
+    assert [(failure.command, failure.reason) for failure in failures] == [("3", "[4/12]"), ("8", "[9/12]")]
+    assert set(used) == {"0", "GPU-b", "2"} and used.total() == 12 and most[0] == 3
+
+
+def test_jobs_on_the_cpu_run_side_by_side_and_share_its_cores(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    experiment = read_experiment(write(tmp_path, f'[[runs]]\nmethod = "paper"\nseed = {list(range(4))}'))
+    monkeypatch.setattr(sweep, "num_cores", lambda: 5)
+    met = threading.Barrier(2, timeout=20)
+    environments: list[dict[str, str]] = []
+
+    def train(_: object, place: str, environment: dict[str, str], children: object) -> None:
+        environments.append(environment)
+        met.wait()  # Breaks, and with it the sweep, unless two are there at once.
+
+    monkeypatch.setattr(sweep, "_train_in_child", train)
+    assert sweep.run_experiment(experiment, devices=sweep.find_devices(2)) == ()
+    assert environments == [{"OMP_NUM_THREADS": "2", "NUMBA_NUM_THREADS": "2"}] * 4
+    # More jobs than cores leave each a thread; a single one keeps what its user has set.
+    assert set(sweep.share_of_cores(6).values()) == {"1"} and sweep.share_of_cores(1) == {}
+    with pytest.raises(HyalineError, match="jobs: is 0; expected at least 1"):
+        sweep.find_devices(0)
+
+
+@pytest.mark.parametrize(
+    ("visible", "count", "jobs", "devices"),
+    [
+        (None, 0, 1, (None,)),
+        (None, 0, 2, (None, None)),
+        (None, 2, 1, ("0", "1")),
+        (None, 2, 2, ("0", "1", "0", "1")),
+        ("3,GPU-abc", 2, 1, ("3", "GPU-abc")),
+        ("", 0, 1, (None,)),
+    ],
+)
+def test_devices_are_those_that_may_be_seen(
+    monkeypatch: pytest.MonkeyPatch, visible: str | None, count: int, jobs: int, devices: tuple[str | None, ...]
+) -> None:
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: count)
+    monkeypatch.delenv("CUDA_VISIBLE_DEVICES", raising=False)
+    if visible is not None:
+        monkeypatch.setenv("CUDA_VISIBLE_DEVICES", visible)
+    assert sweep.find_devices(jobs) == devices

@@ -1,0 +1,263 @@
+"""Owns the tests of training, checkpoints, run folders and the command `model`."""
+
+import dataclasses
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from support.synthetic import write_synthetic_dataset
+from support.training import SMALL, call, quick, run_bytes, stop_at
+
+from datagen.data.dataset import Dataset, read_image, read_png
+from datagen.disk.errors import HyalineError
+from model.run import train as train_module
+from model.run.checkpoint import fingerprint, load_checkpoint, load_state, save_checkpoint
+from model.run.predict import render_predictions
+from model.run.run_folder import check_same_run, is_finished, read_run
+from model.run.train import choose_held_out, decay, train
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+
+
+CPU = torch.device("cpu")
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    return write_synthetic_dataset(tmp_path_factory.mktemp("model") / "data" / "synthetic")
+
+
+def test_training_learns_the_pane_and_the_floor(dataset: Dataset, tmp_path: Path) -> None:
+    config = dataclasses.replace(SMALL, steps=600, batch=1024, lr=0.005, evaluate_every=600, checkpoint_every=1000)
+    train(config, dataset, tmp_path / "run", label="paper", device=CPU)
+    render_predictions(tmp_path / "run", config, dataset, device=CPU)
+    scores = []
+    for view in range(2):
+        prediction = read_png(tmp_path / f"run/predictions/interpolating/000{view}.png").astype(np.float64)
+        truth = read_image(dataset, "interpolating", view)
+        scores.append(-10 * np.log10(np.mean((prediction - truth) ** 2) / 255**2))
+    # The mean colour of the training images scores 14 dB, flipped uv 17 dB.
+    assert np.mean(scores) > 27
+    assert is_finished(tmp_path / "run")
+
+
+@pytest.mark.parametrize("kill_at", [2, 11])
+def test_a_stopped_and_resumed_run_has_the_same_bytes(
+    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kill_at: int
+) -> None:
+    config = dataclasses.replace(SMALL, net=dataclasses.replace(SMALL.net, zero_layer=True))
+    train(config, dataset, tmp_path / "whole", label="paper", device=CPU)
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        stop_at(patch, kill_at)
+        train(config, dataset, tmp_path / "parts", label="paper", device=CPU)
+    assert (tmp_path / "parts/checkpoint.pt").is_file() == (kill_at > 4)
+    train(config, dataset, tmp_path / "parts", label="paper", device=CPU)
+    for out in (tmp_path / "whole", tmp_path / "parts"):
+        render_predictions(out, config, dataset, device=CPU)
+    assert run_bytes(tmp_path / "whole") == run_bytes(tmp_path / "parts")
+    assert not list(tmp_path.rglob("checkpoint*"))
+    lines = [json.loads(line) for line in (tmp_path / "parts/metrics.jsonl").read_text().splitlines()]
+    assert [line["step"] for line in lines] == [5, 10, 15, 20]
+
+
+@pytest.mark.parametrize("damage", ["flip", "truncate", "delete", "empty"])
+def test_a_damaged_newest_checkpoint_falls_back_to_the_one_before(
+    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], damage: str
+) -> None:
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        stop_at(patch, 11)
+        train(SMALL, dataset, tmp_path / "run", label="paper", device=CPU)
+    path = tmp_path / "run/checkpoint.pt"
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 4
+    path.write_bytes({"flip": bytes(data), "truncate": data[: len(data) // 3], "delete": b"", "empty": b""}[damage])
+    if damage == "delete":
+        path.unlink()
+    state = load_checkpoint(tmp_path / "run")
+    assert state is not None and state["step"] == 4
+    assert ("checkpoint.pt: damaged" in capsys.readouterr().err) == (damage != "delete")
+    train(SMALL, dataset, tmp_path / "run", label="paper", device=CPU)
+    train(SMALL, dataset, tmp_path / "whole", label="paper", device=CPU)
+    assert run_bytes(tmp_path / "run") == run_bytes(tmp_path / "whole")
+
+
+def test_two_damaged_checkpoints_are_refused(tmp_path: Path) -> None:
+    for step in (1, 2):
+        save_checkpoint(tmp_path, {"step": step, "net": {"a": torch.arange(5.0)}})
+    for path in tmp_path.iterdir():
+        path.write_bytes(path.read_bytes()[:-90])
+    with pytest.raises(HyalineError, match="no checkpoint there is intact; start anew with --overwrite"):
+        load_checkpoint(tmp_path)
+
+
+def test_every_flipped_number_of_a_checkpoint_is_noticed(tmp_path: Path) -> None:
+    save_checkpoint(tmp_path, {"step": 1, "net": {"a": torch.arange(50.0)}, "optimizer": {0: {"b": [1, 2.5, None]}}})
+    path = tmp_path / "checkpoint.pt"
+    data = path.read_bytes()
+    start = data.index(torch.arange(50.0).numpy().tobytes())
+    for place in range(start, start + 200, 13):
+        broken = bytearray(data)
+        broken[place] ^= 1
+        path.write_bytes(broken)
+        with pytest.raises(HyalineError, match="checksum differs"):
+            load_state(path)
+
+
+def test_a_fingerprint_depends_on_values_and_not_on_the_order_of_keys() -> None:
+    state = {"a": torch.ones(3), "b": {"c": [1, 2]}}
+    assert fingerprint(dict(reversed(state.items()))) == fingerprint(state)  # pyright: ignore[reportArgumentType]
+    assert fingerprint({**state, "a": torch.ones(3, 1)}) != fingerprint(state)  # pyright: ignore[reportArgumentType]
+    assert fingerprint({**state, "b": {"c": [1, 3]}}) != fingerprint(state)  # pyright: ignore[reportArgumentType]
+
+
+@pytest.mark.parametrize("site", ["texture", "network", "gradient"])
+def test_a_loss_or_gradient_that_is_no_number_stops_before_the_step(
+    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, site: str
+) -> None:
+    check = train_module.check_finite
+
+    def poison(loss: float, renderer: torch.nn.Module, *, step: int, out: Path) -> None:
+        if step == 9 and site == "gradient":
+            renderer.get_parameter("textures.table").grad[7, 3] = float("inf")  # pyright: ignore[reportOptionalSubscript]
+        check(loss, renderer, step=step, out=out)
+        if step == 8 and site != "gradient":
+            name = {"texture": "textures.table", "network": "net.first.linear.weight"}[site]
+            renderer.get_parameter(name).grad.fill_(float("nan"))  # pyright: ignore[reportOptionalMemberAccess]
+
+    monkeypatch.setattr(train_module, "check_finite", poison)
+    what = "the gradient of textures.table is not finite" if site == "gradient" else "the loss is nan"
+    with pytest.raises(HyalineError, match=f"{what} at step 9, so training stopped; the last good checkpoint is kept"):
+        train(SMALL, dataset, tmp_path / "run", label="paper", device=CPU)
+    state = load_state(tmp_path / "run/checkpoint.pt")
+    assert state["step"] == 8
+    renderer = state["renderer"]
+    assert isinstance(renderer, dict)
+    assert all(torch.isfinite(value).all() for value in renderer.values() if isinstance(value, torch.Tensor))
+
+
+def test_textures_that_no_ray_touches_stay_as_they_were(dataset: Dataset, tmp_path: Path) -> None:
+    big = dataclasses.replace(SMALL, net=dataclasses.replace(SMALL.net, texture_size=200), steps=3, batch=64)
+    train(big, dataset, tmp_path / "run", label="paper", device=CPU)
+    table = load_state(tmp_path / "run/weights.pt")["renderer"]["textures.table"]  # pyright: ignore
+    changed = table.ne(0).any(dim=1).sum()  # pyright: ignore
+    assert 0 < changed <= 3 * 64 * 2 * 4
+
+
+def test_run_json_says_what_was_trained_on_what(dataset: Dataset, tmp_path: Path) -> None:
+    train(dataclasses.replace(SMALL, steps=1), dataset, tmp_path / "run", label="mine", device=CPU)
+    record = read_run(tmp_path / "run")
+    assert (record.method, record.geometry, record.knowledge) == ("paper", "truth", "true geometry")
+    assert (record.label, record.dataset_seal, record.config.steps) == ("mine", dataset.seal, 1)
+    assert record.num_texture_parameters == 2 * 24 * 24 * 16
+    content = json.loads((tmp_path / "run/run.json").read_text())
+    content["config"]["stepz"] = 3
+    (tmp_path / "run/run.json").write_text(json.dumps(content))
+    with pytest.raises(HyalineError, match="does not match its own checksum"):
+        read_run(tmp_path / "run")
+    del content["sha256"]  # As older runs have none.
+    (tmp_path / "run/run.json").write_text(json.dumps(content))
+    with pytest.raises(HyalineError, match="config: unknown key 'stepz'"):
+        read_run(tmp_path / "run")
+
+
+def test_another_configuration_or_dataset_is_refused_by_name(dataset: Dataset, tmp_path: Path) -> None:
+    config = dataclasses.replace(SMALL, steps=1)
+    train(config, dataset, tmp_path, label="mine", device=CPU)
+    seals = {"dataset_seal": dataset.seal, "layers_seal": read_run(tmp_path).layers_seal}
+    check_same_run(tmp_path, config, **seals)
+    deeper = dataclasses.replace(config, net=dataclasses.replace(config.net, texture_size=32))
+    with pytest.raises(HyalineError, match="another texture_size: 24 there, 32 here; start anew with --overwrite"):
+        check_same_run(tmp_path, deeper, **seals)
+    with pytest.raises(HyalineError, match="another dataset"):
+        check_same_run(tmp_path, config, **{**seals, "dataset_seal": "else"})
+
+
+def test_held_out_views_are_few_and_spread() -> None:
+    assert choose_held_out(100, 4) == [12, 37, 62, 87]
+    assert choose_held_out(8, 4) == [4]
+    assert choose_held_out(4, 4) == []
+
+
+def test_the_learning_rate_decays_as_named() -> None:
+    assert [decay("linear", progress) for progress in (0.0, 0.5, 0.75)] == [1, 1, 0.5]
+    assert [decay("none", progress) for progress in (0.0, 0.99)] == [1, 1]
+    assert decay("cosine", 0.5) == pytest.approx(0.5)
+
+
+# The command.
+
+
+def test_the_command_trains_skips_refuses_and_renders_again(
+    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = quick(dataset, tmp_path / "run")
+    assert call(monkeypatch, *command) == 0
+    output = capsys.readouterr()
+    assert output.out == f"{tmp_path / 'run'}\n" and output.err.endswith(
+        f"next: eval report --runs {tmp_path.parent}\n"
+    )
+    before = run_bytes(tmp_path / "run")
+    assert {"run.json", "weights.pt", "predictions.json", "predictions/extrapolating/0001.png"} <= set(before)
+
+    assert call(monkeypatch, *command) == 0
+    assert "finished before, nothing to do" in capsys.readouterr().err
+
+    assert call(monkeypatch, *command, "--lr", "0.01") == 1
+    assert "another lr: 0.001 there, 0.01 here; start anew with --overwrite" in capsys.readouterr().err
+
+    (tmp_path / "run/predictions/interpolating/0000.png").write_bytes(b"broken")
+    assert call(monkeypatch, "render", "--run", str(tmp_path / "run")) == 0
+    assert run_bytes(tmp_path / "run") == before
+    (tmp_path / "run/predictions/interpolating/0000.png").write_bytes(b"broken")
+    assert call(monkeypatch, *command) == 0
+    assert "run: is trained; goes on with its predictions" in capsys.readouterr().err
+    assert run_bytes(tmp_path / "run") == before
+
+    assert call(monkeypatch, *command, "--overwrite") == 0
+    assert run_bytes(tmp_path / "run") == before  # Same command, same bytes.
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (("--method", "papr"), "method 'papr': there is none of that name; did you mean 'paper'"),
+        (("--geometry", "truht"), "geometry 'truht': there is none of that name; did you mean 'truth'"),
+        (("--geometry", "box"), "no box proxies; make them with `proxies make --dataset "),
+        (("--width", "wide"), "width: is 'wide'; expected 34k, 256 or another number"),
+        (("--lr", "-1"), r"lr: is -1.0; expected a learning rate"),
+        (("--dataset", "no/where"), "no/where: no dataset; make one with `datagen build"),
+    ],
+)
+def test_a_wrong_flag_is_one_line(
+    dataset: Dataset,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    changes: tuple[str, ...],
+    message: str,
+) -> None:
+    assert call(monkeypatch, *quick(dataset, tmp_path / "run"), *changes) == 1
+    errors = capsys.readouterr().err
+    assert message in errors and errors.startswith("error: ") and errors.count("\n") == 1
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_folder_that_is_no_run_is_never_overwritten(
+    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "thesis.txt").write_text("years of work")
+    for flags in ((), ("--overwrite",)):
+        assert call(monkeypatch, *quick(dataset, tmp_path), *flags) == 1
+        assert "is not empty (thesis.txt) and no run; choose another --out" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.txt"]
+
+
+def test_help_answers_without_torch() -> None:
+    code = "import sys; from model.cli import main; sys.argv = ['model', 'train', '--help']\ntry: main()\n"
+    code += "finally: print('torch' in sys.modules, file=sys.stderr)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stderr.strip() == "False" and "--extrinsics" in done.stdout

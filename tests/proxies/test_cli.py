@@ -1,0 +1,266 @@
+"""Tests of the command `proxies`: what it writes, keeps, makes anew and refuses."""
+
+import subprocess
+import sys
+import time
+import types
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from support.synthetic import write_synthetic_dataset
+
+from datagen.data.dataset import Dataset, open_dataset
+from datagen.data.geometries import describe_geometry, list_geometries, read_meshes, read_proxy_records
+from datagen.disk.storage import load_sealed
+from proxies.cli import main
+from proxies.make import FITTERS
+from proxies.meshing import meshlab
+
+
+@pytest.fixture
+def peeled(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
+    """Stands in for the peeler, which needs Mitsuba, and for pymeshlab, which needs a process; lists the calls."""
+    calls: list[dict[str, Any]] = []
+    stand_in = types.ModuleType("datagen.build.build")
+
+    def peel_dataset(dataset: Dataset, geometry: str, **settings: object) -> None:
+        read_meshes(dataset, geometry)
+        calls.append({"root": dataset.root, "geometry": geometry, **settings})
+
+    stand_in.peel_dataset = peel_dataset  # type: ignore[attr-defined]
+    stand_in.peel_annexes = lambda dataset, *, workers: None  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "datagen.build.build", stand_in)
+    monkeypatch.setitem(sys.modules, "datagen.build.build_variant", stand_in)
+    monkeypatch.setattr(meshlab, "meshlab_problem", lambda: "left out")
+    monkeypatch.setattr("proxies.make.meshlab_problem", lambda: None)
+    return calls
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    write_synthetic_dataset(tmp_path / "data" / "one", resolution=8, train_views=1)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def call(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> None:
+    monkeypatch.setattr(sys, "argv", ["proxies", *arguments])
+    main()
+
+
+@pytest.mark.parametrize("kind", [kind for kind in FITTERS if kind not in ("wrap", "lowpoly")])
+def test_make_writes_the_proxies_peels_them_and_prints_the_table(
+    kind: str, here: Path, peeled: list[dict[str, Any]], monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    call(monkeypatch, "make", "--dataset", "one", "--kind", kind, "--num-layers", "3")
+    out, err = capsys.readouterr()
+    assert [line.split()[0] for line in out.splitlines() if "100 %" in line] == ["pane", "floor"]
+    assert f"model train --method light-path --dataset data/one --geometry {kind}" in err
+    assert [(item["geometry"], item["kinds"], item["num_layers"], item["overwrite"]) for item in peeled] == [
+        (kind, ("straight",), 3, False)
+    ]
+    content = load_sealed(here / "data/one/proxies" / kind / "proxies.json")
+    assert content["kind"] == kind
+    call(monkeypatch, "check", "--dataset", "data/one", "--kind", kind)
+    assert capsys.readouterr().out == out
+
+
+def test_a_second_run_keeps_the_files_and_overwrite_makes_the_same_bytes(
+    here: Path, peeled: list[dict[str, Any]], monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    call(monkeypatch, "make")
+    files = sorted((here / "data/one/proxies").rglob("*.*"))
+    before = {path: (path.stat().st_mtime_ns, path.read_bytes()) for path in files}
+    call(monkeypatch, "make")
+    assert "keeps its ellipsoid proxies" in capsys.readouterr().err
+    assert {path: (path.stat().st_mtime_ns, path.read_bytes()) for path in files} == before
+    call(monkeypatch, "make", "--overwrite")
+    assert all(path.stat().st_mtime_ns != before[path][0] for path in files)
+    assert {path: path.read_bytes() for path in files} == {path: data for path, (_, data) in before.items()}
+    assert [item["overwrite"] for item in peeled] == [False, False, True]
+
+
+@pytest.mark.parametrize("file", ["proxies.json", "meshes/floor.ply"])
+def test_a_damaged_file_is_made_again(
+    file: str, here: Path, peeled: list[dict[str, Any]], monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    call(monkeypatch, "make", "--kind", "box")
+    path = here / "data/one/proxies/box" / file
+    good = path.read_bytes()
+    path.write_bytes(good[:-20] + b" " + good[-19:])
+    call(monkeypatch, "make", "--kind", "box")
+    assert "makes them again" in capsys.readouterr().err
+    assert path.read_bytes() == good
+
+
+@pytest.mark.parametrize("kind", ["wrap", "lowpoly"])
+def test_a_wrap_without_pymeshlab_is_one_line_and_leaves_nothing(
+    kind: str, here: Path, peeled: list[dict[str, Any]], monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    with pytest.raises(SystemExit):
+        call(monkeypatch, "make", "--kind", kind)
+    err = capsys.readouterr().err
+    assert f"a {kind} needs pymeshlab: left out, or make `--kind hull`" in err
+    assert err.count("\n") == 2 and err.count("error: ") == 1  # What it is at comes first.
+    assert list_geometries(open_dataset(here / "data/one")) == ["truth"]
+    assert peeled == []
+
+
+def test_amounts_of_noise_stand_side_by_side(
+    here: Path, peeled: list[dict[str, Any]], monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    dataset = open_dataset(here / "data/one")
+    call(monkeypatch, "make", "--kind", "noise", "--amount", "0.002")
+    call(monkeypatch, "make", "--kind", "noise")
+    out, err = capsys.readouterr()
+    assert "model train --method light-path --dataset data/one --geometry noise-0.002" in err
+    assert [line.split()[0] for line in out.splitlines() if line.rstrip().endswith("-")] == ["pane", "floor"] * 2
+    assert [item["geometry"] for item in peeled] == ["noise-0.002", "noise-0.01"]
+    assert list_geometries(dataset) == ["truth", "noise-0.002", "noise-0.01"]
+    truths = read_meshes(dataset, "truth")
+    small, large = (read_meshes(dataset, geometry) for geometry in ("noise-0.002", "noise-0.01"))
+    for truth, near, far in zip(truths, small, large, strict=True):
+        # The same field, five times as far.
+        np.testing.assert_allclose(far.vertices - truth.vertices, 5 * (near.vertices - truth.vertices), atol=1e-6)
+    call(monkeypatch, "check", "--kind", "noise", "--amount", "0.002")
+
+
+def test_a_mixture_gives_each_object_the_proxy_that_its_kind_alone_gives(
+    here: Path, peeled: list[dict[str, Any]], monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    dataset = open_dataset(here / "data/one")
+    mixture = ("make", "--assign", "pa*=ellipsoid", "--assign", "floor=noise-0.02")
+    call(monkeypatch, *mixture)
+    out, err = capsys.readouterr()
+    assert "model train --method light-path --dataset data/one --geometry mixed" in err
+    assert [item["geometry"] for item in peeled] == ["mixed"]
+    assert [line.split()[:2] for line in out.splitlines() if "mm" in line] == [
+        ["pane", "ellipsoid"],
+        ["floor", "noise-0.02"],
+    ]
+    call(monkeypatch, "make", "--kind", "ellipsoid")
+    call(monkeypatch, "make", "--kind", "noise", "--amount", "0.02")
+    call(monkeypatch, "make", "--name", "mixed-floor", "--assign", "floor=box")
+    meshes = here / "data/one/proxies"
+    for name, kind in {"pane": "ellipsoid", "floor": "noise-0.02"}.items():
+        same = [(meshes / geometry / f"meshes/{name}.ply").read_bytes() for geometry in ("mixed", kind)]
+        assert same[0] == same[1]
+    for mesh, truth in zip(read_meshes(dataset, "mixed-floor")[:1], read_meshes(dataset, "truth")[:1], strict=True):
+        np.testing.assert_array_equal(mesh.vertices, truth.vertices)
+        np.testing.assert_array_equal(mesh.uv, truth.uv)
+    pane, floor = (record.statistics for record in read_proxy_records(dataset, "mixed-floor"))
+    assert pane.mean_distance == pane.max_distance == 0 < floor.mean_distance
+
+    assert (
+        describe_geometry(dataset, "mixed-floor") == "proxy geometry (mixed-floor: box for floor; truth for the rest)"
+    )
+    assert describe_geometry(dataset, "ellipsoid") == "proxy geometry (ellipsoid)"
+    call(monkeypatch, *mixture)
+    assert "keeps its mixed proxies" in capsys.readouterr().err
+    call(monkeypatch, "check", "--name", "mixed")
+    with pytest.raises(SystemExit):
+        call(monkeypatch, "make", "--assign", "pane=ellipsoid")
+    assert (
+        "mixed: has a noise-0.02 for floor, not truth; pass --overwrite, or another --name" in capsys.readouterr().err
+    )
+
+
+def test_without_a_scene_every_dataset_gets_proxies(
+    here: Path, peeled: list[dict[str, Any]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    two = write_synthetic_dataset(here / "data" / "two", resolution=8, train_views=2)
+    call(monkeypatch, "make", "--kind", "box")
+    assert [item["root"] for item in peeled] == [Path("data/one"), Path("data/two")]
+    assert [record.object for record in read_proxy_records(two, "box")] == ["pane", "floor"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (
+            ("make", "--kind", "elipsoid"),
+            "did you mean 'ellipsoid'? known are blocks, box, ellipsoid, hull, lowpoly, noise",
+        ),
+        (("make", "--kind", "noise", "--amount", "0.2"), "amount 0.2: expected 0.001 to 0.05, parts of each object's"),
+        (("make", "--kind", "box", "--amount", "0.01"), "amount 0.01: a box has no noise; it goes with `--kind noise`"),
+        (("check", "--kind", "noise"), "make them with `proxies make --dataset data/one --kind noise --amount 0.01`"),
+        (
+            ("make", "--dataset", "missing"),
+            "data/missing: no dataset; make one with `datagen build --scene ",
+        ),
+        (("make", "--assign", "pain=box"), "object 'pain': there is none of that name; did you mean 'pane'?"),
+        (("make", "--assign", "pane=bx"), "kind 'bx': there is none of that name; did you mean 'box'?"),
+        (("make", "--assign", "pane"), "assign 'pane': expected OBJECT=KIND, such as fern=ellipsoid"),
+        (("make", "--assign", "*=box", "--assign", "pane=hull"), "assign 'pane=hull': pane has box already; expected"),
+        (("make", "--kind", "box", "--assign", "pane=box"), "--kind box: --assign names each object's kind"),
+        (("make", "--rest", "box"), "--rest box --name mixed: nothing is mixed; they go with --assign OBJECT=KIND"),
+        (("make", "--name", "shelf", "--assign", "pane=box"), "name 'shelf': expected mixed, or mixed- and letters"),
+        (
+            ("make", "--assign", "pane=noise-much"),
+            "kind 'noise-much': 'much' is no number; expected such as noise-0.01",
+        ),
+        (
+            ("check", "--name", "mixed"),
+            "make them with `proxies make --dataset data/one --name mixed --assign ",
+        ),
+        (("check", "--kind", "box"), "no box proxies; make them with `proxies make --dataset data/one --kind box`"),
+    ],
+)
+def test_errors_are_one_line_with_the_way_out(
+    arguments: tuple[str, ...], message: str, here: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    with pytest.raises(SystemExit) as stop:
+        call(monkeypatch, *arguments)
+    assert stop.value.code == 1
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.count("\n") == 1
+    assert message in err
+
+
+def test_a_half_built_dataset_is_one_line(
+    here: Path, peeled: list[dict[str, Any]], monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    (here / "data/one/scene/meshes/floor.ply").unlink()
+    with pytest.raises(SystemExit):
+        call(monkeypatch, "make", "--dataset", "one")
+    err = capsys.readouterr().err
+    assert "floor.ply: the file is missing; `datagen verify data/one` names what makes it again" in err
+    assert err.count("\n") == 2 and err.count("error: ") == 1  # What it is at comes first.
+    assert not (here / "data/one/proxies/ellipsoid/proxies.json").exists()
+
+
+def test_proxies_of_another_dataset_are_refused(
+    here: Path, peeled: list[dict[str, Any]], monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    call(monkeypatch, "make", "--kind", "box")
+    write_synthetic_dataset(here / "data" / "two", resolution=8, train_views=2)
+    (here / "data/one/proxies").rename(here / "data/two/proxies")
+    with pytest.raises(SystemExit):
+        call(monkeypatch, "make", "--dataset", "two", "--kind", "box")
+    assert "made for another dataset" in capsys.readouterr().err
+    call(monkeypatch, "make", "--dataset", "two", "--kind", "box", "--overwrite")
+
+
+def test_help_answers_before_anything_heavy_is_imported() -> None:
+    code = (
+        "import sys; sys.argv = ['proxies', 'make', '--help']\n"
+        "from proxies.cli import main\n"
+        "try: main()\n"
+        "except SystemExit: pass\n"
+        "heavy = {'scipy', 'trimesh', 'pymeshlab', 'mitsuba', 'torch', 'zarr', 'model', 'eval'} & set(sys.modules)\n"
+        "sys.exit(f'imported {heavy}' if heavy else 0)\n"
+    )
+    start = time.monotonic()
+    answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert answer.returncode == 0, answer.stderr
+    assert "--kind" in answer.stdout
+    assert time.monotonic() - start < 5  # 0.3 s on an idle machine.
+
+
+def test_fitting_imports_neither_renderer_nor_network() -> None:
+    heavy = {"mitsuba", "torch", "model", "eval", "pymeshlab"}
+    code = f"import sys, proxies.make; sys.exit(bool({heavy} & set(sys.modules)))"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -1,0 +1,178 @@
+"""Every place of every file that a user may write, with every hostile value: one short line, soon, or it is fine."""
+
+import json
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from support.hostile_values import JSON_TEXTS, PLACEHOLDER, places, replaced, without
+from support.synthetic import synthetic_scene, write_synthetic_dataset
+
+from datagen.data.dataset import SPLITS, open_dataset, read_cameras, read_record
+from datagen.data.geometries import TRUTH, read_meshes
+from datagen.data.layer_store import read_layers_head
+from datagen.disk.errors import HyalineError
+from datagen.disk.storage import SEAL, dump_json, sha256
+from datagen.scene.description import load_scene, save_scene
+from eval.score.runs import open_run
+from model.run.experiment import read_experiment
+
+pytestmark = pytest.mark.promise("R6")
+
+LIMIT_S = 2.0
+
+
+def variants(data: dict) -> dict[str, str]:
+    """The text of a JSON file with each hostile value at each place, and without each key, by what is wrong."""
+    found = {}
+    for path in places(data):
+        name = ".".join(map(str, path))
+        found[f"{name} is missing"] = json.dumps(without(data, path))
+        pattern = json.dumps(replaced(data, path, PLACEHOLDER))
+        for kind, text in JSON_TEXTS.items():
+            found[f"{name} is {kind}"] = pattern.replace(json.dumps(PLACEHOLDER), text)
+    return found
+
+
+def try_all(texts: dict[str, str], place: Callable[[str], None], read: Callable[[], object]) -> dict[str, str]:
+    """What came of each text: an error's line, or nothing where it was taken.
+
+    Whatever is raised but our own error fails the test; as does an error that is no short line, or a long wait.
+    """
+    answers = {}
+    for name, text in texts.items():
+        place(text)
+        start = time.process_time()
+        try:
+            read()
+            answers[name] = ""
+        except HyalineError as error:
+            answers[name] = str(error)
+        except Exception as error:
+            raise AssertionError(f"{name}: {type(error).__name__}: {error}") from error
+        assert time.process_time() - start < LIMIT_S, name
+        line = " ".join(answers[name].split())
+        assert len(line) < 1000, f"{name}: {line}"
+    return answers
+
+
+def every(step: int, texts: dict[str, str]) -> dict[str, str]:
+    """One in so many, for time's sake; from place to place, it is other values."""
+    return dict(list(texts.items())[::step])
+
+
+def refused_everywhere(answers: dict[str, str], *kinds: str) -> None:
+    """Some values fit nowhere: they are refused at each place."""
+    for name, answer in answers.items():
+        if name.endswith(tuple(f" is {kind}" for kind in kinds)):
+            assert answer, name
+
+
+NOWHERE = ("beyond float", "NaN", "Infinity", "64 bits", "400 digits", "5000 digits", "NUL", "surrogate", "deep list",
+           "half as deep", "key twice")  # fmt: skip
+
+
+def test_every_hostile_value_in_a_scene_is_one_line(tmp_path: Path) -> None:
+    save_scene(synthetic_scene(), tmp_path)
+    path = tmp_path / "scene.json"
+    texts = variants(json.loads(path.read_text()))
+    answers = try_all(every(10, texts), path.write_text, lambda: load_scene(tmp_path))
+    assert len(answers) > 100
+    refused_everywhere(answers, *NOWHERE)
+    assert all(answer.startswith(str(path)) for name, answer in answers.items() if name.endswith(NOWHERE))
+
+
+def test_every_hostile_value_in_a_runs_record_is_one_line(tmp_path: Path) -> None:
+    write_synthetic_dataset(tmp_path / "data" / "one", resolution=8, train_views=1)
+    folder = tmp_path / "runs" / "one" / "method"
+    folder.mkdir(parents=True)
+    record = {"method": "m", "geometry": "truth", "knowledge": "k", "dataset": "data/one", "num_parameters": 3,
+              "seed": 1,
+              "label": "l", "num_layers": 2, "config": {"a": [1, {"b": 2}]}, "layers_seal": "s"}  # fmt: skip
+    answers = try_all(
+        every(3, variants(record)), (folder / "run.json").write_text, lambda: open_run(folder, tmp_path / "data")
+    )
+    assert len(answers) > 100
+    refused_everywhere(answers, *NOWHERE)
+
+
+@pytest.mark.parametrize("head", ["dataset.json", "layers/straight/layers.json", "records/train/0000.json"])
+def test_every_hostile_value_in_a_sealed_head_is_one_line(head: str, tmp_path: Path) -> None:
+    root = tmp_path / "one"
+    write_synthetic_dataset(root, resolution=8, train_views=1)
+    path = root / head
+    data = json.loads(path.read_text())
+    data.pop(SEAL)
+
+    def place(text: str) -> None:
+        # Sealed as if this program had written it, where it can be: only what the seal cannot notice is left then.
+        try:
+            content = json.loads(text)
+            data = dump_json({**content, SEAL: sha256(dump_json(content))})
+        except (ValueError, RecursionError):
+            data = text.encode()
+        path.write_bytes(data)
+
+    def read() -> None:
+        opened = open_dataset(root)
+        read_meshes(opened, TRUTH)
+        read_layers_head(opened, TRUTH, "straight")
+        for split in SPLITS:
+            read_cameras(opened, split)
+            for view in range(min(2, opened.config.split(split).views)):
+                read_record(opened, split, view)
+
+    answers = try_all(every(2, variants(data)), place, read)
+    assert len(answers) > 50
+    refused_everywhere(answers, *NOWHERE)
+
+
+TOML_VALUES = [
+    "nan", "inf", "-inf", "1e999", "9" * 400, "9" * 5000, "[]", "[[]]", "[[1]]", "{}", "{a = 1}", "1979-05-27",
+    "1979-05-27T07:32:00Z", "07:32:00", '""', '"\\u0000"', '"\\u001b[2J"', '"../../x"', '"--overwrite"',
+    '"' + "x" * 100_000 + '"',
+    "true", "[true, 1]", "[" * 50_000, "-1", "0x7fffffffffffffff", "[" + "1, " * 100_000 + "]",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("key", ["method", "lr", "zero-layer", "x" * 1000])
+def test_every_hostile_value_in_an_experiment_is_one_line(key: str, tmp_path: Path) -> None:
+    path = tmp_path / "grid.toml"
+    method = "" if key == "method" else 'method = "paper"\n'
+    texts = {value[:40]: f"[[runs]]\n{method}{key} = {value}\n" for value in TOML_VALUES}
+    answers = try_all(texts, path.write_text, lambda: read_experiment(str(path)))
+    assert all(answers[value] for value in ("nan", "inf", "9" * 40, "[[1]]", "{}", "1979-05-27"))
+
+
+def test_grids_without_end_and_other_shapes_are_refused_at_once(tmp_path: Path) -> None:
+    path = tmp_path / "grid.toml"
+    axis = "[" + ", ".join(map(str, range(1000))) + "]"
+    axes = "\n".join(f"{key} = {axis}" for key in ("seed", "steps", "batch"))
+    texts = {
+        "a grid of a milliard": f'[[runs]]\nmethod = "paper"\n{axes}\n',
+        "many blocks": '[[runs]]\nmethod = "paper"\n' * 20_000,
+        "dotted keys": "a." * 50_000 + "a = 1\n",
+        "a deep table": "[" + "a." * 20_000 + "a]\n",
+        "runs is a table": "[runs]\nmethod = 1\n",
+        "runs is text": 'runs = "x"\n',
+        "runs of numbers": "runs = [1, 2]\n",
+        "about is a list": 'about = []\n[[runs]]\nmethod = "paper"\n',
+        "unknown key": 'abuot = ""\n[[runs]]\nmethod = "paper"\n',
+    }
+    answers = try_all(texts, path.write_text, lambda: read_experiment(str(path)))
+    assert all(answers.values())
+    assert "asks for 1000000000 runs; expected at most 1,000" in answers["a grid of a milliard"]
+
+
+def test_a_scene_of_a_hundred_thousand_objects_is_refused_at_once(tmp_path: Path) -> None:
+    save_scene(synthetic_scene(), tmp_path)
+    path = tmp_path / "scene.json"
+    data = json.loads(path.read_text())
+    texts = {}
+    for key, value in (("objects", data["objects"][0]), ("lights", {}), ("walk", data["cameras"]["walk"][0])):
+        many = [value] * 100_000
+        changed = {**data, "cameras": {**data["cameras"], "walk": many}} if key == "walk" else {**data, key: many}
+        texts[key] = json.dumps(changed)
+    answers = try_all(texts, path.write_text, lambda: load_scene(tmp_path))
+    assert all(answers.values())

@@ -1,0 +1,54 @@
+"""Training runs of a few steps: how they are configured, stopped and compared."""
+
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+
+from datagen.data.dataset import Dataset
+from model import cli
+from model.methods.paper import PaperConfig
+from model.run import train as train_module
+from model.run.run_folder import TrainConfig
+
+SMALL = TrainConfig(
+    method="paper",
+    geometry="truth",
+    net=PaperConfig(width=32, texture_size=24, position_size=64),
+    steps=20,
+    batch=256,
+    evaluate_every=5,
+    checkpoint_every=4,
+)
+
+
+def run_bytes(out: Path) -> dict[str, bytes]:
+    return {path.relative_to(out).as_posix(): path.read_bytes() for path in sorted(out.rglob("*")) if path.is_file()}
+
+
+def stop_at(monkeypatch: pytest.MonkeyPatch, step: int) -> None:
+    """Kills training before a step's optimiser, as a power cut would: nothing after it runs."""
+    check = train_module.check_finite
+
+    def die(loss: float, renderer: torch.nn.Module, *, step: int, out: Path, last: int = step) -> None:
+        if step == last:
+            raise KeyboardInterrupt
+        check(loss, renderer, step=step, out=out)
+
+    monkeypatch.setattr(train_module, "check_finite", die)
+
+
+def call(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
+    """The exit code of `model ARGUMENTS`, run in this process."""
+    monkeypatch.setattr(sys, "argv", ["model", *arguments])
+    try:
+        cli.main()
+    except SystemExit as end:
+        return int(end.code or 0)
+    return 0
+
+
+def quick(dataset: Dataset, out: Path) -> tuple[str, ...]:
+    size = ("--steps", "3", "--batch", "64", "--texture-size", "16", "--width", "32")
+    return ("train", "--method", "paper", "--dataset", str(dataset.root), "--out", str(out), *size)
