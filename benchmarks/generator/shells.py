@@ -8,7 +8,7 @@ from jaxtyping import Float
 from datagen.data.cameras import look_at
 from datagen.data.dataset import Cameras
 from datagen.data.meshes import Mesh
-from datagen.scene.description import Conductor, Dielectric, Diffuse, Material, Plastic, ThinDielectric
+from datagen.scene.materials import Conductor, Dielectric, Diffuse, Material, Plastic, ThinDielectric
 
 NUM_TRIANGLES = 315_000
 """Of all objects together, unless told."""

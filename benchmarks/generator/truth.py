@@ -21,7 +21,8 @@ from datagen.data.tonemap import srgb_from_linear
 from datagen.disk.errors import HyalineError
 from datagen.render.mitsuba_scene import is_scalar, load_scene_mitsuba, load_sensor
 from datagen.render.truth import Renderer, derive_seed
-from datagen.scene.description import Dielectric, Scene, SceneObject, SoftEnvironment
+from datagen.scene.description import Scene, SceneObject, SoftEnvironment
+from datagen.scene.materials import Dielectric
 from datagen.terminal.command import say
 
 CEILING_DB = 45.0

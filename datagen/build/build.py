@@ -47,7 +47,7 @@ from datagen.disk.errors import DamagedError, HyalineError, WorkerKilledError
 from datagen.disk.ownership import DATASET, LAYERS, holding, is_ours, refuse_taken, remove_files
 from datagen.disk.storage import sha256
 from datagen.machine.workers import in_workers
-from datagen.scene.description import Scene, is_glass, scene_files
+from datagen.scene.description import Scene, scene_files
 from datagen.scene.rig import make_cameras
 from datagen.terminal.command import say, this_command, track
 from datagen.trace.light_path_layers import NUM_BRANCHES, create_light_paths
@@ -207,7 +207,7 @@ def open_or_start(scene: Scene, root: Path, config: DatasetConfig, cameras: dict
         HyalineError: another dataset, or something else, stands there.
     """
     files = scene_files(scene)
-    objects = tuple(DatasetObject(name=item.name, is_glass=is_glass(item.material)) for item in scene.objects)
+    objects = tuple(DatasetObject(name=item.name, is_glass=item.material.is_glass) for item in scene.objects)
     if overwrite and is_ours(root, DATASET):
         wanted = [*view_files(config, SPLITS), *head_contents(files, cameras)]
         refuse_taken(root, DATASET, wanted, dataset_files(root))

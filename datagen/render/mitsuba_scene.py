@@ -1,28 +1,15 @@
-"""Owns the way from our scene to Mitsuba's: the only file that names its plugins. Call `use_mitsuba` first."""
+"""The way from our scene to Mitsuba's: shapes, lights and sensors. Call `use_mitsuba` first."""
 
-from typing import TYPE_CHECKING, assert_never, cast
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 from jaxtyping import Float, Float32
 
 from datagen.data.meshes import Mesh, face_areas
-from datagen.scene.description import (
-    Color,
-    Conductor,
-    Dielectric,
-    Diffuse,
-    ImageTexture,
-    Material,
-    Plastic,
-    Reflectance,
-    Scene,
-    SceneObject,
-    SoftEnvironment,
-    SolidTexture,
-    ThinDielectric,
-    image_bytes,
-)
+from datagen.scene.description import Scene, SceneObject, SoftEnvironment, image_bytes
 from datagen.scene.images import linear_pixels
+from datagen.scene.materials.optics import Medium, Plugin, rgb
+from datagen.scene.textures import ImageTexture, Reflectance, SolidTexture
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -56,8 +43,9 @@ def load_scene_mitsuba(scene: Scene, *, aims_at_sky: bool = True) -> "mi.Scene":
     for index, item in enumerate(scene.objects):
         props = mi.Properties()
         props["bsdf"] = mi.load_dict(_bsdf(scene, item))
-        if use_media and isinstance(item.material, Dielectric) and any(item.material.absorption):
-            props["interior"] = mi.load_dict(_absorbing_medium(item.material))
+        medium = item.material.medium
+        if use_media and medium is not None and any(medium.absorption):
+            props["interior"] = mi.load_dict(_absorbing_medium(medium))
         content[_shape_id(index)] = _load_mesh(item.mesh, props)
     for index, light in enumerate(scene.lights):
         to_world = np.eye(4)
@@ -192,41 +180,16 @@ def _load_mesh(mesh: Mesh, props: "mi.Properties") -> "mi.Mesh":
     return loaded
 
 
-def _bsdf(scene: Scene, item: SceneObject) -> dict[str, object]:
-    material: Material = item.material
-    match material:
-        case Dielectric(ior=ior):
-            return {"type": "dielectric", "int_ior": ior, "ext_ior": 1.0}
-        case ThinDielectric(ior=ior):
-            return {"type": "thindielectric", "int_ior": ior, "ext_ior": 1.0}
-        case Diffuse(color=color):
-            return {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": _texture(scene, item.mesh, color)}}
-        case Plastic(color=color, ior=ior, roughness=roughness):
-            plastic = {
-                "type": "roughplastic",
-                "diffuse_reflectance": _texture(scene, item.mesh, color),
-                "int_ior": ior,
-                "ext_ior": 1.0,
-                "alpha": roughness,
-                "distribution": "ggx",
-                "nonlinear": True,
-            }
-            return {"type": "twosided", "bsdf": plastic}
-        case Conductor(color=color, roughness=roughness):
-            metal: dict[str, object] = {"type": "conductor", "material": "none", "specular_reflectance": _rgb(color)}
-            if roughness > 0:
-                metal |= {"type": "roughconductor", "alpha": roughness, "distribution": "ggx"}
-            return {"type": "twosided", "bsdf": metal}
-        case _:
-            assert_never(material)
+def _bsdf(scene: Scene, item: SceneObject) -> Plugin:
+    return item.material.bsdf(lambda reflectance: _texture(scene, item.mesh, reflectance))
 
 
-def _absorbing_medium(material: Dielectric) -> dict[str, object]:
+def _absorbing_medium(medium: Medium) -> Plugin:
     # Only the scalar variant needs it: the vectorised ones attenuate in closed form (render/path_integrator.py).
-    return {"type": "homogeneous", "albedo": 0.0, "sigma_t": _rgb(material.absorption), "scale": 1.0}
+    return {"type": "homogeneous", "albedo": 0.0, "sigma_t": rgb(medium.absorption), "scale": 1.0}
 
 
-def _texture(scene: Scene, mesh: Mesh, color: Reflectance) -> dict[str, object]:
+def _texture(scene: Scene, mesh: Mesh, color: Reflectance) -> Plugin:
     match color:
         case SolidTexture():
             from datagen.scene.solid_textures import bake_texture
@@ -235,7 +198,7 @@ def _texture(scene: Scene, mesh: Mesh, color: Reflectance) -> dict[str, object]:
         case ImageTexture():
             return _bitmap(linear_pixels(image_bytes(scene, color), where=color.path))
         case _:
-            return _rgb(color)
+            return rgb(color)
 
 
 def _texture_size(mesh: Mesh) -> int:
@@ -244,7 +207,7 @@ def _texture_size(mesh: Mesh) -> int:
     return int(np.clip(2 ** np.ceil(np.log2(wanted)), MIN_TEXTURE_SIZE, MAX_TEXTURE_SIZE))
 
 
-def _bitmap(linear: Float32[np.ndarray, "tex_h tex_w 3"]) -> dict[str, object]:
+def _bitmap(linear: Float32[np.ndarray, "tex_h tex_w 3"]) -> Plugin:
     import mitsuba as mi
 
     # Mitsuba's bitmap has v = 0 in its first row, our textures have v = 1 there.
@@ -258,11 +221,7 @@ def _transform(matrix: Float[np.ndarray, "4 4"]) -> "mi.ScalarTransform4f":
     return mi.ScalarTransform4f(matrix.tolist())
 
 
-def _rgb(color: Color) -> dict[str, object]:
-    return {"type": "rgb", "value": [float(value) for value in color]}
-
-
-def _environment(environment: SoftEnvironment) -> dict[str, object]:
+def _environment(environment: SoftEnvironment) -> Plugin:
     import mitsuba as mi
 
     height, width = ENVIRONMENT_SIZE

@@ -19,7 +19,7 @@ from datagen.data.tonemap import srgb_from_linear, to_8bit
 from datagen.disk.errors import HyalineError
 from datagen.machine.mitsuba_variant import start_workers
 from datagen.render.mitsuba_scene import has_small_light, is_scalar, load_scene_mitsuba, load_sensor
-from datagen.scene.description import Dielectric, Scene
+from datagen.scene.description import Scene
 from datagen.scene.media import find_media
 
 MAX_PATHS_PER_PASS = 1 << 23
@@ -59,7 +59,7 @@ class Renderer:
 
         scene = dataclasses.replace(scene, objects=tuple(item for item in scene.objects if is_there(item.mesh)))
         materials, meshes = zip(*((item.material, item.mesh) for item in scene.objects), strict=True)
-        if is_scalar() and any(isinstance(material, Dielectric) and material.priority for material in materials):
+        if is_scalar() and any(material.medium and material.medium.priority for material in materials):
             raise HyalineError(
                 f"scene {scene.name}: has dielectrics with priorities, which Mitsuba as scalar_rgb cannot render; "
                 "`datagen doctor` names the libLLVM to install"

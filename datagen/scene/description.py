@@ -1,4 +1,4 @@
-"""Owns the renderer-neutral description of a scene (objects, materials, lights, cameras) and its folder on disk."""
+"""The renderer-neutral description of a scene (objects, lights, cameras) and its folder on disk."""
 
 import dataclasses
 import math
@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import combinations
 from pathlib import Path
-from typing import Literal, TypeVar, cast
+from typing import TypeVar, cast
 
 from datagen.data.meshes import (
     Mesh,
@@ -20,165 +20,20 @@ from datagen.data.meshes import (
     write_ply,
 )
 from datagen.disk.errors import HyalineError
-from datagen.disk.names import check_name, check_relative, find_file
+from datagen.disk.names import check_name, find_file
 from datagen.disk.reading import load_json
 from datagen.disk.records import Json, from_json, shown, to_json
 from datagen.disk.storage import commit, dump_json
+from datagen.scene.materials import Material, check_material
+from datagen.scene.media import MAX_NESTED
+from datagen.scene.textures import ImageTexture
+from datagen.scene.values import Color, Vector, check_positive, check_range
 
 Record = TypeVar("Record")
-Vector = tuple[float, float, float]
-Color = tuple[float, float, float]
-"""Linear Rec. 709 reflectance or radiance."""
-
 SCENE_VERSION = 1
 OBJECT_NAME = r"[A-Za-z0-9_][A-Za-z0-9_-]*"
 MAX_OBJECTS = 255
 """Object ids are 8 bits; 0 means empty."""
-MAX_NESTED = 32
-"""How many dielectrics a scene with priorities may have: a ray keeps one bit for each (datagen/scene/media.py)."""
-MAX_PRIORITY = 9
-
-
-# Textures
-
-
-@dataclass(frozen=True, kw_only=True)
-class SolidTexture:
-    """A procedural texture carved from space, so that it knows no seams; baked into the object's atlas."""
-
-    pattern: Literal["checker", "stripes", "wood", "marble", "speckle"]
-    colors: tuple[Color, Color]
-    """Linear reflectance, each in [0, 1]."""
-    scale: float
-    """Length of one period in metres."""
-    axis: Literal["x", "y", "z"] = "x"
-    """Stripes and wood run across this axis; the other patterns have none."""
-    origin: Vector = (0.0, 0.0, 0.0)
-    """Where the pattern begins, in metres: an object that is moved takes its pattern along."""
-
-    def __post_init__(self) -> None:
-        for color in self.colors:
-            _check_range("texture color", color, 0, 1)
-        _check_positive("texture scale", self.scale)
-
-
-@dataclass(frozen=True, kw_only=True)
-class ImageTexture:
-    """An sRGB PNG in the object's own uv, for scenes that bring their own."""
-
-    path: str
-    """Relative to the scene's folder."""
-
-    def __post_init__(self) -> None:
-        check_relative(self.path, where="texture path")
-        if not self.path.endswith((".png", ".PNG")):
-            raise HyalineError(f"texture path: is {self.path!r}; expected a PNG inside the scene's folder")
-
-
-Reflectance = Color | SolidTexture | ImageTexture
-
-
-# Materials
-
-
-@dataclass(frozen=True, kw_only=True)
-class Dielectric:
-    """Smooth solid glass or liquid: refracts by Snell's law, reflects by Fresnel, absorbs by Beer and Lambert."""
-
-    ior: float = 1.5
-    """Absolute index of refraction; air has 1."""
-    absorption: Color = (0.0, 0.0, 0.0)
-    """Absorption coefficient per channel, 1/m: transmittance over d metres is exp(-absorption d)."""
-    priority: int = 0
-    """-9 to 9. Where dielectrics overlap, the one of the highest priority fills the space, of equal ones the one that
-    the scene lists first: give a drink, whose mesh reaches a little into the wall of its glass, -1."""
-
-    def __post_init__(self) -> None:
-        _check_ior(self.ior)
-        _check_range("absorption", self.absorption, 0, math.inf)
-        if not -MAX_PRIORITY <= self.priority <= MAX_PRIORITY:
-            raise HyalineError(f"priority: is {self.priority}; expected {-MAX_PRIORITY} to {MAX_PRIORITY}")
-
-
-@dataclass(frozen=True, kw_only=True)
-class ThinDielectric:
-    """A pane so thin that light goes straight through, with the reflections inside it summed; may be an open mesh."""
-
-    ior: float = 1.5
-
-    def __post_init__(self) -> None:
-        _check_ior(self.ior)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Diffuse:
-    """Lambertian on both sides."""
-
-    color: Reflectance
-
-    def __post_init__(self) -> None:
-        _check_reflectance(self.color)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Plastic:
-    """A diffuse base under a clear coat."""
-
-    color: Reflectance
-    ior: float = 1.5
-    roughness: float = 0.1
-    """Microfacet (GGX) alpha of the coat."""
-
-    def __post_init__(self) -> None:
-        _check_reflectance(self.color)
-        _check_ior(self.ior)
-        _check_roughness(self.roughness)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Conductor:
-    """Metal, described by its reflectance at normal incidence."""
-
-    color: Color
-    roughness: float = 0.1
-    """Microfacet (GGX) alpha; 0 is a mirror."""
-
-    def __post_init__(self) -> None:
-        _check_range("metal color", self.color, 0, 1)
-        if self.roughness != 0:
-            _check_roughness(self.roughness)
-
-
-Material = Dielectric | ThinDielectric | Diffuse | Plastic | Conductor
-
-
-SurfaceKind = Literal["dielectric", "thin", "diffuse", "coated", "metal"]
-
-SURFACE_KINDS: dict[type[Material], SurfaceKind] = {
-    Dielectric: "dielectric",
-    ThinDielectric: "thin",
-    Diffuse: "diffuse",
-    Plastic: "coated",
-    Conductor: "metal",
-}
-"""What each material does to a ray. Whoever traces or renders asks here, so that no material passes for another."""
-
-
-def surface_kind(material: Material) -> SurfaceKind:
-    """What a material does to a ray.
-
-    Raises:
-        HyalineError: the material is none of those that can be traced, even if it derives from one.
-    """
-    if (kind := SURFACE_KINDS.get(type(material))) is None:
-        known = ", ".join(choice.__name__ for choice in SURFACE_KINDS)
-        raise HyalineError(f"material: is a {type(material).__name__}, which cannot be traced; expected one of {known}")
-    return kind
-
-
-def is_glass(material: Material) -> bool:
-    """True for materials that one sees through."""
-    return surface_kind(material) in ("dielectric", "thin")
 
 
 # Lights
@@ -197,9 +52,9 @@ class Lobe:
     sharpness: float
 
     def __post_init__(self) -> None:
-        _check_positive("lobe direction", math.hypot(*self.direction))
-        _check_range("lobe radiance", self.radiance, 0, math.inf)
-        _check_positive("lobe sharpness", self.sharpness)
+        check_positive("lobe direction", math.hypot(*self.direction))
+        check_range("lobe radiance", self.radiance, 0, math.inf)
+        check_positive("lobe sharpness", self.sharpness)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -215,7 +70,7 @@ class SoftEnvironment:
 
     def __post_init__(self) -> None:
         for color in (self.zenith, self.horizon, self.ground):
-            _check_range("environment radiance", color, 0, math.inf)
+            check_range("environment radiance", color, 0, math.inf)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -228,7 +83,7 @@ class RectangleLight:
     radiance: Color
 
     def __post_init__(self) -> None:
-        _check_range("light radiance", self.radiance, 0, math.inf)
+        check_range("light radiance", self.radiance, 0, math.inf)
 
 
 # Cameras
@@ -262,7 +117,7 @@ class CameraRig:
     """Key points of the extrapolating split, in order; at least two."""
 
     def __post_init__(self) -> None:
-        _check_positive("camera radius", self.radius)
+        check_positive("camera radius", self.radius)
         low, high = self.elevation_deg
         if not -90 < low <= high < 90:
             raise HyalineError(f"camera elevation_deg: is {self.elevation_deg}; expected -90 < low <= high < 90")
@@ -284,6 +139,9 @@ class SceneObject:
     """Without faces where an edit removed the object: its id then stays unused, and all others keep theirs."""
     material: Material
 
+    def __post_init__(self) -> None:
+        check_material(self.material, where=f"object {self.name}")
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Scene:
@@ -299,12 +157,6 @@ class Scene:
     """Where image textures lie; None for scenes made by code."""
     baked: Mapping[str, bytes] = field(default_factory=dict)
     """PNG files of image textures that were baked into another uv, by path; they lie in no folder yet."""
-
-
-def image_of(material: Material) -> ImageTexture | None:
-    """The image that colours a material, if one does."""
-    color = getattr(material, "color", None)
-    return color if isinstance(color, ImageTexture) else None
 
 
 def image_bytes(scene: Scene, image: ImageTexture) -> bytes:
@@ -330,14 +182,10 @@ def check_scene(scene: Scene, *, is_sealed: bool = False) -> None:
         raise HyalineError(f"scene {scene.name}: all of its objects were removed; expected at least one that is there")
     for item in scene.objects:
         where = f"scene {scene.name}: object {item.name}"
-        try:
-            surface_kind(item.material)
-        except HyalineError as error:
-            raise HyalineError(f"{where}: {error}") from error
         if not is_there(item.mesh):
             continue
         check_mesh(item.mesh, where=where)
-        if isinstance(item.material, Dielectric):
+        if item.material.medium is not None:
             check_closed(item.mesh, where=where)
     _check_nesting(scene)
     if not is_sealed:
@@ -360,9 +208,9 @@ def _check_names(scene: Scene) -> None:
 
 def _check_nesting(scene: Scene) -> None:
     """Refuses dielectrics of which nobody could say which fills the space: too many for priorities, or coincident."""
-    glass = [(item, item.material) for item in scene.objects if isinstance(item.material, Dielectric)]
-    glass = [(item, material) for item, material in glass if is_there(item.mesh)]
-    if len(glass) > MAX_NESTED and len({material.priority for _, material in glass}) > 1:
+    there = [item for item in scene.objects if is_there(item.mesh)]
+    glass = [(item, medium) for item in there if (medium := item.material.medium) is not None]
+    if len(glass) > MAX_NESTED and len({medium.priority for _, medium in glass}) > 1:
         raise HyalineError(
             f"scene {scene.name}: has {len(glass)} dielectrics of different priority; expected at most {MAX_NESTED}, "
             "or the same priority for all and no overlaps"
@@ -409,7 +257,7 @@ def scene_files(scene: Scene) -> dict[str, bytes]:
         if mesh is not None:
             files[mesh] = write_ply(item.mesh)
         listed.append(_ObjectFile(name=item.name, mesh=mesh, material=item.material))
-        if (image := image_of(item.material)) is not None:
+        for image in item.material.images().values():
             files[image.path] = image_bytes(scene, image)
     file = _SceneFile(
         version=SCENE_VERSION,
@@ -457,7 +305,7 @@ def load_scene(folder: Path, *, is_sealed: bool = False) -> Scene:
             mesh, has_uv = read_ply(find_file(folder, item.mesh, where=f"{path}: object {item.name}"))
         if not has_uv:
             without_uv.add(item.name)
-        if (image := image_of(item.material)) is not None:
+        for image in item.material.images().values():
             texture = find_file(folder, image.path, where=f"{path}: object {item.name}")
             if not texture.is_file():
                 raise HyalineError(f"{texture}: the texture of object {item.name} is missing")
@@ -503,28 +351,3 @@ def _parse_in(kind: type[Record], data: Json, *, where: str) -> Record:
 def _name_in_errors(entry: Json, index: int) -> str:
     name = entry.get("name") if isinstance(entry, dict) else None
     return f"object {name}" if isinstance(name, str) and re.fullmatch(OBJECT_NAME, name) else f"objects[{index}]"
-
-
-def _check_reflectance(color: Reflectance) -> None:
-    if isinstance(color, tuple):
-        _check_range("color", color, 0, 1)
-
-
-def _check_ior(ior: float) -> None:
-    if not 1 < ior < 10:
-        raise HyalineError(f"ior: is {ior}; expected an index of refraction above 1 (glass has 1.5)")
-
-
-def _check_roughness(roughness: float) -> None:
-    if not 0.001 <= roughness <= 1:
-        raise HyalineError(f"roughness: is {roughness}; expected 0.001 to 1")
-
-
-def _check_positive(name: str, value: float) -> None:
-    if not (math.isfinite(value) and value > 0):
-        raise HyalineError(f"{name}: is {value}; expected a positive number")
-
-
-def _check_range(name: str, color: Color, low: float, high: float) -> None:
-    if not all(math.isfinite(value) and low <= value <= high for value in color):
-        raise HyalineError(f"{name}: is {color}; expected three numbers from {low:g} to {high:g}")

@@ -18,17 +18,9 @@ from jaxtyping import Float
 from datagen.data.meshes import Mesh, is_there, no_mesh
 from datagen.disk.errors import HyalineError
 from datagen.scene.contact import count_touching_faces
-from datagen.scene.description import (
-    Dielectric,
-    Diffuse,
-    Plastic,
-    Scene,
-    SceneObject,
-    SolidTexture,
-    Vector,
-    check_scene,
-    is_glass,
-)
+from datagen.scene.description import Scene, SceneObject, check_scene
+from datagen.scene.materials import Dielectric, Diffuse
+from datagen.scene.values import Vector
 from datagen.terminal.command import choose
 
 Verb = Literal["remove", "move", "duplicate", "glass", "swap"]
@@ -156,7 +148,7 @@ def _duplicate(edited: EditedScene, edit: Edit) -> EditedScene:
 
 def _toggle_glass(edited: EditedScene, edit: Edit) -> EditedScene:
     item = _find(edited, edit.objects[0])
-    return _with_object(edited, dataclasses.replace(item, material=GREY if is_glass(item.material) else CLEAR_GLASS))
+    return _with_object(edited, dataclasses.replace(item, material=GREY if item.material.is_glass else CLEAR_GLASS))
 
 
 def _swap(edited: EditedScene, edit: Edit) -> EditedScene:
@@ -186,11 +178,7 @@ def _with_object(edited: EditedScene, changed: SceneObject) -> EditedScene:
 
 def _moved(edited: EditedScene, name: str, offset: Float[np.ndarray, "3"]) -> EditedScene:
     item = _find(edited, name)
-    material = item.material
-    if isinstance(material, Diffuse | Plastic) and isinstance(material.color, SolidTexture):
-        # A pattern that is carved from space moves with its object.
-        color = dataclasses.replace(material.color, origin=_sum(material.color.origin, offset))
-        material = dataclasses.replace(material, color=color)
+    material = item.material.moved(cast(Vector, tuple(offset.tolist())))
     moved = _with_object(edited, dataclasses.replace(item, mesh=moved_mesh(item.mesh, offset), material=material))
     offsets = {**edited.offsets, name: _sum(edited.offsets.get(name, (0.0, 0.0, 0.0)), offset)}
     return dataclasses.replace(moved, offsets=offsets)

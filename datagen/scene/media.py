@@ -1,4 +1,4 @@
-"""Owns the media that light runs through: which solid fills a point that several share, and what it does to light.
+"""The media that light runs through: which solid fills a point that several share, and what it does to light.
 
 Nested dielectrics by priority: every mesh stays closed, and a drink reaches a little into the wall of its glass. Where
 solids overlap, the one of the lowest rank fills the space; there the surfaces of the others do not exist.
@@ -24,10 +24,13 @@ import numpy as np
 from jaxtyping import Float32, Int32
 
 from datagen.data.meshes import Mesh
-from datagen.scene.description import MAX_NESTED, Dielectric, Material
+from datagen.scene.materials import Material
 
 if TYPE_CHECKING:
     import mitsuba as mi
+
+MAX_NESTED = 32
+"""How many dielectrics a scene with priorities may have: a ray keeps one bit for each."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -44,12 +47,13 @@ class Media:
     """Whether a ray may be in several solids at once. If not, to leave any of them is to come into air."""
 
 
-def find_media(materials: tuple[Material, ...], meshes: tuple[Mesh, ...]) -> Media:
+def find_media(materials: tuple[Material | None, ...], meshes: tuple[Mesh, ...]) -> Media:
     """The media of a scene's objects. Solids count as nested when their bounding boxes meet.
 
     More than MAX_NESTED dielectrics count as apart: `check_scene` refuses priorities then.
     """
-    glass = {index: material for index, material in enumerate(materials) if isinstance(material, Dielectric)}
+    found = {index: material.medium for index, material in enumerate(materials) if material is not None}
+    glass = {index: medium for index, medium in found.items() if medium is not None}
     order = sorted(glass, key=lambda index: (-glass[index].priority, index))
     is_nested = len(order) <= MAX_NESTED and _boxes_meet([meshes[index] for index in order])
     rank = np.full(len(materials), -1, np.int32)

@@ -9,19 +9,11 @@ from jaxtyping import Bool
 from datagen.data.meshes import MIN_AREA, Mesh, check_areas, check_numbers, face_areas, is_there, welded
 from datagen.disk.errors import HyalineError
 from datagen.scene.atlas import coverage, unwrap_all
-from datagen.scene.description import (
-    Diffuse,
-    ImageTexture,
-    Material,
-    Plastic,
-    Scene,
-    image_bytes,
-    image_of,
-    surface_kind,
-)
+from datagen.scene.description import Scene, image_bytes
 from datagen.scene.images import baked_image, linear_pixels
 from datagen.scene.modelling import CREASE_DEG
 from datagen.scene.shading_normals import mended_normals
+from datagen.scene.textures import ImageTexture
 from datagen.terminal.command import say
 
 COVERAGE_SIZE = 256
@@ -48,12 +40,11 @@ def mend_scene(scene: Scene, *, without_uv: set[str]) -> Scene:
             continue
         where = f"scene {scene.name}: object {item.name}"
         check_numbers(item.mesh, where=where)
-        mesh, remarks = mend_surface(item.mesh, is_solid=surface_kind(item.material) == "dielectric")
+        mesh, remarks = mend_surface(item.mesh, is_solid=item.material.medium is not None)
         for remark in remarks:
             say(f"{where}: {remark}")
         objects.append(dataclasses.replace(item, mesh=mesh))
-        image = image_of(item.material)
-        if image is not None:
+        for image in item.material.images().values():
             linear_pixels(image_bytes(scene, image), where=f"{where}: {image.path}")
             if item.name in without_uv:
                 raise HyalineError(f"{where}: has no uv for {image.path}; export its mesh with uv, or give it a color")
@@ -75,21 +66,16 @@ def _with_atlases(scene: Scene, faults: dict[str, str]) -> Scene:
             objects.append(item)
             continue
         mesh, material, what = meshes[wheres[item.name]], item.material, "unwrapped anew"
-        if (image := image_of(material)) is not None:
+        for field, image in material.images().items():
             if not np.ptp(item.mesh.uv, axis=0).all():
                 raise HyalineError(f"{wheres[item.name]}: {fault}; {image.path} needs uv, export its mesh with them")
-            path, what = f"baked/{item.name}.png", f"unwrapped anew, and {image.path} baked into its new uv"
+            path, what = f"baked/{item.name}_{field}.png", f"unwrapped anew, and {image.path} baked into its new uv"
             baked[path] = baked_image(linear_pixels(image_bytes(scene, image), where=image.path), item.mesh, mesh)
-            material = _with_image(material, ImageTexture(path=path))
+            material = material.with_fields({field: ImageTexture(path=path)})
         if fault:
             say(f"{wheres[item.name]}: {fault}; it was {what}")
         objects.append(dataclasses.replace(item, mesh=mesh, material=material))
     return dataclasses.replace(scene, objects=tuple(objects), baked=baked)
-
-
-def _with_image(material: Material, image: ImageTexture) -> Material:
-    assert isinstance(material, Diffuse | Plastic), "no other material has an image"
-    return dataclasses.replace(material, color=image)
 
 
 def mend_surface(mesh: Mesh, *, is_solid: bool) -> tuple[Mesh, list[str]]:

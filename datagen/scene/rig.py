@@ -7,7 +7,8 @@ from jaxtyping import Float
 
 from datagen.data.cameras import look_at
 from datagen.data.dataset import SPLITS, Cameras, DatasetConfig, Split
-from datagen.scene.description import CameraRig, Vector
+from datagen.scene.description import CameraRig
+from datagen.scene.values import Vector
 
 
 def make_cameras(rig: CameraRig, config: DatasetConfig) -> dict[Split, Cameras]:

@@ -10,7 +10,7 @@ from jaxtyping import Float, Float32
 
 from datagen.data.meshes import Mesh
 from datagen.scene.atlas import bake_positions
-from datagen.scene.description import SolidTexture
+from datagen.scene.textures import SolidTexture
 
 Positions = Float[np.ndarray, "*points 3"]
 Values = Float[np.ndarray, "*points"]

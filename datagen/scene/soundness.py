@@ -12,7 +12,7 @@ from datagen.data.meshes import Mesh, face_areas, is_there
 from datagen.data.windings import check_solid, windings
 from datagen.disk.errors import HyalineError
 from datagen.scene.contact import touching_share
-from datagen.scene.description import CameraRig, Scene, SceneObject, is_glass, surface_kind
+from datagen.scene.description import CameraRig, Scene, SceneObject
 from datagen.scene.shading_normals import MAX_OPPOSING, count_without_normal, opposing_share
 
 MAX_TOUCHING = 0.005
@@ -41,7 +41,7 @@ def check_sound(scene: Scene) -> None:
     for item in there:
         _check_normals(item, where=_where(scene, item))
     for item in there:
-        if surface_kind(item.material) == "dielectric":
+        if item.material.medium is not None:
             check_solid(item.mesh, where=_where(scene, item))
             _check_cameras_outside(item.mesh, cameras, where=_where(scene, item))
     _check_contact(scene, there)
@@ -115,7 +115,7 @@ def _check_contact(scene: Scene, there: list[SceneObject]) -> None:
     """Refuses glass whose surface is also that of something else: only one of both is ever met."""
     areas = {item.name: float(face_areas(item.mesh).sum()) for item in there}
     for pair in combinations(there, 2):
-        if not any(is_glass(item.material) for item in pair):
+        if not any(item.material.is_glass for item in pair):
             continue
         small, large = sorted(pair, key=lambda item: areas[item.name])
         if (share := touching_share(small.mesh, large.mesh)) > MAX_TOUCHING:

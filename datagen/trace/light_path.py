@@ -23,7 +23,8 @@ from jaxtyping import Bool, Float32, UInt8
 from datagen.data.meshes import Mesh, is_there
 from datagen.disk.errors import HyalineError
 from datagen.render.mitsuba_scene import is_scalar, load_geometry_mitsuba, to_columns
-from datagen.scene.description import Conductor, Material, SurfaceKind, surface_kind
+from datagen.scene.materials import Material, check_material
+from datagen.scene.materials.optics import Event, Surface
 from datagen.scene.media import Media, find_media, medium_of, no_solids, with_solid, without_solid
 
 if TYPE_CHECKING:
@@ -32,13 +33,16 @@ if TYPE_CHECKING:
 OPAQUE, DIELECTRIC, THIN, COATED, METAL = range(5)
 """What a surface does to a ray, as numbers in the kernel."""
 
-KINDS: dict[SurfaceKind, int] = {
-    "diffuse": OPAQUE,
-    "dielectric": DIELECTRIC,
-    "thin": THIN,
+EVENTS: dict[Event, int] = {
+    "ends": OPAQUE,
+    "refracts": DIELECTRIC,
+    "passes": THIN,
     "coated": COATED,
-    "metal": METAL,
+    "mirrors": METAL,
 }
+
+NO_SURFACE = Surface(event="passes", ior=1.0)
+"""A pane of air, for straight layers."""
 
 OFFSET = 2e-6
 """How far, relative to 1 + its largest coordinate, a new ray starts from its surface: neighbouring faces round."""
@@ -112,6 +116,9 @@ class LightPathTracer:
                 "light paths: Mitsuba runs as scalar_rgb, which cannot trace them; "
                 "`datagen doctor` names the libLLVM to install"
             )
+        for index, material in enumerate(materials):
+            if material is not None:
+                check_material(material, where=f"light paths: object {index + 1}")
         # Mitsuba gets the objects that are there; the ids stay those of all.
         kept = [index for index, mesh in enumerate(meshes) if is_there(mesh)]
         self._object_id = np.array([0, *(index + 1 for index in kept)], np.uint8)
@@ -198,15 +205,13 @@ def _make_tables(meshes: tuple[Mesh, ...], materials: tuple[Material | None, ...
     def corners(values: list[np.ndarray]) -> "mi.Float":
         return mi.Float(np.concatenate(values).ravel())
 
+    surfaces = [NO_SURFACE if material is None else material.surface() for material in materials]
     first_face = np.cumsum([0, *(len(mesh.faces) for mesh in meshes)])[:-1]
     return _Tables(
-        kind=mi.UInt32(np.array([_kind(material) for material in materials], np.uint32)),
-        coat_ior=array([getattr(material, "ior", 1.0) for material in materials]),
-        roughness=array([getattr(material, "roughness", 0.0) for material in materials]),
-        metal=[
-            array([material.color[c] if isinstance(material, Conductor) else 1 for material in materials])
-            for c in range(3)
-        ],
+        kind=mi.UInt32(np.array([EVENTS[surface.event] for surface in surfaces], np.uint32)),
+        coat_ior=array([surface.ior for surface in surfaces]),
+        roughness=array([surface.roughness for surface in surfaces]),
+        metal=[array([surface.color[c] for surface in surfaces]) for c in range(3)],
         rank=mi.Int32(media.rank),
         medium_ior=mi.Float(media.ior),
         absorption=[mi.Float(np.ascontiguousarray(media.absorption[:, c])) for c in range(3)],
@@ -215,10 +220,6 @@ def _make_tables(meshes: tuple[Mesh, ...], materials: tuple[Material | None, ...
         normals=corners([mesh.normals[mesh.faces] for mesh in meshes]),
         uv=corners([mesh.uv[mesh.faces] for mesh in meshes]),
     )
-
-
-def _kind(material: Material | None) -> int:
-    return THIN if material is None else KINDS[surface_kind(material)]
 
 
 def _trace(scene, tables, media, o, d, rows, shift, count, max_branches, max_vertices, max_depth):

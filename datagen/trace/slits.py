@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float
 
 from datagen.data.dataset import Cameras
 from datagen.data.meshes import Mesh, component_of_faces, is_there
-from datagen.scene.description import Scene, is_glass
+from datagen.scene.description import Scene
 
 WALL = 1.0
 """A part is a wall when two sides of its bounding box are longer than so many distances of the cameras."""
@@ -87,7 +87,7 @@ def _walls(scene: Scene) -> list[tuple[str, np.ndarray]]:
     """Name and triangles (face, 3, 3) of each large opaque part."""
     walls = []
     for item in scene.objects:
-        if not is_there(item.mesh) or is_glass(item.material) or not _is_large(item.mesh.vertices, scene):
+        if not is_there(item.mesh) or item.material.is_glass or not _is_large(item.mesh.vertices, scene):
             continue
         part = component_of_faces(item.mesh)
         corners = item.mesh.vertices[item.mesh.faces].astype(np.float64)
@@ -198,7 +198,7 @@ def _occlusion(scene: Scene):
     from datagen.render.mitsuba_scene import is_scalar, load_geometry_mitsuba, to_columns
 
     meshes: tuple[Mesh, ...] = tuple(
-        item.mesh for item in scene.objects if is_there(item.mesh) and not is_glass(item.material)
+        item.mesh for item in scene.objects if is_there(item.mesh) and not item.material.is_glass
     )
     loaded = load_geometry_mitsuba(meshes)
 

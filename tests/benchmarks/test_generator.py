@@ -18,7 +18,8 @@ from benchmarks.generator.shells import make_shells, random_cameras
 from datagen.data.meshes import check_closed, check_mesh
 from datagen.disk.errors import HyalineError
 from datagen.machine.mitsuba_variant import use_mitsuba
-from datagen.scene.description import Dielectric, SceneObject
+from datagen.scene.description import SceneObject
+from datagen.scene.materials import Dielectric
 from datagen.scene.rig import make_cameras
 from datagen.trace.raster import Rasterizer
 

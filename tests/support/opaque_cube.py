@@ -7,18 +7,10 @@ import sys
 from pathlib import Path
 
 from datagen.scene.atlas import unwrap_all
-from datagen.scene.description import (
-    CameraRig,
-    Diffuse,
-    Scene,
-    SceneObject,
-    SoftEnvironment,
-    SolidTexture,
-    WalkPoint,
-    check_scene,
-    save_scene,
-)
+from datagen.scene.description import CameraRig, Scene, SceneObject, SoftEnvironment, WalkPoint, check_scene, save_scene
+from datagen.scene.materials import Diffuse
 from datagen.scene.modelling import cylinder, moved, rounded_box
+from datagen.scene.textures import SolidTexture
 
 
 def opaque_cube() -> Scene:

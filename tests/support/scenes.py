@@ -7,12 +7,7 @@ from support.synthetic import synthetic_scene
 
 from datagen.data.dataset import Cameras
 from datagen.render.truth import Renderer, render_view
-from datagen.scene.description import (
-    Lobe,
-    Scene,
-    SceneObject,
-    SoftEnvironment,
-)
+from datagen.scene.description import Lobe, Scene, SceneObject, SoftEnvironment
 
 WHITE = SoftEnvironment(zenith=(1, 1, 1), horizon=(1, 1, 1), ground=(1, 1, 1))
 

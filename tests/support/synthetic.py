@@ -20,16 +20,8 @@ from datagen.data.geometries import TRUTH, geometry_hash
 from datagen.data.layers import Layers, create_layers, write_layers
 from datagen.data.meshes import Mesh
 from datagen.data.number_formats import quantize_uv
-from datagen.scene.description import (
-    CameraRig,
-    Diffuse,
-    Scene,
-    SceneObject,
-    SoftEnvironment,
-    ThinDielectric,
-    WalkPoint,
-    scene_files,
-)
+from datagen.scene.description import CameraRig, Scene, SceneObject, SoftEnvironment, WalkPoint, scene_files
+from datagen.scene.materials import Diffuse, ThinDielectric
 
 HEIGHTS = (0.5, 0.0)
 """z of the pane (object 1) and of the floor (object 2); both span [-1, 1] in x and y, uv = (x + 1, y + 1) / 2."""

@@ -6,20 +6,8 @@ Drinks reach into the walls of their glasses and have the lowest priority, ice h
 import numpy as np
 
 from datagen.data.meshes import Mesh
-from datagen.scene.description import (
-    CameraRig,
-    Color,
-    Dielectric,
-    Diffuse,
-    Lobe,
-    Material,
-    Plastic,
-    Scene,
-    SceneObject,
-    SoftEnvironment,
-    SolidTexture,
-    WalkPoint,
-)
+from datagen.scene.description import CameraRig, Lobe, Scene, SceneObject, SoftEnvironment, WalkPoint
+from datagen.scene.materials import Dielectric, Diffuse, Material, Plastic
 from datagen.scene.modelling import (
     ball,
     curved,
@@ -37,6 +25,8 @@ from datagen.scene.modelling import (
     turned,
     walled,
 )
+from datagen.scene.textures import SolidTexture
+from datagen.scene.values import Color
 
 GAP = 0.001
 """Metres between things that stand on each other: coincident faces lose layers."""

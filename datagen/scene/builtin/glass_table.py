@@ -3,19 +3,8 @@
 import numpy as np
 
 from datagen.data.meshes import Mesh
-from datagen.scene.description import (
-    CameraRig,
-    Conductor,
-    Dielectric,
-    Diffuse,
-    Lobe,
-    Plastic,
-    Scene,
-    SceneObject,
-    SoftEnvironment,
-    SolidTexture,
-    WalkPoint,
-)
+from datagen.scene.description import CameraRig, Lobe, Scene, SceneObject, SoftEnvironment, WalkPoint
+from datagen.scene.materials import Conductor, Dielectric, Diffuse, Plastic
 from datagen.scene.modelling import (
     ball,
     curved,
@@ -32,6 +21,7 @@ from datagen.scene.modelling import (
     turned,
     walled,
 )
+from datagen.scene.textures import SolidTexture
 
 GAP = 0.001
 """Metres between things that stand on each other: coincident faces lose layers."""

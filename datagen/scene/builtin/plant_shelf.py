@@ -5,19 +5,8 @@ from collections.abc import Callable
 import numpy as np
 
 from datagen.data.meshes import Mesh
-from datagen.scene.description import (
-    CameraRig,
-    Dielectric,
-    Diffuse,
-    Lobe,
-    Material,
-    Plastic,
-    Scene,
-    SceneObject,
-    SoftEnvironment,
-    SolidTexture,
-    WalkPoint,
-)
+from datagen.scene.description import CameraRig, Lobe, Scene, SceneObject, SoftEnvironment, WalkPoint
+from datagen.scene.materials import Dielectric, Diffuse, Material, Plastic
 from datagen.scene.modelling import (
     ball,
     curved,
@@ -35,6 +24,7 @@ from datagen.scene.modelling import (
     turned,
     walled,
 )
+from datagen.scene.textures import SolidTexture
 
 GAP = 0.001
 WALL_Y = 0.45

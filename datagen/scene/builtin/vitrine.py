@@ -3,19 +3,8 @@
 import numpy as np
 
 from datagen.data.meshes import Mesh
-from datagen.scene.description import (
-    CameraRig,
-    Conductor,
-    Diffuse,
-    Lobe,
-    Plastic,
-    Scene,
-    SceneObject,
-    SoftEnvironment,
-    SolidTexture,
-    ThinDielectric,
-    WalkPoint,
-)
+from datagen.scene.description import CameraRig, Lobe, Scene, SceneObject, SoftEnvironment, WalkPoint
+from datagen.scene.materials import Conductor, Diffuse, Plastic, ThinDielectric
 from datagen.scene.modelling import (
     ball,
     curved,
@@ -30,6 +19,7 @@ from datagen.scene.modelling import (
     turned,
     walled,
 )
+from datagen.scene.textures import SolidTexture
 
 GAP = 0.001
 PLINTH_TOP = 0.90

@@ -239,7 +239,7 @@ class _Surfaces:
 # their kernels recorded once.
 @functools.lru_cache(maxsize=1)
 def _load_surfaces(key: GeometryKey, shells: int) -> _Surfaces:
-    from datagen.scene.description import is_glass, load_scene
+    from datagen.scene.description import load_scene
 
     # The tracer's module can be imported only when Mitsuba has its variant.
     use_mitsuba()
@@ -251,5 +251,5 @@ def _load_surfaces(key: GeometryKey, shells: int) -> _Surfaces:
     return _Surfaces(
         tracer=LightPathTracer(meshes, materials),
         straight_tracer=LightPathTracer(nested, (None,) * len(nested)) if nested else None,
-        is_opaque=np.array([False, *(not is_glass(material) for material in materials)]),
+        is_opaque=np.array([False, *(not material.is_glass for material in materials)]),
     )

@@ -24,19 +24,12 @@ from datagen.disk.errors import HyalineError
 from datagen.disk.storage import sha256
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.contact import TOLERANCE, count_touching_faces
-from datagen.scene.description import (
-    Dielectric,
-    Diffuse,
-    Scene,
-    SceneObject,
-    SolidTexture,
-    load_scene,
-    save_scene,
-    scene_files,
-)
+from datagen.scene.description import Scene, SceneObject, load_scene, save_scene, scene_files
 from datagen.scene.edits import Edit, describe_edit, edit_scene, edits_name, moved_mesh, parse_edit
+from datagen.scene.materials import Dielectric, Diffuse
 from datagen.scene.modelling import ball, cylinder, moved
 from datagen.scene.solid_textures import evaluate_texture
+from datagen.scene.textures import SolidTexture
 from datagen.trace.peel import Peeler
 from eval.analyses.order import orders
 from model.nets.texture import NeuralTextures, object_layout

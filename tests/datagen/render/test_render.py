@@ -16,18 +16,8 @@ from support.synthetic import look_at, quad
 from datagen.data.dataset import Cameras
 from datagen.disk.errors import HyalineError
 from datagen.machine.mitsuba_variant import use_mitsuba
-from datagen.scene.description import (
-    Dielectric,
-    Diffuse,
-    Lobe,
-    Plastic,
-    RectangleLight,
-    Scene,
-    SceneObject,
-    SoftEnvironment,
-    ThinDielectric,
-    check_scene,
-)
+from datagen.scene.description import Lobe, RectangleLight, Scene, SceneObject, SoftEnvironment, check_scene
+from datagen.scene.materials import Dielectric, Diffuse, Plastic, ThinDielectric
 from datagen.scene.media import Media, find_media
 from datagen.scene.modelling import ball, merged, moved
 

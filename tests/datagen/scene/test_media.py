@@ -10,8 +10,8 @@ from support.meshes import mesh_of
 from datagen.data.meshes import Mesh
 from datagen.disk.errors import HyalineError
 from datagen.machine.mitsuba_variant import use_mitsuba
-from datagen.scene.description import MAX_NESTED, Dielectric, Diffuse, Material
-from datagen.scene.media import find_media, medium_of, no_solids, with_solid, without_solid
+from datagen.scene.materials import Dielectric, Diffuse, Material
+from datagen.scene.media import MAX_NESTED, find_media, medium_of, no_solids, with_solid, without_solid
 
 IS_SCALAR = use_mitsuba(quiet=True).startswith("scalar")
 

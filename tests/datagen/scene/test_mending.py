@@ -13,10 +13,11 @@ from datagen.data.meshes import Mesh, check_closed, face_areas, write_ply
 from datagen.data.surface_points import points_on
 from datagen.disk.errors import HyalineError
 from datagen.scene.atlas import coverage
-from datagen.scene.description import ImageTexture, Scene, image_bytes, image_of, load_scene, save_scene, scene_files
+from datagen.scene.description import Scene, image_bytes, load_scene, save_scene, scene_files
 from datagen.scene.images import linear_pixels
 from datagen.scene.modelling import ball, merged, moved
 from datagen.scene.shading_normals import opposing_share
+from datagen.scene.textures import ImageTexture
 
 
 def with_uv(mesh: Mesh) -> Mesh:
@@ -196,7 +197,7 @@ def photo() -> np.ndarray:
 def colours_at(scene: Scene, face: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """What the image of object 0 shows at places on its faces, from the nearest texel; the image repeats."""
     item = scene.objects[0]
-    image = image_of(item.material)
+    image = item.material.images().get("color")
     assert image is not None
     pixels = linear_pixels(image_bytes(scene, image), where=image.path)
     uv = np.einsum("pk,pkc->pc", weights, item.mesh.uv[item.mesh.faces[face]])
@@ -219,7 +220,7 @@ def test_an_image_whose_uv_overlap_is_baked_into_an_atlas_and_looks_the_same(
     assert scene.objects[0].mesh.uv.max() <= 1
     assert coverage(scene.objects[0].mesh, 256).max() == 1
     save_scene(scene, tmp_path / "copy")
-    assert sorted(path.name for path in (tmp_path / "copy").rglob("*.png")) == ["thing.png"]
+    assert sorted(path.name for path in (tmp_path / "copy").rglob("*.png")) == ["thing_color.png"]
 
     before = dataclasses.replace(
         scene,

@@ -7,7 +7,6 @@ from hypothesis import strategies as st
 
 from datagen.data.meshes import Mesh, check_closed, check_mesh, face_corners, open_edges, signed_volume, winding_number
 from datagen.scene import solid_textures
-from datagen.scene.description import SolidTexture
 from datagen.scene.modelling import (
     ball,
     cylinder,
@@ -28,6 +27,7 @@ from datagen.scene.modelling import (
     walled,
 )
 from datagen.scene.solid_textures import PATTERNS, bake_texture, evaluate_texture, fractal_noise, value_noise
+from datagen.scene.textures import SolidTexture
 
 CIRCLE = np.linspace(0, 2 * np.pi, 60, endpoint=False)
 HELIX = np.stack([np.cos(CIRCLE), np.sin(CIRCLE), CIRCLE], axis=-1)

@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-import typing
 from pathlib import Path
 
 import numpy as np
@@ -12,26 +11,10 @@ from support.synthetic import synthetic_scene
 
 from datagen.data.meshes import Mesh, write_ply
 from datagen.disk.errors import HyalineError
-from datagen.scene.description import (
-    SURFACE_KINDS,
-    Dielectric,
-    Diffuse,
-    ImageTexture,
-    Lobe,
-    Material,
-    Plastic,
-    Scene,
-    SceneObject,
-    SurfaceKind,
-    check_scene,
-    is_glass,
-    load_scene,
-    save_scene,
-    scene_files,
-    surface_kind,
-)
+from datagen.scene.description import Lobe, Scene, SceneObject, check_scene, load_scene, save_scene, scene_files
+from datagen.scene.materials import Dielectric, Diffuse, Plastic
 from datagen.scene.modelling import ball, merged, moved
-from datagen.trace.light_path import KINDS
+from datagen.scene.textures import ImageTexture
 
 
 def edit(folder: Path, change: object) -> None:
@@ -179,32 +162,3 @@ def test_a_scene_with_a_nan_vertex_is_refused_on_load(tmp_path: Path) -> None:
     (tmp_path / "meshes" / "floor.ply").write_bytes(write_ply(dataclasses.replace(mesh, vertices=vertices)))
     with pytest.raises(HyalineError, match=r"floor: vertices\[2\] is .*nan"):
         load_scene(tmp_path)
-
-
-def test_every_material_has_one_kind_that_the_tracer_and_mitsuba_know() -> None:
-    assert set(SURFACE_KINDS) == set(typing.get_args(Material))
-    assert set(KINDS) == set(SURFACE_KINDS.values()) == set(typing.get_args(SurfaceKind))
-    assert len(set(KINDS.values())) == len(KINDS)
-    assert [kind.__name__ for kind in SURFACE_KINDS if is_glass(kind.__new__(kind))] == ["Dielectric", "ThinDielectric"]
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class FrostedGlass(Dielectric):
-    """What a plug-in might bring: it derives from what is known, and is something else."""
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Velvet:
-    color: tuple[float, float, float] = (0.5, 0.1, 0.1)
-
-
-@pytest.mark.parametrize("material", [FrostedGlass(), Velvet()])
-def test_a_material_that_nothing_traces_is_refused_instead_of_drawn_opaque(material: Dielectric | Velvet) -> None:
-    message = rf"material: is a {type(material).__name__}, which cannot be traced; expected one of Dielectric, Thin"
-    scene = synthetic_scene()
-    strange = dataclasses.replace(scene.objects[1], material=material)
-    with pytest.raises(HyalineError, match=rf"^scene synthetic: object floor: {message}"):
-        check_scene(dataclasses.replace(scene, objects=(scene.objects[0], strange)))
-    for ask in (surface_kind, is_glass):
-        with pytest.raises(HyalineError, match=rf"^{message}"):
-            ask(material)

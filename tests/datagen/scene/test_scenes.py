@@ -10,16 +10,7 @@ from datagen.data.meshes import Mesh, component_of_faces, face_areas, face_corne
 from datagen.disk.errors import HyalineError
 from datagen.scene.atlas import chart_map, coverage
 from datagen.scene.builtin import SCENES, make_scene
-from datagen.scene.description import (
-    Dielectric,
-    Scene,
-    SceneObject,
-    check_scene,
-    is_glass,
-    load_scene,
-    save_scene,
-    scene_files,
-)
+from datagen.scene.description import Scene, SceneObject, check_scene, load_scene, save_scene, scene_files
 
 GAP = 0.0005
 """Metres that any two objects must keep between them."""
@@ -39,12 +30,12 @@ def test_scene_is_valid_and_within_its_budget(scene: Scene) -> None:
     check_scene(scene)
     assert 30_000 <= sum(len(item.mesh.faces) for item in scene.objects) <= 120_000
     assert all(item.name == item.name.lower() for item in scene.objects)
-    assert any(is_glass(item.material) for item in scene.objects)
+    assert any(item.material.is_glass for item in scene.objects)
 
 
 def test_every_piece_of_solid_glass_is_closed_and_outward(scene: Scene) -> None:
     for item in scene.objects:
-        if isinstance(item.material, Dielectric):
+        if item.material.medium is not None:
             assert open_edges(item.mesh) == 0, item.name
             assert signed_volume(item.mesh) > 0, item.name
             assert component_of_faces(item.mesh).max() == 0, item.name
@@ -57,7 +48,7 @@ def test_shading_normals_stand_on_the_side_that_faces_show(scene: Scene) -> None
         flat /= np.linalg.norm(flat, axis=-1, keepdims=True)
         cosines = np.einsum("fi,fki->fk", flat, item.mesh.normals[item.mesh.faces])
         assert cosines.min() > 0.3, (item.name, cosines.min())
-        if is_glass(item.material):
+        if item.material.is_glass:
             assert cosines.min() > 0.7, (item.name, cosines.min())
 
 
@@ -102,7 +93,7 @@ def test_nothing_touches_anything_but_drinks_and_ice(scene: Scene) -> None:
 
 
 def priority(item: SceneObject) -> int:
-    return item.material.priority if isinstance(item.material, Dielectric) else 0
+    return item.material.medium.priority if item.material.medium is not None else 0
 
 
 def distance_below(points_of: Mesh, surface_of: Mesh, limit: float) -> float:

@@ -16,7 +16,8 @@ from datagen.data.meshes import Mesh
 from datagen.disk.errors import HyalineError
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.render import mitsuba_scene
-from datagen.scene.description import Conductor, Dielectric, Diffuse, Material, Plastic, SceneObject, ThinDielectric
+from datagen.scene.description import SceneObject
+from datagen.scene.materials import Conductor, Dielectric, Diffuse, Material, Plastic, ThinDielectric
 
 if use_mitsuba(quiet=True).startswith("scalar"):
     pytest.skip("light paths need a vectorised variant of Mitsuba", allow_module_level=True)

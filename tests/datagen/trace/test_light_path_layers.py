@@ -22,7 +22,8 @@ from datagen.data.meshes import Mesh
 from datagen.data.number_formats import decode_directions, encode_directions
 from datagen.disk.errors import HyalineError
 from datagen.machine.mitsuba_variant import use_mitsuba
-from datagen.scene.description import Dielectric, Scene, SceneObject, load_scene
+from datagen.scene.description import Scene, SceneObject, load_scene
+from datagen.scene.materials import Dielectric
 from datagen.trace.light_path import LightPaths, LightPathTracer
 from datagen.trace.light_path_layers import NUM_BRANCHES, create_light_paths, read_light_paths, write_light_paths
 

@@ -10,7 +10,8 @@ from datagen.data.dataset import Cameras, DatasetConfig, SplitConfig
 from datagen.data.meshes import Mesh
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.builtin import SCENES
-from datagen.scene.description import CameraRig, Dielectric, Diffuse, Material, Scene, SceneObject, WalkPoint
+from datagen.scene.description import CameraRig, Scene, SceneObject, WalkPoint
+from datagen.scene.materials import Dielectric, Diffuse, Material
 from datagen.scene.modelling import merged, moved, rounded_box
 from datagen.scene.rig import make_cameras
 from datagen.trace.slits import Slit, describe_slit, find_slits

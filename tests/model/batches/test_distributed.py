@@ -16,7 +16,7 @@ from datagen.data.dataset import Dataset, read_png
 from datagen.data.geometries import TRUTH, read_meshes
 from datagen.disk.errors import HyalineError
 from datagen.machine.mitsuba_variant import use_mitsuba
-from datagen.scene.description import Conductor
+from datagen.scene.materials import Conductor
 from model.batches.distributed import SharedGenerator, Team, join, own_device
 from model.losses.pixel_losses import LossConfig
 from model.run.checkpoint import load_state

@@ -17,7 +17,6 @@ from torch import nn
 from datagen.data.cameras import pixel_center_rays
 from datagen.data.dataset import Cameras, Dataset, DatasetConfig, SplitConfig, read_image, read_png
 from datagen.disk.errors import HyalineError
-from datagen.scene.description import is_glass
 from datagen.scene.rig import make_cameras
 from model import cli
 from model.batches.view_batches import Views, load_views
@@ -412,7 +411,7 @@ def test_the_grid_around_the_opaque_cube_holds_it_and_no_camera() -> None:
     assert np.abs(origin - scene.cameras.target).max() < 0.1
     assert np.abs(vertices - origin).max() == pytest.approx(edge / 2)
     assert np.linalg.norm(cameras.world_from_camera[:, :3, 3] - origin, axis=1).min() > np.sqrt(3) / 2 * edge
-    assert not any(is_glass(item.material) for item in scene.objects)
+    assert not any(item.material.is_glass for item in scene.objects)
 
 
 def call(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:

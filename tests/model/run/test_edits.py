@@ -33,8 +33,10 @@ from datagen.data.geometries import TRUTH
 from datagen.data.layers import read_layers
 from datagen.disk.storage import SEAL, commit_sealed
 from datagen.machine.mitsuba_variant import use_mitsuba
-from datagen.scene.description import Dielectric, Diffuse, Scene, SceneObject, SoftEnvironment, SolidTexture
+from datagen.scene.description import Scene, SceneObject, SoftEnvironment
 from datagen.scene.edits import parse_edit
+from datagen.scene.materials import Dielectric, Diffuse
+from datagen.scene.textures import SolidTexture
 from eval.page.report import make_report
 
 if use_mitsuba(quiet=True).startswith("scalar"):

@@ -1,0 +1,41 @@
+"""Smooth solid glass and liquids."""
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar
+
+from datagen.scene.materials.optics import Medium, Optics, Plugin, Surface, TexturePlugin
+from datagen.scene.values import Color, check_ior, check_range
+
+
+@dataclass(frozen=True, kw_only=True)
+class Dielectric(Optics):
+    """Smooth solid glass or liquid: refracts by Snell's law, reflects by Fresnel, absorbs by Beer and Lambert."""
+
+    is_glass: ClassVar[bool] = True
+
+    ior: float = 1.5
+    """Absolute index of refraction; air has 1."""
+    absorption: Color = (0.0, 0.0, 0.0)
+    """Absorption coefficient per channel, 1/m: transmittance over d metres is exp(-absorption d)."""
+    priority: int = 0
+    """-9 to 9. Where dielectrics overlap, the one of the highest priority fills the space, of equal ones the one that
+    the scene lists first: give a drink, whose mesh reaches a little into the wall of its glass, -1."""
+
+    def __post_init__(self) -> None:
+        check_ior(self.ior)
+        check_range("absorption", self.absorption, 0, math.inf)
+        assert self.medium is not None  # It checks the priority.
+
+    @property
+    def medium(self) -> Medium:
+        """What lies inside."""
+        return Medium(ior=self.ior, absorption=self.absorption, priority=self.priority)
+
+    def bsdf(self, texture: TexturePlugin) -> Plugin:  # noqa: ARG002
+        """The surface between glass and air; our own integrator asks the media for what lies on its two sides."""
+        return {"type": "dielectric", "int_ior": self.ior, "ext_ior": 1.0}
+
+    def surface(self) -> Surface:
+        """Refracts; which media meet there is known by the solids that the ray is in."""
+        return Surface(event="refracts", ior=self.ior)

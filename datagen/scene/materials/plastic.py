@@ -1,0 +1,39 @@
+"""Colour under a clear coat: plastic, varnish, glaze."""
+
+from dataclasses import dataclass
+
+from datagen.scene.materials.optics import Optics, Plugin, Surface, TexturePlugin
+from datagen.scene.textures import Reflectance, check_reflectance
+from datagen.scene.values import check_ior, check_roughness
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plastic(Optics):
+    """A diffuse base under a clear coat."""
+
+    color: Reflectance
+    ior: float = 1.5
+    roughness: float = 0.1
+    """Microfacet (GGX) alpha of the coat."""
+
+    def __post_init__(self) -> None:
+        check_reflectance(self.color)
+        check_ior(self.ior)
+        check_roughness(self.roughness)
+
+    def bsdf(self, texture: TexturePlugin) -> Plugin:
+        """The base with light that goes to and fro below the coat, on both sides."""
+        plastic = {
+            "type": "roughplastic",
+            "diffuse_reflectance": texture(self.color),
+            "int_ior": self.ior,
+            "ext_ior": 1.0,
+            "alpha": self.roughness,
+            "distribution": "ggx",
+            "nonlinear": True,
+        }
+        return {"type": "twosided", "bsdf": plastic}
+
+    def surface(self) -> Surface:
+        """Ends the path; its coat mirrors."""
+        return Surface(event="coated", ior=self.ior, roughness=self.roughness)

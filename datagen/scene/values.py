@@ -1,0 +1,33 @@
+"""Numbers in a scene's description: vectors, colours, and the checks that refuse bad ones."""
+
+import math
+
+from datagen.disk.errors import HyalineError
+
+Vector = tuple[float, float, float]
+Color = tuple[float, float, float]
+"""Linear Rec. 709 reflectance or radiance."""
+
+
+def check_positive(name: str, value: float) -> None:
+    """Refuses what is not a finite number above 0."""
+    if not (math.isfinite(value) and value > 0):
+        raise HyalineError(f"{name}: is {value}; expected a positive number")
+
+
+def check_range(name: str, color: Color, low: float, high: float) -> None:
+    """Refuses a colour or vector with a component outside of [low, high], or one that is no number."""
+    if not all(math.isfinite(value) and low <= value <= high for value in color):
+        raise HyalineError(f"{name}: is {color}; expected three numbers from {low:g} to {high:g}")
+
+
+def check_ior(ior: float) -> None:
+    """Refuses an index of refraction that is not above that of air."""
+    if not 1 < ior < 10:
+        raise HyalineError(f"ior: is {ior}; expected an index of refraction above 1 (glass has 1.5)")
+
+
+def check_roughness(roughness: float) -> None:
+    """Refuses a microfacet alpha for which Mitsuba's sampling fails."""
+    if not 0.001 <= roughness <= 1:
+        raise HyalineError(f"roughness: is {roughness}; expected 0.001 to 1")

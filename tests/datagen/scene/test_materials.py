@@ -1,0 +1,121 @@
+"""Tests that each material is one thing to the scene's file, to Mitsuba, to the tracer and to edits."""
+
+import dataclasses
+import typing
+
+import numpy as np
+import pytest
+from support.synthetic import quad, synthetic_scene
+
+from datagen.disk.errors import HyalineError
+from datagen.disk.records import from_json, to_json
+from datagen.machine.mitsuba_variant import use_mitsuba
+from datagen.scene.description import SceneObject, SoftEnvironment, check_scene
+from datagen.scene.materials import Conductor, Dielectric, Diffuse, Material, Plastic, ThinDielectric
+from datagen.scene.materials.optics import Event, Optics, Plugin, Surface, TexturePlugin
+from datagen.scene.textures import ImageTexture, SolidTexture
+
+use_mitsuba()
+
+from datagen.render.mitsuba_scene import load_scene_mitsuba  # noqa: E402
+from datagen.trace.light_path import EVENTS, LightPathTracer  # noqa: E402
+
+SAMPLES: dict[type[Material], Material] = {
+    Dielectric: Dielectric(ior=1.4, absorption=(1.0, 2.0, 3.0), priority=-2),
+    ThinDielectric: ThinDielectric(ior=1.4),
+    Diffuse: Diffuse(color=(0.2, 0.4, 0.6)),
+    Plastic: Plastic(color=(0.2, 0.4, 0.6), ior=1.6, roughness=0.001),
+    Conductor: Conductor(color=(0.9, 0.6, 0.3), roughness=0.0),
+}
+"""One of each material, smooth and without anything at its default."""
+
+STRIPES = SolidTexture(pattern="stripes", colors=((0, 0, 0), (1, 1, 1)), scale=0.1)
+FURNACE = SoftEnvironment(zenith=(1, 1, 1), horizon=(1, 1, 1), ground=(1, 1, 1))
+
+
+@pytest.fixture(params=typing.get_args(Material), ids=lambda kind: kind.__name__)
+def material(request: pytest.FixtureRequest) -> Material:
+    """Each material that is listed; one without a sample fails."""
+    return SAMPLES[request.param]
+
+
+def test_every_event_is_known_to_the_tracer_by_a_number_of_its_own() -> None:
+    assert set(EVENTS) == set(typing.get_args(Event))
+    assert len(set(EVENTS.values())) == len(EVENTS)
+
+
+def test_a_material_is_read_as_it_was_written(material: Material) -> None:
+    assert from_json(Material, to_json(material), where="here") == material  # type: ignore[arg-type]
+
+
+def test_only_materials_that_light_passes_are_glass(material: Material) -> None:
+    assert material.is_glass == (material.surface().event in ("passes", "refracts"))
+    assert (material.medium is not None) == (material.surface().event == "refracts")
+
+
+@pytest.mark.parametrize("cosine", [0.95, 0.5])
+def test_the_tracer_splits_light_as_mitsuba_does(material: Material, cosine: float) -> None:
+    """What is mirrored and what passes, by the tracer's throughput and by Mitsuba's own BSDF."""
+    import mitsuba as mi
+
+    d = np.array([[np.sqrt(1 - cosine**2), 0, -cosine]], np.float32)
+    tracer = LightPathTracer((quad(0.0),), (material,))
+    paths = tracer.trace(-d.copy(), d, max_branches=2)
+    passed, mirrored = paths.end_throughput[0, 0], paths.end_throughput[1, 0]
+
+    scene = dataclasses.replace(synthetic_scene(), environment=FURNACE)
+    item = SceneObject(name="surface", mesh=quad(0.0), material=material)
+    loaded = load_scene_mitsuba(dataclasses.replace(scene, objects=(item,)))
+    si = loaded.ray_intersect(mi.Ray3f(mi.Point3f(*(-d[0]).tolist()), mi.Vector3f(*d[0].tolist())))
+    draws = (np.arange(4096) + 0.5) / 4096
+    rng = np.random.default_rng(0)
+    sample, weight = si.bsdf().sample(
+        mi.BSDFContext(), si, mi.Float(draws), mi.Point2f(rng.random((2, 4096)).astype(np.float32)), True
+    )
+    # Of plastic and of paint, what comes out of the base is no path's business.
+    is_specular = np.array(mi.has_flag(sample.sampled_type, mi.BSDFFlags.Diffuse)) == 0
+    is_up = np.array(sample.wo.z) > 0
+    weights = np.broadcast_to(np.array(weight).reshape(3, -1).T, (4096, 3))
+    for found, side in ((mirrored, is_up), (passed, ~is_up)):
+        expected = np.where((is_specular & side)[:, None], weights, 0).mean(axis=0)
+        assert found == pytest.approx(expected, abs=2e-3)
+
+
+def test_every_texture_of_a_material_moves_with_its_object_and_is_found_by_its_field() -> None:
+    painted = Plastic(color=STRIPES)
+    assert painted.moved((0.5, 0.0, -0.25)) == Plastic(color=dataclasses.replace(STRIPES, origin=(0.5, 0.0, -0.25)))
+    pictured = Diffuse(color=ImageTexture(path="a.png"))
+    assert pictured.moved((1, 2, 3)) == pictured
+    assert pictured.images() == {"color": ImageTexture(path="a.png")}
+    assert painted.images() == {} == Conductor(color=(1, 1, 1)).textures()
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class FrostedGlass(Dielectric):
+    """What a plug-in might bring: it derives from what is known, and is something else."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Velvet(Optics):
+    """Whole, and in no list."""
+
+    color: tuple[float, float, float] = (0.5, 0.1, 0.1)
+
+    def bsdf(self, texture: TexturePlugin) -> Plugin:
+        return {"type": "diffuse", "reflectance": texture(self.color)}
+
+    def surface(self) -> Surface:
+        return Surface(event="ends")
+
+
+@pytest.mark.parametrize("strange", [FrostedGlass(), Velvet()])
+def test_a_material_that_is_not_listed_is_refused_by_the_objects_name_instead_of_drawn_opaque(
+    strange: Material,
+) -> None:
+    message = rf"its material is a {type(strange).__name__}; expected one of Dielectric, ThinDielectric, Diffuse"
+    floor = synthetic_scene().objects[1]
+    with pytest.raises(HyalineError, match=rf"^object floor: {message}"):
+        dataclasses.replace(floor, material=strange)
+    with pytest.raises(HyalineError, match=rf"^light paths: object 2: {message}"):
+        LightPathTracer((quad(0.0), quad(1.0)), (None, strange))
+    check_scene(synthetic_scene())
