@@ -72,7 +72,7 @@ def truth(
     use_mitsuba()
     from benchmarks.generator.truth import bench_truth, under_soft_light
     from benchmarks.harness import show
-    from datagen.data.dataset import DatasetConfig, SplitConfig
+    from datagen.data.config import DatasetConfig, SplitConfig
     from datagen.scene.builtin import find_scene
     from datagen.scene.rig import make_cameras
 

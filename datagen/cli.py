@@ -9,10 +9,14 @@ import tyro
 
 from datagen.build.launch import LaunchChoices
 from datagen.build.presets import PRESETS, resize
-from datagen.data.advice import after_build, after_edit, after_layers, build_command
-from datagen.data.dataset import DATA_ROOT, TRANSFORMS_FILES, Dataset, DatasetConfig, find_dataset, open_dataset
-from datagen.data.geometries import TRUTH, check_geometry
-from datagen.data.layer_store import LayerKind, check_settings
+from datagen.data.advice import after_build, after_edit, after_layers
+from datagen.data.cameras import TRANSFORMS_FILES
+from datagen.data.config import DatasetConfig
+from datagen.data.dataset import Dataset, open_dataset
+from datagen.data.finding import DATA_ROOT, build_command, find_dataset
+from datagen.data.geometries import check_geometry
+from datagen.data.layer_store import check_settings
+from datagen.data.paths import TRUTH, LayerKind
 from datagen.terminal.command import choose, fail, next_command, run, say, tell, unwrap_help
 
 if TYPE_CHECKING:
@@ -219,7 +223,7 @@ def _refuse(wanted: str, given: dict[str, bool]) -> None:
 def _open_base(scene: str, out: Path | None, dataset: str | None, preset: str) -> Dataset:
     """The dataset that is added to: what --dataset names, or what --scene or --out would have been built into."""
     from datagen.disk.errors import HyalineError
-    from datagen.scene.description import load_scene
+    from datagen.scene.folder import load_scene
 
     if dataset is None:
         name = load_scene(Path(scene), is_sealed=True).name if (Path(scene) / "scene.json").is_file() else scene
@@ -255,7 +259,7 @@ def _build_more(base: Dataset, *, angles: bool, scales: tuple[int, ...], scaled_
 def _build_edit(base: Dataset, edit: tuple[str, ...], *, workers: int, overwrite: bool) -> None:
     from datagen.build.build import summary
     from datagen.build.build_edit import build_edit
-    from datagen.data.layer_store import LAYER_KINDS, layers_root
+    from datagen.data.paths import LAYER_KINDS, layers_root
     from datagen.scene.edits import parse_edit
 
     edits = tuple(map(parse_edit, edit))

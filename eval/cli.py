@@ -38,7 +38,7 @@ def report(
         order: Layers, 1 to 8: adds a table of pixels that show objects in an order which no training pixel has among
             its first so many layers. 0 adds none.
     """
-    from datagen.data.dataset import find_dataset
+    from datagen.data.finding import find_dataset
     from eval.page.report import make_report, make_tables
 
     place = out if out is not None else runs / "report"

@@ -11,8 +11,10 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from datagen.data.advice import edit_command, report_command
-from datagen.data.dataset import Dataset, find_dataset, open_dataset
-from datagen.data.geometries import TRUTH, check_geometry
+from datagen.data.dataset import Dataset, open_dataset
+from datagen.data.finding import find_dataset
+from datagen.data.geometries import check_geometry
+from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
 from datagen.terminal.command import choose, fail, mute, next_command, run, say, tell, unwrap_help
 from model.settings.choices import (

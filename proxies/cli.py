@@ -6,10 +6,11 @@ from typing import TYPE_CHECKING, Annotated, cast
 
 import tyro
 
-from datagen.data.advice import after_layers, build_command
-from datagen.data.dataset import DATA_ROOT, Dataset, find_dataset, list_datasets, open_dataset
-from datagen.data.geometries import TRUTH
-from datagen.data.layer_store import LayerKind, check_settings
+from datagen.data.advice import after_layers
+from datagen.data.dataset import Dataset, open_dataset
+from datagen.data.finding import DATA_ROOT, build_command, find_dataset, list_datasets
+from datagen.data.layer_store import check_settings
+from datagen.data.paths import TRUTH, LayerKind
 from datagen.disk.errors import HyalineError
 from datagen.terminal.command import choose, fail, next_command, run, say
 

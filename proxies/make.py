@@ -5,19 +5,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from datagen.data.dataset import Dataset, check_files
-from datagen.data.geometries import (
-    TRUTH,
-    ProxyStatistics,
-    geometry_root,
-    read_assignment,
-    read_meshes,
-    read_proxy_records,
-    write_proxies,
-)
+from datagen.data.dataset import Dataset
+from datagen.data.geometries import ProxyStatistics, read_assignment, read_meshes, read_proxy_records, write_proxies
 from datagen.data.meshes import Mesh
+from datagen.data.paths import TRUTH, geometry_root
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import PROXIES, holding, refuse_others
+from datagen.disk.promises import check_files
 from datagen.disk.storage import load_sealed
 from datagen.terminal.command import say
 from proxies.kinds.blocks import fit_blocks

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from typing import Literal, cast, get_args
 
-from datagen.data.geometries import TRUTH
+from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
 from datagen.terminal.command import choose
 from proxies.meshing.noise import check_amount

@@ -1,6 +1,7 @@
 """Tests the shape of the code: who imports whom, where heavy packages live, how fast help answers."""
 
 import ast
+import graphlib
 import subprocess
 import sys
 import time
@@ -79,6 +80,29 @@ def test_each_file_imports_only_from_its_room_and_those_below(path: Path) -> Non
         modules += [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
         for other in (module.split(".")[1] for module in modules if module.startswith(f"{package}.")):
             assert floors.index(other) >= floors.index(rest[0]), f"{rest[0]} imports {other}, a room above it"
+
+
+def modules_imported_by(path: Path, modules: set[str]) -> set[str]:
+    """Which of `modules` a file imports anywhere in it, also inside functions and for annotations alone."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            names = {f"{node.module}.{alias.name}" for alias in node.names}
+            found |= names & modules or {node.module}
+    return found & modules
+
+
+def module_name(path: Path) -> str:
+    return ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+
+
+def test_no_imports_go_in_a_circle_deferred_ones_included() -> None:
+    files = {module_name(path): path for path in FILES}
+    waits_for = {name: modules_imported_by(path, set(files)) - {name} for name, path in files.items()}
+    order = graphlib.TopologicalSorter(waits_for)
+    order.prepare()  # Raises a CycleError that names the modules of a circle.
 
 
 def loaded_after(statement: str) -> set[str]:

@@ -10,8 +10,7 @@ import numpy as np
 from benchmarks.generator.rivals import EagerPeeler, EmbreePeeler, StoredLayers, trace_eagerly
 from benchmarks.generator.shells import NUM_TRIANGLES, make_shells, materials_of, random_cameras
 from benchmarks.harness import BenchReport, Candidate, Check, Gate, machine_ceilings, measure
-from datagen.data.cameras import pixel_center_rays
-from datagen.data.dataset import Cameras
+from datagen.data.cameras import Cameras, pixel_center_rays
 from datagen.data.layers import Layers
 from datagen.data.meshes import Mesh, face_corners
 from datagen.disk.errors import HyalineError

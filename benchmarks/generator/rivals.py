@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import UInt8
 
-from datagen.data.cameras import pixel_center_rays
-from datagen.data.dataset import Cameras
+from datagen.data.cameras import Cameras, pixel_center_rays
 from datagen.data.layers import Layers
 from datagen.data.meshes import Mesh
 from datagen.data.number_formats import UV_SCALE, quantize_uv

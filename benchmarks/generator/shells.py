@@ -5,8 +5,7 @@ import math
 import numpy as np
 from jaxtyping import Float
 
-from datagen.data.cameras import look_at
-from datagen.data.dataset import Cameras
+from datagen.data.cameras import Cameras, look_at
 from datagen.data.meshes import Mesh
 from datagen.scene.materials import Conductor, Dielectric, Diffuse, Material, Plastic, ThinDielectric
 

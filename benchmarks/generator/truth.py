@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from benchmarks.harness import BenchReport, Candidate, Check, Gate, machine_ceilings, measure
-from datagen.data.dataset import Cameras
+from datagen.data.cameras import Cameras
 from datagen.data.tonemap import srgb_from_linear
 from datagen.disk.errors import HyalineError
 from datagen.render.mitsuba_scene import is_scalar, load_scene_mitsuba, load_sensor

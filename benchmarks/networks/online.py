@@ -9,7 +9,7 @@ from benchmarks.harness import BenchReport, Candidate, Ceiling, Check, Gate, Ver
 from benchmarks.networks.choices import BenchChoices
 from benchmarks.networks.naive import NaiveRenderer
 from benchmarks.networks.setting import FRAME_TOLERANCE, describe, make_renderer, relative_error
-from datagen.data.dataset import Cameras
+from datagen.data.cameras import Cameras
 from datagen.data.layers import Layers
 from datagen.data.meshes import Mesh
 from datagen.machine.mitsuba_variant import use_mitsuba

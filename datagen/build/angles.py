@@ -5,8 +5,8 @@ import math
 import numpy as np
 from jaxtyping import Bool, Float
 
-from datagen.data.cameras import look_at
-from datagen.data.dataset import ANGLE_SPLITS, Cameras, DatasetConfig, Split
+from datagen.data.cameras import Cameras, look_at
+from datagen.data.config import ANGLE_SPLITS, DatasetConfig, Split
 from datagen.data.meshes import Mesh, face_corners
 from datagen.disk.errors import HyalineError
 from datagen.scene.description import CameraRig, Scene

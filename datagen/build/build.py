@@ -9,45 +9,31 @@ import numpy as np
 
 from datagen.build.jobs import PeelJob, RenderJob, Task, TraceJob, peel_task, render_task, trace_task
 from datagen.build.shards import Shard, own_tasks
+from datagen.data.cameras import Cameras
 from datagen.data.clear import clear_dataset
-from datagen.data.dataset import (
-    SPLITS,
-    Cameras,
-    Dataset,
-    DatasetConfig,
-    DatasetEdit,
-    DatasetObject,
-    Split,
-    check_files,
-    config_difference,
-    dataset_files,
-    describe_views,
-    head_contents,
-    head_files,
-    is_view_built,
-    noise_ceiling_db,
-    view_files,
-    write_head,
-)
-from datagen.data.geometries import TRUTH, geometry_hash
+from datagen.data.config import SPLITS, DatasetConfig, Split, config_difference, describe_views
+from datagen.data.dataset import Dataset, DatasetEdit, DatasetObject, head_files, is_view_built, noise_ceiling_db
+from datagen.data.dataset_head import dataset_files, head_contents, view_files, write_head
+from datagen.data.geometries import geometry_hash
 from datagen.data.layer_store import (
     Head,
-    LayerKind,
     LayersHead,
     LightPathsHead,
     check_settings,
     is_view_peeled,
-    layers_root,
     read_layers_head,
     read_layers_record,
     record_path_of_layers,
 )
 from datagen.data.layers import create_layers
+from datagen.data.paths import TRUTH, LayerKind, layers_root
 from datagen.disk.errors import DamagedError, HyalineError, WorkerKilledError
 from datagen.disk.ownership import DATASET, LAYERS, holding, is_ours, refuse_taken, remove_files
+from datagen.disk.promises import check_files
 from datagen.disk.storage import sha256
 from datagen.machine.workers import in_workers
-from datagen.scene.description import Scene, scene_files
+from datagen.scene.description import Scene
+from datagen.scene.folder import scene_files
 from datagen.scene.rig import make_cameras
 from datagen.terminal.command import say, this_command, track
 from datagen.trace.light_path_layers import NUM_BRANCHES, create_light_paths

@@ -4,24 +4,19 @@ import dataclasses
 
 from datagen.build.build import open_or_start, peel_dataset, render_dataset
 from datagen.build.find_edit_masks import write_footprints
-from datagen.data.dataset import SPLITS, Cameras, Dataset, DatasetEdit, Split, read_cameras
+from datagen.data.cameras import Cameras
+from datagen.data.config import SPLITS, Split
+from datagen.data.dataset import Dataset, DatasetEdit, read_cameras
 from datagen.data.edited import edit_root
-from datagen.data.geometries import (
-    TRUTH,
-    geometry_root,
-    list_geometries,
-    read_assignment,
-    read_meshes,
-    read_proxy_records,
-    write_proxies,
-)
-from datagen.data.layer_store import LAYER_KINDS, LayersHead, LightPathsHead, layers_root, read_layers_head
+from datagen.data.geometries import list_geometries, read_assignment, read_meshes, read_proxy_records, write_proxies
+from datagen.data.layer_store import LayersHead, LightPathsHead, read_layers_head
 from datagen.data.meshes import Mesh, is_there, no_mesh, write_ply
+from datagen.data.paths import LAYER_KINDS, TRUTH, geometry_root, layers_root
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import DATASET, PROXIES, holding
 from datagen.disk.storage import sha256
-from datagen.scene.description import load_scene
 from datagen.scene.edits import Edit, EditedScene, describe_edit, edit_scene, edits_name, moved_mesh
+from datagen.scene.folder import load_scene
 from datagen.terminal.command import say
 
 

@@ -5,30 +5,19 @@ import dataclasses
 from datagen.build.angles import make_angle_cameras
 from datagen.build.build import peel_dataset, render_dataset
 from datagen.build.shards import Shard
+from datagen.data.cameras import Cameras
 from datagen.data.clear import clear_dataset
-from datagen.data.dataset import (
-    TEST_SPLITS,
-    Cameras,
-    Dataset,
-    DatasetConfig,
-    Split,
-    SplitConfig,
-    config_difference,
-    dataset_files,
-    head_contents,
-    head_files,
-    open_dataset,
-    read_cameras,
-    view_files,
-    write_head,
-)
+from datagen.data.config import TEST_SPLITS, DatasetConfig, Split, SplitConfig, config_difference
+from datagen.data.dataset import Dataset, head_files, open_dataset, read_cameras
+from datagen.data.dataset_head import dataset_files, head_contents, view_files, write_head
 from datagen.data.geometries import list_geometries
-from datagen.data.layer_store import LayersHead, layers_root, read_layers_head
+from datagen.data.layer_store import LayersHead, read_layers_head
+from datagen.data.paths import layers_root
 from datagen.data.variants import ANGLES, annex_root, evenly, list_annex_folders, scale_name
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import DATASET, holding, is_ours, refuse_taken
 from datagen.disk.storage import load_sealed, sha256
-from datagen.scene.description import load_scene
+from datagen.scene.folder import load_scene
 
 MAX_SCALE = 8
 

@@ -5,21 +5,16 @@ import contextlib
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
-from datagen.data.dataset import (
-    TEST_SPLITS,
-    Dataset,
-    Split,
-    check_files,
-    image_path,
-    png_bytes,
-    read_record,
-)
+from datagen.data.config import TEST_SPLITS, Split
+from datagen.data.dataset import Dataset, read_record
 from datagen.data.edit_masks import ELSEWHERE, LIGHT, OBJECT, footprint_files, footprint_path
-from datagen.data.geometries import TRUTH
 from datagen.data.layers import read_layers
+from datagen.data.paths import TRUTH, image_path
+from datagen.data.png import png_bytes
 from datagen.data.tonemap import srgb_from_linear
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import FOOTPRINTS, begin, holding, is_ours
+from datagen.disk.promises import check_files
 from datagen.disk.records import Json
 from datagen.disk.storage import commit_same, commit_sealed, load_sealed, seal_bytes, sha256
 

@@ -2,11 +2,14 @@
 
 from pathlib import Path
 
-from datagen.data.dataset import Cameras, Dataset, Split, commit_view, open_dataset, read_cameras
+from datagen.data.cameras import Cameras
+from datagen.data.config import Split
+from datagen.data.dataset import Dataset, commit_view, open_dataset, read_cameras
 from datagen.data.geometries import read_meshes
 from datagen.data.layer_store import LayersHead, read_layers_head
 from datagen.data.layers import write_layers
-from datagen.scene.description import Scene, load_scene
+from datagen.scene.description import Scene
+from datagen.scene.folder import load_scene
 from datagen.trace.light_path_layers import read_light_paths_head, trace_view, write_light_paths
 
 Task = tuple[Split, int]

@@ -13,16 +13,19 @@ from datagen.build.build import render_dataset
 from datagen.build.build_edit import build_edit, peel_like
 from datagen.build.build_variant import build_angles, build_scaled, peel_annexes
 from datagen.build.verify import check_is_there, is_good, list_obstacles
-from datagen.data.dataset import TRANSFORMS_FILES, Dataset, head_files, open_dataset, transforms_bytes
+from datagen.data.cameras import TRANSFORMS_FILES, transforms_bytes
+from datagen.data.dataset import Dataset, head_files, open_dataset
 from datagen.data.edited import edit_root, list_edits
 from datagen.data.geometries import list_geometries
 from datagen.data.variants import ANGLES, list_annex_folders
 from datagen.disk.errors import DamagedError, HyalineError
-from datagen.disk.heads import HEADS, home_of, list_heads, true_head
+from datagen.disk.heads import list_heads, true_head
+from datagen.disk.homes import HEADS, home_of
 from datagen.disk.ownership import DATASET, holding
 from datagen.disk.storage import commit, commit_same, one_writer, sha256
-from datagen.scene.description import Scene, load_scene, scene_files
+from datagen.scene.description import Scene
 from datagen.scene.edits import parse_edit
+from datagen.scene.folder import load_scene, scene_files
 from datagen.scene.rig import make_cameras
 from datagen.terminal.command import say
 

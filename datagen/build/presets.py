@@ -3,7 +3,7 @@
 import dataclasses
 from dataclasses import dataclass
 
-from datagen.data.dataset import SplitConfig
+from datagen.data.config import SplitConfig
 
 
 @dataclass(frozen=True, kw_only=True)

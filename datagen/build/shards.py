@@ -10,9 +10,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
-from datagen.data.dataset import Dataset, Split, open_dataset, read_record
-from datagen.data.geometries import TRUTH
-from datagen.data.layer_store import LayerKind, layers_root, read_layers_record
+from datagen.data.config import Split
+from datagen.data.dataset import Dataset, open_dataset, read_record
+from datagen.data.layer_store import read_layers_record
+from datagen.data.paths import TRUTH, LayerKind, layers_root
 from datagen.data.variants import list_annex_folders
 from datagen.disk.errors import HyalineError
 

@@ -10,27 +10,14 @@ from pathlib import Path
 from typing import NamedTuple
 
 from datagen.build.survey import Survey
-from datagen.data.dataset import Dataset, head_files, open_dataset, read_record, record_path
+from datagen.data.dataset import Dataset, head_files, open_dataset, read_record
 from datagen.data.edit_masks import footprint_files
-from datagen.data.geometries import (
-    TRUTH,
-    geometry_hash,
-    geometry_root,
-    list_geometries,
-    read_assignment,
-    read_proxy_records,
-)
-from datagen.data.layer_store import (
-    LAYER_KINDS,
-    LayerKind,
-    LayersHead,
-    layers_root,
-    read_layers_head,
-    read_layers_record,
-    record_path_of_layers,
-)
+from datagen.data.geometries import geometry_hash, list_geometries, read_assignment, read_proxy_records
+from datagen.data.layer_store import LayersHead, read_layers_head, read_layers_record, record_path_of_layers
+from datagen.data.paths import LAYER_KINDS, TRUTH, LayerKind, geometry_root, layers_root, record_path
 from datagen.disk.errors import HyalineError
-from datagen.disk.heads import HEADS, home_of, list_heads, true_head
+from datagen.disk.heads import list_heads, true_head
+from datagen.disk.homes import HEADS, home_of
 from datagen.disk.reading import load_json
 from datagen.disk.storage import sha256_file
 

@@ -5,45 +5,20 @@ import shlex
 from collections.abc import Iterator
 from pathlib import Path
 
-from datagen.data.dataset import DATA_ROOT, Dataset, list_datasets, open_dataset
-from datagen.data.geometries import TRUTH, list_geometries
+from datagen.data.dataset import Dataset, open_dataset
+from datagen.data.finding import build_command, list_datasets
+from datagen.data.geometries import list_geometries
 from datagen.data.layer_store import read_layers_head
+from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
-from datagen.disk.heads import HEADS, home_of, mend_command
+from datagen.disk.homes import home_of
 from datagen.disk.records import Json
 from datagen.disk.storage import load_sealed
-
-BUILT_IN_SCENES = ("glass_table", "vitrine", "plant_shelf", "drinks")
-"""Names that `datagen build --scene` takes; `datagen.scene.builtin` has their makers."""
 
 RUNS = Path("runs")
 """Where runs lie unless told."""
 BLIND_METHODS = ("deepvoxels",)
 """Methods that know no geometry, and so cannot draw an edit."""
-
-
-def build_command(root: Path = DATA_ROOT) -> str:
-    """The command that makes a dataset of this folder, or of the first built-in scene that is not built in it yet."""
-    if root.name in BUILT_IN_SCENES or root != DATA_ROOT:
-        scene = root.name if root.name in BUILT_IN_SCENES else "glass_table"
-    else:
-        scene = next((name for name in BUILT_IN_SCENES if not (root / name).exists()), "glass_table")
-        root = root / scene
-    return shlex.join(
-        ["datagen", "build", "--scene", scene, *([] if root == DATA_ROOT / scene else ["--out", str(root)])]
-    )
-
-
-def where_datasets_are(root: Path) -> str:
-    """The way out for somebody who named a folder without a dataset."""
-    if (root / HEADS / "dataset.json").is_file():
-        return f"mend it with `{mend_command(root / 'dataset.json')}`"
-    known = ", ".join(shlex.quote(str(place)) for place in list_datasets())
-    there = f"there is {known}" if known else ""
-    is_free = not os.path.lexists(root) or (root.is_dir() and not any(root.iterdir()))
-    if not is_free or home_of(root) != root:
-        return there or f"make one elsewhere with `{build_command()}`"
-    return "; or ".join(filter(None, [f"make one with `{build_command(root)}`", there]))
 
 
 def after_build(dataset: Dataset) -> str:

@@ -1,12 +1,34 @@
 """Owns where cameras stand and which rays they shoot: the three splits of a rig, pixel-centre and sub-pixel rays."""
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Float32, Int
 
-from datagen.data.dataset import Cameras
+from datagen.data.config import ANGLE_SPLITS, Split
+from datagen.data.paths import view_name
 from datagen.disk.errors import HyalineError
+from datagen.disk.storage import dump_json
+
+TRANSFORMS_FILES: dict[Split, str] = {
+    "train": "transforms_train.json",
+    "interpolating": "transforms_test.json",
+    "extrapolating": "transforms_extrapolating.json",
+    **{split: f"transforms_{split}.json" for split in ANGLE_SPLITS},
+}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Cameras:
+    """The cameras of one split, all with square pixels and the same lens."""
+
+    world_from_camera: Float[np.ndarray, "view 4 4"]
+    """float64, OpenGL convention."""
+    fov_x: float
+    """Horizontal field of view in radians."""
+    width: int
+    height: int
 
 
 def look_at(position: Float[np.ndarray, "3"], target: Float[np.ndarray, "3"]) -> Float[np.ndarray, "4 4"]:
@@ -76,3 +98,22 @@ def subpixel_rays(cameras: Cameras, pixel: Int[np.ndarray, " pixel"], offsets: F
     d_world /= np.linalg.norm(d_world, axis=-1, keepdims=True)
     origins = np.broadcast_to(world_from_camera[:, None, :3, 3], d_world.shape)
     return origins.reshape(-1, 3).astype(np.float32), d_world.reshape(-1, 3).astype(np.float32)
+
+
+def transforms_bytes(cameras: Cameras, split: Split) -> bytes:
+    """The cameras of a split as NeRF tools read them."""
+    focal = 0.5 * cameras.width / math.tan(0.5 * cameras.fov_x)
+    return dump_json({
+        "convention": "transform_matrix is world_from_camera, OpenGL: +x right, +y up, looks along -z; world +z up; m",
+        "camera_angle_x": cameras.fov_x,
+        "fl_x": focal,
+        "fl_y": focal,
+        "cx": 0.5 * cameras.width,
+        "cy": 0.5 * cameras.height,
+        "w": cameras.width,
+        "h": cameras.height,
+        "frames": [
+            {"file_path": f"images/{split}/{view_name(view)}", "transform_matrix": matrix.tolist()}
+            for view, matrix in enumerate(cameras.world_from_camera)
+        ],
+    })  # fmt: skip

@@ -6,11 +6,12 @@ last, so that a clearing that is killed can be done again.
 
 from pathlib import Path
 
-from datagen.data.dataset import dataset_files
+from datagen.data.dataset_head import dataset_files
 from datagen.data.edit_masks import list_footprints
 from datagen.data.geometries import proxy_files
 from datagen.data.layer_store import layers_files
-from datagen.disk.heads import HEADS, home_of, list_heads
+from datagen.disk.heads import list_heads
+from datagen.disk.homes import HEADS, home_of
 from datagen.disk.ownership import DATASET, FOOTPRINTS, LAYERS, PROXIES, FolderKind, holding, is_ours, remove_files
 
 

@@ -14,16 +14,13 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import UInt8
 
-from datagen.data.dataset import (
-    TEST_SPLITS,
-    Dataset,
-    Split,
-    check_files,
-    read_png,
-    view_name,
-)
+from datagen.data.config import TEST_SPLITS, Split
+from datagen.data.dataset import Dataset
+from datagen.data.paths import view_name
+from datagen.data.png import read_png
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import FOOTPRINTS
+from datagen.disk.promises import check_files
 from datagen.disk.records import entry, from_json
 from datagen.disk.storage import load_sealed
 

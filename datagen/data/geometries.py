@@ -13,18 +13,17 @@ import shlex
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from datagen.data.dataset import DATASET_VERSION, Dataset, check_files, head_files
+from datagen.data.dataset import DATASET_VERSION, Dataset, head_files
 from datagen.data.meshes import Mesh, check_mesh, is_there, no_mesh, read_ply, write_ply
+from datagen.data.paths import TRUTH, geometry_root
 from datagen.disk.errors import HyalineError
 from datagen.disk.heads import keep_head
 from datagen.disk.names import check_name, is_name
 from datagen.disk.ownership import PROXIES, begin, is_ours, refuse_taken, remove_files
+from datagen.disk.promises import check_files
 from datagen.disk.records import Json, entry, from_json, shown, to_json
 from datagen.disk.storage import commit, commit_sealed, load_sealed, seal_bytes, sha256
 from datagen.terminal.command import choose
-
-TRUTH = "truth"
-"""The geometry that is not a proxy: the scene's own meshes."""
 
 NO_GEOMETRY = "none"
 """What stands for it where a method looks up no layers."""
@@ -59,11 +58,6 @@ class ProxyRecord:
         check_name(self.object, where="object name")
         if self.file != f"meshes/{self.object}.ply":
             raise HyalineError(f"proxy of {self.object}: lies at {self.file!r}; expected meshes/{self.object}.ply")
-
-
-def geometry_root(root: Path, geometry: str) -> Path:
-    """Where a geometry's meshes and layers lie: the dataset itself for the truth, else its proxy folder."""
-    return root if geometry == TRUTH else root / "proxies" / check_name(geometry, where="geometry")
 
 
 def write_proxies(dataset: Dataset, kind: str, meshes: tuple[Mesh, ...], statistics: tuple[ProxyStatistics, ...],

@@ -19,13 +19,15 @@ from typing import Literal, cast
 import numpy as np
 
 from datagen.data.cameras import subpixel_offsets
-from datagen.data.dataset import Dataset, Split, check_files, view_name
-from datagen.data.geometries import geometry_root
+from datagen.data.config import Split
+from datagen.data.dataset import Dataset
+from datagen.data.paths import geometry_root, view_name
 from datagen.disk.errors import DamagedError, HyalineError
 from datagen.disk.heads import keep_head
 from datagen.disk.names import check_relative
 from datagen.disk.os_errors import naming
 from datagen.disk.ownership import LAYERS, begin, is_ours
+from datagen.disk.promises import check_files
 from datagen.disk.reading import load_json
 from datagen.disk.records import Json, from_json, shown, to_json
 from datagen.disk.storage import (

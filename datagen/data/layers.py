@@ -14,7 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float32, UInt8, UInt16
 
-from datagen.data.dataset import Dataset, Split
+from datagen.data.config import Split
+from datagen.data.dataset import Dataset
 from datagen.data.layer_store import LAYERS_VERSION, ArrayFormat, LayersHead, create_store, read_view, write_view
 from datagen.data.number_formats import round_mantissa
 

@@ -180,31 +180,6 @@ def _check_finite(name: str, values: np.ndarray, *, where: str) -> None:
         raise HyalineError(f"{where}: {name}[{index}] is {values[index].tolist()}; expected finite numbers")
 
 
-def check_closed(mesh: Mesh, *, where: str) -> None:
-    """Refuses what cannot bound a medium: glass must be closed, and outward in each connected part.
-
-    A part that is wound inward is a cavity, and allowed, where the rest of the mesh encloses it.
-
-    Raises:
-        HyalineError: an open edge, or a part of the mesh is inside out.
-    """
-    if count := open_edges(mesh):
-        raise HyalineError(f"{where}: {count} open edges; glass must be a closed mesh, fill its holes")
-    from datagen.data.windings import windings
-
-    corners, part = face_corners(mesh).astype(np.float64), component_of_faces(mesh)
-    a, b, c = np.moveaxis(corners - corners.mean(axis=(0, 1)), 1, 0)
-    volumes = np.bincount(part, np.einsum("fi,fi->f", a, np.cross(b, c)) / 6)
-    hollow = np.flatnonzero(volumes <= 0)
-    if not len(hollow):
-        return
-    # On the outer side of a cavity's faces is air that the rest of the mesh has gone around: 1 - 1 = 0.
-    face = np.unique(part, return_index=True)[1][hollow]
-    for index in hollow[windings(corners, corners[face].mean(axis=1), face) < 0][:1]:
-        which = f"part {index + 1} of {len(volumes)} " if len(volumes) > 1 else ""
-        raise HyalineError(f"{where}: {which}encloses {volumes[index]:g} m^3, so it is inside out; reverse its faces")
-
-
 def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Area-weighted unit normals (vertex, 3) of an indexed surface; (0, 0, 1) where no face touches a vertex."""
     a, b, c = np.moveaxis(vertices[faces].astype(np.float64), 1, 0)

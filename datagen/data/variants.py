@@ -9,7 +9,8 @@ parent's; layers of its geometries lie in the annex.
 
 from pathlib import Path
 
-from datagen.data.dataset import TEST_SPLITS, Dataset, Split, open_dataset
+from datagen.data.config import TEST_SPLITS, Split
+from datagen.data.dataset import Dataset, open_dataset
 from datagen.disk.names import check_name, is_name
 
 ANGLES = "angles"

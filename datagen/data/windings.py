@@ -7,7 +7,7 @@ through minus those that it enters through. Exact but for points within rounding
 import numpy as np
 from jaxtyping import Float, Int
 
-from datagen.data.meshes import Mesh, component_of_faces, face_corners
+from datagen.data.meshes import Mesh, component_of_faces, face_corners, open_edges
 from datagen.data.surface_points import points_on
 from datagen.disk.errors import HyalineError
 
@@ -51,6 +51,29 @@ def windings(corners: Float[np.ndarray, "face 3 3"], points: Float[np.ndarray, "
         counts += np.bincount(point, signs, minlength=len(points)).astype(np.int64)
     # A ray that starts on a face which looks the other way starts inside.
     return counts if own is None else counts - (normals[own, 2] < 0)
+
+
+def check_closed(mesh: Mesh, *, where: str) -> None:
+    """Refuses what cannot bound a medium: glass must be closed, and outward in each connected part.
+
+    A part that is wound inward is a cavity, and allowed, where the rest of the mesh encloses it.
+
+    Raises:
+        HyalineError: an open edge, or a part of the mesh is inside out.
+    """
+    if count := open_edges(mesh):
+        raise HyalineError(f"{where}: {count} open edges; glass must be a closed mesh, fill its holes")
+    corners, part = face_corners(mesh).astype(np.float64), component_of_faces(mesh)
+    a, b, c = np.moveaxis(corners - corners.mean(axis=(0, 1)), 1, 0)
+    volumes = np.bincount(part, np.einsum("fi,fi->f", a, np.cross(b, c)) / 6)
+    hollow = np.flatnonzero(volumes <= 0)
+    if not len(hollow):
+        return
+    # On the outer side of a cavity's faces is air that the rest of the mesh has gone around: 1 - 1 = 0.
+    face = np.unique(part, return_index=True)[1][hollow]
+    for index in hollow[windings(corners, corners[face].mean(axis=1), face) < 0][:1]:
+        which = f"part {index + 1} of {len(volumes)} " if len(volumes) > 1 else ""
+        raise HyalineError(f"{where}: {which}encloses {volumes[index]:g} m^3, so it is inside out; reverse its faces")
 
 
 def check_solid(mesh: Mesh, *, where: str) -> None:

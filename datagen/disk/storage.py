@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from datagen.disk.errors import DamagedError, HyalineError
+from datagen.disk.homes import way_out
 from datagen.disk.os_errors import naming
 from datagen.disk.reading import MAX_JSON_BYTES, parse_json, read_regular
 from datagen.disk.records import Json
@@ -42,8 +43,6 @@ def sha256_file(path: Path) -> str:
     try:
         return sha256(read_regular(path))
     except DamagedError as error:
-        from datagen.disk.heads import way_out
-
         raise DamagedError(f"{error}; {way_out(path)}") from None
 
 
@@ -138,8 +137,6 @@ def load_sealed(path: Path) -> dict[str, Json]:
     data = parse_json(text, where=str(path))
     data.pop(SEAL, None)
     if text != seal_bytes(data):
-        from datagen.disk.heads import way_out
-
         raise DamagedError(f"{path}: does not match its own checksum, was damaged or edited; {way_out(path)}")
     return data
 

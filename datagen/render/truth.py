@@ -12,9 +12,11 @@ from typing import cast
 import numpy as np
 from jaxtyping import Float, Float32
 
-from datagen.data.dataset import Cameras, Split, png_bytes
+from datagen.data.cameras import Cameras
+from datagen.data.config import Split
 from datagen.data.exr import check_exr
 from datagen.data.meshes import is_there
+from datagen.data.png import png_bytes
 from datagen.data.tonemap import srgb_from_linear, to_8bit
 from datagen.disk.errors import HyalineError
 from datagen.machine.mitsuba_variant import start_workers

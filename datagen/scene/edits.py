@@ -18,8 +18,9 @@ from jaxtyping import Float
 from datagen.data.meshes import Mesh, is_there, no_mesh
 from datagen.disk.errors import HyalineError
 from datagen.scene.contact import count_touching_faces
-from datagen.scene.description import Scene, SceneObject, check_scene
+from datagen.scene.description import Scene, SceneObject
 from datagen.scene.materials import Dielectric, Diffuse
+from datagen.scene.soundness import check_scene
 from datagen.scene.values import Vector
 from datagen.terminal.command import choose
 

@@ -5,8 +5,8 @@ import io
 import numpy as np
 from jaxtyping import Float, Float32
 
-from datagen.data.dataset import png_bytes
 from datagen.data.meshes import Mesh
+from datagen.data.png import png_bytes
 from datagen.data.tonemap import linear_from_srgb, srgb_from_linear, to_8bit
 from datagen.disk.errors import HyalineError
 from datagen.scene.atlas import bake_corners

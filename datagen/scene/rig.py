@@ -5,8 +5,8 @@ import math
 import numpy as np
 from jaxtyping import Float
 
-from datagen.data.cameras import look_at
-from datagen.data.dataset import SPLITS, Cameras, DatasetConfig, Split
+from datagen.data.cameras import Cameras, look_at
+from datagen.data.config import SPLITS, DatasetConfig, Split
 from datagen.scene.description import CameraRig
 from datagen.scene.values import Vector
 

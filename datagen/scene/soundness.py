@@ -3,16 +3,19 @@
 Each check is fast (a second for a scene of 100,000 triangles), since it runs whenever a scene is made or read.
 """
 
+import re
 from itertools import combinations
 
 import numpy as np
 from jaxtyping import Float
 
-from datagen.data.meshes import Mesh, face_areas, is_there
-from datagen.data.windings import check_solid, windings
+from datagen.data.meshes import Mesh, check_mesh, count_shared_faces, face_areas, is_there
+from datagen.data.windings import check_closed, check_solid, windings
 from datagen.disk.errors import HyalineError
+from datagen.disk.names import check_name
 from datagen.scene.contact import touching_share
-from datagen.scene.description import CameraRig, Scene, SceneObject
+from datagen.scene.description import MAX_OBJECTS, OBJECT_NAME, CameraRig, Scene, SceneObject
+from datagen.scene.media import MAX_NESTED
 from datagen.scene.shading_normals import MAX_OPPOSING, count_without_normal, opposing_share
 
 MAX_TOUCHING = 0.005
@@ -27,6 +30,43 @@ SMALLEST = 1 / 400
 """Size of an object over its distance from the nearest camera: two pixels of a picture of 1,024."""
 LARGEST = 50.0
 """Size over the cameras' distance: what was modelled in millimetres is a thousand times too large."""
+
+
+def check_scene(scene: Scene, *, is_sealed: bool = False) -> None:
+    """Refuses a scene that would crash a native library or be rendered silently wrong.
+
+    Args:
+        is_sealed: all of this was found well when the scene's dataset was begun; single numbers are looked at again.
+
+    Raises:
+        HyalineError: naming the object, the value and what was expected.
+    """
+    check_name(scene.name, where="scene name")
+    check_names(scene)
+    if not any(is_there(item.mesh) for item in scene.objects):
+        raise HyalineError(f"scene {scene.name}: all of its objects were removed; expected at least one that is there")
+    for item in scene.objects:
+        where = f"scene {scene.name}: object {item.name}"
+        if not is_there(item.mesh):
+            continue
+        check_mesh(item.mesh, where=where)
+        if item.material.medium is not None:
+            check_closed(item.mesh, where=where)
+    _check_nesting(scene)
+    if not is_sealed:
+        check_sound(scene)
+
+
+def check_names(scene: Scene) -> None:
+    """Refuses too many objects, and names that stand for nothing or for two things."""
+    if not 1 <= len(scene.objects) <= MAX_OBJECTS:
+        raise HyalineError(f"scene {scene.name}: has {len(scene.objects)} objects; expected 1 to {MAX_OBJECTS}")
+    names = [item.name for item in scene.objects]
+    if repeated := sorted({name for name in names if names.count(name) > 1}):
+        raise HyalineError(f"scene {scene.name}: two objects are called {repeated[0]!r}; expected unique names")
+    for name in names:
+        if not re.fullmatch(OBJECT_NAME, name):
+            raise HyalineError(f"scene {scene.name}: object name {name!r}; expected letters, digits, _ and -")
 
 
 def check_sound(scene: Scene) -> None:
@@ -122,4 +162,21 @@ def _check_contact(scene: Scene, there: list[SceneObject]) -> None:
             raise HyalineError(
                 f"{_where(scene, small)}: {100 * share:.1f} % of its surface lies in faces of {large.name}, and one of "
                 "them is glass; leave a gap of a millimetre, or let one reach into the other"
+            )
+
+
+def _check_nesting(scene: Scene) -> None:
+    """Refuses dielectrics of which nobody could say which fills the space: too many for priorities, or coincident."""
+    there = [item for item in scene.objects if is_there(item.mesh)]
+    glass = [(item, medium) for item in there if (medium := item.material.medium) is not None]
+    if len(glass) > MAX_NESTED and len({medium.priority for _, medium in glass}) > 1:
+        raise HyalineError(
+            f"scene {scene.name}: has {len(glass)} dielectrics of different priority; expected at most {MAX_NESTED}, "
+            "or the same priority for all and no overlaps"
+        )
+    for (one, _), (other, _) in combinations(glass, 2):
+        if count := count_shared_faces(one.mesh, other.mesh):
+            raise HyalineError(
+                f"scene {scene.name}: objects {one.name} and {other.name} share {count} faces; "
+                "let one reach into the other and give it the lower priority, or leave a gap"
             )

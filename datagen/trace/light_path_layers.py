@@ -33,8 +33,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Bool, Float16, Float32, Shaped
 
-from datagen.data.cameras import subpixel_offsets, subpixel_rays
-from datagen.data.dataset import Cameras, Dataset, Split
+from datagen.data.cameras import Cameras, subpixel_offsets, subpixel_rays
+from datagen.data.config import Split
+from datagen.data.dataset import Dataset
 from datagen.data.layer_store import (
     LAYERS_VERSION,
     ArrayFormat,

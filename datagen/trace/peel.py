@@ -17,8 +17,7 @@ import numba
 import numpy as np
 from jaxtyping import Float32, Int32, UInt8
 
-from datagen.data.cameras import pixel_center_rays
-from datagen.data.dataset import Cameras
+from datagen.data.cameras import Cameras, pixel_center_rays
 from datagen.data.layers import Layers
 from datagen.data.meshes import Mesh, is_there
 from datagen.data.number_formats import UV_SCALE

@@ -21,7 +21,7 @@ import numba
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int32, UInt8, UInt16
 
-from datagen.data.dataset import Cameras
+from datagen.data.cameras import Cameras
 from datagen.data.layers import Layers
 from datagen.data.meshes import Mesh, is_there
 from datagen.data.number_formats import UV_SCALE

@@ -11,7 +11,7 @@ from itertools import combinations
 import numpy as np
 from jaxtyping import Bool, Float
 
-from datagen.data.dataset import Cameras
+from datagen.data.cameras import Cameras
 from datagen.data.meshes import Mesh, component_of_faces, is_there
 from datagen.scene.description import Scene
 

@@ -2,7 +2,7 @@
 
 import dataclasses
 
-from datagen.data.dataset import ANGLE_SPLITS, Split
+from datagen.data.config import ANGLE_SPLITS, Split
 from datagen.data.variants import ANGLES, open_annex
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import Json

@@ -5,10 +5,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from datagen.data.dataset import TEST_SPLITS, Dataset, Split
-from datagen.data.geometries import TRUTH
+from datagen.data.config import TEST_SPLITS, Split
+from datagen.data.dataset import Dataset
 from datagen.data.layer_store import LayersHead, read_layers_head, read_layers_record
 from datagen.data.layers import read_layers
+from datagen.data.paths import TRUTH
 from datagen.disk.records import Json
 from datagen.disk.storage import dump_json
 from eval.analyses.coverage import visible_layers

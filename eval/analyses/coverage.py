@@ -6,9 +6,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
 from datagen.data.cameras import pixel_center_rays
-from datagen.data.dataset import Dataset, Split, read_cameras
-from datagen.data.geometries import TRUTH
+from datagen.data.config import Split
+from datagen.data.dataset import Dataset, read_cameras
 from datagen.data.layers import Layers, read_layers
+from datagen.data.paths import TRUTH
 
 MAX_GRID = 32
 """A texel, here, is one of 32 x 32 cells of its object's atlas, fewer where pictures are narrower than 128 pixels:

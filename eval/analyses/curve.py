@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from datagen.data.dataset import Split
+from datagen.data.config import Split
 from eval.analyses.coverage import PixelCoverage
 from eval.score.metrics import decibels
 from eval.score.runs import Run, read_prediction

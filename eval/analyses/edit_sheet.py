@@ -2,8 +2,10 @@
 
 import numpy as np
 
-from datagen.data.dataset import TEST_SPLITS, read_image, view_name
+from datagen.data.config import TEST_SPLITS
+from datagen.data.dataset import read_image
 from datagen.data.edit_masks import OBJECT, read_footprint
+from datagen.data.paths import view_name
 from eval.analyses.edits import EditScores
 from eval.figures.sheets import Panel, Row, decibels, draw_sheet
 from eval.score.metrics import psnr

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 
-from datagen.data.dataset import TEST_SPLITS, Split
+from datagen.data.config import TEST_SPLITS, Split
 from datagen.disk.records import Json
 from eval.analyses.edits import IGNORED, REGIONS, EditScores
 from eval.analyses.order import OrderScores

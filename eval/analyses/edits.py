@@ -6,7 +6,8 @@ from typing import Literal
 
 import numpy as np
 
-from datagen.data.dataset import TEST_SPLITS, Dataset, Split
+from datagen.data.config import TEST_SPLITS, Split
+from datagen.data.dataset import Dataset
 from datagen.data.edit_masks import ELSEWHERE, LIGHT, OBJECT, read_footprint
 from datagen.data.edited import list_edits, open_edit
 from datagen.disk.errors import HyalineError

@@ -10,9 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, UInt8, UInt64
 
-from datagen.data.dataset import TEST_SPLITS, Dataset, Split
-from datagen.data.geometries import TRUTH
+from datagen.data.config import TEST_SPLITS, Split
+from datagen.data.dataset import Dataset
 from datagen.data.layers import read_object_ids
+from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
 from datagen.terminal.command import track
 from eval.analyses.edits import EditScores, score_regions

@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, NullLocator
 
-from datagen.data.dataset import TEST_SPLITS
+from datagen.data.config import TEST_SPLITS
 from eval.analyses.budget import Budget
 from eval.analyses.curve import ANGLE_EDGES, MIN_PIXELS, Bin, Curve
 from eval.figures.sheets import DPI, figure_png

@@ -4,7 +4,8 @@ import math
 from dataclasses import dataclass
 
 from datagen.data.dataset import Dataset
-from datagen.data.geometries import TRUTH, read_proxy_records
+from datagen.data.geometries import read_proxy_records
+from datagen.data.paths import TRUTH
 
 
 @dataclass(frozen=True, kw_only=True)

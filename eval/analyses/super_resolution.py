@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import UInt8
 
-from datagen.data.dataset import TEST_SPLITS, Dataset, Split, open_dataset, read_image
+from datagen.data.config import TEST_SPLITS, Split
+from datagen.data.dataset import Dataset, open_dataset, read_image
 from datagen.data.variants import ANGLES, annex_root, list_annex_folders, parent_views
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import Json, to_json

@@ -15,7 +15,9 @@ from matplotlib.colors import PowerNorm
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
-from datagen.data.dataset import TEST_SPLITS, Split, read_image, view_name
+from datagen.data.config import TEST_SPLITS, Split
+from datagen.data.dataset import read_image
+from datagen.data.paths import view_name
 from eval.score.runs import read_prediction
 from eval.score.scores import RunScores, SceneScores
 from eval.score.seeds import group_seeds

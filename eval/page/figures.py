@@ -12,9 +12,12 @@ from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d import Axes3D
 from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 
-from datagen.data.dataset import SPLITS, TEST_SPLITS, Cameras, Dataset, Split, read_cameras
-from datagen.data.geometries import TRUTH, read_meshes
+from datagen.data.cameras import Cameras
+from datagen.data.config import SPLITS, TEST_SPLITS, Split
+from datagen.data.dataset import Dataset, read_cameras
+from datagen.data.geometries import read_meshes
 from datagen.data.meshes import face_corners
+from datagen.data.paths import TRUTH
 from datagen.disk.names import file_name
 from eval.figures.sheets import DPI, comparison_sheet, contact_sheet, figure_png
 from eval.page.further import Further

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
-from datagen.data.dataset import Split
+from datagen.data.config import Split
 from datagen.data.variants import homes_of_test_splits
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import file_name

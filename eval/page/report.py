@@ -8,7 +8,9 @@ from functools import partial
 from pathlib import Path
 
 from datagen.data.advice import train_command
-from datagen.data.dataset import TEST_SPLITS, Dataset, Split, list_datasets, open_dataset
+from datagen.data.config import TEST_SPLITS, Split
+from datagen.data.dataset import Dataset, open_dataset
+from datagen.data.finding import list_datasets
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import file_name
 from datagen.terminal.command import choose, say, track

@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from datagen.data.dataset import TEST_SPLITS, Split
+from datagen.data.config import TEST_SPLITS, Split
 from eval.papers.comparison_tables import NOT_RUN, spread_cell
 from eval.papers.comparisons import BEST, VIEW, Comparison, Entry, Line, find_entries
 from eval.papers.published import DNR, SPHERICAL_HARMONICS, VIEW_VECTOR, PublishedRow

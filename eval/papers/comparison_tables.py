@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from datagen.data.dataset import TEST_SPLITS
+from datagen.data.config import TEST_SPLITS
 from datagen.disk.records import Json
 from eval.analyses.proxy_error import ProxyError, proxy_error
 from eval.papers.comparisons import LADDER, Comparison, Entry, Line, differences, find_entries

@@ -4,7 +4,8 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from datagen.data.geometries import NO_GEOMETRY, TRUTH
+from datagen.data.geometries import NO_GEOMETRY
+from datagen.data.paths import TRUTH
 from datagen.disk.records import Json
 from datagen.disk.storage import dump_json
 from eval.papers.published import DNR, NO_EXTRINSICS, SPHERICAL_HARMONICS, VIEW_VECTOR, PublishedRow

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from datagen.data.dataset import TEST_SPLITS
+from datagen.data.config import TEST_SPLITS
 from eval.analyses.proxy_error import ProxyError
 from eval.figures.sheets import DPI, figure_png
 from eval.papers.comparisons import Entry

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from datagen.data.dataset import TEST_SPLITS
+from datagen.data.config import TEST_SPLITS
 from datagen.disk.records import Json, to_json
 from eval.tables.grids import Column, Grid
 

@@ -5,7 +5,8 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 from jaxtyping import Bool, UInt8
 
-from datagen.data.dataset import Dataset, Split, read_image
+from datagen.data.config import Split
+from datagen.data.dataset import Dataset, read_image
 from eval.score.metrics import masked_psnr, mean_of
 from eval.score.runs import Run, read_prediction
 

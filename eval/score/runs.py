@@ -25,16 +25,10 @@ from typing import TypeVar
 import numpy as np
 from jaxtyping import UInt8
 
-from datagen.data.dataset import (
-    ANGLE_SPLITS,
-    MAX_PNG_BYTES,
-    SPLITS,
-    Dataset,
-    Split,
-    decode_png,
-    open_dataset,
-    view_name,
-)
+from datagen.data.config import ANGLE_SPLITS, SPLITS, Split
+from datagen.data.dataset import Dataset, open_dataset
+from datagen.data.paths import view_name
+from datagen.data.png import MAX_PNG_BYTES, decode_png
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import printable
 from datagen.disk.reading import load_json, read_regular

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, UInt8
 
-from datagen.data.dataset import TEST_SPLITS, Dataset, Split, noise_ceiling_db, read_image
-from datagen.data.geometries import TRUTH
-from datagen.data.layer_store import layers_root
+from datagen.data.config import TEST_SPLITS, Split
+from datagen.data.dataset import Dataset, noise_ceiling_db, read_image
 from datagen.data.layers import glass_mask, read_layers
+from datagen.data.paths import TRUTH, layers_root
 from datagen.disk.errors import NumericsError
 from eval.score.metrics import SSIM_WINDOW, delta_e_2000, masked_psnr, mean_of, psnr, psnr_uint8_wrap, ssim
 from eval.score.runs import Run, has_split, prediction_path, predictions_sha256, read_prediction

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
-from datagen.data.dataset import Split
+from datagen.data.config import Split
 from datagen.disk.storage import dump_json, sha256
 from eval.score.runs import Run
 from eval.score.scores import RunScores

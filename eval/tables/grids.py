@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from datagen.data.dataset import TEST_SPLITS, Split
+from datagen.data.config import TEST_SPLITS, Split
 from datagen.disk.names import printable
 from eval.score.scores import METRIC_NOTES, METRICS, RunScores, SceneScores
 from eval.score.seeds import SeedGroup, Spread, group_seeds

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import cast
 
-from datagen.data.dataset import TEST_SPLITS
+from datagen.data.config import TEST_SPLITS
 from datagen.disk.records import Json
 from datagen.disk.storage import dump_json
 from eval.score.scores import METRIC_NOTES, METRICS, RunScores, SceneScores

@@ -29,7 +29,8 @@ import torch
 from jaxtyping import Float32, Int, Int16, UInt8
 from torch import Tensor
 
-from datagen.data.dataset import Dataset, Split, read_cameras, read_image, read_record
+from datagen.data.config import Split
+from datagen.data.dataset import Dataset, read_cameras, read_image, read_record
 from datagen.data.layer_store import LayersHead, read_layers_head, read_layers_record
 from datagen.data.number_formats import UV_SCALE
 from datagen.disk.errors import HyalineError

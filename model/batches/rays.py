@@ -11,7 +11,8 @@ import torch
 from jaxtyping import Float32, Int, Int16, UInt8, UInt16
 from torch import Tensor
 
-from datagen.data.dataset import Dataset, Split, read_cameras, read_image
+from datagen.data.config import Split
+from datagen.data.dataset import Dataset, read_cameras, read_image
 from datagen.data.layers import read_uv_and_ids
 from datagen.data.number_formats import UV_SCALE
 from datagen.disk.errors import HyalineError

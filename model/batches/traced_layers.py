@@ -11,8 +11,9 @@ import torch
 from jaxtyping import Float32, Int, UInt8
 from torch import Tensor
 
-from datagen.data.cameras import subpixel_offsets, subpixel_rays
-from datagen.data.dataset import Cameras, Dataset, Split, read_cameras
+from datagen.data.cameras import Cameras, subpixel_offsets, subpixel_rays
+from datagen.data.config import Split
+from datagen.data.dataset import Dataset, read_cameras
 from datagen.data.geometries import GeometryKey, geometry_key, read_meshes
 from datagen.data.meshes import Mesh
 from datagen.machine.mitsuba_variant import short_lived_workers, use_mitsuba

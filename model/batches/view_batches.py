@@ -8,7 +8,8 @@ import torch
 from jaxtyping import Float32, Int, UInt8
 from torch import Tensor
 
-from datagen.data.dataset import Dataset, Split, read_cameras
+from datagen.data.config import Split
+from datagen.data.dataset import Dataset, read_cameras
 from model.batches.rays import read_colors
 from model.nets.voxel_grid import ViewCamera
 

@@ -13,11 +13,11 @@ from jaxtyping import Bool, Int
 from torch import Tensor, nn
 from torch.func import functional_call
 
-from datagen.data.cameras import look_at
-from datagen.data.dataset import Cameras, Dataset, read_cameras
+from datagen.data.cameras import Cameras, look_at
+from datagen.data.dataset import Dataset, read_cameras
 from datagen.data.geometries import read_meshes
 from datagen.disk.errors import HyalineError
-from datagen.scene.description import load_scene
+from datagen.scene.folder import load_scene
 from model.batches.rays import PixelSource, RayBatch, side_of
 from model.batches.traced_layers import trace_layers
 from model.nets.texture import NeuralTextures, bilinear_taps

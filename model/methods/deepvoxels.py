@@ -15,7 +15,8 @@ from jaxtyping import Float32
 from torch import Tensor, nn
 
 from datagen.data.dataset import Dataset, read_cameras
-from datagen.data.geometries import TRUTH, read_meshes
+from datagen.data.geometries import read_meshes
+from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
 from model.batches.view_batches import ViewBatch
 from model.nets.voxel_blocks import Unet

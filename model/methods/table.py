@@ -8,8 +8,10 @@ from typing import Any, Literal
 
 from torch import Tensor, nn
 
-from datagen.data.dataset import Dataset, Split
-from datagen.data.layer_store import LayerKind, LayersHead, read_layers_head
+from datagen.data.config import Split
+from datagen.data.dataset import Dataset
+from datagen.data.layer_store import LayersHead, read_layers_head
+from datagen.data.paths import LayerKind
 from model.batches.pixel_cache import map_pixels
 from model.batches.rays import PixelSource, load_pixels
 from model.batches.traced_layers import load_traced_layers

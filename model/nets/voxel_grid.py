@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Float32, Int
 from torch import Tensor
 from torch.nn import functional
 
-from datagen.data.dataset import Cameras
+from datagen.data.cameras import Cameras
 from datagen.disk.errors import HyalineError
 
 CLEARANCE = 0.9

@@ -11,7 +11,8 @@ from typing import cast
 import torch
 from torch import nn
 
-from datagen.data.dataset import TEST_SPLITS, Dataset
+from datagen.data.config import TEST_SPLITS
+from datagen.data.dataset import Dataset
 from datagen.disk.records import Json
 from datagen.disk.storage import commit_sealed, load_sealed
 from datagen.terminal.command import say

@@ -10,7 +10,10 @@ import torch
 from jaxtyping import Float32, UInt8
 from torch import Tensor, nn
 
-from datagen.data.dataset import Dataset, Split, png_bytes, view_name
+from datagen.data.config import Split
+from datagen.data.dataset import Dataset
+from datagen.data.paths import view_name
+from datagen.data.png import png_bytes
 from datagen.data.variants import homes_of_test_splits, open_annex, scale_name
 from datagen.disk.errors import HyalineError, NumericsError
 from datagen.disk.storage import commit, sha256

@@ -22,11 +22,14 @@ from pathlib import Path
 from typing import cast
 
 from datagen.data.advice import train_command
-from datagen.data.dataset import ANGLE_SPLITS, TEST_SPLITS, Dataset, check_files, view_name
+from datagen.data.config import ANGLE_SPLITS, TEST_SPLITS
+from datagen.data.dataset import Dataset
 from datagen.data.geometries import describe_geometry
+from datagen.data.paths import view_name
 from datagen.data.variants import homes_of_test_splits
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import FolderKind, begin, is_ours, refuse_taken, remove_files
+from datagen.disk.promises import check_files
 from datagen.disk.reading import load_json
 from datagen.disk.records import Json, from_json, shown, to_json
 from datagen.disk.storage import SEAL, commit, commit_sealed, load_sealed, seal_bytes

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from datagen.data.geometries import TRUTH
+from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
 from model.settings.paper_presets import DEFAULT_STEPS, PAPER_PRESETS
 

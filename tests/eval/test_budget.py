@@ -9,9 +9,10 @@ import pytest
 import torch
 from support.synthetic import write_synthetic_dataset
 
-from datagen.data.dataset import TEST_SPLITS, Dataset
-from datagen.data.geometries import TRUTH
+from datagen.data.config import TEST_SPLITS
+from datagen.data.dataset import Dataset
 from datagen.data.layers import read_layers
+from datagen.data.paths import TRUTH
 from eval.analyses.budget import missed_shares
 from eval.page.report import make_report
 from model import cli

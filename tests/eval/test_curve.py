@@ -9,9 +9,11 @@ import pytest
 from support.reference import nearest_training_angles
 from support.synthetic import pixel_rays, write_synthetic_dataset
 
-from datagen.data.dataset import TEST_SPLITS, Dataset, png_bytes, read_cameras, read_image
-from datagen.data.geometries import TRUTH
+from datagen.data.config import TEST_SPLITS
+from datagen.data.dataset import Dataset, read_cameras, read_image
 from datagen.data.layers import Layers, read_layers
+from datagen.data.paths import TRUTH
+from datagen.data.png import png_bytes
 from eval.analyses.coverage import cover_view, read_coverage, visible_layers
 from eval.analyses.curve import ANGLE_EDGES, Bin, curve_of, pool_seeds, slope_db_per_10deg
 from eval.page.report import make_report

@@ -11,7 +11,8 @@ import pytest
 from PIL import Image
 from support.synthetic import write_synthetic_dataset
 
-from datagen.data.dataset import Dataset, png_bytes, read_image
+from datagen.data.dataset import Dataset, read_image
+from datagen.data.png import png_bytes
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import Json
 from datagen.disk.storage import commit_sealed, sha256

@@ -18,9 +18,11 @@ import pytest
 from PIL import Image
 from support.synthetic import write_synthetic_dataset
 
-from datagen.data.dataset import TEST_SPLITS, Dataset, Split, open_dataset, png_bytes, read_image, read_png
-from datagen.data.geometries import TRUTH
+from datagen.data.config import TEST_SPLITS, Split
+from datagen.data.dataset import Dataset, open_dataset, read_image
 from datagen.data.layers import glass_mask, read_layers
+from datagen.data.paths import TRUTH
+from datagen.data.png import png_bytes, read_png
 from datagen.disk.errors import HyalineError
 from eval.page.report import make_report
 from eval.score.runs import RUN_KEYS, list_run_folders

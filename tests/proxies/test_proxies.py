@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 
 from datagen.data.meshes import (
     Mesh,
-    check_closed,
     check_mesh,
     component_of_faces,
     face_corners,
@@ -18,6 +17,7 @@ from datagen.data.meshes import (
     vertex_normals,
     winding_number,
 )
+from datagen.data.windings import check_closed
 from datagen.disk.errors import HyalineError
 from proxies.kinds import box, ellipsoid, hull
 from proxies.make import FITTERS, paddings

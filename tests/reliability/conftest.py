@@ -14,7 +14,7 @@ from support.fake_renderer import install
 from support.scenarios import GRID, PREPARED
 from support.synthetic import synthetic_scene
 
-from datagen.scene.description import save_scene
+from datagen.scene.folder import save_scene
 from model.run.run_folder import TrainConfig
 from model.run.sweep import Failure
 

@@ -14,8 +14,9 @@ from support.scenarios import BUILD, TRAIN
 
 import datagen.terminal.command
 from datagen.data.advice import BLIND_METHODS
-from datagen.data.dataset import find_dataset, open_dataset
+from datagen.data.dataset import open_dataset
 from datagen.data.edited import list_edits
+from datagen.data.finding import find_dataset
 from datagen.data.geometries import check_geometry
 from datagen.disk.errors import HyalineError
 from model.methods.table import METHODS

@@ -10,7 +10,7 @@ import pytest
 from support.scenarios import BUILD, TRAIN
 from support.synthetic import synthetic_scene
 
-from datagen.scene.description import save_scene
+from datagen.scene.folder import save_scene
 
 MODULES = (
     *("numpy", "torch", "mitsuba", "drjit", "zarr", "PIL", "scipy", "trimesh", "matplotlib", "tyro", "rich", "numba"),

@@ -13,12 +13,13 @@ from support.hostile.corpus import DATASET, LAYERS
 
 from datagen.build.verify import verify_dataset
 from datagen.data.dataset import open_dataset
-from datagen.data.geometries import TRUTH, read_proxy_records
+from datagen.data.geometries import read_proxy_records
 from datagen.data.layer_store import read_layers_head
 from datagen.data.layers import read_layers
+from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import SEAL, seal_bytes
-from datagen.scene.description import load_scene
+from datagen.scene.folder import load_scene
 from eval.score.runs import open_run, read_prediction
 from model.run.checkpoint import fingerprint, load_state
 from model.run.predict import load_renderer

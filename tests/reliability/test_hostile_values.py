@@ -9,12 +9,14 @@ import pytest
 from support.hostile_values import JSON_TEXTS, PLACEHOLDER, places, replaced, without
 from support.synthetic import synthetic_scene, write_synthetic_dataset
 
-from datagen.data.dataset import SPLITS, open_dataset, read_cameras, read_record
-from datagen.data.geometries import TRUTH, read_meshes
+from datagen.data.config import SPLITS
+from datagen.data.dataset import open_dataset, read_cameras, read_record
+from datagen.data.geometries import read_meshes
 from datagen.data.layer_store import read_layers_head
+from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import SEAL, dump_json, sha256
-from datagen.scene.description import load_scene, save_scene
+from datagen.scene.folder import load_scene, save_scene
 from eval.score.runs import open_run
 from model.run.experiment import read_experiment
 

@@ -13,7 +13,7 @@ sys.path.insert(0, {tests!r})
 from pathlib import Path
 from support.synthetic import synthetic_scene
 import datagen.build.build as build
-from datagen.data.dataset import DatasetConfig, SplitConfig
+from datagen.data.config import DatasetConfig, SplitConfig
 
 def resident():
     return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")

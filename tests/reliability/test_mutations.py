@@ -12,7 +12,7 @@ from support.promises import spread
 from support.synthetic import write_synthetic_dataset
 
 from datagen.build.verify import verify_dataset
-from datagen.data.dataset import TEST_SPLITS
+from datagen.data.config import TEST_SPLITS
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import load_sealed, seal_bytes
 from eval.score.runs import open_run, read_prediction

@@ -13,7 +13,7 @@ import pytest
 from support.disk import State, differing, read_state
 from support.synthetic import synthetic_scene
 
-from datagen.scene.description import save_scene
+from datagen.scene.folder import save_scene
 
 VIEWS = 6
 FLAGS = (

@@ -10,10 +10,12 @@ import numpy as np
 import pytest
 from support.synthetic import pixel_rays, shade, trace
 
-from datagen.data.dataset import Dataset, Split, commit_view, open_dataset, png_bytes, read_cameras
+from datagen.data.config import Split
+from datagen.data.dataset import Dataset, commit_view, open_dataset, read_cameras
 from datagen.data.geometries import read_meshes
 from datagen.data.layer_store import LayersHead, read_layers_head, write_view
 from datagen.data.layers import Layers, write_layers
+from datagen.data.png import png_bytes
 from datagen.trace.light_path_layers import _formats, read_light_paths_head
 
 Task = tuple[Split, int]

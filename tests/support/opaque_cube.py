@@ -7,9 +7,11 @@ import sys
 from pathlib import Path
 
 from datagen.scene.atlas import unwrap_all
-from datagen.scene.description import CameraRig, Scene, SceneObject, SoftEnvironment, WalkPoint, check_scene, save_scene
+from datagen.scene.description import CameraRig, Scene, SceneObject, SoftEnvironment, WalkPoint
+from datagen.scene.folder import save_scene
 from datagen.scene.materials import Diffuse
 from datagen.scene.modelling import cylinder, moved, rounded_box
+from datagen.scene.soundness import check_scene
 from datagen.scene.textures import SolidTexture
 
 

@@ -1,6 +1,6 @@
 """A camera rig, and the configuration of a dataset."""
 
-from datagen.data.dataset import DatasetConfig, SplitConfig
+from datagen.data.config import DatasetConfig, SplitConfig
 from datagen.scene.description import CameraRig, WalkPoint
 
 RIG = CameraRig(

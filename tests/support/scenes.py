@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 from support.synthetic import synthetic_scene
 
-from datagen.data.dataset import Cameras
+from datagen.data.cameras import Cameras
 from datagen.render.truth import Renderer, render_view
 from datagen.scene.description import Lobe, Scene, SceneObject, SoftEnvironment
 

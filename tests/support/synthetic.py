@@ -4,23 +4,18 @@ from pathlib import Path
 
 import numpy as np
 
-from datagen.data.dataset import (
-    SPLITS,
-    Cameras,
-    Dataset,
-    DatasetConfig,
-    DatasetObject,
-    SplitConfig,
-    commit_view,
-    png_bytes,
-    read_cameras,
-    write_head,
-)
-from datagen.data.geometries import TRUTH, geometry_hash
+from datagen.data.cameras import Cameras
+from datagen.data.config import SPLITS, DatasetConfig, SplitConfig
+from datagen.data.dataset import Dataset, DatasetObject, commit_view, read_cameras
+from datagen.data.dataset_head import write_head
+from datagen.data.geometries import geometry_hash
 from datagen.data.layers import Layers, create_layers, write_layers
 from datagen.data.meshes import Mesh
 from datagen.data.number_formats import quantize_uv
-from datagen.scene.description import CameraRig, Scene, SceneObject, SoftEnvironment, WalkPoint, scene_files
+from datagen.data.paths import TRUTH
+from datagen.data.png import png_bytes
+from datagen.scene.description import CameraRig, Scene, SceneObject, SoftEnvironment, WalkPoint
+from datagen.scene.folder import scene_files
 from datagen.scene.materials import Diffuse, ThinDielectric
 
 HEIGHTS = (0.5, 0.0)

@@ -6,13 +6,16 @@ from pathlib import Path
 
 import numpy as np
 
-from datagen.data.dataset import check_files, head_files
+from datagen.data.dataset import head_files
 from datagen.data.meshes import Mesh, is_there
 from datagen.disk.errors import HyalineError
+from datagen.disk.promises import check_files
 from datagen.disk.storage import sha256
 from datagen.scene.atlas import unwrap_all
 from datagen.scene.builtin import drinks, glass_table, plant_shelf, vitrine
-from datagen.scene.description import Scene, check_scene, load_scene, scene_files
+from datagen.scene.description import Scene
+from datagen.scene.folder import load_scene, scene_files
+from datagen.scene.soundness import check_scene
 from datagen.terminal.command import choose, say
 
 SCENES: dict[str, Callable[[], Scene]] = {

@@ -3,7 +3,7 @@
 import dataclasses
 
 from datagen.data.dataset import Dataset
-from datagen.data.geometries import TRUTH
+from datagen.data.paths import TRUTH
 from model.methods.light_path.config import LightPathConfig, default_light_path
 from model.methods.light_path.pixels import share_texels
 from model.settings.choices import LightPathChoices

@@ -11,9 +11,11 @@ import torch
 from jaxtyping import Bool, Float32, Int, UInt8
 from torch import Tensor
 
-from datagen.data.dataset import Dataset, Split
-from datagen.data.geometries import TRUTH, GeometryKey, geometry_key, read_meshes
+from datagen.data.config import Split
+from datagen.data.dataset import Dataset
+from datagen.data.geometries import GeometryKey, geometry_key, read_meshes
 from datagen.data.meshes import Mesh
+from datagen.data.paths import TRUTH
 from datagen.machine.mitsuba_variant import short_lived_workers, use_mitsuba
 from model.batches.distributed import first_pixel
 from model.batches.rays import read_colors
@@ -239,7 +241,7 @@ class _Surfaces:
 # their kernels recorded once.
 @functools.lru_cache(maxsize=1)
 def _load_surfaces(key: GeometryKey, shells: int) -> _Surfaces:
-    from datagen.scene.description import load_scene
+    from datagen.scene.folder import load_scene
 
     # The tracer's module can be imported only when Mitsuba has its variant.
     use_mitsuba()

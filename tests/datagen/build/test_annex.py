@@ -15,12 +15,14 @@ from support.synthetic import synthetic_scene
 import datagen.cli
 import model.cli
 from datagen.build.verify import verify_dataset
-from datagen.data.dataset import ANGLE_SPLITS, TEST_SPLITS, image_path, open_dataset, read_cameras, read_image, read_png
-from datagen.data.geometries import TRUTH
+from datagen.data.config import ANGLE_SPLITS, TEST_SPLITS
+from datagen.data.dataset import open_dataset, read_cameras, read_image
 from datagen.data.layers import read_layers
+from datagen.data.paths import TRUTH, image_path
+from datagen.data.png import read_png
 from datagen.data.variants import evenly, homes_of_test_splits, open_annex, parent_views
 from datagen.disk.errors import HyalineError
-from datagen.scene.description import save_scene
+from datagen.scene.folder import save_scene
 from eval.analyses.super_resolution import enlarge
 from eval.page.report import make_report
 

@@ -13,21 +13,13 @@ from support.synthetic import synthetic_scene, write_synthetic_dataset
 
 from datagen.build.build import build_dataset, peel_dataset
 from datagen.build.verify import verify_dataset
-from datagen.data.dataset import (
-    SPLITS,
-    DatasetConfig,
-    SplitConfig,
-    image_path,
-    noise_ceiling_db,
-    open_dataset,
-    read_image,
-    read_record,
-)
-from datagen.data.geometries import TRUTH, read_meshes
-from datagen.data.layer_store import layers_root
+from datagen.data.config import SPLITS, DatasetConfig, SplitConfig
+from datagen.data.dataset import noise_ceiling_db, open_dataset, read_image, read_record
+from datagen.data.geometries import read_meshes
 from datagen.data.layers import Layers, glass_mask, read_layers, write_layers
+from datagen.data.paths import TRUTH, image_path, layers_root
 from datagen.disk.errors import HyalineError
-from datagen.scene.description import save_scene
+from datagen.scene.folder import save_scene
 
 
 @pytest.fixture(scope="module")

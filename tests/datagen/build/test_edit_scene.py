@@ -14,18 +14,22 @@ from datagen.build.build import build_dataset, peel_dataset
 from datagen.build.build_edit import build_edit
 from datagen.build.find_edit_masks import find_footprint, shows_objects
 from datagen.build.verify import verify_dataset
-from datagen.data.dataset import SPLITS, Cameras, Dataset, DatasetConfig, SplitConfig, read_cameras, read_image
+from datagen.data.cameras import Cameras
+from datagen.data.config import SPLITS, DatasetConfig, SplitConfig
+from datagen.data.dataset import Dataset, read_cameras, read_image
 from datagen.data.edit_masks import ELSEWHERE, LIGHT, OBJECT, read_footprint
 from datagen.data.edited import open_edit
-from datagen.data.geometries import TRUTH, ProxyStatistics, read_meshes, write_proxies
+from datagen.data.geometries import ProxyStatistics, read_meshes, write_proxies
 from datagen.data.layers import read_layers
 from datagen.data.meshes import Mesh, is_there, no_mesh
+from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import sha256
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.contact import TOLERANCE, count_touching_faces
-from datagen.scene.description import Scene, SceneObject, load_scene, save_scene, scene_files
+from datagen.scene.description import Scene, SceneObject
 from datagen.scene.edits import Edit, describe_edit, edit_scene, edits_name, moved_mesh, parse_edit
+from datagen.scene.folder import load_scene, save_scene, scene_files
 from datagen.scene.materials import Dielectric, Diffuse
 from datagen.scene.modelling import ball, cylinder, moved
 from datagen.scene.solid_textures import evaluate_texture

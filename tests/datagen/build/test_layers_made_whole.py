@@ -9,9 +9,9 @@ from support import fake_renderer
 from support.synthetic import synthetic_scene
 
 from datagen.build.build import build_dataset, peel_dataset
-from datagen.data.dataset import DatasetConfig, SplitConfig, open_dataset
-from datagen.data.geometries import TRUTH
-from datagen.data.layer_store import LAYER_KINDS, LayerKind
+from datagen.data.config import DatasetConfig, SplitConfig
+from datagen.data.dataset import open_dataset
+from datagen.data.paths import LAYER_KINDS, TRUTH, LayerKind
 
 pytestmark = pytest.mark.promise("R1")
 

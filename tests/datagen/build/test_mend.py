@@ -13,7 +13,7 @@ from support.commands import call, run
 from support.synthetic import synthetic_scene
 
 from datagen.build.survey import Survey
-from datagen.scene.description import save_scene
+from datagen.scene.folder import save_scene
 
 pytestmark = pytest.mark.promise("R4")
 

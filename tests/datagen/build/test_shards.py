@@ -19,12 +19,12 @@ from datagen.build.build import _start_beside_others, open_or_start
 from datagen.build.launch import LaunchChoices, _without_launch
 from datagen.build.shards import Shard, parse_shard
 from datagen.build.verify import verify_dataset
-from datagen.data.dataset import DatasetConfig, SplitConfig
-from datagen.data.geometries import TRUTH, geometry_hash
-from datagen.data.layer_store import layers_root
+from datagen.data.config import DatasetConfig, SplitConfig
+from datagen.data.geometries import geometry_hash
+from datagen.data.paths import TRUTH, layers_root
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import commit, commit_first, one_writer, shared_writers
-from datagen.scene.description import save_scene
+from datagen.scene.folder import save_scene
 from datagen.scene.rig import make_cameras
 
 ALL = (

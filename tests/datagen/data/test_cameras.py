@@ -8,8 +8,7 @@ import pytest
 from support.rigs import RIG, config
 from support.synthetic import pixel_rays, synthetic_scene
 
-from datagen.data.cameras import look_at, pixel_center_rays, subpixel_offsets, subpixel_rays
-from datagen.data.dataset import Cameras
+from datagen.data.cameras import Cameras, look_at, pixel_center_rays, subpixel_offsets, subpixel_rays
 from datagen.disk.errors import HyalineError
 from datagen.scene.rig import make_cameras
 

@@ -12,7 +12,6 @@ from trimesh.visual.texture import TextureVisuals
 
 from datagen.data.meshes import (
     Mesh,
-    check_closed,
     check_mesh,
     component_of_faces,
     face_corners,
@@ -22,6 +21,7 @@ from datagen.data.meshes import (
     winding_number,
     write_ply,
 )
+from datagen.data.windings import check_closed
 from datagen.disk.errors import HyalineError
 
 BALL = mesh_of(trimesh.creation.icosphere(2))

@@ -9,7 +9,7 @@ from support.synthetic import synthetic_scene
 
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import check_name, check_relative, file_name, find_file, printable
-from datagen.scene.description import load_scene, save_scene
+from datagen.scene.folder import load_scene, save_scene
 from datagen.terminal.command import fail, say, tell
 from eval.tables.grids import Column, Grid, grid_text
 from eval.tables.results import csv_text

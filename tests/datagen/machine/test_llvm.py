@@ -66,10 +66,11 @@ def test_the_scalar_variant_builds_a_dataset_of_the_same_scene(tmp_path: Path) -
     from support.builds import command
     from support.synthetic import synthetic_scene
 
-    from datagen.data.dataset import SPLITS, open_dataset, read_image, read_record
-    from datagen.data.geometries import TRUTH
+    from datagen.data.config import SPLITS
+    from datagen.data.dataset import open_dataset, read_image, read_record
     from datagen.data.layers import read_layers
-    from datagen.scene.description import save_scene
+    from datagen.data.paths import TRUTH
+    from datagen.scene.folder import save_scene
 
     save_scene(synthetic_scene(), tmp_path / "scene")
     roots = {}

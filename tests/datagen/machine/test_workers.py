@@ -12,10 +12,12 @@ import pytest
 from support.synthetic import quad, synthetic_scene
 
 from datagen.build.build import render_dataset
-from datagen.data.dataset import describe_views, image_path, open_dataset
+from datagen.data.config import describe_views
+from datagen.data.dataset import open_dataset
+from datagen.data.paths import image_path
 from datagen.disk.errors import HyalineError
 from datagen.scene.atlas import unwrap
-from datagen.scene.description import save_scene
+from datagen.scene.folder import save_scene
 
 FLAGS = (
     *("--preset", "tiny", "--resolution", "16", "--num-layers", "4"),

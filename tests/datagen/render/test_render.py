@@ -13,13 +13,14 @@ from support.reference import fresnel_reflectance
 from support.scenes import DUSK, rendered, scene_of
 from support.synthetic import look_at, quad
 
-from datagen.data.dataset import Cameras
+from datagen.data.cameras import Cameras
 from datagen.disk.errors import HyalineError
 from datagen.machine.mitsuba_variant import use_mitsuba
-from datagen.scene.description import Lobe, RectangleLight, Scene, SceneObject, SoftEnvironment, check_scene
+from datagen.scene.description import Lobe, RectangleLight, Scene, SceneObject, SoftEnvironment
 from datagen.scene.materials import Dielectric, Diffuse, Plastic, ThinDielectric
 from datagen.scene.media import Media, find_media
 from datagen.scene.modelling import ball, merged, moved
+from datagen.scene.soundness import check_scene
 
 use_mitsuba(quiet=True)
 

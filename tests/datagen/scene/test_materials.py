@@ -10,9 +10,10 @@ from support.synthetic import quad, synthetic_scene
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import from_json, to_json
 from datagen.machine.mitsuba_variant import use_mitsuba
-from datagen.scene.description import SceneObject, SoftEnvironment, check_scene
+from datagen.scene.description import SceneObject, SoftEnvironment
 from datagen.scene.materials import Conductor, Dielectric, Diffuse, Material, Plastic, ThinDielectric
 from datagen.scene.materials.optics import Event, Optics, Plugin, Surface, TexturePlugin
+from datagen.scene.soundness import check_scene
 from datagen.scene.textures import ImageTexture, SolidTexture
 
 use_mitsuba()

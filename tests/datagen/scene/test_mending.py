@@ -9,11 +9,13 @@ import pytest
 from PIL import Image
 from support.synthetic import synthetic_scene
 
-from datagen.data.meshes import Mesh, check_closed, face_areas, write_ply
+from datagen.data.meshes import Mesh, face_areas, write_ply
 from datagen.data.surface_points import points_on
+from datagen.data.windings import check_closed
 from datagen.disk.errors import HyalineError
 from datagen.scene.atlas import coverage
-from datagen.scene.description import Scene, image_bytes, load_scene, save_scene, scene_files
+from datagen.scene.description import Scene, image_bytes
+from datagen.scene.folder import load_scene, save_scene, scene_files
 from datagen.scene.images import linear_pixels
 from datagen.scene.modelling import ball, merged, moved
 from datagen.scene.shading_normals import opposing_share

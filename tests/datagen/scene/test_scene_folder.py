@@ -11,9 +11,11 @@ from support.synthetic import synthetic_scene
 
 from datagen.data.meshes import Mesh, write_ply
 from datagen.disk.errors import HyalineError
-from datagen.scene.description import Lobe, Scene, SceneObject, check_scene, load_scene, save_scene, scene_files
+from datagen.scene.description import Lobe, Scene, SceneObject
+from datagen.scene.folder import load_scene, save_scene, scene_files
 from datagen.scene.materials import Dielectric, Diffuse, Plastic
 from datagen.scene.modelling import ball, merged, moved
+from datagen.scene.soundness import check_scene
 from datagen.scene.textures import ImageTexture
 
 

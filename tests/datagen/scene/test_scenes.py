@@ -5,12 +5,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datagen.data.advice import BUILT_IN_SCENES
+from datagen.data.finding import BUILT_IN_SCENES
 from datagen.data.meshes import Mesh, component_of_faces, face_areas, face_corners, open_edges, signed_volume
 from datagen.disk.errors import HyalineError
 from datagen.scene.atlas import chart_map, coverage
 from datagen.scene.builtin import SCENES, make_scene
-from datagen.scene.description import Scene, SceneObject, check_scene, load_scene, save_scene, scene_files
+from datagen.scene.description import Scene, SceneObject
+from datagen.scene.folder import load_scene, save_scene, scene_files
+from datagen.scene.soundness import check_scene
 
 GAP = 0.0005
 """Metres that any two objects must keep between them."""

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 from support.synthetic import synthetic_scene
 
-from datagen.data.meshes import Mesh, check_closed, face_corners, signed_volume
-from datagen.data.windings import check_solid, windings
+from datagen.data.meshes import Mesh, face_corners, signed_volume
+from datagen.data.windings import check_closed, check_solid, windings
 from datagen.disk.errors import HyalineError
-from datagen.scene.description import CameraRig, Scene, SceneObject, WalkPoint, check_scene
+from datagen.scene.description import CameraRig, Scene, SceneObject, WalkPoint
 from datagen.scene.materials import Conductor, Dielectric, Diffuse, Material, ThinDielectric
 from datagen.scene.modelling import ball, cylinder, lathe, merged, moved, rounded_box, sheet, transformed, tube, walled
+from datagen.scene.soundness import check_scene
 
 GLASS, GREY, PANE = Dielectric(), Diffuse(color=(0.5, 0.5, 0.5)), ThinDielectric()
 BALL = ball(0.2, subdivisions=3)

@@ -10,8 +10,7 @@ from support.reference import fresnel_reflectance
 from support.scenes import DUSK, rendered, scene_of
 from support.synthetic import look_at, quad
 
-from datagen.data.cameras import pixel_center_rays
-from datagen.data.dataset import Cameras
+from datagen.data.cameras import Cameras, pixel_center_rays
 from datagen.data.meshes import Mesh
 from datagen.disk.errors import HyalineError
 from datagen.machine.mitsuba_variant import use_mitsuba

@@ -15,14 +15,17 @@ from support.synthetic import synthetic_scene, write_synthetic_dataset
 from datagen.build.build import build_dataset, peel_dataset, summary
 from datagen.build.verify import verify_dataset
 from datagen.data.cameras import pixel_center_rays
-from datagen.data.dataset import Dataset, DatasetConfig, SplitConfig, open_dataset, read_cameras
-from datagen.data.geometries import TRUTH, ProxyStatistics, read_meshes, write_proxies
-from datagen.data.layer_store import is_view_peeled, layers_root, read_layers_record
+from datagen.data.config import DatasetConfig, SplitConfig
+from datagen.data.dataset import Dataset, open_dataset, read_cameras
+from datagen.data.geometries import ProxyStatistics, read_meshes, write_proxies
+from datagen.data.layer_store import is_view_peeled, read_layers_record
 from datagen.data.meshes import Mesh
 from datagen.data.number_formats import decode_directions, encode_directions
+from datagen.data.paths import TRUTH, layers_root
 from datagen.disk.errors import HyalineError
 from datagen.machine.mitsuba_variant import use_mitsuba
-from datagen.scene.description import Scene, SceneObject, load_scene
+from datagen.scene.description import Scene, SceneObject
+from datagen.scene.folder import load_scene
 from datagen.scene.materials import Dielectric
 from datagen.trace.light_path import LightPaths, LightPathTracer
 from datagen.trace.light_path_layers import NUM_BRANCHES, create_light_paths, read_light_paths, write_light_paths

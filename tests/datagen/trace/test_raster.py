@@ -14,8 +14,7 @@ from support.reference import brute_force_hits
 from support.rigs import config
 from support.synthetic import pixel_rays, quad, synthetic_scene, trace
 
-from datagen.data.cameras import look_at, pixel_center_rays
-from datagen.data.dataset import Cameras
+from datagen.data.cameras import Cameras, look_at, pixel_center_rays
 from datagen.data.layers import Layers
 from datagen.data.meshes import Mesh, no_mesh
 from datagen.machine.mitsuba_variant import use_mitsuba

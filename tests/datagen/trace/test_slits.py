@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from support.synthetic import synthetic_scene
 
-from datagen.data.dataset import Cameras, DatasetConfig, SplitConfig
+from datagen.data.cameras import Cameras
+from datagen.data.config import DatasetConfig, SplitConfig
 from datagen.data.meshes import Mesh
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.builtin import SCENES

@@ -12,8 +12,10 @@ import torch
 from support.synthetic import write_synthetic_dataset
 from support.training import SMALL, call, run_bytes
 
-from datagen.data.dataset import Dataset, read_png
-from datagen.data.geometries import TRUTH, read_meshes
+from datagen.data.dataset import Dataset
+from datagen.data.geometries import read_meshes
+from datagen.data.paths import TRUTH
+from datagen.data.png import read_png
 from datagen.disk.errors import HyalineError
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.materials import Conductor

@@ -17,8 +17,8 @@ from support.synthetic import write_synthetic_dataset
 from support.training import SMALL, call, quick, run_bytes
 
 from datagen.data.dataset import Dataset
-from datagen.data.geometries import TRUTH
 from datagen.data.layers import Layers, read_layers, write_layers
+from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
 from model.batches import pixel_cache
 from model.batches.pixel_cache import MappedPixels, cache_root, choose_memory, map_pixels

@@ -12,7 +12,7 @@ from support.synthetic import write_synthetic_dataset
 from support.training import run_bytes, stop_at
 
 from datagen.data.dataset import Dataset
-from datagen.data.geometries import TRUTH
+from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import sha256_file
 from datagen.machine.mitsuba_variant import use_mitsuba

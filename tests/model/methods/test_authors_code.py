@@ -9,8 +9,9 @@ import torch
 from support.synthetic import write_synthetic_dataset
 from support.training import run_bytes, stop_at
 
-from datagen.data.dataset import Dataset, read_image, read_png
-from datagen.data.geometries import TRUTH
+from datagen.data.dataset import Dataset, read_image
+from datagen.data.paths import TRUTH
+from datagen.data.png import read_png
 from model.batches.rays import load_pixels
 from model.cli import configure
 from model.methods.authors_code import (

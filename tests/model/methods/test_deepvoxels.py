@@ -14,8 +14,10 @@ from support.reference import convolve, interpolate
 from support.synthetic import look_at, write_synthetic_dataset
 from torch import nn
 
-from datagen.data.cameras import pixel_center_rays
-from datagen.data.dataset import Cameras, Dataset, DatasetConfig, SplitConfig, read_image, read_png
+from datagen.data.cameras import Cameras, pixel_center_rays
+from datagen.data.config import DatasetConfig, SplitConfig
+from datagen.data.dataset import Dataset, read_image
+from datagen.data.png import read_png
 from datagen.disk.errors import HyalineError
 from datagen.scene.rig import make_cameras
 from model import cli

@@ -10,8 +10,9 @@ from support.reference import slow_convolution, slow_transposed_convolution
 from support.synthetic import write_synthetic_dataset
 from support.training import run_bytes, stop_at
 
-from datagen.data.dataset import Dataset, read_image, read_png
-from datagen.data.geometries import TRUTH
+from datagen.data.dataset import Dataset, read_image
+from datagen.data.paths import TRUTH
+from datagen.data.png import read_png
 from datagen.disk.errors import HyalineError
 from model.batches.rays import draw_patches, load_pixels
 from model.methods.dnr import LEVEL_WEIGHTS, DnrConfig, DnrRenderer, build_dnr, configure_dnr, image_loss

@@ -10,9 +10,11 @@ import torch
 from support.synthetic import write_synthetic_dataset
 from support.training import run_bytes, stop_at
 
-from datagen.data.dataset import Dataset, Split, read_cameras, read_image
-from datagen.data.geometries import TRUTH, ProxyStatistics, read_meshes, write_proxies
+from datagen.data.config import Split
+from datagen.data.dataset import Dataset, read_cameras, read_image
+from datagen.data.geometries import ProxyStatistics, read_meshes, write_proxies
 from datagen.data.layers import read_layers
+from datagen.data.paths import TRUTH
 from datagen.data.tonemap import srgb_from_linear
 from datagen.disk.errors import HyalineError
 from datagen.machine.mitsuba_variant import short_lived_workers, use_mitsuba
@@ -138,7 +140,7 @@ def test_a_removed_object_leaves_no_trace(dataset: Dataset) -> None:
     assert table is not None
     half = len(table) // 2
     assert table[:half].abs().sum() > 0  # With the pane its texels matter, through the residual.
-    from datagen.scene.description import load_scene
+    from datagen.scene.folder import load_scene
     from datagen.trace.light_path import LightPathTracer
 
     scene = load_scene(dataset.root / "scene")

@@ -9,7 +9,7 @@ import torch
 from support.synthetic import write_synthetic_dataset
 
 from datagen.data.dataset import Dataset
-from datagen.data.geometries import TRUTH
+from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import to_json
 from eval.papers import comparisons

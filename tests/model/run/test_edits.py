@@ -16,21 +16,13 @@ from support.synthetic import quad, synthetic_scene
 
 from datagen.build.build import build_dataset
 from datagen.build.build_edit import build_edit
-from datagen.data.dataset import (
-    TEST_SPLITS,
-    Dataset,
-    DatasetConfig,
-    Split,
-    SplitConfig,
-    open_dataset,
-    png_bytes,
-    read_image,
-    read_png,
-)
+from datagen.data.config import TEST_SPLITS, DatasetConfig, Split, SplitConfig
+from datagen.data.dataset import Dataset, open_dataset, read_image
 from datagen.data.edit_masks import ELSEWHERE, LIGHT, OBJECT, read_footprint
 from datagen.data.edited import open_edit
-from datagen.data.geometries import TRUTH
 from datagen.data.layers import read_layers
+from datagen.data.paths import TRUTH
+from datagen.data.png import png_bytes, read_png
 from datagen.disk.storage import SEAL, commit_sealed
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.description import Scene, SceneObject, SoftEnvironment

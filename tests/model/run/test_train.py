@@ -12,7 +12,8 @@ import torch
 from support.synthetic import write_synthetic_dataset
 from support.training import SMALL, call, quick, run_bytes, stop_at
 
-from datagen.data.dataset import Dataset, read_image, read_png
+from datagen.data.dataset import Dataset, read_image
+from datagen.data.png import read_png
 from datagen.disk.errors import HyalineError
 from model.run import train as train_module
 from model.run.checkpoint import fingerprint, load_checkpoint, load_state, save_checkpoint

@@ -10,8 +10,9 @@ from support.hostile.pictures import PREDICTION, exr_cases, picture_cases
 from support.hostile.states import state_cases
 from support.synthetic import synthetic_scene, write_synthetic_dataset
 
-from datagen.data.geometries import TRUTH, ProxyStatistics, read_meshes, write_proxies
-from datagen.scene.description import save_scene
+from datagen.data.geometries import ProxyStatistics, read_meshes, write_proxies
+from datagen.data.paths import TRUTH
+from datagen.scene.folder import save_scene
 
 DATASET = "data/one"
 RUN = "runs/one/paper/run.json"
@@ -34,7 +35,8 @@ def write_world(root: Path) -> None:
     import numpy as np
     import torch
 
-    from datagen.data.dataset import png_bytes, read_image
+    from datagen.data.dataset import read_image
+    from datagen.data.png import png_bytes
     from datagen.machine.mitsuba_variant import use_mitsuba
     from datagen.render.truth import Truth, radiance_bytes
     from model.methods.paper import PaperConfig

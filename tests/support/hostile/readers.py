@@ -9,13 +9,14 @@ from support.hostile.pictures import PREDICTION
 
 from datagen.build.verify import verify_dataset
 from datagen.data.dataset import Dataset, open_dataset, read_cameras, read_record
-from datagen.data.geometries import TRUTH, read_meshes
+from datagen.data.geometries import read_meshes
 from datagen.data.layers import read_layers
+from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
 
 
 def _scene(root: Path) -> str:
-    from datagen.scene.description import load_scene
+    from datagen.scene.folder import load_scene
 
     scene = load_scene(root / "scene")
     vertices, faces = (sum(len(getattr(item.mesh, name)) for item in scene.objects) for name in ("vertices", "faces"))

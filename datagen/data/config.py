@@ -1,0 +1,100 @@
+"""How a dataset is configured: its splits, their sizes, and how they are rendered."""
+
+import dataclasses
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Literal, cast
+
+from datagen.disk.errors import HyalineError
+from datagen.disk.names import check_name
+
+Split = Literal[
+    "train", "interpolating", "extrapolating", "extrapolating-10deg", "extrapolating-20deg", "extrapolating-40deg"
+]
+SPLITS: tuple[Split, ...] = ("train", "interpolating", "extrapolating")
+"""Those that every dataset has."""
+TEST_SPLITS: tuple[Split, ...] = ("interpolating", "extrapolating")
+ANGLE_SPLITS: dict[Split, float] = {"extrapolating-10deg": 10, "extrapolating-20deg": 20, "extrapolating-40deg": 40}
+"""Those that a dataset may have besides, in an annex: degrees outside of what training cameras cover."""
+
+SPLIT_ORDER: dict[Split, int] = {split: place for place, split in enumerate((*SPLITS, *ANGLE_SPLITS))}
+
+MAX_VIEWS, MAX_SPP, MAX_DEPTH = 10_000, 1 << 20, 1000
+"""Of a split, of a picture and of a light path: what is beyond has a slip in it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SplitConfig:
+    """How one split is rendered."""
+
+    views: int
+    spp: int
+    """Samples per pixel, both halves together; with a noise ceiling the number to start from."""
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.views <= MAX_VIEWS or not 2 <= self.spp <= MAX_SPP:
+            raise HyalineError(
+                f"split: has {self.views} views of {self.spp} spp; expected at least 1 view and 2 spp, "
+                f"at most {MAX_VIEWS:,} and {MAX_SPP:,}"
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
+class DatasetConfig:
+    """What `datagen build` makes; two builds with equal configurations give equal bytes."""
+
+    scene: str
+    preset: str
+    resolution: int
+    """Width and height of the square images in pixels."""
+    train: SplitConfig
+    """0 views only in the dataset of an edited scene, on which nothing is trained."""
+    interpolating: SplitConfig
+    extrapolating: SplitConfig
+    ceiling_db: float | None = None
+    """Render each test view until its own noise ceiling reaches this; None renders a fixed number of samples."""
+    max_depth: int = 24
+    """Longest light path in segments."""
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        check_name(self.scene, where="scene name")
+        if not 1 <= self.resolution <= 8192:
+            raise HyalineError(f"resolution: is {self.resolution}; expected 1 to 8192 pixels")
+        for split in TEST_SPLITS:
+            if self.split(split).views < 1:
+                raise HyalineError(f"{split}: has {self.split(split).views} views; expected at least 1")
+        if not 2 <= self.max_depth <= MAX_DEPTH:
+            raise HyalineError(f"max_depth: is {self.max_depth}; expected 2 to {MAX_DEPTH} (12 or more for glass)")
+        if not 0 <= self.seed < 2**63:
+            raise HyalineError(f"seed: is {self.seed}; expected 0 or more, and at most 63 bits")
+        if self.ceiling_db is not None and not 10 <= self.ceiling_db <= 80:
+            raise HyalineError(f"ceiling_db: is {self.ceiling_db}; expected 10 to 80 dB")
+
+    def split(self, split: Split) -> SplitConfig:
+        """The size of a split; an annex with splits by angle has theirs as that of `extrapolating`."""
+        sizes = {"train": self.train, "interpolating": self.interpolating, "extrapolating": self.extrapolating}
+        return sizes["extrapolating" if split in ANGLE_SPLITS else split]
+
+
+def describe_views(views: Iterable[tuple[Split, int]]) -> str:
+    """Views in words, such as `train 3-7, 12; extrapolating 0`."""
+    by_split: dict[str, list[int]] = {}
+    for split, view in sorted(views, key=lambda item: (SPLIT_ORDER[item[0]], item[1])):
+        by_split.setdefault(split, []).append(view)
+    parts = []
+    for split, numbers in by_split.items():
+        starts = [view for view in numbers if view - 1 not in numbers]
+        ends = [view for view in numbers if view + 1 not in numbers]
+        runs = [f"{start}" if start == end else f"{start}-{end}" for start, end in zip(starts, ends, strict=True)]
+        parts.append(f"{split} {', '.join(runs)}")
+    return "; ".join(parts)
+
+
+def config_difference(old: object, new: object) -> str | None:
+    """The first field in which two records of one class differ, as `name: old -> new`; None when equal."""
+    for item in dataclasses.fields(cast(DatasetConfig, old)):
+        before, after = getattr(old, item.name), getattr(new, item.name)
+        if before != after:
+            return f"{item.name}: {before} -> {after}"
+    return None

@@ -1,0 +1,62 @@
+"""Finding datasets: by name, by folder, or the only one there; and what to type where there is none."""
+
+import os
+import shlex
+from pathlib import Path
+
+from datagen.disk.errors import HyalineError
+from datagen.disk.homes import HEADS, home_of, mend_command
+
+DATA_ROOT = Path("data")
+"""Where commands put and look for datasets, relative to the working directory."""
+
+BUILT_IN_SCENES = ("glass_table", "vitrine", "plant_shelf", "drinks")
+"""Names that `datagen build --scene` takes; `datagen.scene.builtin` has their makers."""
+
+
+def find_dataset(given: str | None, root: Path = DATA_ROOT) -> Path:
+    """The dataset that `--dataset` means: a folder, a name under `root`, or the only one there.
+
+    Raises:
+        HyalineError: none or several fit.
+    """
+    if given is not None:
+        named = Path(given)
+        is_there = any((named / path).is_file() for path in ("dataset.json", f"{HEADS}/dataset.json"))
+        return named if is_there or len(named.parts) > 1 else root / given
+    found = list_datasets(root)
+    if len(found) == 1:
+        return found[0]
+    if not found:
+        place = root if root == DATA_ROOT else root / "glass_table"
+        raise HyalineError(f"{root}: no dataset there; make one with `{build_command(place)}`")
+    raise HyalineError(f"{root}: holds {len(found)} datasets; choose one with --dataset: {', '.join(map(str, found))}")
+
+
+def list_datasets(root: Path = DATA_ROOT) -> list[Path]:
+    """Every dataset folder under `root`, sorted."""
+    return sorted(path.parent for path in root.glob("*/dataset.json"))
+
+
+def build_command(root: Path = DATA_ROOT) -> str:
+    """The command that makes a dataset of this folder, or of the first built-in scene that is not built in it yet."""
+    if root.name in BUILT_IN_SCENES or root != DATA_ROOT:
+        scene = root.name if root.name in BUILT_IN_SCENES else "glass_table"
+    else:
+        scene = next((name for name in BUILT_IN_SCENES if not (root / name).exists()), "glass_table")
+        root = root / scene
+    return shlex.join(
+        ["datagen", "build", "--scene", scene, *([] if root == DATA_ROOT / scene else ["--out", str(root)])]
+    )
+
+
+def where_datasets_are(root: Path) -> str:
+    """The way out for somebody who named a folder without a dataset."""
+    if (root / HEADS / "dataset.json").is_file():
+        return f"mend it with `{mend_command(root / 'dataset.json')}`"
+    known = ", ".join(shlex.quote(str(place)) for place in list_datasets())
+    there = f"there is {known}" if known else ""
+    is_free = not os.path.lexists(root) or (root.is_dir() and not any(root.iterdir()))
+    if not is_free or home_of(root) != root:
+        return there or f"make one elsewhere with `{build_command()}`"
+    return "; or ".join(filter(None, [f"make one with `{build_command(root)}`", there]))

@@ -1,0 +1,158 @@
+"""A scene's folder on disk: scene.json, meshes/*.ply and image textures."""
+
+import dataclasses
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeVar, cast
+
+from datagen.data.meshes import is_there, no_mesh, read_ply, write_ply
+from datagen.disk.errors import HyalineError
+from datagen.disk.names import find_file
+from datagen.disk.reading import load_json
+from datagen.disk.records import Json, from_json, shown, to_json
+from datagen.disk.storage import commit, dump_json
+from datagen.scene.description import (
+    MAX_OBJECTS,
+    OBJECT_NAME,
+    CameraRig,
+    RectangleLight,
+    Scene,
+    SceneObject,
+    SoftEnvironment,
+    image_bytes,
+)
+from datagen.scene.materials import Material
+from datagen.scene.mending import mend_scene
+from datagen.scene.soundness import check_names, check_scene
+
+Record = TypeVar("Record")
+SCENE_VERSION = 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class _ObjectFile:
+    name: str
+    mesh: str | None
+    """Relative to the scene's folder; None where an edit removed the object."""
+    material: Material
+
+
+@dataclass(frozen=True, kw_only=True)
+class _SceneFile:
+    version: int
+    name: str
+    description: str = ""
+    objects: tuple[_ObjectFile, ...]
+    environment: SoftEnvironment
+    lights: tuple[RectangleLight, ...] = ()
+    cameras: CameraRig
+
+
+def save_scene(scene: Scene, folder: Path) -> None:
+    """Writes `scene.json`, `meshes/*.ply` and image textures; `load_scene` gives the same scene back."""
+    for relative, data in scene_files(scene).items():
+        commit(folder / relative, data)
+
+
+def scene_files(scene: Scene) -> dict[str, bytes]:
+    """The files of a scene's folder, by relative path; equal scenes give equal bytes."""
+    files: dict[str, bytes] = {}
+    listed = []
+    for item in scene.objects:
+        mesh = f"meshes/{item.name}.ply" if is_there(item.mesh) else None
+        if mesh is not None:
+            files[mesh] = write_ply(item.mesh)
+        listed.append(_ObjectFile(name=item.name, mesh=mesh, material=item.material))
+        for image in item.material.images().values():
+            files[image.path] = image_bytes(scene, image)
+    file = _SceneFile(
+        version=SCENE_VERSION,
+        name=scene.name,
+        description=scene.description,
+        objects=tuple(listed),
+        environment=scene.environment,
+        lights=scene.lights,
+        cameras=scene.cameras,
+    )
+    # Through the parser and back, so that 1 and 1.0 give the same bytes.
+    canonical = from_json(_SceneFile, to_json(file), where=f"scene {scene.name}")
+    data = cast(dict[str, Json], to_json(canonical))
+    for listed_object in cast(list[dict[str, dict[str, Json]]], data["objects"]):
+        # A key that came later stands only where it says something: the scenes of older datasets keep their bytes.
+        if listed_object["material"].get("priority") == 0:
+            del listed_object["material"]["priority"]
+        color = listed_object["material"].get("color")
+        if isinstance(color, dict) and color.get("origin") == [0.0, 0.0, 0.0]:
+            del color["origin"]
+    return {**files, "scene.json": dump_json(data)}
+
+
+def load_scene(folder: Path, *, is_sealed: bool = False) -> Scene:
+    """The checked scene in a folder. Objects without an atlas get one; what is mended is said in a line each.
+
+    Args:
+        is_sealed: the folder is a dataset's, whose scene was mended and checked when it was begun: read as it stands.
+
+    Raises:
+        HyalineError: a missing file, an unknown key, a bad value or a bad mesh.
+    """
+    path = find_file(folder, "scene.json", where=str(folder))
+    data = load_json(path)
+    if data.get("version") != SCENE_VERSION:
+        raise HyalineError(f"{path}: version {shown(data.get('version'))}; this program reads version {SCENE_VERSION}")
+    listed = data.get("objects")
+    if isinstance(listed, list) and len(listed) > MAX_OBJECTS:
+        raise HyalineError(f"{path}: has {len(listed):,} objects; expected at most {MAX_OBJECTS}")
+    file = _parse_scene(data, path)
+    objects, without_uv = [], set()
+    for item in file.objects:
+        mesh, has_uv = no_mesh(), True
+        if item.mesh is not None:
+            mesh, has_uv = read_ply(find_file(folder, item.mesh, where=f"{path}: object {item.name}"))
+        if not has_uv:
+            without_uv.add(item.name)
+        for image in item.material.images().values():
+            texture = find_file(folder, image.path, where=f"{path}: object {item.name}")
+            if not texture.is_file():
+                raise HyalineError(f"{texture}: the texture of object {item.name} is missing")
+        objects.append(SceneObject(name=item.name, mesh=mesh, material=item.material))
+    scene = Scene(
+        name=file.name,
+        description=file.description,
+        objects=tuple(objects),
+        environment=file.environment,
+        lights=file.lights,
+        cameras=file.cameras,
+        folder=folder,
+    )
+    if not is_sealed:
+        check_names(scene)
+        scene = mend_scene(scene, without_uv=without_uv)
+    check_scene(scene, is_sealed=is_sealed)
+    return scene
+
+
+def _parse_scene(data: dict[str, Json], path: Path) -> _SceneFile:
+    """The parsed scene.json; an error about an object names the object."""
+    listed, objects = data.get("objects"), ()
+    if isinstance(listed, list):
+        objects = tuple(
+            _parse_in(_ObjectFile, entry, where=f"{path}: {_name_in_errors(entry, index)}")
+            for index, entry in enumerate(listed)
+        )
+        data = {**data, "objects": []}
+    return dataclasses.replace(_parse_in(_SceneFile, data, where=str(path)), objects=objects)
+
+
+def _parse_in(kind: type[Record], data: Json, *, where: str) -> Record:
+    """`from_json`, whose errors all begin with `where`: records check their own values and cannot know their place."""
+    try:
+        return from_json(kind, data, where=where)
+    except HyalineError as error:
+        raise error if str(error).startswith(where) else HyalineError(f"{where}: {error}") from error
+
+
+def _name_in_errors(entry: Json, index: int) -> str:
+    name = entry.get("name") if isinstance(entry, dict) else None
+    return f"object {name}" if isinstance(name, str) and re.fullmatch(OBJECT_NAME, name) else f"objects[{index}]"
