@@ -1,6 +1,6 @@
 # `make demo` and `make test` set everything up by themselves; neither needs root.
 # An active virtual or conda environment is used as it is; otherwise .venv is made.
-.PHONY: setup demo test reliability clean
+.PHONY: setup demo test reliability docs clean
 
 ENVIRONMENT := $(or $(VIRTUAL_ENV),$(CONDA_PREFIX),$(CURDIR)/.venv)
 BIN := $(ENVIRONMENT)/bin
@@ -16,8 +16,13 @@ $(STAMP): pyproject.toml constraints.txt
 		> $(ENVIRONMENT)/hyaline-constraints.txt
 	@system=$$($(BIN)/python -m datagen.machine.llvm); \
 	extras=$$(test -n "$$system" && echo dev || echo llvm,dev); \
-	echo "installs hyaline[$$extras]$${system:+ (uses $$system)}"; \
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check \
+	echo "setup: installs hyaline[$$extras]$${system:+ (uses $$system)} and its libraries into $(ENVIRONMENT)"; \
+	echo "setup: downloads about 0.8 GB, which take 2.2 GB on disk; minutes, depending on the network"; \
+	if [ "$$(uname)" = Linux ] && ! command -v nvidia-smi >/dev/null && ! $(BIN)/python -c "import torch" 2>/dev/null; then \
+		echo "setup: there is no NVIDIA GPU here. If pip brings CUDA libraries (4 GB more), press Ctrl-C and first run"; \
+		echo "       $(BIN)/python -m pip install uv && $(BIN)/uv pip install --python $(BIN)/python --torch-backend=cpu torch==2.13.0"; \
+	fi; \
+	$(BIN)/python -m pip install $(if $(CI),--quiet) --disable-pip-version-check \
 		-c $(ENVIRONMENT)/hyaline-constraints.txt -e ".[$$extras]"
 	$(BIN)/datagen doctor
 	@touch $@
@@ -40,6 +45,12 @@ test: setup
 # Every promise of docs/reliability.md with every case, an hour on two cores; writes the counts into that file.
 reliability: setup
 	$(BIN)/python -m pytest -m promise --full --promises=docs/reliability.md
+
+# The pages of docs/ as a web site.
+docs: setup
+	$(BIN)/python -m pip install $(if $(CI),--quiet) --disable-pip-version-check -c constraints.txt -e ".[docs]"
+	$(BIN)/mkdocs build --quiet
+	@echo build/site/index.html
 
 clean:
 	rm -rf .venv *.egg-info
