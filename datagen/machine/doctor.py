@@ -1,4 +1,4 @@
-"""Owns the look at this machine: what is there, what will be used, and the one command that mends what is missing."""
+"""What this machine has, what will be used of it, and the one command that fixes whatever is missing."""
 
 import importlib.metadata
 import os
@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 from datagen.machine.llvm import advice
 from datagen.machine.mitsuba_variant import choose_variant
+from datagen.machine.processor import describe_processor
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,11 +23,12 @@ class Finding:
 
 
 def examine() -> list[Finding]:
-    """Looks at cores, GPU, libLLVM, the Mitsuba variant, torch and the libraries that PyMeshLab needs."""
+    """Looks at cores, processor, GPU, libLLVM, the Mitsuba variant, torch and the libraries that PyMeshLab needs."""
     choice = choose_variant()
     llvm = choice.llvm
     return [
-        Finding(what="cores", found=f"{os.cpu_count()} ({platform.machine()}, {platform.system()})", remedy=None),
+        Finding(what="cores", found=f"{os.cpu_count()} ({platform.system()})", remedy=None),
+        Finding(what="processor", found=describe_processor(), remedy=None),
         Finding(what="GPU", found=_gpu(), remedy=None),
         Finding(
             what="libLLVM",
