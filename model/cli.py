@@ -101,7 +101,7 @@ def configure(common: CommonChoices, choices: MethodChoices) -> "tuple[TrainConf
         lr_decay=common.lr_decay or defaults.lr_decay,
         beta1=defaults.beta1,
         weight_decay=defaults.weight_decay,
-        loss=dataclasses.replace(losses, softness=defaults.softness),
+        loss=dataclasses.replace(losses, softness=defaults.softness, debias=defaults.debias),
     )
     return config, opened
 

@@ -91,6 +91,8 @@ LIGHT_PATH: dict[str, Json] = {
     "environment_size": 32,
     "sky_lobes": 12,
     "hidden": 128,
+    "sees_directions": False,
+    "debias": 0.5,
     "position_octaves": 0,
     "straight_layers": 0,
     "shells": 1,
@@ -105,13 +107,14 @@ LIGHT_PATH: dict[str, Json] = {
 
 LIGHT_PATH_ON_PROXIES: dict[str, Json] = {
     **{key: value for key, value in LIGHT_PATH.items() if key != "shells"},
+    "sees_directions": True,
     "stack_hidden": 96,
     "straight_layers": 24,
     "relief": True,
 }
 """The same on proxies; how many shells there are, the number of objects decides."""
 
-PROXY_KEYS = ("geometry", "texture_sizes", "stack_hidden", "straight_layers", "shells", "relief")
+PROXY_KEYS = ("geometry", "texture_sizes", "sees_directions", "stack_hidden", "straight_layers", "shells", "relief")
 """What `light-path` chooses by the geometry."""
 
 OURS = Line(title="paper", method="paper", choices=VIEW, published=VIEW_VECTOR)

@@ -1,4 +1,4 @@
-"""Owns what several rays of a pixel have in common: how many there may be, and the space in which colours average."""
+"""Several rays of a pixel: how many there may be, the space in which colours average, and how noisy a mean is."""
 
 import math
 
@@ -18,6 +18,24 @@ def check_samples(name: str, samples: int) -> None:
 def srgb_curve(linear: Float32[Tensor, "*b"]) -> Float32[Tensor, "*b"]:
     """The sRGB curve, going on below 0 and above 1 so that gradients do. Source: IEC 61966-2-1."""
     return torch.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear.clamp_min(0.0031308) ** (1 / 2.4) - 0.055)
+
+
+def mean_color(radiance: Float32[Tensor, "pixel sample 3"]) -> Float32[Tensor, "pixel 3"]:
+    """sRGB colour of each pixel from the linear radiance of its rays."""
+    return srgb_curve(radiance.mean(dim=1))
+
+
+def variance_of_mean(radiance: Float32[Tensor, "pixel sample 3"]) -> Float32[Tensor, "pixel 3"]:
+    """Estimated variance of `mean_color`, were the rays independent of each other; 0 for one ray.
+
+    By the slope of the sRGB curve at the mean, through which no gradient flows.
+    """
+    samples = radiance.shape[1]
+    if samples == 1:
+        return torch.zeros_like(radiance[:, 0])
+    mean = radiance.detach().mean(dim=1)
+    slope = torch.where(mean <= 0.0031308, 12.92, (1.055 / 2.4) * mean.clamp_min(0.0031308) ** (1 / 2.4 - 1))
+    return radiance.var(dim=1) / samples * slope.square()
 
 
 def linear_curve(srgb: Float32[Tensor, "*b"]) -> Float32[Tensor, "*b"]:

@@ -53,6 +53,8 @@ class Losses:
 
         if config.softness:
             own = partial(own, softness=config.softness)
+        if config.debias:
+            own = partial(own, debias=config.debias)
         if self.perceptual is not None or (is_adversarial and self.inpainter is None):
             terms = PatchTerms(size=size, number=config.patches, of=of_patches)
             total = own(renderer, training, batch, rng, patch_terms=terms)

@@ -46,7 +46,8 @@ class Optimisation:
     sky_lr: float | None = None
     steps: int = DEFAULT_STEPS
     softness: float = 0.0
-    """Of the loss (`LossConfig`)."""
+    """Of the loss (`LossConfig`), as the next one."""
+    debias: float = 0.0
     updates: int = 1
     beta1: float = 0.9
     weight_decay: float = 0.0
@@ -192,7 +193,7 @@ METHODS: dict[str, Method] = {
         knowledge="materials (all but diffuse colours)",
         # A quarter of the pixels with four rays each: as many rays a step as `paper`.
         optimisation=Optimisation(batch=2048, lr=0.002, texture_lr=0.04, lr_decay="cosine", updates=4, softness=0.05),
-        optimise=lambda choices, usual: dataclasses.replace(usual, sky_lr=choices.sky_lr),
+        optimise=lambda choices, usual: dataclasses.replace(usual, sky_lr=choices.sky_lr, debias=choices.debias),
         configure=configure_light_path,
         build=build_light_path,
         load=load_light_path_pixels,

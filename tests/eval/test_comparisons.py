@@ -36,7 +36,12 @@ BEST = dataclasses.replace(
     ),
     loss=LossConfig(softness=0.03),
 )  # fmt: skip
-LIGHT = TrainConfig(method="light-path", geometry="truth", net=default_light_path((64, 64), is_proxy=False))
+LIGHT = TrainConfig(
+    method="light-path",
+    geometry="truth",
+    net=default_light_path((64, 64), is_proxy=False),
+    loss=LossConfig(softness=0.05, debias=0.5),
+)
 
 
 def decibels(level: int) -> float:
@@ -361,10 +366,12 @@ def test_the_choices_that_tables_look_for_are_the_defaults_of_the_methods() -> N
     paper_net, light_net = (dataclasses.asdict(config.net) for config in (PAPER, LIGHT))
     paper_choices = paper_net | dataclasses.asdict(PAPER.loss)
     assert comparisons.VIEW == {key: paper_choices[key] for key in comparisons.VIEW}
-    assert comparisons.LIGHT_PATH == {key: light_net[key] for key in comparisons.LIGHT_PATH}
+    light_choices = light_net | dataclasses.asdict(LIGHT.loss)
+    assert comparisons.LIGHT_PATH == {key: light_choices[key] for key in comparisons.LIGHT_PATH}
     proxy_net = dataclasses.asdict(default_light_path((64, 64), is_proxy=True))
     on_proxies = comparisons.LIGHT_PATH_ON_PROXIES
-    assert on_proxies == {key: proxy_net[key] for key in on_proxies}
+    proxy_choices = proxy_net | dataclasses.asdict(LIGHT.loss)
+    assert on_proxies == {key: proxy_choices[key] for key in on_proxies}
     known = {*paper_net, *light_net, "geometry", "batch"}
     varied = {key for comparison in comparisons.COMPARISONS.values() for key in comparison.varied or ()}
     assert varied | {*comparisons.PROXY_KEYS, *comparisons.FOLLOWING} <= known

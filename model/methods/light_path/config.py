@@ -25,6 +25,9 @@ class LightPathConfig:
     """Textures summed, each half as wide as the one before: what few rays have met is filled in from around it."""
     hidden: int = 128
     """Units of the decoder's two hidden layers. 64 score 0.3 / 0.6 dB less (400 steps of 1,024 pixels, one seed)."""
+    sees_directions: bool = True
+    """The decoder is told the mirrored direction. On true geometry it need not be: gloss is traced, and what is left is
+    diffuse."""
     position_octaves: int = 0
     """Octaves of the sines and cosines of a path end's position that the decoder is told."""
     composite: bool = True
@@ -90,4 +93,4 @@ def default_light_path(texture_sizes: tuple[int, ...], *, is_proxy: bool) -> Lig
             relief=True,
             sky_lobes=SKY_LOBES,
         )
-    return LightPathConfig(texture_sizes=texture_sizes, sky_lobes=SKY_LOBES)
+    return LightPathConfig(texture_sizes=texture_sizes, sees_directions=False, sky_lobes=SKY_LOBES)

@@ -28,6 +28,7 @@ def configure_light_path(
     return dataclasses.replace(
         known,
         texture_levels=choices.texture_levels,
+        sees_directions=known.sees_directions if choices.directions is None else choices.directions == "on",
         position_octaves=choices.position_octaves,
         composite=choices.compositing == "physics",
         stack_hidden=known.stack_hidden if choices.stack is None else choices.stack,

@@ -1,4 +1,4 @@
-"""Owns the method `light-path`: neural textures where light paths end, composited by the physics of glass."""
+"""The network of `light-path`: neural textures where light paths end, composited by the physics of glass."""
 
 import torch
 from jaxtyping import Float32, UInt8
@@ -7,7 +7,7 @@ from torch.nn import functional
 
 from datagen.data.dataset import Dataset
 from datagen.disk.errors import HyalineError
-from model.batches.samples import srgb_curve
+from model.batches.samples import mean_color
 from model.methods.light_path.config import LightPathConfig
 from model.methods.light_path.paths import STACKED_VERTICES, Ends, LightPathBatch, Stack
 from model.nets.cpu.fused_mlp import ChainLayer, can_fuse, run_chain
@@ -50,7 +50,10 @@ class LightPathRenderer(nn.Module):
         self.relief = NeuralTextures(object_layout(relief_sizes), 1) if config.relief else None
         if config.composite:
             # Feature, cosine, spherical harmonics of the mirrored direction, position -> linear radiance.
-            self.decoder = _Mlp(config.texture_features + 1 + 9 + 6 * config.position_octaves, config.hidden, 3)
+            directions = 9 if config.sees_directions else 0
+            self.decoder = _Mlp(
+                config.texture_features + 1 + directions + 6 * config.position_octaves, config.hidden, 3
+            )
             # Feature, cosine, spherical harmonics of the ray's direction -> opacity of a straight layer.
             self.cover = _Mlp(config.texture_features + 1 + 9, config.hidden, 1) if config.straight_layers else None
             self.environment = LearnedSky(config.environment_size, config.sky_lobes)
@@ -62,7 +65,7 @@ class LightPathRenderer(nn.Module):
 
     def forward(self, paths: LightPathBatch, **_: object) -> Float32[Tensor, "pixel 3"]:
         """sRGB colours of the pixels, at least 0."""
-        return srgb_curve(self.radiance(paths).mean(dim=1))
+        return mean_color(self.radiance(paths))
 
     def radiance(self, paths: LightPathBatch) -> Float32[Tensor, "pixel sample 3"]:
         """Linear radiance of every ray."""
@@ -133,7 +136,9 @@ class LightPathRenderer(nn.Module):
     def _decode(
         self, features: Tensor, cosine: Tensor, reflected: Tensor, position: Tensor
     ) -> Float32[Tensor, "end 3"]:
-        inputs = [features, cosine[:, None], spherical_harmonics(reflected)]
+        inputs = [features, cosine[:, None]]
+        if self.config.sees_directions:
+            inputs.append(spherical_harmonics(reflected))
         for octave in range(self.config.position_octaves):
             angle = position * (torch.pi * 2**octave)
             inputs += [torch.sin(angle), torch.cos(angle)]

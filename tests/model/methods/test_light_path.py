@@ -128,6 +128,17 @@ def test_where_everything_shines_alike_glass_disappears(dataset: Dataset) -> Non
     assert (colors - 1).abs().max() < 1e-3
 
 
+@pytest.mark.parametrize("sees_directions", [True, False])
+def test_texels_shine_alike_in_all_directions_unless_the_decoder_sees_them(
+    dataset: Dataset, *, sees_directions: bool
+) -> None:
+    paths = pixels_of(dataset).take(torch.arange(256), None)
+    turned = dataclasses.replace(paths, ends=dataclasses.replace(paths.ends, reflected=paths.ends.reflected.roll(1, 1)))
+    renderer = LightPathRenderer(LightPathConfig(texture_sizes=(8, 8), sees_directions=sees_directions))
+    with torch.no_grad():
+        assert torch.equal(renderer(paths), renderer(turned)) != sees_directions
+
+
 def test_a_removed_object_leaves_no_trace(dataset: Dataset) -> None:
     """Drawn without the pane, the picture depends on the pane's texels no more."""
     pixels = pixels_of(dataset, render_samples=1)

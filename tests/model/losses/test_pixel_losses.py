@@ -1,0 +1,109 @@
+"""Tests what the noise of training rays does to the loss of pixels."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+import torch
+from jaxtyping import Bool, Float32, Int, UInt8
+from torch import Tensor
+
+from datagen.disk.errors import HyalineError
+from model.batches.samples import mean_color, srgb_curve, variance_of_mean
+from model.losses.pixel_losses import LossConfig, noise_penalty, pixel_loss
+
+CPU = torch.device("cpu")
+LAMP, GROUND, SAMPLES = 0.6, 0.3, 4
+
+
+@dataclass(frozen=True)
+class Glints:
+    """Pixels in which each ray meets a lamp with the pixel's own probability, and the ground besides."""
+
+    chance: Float32[Tensor, " pixel"]
+    rgb: UInt8[Tensor, "pixel 3"]
+    device: torch.device = CPU
+    pixels_per_view: int = 1
+    chunk: int = 1024
+
+    def to(self, device: torch.device) -> "Glints":
+        return self
+
+    def take(self, index: Int[Tensor, " pixel"], rng: np.random.Generator | None) -> Bool[Tensor, "pixel sample"]:
+        assert rng is not None
+        chosen = rng.random((len(index), SAMPLES), dtype=np.float32)
+        return torch.from_numpy(chosen) < self.chance[index][:, None]
+
+
+class LampAndGround(torch.nn.Module):
+    """Learns how bright lamp and ground are."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.lamp, self.ground = torch.nn.Parameter(torch.tensor(0.5)), torch.nn.Parameter(torch.tensor(0.5))
+
+    def radiance(self, hits: Bool[Tensor, "pixel sample"]) -> Float32[Tensor, "pixel sample 3"]:
+        return (self.ground + self.lamp * hits)[..., None].expand(-1, -1, 3)
+
+    def forward(self, hits: Bool[Tensor, "pixel sample"], *, rng: np.random.Generator) -> Tensor:
+        return mean_color(self.radiance(hits))
+
+
+def learned_lamp(debias: float) -> float:
+    """What is learned of a lamp whose radiance is LAMP."""
+    chance = torch.linspace(0.1, 0.9, 200)
+    truth = (255 * srgb_curve(GROUND + LAMP * chance)).round().to(torch.uint8)
+    pixels, renderer = Glints(chance, truth[:, None].expand(-1, 3).contiguous()), LampAndGround()
+    optimizer = torch.optim.Adam(renderer.parameters(), lr=0.01)
+    means = []
+    for step in range(600):
+        rng = np.random.default_rng([4, step])
+        loss = pixel_loss(renderer, pixels, 512, rng, softness=0.5, debias=debias)
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+        means.append(renderer.lamp.item())
+    return float(np.mean(means[300:]))
+
+
+def test_a_lamp_that_few_rays_meet_is_learned_as_bright_as_it_is() -> None:
+    assert learned_lamp(1.0) == pytest.approx(LAMP, rel=0.1)
+    assert learned_lamp(0.0) < 0.6 * LAMP  # The noise that a bright lamp makes costs more than what it explains.
+
+
+@pytest.mark.parametrize("samples", [1, 4, 16])
+def test_the_variance_of_a_mean_color_is_what_it_is_over_many_draws(samples: int) -> None:
+    generator = torch.Generator().manual_seed(samples)
+    radiance = 0.4 + 0.05 * torch.randn(40_000, samples, 3, generator=generator)
+    estimate = variance_of_mean(radiance).mean()
+    if samples == 1:  # One ray doesn't tell.
+        assert estimate == 0
+    else:
+        assert estimate.item() == pytest.approx(mean_color(radiance).var(dim=0).mean().item(), rel=0.05)
+
+
+@pytest.mark.parametrize("missed", [0.01, 0.1, -0.3])
+def test_the_noise_penalty_is_what_noise_adds_to_the_loss(missed: float) -> None:
+    softness, deviation = 0.1, 0.02
+    noise = deviation * torch.randn(400_000, 3, generator=torch.Generator().manual_seed(1))
+
+    def penalty(differences: Tensor) -> Tensor:
+        return (differences.square() + softness**2).sqrt()
+
+    given = torch.full((1, 3), missed)
+    added = (penalty(given + noise) - penalty(given) - given * noise / penalty(given)).mean().item()
+    expected = noise_penalty(given, torch.full((1, 3), deviation**2), softness)
+    assert added == pytest.approx(expected.mean().item(), rel=0.1)
+
+
+def test_a_white_truth_that_is_exceeded_asks_for_nothing() -> None:
+    variance = torch.ones(2, 3, requires_grad=True)
+    given = torch.tensor([[0.0, 0.1, 0.0], [0.2, 0.0, 0.0]])
+    noise_penalty(given, variance, 0.05).sum().backward()
+    assert variance.grad is not None
+    assert torch.equal(variance.grad > 0, given > 0)
+
+
+def test_a_share_above_1_is_refused() -> None:
+    with pytest.raises(HyalineError, match=r"debias: is 1\.5; expected a share of 0 to 1"):
+        LossConfig(debias=1.5)
