@@ -7,7 +7,10 @@ from typing import Literal
 from benchmarks.networks.choices import BenchChoices
 from datagen.terminal.command import run, unwrap_help
 
-DESCRIPTION = "Measure speed: rivals by turns in one process, checked first; exit status 1 where a ratio is missed."
+DESCRIPTION = (
+    "Measure speed: rivals by turns in one process, checked first; exit status 1 where a ratio is missed. "
+    "Draw what runs have learned."
+)
 
 
 def main() -> None:
@@ -15,7 +18,7 @@ def main() -> None:
     unwrap_help(BenchChoices)
     commands = {
         "peel": peel, "truth": truth, "scale": scale,
-        "ceilings": ceilings, "step": step, "infer": infer, "online": online, "gpu": gpu,
+        "ceilings": ceilings, "step": step, "infer": infer, "online": online, "gpu": gpu, "sky": sky, "errors": errors,
     }  # fmt: skip
     run("python -m benchmarks", DESCRIPTION, commands, sys.argv[1:])
 
@@ -165,3 +168,46 @@ def gpu(choices: BenchChoices) -> None:
     from benchmarks.networks.gpu import bench_gpu
 
     show(bench_gpu(choices), as_json=choices.json)
+
+
+def sky(
+    runs: tuple[Path, ...], names: tuple[str, ...] = (), out: Path = Path("sky.png"), *, overwrite: bool = False
+) -> None:
+    """The sky that runs of light-path have learned beside the true one, as a picture on one scale.
+
+    Args:
+        runs: Run folders.
+        names: What the picture calls them, instead of their paths.
+        out: The picture, a PNG; a file that stands there is kept.
+        overwrite: Replace a file that stands at --out.
+    """
+    from datagen.disk.ownership import refuse_file
+
+    if not overwrite:
+        refuse_file(out)
+    from benchmarks.pictures.sky import draw_skies
+
+    out.write_bytes(draw_skies(runs, names))
+    print(out)
+
+
+def errors(
+    before: Path, after: Path, out: Path = Path("errors.png"), *, views: int = 2, overwrite: bool = False
+) -> None:
+    """Truth, predictions and error maps of two runs on the views that the first predicts worst, as a picture.
+
+    Args:
+        before: A run folder.
+        after: Another one, of the same dataset.
+        out: The picture, a PNG; a file that stands there is kept.
+        views: How many views are shown.
+        overwrite: Replace a file that stands at --out.
+    """
+    from datagen.disk.ownership import refuse_file
+
+    if not overwrite:
+        refuse_file(out)
+    from benchmarks.pictures.errors import draw_errors
+
+    out.write_bytes(draw_errors(before, after, views=views))
+    print(out)
