@@ -1,4 +1,4 @@
-"""Owns the command `eval report`.
+"""The command `eval report`.
 
 In a POSIX shell `eval report ARGS` runs the shell's builtin, which runs `report ARGS`; so both console scripts come
 here, and the word `report` may or may not be there.
@@ -21,6 +21,8 @@ def report(
     out: Path | None = None,
     table: tuple[str, ...] = (),
     order: int = 0,
+    full: bool = False,
+    published: bool = False,
 ) -> None:
     """Scores every folder RUNS/SCENE/NAME/predictions/SPLIT/0000.png, 0001.png, ... and draws contact sheets.
 
@@ -37,6 +39,8 @@ def report(
             ablation (parts of light-path), variants (of paper), claims. `model sweep` trains the runs of each.
         order: Layers, 1 to 8: adds a table of pixels that show objects in an order which no training pixel has among
             its first so many layers. 0 adds none.
+        full: Also print what each run is, and quality by angle, by number of training views and by layers.
+        published: Also print the paper's own numbers, and beside them what its authors' script would for these runs.
     """
     from datagen.data.finding import find_dataset
     from eval.page.report import make_report, make_tables
@@ -46,7 +50,16 @@ def report(
     if table:
         make_tables(runs, data, place, tables=table, output_format=format, only=only)
         return
-    make_report(runs, data, place, output_format=format, order_layers=order, only=only)
+    make_report(
+        runs,
+        data,
+        place,
+        output_format=format,
+        order_layers=order,
+        only=only,
+        is_full=full,
+        is_published=published,
+    )
 
 
 def main() -> None:

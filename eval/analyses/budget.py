@@ -125,7 +125,9 @@ def budget_grid(title: str, budgets: tuple[Budget, ...]) -> Grid:
                 *(format_number(values[split], 2) for values in scores for split in TEST_SPLITS),
                 *(f"{100 * values[split]:.1f}" for values in shares for split in TEST_SPLITS),
             ))  # fmt: skip
-    return Grid(title=f"{title}: layer budget", columns=tuple(columns), rows=tuple(rows), notes=BUDGET_NOTES)
+    return Grid(
+        title=f"{title}: layer budget", columns=tuple(columns), rows=tuple(rows), notes=BUDGET_NOTES, is_detail=True
+    )
 
 
 def _point(count: int, group: list[RunScores], more: Shares, deeper: Shares) -> BudgetPoint:

@@ -147,6 +147,7 @@ def curve_grid(title: str, curves: dict[str, Curve]) -> Grid:
         rows=(*rows, ("share of pixels", MISSING, *shares)),
         last_row_apart=True,
         notes=CURVE_NOTES,
+        is_detail=True,
     )
 
 

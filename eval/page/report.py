@@ -37,12 +37,14 @@ TABLE_FORMATS = ("table", "markdown", "latex")
 
 
 def make_report(runs_root: Path, data_root: Path, out: Path, *, output_format: str, order_layers: int = 0,
-                only: Path | None = None) -> None:  # fmt: skip
+                only: Path | None = None, is_full: bool = False, is_published: bool = False) -> None:  # fmt: skip
     """Scores all runs; a run that cannot be scored is reported after the others are.
 
     Args:
         order_layers: layers by whose order pixels are told apart; 0 leaves that table out.
         only: the dataset whose runs are scored; those of all unless given.
+        is_full: also print what the runs are, quality by angle and by layers.
+        is_published: also print the paper's own numbers, and beside them what its authors' script would for our runs.
 
     Raises:
         HyalineError: an unknown format, no run, or a run that cannot be scored.
@@ -61,7 +63,7 @@ def make_report(runs_root: Path, data_root: Path, out: Path, *, output_format: s
     if scored:
         scenes = [scene for scene, _ in scored]
         further = [analyse(scene, truths, errors, order_layers=order_layers) for scene, truths in scored]
-        _print_scores(scenes, further, output_format)
+        _print_scores(scenes, further, output_format, is_full=is_full, is_published=is_published)
         for path in write_report(out, {"results.json": partial(_json, scenes, further), **figures_of(scenes, further)}):
             say(f"wrote {path}")
     for error in errors[:-1]:
@@ -215,14 +217,23 @@ def _json(scenes: list[SceneScores], further: list[Further]) -> bytes:
     )
 
 
-def _print_scores(scenes: list[SceneScores], further: list[Further], output_format: str) -> None:
+def _print_scores(scenes: list[SceneScores], further: list[Further], output_format: str, *, is_full: bool,
+                  is_published: bool) -> None:  # fmt: skip
     if output_format == "json":
         text = _json(scenes, further).decode()
     elif output_format == "csv":
         text = results_csv(scenes)
     else:
-        grids = (*(grid for analyses in further for grid in analyses.grids), published_grid())
-        text = tables_text(scenes, output_format, width=_output_width(), color=sys.stdout.isatty(), more=grids)
+        grids = [grid for analyses in further for grid in analyses.grids]
+        text = tables_text(
+            scenes,
+            output_format,
+            width=_output_width(),
+            color=sys.stdout.isatty(),
+            more=[*grids, *([published_grid()] if is_published else [])],
+            is_full=is_full,
+            is_wrapped=is_published,
+        )
     sys.stdout.write(text)
     sys.stdout.flush()
 

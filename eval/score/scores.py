@@ -22,8 +22,18 @@ class Metric:
     key: str
     """In CSV and JSON."""
     title: str
+    """Ends in ↑ where more is better, in ↓ where less is."""
     decimals: int
     in_db: bool = False
+    is_printed: bool = True
+    """False: CSV and JSON alone show it."""
+    is_wrapped: bool = False
+    """What the paper's authors' script computes: printed beside their numbers alone."""
+
+    @property
+    def sign(self) -> int:
+        """1 where more is better, -1 where less is, 0 where neither."""
+        return {"↑": 1, "↓": -1}.get(self.title[-1], 0)
 
 
 METRICS = (
@@ -31,8 +41,15 @@ METRICS = (
     Metric(key="glass_psnr_db", title="PSNR glass dB ↑", decimals=2, in_db=True),
     Metric(key="ssim", title="SSIM ↑", decimals=3),
     Metric(key="delta_e", title="ΔE2000 ↓", decimals=2),
-    Metric(key="delta_e_p95", title="ΔE2000 p95 ↓", decimals=2),
-    Metric(key="psnr_uint8_wrap_db", title="PSNR wrapped (authors' script)", decimals=2, in_db=True),
+    Metric(key="delta_e_p95", title="ΔE2000 p95 ↓", decimals=2, is_printed=False),
+    Metric(
+        key="psnr_uint8_wrap_db",
+        title="PSNR wrapped (authors' script)",
+        decimals=2,
+        in_db=True,
+        is_printed=False,
+        is_wrapped=True,
+    ),
 )
 
 METRIC_NOTES = (
@@ -40,11 +57,18 @@ METRIC_NOTES = (
     "PSNR glass: pixels whose centre ray meets glass before anything opaque; pictures without such pixels are left "
     "out. SSIM: Wang et al. 2004, Gaussian window, sigma 1.5. ΔE2000: CIE DE2000 under D65, mean over pixels (p95: "
     "the pixels' 95th percentile).",
-    "PSNR wrapped (authors' script): squared errors modulo 256, as the script that the paper's authors released "
-    "counts them. No PSNR; it stands here only beside their tables.",
     "Drop: PSNR interpolating minus extrapolating. Truth's noise (ceiling): the PSNR that a perfect method would get "
     "against these noisy pictures.",
 )
+WRAPPED_NOTE = (
+    "PSNR wrapped (authors' script): squared errors modulo 256, as the script that the paper's authors released counts "
+    "them. No PSNR; it stands here only beside their tables."
+)
+
+
+def metric_notes(*, is_wrapped: bool) -> tuple[str, ...]:
+    """What the printed metrics are."""
+    return (*METRIC_NOTES, *([WRAPPED_NOTE] if is_wrapped else []))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -1,21 +1,22 @@
-"""Owns the printed tables: for each scene one of scores and one of what the runs are, for people and for papers."""
+"""Printed tables: for each scene one of scores and one of what the runs are, for people and for papers."""
 
 import dataclasses
 import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from datagen.data.config import TEST_SPLITS, Split
 from datagen.disk.names import printable
-from eval.score.scores import METRIC_NOTES, METRICS, RunScores, SceneScores
+from eval.score.scores import METRICS, Metric, RunScores, SceneScores, metric_notes
 from eval.score.seeds import SeedGroup, Spread, group_seeds
+
+if TYPE_CHECKING:
+    from rich.table import Table
 
 MISSING = "–"  # noqa: RUF001  An en dash, as tables have it.
 CEILING = "truth's noise (ceiling)"
-NOT_PRINTED = ("delta_e_p95",)
-"""Metrics that only CSV and JSON show: a line of 120 characters has no room for more."""
-
 SHORT_SPLITS: dict[Split, str] = {"train": "train", "interpolating": "inter", "extrapolating": "extra",
                                   "extrapolating-10deg": "10°", "extrapolating-20deg": "20°",
                                   "extrapolating-40deg": "40°"}  # fmt: skip
@@ -42,12 +43,22 @@ class Grid:
     rows: tuple[tuple[str, ...], ...]
     last_row_apart: bool = False
     notes: tuple[str, ...] = ()
+    best: frozenset[tuple[int, int]] = frozenset()
+    """Row and column of the values that are the best of their columns."""
+    is_detail: bool = False
+    """Printed only when everything is asked for."""
 
 
-def scene_grids(scene: SceneScores) -> tuple[Grid, ...]:
-    """The scores of a scene's runs, with the noise ceiling below them; means over seeds, if any; what the runs are."""
+def scene_grids(scene: SceneScores, *, is_wrapped: bool = False) -> tuple[Grid, ...]:
+    """The scores of a scene's runs, with the noise ceiling below them; means over seeds, if any; what the runs are.
+
+    Args:
+        is_wrapped: also print what the paper's authors' script would.
+    """
     groups = [group for group in group_seeds(scene.runs) if len(group.runs) > 1]
-    return _score_grid(scene), *([_seed_grid(scene, groups)] if groups else []), _run_grid(scene)
+    metrics = tuple(metric for metric in METRICS if metric.is_printed or (is_wrapped and metric.is_wrapped))
+    seeds = [_seed_grid(scene, groups, metrics)] if groups else []
+    return _score_grid(scene, metrics), *seeds, _run_grid(scene)
 
 
 def format_number(value: float | None, decimals: int) -> str:
@@ -56,21 +67,30 @@ def format_number(value: float | None, decimals: int) -> str:
     return "∞" if math.isinf(value) else f"{value:.{decimals}f}"
 
 
-def _score_grid(scene: SceneScores) -> Grid:
-    printed = [metric for metric in METRICS if metric.key not in NOT_PRINTED]
+def _score_grid(scene: SceneScores, metrics: tuple[Metric, ...]) -> Grid:
+    """The best run first, by its PSNR on the interpolating split."""
     columns = [Column(group="run", is_number=False)]
-    for metric in printed:
+    signs = [0]
+    """Of each column: 1 where more is better, -1 where less is, 0 where neither."""
+    for metric in metrics:
         columns += [Column(group=metric.title, split=split) for split in TEST_SPLITS]
+        signs += [metric.sign] * len(TEST_SPLITS)
         if metric.key == "psnr_db":
             columns.append(Column(group="drop dB ↓"))
-    rows = []
-    for scores in scene.runs:
-        row = [scores.run.name]
-        for metric in printed:
-            row += [format_number(scores.mean(metric.key, split), metric.decimals) for split in TEST_SPLITS]
+            signs.append(0)
+    runs = sorted(scene.runs, key=_rank)
+    rows, values = [], []
+    for scores in runs:
+        row, numbers = [scores.run.name], [None]
+        for metric in metrics:
+            means = [scores.mean(metric.key, split) for split in TEST_SPLITS]
+            row += [format_number(mean, metric.decimals) for mean in means]
+            numbers += means
             if metric.key == "psnr_db":
                 row.append(format_number(scores.drop_db, 2))
+                numbers.append(None)
         rows.append(tuple(row))
+        values.append(numbers)
     ceiling = [format_number(scene.ceilings_db[split], 2) for split in TEST_SPLITS]
     rows.append((CEILING, *ceiling, *[MISSING] * (len(columns) - 1 - len(ceiling))))
     size = scene.dataset.config.resolution
@@ -81,21 +101,39 @@ def _score_grid(scene: SceneScores) -> Grid:
         rows=tuple(rows),
         last_row_apart=True,
         notes=left_out_notes(scene),
+        best=_best(rows[:-1], values, signs) if len(runs) > 1 else frozenset(),
     )
 
 
-def _seed_grid(scene: SceneScores, groups: list[SeedGroup]) -> Grid:
+def _rank(scores: RunScores) -> tuple[float, str]:
+    mean = scores.mean("psnr_db", "interpolating")
+    return (math.inf if mean is None else -mean, scores.run.name)
+
+
+def _best(
+    rows: list[tuple[str, ...]], values: list[list[float | None]], signs: list[int]
+) -> frozenset[tuple[int, int]]:
+    """The places of each column's best value, and of those that are printed alike."""
+    best = set()
+    for column, sign in enumerate(signs):
+        known = [(sign * value, row) for row, line in enumerate(values) if (value := line[column]) is not None]
+        if sign and known:
+            text = rows[max(known)[1]][column]
+            best |= {(row, column) for row, line in enumerate(rows) if line[column] == text}
+    return frozenset(best)
+
+
+def _seed_grid(scene: SceneScores, groups: list[SeedGroup], metrics: tuple[Metric, ...]) -> Grid:
     """Two lines a group: the mean of its runs' scores, and their standard deviation."""
-    printed = [metric for metric in METRICS if metric.key not in NOT_PRINTED]
     columns = [Column(group="runs", is_number=False), Column(group="seeds")]
-    for metric in printed:
+    for metric in metrics:
         columns += [Column(group=metric.title, split=split) for split in TEST_SPLITS]
         if metric.key == "psnr_db":
             columns.append(Column(group="drop dB ↓"))
     rows = []
     for group in groups:
         cells: list[tuple[Spread, int]] = []
-        for metric in printed:
+        for metric in metrics:
             cells += [(group.score(metric.key, split), metric.decimals) for split in TEST_SPLITS]
             if metric.key == "psnr_db":
                 cells.append((group.drop_db, 2))
@@ -118,6 +156,7 @@ def _run_grid(scene: SceneScores) -> Grid:
                  Column(group="seed")),
         rows=tuple(_run_row(scores) for scores in scene.runs),
         notes=(f"Data: dataset seal {scene.dataset.seal[:12]}.",),
+        is_detail=True,
     )  # fmt: skip
 
 
@@ -165,20 +204,22 @@ def _without_glass(scene: SceneScores) -> dict[Split, int]:
 
 
 def tables_text(scenes: list[SceneScores], output_format: str, *, width: int, color: bool = False,
-                more: Sequence[Grid] = ()) -> str:  # fmt: skip
-    """All tables, and the notes that explain them, as `table` (plain text), `markdown` or `latex`.
+                more: Sequence[Grid] = (), is_full: bool = True, is_wrapped: bool = False) -> str:  # fmt: skip
+    """The tables, and the notes that explain them, as `table` (plain text), `markdown` or `latex`.
 
     Args:
         more: further tables, behind those of the scenes.
+        is_full: with the tables that are details.
+        is_wrapped: with what the paper's authors' script would print.
     """
 
     def write(grid: Grid) -> str:
         return grid_text(grid, output_format, width=width, color=color)
 
-    grids = [grid for scene in scenes for grid in scene_grids(scene)]
-    parts = [write(grid) for grid in grids]
-    parts.append(_paragraphs(METRIC_NOTES, output_format, width))
-    parts += [write(grid) for grid in more]
+    grids = [grid for scene in scenes for grid in scene_grids(scene, is_wrapped=is_wrapped)]
+    parts = [write(grid) for grid in grids if is_full or not grid.is_detail]
+    parts.append(_paragraphs(metric_notes(is_wrapped=is_wrapped), output_format, width))
+    parts += [write(grid) for grid in more if is_full or not grid.is_detail]
     return "\n".join(parts)
 
 
@@ -199,8 +240,25 @@ def grid_text(grid: Grid, output_format: str, *, width: int, color: bool = False
 def _plain(grid: Grid, width: int, color: bool) -> str:
     import io
 
-    from rich import box
     from rich.console import Console
+    from rich.measure import Measurement
+
+    buffer = io.StringIO()
+    console = Console(file=buffer, width=width, force_terminal=color, no_color=not color, highlight=False)
+    is_marked = bool(grid.best) and not color
+    table = _rich_table(grid, is_marked=is_marked)
+    unbounded = console.options.update(max_width=10 * width)
+    if is_marked and Measurement.get(console, unbounded, table).maximum > width:
+        is_marked, table = False, _rich_table(grid, is_marked=False)
+    console.print(table)
+    text = "\n".join(line.rstrip() for line in buffer.getvalue().splitlines())
+    notes = (*grid.notes, *(["* the best of its column."] if is_marked else []))
+    return f"{text.rstrip()}\n" + _paragraphs(notes, "table", width)
+
+
+def _rich_table(grid: Grid, *, is_marked: bool) -> "Table":
+    """Best values are bold, which a terminal shows, and have an asterisk where asked for."""
+    from rich import box
     from rich.table import Table
     from rich.text import Text
 
@@ -215,13 +273,15 @@ def _plain(grid: Grid, width: int, color: bool) -> str:
             Text(lines), justify="right" if column.is_number else "left", vertical="top", no_wrap=column.is_number
         )
         table.columns[-1].overflow = "fold"
+    marked = {column for _, column in grid.best} if is_marked else set()
     for place, row in enumerate(grid.rows):
-        table.add_row(*(Text(cell) for cell in row), end_section=grid.last_row_apart and place == len(grid.rows) - 2)
-    buffer = io.StringIO()
-    console = Console(file=buffer, width=width, force_terminal=color, no_color=not color, highlight=False)
-    console.print(table)
-    text = "\n".join(line.rstrip() for line in buffer.getvalue().splitlines())
-    return f"{text.rstrip()}\n" + _paragraphs(grid.notes, "table", width)
+        cells = []
+        for column, cell in enumerate(row):
+            is_best = (place, column) in grid.best
+            mark = ("*" if is_best else " ") if column in marked else ""
+            cells.append(Text(cell + mark, style="bold" if is_best else ""))
+        table.add_row(*cells, end_section=grid.last_row_apart and place == len(grid.rows) - 2)
+    return table
 
 
 def _paragraphs(notes: tuple[str, ...], output_format: str, width: int) -> str:
@@ -242,8 +302,13 @@ def markdown_escaped(text: str) -> str:
 def _markdown(grid: Grid) -> str:
     heads = [column.group if column.split is None else f"{column.group}, {column.split}" for column in grid.columns]
     rules = ["---:" if column.is_number else "---" for column in grid.columns]
-    lines = [heads, rules, *grid.rows]
-    body = "".join(f"| {' | '.join(map(markdown_escaped, line))} |\n" for line in lines)
+    rows = [
+        [f"**{markdown_escaped(cell)}**" if (place, column) in grid.best else markdown_escaped(cell)
+         for column, cell in enumerate(row)]
+        for place, row in enumerate(grid.rows)
+    ]  # fmt: skip
+    lines = [[markdown_escaped(head) for head in heads], rules, *rows]
+    body = "".join(f"| {' | '.join(line)} |\n" for line in lines)
     return f"### {markdown_escaped(grid.title)}\n\n{body}" + _paragraphs(grid.notes, "markdown", TABLE_WIDTH)
 
 
@@ -274,7 +339,14 @@ def _latex(grid: Grid) -> str:
             rules.append(rf"\cmidrule(lr){{{place + 1}-{place + span}}}")
         below += [SHORT_SPLITS[column.split] if column.split else "" for column in grid.columns[place : place + span]]
         place += span
-    rows = [" & ".join(map(latex_escaped, row)) + r" \\" for row in grid.rows]
+    rows = [
+        " & ".join(
+            rf"\textbf{{{latex_escaped(cell)}}}" if (line, column) in grid.best else latex_escaped(cell)
+            for column, cell in enumerate(row)
+        )
+        + r" \\"
+        for line, row in enumerate(grid.rows)
+    ]
     if grid.last_row_apart:
         rows.insert(-1, r"\midrule")
     heads = [" & ".join(top) + r" \\"]

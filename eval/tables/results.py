@@ -9,7 +9,7 @@ from typing import cast
 from datagen.data.config import TEST_SPLITS
 from datagen.disk.records import Json
 from datagen.disk.storage import dump_json
-from eval.score.scores import METRIC_NOTES, METRICS, RunScores, SceneScores
+from eval.score.scores import METRICS, RunScores, SceneScores, metric_notes
 from eval.score.seeds import SeedGroup, Spread, describe_run, group_seeds
 from eval.tables.grids import CEILING, left_out_notes
 
@@ -29,7 +29,7 @@ def results_json(scenes: list[SceneScores], analyses: Mapping[str, dict[str, Jso
     return dump_json(
         {
             "version": RESULTS_VERSION,
-            "notes": list(METRIC_NOTES),
+            "notes": list(metric_notes(is_wrapped=True)),
             "scenes": [_scene_json(scene, (analyses or {}).get(scene.title, {})) for scene in scenes],
             **(more or {}),
         }

@@ -74,7 +74,7 @@ def test_runs_of_several_budgets_make_a_table_and_a_figure(
     assert [read_run(runs / name).num_layers for name in ("all", "one")] == [4, 1]
     capsys.readouterr()
 
-    make_report(tmp_path / "runs", dataset.root.parent, tmp_path / "out", output_format="markdown")
+    make_report(tmp_path / "runs", dataset.root.parent, tmp_path / "out", output_format="markdown", is_full=True)
     assert "synthetic: layer budget" in capsys.readouterr().out
     scene = json.loads((tmp_path / "out/results.json").read_text())["scenes"][0]
     (budget,) = scene["analyses"]["layer_budgets"]  # `wide` and `other` stand alone.

@@ -113,7 +113,7 @@ def test_the_report_averages_runs_that_differ_in_their_seed_alone(
         write_run(dataset, tmp_path, f"paper-seed{seed}" if seed else "paper", paper(seed=seed), level, 20)
     write_run(dataset, tmp_path, "paper-100-steps-seed1", paper(seed=1, steps=100), 30, 30)
     write_run(dataset, tmp_path, "again", paper(seed=1, steps=100), 31, 31)  # The same seed: no spread to be had.
-    make_report(tmp_path, dataset.root.parent, tmp_path / "report", output_format="markdown")
+    make_report(tmp_path, dataset.root.parent, tmp_path / "report", output_format="markdown", is_full=True)
     text = capsys.readouterr().out
     (start,) = [place for place, line in enumerate(text.splitlines()) if "over seeds" in line and line.startswith("#")]
     mean, deviation = rows_of("\n".join(text.splitlines()[start + 3 : start + 6]))[:2]

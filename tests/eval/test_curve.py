@@ -143,7 +143,7 @@ def test_the_report_has_a_curve_for_each_run(
             path = tmp_path / f"runs/synthetic/steep/predictions/{split}/{view:04d}.png"
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(png_bytes(np.rint(image).clip(0, 255).astype(np.uint8).reshape(16, 16, 3)))
-    make_report(tmp_path / "runs", dataset.root.parent, tmp_path / "out", output_format="markdown")
+    make_report(tmp_path / "runs", dataset.root.parent, tmp_path / "out", output_format="markdown", is_full=True)
     curve = json.loads((tmp_path / "out/results.json").read_text())["scenes"][0]["analyses"]["curves"]["steep"]
     assert curve["db_per_10deg"] == pytest.approx(-4, abs=0.8)
     assert curve["unseen"]["pixels"] + sum(part["pixels"] for part in curve["by_angle"]) > 200

@@ -143,7 +143,8 @@ def test_json_on_stdout_is_the_file_and_holds_every_picture(
 
 @pytest.mark.usefixtures("no_pictures")
 def test_table_fits_120_columns_and_says_what_it_measures(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    make_report(made / "runs", made / "data", made / "runs" / "report", output_format="table")
+    everything = {"is_full": True, "is_published": True}
+    make_report(made / "runs", made / "data", made / "runs" / "report", output_format="table", **everything)
     text = capsys.readouterr().out
     assert max(map(len, text.splitlines())) <= 120
     for words in (CEILING, "PSNR wrapped (authors' script)", "33,267", "–", "∞", "Not comparable", "33.80"):  # noqa: RUF001
@@ -156,7 +157,7 @@ def test_table_fits_120_columns_and_says_what_it_measures(made: Path, capsys: py
 @pytest.mark.usefixtures("no_pictures")
 def test_markdown_has_as_many_cells_in_each_line(made: Path, tmp_path: Path,
                                                  capsys: pytest.CaptureFixture[str]) -> None:  # fmt: skip
-    make_report(made / "runs", made / "data", tmp_path, output_format="markdown")
+    make_report(made / "runs", made / "data", tmp_path, output_format="markdown", is_full=True, is_published=True)
     tables = re.findall(r"(?:^\|.*\n)+", capsys.readouterr().out, re.MULTILINE)
     assert len(tables) == 4
     for table in tables:
@@ -168,7 +169,7 @@ def test_markdown_has_as_many_cells_in_each_line(made: Path, tmp_path: Path,
 
 @pytest.mark.usefixtures("no_pictures")
 def test_latex_is_booktabs_with_balanced_rows(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    make_report(made / "runs", made / "data", tmp_path, output_format="latex")
+    make_report(made / "runs", made / "data", tmp_path, output_format="latex", is_full=True, is_published=True)
     text = capsys.readouterr().out
     tables = re.findall(r"\\begin\{tabular\}\{(\w+)\}\n(.*?)\\end\{tabular\}", text, re.DOTALL)
     assert len(tables) == 4
@@ -399,3 +400,32 @@ def test_the_package_imports_neither_torch_nor_mitsuba_and_its_help_nothing_heav
     )
     done = command(sys.executable, "-c", code, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.usefixtures("no_pictures")
+def test_the_short_report_leaves_out_details_and_what_only_the_paper_counts(
+    made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shown = {}
+    for flags in ({}, {"is_full": True}, {"is_published": True}):
+        make_report(made / "runs", made / "data", tmp_path, output_format="markdown", **flags)
+        shown[next(iter(flags), "short")] = capsys.readouterr().out
+    assert not any(words in shown["short"] for words in ("wrapped", "Not comparable", "33,267", "Slope:"))
+    assert all(words in shown["is_full"] for words in ("33,267", "Slope:"))
+    assert all(words in shown["is_published"] for words in ("PSNR wrapped", "Not comparable", "33.80"))
+    assert "wrapped" not in shown["is_full"] and "33,267" not in shown["is_published"]
+
+
+@pytest.mark.usefixtures("no_pictures")
+@pytest.mark.parametrize(
+    ("output_format", "name", "best"),
+    [("table", "perfect", "∞*"), ("markdown", "| perfect", "**∞**"), ("latex", "perfect &", r"\textbf{$\infty$}")],
+)
+def test_the_best_run_stands_first_and_its_values_are_marked(
+    output_format: str, name: str, best: str, made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    make_report(made / "runs", made / "data", tmp_path, output_format=output_format)
+    lines = capsys.readouterr().out.splitlines()
+    names = [line for line in lines if line.strip().startswith((name, name.replace("perfect", "grey")))]
+    assert name in names[0] and best in names[0]
+    assert best not in names[1]
