@@ -4,6 +4,8 @@
 
 ENVIRONMENT := $(or $(VIRTUAL_ENV),$(CONDA_PREFIX),$(CURDIR)/.venv)
 BIN := $(ENVIRONMENT)/bin
+# A file's tests share what they build, so each file stays on one process.
+PARALLEL := --numprocesses=auto --maxprocesses=4 --dist=loadfile
 STAMP := $(ENVIRONMENT)/.hyaline-installed
 
 setup: $(STAMP)
@@ -40,11 +42,11 @@ test: setup
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest $(PARALLEL)
 
 # Every promise of docs/reliability.md with every case, an hour on two cores; writes the counts into that file.
 reliability: setup
-	$(BIN)/python -m pytest -m promise --full --promises=docs/reliability.md
+	$(BIN)/python -m pytest $(PARALLEL) -m promise --full --promises=docs/reliability.md
 
 # The pages of docs/ as a web site.
 docs: setup

@@ -9,7 +9,7 @@ import collections
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TypeVar
+from typing import TypeVar, cast
 
 import pytest
 
@@ -56,32 +56,34 @@ class Counts:
     def __init__(self, config: pytest.Config) -> None:
         self.config = config
         self.start = time.monotonic()
-        self.promises: dict[str, list[str]] = {}
-        """The promises of a test, by its id."""
         self.tried: dict[str, dict[str, collections.Counter[str]]] = {}
         """Cases by promise and by test file."""
         self.failed: collections.Counter[str] = collections.Counter()
+        self.names: set[str] = set()
 
     def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
         for item in items:
             names = [name for mark in item.iter_markers("promise") for name in mark.args]
             if names:
-                self.promises[item.nodeid] = sorted(set(names))
+                # Reports carry it, also from another process (pytest-xdist), which collects for itself.
+                item.user_properties.append(("promises", sorted(set(names))))
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        for name in self.promises.get(report.nodeid, ()):
+        told = dict(report.user_properties)
+        for name in cast(list[str], told.get("promises", [])):
+            self.names.add(name)
             if report.failed:
                 self.failed[name] += 1
             elif report.when == "teardown":
                 file = report.nodeid.split("::")[0]
-                cases = dict(report.user_properties).get("cases") or {"tests": 1}
+                cases = cast(dict[str, int], told.get("cases")) or {"tests": 1}
                 counts = self.tried.setdefault(name, {}).setdefault(file, collections.Counter())
-                counts.update(cases)  # pyright: ignore[reportArgumentType]
+                counts.update(cases)
 
     def pytest_sessionfinish(self) -> None:
         path: Path | None = self.config.getoption("--promises")
-        if path is None or not self.tried:
-            return
+        if path is None or not self.tried or hasattr(self.config, "workerinput"):
+            return  # Of several processes (pytest-xdist) the first one hears of all tests.
         before, _, rest = path.read_text().partition(BEGIN)
         _, _, after = rest.partition(END)
         path.write_text(f"{before}{BEGIN}\n{self.table()}\n{END}{after}")
@@ -89,9 +91,7 @@ class Counts:
     def table(self) -> str:
         """The counts as a table in Markdown."""
         lines = ["| promise | kept by | cases that held | tests that failed |", "|---|---|---|---:|"]
-        for name in sorted(
-            {name for names in self.promises.values() for name in names}, key=lambda name: int(name[1:])
-        ):
+        for name in sorted(self.names, key=lambda name: int(name[1:])):
             files = self.tried.get(name, {})
             total: collections.Counter[str] = sum(files.values(), collections.Counter())
             found = ", ".join(f"{number:,} {what}" for what, number in total.most_common())

@@ -56,7 +56,7 @@ def test_parts_made_at_once_are_the_whole_byte_for_byte(scene_folder: Path, tmp_
     out = tmp_path / "parts"
     parts = [
         subprocess.Popen(command(scene_folder, out, *ALL, *words), stderr=subprocess.PIPE, text=True)
-        for words in (("--shard", "1/2"), ("--shard", "2/2", "--workers", "2"))
+        for words in (("--shard", "1/2"), ("--shard", "2/2"))
     ]
     said = [part.communicate()[1] for part in parts]
     assert [part.returncode for part in parts] == [0, 0], said
@@ -142,7 +142,9 @@ def test_the_launcher_sends_parts_to_slurm(built: Path, scene_folder: Path, tmp_
         (tmp_path / "bin" / name).chmod(0o755)
     environment = {**os.environ, "PATH": f"{tmp_path / 'bin'}:{os.environ['PATH']}"}
     out = tmp_path / "out"
-    asked = command(scene_folder, out, "--launcher", "slurm", "--shards", "2", "--slurm-time", "30", "--workers", "2")
+    asked = command(
+        scene_folder, out, "--launcher", "slurm", "--shards", "2", "--slurm-time", "30", "--slurm-cpus", "2"
+    )
 
     wrong = [*asked, "--slurm-partition", "wrong"]
     answer = subprocess.run(wrong, capture_output=True, text=True, check=False, env=environment)
