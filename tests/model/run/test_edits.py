@@ -223,9 +223,10 @@ def test_seeds_share_a_row_in_the_tables_of_edits_and_orders_and_the_first_stand
     for path in black.rglob("predictions.json"):
         path.unlink()
     heads = []
-    monkeypatch.setattr(
-        "eval.figures.sheets._draw", lambda title, found, rows, size: heads.append((title, found)) or b""
-    )
+    for module in ("eval.figures.sheets", "eval.analyses.edit_sheet"):
+        monkeypatch.setattr(
+            f"{module}.draw_sheet", lambda title, found, rows, size: heads.append((title, found)) or b""
+        )
     make_report(tmp_path / "runs", made / "data", tmp_path / "out", output_format="markdown", order_layers=3)
 
     results = json.loads((tmp_path / "out" / "results.json").read_text())["scenes"][0]["analyses"]
