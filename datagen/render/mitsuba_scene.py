@@ -81,19 +81,19 @@ def load_geometry_mitsuba(meshes: tuple[Mesh, ...]) -> "mi.Scene":
     return _load({"type": "scene", **shapes}, len(meshes))
 
 
-def to_columns(vectors: Float[np.ndarray, "ray 3"]) -> "list[mi.Float]":
-    """x, y and z of vectors, in memory aligned to a cache line.
+def to_columns(vectors: Float[np.ndarray, "ray axis"]) -> "list[mi.Float]":
+    """x, y and (of three) z of vectors, in memory aligned to a cache line.
 
     Dr.Jit maps NumPy's memory instead of copying it, and code for unaligned memory is another kernel: one that depends
     on where NumPy happened to put an array is compiled again and again.
     """
     import mitsuba as mi
 
-    count = len(vectors)
+    count, axes = vectors.shape
     width = -(-count // 16) * 16  # Floats; 16 of them fill a line of 64 bytes.
-    memory = np.empty(3 * width + 16, np.float32)
+    memory = np.empty(axes * width + 16, np.float32)
     start = -memory.ctypes.data % 64 // 4
-    columns = memory[start : start + 3 * width].reshape(3, width)[:, :count]
+    columns = memory[start : start + axes * width].reshape(axes, width)[:, :count]
     columns[:] = vectors.T
     return [mi.Float(column) for column in columns]
 

@@ -127,14 +127,14 @@ class LightPathTracer:
         self._scene = load_geometry_mitsuba(meshes)
         self._media = find_media(kept_materials, meshes)
         self._tables = _make_tables(meshes, kept_materials, self._media)
-        self._rows: dict[tuple[int, int], tuple[mi.Float, ...]] = {}
+        self._spread: dict[int, list[mi.Float]] = {}
         # Recording a kernel takes as long as running it for 8,192 rays: it is done once for each number of rays and
         # limits.
         self._trace = dr.freeze(_trace, limit=RECORDINGS, warn_after=1 << 30)
 
     def trace(self, origins: Float32[np.ndarray, "ray 3"], directions: Float32[np.ndarray, "ray 3"],
               *, max_branches: int = 4, max_vertices: int = 8, max_depth: int = 24,
-              seed: int = 0, first_ray: int = 0) -> TracedPaths:  # fmt: skip
+              seed: int = 0, facets: Float32[np.ndarray, "ray 2"] | None = None) -> TracedPaths:  # fmt: skip
         """Follows rays that start in air.
 
         Args:
@@ -143,20 +143,25 @@ class LightPathTracer:
             max_vertices: kept of each branch. The last place holds the last vertex, however many come before it.
             max_depth: surfaces after which a branch is given up.
             seed: of the facets of rough surfaces that mirror.
-            first_ray: these are rays `first_ray` and following ones of a larger bundle, and trace as there.
+            facets: where among these facets each ray starts to choose, in [0, 1)^2. None: consecutive rays share them
+                out evenly.
         """
         import drjit as dr
         import mitsuba as mi
 
         count = len(directions)
-        if (first_ray, count) not in self._rows:
-            rays = np.arange(first_ray, first_ray + count)
-            self._rows[first_ray, count] = tuple(mi.Float(rays / PLASTIC ** (1 + axis) % 1) for axis in range(2))
+        if facets is not None:
+            rows = to_columns(facets)
+        elif count in self._spread:
+            rows = self._spread[count]
+        else:
+            rows = [mi.Float(np.arange(count) / PLASTIC ** (1 + axis) % 1) for axis in range(2)]
+            self._spread[count] = rows
 
         outputs = self._trace(
             self._scene, tuple(self._tables), self._media,
             mi.Point3f(*to_columns(origins)), mi.Vector3f(*to_columns(directions)),
-            self._rows[first_ray, count], dr.opaque(mi.UInt32, seed),
+            tuple(rows), dr.opaque(mi.UInt32, seed),
             count, max_branches, max_vertices, max_depth,
         )  # fmt: skip
         dr.eval(outputs)
@@ -226,8 +231,8 @@ def _trace(scene, tables, media, o, d, rows, shift, count, max_branches, max_ver
     """One kernel for all vertices of all branches of `count` rays from `o` along `d`.
 
     Args:
-        rows: two numbers in [0, 1) for each ray. Those of consecutive rays, which are those of one pixel, share out the
-            facets of a rough surface evenly (a shifted R2 sequence).
+        rows: two numbers in [0, 1) for each ray. Where those of consecutive rays, which are those of one pixel, are an
+            R2 sequence, these share out the facets of a rough surface evenly.
         shift: seed of the shifts.
 
     Returns:

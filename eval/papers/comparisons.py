@@ -92,7 +92,7 @@ LIGHT_PATH: dict[str, Json] = {
     "sky_lobes": 12,
     "hidden": 128,
     "sees_directions": False,
-    "debias": 0.5,
+    "debias": 0.0,
     "position_octaves": 0,
     "straight_layers": 0,
     "shells": 1,

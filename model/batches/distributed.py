@@ -183,11 +183,6 @@ class SharedGenerator(np.random.Generator):
         return drawn[self.share.start * per_pixel : self.share.stop * per_pixel]
 
 
-def first_pixel(rng: np.random.Generator | None) -> int:
-    """The place in the whole batch of the first pixel that is drawn for."""
-    return rng.share.start if isinstance(rng, SharedGenerator) else 0
-
-
 class SharedBatchNorm(nn.BatchNorm1d):
     """Batch norm whose mean and variance, while training, are those of the rows of all processes.
 

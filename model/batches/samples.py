@@ -26,16 +26,17 @@ def mean_color(radiance: Float32[Tensor, "pixel sample 3"]) -> Float32[Tensor, "
 
 
 def variance_of_mean(radiance: Float32[Tensor, "pixel sample 3"]) -> Float32[Tensor, "pixel 3"]:
-    """Estimated variance of `mean_color`, were the rays independent of each other; 0 for one ray.
+    """Estimated variance of `mean_color` over the choice of rays, of which 2k and 2k + 1 are independent pairs.
 
-    By the slope of the sRGB curve at the mean, through which no gradient flows.
+    By the slope of the sRGB curve at the mean, through which no gradient flows. 0 where there is but one pair.
     """
     samples = radiance.shape[1]
-    if samples == 1:
+    if samples < 4:
         return torch.zeros_like(radiance[:, 0])
+    pairs = radiance[:, : samples // 2 * 2].unflatten(1, (-1, 2)).mean(dim=2)
     mean = radiance.detach().mean(dim=1)
     slope = torch.where(mean <= 0.0031308, 12.92, (1.055 / 2.4) * mean.clamp_min(0.0031308) ** (1 / 2.4 - 1))
-    return radiance.var(dim=1) / samples * slope.square()
+    return pairs.var(dim=1) * (2 / samples) * slope.square()
 
 
 def linear_curve(srgb: Float32[Tensor, "*b"]) -> Float32[Tensor, "*b"]:

@@ -2,13 +2,13 @@
 
 import dataclasses
 import functools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
-from jaxtyping import Float32, Int, UInt8
+from jaxtyping import Float, Float32, Int, UInt8
 from torch import Tensor
 
 from datagen.data.cameras import Cameras, subpixel_offsets, subpixel_rays
@@ -46,6 +46,20 @@ class SubpixelRays:
         shape = (len(index), samples, 2)
         offsets = subpixel_offsets(samples) if rng is None else subpixel_offsets(samples, rng.random(shape))
         return subpixel_rays(self.cameras, index, np.broadcast_to(offsets, shape))
+
+    def through_pairs(self, index: Int[np.ndarray, " pixel"], samples: int, rng: np.random.Generator) -> Rays:
+        """As `through`, but rays 2k and 2k + 1 of a pixel lie opposite each other, and such pairs know nothing of each
+        other: how far their means differ tells how noisy these are, which rays in cells of their own don't tell."""
+        pairs = -(-samples // 2)
+        offsets = in_pairs(rng.random((len(index), pairs, 2)), lambda place: 1 - place)[:, :samples]
+        return subpixel_rays(self.cameras, index, offsets)
+
+
+def in_pairs(
+    first: Float[np.ndarray, "pixel pair 2"], opposite: Callable[[np.ndarray], np.ndarray]
+) -> Float[np.ndarray, "pixel sample 2"]:
+    """Points and what `opposite` makes of them, by turns."""
+    return np.stack([first, opposite(first)], axis=2).reshape(len(first), -1, 2)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -163,9 +163,9 @@ class LightPathChoices:
     """Learning rate of the learned sky's maps; its lobes learn 2.5 times as fast."""
     directions: Literal["on", "off"] | None = _choice(None, {"on": "directions", "off": "no-directions"})
     """Tell the decoder the mirrored direction. Default: off, for gloss is traced; on proxies on."""
-    debias: float = _choice(0.5, "debias{}")
-    """Share, 0 to 1, of what the noise of its training rays adds to the loss that is taken off again. At 0 lamps are
-    learned too dim. 1 would be right for independent rays; those of a pixel are spread evenly, and vary less."""
+    debias: float = _choice(0.0, "debias{}")
+    """Share, 0 to 1, of what the noise of training rays adds to the loss that is subtracted; these then come in
+    independent pairs. At 0 lamps are learned too dim. Not safe in long runs: rough surfaces may ripple."""
     position_octaves: int = _choice(0, "{}-octaves")
     """Octaves of the position that the decoder is told."""
     texture_levels: int = _choice(5, "{}-levels")

@@ -40,7 +40,7 @@ LIGHT = TrainConfig(
     method="light-path",
     geometry="truth",
     net=default_light_path((64, 64), is_proxy=False),
-    loss=LossConfig(softness=0.05, debias=0.5),
+    loss=LossConfig(softness=0.05, debias=0.0),
 )
 
 

@@ -53,6 +53,9 @@ class LightPathConfig:
     """Branches traced for each ray: refracted, first mirror, further ones."""
     train_samples: int = 4
     """Rays per pixel while training, a square number."""
+    paired_rays: bool = False
+    """While training the rays of a pixel come in independent pairs, which tell how noisy it is, instead of one in each
+    cell of a grid, which is less noisy."""
     render_samples: int = 16
     """Rays per pixel while rendering, a square number."""
     refined_samples: int = 64

@@ -39,6 +39,7 @@ def configure_light_path(
         sky_lobes=0 if choices.environment == 1 else choices.sky_lobes,
         branches=choices.branches,
         train_samples=known.train_samples if choices.rays is None else choices.rays,
+        paired_rays=choices.debias > 0,
         render_samples=known.render_samples if choices.render_rays is None else choices.render_rays,
         refined_samples=refined,
     )

@@ -17,9 +17,8 @@ from datagen.data.geometries import GeometryKey, geometry_key, read_meshes
 from datagen.data.meshes import Mesh
 from datagen.data.paths import TRUTH
 from datagen.machine.mitsuba_variant import short_lived_workers, use_mitsuba
-from model.batches.distributed import first_pixel
 from model.batches.rays import read_colors
-from model.batches.traced_layers import SubpixelRays, rays_of
+from model.batches.traced_layers import SubpixelRays, in_pairs, rays_of
 from model.methods.light_path.config import LightPathConfig, default_light_path
 from model.methods.light_path.paths import STACKED_VERTICES, Ends, LightPathBatch, Sky, Stack
 
@@ -67,10 +66,16 @@ class LightPathPixels:
     def take(self, index: Int[Tensor, "*pixel"], rng: np.random.Generator | None) -> LightPathBatch:
         """The paths of the rays through these pixels; without `rng` as many rays as a rendering takes."""
         config = self.config
-        samples = config.train_samples if rng is not None else config.render_samples
-        origins, directions = self.rays.through(index.flatten().cpu().numpy(), samples, rng)
+        pixels = index.flatten().cpu().numpy()
+        samples, seed, facets = config.render_samples, 0, None
+        if rng is None:
+            origins, directions = self.rays.through(pixels, samples, None)
+        else:
+            samples, seed = config.train_samples, int(rng.integers(1 << 31))
+            through = self.rays.through_pairs if config.paired_rays else self.rays.through
+            origins, directions = through(pixels, samples, rng)
+            facets = self._facets(len(pixels), samples, rng)
         # Of most branches the end is all that counts: one place holds the last vertex.
-        seed = 0 if rng is None else int(rng.integers(1 << 31))
         with short_lived_workers():
             paths = self.tracer.trace(
                 origins,
@@ -78,12 +83,25 @@ class LightPathPixels:
                 max_branches=config.branches,
                 max_vertices=1,
                 seed=seed,
-                first_ray=first_pixel(rng) * samples,
+                facets=facets,
             )
             stack = self._stack(origins, directions) if config.stack_hidden else None
         return LightPathBatch(
             num_pixels=index.numel(), samples=samples, ends=self._ends(paths), sky=self._sky(paths), stack=stack
         )
+
+    def _facets(self, num_pixels: int, samples: int, rng: np.random.Generator) -> Float32[np.ndarray, "ray 2"]:
+        """Where the rays of each pixel choose facets of rough surfaces: in pairs half a period from each other, or all
+        spread evenly, as in a rendering."""
+        from datagen.trace.light_path import PLASTIC
+
+        if self.config.paired_rays:
+            first = rng.random((num_pixels, -(-samples // 2), 2))
+            points = in_pairs(first, lambda place: (place + 0.5) % 1)[:, :samples]
+        else:
+            spread = np.arange(samples)[:, None] / PLASTIC ** np.array([1, 2])
+            points = (rng.random((num_pixels, 1, 2)) + spread) % 1
+        return points.reshape(-1, 2).astype(np.float32)
 
     def _ends(self, paths: "TracedPaths") -> Ends:
         branch, ray = np.nonzero(~paths.has_left & self.is_opaque[paths.object_id[:, 0]])

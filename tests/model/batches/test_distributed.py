@@ -218,11 +218,12 @@ def test_a_share_of_the_rays_meets_the_facets_that_it_meets_among_all(dataset: D
     tracer = LightPathTracer(read_meshes(dataset, TRUTH), (rough, rough))
     origins = np.tile(np.float32([0, 0, 3]), (64, 1))
     directions = np.tile(np.float32([0.1, 0, -1]) / np.float32(np.sqrt(1.01)), (64, 1))
-    whole = tracer.trace(origins, directions, seed=5).end_direction[1]
-    part = tracer.trace(origins[20:], directions[20:], seed=5, first_ray=20).end_direction[1]
+    facets = np.random.default_rng(1).random((64, 2), np.float32)
+    whole = tracer.trace(origins, directions, seed=5, facets=facets).end_direction[1]
+    part = tracer.trace(origins[20:], directions[20:], seed=5, facets=facets[20:]).end_direction[1]
     assert len(np.unique(whole.round(4), axis=0)) > 30, "the facets differ"
     assert np.array_equal(part, whole[20:])
-    assert not np.array_equal(tracer.trace(origins[20:], directions[20:], seed=5).end_direction[1], whole[20:])
+    assert not np.array_equal(tracer.trace(origins, directions, seed=5).end_direction[1], whole)
 
 
 @pytest.mark.parametrize(

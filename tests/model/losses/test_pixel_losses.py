@@ -58,7 +58,7 @@ def learned_lamp(debias: float) -> float:
     means = []
     for step in range(600):
         rng = np.random.default_rng([4, step])
-        loss = pixel_loss(renderer, pixels, 512, rng, softness=0.5, debias=debias)
+        loss = pixel_loss(renderer, pixels, 512, rng, softness=1.0, debias=debias)
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
@@ -71,15 +71,26 @@ def test_a_lamp_that_few_rays_meet_is_learned_as_bright_as_it_is() -> None:
     assert learned_lamp(0.0) < 0.6 * LAMP  # The noise that a bright lamp makes costs more than what it explains.
 
 
-@pytest.mark.parametrize("samples", [1, 4, 16])
-def test_the_variance_of_a_mean_color_is_what_it_is_over_many_draws(samples: int) -> None:
+@pytest.mark.parametrize("opposed", [0.0, 0.5, 1.0])
+@pytest.mark.parametrize("samples", [4, 16])
+def test_the_variance_of_a_mean_color_is_what_it_is_over_many_draws(samples: int, opposed: float) -> None:
     generator = torch.Generator().manual_seed(samples)
-    radiance = 0.4 + 0.05 * torch.randn(40_000, samples, 3, generator=generator)
-    estimate = variance_of_mean(radiance).mean()
-    if samples == 1:  # One ray doesn't tell.
-        assert estimate == 0
-    else:
-        assert estimate.item() == pytest.approx(mean_color(radiance).var(dim=0).mean().item(), rel=0.05)
+    first, second, rest = torch.randn(3, 40_000, samples // 2, 3, generator=generator)
+    pairs = torch.stack([first, -opposed * first + (1 - opposed) * second], dim=2) + 0.3 * rest[:, :, None]
+    radiance = 0.4 + 0.05 * pairs.flatten(1, 2)
+    estimate = variance_of_mean(radiance).mean().item()
+    assert estimate == pytest.approx(mean_color(radiance).var(dim=0).mean().item(), rel=0.05)
+
+
+def test_one_ray_tells_nothing_of_its_noise() -> None:
+    assert torch.equal(variance_of_mean(torch.rand(5, 1, 3)), torch.zeros(5, 3))
+
+
+def test_what_cancels_between_the_rays_of_a_pair_is_not_noise() -> None:
+    """Else a renderer would be paid for contrasts inside of a pixel, such as ripples in a rough floor's reflections."""
+    away = torch.rand(50, 2, 1, 3) * 0.3
+    radiance = 0.4 + torch.cat([away, -away], dim=2).flatten(1, 2)
+    assert variance_of_mean(radiance).max() < 1e-10
 
 
 @pytest.mark.parametrize("missed", [0.01, 0.1, -0.3])
@@ -94,6 +105,16 @@ def test_the_noise_penalty_is_what_noise_adds_to_the_loss(missed: float) -> None
     added = (penalty(given + noise) - penalty(given) - given * noise / penalty(given)).mean().item()
     expected = noise_penalty(given, torch.full((1, 3), deviation**2), softness)
     assert added == pytest.approx(expected.mean().item(), rel=0.1)
+
+
+@pytest.mark.parametrize("softness", [0.05, 0.2])
+def test_noise_is_never_paid_for_however_large(softness: float) -> None:
+    """Two pairs of rays, each too dark or too bright by as much: half of the time they cancel."""
+    size = torch.linspace(0, 1, 200)[:, None]
+    off, none = size.expand(-1, 3), torch.zeros(200, 3)
+    missed = (off.square() + softness**2).sqrt() - softness
+    cost = (missed - noise_penalty(off, none, softness) - noise_penalty(none + 1e-9, off.square(), softness)) / 2
+    assert (cost.diff(dim=0) > -1e-7).all()
 
 
 def test_a_white_truth_that_is_exceeded_asks_for_nothing() -> None:

@@ -103,8 +103,9 @@ def test_one_ray_a_pixel_goes_through_its_centre_and_meets_the_straight_layers(d
         assert np.abs(uv - layers.uv / 65535).max() < 1e-4
 
 
-def test_training_rays_fill_their_pixels_one_in_each_cell(dataset: Dataset) -> None:
-    pixels = pixels_of(dataset, train_samples=4)
+def training_places(dataset: Dataset, **config: object) -> np.ndarray:
+    """Where (down, right) in their pixel the four training rays of one pixel lie, 500 times."""
+    pixels = pixels_of(dataset, train_samples=4, **config)  # pyright: ignore[reportArgumentType]
     index = torch.full((500,), 1024 + 17 * 32 + 5)
     paths = pixels.take(index, np.random.default_rng(0))
     again = pixels.take(index, np.random.default_rng(0))
@@ -116,8 +117,20 @@ def test_training_rays_fill_their_pixels_one_in_each_cell(dataset: Dataset) -> N
     place = np.stack([row - 17, column - 5], axis=-1)
     assert place.min() > -1e-3
     assert place.max() < 1 + 1e-3
-    cells = np.floor(np.clip(place.reshape(500, 4, 2), 0, 0.999) * 2).astype(int)
+    return place.reshape(500, 4, 2)
+
+
+def test_training_rays_fill_their_pixels_one_in_each_cell(dataset: Dataset) -> None:
+    cells = np.floor(np.clip(training_places(dataset), 0, 0.999) * 2).astype(int)
     assert (np.sort(cells[..., 0] * 2 + cells[..., 1], axis=1) == np.arange(4)).mean() > 0.99
+
+
+def test_paired_training_rays_lie_opposite_each_other_and_pairs_are_independent(dataset: Dataset) -> None:
+    place = training_places(dataset, paired_rays=True).reshape(500, 2, 2, 2)
+    np.testing.assert_allclose(place.sum(axis=2), 1, atol=1e-3)
+    first, second = place[:, :, 0].transpose(1, 2, 0)
+    assert np.abs(np.corrcoef(np.concatenate([first, second]))[:2, 2:]).max() < 0.15
+    assert np.abs(np.histogram(first, bins=5, range=(0, 1))[0] / 1000 - 0.2).max() < 0.05
 
 
 def test_where_everything_shines_alike_glass_disappears(dataset: Dataset) -> None:
