@@ -17,9 +17,11 @@ from datagen.data.finding import DATA_ROOT, build_command, find_dataset
 from datagen.data.geometries import check_geometry
 from datagen.data.layer_store import check_settings
 from datagen.data.paths import TRUTH, LayerKind
+from datagen.disk.errors import HyalineError
 from datagen.terminal.command import choose, fail, next_command, run, say, tell, unwrap_help
 
 if TYPE_CHECKING:
+    from datagen.build.shards import Shard
     from datagen.build.verify import Findings
 
 
@@ -84,7 +86,7 @@ def build(
         super_resolution_views: Views of each test split at those sizes, evenly chosen; all unless given.
         dataset: Instead of --scene: the folder of a dataset that is there, or its name under data/, to which --edit,
             --angle-splits or --super-resolution add.
-        edit: Renders a scene whose dataset is there after an edit, at the same test cameras, into its edits/NAME:
+        edit: Renders a scene whose dataset is there after an edit, at the same test cameras, into its variants/NAME:
             remove:OBJECT, move:OBJECT:dx,dy,dz (metres), duplicate:OBJECT:dx,dy,dz, glass:OBJECT (which makes glass of
             what is opaque, and the reverse) or swap:OBJECT:OBJECT. Several --edit change one scene one after the other.
         shard: Makes part I of N (such as 2/4) of all views into the folder, beside any other parts, on any machines of
@@ -106,12 +108,18 @@ def build(
             return
         parts = {"shard": shard is not None, "launcher": launch.launcher is not None}
         _refuse("--dataset", {"overwrite": overwrite, **parts})
-        _build_more(
-            base, angles=angle_splits, scales=super_resolution, scaled_views=super_resolution_views, workers=workers
-        )
+        if not angle_splits and not super_resolution:
+            raise HyalineError(
+                "--dataset: goes with --edit, --angle-splits or --super-resolution; a new one takes --scene"
+            )
+        _check_build(layers=("straight",), num_layers=8, rays=4, workers=workers, scales=super_resolution,
+                     scaled_views=super_resolution_views, test_views=base.config.interpolating.views)  # fmt: skip
+        _build_more(base, angles=angle_splits, scales=super_resolution, views=super_resolution_views, workers=workers)
+        tell(str(base.root))
+        next_command(after_build(base))
         return
     from datagen.build.build import build_dataset, summary
-    from datagen.build.build_variant import build_angles, build_scaled, peel_annexes
+    from datagen.build.build_variant import peel_variants
     from datagen.build.launch import launch as send_off
     from datagen.build.shards import count_missing, parse_shard
     from datagen.disk.ownership import DATASET, refuse_strangers
@@ -156,11 +164,9 @@ def build(
     )  # fmt: skip
     if part is None:
         _say_all(summary(made, TRUTH, layers))
-    if angle_splits:
-        build_angles(made, workers=workers, shard=part)
-    for scale in super_resolution:
-        build_scaled(made, scale, views=super_resolution_views, workers=workers, shard=part)
-    peel_annexes(made, workers=workers, shard=part)
+    _build_more(made, angles=angle_splits, scales=super_resolution, views=super_resolution_views, workers=workers,
+                shard=part)  # fmt: skip
+    peel_variants(made, workers=workers, shard=part)
     tell(str(root))
     if part is not None:
         missing, total = count_missing(made, layers)
@@ -177,8 +183,7 @@ def build(
 def _check_build(*, layers: tuple[LayerKind, ...], num_layers: int, rays: int, workers: int, scales: tuple[int, ...],
                  scaled_views: int | None, test_views: int) -> None:  # fmt: skip
     """Refuses numbers that cannot be before anything is modelled."""
-    from datagen.build.build_variant import MAX_SCALE
-    from datagen.disk.errors import HyalineError
+    from datagen.build.plan_variant import MAX_SCALE
 
     check_settings(num_layers=num_layers, rays=rays, workers=workers, kinds=layers)
     for scale in scales:
@@ -197,7 +202,6 @@ def _say_all(lines: list[str]) -> None:
 
 def _check_parts(shard: str | None, launch: LaunchChoices, *, overwrite: bool, edit: tuple[str, ...]) -> None:
     from datagen.build.shards import parse_shard
-    from datagen.disk.errors import HyalineError
 
     flag = "--shard" if shard is not None else "--launcher"
     if shard is None and launch.launcher is None:
@@ -213,7 +217,6 @@ def _check_parts(shard: str | None, launch: LaunchChoices, *, overwrite: bool, e
 
 
 def _refuse(wanted: str, given: dict[str, bool]) -> None:
-    from datagen.disk.errors import HyalineError
 
     for flag, is_given in given.items():
         if is_given:
@@ -222,7 +225,6 @@ def _refuse(wanted: str, given: dict[str, bool]) -> None:
 
 def _open_base(scene: str, out: Path | None, dataset: str | None, preset: str) -> Dataset:
     """The dataset that is added to: what --dataset names, or what --scene or --out would have been built into."""
-    from datagen.disk.errors import HyalineError
     from datagen.scene.folder import load_scene
 
     if dataset is None:
@@ -236,36 +238,25 @@ def _open_base(scene: str, out: Path | None, dataset: str | None, preset: str) -
     return base
 
 
-def _build_more(base: Dataset, *, angles: bool, scales: tuple[int, ...], scaled_views: int | None,
-                workers: int) -> None:  # fmt: skip
-    from datagen.build.build_variant import build_angles, build_scaled, peel_annexes
-    from datagen.disk.errors import HyalineError
+def _build_more(base: Dataset, *, angles: bool, scales: tuple[int, ...], views: int | None, workers: int,
+                shard: "Shard | None" = None) -> None:  # fmt: skip
+    from datagen.build.build_variant import build_variant
+    from datagen.build.plan_variant import plan_angles, plan_larger
 
-    if not angles and not scales:
-        raise HyalineError("--dataset: goes with --edit, --angle-splits or --super-resolution; a new one takes --scene")
-    _check_build(layers=("straight",), num_layers=8, rays=4, workers=workers, scales=scales, scaled_views=scaled_views,
-                 test_views=base.config.interpolating.views)  # fmt: skip
-    if base.edit is not None or base.parent is not None:
-        raise HyalineError(f"{base.root}: is an edit or an annex; name the dataset around it")
-    if angles:
-        build_angles(base, workers=workers)
-    for scale in scales:
-        build_scaled(base, scale, views=scaled_views, workers=workers)
-    peel_annexes(base, workers=workers)
-    tell(str(base.root))
-    next_command(after_build(base))
+    plans = [plan_angles(base)] if angles else []
+    for plan in [*plans, *(plan_larger(base, scale, views=views) for scale in scales)]:
+        build_variant(base, plan, workers=workers, shard=shard)
 
 
 def _build_edit(base: Dataset, edit: tuple[str, ...], *, workers: int, overwrite: bool) -> None:
     from datagen.build.build import summary
-    from datagen.build.build_edit import build_edit
-    from datagen.data.paths import LAYER_KINDS, layers_root
+    from datagen.build.build_variant import build_variant
+    from datagen.build.plan_variant import plan_edit
     from datagen.scene.edits import parse_edit
 
-    edits = tuple(map(parse_edit, edit))
-    edited = build_edit(base, edits, workers=workers, overwrite=overwrite)
-    kinds: tuple[LayerKind, ...] = tuple(kind for kind in LAYER_KINDS if layers_root(base.root, TRUTH, kind).is_dir())
-    _say_all(summary(edited, TRUTH, kinds))
+    plan = plan_edit(base, tuple(map(parse_edit, edit)))
+    edited = build_variant(base, plan, workers=workers, overwrite=overwrite)
+    _say_all(summary(edited, TRUTH, ("straight",)))
     tell(str(edited.root))
     next_command(after_edit(base, edited))
 
@@ -292,14 +283,14 @@ def peel(
         overwrite: Peel again what is there.
     """
     from datagen.build.build import peel_dataset, summary
-    from datagen.build.build_variant import peel_annexes
+    from datagen.build.build_variant import peel_variants
 
     opened = open_dataset(find_dataset(dataset))
     check_settings(num_layers=num_layers, rays=rays, workers=workers, kinds=layers)
     check_geometry(opened, geometry)
     peel_dataset(opened, geometry, kinds=layers, num_layers=num_layers, rays=rays, overwrite=overwrite, workers=workers)
     _say_all(summary(opened, geometry, layers))
-    peel_annexes(opened, workers=workers)
+    peel_variants(opened, workers=workers)
     tell(str(opened.root))
     next_command(after_layers(opened, geometry))
 

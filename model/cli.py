@@ -6,11 +6,9 @@ import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Literal
 
-import tyro
-
-from datagen.data.advice import edit_command, report_command
+from datagen.data.advice import report_command
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.finding import find_dataset
 from datagen.data.geometries import check_geometry
@@ -71,8 +69,8 @@ def configure(common: CommonChoices, choices: MethodChoices) -> "tuple[TrainConf
     """
     choose("method", common.method, CHOICES)
     opened = open_dataset(find_dataset(common.dataset))
-    if opened.edit is not None:
-        raise HyalineError(f"{opened.root}: is an edit, without training views; train on the dataset that was edited")
+    if opened.parent is not None:
+        raise HyalineError(f"{opened.root}: is a variant, without training views; train on {opened.parent.root}")
 
     if "torch" not in sys.modules:
         say(f"{opened.root}: loads torch")  # Seconds, in which nothing else is heard.
@@ -119,8 +117,8 @@ def _train(
     from datagen.disk.ownership import holding, is_ours, refuse_others
     from model.batches.distributed import join, own_device
     from model.run.checkpoint import delete_checkpoints, has_checkpoint
-    from model.run.predict import render_predictions
-    from model.run.run_folder import FOLDER, WEIGHTS, finish_clearing, is_finished
+    from model.run.predict import is_all_drawn, render_predictions
+    from model.run.run_folder import FOLDER, WEIGHTS, finish_clearing
     from model.run.train import check_team
     from model.run.train import train as train_run
 
@@ -140,7 +138,7 @@ def _train(
             finish_clearing(out)
             if is_ours(out, FOLDER) and not anew:
                 _check_same_run(out, config, dataset)
-                if is_finished(out):
+                if is_all_drawn(out, dataset):
                     say(f"{out}: finished before, nothing to do; --overwrite trains it anew")
                     team.agree(False)
                     _end(out, run=out)
@@ -160,8 +158,7 @@ def render(
     *,
     run: Path,
     dataset: str | None = None,
-    edit: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = (),
-    scale: int = 1,
+    variant: str | None = None,
     device: Literal["auto", "cpu", "cuda"] = "auto",
     overwrite: bool = False,
 ) -> None:
@@ -170,61 +167,44 @@ def render(
     Args:
         run: Folder of a trained run.
         dataset: Dataset folder, or its name under data/. Default: where the run found it.
-        edit: Render an edited scene instead, into the run's edits/NAME: what `datagen build --edit` was given, or NAME.
-        scale: How many times as wide and high as the training pictures, for truth that `datagen build
-            --super-resolution` has made; into RUN/x2 for 2.
+        variant: Render a variant of the dataset instead, into the run's variants/NAME: x2 for what `datagen build
+            --super-resolution 2` has made, or what `--edit` was given, such as remove:glass_ball.
         device: Where to compute; auto takes a GPU where there is one.
         overwrite: Render again even where the predictions are intact.
     """
-    from datagen.data.variants import scale_name
+    from datagen.data.variants import open_variant, variant_root
     from datagen.disk.ownership import holding
-    from model.run.predict import render_predictions, render_scaled
-    from model.run.run_folder import FOLDER, is_finished, lacks_a_split, read_run
+    from datagen.scene.edits import edits_name, parse_edit
+    from model.run.predict import (
+        check_can_draw,
+        check_draws_edits,
+        is_all_drawn,
+        is_drawn,
+        render_predictions,
+        render_variant,
+    )
+    from model.run.run_folder import FOLDER, read_run
 
     record = read_run(run)
     opened = open_dataset(find_dataset(dataset) if dataset else Path(record.dataset))
     _check_same_run(run, record.config, opened)
-    if edit:
-        _end(_render_edit(run, record.config, opened, edit, device=_device(device), overwrite=overwrite), run=run)
-        return
-    out = run if scale == 1 else run / scale_name(scale)
-    if is_finished(out) and not (scale == 1 and lacks_a_split(run, opened)) and not overwrite:
+    config, out = record.config, run
+    if variant is None:
+        is_done, draw = is_all_drawn(run, opened), functools.partial(render_predictions, run, config, opened)
+    else:
+        name = variant
+        if ":" in variant:  # As one types an edit; what cannot be drawn need not be built.
+            name = edits_name(tuple(map(parse_edit, variant.split("+"))))
+            check_draws_edits(config)
+        chosen, out = open_variant(opened, name), variant_root(run, name)
+        check_can_draw(config, opened, chosen)
+        is_done, draw = is_drawn(run, chosen), functools.partial(render_variant, run, config, opened, chosen)
+    if is_done and not overwrite:
         say(f"{out}: its predictions are intact, nothing to do; --overwrite renders them again")
     else:
         with holding(run, FOLDER):
-            if scale == 1:
-                render_predictions(run, record.config, opened, device=_device(device))
-            else:
-                render_scaled(run, record.config, opened, scale, device=_device(device))
+            draw(device=_device(device))
     _end(out, run=run)
-
-
-def _render_edit(run: Path, config: "TrainConfig", base: Dataset, edit: tuple[str, ...], *, device: "torch.device",
-                 overwrite: bool) -> Path:  # fmt: skip
-    from datagen.data.edited import open_edit
-    from datagen.data.geometries import list_geometries
-    from datagen.disk.ownership import holding
-    from datagen.scene.edits import edits_name, parse_edit
-    from model.methods.table import METHODS
-    from model.run.edits import edit_folder, is_edit_rendered, render_edit
-    from model.run.run_folder import FOLDER
-
-    if not METHODS[config.method].uses_geometry:
-        raise HyalineError(f"--edit {edit[0]}: method {config.method} knows no geometry, so it cannot draw an edit")
-    is_name = len(edit) == 1 and ":" not in edit[0]
-    edited = open_edit(base, edit[0] if is_name else edits_name(tuple(map(parse_edit, edit))))
-    if config.geometry not in list_geometries(edited):
-        raise HyalineError(
-            f"{edited.root}: has no {config.geometry} proxies; `{edit_command(base, edited)}` adds those that "
-            f"{base.root} has now"
-        )
-    folder = edit_folder(run, edited)
-    if is_edit_rendered(run, edited) and not overwrite:
-        say(f"{folder}: its predictions are intact, nothing to do; --overwrite renders them again")
-    else:
-        with holding(run, FOLDER):
-            render_edit(run, config, base, edited, device=device)
-    return folder
 
 
 def sweep(

@@ -67,7 +67,7 @@ def make(
     one_kind = _one_kind(kind, amount)
     check_settings(num_layers=num_layers, rays=rays, workers=workers, kinds=layers)
     datasets = _datasets(dataset)
-    from datagen.build.build_variant import peel_annexes
+    from datagen.build.build_variant import peel_variants
 
     specs = [_mixture(opened, name, assign, rest) if assign else one_kind for opened in datasets]
     for opened, spec in zip(datasets, specs, strict=True):
@@ -87,7 +87,7 @@ def make(
             overwrite=overwrite,
             workers=workers,
         )
-        peel_annexes(opened, workers=workers)
+        peel_variants(opened, workers=workers)
     next_command(after_layers(datasets[0], specs[0].geometry))
 
 

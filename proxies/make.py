@@ -78,7 +78,7 @@ def make_proxies(dataset: Dataset, spec: ProxySpec | MixedSpec, *, overwrite: bo
     """
     if dataset.edit is not None:
         # Its proxies are those of the base, moved as their objects were: fitted anew, they would have other texels.
-        raise HyalineError(f"{dataset.root}: is an edit; make proxies of what was edited, then edit that again")
+        raise HyalineError(f"{dataset.root}: is an edit; make proxies of the dataset around it, which edits them along")
     root = geometry_root(dataset.root, spec.geometry)
     truths = read_meshes(dataset, TRUTH)
     assignment = spec.assignment if isinstance(spec, MixedSpec) else None

@@ -4,10 +4,10 @@ from pathlib import Path
 
 import numpy as np
 
-from datagen.data.config import Split
-from datagen.data.dataset import read_image
+from datagen.data.config import TEST_SPLITS, Split
+from datagen.data.dataset import Dataset, read_image
 from datagen.data.paths import view_name
-from datagen.data.variants import homes_of_test_splits
+from datagen.data.variants import ANGLES, has_variant, open_variant, variant_root
 from datagen.disk.errors import HyalineError
 from eval.figures.sheets import Panel, Row, decibels, draw_sheet
 from eval.score.metrics import psnr
@@ -35,8 +35,8 @@ def draw_errors(before: Path, after: Path, *, views: int) -> bytes:
 def find_worst(runs: list[Run], views: int) -> list[tuple[Split, int]]:
     """Split and number of the views that the first run predicts worst, among those of splits that all predicted."""
     found: list[tuple[float, Split, int]] = []
-    for split, home in homes_of_test_splits(runs[0].dataset).items():
-        homed = [within(run, run.folder, home) for run in runs]
+    for split, home in _homes(runs[0].dataset).items():
+        homed = [_run_at(run, home) for run in runs]
         if all(has_split(run, split) for run in homed):
             for view in range(home.config.split(split).views):
                 pair = read_prediction(homed[0], split, view), read_image(home, split, view)
@@ -48,10 +48,20 @@ def find_worst(runs: list[Run], views: int) -> list[tuple[Split, int]]:
     return [(split, view) for _, split, view in sorted(found)[:views]]
 
 
+def _homes(dataset: Dataset) -> dict[Split, Dataset]:
+    """The dataset or the variant that has a test split, those by angle where they were built."""
+    angles = [open_variant(dataset, ANGLES)] if has_variant(dataset, ANGLES) else []
+    return {**dict.fromkeys(TEST_SPLITS, dataset), **{split: variant for variant in angles for split in variant.splits}}
+
+
+def _run_at(run: Run, home: Dataset) -> Run:
+    return run if home.parent is None else within(run, variant_root(run.folder, home.name), home)
+
+
 def _row(split: Split, view: int, runs: list[Run]) -> Row:
-    home = homes_of_test_splits(runs[0].dataset)[split]
+    home = _homes(runs[0].dataset)[split]
     truth = read_image(home, split, view)
-    drawn = [read_prediction(within(run, run.folder, home), split, view) for run in runs]
+    drawn = [read_prediction(_run_at(run, home), split, view) for run in runs]
     errors = [np.abs(picture.astype(np.float64) - truth).mean(axis=-1) for picture in drawn]
     return Row(
         split=split,

@@ -12,7 +12,7 @@ from datagen.build.shards import Shard, own_tasks
 from datagen.data.cameras import Cameras
 from datagen.data.clear import clear_dataset
 from datagen.data.config import SPLITS, DatasetConfig, Split, config_difference, describe_views
-from datagen.data.dataset import Dataset, DatasetEdit, DatasetObject, head_files, is_view_built, noise_ceiling_db
+from datagen.data.dataset import Dataset, DatasetObject, head_files, is_view_built, noise_ceiling_db
 from datagen.data.dataset_head import dataset_files, head_contents, view_files, write_head
 from datagen.data.geometries import geometry_hash
 from datagen.data.layer_store import (
@@ -185,8 +185,8 @@ def summary(dataset: Dataset, geometry: str, kinds: tuple[LayerKind, ...]) -> li
 # Starting and going on
 
 
-def open_or_start(scene: Scene, root: Path, config: DatasetConfig, cameras: dict[Split, Cameras], *, overwrite: bool,
-                  edit: DatasetEdit | None = None) -> Dataset:  # fmt: skip
+def open_or_start(scene: Scene, root: Path, config: DatasetConfig, cameras: dict[Split, Cameras], *, overwrite: bool
+                  ) -> Dataset:  # fmt: skip
     """The dataset at `root`, its head complete, or a new one without views; the caller holds the folder.
 
     Raises:
@@ -199,14 +199,12 @@ def open_or_start(scene: Scene, root: Path, config: DatasetConfig, cameras: dict
         refuse_taken(root, DATASET, wanted, dataset_files(root))
         clear_dataset(root)
     # Another process may have been there first, with other settings.
-    dataset = write_head(root, config, objects, cameras, files, edit=edit, replace=overwrite)
+    dataset = write_head(root, config, objects, cameras, files, replace=overwrite)
     if difference := config_difference(dataset.config, config):
         raise HyalineError(
             f"{root}: holds a dataset with another configuration ({difference}); "
             "pass --overwrite to replace it, or --out for another place"
         )
-    if dataset.edit != edit:
-        raise HyalineError(f"{root}: was made for another version of the dataset; pass --overwrite to replace it")
     promised = head_files(root)
     changed = [path for path, data in files.items() if promised.get(f"scene/{path}") != sha256(data)]
     if changed:

@@ -1,118 +1,140 @@
-"""Owns the making of annexes: splits by angle, and the test splits at larger sizes."""
+"""The making of a variant: a dataset inside another one, of other cameras, another size, or an edited scene."""
 
-import dataclasses
-
-from datagen.build.angles import make_angle_cameras
 from datagen.build.build import peel_dataset, render_dataset
+from datagen.build.find_edit_masks import write_edit_masks
+from datagen.build.plan_variant import Plan, edited_scene
 from datagen.build.shards import Shard
-from datagen.data.cameras import Cameras
 from datagen.data.clear import clear_dataset
-from datagen.data.config import TEST_SPLITS, DatasetConfig, Split, SplitConfig, config_difference
-from datagen.data.dataset import Dataset, head_files, open_dataset, read_cameras
+from datagen.data.config import config_difference
+from datagen.data.dataset import Dataset, SceneEdit, Variant, head_files, open_dataset
 from datagen.data.dataset_head import dataset_files, head_contents, view_files, write_head
-from datagen.data.geometries import list_geometries
+from datagen.data.geometries import list_geometries, read_assignment, read_meshes, read_proxy_records, write_proxies
 from datagen.data.layer_store import LayersHead, read_layers_head
-from datagen.data.paths import layers_root
-from datagen.data.variants import ANGLES, annex_root, evenly, list_annex_folders, scale_name
+from datagen.data.meshes import Mesh, is_there, no_mesh, write_ply
+from datagen.data.paths import TRUTH, geometry_root, layers_root
+from datagen.data.variants import list_variants, open_variant, variant_root
 from datagen.disk.errors import HyalineError
-from datagen.disk.ownership import DATASET, holding, is_ours, refuse_taken
+from datagen.disk.ownership import DATASET, PROXIES, holding, is_ours, refuse_taken
 from datagen.disk.storage import load_sealed, sha256
-from datagen.scene.folder import load_scene
-
-MAX_SCALE = 8
-
-
-def build_angles(dataset: Dataset, *, workers: int, shard: Shard | None = None) -> Dataset:
-    """Renders and peels the splits by angle (datagen/build/angles.py), each of as many views as `extrapolating` has.
-
-    Raises:
-        HyalineError: the scene has no place for such cameras, or another process writes there.
-    """
-    cameras = make_angle_cameras(load_scene(dataset.root / "scene", is_sealed=True), dataset.config)
-    return _build(dataset, ANGLES, dataset.config, cameras, workers=workers, shard=shard)
+from datagen.scene.edits import moved_mesh
+from datagen.terminal.command import say
 
 
-def build_scaled(dataset: Dataset, scale: int, *, views: int | None, workers: int,
-                 shard: Shard | None = None) -> Dataset:  # fmt: skip
-    """Renders and peels the test splits so many times as wide and high, with as many samples per pixel.
+def build_variant(base: Dataset, plan: Plan, *, workers: int, shard: Shard | None = None,
+                  overwrite: bool = False) -> Dataset:  # fmt: skip
+    """Renders and peels what is missing of a variant, or of one part of its views.
 
-    Args:
-        views: of each split, evenly chosen; all unless told.
+    An edit gets the proxies of the base, changed as their objects are, and its edit masks.
 
     Raises:
-        HyalineError: an unfit scale or number of views, or another process writes there.
+        HyalineError: a variant of other settings stands there, or another process writes there.
     """
-    if not 2 <= scale <= MAX_SCALE:
-        raise HyalineError(f"super_resolution: is {scale}; expected 2 to {MAX_SCALE} times the dataset's size")
-    sizes: dict[str, SplitConfig] = {}
-    cameras: dict[Split, Cameras] = {}
-    for split in TEST_SPLITS:
-        there = dataset.config.split(split)
-        count = there.views if views is None else views
-        if not 1 <= count <= there.views:
-            raise HyalineError(f"super_resolution_views: is {count}; expected 1 to {there.views}, as {split} has")
-        sizes[split] = dataclasses.replace(there, views=count)
-        poses = read_cameras(dataset, split)
-        cameras[split] = dataclasses.replace(
-            poses,
-            world_from_camera=poses.world_from_camera[evenly(count, there.views)],
-            width=scale * poses.width,
-            height=scale * poses.height,
+    root = variant_root(base.root, plan.name)
+    with holding(root, DATASET, within=base.root, shared=shard is not None):
+        variant = _open_or_start(base, plan, overwrite=overwrite, is_alone=shard is None)
+        render_dataset(variant, workers=workers, shard=shard)
+    _peel(base, variant, workers=workers, shard=shard)
+    if variant.edit is not None:
+        say(f"{root}: finds where the edit shows")
+        write_edit_masks(base, variant)
+    return variant
+
+
+def peel_variants(base: Dataset, *, workers: int, shard: Shard | None = None) -> None:
+    """Peels what is missing in every variant, of each geometry that has straight layers in the dataset itself."""
+    for name in list_variants(base.root):
+        variant = open_variant(base, name)
+        if shard is None or variant.edit is None:  # Edits are made by one machine.
+            _peel(base, variant, workers=workers, shard=shard)
+
+
+def _peel(base: Dataset, variant: Dataset, *, workers: int, shard: Shard | None) -> None:
+    """Peels as many straight layers of each geometry as the base has of it."""
+    for geometry in list_geometries(base):
+        if not (layers_root(base.root, geometry, "straight") / "layers.json").is_file():
+            continue
+        if variant.edit is not None and geometry != TRUTH:
+            with holding(geometry_root(variant.root, geometry), PROXIES, within=variant.root):
+                _write_proxies(base, variant, variant.edit, geometry)
+        head, _ = read_layers_head(base, geometry, "straight")
+        assert isinstance(head, LayersHead)
+        stands = (layers_root(variant.root, geometry, "straight") / "layers.json").is_file()
+        is_other = stands and read_layers_head(variant, geometry, "straight")[0].num_layers != head.num_layers  # pyright: ignore
+        peel_dataset(
+            variant,
+            geometry,
+            kinds=("straight",),
+            num_layers=head.num_layers,
+            overwrite=is_other and shard is None,
+            workers=workers,
+            shard=shard,
         )
-    config = dataclasses.replace(dataset.config, resolution=scale * dataset.config.resolution, **sizes)
-    return _build(dataset, scale_name(scale), config, cameras, workers=workers, shard=shard)
 
 
-def peel_annexes(dataset: Dataset, *, workers: int, shard: Shard | None = None) -> None:
-    """Peels straight layers in every annex, of each geometry that has them in the dataset itself, and in as many."""
-    for folder in list_annex_folders(dataset.root):
-        annex = open_dataset(folder)
-        for geometry in list_geometries(dataset):
-            if not (layers_root(dataset.root, geometry, "straight") / "layers.json").is_file():
-                continue
-            head, _ = read_layers_head(dataset, geometry, "straight")
-            assert isinstance(head, LayersHead)
-            stands = (layers_root(annex.root, geometry, "straight") / "layers.json").is_file()
-            is_other = stands and read_layers_head(annex, geometry, "straight")[0].num_layers != head.num_layers  # pyright: ignore
-            peel_dataset(
-                annex,
-                geometry,
-                kinds=("straight",),
-                num_layers=head.num_layers,
-                overwrite=is_other and shard is None,
-                workers=workers,
-                shard=shard,
-            )
-
-
-def _build(dataset: Dataset, name: str, config: DatasetConfig, cameras: dict[Split, Cameras], *,
-           workers: int, shard: Shard | None) -> Dataset:  # fmt: skip
-    root = annex_root(dataset.root, name)
-    with holding(root, DATASET, within=dataset.root, shared=shard is not None):
-        annex = _open_or_start(dataset, name, config, cameras, is_alone=shard is None)
-        render_dataset(annex, workers=workers, shard=shard)
-    return annex
-
-
-def _open_or_start(dataset: Dataset, name: str, config: DatasetConfig, cameras: dict[Split, Cameras], *,
-                   is_alone: bool) -> Dataset:  # fmt: skip
-    """The annex, when it is of these cameras and of this dataset; an empty one where none is, or an outdated one.
+def _open_or_start(base: Dataset, plan: Plan, *, overwrite: bool, is_alone: bool) -> Dataset:
+    """The variant, when it is this plan's and of this dataset; an empty one where none is, or an outdated one.
 
     Args:
+        overwrite: begin anew in any case.
         is_alone: False: other processes may be doing the same; nothing is deleted.
     """
-    root = annex_root(dataset.root, name)
-    if is_ours(root, DATASET) and load_sealed(root / DATASET.head).get("annex_of") == dataset.seal:
-        annex = open_dataset(root)
-        if difference := config_difference(annex.config, config):
-            raise HyalineError(f"{root}: holds an annex with another configuration ({difference}); delete the folder")
-        wanted = {path: sha256(data) for path, data in head_contents({}, cameras).items()}
-        if head_files(root) == wanted:
-            return write_head(root, config, dataset.objects, cameras, {}, parent=dataset)
-    if is_ours(root, DATASET):
+    root = variant_root(base.root, plan.name)
+    record = Variant(of=base.seal, splits=tuple(plan.cameras), edit=plan.edit)
+    contents = head_contents(plan.scene, plan.cameras)
+    if is_ours(root, DATASET) and not _is_current(base, plan, record, contents, overwrite=overwrite):
         if not is_alone:
-            raise HyalineError(f"{root}: holds an outdated annex; build without --shard, which replaces it")
-        refuse_taken(root, DATASET, [*view_files(config, tuple(cameras)), *head_contents({}, cameras)],
-                     dataset_files(root))  # fmt: skip
+            raise HyalineError(f"{root}: holds an outdated variant; build without --shard, which replaces it")
+        refuse_taken(root, DATASET, [*view_files(plan.config, record.splits), *contents], dataset_files(root))
         clear_dataset(root)
-    return write_head(root, config, dataset.objects, cameras, {}, parent=dataset, replace=is_alone)
+        return write_head(root, plan.config, plan.objects, plan.cameras, plan.scene, variant=record, replace=True)
+    return write_head(root, plan.config, plan.objects, plan.cameras, plan.scene, variant=record)
+
+
+def _is_current(base: Dataset, plan: Plan, record: Variant, contents: dict[str, bytes], *, overwrite: bool) -> bool:
+    """True when the variant that stands there is the planned one.
+
+    Raises:
+        HyalineError: it is one of the same dataset with another configuration, and is not to be replaced.
+    """
+    root = variant_root(base.root, plan.name)
+    said = load_sealed(root / DATASET.head).get("variant")
+    if overwrite or not (isinstance(said, dict) and said.get("of") == base.seal):
+        return False
+    variant = open_dataset(root)
+    if difference := config_difference(variant.config, plan.config):
+        raise HyalineError(f"{root}: holds a variant with another configuration ({difference}); delete the folder")
+    wanted = {path: sha256(data) for path, data in contents.items()}
+    return variant.variant == record and head_files(root) == wanted
+
+
+def _write_proxies(base: Dataset, variant: Dataset, edit: SceneEdit, geometry: str) -> None:
+    """Proxies stand where their objects stand; a copy has that of its original."""
+    edited = edited_scene(base, edit)
+    meshes = {item.name: mesh for item, mesh in zip(base.objects, read_meshes(base, geometry), strict=True)}
+    records = {record.object: record for record in read_proxy_records(base, geometry)}
+    there = {item.name for item in edited.scene.objects if is_there(item.mesh)}
+
+    def mesh_of(name: str) -> Mesh:
+        if name not in there:
+            return no_mesh()
+        mesh = meshes[edited.copies.get(name, name)]
+        return moved_mesh(mesh, edited.offsets[name]) if name in edited.offsets else mesh
+
+    names = [item.name for item in variant.objects]
+    wanted = tuple(map(mesh_of, names))
+    try:
+        found = read_meshes(variant, geometry)
+    except HyalineError:
+        found = None  # Not made yet, or damaged.
+    if found is not None and _hashes(found) == _hashes(wanted):
+        return
+    statistics = tuple(records[edited.copies.get(name, name)].statistics for name in names)
+    assignment = read_assignment(base, geometry)
+    if assignment is not None:
+        kinds = {item.name: kind for item, kind in zip(base.objects, assignment, strict=True)}
+        assignment = tuple(kinds[edited.copies.get(name, name)] for name in names)
+    write_proxies(variant, geometry, wanted, statistics, assignment)
+
+
+def _hashes(meshes: tuple[Mesh, ...]) -> list[str]:
+    return [sha256(write_ply(mesh)) if is_there(mesh) else "" for mesh in meshes]

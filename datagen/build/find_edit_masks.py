@@ -7,13 +7,13 @@ from jaxtyping import Bool, Float, UInt8
 
 from datagen.data.config import TEST_SPLITS, Split
 from datagen.data.dataset import Dataset, read_record
-from datagen.data.edit_masks import ELSEWHERE, LIGHT, OBJECT, footprint_files, footprint_path
+from datagen.data.edit_masks import ELSEWHERE, FOLDER, LIGHT, OBJECT, edit_mask_files, edit_mask_path
 from datagen.data.layers import read_layers
 from datagen.data.paths import TRUTH, image_path
 from datagen.data.png import png_bytes
 from datagen.data.tonemap import srgb_from_linear
 from datagen.disk.errors import HyalineError
-from datagen.disk.ownership import FOOTPRINTS, begin, holding, is_ours
+from datagen.disk.ownership import EDIT_MASKS, begin, holding, is_ours
 from datagen.disk.promises import check_files
 from datagen.disk.records import Json
 from datagen.disk.storage import commit_same, commit_sealed, load_sealed, seal_bytes, sha256
@@ -30,27 +30,27 @@ WINDOW = 5
 """Pixels a side over which difference and noise are averaged: light spreads, the noise of single pixels does not."""
 
 
-def write_footprints(base: Dataset, edited: Dataset) -> None:
-    """Finds and commits the footprints of all test views, unless they are there; both truths are built and peeled."""
-    root = edited.root / "footprints"
-    if is_ours(root, FOOTPRINTS) and load_sealed(root / FOOTPRINTS.head).get("dataset") == edited.seal:
+def write_edit_masks(base: Dataset, edited: Dataset) -> None:
+    """Finds and commits the edit masks of all test views, unless they are there; both truths are built and peeled."""
+    root = edited.root / FOLDER
+    if is_ours(root, EDIT_MASKS) and load_sealed(root / EDIT_MASKS.head).get("dataset") == edited.seal:
         with contextlib.suppress(HyalineError):  # Missing, or damaged: found anew.
-            check_files(edited.root, footprint_files(edited))
+            check_files(edited.root, edit_mask_files(edited))
             return
     files: dict[str, bytes] = {}
     for split in TEST_SPLITS:
         for view in range(edited.config.split(split).views):
             shown = shows_objects(base, edited, split, view)
-            mask = find_footprint(shown, _read_halves(base, split, view), _read_halves(edited, split, view))
-            file = footprint_path(edited, split, view).relative_to(root).as_posix()
+            mask = find_edit_mask(shown, _read_halves(base, split, view), _read_halves(edited, split, view))
+            file = edit_mask_path(edited, split, view).relative_to(root).as_posix()
             files[file] = png_bytes(np.repeat(mask[..., None], 3, axis=-1))
     promised: dict[str, Json] = {f"{root.name}/{file}": sha256(data) for file, data in files.items()}
     content: dict[str, Json] = {"dataset": edited.seal, "files": promised}
-    with holding(root, FOOTPRINTS, within=edited.root):
-        if is_ours(root, FOOTPRINTS):
-            commit_sealed(root / FOOTPRINTS.head, content)
+    with holding(root, EDIT_MASKS, within=edited.root):
+        if is_ours(root, EDIT_MASKS):
+            commit_sealed(root / EDIT_MASKS.head, content)
         else:
-            begin(root, FOOTPRINTS, seal_bytes(content), files)
+            begin(root, EDIT_MASKS, seal_bytes(content), files)
         for file, data in files.items():
             commit_same(root / file, data)
 
@@ -70,7 +70,7 @@ def shows_objects(base: Dataset, edited: Dataset, split: Split, view: int) -> Bo
     return shown
 
 
-def find_footprint(
+def find_edit_mask(
     shown: Bool[np.ndarray, "h w"], before: Float[np.ndarray, "half h w 3"], after: Float[np.ndarray, "half h w 3"]
 ) -> UInt8[np.ndarray, "h w"]:
     """Where an edit shows.

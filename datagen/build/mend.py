@@ -9,29 +9,29 @@ import contextlib
 from collections.abc import Iterator
 from pathlib import Path
 
-from datagen.build.build import render_dataset
-from datagen.build.build_edit import build_edit, peel_like
-from datagen.build.build_variant import build_angles, build_scaled, peel_annexes
+from datagen.build.build import peel_dataset, render_dataset
+from datagen.build.build_variant import build_variant
+from datagen.build.plan_variant import plan_again
 from datagen.build.verify import check_is_there, is_good, list_obstacles
 from datagen.data.cameras import TRANSFORMS_FILES, transforms_bytes
 from datagen.data.dataset import Dataset, head_files, open_dataset
-from datagen.data.edited import edit_root, list_edits
 from datagen.data.geometries import list_geometries
-from datagen.data.variants import ANGLES, list_annex_folders
+from datagen.data.layer_store import LayersHead, LightPathsHead, read_layers_head
+from datagen.data.paths import LAYER_KINDS, layers_root
+from datagen.data.variants import list_variants, open_variant
 from datagen.disk.errors import DamagedError, HyalineError
 from datagen.disk.heads import list_heads, true_head
 from datagen.disk.homes import HEADS, home_of
 from datagen.disk.ownership import DATASET, holding
 from datagen.disk.storage import commit, commit_same, one_writer, sha256
 from datagen.scene.description import Scene
-from datagen.scene.edits import parse_edit
 from datagen.scene.folder import load_scene, scene_files
 from datagen.scene.rig import make_cameras
 from datagen.terminal.command import say
 
 
 def mend_dataset(root: Path, *, scene: str | None, workers: int) -> Dataset:
-    """Makes all that is missing or damaged of a dataset, its layers, edits and annexes; returns it.
+    """Makes all that is missing or damaged of a dataset, its layers and variants; returns it.
 
     Args:
         scene: the scene's name, or the folder that it was built from; needed where the copy in the dataset is damaged
@@ -53,21 +53,28 @@ def mend_dataset(root: Path, *, scene: str | None, workers: int) -> Dataset:
         render_dataset(dataset, workers=workers)
     for geometry in list_geometries(dataset):
         with _passing_over_proxies(f"{home}: layers of {geometry}"):
-            peel_like(dataset, dataset, geometry, workers=workers)
-    for folder in list_annex_folders(home):
-        if folder.name == ANGLES:
-            build_angles(dataset, workers=workers)
-        else:
-            views = open_dataset(folder).config.interpolating.views
-            build_scaled(dataset, int(folder.name.removeprefix("x")), views=views, workers=workers)
-    with _passing_over_proxies(f"{home}: layers of annexes"):
-        peel_annexes(dataset, workers=workers)
-    for name in list_edits(dataset):
-        edited = open_dataset(edit_root(dataset, name))
-        assert edited.edit is not None
-        with _passing_over_proxies(str(edited.root)):
-            build_edit(dataset, tuple(map(parse_edit, edited.edit.edits)), workers=workers, overwrite=False)
+            _peel(dataset, geometry, workers=workers)
+    for name in list_variants(home):
+        variant = open_variant(dataset, name)
+        with _passing_over_proxies(str(variant.root)):
+            build_variant(dataset, plan_again(dataset, variant), workers=workers)
     return dataset
+
+
+def _peel(dataset: Dataset, geometry: str, *, workers: int) -> None:
+    """Peels what is missing of a geometry, each kind of layers that its heads promise, with their settings."""
+    for kind in LAYER_KINDS:
+        if not (layers_root(dataset.root, geometry, kind) / "layers.json").is_file():
+            continue
+        head, _ = read_layers_head(dataset, geometry, kind)
+        match head:
+            case LayersHead():
+                num_layers, rays = head.num_layers, 4
+            case LightPathsHead():
+                num_layers, rays = head.max_vertices, head.samples
+        peel_dataset(
+            dataset, geometry, kinds=(kind,), num_layers=num_layers, rays=rays, overwrite=False, workers=workers
+        )
 
 
 @contextlib.contextmanager

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 from datagen.data.config import Split
-from datagen.data.dataset import Dataset, open_dataset, read_record
+from datagen.data.dataset import Dataset, read_record
 from datagen.data.layer_store import read_layers_record
 from datagen.data.paths import TRUTH, LayerKind, layers_root
-from datagen.data.variants import list_annex_folders
+from datagen.data.variants import list_variants, open_variant
 from datagen.disk.errors import HyalineError
 
 T = TypeVar("T")
@@ -60,13 +60,15 @@ def own_tasks(shard: Shard | None, tasks: list[T]) -> list[T]:
 def count_missing(dataset: Dataset, kinds: Sequence[LayerKind]) -> tuple[int, int]:
     """How many views, and sets of layers of views, are not committed yet, and how many there are in all.
 
-    Counts by the records, which are written last; only a build without a part reads every byte. Annexes count, too.
+    Counts by the records, which are written last; only a build without a part reads every byte. Variants count, too.
     """
     found = [_is_there(dataset, kinds, split, view) for split, view in _views(dataset)]
-    for folder in list_annex_folders(dataset.root):
-        annex = open_dataset(folder)
+    for name in list_variants(dataset.root):
+        variant = open_variant(dataset, name)
+        if variant.edit is not None:
+            continue  # Made by one machine.
         has_straight = (layers_root(dataset.root, TRUTH, "straight") / "layers.json").is_file()
-        found += [_is_there(annex, ("straight",) if has_straight else (), *view) for view in _views(annex)]
+        found += [_is_there(variant, ("straight",) if has_straight else (), *view) for view in _views(variant)]
     states = [state for view in found for state in view]
     return states.count(False), len(states)
 

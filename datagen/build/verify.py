@@ -11,7 +11,8 @@ from typing import NamedTuple
 
 from datagen.build.survey import Survey
 from datagen.data.dataset import Dataset, head_files, open_dataset, read_record
-from datagen.data.edit_masks import footprint_files
+from datagen.data.edit_masks import FOLDER as EDIT_MASKS
+from datagen.data.edit_masks import edit_mask_files
 from datagen.data.geometries import geometry_hash, list_geometries, read_assignment, read_proxy_records
 from datagen.data.layer_store import LayersHead, read_layers_head, read_layers_record, record_path_of_layers
 from datagen.data.paths import LAYER_KINDS, TRUTH, LayerKind, geometry_root, layers_root, record_path
@@ -39,7 +40,7 @@ class Findings(NamedTuple):
 
 
 def verify_dataset(root: Path) -> Findings:
-    """Reads every file of a dataset, with its layers, proxies, edits and annexes; of an edit or annex, that one's.
+    """Reads every file of a dataset, with its layers, proxies and variants; of a variant, that one's.
 
     Raises:
         HyalineError: no dataset there, or its head is lost together with its copy.
@@ -70,7 +71,7 @@ def _search(home: Path, root: Path) -> "_Search":
     search.check_heads()
     search.check_dataset("")
     for head in search.heads:
-        if head.startswith(("annexes/", "edits/")) and head.endswith("/dataset.json"):
+        if head.startswith("variants/") and head.endswith("/dataset.json"):
             search.check_dataset(head.removesuffix("dataset.json"))
     return search
 
@@ -163,7 +164,7 @@ class _Search:
             words += ["--num-layers", str(shape[-3])]
         return shlex.join(words)
 
-    # A dataset, annex or edit
+    # A dataset or variant
 
     def check_dataset(self, prefix: str) -> None:
         """What the head in a folder promises; nothing where it is damaged."""
@@ -181,10 +182,10 @@ class _Search:
         for geometry in list_geometries(dataset):
             self._check_geometry(dataset, prefix, geometry)
         if dataset.edit is not None:
-            index = f"{prefix}footprints/footprints.json"
+            index = f"{prefix}{EDIT_MASKS}/{EDIT_MASKS}.json"
             if self.check(index, None):
                 try:
-                    self.check_all(prefix, footprint_files(dataset))
+                    self.check_all(prefix, edit_mask_files(dataset))
                 except HyalineError as error:
                     self.wrong(index, _reason(error, self.home / index))
 
@@ -232,7 +233,7 @@ class _Search:
 
     def _check_geometry(self, dataset: Dataset, prefix: str, geometry: str) -> None:
         place = f"{prefix}proxies/{geometry}/" if geometry != TRUTH else prefix
-        if geometry != TRUTH and dataset.parent is None:
+        if geometry != TRUTH and dataset.home is dataset:
             if f"{place}proxies.json" not in self.good:
                 return
             try:

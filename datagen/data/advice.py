@@ -5,13 +5,13 @@ import shlex
 from collections.abc import Iterator
 from pathlib import Path
 
-from datagen.data.dataset import Dataset, open_dataset
+from datagen.data.dataset import Dataset
 from datagen.data.finding import build_command, list_datasets
 from datagen.data.geometries import list_geometries
 from datagen.data.layer_store import read_layers_head
 from datagen.data.paths import TRUTH
+from datagen.data.variants import variant_root
 from datagen.disk.errors import HyalineError
-from datagen.disk.homes import home_of
 from datagen.disk.records import Json
 from datagen.disk.storage import load_sealed
 
@@ -30,9 +30,9 @@ def after_build(dataset: Dataset) -> str:
 
 def after_layers(dataset: Dataset, geometry: str) -> str:
     """What comes after layers of a geometry: a run that learns from them, or the report when there is one."""
+    if dataset.edit is not None and dataset.parent is not None:
+        return after_edit(dataset.parent, dataset)
     home = dataset.home
-    if home.edit is not None:
-        return after_edit(open_dataset(home_of(home.root)), home)
     seal = _layers_seal(home, geometry)
     method, seal = ("light-path", home.seal) if seal is None else ("paper", seal)
     usual = RUNS / home.name / (method if geometry == TRUTH else f"{method}-{geometry}")
@@ -52,11 +52,11 @@ def after_edit(base: Dataset, edited: Dataset) -> str:
     runs = list(_runs_that_draw(base, edited))
     if not runs:
         return after_layers(base, TRUTH)
-    undrawn = [(run, record) for run, record in runs if not _is_predicted(run / "edits" / edited.name)]
+    undrawn = [(run, record) for run, record in runs if not _is_predicted(variant_root(run, edited.name))]
     if not undrawn:
         return report_command(runs[0][0])
     run, record = min(undrawn, key=lambda item: (item[1].get("method") != "light-path", item[0]))
-    command = ["model", "render", "--run", str(run), "--edit", edited.name]
+    command = ["model", "render", "--run", str(run), "--variant", edited.name]
     found = Path(str(record.get("dataset"))).resolve() == base.root.resolve()
     return shlex.join(command if found else [*command, "--dataset", str(base.root)])
 

@@ -1,4 +1,4 @@
-"""Clearing a dataset: which files of it, its layers, proxies, edits and annexes are removed to make room for another.
+"""Clearing a dataset: which files of it, its layers, proxies and variants are removed to make room for another.
 
 Every folder is cleared of what its own head promises, and of nothing else: where no head verifies, all stays. Heads go
 last, so that a clearing that is killed can be done again.
@@ -7,12 +7,12 @@ last, so that a clearing that is killed can be done again.
 from pathlib import Path
 
 from datagen.data.dataset_head import dataset_files
-from datagen.data.edit_masks import list_footprints
+from datagen.data.edit_masks import list_edit_masks
 from datagen.data.geometries import proxy_files
 from datagen.data.layer_store import layers_files
 from datagen.disk.heads import list_heads
 from datagen.disk.homes import HEADS, home_of
-from datagen.disk.ownership import DATASET, FOOTPRINTS, LAYERS, PROXIES, FolderKind, holding, is_ours, remove_files
+from datagen.disk.ownership import DATASET, EDIT_MASKS, LAYERS, PROXIES, FolderKind, holding, is_ours, remove_files
 
 
 def clear_dataset(root: Path) -> None:
@@ -21,7 +21,7 @@ def clear_dataset(root: Path) -> None:
     Raises:
         HyalineError: another process writes to one of its folders.
     """
-    for folder in _folders(root, ("edits/*", "annexes/*"), DATASET):
+    for folder in _folders(root, ("variants/*",), DATASET):
         with holding(folder, DATASET, within=root):
             clear_dataset(folder)
             remove_files(folder, [DATASET.head])
@@ -32,10 +32,10 @@ def clear_dataset(root: Path) -> None:
         with holding(folder, PROXIES, within=root):
             remove_files(folder, [*proxy_files(folder), PROXIES.head])
         _prune(root, folder)
-    for folder in _folders(root, ("footprints",), FOOTPRINTS):
-        with holding(folder, FOOTPRINTS, within=root):
-            files = [Path(file).relative_to(folder.name).as_posix() for file in list_footprints(folder)]
-            remove_files(folder, [*files, FOOTPRINTS.head])
+    for folder in _folders(root, ("edit-masks",), EDIT_MASKS):
+        with holding(folder, EDIT_MASKS, within=root):
+            files = [Path(file).relative_to(folder.name).as_posix() for file in list_edit_masks(folder)]
+            remove_files(folder, [*files, EDIT_MASKS.head])
         _prune(root, folder)
     remove_files(root, dataset_files(root))
     home = home_of(root)

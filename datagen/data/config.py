@@ -15,7 +15,7 @@ SPLITS: tuple[Split, ...] = ("train", "interpolating", "extrapolating")
 """Those that every dataset has."""
 TEST_SPLITS: tuple[Split, ...] = ("interpolating", "extrapolating")
 ANGLE_SPLITS: dict[Split, float] = {"extrapolating-10deg": 10, "extrapolating-20deg": 20, "extrapolating-40deg": 40}
-"""Those that a dataset may have besides, in an annex: degrees outside of what training cameras cover."""
+"""Those of the variant `angles`: degrees outside of what training cameras cover."""
 
 SPLIT_ORDER: dict[Split, int] = {split: place for place, split in enumerate((*SPLITS, *ANGLE_SPLITS))}
 
@@ -48,7 +48,6 @@ class DatasetConfig:
     resolution: int
     """Width and height of the square images in pixels."""
     train: SplitConfig
-    """0 views only in the dataset of an edited scene, on which nothing is trained."""
     interpolating: SplitConfig
     extrapolating: SplitConfig
     ceiling_db: float | None = None
@@ -72,7 +71,7 @@ class DatasetConfig:
             raise HyalineError(f"ceiling_db: is {self.ceiling_db}; expected 10 to 80 dB")
 
     def split(self, split: Split) -> SplitConfig:
-        """The size of a split; an annex with splits by angle has theirs as that of `extrapolating`."""
+        """The size of a split; those by angle have that of `extrapolating`."""
         sizes = {"train": self.train, "interpolating": self.interpolating, "extrapolating": self.extrapolating}
         return sizes["extrapolating" if split in ANGLE_SPLITS else split]
 

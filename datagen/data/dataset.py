@@ -18,17 +18,16 @@ the camera looks along -z). Pixel (column i, row j) has its centre at (i + 0.5, 
       records/SPLIT/0000.json            sealed, written last: a view exists only when its record verifies
       layers/straight/                   peeled layers of the true geometry (format: datagen/data/layers.py)
       layers/light-path/                 its light paths, when asked for (format: datagen/trace/light_path_layers.py)
-      edits/NAME/                        a dataset of its own: the scene after an edit, test splits alone, and
-                                         footprints/ (format: datagen/data/edit_masks.py)
       proxies/KIND/proxies.json          sealed: one mesh per object, with SHA-256 and statistics
       proxies/KIND/meshes/NAME.ply
       proxies/KIND/layers/...            the same of the proxies
       heads/                             a second copy of every head (datagen/disk/heads.py)
-      annexes/NAME/                      more truth, when asked for (data/variants.py): laid out like a dataset, but
-                                         without a scene and meshes of its own
+      variants/NAME/                     more truth, when asked for (data/variants.py): a dataset with the same scene or
+                                         the same cameras
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
@@ -71,11 +70,9 @@ class DatasetObject:
 
 
 @dataclass(frozen=True, kw_only=True)
-class DatasetEdit:
-    """What the dataset of an edited scene says of its edit."""
+class SceneEdit:
+    """How the scene of a variant differs from that of the dataset around it."""
 
-    base: str
-    """Seal of the dataset whose scene was edited; both have the same test cameras."""
     edits: tuple[str, ...]
     """As `datagen.scene.edits.parse_edit` reads them, in the order in which they were made."""
     changed: tuple[str, ...]
@@ -88,6 +85,18 @@ class DatasetEdit:
             check_name(name, where="object name")
 
 
+@dataclass(frozen=True, kw_only=True)
+class Variant:
+    """What a dataset inside another one says of itself."""
+
+    of: str
+    """Seal of the dataset around it."""
+    splits: tuple[Split, ...]
+    """The splits that it has."""
+    edit: SceneEdit | None = None
+    """None: scene, meshes and proxies are those of the dataset around it. Otherwise its test cameras are."""
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Dataset:
     """An opened dataset: its immutable head. Views are read one by one."""
@@ -97,12 +106,10 @@ class Dataset:
     objects: tuple[DatasetObject, ...]
     seal: str
     """Hash of the head, which includes the hash of scene and cameras: names the data in a run's record."""
-    edit: DatasetEdit | None = None
-    """None unless this is another dataset's scene after an edit."""
-    splits: tuple[Split, ...] = SPLITS
-    """The splits that are there."""
+    variant: Variant | None = None
+    """None unless this is a variant of the dataset around it."""
     parent: "Dataset | None" = None
-    """The dataset that this one is an annex of; scene and meshes are the parent's."""
+    """The dataset that this one is a variant of."""
 
     @property
     def name(self) -> str:
@@ -111,7 +118,17 @@ class Dataset:
     @property
     def home(self) -> "Dataset":
         """The dataset that has the scene and the proxies: the parent, or itself."""
-        return self.parent or self
+        return self if self.parent is None or self.edit is not None else self.parent
+
+    @property
+    def splits(self) -> tuple[Split, ...]:
+        """The splits that are there."""
+        return SPLITS if self.variant is None else self.variant.splits
+
+    @property
+    def edit(self) -> SceneEdit | None:
+        """How the scene differs from the parent's; None where it does not, or there is none."""
+        return None if self.variant is None else self.variant.edit
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -137,7 +154,7 @@ def open_dataset(root: Path) -> Dataset:
     """The dataset in a folder, its head verified (its views are verified as they are read).
 
     Raises:
-        HyalineError: no dataset there, a damaged head, another format version, or an annex of another dataset.
+        HyalineError: no dataset there, a damaged head, another format version, or a variant of another dataset.
     """
     path = root / "dataset.json"
     if not path.is_file():
@@ -147,20 +164,27 @@ def open_dataset(root: Path) -> Dataset:
     head = load_sealed(path)
     if head.get("version") != DATASET_VERSION:
         raise HyalineError(f"{path}: format version {shown(head.get('version'))}; this program reads {DATASET_VERSION}")
-    parent = open_dataset(root.parent.parent) if "annex_of" in head else None
-    if parent is not None and parent.seal != head["annex_of"]:
+    variant = variant_of(head, path)
+    parent = None if variant is None else open_dataset(root.parent.parent)
+    if variant is not None and parent is not None and parent.seal != variant.of:
         raise HyalineError(f"{path}: belongs to a dataset that stood there before; build it again, or delete {root}")
     return Dataset(
         root=root,
         config=from_json(DatasetConfig, entry(head, "config", where=path), where=f"{path}: config"),
         objects=from_json(tuple[DatasetObject, ...], entry(head, "objects", where=path), where=f"{path}: objects"),
         seal=cast(str, load_json(path)[SEAL]),
-        edit=from_json(DatasetEdit, head["edit"], where=f"{path}: edit") if "edit" in head else None,
-        splits=SPLITS
-        if parent is None
-        else from_json(tuple[Split, ...], entry(head, "splits", where=path), where=f"{path}: splits"),
+        variant=variant,
         parent=parent,
     )
+
+
+def variant_of(head: Mapping[str, Json], path: Path) -> Variant | None:
+    """What a variant's head says of it; None in the head of another dataset."""
+    if old := sorted({"edit", "annex_of"} & head.keys()):
+        raise HyalineError(
+            f"{path}: says {old[0]!r}, as the format before `variants/` did; delete {path.parent} and build it again"
+        )
+    return from_json(Variant, head["variant"], where=f"{path}: variant") if "variant" in head else None
 
 
 def head_files(root: Path) -> dict[str, str]:

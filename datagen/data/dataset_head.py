@@ -5,7 +5,7 @@ from pathlib import Path
 
 from datagen.data.cameras import TRANSFORMS_FILES, Cameras, transforms_bytes
 from datagen.data.config import SPLITS, DatasetConfig, Split
-from datagen.data.dataset import DATASET_VERSION, Dataset, DatasetEdit, DatasetObject, head_files, open_dataset
+from datagen.data.dataset import DATASET_VERSION, Dataset, DatasetObject, Variant, head_files, open_dataset, variant_of
 from datagen.data.paths import image_path, record_path
 from datagen.disk.errors import HyalineError
 from datagen.disk.heads import keep_head
@@ -15,16 +15,16 @@ from datagen.disk.storage import commit, commit_same, load_sealed, seal_bytes, s
 
 
 def write_head(root: Path, config: DatasetConfig, objects: tuple[DatasetObject, ...], cameras: dict[Split, Cameras],
-               scene: Mapping[str, bytes], *, edit: DatasetEdit | None = None, parent: Dataset | None = None,
-               replace: bool = False) -> Dataset:  # fmt: skip
+               scene: Mapping[str, bytes], *, variant: Variant | None = None, replace: bool = False
+               ) -> Dataset:  # fmt: skip
     """Commits the head of a dataset, then the scene and the cameras that it promises; the caller holds the folder.
 
     Several processes may do the same at once. A head that stands there stays: whose it is says what is returned. Where
     it is the same, files of it that were lost or damaged are written anew.
 
     Args:
-        scene: the files of the scene's folder, by path relative to it; none in an annex.
-        parent: the dataset that this one is an annex of; it has the splits of `cameras` only.
+        scene: the files of the scene's folder, by path relative to it; none in a variant of the same scene.
+        variant: what a variant says of itself.
         replace: take the place of a head of ours, whose views and further files the caller has removed.
 
     Raises:
@@ -36,10 +36,8 @@ def write_head(root: Path, config: DatasetConfig, objects: tuple[DatasetObject, 
         "config": to_json(config),
         "objects": to_json(objects),
         "files": {path: sha256(data) for path, data in sorted(files.items())},
-        **({} if edit is None else {"edit": to_json(edit)}),
+        **({} if variant is None else {"variant": to_json(variant)}),
     }
-    if parent is not None:
-        head |= {"annex_of": parent.seal, "splits": list(cameras)}
     if replace and is_ours(root, DATASET):
         commit(root / DATASET.head, seal_bytes(head))
     else:
@@ -79,8 +77,8 @@ def dataset_files(root: Path) -> list[str]:
     if head.get("version") != DATASET_VERSION:
         raise HyalineError(f"{path}: format version {head.get('version')!r}; this program reads {DATASET_VERSION}")
     config = from_json(DatasetConfig, head.get("config"), where=f"{path}: config")
-    splits = from_json(tuple[Split, ...], head.get("splits", list(SPLITS)), where=f"{path}: splits")
-    return [*view_files(config, splits), *head_files(root)]
+    variant = variant_of(head, path)
+    return [*view_files(config, SPLITS if variant is None else variant.splits), *head_files(root)]
 
 
 def view_files(config: DatasetConfig, splits: Sequence[Split]) -> list[str]:

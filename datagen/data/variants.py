@@ -1,28 +1,64 @@
-"""Owns annexes: more truth of a dataset, beside what every dataset has, without changing a byte of that.
+"""Variants of a dataset: more truth beside it, with the same scene or the same cameras; none of its bytes changes.
 
-    annexes/angles/   the splits extrapolating-10deg, -20deg, -40deg: cameras outside of what training covers
-    annexes/x2/       views of the test splits, rendered twice as wide and high; x4 the same four times
+    variants/angles/        the splits extrapolating-10deg, -20deg, -40deg: cameras outside of what training covers
+    variants/x2/            views of the test splits, rendered twice as wide and high; x4 the same four times
+    variants/remove-ball/   the test splits of the scene after an edit, with edit-masks/ (data/edit_masks.py)
 
-Each is laid out like a dataset, with a sealed head of its own that names its parent's seal. Scene and meshes are the
-parent's; layers of its geometries lie in the annex.
+Each is laid out like a dataset; its head says which dataset it belongs to (`dataset.Variant`). Scene, meshes and
+proxies are the parent's, but for an edit, which has its own. Predictions of a variant lie in RUN/variants/NAME/.
 """
 
+import shlex
 from pathlib import Path
 
-from datagen.data.config import TEST_SPLITS, Split
+from datagen.data.config import Split
 from datagen.data.dataset import Dataset, open_dataset
+from datagen.disk.errors import HyalineError
 from datagen.disk.names import check_name, is_name
+
+FOLDER = "variants"
+"""In a dataset and in a run."""
 
 ANGLES = "angles"
 
 
-def annex_root(root: Path, name: str) -> Path:
-    return root / "annexes" / check_name(name, where="annex")
+def variant_root(root: Path, name: str) -> Path:
+    """Where a variant of the dataset in a folder lies, or what a run drew of it."""
+    return root / FOLDER / check_name(name, where="variant")
 
 
 def scale_name(scale: int) -> str:
-    """The annex that holds pictures so many times as wide and high; so are the folders of predictions called."""
+    """The variant with pictures so many times as wide and high."""
     return f"x{scale}"
+
+
+def list_variants(root: Path) -> list[str]:
+    """Names of all variants of the dataset in a folder, sorted."""
+    return sorted(path.parent.name for path in root.glob(f"{FOLDER}/*/dataset.json") if is_name(path.parent.name))
+
+
+def has_variant(dataset: Dataset, name: str) -> bool:
+    return (variant_root(dataset.root, name) / "dataset.json").is_file()
+
+
+def open_variant(dataset: Dataset, name: str) -> Dataset:
+    """A variant of a dataset.
+
+    Raises:
+        HyalineError: not built, damaged, or of a dataset that stood there before.
+    """
+    if not has_variant(dataset, name):
+        made = ", ".join(list_variants(dataset.root)) or "none"
+        raise HyalineError(
+            f"{variant_root(dataset.root, name)}: no such variant (there are: {made}); make it with "
+            f"`{_build_command(dataset, name)}`"
+        )
+    return open_dataset(variant_root(dataset.root, name))
+
+
+def is_larger(variant: Dataset) -> bool:
+    """True for a variant of larger pictures."""
+    return variant.parent is not None and variant.config.resolution != variant.parent.config.resolution
 
 
 def evenly(count: int, total: int) -> list[int]:
@@ -30,28 +66,18 @@ def evenly(count: int, total: int) -> list[int]:
     return [(2 * place + 1) * total // (2 * count) for place in range(count)]
 
 
-def parent_views(annex: Dataset, split: Split) -> list[int]:
-    """Which views of the parent's split those of an annex with larger pictures are."""
-    return evenly(annex.config.split(split).views, annex.home.config.split(split).views)
+def parent_views(variant: Dataset, split: Split) -> list[int]:
+    """Which views of the parent's split those of a variant with larger pictures are."""
+    assert variant.parent is not None
+    return evenly(variant.config.split(split).views, variant.parent.config.split(split).views)
 
 
-def list_annex_folders(root: Path) -> list[Path]:
-    """The folders of a dataset's annexes, sorted."""
-    return sorted(path.parent for path in root.glob("annexes/*/dataset.json") if is_name(path.parent.name))
-
-
-def open_annex(dataset: Dataset, name: str) -> Dataset | None:
-    """An annex; None when it was not built.
-
-    Raises:
-        HyalineError: damaged, or of another dataset.
-    """
-    root = annex_root(dataset.root, name)
-    return open_dataset(root) if (root / "dataset.json").is_file() else None
-
-
-def homes_of_test_splits(dataset: Dataset) -> dict[Split, Dataset]:
-    """Every split that methods are tested on, with the dataset or annex that holds it."""
-    annex = open_annex(dataset, ANGLES)
-    further = {} if annex is None else dict.fromkeys(annex.splits, annex)
-    return {**dict.fromkeys(TEST_SPLITS, dataset), **further}
+def _build_command(dataset: Dataset, name: str) -> str:
+    """The command that makes a variant, as far as its name tells."""
+    if name == ANGLES:
+        flag = "--angle-splits"
+    elif name[:1] == "x" and name[1:].isdecimal():
+        flag = f"--super-resolution {name[1:]}"
+    else:
+        flag = "--edit EDIT"
+    return f"datagen build --dataset {shlex.quote(str(dataset.root))} {flag}"

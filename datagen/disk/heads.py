@@ -2,7 +2,7 @@
 
     heads/dataset.json                          a copy of dataset.json
     heads/layers/straight/layers.json           a copy of layers/straight/layers.json; and so on for every head of
-                                                layers, proxies, annexes and edits: at the same path, the same bytes
+                                                layers, proxies and variants: at the same path, the same bytes
 
 A head is committed first and copied then. So a head that verifies counts, and the copy where it does not; where both do
 and differ, the one under which the views were made. Datasets made before there were copies get them from the next
@@ -23,12 +23,12 @@ _PARTS = (
     "proxies/*/proxies.json",
     *(f"{outer}layers/{kind}/layers.json" for outer in ("", "proxies/*/") for kind in _KINDS),
 )
-PATTERNS = tuple(f"{outer}{inner}" for outer in ("", "annexes/*/", "edits/*/") for inner in _PARTS)
+PATTERNS = tuple(f"{outer}{inner}" for outer in ("", "variants/*/") for inner in _PARTS)
 """Where heads lie in a dataset."""
 
 
 def keep_head(root: Path, path: Path) -> None:
-    """Copies the head at `path`, of the dataset, annex or edit at `root`, when the copy is not the same."""
+    """Copies the head at `path`, of the dataset or variant at `root`, when the copy is not the same."""
     home = home_of(root)
     copy, data = home / HEADS / path.relative_to(home), path.read_bytes()
     if not copy.is_file() or copy.read_bytes() != data:

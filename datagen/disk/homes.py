@@ -8,9 +8,9 @@ HEADS = "heads"
 
 
 def home_of(root: Path) -> Path:
-    """The dataset's folder that keeps the copies: for an edit or an annex, that of the dataset around it."""
+    """The dataset's folder that keeps the copies: for a variant, that of the dataset around it."""
     outer = root.parent.parent
-    is_inner = root.parent.name in ("annexes", "edits")
+    is_inner = root.parent.name == "variants"
     return (
         outer if is_inner and any((outer / path).is_file() for path in ("dataset.json", "heads/dataset.json")) else root
     )

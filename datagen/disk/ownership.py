@@ -47,7 +47,7 @@ DATASET = FolderKind(
     what="dataset",
     head="dataset.json",
     folders=("scene", "images", "records", "heads"),
-    nested=("layers/*", "proxies/*", "edits/*", "annexes/*", "footprints", "heads"),
+    nested=("layers/*", "proxies/*", "variants/*", "edit-masks", "heads"),
 )
 LAYERS = FolderKind(
     what="layers", head="layers.json", folders=("peels.zarr", "records"), store="peels.zarr",
@@ -57,8 +57,8 @@ PROXIES = FolderKind(
     what="proxies", head="proxies.json", folders=("meshes",), nested=("layers/*",),
     way_out="move that elsewhere, or delete the folder",
 )  # fmt: skip
-FOOTPRINTS = FolderKind(
-    what="footprints", head="footprints.json", folders=("*",), way_out="move that elsewhere, or delete the folder"
+EDIT_MASKS = FolderKind(
+    what="edit masks", head="edit-masks.json", folders=("*",), way_out="move that elsewhere, or delete the folder"
 )
 
 
@@ -258,4 +258,4 @@ def _foreign_files(root: Path, kind: FolderKind, files: Mapping[str, bytes]) -> 
 
 
 def _has_own_head(folder: Path) -> bool:
-    return any(is_ours(folder, kind) for kind in (DATASET, LAYERS, PROXIES, FOOTPRINTS))
+    return any(is_ours(folder, kind) for kind in (DATASET, LAYERS, PROXIES, EDIT_MASKS))

@@ -64,12 +64,17 @@ class Curve:
     """See `slope_db_per_10deg`."""
 
 
-def make_curve(run: Run, truths: dict[Split, Truth], coverage: dict[Split, tuple[PixelCoverage, ...]]) -> Curve:
-    """The curve of a run over the test splits in `coverage`, all of which it predicted."""
+def make_curve(runs: Mapping[Split, Run], truths: dict[Split, Truth],
+               coverage: dict[Split, tuple[PixelCoverage, ...]]) -> Curve:  # fmt: skip
+    """The curve of a run over the test splits in `coverage`, all of which it predicted.
+
+    Args:
+        runs: by split, the run or its predictions of a variant.
+    """
     angles, views, errors = [], [], []
     for split, covered in coverage.items():
         for view, pixels in enumerate(covered):
-            difference = read_prediction(run, split, view).astype(np.float64) - truths[split].images[view]
+            difference = read_prediction(runs[split], split, view).astype(np.float64) - truths[split].images[view]
             errors.append(np.square(difference).reshape(-1, 3)[pixels.pixel].mean(axis=1))
             angles.append(pixels.angle_deg)
             views.append(pixels.views)

@@ -6,6 +6,7 @@ from datagen.data.config import TEST_SPLITS, Split
 from datagen.disk.records import Json
 from eval.analyses.edits import IGNORED, REGIONS, EditScores
 from eval.analyses.order import OrderScores
+from eval.analyses.variants import variant_json
 from eval.score.metrics import mean_of
 from eval.score.regions import RegionScores
 from eval.score.scores import RunScores
@@ -72,12 +73,13 @@ def order_grid(title: str, order: OrderScores, runs: Sequence[RunScores]) -> Gri
     )
 
 
-def edit_json(edit: EditScores) -> Json:
+def edit_json(edit: EditScores) -> dict[str, Json]:
+    """The scores of the whole pictures, and those in regions beside them."""
     record = edit.edited.edit
     assert record is not None
     return {
+        **variant_json(edit.scored),
         "edits": list(record.edits),
-        "dataset_seal": edit.edited.seal,
         "shares": _nested(edit.shares),
         "rows": [{"run": row.run, "scene": row.scene, "psnr_db": _nested(row.psnr_db)} for row in edit.rows],
     }

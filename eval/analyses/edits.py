@@ -1,6 +1,6 @@
-"""Owns the scores of edited scenes: what a trained renderer draws from other layers, against the edited truth."""
+"""The scores of edited scenes in regions: what a trained renderer draws from other layers, against the edited truth."""
 
-import shlex
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -8,12 +8,11 @@ import numpy as np
 
 from datagen.data.config import TEST_SPLITS, Split
 from datagen.data.dataset import Dataset
-from datagen.data.edit_masks import ELSEWHERE, LIGHT, OBJECT, read_footprint
-from datagen.data.edited import list_edits, open_edit
+from datagen.data.edit_masks import ELSEWHERE, LIGHT, OBJECT, read_edit_mask
 from datagen.disk.errors import HyalineError
-from datagen.disk.storage import load_sealed
+from eval.analyses.variants import VariantScores
 from eval.score.regions import Image, Masks, RegionScores, mean_share, predictions, psnr_by_region, truths
-from eval.score.runs import Run, has_split, within
+from eval.score.runs import Run, has_split
 from eval.score.scores import SceneScores
 
 REGIONS: dict[str, tuple[int, ...]] = {
@@ -22,7 +21,7 @@ REGIONS: dict[str, tuple[int, ...]] = {
     "elsewhere": (ELSEWHERE,),
     "all": (OBJECT, LIGHT, ELSEWHERE),
 }
-"""By name, the values of a footprint's pixels."""
+"""By name, the values of an edit mask's pixels."""
 
 IGNORED = "truth before the edit"
 
@@ -39,29 +38,36 @@ class EditRow:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class EditScores:
-    """All runs that drew one edit."""
+    """One edit in regions: all runs that drew it."""
 
-    edited: Dataset
+    scored: VariantScores
     shares: dict[tuple[str, Split], float]
     """Of each region in a split's pixels."""
-    runs: tuple[Run, ...]
-    """Each stands for its predictions of the edited scene: its folder and dataset are the edit's."""
     rows: tuple[EditRow, ...]
     """Two for each run, then the score that the truth before the edit would get: what ignoring the edit is worth."""
 
+    @property
+    def edited(self) -> Dataset:
+        """The variant."""
+        return self.scored.variant
 
-def score_edits(scene: SceneScores, errors: list[HyalineError]) -> tuple[EditScores, ...]:
-    """Every edit of the scene that a run has drawn; what cannot be scored is added to `errors`."""
-    scored = []
-    for name in list_edits(scene.dataset):
-        try:
-            edited = open_edit(scene.dataset, name)
-            pairs = [(scores.run, found) for scores in scene.runs if (found := edit_run(scores.run, edited))]
-            if pairs:
-                scored.append(_score_edit(scene.dataset, edited, pairs))
-        except HyalineError as error:
-            errors.append(error)
-    return tuple(scored)
+    @property
+    def runs(self) -> tuple[Run, ...]:
+        """Each stands for its predictions of the edited scene: its folder and dataset are the edit's."""
+        return tuple(scores.run for scores in self.scored.runs.values())
+
+
+def score_edits(scene: SceneScores, variants: Sequence[VariantScores],
+                errors: list[HyalineError]) -> tuple[EditScores, ...]:  # fmt: skip
+    """Every edit among these variants in regions; what cannot be scored is added to `errors`."""
+    found = []
+    for scored in variants:
+        if scored.variant.edit is not None:
+            try:
+                found.append(_score_edit(scene, scored))
+            except HyalineError as error:
+                errors.append(error)
+    return tuple(found)
 
 
 def object_psnr(drawn: tuple[EditScores, ...]) -> dict[str, dict[Split, float | None]]:
@@ -82,44 +88,27 @@ def object_psnr(drawn: tuple[EditScores, ...]) -> dict[str, dict[Split, float | 
     }
 
 
-def edit_run(run: Run, edited: Dataset) -> Run | None:
-    """A run's predictions of an edited scene as a run of its own; None where it has none.
-
-    They lie at RUN/edits/NAME/predictions/SPLIT/0000.png, whoever made them.
-
-    Raises:
-        HyalineError: a picture is missing or too many, or they were made for another version of the edit.
-    """
-    folder = run.folder / "edits" / edited.name
-    found = within(run, folder, edited)
-    if not any(has_split(found, split) for split in TEST_SPLITS):
-        return None
-    record = folder / "predictions.json"
-    if record.is_file() and load_sealed(record).get("dataset_seal") != edited.seal:
-        raise HyalineError(
-            f"{folder}: made for another version of {edited.root}; "
-            f"render again with `model render --run {shlex.quote(str(run.folder))} --edit {edited.name}`"
-        )
-    return found
-
-
-def _score_edit(base: Dataset, edited: Dataset, pairs: list[tuple[Run, Run]]) -> EditScores:
+def _score_edit(scene: SceneScores, scored: VariantScores) -> EditScores:
+    edited = scored.variant
     masks: dict[Split, list[Masks]] = {split: _masks(edited, split) for split in TEST_SPLITS}
-    before: dict[Split, list[Image]] = {split: truths(base, split) for split in TEST_SPLITS}
-    after: dict[Split, list[Image]] = {split: truths(edited, split) for split in TEST_SPLITS}
+    before: dict[Split, list[Image]] = {split: truths(scene.dataset, split) for split in TEST_SPLITS}
+    after: dict[Split, list[Image]] = {split: list(scored.truths[split].images) for split in TEST_SPLITS}
     rows = []
-    for run, found in pairs:
-        rows.append(EditRow(run=run.name, scene="edited", psnr_db=score_regions(found, after, masks)))
-        rows.append(EditRow(run=run.name, scene="unedited", psnr_db=score_regions(run, before, masks)))
+    for scores in scene.runs:
+        run = scores.run
+        if run.name in scored.runs:
+            drawn = score_regions(scored.runs[run.name].run, after, masks)
+            rows.append(EditRow(run=run.name, scene="edited", psnr_db=drawn))
+            rows.append(EditRow(run=run.name, scene="unedited", psnr_db=score_regions(run, before, masks)))
     ignored: RegionScores = {}
     for split in TEST_SPLITS:
-        scores = psnr_by_region(zip(before[split], after[split], strict=True), masks[split])
-        ignored |= {(region, split): value for region, value in scores.items()}
+        values = psnr_by_region(zip(before[split], after[split], strict=True), masks[split])
+        ignored |= {(region, split): value for region, value in values.items()}
     rows.append(EditRow(run=IGNORED, scene="edited", psnr_db=ignored))
     shares: dict[tuple[str, Split], float] = {
         (region, split): mean_share(masks[split], region) for region in REGIONS for split in TEST_SPLITS
     }
-    return EditScores(edited=edited, shares=shares, runs=tuple(found for _, found in pairs), rows=tuple(rows))
+    return EditScores(scored=scored, shares=shares, rows=tuple(rows))
 
 
 def score_regions(run: Run, targets: dict[Split, list[Image]], masks: dict[Split, list[Masks]]) -> RegionScores:
@@ -133,5 +122,5 @@ def score_regions(run: Run, targets: dict[Split, list[Image]], masks: dict[Split
 
 
 def _masks(edited: Dataset, split: Split) -> list[Masks]:
-    footprints = [read_footprint(edited, split, view) for view in range(edited.config.split(split).views)]
-    return [{name: np.isin(footprint, values) for name, values in REGIONS.items()} for footprint in footprints]
+    masks = [read_edit_mask(edited, split, view) for view in range(edited.config.split(split).views)]
+    return [{name: np.isin(mask, values) for name, values in REGIONS.items()} for mask in masks]

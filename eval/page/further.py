@@ -5,12 +5,13 @@ from dataclasses import dataclass
 from functools import partial
 
 from datagen.data.config import Split
-from datagen.data.variants import homes_of_test_splits
+from datagen.data.dataset import Dataset
+from datagen.data.variants import ANGLES, is_larger
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import file_name
 from datagen.disk.records import Json, to_json
 from datagen.terminal.command import say, track
-from eval.analyses.angle_scores import angle_grid, angles_json, read_angle_truths, score_angles
+from eval.analyses.angles import angle_grid
 from eval.analyses.budget import budget_grid, find_budgets
 from eval.analyses.coverage import PixelCoverage, cover_view, read_coverage
 from eval.analyses.curve import Curve, curve_grid, make_curve, pool_seeds
@@ -19,8 +20,10 @@ from eval.analyses.edit_tables import edit_grids, edit_json, order_grid, order_j
 from eval.analyses.edits import score_edits
 from eval.analyses.order import score_order
 from eval.analyses.plots import budget_figure, curve_figure
-from eval.analyses.super_resolution import score_scaled, super_resolution_grid, super_resolution_json
-from eval.score.scores import RunScores, SceneScores, Truth
+from eval.analyses.super_resolution import score_enlarged, super_resolution_grid, super_resolution_json
+from eval.analyses.variants import VariantScores, score_variants, variant_json
+from eval.score.runs import Run
+from eval.score.scores import SceneScores, Truth
 from eval.tables.grids import Grid
 
 
@@ -51,11 +54,13 @@ def analyse(scene: SceneScores, truths: dict[Split, Truth], errors: list[Hyaline
     figures: dict[str, Callable[[], bytes]] = {}
     name = file_name(scene.title)
 
-    angle_truths = read_angle_truths(scene, errors)
-    if by_angle := score_angles(scene, angle_truths, errors):
-        grids.append(angle_grid(scene, angle_truths, by_angle))
-        data["angle_splits"] = angles_json(angle_truths, by_angle)
-    if curves := _curves(scene, truths | angle_truths, by_angle):
+    variants = score_variants(scene, errors)
+    by_name: dict[str, Json] = {}
+    by_angle = next((scored for scored in variants if scored.variant.name == ANGLES), None)
+    if by_angle is not None:
+        grids.append(angle_grid(scene, by_angle))
+        by_name[ANGLES] = variant_json(by_angle)
+    if curves := _curves(scene, truths, by_angle):
         pooled = pool_seeds(scene.runs, curves)
         grids.append(curve_grid(scene.title, pooled))
         data["curves"] = to_json(curves)
@@ -64,13 +69,15 @@ def analyse(scene: SceneScores, truths: dict[Split, Truth], errors: list[Hyaline
         grids.append(budget_grid(scene.title, budgets))
         data["layer_budgets"] = to_json(budgets)
         figures[f"budget_{name}"] = lambda: budget_figure(scene.title, budgets)
-    if scaled := score_scaled(scene, errors):
-        grids.append(super_resolution_grid(scene, scaled))
-        data["super_resolution"] = super_resolution_json(scaled)
-    if edits := score_edits(scene, errors):
+    if larger := [(scored, score_enlarged(scene, scored)) for scored in variants if is_larger(scored.variant)]:
+        grids.append(super_resolution_grid(scene, larger))
+        by_name |= {scored.variant.name: super_resolution_json(scored, enlarged) for scored, enlarged in larger}
+    if edits := score_edits(scene, variants, errors):
         grids += edit_grids(scene.title, edits, scene.runs)
-        data["edits"] = [edit_json(edit) for edit in edits]
+        by_name |= {edit.edited.name: edit_json(edit) for edit in edits}
         figures |= {f"edit_{name}_{file_name(edit.edited.name)}": partial(edit_sheet, scene, edit) for edit in edits}
+    if by_name:
+        data["variants"] = by_name
     if order_layers:
         order = score_order(scene, edits, order_layers)
         grids.append(order_grid(scene.title, order, scene.runs))
@@ -78,23 +85,33 @@ def analyse(scene: SceneScores, truths: dict[Split, Truth], errors: list[Hyaline
     return Further(title=scene.title, grids=tuple(grids), data=data, figures=figures)
 
 
-def _curves(scene: SceneScores, truths: dict[Split, Truth], by_angle: dict[str, RunScores]) -> dict[str, Curve]:
+def _curves(scene: SceneScores, truths: dict[Split, Truth], by_angle: VariantScores | None) -> dict[str, Curve]:
     """The extrapolation curves by the run's name; none without straight layers."""
     if not scene.has_glass_mask:
         return {}
     say(f"{scene.title}: reads what the training views saw")
     coverage = read_coverage(scene.dataset)
-    homes = homes_of_test_splits(scene.dataset)
+    if by_angle is not None:
+        truths = truths | by_angle.truths
     covered: dict[Split, tuple[PixelCoverage, ...]] = {
-        split: tuple(cover_view(coverage, homes[split], split, view) for view in range(len(truth.images)))
+        split: tuple(
+            cover_view(coverage, _home(scene, by_angle, split), split, view) for view in range(len(truth.images))
+        )
         for split, truth in truths.items()
     }
     curves = {}
     for scores in track(scene.runs, label=f"curves of {scene.title}", total=len(scene.runs)):
-        further = by_angle[scores.run.name].splits if scores.run.name in by_angle else {}
-        predicted: dict[Split, tuple[PixelCoverage, ...]] = {
-            split: covered[split] for split, values in (scores.splits | further).items() if values is not None
+        drawn = [scores]
+        if by_angle is not None and scores.run.name in by_angle.runs:
+            drawn.append(by_angle.runs[scores.run.name])
+        runs: dict[Split, Run] = {
+            split: found.run for found in drawn for split, values in found.splits.items() if values is not None
         }
-        if predicted:
-            curves[scores.run.name] = make_curve(scores.run, truths, predicted)
+        if runs:
+            curves[scores.run.name] = make_curve(runs, truths, {split: covered[split] for split in runs})
     return curves
+
+
+def _home(scene: SceneScores, by_angle: VariantScores | None, split: Split) -> Dataset:
+    """The dataset or the variant that has a split."""
+    return by_angle.variant if by_angle is not None and split in by_angle.truths else scene.dataset

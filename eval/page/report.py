@@ -16,6 +16,7 @@ from datagen.disk.names import file_name
 from datagen.terminal.command import choose, say, track
 from eval.analyses.edits import object_psnr, score_edits
 from eval.analyses.order import check_order_layers
+from eval.analyses.variants import score_variants
 from eval.figures.sheets import comparison_sheet
 from eval.page.figures import figures_of
 from eval.page.further import Further, analyse
@@ -126,12 +127,18 @@ def _lines_of(table: str) -> tuple[Line, ...]:
 
 def _grids_of(table: str, scenes: list[SceneScores], errors: list[HyalineError]) -> list[Grid]:
     if table == "claims":
-        return [claims_grid(scenes, {scene.title: object_psnr(score_edits(scene, errors)) for scene in scenes})]
+        return [claims_grid(scenes, {scene.title: _object_psnr(scene, errors) for scene in scenes})]
     if table in ABLATIONS:
         return [ablation_grid(ABLATIONS[table], scene) for scene in scenes]
     if table == "proxies":
         return [ladder_grid(scene) for scene in scenes]
     return [comparison_grid(COMPARISONS[table], scene) for scene in scenes]
+
+
+def _object_psnr(scene: SceneScores, errors: list[HyalineError]) -> dict[str, dict[Split, float | None]]:
+    """PSNR where edited objects are or were, by the run's name and the split."""
+    edits = score_variants(scene, errors, edits_alone=True)
+    return object_psnr(score_edits(scene, edits, errors))
 
 
 def _picture_of(table: str, scene: SceneScores) -> bytes | None:

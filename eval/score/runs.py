@@ -1,13 +1,12 @@
 """Owns what a run is on disk: a folder of predicted pictures, with or without a record of what made them.
 
     RUNS/SCENE/NAME/predictions/SPLIT/0000.png ...   8-bit sRGB, one a view of the split, the size of the truth
-    RUNS/SCENE/NAME/edits/EDIT/predictions/...       the same of the dataset's edits/EDIT (eval/analyses/edits.py)
+    RUNS/SCENE/NAME/variants/VARIANT/predictions/... the same of a variant of the dataset (datagen/data/variants.py)
     RUNS/SCENE/NAME/run.json                         optional: method, geometry, knowledge, dataset, dataset_seal,
                                                      seed, num_parameters, num_layers, label, config (an object of
                                                      choices), layers_seal; what else `model train` writes is not
                                                      read here, and any other key is refused
 
-    RUNS/SCENE/NAME/x2/predictions/...               the same, twice as wide and high: super-resolution
     .../predictions.json                             optional, beside each folder `predictions`; sealed: SHA-256 of each
                                                      picture, which are verified then
 
@@ -29,6 +28,8 @@ from datagen.data.config import ANGLE_SPLITS, SPLITS, Split
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.paths import view_name
 from datagen.data.png import MAX_PNG_BYTES, decode_png
+from datagen.data.variants import ANGLES, variant_root
+from datagen.data.variants import FOLDER as VARIANTS
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import printable
 from datagen.disk.reading import load_json, read_regular
@@ -95,8 +96,13 @@ def has_predictions(folder: Path) -> bool:
     """
     splits = [path.name for path in sorted((folder / "predictions").glob("*")) if path.is_dir()]
     for name in splits:
+        if name in ANGLE_SPLITS:
+            raise HyalineError(
+                f"{folder / 'predictions' / name}: is of a variant; its pictures belong into "
+                f"{variant_root(folder, ANGLES) / 'predictions' / name}"
+            )
         try:
-            choose("split", name, (*SPLITS, *ANGLE_SPLITS))
+            choose("split", name, SPLITS)
         except HyalineError as error:
             raise HyalineError(f"{folder / 'predictions' / name}: {error}") from None
     return bool(splits)
@@ -209,12 +215,10 @@ def _read_bytes(run: Run, split: Split, view: int) -> bytes:
 
 
 def _render_command(run: Run) -> str:
-    """The command that writes a run's pictures; of an edit or a size, that inside the run."""
+    """The command that writes a run's pictures; of a variant, that inside the run."""
     folder = run.folder
-    if folder.parent.name == "edits":
-        return shlex.join(["model", "render", "--run", str(folder.parent.parent), "--edit", folder.name])
-    if folder.name != run.name:
-        return shlex.join(["model", "render", "--run", str(folder.parent), "--scale", folder.name.removeprefix("x")])
+    if folder.parent.name == VARIANTS:
+        return shlex.join(["model", "render", "--run", str(folder.parent.parent), "--variant", folder.name])
     return shlex.join(["model", "render", "--run", str(folder)])
 
 

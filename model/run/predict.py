@@ -1,6 +1,10 @@
-"""Owns prediction: from a run's weights to 8-bit pictures of the test splits."""
+"""Prediction: from a run's weights to 8-bit pictures of the test splits, of the dataset and of its variants.
 
-import shlex
+RUN/predictions/SPLIT/0000.png     8-bit sRGB
+RUN/predictions.json               sealed, written last: SHA-256 of each picture
+RUN/variants/NAME/...              the same of a variant, whose seal its predictions.json says
+"""
+
 from collections.abc import Mapping
 from pathlib import Path
 from typing import cast
@@ -10,13 +14,15 @@ import torch
 from jaxtyping import Float32, UInt8
 from torch import Tensor, nn
 
+from datagen.data.advice import edit_command
 from datagen.data.config import Split
 from datagen.data.dataset import Dataset
+from datagen.data.geometries import list_geometries
 from datagen.data.paths import view_name
 from datagen.data.png import png_bytes
-from datagen.data.variants import homes_of_test_splits, open_annex, scale_name
+from datagen.data.variants import ANGLES, has_variant, open_variant, variant_root
 from datagen.disk.errors import HyalineError, NumericsError
-from datagen.disk.storage import commit, sha256
+from datagen.disk.storage import commit, load_sealed, sha256
 from datagen.terminal.command import say, track
 from model.batches.rays import Pixels, PixelSource
 from model.methods.light_path.net import LightPathRenderer
@@ -25,7 +31,8 @@ from model.methods.light_path.refined_pixels import draw_refined
 from model.methods.paper import PaperRenderer
 from model.methods.table import METHODS, read_layers_of
 from model.run.checkpoint import load_state
-from model.run.run_folder import WEIGHTS, TrainConfig, is_config, write_prediction_hashes
+from model.run.edits import show_edited_scene
+from model.run.run_folder import PREDICTIONS, WEIGHTS, TrainConfig, is_config, is_finished, write_prediction_hashes
 from model.settings.runtime import keep_freed_memory
 
 
@@ -120,55 +127,95 @@ def _check_parameters(expected: Mapping[str, Tensor], found: object, *, where: s
             raise HyalineError(f"{where}: {name} holds numbers that are not finite; train anew with --overwrite")
 
 
-def render_predictions(out: Path, config: TrainConfig, dataset: Dataset, *, device: torch.device) -> None:
-    """Renders all test splits from a run's weights; the list of predictions comes last and finishes the run.
+def is_drawn(run: Path, variant: Dataset) -> bool:
+    """True when all of a run's pictures of this variant are there and verify."""
+    folder = variant_root(run, variant.name)
+    return is_finished(folder) and load_sealed(folder / PREDICTIONS).get("dataset_seal") == variant.seal
 
-    Those are the two that every dataset has, and the splits by angle where they were built.
-    """
+
+def is_all_drawn(run: Path, dataset: Dataset) -> bool:
+    """True when a run is finished, with all variants that `render_predictions` draws along."""
+    return is_finished(run) and all(is_drawn(run, variant) for variant in _drawn_along(dataset))
+
+
+def render_predictions(run: Path, config: TrainConfig, dataset: Dataset, *, device: torch.device) -> None:
+    """Renders all test splits from a run's weights, those by angle along; the list of predictions comes last."""
     keep_freed_memory()
-    renderer = load_renderer(out, config, dataset).to(device)
-    files = render_views(renderer, config, homes_of_test_splits(dataset), out)
-    write_prediction_hashes(out, files)
-    say(f"{out}: rendered {len(files)} views")
+    renderer = load_renderer(run, config, dataset).to(device)
+    for variant in _drawn_along(dataset):
+        if not is_drawn(run, variant):
+            _draw(renderer, run, config, variant)
+    files = render_views(renderer, config, dataset, run)
+    write_prediction_hashes(run, files)
+    say(f"{run}: rendered {len(files)} views")
 
 
-def render_scaled(out: Path, config: TrainConfig, dataset: Dataset, scale: int, *, device: torch.device) -> None:
-    """Renders the test splits of an annex, so many times as wide and high as the run was trained at, to RUN/x2 or so.
+def render_variant(run: Path, config: TrainConfig, dataset: Dataset, variant: Dataset, *, device: torch.device) -> None:
+    """Renders all splits of a variant from the run's weights; the list of pictures comes last.
 
     Raises:
-        HyalineError: the annex was not built.
+        HyalineError: an edit, which the run's method or geometry cannot draw.
     """
+    check_can_draw(config, dataset, variant)
     keep_freed_memory()
-    annex = open_annex(dataset, scale_name(scale))
-    if annex is None:
+    renderer = load_renderer(run, config, dataset)
+    if variant.edit is not None:
+        show_edited_scene(renderer, dataset, variant, config.geometry)
+    _draw(renderer.to(device), run, config, variant)
+
+
+def check_can_draw(config: TrainConfig, dataset: Dataset, variant: Dataset) -> None:
+    """Refuses an edit that a run cannot draw.
+
+    Raises:
+        HyalineError: its method knows no geometry, or the edit has not the run's proxies.
+    """
+    if variant.edit is None:
+        return
+    check_draws_edits(config)
+    if config.geometry not in list_geometries(variant):
         raise HyalineError(
-            f"{dataset.root}: has no truth {scale} times as large; make it with "
-            f"`datagen build --dataset {shlex.quote(str(dataset.root))} --super-resolution {scale}`"
+            f"{variant.root}: has no {config.geometry} proxies; `{edit_command(dataset, variant)}` adds those that "
+            f"{dataset.root} has now"
         )
-    renderer = load_renderer(out, config, dataset).to(device)
-    place = out / scale_name(scale)
-    files = render_views(renderer, config, dict.fromkeys(annex.splits, annex), place)
-    write_prediction_hashes(place, files)
-    say(f"{place}: rendered {len(files)} views")
 
 
-def render_views(renderer: nn.Module, config: TrainConfig, homes: Mapping[Split, Dataset], out: Path
-                 ) -> dict[str, str]:  # fmt: skip
-    """Commits the pictures of test splits, each of its dataset or annex, as `out`/predictions/SPLIT/0000.png.
+def check_draws_edits(config: TrainConfig) -> None:
+    """Refuses a run of a method that knows no geometry, which cannot draw any edit."""
+    if not METHODS[config.method].uses_geometry:
+        raise HyalineError(f"--variant: method {config.method} knows no geometry, so it cannot draw an edit")
+
+
+def _drawn_along(dataset: Dataset) -> list[Dataset]:
+    """The variants of further test splits, which cost no more than those of the dataset itself."""
+    return [open_variant(dataset, ANGLES)] if has_variant(dataset, ANGLES) else []
+
+
+def _draw(renderer: nn.Module, run: Path, config: TrainConfig, variant: Dataset) -> None:
+    folder = variant_root(run, variant.name)
+    (folder / PREDICTIONS).unlink(missing_ok=True)
+    files = render_views(renderer, config, variant, folder)
+    write_prediction_hashes(folder, files, variant=variant.seal)
+    say(f"{folder}: rendered {len(files)} views")
+
+
+def render_views(renderer: nn.Module, config: TrainConfig, dataset: Dataset, out: Path) -> dict[str, str]:
+    """Commits the pictures of all splits of a dataset or variant but `train`, as `out`/predictions/SPLIT/0000.png.
 
     Returns:
         SHA-256 of each picture by path relative to `out`.
     """
     method = METHODS[config.method]
     device = next(renderer.parameters()).device
-    todo: list[tuple[Dataset, Split, int]] = [
-        (home, split, view) for split, home in homes.items() for view in range(home.config.split(split).views)
+    splits: list[Split] = [split for split in dataset.splits if split != "train"]
+    todo: list[tuple[Split, int]] = [
+        (split, view) for split in splits for view in range(dataset.config.split(split).views)
     ]
+    size = dataset.config.resolution
     files: dict[str, str] = {}
-    for home, split, view in track(todo, label="render", total=len(todo)):
+    for split, view in track(todo, label="render", total=len(todo)):
         path = out / "predictions" / split / f"{view_name(view)}.png"
-        size = home.config.resolution
-        pixels = method.load(config.net, home, config.geometry, split, [view], False).to(device)
+        pixels = method.load(config.net, dataset, config.geometry, split, [view], False).to(device)
         try:
             data = png_bytes(predict_pixels(renderer, pixels).reshape(size, size, 3))
         except NumericsError as error:

@@ -8,8 +8,7 @@
     RUN/weights.pt                  after training: the renderer alone; the checkpoints are deleted then
     RUN/predictions/SPLIT/0000.png  8-bit sRGB
     RUN/predictions.json            sealed, written last: SHA-256 of each prediction; a run that has it is finished
-    RUN/edits/NAME/...              predictions of edited scenes (format: model/run/edits.py)
-    RUN/x2/predictions...           the same, twice as wide and high (`model render --scale 2`)
+    RUN/variants/NAME/...           predictions of variants of the dataset (format: model/run/predict.py)
 
 No time, host or thread count is in any of them: the same command gives the same bytes (on the same machine).
 """
@@ -26,7 +25,7 @@ from datagen.data.config import ANGLE_SPLITS, TEST_SPLITS
 from datagen.data.dataset import Dataset
 from datagen.data.geometries import describe_geometry
 from datagen.data.paths import view_name
-from datagen.data.variants import homes_of_test_splits
+from datagen.data.variants import FOLDER as VARIANTS
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import FolderKind, begin, is_ours, refuse_taken, remove_files
 from datagen.disk.promises import check_files
@@ -141,9 +140,7 @@ def _is_run(path: Path) -> bool:
     return True
 
 
-FOLDER = FolderKind(
-    what="run", head=RUN, folders=("predictions", "x[2-8]/predictions", "edits/*/predictions"), holds_head=_is_run
-)
+FOLDER = FolderKind(what="run", head=RUN, folders=("predictions", "variants/*/predictions"), holds_head=_is_run)
 """A folder in which a method from elsewhere keeps its pictures, and says so in a run.json of its own, is none."""
 
 
@@ -235,18 +232,14 @@ def is_finished(out: Path) -> bool:
     return True
 
 
-def lacks_a_split(out: Path, dataset: Dataset) -> bool:
-    """True when the dataset has got splits, by angle, since the run was finished."""
-    predicted = {Path(path).parts[1] for path in read_prediction_hashes(out)}
-    return not predicted >= set(homes_of_test_splits(dataset))
-
-
-def write_prediction_hashes(out: Path, files: dict[str, str]) -> None:
-    commit_sealed(out / PREDICTIONS, {"version": RUN_VERSION, "files": dict(files)})
+def write_prediction_hashes(out: Path, files: dict[str, str], *, variant: str | None = None) -> None:
+    """Commits the list of pictures in a run's folder, or in one of a variant, whose seal it then says."""
+    said: dict[str, Json] = {} if variant is None else {"dataset_seal": variant}
+    commit_sealed(out / PREDICTIONS, {"version": RUN_VERSION, **said, "files": dict(files)})
 
 
 def read_prediction_hashes(out: Path) -> dict[str, str]:
-    """SHA-256 of each prediction by path relative to the run."""
+    """SHA-256 of each prediction by path relative to the folder of the run, or of a variant in it."""
     path = out / PREDICTIONS
     content = load_sealed(path)
     if content.get("version") != RUN_VERSION:
@@ -261,10 +254,9 @@ def read_prediction_hashes(out: Path) -> dict[str, str]:
 def clear_run(out: Path) -> None:
     """Deletes what a run has made, and nothing else; its record stays until the next one takes its place."""
     remove_files(out, [PREDICTIONS, WEIGHTS, CHECKPOINT, PREVIOUS_CHECKPOINT, METRICS, *_pictures(out)])
-    for pattern in ("x[2-8]", "edits/*"):
-        for folder in sorted(out.glob(pattern)):
-            name = folder.relative_to(out).as_posix()
-            remove_files(out, [f"{name}/{PREDICTIONS}", *(f"{name}/{file}" for file in _pictures(folder))])
+    for folder in sorted(out.glob(f"{VARIANTS}/*")):
+        name = folder.relative_to(out).as_posix()
+        remove_files(out, [f"{name}/{PREDICTIONS}", *(f"{name}/{file}" for file in _pictures(folder))])
 
 
 def _pictures(folder: Path) -> list[str]:

@@ -172,7 +172,7 @@ def write_run(folder: Path, dataset: Dataset) -> None:
 
 
 def run_at(place: str, root: Path, dataset: Dataset) -> Run:
-    """The run, or what it drew of an edit or at another size."""
+    """The run, or what it drew of a variant."""
     run = open_run(root / "synthetic" / "paper", dataset.root.parent)
     return run if place == "." else within(run, run.folder / place, dataset)
 
@@ -181,8 +181,8 @@ def run_at(place: str, root: Path, dataset: Dataset) -> Run:
     ("place", "command"),
     [
         (".", "model render --run {root}/synthetic/paper"),
-        ("edits/moved", "model render --run {root}/synthetic/paper --edit moved"),
-        ("x2", "model render --run {root}/synthetic/paper --scale 2"),
+        ("variants/moved", "model render --run {root}/synthetic/paper --variant moved"),
+        ("variants/x2", "model render --run {root}/synthetic/paper --variant x2"),
     ],
 )
 def test_a_picture_that_is_not_what_was_written_is_named_with_the_command_that_writes_it(

@@ -30,7 +30,7 @@ def peeled(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
         calls.append({"root": dataset.root, "geometry": geometry, **settings})
 
     stand_in.peel_dataset = peel_dataset  # type: ignore[attr-defined]
-    stand_in.peel_annexes = lambda dataset, *, workers: None  # type: ignore[attr-defined]
+    stand_in.peel_variants = lambda dataset, *, workers: None  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, "datagen.build.build", stand_in)
     monkeypatch.setitem(sys.modules, "datagen.build.build_variant", stand_in)
     monkeypatch.setattr(meshlab, "meshlab_problem", lambda: "left out")

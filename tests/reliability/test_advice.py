@@ -15,9 +15,9 @@ from support.scenarios import BUILD, TRAIN
 import datagen.terminal.command
 from datagen.data.advice import BLIND_METHODS
 from datagen.data.dataset import open_dataset
-from datagen.data.edited import list_edits
 from datagen.data.finding import find_dataset
 from datagen.data.geometries import check_geometry
+from datagen.data.variants import list_variants
 from datagen.disk.errors import HyalineError
 from model.methods.table import METHODS
 from model.run.predict import load_renderer
@@ -75,8 +75,8 @@ def check_advice(line: str, patch: pytest.MonkeyPatch) -> None:
         record = read_run(Path(name))
         dataset = open_dataset(find_dataset((values("--dataset") or [record.dataset])[0]))
         load_renderer(Path(name), record.config, dataset)
-        for edit in values("--edit"):
-            assert edit in list_edits(dataset), f"{line}: no such edit"
+        for name in values("--variant"):
+            assert name in list_variants(dataset.root), f"{line}: no such variant"
     for name in values("--runs"):
         assert list(Path(name).glob("*/*/predictions")), f"{line}: no runs there"
     if words[:2] == ["model", "train"]:
@@ -132,14 +132,14 @@ def test_every_command_of_a_workflow_advises_what_works_as_it_stands(ask: Callab
     assert ask(f"{train} --out 'elsewhere/two words/paper'") == ["report --runs elsewhere"]
     assert ask(train) == ["report"]
     run = "'runs/two words/paper-w8-t8-batch32-5-steps'"
-    assert ask(edit, follow=False) == [f"model render --run {run} --edit remove-pane"]
-    assert ask(edit) == [f"model render --run {run} --edit remove-pane"]
+    assert ask(edit, follow=False) == [f"model render --run {run} --variant remove-pane"]
+    assert ask(edit) == [f"model render --run {run} --variant remove-pane"]
     assert ask(edit) == ["report"]
-    assert ask(f"model render --run {run} --scale 2", status=1) == [
+    assert ask(f"model render --run {run} --variant x2", status=1) == [
         f"datagen build --dataset '{SPACED}' --super-resolution 2"
     ]
-    assert ask(f"model render --run {run} --scale 2") == ["report"]
-    assert ask(f"model render --run {run} --edit remove-floor", status=1, follow=False) == [
+    assert ask(f"model render --run {run} --variant x2") == ["report"]
+    assert ask(f"model render --run {run} --variant remove-floor", status=1, follow=False) == [
         f"datagen build --dataset '{SPACED}' --edit EDIT"
     ]
 
@@ -174,8 +174,8 @@ def test_damage_and_other_settings_advise_what_works_as_it_stands(ask: Callable[
 @pytest.mark.parametrize(
     "line",
     [
-        "model render --run runs/one/light-path --edit remove-pane",
-        "model render --run runs/one/paper --edit remove-pane",
+        "model render --run runs/one/light-path --variant remove-pane",
+        "model render --run runs/one/paper --variant remove-pane",
         "model train --method paper --dataset data/none",
         "model train --method paper --dataset data/one --geometry box",
         "model train --method paper --dataset data/one --out runs/one/paper",

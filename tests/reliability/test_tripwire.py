@@ -57,11 +57,11 @@ TRIPS = (
     Trip(line=f"{BUILD} --launcher local", start="scene", taken=("data/one-jobs/1_submission.sh",)),
     Trip(line=f"{BUILD} --views 2 --overwrite", taken=("data/one/images/train/0001.png",)),
     Trip(line=f"{BUILD} --layers light-path", taken=("data/one/layers/light-path/mine.partial",)),
-    Trip(line=f"{BUILD} --angle-splits", taken=("data/one/annexes/angles/dataset.json",)),
-    Trip(line=f"{BUILD} --super-resolution 2", taken=("data/one/annexes/x2/images/interpolating/0000.png",)),
+    Trip(line=f"{BUILD} --angle-splits", taken=("data/one/variants/angles/dataset.json",)),
+    Trip(line=f"{BUILD} --super-resolution 2", taken=("data/one/variants/x2/images/interpolating/0000.png",)),
     Trip(
         line="datagen build --scene scene --out data/one --edit remove:pane --overwrite",
-        taken=("data/one/edits/remove-pane/thesis.tex",),
+        taken=("data/one/variants/remove-pane/thesis.tex",),
     ),
     Trip(line="proxies make --dataset data/one --kind box", taken=("data/one/proxies/box/meshes/floor.ply",)),
     Trip(

@@ -23,7 +23,7 @@ PREPARED: dict[str, tuple[str, ...]] = {
     "dataset": ("scene", BUILD),
     "proxies": ("dataset", "proxies make --dataset data/one --kind box"),
     "run": ("dataset", f"{TRAIN} --out runs/one/paper"),
-    "annexes": ("dataset", f"{BUILD} --angle-splits"),
+    "variants": ("dataset", f"{BUILD} --angle-splits"),
 }
 """By name: the state to start from (none: a scene's folder alone), and the commands that follow."""
 

@@ -11,20 +11,21 @@ from support.reference import common_area
 from support.synthetic import pixel_rays, quad, synthetic_scene, trace
 
 from datagen.build.build import build_dataset, peel_dataset
-from datagen.build.build_edit import build_edit
-from datagen.build.find_edit_masks import find_footprint, shows_objects
+from datagen.build.build_variant import build_variant
+from datagen.build.find_edit_masks import find_edit_mask, shows_objects
+from datagen.build.plan_variant import plan_edit
 from datagen.build.verify import verify_dataset
 from datagen.data.cameras import Cameras
 from datagen.data.config import SPLITS, DatasetConfig, SplitConfig
-from datagen.data.dataset import Dataset, read_cameras, read_image
-from datagen.data.edit_masks import ELSEWHERE, LIGHT, OBJECT, read_footprint
-from datagen.data.edited import open_edit
+from datagen.data.dataset import Dataset, open_dataset, read_cameras, read_image
+from datagen.data.edit_masks import ELSEWHERE, LIGHT, OBJECT, read_edit_mask
 from datagen.data.geometries import ProxyStatistics, read_meshes, write_proxies
 from datagen.data.layers import read_layers
 from datagen.data.meshes import Mesh, is_there, no_mesh
 from datagen.data.paths import TRUTH
+from datagen.data.variants import open_variant
 from datagen.disk.errors import HyalineError
-from datagen.disk.storage import sha256
+from datagen.disk.storage import commit_sealed, load_sealed, sha256
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.contact import TOLERANCE, count_touching_faces
 from datagen.scene.description import Scene, SceneObject
@@ -203,10 +204,10 @@ def test_touching_faces_are_those_that_share_area(seed: int) -> None:
     assert count_touching_faces(mesh(flat[0]), mesh(flat[1])) == expected
 
 
-# Footprints
+# Edit masks
 
 
-def test_a_footprint_finds_the_light_that_an_edit_moves_and_no_noise() -> None:
+def test_an_edit_mask_finds_the_light_that_an_edit_moves_and_no_noise() -> None:
     rng = np.random.default_rng(0)
     size = 48
     shown = np.zeros((size, size), bool)
@@ -217,14 +218,14 @@ def test_a_footprint_finds_the_light_that_an_edit_moves_and_no_noise() -> None:
     shared = before + light + 0.3 * shown[..., None]
     apart = 0.5 + light + 0.3 * shown[..., None] + rng.normal(scale=0.02, size=before.shape)
     for after in (shared, apart):
-        found = find_footprint(shown, before, after)
+        found = find_edit_mask(shown, before, after)
         assert np.array_equal(found == OBJECT, shown)
         # Sure two pixels inside the shadow, and of all that lies more than two pixels outside of it.
         assert (found[26:34, 22:38] == LIGHT).all()
         far = np.ones((size, size), bool)
         far[22:38, 18:42] = False
         assert (found[far & ~shown] == LIGHT).mean() < 0.02
-    assert (find_footprint(shown, before, shared)[far & ~shown] == ELSEWHERE).all()
+    assert (find_edit_mask(shown, before, shared)[far & ~shown] == ELSEWHERE).all()
 
 
 # Textures of copies, orders
@@ -280,7 +281,7 @@ def _build(root: Path, *, seed: int) -> Dataset:
 
 
 def build(base: Dataset, *texts: str, overwrite: bool = False) -> Dataset:
-    return build_edit(base, tuple(map(parse_edit, texts)), workers=1, overwrite=overwrite)
+    return build_variant(base, plan_edit(base, tuple(map(parse_edit, texts))), workers=1, overwrite=overwrite)
 
 
 def hashes(root: Path) -> dict[str, tuple[str, int]]:
@@ -291,10 +292,10 @@ def hashes(root: Path) -> dict[str, tuple[str, int]]:
 def test_an_edited_dataset_has_the_truth_at_the_same_cameras(base: Dataset) -> None:
     kept = hashes(base.root)
     after = build(base, "remove:ball", "duplicate:post:0.1,0.6,0")
-    assert after.root == base.root / "edits" / "remove-ball+duplicate-post-0.1,0.6,0"
+    assert after.root == base.root / "variants" / "remove-ball+duplicate-post-0.1,0.6,0"
     assert {path: kept[path] for path in kept} == {p: h for p, h in hashes(base.root).items() if p in kept}
-    assert after.edit is not None
-    assert (after.edit.base, after.edit.changed) == (base.seal, ("ball", "post_copy1"))
+    assert after.variant is not None and after.edit is not None
+    assert (after.variant.of, after.edit.changed) == (base.seal, ("ball", "post_copy1"))
     assert [item.name for item in after.objects] == ["floor", "ball", "post", "post_copy1"]
     assert [is_there(mesh) for mesh in read_meshes(after, TRUTH)] == [True, False, True, True]
     for split in SPLITS[1:]:
@@ -306,12 +307,12 @@ def test_an_edited_dataset_has_the_truth_at_the_same_cameras(base: Dataset) -> N
         assert {1, 3, 4} <= set(np.unique(ids))
         for view in range(2):
             before, now = (read_image(dataset, split, view).astype(int) for dataset in (base, after))
-            footprint = read_footprint(after, split, view)
-            assert np.array_equal(footprint == OBJECT, shows_objects(base, after, split, view))
+            mask = read_edit_mask(after, split, view)
+            assert np.array_equal(mask == OBJECT, shows_objects(base, after, split, view))
             # The same random numbers: where no light changed, not even the noise did.
-            assert np.abs(now - before)[footprint == OBJECT].mean() > 5
-            assert np.abs(now - before)[footprint == ELSEWHERE].mean() < 2
-    assert len(read_cameras(after, "train").world_from_camera) == 0
+            assert np.abs(now - before)[mask == OBJECT].mean() > 5
+            assert np.abs(now - before)[mask == ELSEWHERE].mean() < 2
+    assert after.splits == SPLITS[1:]
 
 
 def test_proxies_are_edited_as_their_objects_are(base: Dataset) -> None:
@@ -335,7 +336,7 @@ def test_a_built_edit_is_left_alone_and_verifies(base: Dataset) -> None:
     assert count == len(hashes(base.root))
 
 
-@pytest.mark.parametrize("file", ["footprints/extrapolating/0001.png", "scene/meshes/ball.ply"])
+@pytest.mark.parametrize("file", ["edit-masks/extrapolating/0001.png", "scene/meshes/ball.ply"])
 def test_damage_to_an_edit_is_found_and_mended(base: Dataset, file: str) -> None:
     after = build(base, "move:ball:-0.2,0.3,0.1")
     path = after.root / file
@@ -350,19 +351,33 @@ def test_damage_to_an_edit_is_found_and_mended(base: Dataset, file: str) -> None
 
 
 def test_what_cannot_be_edited_is_refused(base: Dataset) -> None:
-    with pytest.raises(HyalineError, match=r"is an edit itself; give all edits of one scene in one command"):
+    with pytest.raises(
+        HyalineError, match=r"is a variant; name the dataset around it, .*, and give all edits of one scene in one"
+    ):
         build(build(base, "remove:ball"), "remove:post")
-    with pytest.raises(HyalineError, match=r"no such edit \(there are: .*remove-ball.*\); make one with"):
-        open_edit(base, "remove-sofa")
+    with pytest.raises(HyalineError, match=r"no such variant \(there are: .*remove-ball.*\); make it with"):
+        open_variant(base, "remove-sofa")
 
 
 def test_an_edit_of_an_older_dataset_is_not_taken_for_one_of_the_new(base: Dataset, tmp_path: Path) -> None:
     build(base, "remove:ball")
-    shutil.copytree(base.root / "edits", tmp_path / "edits")
+    shutil.copytree(base.root / "variants", tmp_path / "variants")
     root = tmp_path / "table"
     newer = _build(root, seed=1)
-    shutil.copytree(tmp_path / "edits", root / "edits")
-    with pytest.raises(HyalineError, match=r"remove-ball: was made for another version of .*table"):
-        open_edit(newer, "remove-ball")
-    with pytest.raises(HyalineError, match=r"configuration \(seed: 0 -> 1\); pass --overwrite"):
-        build(newer, "remove:ball")
+    shutil.copytree(tmp_path / "variants", root / "variants")
+    with pytest.raises(HyalineError, match=r"remove-ball/dataset.json: belongs to a dataset that stood there before"):
+        open_variant(newer, "remove-ball")
+    build(newer, "remove:ball")
+    variant = open_variant(newer, "remove-ball").variant
+    assert variant is not None and variant.of == newer.seal
+
+
+@pytest.mark.parametrize("key", ["edit", "annex_of"])
+def test_a_variant_in_the_format_before_is_refused_with_the_way_out(base: Dataset, tmp_path: Path, key: str) -> None:
+    old = tmp_path / "table" / "edits" / "remove-ball"
+    shutil.copytree(build(base, "remove:ball").root, old)
+    head = load_sealed(old / "dataset.json")
+    said = head.pop("variant")
+    commit_sealed(old / "dataset.json", {**head, key: said})
+    with pytest.raises(HyalineError, match=rf"says '{key}', as the format before .*; delete {old} and build it again"):
+        open_dataset(old)

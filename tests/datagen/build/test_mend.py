@@ -33,7 +33,7 @@ DAMAGES = ("deleted", "truncated", "flipped", "emptied", "link", "pipe", "folder
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a scene and a dataset that has everything: both kinds of layers, proxies, annexes, an edit."""
+    """A folder with a scene and a dataset that has everything: both kinds of layers, proxies, every kind of variant."""
     folder = tmp_path_factory.mktemp("made")
     with pytest.MonkeyPatch.context() as patch:
         prepare(patch, folder)
@@ -74,7 +74,7 @@ def role(path: str) -> str:
     name = path.rsplit("/", 1)[-1]
     if name in ("dataset.json", "layers.json", "proxies.json"):
         return "head"
-    return "record" if "/records/" in f"/{path}" or name == "footprints.json" else "leaf"
+    return "record" if "/records/" in f"/{path}" or name == "edit-masks.json" else "leaf"
 
 
 def damage(files: list[str], shift: int) -> list[str]:
@@ -236,8 +236,8 @@ def test_foreign_files_are_a_remark_and_no_damage(here: Path) -> None:
 
 def test_an_unfinished_dataset_is_one_line(here: Path) -> None:
     whole = tree(ROOT)
-    for folder in ("images", "records", "layers/straight/records", "annexes", "edits", "proxies", "heads/annexes",
-                   "heads/edits", "heads/proxies", "layers/light-path", "heads/layers/light-path"):  # fmt: skip
+    for folder in ("images", "records", "layers/straight/records", "variants", "proxies", "heads/variants",
+                   "heads/proxies", "layers/light-path", "heads/layers/light-path"):  # fmt: skip
         shutil.rmtree(ROOT / folder)
     answer = call("datagen verify data/one")
     assert answer.status == 1

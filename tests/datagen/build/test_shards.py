@@ -31,7 +31,7 @@ ALL = (
     *("--layers", "straight", "light-path"),
     *("--angle-splits", "--super-resolution", "2", "--super-resolution-views", "1"),
 )
-"""Both kinds of layers and both kinds of annexes."""
+"""Both kinds of layers and variants of both kinds."""
 
 
 @pytest.fixture(scope="module")

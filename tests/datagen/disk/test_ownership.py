@@ -30,10 +30,10 @@ def test_a_clearing_removes_what_the_heads_list_and_no_other_byte(tmp_path: Path
     root = tmp_path / "data"
     write_synthetic_dataset(root, resolution=8, train_views=2)
     strangers = (
-        "points3d.ply", "images/train/0002.png", "images/train/0000.png.tmp", "images/thesis.tex", "edits/mine/notes",
+        "points3d.ply", "images/train/0002.png", "images/train/0000.png.tmp", "images/thesis.tex",
         "records/train/0000.json.12ab34cd.tmp", "layers/straight/peels.zarr/train/uv/c/notes.partial",
-        "layers/own/layers.json", "proxies/box/meshes/pane.ply", "annexes/x2/dataset.json", "scene/meshes/cat.ply",
-        "images/train/0001.png.0123456789abcdef.hyaline-tmp.txt",
+        "layers/own/layers.json", "variants/mine/notes", "proxies/box/meshes/pane.ply", "variants/x2/dataset.json",
+        "scene/meshes/cat.ply", "images/train/0001.png.0123456789abcdef.hyaline-tmp.txt",
     )  # fmt: skip
     put(root, *strangers)
     with holding(root, DATASET):

@@ -437,7 +437,7 @@ def test_the_command_trains_the_small_preset_on_a_cpu(
     assert run["config"]["lr"] == 2e-3 and run["config"]["batch"] == 2
     assert (run["config"]["net"]["width"], run["config"]["net"]["plane_size"]) == (16, 32)
     assert read_png(tmp_path / "run/predictions/extrapolating/0001.png").shape == (32, 32, 3)
-    monkeypatch.setattr(sys, "argv", ["model", "render", "--run", str(tmp_path / "run"), "--edit", "remove:pane"])
+    monkeypatch.setattr(sys, "argv", ["model", "render", "--run", str(tmp_path / "run"), "--variant", "remove:pane"])
     with pytest.raises(SystemExit):
         cli.main()
     assert "method deepvoxels knows no geometry, so it cannot draw an edit" in capsys.readouterr().err

@@ -15,14 +15,15 @@ from support.meshes import mesh_of
 from support.synthetic import quad, synthetic_scene
 
 from datagen.build.build import build_dataset
-from datagen.build.build_edit import build_edit
+from datagen.build.build_variant import build_variant
+from datagen.build.plan_variant import plan_edit
 from datagen.data.config import TEST_SPLITS, DatasetConfig, Split, SplitConfig
 from datagen.data.dataset import Dataset, open_dataset, read_image
-from datagen.data.edit_masks import ELSEWHERE, LIGHT, OBJECT, read_footprint
-from datagen.data.edited import open_edit
+from datagen.data.edit_masks import ELSEWHERE, LIGHT, OBJECT, read_edit_mask
 from datagen.data.layers import read_layers
 from datagen.data.paths import TRUTH
 from datagen.data.png import png_bytes, read_png
+from datagen.data.variants import open_variant
 from datagen.disk.storage import SEAL, commit_sealed
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.description import Scene, SceneObject, SoftEnvironment
@@ -36,8 +37,7 @@ if use_mitsuba(quiet=True).startswith("scalar"):
 
 from model.methods.light_path.config import LightPathConfig
 from model.methods.paper import PaperConfig
-from model.run.edits import is_edit_rendered, render_edit
-from model.run.predict import render_predictions
+from model.run.predict import is_drawn, render_predictions, render_variant
 from model.run.run_folder import TrainConfig
 from model.run.train import train
 
@@ -80,20 +80,20 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     base = build_dataset(
         scene(), root / "data" / "edit", config, kinds=("straight",), num_layers=4, workers=1, overwrite=False
     )
-    edits = [build_edit(base, (parse_edit(text),), workers=1, overwrite=False) for text in EDITS]
+    edits = [build_variant(base, plan_edit(base, (parse_edit(text),)), workers=1) for text in EDITS]
     for name, run in (("ours", LIGHT_PATH), ("paper", PAPER)):
         out = root / "runs" / "edit" / name
         train(run, base, out, label=name, device=torch.device("cpu"))
         render_predictions(out, run, base, device=torch.device("cpu"))
         for edited in edits:
-            render_edit(out, run, base, edited, device=torch.device("cpu"))
+            render_variant(out, run, base, edited, device=torch.device("cpu"))
     return root
 
 
 def datasets(root: Path) -> tuple[Dataset, Dataset, Dataset]:
     """The base, without the ball, with two balls."""
     base = open_dataset(root / "data" / "edit")
-    return base, open_edit(base, "remove-ball"), open_edit(base, "duplicate-ball-0.3,0.8,0")
+    return base, open_variant(base, "remove-ball"), open_variant(base, "duplicate-ball-0.3,0.8,0")
 
 
 def psnr(pred: np.ndarray, truth: np.ndarray, mask: np.ndarray) -> float:
@@ -105,10 +105,10 @@ def test_a_removed_ball_of_glass_leaves_the_floor_that_was_behind_it(made: Path)
     base, after, _ = datasets(made)
     run = made / "runs" / "edit" / "ours"
     kept = read_png(run / "predictions" / SPLIT / "0000.png")
-    edited = read_png(run / "edits" / "remove-ball" / "predictions" / SPLIT / "0000.png")
+    edited = read_png(run / "variants" / "remove-ball" / "predictions" / SPLIT / "0000.png")
     in_ball = read_layers(base, TRUTH, SPLIT, 0).object_id[0] == 1
     assert 0.05 < in_ball.mean() < 0.5
-    assert np.array_equal(read_footprint(after, SPLIT, 0) == OBJECT, in_ball)
+    assert np.array_equal(read_edit_mask(after, SPLIT, 0) == OBJECT, in_ball)
     truth_before, truth_after = (read_image(dataset, SPLIT, 0) for dataset in (base, after))
     assert psnr(kept, truth_before, in_ball) > 24
     assert psnr(edited, truth_after, in_ball) > 24
@@ -120,8 +120,8 @@ def test_a_removed_ball_of_glass_leaves_the_floor_that_was_behind_it(made: Path)
 def test_a_copy_of_the_ball_refracts_the_floor_behind_it(made: Path) -> None:
     base, _, after = datasets(made)
     assert 3 in read_layers(after, TRUTH, SPLIT, 0).object_id
-    in_copy = read_footprint(after, SPLIT, 0) == OBJECT
-    edited = read_png(made / "runs" / "edit" / "ours" / "edits" / after.name / "predictions" / SPLIT / "0000.png")
+    in_copy = read_edit_mask(after, SPLIT, 0) == OBJECT
+    edited = read_png(made / "runs" / "edit" / "ours" / "variants" / after.name / "predictions" / SPLIT / "0000.png")
     assert psnr(edited, read_image(after, SPLIT, 0), in_copy) > 20
     assert psnr(read_image(base, SPLIT, 0), read_image(after, SPLIT, 0), in_copy) < 18
 
@@ -129,9 +129,9 @@ def test_a_copy_of_the_ball_refracts_the_floor_behind_it(made: Path) -> None:
 def test_predictions_of_another_version_of_an_edit_count_as_none(made: Path) -> None:
     _, after, _ = datasets(made)
     run = made / "runs" / "edit" / "ours"
-    assert is_edit_rendered(run, after)
-    assert not is_edit_rendered(run, dataclasses.replace(after, seal="another"))
-    assert not is_edit_rendered(made / "runs" / "edit", after)
+    assert is_drawn(run, after)
+    assert not is_drawn(run, dataclasses.replace(after, seal="another"))
+    assert not is_drawn(made / "runs" / "edit", after)
 
 
 def command(root: Path, *words: str) -> subprocess.CompletedProcess[str]:
@@ -140,13 +140,13 @@ def command(root: Path, *words: str) -> subprocess.CompletedProcess[str]:
 
 def test_the_commands_edit_and_draw_what_is_there(made: Path) -> None:
     data = command(made, "datagen", "build", "--scene", "edit", "--edit", "remove:ball")
-    assert data.stdout == "data/edit/edits/remove-ball\n"
+    assert data.stdout == "data/edit/variants/remove-ball\n"
     assert data.stderr.splitlines()[-1] == "next: eval report"
-    run = ("model", "render", "--run", "runs/edit/paper", "--dataset", "edit", "--edit")
-    picture = made / "runs" / "edit" / "paper" / "edits" / "remove-ball" / "predictions" / SPLIT / "0001.png"
+    run = ("model", "render", "--run", "runs/edit/paper", "--dataset", "edit", "--variant")
+    picture = made / "runs" / "edit" / "paper" / "variants" / "remove-ball" / "predictions" / SPLIT / "0001.png"
     drawn = picture.read_bytes()
     picture.unlink()
-    assert command(made, *run, "remove:ball").stdout == "runs/edit/paper/edits/remove-ball\n"
+    assert command(made, *run, "remove:ball").stdout == "runs/edit/paper/variants/remove-ball\n"
     assert picture.read_bytes() == drawn
     refused = command(made, "datagen", "build", "--scene", "edit", "--edit", "remove:ball", "--spp", "8")
     assert (refused.returncode, refused.stdout) == (1, "")
@@ -165,7 +165,7 @@ def test_the_report_scores_edits_by_region_and_pixels_by_order(
     base, after, doubled = datasets(made)
 
     # Regions, by a slow loop over pixels.
-    scored = {tuple(edit["edits"]): edit for edit in results["scenes"][0]["analyses"]["edits"]}
+    scored = {tuple(edit["edits"]): edit for edit in results["scenes"][0]["analyses"]["variants"].values()}
     rows = {(row["run"], row["scene"]): row["psnr_db"] for row in scored[("remove:ball",)]["rows"]}
     assert set(rows) == {
         ("ours", "edited"), ("ours", "unedited"), ("paper", "edited"), ("paper", "unedited"),
@@ -173,14 +173,14 @@ def test_the_report_scores_edits_by_region_and_pixels_by_order(
     }  # fmt: skip
     folder = made / "runs" / "edit" / "ours"
     for row, place, dataset in (
-        ("edited", folder / "edits" / "remove-ball", after),
+        ("edited", folder / "variants" / "remove-ball", after),
         ("unedited", folder, base),
     ):
         for split in TEST_SPLITS:
             for region, value in (("object", OBJECT), ("light", LIGHT), ("elsewhere", ELSEWHERE)):
                 values = []
                 for view in range(2):
-                    mask = read_footprint(after, split, view) == value
+                    mask = read_edit_mask(after, split, view) == value
                     pred = read_png(place / "predictions" / split / f"000{view}.png")
                     if mask.any():
                         values.append(psnr(pred, read_image(dataset, split, view), mask))
@@ -230,7 +230,7 @@ def test_seeds_share_a_row_in_the_tables_of_edits_and_orders_and_the_first_stand
     make_report(tmp_path / "runs", made / "data", tmp_path / "out", output_format="markdown", order_layers=3)
 
     results = json.loads((tmp_path / "out" / "results.json").read_text())["scenes"][0]["analyses"]
-    (removed,) = (edit for edit in results["edits"] if edit["edits"] == ["remove:ball"])
+    removed = results["variants"]["remove-ball"]
     of_run = {row["run"]: row["psnr_db"]["object"][SPLIT] for row in removed["rows"] if row["scene"] == "edited"}
     text = capsys.readouterr().out
     table = text.split("### edit, after remove:ball")[1].split("###")[0]

@@ -100,8 +100,8 @@ def test_killed_before_any_write_the_same_command_ends_in_the_same_bytes(
     out = tmp_path / "whole"
     if flags:
         assert train("whole", "--lr", "0.01") == 0
-        (out / "edits/moved/predictions/interpolating").mkdir(parents=True)
-        (out / "edits/moved/predictions/interpolating/0000.png").write_bytes(b"of the run before")
+        (out / "variants/moved/predictions/interpolating").mkdir(parents=True)
+        (out / "variants/moved/predictions/interpolating/0000.png").write_bytes(b"of the run before")
 
     states: list[Path] = []
 

@@ -1,4 +1,4 @@
-"""Tests annexes end to end: splits by angle and larger truth, built, predicted and scored with the real commands."""
+"""Tests variants end to end: splits by angle and larger truth, built, predicted and scored with the real commands."""
 
 import dataclasses
 import json
@@ -20,7 +20,7 @@ from datagen.data.dataset import open_dataset, read_cameras, read_image
 from datagen.data.layers import read_layers
 from datagen.data.paths import TRUTH, image_path
 from datagen.data.png import read_png
-from datagen.data.variants import evenly, homes_of_test_splits, open_annex, parent_views
+from datagen.data.variants import evenly, has_variant, open_variant, parent_views
 from datagen.disk.errors import HyalineError
 from datagen.scene.folder import save_scene
 from eval.analyses.super_resolution import enlarge
@@ -49,8 +49,8 @@ def call(main: Callable[[], None], *words: object) -> None:
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, bytes]]:
-    """A folder with scene/mine and data/mine, annexes and all, and what the dataset held before it got them."""
-    root = tmp_path_factory.mktemp("annex")
+    """A folder with scene/mine and data/mine, variants and all, and what the dataset held before it got them."""
+    root = tmp_path_factory.mktemp("variant")
     scene = synthetic_scene()
     rig = dataclasses.replace(scene.cameras, azimuth_deg=(-100, 100))
     save_scene(dataclasses.replace(scene, cameras=rig), root / "scene/mine")
@@ -61,66 +61,67 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, byte
     return root, plain
 
 
-def test_annexes_leave_every_byte_of_the_dataset_alone(made: tuple[Path, dict[str, bytes]]) -> None:
+def test_variants_leave_every_byte_of_the_dataset_alone(made: tuple[Path, dict[str, bytes]]) -> None:
     root, plain = made
     after = tree(root / "data/mine")
-    assert {path: data for path, data in after.items() if not path.startswith(("annexes/", "heads/annexes/"))} == plain
+    assert {
+        path: data for path, data in after.items() if not path.startswith(("variants/", "heads/variants/"))
+    } == plain
     assert verify_dataset(root / "data/mine")[:2] == (len(after), [])
 
 
 def test_the_splits_by_angle_are_there(made: tuple[Path, dict[str, bytes]]) -> None:
     dataset = open_dataset(made[0] / "data/mine")
-    homes = homes_of_test_splits(dataset)
-    assert list(homes) == [*TEST_SPLITS, *ANGLE_SPLITS]
+    variant = open_variant(dataset, "angles")
+    assert variant.splits == tuple(ANGLE_SPLITS)
+    assert variant.home.seal == dataset.seal != variant.seal
     for split, degrees in ANGLE_SPLITS.items():
-        annex = homes[split]
-        assert annex.home.seal == dataset.seal != annex.seal
-        assert read_cameras(annex, split).world_from_camera.shape == (3, 4, 4)
-        assert read_image(annex, split, 2).shape == (16, 16, 3)
-        assert read_layers(annex, TRUTH, split, 2).object_id.any(), degrees
+        assert read_cameras(variant, split).world_from_camera.shape == (3, 4, 4)
+        assert read_image(variant, split, 2).shape == (16, 16, 3)
+        assert read_layers(variant, TRUTH, split, 2).object_id.any(), degrees
 
 
 def test_larger_truth_is_that_of_the_same_cameras(made: tuple[Path, dict[str, bytes]]) -> None:
     dataset = open_dataset(made[0] / "data/mine")
-    annex = open_annex(dataset, "x2")
-    assert annex is not None and open_annex(dataset, "x4") is None
-    assert parent_views(annex, "interpolating") == [0, 2]
+    variant = open_variant(dataset, "x2")
+    assert not has_variant(dataset, "x4")
+    assert parent_views(variant, "interpolating") == [0, 2]
     for split in TEST_SPLITS:
-        small, large = read_cameras(dataset, split), read_cameras(annex, split)
+        small, large = read_cameras(dataset, split), read_cameras(variant, split)
         assert np.array_equal(large.world_from_camera, small.world_from_camera[[0, 2]])
         assert (large.width, large.fov_x) == (32, small.fov_x)
         # Averaged in fours, it is the smaller picture, but for noise.
-        fine = read_image(annex, split, 1).astype(float).reshape(16, 2, 16, 2, 3).mean(axis=(1, 3))
+        fine = read_image(variant, split, 1).astype(float).reshape(16, 2, 16, 2, 3).mean(axis=(1, 3))
         coarse = read_image(dataset, split, 2).astype(float)
         assert np.abs(fine - coarse).mean() < 0.5 * np.abs(fine - coarse.mean(axis=(0, 1))).mean()
-        layers = read_layers(annex, TRUTH, split, 0)
+        layers = read_layers(variant, TRUTH, split, 0)
         assert layers.object_id.shape == (4, 32, 32)
 
 
-def test_a_damaged_view_of_an_annex_is_named_and_made_again(
+def test_a_damaged_view_of_a_variant_is_named_and_made_again(
     made: tuple[Path, dict[str, bytes]], tmp_path: Path
 ) -> None:
     shutil.copytree(made[0] / "data/mine", tmp_path / "mine")
     before = tree(tmp_path / "mine")
-    path = image_path(tmp_path / "mine/annexes/angles", "extrapolating-20deg", 1)
+    path = image_path(tmp_path / "mine/variants/angles", "extrapolating-20deg", 1)
     path.write_bytes(b"garbage")
-    (tmp_path / "mine/annexes/x2/notes.txt").write_text("mine")
+    (tmp_path / "mine/variants/x2/notes.txt").write_text("mine")
     found = verify_dataset(tmp_path / "mine")
     assert [problem.split("; ")[0] for problem in found.problems] == [f"{path}: damaged (checksum differs)"]
-    assert any("annexes/x2/notes.txt" in remark for remark in found.remarks)
-    (tmp_path / "mine/annexes/x2/notes.txt").unlink()
+    assert any("variants/x2/notes.txt" in remark for remark in found.remarks)
+    (tmp_path / "mine/variants/x2/notes.txt").unlink()
     call(datagen.cli.main, "build", "--scene", made[0] / "scene/mine", "--out", tmp_path / "mine", *FLAGS, *MORE)
     assert tree(tmp_path / "mine") == before
 
 
-def test_an_annex_of_other_data_is_refused_and_replaced(made: tuple[Path, dict[str, bytes]], tmp_path: Path) -> None:
+def test_a_variant_of_other_data_is_refused_and_replaced(made: tuple[Path, dict[str, bytes]], tmp_path: Path) -> None:
     shutil.copytree(made[0] / "data/mine", tmp_path / "mine")
     command = ("build", "--scene", made[0] / "scene/mine", "--out", tmp_path / "mine", *FLAGS)
     call(datagen.cli.main, *command, "--seed", 1, "--overwrite")
-    assert not (tmp_path / "mine/annexes").exists()
-    shutil.copytree(made[0] / "data/mine/annexes", tmp_path / "mine/annexes")
+    assert not (tmp_path / "mine/variants").exists()
+    shutil.copytree(made[0] / "data/mine/variants", tmp_path / "mine/variants")
     with pytest.raises(HyalineError, match="belongs to a dataset that stood there before"):
-        homes_of_test_splits(open_dataset(tmp_path / "mine"))
+        open_variant(open_dataset(tmp_path / "mine"), "angles")
 
 
 @pytest.mark.parametrize(
@@ -128,7 +129,7 @@ def test_an_annex_of_other_data_is_refused_and_replaced(made: tuple[Path, dict[s
     [
         (("--super-resolution", "1"), "super_resolution: is 1; expected 2 to 8 times"),
         (("--super-resolution", "2", "--super-resolution-views", "4"), "super_resolution_views: is 4; expected 1 to 3"),
-        (("--super-resolution", "2"), "holds an annex with another configuration (interpolating:"),
+        (("--super-resolution", "2"), "holds a variant with another configuration (interpolating:"),
     ],
 )
 def test_wrong_sizes_are_one_line(made: tuple[Path, dict[str, bytes]], capsys: pytest.CaptureFixture[str],
@@ -140,65 +141,68 @@ def test_wrong_sizes_are_one_line(made: tuple[Path, dict[str, bytes]], capsys: p
     assert message in capsys.readouterr().err
 
 
-def test_runs_predict_annexes_and_the_report_scores_them(
+def test_runs_predict_variants_and_the_report_scores_them(
     made: tuple[Path, dict[str, bytes]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     root, runs = made[0], tmp_path / "runs/mine"
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
-    hidden = tmp_path / "annexes"
-    (root / "data/mine/annexes").rename(hidden)
+    hidden = tmp_path / "variants"
+    (root / "data/mine/variants").rename(hidden)
     train = ("train", "--dataset", root / "data/mine", "--method", "paper", "--steps", 3, "--batch", 64)
     call(model.cli.main, *train, "--device", "cpu", "--out", runs / "paper")
-    hidden.rename(root / "data/mine/annexes")
-    assert not (runs / "paper/predictions/extrapolating-20deg").exists()
+    hidden.rename(root / "data/mine/variants")
+    drawn = runs / "paper/variants"
+    assert not drawn.exists()
     # A finished run predicts splits that were built since, and no more after that.
-    for words in ((), (), ("--scale", 2), ("--scale", 2)):
+    for words in ((), (), ("--variant", "x2"), ("--variant", "x2")):
         call(model.cli.main, "render", "--run", runs / "paper", "--device", "cpu", *words)
     torch.set_num_threads(threads)
     assert capsys.readouterr().err.count("nothing to do") == 2
-    assert read_png(runs / "paper/x2/predictions/extrapolating/0001.png").shape == (32, 32, 3)
+    assert read_png(drawn / "x2/predictions/extrapolating/0001.png").shape == (32, 32, 3)
     with pytest.raises(SystemExit):
-        call(model.cli.main, "render", "--run", runs / "paper", "--scale", 4)
+        call(model.cli.main, "render", "--run", runs / "paper", "--variant", "x4")
     advice = f"make it with `datagen build --dataset {root / 'data/mine'} --super-resolution 4`"
-    assert f"has no truth 4 times as large; {advice}" in capsys.readouterr().err
+    assert f"x4: no such variant (there are: angles, x2); {advice}" in capsys.readouterr().err
 
     # A foreign method that knows the truth, and one that enlarges its own pictures.
     dataset = open_dataset(root / "data/mine")
-    for split, home in homes_of_test_splits(dataset).items():
-        shutil.copytree(home.root / "images" / split, runs / "perfect/predictions" / split)
-    shutil.copytree(root / "data/mine/annexes/x2/images", runs / "perfect/x2/predictions")
+    for split in TEST_SPLITS:
+        shutil.copytree(dataset.root / "images" / split, runs / "perfect/predictions" / split)
+    for name in ("angles", "x2"):
+        shutil.copytree(root / "data/mine/variants" / name / "images", runs / "perfect/variants" / name / "predictions")
     make_report(tmp_path / "runs", root / "data", tmp_path / "out", output_format="markdown")
     text = capsys.readouterr().out
     scene = json.loads((tmp_path / "out/results.json").read_text())["scenes"][0]["analyses"]
-    runs_by_angle = scene["angle_splits"]["runs"]
+    runs_by_angle = scene["variants"]["angles"]["runs"]
     assert set(runs_by_angle) == {"paper", "perfect"}
-    error = read_png(runs / "paper/predictions/extrapolating-40deg/0001.png").astype(float) - read_image(
-        homes_of_test_splits(dataset)["extrapolating-40deg"], "extrapolating-40deg", 1
+    error = read_png(drawn / "angles/predictions/extrapolating-40deg/0001.png").astype(float) - read_image(
+        open_variant(dataset, "angles"), "extrapolating-40deg", 1
     )
     value = runs_by_angle["paper"]["extrapolating-40deg"]["psnr_db"]["pictures"][1]
     assert value == pytest.approx(10 * np.log10(255**2 / np.mean(error**2)))
     assert runs_by_angle["perfect"]["extrapolating-10deg"]["psnr_db"]["mean"] == "inf"
 
-    scaled = scene["super_resolution"]["32"]
-    assert scaled["drawn"]["perfect"]["extrapolating"]["psnr_db"]["mean"] == "inf"
+    scaled = scene["variants"]["x2"]
+    assert scaled["runs"]["perfect"]["extrapolating"]["psnr_db"]["mean"] == "inf"
     assert scaled["enlarged"]["perfect"] == scaled["enlarged"]["truth"]
+    assert (set(scaled["runs"]), scaled["resolution"]) == ({"paper", "perfect"}, 32)
     assert set(scaled["enlarged"]) == {"paper", "perfect", "truth"}
     titles = ("mine: extrapolating by angle", "mine: super-resolution, trained at 16²")
     assert all(title in text for title in titles)
 
     # What is only half there is named, and all else is scored.
-    lost = sorted((root / "data/mine/annexes").glob("*/records/**/0001.json"))
+    lost = sorted((root / "data/mine/variants").glob("*/records/**/0001.json"))
     contents = [path.read_bytes() for path in lost]
     for path in lost:
         path.unlink()
-    with pytest.raises(HyalineError, match="annexes"):
+    with pytest.raises(HyalineError, match="variants"):
         make_report(tmp_path / "runs", root / "data", tmp_path / "out", output_format="markdown")
     said = capsys.readouterr()
     for path, content in zip(lost, contents, strict=True):
         path.write_bytes(content)
     assert "perfect" in said.out and not any(title in said.out for title in titles)
-    assert "annexes/angles" in said.err
+    assert "variants/angles" in said.err
 
 
 def test_enlarging_keeps_a_ramp_where_it_was() -> None:
@@ -213,3 +217,13 @@ def test_enlarging_keeps_a_ramp_where_it_was() -> None:
 def test_things_chosen_evenly_are_few_and_spread() -> None:
     assert evenly(3, 12) == [2, 6, 10]
     assert evenly(4, 4) == [0, 1, 2, 3]
+
+
+def test_predictions_of_a_variant_in_the_runs_own_folder_are_refused_with_their_place(
+    made: tuple[Path, dict[str, bytes]], tmp_path: Path
+) -> None:
+    place = tmp_path / "runs/mine/foreign/predictions/extrapolating-20deg"
+    shutil.copytree(made[0] / "data/mine/variants/angles/images/extrapolating-20deg", place)
+    expected = "is of a variant; its pictures belong into .*/foreign/variants/angles/predictions/extrapolating-20deg"
+    with pytest.raises(HyalineError, match=f"{place}: {expected}"):
+        make_report(tmp_path / "runs", made[0] / "data", tmp_path / "out", output_format="markdown")

@@ -1,0 +1,125 @@
+"""What a variant of a dataset is to be: which cameras, which size and which scene."""
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from datagen.build.angles import make_angle_cameras
+from datagen.data.cameras import Cameras
+from datagen.data.config import TEST_SPLITS, DatasetConfig, Split, SplitConfig
+from datagen.data.dataset import Dataset, DatasetObject, SceneEdit, read_cameras
+from datagen.data.geometries import read_meshes
+from datagen.data.layer_store import read_layers_head
+from datagen.data.paths import TRUTH
+from datagen.data.variants import ANGLES, evenly, is_larger, scale_name
+from datagen.disk.errors import HyalineError
+from datagen.scene.edits import Edit, EditedScene, describe_edit, edit_scene, edits_name, parse_edit
+from datagen.scene.folder import load_scene, scene_files
+
+MAX_SCALE = 8
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Plan:
+    """All that the head of a variant is made of."""
+
+    name: str
+    config: DatasetConfig
+    cameras: dict[Split, Cameras]
+    """Of the splits that the variant has."""
+    objects: tuple[DatasetObject, ...]
+    edit: SceneEdit | None = None
+    scene: Mapping[str, bytes] = field(default_factory=dict)
+    """The files of an edited scene's folder; none where the scene is the parent's."""
+
+
+def plan_angles(base: Dataset) -> Plan:
+    """The splits by angle (datagen/build/angles.py), each of as many views as `extrapolating` has.
+
+    Raises:
+        HyalineError: the scene has no place for such cameras.
+    """
+    _check_base(base)
+    cameras = make_angle_cameras(load_scene(base.root / "scene", is_sealed=True), base.config)
+    return Plan(name=ANGLES, config=base.config, cameras=cameras, objects=base.objects)
+
+
+def plan_larger(base: Dataset, scale: int, *, views: int | None = None) -> Plan:
+    """The test splits so many times as wide and high, with as many samples per pixel.
+
+    Args:
+        views: of each split, evenly chosen; all unless told.
+
+    Raises:
+        HyalineError: an unfit scale or number of views.
+    """
+    _check_base(base)
+    if not 2 <= scale <= MAX_SCALE:
+        raise HyalineError(f"super_resolution: is {scale}; expected 2 to {MAX_SCALE} times the dataset's size")
+    sizes: dict[str, SplitConfig] = {}
+    cameras: dict[Split, Cameras] = {}
+    for split in TEST_SPLITS:
+        there = base.config.split(split)
+        count = there.views if views is None else views
+        if not 1 <= count <= there.views:
+            raise HyalineError(f"super_resolution_views: is {count}; expected 1 to {there.views}, as {split} has")
+        sizes[split] = dataclasses.replace(there, views=count)
+        poses = read_cameras(base, split)
+        cameras[split] = dataclasses.replace(
+            poses,
+            world_from_camera=poses.world_from_camera[evenly(count, there.views)],
+            width=scale * poses.width,
+            height=scale * poses.height,
+        )
+    config = dataclasses.replace(base.config, resolution=scale * base.config.resolution, **sizes)
+    return Plan(name=scale_name(scale), config=config, cameras=cameras, objects=base.objects)
+
+
+def plan_edit(base: Dataset, edits: tuple[Edit, ...]) -> Plan:
+    """The edited scene at the test cameras of the base, with its settings.
+
+    The same seeds give both truths the same noise where the edit changes nothing.
+
+    Raises:
+        HyalineError: the edit is impossible, or the base has no straight layers, by which edit masks are found.
+    """
+    _check_base(base)
+    read_layers_head(base, TRUTH, "straight")
+    # Verifies that the meshes are those that the dataset was rendered with.
+    read_meshes(base, TRUTH)
+    before = load_scene(base.root / "scene", is_sealed=True)
+    edited = edit_scene(before, edits)
+    edit = SceneEdit(
+        edits=tuple(map(describe_edit, edits)), changed=edited.changed(before), copies=edited.copies
+    )  # fmt: skip
+    return Plan(
+        name=edits_name(edits),
+        config=base.config,
+        cameras={split: read_cameras(base, split) for split in TEST_SPLITS},
+        objects=tuple(DatasetObject(name=item.name, is_glass=item.material.is_glass) for item in edited.scene.objects),
+        edit=edit,
+        scene=scene_files(edited.scene),
+    )
+
+
+def plan_again(base: Dataset, variant: Dataset) -> Plan:
+    """The plan by which a variant was made."""
+    if variant.edit is not None:
+        return plan_edit(base, tuple(map(parse_edit, variant.edit.edits)))
+    if is_larger(variant):
+        scale = variant.config.resolution // base.config.resolution
+        return plan_larger(base, scale, views=variant.config.interpolating.views)
+    return plan_angles(base)
+
+
+def _check_base(base: Dataset) -> None:
+    if base.parent is not None:
+        raise HyalineError(
+            f"{base.root}: is a variant; name the dataset around it, {base.parent.root}, and give all edits of one "
+            "scene in one command"
+        )
+
+
+def edited_scene(base: Dataset, edit: SceneEdit) -> EditedScene:
+    """The scene of a variant, with what the edit did to each object."""
+    return edit_scene(load_scene(base.root / "scene", is_sealed=True), tuple(map(parse_edit, edit.edits)))

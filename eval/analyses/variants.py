@@ -1,0 +1,95 @@
+"""The scores of variants: what runs drew of other cameras, another size or an edited scene, against its own truth."""
+
+import shlex
+from dataclasses import dataclass
+
+from datagen.data.config import Split
+from datagen.data.dataset import Dataset
+from datagen.data.variants import list_variants, open_variant, variant_root
+from datagen.disk.errors import HyalineError
+from datagen.disk.records import Json
+from datagen.disk.storage import load_sealed
+from datagen.terminal.command import track
+from eval.score.metrics import mean_of
+from eval.score.runs import Run, has_split, within
+from eval.score.scores import RunScores, SceneScores, SplitScores, Truth, read_truth, score_run
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class VariantScores:
+    """All runs that drew one variant."""
+
+    variant: Dataset
+    truths: dict[Split, Truth]
+    runs: dict[str, RunScores]
+    """By the run's name; the folder and the dataset of each `run` are the variant's."""
+
+
+def score_variants(scene: SceneScores, errors: list[HyalineError], *, edits_alone: bool = False
+                   ) -> list[VariantScores]:  # fmt: skip
+    """The scores of each variant that a run has drawn; what pictures or truth lack is added to `errors`."""
+    scored = []
+    for name in list_variants(scene.dataset.root):
+        if not any((variant_root(scores.run.folder, name) / "predictions").is_dir() for scores in scene.runs):
+            continue
+        try:
+            variant = open_variant(scene.dataset, name)
+            if edits_alone and variant.edit is None:
+                continue
+            if (found := _score(scene, variant, errors)).runs:
+                scored.append(found)
+        except HyalineError as error:
+            errors.append(error)
+    return scored
+
+
+def run_of_variant(run: Run, variant: Dataset) -> Run | None:
+    """A run's predictions of a variant as a run of its own; None where it has none.
+
+    They lie at RUN/variants/NAME/predictions/SPLIT/0000.png, whoever made them.
+
+    Raises:
+        HyalineError: a picture is missing or too many, or they were made for another version of the variant.
+    """
+    folder = variant_root(run.folder, variant.name)
+    found = within(run, folder, variant)
+    if not any(has_split(found, split) for split in variant.splits):
+        return None
+    record = folder / "predictions.json"
+    if record.is_file() and load_sealed(record).get("dataset_seal") != variant.seal:
+        raise HyalineError(
+            f"{folder}: made for another version of {variant.root}; "
+            f"render again with `model render --run {shlex.quote(str(run.folder))} --variant {variant.name}`"
+        )
+    return found
+
+
+def variant_json(scored: VariantScores) -> dict[str, Json]:
+    """Noise ceilings, and of every run, split and metric the mean and each picture's value."""
+    return {
+        "dataset_seal": scored.variant.seal,
+        "noise_ceiling_db": {split: truth.ceiling_db for split, truth in scored.truths.items()},
+        "runs": {name: splits_json(scores.splits) for name, scores in scored.runs.items()},
+    }
+
+
+def splits_json(splits: dict[Split, SplitScores | None]) -> Json:
+    """By split and metric: the mean, and each picture's value."""
+    return {
+        split: None
+        if values is None
+        else {key: {"mean": mean_of(images), "pictures": list(images)} for key, images in values.images.items()}
+        for split, values in splits.items()
+    }
+
+
+def _score(scene: SceneScores, variant: Dataset, errors: list[HyalineError]) -> VariantScores:
+    truths: dict[Split, Truth] = {split: read_truth(variant, split) for split in variant.splits}
+    runs = {}
+    for scores in track(scene.runs, label=f"scoring {variant.root}", total=len(scene.runs)):
+        try:
+            if (found := run_of_variant(scores.run, variant)) is not None:
+                runs[found.name] = score_run(found, truths)
+        except HyalineError as error:
+            errors.append(error)
+    return VariantScores(variant=variant, truths=truths, runs=runs)
