@@ -3,17 +3,16 @@
 from typing import get_args
 
 from datagen.disk.errors import HyalineError
-from datagen.scene.materials.air_gap import AirGap
 from datagen.scene.materials.conductor import Conductor
 from datagen.scene.materials.dielectric import Dielectric
 from datagen.scene.materials.diffuse import Diffuse
 from datagen.scene.materials.plastic import Plastic
 from datagen.scene.materials.thin_dielectric import ThinDielectric
 
-Material = Dielectric | ThinDielectric | Diffuse | Plastic | Conductor | AirGap
+Material = Dielectric | ThinDielectric | Diffuse | Plastic | Conductor
 """Every material that can be described, rendered and traced (docs/adding-a-material.md)."""
 
-__all__ = ["AirGap", "Conductor", "Dielectric", "Diffuse", "Material", "Plastic", "ThinDielectric", "check_material"]
+__all__ = ["Conductor", "Dielectric", "Diffuse", "Material", "Plastic", "ThinDielectric", "check_material"]
 
 
 def check_material(material: object, *, where: str) -> None:

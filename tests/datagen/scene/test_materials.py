@@ -11,7 +11,7 @@ from datagen.disk.errors import HyalineError
 from datagen.disk.records import from_json, to_json
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.description import SceneObject, SoftEnvironment
-from datagen.scene.materials import AirGap, Conductor, Dielectric, Diffuse, Material, Plastic, ThinDielectric
+from datagen.scene.materials import Conductor, Dielectric, Diffuse, Material, Plastic, ThinDielectric
 from datagen.scene.materials.optics import Event, Optics, Plugin, Surface, TexturePlugin
 from datagen.scene.soundness import check_scene
 from datagen.scene.textures import ImageTexture, SolidTexture
@@ -27,7 +27,6 @@ SAMPLES: dict[type[Material], Material] = {
     Diffuse: Diffuse(color=(0.2, 0.4, 0.6)),
     Plastic: Plastic(color=(0.2, 0.4, 0.6), ior=1.6, roughness=0.001),
     Conductor: Conductor(color=(0.9, 0.6, 0.3), roughness=0.0),
-    AirGap: AirGap(),
 }
 """One of each material, smooth and without anything at its default."""
 
