@@ -78,11 +78,13 @@ def scene_files(scene: Scene) -> dict[str, bytes]:
     # Through the parser and back, so that 1 and 1.0 give the same bytes.
     canonical = from_json(_SceneFile, to_json(file), where=f"scene {scene.name}")
     data = cast(dict[str, Json], to_json(canonical))
-    for listed_object in cast(list[dict[str, dict[str, Json]]], data["objects"]):
+    for item, described in zip(canonical.objects, cast(list[dict[str, dict[str, Json]]], data["objects"]), strict=True):
+        material = described["material"]
         # A key that came later stands only where it says something: the scenes of older datasets keep their bytes.
-        if listed_object["material"].get("priority") == 0:
-            del listed_object["material"]["priority"]
-        color = listed_object["material"].get("color")
+        for key in item.material.brief_keys:
+            if getattr(item.material, key) == getattr(type(item.material), key):
+                del material[key]
+        color = material.get("color")
         if isinstance(color, dict) and color.get("origin") == [0.0, 0.0, 0.0]:
             del color["origin"]
     return {**files, "scene.json": dump_json(data)}

@@ -191,7 +191,7 @@ class _Tables(NamedTuple):
     kind: "mi.UInt32"
     coat_ior: "mi.Float"
     roughness: "mi.Float"
-    metal: "list[mi.Float]"
+    color: "list[mi.Float]"
     rank: "mi.Int32"
     medium_ior: "mi.Float"
     absorption: "list[mi.Float]"
@@ -216,7 +216,7 @@ def _make_tables(meshes: tuple[Mesh, ...], materials: tuple[Material | None, ...
         kind=mi.UInt32(np.array([EVENTS[surface.event] for surface in surfaces], np.uint32)),
         coat_ior=array([surface.ior for surface in surfaces]),
         roughness=array([surface.roughness for surface in surfaces]),
-        metal=[array([surface.color[c] for surface in surfaces]) for c in range(3)],
+        color=[array([surface.color[c] for surface in surfaces]) for c in range(3)],
         rank=mi.Int32(media.rank),
         medium_ior=mi.Float(media.ior),
         absorption=[mi.Float(np.ascontiguousarray(media.absorption[:, c])) for c in range(3)],
@@ -368,11 +368,11 @@ def _trace(scene, tables, media, o, d, rows, shift, count, max_branches, max_ver
         outward = dr.select(is_outside, n_face, -n_face)
 
         # A further branch, where light also comes by reflection. The queue is sorted; its last one falls out.
-        metal = mi.Color3f(*(dr.gather(mi.Float, tables.metal[c], shape, hit) for c in range(3)))
+        color = mi.Color3f(*(dr.gather(mi.Float, tables.color[c], shape, hit) for c in range(3)))
         coated = hit & ((kind == COATED) | (kind == METAL))
         alpha = dr.gather(mi.Float, tables.roughness, shape, coated)
         facet_d, facet_cos, shadowing = _mirror_rough(d, facing, alpha, *random_point(step))
-        facet_reflectance = dr.select(kind == METAL, metal, mi.Color3f(mi.fresnel(facet_cos, eta)[0])) * shadowing
+        facet_reflectance = dr.select(kind == METAL, color, mi.Color3f(mi.fresnel(facet_cos, eta)[0])) * shadowing
         mirrored = dr.select(coated, facet_d, mirrored)
         m_beta = beta * dr.select(coated, facet_reflectance, mi.Color3f(reflectance))
         weight = dr.max(m_beta)
@@ -390,6 +390,7 @@ def _trace(scene, tables, media, o, d, rows, shift, count, max_branches, max_ver
         goes_through = passes & ~total
         next_d = dr.select(total, mirrored, dr.select(is_glass & ~is_void, refracted, d))
         scale = dr.select(total, 1, (1 - reflectance) * dr.select(is_glass, dr.square(eta_ti), 1))
+        scale = dr.select(is_thin, scale * color, mi.Color3f(scale))
         solids = dr.select(goes_through, beyond, solids)
         way = dr.select(real, 0, way)
         beta = dr.select(passes & ~is_void, beta * scale, beta)

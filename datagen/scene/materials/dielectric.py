@@ -13,6 +13,7 @@ class Dielectric(Optics):
     """Smooth solid glass or liquid: refracts by Snell's law, reflects by Fresnel, absorbs by Beer and Lambert."""
 
     is_glass: ClassVar[bool] = True
+    brief_keys: ClassVar[tuple[str, ...]] = ("priority",)
 
     ior: float = 1.5
     """Absolute index of refraction; air has 1."""

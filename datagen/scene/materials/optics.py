@@ -24,7 +24,7 @@ Event = Literal["ends", "coated", "mirrors", "passes", "refracts"]
 - ends;
 - ends, and a clear coat of index `ior` and GGX roughness `roughness` mirrors a share by Fresnel's equations;
 - ends, and metal of GGX roughness `roughness` mirrors the share `color`;
-- passes straight through a thin pane of index `ior`, which also mirrors, or
+- passes straight through a thin pane of index `ior` and tint `color`, which also mirrors, or
 - is refracted or mirrored where the medium of a solid begins or ends.
 """
 
@@ -39,7 +39,7 @@ class Surface:
     roughness: float = 0.0
     """Microfacet (GGX) alpha of a coat or a metal; 0 is smooth."""
     color: Color = (1.0, 1.0, 1.0)
-    """Share that a metal mirrors."""
+    """Share that a metal mirrors, or that a pane lets through of what it does not mirror."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,6 +67,9 @@ class Optics(ABC):
 
     is_glass: ClassVar[bool] = False
     """One sees through it: it is in no mask of opaque things, and the edit `glass` makes it opaque."""
+
+    brief_keys: ClassVar[tuple[str, ...]] = ()
+    """Keys that stand in scene.json only where they differ from their default."""
 
     @abstractmethod
     def bsdf(self, texture: TexturePlugin) -> Plugin:

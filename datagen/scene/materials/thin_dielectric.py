@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
-from datagen.scene.materials.optics import Optics, Plugin, Surface, TexturePlugin
-from datagen.scene.values import check_ior
+from datagen.scene.materials.optics import Optics, Plugin, Surface, TexturePlugin, rgb
+from datagen.scene.values import Color, check_ior, check_range
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -12,16 +12,21 @@ class ThinDielectric(Optics):
     """A pane so thin that light goes straight through, with the reflections inside it summed; may be an open mesh."""
 
     is_glass: ClassVar[bool] = True
+    brief_keys: ClassVar[tuple[str, ...]] = ("tint",)
 
     ior: float = 1.5
+    tint: Color = (1.0, 1.0, 1.0)
+    """Share of the light that is not mirrored which comes through, at every angle; each in [0, 1]."""
 
     def __post_init__(self) -> None:
         check_ior(self.ior)
+        check_range("tint", self.tint, 0, 1)
 
     def bsdf(self, texture: TexturePlugin) -> Plugin:  # noqa: ARG002
         """A pane without thickness."""
-        return {"type": "thindielectric", "int_ior": self.ior, "ext_ior": 1.0}
+        pane: Plugin = {"type": "thindielectric", "int_ior": self.ior, "ext_ior": 1.0}
+        return pane if self.tint == (1, 1, 1) else {**pane, "specular_transmittance": rgb(self.tint)}
 
     def surface(self) -> Surface:
         """Lets light through as it comes, and mirrors what both of its faces do."""
-        return Surface(event="passes", ior=self.ior)
+        return Surface(event="passes", ior=self.ior, color=self.tint)

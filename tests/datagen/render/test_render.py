@@ -50,16 +50,16 @@ def test_a_slab_transmits_and_reflects_what_fresnel_and_beer_say(absorption: flo
     assert image.mean() == pytest.approx(through + back, rel=0.01)
 
 
-def test_light_goes_straight_through_a_thin_pane() -> None:
-    pane = SceneObject(name="pane", mesh=quad(0.0), material=ThinDielectric(ior=1.5))
+@pytest.mark.parametrize("tint", [(1.0, 1.0, 1.0), (0.9, 0.5, 0.1)])
+def test_light_goes_straight_through_a_thin_pane_and_takes_its_tint(tint: tuple[float, float, float]) -> None:
+    pane = SceneObject(name="pane", mesh=quad(0.0), material=ThinDielectric(ior=1.5, tint=tint))
     cameras = camera((0.9, 0.4, 1.5), fov=0.05)
     image = rendered(scene_of(pane, environment=DUSK), cameras, spp=4096)
     direction = -cameras.world_from_camera[0, :3, 2]
     r = fresnel_reflectance(abs(direction[2]), 1.5)
     reflected = 2 * r / (1 + r)  # Both faces and all reflections between them.
-    expected = (1 - reflected) * radiance_of_environment(DUSK, direction) + reflected * radiance_of_environment(
-        DUSK, direction * [1, 1, -1]
-    )
+    through = (1 - reflected) * np.array(tint) * radiance_of_environment(DUSK, direction)
+    expected = through + reflected * radiance_of_environment(DUSK, direction * [1, 1, -1])
     assert image.mean(axis=(0, 1)) == pytest.approx(expected, rel=0.01)
 
 

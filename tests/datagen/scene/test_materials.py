@@ -23,7 +23,7 @@ from datagen.trace.light_path import EVENTS, LightPathTracer  # noqa: E402
 
 SAMPLES: dict[type[Material], Material] = {
     Dielectric: Dielectric(ior=1.4, absorption=(1.0, 2.0, 3.0), priority=-2),
-    ThinDielectric: ThinDielectric(ior=1.4),
+    ThinDielectric: ThinDielectric(ior=1.4, tint=(0.9, 0.5, 0.2)),
     Diffuse: Diffuse(color=(0.2, 0.4, 0.6)),
     Plastic: Plastic(color=(0.2, 0.4, 0.6), ior=1.6, roughness=0.001),
     Conductor: Conductor(color=(0.9, 0.6, 0.3), roughness=0.0),

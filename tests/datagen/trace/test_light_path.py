@@ -122,12 +122,13 @@ def test_a_weak_lens_focuses_where_the_lens_maker_says() -> None:
     assert crossing == pytest.approx([focal] * 3, rel=0.02)
 
 
-def test_thin_panes_do_not_bend_and_metals_mirror_with_their_colour() -> None:
+def test_thin_panes_tint_and_do_not_bend_and_metals_mirror_with_their_colour() -> None:
     gold = Conductor(color=(1.0, 0.8, 0.3), roughness=0.0)
-    paths = traced((quad(0.5), ThinDielectric(ior=1.5)), (wide(0), gold), origins=(0, 0, 2), directions=(0.2, 0.1, -1))
+    pane = ThinDielectric(ior=1.5, tint=(1.0, 0.5, 0.25))
+    paths = traced((quad(0.5), pane), (wide(0), gold), origins=(0, 0, 2), directions=(0.2, 0.1, -1))
     r = fresnel_reflectance(1 / math.hypot(0.2, 0.1, 1), 1.5)
     assert paths.direction[0, 1, 0] == pytest.approx(paths.direction[0, 0, 0], abs=1e-6)
-    assert paths.throughput[0, 1, 0] == pytest.approx([1 - 2 * r / (1 + r)] * 3, rel=1e-3)
+    assert paths.throughput[0, 1, 0] == pytest.approx((1 - 2 * r / (1 + r)) * np.array(pane.tint), rel=1e-3)
     assert paths.end_throughput[1, 0] == pytest.approx([2 * r / (1 + r)] * 3, rel=1e-3)
     bare = traced((wide(0), gold), origins=(0, 0, 2), directions=(0.2, 0.1, -1))
     assert bare.end_throughput[1, 0] == pytest.approx(gold.color, rel=1e-5)
