@@ -47,6 +47,7 @@ TRIPS = (
     Trip(line=f"{TRAIN} --out runs/one/paper"),
     Trip(line=f"{TRAIN} --out runs/one/paper --seed 1 --overwrite", start="run"),
     Trip(line=f"{RENDER} --overwrite", start="run"),
+    Trip(line=f"{RENDER} --variant angles --overwrite", start="drawn"),
     Trip(line="model sweep grid.toml"),
     Trip(line=REPORT, start="run"),
     Trip(line=f"{REPORT} --table table1 --out figures", start="run"),
@@ -93,7 +94,7 @@ ELSEWHERE = {
     "benchmarks scale": {"factors", "quantities", "rounds", "json", "overwrite"},
     "proxies make": {"amount", "layers", "num_layers", "rays", "workers"},
     "proxies check": {"amount", "name"},
-    "model render": {"dataset", "edit", "scale"},
+    "model render": {"dataset"},
     "model sweep": {"dataset", "seed", "jobs", "dry_run"},
     "report report": {"format", "order", "dataset"},
 }  # fmt: skip

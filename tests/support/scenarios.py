@@ -24,6 +24,7 @@ PREPARED: dict[str, tuple[str, ...]] = {
     "proxies": ("dataset", "proxies make --dataset data/one --kind box"),
     "run": ("dataset", f"{TRAIN} --out runs/one/paper"),
     "variants": ("dataset", f"{BUILD} --angle-splits"),
+    "drawn": ("variants", f"{TRAIN} --out runs/one/paper"),
 }
 """By name: the state to start from (none: a scene's folder alone), and the commands that follow."""
 
