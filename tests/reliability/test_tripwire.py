@@ -78,6 +78,10 @@ TRIPS = (
     Trip(line=f"{REPORT} --out figures", start="run", taken=("figures/cameras_one.png",)),
     Trip(line=f"{REPORT} --table table1 --out figures", start="run", taken=("figures/report.json",)),
     Trip(line="benchmarks scale --out figure.png", start="scene", taken=("figure.png",)),
+    Trip(line="benchmarks errors --before runs/one/paper --after runs/one/paper --overwrite", start="drawn"),
+    Trip(line="benchmarks errors --before runs/one/paper --after runs/one/paper --out figure.png", start="run",
+         taken=("figure.png",)),
+    Trip(line="benchmarks sky --runs runs/one/paper --out figure.png", start="run", taken=("figure.png",)),
 )  # fmt: skip
 
 WRITES_NOTHING = {
@@ -92,11 +96,13 @@ ELSEWHERE = {
                       "slurm_gpus"},
     "datagen peel": {"geometry", "rays", "workers"},
     "benchmarks scale": {"factors", "quantities", "rounds", "json", "overwrite"},
+    "benchmarks sky": {"names", "overwrite"},
+    "benchmarks errors": {"views"},
     "proxies make": {"amount", "layers", "num_layers", "rays", "workers"},
     "proxies check": {"amount", "name"},
     "model render": {"dataset"},
     "model sweep": {"dataset", "seed", "jobs", "dry_run"},
-    "report report": {"format", "order", "dataset"},
+    "report report": {"format", "order", "dataset", "full", "published"},
 }  # fmt: skip
 """Flags that choose what is written, or by how many, and never where: no line above needs them."""
 
