@@ -15,7 +15,7 @@ from datagen.data.config import DatasetConfig
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.finding import DATA_ROOT, build_command, find_dataset
 from datagen.data.geometries import check_geometry
-from datagen.data.layer_store import check_settings
+from datagen.data.layer_writing import check_settings
 from datagen.data.paths import TRUTH, LayerKind
 from datagen.disk.errors import HyalineError
 from datagen.terminal.command import choose, fail, next_command, run, say, tell, unwrap_help

@@ -9,7 +9,7 @@ import tyro
 from datagen.data.advice import after_layers
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.finding import DATA_ROOT, build_command, find_dataset, list_datasets
-from datagen.data.layer_store import check_settings
+from datagen.data.layer_writing import check_settings
 from datagen.data.paths import TRUTH, LayerKind
 from datagen.disk.errors import HyalineError
 from datagen.terminal.command import choose, fail, next_command, run, say

@@ -25,7 +25,8 @@ HOMES = {
     "skimage": {"eval"},
     "colour": {"eval"},
     "xatlas": {"datagen/scene/atlas.py"},
-    "zarr": {"datagen/data/layer_store.py"},
+    "zarr": {"datagen/data/layer_writing.py"},
+    "OpenEXR": {"datagen/data/exr.py"},
     "submitit": {"datagen/build/launch.py"},
 }
 

@@ -10,7 +10,7 @@ import numpy as np
 from benchmarks.generator.rivals import EagerPeeler, EmbreePeeler, StoredLayers, trace_eagerly
 from benchmarks.generator.shells import NUM_TRIANGLES, make_shells, materials_of, random_cameras
 from benchmarks.harness import BenchReport, Candidate, Check, Gate, machine_ceilings, measure
-from datagen.data.cameras import Cameras, pixel_center_rays
+from datagen.data.cameras import Cameras
 from datagen.data.layers import Layers
 from datagen.data.meshes import Mesh, face_corners
 from datagen.disk.errors import HyalineError
@@ -62,7 +62,7 @@ def bench_peel(*, size: int = 512, num_layers: int = 6, triangles: float = 1.0, 
     meshes, cameras = make_shells(round(triangles * NUM_TRIANGLES)), random_cameras(NUM_CAMERAS, size)
     peeler, rasterizer = Peeler(meshes), Rasterizer(meshes)
     tracer = LightPathTracer(meshes, materials_of(meshes))
-    origin, directions = pixel_center_rays(cameras, 0)
+    origin, directions = cameras[0].rays()
     directions = directions.reshape(-1, 3)
     origins = np.broadcast_to(origin, directions.shape)
     with tempfile.TemporaryDirectory(prefix="hyaline-bench-") as folder:
@@ -118,7 +118,7 @@ def compare_engines(meshes: tuple[Mesh, ...], peeler: Peeler, rasterizer: Raster
         drawn, _ = rasterizer.peel(cameras, view, num_layers)
         pixels = np.argwhere((traced.object_id != drawn.object_id).any(axis=0))
         different += len(pixels)
-        origin, directions = pixel_center_rays(cameras, view)
+        origin, directions = cameras[view].rays()
         wrong += [(view, *pixel) for pixel in pixels.tolist() if is_general(meshes, origin, directions[tuple(pixel)])]
         same = traced.object_id == drawn.object_id
         steps.append(np.abs(traced.uv.astype(np.int32) - drawn.uv)[same].ravel())

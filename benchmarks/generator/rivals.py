@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import UInt8
 
-from datagen.data.cameras import Cameras, pixel_center_rays
+from datagen.data.cameras import Cameras
 from datagen.data.layers import Layers
 from datagen.data.meshes import Mesh
 from datagen.data.number_formats import UV_SCALE, quantize_uv
@@ -35,7 +35,7 @@ class EagerPeeler:
         import drjit as dr
         import mitsuba as mi
 
-        origin, directions = pixel_center_rays(cameras, view)
+        origin, directions = cameras[view].rays()
         columns = (mi.Float(np.ascontiguousarray(directions[..., axis].ravel())) for axis in range(3))
         ray = mi.Ray3f(mi.Point3f(*origin.tolist()), mi.Vector3f(*columns))
         active, way = mi.Bool(True), mi.Float(0)
@@ -65,7 +65,7 @@ class EmbreePeeler:
         self._object_id = np.repeat(np.arange(len(meshes)) + 1, [len(m.faces) for m in meshes]).astype(np.uint8)
 
     def peel(self, cameras: Cameras, view: int, num_layers: int) -> UInt8[np.ndarray, "layer h w"]:
-        origin, directions = pixel_center_rays(cameras, view)
+        origin, directions = cameras[view].rays()
         directions = directions.reshape(-1, 3)
         origins = np.broadcast_to(origin, directions.shape)
         face, ray, points = self._heap.ray.intersects_id(origins, directions, multiple_hits=True, return_locations=True)

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from datagen.data.config import TEST_SPLITS, Split
-from datagen.data.dataset import Dataset, read_image
+from datagen.data.dataset import Dataset
 from datagen.data.paths import view_name
 from datagen.data.variants import ANGLES, has_variant, open_variant, variant_root
 from datagen.disk.errors import HyalineError
@@ -39,7 +39,7 @@ def find_worst(runs: list[Run], views: int) -> list[tuple[Split, int]]:
         homed = [_run_at(run, home) for run in runs]
         if all(has_split(run, split) for run in homed):
             for view in range(home.config.split(split).views):
-                pair = read_prediction(homed[0], split, view), read_image(home, split, view)
+                pair = read_prediction(homed[0], split, view), home.view(split, view).image
                 found.append((psnr(*pair), split, view))
     if not found:
         raise HyalineError(
@@ -60,7 +60,7 @@ def _run_at(run: Run, home: Dataset) -> Run:
 
 def _row(split: Split, view: int, runs: list[Run]) -> Row:
     home = _homes(runs[0].dataset)[split]
-    truth = read_image(home, split, view)
+    truth = home.view(split, view).image
     drawn = [read_prediction(_run_at(run, home), split, view) for run in runs]
     errors = [np.abs(picture.astype(np.float64) - truth).mean(axis=-1) for picture in drawn]
     return Row(

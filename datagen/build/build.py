@@ -12,20 +12,16 @@ from datagen.build.shards import Shard, own_tasks
 from datagen.data.cameras import Cameras
 from datagen.data.clear import clear_dataset
 from datagen.data.config import SPLITS, DatasetConfig, Split, config_difference, describe_views
-from datagen.data.dataset import Dataset, DatasetObject, head_files, is_view_built, noise_ceiling_db
+from datagen.data.dataset import Dataset, DatasetObject, head_files
 from datagen.data.dataset_head import dataset_files, head_contents, view_files, write_head
 from datagen.data.geometries import geometry_hash
 from datagen.data.layer_store import (
     Head,
     LayersHead,
     LightPathsHead,
-    check_settings,
-    is_view_peeled,
-    read_layers_head,
-    read_layers_record,
     record_path_of_layers,
 )
-from datagen.data.layers import create_layers
+from datagen.data.layer_writing import check_settings, create_layers
 from datagen.data.paths import TRUTH, LayerKind, layers_root
 from datagen.disk.errors import DamagedError, HyalineError, WorkerKilledError
 from datagen.disk.ownership import DATASET, LAYERS, holding, is_ours, refuse_taken, remove_files
@@ -62,7 +58,7 @@ def build_dataset(scene: Scene, root: Path, config: DatasetConfig, *, kinds: tup
                 _start_layers(
                     dataset, TRUTH, kind, meshes_hash, num_layers=num_layers, rays=rays, overwrite=False, shard=shard
                 )
-        if shard is None and not is_view_built(dataset, "train", 0):
+        if shard is None and not dataset.view("train", 0).is_built:
             _say_slits(scene, cameras)
         render_dataset(dataset, workers=workers, shard=shard)
     peel_dataset(
@@ -84,14 +80,14 @@ def _say_slits(scene: Scene, cameras: dict[Split, Cameras]) -> None:
 def render_dataset(dataset: Dataset, *, workers: int, shard: Shard | None = None) -> None:
     """Renders every view, or those of a part, that is not there yet; the caller holds the dataset's folder."""
     tasks = own_tasks(shard, _tasks(dataset))
-    missing = [task for task in tasks if not is_view_built(dataset, *task)]
+    missing = [task for task in tasks if not dataset.view(*task).is_built]
     if not missing:
         return
     from datagen.machine.mitsuba_variant import use_mitsuba
 
     say(f"{dataset.root}: renders {len(missing)} of {len(tasks)} views with {use_mitsuba()}")
     finished = in_workers(render_task, missing, workers, RenderJob, (dataset.root,))
-    with _told_missing(missing, lambda task: is_view_built(dataset, *task), where=f"{dataset.root}: render"):
+    with _told_missing(missing, lambda task: dataset.view(*task).is_built, where=f"{dataset.root}: render"):
         for _ in track(finished, label="render", total=len(tasks), done=len(tasks) - len(missing)):
             pass
 
@@ -116,7 +112,7 @@ def peel_dataset(dataset: Dataset, geometry: str, *, kinds: tuple[LayerKind, ...
                 dataset, geometry, kind, meshes_hash, num_layers=num_layers, rays=rays, overwrite=overwrite, shard=shard
             )
             tasks = own_tasks(shard, _tasks(dataset))
-            missing = [task for task in tasks if not is_view_peeled(dataset, geometry, kind, *task)]
+            missing = [task for task in tasks if not _is_peeled(dataset, geometry, kind, task)]
             if missing and kind == "light-path":
                 _require_vectorised()
             if missing:
@@ -149,7 +145,10 @@ def _start_layers(dataset: Dataset, geometry: str, kind: LayerKind, meshes_hash:
 
 
 def _is_peeled(dataset: Dataset, geometry: str, kind: LayerKind, task: Task) -> bool:
-    return is_view_peeled(dataset, geometry, kind, *task)
+    try:
+        return dataset.layer_store(geometry, kind).is_peeled(*task)
+    except HyalineError:
+        return False
 
 
 @contextlib.contextmanager
@@ -167,9 +166,9 @@ def _told_missing(tasks: list[Task], is_made: Callable[[Task], bool], *, where: 
 def summary(dataset: Dataset, geometry: str, kinds: tuple[LayerKind, ...]) -> list[str]:
     """What was made, in a few lines: noise ceilings, rays that were cut off."""
     splits: list[Split] = [split for split in dataset.splits if dataset.config.split(split).views]
-    lines = [f"noise ceiling {split}: {noise_ceiling_db(dataset, split):.1f} dB" for split in splits]
+    lines = [f"noise ceiling {split}: {dataset.noise_ceiling_db(split):.1f} dB" for split in splits]
     for kind in kinds:
-        head, _ = read_layers_head(dataset, geometry, kind)
+        head = dataset.layer_store(geometry, kind).head
         match head:
             case LayersHead():
                 what = f"rays with more than {head.num_layers} hits"
@@ -177,7 +176,7 @@ def summary(dataset: Dataset, geometry: str, kinds: tuple[LayerKind, ...]) -> li
                 what = f"rays with a branch given up after {head.max_depth} surfaces"
         for split in splits:
             views = range(dataset.config.split(split).views)
-            shares = [read_layers_record(dataset, geometry, kind, split, view).overflow_share for view in views]
+            shares = [dataset.layer_store(geometry, kind).record(split, view).overflow_share for view in views]
             lines.append(f"{what} {split}: {100 * float(np.mean(shares)):.2f} %")
     return lines
 
@@ -222,7 +221,7 @@ def _is_started(dataset: Dataset, geometry: str, kind: LayerKind, meshes_hash: s
     if not (root / "layers.json").is_file():
         return False
     try:
-        head, _ = read_layers_head(dataset, geometry, kind)
+        head = dataset.layer_store(geometry, kind).head
     except DamagedError as error:
         say(f"{error}; makes it again")
         return False
@@ -260,7 +259,7 @@ def _start_beside_others(dataset: Dataset, geometry: str, kind: LayerKind, meshe
     _start(dataset, geometry, kind, meshes_hash, num_layers=num_layers, rays=rays)
     if not _is_started(dataset, geometry, kind, meshes_hash, num_layers=num_layers, rays=rays):
         raise HyalineError(f"{root}: holds layers of another geometry; build without --shard, which replaces them")
-    check_files(root, read_layers_head(dataset, geometry, kind)[0].files)
+    check_files(root, dataset.layer_store(geometry, kind).head.files)
 
 
 def _require_vectorised() -> None:

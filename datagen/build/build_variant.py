@@ -9,7 +9,7 @@ from datagen.data.config import config_difference
 from datagen.data.dataset import Dataset, SceneEdit, Variant, head_files, open_dataset
 from datagen.data.dataset_head import dataset_files, head_contents, view_files, write_head
 from datagen.data.geometries import list_geometries, read_assignment, read_meshes, read_proxy_records, write_proxies
-from datagen.data.layer_store import LayersHead, read_layers_head
+from datagen.data.layer_store import LayersHead
 from datagen.data.meshes import Mesh, is_there, no_mesh, write_ply
 from datagen.data.paths import TRUTH, geometry_root, layers_root
 from datagen.data.variants import list_variants, open_variant, variant_root
@@ -56,10 +56,10 @@ def _peel(base: Dataset, variant: Dataset, *, workers: int, shard: Shard | None)
         if variant.edit is not None and geometry != TRUTH:
             with holding(geometry_root(variant.root, geometry), PROXIES, within=variant.root):
                 _write_proxies(base, variant, variant.edit, geometry)
-        head, _ = read_layers_head(base, geometry, "straight")
+        head = base.layer_store(geometry).head
         assert isinstance(head, LayersHead)
         stands = (layers_root(variant.root, geometry, "straight") / "layers.json").is_file()
-        is_other = stands and read_layers_head(variant, geometry, "straight")[0].num_layers != head.num_layers  # pyright: ignore
+        is_other = stands and variant.layer_store(geometry).head.num_layers != head.num_layers  # pyright: ignore
         peel_dataset(
             variant,
             geometry,

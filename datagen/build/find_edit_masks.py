@@ -6,10 +6,8 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from datagen.data.config import TEST_SPLITS, Split
-from datagen.data.dataset import Dataset, read_record
+from datagen.data.dataset import Dataset
 from datagen.data.edit_masks import ELSEWHERE, FOLDER, LIGHT, OBJECT, edit_mask_files, edit_mask_path
-from datagen.data.layers import read_layers
-from datagen.data.paths import TRUTH, image_path
 from datagen.data.png import png_bytes
 from datagen.data.tonemap import srgb_from_linear
 from datagen.disk.errors import HyalineError
@@ -64,7 +62,7 @@ def shows_objects(base: Dataset, edited: Dataset, split: Split, view: int) -> Bo
         is_changed = np.array([False, *(item.name in edited.edit.changed for item in dataset.objects)])
         is_glass = np.array([True, *(item.is_glass for item in dataset.objects)])
         in_view = np.ones((size, size), bool)
-        for object_id in read_layers(dataset, TRUTH, split, view).object_id:
+        for object_id in dataset.view(split, view).layers().object_id:
             shown |= in_view & is_changed[object_id]
             in_view &= is_glass[object_id]
     return shown
@@ -101,11 +99,5 @@ def find_edit_mask(
 
 def _read_halves(dataset: Dataset, split: Split, view: int) -> Float[np.ndarray, "half h w 3"]:
     """The two independent halves of a view's truth, in sRGB."""
-    from datagen.machine.mitsuba_variant import use_mitsuba
-    from datagen.render.truth import read_radiance
-
-    use_mitsuba(quiet=True)
-    path = image_path(dataset.root, split, view).with_suffix(".exr")
-    check_files(dataset.root, read_record(dataset, split, view).files)
-    radiance, half_difference = read_radiance(path.read_bytes(), where=str(path))
+    radiance, half_difference = dataset.view(split, view).radiance_and_noise()
     return srgb_from_linear(np.stack([radiance + half_difference, radiance - half_difference]))

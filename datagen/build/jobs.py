@@ -4,10 +4,11 @@ from pathlib import Path
 
 from datagen.data.cameras import Cameras
 from datagen.data.config import Split
-from datagen.data.dataset import Dataset, commit_view, open_dataset, read_cameras
+from datagen.data.dataset import Dataset, open_dataset
+from datagen.data.dataset_head import commit_view
 from datagen.data.geometries import read_meshes
-from datagen.data.layer_store import LayersHead, read_layers_head
-from datagen.data.layers import write_layers
+from datagen.data.layer_store import LayersHead
+from datagen.data.layer_writing import write_layers
 from datagen.scene.description import Scene
 from datagen.scene.folder import load_scene
 from datagen.trace.light_path_layers import read_light_paths_head, trace_view, write_light_paths
@@ -69,7 +70,7 @@ class PeelJob:
         self.dataset, self.geometry = open_dataset(root), geometry
         self.cameras = _all_cameras(self.dataset)
         self.peeler = Peeler(read_meshes(self.dataset, geometry))
-        head, _ = read_layers_head(self.dataset, geometry, "straight")
+        head = self.dataset.layer_store(geometry).head
         assert isinstance(head, LayersHead)
         self.num_layers = head.num_layers
 
@@ -108,4 +109,4 @@ def _scene_of(dataset: Dataset) -> Scene:
 
 
 def _all_cameras(dataset: Dataset) -> dict[Split, Cameras]:
-    return {split: read_cameras(dataset, split) for split in dataset.splits}
+    return {split: dataset.cameras(split) for split in dataset.splits}

@@ -16,7 +16,7 @@ from datagen.build.verify import check_is_there, is_good, list_obstacles
 from datagen.data.cameras import TRANSFORMS_FILES, transforms_bytes
 from datagen.data.dataset import Dataset, head_files, open_dataset
 from datagen.data.geometries import list_geometries
-from datagen.data.layer_store import LayersHead, LightPathsHead, read_layers_head
+from datagen.data.layer_store import LayersHead, LightPathsHead
 from datagen.data.paths import LAYER_KINDS, layers_root
 from datagen.data.variants import list_variants, open_variant
 from datagen.disk.errors import DamagedError, HyalineError
@@ -66,7 +66,7 @@ def _peel(dataset: Dataset, geometry: str, *, workers: int) -> None:
     for kind in LAYER_KINDS:
         if not (layers_root(dataset.root, geometry, kind) / "layers.json").is_file():
             continue
-        head, _ = read_layers_head(dataset, geometry, kind)
+        head = dataset.layer_store(geometry, kind).head
         match head:
             case LayersHead():
                 num_layers, rays = head.num_layers, 4

@@ -7,9 +7,8 @@ from dataclasses import dataclass, field
 from datagen.build.angles import make_angle_cameras
 from datagen.data.cameras import Cameras
 from datagen.data.config import TEST_SPLITS, DatasetConfig, Split, SplitConfig
-from datagen.data.dataset import Dataset, DatasetObject, SceneEdit, read_cameras
+from datagen.data.dataset import Dataset, DatasetObject, SceneEdit
 from datagen.data.geometries import read_meshes
-from datagen.data.layer_store import read_layers_head
 from datagen.data.paths import TRUTH
 from datagen.data.variants import ANGLES, evenly, is_larger, scale_name
 from datagen.disk.errors import HyalineError
@@ -64,7 +63,7 @@ def plan_larger(base: Dataset, scale: int, *, views: int | None = None) -> Plan:
         if not 1 <= count <= there.views:
             raise HyalineError(f"super_resolution_views: is {count}; expected 1 to {there.views}, as {split} has")
         sizes[split] = dataclasses.replace(there, views=count)
-        poses = read_cameras(base, split)
+        poses = base.cameras(split)
         cameras[split] = dataclasses.replace(
             poses,
             world_from_camera=poses.world_from_camera[evenly(count, there.views)],
@@ -84,7 +83,7 @@ def plan_edit(base: Dataset, edits: tuple[Edit, ...]) -> Plan:
         HyalineError: the edit is impossible, or the base has no straight layers, by which edit masks are found.
     """
     _check_base(base)
-    read_layers_head(base, TRUTH, "straight")
+    base.layer_store()
     # Verifies that the meshes are those that the dataset was rendered with.
     read_meshes(base, TRUTH)
     before = load_scene(base.root / "scene", is_sealed=True)
@@ -95,7 +94,7 @@ def plan_edit(base: Dataset, edits: tuple[Edit, ...]) -> Plan:
     return Plan(
         name=edits_name(edits),
         config=base.config,
-        cameras={split: read_cameras(base, split) for split in TEST_SPLITS},
+        cameras={split: base.cameras(split) for split in TEST_SPLITS},
         objects=tuple(DatasetObject(name=item.name, is_glass=item.material.is_glass) for item in edited.scene.objects),
         edit=edit,
         scene=scene_files(edited.scene),

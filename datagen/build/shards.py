@@ -11,8 +11,7 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 from datagen.data.config import Split
-from datagen.data.dataset import Dataset, read_record
-from datagen.data.layer_store import read_layers_record
+from datagen.data.dataset import Dataset
 from datagen.data.paths import TRUTH, LayerKind, layers_root
 from datagen.data.variants import list_variants, open_variant
 from datagen.disk.errors import HyalineError
@@ -79,9 +78,9 @@ def _is_there(dataset: Dataset, kinds: Sequence[LayerKind], split: Split, view: 
     for kind in (None, *kinds):
         try:
             if kind is None:
-                read_record(dataset, split, view)
+                _ = dataset.view(split, view).record
             else:
-                read_layers_record(dataset, TRUTH, kind, split, view)
+                dataset.layer_store(TRUTH, kind).record(split, view)
             states.append(True)
         except HyalineError:
             states.append(False)

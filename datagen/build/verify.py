@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 from datagen.build.survey import Survey
-from datagen.data.dataset import Dataset, head_files, open_dataset, read_record
+from datagen.data.dataset import Dataset, head_files, open_dataset
 from datagen.data.edit_masks import FOLDER as EDIT_MASKS
 from datagen.data.edit_masks import edit_mask_files
 from datagen.data.geometries import geometry_hash, list_geometries, read_assignment, read_proxy_records
-from datagen.data.layer_store import LayersHead, read_layers_head, read_layers_record, record_path_of_layers
+from datagen.data.layer_store import LayersHead, record_path_of_layers
 from datagen.data.paths import LAYER_KINDS, TRUTH, LayerKind, geometry_root, layers_root, record_path
 from datagen.disk.errors import HyalineError
 from datagen.disk.heads import list_heads, true_head
@@ -214,7 +214,7 @@ class _Search:
                             self.good.discard(picture)
                 elif self.check(relative, None):
                     try:
-                        self.check_all(prefix, read_record(dataset, split, view).files)
+                        self.check_all(prefix, dataset.view(split, view).record.files)
                     except HyalineError as error:
                         self.good.discard(relative)
                         self.wrong(relative, _reason(error, path))
@@ -250,7 +250,7 @@ class _Search:
     def _check_layers(self, dataset: Dataset, prefix: str, geometry: str, kind: LayerKind) -> None:
         root = layers_root(dataset.root, geometry, kind)
         try:
-            head, _ = read_layers_head(dataset, geometry, kind)
+            head = dataset.layer_store(geometry, kind).head
         except HyalineError as error:
             self.wrong(f"{prefix}layers.json", _reason(error, root / "layers.json"))
             return
@@ -271,7 +271,7 @@ class _Search:
                     unmade.append(relative)
                 elif self.check(relative, None):
                     try:
-                        self.check_all(prefix, read_layers_record(dataset, geometry, kind, split, view).files)
+                        self.check_all(prefix, dataset.layer_store(geometry, kind).record(split, view).files)
                     except HyalineError as error:
                         self.good.discard(relative)
                         self.wrong(relative, _reason(error, path))
@@ -338,7 +338,7 @@ def make_command(dataset: Dataset, geometry: str) -> str:
         words += ["--kind", kind, *(["--amount", amount] if amount else [])]
     for layers in LAYER_KINDS:
         try:
-            head, _ = read_layers_head(dataset, geometry, layers)
+            head = dataset.layer_store(geometry, layers).head
         except HyalineError:
             continue
         if isinstance(head, LayersHead):

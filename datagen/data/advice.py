@@ -8,7 +8,6 @@ from pathlib import Path
 from datagen.data.dataset import Dataset
 from datagen.data.finding import build_command, list_datasets
 from datagen.data.geometries import list_geometries
-from datagen.data.layer_store import read_layers_head
 from datagen.data.paths import TRUTH
 from datagen.data.variants import variant_root
 from datagen.disk.errors import HyalineError
@@ -100,7 +99,7 @@ def _runs_that_draw(base: Dataset, edited: Dataset) -> Iterator[tuple[Path, dict
 def _layers_seal(dataset: Dataset, geometry: str) -> str | None:
     """What names the straight layers of a geometry; None where it has none."""
     try:
-        return read_layers_head(dataset, geometry, "straight")[1]
+        return dataset.layer_store(geometry).seal
     except HyalineError:
         return None
 

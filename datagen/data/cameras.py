@@ -1,7 +1,8 @@
-"""Owns where cameras stand and which rays they shoot: the three splits of a rig, pixel-centre and sub-pixel rays."""
+"""Cameras: where they stand, which rays they shoot, and their files."""
 
 import math
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 from jaxtyping import Float, Float32, Int
@@ -9,6 +10,8 @@ from jaxtyping import Float, Float32, Int
 from datagen.data.config import ANGLE_SPLITS, Split
 from datagen.data.paths import view_name
 from datagen.disk.errors import HyalineError
+from datagen.disk.reading import parse_json
+from datagen.disk.records import Json
 from datagen.disk.storage import dump_json
 
 TRANSFORMS_FILES: dict[Split, str] = {
@@ -17,6 +20,37 @@ TRANSFORMS_FILES: dict[Split, str] = {
     "extrapolating": "transforms_extrapolating.json",
     **{split: f"transforms_{split}.json" for split in ANGLE_SPLITS},
 }
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Camera:
+    """A pinhole camera with square pixels and its principal point in the picture's middle."""
+
+    world_from_camera: Float[np.ndarray, "4 4"]
+    """float64, metres, OpenGL convention: +x right, +y up, the camera looks along -z; world +z is up."""
+    fov_x: float
+    """Horizontal field of view in radians."""
+    width: int
+    height: int
+
+    @property
+    def intrinsics(self) -> Float[np.ndarray, "3 3"]:
+        """Focal lengths and principal point in pixels, as OpenCV writes them: x right, y down, from the upper left.
+
+        The rays of `rays` are those of OpenCV's camera (y down, z ahead) after its y and z are turned round.
+        """
+        focal = 0.5 * self.width / math.tan(0.5 * self.fov_x)
+        return np.array([[focal, 0, 0.5 * self.width], [0, focal, 0.5 * self.height], [0, 0, 1]])
+
+    def rays(self) -> tuple[Float32[np.ndarray, "3"], Float32[np.ndarray, "h w 3"]]:
+        """Origin (metres) and unit directions of the rays through pixel centres, in the world, computed in float64."""
+        focal = self.intrinsics[0, 0]
+        x = (np.arange(self.width) + 0.5 - 0.5 * self.width) / focal
+        y = (0.5 * self.height - np.arange(self.height) - 0.5) / focal
+        d_camera = np.stack(np.broadcast_arrays(x[None, :], y[:, None], -1.0), axis=-1)
+        d_world = d_camera @ self.world_from_camera[:3, :3].T
+        d_world /= np.linalg.norm(d_world, axis=-1, keepdims=True)
+        return self.world_from_camera[:3, 3].astype(np.float32), d_world.astype(np.float32)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -29,6 +63,14 @@ class Cameras:
     """Horizontal field of view in radians."""
     width: int
     height: int
+
+    def __len__(self) -> int:
+        return len(self.world_from_camera)
+
+    def __getitem__(self, view: int) -> Camera:
+        return Camera(
+            world_from_camera=self.world_from_camera[view], fov_x=self.fov_x, width=self.width, height=self.height
+        )
 
 
 def look_at(position: Float[np.ndarray, "3"], target: Float[np.ndarray, "3"]) -> Float[np.ndarray, "4 4"]:
@@ -45,18 +87,6 @@ def look_at(position: Float[np.ndarray, "3"], target: Float[np.ndarray, "3"]) ->
     matrix = np.eye(4)
     matrix[:3] = np.stack([right, np.cross(back, right), back, position], axis=1)
     return matrix
-
-
-def pixel_center_rays(cameras: Cameras, view: int) -> tuple[Float32[np.ndarray, "3"], Float32[np.ndarray, "h w 3"]]:
-    """Origin and unit directions of the rays through pixel centres, computed in float64."""
-    focal = 0.5 * cameras.width / math.tan(0.5 * cameras.fov_x)
-    x = (np.arange(cameras.width) + 0.5 - 0.5 * cameras.width) / focal
-    y = (0.5 * cameras.height - np.arange(cameras.height) - 0.5) / focal
-    d_camera = np.stack(np.broadcast_arrays(x[None, :], y[:, None], -1.0), axis=-1)
-    world_from_camera = cameras.world_from_camera[view]
-    d_world = d_camera @ world_from_camera[:3, :3].T
-    d_world /= np.linalg.norm(d_world, axis=-1, keepdims=True)
-    return world_from_camera[:3, 3].astype(np.float32), d_world.astype(np.float32)
 
 
 def subpixel_offsets(samples: int, place: float | Float[np.ndarray, "... sample 2"] = 0.5
@@ -117,3 +147,24 @@ def transforms_bytes(cameras: Cameras, split: Split) -> bytes:
             for view, matrix in enumerate(cameras.world_from_camera)
         ],
     })  # fmt: skip
+
+
+def parse_transforms(data: bytes, *, where: str) -> Cameras:
+    """The cameras in the bytes that `transforms_bytes` gives.
+
+    Raises:
+        HyalineError: it holds none.
+    """
+    content = parse_json(data, where=where)
+    try:
+        frames = cast(list[dict[str, Json]], content["frames"])
+        return Cameras(
+            world_from_camera=np.array([frame["transform_matrix"] for frame in frames], np.float64).reshape(-1, 4, 4),
+            fov_x=float(cast(float, content["camera_angle_x"])),
+            width=int(cast(int, content["w"])),
+            height=int(cast(int, content["h"])),
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        raise HyalineError(
+            f"{where}: holds no cameras ({type(error).__name__}: {error}); expected those that `datagen build` writes"
+        ) from error

@@ -9,7 +9,7 @@ from pathlib import Path
 from datagen.data.dataset_head import dataset_files
 from datagen.data.edit_masks import list_edit_masks
 from datagen.data.geometries import proxy_files
-from datagen.data.layer_store import layers_files
+from datagen.data.layer_writing import layers_files
 from datagen.disk.heads import list_heads
 from datagen.disk.homes import HEADS, home_of
 from datagen.disk.ownership import DATASET, EDIT_MASKS, LAYERS, PROXIES, FolderKind, holding, is_ours, remove_files

@@ -1,4 +1,4 @@
-"""Owns the contract: what a dataset is, on disk and in memory. Imports neither Mitsuba nor torch.
+"""A dataset, on disk and in memory: opened once, then read view by view. Imports neither Mitsuba nor torch.
 
 Axis words, used in every annotation: `b` image in a batch, `ray`, `layer` (0 = nearest), `h`, `w`, `c` feature
 channel, `tex_h`, `tex_w`, `vertex`, `face`, `view`. Images are `h w 3`; `uv` keeps its pair last.
@@ -28,32 +28,29 @@ the camera looks along -z). Pixel (column i, row j) has its centre at (i + 0.5, 
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import cast
+from typing import Literal, cast
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Bool, Float32, UInt8
 
-from datagen.data.cameras import TRANSFORMS_FILES, Cameras
+from datagen.data.cameras import TRANSFORMS_FILES, Camera, Cameras, parse_transforms
 from datagen.data.config import SPLITS, DatasetConfig, Split
-from datagen.data.paths import image_path, record_path
-from datagen.data.png import read_png
+from datagen.data.exr import decode_exr
+from datagen.data.finding import where_datasets_are
+from datagen.data.layer_store import LayerStore, open_layers
+from datagen.data.layers import Layers, glass_mask, read_layers
+from datagen.data.paths import TRUTH, LayerKind, image_path, layers_root, record_path
+from datagen.data.png import decode_png
 from datagen.disk.errors import DamagedError, HyalineError
 from datagen.disk.homes import mend_command
 from datagen.disk.names import check_name, check_relative
-from datagen.disk.ownership import DATASET
-from datagen.disk.promises import check_files
-from datagen.disk.reading import load_json
-from datagen.disk.records import Json, entry, from_json, shown, to_json
-from datagen.disk.storage import (
-    SEAL,
-    commit,
-    commit_sealed,
-    load_sealed,
-    sha256,
-    sha256_file,
-)
+from datagen.disk.opened import Opened
+from datagen.disk.ownership import DATASET, LAYERS
+from datagen.disk.promises import check_files, read_promised
+from datagen.disk.records import Json, entry, from_json, shown
+from datagen.disk.storage import load_sealed, seal_of, sha256_file
 
 DATASET_VERSION = 1
 
@@ -99,17 +96,23 @@ class Variant:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Dataset:
-    """An opened dataset: its immutable head. Views are read one by one."""
+    """An opened dataset: its immutable head. What lies below it is opened when it is first asked for, and once.
+
+    Every file is verified by the process that opens it: against the head, or a record that the head leads to.
+    """
 
     root: Path
     config: DatasetConfig
     objects: tuple[DatasetObject, ...]
     seal: str
     """Hash of the head, which includes the hash of scene and cameras: names the data in a run's record."""
+    files: Mapping[str, str]
+    """SHA-256 of the files of scene and cameras, by path relative to `root`."""
     variant: Variant | None = None
     """None unless this is a variant of the dataset around it."""
     parent: "Dataset | None" = None
     """The dataset that this one is a variant of."""
+    _opened: Opened = field(default_factory=Opened, repr=False)
 
     @property
     def name(self) -> str:
@@ -129,6 +132,63 @@ class Dataset:
     def edit(self) -> SceneEdit | None:
         """How the scene differs from the parent's; None where it does not, or there is none."""
         return None if self.variant is None else self.variant.edit
+
+    @property
+    def num_views(self) -> dict[Split, int]:
+        """How many views each split has when it is complete."""
+        return {split: self.config.split(split).views for split in self.splits}
+
+    def view(self, split: Split, index: int) -> "View":
+        """One view; nothing is read yet.
+
+        Raises:
+            HyalineError: there is no such split or view.
+        """
+        if split not in self.splits:
+            raise HyalineError(f"{self.root}: has no split {split!r}; expected one of {', '.join(self.splits)}")
+        if not 0 <= index < self.num_views[split]:
+            raise HyalineError(f"{self.root}: {split} has no view {index}; expected 0 to {self.num_views[split] - 1}")
+        return View(dataset=self, split=split, index=index)
+
+    def views(self, split: Split) -> "list[View]":
+        """Every view of a split, in order."""
+        return [self.view(split, index) for index in range(self.num_views[split])]
+
+    def cameras(self, split: Split) -> Cameras:
+        """The cameras of one split, verified against the head."""
+        file = TRANSFORMS_FILES[split]
+        return self._opened.get(self.root / file, lambda: self._read_cameras(file))
+
+    def _read_cameras(self, file: str) -> Cameras:
+        path, promised = self.root / file, entry(self.files, file, where=self.root)
+        if sha256_file(path) != promised:
+            raise DamagedError(f"{path}: damaged or edited (checksum differs); mend it with `{mend_command(path)}`")
+        return parse_transforms(read_promised(self.root, file, promised), where=str(path))
+
+    def layer_store(self, geometry: str = TRUTH, kind: LayerKind = "straight") -> LayerStore:
+        """The layers of a geometry, opened.
+
+        Raises:
+            HyalineError: they were not made, or their head is damaged.
+        """
+        head = layers_root(self.root, geometry, kind) / LAYERS.head
+        return self._opened.get(head, lambda: open_layers(self.root, geometry, kind))
+
+    def object_id(self, name: str) -> int:
+        """The id that layers hold of an object: 1 + its place among the dataset's objects.
+
+        Raises:
+            HyalineError: there is none of this name.
+        """
+        names = [item.name for item in self.objects]
+        if name not in names:
+            raise HyalineError(f"{self.root}: has no object {name!r}; expected one of {', '.join(names)}")
+        return 1 + names.index(name)
+
+    def noise_ceiling_db(self, split: Split) -> float:
+        """The mean PSNR in dB that the truth's own noise would allow a perfect method on this split."""
+        errors = [view.record.noise_mse for view in self.views(split)]
+        return float(np.mean([-10 * math.log10(max(error, 1e-12)) for error in errors]))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -150,6 +210,92 @@ class ViewRecord:
     """SHA-256 by path, relative to the dataset."""
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class View:
+    """One view of a dataset. Each attribute is read from disk when it is asked for, and every byte of it verified.
+
+    Raises:
+        HyalineError: by whatever reads: the view is not built, not peeled, or damaged.
+    """
+
+    dataset: Dataset
+    split: Split
+    index: int
+
+    @property
+    def record(self) -> ViewRecord:
+        """How the view was rendered."""
+        root = self.dataset.root
+        path = record_path(root, self.split, self.index)
+        if not path.is_file():
+            raise HyalineError(f"{path}: the view is not built yet; finish with `{mend_command(path)}`")
+        record = from_json(ViewRecord, cast(Json, load_sealed(path)), where=str(path))
+        if (record.dataset, record.split, record.view) != (self.dataset.seal, self.split, self.index):
+            raise HyalineError(
+                f"{path}: belongs to {record.split} view {record.view} of another dataset; "
+                f"mend it with `{mend_command(path)}`"
+            )
+        if set(record.files) != {self._file(".png"), self._file(".exr")}:
+            raise HyalineError(f"{path}: promises {', '.join(sorted(record.files))}; expected its view's pictures, "
+                               f"mend it with `{mend_command(path)}`")  # fmt: skip
+        return record
+
+    @property
+    def is_built(self) -> bool:
+        """True when the record and all files of the view verify."""
+        try:
+            check_files(self.dataset.root, self.record.files)
+        except HyalineError:
+            return False
+        return True
+
+    @property
+    def image(self) -> UInt8[np.ndarray, "h w 3"]:
+        """The 8-bit sRGB picture: what metrics compare."""
+        picture = decode_png(self._read(".png"), where=str(self.dataset.root / self._file(".png")))
+        return np.asarray(picture.convert("RGB"))
+
+    @property
+    def radiance(self) -> Float32[np.ndarray, "h w 3"]:
+        """Linear radiance (Rec. 709), unclipped: the mean of two independent halves A and B of the samples."""
+        return self.radiance_and_noise()[0]
+
+    @property
+    def noise(self) -> Float32[np.ndarray, "h w 3"]:
+        """(A - B) / 2, linear: one draw of the noise that is left in `radiance`, of which it has the variance."""
+        return self.radiance_and_noise()[1]
+
+    def radiance_and_noise(self) -> tuple[Float32[np.ndarray, "h w 3"], Float32[np.ndarray, "h w 3"]]:
+        """Both from one reading of their file."""
+        return decode_exr(self._read(".exr"), where=str(self.dataset.root / self._file(".exr")))
+
+    @property
+    def camera(self) -> Camera:
+        """The view's camera."""
+        return self.dataset.cameras(self.split)[self.index]
+
+    def layers(self, geometry: str = TRUTH) -> Layers:
+        """The surfaces along each pixel's straight ray: of the scene's own meshes, or of proxies, such as `box`."""
+        return read_layers(self.dataset.layer_store(geometry), self.split, self.index)
+
+    def object_ids(self, geometry: str = TRUTH) -> UInt8[np.ndarray, "layer h w"]:
+        """The object ids of `layers` alone: a small part of what that reads."""
+        return self.dataset.layer_store(geometry).read(self.split, self.index, only=["object_id"])["object_id"]
+
+    def mask(self, what: Literal["glass"]) -> Bool[np.ndarray, "h w"]:
+        """Pixels whose centre ray meets glass before anything opaque, by the true geometry."""
+        if what != "glass":
+            raise HyalineError(f"mask: is {what!r}; expected 'glass' (`object_ids` tells other objects)")
+        return glass_mask(self.object_ids(), np.array([False, *(item.is_glass for item in self.dataset.objects)]))
+
+    def _file(self, ending: str) -> str:
+        return image_path(Path(), self.split, self.index).with_suffix(ending).as_posix()
+
+    def _read(self, ending: str) -> bytes:
+        file = self._file(ending)
+        return read_promised(self.dataset.root, file, self.record.files[file])
+
+
 def open_dataset(root: Path) -> Dataset:
     """The dataset in a folder, its head verified (its views are verified as they are read).
 
@@ -158,8 +304,6 @@ def open_dataset(root: Path) -> Dataset:
     """
     path = root / "dataset.json"
     if not path.is_file():
-        from datagen.data.finding import where_datasets_are
-
         raise HyalineError(f"{root}: no dataset; {where_datasets_are(root)}")
     head = load_sealed(path)
     if head.get("version") != DATASET_VERSION:
@@ -172,7 +316,8 @@ def open_dataset(root: Path) -> Dataset:
         root=root,
         config=from_json(DatasetConfig, entry(head, "config", where=path), where=f"{path}: config"),
         objects=from_json(tuple[DatasetObject, ...], entry(head, "objects", where=path), where=f"{path}: objects"),
-        seal=cast(str, load_json(path)[SEAL]),
+        seal=seal_of(head),
+        files=_promised_files(head, path),
         variant=variant,
         parent=parent,
     )
@@ -188,108 +333,11 @@ def variant_of(head: Mapping[str, Json], path: Path) -> Variant | None:
 
 
 def head_files(root: Path) -> dict[str, str]:
-    """SHA-256 of scene and camera files by path relative to the dataset, as the head promises them."""
+    """SHA-256 of scene and camera files by path relative to the dataset, as the head promises them now."""
     path = root / DATASET.head
-    files = from_json(dict[str, str], entry(load_sealed(path), "files", where=path), where=f"{path}: files")
+    return _promised_files(load_sealed(path), path)
+
+
+def _promised_files(head: dict[str, Json], path: Path) -> dict[str, str]:
+    files = from_json(dict[str, str], entry(head, "files", where=path), where=f"{path}: files")
     return {check_relative(file, where=f"{path}: files"): promised for file, promised in files.items()}
-
-
-def read_cameras(dataset: Dataset, split: Split) -> Cameras:
-    """The cameras of one split, verified against the head."""
-    relative = TRANSFORMS_FILES[split]
-    path = dataset.root / relative
-    if sha256_file(path) != entry(head_files(dataset.root), relative, where=dataset.root):
-        raise DamagedError(f"{path}: damaged or edited (checksum differs); mend it with `{mend_command(path)}`")
-    data = load_json(path)
-    try:
-        frames = cast(list[dict[str, Json]], data["frames"])
-        return Cameras(
-            world_from_camera=np.array([frame["transform_matrix"] for frame in frames], np.float64).reshape(-1, 4, 4),
-            fov_x=float(cast(float, data["camera_angle_x"])),
-            width=int(cast(int, data["w"])),
-            height=int(cast(int, data["h"])),
-        )
-    except (KeyError, TypeError, ValueError) as error:
-        raise HyalineError(
-            f"{path}: holds no cameras ({type(error).__name__}: {error}); expected those that `datagen build` writes"
-        ) from error
-
-
-# Views
-
-
-def read_record(dataset: Dataset, split: Split, view: int) -> ViewRecord:
-    """The record of a rendered view.
-
-    Raises:
-        HyalineError: the view is not built, damaged, or belongs to another dataset.
-    """
-    path = record_path(dataset.root, split, view)
-    if not path.is_file():
-        raise HyalineError(f"{path}: the view is not built yet; finish with `{mend_command(path)}`")
-    record = from_json(ViewRecord, cast(Json, load_sealed(path)), where=str(path))
-    if (record.dataset, record.split, record.view) != (dataset.seal, split, view):
-        raise HyalineError(
-            f"{path}: belongs to {record.split} view {record.view} of another dataset; "
-            f"mend it with `{mend_command(path)}`"
-        )
-    picture = image_path(Path(), split, view)
-    if set(record.files) != {picture.as_posix(), picture.with_suffix(".exr").as_posix()}:
-        raise HyalineError(f"{path}: promises {', '.join(sorted(record.files))}; expected its view's pictures, "
-                           f"mend it with `{mend_command(path)}`")  # fmt: skip
-    return record
-
-
-def commit_view(
-    dataset: Dataset,
-    split: Split,
-    view: int,
-    *,
-    png: bytes,
-    exr: bytes,
-    seed: int,
-    spp: int,
-    noise_mse: float,
-    variant: str,
-) -> None:
-    """Commits one rendered view: its pictures, then the record that makes them exist."""
-    path = image_path(dataset.root, split, view)
-    files = {}
-    for file, data in ((path, png), (path.with_suffix(".exr"), exr)):
-        commit(file, data)
-        files[file.relative_to(dataset.root).as_posix()] = sha256(data)
-    record = ViewRecord(
-        dataset=dataset.seal,
-        split=split,
-        view=view,
-        seed=seed,
-        spp=spp,
-        noise_mse=noise_mse,
-        variant=variant,
-        files=files,
-    )
-    commit_sealed(record_path(dataset.root, split, view), cast(dict[str, Json], to_json(record)))
-
-
-def read_image(dataset: Dataset, split: Split, view: int) -> UInt8[np.ndarray, "h w 3"]:
-    """The 8-bit sRGB picture of a view, verified against its record."""
-    path = image_path(dataset.root, split, view)
-    files = read_record(dataset, split, view).files
-    check_files(dataset.root, {key: value for key, value in files.items() if key.endswith(".png")})
-    return read_png(path)
-
-
-def is_view_built(dataset: Dataset, split: Split, view: int) -> bool:
-    """True when the view's record and all of its files verify."""
-    try:
-        check_files(dataset.root, read_record(dataset, split, view).files)
-    except HyalineError:
-        return False
-    return True
-
-
-def noise_ceiling_db(dataset: Dataset, split: Split) -> float:
-    """The mean PSNR in dB that the truth's own noise would allow a perfect method on this split."""
-    views = range(dataset.config.split(split).views)
-    errors = [read_record(dataset, split, view).noise_mse for view in views]
-    return float(np.mean([-10 * math.log10(max(error, 1e-12)) for error in errors]))

@@ -1,17 +1,27 @@
-"""Beginning a dataset: its head, then the scene and the cameras that the head promises."""
+"""Writing a dataset: its head, then the scene and the cameras that the head promises, then view by view."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import cast
 
 from datagen.data.cameras import TRANSFORMS_FILES, Cameras, transforms_bytes
 from datagen.data.config import SPLITS, DatasetConfig, Split
-from datagen.data.dataset import DATASET_VERSION, Dataset, DatasetObject, Variant, head_files, open_dataset, variant_of
+from datagen.data.dataset import (
+    DATASET_VERSION,
+    Dataset,
+    DatasetObject,
+    Variant,
+    ViewRecord,
+    head_files,
+    open_dataset,
+    variant_of,
+)
 from datagen.data.paths import image_path, record_path
 from datagen.disk.errors import HyalineError
 from datagen.disk.heads import keep_head
 from datagen.disk.ownership import DATASET, begin, is_ours
 from datagen.disk.records import Json, from_json, to_json
-from datagen.disk.storage import commit, commit_same, load_sealed, seal_bytes, seal_of, sha256
+from datagen.disk.storage import commit, commit_same, commit_sealed, load_sealed, seal_bytes, seal_of, sha256
 
 
 def write_head(root: Path, config: DatasetConfig, objects: tuple[DatasetObject, ...], cameras: dict[Split, Cameras],
@@ -88,3 +98,34 @@ def view_files(config: DatasetConfig, splits: Sequence[Split]) -> list[str]:
     records = [record_path(here, split, view) for split, view in views]
     pictures = [image_path(here, split, view) for split, view in views]
     return [path.as_posix() for path in (*records, *pictures, *(path.with_suffix(".exr") for path in pictures))]
+
+
+def commit_view(
+    dataset: Dataset,
+    split: Split,
+    view: int,
+    *,
+    png: bytes,
+    exr: bytes,
+    seed: int,
+    spp: int,
+    noise_mse: float,
+    variant: str,
+) -> None:
+    """Commits one rendered view: its pictures, then the record that makes them exist."""
+    path = image_path(dataset.root, split, view)
+    files = {}
+    for file, data in ((path, png), (path.with_suffix(".exr"), exr)):
+        commit(file, data)
+        files[file.relative_to(dataset.root).as_posix()] = sha256(data)
+    record = ViewRecord(
+        dataset=dataset.seal,
+        split=split,
+        view=view,
+        seed=seed,
+        spp=spp,
+        noise_mse=noise_mse,
+        variant=variant,
+        files=files,
+    )
+    commit_sealed(record_path(dataset.root, split, view), cast(dict[str, Json], to_json(record)))

@@ -1,6 +1,10 @@
-"""The layout of an EXR file, read before Mitsuba reads the file: on some that are cut short, OpenEXR never ends."""
+"""EXR files: linear radiance and its noise, half floats."""
 
+import io
 import struct
+
+import numpy as np
+from jaxtyping import Float32
 
 from datagen.disk.errors import HyalineError
 
@@ -8,9 +12,41 @@ START = b"v/1\x01\x02\x00\x00\x00"
 """Of an EXR with scan lines and one part."""
 
 PIZ, ROWS_PER_BLOCK = 4, 32
-"""The compression that Mitsuba 3.9 writes, and the rows that it compresses at once."""
+"""The compression in which files are written, and the rows that it compresses at once."""
+CHANNELS = ("R", "G", "B", "noise.R", "noise.G", "noise.B")
 
 MAX_WIDTH = 1 << 16
+
+
+def encode_exr(radiance: Float32[np.ndarray, "h w 3"], noise: Float32[np.ndarray, "h w 3"]) -> bytes:
+    """The EXR of a view: linear R, G, B and noise.R, noise.G, noise.B. The same values give the same bytes."""
+    import OpenEXR
+
+    halves = np.concatenate([radiance, noise], axis=-1).astype(np.float16)
+    channels = {name: np.ascontiguousarray(halves[..., place]) for place, name in enumerate(CHANNELS)}
+    header = {"compression": OpenEXR.PIZ_COMPRESSION, "type": OpenEXR.scanlineimage}
+    buffer = io.BytesIO()
+    OpenEXR.File(header, channels, num_threads=0).write(buffer)
+    return buffer.getvalue()
+
+
+def decode_exr(data: bytes, *, where: str = "EXR"
+               ) -> tuple[Float32[np.ndarray, "h w 3"], Float32[np.ndarray, "h w 3"]]:  # fmt: skip
+    """Radiance and noise from the bytes of an EXR; the inverse of `encode_exr`.
+
+    Raises:
+        HyalineError: not an EXR that this package has written, or a damaged one.
+    """
+    import OpenEXR
+
+    # On some files that are cut short, OpenEXR never ends.
+    check_exr(data, where=where)
+    try:
+        channels = OpenEXR.File(io.BytesIO(data), separate_channels=True, num_threads=0).channels()
+        values = [np.asarray(channels[name].pixels, np.float32) for name in CHANNELS]
+    except (RuntimeError, ValueError, KeyError) as error:
+        raise HyalineError(f"{where}: not an EXR with colours and noise ({error}); render it again") from error
+    return np.stack(values[:3], axis=-1), np.stack(values[3:], axis=-1)
 
 
 def check_exr(data: bytes, *, where: str) -> None:

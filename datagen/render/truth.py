@@ -7,19 +7,17 @@ import dataclasses
 import hashlib
 import math
 from dataclasses import dataclass
-from typing import cast
 
 import numpy as np
 from jaxtyping import Float, Float32
 
 from datagen.data.cameras import Cameras
 from datagen.data.config import Split
-from datagen.data.exr import check_exr
+from datagen.data.exr import encode_exr
 from datagen.data.meshes import is_there
 from datagen.data.png import png_bytes
 from datagen.data.tonemap import srgb_from_linear, to_8bit
 from datagen.disk.errors import HyalineError
-from datagen.machine.mitsuba_variant import start_workers
 from datagen.render.mitsuba_scene import has_small_light, is_scalar, load_scene_mitsuba, load_sensor
 from datagen.scene.description import Scene
 from datagen.scene.media import find_media
@@ -147,39 +145,7 @@ def picture_bytes(truth: Truth) -> bytes:
 
 def radiance_bytes(truth: Truth) -> bytes:
     """The EXR: linear R, G, B and the half difference as noise.R, noise.G, noise.B, all half floats."""
-    import mitsuba as mi
-
-    channels = np.concatenate([truth.radiance, truth.half_difference], axis=-1).astype(np.float16)
-    names = ["R", "G", "B", "noise.R", "noise.G", "noise.B"]
-    bitmap = mi.Bitmap(channels, pixel_format=mi.Bitmap.PixelFormat.MultiChannel, channel_names=names)
-    stream = mi.MemoryStream()
-    start_workers()
-    bitmap.write(stream, mi.Bitmap.FileFormat.OpenEXR)
-    return cast(bytes, stream.raw_buffer())
-
-
-def read_radiance(data: bytes, *, where: str = "EXR"
-                  ) -> tuple[Float32[np.ndarray, "h w 3"], Float32[np.ndarray, "h w 3"]]:  # fmt: skip
-    """Radiance and half difference from an EXR's bytes; the inverse of `radiance_bytes`.
-
-    Raises:
-        HyalineError: not an EXR that this package has written, or a damaged one.
-    """
-    import mitsuba as mi
-
-    check_exr(data, where=where)
-    stream = mi.MemoryStream()
-    stream.write(data)
-    stream.seek(0)
-    start_workers()
-    try:
-        bitmap = mi.Bitmap(stream, mi.Bitmap.FileFormat.OpenEXR)
-        order = {field.name: index for index, field in enumerate(bitmap.struct_())}
-        values = np.array(bitmap, np.float32)
-        channels = [values[..., order[name]] for name in ("R", "G", "B", "noise.R", "noise.G", "noise.B")]
-    except (RuntimeError, ValueError, KeyError) as error:
-        raise HyalineError(f"{where}: not an EXR with colours and noise ({error}); render it again") from error
-    return np.stack(channels[:3], axis=-1), np.stack(channels[3:], axis=-1)
+    return encode_exr(truth.radiance, truth.half_difference)
 
 
 def _pass_spp(cameras: Cameras) -> int:

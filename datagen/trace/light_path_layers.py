@@ -36,15 +36,8 @@ from jaxtyping import Bool, Float16, Float32, Shaped
 from datagen.data.cameras import Cameras, subpixel_offsets, subpixel_rays
 from datagen.data.config import Split
 from datagen.data.dataset import Dataset
-from datagen.data.layer_store import (
-    LAYERS_VERSION,
-    ArrayFormat,
-    LightPathsHead,
-    create_store,
-    read_layers_head,
-    read_view,
-    write_view,
-)
+from datagen.data.layer_store import LAYERS_VERSION, LightPathsHead
+from datagen.data.layer_writing import ArrayFormat, create_store, write_view
 from datagen.data.number_formats import UV_SCALE, decode_directions, encode_directions, quantize_uv, round_mantissa
 from datagen.trace.light_path import LightPaths
 
@@ -136,7 +129,7 @@ def trace_view(tracer: "LightPathTracer", cameras: Cameras, view: int, head: Lig
 
 def read_light_paths_head(dataset: Dataset, geometry: str) -> LightPathsHead:
     """How a geometry's light paths were traced."""
-    head, _ = read_layers_head(dataset, geometry, "light-path")
+    head = dataset.layer_store(geometry, "light-path").head
     assert isinstance(head, LightPathsHead)
     return head
 
@@ -164,7 +157,7 @@ def write_light_paths(dataset: Dataset, geometry: str, split: Split, view: int,
 def read_light_paths(dataset: Dataset, geometry: str, split: Split, view: int) -> LightPaths:
     """One view's paths, every byte verified: `samples` consecutive rays for each pixel, pixels row by row."""
     head = read_light_paths_head(dataset, geometry)
-    arrays = read_view(dataset, geometry, "light-path", split, view)
+    arrays = dataset.layer_store(geometry, "light-path").read(split, view)
     return _decode({name: _picture_to_rays(values, math.isqrt(head.samples)) for name, values in arrays.items()})
 
 

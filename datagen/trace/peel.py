@@ -17,7 +17,7 @@ import numba
 import numpy as np
 from jaxtyping import Float32, Int32, UInt8
 
-from datagen.data.cameras import Cameras, pixel_center_rays
+from datagen.data.cameras import Cameras
 from datagen.data.layers import Layers
 from datagen.data.meshes import Mesh, is_there
 from datagen.data.number_formats import UV_SCALE
@@ -101,7 +101,7 @@ class Peeler:
 
     def peel(self, cameras: Cameras, view: int, num_layers: int) -> tuple[Layers, float]:
         """The layers of one view, and the share of its rays that had more hits than layers."""
-        origin, directions = pixel_center_rays(cameras, view)
+        origin, directions = cameras[view].rays()
         order = _tiled(cameras.width, cameras.height)
         hits = self.trace(origin, directions.reshape(-1, 3)[order], num_layers)
         image = (num_layers, cameras.height, cameras.width)

@@ -7,8 +7,7 @@ import numpy as np
 
 from datagen.data.config import TEST_SPLITS, Split
 from datagen.data.dataset import Dataset
-from datagen.data.layer_store import LayersHead, read_layers_head, read_layers_record
-from datagen.data.layers import read_layers
+from datagen.data.layer_store import LayersHead
 from datagen.data.paths import TRUTH
 from datagen.disk.records import Json
 from datagen.disk.storage import dump_json
@@ -85,17 +84,17 @@ def missed_shares(dataset: Dataset, geometry: str, counts: list[int]) -> dict[in
         HyalineError: the geometry has no straight layers.
     """
     is_glass = np.array([False, *(item.is_glass for item in dataset.objects)])
-    head, _ = read_layers_head(dataset, geometry, "straight")
+    head = dataset.layer_store(geometry).head
     assert isinstance(head, LayersHead)
     shares: dict[int, tuple[Shares, Shares]] = {count: ({}, {}) for count in counts}
     for split in TEST_SPLITS:
         more, deeper = ({count: [] for count in counts} for _ in range(2))
         for view in range(dataset.config.split(split).views):
-            layers = read_layers(dataset, geometry, split, view)
+            layers = dataset.view(split, view).layers(geometry)
             met = (layers.object_id > 0).sum(axis=0)
             visible = visible_layers(layers, is_glass).sum(axis=0)
             never_stopped = is_glass[layers.object_id].all(axis=0)
-            overflow = read_layers_record(dataset, geometry, "straight", split, view).overflow_share
+            overflow = dataset.layer_store(geometry).record(split, view).overflow_share
             for count in counts:
                 more[count].append(overflow if count >= head.num_layers else np.mean(met > count))
                 deeper[count].append(np.mean(never_stopped if count >= head.num_layers else visible > count))

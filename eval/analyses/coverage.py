@@ -5,11 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
-from datagen.data.cameras import pixel_center_rays
 from datagen.data.config import Split
-from datagen.data.dataset import Dataset, read_cameras
-from datagen.data.layers import Layers, read_layers
-from datagen.data.paths import TRUTH
+from datagen.data.dataset import Dataset
+from datagen.data.layers import Layers
 
 MAX_GRID = 32
 """A texel, here, is one of 32 x 32 cells of its object's atlas, fewer where pictures are narrower than 128 pixels:
@@ -71,14 +69,14 @@ def read_coverage(dataset: Dataset) -> Coverage:
     grid = min(MAX_GRID, max(1, dataset.config.resolution // 4))
     seen: np.ndarray | None = None
     for view in range(num_views):
-        layers = read_layers(dataset, TRUTH, "train", view)
+        layers = dataset.view("train", view).layers()
         if seen is None:
             texels = len(layers.object_id) * len(dataset.objects) * grid**2
             seen = np.zeros((texels, (num_views + 7) // 8), np.uint8)
         texel = np.unique(_texels(layers, len(dataset.objects), grid)[visible_layers(layers, is_glass)])
         seen[texel, view // 8] |= np.uint8(1 << (view % 8))
     assert seen is not None
-    p_camera = read_cameras(dataset, "train").world_from_camera[:, :3, 3]
+    p_camera = dataset.cameras("train").world_from_camera[:, :3, 3]
     return Coverage(seen=seen, p_camera=p_camera, is_glass=is_glass, grid=grid)
 
 
@@ -94,7 +92,7 @@ def cover_view(coverage: Coverage, dataset: Dataset, split: Split, view: int) ->
     Raises:
         HyalineError: the view is not peeled, or damaged.
     """
-    layers = read_layers(dataset, TRUTH, split, view)
+    layers = dataset.view(split, view).layers()
     size = layers.object_id.shape[1] * layers.object_id.shape[2]
     visible = visible_layers(layers, coverage.is_glass).reshape(-1, size)
     pixel = np.flatnonzero(visible[0])
@@ -102,7 +100,7 @@ def cover_view(coverage: Coverage, dataset: Dataset, split: Split, view: int) ->
         pixel = np.sort(np.random.default_rng(view).choice(pixel, MAX_PIXELS, replace=False))
     layer, place = np.nonzero(visible[:, pixel])
     texel = _texels(layers, len(coverage.is_glass) - 1, coverage.grid).reshape(-1, size)[layer, pixel[place]]
-    origin, directions = pixel_center_rays(read_cameras(dataset, split), view)
+    origin, directions = dataset.cameras(split)[view].rays()
     rays = directions.reshape(-1, 3)[pixel[place]].astype(np.float64)
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)  # Or the cosine of a small angle drowns in float32.
     points = origin + layers.depth.reshape(-1, size)[layer, pixel[place], None] * rays

@@ -3,7 +3,6 @@
 import numpy as np
 
 from datagen.data.config import TEST_SPLITS
-from datagen.data.dataset import read_image
 from datagen.data.edit_masks import OBJECT, read_edit_mask
 from datagen.data.paths import view_name
 from eval.analyses.edits import EditScores
@@ -27,7 +26,7 @@ def edit_sheet(scene: SceneScores, edit: EditScores) -> bytes:
         views = range(edit.edited.config.split(split).views)
         shares = [float(np.mean(read_edit_mask(edit.edited, split, view) == OBJECT)) for view in views]
         for view in sorted(sorted(views, key=lambda view: -shares[view])[:EDIT_VIEWS]):
-            truths = [read_image(dataset, split, view) for dataset in (scene.dataset, edit.edited)]
+            truths = [dataset.view(split, view).image for dataset in (scene.dataset, edit.edited)]
             panels = [Panel(image=image, caption=f"view {view_name(view)}") for image in truths]
             for run in runs:
                 pred = read_prediction(run, split, view) if has_split(run, split) else None

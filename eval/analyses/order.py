@@ -12,8 +12,6 @@ from jaxtyping import Bool, UInt8, UInt64
 
 from datagen.data.config import TEST_SPLITS, Split
 from datagen.data.dataset import Dataset
-from datagen.data.layers import read_object_ids
-from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
 from datagen.terminal.command import track
 from eval.analyses.edits import EditScores, score_regions
@@ -81,7 +79,7 @@ def _known_orders(dataset: Dataset, num_layers: int, *, title: str) -> UInt64[np
     known = np.zeros(0, np.uint64)
     views = range(dataset.config.train.views)
     for view in track(views, label=f"orders in the training of {title}", total=len(views)):
-        ids = read_object_ids(dataset, TRUTH, "train", view)
+        ids = dataset.view("train", view).object_ids()
         known = np.union1d(known, orders(ids, num_layers))
     return known
 
@@ -104,7 +102,7 @@ def _masks(dataset: Dataset, split: Split, known: UInt64[np.ndarray, " order"], 
             id_of[names.index(copy)] = names.index(original)
     masks: list[Masks] = []
     for view in range(dataset.config.split(split).views):
-        ids = id_of[read_object_ids(dataset, TRUTH, split, view)]
+        ids = id_of[dataset.view(split, view).object_ids()]
         seen: Bool[np.ndarray, "h w"] = np.isin(orders(ids, num_layers), known)
         masks.append({"seen": seen, "new": ~seen})
     return masks

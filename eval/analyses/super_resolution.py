@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from datagen.data.config import TEST_SPLITS, Split
-from datagen.data.dataset import Dataset, read_image
+from datagen.data.dataset import Dataset
 from datagen.data.variants import parent_views
 from datagen.disk.records import Json
 from eval.analyses.variants import VariantScores, splits_json, variant_json
@@ -90,7 +90,7 @@ def _enlarged(dataset: Dataset, scored: VariantScores, scores: RunScores | None)
             continue
         rows = []
         for place, view in enumerate(parent_views(scored.variant, split)):
-            small = read_image(dataset, split, view) if scores is None else read_prediction(scores.run, split, view)
+            small = dataset.view(split, view).image if scores is None else read_prediction(scores.run, split, view)
             glass = None if truth.glass is None else truth.glass[place]
             rows.append(score_picture(enlarge(small, size), truth.images[place], glass))
         splits[split] = SplitScores(images={key: tuple(row[key] for row in rows) for key in rows[0]})

@@ -16,7 +16,6 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from datagen.data.config import TEST_SPLITS, Split
-from datagen.data.dataset import read_image
 from datagen.data.paths import view_name
 from eval.score.runs import read_prediction
 from eval.score.scores import RunScores, SceneScores
@@ -55,7 +54,7 @@ def contact_sheet(scene: SceneScores, scores: RunScores) -> bytes:
     """The PNG of one run: first, middle and last view of each split as truth, prediction and error."""
     rows = []
     for split, view in shown_views(scene):
-        truth = read_image(scene.dataset, split, view)
+        truth = scene.dataset.view(split, view).image
         panels = [Panel(image=truth, caption=f"view {view_name(view)}"), Panel(image=None), Panel(image=None)]
         if (values := scores.splits[split]) is not None:
             pred = read_prediction(scores.run, split, view)
@@ -81,7 +80,7 @@ def comparison_sheet(scene: SceneScores, what: str) -> bytes:
     for split, view in shown_views(scene):
         values = [None if s is None else s.images["psnr_db"][view] for s in (run.splits[split] for run in runs)]
         best = max((value for value in values if value is not None), default=None)
-        panels = [Panel(image=read_image(scene.dataset, split, view), caption=f"view {view_name(view)}")]
+        panels = [Panel(image=scene.dataset.view(split, view).image, caption=f"view {view_name(view)}")]
         for scores, value in zip(runs, values, strict=True):
             if value is None:
                 panels.append(Panel(image=None))

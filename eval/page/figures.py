@@ -14,7 +14,7 @@ from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 
 from datagen.data.cameras import Cameras
 from datagen.data.config import SPLITS, TEST_SPLITS, Split
-from datagen.data.dataset import Dataset, read_cameras
+from datagen.data.dataset import Dataset
 from datagen.data.geometries import read_meshes
 from datagen.data.meshes import face_corners
 from datagen.data.paths import TRUTH
@@ -48,7 +48,7 @@ def figures_of(scenes: list[SceneScores], further: list[Further]) -> dict[str, C
 
 def cameras_figure(dataset: Dataset, title: str) -> bytes:
     """The PNG of all cameras around the scene's meshes: in space, and seen from above."""
-    cameras = {split: read_cameras(dataset, split) for split in SPLITS}
+    cameras = {split: dataset.cameras(split) for split in SPLITS}
     corners = _thinned(np.concatenate([face_corners(mesh) for mesh in read_meshes(dataset, TRUTH)]).astype(np.float64))
     places = np.concatenate([item.world_from_camera[:, :3, 3] for item in cameras.values()])
     points = np.concatenate([places, corners.reshape(-1, 3)])

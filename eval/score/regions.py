@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, UInt8
 
 from datagen.data.config import Split
-from datagen.data.dataset import Dataset, read_image
+from datagen.data.dataset import Dataset
 from eval.score.metrics import masked_psnr, mean_of
 from eval.score.runs import Run, read_prediction
 
@@ -34,7 +34,7 @@ def mean_share(masks: list[Masks], name: str) -> float:
 
 def truths(dataset: Dataset, split: Split) -> list[Image]:
     """All pictures of a split, verified."""
-    return [read_image(dataset, split, view) for view in range(dataset.config.split(split).views)]
+    return [dataset.view(split, view).image for view in range(dataset.config.split(split).views)]
 
 
 def predictions(run: Run, split: Split) -> Iterator[Image]:

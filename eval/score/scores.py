@@ -7,8 +7,7 @@ import numpy as np
 from jaxtyping import Bool, UInt8
 
 from datagen.data.config import TEST_SPLITS, Split
-from datagen.data.dataset import Dataset, noise_ceiling_db, read_image
-from datagen.data.layers import glass_mask, read_layers
+from datagen.data.dataset import Dataset
 from datagen.data.paths import TRUTH, layers_root
 from datagen.disk.errors import NumericsError
 from eval.score.metrics import SSIM_WINDOW, delta_e_2000, masked_psnr, mean_of, psnr, psnr_uint8_wrap, ssim
@@ -140,14 +139,11 @@ def read_truth(dataset: Dataset, split: Split) -> Truth:
     Raises:
         HyalineError: a view is not built, is damaged, or is not peeled in a dataset that has layers.
     """
-    views = range(dataset.config.split(split).views)
-    glass = None
-    if has_glass_mask(dataset):
-        glass = tuple(glass_mask(dataset, read_layers(dataset, TRUTH, split, view)) for view in views)
+    views = dataset.views(split)
     return Truth(
-        images=tuple(read_image(dataset, split, view) for view in views),
-        glass=glass,
-        ceiling_db=noise_ceiling_db(dataset, split),
+        images=tuple(view.image for view in views),
+        glass=tuple(view.mask("glass") for view in views) if has_glass_mask(dataset) else None,
+        ceiling_db=dataset.noise_ceiling_db(split),
     )
 
 

@@ -30,8 +30,8 @@ from jaxtyping import Float32, Int, Int16, UInt8
 from torch import Tensor
 
 from datagen.data.config import Split
-from datagen.data.dataset import Dataset, read_cameras, read_image, read_record
-from datagen.data.layer_store import LayersHead, read_layers_head, read_layers_record
+from datagen.data.dataset import Dataset
+from datagen.data.layer_store import LayersHead
 from datagen.data.number_formats import UV_SCALE
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import remove_files
@@ -135,19 +135,19 @@ def map_pixels(dataset: Dataset, geometry: str, split: Split, views: Sequence[in
         HyalineError: as `load_pixels`, or a pixel has a hit behind an empty layer.
     """
     assert with_images, "only training data is large"
-    head, seal = read_layers_head(dataset, geometry, "straight")
-    assert isinstance(head, LayersHead)
-    num_layers = min(head.num_layers, max_layers or head.num_layers)
+    store = dataset.layer_store(geometry)
+    assert isinstance(store.head, LayersHead)
+    num_layers = min(store.head.num_layers, max_layers or store.head.num_layers)
     content: dict[str, Json] = {
         "version": CACHE_VERSION,
         "dataset": dataset.seal,
-        "layers": seal,
+        "layers": store.seal,
         "geometry": geometry,
         "split": split,
         "views": list(views),
         "num_layers": num_layers,
-        "pictures": [cast(Json, read_record(dataset, split, view).files) for view in views],
-        "hits": [cast(Json, read_layers_record(dataset, geometry, "straight", split, view).files) for view in views],
+        "pictures": [cast(Json, dataset.view(split, view).record.files) for view in views],
+        "hits": [cast(Json, store.record(split, view).files) for view in views],
     }
     if (wrong := make_private(cache_root())) is not None:
         raise HyalineError(f"{wrong}; or use --memory ram")
@@ -163,7 +163,7 @@ def map_pixels(dataset: Dataset, geometry: str, split: Split, views: Sequence[in
         # torch warns that writing to a read-only map is undefined; nobody writes to training pictures.
         warnings.filterwarnings("ignore", "The given NumPy array is not writ", UserWarning)
         rgb = torch.from_numpy(files.rgb)
-    p_camera = read_cameras(dataset, split).world_from_camera[list(views), :3, 3].astype(np.float32)
+    p_camera = dataset.cameras(split).world_from_camera[list(views), :3, 3].astype(np.float32)
     return MappedPixels(
         files=files,
         rgb=rgb,
@@ -301,7 +301,7 @@ def _lay_out(folder: Path, dataset: Dataset, geometry: str, split: Split, views:
                 found["uv"], found["object_id"] = uv[is_hit], object_id[is_hit]
                 add(STARTS, np.concatenate([[0], np.cumsum(is_hit.sum(axis=1))]).astype("<u4"))
                 add(HITS, found)
-                add(RGB, read_image(dataset, split, view))
+                add(RGB, dataset.view(split, view).image)
                 first_hit.append(first_hit[-1] + len(found))
             add(HITS, np.zeros(1, HIT))  # No file is empty, for an empty one cannot be mapped.
             for file in files.values():

@@ -12,8 +12,7 @@ from jaxtyping import Float32, Int, Int16, UInt8, UInt16
 from torch import Tensor
 
 from datagen.data.config import Split
-from datagen.data.dataset import Dataset, read_cameras, read_image
-from datagen.data.layers import read_uv_and_ids
+from datagen.data.dataset import Dataset
 from datagen.data.number_formats import UV_SCALE
 from datagen.disk.errors import HyalineError
 
@@ -134,7 +133,7 @@ def load_pixels(dataset: Dataset, geometry: str, split: Split, views: Sequence[i
     Raises:
         HyalineError: a view is missing or damaged, or names an object that the scene does not have.
     """
-    p_camera = read_cameras(dataset, split).world_from_camera[list(views), :3, 3].astype(np.float32)
+    p_camera = dataset.cameras(split).world_from_camera[list(views), :3, 3].astype(np.float32)
     stacks = [read_stack(dataset, geometry, split, view, max_layers) for view in views]
     return Pixels(
         uv=torch.from_numpy(np.concatenate([uv for uv, _ in stacks]).view(np.int16)),
@@ -153,7 +152,8 @@ def read_stack(dataset: Dataset, geometry: str, split: Split, view: int, max_lay
     Raises:
         HyalineError: the view is missing or damaged, or names an object that the scene does not have.
     """
-    uv, object_id = read_uv_and_ids(dataset, geometry, split, view)
+    layers = dataset.layer_store(geometry).read(split, view, only=["uv", "object_id"])
+    uv, object_id = np.moveaxis(layers["uv"], 0, -1), layers["object_id"]
     if object_id.max(initial=0) > len(dataset.objects):
         raise HyalineError(
             f"{dataset.root}: layers of {geometry}, {split} view {view}, name object {object_id.max()}; "
@@ -206,7 +206,7 @@ def read_colors(dataset: Dataset, split: Split, views: Sequence[int], *, with_im
     """All pixels of the views; black without images: rendering a test view never opens its truth."""
     size = dataset.config.resolution
     black = np.zeros((size, size, 3), np.uint8)
-    images = [read_image(dataset, split, view) if with_images else black for view in views]
+    images = [dataset.view(split, view).image if with_images else black for view in views]
     return torch.from_numpy(np.concatenate([image.reshape(-1, 3) for image in images]))
 
 

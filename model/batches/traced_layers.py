@@ -13,7 +13,7 @@ from torch import Tensor
 
 from datagen.data.cameras import Cameras, subpixel_offsets, subpixel_rays
 from datagen.data.config import Split
-from datagen.data.dataset import Dataset, read_cameras
+from datagen.data.dataset import Dataset
 from datagen.data.geometries import GeometryKey, geometry_key, read_meshes
 from datagen.data.meshes import Mesh
 from datagen.machine.mitsuba_variant import short_lived_workers, use_mitsuba
@@ -142,5 +142,5 @@ def _make_peeler(meshes: tuple[Mesh, ...]) -> "Peeler":
 
 def rays_of(dataset: Dataset, split: Split, views: Sequence[int]) -> SubpixelRays:
     """The rays through the pixels of some views of a split."""
-    cameras = read_cameras(dataset, split)
+    cameras = dataset.cameras(split)
     return SubpixelRays(cameras=dataclasses.replace(cameras, world_from_camera=cameras.world_from_camera[list(views)]))

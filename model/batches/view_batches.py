@@ -9,7 +9,7 @@ from jaxtyping import Float32, Int, UInt8
 from torch import Tensor
 
 from datagen.data.config import Split
-from datagen.data.dataset import Dataset, read_cameras
+from datagen.data.dataset import Dataset
 from model.batches.rays import read_colors
 from model.nets.voxel_grid import ViewCamera
 
@@ -92,7 +92,7 @@ def load_views(
     with_images: bool,
 ) -> Views:
     """Cameras and (unless told otherwise) pictures of some views, every byte verified."""
-    cameras = read_cameras(dataset, split)
+    cameras = dataset.cameras(split)
     return Views(
         rgb=read_colors(dataset, split, views, with_images=with_images),
         world_from_camera=torch.from_numpy(cameras.world_from_camera[list(views)]).float(),

@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from torch.func import functional_call
 
 from datagen.data.cameras import Cameras, look_at
-from datagen.data.dataset import Dataset, read_cameras
+from datagen.data.dataset import Dataset
 from datagen.data.geometries import read_meshes
 from datagen.disk.errors import HyalineError
 from datagen.scene.folder import load_scene
@@ -105,7 +105,7 @@ def patches_around(pixel: Int[Tensor, " patch"], size: int, side: int) -> Int[Te
 
 def novel_cameras(dataset: Dataset, number: int, rng: np.random.Generator) -> Cameras:
     """Poses around those of training, but nearer, farther and lower; no test camera is looked at."""
-    cameras = read_cameras(dataset, "train")
+    cameras = dataset.cameras("train")
     target = np.array(load_scene(dataset.root / "scene", is_sealed=True).cameras.target)
     offset = cameras.world_from_camera[rng.integers(len(cameras.world_from_camera), size=number), :3, 3] - target
     offset = offset * rng.uniform(*DISTANCES, (number, 1))

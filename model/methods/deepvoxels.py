@@ -14,7 +14,7 @@ import torch
 from jaxtyping import Float32
 from torch import Tensor, nn
 
-from datagen.data.dataset import Dataset, read_cameras
+from datagen.data.dataset import Dataset
 from datagen.data.geometries import read_meshes
 from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
@@ -219,5 +219,5 @@ def build_deepvoxels(config: DeepVoxelsConfig, dataset: Dataset, geometry: str, 
             "expected pictures of the size that the networks were made for"
         )
     vertices = np.concatenate([mesh.vertices for mesh in read_meshes(dataset, TRUTH)]).astype(np.float64)
-    origin, edge = fit_cube(read_cameras(dataset, "train"), vertices)
+    origin, edge = fit_cube(dataset.cameras("train"), vertices)
     return DeepVoxels(config, origin=torch.from_numpy(origin).float(), edge=edge)

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 
 from datagen.data.config import Split
 from datagen.data.dataset import Dataset
-from datagen.data.layer_store import LayersHead, read_layers_head
+from datagen.data.layer_store import LayersHead
 from datagen.data.paths import LayerKind
 from model.batches.pixel_cache import map_pixels
 from model.batches.rays import PixelSource, load_pixels
@@ -221,6 +221,6 @@ def read_layers_of(method: Method, dataset: Dataset, geometry: str) -> tuple[int
     """
     if method.layers is None:
         return 0, dataset.seal
-    head, seal = read_layers_head(dataset, geometry, method.layers)
-    assert isinstance(head, LayersHead), "no method looks up light paths"
-    return min(head.num_layers, method.max_layers or head.num_layers), seal
+    store = dataset.layer_store(geometry, method.layers)
+    assert isinstance(store.head, LayersHead), "no method looks up light paths"
+    return min(store.head.num_layers, method.max_layers or store.head.num_layers), store.seal

@@ -10,7 +10,7 @@ from support.synthetic import write_synthetic_dataset
 
 from benchmarks.pictures.errors import draw_errors, find_worst
 from benchmarks.pictures.sky import draw_skies, learned_sky, map_directions, true_sky
-from datagen.data.dataset import Dataset, read_image
+from datagen.data.dataset import Dataset
 from datagen.data.png import png_bytes
 from datagen.disk.errors import HyalineError
 from datagen.machine.mitsuba_variant import use_mitsuba
@@ -34,7 +34,7 @@ def write_run(dataset: Dataset, folder: Path, levels: dict[tuple[str, int], int]
     for split in ("interpolating", "extrapolating"):
         (folder / "predictions" / split).mkdir(parents=True)
         for view in range(2):
-            truth = read_image(dataset, split, view)
+            truth = dataset.view(split, view).image
             level = np.uint8(levels.get((split, view), 0))
             off = np.where(truth < 128, truth + level, truth - level)
             (folder / "predictions" / split / f"{view:04d}.png").write_bytes(png_bytes(off))

@@ -11,7 +11,6 @@ from support.synthetic import write_synthetic_dataset
 
 from datagen.data.config import TEST_SPLITS
 from datagen.data.dataset import Dataset
-from datagen.data.layers import read_layers
 from datagen.data.paths import TRUTH
 from eval.analyses.budget import missed_shares
 from eval.page.report import make_report
@@ -47,7 +46,7 @@ def test_shares_equal_a_loop_over_rays(dataset: Dataset) -> None:
     for split in TEST_SPLITS:
         more, deeper, rays = {1: 0, 2: 0}, {1: 0, 2: 0}, 0
         for view in range(2):
-            ids = read_layers(dataset, TRUTH, split, view).object_id
+            ids = dataset.view(split, view).layers().object_id
             for row, column in np.ndindex(16, 16):
                 names = [name for name in ids[:, row, column] if name]
                 seen = names[: names.index(2) + 1] if 2 in names else names  # The floor, 2, is opaque.

@@ -12,7 +12,7 @@ from PIL import Image
 from support.synthetic import write_synthetic_dataset
 
 from datagen.data.config import TEST_SPLITS
-from datagen.data.dataset import Dataset, read_image
+from datagen.data.dataset import Dataset
 from datagen.data.geometries import ProxyStatistics, read_meshes, write_proxies
 from datagen.data.paths import TRUTH
 from datagen.data.png import png_bytes
@@ -66,7 +66,7 @@ def write_run(dataset: Dataset, runs: Path, name: str, config: TrainConfig | str
     for split, level in zip(TEST_SPLITS, (near, far), strict=True):
         (folder / "predictions" / split).mkdir(parents=True)
         for view in range(2):
-            truth = read_image(dataset, split, view)
+            truth = dataset.view(split, view).image
             off = np.where(truth < 128, truth + np.uint8(level), truth - np.uint8(level))
             (folder / "predictions" / split / f"{view:04d}.png").write_bytes(png_bytes(off))
     record: dict[str, object] = {"dataset": dataset.root.as_posix(), "dataset_seal": dataset.seal}

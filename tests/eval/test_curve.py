@@ -10,9 +10,8 @@ from support.reference import nearest_training_angles
 from support.synthetic import pixel_rays, write_synthetic_dataset
 
 from datagen.data.config import TEST_SPLITS
-from datagen.data.dataset import Dataset, read_cameras, read_image
-from datagen.data.layers import Layers, read_layers
-from datagen.data.paths import TRUTH
+from datagen.data.dataset import Dataset
+from datagen.data.layers import Layers
 from datagen.data.png import png_bytes
 from eval.analyses.coverage import cover_view, read_coverage, visible_layers
 from eval.analyses.curve import ANGLE_EDGES, Bin, curve_of, pool_seeds, slope_db_per_10deg
@@ -26,15 +25,15 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 
 def test_angles_and_views_equal_a_loop_over_all_training_rays(dataset: Dataset) -> None:
     def centre_ids_uv(split, view):
-        layers = read_layers(dataset, TRUTH, split, view)
-        return read_cameras(dataset, split).world_from_camera[view, :3, 3], layers.object_id, layers.uv / 65535
+        layers = dataset.view(split, view).layers()
+        return dataset.cameras(split).world_from_camera[view, :3, 3], layers.object_id, layers.uv / 65535
 
     train = [centre_ids_uv("train", view) for view in range(8)]
     coverage = read_coverage(dataset)
     unseen = 0
     for split in TEST_SPLITS:
-        layers = read_layers(dataset, TRUTH, split, 1)
-        origin, directions = pixel_rays(read_cameras(dataset, split), 1)
+        layers = dataset.view(split, 1).layers()
+        origin, directions = pixel_rays(dataset.cameras(split), 1)
         points = origin + layers.depth[..., None] * directions
         expected = nearest_training_angles(train, centre_ids_uv(split, 1), points, [False, True, False], coverage.grid)
         found = cover_view(coverage, dataset, split, 1)
@@ -135,7 +134,7 @@ def test_the_report_has_a_curve_for_each_run(
     for split in TEST_SPLITS:
         for view in range(2):
             covered = cover_view(coverage, dataset, split, view)
-            image = read_image(dataset, split, view).astype(np.float64).reshape(-1, 3)
+            image = dataset.view(split, view).image.astype(np.float64).reshape(-1, 3)
             angle = np.full(len(image), 0.0)
             angle[covered.pixel] = np.minimum(covered.angle_deg, 60)
             error = 255 * 10 ** (-(30 - 0.4 * angle) / 20)

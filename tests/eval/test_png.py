@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 from support.synthetic import write_synthetic_dataset
 
-from datagen.data.dataset import Dataset, read_image
+from datagen.data.dataset import Dataset
 from datagen.data.png import png_bytes
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import Json
@@ -166,7 +166,7 @@ def write_run(folder: Path, dataset: Dataset) -> None:
     for view in range(2):
         path = folder / f"predictions/interpolating/000{view}.png"
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(png_bytes(read_image(dataset, "interpolating", view)))
+        path.write_bytes(png_bytes(dataset.view("interpolating", view).image))
         files[path.relative_to(folder).as_posix()] = sha256(path.read_bytes())
     commit_sealed(folder / "predictions.json", {"version": 1, "files": files})
 
@@ -193,10 +193,10 @@ def test_a_picture_that_is_not_what_was_written_is_named_with_the_command_that_w
         write_run(each, dataset)
     path = folder / "predictions/interpolating/0001.png"
     run = run_at(place, tmp_path, dataset)
-    assert np.array_equal(read_prediction(run, "interpolating", 1), read_image(dataset, "interpolating", 1))
+    assert np.array_equal(read_prediction(run, "interpolating", 1), dataset.view("interpolating", 1).image)
 
     data = path.read_bytes()
-    other = png_bytes(read_image(dataset, "interpolating", 0))  # A whole picture, but another one.
+    other = png_bytes(dataset.view("interpolating", 0).image)  # A whole picture, but another one.
     flipped = bytearray(data)
     flipped[len(data) // 2] ^= 2
     for broken in (bytes(flipped), other, data + b"\0", data[:-1]):
@@ -207,7 +207,7 @@ def test_a_picture_that_is_not_what_was_written_is_named_with_the_command_that_w
         assert str(error.value) == (
             f"{path}: damaged (checksum differs), says {folder / 'predictions.json'}; render it again with `{told}`"
         )
-    assert np.array_equal(read_prediction(run, "interpolating", 0), read_image(dataset, "interpolating", 0))
+    assert np.array_equal(read_prediction(run, "interpolating", 0), dataset.view("interpolating", 0).image)
 
 
 def test_a_flipped_bit_in_the_list_of_pictures_is_noticed(dataset: Dataset, tmp_path: Path) -> None:
@@ -227,6 +227,6 @@ def test_a_picture_that_the_list_does_not_name_is_refused(dataset: Dataset, tmp_
     write_run(folder, dataset)
     path = folder / "predictions/extrapolating/0000.png"
     path.parent.mkdir()
-    path.write_bytes(png_bytes(read_image(dataset, "extrapolating", 0)))
+    path.write_bytes(png_bytes(dataset.view("extrapolating", 0).image))
     with pytest.raises(HyalineError, match=r"0000\.png: not among those that were written, says"):
         read_prediction(run_at(".", tmp_path, dataset), "extrapolating", 0)

@@ -19,9 +19,7 @@ from PIL import Image
 from support.synthetic import write_synthetic_dataset
 
 from datagen.data.config import TEST_SPLITS, Split
-from datagen.data.dataset import Dataset, open_dataset, read_image
-from datagen.data.layers import glass_mask, read_layers
-from datagen.data.paths import TRUTH
+from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.png import png_bytes, read_png
 from datagen.disk.errors import HyalineError
 from eval.page.report import make_report
@@ -80,7 +78,7 @@ def write_predictions(dataset: Dataset, run: Path, split: Split, change) -> None
     folder = run / "predictions" / split
     folder.mkdir(parents=True)
     for view in range(dataset.config.split(split).views):
-        (folder / f"{view:04d}.png").write_bytes(png_bytes(change(read_image(dataset, split, view))))
+        (folder / f"{view:04d}.png").write_bytes(png_bytes(change(dataset.view(split, view).image)))
 
 
 def report(root: Path, output_format: str = "csv") -> None:
@@ -113,8 +111,8 @@ def test_csv_holds_every_runs_scores(made: Path, tmp_path: Path, capsys: pytest.
 
     dataset = open_dataset(made / "data" / "synthetic")
     for split in TEST_SPLITS:
-        truths = [read_image(dataset, split, view) for view in range(2)]
-        masks = [glass_mask(dataset, read_layers(dataset, TRUTH, split, view)) for view in range(2)]
+        truths = [dataset.view(split, view).image for view in range(2)]
+        masks = [view.mask("glass") for view in dataset.views(split)[:2]]
         errors = [(truth.astype(float) - 128) ** 2 for truth in truths]
         whole = [10 * math.log10(255**2 / error.mean()) for error in errors]
         glass = [10 * math.log10(255**2 / error[mask].mean()) for error, mask in zip(errors, masks, strict=True)]
@@ -223,7 +221,7 @@ def test_pictures_are_written_and_do_not_depend_on_the_day(made: Path, tmp_path:
 def test_a_sheet_shows_the_pixels_unfiltered(made: Path, tmp_path: Path) -> None:
     make_report(made / "runs", made / "data", tmp_path, output_format="json")
     sheet = read_png(tmp_path / "synthetic_perfect.png")
-    truth = read_image(open_dataset(made / "data" / "synthetic"), "interpolating", 0)
+    truth = open_dataset(made / "data" / "synthetic").view("interpolating", 0).image
     enlarged = truth.repeat(10, axis=0).repeat(10, axis=1)  # 32 pixels become 320.
     for column in range(2):
         left, top = 44 + column * (320 + 14), 64

@@ -14,9 +14,6 @@ from support.hostile.corpus import DATASET, LAYERS
 from datagen.build.verify import verify_dataset
 from datagen.data.dataset import open_dataset
 from datagen.data.geometries import read_proxy_records
-from datagen.data.layer_store import read_layers_head
-from datagen.data.layers import read_layers
-from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import SEAL, seal_bytes
 from datagen.scene.folder import load_scene
@@ -31,7 +28,7 @@ RUN = "runs/one/paper"
 HEADS: dict[str, Callable[[Path], object]] = {
     "scene/scene.json": lambda root: load_scene(root / "scene"),
     f"{DATASET}/dataset.json": lambda root: open_dataset(root / DATASET),
-    f"{LAYERS}/layers.json": lambda root: read_layers_head(open_dataset(root / DATASET), TRUTH, "straight"),
+    f"{LAYERS}/layers.json": lambda root: open_dataset(root / DATASET).layer_store(),
     f"{DATASET}/proxies/box/proxies.json": lambda root: read_proxy_records(open_dataset(root / DATASET), "box"),
     f"{RUN}/run.json": lambda root: read_run(root / RUN),
     f"{RUN}/predictions.json": lambda root: read_prediction_hashes(root / RUN),
@@ -51,7 +48,7 @@ def frozen(tmp_path: Path) -> Path:
 def test_what_was_written_in_this_version_is_read_for_ever(frozen: Path, cases: Callable[[int, str], None]) -> None:
     assert verify_dataset(frozen / DATASET).problems == []
     dataset = open_dataset(frozen / DATASET)
-    assert read_layers(dataset, TRUTH, "extrapolating", 1).object_id.any()
+    assert dataset.view("extrapolating", 1).layers().object_id.any()
     assert len(load_scene(frozen / "scene").objects) == 2
     run = open_run(frozen / RUN, frozen / "data")
     assert read_prediction(run, "interpolating", 1).shape == (8, 8, 3)

@@ -10,9 +10,8 @@ from support.hostile_values import JSON_TEXTS, PLACEHOLDER, places, replaced, wi
 from support.synthetic import synthetic_scene, write_synthetic_dataset
 
 from datagen.data.config import SPLITS
-from datagen.data.dataset import open_dataset, read_cameras, read_record
+from datagen.data.dataset import open_dataset
 from datagen.data.geometries import read_meshes
-from datagen.data.layer_store import read_layers_head
 from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import SEAL, dump_json, sha256
@@ -119,11 +118,11 @@ def test_every_hostile_value_in_a_sealed_head_is_one_line(head: str, tmp_path: P
     def read() -> None:
         opened = open_dataset(root)
         read_meshes(opened, TRUTH)
-        read_layers_head(opened, TRUTH, "straight")
+        opened.layer_store()
         for split in SPLITS:
-            read_cameras(opened, split)
+            opened.cameras(split)
             for view in range(min(2, opened.config.split(split).views)):
-                read_record(opened, split, view)
+                _ = opened.view(split, view).record
 
     answers = try_all(every(2, variants(data)), place, read)
     assert len(answers) > 50

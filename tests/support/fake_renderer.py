@@ -11,10 +11,12 @@ import pytest
 from support.synthetic import pixel_rays, shade, trace
 
 from datagen.data.config import Split
-from datagen.data.dataset import Dataset, commit_view, open_dataset, read_cameras
+from datagen.data.dataset import Dataset, open_dataset
+from datagen.data.dataset_head import commit_view
 from datagen.data.geometries import read_meshes
-from datagen.data.layer_store import LayersHead, read_layers_head, write_view
-from datagen.data.layers import Layers, write_layers
+from datagen.data.layer_store import LayersHead
+from datagen.data.layer_writing import write_layers, write_view
+from datagen.data.layers import Layers
 from datagen.data.png import png_bytes
 from datagen.trace.light_path_layers import _formats, read_light_paths_head
 
@@ -42,7 +44,7 @@ def render(job: FakeJob, task: Task) -> None:
 
 def peel(job: FakeJob, task: Task) -> None:
     assert job.geometry is not None
-    head, _ = read_layers_head(job.dataset, job.geometry, "straight")
+    head = job.dataset.layer_store(job.geometry).head
     assert isinstance(head, LayersHead)
     layers = _trace(job.dataset, *task, head.num_layers)
     write_layers(job.dataset, job.geometry, *task, layers, overflow_share=0.0)
@@ -57,7 +59,7 @@ def trace_paths(job: FakeJob, task: Task) -> None:
 
 
 def _trace(dataset: Dataset, split: Split, view: int, num_layers: int) -> Layers:
-    return trace(*pixel_rays(read_cameras(dataset, split), view), num_layers)
+    return trace(*pixel_rays(dataset.cameras(split), view), num_layers)
 
 
 def install(patch: pytest.MonkeyPatch) -> None:

@@ -6,14 +6,17 @@ import numpy as np
 
 from datagen.data.cameras import Cameras
 from datagen.data.config import SPLITS, DatasetConfig, SplitConfig
-from datagen.data.dataset import Dataset, DatasetObject, commit_view, read_cameras
-from datagen.data.dataset_head import write_head
+from datagen.data.dataset import Dataset, DatasetObject
+from datagen.data.dataset_head import commit_view, write_head
+from datagen.data.exr import encode_exr
 from datagen.data.geometries import geometry_hash
-from datagen.data.layers import Layers, create_layers, write_layers
+from datagen.data.layer_writing import create_layers, write_layers
+from datagen.data.layers import Layers
 from datagen.data.meshes import Mesh
 from datagen.data.number_formats import quantize_uv
 from datagen.data.paths import TRUTH
 from datagen.data.png import png_bytes
+from datagen.data.tonemap import linear_from_srgb
 from datagen.scene.description import CameraRig, Scene, SceneObject, SoftEnvironment, WalkPoint
 from datagen.scene.folder import scene_files
 from datagen.scene.materials import Diffuse, ThinDielectric
@@ -131,13 +134,13 @@ def write_synthetic_dataset(root: Path, *, resolution: int = 32, num_layers: int
     objects = (DatasetObject(name="pane", is_glass=True), DatasetObject(name="floor", is_glass=False))
     dataset = write_head(root, config, objects, cameras, scene_files(scene))
     create_layers(dataset, TRUTH, num_layers=num_layers, geometry_hash=geometry_hash(dataset, TRUTH))
+    noise = rng.normal(0, 1e-3, (resolution, resolution, 3)).astype(np.float32)
     for split in SPLITS:
-        stored = read_cameras(dataset, split)
+        stored = dataset.cameras(split)
         for view in range(config.split(split).views):
             layers = trace(*pixel_rays(stored, view), num_layers)
-            png = png_bytes(shade(layers))
-            commit_view(
-                dataset, split, view, png=png, exr=b"not rendered", seed=0, spp=4, noise_mse=1e-5, variant="none"
-            )
+            picture = shade(layers)
+            png, exr = png_bytes(picture), encode_exr(linear_from_srgb(picture / 255).astype(np.float32), noise)
+            commit_view(dataset, split, view, png=png, exr=exr, seed=0, spp=4, noise_mse=1e-5, variant="none")
             write_layers(dataset, TRUTH, split, view, layers, overflow_share=0.0)
     return dataset

@@ -14,9 +14,10 @@ from support.synthetic import synthetic_scene, write_synthetic_dataset
 from datagen.build.build import build_dataset, peel_dataset
 from datagen.build.verify import verify_dataset
 from datagen.data.config import SPLITS, DatasetConfig, SplitConfig
-from datagen.data.dataset import noise_ceiling_db, open_dataset, read_image, read_record
+from datagen.data.dataset import open_dataset
 from datagen.data.geometries import read_meshes
-from datagen.data.layers import Layers, glass_mask, read_layers, write_layers
+from datagen.data.layer_writing import write_layers
+from datagen.data.layers import Layers
 from datagen.data.paths import TRUTH, image_path, layers_root
 from datagen.disk.errors import HyalineError
 from datagen.scene.folder import save_scene
@@ -40,14 +41,13 @@ def test_a_built_dataset_holds_what_its_readers_promise(built: Path) -> None:
     dataset = open_dataset(built)
     assert [item.is_glass for item in dataset.objects] == [True, False]
     for split in SPLITS:
-        assert read_image(dataset, split, 0).shape == (16, 16, 3)
-        assert read_record(dataset, split, 0).spp == 8
-        assert 15 < noise_ceiling_db(dataset, split) < 80
-    layers = read_layers(dataset, TRUTH, "train", 0)
+        assert dataset.view(split, 0).image.shape == (16, 16, 3)
+        assert dataset.view(split, 0).record.spp == 8
+        assert 15 < dataset.noise_ceiling_db(split) < 80
+    layers = dataset.view("train", 0).layers()
     assert layers.uv.shape == (4, 16, 16, 2)
     assert set(np.unique(layers.object_id)) == {0, 1, 2}
-    mask = glass_mask(dataset, layers)
-    assert np.array_equal(mask, layers.object_id[0] == 1)
+    assert np.array_equal(dataset.view("train", 0).mask("glass"), layers.object_id[0] == 1)
     assert len(read_meshes(dataset, TRUTH)) == 2
 
 
@@ -136,7 +136,7 @@ def test_verify_finds_lost_swapped_and_foreign_files(tmp_path: Path) -> None:
     assert any("images/notes.txt" in remark for remark in verify_dataset(root).remarks)
     assert f"{lost}: the file is missing" in problems
     with pytest.raises(HyalineError, match=r"0000\.png: damaged"):
-        read_image(dataset, "train", 0)
+        _ = dataset.view("train", 0).image
 
 
 def test_a_damaged_view_is_made_again(built: Path, scene_folder: Path, tmp_path: Path) -> None:
@@ -170,13 +170,13 @@ def test_a_full_disk_is_one_line_and_loses_nothing(built: Path, scene_folder: Pa
 
 def test_a_view_of_nothing_at_all_has_layers_too(tmp_path: Path) -> None:
     dataset = write_synthetic_dataset(tmp_path, resolution=8, train_views=2)
-    full = read_layers(dataset, TRUTH, "train", 0)
+    full = dataset.view("train", 0).layers()
     empty = Layers(uv=0 * full.uv, object_id=0 * full.object_id, depth=0 * full.depth)
     write_layers(dataset, TRUTH, "train", 0, empty, overflow_share=0.0)
-    assert not read_layers(dataset, TRUTH, "train", 0).object_id.any()
+    assert not dataset.view("train", 0).layers().object_id.any()
     assert verify_dataset(tmp_path)[1] == []
     write_layers(dataset, TRUTH, "train", 0, full, overflow_share=0.0)
-    assert np.array_equal(read_layers(dataset, TRUTH, "train", 0).uv, full.uv)
+    assert np.array_equal(dataset.view("train", 0).layers().uv, full.uv)
 
 
 def test_layers_with_another_number_need_overwrite(tmp_path: Path) -> None:
@@ -184,7 +184,7 @@ def test_layers_with_another_number_need_overwrite(tmp_path: Path) -> None:
     with pytest.raises(HyalineError, match=r"peeled into 4 layers, not 6; pass --overwrite, or --num-layers 4"):
         _peel(dataset, 6, overwrite=False, geometry_hash_of_files=True)
     _peel(dataset, 6, overwrite=True)
-    assert read_layers(dataset, TRUTH, "train", 0).uv.shape[0] == 6
+    assert dataset.view("train", 0).layers().uv.shape[0] == 6
 
 
 def _peel(dataset, num_layers: int, *, overwrite: bool, geometry_hash_of_files: bool = False) -> None:
@@ -193,10 +193,10 @@ def _peel(dataset, num_layers: int, *, overwrite: bool, geometry_hash_of_files: 
 
 def test_peeling_equals_the_closed_formula_on_the_whole_dataset(tmp_path: Path) -> None:
     dataset = write_synthetic_dataset(tmp_path, resolution=16, train_views=2)
-    expected = [read_layers(dataset, TRUTH, "train", view) for view in range(2)]
+    expected = [dataset.view("train", view).layers() for view in range(2)]
     _peel(dataset, 4, overwrite=True)
     for view, layers in enumerate(expected):
-        peeled = read_layers(dataset, TRUTH, "train", view)
+        peeled = dataset.view("train", view).layers()
         assert np.array_equal(peeled.object_id, layers.object_id)
         assert np.abs(peeled.uv.astype(int) - layers.uv).max() <= 1
         assert np.abs(peeled.depth - layers.depth).max() < 1e-4

@@ -17,10 +17,9 @@ from datagen.build.plan_variant import plan_edit
 from datagen.build.verify import verify_dataset
 from datagen.data.cameras import Cameras
 from datagen.data.config import SPLITS, DatasetConfig, SplitConfig
-from datagen.data.dataset import Dataset, open_dataset, read_cameras, read_image
+from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.edit_masks import ELSEWHERE, LIGHT, OBJECT, read_edit_mask
 from datagen.data.geometries import ProxyStatistics, read_meshes, write_proxies
-from datagen.data.layers import read_layers
 from datagen.data.meshes import Mesh, is_there, no_mesh
 from datagen.data.paths import TRUTH
 from datagen.data.variants import open_variant
@@ -299,14 +298,12 @@ def test_an_edited_dataset_has_the_truth_at_the_same_cameras(base: Dataset) -> N
     assert [item.name for item in after.objects] == ["floor", "ball", "post", "post_copy1"]
     assert [is_there(mesh) for mesh in read_meshes(after, TRUTH)] == [True, False, True, True]
     for split in SPLITS[1:]:
-        np.testing.assert_array_equal(
-            read_cameras(after, split).world_from_camera, read_cameras(base, split).world_from_camera
-        )
-        ids = np.concatenate([read_layers(after, TRUTH, split, view).object_id for view in range(2)])
+        np.testing.assert_array_equal(after.cameras(split).world_from_camera, base.cameras(split).world_from_camera)
+        ids = np.concatenate([after.view(split, view).layers().object_id for view in range(2)])
         assert 2 not in ids
         assert {1, 3, 4} <= set(np.unique(ids))
         for view in range(2):
-            before, now = (read_image(dataset, split, view).astype(int) for dataset in (base, after))
+            before, now = (dataset.view(split, view).image.astype(int) for dataset in (base, after))
             mask = read_edit_mask(after, split, view)
             assert np.array_equal(mask == OBJECT, shows_objects(base, after, split, view))
             # The same random numbers: where no light changed, not even the noise did.
@@ -323,7 +320,7 @@ def test_proxies_are_edited_as_their_objects_are(base: Dataset) -> None:
     np.testing.assert_array_equal(floor.vertices, before[0].vertices)
     np.testing.assert_array_equal(post.vertices, before[2].vertices)
     np.testing.assert_allclose(copy.vertices, before[2].vertices + np.float32([0.1, 0.6, 0]), atol=1e-6)
-    assert {0, 1, 3, 4} == set(np.unique(read_layers(after, "box", "interpolating", 0).object_id))
+    assert {0, 1, 3, 4} == set(np.unique(after.view("interpolating", 0).layers("box").object_id))
 
 
 def test_a_built_edit_is_left_alone_and_verifies(base: Dataset) -> None:

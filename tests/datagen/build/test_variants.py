@@ -16,9 +16,8 @@ import datagen.cli
 import model.cli
 from datagen.build.verify import verify_dataset
 from datagen.data.config import ANGLE_SPLITS, TEST_SPLITS
-from datagen.data.dataset import open_dataset, read_cameras, read_image
-from datagen.data.layers import read_layers
-from datagen.data.paths import TRUTH, image_path
+from datagen.data.dataset import open_dataset
+from datagen.data.paths import image_path
 from datagen.data.png import read_png
 from datagen.data.variants import evenly, has_variant, open_variant, parent_views
 from datagen.disk.errors import HyalineError
@@ -76,9 +75,9 @@ def test_the_splits_by_angle_are_there(made: tuple[Path, dict[str, bytes]]) -> N
     assert variant.splits == tuple(ANGLE_SPLITS)
     assert variant.home.seal == dataset.seal != variant.seal
     for split, degrees in ANGLE_SPLITS.items():
-        assert read_cameras(variant, split).world_from_camera.shape == (3, 4, 4)
-        assert read_image(variant, split, 2).shape == (16, 16, 3)
-        assert read_layers(variant, TRUTH, split, 2).object_id.any(), degrees
+        assert variant.cameras(split).world_from_camera.shape == (3, 4, 4)
+        assert variant.view(split, 2).image.shape == (16, 16, 3)
+        assert variant.view(split, 2).layers().object_id.any(), degrees
 
 
 def test_larger_truth_is_that_of_the_same_cameras(made: tuple[Path, dict[str, bytes]]) -> None:
@@ -87,14 +86,14 @@ def test_larger_truth_is_that_of_the_same_cameras(made: tuple[Path, dict[str, by
     assert not has_variant(dataset, "x4")
     assert parent_views(variant, "interpolating") == [0, 2]
     for split in TEST_SPLITS:
-        small, large = read_cameras(dataset, split), read_cameras(variant, split)
+        small, large = dataset.cameras(split), variant.cameras(split)
         assert np.array_equal(large.world_from_camera, small.world_from_camera[[0, 2]])
         assert (large.width, large.fov_x) == (32, small.fov_x)
         # Averaged in fours, it is the smaller picture, but for noise.
-        fine = read_image(variant, split, 1).astype(float).reshape(16, 2, 16, 2, 3).mean(axis=(1, 3))
-        coarse = read_image(dataset, split, 2).astype(float)
+        fine = variant.view(split, 1).image.astype(float).reshape(16, 2, 16, 2, 3).mean(axis=(1, 3))
+        coarse = dataset.view(split, 2).image.astype(float)
         assert np.abs(fine - coarse).mean() < 0.5 * np.abs(fine - coarse.mean(axis=(0, 1))).mean()
-        layers = read_layers(variant, TRUTH, split, 0)
+        layers = variant.view(split, 0).layers()
         assert layers.object_id.shape == (4, 32, 32)
 
 
@@ -176,8 +175,9 @@ def test_runs_predict_variants_and_the_report_scores_them(
     scene = json.loads((tmp_path / "out/results.json").read_text())["scenes"][0]["analyses"]
     runs_by_angle = scene["variants"]["angles"]["runs"]
     assert set(runs_by_angle) == {"paper", "perfect"}
-    error = read_png(drawn / "angles/predictions/extrapolating-40deg/0001.png").astype(float) - read_image(
-        open_variant(dataset, "angles"), "extrapolating-40deg", 1
+    error = (
+        read_png(drawn / "angles/predictions/extrapolating-40deg/0001.png").astype(float)
+        - open_variant(dataset, "angles").view("extrapolating-40deg", 1).image
     )
     value = runs_by_angle["paper"]["extrapolating-40deg"]["psnr_db"]["pictures"][1]
     assert value == pytest.approx(10 * np.log10(255**2 / np.mean(error**2)))

@@ -8,7 +8,7 @@ import pytest
 from support.rigs import RIG, config
 from support.synthetic import pixel_rays, synthetic_scene
 
-from datagen.data.cameras import Cameras, look_at, pixel_center_rays, subpixel_offsets, subpixel_rays
+from datagen.data.cameras import Cameras, look_at, subpixel_offsets, subpixel_rays
 from datagen.disk.errors import HyalineError
 from datagen.scene.rig import make_cameras
 
@@ -58,7 +58,7 @@ def test_a_camera_is_a_rotation_that_looks_at_its_target() -> None:
 
 def test_rays_equal_the_ones_of_a_second_implementation() -> None:
     cameras = make_cameras(synthetic_scene().cameras, config(views=3))["train"]
-    origin, directions = pixel_center_rays(cameras, 2)
+    origin, directions = cameras[2].rays()
     expected_origin, expected = pixel_rays(cameras, 2)
     assert origin == pytest.approx(expected_origin)
     assert np.abs(directions - expected).max() < 1e-6
@@ -72,10 +72,8 @@ def test_rays_equal_the_ones_of_a_second_implementation() -> None:
 def test_cameras_survive_the_transforms_files(tmp_path: Path) -> None:
     from support.synthetic import write_synthetic_dataset
 
-    from datagen.data.dataset import read_cameras
-
     dataset = write_synthetic_dataset(tmp_path)
-    once = read_cameras(dataset, "train")
+    once = dataset.cameras("train")
     assert once.world_from_camera.shape == (8, 4, 4)
     assert once.fov_x == np.radians(50)
 
@@ -87,7 +85,7 @@ def test_subpixel_rays_are_the_pixel_centre_rays_of_a_finer_picture() -> None:
     offsets = np.broadcast_to(subpixel_offsets(9), (2 * 20, 9, 2))
     origins, directions = subpixel_rays(coarse, np.arange(2 * 20), offsets)
     for view in range(2):
-        origin, expected = pixel_center_rays(fine, view)
+        origin, expected = fine[view].rays()
         here = directions.reshape(2, 4, 5, 3, 3, 3)[view]  # Row, column, row and column in the pixel, xyz.
         assert np.abs(here.transpose(0, 2, 1, 3, 4).reshape(12, 15, 3) - expected).max() < 1e-6
         assert (origins.reshape(2, -1, 3)[view] == origin).all()

@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from datagen.data.exr import check_exr
+from datagen.data.exr import check_exr, decode_exr, encode_exr
 from datagen.disk.errors import HyalineError
 from datagen.machine.mitsuba_variant import use_mitsuba
-from datagen.render.truth import Truth, radiance_bytes, read_radiance
 
 pytestmark = pytest.mark.promise("R6")
 
@@ -14,9 +13,28 @@ pytestmark = pytest.mark.promise("R6")
 @pytest.fixture(scope="module")
 def good() -> bytes:
     """Of 40 rows: two blocks."""
-    use_mitsuba(quiet=True)
     ramp = np.linspace(0, 1, 40 * 40 * 3, dtype=np.float32).reshape(40, 40, 3)
-    return radiance_bytes(Truth(radiance=ramp, half_difference=0.01 * ramp, spp=4, noise_mse=1e-5))
+    return encode_exr(ramp, 0.01 * ramp)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (5, 33), (32, 7), (65, 40)])
+def test_an_exr_holds_half_floats_of_what_was_written_and_mitsuba_reads_the_same(shape: tuple[int, int]) -> None:
+    rng = np.random.default_rng(0)
+    radiance, noise = (rng.normal(size=(*shape, 3)).astype(np.float16).astype(np.float32) for _ in range(2))
+    data = encode_exr(radiance, noise)
+    assert data == encode_exr(radiance, noise)
+    again = decode_exr(data, where="view.exr")
+    assert np.array_equal(again[0], radiance) and np.array_equal(again[1], noise)
+    use_mitsuba(quiet=True)
+    import mitsuba as mi
+
+    stream = mi.MemoryStream()
+    stream.write(data)
+    stream.seek(0)
+    bitmap = mi.Bitmap(stream, mi.Bitmap.FileFormat.OpenEXR)
+    place = {field.name: index for index, field in enumerate(bitmap.struct_())}
+    assert set(place) == {"R", "G", "B", "noise.R", "noise.G", "noise.B"}
+    assert np.array_equal(np.array(bitmap, np.float32)[..., place["noise.G"]], noise[..., 1])
 
 
 def test_an_exr_cut_at_any_length_is_refused(good: bytes) -> None:
@@ -34,7 +52,7 @@ def test_a_bit_that_flipped_in_the_header_is_refused_or_read_at_once(good: bytes
         spoilt = bytearray(good)
         spoilt[place] ^= 1 << int(rng.integers(8))
         try:
-            radiance, _ = read_radiance(bytes(spoilt), where="view.exr")
+            radiance, _ = decode_exr(bytes(spoilt), where="view.exr")
             assert radiance.ndim == 3
         except HyalineError as error:
             assert "view.exr: " in str(error)

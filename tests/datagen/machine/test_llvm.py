@@ -67,9 +67,7 @@ def test_the_scalar_variant_builds_a_dataset_of_the_same_scene(tmp_path: Path) -
     from support.synthetic import synthetic_scene
 
     from datagen.data.config import SPLITS
-    from datagen.data.dataset import open_dataset, read_image, read_record
-    from datagen.data.layers import read_layers
-    from datagen.data.paths import TRUTH
+    from datagen.data.dataset import open_dataset
     from datagen.scene.folder import save_scene
 
     save_scene(synthetic_scene(), tmp_path / "scene")
@@ -81,11 +79,11 @@ def test_the_scalar_variant_builds_a_dataset_of_the_same_scene(tmp_path: Path) -
         answer = subprocess.run(line, capture_output=True, text=True, check=True, env=environment)
         assert ("many times slower" in answer.stderr) == (variant == "scalar_rgb" or "scalar_rgb" in answer.stderr)
     slow, fast = (open_dataset(root) for root in roots.values())
-    assert read_record(slow, "train", 0).variant == "scalar_rgb"
+    assert slow.view("train", 0).record.variant == "scalar_rgb"
     for split in SPLITS:
-        one, other = (read_layers(dataset, TRUTH, split, 0) for dataset in (slow, fast))
+        one, other = (dataset.view(split, 0).layers() for dataset in (slow, fast))
         assert (one.object_id != other.object_id).mean() < 0.005
-        difference = read_image(slow, split, 0).astype(int) - read_image(fast, split, 0)
+        difference = slow.view(split, 0).image.astype(int) - fast.view(split, 0).image
         assert abs(difference.mean()) < 3
 
 

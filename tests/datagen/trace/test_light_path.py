@@ -10,7 +10,7 @@ from support.reference import fresnel_reflectance
 from support.scenes import DUSK, rendered, scene_of
 from support.synthetic import look_at, quad
 
-from datagen.data.cameras import Cameras, pixel_center_rays
+from datagen.data.cameras import Cameras
 from datagen.data.meshes import Mesh
 from datagen.disk.errors import HyalineError
 from datagen.machine.mitsuba_variant import use_mitsuba
@@ -248,7 +248,7 @@ def test_decoding_branches_by_formula_gives_mitsubas_own_image(
     rounds = 64
     tracer = LightPathTracer(tuple(item.mesh for item in objects), tuple(item.material for item in objects))
     focal = 0.5 * size / math.tan(0.5 * cameras.fov_x)
-    origin, _ = pixel_center_rays(cameras, 0)
+    origin, _ = cameras[0].rays()
     column, row = np.meshgrid(np.arange(size), np.arange(size))
     for _ in range(rounds):
         dx, dy = jitter.random((2, size, size))

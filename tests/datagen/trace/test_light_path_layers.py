@@ -14,11 +14,9 @@ from support.synthetic import synthetic_scene, write_synthetic_dataset
 
 from datagen.build.build import build_dataset, peel_dataset, summary
 from datagen.build.verify import verify_dataset
-from datagen.data.cameras import pixel_center_rays
 from datagen.data.config import DatasetConfig, SplitConfig
-from datagen.data.dataset import Dataset, open_dataset, read_cameras
+from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.geometries import ProxyStatistics, read_meshes, write_proxies
-from datagen.data.layer_store import is_view_peeled, read_layers_record
 from datagen.data.meshes import Mesh
 from datagen.data.number_formats import decode_directions, encode_directions
 from datagen.data.paths import TRUTH, layers_root
@@ -157,8 +155,8 @@ def test_stored_paths_are_a_fresh_trace_of_a_finer_pictures_pixel_centres(built:
     materials = tuple(item.material for item in load_scene(built / "scene").objects)
     tracer = LightPathTracer(read_meshes(dataset, TRUTH), materials)
     for split, view in (("train", 0), ("train", 1), ("extrapolating", 1)):
-        cameras = dataclasses.replace(read_cameras(dataset, split), width=2 * SIZE, height=2 * SIZE)
-        origin, directions = pixel_center_rays(cameras, view)
+        cameras = dataclasses.replace(dataset.cameras(split), width=2 * SIZE, height=2 * SIZE)
+        origin, directions = cameras[view].rays()
         by_pixel = directions.reshape(SIZE, 2, SIZE, 2, 3).swapaxes(1, 2).reshape(-1, 3)
         paths = tracer.trace(np.broadcast_to(origin, by_pixel.shape), by_pixel, max_vertices=VERTICES)
         stored = read_light_paths(dataset, TRUTH, split, view)
@@ -181,7 +179,7 @@ def test_the_share_of_paths_that_are_given_up_is_known(tmp_path: Path, monkeypat
     # One surface suffices for the floor and for what the pane mirrors, not for what is behind the pane.
     sees_pane = read_light_paths(dataset, TRUTH, "train", 0).object_id[0, 0] == 1
     assert 0 < sees_pane.mean() < 1
-    assert read_layers_record(dataset, TRUTH, "light-path", "train", 0).overflow_share == sees_pane.mean()
+    assert dataset.layer_store(TRUTH, "light-path").record("train", 0).overflow_share == sees_pane.mean()
 
 
 @needs_tracer
@@ -206,7 +204,7 @@ def test_stopped_tracing_goes_on_to_the_same_bytes(built: Path, copy: Dataset, m
         with pytest.raises(KeyboardInterrupt):
             peel(copy, overwrite=True)
     views = [(split, view) for split in ("train", "interpolating", "extrapolating") for view in range(2)]
-    assert sum(is_view_peeled(copy, TRUTH, "light-path", split, view) for split, view in views) == 2  # type: ignore[arg-type]
+    assert sum(copy.layer_store(TRUTH, "light-path").is_peeled(split, view) for split, view in views) == 2  # type: ignore[arg-type]
     peel(copy)
     assert tree(copy.root) == tree(built)
     # A lost shard is made again, what is intact is left alone.

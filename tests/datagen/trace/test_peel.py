@@ -10,7 +10,6 @@ from support.reference import brute_force_hits
 from support.rigs import RIG, config
 from support.synthetic import pixel_rays, quad, trace
 
-from datagen.data.cameras import pixel_center_rays
 from datagen.data.meshes import Mesh
 from datagen.data.number_formats import quantize_uv, round_mantissa
 from datagen.machine.mitsuba_variant import use_mitsuba
@@ -72,7 +71,7 @@ def test_the_built_in_scenes_peel_like_brute_force(name: str) -> None:
     cameras = make_cameras(scene.cameras, config(views=4))
     different = general = 0
     for split in ("train", "extrapolating"):
-        origin, directions = pixel_center_rays(cameras[split], 1)
+        origin, directions = cameras[split][1].rays()
         picked = np.random.default_rng(0).choice(24 * 24, 250, replace=False)
         counts = count_differences(meshes, origin, directions.reshape(-1, 3)[picked], layers=10)
         different, general = different + counts[0], general + counts[1]

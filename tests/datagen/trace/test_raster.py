@@ -14,7 +14,7 @@ from support.reference import brute_force_hits
 from support.rigs import config
 from support.synthetic import pixel_rays, quad, synthetic_scene, trace
 
-from datagen.data.cameras import Cameras, look_at, pixel_center_rays
+from datagen.data.cameras import Cameras, look_at
 from datagen.data.layers import Layers
 from datagen.data.meshes import Mesh, no_mesh
 from datagen.machine.mitsuba_variant import use_mitsuba
@@ -47,7 +47,7 @@ def differing_pixels(one: Layers, other: Layers) -> np.ndarray:
 
 def is_general(meshes: tuple[Mesh, ...], cameras: Cameras, row: int, column: int) -> bool:
     """Every engine must agree about this pixel: by brute force, nothing is near an edge or at one distance."""
-    origin, directions = pixel_center_rays(cameras, 0)
+    origin, directions = cameras[0].rays()
     there = tuple(mesh for mesh in meshes if len(mesh.faces))
     ray = directions[row, column].astype(np.float64)[None]
     return brute_force_hits(there, origin.astype(np.float64)[None], ray)[0].is_general

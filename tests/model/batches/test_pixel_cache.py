@@ -17,7 +17,8 @@ from support.synthetic import write_synthetic_dataset
 from support.training import SMALL, call, quick, run_bytes
 
 from datagen.data.dataset import Dataset
-from datagen.data.layers import Layers, read_layers, write_layers
+from datagen.data.layer_writing import write_layers
+from datagen.data.layers import Layers
 from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
 from model.batches import pixel_cache
@@ -114,7 +115,7 @@ def test_another_content_is_another_cache(tmp_path: Path, cache: Path) -> None:
     map_pixels(dataset, TRUTH, "train", [0, 2])
     map_pixels(dataset, TRUTH, "train", [0, 1], max_layers=2)
     assert len(list(cache.iterdir())) == 3
-    layers = read_layers(dataset, TRUTH, "train", 1)
+    layers = dataset.view("train", 1).layers()
     empty = Layers(uv=0 * layers.uv, object_id=0 * layers.object_id, depth=0 * layers.depth)
     write_layers(dataset, TRUTH, "train", 1, empty, overflow_share=0.0)
     mapped = map_pixels(dataset, TRUTH, "train", [0, 1])
@@ -125,7 +126,7 @@ def test_another_content_is_another_cache(tmp_path: Path, cache: Path) -> None:
 
 def test_a_hit_behind_an_empty_layer_is_refused(tmp_path: Path) -> None:
     dataset = write_synthetic_dataset(tmp_path / "data", resolution=8, train_views=2)
-    layers = read_layers(dataset, TRUTH, "train", 1)
+    layers = dataset.view("train", 1).layers()
     object_id = layers.object_id.copy()
     object_id[0, object_id[1] > 0] = 0
     write_layers(dataset, TRUTH, "train", 1, dataclasses.replace(layers, object_id=object_id), overflow_share=0.0)

@@ -9,7 +9,7 @@ import torch
 from support.synthetic import write_synthetic_dataset
 from support.training import run_bytes, stop_at
 
-from datagen.data.dataset import Dataset, read_image
+from datagen.data.dataset import Dataset
 from datagen.data.paths import TRUTH
 from datagen.data.png import read_png
 from model.batches.rays import load_pixels
@@ -150,7 +150,7 @@ def test_it_learns_the_pane_and_the_floor(dataset: Dataset, tmp_path: Path) -> N
     train(config, dataset, tmp_path / "run", label="a", device=CPU)
     render_predictions(tmp_path / "run", config, dataset, device=CPU)
     prediction = read_png(tmp_path / "run/predictions/interpolating/0000.png").astype(np.float64)
-    error = np.square(prediction - read_image(dataset, "interpolating", 0)).mean() / 255**2
+    error = np.square(prediction - dataset.view("interpolating", 0).image).mean() / 255**2
     assert -10 * np.log10(error) > 17  # The mean colour of the training images scores 14 dB.
     assert isinstance(load_renderer(tmp_path / "run", config, dataset), AuthorsRenderer)
 

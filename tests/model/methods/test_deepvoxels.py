@@ -14,9 +14,9 @@ from support.reference import convolve, interpolate
 from support.synthetic import look_at, write_synthetic_dataset
 from torch import nn
 
-from datagen.data.cameras import Cameras, pixel_center_rays
+from datagen.data.cameras import Cameras
 from datagen.data.config import DatasetConfig, SplitConfig
-from datagen.data.dataset import Dataset, read_image
+from datagen.data.dataset import Dataset
 from datagen.data.png import read_png
 from datagen.disk.errors import HyalineError
 from datagen.scene.rig import make_cameras
@@ -93,7 +93,7 @@ def some_grid(num_voxels: int = 8, edge: float = 1.2) -> VoxelGrid:
 def test_points_on_a_pixels_ray_project_to_its_centre() -> None:
     cameras = some_cameras(3)
     for view in range(3):
-        origin, directions = pixel_center_rays(cameras, view)
+        origin, directions = cameras[view].rays()
         depth = np.random.default_rng(view).uniform(0.5, 9, size=(SIZE, SIZE, 1))
         points = torch.from_numpy((origin + depth * directions).reshape(-1, 3)).float()
         found = project_points(points, camera_of(cameras, view), SIZE)
@@ -109,7 +109,7 @@ def test_a_frustum_lies_on_the_pixels_rays_a_voxel_apart_around_the_grid() -> No
     for view in range(4):
         camera = camera_of(cameras, view)
         points = frustum_points(camera, grid, SIZE).reshape(grid.num_planes, SIZE, SIZE, 3).numpy()
-        origin, directions = pixel_center_rays(cameras, view)
+        origin, directions = cameras[view].rays()
         forward = -cameras.world_from_camera[view, :3, 2]
         # The cameras stand 2 metres off: the grid's bounding sphere begins there but for half its diagonal.
         depth = 2 - 0.6 * np.sqrt(3) + 0.15 * np.arange(grid.num_planes)
@@ -395,7 +395,7 @@ def test_it_learns_what_each_camera_sees(tmp_path: Path) -> None:
     config = dataclasses.replace(run_config(net, steps=60), lr=0.004, lr_decay="linear", evaluate_every=20)
     train(config, dataset, tmp_path / "run", label="deepvoxels", device=CPU)
     losses = [json.loads(line)["loss"] for line in (tmp_path / "run/metrics.jsonl").read_text().splitlines()]
-    true = np.stack([read_image(dataset, "train", view)[5:-5, 5:-5] / 255 for view in range(4)])
+    true = np.stack([dataset.view("train", view).image[5:-5, 5:-5] / 255 for view in range(4)])
     # The median is the best picture for a network that draws the same for every camera.
     same_for_all = np.abs(true - np.median(true, axis=0)).mean()
     assert losses[-1] < 0.8 * same_for_all

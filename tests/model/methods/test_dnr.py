@@ -10,7 +10,7 @@ from support.reference import slow_convolution, slow_transposed_convolution
 from support.synthetic import write_synthetic_dataset
 from support.training import run_bytes, stop_at
 
-from datagen.data.dataset import Dataset, read_image
+from datagen.data.dataset import Dataset
 from datagen.data.paths import TRUTH
 from datagen.data.png import read_png
 from datagen.disk.errors import HyalineError
@@ -155,7 +155,7 @@ def test_it_learns_the_pane_and_the_floor(tmp_path: Path) -> None:
     scores = []
     for view in range(2):
         prediction = read_png(tmp_path / f"run/predictions/interpolating/000{view}.png").astype(np.float64)
-        truth = read_image(dataset, "interpolating", view)
+        truth = dataset.view("interpolating", view).image
         scores.append(-10 * np.log10(np.mean((prediction - truth) ** 2) / 255**2))
     # The mean colour of the training images scores 14 dB.
     assert np.mean(scores) > 19

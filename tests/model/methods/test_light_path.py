@@ -11,9 +11,8 @@ from support.synthetic import write_synthetic_dataset
 from support.training import run_bytes, stop_at
 
 from datagen.data.config import Split
-from datagen.data.dataset import Dataset, read_cameras, read_image
+from datagen.data.dataset import Dataset
 from datagen.data.geometries import ProxyStatistics, read_meshes, write_proxies
-from datagen.data.layers import read_layers
 from datagen.data.paths import TRUTH
 from datagen.data.tonemap import srgb_from_linear
 from datagen.disk.errors import HyalineError
@@ -96,7 +95,7 @@ def test_one_ray_a_pixel_goes_through_its_centre_and_meets_the_straight_layers(d
     pixels = pixels_of(dataset, render_samples=1)
     paths = pixels.take(torch.arange(len(pixels.rgb)), None)
     for place, view in enumerate((2, 5)):
-        layers = read_layers(dataset, TRUTH, "train", view)
+        layers = dataset.view("train", view).layers()
         here = slice(place * 1024, (place + 1) * 1024)
         assert np.array_equal(paths.stack.surface[here, :4].numpy().T.reshape(4, 32, 32), layers.object_id)
         uv = paths.stack.uv[here, :4].numpy().transpose(1, 0, 2).reshape(4, 32, 32, 2)
@@ -110,7 +109,7 @@ def training_places(dataset: Dataset, **config: object) -> np.ndarray:
     paths = pixels.take(index, np.random.default_rng(0))
     again = pixels.take(index, np.random.default_rng(0))
     assert torch.equal(paths.ends.uv, again.ends.uv)
-    camera = read_cameras(dataset, "train")
+    camera = dataset.cameras("train")
     d = paths.stack.direction.numpy().astype(np.float64) @ camera.world_from_camera[5][:3, :3]
     focal = 16 / math.tan(camera.fov_x / 2)
     column, row = 16 - d[:, 0] / d[:, 2] * focal, 16 + d[:, 1] / d[:, 2] * focal
@@ -315,7 +314,7 @@ def test_it_learns_what_it_sees(dataset: Dataset, tmp_path: Path) -> None:
     config = dataclasses.replace(SMALL, steps=150, batch=256, updates=1, evaluate_every=150)
     train(config, dataset, tmp_path / "run", label="a", device=CPU)
     last = json.loads((tmp_path / "run" / "metrics.jsonl").read_text().splitlines()[-1])
-    truth = np.stack([read_image(dataset, "train", view) for view in range(8)]) / 255.0
+    truth = np.stack([dataset.view("train", view).image for view in range(8)]) / 255.0
     best_constant = -10 * math.log10(np.square(truth - truth.mean(axis=(0, 1, 2))).mean())
     assert last["held_out_psnr"] > best_constant + 5
 
@@ -324,7 +323,7 @@ def test_straight_layers_stand_beside_the_paths_on_proxies(dataset: Dataset) -> 
     config = dataclasses.replace(default_light_path((32, 32), is_proxy=True), shells=1, straight_layers=8)
     pixels = load_light_path_pixels(dataclasses.replace(config, render_samples=1), dataset, TRUTH, "train", [2], True)
     stack = pixels.take(torch.arange(1024), None).stack
-    layers = read_layers(dataset, TRUTH, "train", 2)
+    layers = dataset.view("train", 2).layers()
     assert np.array_equal(stack.surface[:, -8:-4].numpy().T.reshape(4, 32, 32), layers.object_id)
     assert (stack.throughput[:, -8:][stack.surface[:, -8:] > 0] == 1).all()
     renderer = LightPathRenderer(config)

@@ -9,7 +9,6 @@ import torch
 from scipy.special import sph_harm_y
 from support.synthetic import pixel_rays, write_synthetic_dataset
 
-from datagen.data.dataset import read_cameras
 from datagen.disk.errors import HyalineError
 from model.batches.rays import insert_empty_layer, load_pixels
 from model.methods.paper import PaperConfig, PaperRenderer, build_paper, configure_paper, default_texture_size
@@ -98,7 +97,7 @@ def test_view_vectors_point_back_along_the_pixels_rays(tmp_path: Path) -> None:
     positions = bake_position_table(dataset, "truth", 128)
     assert bake_position_table(dataset, "truth", 128) is positions  # Training and predicting share it.
     view = ExtrinsicInputs("view", positions, num_objects=2, size=128)(rays.uv, rays.object_id, rays.p_camera)
-    cameras = read_cameras(dataset, "train")
+    cameras = dataset.cameras("train")
     directions = np.concatenate([pixel_rays(cameras, index)[1].reshape(-1, 3) for index in (3, 5)])
     hit = rays.object_id != 0
     expected = torch.from_numpy(-directions)[:, None].expand(-1, 4, -1)
@@ -171,21 +170,19 @@ def test_the_papers_textures_can_be_a_pyramid(tmp_path: Path, textures: str) -> 
 
 
 def test_stored_uv_and_colors_come_back_exactly(tmp_path: Path) -> None:
-    from datagen.data.dataset import read_image
-    from datagen.data.layers import read_layers
     from model.batches.rays import take_colors
 
     dataset = write_synthetic_dataset(tmp_path / "data")
     pixels = load_pixels(dataset, "truth", "train", [1, 6])
     row, column = 20, 9
     index = torch.tensor([1024 + row * 32 + column])  # In the second of the two views.
-    layers = read_layers(dataset, "truth", "train", 6)
+    layers = dataset.view("train", 6).layers("truth")
     rays = pixels.take(index, None)
     np.testing.assert_array_equal(rays.object_id[0].numpy(), layers.object_id[:, row, column])
     np.testing.assert_allclose(rays.uv[0].numpy(), layers.uv[:, row, column] / 65535, atol=1e-7)
-    expected = read_image(dataset, "train", 6)[row, column] / 255
+    expected = dataset.view("train", 6).image[row, column] / 255
     np.testing.assert_allclose(take_colors(pixels, index)[0].numpy(), expected, atol=1e-7)
-    position = read_cameras(dataset, "train").world_from_camera[6, :3, 3]
+    position = dataset.cameras("train").world_from_camera[6, :3, 3]
     np.testing.assert_allclose(rays.p_camera[0].numpy(), position, rtol=1e-6)
 
 

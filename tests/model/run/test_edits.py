@@ -18,9 +18,8 @@ from datagen.build.build import build_dataset
 from datagen.build.build_variant import build_variant
 from datagen.build.plan_variant import plan_edit
 from datagen.data.config import TEST_SPLITS, DatasetConfig, Split, SplitConfig
-from datagen.data.dataset import Dataset, open_dataset, read_image
+from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.edit_masks import ELSEWHERE, LIGHT, OBJECT, read_edit_mask
-from datagen.data.layers import read_layers
 from datagen.data.paths import TRUTH
 from datagen.data.png import png_bytes, read_png
 from datagen.data.variants import open_variant
@@ -106,10 +105,10 @@ def test_a_removed_ball_of_glass_leaves_the_floor_that_was_behind_it(made: Path)
     run = made / "runs" / "edit" / "ours"
     kept = read_png(run / "predictions" / SPLIT / "0000.png")
     edited = read_png(run / "variants" / "remove-ball" / "predictions" / SPLIT / "0000.png")
-    in_ball = read_layers(base, TRUTH, SPLIT, 0).object_id[0] == 1
+    in_ball = base.view(SPLIT, 0).layers().object_id[0] == 1
     assert 0.05 < in_ball.mean() < 0.5
     assert np.array_equal(read_edit_mask(after, SPLIT, 0) == OBJECT, in_ball)
-    truth_before, truth_after = (read_image(dataset, SPLIT, 0) for dataset in (base, after))
+    truth_before, truth_after = (dataset.view(SPLIT, 0).image for dataset in (base, after))
     assert psnr(kept, truth_before, in_ball) > 24
     assert psnr(edited, truth_after, in_ball) > 24
     # The edit is seen: neither picture would pass for the other.
@@ -119,11 +118,11 @@ def test_a_removed_ball_of_glass_leaves_the_floor_that_was_behind_it(made: Path)
 
 def test_a_copy_of_the_ball_refracts_the_floor_behind_it(made: Path) -> None:
     base, _, after = datasets(made)
-    assert 3 in read_layers(after, TRUTH, SPLIT, 0).object_id
+    assert 3 in after.view(SPLIT, 0).layers().object_id
     in_copy = read_edit_mask(after, SPLIT, 0) == OBJECT
     edited = read_png(made / "runs" / "edit" / "ours" / "variants" / after.name / "predictions" / SPLIT / "0000.png")
-    assert psnr(edited, read_image(after, SPLIT, 0), in_copy) > 20
-    assert psnr(read_image(base, SPLIT, 0), read_image(after, SPLIT, 0), in_copy) < 18
+    assert psnr(edited, after.view(SPLIT, 0).image, in_copy) > 20
+    assert psnr(base.view(SPLIT, 0).image, after.view(SPLIT, 0).image, in_copy) < 18
 
 
 def test_predictions_of_another_version_of_an_edit_count_as_none(made: Path) -> None:
@@ -183,7 +182,7 @@ def test_the_report_scores_edits_by_region_and_pixels_by_order(
                     mask = read_edit_mask(after, split, view) == value
                     pred = read_png(place / "predictions" / split / f"000{view}.png")
                     if mask.any():
-                        values.append(psnr(pred, read_image(dataset, split, view), mask))
+                        values.append(psnr(pred, dataset.view(split, view).image, mask))
                 assert rows["ours", row][region][split] == pytest.approx(np.mean(values))
     assert rows["truth before the edit", "edited"]["object"][SPLIT] < rows["ours", "edited"]["object"][SPLIT] - 5
     assert (made / "out" / "edit_edit_remove-ball.png").is_file()
@@ -191,7 +190,7 @@ def test_the_report_scores_edits_by_region_and_pixels_by_order(
     # Orders, by sets of tuples.
     known = set()
     for view in range(16):
-        ids = read_layers(base, TRUTH, "train", view).object_id[:3]
+        ids = base.view("train", view).layers().object_id[:3]
         known |= {tuple(column) for column in ids.reshape(3, -1).T.tolist()}
     by_order = {(row["scene"], row["run"]): row for row in results["scenes"][0]["analyses"]["order"]["rows"]}
     assert len(by_order) == 6
@@ -200,7 +199,7 @@ def test_the_report_scores_edits_by_region_and_pixels_by_order(
             new = []
             for view in range(2):
                 # A copy is drawn with the texels of its original, so it counts as that.
-                ids = read_layers(dataset, TRUTH, split, view).object_id[:3]
+                ids = dataset.view(split, view).layers().object_id[:3]
                 columns = np.where(ids == 3, 1, ids).reshape(3, -1).T.tolist()
                 new += [tuple(column) not in known for column in columns]
             assert by_order[scene_name, "ours"]["new_share"][split] == pytest.approx(np.mean(new))

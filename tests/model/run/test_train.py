@@ -12,7 +12,7 @@ import torch
 from support.synthetic import write_synthetic_dataset
 from support.training import SMALL, call, quick, run_bytes, stop_at
 
-from datagen.data.dataset import Dataset, read_image
+from datagen.data.dataset import Dataset
 from datagen.data.png import read_png
 from datagen.disk.errors import HyalineError
 from model.run import train as train_module
@@ -39,7 +39,7 @@ def test_training_learns_the_pane_and_the_floor(dataset: Dataset, tmp_path: Path
     scores = []
     for view in range(2):
         prediction = read_png(tmp_path / f"run/predictions/interpolating/000{view}.png").astype(np.float64)
-        truth = read_image(dataset, "interpolating", view)
+        truth = dataset.view("interpolating", view).image
         scores.append(-10 * np.log10(np.mean((prediction - truth) ** 2) / 255**2))
     # The mean colour of the training images scores 14 dB, flipped uv 17 dB.
     assert np.mean(scores) > 27

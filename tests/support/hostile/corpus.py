@@ -35,7 +35,6 @@ def write_world(root: Path) -> None:
     import numpy as np
     import torch
 
-    from datagen.data.dataset import read_image
     from datagen.data.png import png_bytes
     from datagen.machine.mitsuba_variant import use_mitsuba
     from datagen.render.truth import Truth, radiance_bytes
@@ -56,7 +55,7 @@ def write_world(root: Path) -> None:
     train(config, dataset, run, label="paper", device=cpu)
     render_predictions(run, config, dataset, device=cpu)
     shutil.copytree(run / "predictions", root / "runs/one/foreign/predictions")
-    (root / PREDICTION).write_bytes(png_bytes(read_image(dataset, "interpolating", 0)))
+    (root / PREDICTION).write_bytes(png_bytes(dataset.view("interpolating", 0).image))
     use_mitsuba(quiet=True)
     ramp = np.linspace(0, 1, 192, dtype=np.float32).reshape(8, 8, 3)
     truth = Truth(radiance=ramp, half_difference=0.01 * ramp, spp=4, noise_mse=1e-5)

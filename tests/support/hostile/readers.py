@@ -8,10 +8,8 @@ from support.hostile.corpus import DATASET
 from support.hostile.pictures import PREDICTION
 
 from datagen.build.verify import verify_dataset
-from datagen.data.dataset import Dataset, open_dataset, read_cameras, read_record
+from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.geometries import read_meshes
-from datagen.data.layers import read_layers
-from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
 
 
@@ -25,7 +23,7 @@ def _scene(root: Path) -> str:
 
 def _dataset(root: Path) -> str:
     dataset = open_dataset(root / DATASET)
-    views = [read_cameras(dataset, split).world_from_camera.shape[0] for split in dataset.splits]
+    views = [dataset.cameras(split).world_from_camera.shape[0] for split in dataset.splits]
     return f"{len(dataset.objects)} objects, {views} cameras; {_verified(root)}"
 
 
@@ -45,7 +43,7 @@ def _opened(read: Callable[[Dataset], object]) -> Callable[[Path], str]:
 
 
 def _layers(root: Path) -> str:
-    layers = read_layers(open_dataset(root / DATASET), TRUTH, "train", 0)
+    layers = open_dataset(root / DATASET).view("train", 0).layers()
     return (
         f"layers {layers.uv.shape} of {layers.uv.dtype}, {int(np.count_nonzero(layers.object_id))} hits; "
         + _verified(root)
@@ -53,7 +51,7 @@ def _layers(root: Path) -> str:
 
 
 def _cameras(root: Path) -> str:
-    cameras = read_cameras(open_dataset(root / DATASET), "train")
+    cameras = open_dataset(root / DATASET).cameras("train")
     return f"{cameras.world_from_camera.shape} cameras"
 
 
@@ -103,18 +101,14 @@ def _weights(root: Path) -> str:
 
 
 def _exr(root: Path) -> str:
-    from datagen.machine.mitsuba_variant import use_mitsuba
-    from datagen.render.truth import read_radiance
-
-    use_mitsuba(quiet=True)
-    radiance, noise = read_radiance((root / "view.exr").read_bytes())
+    radiance, noise = decode_exr((root / "view.exr").read_bytes())
     return f"radiance {radiance.shape}, noise {noise.shape}"
 
 
 READERS: dict[str, Callable[[Path], str]] = {
     "scene": _scene,
     "dataset": _dataset,
-    "record": _opened(lambda dataset: read_record(dataset, "train", 0)),
+    "record": _opened(lambda dataset: dataset.view("train", 0).record),
     "layers": _layers,
     "layers record": _layers,
     "metadata": _layers,

@@ -1,0 +1,102 @@
+"""Tests that a dataset is opened once, and that a view reads its own files, each of them verified."""
+
+import shutil
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.synthetic import write_synthetic_dataset
+
+from datagen.data.cameras import Camera
+from datagen.data.dataset import Dataset, open_dataset
+from datagen.data.tonemap import srgb_from_linear, to_8bit
+from datagen.disk.errors import DamagedError, HyalineError
+
+OPENED: list[str] = []
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    write_synthetic_dataset(tmp_path_factory.mktemp("views") / "table")
+    sys.addaudithook(lambda event, arguments: OPENED.append(str(arguments[0])) if event == "open" else None)
+    return open_dataset(next((tmp_path_factory.getbasetemp()).glob("views*/table")))
+
+
+def opened_by(root: Path, read: object) -> list[str]:
+    OPENED.clear()
+    read()  # type: ignore[operator]
+    return sorted(path.removeprefix(f"{root}/") for path in OPENED if path.startswith(str(root)))
+
+
+def test_a_view_opens_its_own_files_alone(dataset: Dataset) -> None:
+    dataset.view("train", 0).layers()
+    assert dataset.view("train", 0).camera.width == dataset.config.resolution
+    view = dataset.view("train", 1)
+    shards = [f"layers/straight/peels.zarr/train/{name}/c/1/0/0/0" for name in ("depth", "object_id")]
+    uv = "layers/straight/peels.zarr/train/uv/c/1/0/0/0/0"
+    record = "layers/straight/records/train/0001.json"
+    assert opened_by(dataset.root, view.layers) == [*shards, uv, record]
+    assert opened_by(dataset.root, view.object_ids) == [shards[1], record]
+    assert opened_by(dataset.root, lambda: view.camera) == []
+    assert opened_by(dataset.root, lambda: view.image) == ["images/train/0001.png", "records/train/0001.json"]
+
+
+def test_a_views_parts_fit_together(dataset: Dataset) -> None:
+    view, size = dataset.view("interpolating", 1), dataset.config.resolution
+    assert view.image.shape == view.radiance.shape == view.noise.shape == (size, size, 3)
+    assert (view.image.dtype, view.radiance.dtype, view.noise.dtype) == (np.uint8, np.float32, np.float32)
+    assert np.abs(to_8bit(srgb_from_linear(view.radiance)).astype(int) - view.image).max() <= 1
+    is_glass = np.array([False, *(item.is_glass for item in dataset.objects)])
+    ids = view.layers().object_id
+    assert np.array_equal(view.object_ids(), ids)
+    assert np.array_equal(view.mask("glass"), is_glass[ids[0]]) and view.mask("glass").any()
+    assert [view.index for view in dataset.views("train")] == list(range(dataset.num_views["train"]))
+    assert dataset.object_id(dataset.objects[1].name) == 2
+
+
+@pytest.mark.parametrize("broken", ["layers/straight/layers.json", "transforms_train.json", "images/train/0000.exr",
+                                    "layers/straight/peels.zarr/train/uv/c/0/0/0/0/0", "dataset.json"])  # fmt: skip
+def test_a_file_that_is_damaged_is_refused_by_whoever_opens_it_next(
+    broken: str, dataset: Dataset, tmp_path: Path
+) -> None:
+    def read(copy: Dataset) -> None:
+        view = copy.view("train", 0)
+        _ = view.layers(), view.radiance, view.camera
+
+    root = shutil.copytree(dataset.root, tmp_path / "copy")
+    here = open_dataset(root)
+    read(here)
+    data = bytearray((root / broken).read_bytes())
+    data[len(data) // 2] ^= 4
+    (root / broken).write_bytes(data)
+    with pytest.raises(DamagedError):
+        read(open_dataset(root))
+    if broken != "dataset.json":
+        with pytest.raises(DamagedError):
+            read(here)
+
+
+def test_what_is_not_there_is_named(dataset: Dataset) -> None:
+    with pytest.raises(HyalineError, match="train has no view 99; expected 0 to"):
+        dataset.view("train", 99)
+    with pytest.raises(HyalineError, match="has no split 'validation'"):
+        dataset.view("validation", 0)  # type: ignore[arg-type]
+    with pytest.raises(HyalineError, match="has no object 'teapot'; expected one of"):
+        dataset.object_id("teapot")
+    with pytest.raises(HyalineError, match="box has no straight layers; make them with `datagen peel"):
+        dataset.view("train", 0).layers("box")
+    with pytest.raises(HyalineError, match="mask: is 'wood'; expected 'glass'"):
+        dataset.view("train", 0).mask("wood")  # type: ignore[arg-type]
+
+
+def test_intrinsics_project_a_pixels_ray_onto_its_centre() -> None:
+    pose = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
+    pose = np.block([[pose * np.sign(np.linalg.det(pose)), np.array([[1.0], [2.0], [3.0]])], [np.eye(4)[3:]]])
+    camera = Camera(world_from_camera=pose, fov_x=0.9, width=7, height=5)
+    origin, directions = camera.rays()
+    assert np.allclose(origin, [1, 2, 3]) and np.allclose(np.linalg.norm(directions, axis=-1), 1, atol=1e-6)
+    d_camera = directions @ pose[:3, :3] * [1, -1, -1]  # In OpenCV's camera, which looks along +z with y down.
+    pixels = d_camera @ camera.intrinsics.T
+    pixels = pixels[..., :2] / pixels[..., 2:]
+    assert np.allclose(pixels[3, 2], [2.5, 3.5], atol=1e-5) and np.allclose(pixels[0, 6], [6.5, 0.5], atol=1e-5)
