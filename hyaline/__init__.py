@@ -1,0 +1,60 @@
+"""hyaline from Python: datasets of transparent objects, their views, and scores of pictures.
+
+>>> import hyaline
+>>> dataset = hyaline.open_dataset("glass_table")       # data/glass_table, or a folder
+>>> view = dataset.view("interpolating", 0)
+>>> view.image.shape, view.image.dtype                  # h w 3, 8-bit sRGB
+((32, 32, 3), dtype('uint8'))
+>>> view.layers().object_id.shape                       # layer h w, nearest first; 0 where a layer is empty
+(4, 32, 32)
+>>> hyaline.score(view.image, view.image).psnr_db
+inf
+
+Lengths are metres, +z is up, cameras are world_from_camera in the OpenGL convention. Everything is read from disk when
+it is asked for, and verified by its checksum. `ViewDataset` and `RayDataset` are for PyTorch, which they import.
+"""
+
+from typing import TYPE_CHECKING
+
+from datagen.data.cameras import Camera, Cameras, look_at
+from datagen.data.config import SPLITS, TEST_SPLITS, Split
+from datagen.data.dataset import Dataset, View
+from datagen.data.layers import Layers
+from datagen.disk.errors import HyalineError
+from datagen.terminal.command import version
+from hyaline.datasets import list_datasets, open_dataset
+from hyaline.scores import Scores, score
+
+if TYPE_CHECKING:
+    from hyaline.tensors import RayDataset, ViewDataset
+
+__version__ = version()
+
+__all__ = [
+    "SPLITS",
+    "TEST_SPLITS",
+    "Camera",
+    "Cameras",
+    "Dataset",
+    "HyalineError",
+    "Layers",
+    "RayDataset",
+    "Scores",
+    "Split",
+    "View",
+    "ViewDataset",
+    "__version__",
+    "list_datasets",
+    "look_at",
+    "open_dataset",
+    "score",
+]
+
+
+def __getattr__(name: str) -> object:
+    """PyTorch is imported when somebody asks for what needs it."""
+    if name in ("RayDataset", "ViewDataset"):
+        from hyaline import tensors
+
+        return getattr(tensors, name)
+    raise AttributeError(f"module 'hyaline' has no attribute {name!r}")

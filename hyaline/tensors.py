@@ -1,0 +1,109 @@
+"""Views and rays of a dataset as PyTorch's data loaders take them."""
+
+import dataclasses
+from typing import TypedDict
+
+import numpy as np
+import torch
+from jaxtyping import Float32, UInt8
+from torch import Tensor
+from torch.utils import data
+
+from datagen.data.config import Split
+from datagen.data.dataset import Dataset, View
+from datagen.disk.errors import HyalineError
+
+
+class ViewItem(TypedDict):
+    """One view."""
+
+    image: Float32[Tensor, "3 h w"]
+    """sRGB, 0 to 1."""
+    origin: Float32[Tensor, "3"]
+    """The camera's centre in metres."""
+    directions: Float32[Tensor, "3 h w"]
+    """Unit vectors through the pixels' centres, in the world."""
+    uv: Float32[Tensor, "layer 2 h w"]
+    """Atlas coordinates of the surfaces along each ray, 0 to 1, nearest first."""
+    object_id: UInt8[Tensor, "layer h w"]
+    """Whose surfaces they are; 0 where a layer is empty."""
+
+
+@dataclasses.dataclass(frozen=True)
+class ViewDataset(data.Dataset):
+    """The views of a split, one an item, read when they are asked for.
+
+    >>> from hyaline import open_dataset
+    >>> views = ViewDataset(open_dataset("glass_table"), "train")
+    >>> len(views), views[0]["image"].shape, views[0]["object_id"].shape
+    (8, torch.Size([3, 32, 32]), torch.Size([4, 32, 32]))
+    """
+
+    dataset: Dataset
+    split: Split
+    geometry: str = "truth"
+    """Whose layers: the scene's own meshes, or proxies of that name."""
+
+    def __len__(self) -> int:
+        return self.dataset.num_views[self.split]
+
+    def __getitem__(self, index: int) -> ViewItem:
+        if not 0 <= index < len(self):
+            raise IndexError(f"{self.split}: view {index}; expected 0 to {len(self) - 1}")
+        view = self.dataset.view(self.split, index)
+        origin, directions = view.camera.rays()
+        layers = view.layers(self.geometry)
+        return ViewItem(
+            image=_channels_first(view.image.astype(np.float32) / 255),
+            origin=torch.from_numpy(origin),
+            directions=_channels_first(directions),
+            uv=_channels_first(layers.uv.astype(np.float32) / 65535),
+            object_id=torch.from_numpy(layers.object_id),
+        )
+
+
+class RayItem(TypedDict):
+    """One pixel's centre ray."""
+
+    origin: Float32[Tensor, "3"]
+    direction: Float32[Tensor, "3"]
+    color: Float32[Tensor, "3"]
+    """sRGB, 0 to 1."""
+
+
+class RayDataset(data.Dataset):
+    """All pixels of a split with their centre rays, view by view and row by row, in memory (36 bytes a pixel).
+
+    >>> from hyaline import open_dataset
+    >>> rays = RayDataset(open_dataset("glass_table"), "train")
+    >>> len(rays) == 8 * 32 * 32, rays[5]["color"].shape
+    (True, torch.Size([3]))
+    """
+
+    origin: Float32[Tensor, "ray 3"]
+    direction: Float32[Tensor, "ray 3"]
+    color: Float32[Tensor, "ray 3"]
+
+    def __init__(self, dataset: Dataset, split: Split) -> None:
+        views = dataset.views(split)
+        if not views:
+            raise HyalineError(f"{dataset.root}: has no {split} views")
+        columns = [_rays_of(view) for view in views]
+        self.origin, self.direction, self.color = (torch.cat(column) for column in zip(*columns, strict=True))
+
+    def __len__(self) -> int:
+        return len(self.color)
+
+    def __getitem__(self, index: int) -> RayItem:
+        return RayItem(origin=self.origin[index], direction=self.direction[index], color=self.color[index])
+
+
+def _rays_of(view: View) -> tuple[Tensor, Tensor, Tensor]:
+    origin, directions = view.camera.rays()
+    direction = torch.from_numpy(directions.reshape(-1, 3))
+    color = torch.from_numpy(view.image.reshape(-1, 3).astype(np.float32) / 255)
+    return torch.from_numpy(origin).expand(len(color), 3).clone(), direction, color
+
+
+def _channels_first(values: Float32[np.ndarray, "... h w c"]) -> Float32[Tensor, "... c h w"]:
+    return torch.from_numpy(np.ascontiguousarray(np.moveaxis(values, -1, -3)))

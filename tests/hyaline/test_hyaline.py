@@ -1,0 +1,80 @@
+"""Tests hyaline from Python: its examples run, tensors equal what the files hold, nothing heavy is imported."""
+
+import doctest
+import importlib
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from support.synthetic import write_synthetic_dataset
+
+import hyaline
+
+
+@pytest.fixture
+def dataset(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> hyaline.Dataset:
+    monkeypatch.chdir(tmp_path)
+    write_synthetic_dataset(tmp_path / "data" / "glass_table")
+    return hyaline.open_dataset("glass_table")
+
+
+@pytest.mark.usefixtures("dataset")
+@pytest.mark.parametrize("name", ["hyaline", "hyaline.datasets", "hyaline.scores", "hyaline.tensors"])
+def test_the_examples_of_the_documentation_print_what_they_say(name: str) -> None:
+    results = doctest.testmod(importlib.import_module(name))
+    assert results.attempted > 2 and results.failed == 0
+
+
+def test_a_dataset_is_opened_by_name_folder_and_alone(dataset: hyaline.Dataset, tmp_path: Path) -> None:
+    folder = tmp_path / "data" / "glass_table"
+    assert {hyaline.open_dataset(given).seal for given in ("glass_table", folder, str(folder), None)} == {dataset.seal}
+    with pytest.raises(hyaline.HyalineError, match="no dataset"):
+        hyaline.open_dataset("nothing")
+
+
+def test_views_and_rays_are_those_of_the_files(dataset: hyaline.Dataset) -> None:
+    views, rays = hyaline.ViewDataset(dataset, "train"), hyaline.RayDataset(dataset, "train")
+    (batch,) = torch.utils.data.DataLoader(views, batch_size=len(views))
+    view = dataset.view("train", 3)
+    assert torch.equal((255 * batch["image"][3]).round().byte().permute(1, 2, 0), torch.tensor(view.image))
+    assert np.allclose(batch["uv"][3].permute(0, 2, 3, 1).numpy() * 65535, view.layers().uv, atol=0.01)
+    assert torch.equal(batch["object_id"][3], torch.tensor(view.layers().object_id))
+    row, column, side = 7, 11, dataset.config.resolution
+    ray = rays[(3 * side + row) * side + column]
+    assert torch.equal(ray["color"], batch["image"][3][:, row, column])
+    assert torch.equal(ray["direction"], batch["directions"][3][:, row, column])
+    assert torch.equal(ray["origin"], batch["origin"][3])
+    with pytest.raises(IndexError, match="expected 0 to 7"):
+        views[8]
+
+
+def test_a_score_is_that_of_another_library_and_refuses_what_is_no_pair() -> None:
+    import skimage.metrics
+
+    rng = np.random.default_rng(0)
+    pred, target = rng.integers(0, 256, (2, 24, 20, 3), np.uint8)
+    scores = hyaline.score(pred, target)
+    assert scores.psnr_db == pytest.approx(skimage.metrics.peak_signal_noise_ratio(target, pred, data_range=255))
+    assert scores.masked_psnr_db is None and hyaline.score(pred[:8], target[:8]).ssim is None
+    for wrong in (pred[:5], pred.astype(np.float32), pred[..., 0]):
+        with pytest.raises(hyaline.HyalineError, match=r"^pred: "):
+            hyaline.score(wrong, target)
+    with pytest.raises(hyaline.HyalineError, match=r"^mask: "):
+        hyaline.score(pred, target, np.ones((3, 3), bool))
+
+
+def test_importing_it_brings_neither_torch_nor_mitsuba() -> None:
+    heavy = {"torch", "mitsuba", "drjit", "scipy", "matplotlib", "skimage"}
+    code = f"import hyaline, sys; print({heavy} & set(sys.modules))"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "set()\n"
+    assert all(hasattr(hyaline, name) for name in hyaline.__all__)
+
+
+def test_the_example_runs(dataset: hyaline.Dataset) -> None:
+    example = Path(__file__).resolve().parents[2] / "examples" / "look_at_a_view.py"
+    command = [sys.executable, str(example), str(dataset.root)]
+    answer = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert "a ray meets" in answer.stdout and "the mean training colour scores " in answer.stdout
