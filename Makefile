@@ -32,10 +32,10 @@ $(STAMP): pyproject.toml constraints.txt
 demo: setup
 	$(BIN)/datagen build --scene glass_table
 	$(BIN)/proxies make --dataset glass_table --kind ellipsoid
-	$(BIN)/model train --dataset data/glass_table --method paper
-	$(BIN)/model train --dataset data/glass_table --method paper --preset best
-	$(BIN)/model train --dataset data/glass_table --method paper --geometry ellipsoid
-	$(BIN)/model train --dataset data/glass_table --method light-path
+	$(BIN)/model train paper --dataset data/glass_table
+	$(BIN)/model train paper --dataset data/glass_table --preset best
+	$(BIN)/model train paper --dataset data/glass_table --geometry ellipsoid
+	$(BIN)/model train light-path --dataset data/glass_table
 	$(BIN)/report
 
 test: setup

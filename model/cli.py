@@ -1,107 +1,73 @@
-"""Owns the command `model`: parse, make a configuration, call one function."""
+"""The command `model`: parse, make a configuration, call one function."""
 
-import dataclasses
 import functools
+import inspect
 import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 from datagen.data.advice import report_command
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.finding import find_dataset
-from datagen.data.geometries import check_geometry
-from datagen.data.paths import TRUTH
-from datagen.disk.errors import HyalineError
-from datagen.terminal.command import choose, fail, mute, next_command, run, say, tell, unwrap_help
-from model.settings.choices import (
-    CHOICES,
-    CommonChoices,
-    DeepVoxelsChoices,
-    LossChoices,
-    MethodChoices,
-    folder_name,
-    named_method,
-    refuse_foreign_flags,
-)
+from datagen.disk.errors import HyalineError, UsageError
+from datagen.terminal.command import choose, mute, next_command, run, run_parsed, say, tell
+from model.settings.run_flags import Device, Memory
 from model.settings.runtime import wait_briefly
 
 if TYPE_CHECKING:
     import torch
 
-    from model.batches.pixel_cache import Memory
     from model.run.run_folder import TrainConfig
 
-DEFAULT_HELP = "paper"
-"""Whose choices `model train --help` shows as long as no method is named."""
+DESCRIPTION = "Train neural renderers on datasets of transparent objects, and render with them."
 
 
-def trainer_of(method: str) -> Callable[..., None]:
-    """The command `train` with the flags of one method."""
+def train() -> None:
+    """Train a method on a dataset, then render its test splits.
 
-    def train(common: CommonChoices, choices: MethodChoices) -> None:
-        """Train a renderer on a dataset, then render both test splits with it.
-
-        `torchrun --nproc-per-node N -m model train ...` trains on N GPUs (or CPU processes), and ends where one process
-        would but for rounding: paper, mlp-first and light-path, with losses of pixels alone.
-        """
-        if int(os.environ.get("RANK", "0")) > 0:
-            mute()
-        config, opened = configure(common, choices)
-        out = common.out or Path("runs") / opened.name / folder_name(common, choices)
-        label = common.name or out.name
-        _train(config, opened, out, label=label, device=_device(common.device), anew=common.overwrite,
-               memory=common.memory)  # fmt: skip
-
-    # tyro makes a flag of each field of these records.
-    for record in (CommonChoices, LossChoices, CHOICES[method]):
-        unwrap_help(record)
-    train.__annotations__["choices"] = CHOICES[method]
-    return train
-
-
-def configure(common: CommonChoices, choices: MethodChoices) -> "tuple[TrainConfig, Dataset]":
-    """The configuration that choices make on their dataset, which is opened.
-
-    Raises:
-        HyalineError: a choice that cannot be, no such method, dataset or geometry.
+    `torchrun --nproc-per-node N -m model train METHOD ...` trains on N GPUs (or CPU processes), and ends where one
+    process would but for rounding: paper, mlp-first and light-path, with losses of pixels alone.
     """
-    choose("method", common.method, CHOICES)
-    opened = open_dataset(find_dataset(common.dataset))
-    if opened.parent is not None:
-        raise HyalineError(f"{opened.root}: is a variant, without training views; train on {opened.parent.root}")
 
-    if "torch" not in sys.modules:
-        say(f"{opened.root}: loads torch")  # Seconds, in which nothing else is heard.
-    from model.losses.pixel_losses import LossConfig, configure_losses
-    from model.methods.table import METHODS, read_layers_of
-    from model.run.run_folder import TrainConfig
 
-    method = METHODS[common.method]
-    if not method.uses_geometry and common.geometry != TRUTH:
-        raise HyalineError(f"--geometry {common.geometry}: method {common.method} uses no geometry; leave it out")
-    check_geometry(opened, common.geometry)
-    num_layers, _ = read_layers_of(method, opened, common.geometry)
-    defaults = method.optimise(choices, method.optimisation)
-    losses = LossConfig() if isinstance(choices, DeepVoxelsChoices) else configure_losses(choices.loss)
-    config = TrainConfig(
-        method=common.method,
-        geometry=common.geometry,
-        net=method.configure(choices, opened, common.geometry, num_layers),
-        seed=common.seed,
-        steps=defaults.steps if common.steps is None else common.steps,
-        batch=defaults.batch if common.batch is None else common.batch,
-        updates=defaults.updates if common.updates is None else common.updates,
-        lr=defaults.lr if common.lr is None else common.lr,
-        texture_lr=defaults.texture_lr if common.texture_lr is None else common.texture_lr,
-        sky_lr=defaults.sky_lr,
-        lr_decay=common.lr_decay or defaults.lr_decay,
-        beta1=defaults.beta1,
-        weight_decay=defaults.weight_decay,
-        loss=dataclasses.replace(losses, softness=defaults.softness, debias=defaults.debias),
+def train_method(words: list[str]) -> None:
+    """What `model train WORDS` does: the first word names the method, the others are its flags."""
+    from model.methods.table import about, list_methods
+
+    methods = list_methods()
+    if not words or words[0].startswith("-"):
+        if not {"-h", "--help"} & set(words):
+            raise UsageError(f"model train: names no method; expected one of {', '.join(methods)} as the next word")
+        run("model train", inspect.getdoc(train) or "", {name: _listed(about(name)) for name in methods}, ["--help"])
+    method = choose("method", words[0], methods)
+
+    from model.run.train_flags import configure, folder_name, parse_train
+
+    asked = parse_train(method, words[1:])
+    if int(os.environ.get("RANK", "0")) > 0:
+        mute()
+    config, opened = configure(method, asked)
+    out = asked.run.out or Path("runs") / opened.name / folder_name(method, asked)
+    _train(
+        config,
+        opened,
+        out,
+        label=asked.run.name or out.name,
+        device=_device(asked.run.device),
+        anew=asked.run.overwrite,
+        memory=asked.run.memory,
     )
-    return config, opened
+
+
+def _listed(line: str) -> Callable[..., None]:
+    """A subcommand that help lists, and that nothing calls."""
+
+    def method() -> None: ...
+
+    method.__doc__ = line
+    return method
 
 
 def _train(
@@ -112,7 +78,7 @@ def _train(
     label: str,
     device: "torch.device",
     anew: bool,
-    memory: "Memory",
+    memory: Memory,
 ) -> None:
     from datagen.disk.ownership import holding, is_ours, refuse_others
     from model.batches.distributed import join, own_device
@@ -159,7 +125,7 @@ def render(
     run: Path,
     dataset: str | None = None,
     variant: str | None = None,
-    device: Literal["auto", "cpu", "cuda"] = "auto",
+    device: Device = "auto",
     overwrite: bool = False,
 ) -> None:
     """Render all test splits again from a run's weights.
@@ -234,25 +200,65 @@ def sweep(
     next_command("eval report")
 
 
+def check_method(name: str, /, *, dataset: str | None = None) -> None:
+    """Check that a method keeps what runs rely on; prints a line a check.
+
+    Args:
+        name: A method, built in or brought by another distribution.
+        dataset: Dataset folder, or its name under data/. Default: a tiny one, made for the checks.
+    """
+    import tempfile
+
+    from datagen.build.synthetic import write_synthetic_dataset
+    from model.run.conformance import check_method as check
+
+    with tempfile.TemporaryDirectory() as folder:
+        place = Path(folder)
+        given = (
+            open_dataset(find_dataset(dataset))
+            if dataset
+            else write_synthetic_dataset(place / "data", sees_nothing=True)
+        )
+        failed = 0
+        for verdict in check(name, given, place / "runs"):
+            word = "FAIL" if verdict.problem else "skip" if verdict.skipped else "ok"
+            why = verdict.problem or verdict.skipped
+            tell(f"{word:<5} {verdict.name}" + (f": {why}" if why else ""))
+            failed += bool(verdict.problem)
+    if failed:
+        raise HyalineError(f"method {name}: {failed} checks failed; docs/adding-a-method.md says what each asks for")
+
+
 def main() -> None:
     wait_briefly()
-    description = "Train neural renderers on datasets of transparent objects, and render with them."
-    arguments = sys.argv[1:]
-    try:
-        method = choose("method", named_method(arguments) or DEFAULT_HELP, CHOICES)
-        if arguments[:1] == ["train"]:
-            refuse_foreign_flags(method, arguments)
-    except HyalineError as error:
-        fail(str(error))
-    run("model", description, {"train": trainer_of(method), "render": render, "sweep": sweep}, arguments)
+    words = sys.argv[1:]
+    if words[:1] == ["train"]:
+        run_parsed(lambda: train_method(_method_first(words[1:])), words)
+    else:
+        run(
+            "model",
+            DESCRIPTION,
+            {"train": train, "render": render, "sweep": sweep, "check-method": check_method},
+            words,
+        )
+
+
+def _method_first(words: list[str]) -> list[str]:
+    """`--method NAME` anywhere means the same as NAME as the first word."""
+    for place, word in enumerate(words):
+        if word == "--method":
+            return [*words[place + 1 : place + 2], *words[:place], *words[place + 2 :]]
+        if word.startswith("--method="):
+            return [word.removeprefix("--method="), *words[:place], *words[place + 1 :]]
+    return words
 
 
 def _check_same_run(out: Path, config: "TrainConfig", dataset: Dataset) -> None:
-    from model.methods.table import METHODS, read_layers_of
+    from model.methods.table import open_inputs
     from model.run.run_folder import check_same_run
 
-    _, layers_seal = read_layers_of(METHODS[config.method], dataset, config.geometry)
-    check_same_run(out, config, dataset_seal=dataset.seal, layers_seal=layers_seal)
+    inputs = open_inputs(config.net, dataset, config.geometry)
+    check_same_run(out, config, dataset_seal=dataset.seal, layers_seal=inputs.layers_seal)
 
 
 def _device(name: str) -> "torch.device":

@@ -12,7 +12,7 @@ from benchmarks.networks.choices import BenchChoices
 from benchmarks.networks.naive import NaiveRenderer
 from benchmarks.networks.setting import describe, made_up_batch, make_renderer, relative_error
 from model.batches.rays import RayBatch
-from model.methods.paper import PaperRenderer
+from model.methods.paper.renderer import PaperRenderer
 
 FRAME, STEP = 1920 * 1080, 1 << 18
 """Pixels of a frame, and of a training step."""

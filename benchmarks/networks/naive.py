@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from model.batches.rays import RayBatch
-from model.methods.paper import PaperRenderer
+from model.methods.paper.renderer import PaperRenderer
 from model.nets.pixel_mlp import LEAKY_SLOPE, LinearUnit, ResidualBlock
 from model.nets.texture import NeuralTextures
 

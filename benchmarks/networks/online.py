@@ -15,7 +15,7 @@ from datagen.data.meshes import Mesh
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.trace.raster import Rasterizer
 from model.batches.rays import Pixels
-from model.methods.paper import PaperRenderer
+from model.methods.paper.renderer import PaperRenderer
 from model.run.predict import predict_colors, predict_pixels
 from model.settings.runtime import keep_freed_memory
 

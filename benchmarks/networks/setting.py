@@ -12,7 +12,8 @@ from benchmarks.networks.choices import BenchChoices
 from datagen.data.number_formats import UV_SCALE
 from datagen.disk.errors import HyalineError
 from model.batches.rays import Pixels, RayBatch
-from model.methods.paper import PaperConfig, PaperRenderer, count_inputs
+from model.methods.paper.config import PaperConfig
+from model.methods.paper.renderer import PaperRenderer, count_inputs
 from model.nets.cpu.mlp_kernels import find_kernels
 from model.nets.pixel_mlp import width_for_34k
 

@@ -13,7 +13,7 @@ from benchmarks.networks.choices import BenchChoices
 from benchmarks.networks.naive import NaiveRenderer
 from benchmarks.networks.setting import describe, made_up_batch, make_renderer, relative_distance, relative_error
 from model.batches.rays import RayBatch
-from model.methods.paper import PaperRenderer
+from model.methods.paper.renderer import PaperRenderer
 from model.settings.runtime import keep_freed_memory
 
 GATE_STEP, GATE_TEXTURES = 5.0, 10.0
@@ -124,7 +124,7 @@ def bench_step(choices: BenchChoices, *, ceilings: Sequence[Ceiling] = (), seed:
     images = upstream.T[None, :, None].contiguous()
     candidates = [
         Candidate(name="naive step", run=theirs.step, note="grid_sample, 1x1 convolutions, for-loop Adam"),
-        Candidate(name="step", run=ours.step, note="as `model train --method paper` does it"),
+        Candidate(name="step", run=ours.step, note="as `model train paper` does it"),
         Candidate(
             name="naive textures",
             run=lambda: texture_step(lambda: naive.sample(rays), images, their_textures),

@@ -35,7 +35,7 @@ def after_layers(dataset: Dataset, geometry: str) -> str:
     seal = _layers_seal(home, geometry)
     method, seal = ("light-path", home.seal) if seal is None else ("paper", seal)
     usual = RUNS / home.name / (method if geometry == TRUTH else f"{method}-{geometry}")
-    command = ["model", "train", "--method", method, "--dataset", str(home.root)]
+    command = ["model", "train", method, "--dataset", str(home.root)]
     command += [] if geometry == TRUTH else ["--geometry", geometry]
     if not os.path.lexists(usual):
         return shlex.join(command)
@@ -73,7 +73,7 @@ def train_command(out: Path | None = None) -> str:
         return build_command()
     named = [root for root in datasets if out is not None and root.name == out.parent.name]
     place = [] if out is None else ["--out", str(out)]
-    return shlex.join(["model", "train", "--method", "paper", "--dataset", str([*named, *datasets][0]), *place])
+    return shlex.join(["model", "train", "paper", "--dataset", str([*named, *datasets][0]), *place])
 
 
 def edit_command(base: Dataset, edited: Dataset) -> str:

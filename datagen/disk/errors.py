@@ -29,3 +29,9 @@ class NumericsError(HyalineError):
     """A number that has to be finite is not: it came from damaged data or from training that diverged."""
 
     status = 3
+
+
+class UsageError(HyalineError):
+    """A command was typed that does not exist."""
+
+    status = 2

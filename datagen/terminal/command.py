@@ -37,21 +37,30 @@ def run(program: str, description: str, commands: dict[str, Callable[..., None]]
     finite, 130 and 143 stopped by SIGINT and SIGTERM.
     """
     arguments = _dataset_first(commands, arguments)
+
+    def call() -> None:
+        import tyro
+
+        tyro.extras.subcommand_cli_from_dict(
+            commands,
+            prog=program,
+            description=description,
+            args=arguments,
+            config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes),
+            sort_subcommands=False,
+        )
+
+    run_parsed(call, arguments)
+
+
+def run_parsed(call: Callable[[], None], arguments: list[str]) -> None:
+    """The same for a command that parses its `arguments` itself."""
     try:
         if "--version" in arguments:
             print(f"hyaline {version()}", flush=True)
             return
-        import tyro
-
         with raise_on_sigterm(), _flushed():
-            tyro.extras.subcommand_cli_from_dict(
-                commands,
-                prog=program,
-                description=description,
-                args=arguments,
-                config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes),
-                sort_subcommands=False,
-            )
+            call()
     except (Exception, KeyboardInterrupt, Stopped) as error:
         _end(error, arguments)
 

@@ -17,7 +17,7 @@ from eval.score.runs import Run
 from eval.score.scores import RunScores, SceneScores
 from eval.tables.grids import Column, Grid, format_number
 
-FREE_KEYS = ("num_layers", "width", "seed")
+FREE_KEYS = ("layers", "width", "seed")
 """Keys of a configuration in which runs of one budget may differ: the layers; the width that keeps the number of
 parameters the same when they do; and the seed, over which scores are averaged."""
 

@@ -170,8 +170,6 @@ def _published(row: PublishedRow | None) -> tuple[str, str]:
 
 
 def _text(value: Json) -> str:
-    if isinstance(value, dict):  # A record: what it holds, but for the digests of files.
-        return " ".join(_text(item) for key, item in value.items() if item and key not in ("type", "sha256"))
     return MISSING if value is None else str(value).lower() if isinstance(value, bool) else str(value)
 
 

@@ -60,13 +60,12 @@ PAPER: dict[str, Json] = {
     "texture_features": 16,
     "texture_levels": 1,
     "finer_counts": 1.0,
-    "num_layers": None,
     "train_samples": 1,
     "render_samples": 1,
-    "online": False,
+    "layers": "all",
     "precision": "fp32",
     "softness": 0.0,
-    "vgg": None,
+    "vgg_weights": "none",
     "adversarial": 0.0,
 }
 """The paper's renderer with the defaults of `model train`, but for the extrinsics."""
@@ -83,20 +82,20 @@ PAPER_BEST: dict[str, Json] = {
     "render_samples": 16,
     "softness": 0.03,
 }
-"""`model train --method paper --preset best`."""
+"""`model train paper --preset best`."""
 
 LIGHT_PATH: dict[str, Json] = {
     "branches": 12,
-    "composite": True,
+    "compositing": "physics",
     "environment_size": 32,
     "sky_lobes": 12,
     "hidden": 128,
-    "sees_directions": False,
+    "directions": "off",
     "debias": 0.0,
     "position_octaves": 0,
     "straight_layers": 0,
     "shells": 1,
-    "relief": False,
+    "relief": "off",
     "stack_hidden": 32,
     "texture_levels": 5,
     "train_samples": 4,
@@ -107,14 +106,14 @@ LIGHT_PATH: dict[str, Json] = {
 
 LIGHT_PATH_ON_PROXIES: dict[str, Json] = {
     **{key: value for key, value in LIGHT_PATH.items() if key != "shells"},
-    "sees_directions": True,
+    "directions": "on",
     "stack_hidden": 96,
     "straight_layers": 24,
-    "relief": True,
+    "relief": "on",
 }
 """The same on proxies; how many shells there are, the number of objects decides."""
 
-PROXY_KEYS = ("geometry", "texture_sizes", "sees_directions", "stack_hidden", "straight_layers", "shells", "relief")
+PROXY_KEYS = ("geometry", "texture_sizes", "directions", "stack_hidden", "straight_layers", "shells", "relief")
 """What `light-path` chooses by the geometry."""
 
 OURS = Line(title="paper", method="paper", choices=VIEW, published=VIEW_VECTOR)
@@ -192,7 +191,10 @@ ABLATIONS: dict[str, Line] = {
 }
 """Tables of what each choice of a method is worth, and the runs that they set beside each other."""
 
-FOLLOWING = ("width", "batch", "sky_lobes", "refined_samples")
+UNCOMPARED = ("seed", "type", "preset", "texels_per_pixel", "vgg_sha256")
+"""Keys that say how others were found."""
+
+FOLLOWING = ("width", "batch", "texture_sizes", "sky_lobes", "refined_samples")
 """Keys that follow from others: a difference in them alone counts, one beside another does not."""
 
 
@@ -209,7 +211,7 @@ def flat_config(run: Run) -> dict[str, Json]:
     flat: dict[str, Json] = {}
     for key, value in (run.config or {}).items():
         flat |= value if isinstance(value, dict) else {key: value}
-    return {key: value for key, value in flat.items() if key not in ("seed", "type")}
+    return {key: value for key, value in flat.items() if key not in UNCOMPARED}
 
 
 def find_entries(comparison: Comparison, groups: Sequence[SeedGroup]) -> list[list[Entry]]:

@@ -22,7 +22,7 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, cast
+from typing import cast
 
 import numpy as np
 import torch
@@ -40,6 +40,7 @@ from datagen.disk.records import Json
 from datagen.disk.storage import TEMPORARY, commit_sealed, dump_json, load_sealed, sha256, user_cache
 from datagen.terminal.command import say, track
 from model.batches.rays import RayBatch, grid_of, pixels_at_once, read_stack
+from model.settings.run_flags import Memory
 
 CACHE_VERSION = 1
 STARTS, HITS, RGB = "starts.bin", "hits.bin", "rgb.bin"
@@ -50,8 +51,6 @@ LEAST_HELD_BYTES = 1 << 30
 more, where nothing else wants the memory.) Mapping anew costs 2 to 4 us a row; a fault maps 16 pages at once."""
 
 DAY_S = 24 * 3600
-
-Memory = Literal["auto", "ram", "mapped"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

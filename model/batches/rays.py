@@ -4,7 +4,7 @@ import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol, TypeVar
 
 import numpy as np
 import torch
@@ -20,7 +20,10 @@ ROUND_NUMBER = 1024
 """oneDNN prepares, and keeps, the products of each new number of rows: there should be few."""
 
 
-class PixelSource(Protocol):
+Batch_co = TypeVar("Batch_co", covariant=True)
+
+
+class PixelSource(Protocol[Batch_co]):
     """All pixels of some views, row by row and view by view, and what a renderer is told of any of them."""
 
     @property
@@ -41,9 +44,9 @@ class PixelSource(Protocol):
         """Pixels that a rendering takes at once."""
         ...
 
-    def to(self, device: torch.device) -> "PixelSource": ...
+    def to(self, device: torch.device) -> "PixelSource[Batch_co]": ...
 
-    def take(self, index: Int[Tensor, "*pixel"], rng: np.random.Generator | None) -> Any:
+    def take(self, index: Int[Tensor, "*pixel"], rng: np.random.Generator | None) -> Batch_co:
         """The renderer's input for the pixels with these row numbers; `rng` is there while training only.
 
         Row numbers with three axes are square patches (patch, row, column), in this order; see `draw_patches`.

@@ -1,18 +1,8 @@
-"""Several rays of a pixel: how many there may be, the space in which colours average, and how noisy a mean is."""
-
-import math
+"""Several rays of a pixel: the space in which colours average, and how noisy a mean is."""
 
 import torch
 from jaxtyping import Float32
 from torch import Tensor
-
-from datagen.disk.errors import HyalineError
-
-
-def check_samples(name: str, samples: int) -> None:
-    """Raises a HyalineError where a pixel cannot be tiled by a square grid of so many cells."""
-    if samples < 1 or math.isqrt(samples) ** 2 != samples:
-        raise HyalineError(f"{name}: is {samples}; expected a square number of rays per pixel")
 
 
 def srgb_curve(linear: Float32[Tensor, "*b"]) -> Float32[Tensor, "*b"]:

@@ -83,14 +83,7 @@ class Views:
         return nearest[: min(NUM_NEIGHBOURS, self.num_views - 1)].tolist()
 
 
-def load_views(
-    config: object,  # noqa: ARG001
-    dataset: Dataset,
-    geometry: str,  # noqa: ARG001
-    split: Split,
-    views: Sequence[int],
-    with_images: bool,
-) -> Views:
+def load_views(dataset: Dataset, split: Split, views: Sequence[int], *, with_images: bool) -> Views:
     """Cameras and (unless told otherwise) pictures of some views, every byte verified."""
     cameras = dataset.cameras(split)
     return Views(

@@ -35,8 +35,8 @@ AIM = 0.25
 class Inpainter:
     """Renders patches of poses without truth through which only unvisited texels get a gradient."""
 
-    def __init__(self, renderer: nn.Module, training: PixelSource, dataset: Dataset, geometry: str, *, num_layers: int,
-                 seed: int, device: torch.device) -> None:  # fmt: skip
+    def __init__(self, renderer: nn.Module, training: PixelSource[RayBatch], dataset: Dataset, geometry: str, *,
+                 num_layers: int, seed: int, device: torch.device) -> None:  # fmt: skip
         """Counts the visits of all training rays, and looks for pixels that show a texel without any.
 
         Raises:
@@ -71,7 +71,7 @@ class Inpainter:
         return colors.view(number, size, size, 3)
 
 
-def count_visits(textures: NeuralTextures, pixels: PixelSource) -> Int[Tensor, " texel"]:
+def count_visits(textures: NeuralTextures, pixels: PixelSource[RayBatch]) -> Int[Tensor, " texel"]:
     """How many layers of the pixels' centre rays take a share, however small, of each texel."""
     counts = torch.zeros(textures.layout.num_texels, dtype=torch.int64, device=pixels.device)
     for rays in _chunks(pixels):
@@ -81,7 +81,7 @@ def count_visits(textures: NeuralTextures, pixels: PixelSource) -> Int[Tensor, "
     return counts
 
 
-def pixels_showing(textures: NeuralTextures, wanted: Bool[Tensor, " texel"], pixels: PixelSource
+def pixels_showing(textures: NeuralTextures, wanted: Bool[Tensor, " texel"], pixels: PixelSource[RayBatch]
                    ) -> Bool[Tensor, " pixel"]:  # fmt: skip
     """The pixels in one of whose layers at least half of what is looked up comes from wanted texels."""
     found = []
@@ -115,7 +115,7 @@ def novel_cameras(dataset: Dataset, number: int, rng: np.random.Generator) -> Ca
     return dataclasses.replace(cameras, world_from_camera=np.stack(poses))
 
 
-def _chunks(pixels: PixelSource) -> Iterator[RayBatch]:
+def _chunks(pixels: PixelSource[RayBatch]) -> Iterator[RayBatch]:
     index = torch.arange(len(pixels.rgb), device=pixels.rgb.device)
     for part in index.split(pixels.chunk):
         yield pixels.take(part, None)

@@ -1,7 +1,7 @@
 """Owns the losses of a run: the method's own, and the terms beside it, some of which learn themselves."""
 
 from collections.abc import Callable
-from functools import partial
+from typing import Protocol
 
 import numpy as np
 import torch
@@ -11,8 +11,17 @@ from model.batches.rays import PixelSource, draw_patches, side_of, take_colors
 from model.losses.adversarial import Adversary
 from model.losses.inpaint import Inpainter
 from model.losses.perceptual import PerceptualLoss
-from model.losses.pixel_losses import LossConfig, PatchTerms
+from model.losses.pixel_losses import PatchTerms
+from model.settings.losses import LossConfig
 from model.settings.state import State
+
+
+class OwnLoss(Protocol):
+    """What a renderer's own loss takes (model/methods/renderer.py)."""
+
+    def __call__(self, training: PixelSource, batch: int, rng: np.random.Generator, *, softness: float = 0.0,
+                 patch_terms: PatchTerms | None = None) -> Tensor:  # fmt: skip
+        ...
 
 
 class Losses:
@@ -23,7 +32,7 @@ class Losses:
         """Raises a HyalineError where weights of VGG are not there, or there is nothing to in-paint."""
         self.config = config
         self.first_adversarial_step = round(config.adversarial_from * steps)
-        self.perceptual = PerceptualLoss(config.vgg).to(device) if config.vgg else None
+        self.perceptual = PerceptualLoss(config.vgg, config.vgg_weights).to(device) if config.has_vgg else None
         self.adversary = (
             Adversary(lr=config.adversarial_lr, seed=seed, device=device) if config.adversarial > 0 else None
         )
@@ -36,9 +45,9 @@ class Losses:
         """The learning rate of a step: no higher than the adversarial one as soon as that term is there."""
         return min(rate, self.config.adversarial_lr) if self.is_adversarial(step) else rate
 
-    def loss(self, own: Callable[..., Tensor], renderer: nn.Module, training: PixelSource, batch: int,
-             rng: np.random.Generator, *, step: int) -> Tensor:  # fmt: skip
-        """What step `step` makes small, `own` being the method's loss. The discriminator has learned afterwards."""
+    def loss(self, own: OwnLoss, renderer: nn.Module, training: PixelSource, batch: int, rng: np.random.Generator, *,
+             step: int) -> Tensor:  # fmt: skip
+        """What step `step` makes small, `own` being the renderer's loss. The discriminator has learned afterwards."""
         config, is_adversarial = self.config, self.is_adversarial(step)
         size = min(config.patch, side_of(training))
 
@@ -51,15 +60,9 @@ class Losses:
                 total = total + config.adversarial * self.adversary.loss(colors, truth)
             return total
 
-        if config.softness:
-            own = partial(own, softness=config.softness)
-        if config.debias:
-            own = partial(own, debias=config.debias)
-        if self.perceptual is not None or (is_adversarial and self.inpainter is None):
-            terms = PatchTerms(size=size, number=config.patches, of=of_patches)
-            total = own(renderer, training, batch, rng, patch_terms=terms)
-        else:
-            total = own(renderer, training, batch, rng)
+        has_terms = self.perceptual is not None or (is_adversarial and self.inpainter is None)
+        terms = PatchTerms(size=size, number=config.patches, of=of_patches) if has_terms else None
+        total = own(training, batch, rng, softness=config.softness, patch_terms=terms)
         if is_adversarial and self.inpainter is not None:
             assert self.adversary is not None
             index = draw_patches(training, config.patches, size, rng)

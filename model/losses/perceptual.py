@@ -1,10 +1,9 @@
 """Owns the perceptual loss: differences of VGG features, and where their weights come from."""
 
+import dataclasses
 import pickle
 import zipfile
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import torch
 from jaxtyping import Float32
@@ -13,8 +12,8 @@ from torch.nn import functional
 
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import sha256_file
-
-VggKind = Literal["vgg16", "vgg19"]
+from model.settings.losses import LossConfig
+from model.settings.network_parts import VggKind
 
 CONVOLUTIONS: dict[VggKind, tuple[int, ...]] = {"vgg16": (2, 2, 3, 3, 3), "vgg19": (2, 2, 4, 4, 4)}
 """Of each stage; a pooling that halves the picture follows each. Source: Simonyan and Zisserman 2015, columns D, E."""
@@ -30,42 +29,24 @@ WEIGHT_FILES: dict[VggKind, str] = {"vgg16": "vgg16-397923af.pth", "vgg19": "vgg
 IMAGENET_MEAN, IMAGENET_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 
 
-@dataclass(frozen=True, kw_only=True)
-class VggSource:
-    """Which weights a perceptual loss uses."""
-
-    kind: VggKind = "vgg16"
-    weights: str = "random"
-    """`random`, `auto` (torch's cache) or a path."""
-    sha256: str = ""
-    """Of the file; empty for random weights."""
-
-    def describe(self) -> str:
-        name = self.kind.upper()
-        return f"{name} of random weights (a stand-in)" if self.weights == "random" else f"pre-trained {name}"
-
-
-def find_vgg(kind: VggKind, weights: str) -> VggSource:
-    """Where weights come from; nothing is ever downloaded.
-
-    Args:
-        weights: `random`; `auto`, which looks in torch's cache alone; or the path of a file.
+def find_vgg(config: LossConfig) -> LossConfig:
+    """The configuration with the digest of the file that its weights are read from; nothing is ever downloaded.
 
     Raises:
         HyalineError: the file is not there; the line says where it belongs.
     """
-    if weights == "random":
-        return VggSource(kind=kind, weights=weights)
-    path = vgg_path(kind, weights)
+    if not config.has_vgg or config.vgg_weights == "random":
+        return config
+    kind, path = config.vgg, vgg_path(config.vgg, config.vgg_weights)
     if not path.is_file():
         raise HyalineError(
             f"{path}: no {kind.upper()} weights; put torchvision's {WEIGHT_FILES[kind]} there, or give --vgg-weights "
             f"the path of one, random (a stand-in) or none"
         )
     digest = sha256_file(path)
-    if weights == "auto" and not digest.startswith(path.stem.partition("-")[2]):
+    if config.vgg_weights == "auto" and not digest.startswith(path.stem.partition("-")[2]):
         raise HyalineError(f"{path}: damaged, its SHA-256 is {digest[:8]}...; put {WEIGHT_FILES[kind]} there again")
-    return VggSource(kind=kind, weights=weights, sha256=digest)
+    return dataclasses.replace(config, vgg_sha256=digest)
 
 
 def vgg_path(kind: VggKind, weights: str) -> Path:
@@ -98,20 +79,20 @@ class PerceptualLoss(nn.Module):
     std: Tensor
     scales: Tensor
 
-    def __init__(self, source: VggSource) -> None:
+    def __init__(self, kind: VggKind, weights: str) -> None:
         """Raises a HyalineError where the file of weights cannot be read, or is of another network."""
         super().__init__()
-        self.features = vgg_layers(source.kind, stages=COMPARED_STAGES)
-        if source.weights == "random":
+        self.features = vgg_layers(kind, stages=COMPARED_STAGES)
+        if weights == "random":
             generator = torch.Generator().manual_seed(0)
             for module in self.features:
                 if isinstance(module, nn.Conv2d):
                     nn.init.kaiming_normal_(module.weight, nonlinearity="relu", generator=generator)
                     nn.init.zeros_(module.bias)  # pyright: ignore[reportArgumentType]
         else:
-            self.features.load_state_dict(_read_features(vgg_path(source.kind, source.weights), self.features))
+            self.features.load_state_dict(_read_features(vgg_path(kind, weights), self.features))
         self.requires_grad_(False)
-        self.compared = [sum(2 * count + 1 for count in CONVOLUTIONS[source.kind][: stage + 1]) - 2
+        self.compared = [sum(2 * count + 1 for count in CONVOLUTIONS[kind][: stage + 1]) - 2
                          for stage in range(COMPARED_STAGES)]  # fmt: skip
         self.register_buffer("mean", torch.tensor(IMAGENET_MEAN).view(3, 1, 1))
         self.register_buffer("std", torch.tensor(IMAGENET_STD).view(3, 1, 1))

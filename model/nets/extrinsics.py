@@ -1,7 +1,6 @@
 """Owns what the renderer is told about the camera: nothing, the view vector of Eq. 3, or its spherical harmonics."""
 
 import functools
-from typing import Literal
 
 import numpy as np
 import torch
@@ -13,11 +12,7 @@ from datagen.data.dataset import Dataset
 from datagen.data.geometries import GeometryKey, geometry_key, read_meshes
 from datagen.disk.errors import HyalineError
 from model.nets.texture import object_layout, sample
-
-Extrinsics = Literal["none", "view", "sh"]
-
-EXTRINSIC_CHANNELS: dict[Extrinsics, int] = {"none": 0, "view": 3, "sh": 9}
-"""Inputs that each layer gets besides its features. Source: paper section 4.6."""
+from model.settings.network_parts import Extrinsics
 
 
 def bake_position_table(dataset: Dataset, geometry: str, size: int) -> Float32[Tensor, "texel 3"]:

@@ -1,20 +1,15 @@
 """Owns the paper's renderer network: a residual MLP that turns one pixel's stacked layers into its colour."""
 
-from typing import Literal, cast
+from typing import cast
 
 import torch
 from jaxtyping import Float32
 from torch import Tensor, nn
 
-from datagen.disk.errors import HyalineError
 from model.nets.cpu.fused_mlp import ChainLayer, can_fuse, run_chain
 from model.nets.cpu.mlp_kernels import FoldedLayer, Network, find_kernels
 from model.nets.linear import Linear, linear_leaky
-
-Norm = Literal["batch", "none"]
-
-Precision = Literal["fp32", "bf16"]
-"""Numbers that linear layers multiply; parameters, and sums over pixels, are float32 anyway."""
+from model.settings.network_parts import Norm, Precision, check_width
 
 LEAKY_SLOPE = 0.2
 
@@ -132,12 +127,6 @@ class FoldedMlp:
             out = linear_leaky(made[-1].to(dtype), layer.weight.to(dtype), layer.bias.to(dtype), layer.slope)
             made = [*made[-2:], out.add_(made[-2]) if layer.adds else out]
         return made[-1]
-
-
-def check_width(width: int, blocks: int) -> None:
-    """Raises a HyalineError where a width cannot be halved `blocks` times."""
-    if width < 1 or blocks < 0 or width % (1 << blocks):
-        raise HyalineError(f"width: is {width} with {blocks} blocks; expected a multiple of {1 << max(blocks, 0)}")
 
 
 def width_for_34k(num_inputs: int, blocks: int) -> int:

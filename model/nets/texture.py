@@ -5,7 +5,7 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, cast
+from typing import cast
 
 import numpy as np
 import torch
@@ -16,8 +16,7 @@ from torch.nn import functional
 
 from datagen.disk.errors import HyalineError, NumericsError
 from model.nets.texels import add_gradient, add_look_ups, add_uv_gradient
-
-TextureSharing = Literal["object", "scene"]
+from model.settings.network_parts import TextureSharing
 
 FINER_COUNTS = 0.5
 """How much a level of a pyramid, of textures or of the sky, counts beside the next coarser one. Adam moves all texels

@@ -1,13 +1,11 @@
 """Owns the U-Net of Deferred Neural Rendering: pictures of features in, pictures of colours out."""
 
-from typing import Literal
-
 import torch
 from jaxtyping import Float32
 from torch import Tensor, nn
 from torch.nn import functional
 
-UNetNorm = Literal["instance", "batch"]
+from model.settings.network_parts import UNetNorm
 
 NUM_HALVINGS = 5
 """The network works on pictures whose height and width are multiples of 2 ** NUM_HALVINGS."""

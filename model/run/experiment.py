@@ -13,11 +13,8 @@ Blocks add up; a run that two of them ask for is trained once. The files of the 
 `model/experiments/` and go by their names: `model sweep table1`.
 """
 
-import contextlib
 import dataclasses
 import difflib
-import functools
-import io
 import itertools
 import math
 import os
@@ -29,7 +26,8 @@ from datagen.disk.errors import HyalineError
 from datagen.disk.reading import load_toml
 from datagen.disk.records import shown
 from datagen.terminal.command import choose
-from model.settings.choices import CHOICES, CommonChoices, flags_of, named_method
+from model.methods.table import list_methods
+from model.run.train_flags import check_words, flags_of_method
 
 EXPERIMENTS = Path(__file__).parents[1] / "experiments"
 
@@ -93,33 +91,8 @@ def read_experiment(given: str, *, datasets: Sequence[str] = (), seeds: Sequence
     runs: dict[str, tuple[str, ...]] = {}
     for place, block in enumerate(asked):
         for arguments, parsed in _grid(block, where=f"{path}: runs[{place}]"):
-            runs.setdefault(repr(sorted(parsed.items())), arguments)
+            runs.setdefault(repr((arguments[0], parsed)), arguments)
     return Experiment(name=path.stem, about=about, runs=tuple(runs.values()))
-
-
-@functools.cache
-def parse_train(arguments: tuple[str, ...]) -> Mapping[str, object]:
-    """What `model train` would be told: every choice by its name.
-
-    Raises:
-        HyalineError: an unknown method or flag, or a value that its flag does not take.
-    """
-    import tyro
-
-    method = choose("method", named_method(list(arguments)) or "", CHOICES)
-
-    def record(common: CommonChoices, choices: object) -> dict[str, object]:
-        return {**_flat(common), **_flat(choices)}
-
-    record.__annotations__["choices"] = CHOICES[method]
-    said = io.StringIO()
-    try:
-        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
-            # As in datagen.terminal.command.run, which parses the command itself.
-            return tyro.cli(record, args=list(arguments), prog="model train",
-                            config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes))  # fmt: skip
-    except SystemExit:
-        raise HyalineError(f"{' '.join(arguments)}: `model train` does not take it; see `model train --help`") from None
 
 
 def _flat(record: object) -> dict[str, object]:
@@ -131,18 +104,25 @@ def _flat(record: object) -> dict[str, object]:
     return values
 
 
-def _grid(block: Mapping[str, object], *, where: str) -> list[tuple[tuple[str, ...], Mapping[str, object]]]:
+def _grid(block: Mapping[str, object], *, where: str) -> list[tuple[tuple[str, ...], object]]:
     """The arguments of each run of a block, and what they mean."""
     if "method" not in block:
         raise HyalineError(f'{where}: key "method" is missing; expected the name of one, such as method = "paper"')
-    methods = [choose(f"{where}: method", str(method), CHOICES) for method in _values(block, "method", where)]
+    methods = [choose(f"{where}: method", str(method), list_methods()) for method in _values(block, "method", where)]
     axes: list[list[tuple[str, ...]]] = []
     for key in block:
+        if key == "method":
+            axes.append([(method,) for method in methods])
+            continue
         for method in methods:
             _check_key(key, method, where)
         axes.append([_flag(key, value, methods[0], where) for value in _values(block, key, where)])
-    runs = [tuple(itertools.chain(*combination)) for combination in itertools.product(*axes)]
-    return [(arguments, parse_train(arguments)) for arguments in runs]
+    place = list(block).index("method")
+    runs = []
+    for combination in itertools.product(*axes):
+        words = tuple(itertools.chain(*combination[:place], *combination[place + 1 :]))
+        runs.append((combination[place] + words, check_words(combination[place][0], words)))
+    return runs
 
 
 def _count_runs(block: Mapping[str, object]) -> int:
@@ -160,19 +140,18 @@ def _values(block: Mapping[str, object], key: str, where: str) -> list[object]:
 def _check_key(key: str, method: str, where: str) -> None:
     if key in KEPT_FLAGS:
         raise HyalineError(f"{where}: {key} cannot be set; a run's folder is the one that `model train` gives it")
-    flags = flags_of(CommonChoices) | flags_of(CHOICES[method])
+    flags = flags_of_method(method)
     if key not in flags:
-        near = difflib.get_close_matches(key[:100], flags, n=1, cutoff=0.5)
+        near = difflib.get_close_matches(key[:100], list(flags), n=1, cutoff=0.5)
         hint = f"did you mean {near[0]!r}? " if near else ""
         raise HyalineError(
-            f"{where}: unknown key {shown(key)}; {hint}"
-            f"expected a flag of `model train --method {method}` without its dashes"
+            f"{where}: unknown key {shown(key)}; {hint}expected a flag of `model train {method}` without its dashes"
         )
 
 
 def _flag(key: str, value: object, method: str, where: str) -> tuple[str, ...]:
     """The arguments that give a flag its value."""
-    is_switch = isinstance(parse_train(("--method", method))[key.replace("-", "_")], bool)
+    is_switch = isinstance(_flat(check_words(method, ()))[flags_of_method(method)[key]], bool)
     if not isinstance(value, Value) or isinstance(value, bool) != is_switch:
         expected = "true or false" if is_switch else "a number or text, or a list of them"
         raise HyalineError(f"{where}: {key} is {shown(value)}; expected {expected}")
@@ -180,9 +159,9 @@ def _flag(key: str, value: object, method: str, where: str) -> tuple[str, ...]:
         return (f"--{key}",) if value else ()
     arguments = (f"--{key}", str(value))
     try:
-        parse_train(arguments if key == "method" else ("--method", method, *arguments))
+        check_words(method, arguments)
     except HyalineError:
         raise HyalineError(
-            f"{where}: {key} is {shown(value)}, which `model train` does not take; see `model train --help`"
+            f"{where}: {key} is {shown(value)}, which `model train` does not take; see `model train {method} --help`"
         ) from None
     return arguments

@@ -5,6 +5,7 @@ RUN/predictions.json               sealed, written last: SHA-256 of each picture
 RUN/variants/NAME/...              the same of a variant, whose seal its predictions.json says
 """
 
+import itertools
 from collections.abc import Mapping
 from pathlib import Path
 from typing import cast
@@ -12,7 +13,7 @@ from typing import cast
 import numpy as np
 import torch
 from jaxtyping import Float32, UInt8
-from torch import Tensor, nn
+from torch import Tensor
 
 from datagen.data.advice import edit_command
 from datagen.data.config import Split
@@ -24,19 +25,16 @@ from datagen.data.variants import ANGLES, has_variant, open_variant, variant_roo
 from datagen.disk.errors import HyalineError, NumericsError
 from datagen.disk.storage import commit, load_sealed, sha256
 from datagen.terminal.command import say, track
-from model.batches.rays import Pixels, PixelSource
-from model.methods.light_path.net import LightPathRenderer
-from model.methods.light_path.pixels import LightPathPixels
-from model.methods.light_path.refined_pixels import draw_refined
-from model.methods.paper import PaperRenderer
-from model.methods.table import METHODS, read_layers_of
+from model.batches.rays import PixelSource
+from model.methods.renderer import Renderer
+from model.methods.table import open_inputs
 from model.run.checkpoint import load_state
 from model.run.edits import show_edited_scene
 from model.run.run_folder import PREDICTIONS, WEIGHTS, TrainConfig, is_config, is_finished, write_prediction_hashes
 from model.settings.runtime import keep_freed_memory
 
 
-def predict_pixels(renderer: nn.Module, pixels: PixelSource) -> UInt8[np.ndarray, "pixel 3"]:
+def predict_pixels(renderer: Renderer, pixels: PixelSource) -> UInt8[np.ndarray, "pixel 3"]:
     """8-bit sRGB colours of all pixels, clipped and rounded; batch norm uses its running statistics.
 
     The renderer's mode (training or not) is the same afterwards.
@@ -55,38 +53,17 @@ def predict_pixels(renderer: nn.Module, pixels: PixelSource) -> UInt8[np.ndarray
 
 
 @torch.inference_mode()
-def predict_colors(renderer: nn.Module, pixels: PixelSource) -> Float32[Tensor, "pixel 3"]:
+def predict_colors(renderer: Renderer, pixels: PixelSource) -> Float32[Tensor, "pixel 3"]:
     """sRGB colours of all pixels as the renderer makes them, neither clipped nor rounded; on the pixels' device."""
     was_training = renderer.training
     renderer.eval()
     try:
-        return _predict(renderer, pixels)
+        return renderer.render(pixels)
     finally:
         renderer.train(was_training)
 
 
-def _predict(renderer: nn.Module, pixels: PixelSource) -> Float32[Tensor, "pixel 3"]:
-    # Equal up to rounding, and in a third of the time.
-    folded = {"folded": renderer.net.folded()} if isinstance(renderer, PaperRenderer) else {}
-    if isinstance(renderer, PaperRenderer) and isinstance(pixels, Pixels):
-        drawn = renderer.draw(pixels, folded["folded"])
-        if drawn is not None:
-            return drawn
-        # Pixels without any layer are all of one colour.
-        index, empty = pixels.split_empty()
-    elif isinstance(renderer, LightPathRenderer) and isinstance(pixels, LightPathPixels):
-        return draw_refined(renderer, pixels)
-    else:
-        index = torch.arange(len(pixels.rgb), device=pixels.rgb.device)
-        empty = index[:0]
-    parts = [renderer(pixels.take(part, None), **folded) for part in index.split(pixels.chunk)]
-    colors = torch.empty(len(pixels.rgb), 3, device=pixels.device)
-    colors[index] = torch.cat(parts)
-    colors[empty] = colors[empty[:1]]
-    return colors
-
-
-def load_renderer(out: Path, config: TrainConfig, dataset: Dataset) -> nn.Module:
+def load_renderer(out: Path, config: TrainConfig, dataset: Dataset) -> Renderer:
     """The trained renderer of a run, on the CPU.
 
     Raises:
@@ -102,9 +79,7 @@ def load_renderer(out: Path, config: TrainConfig, dataset: Dataset) -> nn.Module
         raise HyalineError(f"{error}; train anew with --overwrite") from error
     if not is_config(state.get("config"), config):
         raise HyalineError(f"{out / WEIGHTS}: made by another configuration than run.json; train with --overwrite")
-    method = METHODS[config.method]
-    num_layers, _ = read_layers_of(method, dataset, config.geometry)
-    renderer = method.build(config.net, dataset, config.geometry, num_layers)
+    renderer = config.net.build(open_inputs(config.net, dataset, config.geometry))
     _check_parameters(renderer.state_dict(), state.get("renderer"), where=str(out / WEIGHTS))
     renderer.load_state_dict(cast(dict[str, Tensor], state["renderer"]))
     return renderer
@@ -182,7 +157,7 @@ def check_can_draw(config: TrainConfig, dataset: Dataset, variant: Dataset) -> N
 
 def check_draws_edits(config: TrainConfig) -> None:
     """Refuses a run of a method that knows no geometry, which cannot draw any edit."""
-    if not METHODS[config.method].uses_geometry:
+    if not config.net.uses_geometry:
         raise HyalineError(f"--variant: method {config.method} knows no geometry, so it cannot draw an edit")
 
 
@@ -191,7 +166,7 @@ def _drawn_along(dataset: Dataset) -> list[Dataset]:
     return [open_variant(dataset, ANGLES)] if has_variant(dataset, ANGLES) else []
 
 
-def _draw(renderer: nn.Module, run: Path, config: TrainConfig, variant: Dataset) -> None:
+def _draw(renderer: Renderer, run: Path, config: TrainConfig, variant: Dataset) -> None:
     folder = variant_root(run, variant.name)
     (folder / PREDICTIONS).unlink(missing_ok=True)
     files = render_views(renderer, config, variant, folder)
@@ -199,14 +174,14 @@ def _draw(renderer: nn.Module, run: Path, config: TrainConfig, variant: Dataset)
     say(f"{folder}: rendered {len(files)} views")
 
 
-def render_views(renderer: nn.Module, config: TrainConfig, dataset: Dataset, out: Path) -> dict[str, str]:
+def render_views(renderer: Renderer, config: TrainConfig, dataset: Dataset, out: Path) -> dict[str, str]:
     """Commits the pictures of all splits of a dataset or variant but `train`, as `out`/predictions/SPLIT/0000.png.
 
     Returns:
         SHA-256 of each picture by path relative to `out`.
     """
-    method = METHODS[config.method]
-    device = next(renderer.parameters()).device
+    device = next(itertools.chain(renderer.parameters(), renderer.buffers())).device
+    inputs = open_inputs(config.net, dataset, config.geometry)
     splits: list[Split] = [split for split in dataset.splits if split != "train"]
     todo: list[tuple[Split, int]] = [
         (split, view) for split in splits for view in range(dataset.config.split(split).views)
@@ -215,7 +190,7 @@ def render_views(renderer: nn.Module, config: TrainConfig, dataset: Dataset, out
     files: dict[str, str] = {}
     for split, view in track(todo, label="render", total=len(todo)):
         path = out / "predictions" / split / f"{view_name(view)}.png"
-        pixels = method.load(config.net, dataset, config.geometry, split, [view], False).to(device)
+        pixels = config.net.load(inputs, split, [view], with_images=False).to(device)
         try:
             data = png_bytes(predict_pixels(renderer, pixels).reshape(size, size, 3))
         except NumericsError as error:

@@ -13,10 +13,11 @@
 No time, host or thread count is in any of them: the same command gives the same bytes (on the same machine).
 """
 
+import dataclasses
 import itertools
 import json
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
 
@@ -32,10 +33,14 @@ from datagen.disk.promises import check_files
 from datagen.disk.reading import load_json
 from datagen.disk.records import Json, from_json, shown, to_json
 from datagen.disk.storage import SEAL, commit, commit_sealed, load_sealed, seal_bytes
-from model.losses.pixel_losses import LossConfig
-from model.methods.table import LrDecay, MethodConfig
+from model.methods.protocol import MethodConfig
+from model.methods.table import find_method
+from model.settings.optimisation import PixelOptimisation
 
-RUN_VERSION = 1
+RUN_VERSION = 2
+
+OPEN: dict[str, Json] = {}
+"""Stands for a method's record while the rest of a configuration is read."""
 
 RUN, METRICS, PREDICTIONS, WEIGHTS = "run.json", "metrics.jsonl", "predictions.json", "weights.pt"
 CHECKPOINT, PREVIOUS_CHECKPOINT = "checkpoint.pt", "checkpoint.previous.pt"
@@ -43,39 +48,15 @@ NEXT_RUN = "run.next.json"
 
 
 @dataclass(frozen=True, kw_only=True)
-class TrainConfig:
+class TrainConfig(PixelOptimisation):
     """What `model train` does; two runs with equal configurations on equal data give equal bytes."""
 
     method: str
     geometry: str
     """`truth`, a kind of proxy or a mixture."""
     net: MethodConfig
+    """The method's own record, complete."""
     seed: int = 0
-    steps: int = 2500
-    """Optimiser steps. The paper names no number; at 128 pixels the held-out PSNR has flattened after so many, which
-    take two minutes on two CPU cores."""
-    batch: int = 8192
-    """Random pixels a step, from all training images together; for deepvoxels pictures. The paper names no number; the
-    authors ran one whole image a step, which a per-pixel network does not need. On a CPU the time of a step is nearly
-    proportional to it."""
-    updates: int = 1
-    """Updates of the weights a step, each by an equal share of its batch. For as many rays, more of them fit better:
-    `light-path` gains 1.5 / 1.6 dB with two (400 steps of 1,024 pixels, one seed), 0.7 / 0.8 dB more with four."""
-    lr: float = 0.001
-    """Learning rate of Adam, default betas (section 4.4)."""
-    texture_lr: float | None = None
-    """Learning rate of the textures; None: the same, as in the paper."""
-    sky_lr: float | None = None
-    """Learning rate of a learned sky; None: that of the network."""
-    lr_decay: LrDecay = "linear"
-    """`linear`: constant for the first half of the steps, then down to zero. The paper's text names no decay, but the
-    authors' scripts ran exactly this one (100 epochs constant, 100 epochs linear)."""
-    beta1: float = 0.9
-    """Adam's first decay rate; 0.5 in the authors' code."""
-    weight_decay: float = 0.0
-    """On the network alone, as Adam's own (added to the gradient); 0.0001 in the authors' code."""
-    loss: LossConfig = field(default_factory=LossConfig)
-    """What is made small besides the method's own loss."""
     held_out_views: int = 4
     """Training views set aside for the progress line's PSNR: at most so many, and at most a fifth."""
     evaluate_every: int = 500
@@ -85,25 +66,28 @@ class TrainConfig:
     squared, 230 MB of 256."""
 
     def __post_init__(self) -> None:
-        for name in ("steps", "batch", "updates", "evaluate_every", "checkpoint_every"):
+        super().__post_init__()
+        for name in ("evaluate_every", "checkpoint_every"):
             if getattr(self, name) < 1:
                 raise HyalineError(f"{name}: is {getattr(self, name)}; expected at least 1")
         for name in ("seed", "held_out_views"):
             if getattr(self, name) < 0:
                 raise HyalineError(f"{name}: is {getattr(self, name)}; expected at least 0")
-        if self.batch < 2 * self.updates:
-            raise HyalineError(
-                f"batch: is {self.batch}; expected at least 2 pixels for each of {self.updates} updates a step, "
-                "batch norm needs a spread"
-            )
-        for name in ("lr", "texture_lr", "sky_lr"):
-            rate = getattr(self, name)
-            if rate is not None and not 0 < rate <= 1:
-                raise HyalineError(f"{name}: is {rate}; expected a learning rate in (0, 1], 0.001 in the paper")
-        if not 0 <= self.beta1 < 1 or self.weight_decay < 0:
-            raise HyalineError(
-                f"beta1: is {self.beta1} with weight decay {self.weight_decay}; expected [0, 1) and >= 0"
-            )
+
+
+def parse_config(data: Json, *, where: str) -> TrainConfig:
+    """The configuration that JSON describes; its method's record is found by the method's name.
+
+    Raises:
+        HyalineError: no such method, an unknown or missing key, or a value of the wrong type.
+    """
+    content = data if isinstance(data, dict) else {}
+    try:
+        kind = find_method(str(content.get("method")))
+    except HyalineError as error:
+        raise HyalineError(f"{where}: {error}") from None
+    net = from_json(kind, content.get("net"), where=f"{where}.net")
+    return dataclasses.replace(from_json(TrainConfig, {**content, "net": OPEN}, where=where), net=net)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -192,7 +176,9 @@ def _read_record(path: Path) -> RunRecord:
         content = load_sealed(path)
     if content.get("version") != RUN_VERSION:
         raise HyalineError(f"{path}: format version {shown(content.get('version'))}; this program reads {RUN_VERSION}")
-    return from_json(RunRecord, cast(Json, content), where=str(path))
+    config = parse_config(content.get("config"), where=f"{path}.config")
+    stand_in = cast(Json, {**content, "config": {**cast(dict[str, Json], content["config"]), "net": OPEN}})
+    return dataclasses.replace(from_json(RunRecord, stand_in, where=str(path)), config=config)
 
 
 def check_same_run(out: Path, config: TrainConfig, *, dataset_seal: str, layers_seal: str) -> None:
@@ -220,7 +206,7 @@ def is_config(stored: object, config: TrainConfig) -> bool:
     Raises:
         HyalineError: an unknown key.
     """
-    return from_json(TrainConfig, cast(Json, stored), where="config") == config
+    return parse_config(cast(Json, stored), where="config") == config
 
 
 def is_finished(out: Path) -> bool:

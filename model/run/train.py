@@ -18,22 +18,18 @@ from datagen.disk.records import Json, to_json
 from datagen.terminal.command import say, track
 from datagen.terminal.signals import Stopped, hold_signals
 from model.batches.distributed import ALONE, Team
-from model.batches.pixel_cache import MappedPixels, Memory, choose_memory
-from model.batches.rays import Pixels, PixelSource
+from model.batches.pixel_cache import choose_memory
+from model.batches.rays import PixelSource
 from model.losses.inpaint import Inpainter
 from model.losses.patch_losses import Losses
-from model.losses.pixel_losses import pixel_loss
-from model.methods.paper import PaperConfig, choose_layers
-from model.methods.table import METHODS, read_layers_of, traces_layers
-from model.nets.learned_sky import LearnedSky
-from model.nets.texture import NeuralTextures
+from model.methods.renderer import Renderer
+from model.methods.table import open_inputs
 from model.run.checkpoint import check_numbers, delete_checkpoints, load_checkpoint, save_checkpoint, save_state
 from model.run.predict import predict_pixels
 from model.run.run_folder import (
     CHECKPOINT,
     RUN_VERSION,
     WEIGHTS,
-    LrDecay,
     RunRecord,
     TrainConfig,
     begin_run,
@@ -41,6 +37,8 @@ from model.run.run_folder import (
     is_config,
     write_metrics,
 )
+from model.settings.optimisation import LrDecay
+from model.settings.run_flags import Memory
 from model.settings.runtime import keep_freed_memory
 from model.settings.state import State
 
@@ -70,38 +68,27 @@ def train(config: TrainConfig, dataset: Dataset, out: Path, *, label: str, devic
     """
     keep_freed_memory()
     check_team(config, team)
-    method = METHODS[config.method]
-    num_layers, layers_seal = read_layers_of(method, dataset, config.geometry)
-    if isinstance(config.net, PaperConfig):
-        num_layers = choose_layers(config.net.num_layers, num_layers)
-    if config.loss.inpaint and (traces_layers(config.net) or not num_layers):
+    method = config.net
+    inputs = open_inputs(method, dataset, config.geometry)
+    if config.loss.inpaint and method.traces_layers:
         raise HyalineError("inpaint: counts which texels the stored layers' rays visit; expected paper with one ray "
                            "per pixel, or another method that reads straight layers")  # fmt: skip
 
     # The renderer.
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(config.seed)
-        renderer = method.build(config.net, dataset, config.geometry, num_layers)
+        renderer = method.build(inputs)
     team.share_norms(renderer)
     renderer.to(device)
-    texture_parameters = parameters_of(renderer, NeuralTextures)
-    sky_parameters = parameters_of(renderer, LearnedSky)
-    apart = {id(value) for value in texture_parameters + sky_parameters}
-    net_parameters = [value for value in renderer.parameters() if id(value) not in apart]
-    num_critic = count([value for name, value in renderer.named_parameters() if name.startswith("critic.")])
-    num_net_parameters = count(net_parameters) + count(sky_parameters) - num_critic
-    rates = (
-        config.lr,
-        config.lr if config.texture_lr is None else config.texture_lr,
-        config.lr if config.sky_lr is None else config.sky_lr,
-    )
-    groups = [
-        {"params": net_parameters, "lr": rates[0], "weight_decay": config.weight_decay},
-        {"params": texture_parameters, "lr": rates[1]},
-        {"params": sky_parameters, "lr": rates[2]},
-    ]
+    groups = renderer.groups(config)
+    num_parameters = {kind: sum(count(group.parameters) for group in groups if group.counts_as == kind)
+                      for kind in ("network", "textures")}  # fmt: skip
     # Dense Adam, as in the paper: a texel moves on by its momentum after the step that touched it.
-    optimizer = torch.optim.Adam(groups, betas=(config.beta1, 0.999), fused=True)
+    optimizer = torch.optim.Adam(
+        [{"params": group.parameters, "lr": group.lr, "weight_decay": group.weight_decay} for group in groups],
+        betas=(config.beta1, 0.999),
+        fused=True,
+    )
 
     record = RunRecord(
         version=RUN_VERSION,
@@ -112,11 +99,11 @@ def train(config: TrainConfig, dataset: Dataset, out: Path, *, label: str, devic
         else method.knowledge,
         dataset=dataset.root.as_posix(),
         dataset_seal=dataset.seal,
-        layers_seal=layers_seal,
+        layers_seal=inputs.layers_seal,
         seed=config.seed,
-        num_parameters=num_net_parameters,
-        num_texture_parameters=count(texture_parameters),
-        num_layers=num_layers or None,
+        num_parameters=num_parameters["network"],
+        num_texture_parameters=num_parameters["textures"],
+        num_layers=inputs.num_layers or None,
         label=label,
         config=config,
         torch=torch.__version__,
@@ -132,23 +119,24 @@ def train(config: TrainConfig, dataset: Dataset, out: Path, *, label: str, devic
     is_mapped = choose_memory(
         memory,
         num_pixels=len(shown) * dataset.config.resolution**2,
-        num_layers=0 if traces_layers(config.net) else num_layers,
+        num_layers=0 if method.traces_layers else inputs.num_layers,
         processes=team.size_here,
         device=device,
     )
     if is_mapped:
         with team.in_turn():
-            training = method.load(config.net, dataset, config.geometry, "train", shown, True, mapped=True).to(device)
+            training = method.load(inputs, "train", shown, with_images=True, mapped=True).to(device)
     else:
-        training = method.load(config.net, dataset, config.geometry, "train", shown, True).to(device)
+        training = method.load(inputs, "train", shown, with_images=True).to(device)
     testing = None
     if held_out and team.is_first:
-        testing = method.load(config.net, dataset, config.geometry, "train", held_out, True).to(device)
+        testing = method.load(inputs, "train", held_out, with_images=True).to(device)
 
     # The losses, the terms beside the method's own included.
     losses = Losses(
         config.loss, steps=config.steps, seed=config.seed, device=device,
-        make_inpainter=lambda: make_inpainter(config, renderer, training, dataset, num_layers, device),
+        make_inpainter=lambda: Inpainter(renderer, training, dataset, config.geometry, num_layers=inputs.num_layers,
+                                         seed=config.seed, device=device),
     )  # fmt: skip
 
     # Where to go on.
@@ -171,9 +159,8 @@ def train(config: TrainConfig, dataset: Dataset, out: Path, *, label: str, devic
         write_metrics(out, metrics)
     say(
         f"{label} on {dataset.root}: {len(shown)} training views and {len(held_out)} held out, "
-        f"{num_layers or ('traced' if method.uses_geometry else 'no')} layers, "
-        f"{num_net_parameters:,} parameters in the network and "
-        f"{count(texture_parameters):,} in textures"
+        f"{inputs.num_layers or ('traced' if method.uses_geometry else 'no')} layers, "
+        f"{num_parameters['network']:,} parameters in the network and {num_parameters['textures']:,} in textures"
     )
 
     # The loop.
@@ -205,7 +192,7 @@ def train(config: TrainConfig, dataset: Dataset, out: Path, *, label: str, devic
             for update in range(config.updates):
                 rng = team.generator([config.seed, step, update] if update else [config.seed, step], batch)
                 own = len(team.share(batch))
-                loss = team.weigh(losses.loss(method.loss, renderer, training, own, rng, step=step), batch)
+                loss = team.weigh(losses.loss(renderer.loss, renderer, training, own, rng, step=step), batch)
                 optimizer.zero_grad(set_to_none=True)
                 loss.backward()
                 team.sum_gradients(renderer)
@@ -213,8 +200,8 @@ def train(config: TrainConfig, dataset: Dataset, out: Path, *, label: str, devic
                 is_stopped = is_stopped or is_asked
                 check_finite(loss_value, renderer, step=step, out=out)
                 progress = (step + update / config.updates) / config.steps
-                for group, rate in zip(optimizer.param_groups, rates, strict=True):
-                    group["lr"] = losses.limit_rate(rate * decay(config.lr_decay, progress), step)
+                for learning, group in zip(optimizer.param_groups, groups, strict=True):
+                    learning["lr"] = losses.limit_rate(group.lr * decay(config.lr_decay, progress), step)
                 optimizer.step()
                 loss_sum, loss_count = loss_sum + loss_value, loss_count + 1
 
@@ -254,7 +241,7 @@ def check_team(config: TrainConfig, team: Team) -> None:
     """Raises a HyalineError where a step cannot be shared so that it stays what one process would do."""
     if team.size == 1:
         return
-    if METHODS[config.method].loss is not pixel_loss or not config.loss.is_of_pixels:
+    if not config.net.is_shareable or not config.loss.is_of_pixels:
         raise HyalineError(
             f"{config.method}: its steps look at whole patches, pictures or dropout, which several processes cannot "
             "share; train it without torchrun (paper, mlp-first and light-path can be, with losses of pixels alone)"
@@ -262,19 +249,6 @@ def check_team(config: TrainConfig, team: Team) -> None:
     if config.batch // config.updates < team.size:
         raise HyalineError(f"batch: is {config.batch}; expected at least a pixel for each of {team.size} processes in "
                            f"each of {config.updates} updates")  # fmt: skip
-
-
-def make_inpainter(config: TrainConfig, renderer: nn.Module, training: PixelSource, dataset: Dataset, num_layers: int,
-                   device: torch.device) -> Inpainter:  # fmt: skip
-    """The in-painting of a run.
-
-    Raises:
-        HyalineError: nothing is left to in-paint.
-    """
-    # Random rays might visit any texel; the start of the training has refused them.
-    assert isinstance(training, Pixels | MappedPixels)
-    return Inpainter(renderer, training, dataset, config.geometry, num_layers=num_layers, seed=config.seed,
-                     device=device)  # fmt: skip
 
 
 def choose_held_out(num_views: int, at_most: int) -> list[int]:
@@ -309,18 +283,13 @@ def check_finite(loss: float, renderer: nn.Module, *, step: int, out: Path) -> N
         )
 
 
-def held_out_psnr(renderer: nn.Module, pixels: PixelSource) -> float:
+def held_out_psnr(renderer: Renderer, pixels: PixelSource) -> float:
     """Mean over views of the PSNR in dB, peak 1, of the clipped 8-bit prediction."""
     prediction = predict_pixels(renderer, pixels)
     truth = pixels.rgb.cpu().numpy()
     error = (prediction.astype(np.float64) - truth) / 255
     mse = np.square(error).reshape(-1, pixels.pixels_per_view * 3).mean(axis=1)
     return float(np.mean(-10 * np.log10(np.maximum(mse, 1e-12))))
-
-
-def parameters_of(renderer: nn.Module, kind: type[nn.Module]) -> list[nn.Parameter]:
-    """The parameters of all parts of a kind, in the order in which the renderer has them."""
-    return [value for part in renderer.modules() if isinstance(part, kind) for value in part.parameters()]
 
 
 def count(parameters: list[nn.Parameter]) -> int:

@@ -19,7 +19,7 @@ from model.batches.rays import load_pixels
 from model.run.predict import load_renderer, predict_pixels
 from model.run.run_folder import read_run
 
-FLAGS = ("--method", "paper", "--steps", "3", "--batch", "64", "--texture-size", "16", "--device", "cpu")
+FLAGS = ("paper", "--steps", "3", "--batch", "64", "--texture-size", "16", "--device", "cpu")
 
 
 @pytest.fixture(scope="module")
@@ -109,20 +109,3 @@ def test_other_numbers_of_layers_than_are_stored_are_refused(
     assert train(monkeypatch, dataset, tmp_path / "run", "--layers", layers) == 1
     assert f"error: layers: is {layers}; expected 1 to 4, as many as are stored" in capsys.readouterr().err
     assert not (tmp_path / "run").exists()
-
-
-def test_a_run_from_before_there_were_budgets_still_renders(
-    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    assert train(monkeypatch, dataset, tmp_path / "run") == 0
-    from model.run.checkpoint import load_state, save_state
-
-    state = load_state(tmp_path / "run/weights.pt")
-    del state["config"]["net"]["num_layers"]  # pyright: ignore
-    save_state(tmp_path / "run/weights.pt", {key: state[key] for key in ("config", "step", "renderer")})
-    content = json.loads((tmp_path / "run/run.json").read_text())
-    del content["config"]["net"]["num_layers"], content["num_layers"], content["sha256"]
-    (tmp_path / "run/run.json").write_text(json.dumps(content))
-    record = read_run(tmp_path / "run")
-    assert record.num_layers is None
-    load_renderer(tmp_path / "run", record.config, dataset)

@@ -21,11 +21,10 @@ from datagen.disk.records import to_json
 from eval.page.report import TABLES, make_report, make_tables
 from eval.papers import claims, comparisons
 from eval.score.seeds import spread
-from model.losses.perceptual import VggSource
-from model.losses.pixel_losses import LossConfig
 from model.methods.light_path.config import default_light_path
-from model.methods.paper import PaperConfig
+from model.methods.paper.config import PaperConfig
 from model.run.run_folder import TrainConfig
+from model.settings.losses import LossConfig
 
 PAPER = TrainConfig(method="paper", geometry="truth", net=PaperConfig(width=80, texture_size=64))
 BEST = dataclasses.replace(
@@ -40,7 +39,7 @@ LIGHT = TrainConfig(
     method="light-path",
     geometry="truth",
     net=default_light_path((64, 64), is_proxy=False),
-    loss=LossConfig(softness=0.05, debias=0.0),
+    loss=LossConfig(softness=0.05),
 )
 
 
@@ -228,7 +227,7 @@ def test_the_ladder_goes_from_the_truth_to_the_farthest_proxy(
         light = dataclasses.replace(LIGHT, geometry=geometry, net=net)
         write_run(copy, tmp_path / "runs", f"light-path-{geometry}", light, level - 2, level)
         # What leaves out a part is an ablation, and no rung.
-        less = dataclasses.replace(light, net=dataclasses.replace(net, relief=False, stack_hidden=0))
+        less = dataclasses.replace(light, net=dataclasses.replace(net, relief="off", stack_hidden=0))
         write_run(copy, tmp_path / "runs", f"light-path-{geometry}-less", less, level, level)
         best = dataclasses.replace(BEST, geometry=geometry)
         write_run(copy, tmp_path / "runs", f"paper-best-{geometry}", best, level - 1, level)
@@ -252,7 +251,7 @@ def test_the_ablation_starts_from_the_run_with_most_neighbours_and_names_what_ch
     dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     write_run(dataset, tmp_path, "light-path", LIGHT, 4, 5)
-    for name, net in {"b2": {"branches": 2}, "sky": {"environment_size": 1}, "stack": {"composite": False}}.items():
+    for name, net in {"b2": {"branches": 2}, "sky": {"environment_size": 1}, "stack": {"compositing": "stack"}}.items():
         config = dataclasses.replace(LIGHT, net=dataclasses.replace(LIGHT.net, **net))
         write_run(dataset, tmp_path, f"light-path-{name}", config, 8, 5)
     rays = dataclasses.replace(LIGHT, batch=1024, net=dataclasses.replace(LIGHT.net, train_samples=1))
@@ -260,7 +259,8 @@ def test_the_ablation_starts_from_the_run_with_most_neighbours_and_names_what_ch
     tables(dataset, tmp_path, "ablation")
     rows = {row[1]: row for row in rows_of(capsys.readouterr().out)}
     assert rows["light-path"][0] == "the base"
-    assert rows["light-path-b2"][0] == "branches: 12 → 2" and rows["light-path-stack"][0] == "composite: true → false"
+    assert rows["light-path-b2"][0] == "branches: 12 → 2"
+    assert rows["light-path-stack"][0] == "compositing: physics → stack"
     assert rows["light-path-sky"][-2:] == [f"{decibels(8) - decibels(4):+.2f}", "+0.00"]
     assert rows["rays"][0] == "train_samples: 4 → 1" and rows["rays"][-1] == f"{decibels(10) - decibels(5):+.2f}"
 
@@ -270,13 +270,13 @@ def test_the_variants_of_paper_stand_apart_from_its_other_tables(
 ) -> None:
     write_run(dataset, tmp_path, "paper", paper(), 10, 11)
     write_run(dataset, tmp_path, "paper-bf16", paper(precision="bf16"), 10, 12)
-    losses = LossConfig(vgg=VggSource(), adversarial=0.01)
+    losses = LossConfig(vgg_weights="random", adversarial=0.01)
     write_run(dataset, tmp_path, "paper-losses", dataclasses.replace(paper(), loss=losses), 10, 13)
     tables(dataset, tmp_path, "variants", "table2")
     variants, table2 = capsys.readouterr().out.split("synthetic: Table 2")
     rows = {row[1]: row for row in rows_of(variants)}
     assert rows["paper-bf16"][0] == "precision: fp32 → bf16" and rows["paper"][0] == "the base"
-    assert rows["paper-losses"][0] == "vgg: – → vgg16 random; adversarial: 0.0 → 0.01"  # noqa: RUF001
+    assert rows["paper-losses"][0] == "vgg_weights: none → random; adversarial: 0.0 → 0.01"
     assert "paper-losses" not in table2 and "paper-bf16" not in table2
 
 

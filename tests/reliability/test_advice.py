@@ -19,7 +19,7 @@ from datagen.data.finding import find_dataset
 from datagen.data.geometries import check_geometry
 from datagen.data.variants import list_variants
 from datagen.disk.errors import HyalineError
-from model.methods.table import METHODS
+from model.methods.table import BUILT_IN, find_method
 from model.run.predict import load_renderer
 from model.run.run_folder import read_run
 
@@ -81,7 +81,7 @@ def check_advice(line: str, patch: pytest.MonkeyPatch) -> None:
         assert list(Path(name).glob("*/*/predictions")), f"{line}: no runs there"
     if words[:2] == ["model", "train"]:
         scene = open_dataset(find_dataset(values("--dataset")[0])).name
-        out = values("--out") or [f"runs/{scene}/{'-'.join([*values('--method'), *values('--geometry')])}"]
+        out = values("--out") or [f"runs/{scene}/{'-'.join([words[2], *values('--geometry')])}"]
         assert not Path(out[0]).exists(), f"{line}: a run of other settings may stand there"
 
 
@@ -113,17 +113,17 @@ def test_every_command_of_a_workflow_advises_what_works_as_it_stands(ask: Callab
     assert ask("report --runs runs", status=1) == ["datagen build --scene glass_table"]
     # The advice is followed: the proxies are made.
     assert ask(build) == [f"proxies make --dataset '{SPACED}' --kind ellipsoid"]
-    assert ask(build) == [f"model train --method paper --dataset '{SPACED}'"]
+    assert ask(build) == [f"model train paper --dataset '{SPACED}'"]
     edit = f"datagen build --dataset '{SPACED}' --edit remove:pane"
     # No run is there that could draw it.
-    assert ask(edit) == [f"model train --method paper --dataset '{SPACED}'"]
+    assert ask(edit) == [f"model train paper --dataset '{SPACED}'"]
     assert ask(f"model render --run runs/none --dataset '{SPACED}'", status=1) == [
-        f"model train --method paper --dataset '{SPACED}' --out runs/none"
+        f"model train paper --dataset '{SPACED}' --out runs/none"
     ]
-    assert ask("report --runs runs", status=1) == [f"model train --method paper --dataset '{SPACED}'"]
+    assert ask("report --runs runs", status=1) == [f"model train paper --dataset '{SPACED}'"]
     assert ask("report --table table1", status=1) == [f"model sweep table1 --dataset '{SPACED}'"]
     assert ask(f"proxies make --dataset '{SPACED}' --kind box") == [
-        f"model train --method paper --dataset '{SPACED}' --geometry box"
+        f"model train paper --dataset '{SPACED}' --geometry box"
     ]
     assert ask(f"{train} --geometry hull", status=1) == [f"proxies make --dataset '{SPACED}' --kind hull"]
     assert ask(f"{train} --geometry mixed-a", status=1) == [
@@ -146,18 +146,16 @@ def test_every_command_of_a_workflow_advises_what_works_as_it_stands(ask: Callab
 
 def test_damage_and_other_settings_advise_what_works_as_it_stands(ask: Callable[..., list[str]]) -> None:
     ask(BUILD)
-    call(
-        "model train --dataset data/one --method paper --steps 2 --batch 32 --width 8 --device cpu --out runs/one/paper"
-    )
+    call("model train paper --dataset data/one --steps 2 --batch 32 --width 8 --device cpu --out runs/one/paper")
     # A run of other layers stands in the usual place.
     assert ask("datagen peel --dataset data/one --num-layers 3 --overwrite") == [
-        "model train --method paper --dataset data/one --out runs/one/paper-2"
+        "model train paper --dataset data/one --out runs/one/paper-2"
     ]
     assert ask(f"{TRAIN} --layers 9", status=1) == [
         "datagen peel --dataset data/one --geometry truth --num-layers 9 --overwrite"
     ]
     assert ask("datagen build --dataset data/one --edit remove:pane") == [
-        "model train --method paper --dataset data/one --out runs/one/paper-2"
+        "model train paper --dataset data/one --out runs/one/paper-2"
     ]
     Path("data/one/layers/straight/records/train/0000.json").unlink()
     assert ask(TRAIN, status=1) == ["datagen peel --dataset data/one --geometry truth --num-layers 9"]
@@ -176,9 +174,9 @@ def test_damage_and_other_settings_advise_what_works_as_it_stands(ask: Callable[
     [
         "model render --run runs/one/light-path --variant remove-pane",
         "model render --run runs/one/paper --variant remove-pane",
-        "model train --method paper --dataset data/none",
-        "model train --method paper --dataset data/one --geometry box",
-        "model train --method paper --dataset data/one --out runs/one/paper",
+        "model train paper --dataset data/none",
+        "model train paper --dataset data/one --geometry box",
+        "model train paper --dataset data/one --out runs/one/paper",
         "proxies make --data data/one --kind box",
         "datagen build --scene scene --edits remove:pane",
         "report --runs elsewhere",
@@ -194,4 +192,4 @@ def test_advice_that_does_not_work_is_noticed(
 
 
 def test_methods_that_draw_no_edits_are_those_that_know_no_geometry() -> None:
-    assert tuple(name for name, method in METHODS.items() if not method.uses_geometry) == BLIND_METHODS
+    assert tuple(name for name in BUILT_IN if not find_method(name).uses_geometry) == BLIND_METHODS

@@ -1,16 +1,22 @@
 """Training runs of a few steps: how they are configured, stopped and compared."""
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
 
 from datagen.data.dataset import Dataset
+from datagen.data.paths import TRUTH
 from model import cli
-from model.methods.paper import PaperConfig
+from model.methods.paper.config import PaperConfig
+from model.methods.protocol import MethodConfig
+from model.methods.table import open_inputs
 from model.run import train as train_module
 from model.run.run_folder import TrainConfig
+from model.run.train_flags import configure, parse_train
 
 SMALL = TrainConfig(
     method="paper",
@@ -51,4 +57,19 @@ def call(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
 
 def quick(dataset: Dataset, out: Path) -> tuple[str, ...]:
     size = ("--steps", "3", "--batch", "64", "--texture-size", "16", "--width", "32")
-    return ("train", "--method", "paper", "--dataset", str(dataset.root), "--out", str(out), *size)
+    return ("train", "paper", "--dataset", str(dataset.root), "--out", str(out), *size)
+
+
+def build(net: MethodConfig, dataset: Dataset, geometry: str = TRUTH) -> Any:
+    """A fresh renderer of a method."""
+    return net.build(open_inputs(net, dataset, geometry))
+
+
+def load(net: MethodConfig, dataset: Dataset, views: Sequence[int], *, mapped: bool = False) -> Any:
+    """The pixels of training views, as a method takes them."""
+    return net.load(open_inputs(net, dataset, TRUTH), "train", views, with_images=True, mapped=mapped)
+
+
+def configured(dataset: Dataset, method: str, *flags: str) -> TrainConfig:
+    """What `model train METHOD --flags` would train."""
+    return configure(method, parse_train(method, ("--dataset", str(dataset.root), *flags)))[0]

@@ -1,69 +1,86 @@
 """What the method `light-path` is made of."""
 
+import dataclasses
 from dataclasses import dataclass
+from typing import ClassVar, Literal, Self
 
+from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
-from model.batches.samples import check_samples
+from model.methods.protocol import MethodConfig
+from model.settings.flags import choice, unflagged
+from model.settings.losses import LossConfig
+from model.settings.network_parts import check_samples
+from model.settings.optimisation import PixelOptimisation, check_rate
 
 MAX_SURFACES = 255
 """Ids of surfaces are bytes, and 0 is the empty one."""
 
 
-SKY_LOBES = 12
-"""Lobes of the learned sky unless told otherwise."""
+RENDER_SAMPLES, REFINED_SAMPLES = 16, 64
+"""Rays per pixel while rendering unless told otherwise: of all pixels, and of those whose rays differ."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class LightPathConfig:
-    """What our renderer is made of."""
+class LightPathConfig(MethodConfig):
+    """Ours: neural textures where light paths through the glass end, composited by physics."""
 
-    texture_sizes: tuple[int, ...]
-    """Width and height of each object's texture in texels."""
-    texture_features: int = 8
-    """Channels of a texture; the paper's 16 do no better and take twice the memory."""
-    texture_levels: int = 5
-    """Textures summed, each half as wide as the one before: what few rays have met is filled in from around it."""
-    hidden: int = 128
-    """Units of the decoder's two hidden layers. 64 score 0.3 / 0.6 dB less (400 steps of 1,024 pixels, one seed)."""
-    sees_directions: bool = True
-    """The decoder is told the mirrored direction. On true geometry it need not be: gloss is traced, and what is left is
-    diffuse."""
-    position_octaves: int = 0
-    """Octaves of the sines and cosines of a path end's position that the decoder is told."""
-    composite: bool = True
-    """Paths are composited by physics; else the stack network alone makes the colour."""
-    stack_hidden: int = 32
-    """Units of the stack network's two hidden layers; 0 leaves it out."""
-    straight_layers: int = 0
-    """Straight layers that the stack network sees beside the paths, for proxies."""
-    shells: int = 1
-    """Copies of each surface, one inside the other, that straight layers meet: copy k of n is 1 - k / n as large as the
-    proxy and has a texture of its own, so that there are layers near what lies inside of a coarse proxy. Source:
-    layered semi-transparent meshes (Volumetric Surfaces, 2024), there fitted to the truth."""
-    relief: bool = False
-    """Surfaces learn how deep below them the true ones lie, and colour is looked up where the ray meets those, to first
-    order. Source: relief mapping (Policarpo et al. 2005), with learned depths."""
-    environment_size: int = 32
-    """Height in texels of the finest of the learned latitude-longitude maps that sum to the light from outside. It is
-    twice as wide; the others are halved down to a single colour: directions in which no training ray left are filled in
-    from around them, as texels are."""
-    sky_lobes: int = 0
-    """Spherical Gaussians that the learned sky has besides its maps; runs from before there were any have none."""
-    branches: int = 12
-    """Branches traced for each ray: refracted, first mirror, further ones."""
-    train_samples: int = 4
+    room: ClassVar[str] = "model.methods.light_path.method"
+    knowledge: ClassVar[str] = "materials (all but diffuse colours)"
+    is_shareable: ClassVar[bool] = True
+
+    texture_size: int = choice(0, "t{}")
+    """Width and height of a texture in texels; as many texels are shared among the objects by how much is seen of
+    each. 0: the image's width."""
+    train_samples: int = choice(4, "{}-rays", flag="rays")
     """Rays per pixel while training, a square number."""
-    paired_rays: bool = False
-    """While training the rays of a pixel come in independent pairs, which tell how noisy it is, instead of one in each
-    cell of a grid, which is less noisy."""
-    render_samples: int = 16
+    render_samples: int = choice(RENDER_SAMPLES, "{}-render-rays", flag="render-rays")
     """Rays per pixel while rendering, a square number."""
-    refined_samples: int = 64
+    refined_samples: int = choice(0, "{}-refined-rays", flag="refined-rays")
     """Rays per pixel while rendering pixels whose rays differ (rough metal, edges, glass), a square number. Where it is
-    no more than `render_samples`, none are drawn anew."""
+    no more than --render-rays, none are drawn anew. 0: 64, or what --render-rays says where that is not 16."""
+    branches: int = choice(12, "{}-branches")
+    """Branches followed for each ray: refracted, first mirror, then those of most light."""
+    compositing: Literal["physics", "stack"] = choice("physics", "{}")
+    """Sum what shines at the ends of branches, weighted by physics; or let the stack network alone make the colour."""
+    stack_hidden: int = choice(32, "stack{}", flag="stack")
+    """Units of the two hidden layers of the network that sees the stacked vertices and adds what physics leaves out; 0
+    leaves it out. On proxies 96."""
+    straight_layers: int = choice(0, "{}-straight")
+    """Straight layers that this network sees beside the paths. On proxies 24."""
+    shells: int = choice(1, "{}-shells")
+    """Copies of each surface, one inside the other, that straight layers meet: copy k of n is 1 - k / n as large as the
+    proxy and has a texture of its own, so that there are layers near what lies inside of a coarse proxy. On proxies 4.
+    Source: layered semi-transparent meshes (Volumetric Surfaces, 2024), there fitted to the truth."""
+    relief: Literal["on", "off"] = choice("off", {"on": "relief", "off": "no-relief"})
+    """Learn how deep below the surface the true one lies, and look up colour where the ray meets it, to first order. On
+    proxies on. Source: relief mapping (Policarpo et al. 2005), with learned depths."""
+    environment_size: int = choice(32, "sky{}", flag="environment")
+    """Height in texels of the finest of the learned latitude-longitude maps that sum to the light from outside; 1 makes
+    it two colours. It is twice as wide; the others are halved down to a single colour: directions in which no
+    training ray left are filled in from around them, as texels are."""
+    sky_lobes: int = choice(12, "{}-lobes")
+    """Spherical Gaussians of the learned sky, which lamps are made of. Without effect on a sky of two colours."""
+    sky_lr: float = choice(0.005, "sky-lr{}")
+    """Learning rate of the learned sky's maps; its lobes learn 2.5 times as fast."""
+    directions: Literal["on", "off"] = choice("off", {"on": "directions", "off": "no-directions"})
+    """Tell the decoder the mirrored direction. On true geometry it need not be: gloss is traced, and what is left is
+    diffuse. On proxies on."""
+    debias: float = choice(0.0, "debias{}")
+    """Share, 0 to 1, of what the noise of training rays adds to the loss that is subtracted; these then come in
+    independent pairs. At 0 lamps are learned too dim. Not safe in long runs: rough surfaces may ripple."""
+    position_octaves: int = choice(0, "{}-octaves")
+    """Octaves of the sines and cosines of a path end's position that the decoder is told."""
+    texture_levels: int = choice(5, "{}-levels")
+    """Textures summed, each half as wide as the one before: what few rays have met is filled in from around it."""
+    texture_sizes: tuple[int, ...] = unflagged(())
+    """Width and height of each object's texture in texels."""
+    texture_features: int = unflagged(8)
+    """Channels of a texture; the paper's 16 do no better and take twice the memory."""
+    hidden: int = unflagged(128)
+    """Units of the decoder's two hidden layers. 64 score 0.3 / 0.6 dB less (400 steps of 1,024 pixels, one seed)."""
 
     def __post_init__(self) -> None:
-        if not self.texture_sizes or min(self.texture_sizes) < 2:
+        if min(self.texture_sizes, default=2) < 2:
             raise HyalineError(f"texture_sizes: are {self.texture_sizes}; expected at least 2 texels for each object")
         if not self.composite and not self.stack_hidden:
             raise HyalineError("compositing: is stack, but the stack network has no units; expected --stack above 0")
@@ -77,23 +94,58 @@ class LightPathConfig:
         if self.sky_lobes < 0:
             raise HyalineError(f"sky_lobes: is {self.sky_lobes}; expected at least 0")
         for name in ("train_samples", "render_samples", "refined_samples"):
-            check_samples(name, getattr(self, name))
+            check_samples(name, getattr(self, name) or 1)
+        check_rate("sky_lr", self.sky_lr)
+        if not 0 <= self.debias <= 1:
+            raise HyalineError(f"debias: is {self.debias}; expected a share of 0 to 1")
+
+    @property
+    def composite(self) -> bool:
+        """Paths are composited by physics; else the stack network alone makes the colour."""
+        return self.compositing == "physics"
+
+    @property
+    def paired_rays(self) -> bool:
+        """While training the rays of a pixel come in independent pairs, which tell how noisy it is, instead of one in
+        each cell of a grid, which is less noisy."""
+        return self.debias > 0
+
+    @property
+    def sees_directions(self) -> bool:
+        """The decoder is told the mirrored direction."""
+        return self.directions == "on"
+
+    def usual(self, geometry: str) -> Self:
+        """On proxies, paths mislead where a surface is off.
+
+        There the stack network sees the straight layers, too, those of nested shells among them, gives each an opacity,
+        and mixes what they show with what the paths show.
+        """
+        if geometry == TRUTH:
+            return type(self)()
+        return type(self)(stack_hidden=96, straight_layers=24, shells=4, relief="on", directions="on")
+
+    def optimisation(self) -> PixelOptimisation:
+        # A quarter of the pixels with four rays each: as many rays a step as `paper`.
+        return PixelOptimisation(
+            batch=2048, lr=0.002, texture_lr=0.04, lr_decay="cosine", updates=4, loss=LossConfig(softness=0.05)
+        )
+
+    def sized(self, texture_sizes: tuple[int, ...]) -> Self:
+        """The same for objects with textures of these widths."""
+        refined = self.refined_samples
+        if not refined:  # Who asks for a number of rays gets that many.
+            refined = REFINED_SAMPLES if self.render_samples == RENDER_SAMPLES else self.render_samples
+        is_told = self.shells != self.usual("box").shells
+        return dataclasses.replace(
+            self,
+            texture_sizes=texture_sizes,
+            shells=self.shells if is_told else max(1, min(self.shells, MAX_SURFACES // len(texture_sizes))),
+            sky_lobes=0 if self.environment_size == 1 else self.sky_lobes,
+            refined_samples=refined,
+        )
 
 
 def default_light_path(texture_sizes: tuple[int, ...], *, is_proxy: bool) -> LightPathConfig:
-    """What `model train --method light-path` builds unless told otherwise.
-
-    Paths through a proxy mislead where its surface is off. There the stack network sees the straight layers, too, those
-    of nested shells among them, gives each an opacity, and mixes what they show with what the paths show.
-    """
-    if is_proxy:
-        shells = max(1, min(4, MAX_SURFACES // len(texture_sizes)))
-        return LightPathConfig(
-            texture_sizes=texture_sizes,
-            stack_hidden=96,
-            straight_layers=24,
-            shells=shells,
-            relief=True,
-            sky_lobes=SKY_LOBES,
-        )
-    return LightPathConfig(texture_sizes=texture_sizes, sees_directions=False, sky_lobes=SKY_LOBES)
+    """What `model train light-path` builds unless told otherwise."""
+    return LightPathConfig().usual("box" if is_proxy else TRUTH).sized(texture_sizes)

@@ -1,5 +1,8 @@
 """The network of `light-path`: neural textures where light paths end, composited by the physics of glass."""
 
+import dataclasses
+
+import numpy as np
 import torch
 from jaxtyping import Float32, UInt8
 from torch import Tensor, nn
@@ -8,13 +11,18 @@ from torch.nn import functional
 from datagen.data.dataset import Dataset
 from datagen.disk.errors import HyalineError
 from model.batches.samples import mean_color
+from model.losses.pixel_losses import PatchTerms, pixel_loss
 from model.methods.light_path.config import LightPathConfig
 from model.methods.light_path.paths import STACKED_VERTICES, Ends, LightPathBatch, Stack
+from model.methods.light_path.pixels import LightPathPixels
+from model.methods.light_path.refined_pixels import draw_refined
+from model.methods.renderer import ParameterGroup, Renderer
 from model.nets.cpu.fused_mlp import ChainLayer, can_fuse, run_chain
 from model.nets.extrinsics import spherical_harmonics
 from model.nets.learned_sky import LearnedSky
 from model.nets.pixel_mlp import LEAKY_SLOPE
 from model.nets.texture import FINER_COUNTS, NeuralTextures, TexturePyramid, object_layout
+from model.settings.optimisation import Optimisation
 
 RELIEF_DEPTH = 0.01
 """Metres of depth for a texel's 1 in a learned relief: at the textures' learning rate a step moves it by 0.4 mm."""
@@ -23,7 +31,7 @@ RELIEF_COARSER = 4
 """How many times wider a texel of the relief is than the finest one of colour."""
 
 
-class LightPathRenderer(nn.Module):
+class LightPathRenderer(Renderer[LightPathPixels]):
     """Light paths in, sRGB colours out.
 
     Radiance = sum over branches of throughput times what shines at the branch's end (a texel's decoded radiance, or
@@ -47,7 +55,7 @@ class LightPathRenderer(nn.Module):
             finer_counts=FINER_COUNTS,
         )
         relief_sizes = [max(2, size // RELIEF_COARSER) for size in config.texture_sizes for _ in range(config.shells)]
-        self.relief = NeuralTextures(object_layout(relief_sizes), 1) if config.relief else None
+        self.relief = NeuralTextures(object_layout(relief_sizes), 1) if config.relief == "on" else None
         if config.composite:
             # Feature, cosine, spherical harmonics of the mirrored direction, position -> linear radiance.
             directions = 9 if config.sees_directions else 0
@@ -66,6 +74,43 @@ class LightPathRenderer(nn.Module):
     def forward(self, paths: LightPathBatch, **_: object) -> Float32[Tensor, "pixel 3"]:
         """sRGB colours of the pixels, at least 0."""
         return mean_color(self.radiance(paths))
+
+    def render(self, pixels: LightPathPixels) -> Float32[Tensor, "pixel 3"]:
+        """sRGB colours of all pixels, those whose rays differ drawn with more rays."""
+        return draw_refined(self.radiance, pixels)
+
+    def loss(
+        self,
+        training: LightPathPixels,
+        batch: int,
+        rng: np.random.Generator,
+        *,
+        softness: float = 0.0,
+        patch_terms: PatchTerms | None = None,
+    ) -> Tensor:
+        """As of any renderer, less what the noise of few rays a pixel adds to it."""
+        return pixel_loss(
+            self,
+            training,
+            batch,
+            rng,
+            softness=softness,
+            radiance=self.radiance,
+            debias=self.config.debias,
+            patch_terms=patch_terms,
+        )
+
+    def groups(self, optimisation: Optimisation) -> list[ParameterGroup]:
+        """As of any renderer, but the sky learns at a rate of its own."""
+        net, textures = super().groups(optimisation)
+        sky = self.parameters_of(LearnedSky)
+        apart = {id(value) for value in sky}
+        others = [value for value in net.parameters if id(value) not in apart]
+        return [
+            dataclasses.replace(net, parameters=others),
+            textures,
+            ParameterGroup(parameters=sky, lr=self.config.sky_lr),
+        ]
 
     def radiance(self, paths: LightPathBatch) -> Float32[Tensor, "pixel sample 3"]:
         """Linear radiance of every ray."""
@@ -146,7 +191,7 @@ class LightPathRenderer(nn.Module):
         return functional.softplus(self.decoder(torch.cat(inputs, dim=-1)) + features[:, :3])
 
 
-def build_light_path(config: LightPathConfig, dataset: Dataset, geometry: str, num_layers: int) -> LightPathRenderer:  # noqa: ARG001
+def build_light_path(config: LightPathConfig, dataset: Dataset) -> LightPathRenderer:
     """A fresh renderer for a dataset; its random start is drawn from torch's default generator.
 
     Raises:

@@ -1,11 +1,13 @@
 """Pixels whose rays differ, drawn anew with more rays: rough metal, edges, glass in front of detail."""
 
+from collections.abc import Callable
+
 import torch
 from jaxtyping import Bool, Float32
 from torch import Tensor
 
-from model.batches.samples import srgb_curve
-from model.methods.light_path.net import LightPathRenderer
+from model.batches.samples import mean_color, srgb_curve
+from model.methods.light_path.paths import LightPathBatch
 from model.methods.light_path.pixels import LightPathPixels
 
 MOST_DOUBT = 4 / 255
@@ -17,22 +19,25 @@ ROUND_NUMBER = 256
 """Pixels drawn anew are filled up to a multiple of this: a tracer records a kernel for each number of rays."""
 
 
-def draw_refined(renderer: LightPathRenderer, pixels: LightPathPixels) -> Float32[Tensor, "pixel 3"]:
+def draw_refined(
+    radiance_of: Callable[[LightPathBatch], Float32[Tensor, "pixel sample 3"]], pixels: LightPathPixels
+) -> Float32[Tensor, "pixel 3"]:
     """sRGB colours of all pixels, those whose rays differ by `refined_samples` rays instead of `render_samples`."""
     config = pixels.config
     parts, doubts = [], []
     for part in torch.arange(len(pixels.rgb)).split(pixels.chunk):
-        radiance = renderer.radiance(pixels.take(part, None))
+        radiance = radiance_of(pixels.take(part, None))
         parts.append(srgb_curve(radiance.mean(dim=1)))
         doubts.append(is_doubtful(radiance))
     colors = torch.cat(parts)
-    if config.refined_samples <= config.render_samples:
+    again = torch.cat(doubts).nonzero().flatten().cpu()
+    # Dr.Jit 1.5 aborts the process where it traces no ray; and a tensor of nothing splits into one part, of nothing.
+    if config.refined_samples <= config.render_samples or not len(again):
         return colors
     finer = pixels.refined()
-    again = torch.cat(doubts).nonzero().flatten().cpu()
     for part in again.split(finer.chunk):
         filled = torch.cat([part, part[:1].expand(-len(part) % ROUND_NUMBER)])
-        colors[part] = renderer(finer.take(filled, None))[: len(part)]
+        colors[part] = mean_color(radiance_of(finer.take(filled, None)))[: len(part)]
     return colors
 
 

@@ -44,8 +44,8 @@ def run(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
         ("datagen bulid", 2, "build"),
         ("proxies make --kind elipsoid", 1, "ellipsoid"),
         ("proxies make", 1, "no dataset"),
-        ("model train --method papr", 1, "paper"),
-        ("model train --method paper", 1, "no dataset"),
+        ("model train papr", 1, "paper"),
+        ("model train paper", 1, "no dataset"),
         ("eval report --runs nowhere", 1, "nowhere"),
     ],
 )
@@ -81,7 +81,7 @@ def test_a_dataset_may_stand_first_or_behind_its_flag(line: str, tmp_path: Path)
     assert first.returncode == flag.returncode == 1
 
 
-@pytest.mark.parametrize("line", ["datagen verify", "datagen peel", "model train --method paper"])
+@pytest.mark.parametrize("line", ["datagen verify", "datagen peel", "model train paper"])
 def test_of_several_datasets_the_flag_chooses_one(line: str, tmp_path: Path) -> None:
     for name in "ab":
         (tmp_path / "data" / name).mkdir(parents=True)

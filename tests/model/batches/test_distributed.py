@@ -20,10 +20,10 @@ from datagen.disk.errors import HyalineError
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.materials import Conductor
 from model.batches.distributed import SharedGenerator, Team, join, own_device
-from model.losses.pixel_losses import LossConfig
 from model.run.checkpoint import load_state
 from model.run.run_folder import TrainConfig
 from model.run.train import check_team
+from model.settings.losses import LossConfig
 
 QUICK = ("--steps", "20", "--batch", "255", "--device", "cpu")
 EVERY = {"evaluate_every": 5, "checkpoint_every": 4}

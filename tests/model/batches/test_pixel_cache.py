@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import torch
 from support.synthetic import write_synthetic_dataset
-from support.training import SMALL, call, quick, run_bytes
+from support.training import SMALL, call, load, quick, run_bytes
 
 from datagen.data.dataset import Dataset
 from datagen.data.layer_writing import write_layers
@@ -24,7 +24,7 @@ from datagen.disk.errors import HyalineError
 from model.batches import pixel_cache
 from model.batches.pixel_cache import MappedPixels, cache_root, choose_memory, map_pixels
 from model.batches.rays import Pixels, load_pixels, take_colors
-from model.methods.table import METHODS
+from model.methods.table import BUILT_IN, find_method
 from model.run.train import train
 
 CPU = torch.device("cpu")
@@ -215,11 +215,11 @@ def test_the_command_maps_and_refuses_to_map_what_is_traced(
     assert "memory: is mapped, but this method traces" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("method", [name for name, method in METHODS.items() if method.layers == "straight"])
+@pytest.mark.parametrize("method", [name for name in BUILT_IN if find_method(name).stored_layers == "straight"])
 def test_every_method_on_stored_layers_can_be_fed_from_files(dataset: Dataset, method: str) -> None:
-    pixels = METHODS[method].load(SMALL.net, dataset, TRUTH, "train", VIEWS, True, mapped=True)
+    pixels = load(find_method(method)(), dataset, VIEWS, mapped=True)
     assert isinstance(pixels, MappedPixels)
-    loaded = METHODS[method].load(SMALL.net, dataset, TRUTH, "train", VIEWS, True)
+    loaded = load(find_method(method)(), dataset, VIEWS)
     assert_same_batches(loaded, pixels, torch.arange(2048))  # pyright: ignore
 
 

@@ -9,7 +9,7 @@ import pytest
 import torch
 from scipy.signal import correlate2d
 from support.synthetic import write_synthetic_dataset
-from support.training import run_bytes, stop_at
+from support.training import build, load, run_bytes, stop_at
 
 from datagen.data.dataset import Dataset
 from datagen.data.paths import TRUTH
@@ -20,14 +20,14 @@ from model.batches.rays import RayBatch, load_pixels, take_colors
 from model.losses.adversarial import Adversary, PatchDiscriminator
 from model.losses.inpaint import Inpainter, count_visits, patches_around
 from model.losses.patch_losses import Losses
-from model.losses.perceptual import IMAGENET_MEAN, IMAGENET_STD, PerceptualLoss, VggSource, find_vgg, vgg_layers
-from model.losses.pixel_losses import LossConfig, PatchTerms, configure_losses, difference, pixel_loss
-from model.methods.paper import PaperConfig, build_paper
-from model.methods.table import METHODS
+from model.losses.perceptual import IMAGENET_MEAN, IMAGENET_STD, PerceptualLoss, find_vgg, vgg_layers
+from model.losses.pixel_losses import PatchTerms, difference, pixel_loss
+from model.methods.paper.config import PaperConfig
+from model.methods.renderer import Renderer
 from model.run.predict import render_predictions
 from model.run.run_folder import TrainConfig, check_same_run, is_finished, read_run
 from model.run.train import train
-from model.settings.choices import LossChoices
+from model.settings.losses import LossConfig
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -35,7 +35,6 @@ pytestmark = pytest.mark.usefixtures("one_thread")
 CPU = torch.device("cpu")
 NET = PaperConfig(width=16, texture_size=100, position_size=32)
 SMALL = TrainConfig(method="paper", geometry=TRUTH, net=NET, steps=5, batch=128, evaluate_every=5, checkpoint_every=2)
-RANDOM_VGG = VggSource(weights="random")
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +59,7 @@ def test_the_vggs_have_their_published_sizes_and_layers() -> None:
 
 
 def test_its_first_layers_equal_scipy() -> None:
-    loss = PerceptualLoss(RANDOM_VGG)
+    loss = PerceptualLoss("vgg16", "random")
     picture = torch.rand(1, 3, 8, 8, generator=torch.Generator().manual_seed(1))
     x = (picture[0].double().numpy() - np.array(IMAGENET_MEAN)[:, None, None]) / np.array(IMAGENET_STD)[:, None, None]
     for place in (0, 2):
@@ -77,7 +76,7 @@ def test_its_first_layers_equal_scipy() -> None:
 
 def test_it_compares_after_the_last_activation_of_three_stages() -> None:
     for kind, places in (("vgg16", [3, 8, 15]), ("vgg19", [3, 8, 17])):
-        loss = PerceptualLoss(VggSource(kind=kind, weights="random"))  # pyright: ignore[reportArgumentType]
+        loss = PerceptualLoss(kind, "random")  # pyright: ignore[reportArgumentType]
         assert loss.compared == places
         assert not any(parameter.requires_grad for parameter in loss.parameters())
     generator = torch.Generator().manual_seed(0)
@@ -93,23 +92,23 @@ def test_weights_come_from_a_file_and_only_the_features_are_read(
     monkeypatch.setenv("TORCH_HOME", str(tmp_path))
     place = tmp_path / "hub/checkpoints/vgg16-397923af.pth"
     with pytest.raises(HyalineError, match=r"hub/checkpoints/vgg16-397923af.pth: no VGG16 weights; put torchvision's"):
-        find_vgg("vgg16", "auto")
+        find_vgg(LossConfig(vgg_weights="auto"))
     trained = vgg_layers("vgg16", stages=3)
     state = {f"features.{name}": value for name, value in trained.state_dict().items()}
     place.parent.mkdir(parents=True)
     torch.save({**state, "classifier.0.weight": "whatever"}, place)
     with pytest.raises(HyalineError, match="damaged, its SHA-256 is"):
-        find_vgg("vgg16", "auto")  # Not the file that the name promises.
-    source = find_vgg("vgg16", str(place))
-    assert source.sha256 == sha256_file(place) and source.describe() == "pre-trained VGG16"
-    loss = PerceptualLoss(source)
+        find_vgg(LossConfig(vgg_weights="auto"))  # Not the file that the name promises.
+    source = find_vgg(LossConfig(vgg_weights=str(place)))
+    assert source.vgg_sha256 == sha256_file(place) and source.describe() == "pre-trained VGG16"
+    loss = PerceptualLoss("vgg16", str(place))
     assert all(torch.equal(value, trained.state_dict()[name]) for name, value in loss.features.state_dict().items())
     with pytest.raises(HyalineError, match=r"features.14.weight is \[256, 256, 3, 3\]|features.16.weight is missing"):
-        PerceptualLoss(dataclasses.replace(source, kind="vgg19"))
+        PerceptualLoss("vgg19", str(place))
     place.write_bytes(b"no weights")
     with pytest.raises(HyalineError, match="torch cannot read it"):
-        PerceptualLoss(source)
-    assert find_vgg("vgg19", "random").describe() == "VGG19 of random weights (a stand-in)"
+        PerceptualLoss("vgg16", str(place))
+    assert LossConfig(vgg="vgg19", vgg_weights="random").describe() == "VGG19 of random weights (a stand-in)"
 
 
 def test_a_colour_beyond_white_costs_nothing_where_the_picture_clips() -> None:
@@ -125,7 +124,7 @@ def test_a_colour_beyond_white_costs_nothing_where_the_picture_clips() -> None:
 
 def test_patch_terms_see_whole_patches_and_the_rest_stays_the_mean(dataset: Dataset) -> None:
     torch.manual_seed(0)
-    renderer = build_paper(dataclasses.replace(NET, norm="none"), dataset, TRUTH, 4)
+    renderer = build(dataclasses.replace(NET, norm="none"), dataset)
     pixels = load_pixels(dataset, TRUTH, "train", range(5))
     seen = []
 
@@ -184,15 +183,15 @@ def test_the_adversary_learns_to_tell_and_its_judgement_pulls_fakes_towards_the_
 def test_a_run_with_all_losses_resumes_to_the_bit(
     dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, method: str
 ) -> None:
-    from model.methods.authors_code import AuthorsConfig
-    from model.methods.dnr import DnrConfig
+    from model.methods.authors_code.config import AuthorsConfig
+    from model.methods.dnr.config import DnrConfig
 
     net = {
         "paper": NET,
         "dnr": DnrConfig(texture_size=16, position_size=32, unet_width=4, crop=32),
         "authors-code": AuthorsConfig(texture_size=16, position_size=32),
     }[method]
-    terms = LossConfig(vgg=RANDOM_VGG, adversarial=0.01, adversarial_from=0.3, patch=32)
+    terms = LossConfig(vgg_weights="random", adversarial=0.01, adversarial_from=0.3, patch=32)
     config = dataclasses.replace(SMALL, method=method, net=net, loss=terms)
     train(config, dataset, tmp_path / "whole", label="a", device=CPU)
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
@@ -211,18 +210,18 @@ def test_a_run_with_all_losses_resumes_to_the_bit(
 
 def test_impossible_losses_are_refused() -> None:
     with pytest.raises(HyalineError, match="inpaint: needs the discriminator's judgement; give --adversarial"):
-        configure_losses(LossChoices(inpaint=True))
+        LossConfig(inpaint=True)
     with pytest.raises(HyalineError, match="perceptual: there is no network to compare with; give --vgg-weights"):
-        configure_losses(LossChoices(perceptual=0.1))
+        LossConfig(perceptual=0.1)
     with pytest.raises(HyalineError, match="patch: is 16; expected at least 32 pixels"):
-        configure_losses(LossChoices(patch=16))
+        LossConfig(patch=16)
 
 
 # In-painting.
 
 
 def test_visits_are_where_gradients_arrive(dataset: Dataset) -> None:
-    renderer = build_paper(NET, dataset, TRUTH, 4)
+    renderer = build(NET, dataset)
     pixels = load_pixels(dataset, TRUTH, "train", range(5))
     rays = pixels.take(torch.arange(len(pixels.rgb)), None)
     renderer.textures(rays.uv, rays.object_id).sum().backward()
@@ -252,7 +251,7 @@ def make_inpainter(dataset: Dataset, renderer: torch.nn.Module) -> Inpainter:
 
 def test_only_texels_without_visits_get_a_gradient(dataset: Dataset) -> None:
     torch.manual_seed(0)
-    renderer = build_paper(dataclasses.replace(NET, texture_levels=2), dataset, TRUTH, 4).train()
+    renderer = build(dataclasses.replace(NET, texture_levels=2), dataset).train()
     for parameter in renderer.parameters():
         torch.nn.init.normal_(parameter, std=0.3)
     inpainter = make_inpainter(dataset, renderer)
@@ -280,7 +279,7 @@ def test_only_texels_without_visits_get_a_gradient(dataset: Dataset) -> None:
 def test_in_painting_fills_what_training_never_saw_and_resumes_to_the_bit(
     dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    make_inpainter(dataset, build_paper(NET, dataset, TRUTH, 4))  # Skips where Mitsuba cannot.
+    make_inpainter(dataset, build(NET, dataset))  # Skips where Mitsuba cannot.
     terms = LossConfig(adversarial=0.01, adversarial_from=0.3, inpaint=True, patch=32)
     config = dataclasses.replace(SMALL, loss=terms)
     train(config, dataset, tmp_path / "whole", label="a", device=CPU)
@@ -290,8 +289,8 @@ def test_in_painting_fills_what_training_never_saw_and_resumes_to_the_bit(
     train(config, dataset, tmp_path / "parts", label="a", device=CPU)
     assert run_bytes(tmp_path / "whole") == run_bytes(tmp_path / "parts")
     weights = torch.load(tmp_path / "whole/weights.pt", weights_only=True)["renderer"]["textures.table"]
-    training = METHODS["paper"].load(NET, dataset, TRUTH, "train", [0, 1, 3, 4], True)
-    visits = count_visits(build_paper(NET, dataset, TRUTH, 4).textures, training)  # pyright: ignore
+    training = load(NET, dataset, [0, 1, 3, 4])
+    visits = count_visits(build(NET, dataset).textures, training)  # pyright: ignore
     assert (weights[visits == 0] != 0).any()  # Without in-painting they would still be the zeros of the start.
     with pytest.raises(HyalineError, match="inpaint: counts which texels the stored layers' rays visit"):
         many = dataclasses.replace(config, net=dataclasses.replace(NET, train_samples=4))
@@ -303,7 +302,7 @@ def test_in_painting_fills_what_training_never_saw_and_resumes_to_the_bit(
 # The difference of each pixel
 
 
-class OneColor(torch.nn.Module):
+class OneColor(Renderer):
     """Draws every pixel in one colour, which no 8-bit picture has."""
 
     def __init__(self) -> None:
@@ -316,9 +315,9 @@ class OneColor(torch.nn.Module):
 
 @pytest.mark.parametrize("softness", [0.0, 0.03, 0.5])
 def test_differences_below_the_softness_count_by_their_squares(dataset: Dataset, softness: float) -> None:
-    training, renderer = METHODS["paper"].load(NET, dataset, TRUTH, "train", [0, 1], True), OneColor()
+    training, renderer = load(NET, dataset, [0, 1]), OneColor()
     losses = Losses(LossConfig(softness=softness), steps=1, seed=0, device=CPU, make_inpainter=lambda: pytest.fail(""))
-    loss = losses.loss(pixel_loss, renderer, training, 500, np.random.default_rng(3), step=0)
+    loss = losses.loss(renderer.loss, renderer, training, 500, np.random.default_rng(3), step=0)
     index = np.random.default_rng(3).integers(len(training.rgb), size=500)
     missed = renderer.color.detach().double().numpy() - training.rgb.numpy()[index] / 255
     assert loss.item() == pytest.approx(np.mean(np.hypot(missed, softness) - softness), rel=1e-4)

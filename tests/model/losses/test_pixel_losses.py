@@ -10,7 +10,8 @@ from torch import Tensor
 
 from datagen.disk.errors import HyalineError
 from model.batches.samples import mean_color, srgb_curve, variance_of_mean
-from model.losses.pixel_losses import LossConfig, noise_penalty, pixel_loss
+from model.losses.pixel_losses import noise_penalty, pixel_loss
+from model.methods.light_path.config import LightPathConfig
 
 CPU = torch.device("cpu")
 LAMP, GROUND, SAMPLES = 0.6, 0.3, 4
@@ -58,7 +59,7 @@ def learned_lamp(debias: float) -> float:
     means = []
     for step in range(600):
         rng = np.random.default_rng([4, step])
-        loss = pixel_loss(renderer, pixels, 512, rng, softness=1.0, debias=debias)
+        loss = pixel_loss(renderer, pixels, 512, rng, softness=1.0, radiance=renderer.radiance, debias=debias)
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
@@ -127,4 +128,4 @@ def test_a_white_truth_that_is_exceeded_asks_for_nothing() -> None:
 
 def test_a_share_above_1_is_refused() -> None:
     with pytest.raises(HyalineError, match=r"debias: is 1\.5; expected a share of 0 to 1"):
-        LossConfig(debias=1.5)
+        LightPathConfig(debias=1.5)

@@ -7,25 +7,18 @@ import numpy as np
 import pytest
 import torch
 from support.synthetic import write_synthetic_dataset
-from support.training import run_bytes, stop_at
+from support.training import build, configured, run_bytes, stop_at
 
 from datagen.data.dataset import Dataset
 from datagen.data.paths import TRUTH
 from datagen.data.png import read_png
 from model.batches.rays import load_pixels
-from model.cli import configure
-from model.methods.authors_code import (
-    AuthorsConfig,
-    AuthorsMlp,
-    AuthorsRenderer,
-    build_authors,
-    harmonics_without_constants,
-)
+from model.methods.authors_code.config import AuthorsConfig
+from model.methods.authors_code.renderer import AuthorsMlp, AuthorsRenderer, harmonics_without_constants
 from model.nets.extrinsics import Extrinsics, spherical_harmonics
 from model.run.predict import load_renderer, predict_pixels, render_predictions
 from model.run.run_folder import TrainConfig
 from model.run.train import train
-from model.settings.choices import AuthorsChoices, CommonChoices
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -93,7 +86,7 @@ def test_harmonics_differ_from_the_real_ones_by_constants_only() -> None:
 
 def test_the_basis_multiplies_nine_channels_and_the_rest_is_as_stored(dataset: Dataset) -> None:
     config = dataclasses.replace(NET, extrinsics="sh", zero_layer=False)
-    renderer = build_authors(config, dataset, TRUTH, 4)
+    renderer = build(config, dataset)
     rays = load_pixels(dataset, TRUTH, "train", [2]).take(torch.arange(1024), None)
     seen = []
     renderer.net.register_forward_pre_hook(lambda _, inputs: seen.append(inputs[0]))
@@ -115,7 +108,7 @@ def test_the_basis_multiplies_nine_channels_and_the_rest_is_as_stored(dataset: D
 
 def test_dropout_stays_on_at_test_and_repeats(dataset: Dataset) -> None:
     torch.manual_seed(0)
-    renderer = build_authors(NET, dataset, TRUTH, 4)
+    renderer = build(NET, dataset)
     for parameter in renderer.parameters():
         torch.nn.init.normal_(parameter, std=0.3)
     pixels = load_pixels(dataset, TRUTH, "interpolating", [0, 1])
@@ -123,7 +116,7 @@ def test_dropout_stays_on_at_test_and_repeats(dataset: Dataset) -> None:
     noisy = predict_pixels(renderer, pixels)
     assert torch.equal(torch.get_rng_state(), before)
     assert np.array_equal(noisy, predict_pixels(renderer, pixels))
-    quiet = build_authors(dataclasses.replace(NET, test_dropout=False), dataset, TRUTH, 4)
+    quiet = build(dataclasses.replace(NET, test_dropout="off"), dataset)
     quiet.load_state_dict(renderer.state_dict())
     assert not np.array_equal(noisy, predict_pixels(quiet, pixels))
     # Of 20,000 hidden units a fifth is silent, and what is left is scaled up.
@@ -156,7 +149,6 @@ def test_it_learns_the_pane_and_the_floor(dataset: Dataset, tmp_path: Path) -> N
 
 
 def test_its_optimiser_is_theirs(dataset: Dataset) -> None:
-    common = CommonChoices(method="authors-code", dataset=str(dataset.root))
-    config, _ = configure(common, AuthorsChoices(test_dropout="off"))
+    config = configured(dataset, "authors-code", "--test-dropout", "off")
     assert (config.beta1, config.weight_decay, config.lr) == (0.5, 1e-4, 0.001)
-    assert config.net == AuthorsConfig(texture_size=16, test_dropout=False)
+    assert config.net == AuthorsConfig(texture_size=16, test_dropout="off")

@@ -4,89 +4,118 @@ import dataclasses
 
 import pytest
 
-from datagen.disk.errors import HyalineError
+from datagen.disk.errors import HyalineError, UsageError
 from model.cli import main
-from model.methods.table import METHODS
-from model.settings.choices import (
-    CHOICES,
-    CommonChoices,
-    LightPathChoices,
-    MethodChoices,
-    PaperChoices,
-    flags_of,
-    folder_name,
-    named_method,
-    refuse_foreign_flags,
-)
+from model.methods.table import BUILT_IN, find_method
+from model.run.train_flags import check_words, flags_of_method, folder_name, parse_train
+from model.settings.flags import flags_of
+from model.settings.run_flags import RunFlags
 
 
 @pytest.mark.parametrize(
-    ("common", "choices", "name"),
+    ("words", "name"),
     [
-        ({}, PaperChoices(), "paper"),
-        ({"geometry": "box", "steps": 10, "seed": 2}, PaperChoices(), "paper-box-10-steps-seed2"),
+        ("paper", "paper"),
+        ("paper --geometry box --steps 10 --seed 2", "paper-box-10-steps-seed2"),
         (
-            {},
-            PaperChoices(extrinsics="none", width="256", blocks=2, norm="none", textures="scene"),
+            "paper --extrinsics none --width 256 --blocks 2 --norm none --textures scene",
             "paper-no-extrinsics-w256-2-blocks-no-norm-scene-texture",
         ),
         (
-            {},
-            PaperChoices(extrinsics="sh", texture_size=64, zero_layer=True, rays=4, render_rays=1),
-            "paper-sh-t64-zero-layer-4-rays-1-render-rays",
+            "paper --extrinsics sh --texture-size 64 --zero-layer --rays 4 --render-rays 1",
+            "paper-sh-t64-zero-layer-4-rays",
         ),
         (
-            {"method": "light-path", "geometry": "box"},
-            LightPathChoices(texture_size=9, rays=1, branches=2, compositing="stack", stack=32, straight_layers=0),
+            "light-path --geometry box --texture-size 9 --rays 1 --branches 2 --compositing stack --stack 32"
+            " --straight-layers 0",
             "light-path-box-t9-1-rays-2-branches-stack-stack32-0-straight",
         ),
+        ("light-path --geometry box --stack 96 --relief on", "light-path-box"),
+        ("light-path --stack 96 --relief on", "light-path-stack96-relief"),
         (
-            {"method": "light-path"},
-            LightPathChoices(
-                environment=1, sky_lobes=3, sky_lr=0.5, refined_rays=9, position_octaves=3, texture_levels=1
-            ),
+            "light-path --environment 1 --sky-lobes 3 --sky-lr 0.5 --refined-rays 9 --position-octaves 3"
+            " --texture-levels 1",
             "light-path-9-refined-rays-sky1-3-lobes-sky-lr0.5-3-octaves-1-levels",
         ),
         (
-            {"batch": 64, "lr": 0.1, "texture_lr": 0.5, "lr_decay": "none", "steps": 10, "seed": 2},
-            PaperChoices(layers="2"),
+            "paper --layers 2 --batch 64 --lr 0.1 --texture-lr 0.5 --lr-decay none --steps 10 --seed 2",
             "paper-2-layers-batch64-lr0.1-texture-lr0.5-no-decay-10-steps-seed2",
         ),
-        ({"lr_decay": "cosine", "updates": 2}, PaperChoices(), "paper-2-updates-cosine-decay"),
+        ("paper --lr-decay cosine --updates 2", "paper-2-updates-cosine-decay"),
+        ("paper --preset best", "paper-best"),
+        ("paper --preset best --steps 2500 --norm none", "paper-best-2500-steps"),
+        ("dnr --preset authors --features 8 --crop 0", "dnr-authors"),
+        ("deepvoxels --voxels small --lr 0.002", "deepvoxels-small"),
+        ("paper --vgg-weights random --adversarial 0.01", "paper-random-vgg-adversarial0.01"),
     ],
 )
-def test_folders_are_named_as_ever(common: dict, choices: MethodChoices, name: str) -> None:
-    """The names of runs that exist; what differs in any choice that changes results lies in folders of its own."""
-    assert folder_name(CommonChoices(**{"method": "paper", **common}), choices) == name
+def test_folders_tell_what_is_not_usual_for_the_method_its_preset_and_the_geometry(words: str, name: str) -> None:
+    method, *flags = words.split()
+    assert folder_name(method, parse_train(method, flags)) == name
 
 
-def test_each_method_has_its_choices_and_no_flag_means_two_things() -> None:
-    assert CHOICES.keys() == METHODS.keys()
-    for record in CHOICES.values():
-        assert not flags_of(record) & flags_of(CommonChoices)
-        for item in dataclasses.fields(record):
-            assert "suffix" in item.metadata or dataclasses.is_dataclass(item.type), item.name
+@pytest.mark.parametrize("method", BUILT_IN)
+def test_every_flag_of_a_method_means_one_thing_and_marks_the_folder(method: str) -> None:
+    record = find_method(method)
+    optimisation = type(record().optimisation())
+    parts = [flags_of(part) for part in (RunFlags, record, optimisation)]
+    assert sum(map(len, parts)) == len(flags_of_method(method))
+    for part in (record, optimisation):
+        for item in dataclasses.fields(part):
+            is_record = isinstance(item.type, type) and dataclasses.is_dataclass(item.type)
+            assert is_record or item.metadata.get("is_hidden") or item.metadata["suffix"], item.name
 
 
-def test_the_last_method_on_the_command_line_counts() -> None:
-    assert named_method(["train", "--method", "paper", "--method=light-path"]) == "light-path"
-    assert named_method(["train", "--method"]) is None
+def test_the_method_may_still_be_named_by_a_flag(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for words in (["paper", "--steps", "0"], ["--steps", "0", "--method", "paper"], ["--method=paper", "--steps=0"]):
+        monkeypatch.setattr("sys.argv", ["model", "train", *words])
+        with pytest.raises(SystemExit) as end:
+            main()
+        assert end.value.code == 1
+        assert capsys.readouterr().err == "error: steps: is 0; expected at least 1\n"
 
 
-def test_flags_of_other_methods_are_refused_and_unknown_ones_left_to_the_parser() -> None:
-    refuse_foreign_flags("paper", ["--zero-layer", "--texture_size=3", "--seed", "-1", "--unheard-of"])
-    with pytest.raises(HyalineError, match=r"--branches: method paper has no such choice \(light-path has\); leave it"):
-        refuse_foreign_flags("paper", ["--branches=3"])
+@pytest.mark.parametrize(
+    ("words", "status", "line"),
+    [
+        ("papr", 1, "method 'papr': there is none of that name; did you mean 'paper'? known are "),
+        ("paper --sedd 3", 2, "--sedd: method paper has no such flag; did you mean --seed? see `model train paper"),
+        ("paper --branches=3", 1, "--branches: method paper has no such flag (light-path has); leave it out"),
+        ("deepvoxels --vgg vgg19", 1, "--vgg: method deepvoxels has no such flag (paper, mlp-first, dnr, dnr-layers"),
+        ("paper 3", 2, "'3': method paper takes flags alone; see `model train paper --help`"),
+        ("", 2, "model train: names no method; expected one of paper, mlp-first, dnr, "),
+    ],
+)
+def test_a_wrong_word_is_answered_in_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], words: str, status: int, line: str
+) -> None:
+    monkeypatch.setattr("sys.argv", ["model", "train", *words.split()])
+    with pytest.raises(SystemExit) as end:
+        main()
+    assert end.value.code == status
+    told = capsys.readouterr().err
+    assert told.startswith(f"error: {line}") and told.count("\n") == 1
+
+
+def test_words_of_a_file_are_checked_without_a_sound(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(HyalineError, match=r"--blocks two: `model train paper` does not take it; see `model train pap"):
+        check_words("paper", ("--blocks", "two"))
+    with pytest.raises(UsageError, match="--unheard: method paper has no such flag"):
+        check_words("paper", ("--unheard", "of"))
+    assert capsys.readouterr() == ("", "")
 
 
 def test_help_flows_over_the_lines_of_a_docstring(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("sys.argv", ["model", "train", "--method", "dnr", "--help"])
+    monkeypatch.setattr("sys.argv", ["model", "train", "dnr", "--help"])
     with pytest.raises(SystemExit):
         main()
     lines = [line.strip("│ ") for line in capsys.readouterr().out.splitlines()]
-    start = next(place for place, line in enumerate(lines) if line.startswith("--method"))
-    shown = lines[start + 1 : lines.index("(required)", start)]
-    assert len(shown) > 5
-    assert min(map(len, shown)) > 45  # Where a line of the docstring ended, only a word or two stood.
+    start = next(place for place, line in enumerate(lines) if line.startswith("--memory"))
+    end = next(place for place, line in enumerate(lines) if line.startswith("--overwrite"))
+    shown = lines[start + 1 : end - 1]  # The last line ends where the text does.
+    assert len(shown) > 4
+    assert min(map(len, shown)) > 40  # Where a line of the docstring ended, only a word or two stood.

@@ -22,14 +22,9 @@ from datagen.disk.errors import HyalineError
 from datagen.scene.rig import make_cameras
 from model import cli
 from model.batches.view_batches import Views, load_views
-from model.methods.deepvoxels import (
-    DeepVoxels,
-    DeepVoxelsConfig,
-    build_deepvoxels,
-    grid_coordinates,
-    preset_deepvoxels,
-)
-from model.methods.deepvoxels_loss import adversarial_loss
+from model.methods.deepvoxels.config import DeepVoxelsConfig
+from model.methods.deepvoxels.loss import adversarial_loss
+from model.methods.deepvoxels.renderer import DeepVoxels, build_deepvoxels, grid_coordinates
 from model.nets.voxel_blocks import ONEDNN_ROWS, Conv3d
 from model.nets.voxel_grid import (
     ViewCamera,
@@ -312,8 +307,8 @@ def test_visibility_sums_to_one_and_features_are_its_mean_over_depth() -> None:
 
 
 def test_drawing_leaves_the_grid_and_observing_keeps_it_without_gradient(dataset: Dataset) -> None:
-    net = build_deepvoxels(TINY, dataset, "truth", 0)
-    views = load_views(TINY, dataset, "truth", "train", [0, 1, 2], True)
+    net = build_deepvoxels(TINY, dataset)
+    views = load_views(dataset, "train", [0, 1, 2], with_images=True)
     net.observe(views.image(0), views.camera(0))
     kept = net.get_buffer("volume").clone()
     assert kept.abs().sum() > 0 and not net.get_buffer("volume").requires_grad
@@ -326,7 +321,9 @@ def test_drawing_leaves_the_grid_and_observing_keeps_it_without_gradient(dataset
 
 @pytest.mark.parametrize("size", [32, 64, 128])
 def test_pictures_of_every_size_are_drawn_whole(size: int) -> None:
-    config = dataclasses.replace(preset_deepvoxels("small", size), width=2, voxel_features=2, num_voxels=8)
+    config = dataclasses.replace(
+        DeepVoxelsConfig(voxels="small").usual("truth").sized(size), width=2, voxel_features=2, num_voxels=8
+    )
     net = DeepVoxels(config, origin=torch.tensor([0.3, -0.2, 0.1]), edge=1.2)
     camera = camera_of(some_cameras(1), 0)
     inpainted = net.inpaint(net.observe(torch.rand(1, 3, size, size), camera))
@@ -384,7 +381,7 @@ def test_a_stopped_and_resumed_run_has_the_same_bytes(
     for name in ("weights.pt", "metrics.jsonl", "run.json"):
         assert (tmp_path / "whole" / name).read_bytes() == (tmp_path / "parts" / name).read_bytes(), name
     record = read_run(tmp_path / "whole")
-    net = build_deepvoxels(dataclasses.replace(TINY, adversarial=False), dataset, "truth", 0)
+    net = build_deepvoxels(dataclasses.replace(TINY, adversarial=False), dataset)
     assert (record.geometry, record.knowledge) == ("none", "cameras only, and the scene's extent")
     assert record.num_parameters == sum(value.numel() for value in net.parameters())  # The critic does not count.
 
@@ -417,8 +414,8 @@ def test_the_grid_around_the_opaque_cube_holds_it_and_no_camera() -> None:
 
 
 def call(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
-    """The exit code of `model train --method deepvoxels ARGUMENTS`, run in this process."""
-    monkeypatch.setattr(sys, "argv", ["model", "train", "--method", "deepvoxels", *arguments])
+    """The exit code of `model train deepvoxels ARGUMENTS`, run in this process."""
+    monkeypatch.setattr(sys, "argv", ["model", "train", "deepvoxels", *arguments])
     try:
         cli.main()
     except SystemExit as end:
@@ -447,9 +444,9 @@ def test_the_command_trains_the_small_preset_on_a_cpu(
     ("flags", "message"),
     [
         (("--geometry", "box"), "--geometry box: method deepvoxels uses no geometry; leave it out"),
-        (("--texture-size", "64"), "--texture-size: method deepvoxels has no such choice"),
-        (("--zero-layer",), "--zero-layer: method deepvoxels has no such choice"),
-        (("--branches", "2"), "--branches: method deepvoxels has no such choice"),
+        (("--texture-size", "64"), "--texture-size: method deepvoxels has no such flag"),
+        (("--zero-layer",), "--zero-layer: method deepvoxels has no such flag"),
+        (("--branches", "2"), "--branches: method deepvoxels has no such flag"),
         (("--batch", "1"), "batch: is 1; expected at least 2"),
     ],
 )
@@ -469,7 +466,7 @@ def test_a_flag_that_it_does_not_have_is_refused(
 
 def test_sizes_that_are_no_powers_of_two_are_refused() -> None:
     with pytest.raises(HyalineError, match=r"resolution: is 100; .* so build the dataset with --resolution 128"):
-        preset_deepvoxels("small", 100)
+        DeepVoxelsConfig(voxels="small").sized(100)
     with pytest.raises(HyalineError, match="image_size: is 32; deepvoxels needs a power of two of 64 or more"):
         DeepVoxelsConfig(image_size=32, plane_size=32, adversarial=True)
     with pytest.raises(HyalineError, match="plane_size: is 64; expected at most the pictures' 32"):

@@ -8,21 +8,23 @@ import pytest
 import torch
 from support.reference import slow_convolution, slow_transposed_convolution
 from support.synthetic import write_synthetic_dataset
-from support.training import run_bytes, stop_at
+from support.training import build, configured, load, run_bytes, stop_at
 
 from datagen.data.dataset import Dataset
 from datagen.data.paths import TRUTH
 from datagen.data.png import read_png
 from datagen.disk.errors import HyalineError
 from model.batches.rays import draw_patches, load_pixels
-from model.methods.dnr import LEVEL_WEIGHTS, DnrConfig, DnrRenderer, build_dnr, configure_dnr, image_loss
-from model.methods.table import METHODS, read_layers_of
+from model.methods.dnr.config import LEVEL_WEIGHTS, DnrConfig, DnrLayersConfig
+from model.methods.dnr.renderer import DnrRenderer, build_dnr
+from model.methods.paper.config import MlpFirstConfig
+from model.methods.protocol import Inputs
+from model.methods.table import open_inputs
 from model.nets.extrinsics import spherical_harmonics
 from model.nets.unet import UNet
 from model.run.predict import render_predictions
 from model.run.run_folder import TrainConfig, is_finished, read_run
 from model.run.train import train
-from model.settings.choices import DnrChoices, PaperChoices
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -99,7 +101,7 @@ def test_patches_are_square_pieces_of_views_at_every_scale(dataset: Dataset) -> 
 
 def test_spherical_harmonics_multiply_nine_features_of_each_pixel(dataset: Dataset) -> None:
     config = dataclasses.replace(NET, texture_levels=1)
-    renderer = build_dnr(config, dataset, TRUTH, 2)
+    renderer = build_dnr(config, Inputs(dataset=dataset, geometry=TRUTH, num_layers=2, layers_seal=""))
     torch.nn.init.normal_(renderer.textures[0].table, generator=torch.Generator().manual_seed(0))
     source = load_pixels(dataset, TRUTH, "train", [3], max_layers=2, whole_views=True)
     rays = source.take(torch.arange(1024), None)
@@ -123,11 +125,11 @@ def test_spherical_harmonics_multiply_nine_features_of_each_pixel(dataset: Datas
 
 
 def test_the_loss_is_the_sum_written_out(dataset: Dataset) -> None:
-    renderer = build_dnr(NET, dataset, TRUTH, 1)
+    renderer = build(NET, dataset)
     for seed, table in enumerate(renderer.textures.tables()):
         torch.nn.init.normal_(table, std=0.3, generator=torch.Generator().manual_seed(seed))
     source = load_pixels(dataset, TRUTH, "train", [0, 1, 2], max_layers=1, whole_views=True)
-    loss = image_loss(renderer, source, 2048, np.random.default_rng(5))
+    loss = renderer.loss(source, 2048, np.random.default_rng(5))
     rng = np.random.default_rng(5)
     index = draw_patches(source, 2, 32, rng, strides=(1, 2)).flatten()
     rays = dataclasses.replace(source.take(index, None), grid=(2, 32, 32))
@@ -166,11 +168,10 @@ def test_it_learns_the_pane_and_the_floor(tmp_path: Path) -> None:
 def test_a_stopped_and_resumed_run_has_the_same_bytes(
     dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, method: str
 ) -> None:
-    layers, _ = read_layers_of(METHODS[method], dataset, TRUTH)
-    assert layers == (4 if method == "dnr-layers" else 1)
-    config = dataclasses.replace(SMALL, method=method)
-    if method == "mlp-first":
-        config = dataclasses.replace(config, net=METHODS[method].configure(PaperChoices(), dataset, TRUTH, layers))
+    small = {"dnr": NET, "dnr-layers": DnrLayersConfig(**vars(NET)), "mlp-first": MlpFirstConfig()}[method]
+    inputs = open_inputs(small, dataset, TRUTH)
+    assert inputs.num_layers == (4 if method == "dnr-layers" else 1)
+    config = dataclasses.replace(SMALL, method=method, net=small.complete(inputs))
     train(config, dataset, tmp_path / "whole", label="a", device=CPU)
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
         stop_at(patch, 5)
@@ -184,23 +185,23 @@ def test_a_stopped_and_resumed_run_has_the_same_bytes(
 
 
 def test_the_first_layer_alone_is_blind_to_what_lies_behind(dataset: Dataset) -> None:
-    first = METHODS["dnr"].load(NET, dataset, TRUTH, "train", [2], True).take(torch.arange(1024), None)
-    every = METHODS["dnr-layers"].load(NET, dataset, TRUTH, "train", [2], True).take(torch.arange(1024), None)
+    first = load(NET, dataset, [2]).take(torch.arange(1024), None)
+    every = load(DnrLayersConfig(**vars(NET)), dataset, [2]).take(torch.arange(1024), None)
     assert first.object_id.shape == (1024, 1) and every.object_id.shape == (1024, 4)
     assert torch.equal(first.object_id[:, 0], every.object_id[:, 0])
     assert (every.object_id[:, 1] == 2).any()
 
 
 def test_presets_and_impossible_choices(dataset: Dataset) -> None:
-    fair = configure_dnr(DnrChoices(), dataset, TRUTH, 1)
+    fair = configured(dataset, "dnr").net
     assert (fair.texture_features, fair.texture_levels, fair.extrinsics, fair.crop) == (16, 4, "sh", 32)
-    weak = configure_dnr(DnrChoices(preset="authors"), dataset, TRUTH, 1)
+    weak = configured(dataset, "dnr", "--preset", "authors").net
     assert (weak.texture_features, weak.texture_levels, weak.extrinsics, weak.norm) == (8, 1, "view", "batch")
     net = DnrRenderer(weak, num_layers=1, num_objects=2, positions=torch.zeros(2 * 512 * 512, 3)).net
     assert net.down[0].weight.shape[1] == 11
-    mixed = configure_dnr(DnrChoices(preset="authors", features=16, extrinsics="sh"), dataset, TRUTH, 1)
+    mixed = configured(dataset, "dnr", "--preset", "authors", "--features", "16", "--extrinsics", "sh").net
     assert (mixed.texture_features, mixed.extrinsics, mixed.texture_levels) == (16, "sh", 1)
     with pytest.raises(HyalineError, match="features: is 8 with extrinsics sh; expected 12 to 256"):
-        configure_dnr(DnrChoices(features=8), dataset, TRUTH, 1)
+        configured(dataset, "dnr", "--features", "8")
     with pytest.raises(HyalineError, match="crop: is 64; expected at most the picture's 32 pixels"):
-        configure_dnr(DnrChoices(crop=64), dataset, TRUTH, 1)
+        configured(dataset, "dnr", "--crop", "64")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 from support.synthetic import write_synthetic_dataset
-from support.training import run_bytes, stop_at
+from support.training import load, run_bytes, stop_at
 
 from datagen.data.config import Split
 from datagen.data.dataset import Dataset
@@ -24,13 +24,12 @@ from model.methods.light_path.net import RELIEF_DEPTH, LightPathRenderer
 from model.methods.light_path.paths import STACKED_VERTICES
 from model.methods.light_path.pixels import LightPathPixels, load_light_path_pixels, nest_shells, share_texels
 from model.methods.light_path.refined_pixels import is_doubtful
-from model.methods.paper import PaperConfig, PaperRenderer
-from model.methods.table import METHODS
+from model.methods.paper.config import PaperConfig
+from model.methods.paper.renderer import PaperRenderer
 from model.nets.learned_sky import LearnedSky
 from model.run.predict import load_renderer, predict_colors, render_predictions
 from model.run.run_folder import TrainConfig, is_finished, read_run
 from model.run.train import train
-from model.settings.choices import LightPathChoices
 
 if use_mitsuba(quiet=True).startswith("scalar"):
     pytest.skip("light paths need a vectorised variant of Mitsuba", allow_module_level=True)
@@ -59,7 +58,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     return write_synthetic_dataset(tmp_path_factory.mktemp("light") / "data" / "synthetic")
 
 
-def pixels_of(dataset: Dataset, **config: int) -> LightPathPixels:
+def pixels_of(dataset: Dataset, **config: float) -> LightPathPixels:
     return load_light_path_pixels(
         LightPathConfig(texture_sizes=(8, 8), **config), dataset, TRUTH, "train", [2, 5], True
     )
@@ -125,7 +124,7 @@ def test_training_rays_fill_their_pixels_one_in_each_cell(dataset: Dataset) -> N
 
 
 def test_paired_training_rays_lie_opposite_each_other_and_pairs_are_independent(dataset: Dataset) -> None:
-    place = training_places(dataset, paired_rays=True).reshape(500, 2, 2, 2)
+    place = training_places(dataset, debias=0.5).reshape(500, 2, 2, 2)
     np.testing.assert_allclose(place.sum(axis=2), 1, atol=1e-3)
     first, second = place[:, :, 0].transpose(1, 2, 0)
     assert np.abs(np.corrcoef(np.concatenate([first, second]))[:2, 2:]).max() < 0.15
@@ -146,7 +145,7 @@ def test_texels_shine_alike_in_all_directions_unless_the_decoder_sees_them(
 ) -> None:
     paths = pixels_of(dataset).take(torch.arange(256), None)
     turned = dataclasses.replace(paths, ends=dataclasses.replace(paths.ends, reflected=paths.ends.reflected.roll(1, 1)))
-    renderer = LightPathRenderer(LightPathConfig(texture_sizes=(8, 8), sees_directions=sees_directions))
+    renderer = LightPathRenderer(LightPathConfig(texture_sizes=(8, 8), directions="on" if sees_directions else "off"))
     with torch.no_grad():
         assert torch.equal(renderer(paths), renderer(turned)) != sees_directions
 
@@ -182,7 +181,7 @@ def test_a_removed_object_leaves_no_trace(dataset: Dataset) -> None:
 
 
 def test_the_learned_sky_is_continuous_all_around() -> None:
-    renderer = LightPathRenderer(LightPathConfig(texture_sizes=(8,)))
+    renderer = LightPathRenderer(LightPathConfig(texture_sizes=(8,), sky_lobes=0))
     height = renderer.environment.maps[0].shape[1]
     polar = (torch.arange(height) + 0.5) / height * math.pi
     azimuth = ((torch.arange(2 * height) + 0.5) / height - 1) * math.pi
@@ -231,8 +230,7 @@ def test_the_sky_learns_a_lamp_brighter_than_white_from_its_reflections_alone() 
     truth = (srgb_curve(lamp * shares).clamp_max(1) * 255).round()[:, None].expand(2, 3) / 255
     sky = LearnedSky(8, 4)
     towards = torch.tensor([[0.6, 0.0, 0.8]] * 2)
-    optimizer = torch.optim.Adam(sky.parameters(), lr=METHODS["light-path"].optimise(
-        LightPathChoices(), METHODS["light-path"].optimisation).sky_lr or 0)  # fmt: skip
+    optimizer = torch.optim.Adam(sky.parameters(), lr=LightPathConfig().sky_lr)
     for _ in range(300):
         optimizer.zero_grad()
         difference(srgb_curve(sky(towards) * shares[:, None]), truth).abs().mean().backward()
@@ -245,11 +243,19 @@ def test_the_sky_learns_a_lamp_brighter_than_white_from_its_reflections_alone() 
 def test_the_sky_learns_at_a_rate_of_its_own_with_each_update(
     dataset: Dataset, tmp_path: Path, rate: float, updates: int
 ) -> None:
-    config = dataclasses.replace(SMALL, steps=3, updates=updates, sky_lr=rate, lr_decay="none")
+    config = dataclasses.replace(
+        SMALL, steps=3, updates=updates, lr_decay="none", net=dataclasses.replace(NET, sky_lr=rate)
+    )
     train(config, dataset, tmp_path / "run", label="a", device=CPU)
     learned = load_renderer(tmp_path / "run", config, dataset).environment.maps
     # Adam's first steps are as long as its rate.
     assert max(texels.abs().max().item() for texels in learned) == pytest.approx(3 * updates * rate, rel=0.1)
+
+
+def test_a_view_in_which_no_pixel_is_doubtful_is_drawn_once(dataset: Dataset) -> None:
+    renderer = white(LightPathRenderer(LightPathConfig(texture_sizes=(8, 8), stack_hidden=0)))
+    pixels = pixels_of(dataset, render_samples=4, refined_samples=64)
+    assert (predict_colors(renderer, pixels) - 1).abs().max() < 1e-3
 
 
 def test_pixels_whose_rays_differ_are_drawn_with_more_rays_and_the_others_are_not(dataset: Dataset) -> None:
@@ -439,19 +445,19 @@ def test_foreign_flags_and_odd_numbers_are_refused(
         LightPathConfig(texture_sizes=(8,), train_samples=5)
     from model import cli
 
-    for flags in (("--method", "light-path", "--width", "256"), ("--method", "paper", "--branches", "9")):
-        monkeypatch.setattr("sys.argv", ["model", "train", "--dataset", str(dataset.root), *flags])
+    for method, *flags in (("light-path", "--width", "256"), ("paper", "--branches", "9")):
+        monkeypatch.setattr("sys.argv", ["model", "train", method, "--dataset", str(dataset.root), *flags])
         with pytest.raises(SystemExit) as end:
             cli.main()
         assert end.value.code == 1
-        assert f"{flags[2]}: method {flags[1]} has no such choice" in capsys.readouterr().err
+        assert f"{flags[0]}: method {method} has no such flag" in capsys.readouterr().err
 
 
 def test_the_papers_renderer_takes_several_rays_a_pixel(dataset: Dataset, tmp_path: Path) -> None:
     one = PaperConfig(width=16, texture_size=16, extrinsics="none", norm="none")
     many = dataclasses.replace(one, train_samples=4, render_samples=9)
-    stored = METHODS["paper"].load(one, dataset, TRUTH, "train", [2], True)
-    traced = METHODS["paper"].load(many, dataset, TRUTH, "train", [2], True)
+    stored = load(one, dataset, [2])
+    traced = load(many, dataset, [2])
     assert torch.equal(stored.rgb, traced.rgb)
     index = torch.arange(1024)
     batch = traced.take(index, None)

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 import torch
 from support.synthetic import write_synthetic_dataset
+from support.training import build, configured
 
 from datagen.data.dataset import Dataset
 from datagen.data.paths import TRUTH
@@ -15,12 +16,13 @@ from datagen.disk.records import to_json
 from eval.papers import comparisons
 from model import cli
 from model.batches.rays import load_pixels
-from model.losses.pixel_losses import LossConfig
-from model.methods.paper import PaperConfig, PaperRenderer, build_paper, configure_paper
+from model.methods.paper.config import PaperConfig
+from model.methods.paper.renderer import PaperRenderer
 from model.nets.texture import TexturePyramid
 from model.run.run_folder import is_finished, read_run
-from model.settings.choices import CommonChoices, PaperChoices, folder_name
-from model.settings.paper_presets import DEFAULT_STEPS, PAPER_PRESETS
+from model.run.train_flags import configure, folder_name, parse_train
+from model.settings.losses import LossConfig
+from model.settings.optimisation import PixelOptimisation
 
 
 @pytest.fixture(scope="module")
@@ -29,58 +31,54 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 
 
 def test_the_published_preset_is_the_paper_and_the_default(dataset: Dataset) -> None:
-    common = CommonChoices(method="paper", dataset=str(dataset.root))
-    config, _ = cli.configure(common, PaperChoices())
+    config = configured(dataset, "paper")
     assert config.net == PaperConfig(width=dataclasses.asdict(config.net)["width"], texture_size=16)
     assert (config.batch, config.lr, config.texture_lr, config.lr_decay) == (8192, 0.001, None, "linear")
-    assert config == cli.configure(common, PaperChoices(preset="published"))[0]
+    assert config == configured(dataset, "paper", "--preset", "published")
 
 
 @pytest.mark.parametrize("method", ["paper", "mlp-first"])
 def test_the_best_preset_sets_network_textures_rays_and_rates(dataset: Dataset, method: str) -> None:
-    common = CommonChoices(method=method, dataset=str(dataset.root))
-    config, _ = cli.configure(common, PaperChoices(preset="best"))
-    preset, net = PAPER_PRESETS["best"], config.net
-    assert isinstance(net, PaperConfig) and (net.width, net.norm) == (int(preset.width), preset.norm)
-    assert (net.texture_levels, net.finer_counts) == (preset.texture_levels, preset.finer_counts)
-    assert (net.train_samples, net.render_samples) == (preset.rays, preset.render_rays)
-    assert (config.batch, config.lr, config.texture_lr, config.lr_decay) == (
-        preset.batch, preset.lr, preset.texture_lr, preset.lr_decay,
-    )  # fmt: skip
-    assert config.loss == LossConfig(softness=preset.softness)
+    config = configured(dataset, method, "--preset", "best")
+    net = config.net
+    assert isinstance(net, PaperConfig) and (net.width, net.norm) == (128, "none")
+    assert (net.texture_levels, net.finer_counts) == (5, 0.5)
+    assert (net.train_samples, net.render_samples) == (4, 16)
+    assert (config.batch, config.lr, config.texture_lr, config.lr_decay) == (1024, 0.003, 0.02, "cosine")
+    assert config.loss == LossConfig(softness=0.03)
     # As many rays as the published form trains on.
-    published = PAPER_PRESETS["published"]
-    assert config.steps == preset.steps
-    assert preset.steps * preset.batch * preset.rays == published.steps * published.batch * published.rays
-    assert net.texture_size == int(32 * preset.texels_per_pixel)
+    published = PixelOptimisation()
+    assert config.steps * config.batch * net.train_samples == published.steps * published.batch
+    assert net.texture_size == 32
 
 
 def test_flags_override_the_best_preset(dataset: Dataset) -> None:
-    choices = PaperChoices(preset="best", width="64", norm="batch", texture_size=24, texture_levels=2, rays=1)
-    common = CommonChoices(
-        method="paper", dataset=str(dataset.root), lr=0.5, texture_lr=0.25, batch=64, lr_decay="none",
-        steps=DEFAULT_STEPS,
+    words = (
+        "--dataset", str(dataset.root), "--preset", "best", "--width", "64", "--norm", "batch", "--texture-size", "24",
+        "--texture-levels", "2", "--rays", "1", "--lr", "0.5", "--texture-lr", "0.25", "--batch", "64",
+        "--lr-decay", "none", "--steps", "2500",
     )  # fmt: skip
-    config, _ = cli.configure(common, choices)
+    asked = parse_train("paper", words)
+    config, _ = configure("paper", asked)
     net = config.net
     assert isinstance(net, PaperConfig)
     assert (net.width, net.norm, net.texture_size, net.texture_levels) == (64, "batch", 24, 2)
-    assert (net.train_samples, net.render_samples) == (1, PAPER_PRESETS["best"].render_rays)
+    assert (net.train_samples, net.render_samples) == (1, 16)
     assert (config.lr, config.texture_lr, config.batch, config.lr_decay) == (0.5, 0.25, 64, "none")
-    assert folder_name(common, choices) == (
+    assert folder_name("paper", asked) == (
         "paper-best-w64-batch-norm-t24-1-rays-2-levels-batch64-lr0.5-texture-lr0.25-no-decay-2500-steps"
     )
 
 
 def test_tables_look_for_what_the_best_preset_configures(dataset: Dataset) -> None:
-    config, _ = cli.configure(CommonChoices(method="paper", dataset=str(dataset.root)), PaperChoices(preset="best"))
+    config = configured(dataset, "paper", "--preset", "best")
     known = dataclasses.asdict(config.net) | dataclasses.asdict(config.loss)
     assert {key: known[key] for key in comparisons.PAPER_BEST} == comparisons.PAPER_BEST
 
 
 def test_finer_levels_count_less(dataset: Dataset) -> None:
     config = PaperConfig(width=16, texture_size=16, extrinsics="none", texture_levels=3, finer_counts=0.5)
-    renderer = build_paper(config, dataset, TRUTH, 4)
+    renderer = build(config, dataset)
     assert isinstance(renderer.textures, TexturePyramid)
     with torch.no_grad():
         for table in renderer.textures.tables():
@@ -100,32 +98,37 @@ def test_a_run_of_the_best_preset_is_called_so_and_records_every_choice(
     dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    flags = "--method paper --preset best --steps 3 --batch 64 --device cpu"
-    monkeypatch.setattr("sys.argv", ["model", "train", "--dataset", str(dataset.root), *flags.split()])
+    flags = "--preset best --steps 3 --batch 64 --device cpu"
+    monkeypatch.setattr("sys.argv", ["model", "train", "paper", "--dataset", str(dataset.root), *flags.split()])
     cli.main()
     (out,) = (tmp_path / "runs" / "synthetic").iterdir()
     assert out.name == "paper-best-batch64-3-steps" and is_finished(out)
     record = read_run(out)
     assert record.label == out.name
-    assert record.config.net == configure_paper(PaperChoices(preset="best"), dataset, TRUTH, 4)
+    assert record.config.net == configured(dataset, "paper", "--preset", "best").net
     assert json.loads((out / "run.json").read_text())["config"] == to_json(record.config)
-    renderer = build_paper(record.config.net, dataset, TRUTH, 4)  # pyright: ignore[reportArgumentType]
+    renderer = build(record.config.net, dataset)
     assert isinstance(renderer, PaperRenderer)
     assert record.num_parameters == sum(value.numel() for value in renderer.net.parameters())
 
 
-def test_help_tells_the_values_of_the_best_preset(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    ("words", "defaults"),
+    [
+        ("paper", {"--steps": 2500, "--batch": 8192, "--rays": 1, "--norm": "batch", "--lr": 0.001}),
+        ("paper --preset best", {"--steps": 5000, "--batch": 1024, "--rays": 4, "--norm": "none", "--lr": 0.003}),
+        ("dnr --preset authors", {"--features": 8, "--batch": 16384}),
+        ("light-path", {"--batch": 2048, "--stack": 32, "--relief": "off"}),
+        ("light-path --geometry box", {"--batch": 2048, "--stack": 96, "--relief": "on"}),
+    ],
+)
+def test_help_tells_the_defaults_of_the_method_and_its_preset(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], words: str, defaults: dict[str, object]
 ) -> None:
-    monkeypatch.setattr("sys.argv", ["model", "train", "--method", "paper", "--help"])
+    monkeypatch.setattr("sys.argv", ["model", "train", *words.split(), "--help"])
     with pytest.raises(SystemExit):
         cli.main()
     told = " ".join(capsys.readouterr().out.replace("│", " ").split())
-    best = PAPER_PRESETS["best"]
-    for words in (
-        f"{best.steps} with paper's best preset", f"{best.batch} for paper's best preset",
-        f"{best.lr} for paper's best preset", f"{best.texture_lr} for paper's best preset",
-        f"{best.width} of the best preset", f"{best.norm} with the best preset", f"{best.rays} with the best preset",
-        f"{best.render_rays} with the best preset", f"{best.texture_levels} with the best preset",
-    ):  # fmt: skip
-        assert words in told, words
+    for flag, default in defaults.items():
+        text = told[told.index(f" {flag} ", told.index("options")) :]
+        assert text[text.index("(default: ") :].startswith(f"(default: {default})"), flag

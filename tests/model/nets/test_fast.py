@@ -5,7 +5,8 @@ import torch
 from torch import nn
 
 from model.batches.rays import Pixels
-from model.methods.paper import PaperConfig, PaperRenderer
+from model.methods.paper.config import PaperConfig
+from model.methods.paper.renderer import PaperRenderer
 from model.nets import linear, pixel_mlp
 from model.nets.linear import Linear
 from model.nets.pixel_mlp import Norm, PixelMlp, Precision

@@ -18,7 +18,8 @@ from torch.nn import functional
 
 from datagen.disk.private import is_intact, make_private, write_hashed
 from model.batches.rays import Pixels
-from model.methods.paper import PaperConfig, PaperRenderer
+from model.methods.paper.config import PaperConfig
+from model.methods.paper.renderer import PaperRenderer
 from model.nets import pixel_mlp
 from model.nets.cpu import fused_mlp, mlp_kernels
 from model.nets.cpu.mlp_kernels import SWITCH, find_kernels

@@ -8,12 +8,14 @@ import pytest
 import torch
 from scipy.special import sph_harm_y
 from support.synthetic import pixel_rays, write_synthetic_dataset
+from support.training import build
 
 from datagen.disk.errors import HyalineError
 from model.batches.rays import insert_empty_layer, load_pixels
-from model.methods.paper import PaperConfig, PaperRenderer, build_paper, configure_paper, default_texture_size
+from model.methods.paper.config import PaperConfig
+from model.methods.paper.renderer import PaperRenderer, default_texture_size
+from model.methods.table import open_inputs
 from model.nets.extrinsics import (
-    EXTRINSIC_CHANNELS,
     ExtrinsicInputs,
     Extrinsics,
     bake_position_table,
@@ -21,7 +23,7 @@ from model.nets.extrinsics import (
 )
 from model.nets.pixel_mlp import PixelMlp, count_parameters, width_for_34k
 from model.nets.texture import TexturePyramid
-from model.settings.choices import PaperChoices
+from model.settings.network_parts import EXTRINSIC_CHANNELS
 
 
 @pytest.mark.parametrize(
@@ -143,16 +145,16 @@ def test_textures_start_at_zero_but_at_one_half_where_the_network_sees_nothing_e
     hit = rays.object_id != 0
     alone = PaperConfig(width=16, extrinsics="none", texture_size=16, texture_levels=levels, position_size=8)
     for config, start in ((alone, 0.5), (dataclasses.replace(alone, extrinsics="view"), 0.0)):
-        features = build_paper(config, dataset, "truth", 2).textures(rays.uv, rays.object_id)
+        features = build(config, dataset).textures(rays.uv, rays.object_id)
         torch.testing.assert_close(features, start * hit[..., None].float().expand_as(features))
 
 
 @pytest.mark.parametrize("textures", ["object", "scene"])
 def test_the_papers_textures_can_be_a_pyramid(tmp_path: Path, textures: str) -> None:
     dataset = write_synthetic_dataset(tmp_path / "data", num_layers=2)
-    choices = PaperChoices(extrinsics="none", textures=textures, texture_size=16, texture_levels=3, features=64)  # pyright: ignore
-    config = configure_paper(choices, dataset, "truth", 2)
-    renderer = build_paper(config, dataset, "truth", 2).eval()
+    net = PaperConfig(extrinsics="none", textures=textures, texture_size=16, texture_levels=3, texture_features=64)  # pyright: ignore
+    config = net.complete(open_inputs(net, dataset, "truth"))
+    renderer = build(config, dataset).eval()
     assert isinstance(renderer.textures, TexturePyramid)
     assert renderer.net.first.linear.in_features == 2 * 64
     assert abs(count_parameters(128, config.width, 3) - 34_000) < 2000

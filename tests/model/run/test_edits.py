@@ -35,7 +35,7 @@ if use_mitsuba(quiet=True).startswith("scalar"):
     pytest.skip("light paths need a vectorised variant of Mitsuba", allow_module_level=True)
 
 from model.methods.light_path.config import LightPathConfig
-from model.methods.paper import PaperConfig
+from model.methods.paper.config import PaperConfig
 from model.run.predict import is_drawn, render_predictions, render_variant
 from model.run.run_folder import TrainConfig
 from model.run.train import train

@@ -7,19 +7,18 @@ import numpy as np
 import pytest
 import torch
 from support.synthetic import write_synthetic_dataset
+from support.training import load
 
 from datagen.data.dataset import Dataset
 from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
-from model.methods.paper import PaperConfig, configure_paper, parse_layers
-from model.methods.table import METHODS
+from model.methods.paper.config import PaperConfig
 from model.run.predict import render_predictions
 from model.run.run_folder import TrainConfig, is_finished
 from model.run.train import train
-from model.settings.choices import PaperChoices
 
 CPU = torch.device("cpu")
-NET = PaperConfig(width=16, texture_size=16, position_size=32, online=True)
+NET = PaperConfig(width=16, texture_size=16, position_size=32, layers="online")
 
 
 @pytest.fixture(scope="module")
@@ -29,28 +28,27 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 
 @pytest.mark.parametrize(
     ("text", "parsed"),
-    [(None, (None, False)), ("4", (4, False)), ("online", (None, True)), ("online-4", (4, True))],
+    [("all", (None, False)), ("4", (4, False)), ("online", (None, True)), ("online-4", (4, True))],
 )
-def test_layers_are_a_number_or_online_or_both(text: str | None, parsed: tuple) -> None:
-    assert parse_layers(text) == parsed
+def test_layers_are_a_number_or_online_or_both(text: str, parsed: tuple) -> None:
+    config = PaperConfig(layers=text)
+    assert (config.asked_layers, config.traces_layers) == parsed
 
 
 @pytest.mark.parametrize("text", ["offline", "4-online", "online-", "online-x", "-4", "2.5", ""])
 def test_other_layers_are_refused(text: str) -> None:
-    with pytest.raises(HyalineError, match="expected a number, online, or both such as online-4"):
-        parse_layers(text)
+    with pytest.raises(HyalineError, match="expected all, a number, online, or both such as online-4"):
+        PaperConfig(layers=text)
 
 
 def test_online_layers_can_have_a_budget(dataset: Dataset) -> None:
-    config = configure_paper(PaperChoices(layers="online-2"), dataset, TRUTH, 4)
-    assert config.online and config.num_layers == 2
-    pixels = METHODS["paper"].load(config, dataset, TRUTH, "train", [0], True)
+    pixels = load(PaperConfig(layers="online-2"), dataset, [0])
     assert pixels.take(torch.arange(10), None).object_id.shape == (10, 2)
 
 
 def test_online_layers_are_the_stored_ones_through_centres_and_jittered_while_training(dataset: Dataset) -> None:
-    stored = METHODS["paper"].load(dataclasses.replace(NET, online=False), dataset, TRUTH, "train", [2, 5], True)
-    online = METHODS["paper"].load(NET, dataset, TRUTH, "train", [2, 5], True)
+    stored = load(dataclasses.replace(NET, layers="all"), dataset, [2, 5])
+    online = load(NET, dataset, [2, 5])
     index = torch.from_numpy(np.random.default_rng(0).permutation(2048)[:1000])
     expected, centers = stored.take(index, None), online.take(index, None)
     assert torch.equal(centers.object_id, expected.object_id)

@@ -16,8 +16,10 @@ from support.synthetic import write_synthetic_dataset
 
 from datagen.disk.errors import HyalineError
 from model import cli
+from model.methods.paper.config import PaperConfig
 from model.run import sweep
-from model.run.experiment import list_experiments, parse_train, read_experiment
+from model.run.experiment import list_experiments, read_experiment
+from model.run.train_flags import parse_train
 
 
 def write(folder: Path, text: str) -> str:
@@ -55,16 +57,16 @@ def test_a_grid_is_every_combination_in_the_order_of_the_file(tmp_path: Path) ->
     expected = []
     for dataset in ("one", "'my two'"):
         for zero in ("", "--zero-layer "):
-            expected.append(f"model train --dataset {dataset} --method paper {zero}--lr 0.0001")
-    assert commands == [*expected, "model train --dataset one --method paper --extrinsics sh --lr 0.0001"]
-    asked = parse_train(tuple(shlex.split(commands[3])[2:]))
-    assert (asked["dataset"], asked["zero_layer"], asked["lr"]) == ("my two", True, 1e-4)
+            expected.append(f"model train paper --dataset {dataset} {zero}--lr 0.0001")
+    assert commands == [*expected, "model train paper --dataset one --extrinsics sh --lr 0.0001"]
+    method, *flags = shlex.split(commands[3])[2:]
+    asked = parse_train(method, flags)
+    assert isinstance(asked.method, PaperConfig)
+    assert (asked.run.dataset, asked.method.zero_layer, asked.optimisation.lr) == ("my two", True, 1e-4)
 
     replaced = read_experiment(path, datasets=["three"], seeds=[4, 5]).runs
-    assert [(parse_train(run)["dataset"], parse_train(run)["seed"]) for run in replaced] == [
-        ("three", 4),
-        ("three", 5),
-    ] * 3
+    flags = [parse_train(method, words).run for method, *words in replaced]
+    assert [(run.dataset, run.seed) for run in flags] == [("three", 4), ("three", 5)] * 3
 
 
 @pytest.mark.parametrize(
@@ -72,7 +74,7 @@ def test_a_grid_is_every_combination_in_the_order_of_the_file(tmp_path: Path) ->
     [
         ('[[runs]]\nmethod = "paper"\nextrinsic = "sh"', r"runs\[0\]: unknown key 'extrinsic'; did you mean 'ext"),
         ('[[runs]]\nmethod = "paper"\n[[runs]]\nmethod = "paper"\nzero_layer = true', "unknown key 'zero_layer'"),
-        ('[[runs]]\nmethod = ["paper", "light-path"]\nextrinsics = "sh"', "--method light-path` without its"),
+        ('[[runs]]\nmethod = ["paper", "light-path"]\nextrinsics = "sh"', "`model train light-path` without its"),
         ('[[run]]\nmethod = "paper"', "unknown key 'run'; known are about and runs"),
         ('[[runs]]\nmethod = "paper"\nsteps = [10, "many"]', "steps is 'many', which `model train` does not take"),
         ('[[runs]]\nmethod = "paper"\nextrinsics = "all"', "extrinsics is 'all', which `model train` does not take"),
@@ -159,7 +161,7 @@ def test_a_sweep_that_was_stopped_goes_on_to_the_bytes_of_train_and_tells_what_f
     first_run = f"runs/synthetic/{last.name.removesuffix('-seed1')}"
     assert f"[1/3] {first_run}: finished before, nothing to do; --overwrite" in done.stderr
     assert lines[-3] == "sweep grid: 2 of 3 runs are finished"
-    assert lines[-2].startswith("failed: model train --method paper --steps 200 ") and "--geometry box: " in lines[-2]
+    assert lines[-2].startswith("failed: model train paper --steps 200 ") and "--geometry box: " in lines[-2]
     assert "no box proxies; make them with `proxies make --dataset data/synthetic --kind box`" in lines[-2]
     assert lines[-1].startswith("error: sweep grid: 1 of 3 runs failed")
     assert {path: path.stat().st_mtime_ns for path in first} == first

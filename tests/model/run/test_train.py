@@ -228,7 +228,7 @@ def test_the_command_trains_skips_refuses_and_renders_again(
         (("--method", "papr"), "method 'papr': there is none of that name; did you mean 'paper'"),
         (("--geometry", "truht"), "geometry 'truht': there is none of that name; did you mean 'truth'"),
         (("--geometry", "box"), "no box proxies; make them with `proxies make --dataset "),
-        (("--width", "wide"), "width: is 'wide'; expected 34k, 256 or another number"),
+        (("--width", "9"), "width: is 9 with 3 blocks; expected a multiple of 8"),
         (("--lr", "-1"), r"lr: is -1.0; expected a learning rate"),
         (("--dataset", "no/where"), "no/where: no dataset; make one with `datagen build"),
     ],
@@ -258,7 +258,7 @@ def test_a_folder_that_is_no_run_is_never_overwritten(
 
 
 def test_help_answers_without_torch() -> None:
-    code = "import sys; from model.cli import main; sys.argv = ['model', 'train', '--help']\ntry: main()\n"
+    code = "import sys; from model.cli import main; sys.argv = ['model', 'train', 'paper', '--help']\ntry: main()\n"
     code += "finally: print('torch' in sys.modules, file=sys.stderr)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stderr.strip() == "False" and "--extrinsics" in done.stdout

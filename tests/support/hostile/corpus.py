@@ -38,7 +38,7 @@ def write_world(root: Path) -> None:
     from datagen.data.png import png_bytes
     from datagen.machine.mitsuba_variant import use_mitsuba
     from datagen.render.truth import Truth, radiance_bytes
-    from model.methods.paper import PaperConfig
+    from model.methods.paper.config import PaperConfig
     from model.run.predict import render_predictions
     from model.run.run_folder import TrainConfig
     from model.run.train import train

@@ -1,4 +1,4 @@
-"""Owns the method `authors-code`: what the paper's released code really ran, to explain its published numbers.
+"""The renderer of `authors-code`: what the paper's released code really ran, to explain its published numbers.
 
 Source: the public repository that the paper's author links (Mirjang/TransparentNeuralRendering): its renderer network,
 its dispatcher (which drops the width that the scripts ask for, so that 64 is left) and its experiments' scripts.
@@ -8,7 +8,6 @@ import itertools
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -16,17 +15,13 @@ from jaxtyping import Float32
 from torch import Tensor, nn
 from torch.nn import functional
 
-from datagen.data.dataset import Dataset
-from datagen.disk.errors import HyalineError
 from model.batches.rays import PixelSource, RayBatch, insert_random_layer
-from model.losses.pixel_losses import PatchTerms, pixel_loss
-from model.methods.paper import default_texture_size
-from model.nets.extrinsics import ExtrinsicInputs, Extrinsics, positions_for
+from model.losses.pixel_losses import PatchTerms
+from model.methods.authors_code.config import LEAST_WIDTH, AuthorsConfig
+from model.methods.protocol import Inputs
+from model.methods.renderer import Renderer
+from model.nets.extrinsics import ExtrinsicInputs, positions_for
 from model.nets.texture import NeuralTextures, object_layout
-from model.settings.choices import AuthorsChoices
-
-LEAST_WIDTH = 4
-"""Halving the channels stops here."""
 
 LOSS_SCALE = 100 * 2
 """Their L1 has a weight of 100, on colours from -1 to 1. Adam cares little, but for the weight decay beside it."""
@@ -34,57 +29,6 @@ LOSS_SCALE = 100 * 2
 XAVIER_GAIN = 0.02
 """Their start. Nothing is normalised, so that a signal arrives 50 times weaker behind every layer: training begins
 slowly. Measured on the glass table at 128 pixels, pictures are still grey after 500 steps; theirs were a million."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class AuthorsConfig:
-    """What the renderer of the released code is made of; defaults as in the scripts of the paper's Table 1."""
-
-    texture_size: int
-    """Width and height of a texture in texels: half the picture's, 256 for their 512 pixels."""
-    texture_features: int = 16
-    """Nine more with spherical harmonics."""
-    texture_start: float = 0.5
-    extrinsics: Extrinsics = "view"
-    """`view` adds the view vector, from the camera to the surface, to each layer's inputs; `sh` gives textures nine
-    more channels and multiplies channels 3 to 11 by spherical harmonics of it, without their constants."""
-    position_size: int = 512
-    width: int = 64
-    blocks: int = 3
-    dropout: float = 0.2
-    test_dropout: bool = True
-    """Their test script leaves dropout on. Here it is drawn by a seed that the batch's own uv gives, so that
-    predictions repeat."""
-    zero_layer: bool = False
-    """`--pad_front`: a layer of zeros at a random place while training, behind all others at test."""
-
-    def __post_init__(self) -> None:
-        for name in ("texture_size", "position_size"):
-            if not 2 <= getattr(self, name) <= 8192:
-                raise HyalineError(f"{name}: is {getattr(self, name)}; expected 2 to 8192 texels")
-        if self.width < LEAST_WIDTH or self.blocks < 0:
-            raise HyalineError(f"width: is {self.width} with {self.blocks} blocks; expected at least {LEAST_WIDTH}")
-        if not 0 <= self.dropout < 1:
-            raise HyalineError(f"dropout: is {self.dropout}; expected a share in [0, 1), 0.2 in the code")
-        if not 3 <= self.texture_features <= 256:
-            raise HyalineError(f"features: is {self.texture_features}; expected 3 to 256")
-
-
-def configure_authors(choices: AuthorsChoices, dataset: Dataset, geometry: str, num_layers: int) -> AuthorsConfig:  # noqa: ARG001
-    """The configuration that a user's choices make on a dataset.
-
-    Raises:
-        HyalineError: a choice that cannot be.
-    """
-    default_size = default_texture_size(dataset.config.resolution, len(dataset.objects), "object")
-    return AuthorsConfig(
-        texture_size=choices.texture_size or default_size,
-        texture_features=choices.features,
-        extrinsics=choices.extrinsics,
-        width=choices.width,
-        test_dropout=choices.test_dropout == "on",
-        zero_layer=choices.zero_layer,
-    )
 
 
 class AuthorsBlock(nn.Module):
@@ -124,7 +68,7 @@ class AuthorsMlp(nn.Module):
         return torch.tanh(self.last(x))
 
 
-class AuthorsRenderer(nn.Module):
+class AuthorsRenderer(Renderer[PixelSource[RayBatch]]):
     """Rays with layers in, sRGB colours of their pixels out."""
 
     def __init__(
@@ -161,11 +105,26 @@ class AuthorsRenderer(nn.Module):
             else:
                 turned = stack[..., 3:12] * harmonics_without_constants(away)
                 stack = torch.cat([stack[..., :3], turned, stack[..., 12:]], dim=-1)
-        is_dropping = self.training or self.config.test_dropout
+        is_dropping = self.training or self.config.test_dropout == "on"
         seed = zlib.crc32(rays.uv.cpu().numpy().tobytes()) if rng is None else int(rng.integers(1 << 31))
         with seeded(seed, stack.device):
             colors = self.net(stack.flatten(1), self.config.dropout if is_dropping else 0.0)
         return (colors + 1) / 2
+
+    def loss(
+        self,
+        training: PixelSource[RayBatch],
+        batch: int,
+        rng: np.random.Generator,
+        *,
+        softness: float = 0.0,
+        patch_terms: PatchTerms | None = None,
+    ) -> Tensor:
+        """The mean absolute difference of random pixels as the released code scales it.
+
+        A step of theirs is one whole picture; this one draws as many pixels from all pictures.
+        """
+        return LOSS_SCALE * super().loss(training, batch, rng, softness=softness, patch_terms=patch_terms)
 
 
 def harmonics_without_constants(direction: Float32[Tensor, "*b 3"]) -> Float32[Tensor, "*b 9"]:
@@ -182,22 +141,9 @@ def seeded(seed: int, device: torch.device) -> Iterator[None]:
         yield
 
 
-def authors_loss(
-    renderer: nn.Module,
-    training: PixelSource,
-    batch: int,
-    rng: np.random.Generator,
-    *,
-    patch_terms: PatchTerms | None = None,
-) -> Tensor:
-    """The mean absolute difference of random pixels as the released code scales it.
-
-    A step of theirs is one whole picture; this one draws as many pixels from all pictures.
-    """
-    return LOSS_SCALE * pixel_loss(renderer, training, batch, rng, patch_terms=patch_terms)
-
-
-def build_authors(config: AuthorsConfig, dataset: Dataset, geometry: str, num_layers: int) -> AuthorsRenderer:
+def build_authors(config: AuthorsConfig, inputs: Inputs) -> AuthorsRenderer:
     """A fresh renderer for a dataset; its random start is drawn from torch's default generator."""
-    positions = positions_for(config.extrinsics, dataset, geometry, config.position_size)
-    return AuthorsRenderer(config, num_layers=num_layers, num_objects=len(dataset.objects), positions=positions)
+    positions = positions_for(config.extrinsics, inputs.dataset, inputs.geometry, config.position_size)
+    return AuthorsRenderer(
+        config, num_layers=inputs.num_layers, num_objects=len(inputs.dataset.objects), positions=positions
+    )

@@ -1,0 +1,54 @@
+"""What the method `authors-code` is made of."""
+
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+from datagen.data.paths import LayerKind
+from datagen.disk.errors import HyalineError
+from model.methods.protocol import MethodConfig
+from model.settings.flags import choice, unflagged
+from model.settings.network_parts import Extrinsics, check_texels
+from model.settings.optimisation import PixelOptimisation
+
+LEAST_WIDTH = 4
+"""Halving the channels stops here."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class AuthorsConfig(MethodConfig):
+    """What the paper's released code ran; defaults as in the scripts of its Table 1."""
+
+    room: ClassVar[str] = "model.methods.authors_code.method"
+    stored_layers: ClassVar[LayerKind | None] = "straight"
+
+    extrinsics: Extrinsics = choice("view", {"none": "no-extrinsics", "sh": "sh"})
+    """What each layer is told of the camera: nothing, the view vector (from the camera to the surface), or nine more
+    channels, of which 3 to 11 are multiplied by spherical harmonics of it, without their constants."""
+    width: int = choice(64, "w{}")
+    """Hidden units of the first layer: 64, because the code loses the 256 that its scripts ask for."""
+    texture_features: int = choice(16, "{}-features", flag="features")
+    """Channels of a texture; nine more with sh."""
+    texture_size: int = choice(0, "t{}")
+    """Width and height of a texture in texels; 0: half the image's width, 256 for their 512 pixels."""
+    zero_layer: bool = choice(False, "zero-layer")
+    """Insert a layer of zeros at a random place while training, and behind all others at test (their `--pad_front`)."""
+    test_dropout: Literal["on", "off"] = choice("on", "no-test-dropout")
+    """Leave dropout on while rendering, as their test script did, or turn it off. It is drawn by a seed that the
+    batch's own uv gives, so that predictions repeat."""
+    texture_start: float = unflagged(0.5)
+    position_size: int = unflagged(512)
+    blocks: int = unflagged(3)
+    dropout: float = unflagged(0.2)
+
+    def __post_init__(self) -> None:
+        check_texels("texture_size", self.texture_size, is_open=True)
+        check_texels("position_size", self.position_size)
+        if self.width < LEAST_WIDTH or self.blocks < 0:
+            raise HyalineError(f"width: is {self.width} with {self.blocks} blocks; expected at least {LEAST_WIDTH}")
+        if not 0 <= self.dropout < 1:
+            raise HyalineError(f"dropout: is {self.dropout}; expected a share in [0, 1), 0.2 in the code")
+        if not 3 <= self.texture_features <= 256:
+            raise HyalineError(f"features: is {self.texture_features}; expected 3 to 256")
+
+    def optimisation(self) -> PixelOptimisation:
+        return PixelOptimisation(beta1=0.5, weight_decay=1e-4)

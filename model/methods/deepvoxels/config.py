@@ -1,0 +1,97 @@
+"""What the method `deepvoxels` is made of, and its presets."""
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from typing import ClassVar, Literal, Self
+
+from datagen.disk.errors import HyalineError
+from model.methods.protocol import MethodConfig
+from model.settings.flags import choice, unflagged
+from model.settings.optimisation import Optimisation
+
+
+@dataclass(frozen=True, kw_only=True)
+class DeepVoxelsConfig(MethodConfig):
+    """DeepVoxels: a grid of learned features, from cameras alone; the defaults are its authors'."""
+
+    room: ClassVar[str] = "model.methods.deepvoxels.method"
+    knowledge: ClassVar[str] = "cameras only, and the scene's extent"
+    uses_geometry: ClassVar[bool] = False
+
+    voxels: Literal["auto", "small", "paper", "original"] = choice("auto", "{}", is_preset=True)
+    """small (a fourteenth of the parameters, no dropout, a bounded grid, L1 at rate 0.002), paper (as the paper ran it:
+    L1 alone at rate 0.00001) or original (its authors' L1 and critic at rate 0.0004). auto: small without a GPU, paper
+    with one."""
+    image_size: int = unflagged(0)
+    """Width and height of the pictures: a power of two; 0: not known yet. Theirs are 512; from 128 on the networks have
+    their form."""
+    num_voxels: int = unflagged(32)
+    """Along each edge of the grid."""
+    plane_size: int = unflagged(64)
+    """Width and height on which features are lifted and projected: a power of two, at most the pictures' size. Each
+    halving from the pictures to it is a stage of the feature extractor, and one of the rendering network."""
+    voxel_features: int = unflagged(64)
+    width: int = unflagged(64)
+    """Channels of the outermost 2-D convolutions; the deepest have eight times as many."""
+    dropout: float = unflagged(0.1)
+    """Share of channels dropped in the rendering network; the integration drops twice as many."""
+    bounded: bool = unflagged(False)
+    """The integration's candidate is a tanh, as in other gated units, instead of the authors' ReLU. With ReLU nothing
+    bounds the grid: norms behind it hide its scale from the loss, and Adam may push the unit's gain above 1. Measured
+    at a rate of 0.002: it grew 3.5 times a step, new views were lost in it after 20 steps, it overflowed after 80."""
+    adversarial: bool = unflagged(False)
+    """Adds the authors' patch discriminator to the loss; the paper had to leave it out (section 5.1)."""
+
+    def __post_init__(self) -> None:
+        for name, low in (("image_size", 64 if self.adversarial else 16), ("plane_size", 16), ("num_voxels", 4)):
+            value = getattr(self, name)
+            if (value < low or value & (value - 1)) and not (name == "image_size" and value == 0):
+                raise HyalineError(f"{name}: is {value}; deepvoxels needs a power of two of {low} or more")
+        if self.image_size and self.plane_size > self.image_size:
+            raise HyalineError(f"plane_size: is {self.plane_size}; expected at most the pictures' {self.image_size}")
+        if not 0 <= self.dropout < 0.5:
+            raise HyalineError(f"dropout: is {self.dropout}; expected a share from 0 to below 0.5")
+        if self.width < 2 or self.voxel_features < 1:
+            raise HyalineError(f"width: is {self.width} with {self.voxel_features} features; expected 2 and 1 or more")
+
+    @property
+    def preset(self) -> Literal["small", "paper", "original"]:
+        """What was chosen, or what suits the machine."""
+        if self.voxels != "auto":
+            return self.voxels
+        import torch
+
+        return "paper" if torch.cuda.is_available() else "small"
+
+    def usual(self, geometry: str) -> Self:  # noqa: ARG002
+        if self.preset == "small":
+            # For machines without a GPU: a fourteenth of the parameters, fewer rays, a rate for few steps that a
+            # bounded grid stands, and no dropout: of so few channels none is spare.
+            return type(self)(voxels=self.voxels, plane_size=32, width=16, voxel_features=32, dropout=0.0, bounded=True)
+        return type(self)(voxels=self.voxels, adversarial=self.preset == "original")
+
+    def optimisation(self) -> Optimisation:
+        # A batch is the pictures drawn in a step.
+        match self.preset:
+            case "small":
+                return Optimisation(batch=2, lr=2e-3)
+            case "paper":
+                # Section 5.1: "disabling adversarial loss and only training on L1 loss with a low learning rate (1e-5)"
+                return Optimisation(batch=2, lr=1e-5, lr_decay="none")
+            case "original":
+                return Optimisation(batch=2, lr=4e-4, lr_decay="none")
+
+    def sized(self, resolution: int) -> Self:
+        """The same for pictures of some size.
+
+        Raises:
+            HyalineError: the size is no power of two.
+        """
+        if resolution & (resolution - 1):
+            raise HyalineError(
+                f"resolution: is {resolution}; deepvoxels needs a power of two, "
+                f"so build the dataset with --resolution {2 ** round(math.log2(resolution))}"
+            )
+        plane_size = min(self.plane_size, resolution)
+        return dataclasses.replace(self, voxels=self.preset, image_size=resolution, plane_size=plane_size)

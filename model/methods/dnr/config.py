@@ -1,0 +1,101 @@
+"""What the methods `dnr` and `dnr-layers` are made of."""
+
+from dataclasses import dataclass
+from typing import ClassVar, Literal, Self
+
+from datagen.data.paths import LayerKind
+from datagen.disk.errors import HyalineError
+from model.methods.protocol import MethodConfig
+from model.settings.flags import choice, unflagged
+from model.settings.network_parts import Extrinsics, UNetNorm, check_texels
+from model.settings.optimisation import PixelOptimisation
+
+LEVEL_WEIGHTS = (8.0, 2.0, 1.0, 0.0)
+"""How strongly each level of the textures is held near zero, finest first: detail goes where it is needed only."""
+
+LEAST_CROP = 128
+"""Height and width in pixels of the smallest training crops that a picture's size asks for."""
+
+SH_CHANNELS = slice(3, 12)
+"""The texture channels that the nine spherical harmonics of the view vector multiply."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DnrConfig(MethodConfig):
+    """Deferred Neural Rendering: a U-Net on the neural textures of the first layer.
+
+    Defaults: Thies et al. 2019 (arXiv 1904.12356) as it is known from its first author's public code, with the
+    transparent paper's 16 features.
+    """
+
+    room: ClassVar[str] = "model.methods.dnr.method"
+    stored_layers: ClassVar[LayerKind | None] = "straight"
+    max_layers: ClassVar[int | None] = 1
+
+    preset: Literal["fair", "authors"] = choice("fair", {"authors": "authors"}, is_preset=True)
+    """Deferred neural rendering as its own authors made it, with 16 features; or weakened as the transparent paper's
+    authors ran it: 8 features, one level, the view vector as an input, whole pictures. Other flags override it."""
+    unet_width: int = choice(64, "u{}")
+    """Channels of the U-Net's first level; 16 makes it 16 times smaller, for CPUs."""
+    texture_features: int = choice(16, "{}-features", flag="features")
+    """Channels of a texture."""
+    extrinsics: Extrinsics = choice("sh", {"none": "no-extrinsics", "view": "view", "sh": "sh"})
+    """What each layer is told of the camera: nothing, the view vector, or nine features multiplied by three bands of
+    spherical harmonics of it, for each pixel."""
+    texture_size: int = choice(0, "t{}")
+    """Width and height of an object's finest texture in texels; 0: half the image's width."""
+    texture_levels: int = choice(4, "{}-levels")
+    """Textures summed, each half as wide as the one before."""
+    crop: int | None = choice(None, "crop{}")
+    """Height and width of training crops in pixels; 0: whole pictures; None: half the image's width, but 128 at
+    least."""
+    position_size: int = unflagged(512)
+    """Width and height of the position textures that view vectors come from, in texels."""
+    norm: UNetNorm = unflagged("instance")
+    strides: tuple[int, ...] = unflagged((1, 2))
+    """Random scales of the crops: every pixel or every second one. uv is never interpolated, because neighbours across
+    a seam do not mix; so pictures are made smaller only, and their colours are those of the pixels kept."""
+    texture_color: float = unflagged(1.0)
+    """Weight of the difference between the first three texture channels and the picture, beside that of the output."""
+    regularisation: float = unflagged(0.1)
+    """Weight of the mean squares of the texels, itself weighted by level."""
+
+    def __post_init__(self) -> None:
+        check_texels("texture_size", self.texture_size, is_open=True)
+        if not 1 <= self.texture_levels <= len(LEVEL_WEIGHTS):
+            raise HyalineError(f"texture_levels: is {self.texture_levels}; expected 1 to {len(LEVEL_WEIGHTS)}")
+        least = SH_CHANNELS.stop if self.extrinsics == "sh" else 3
+        if not least <= self.texture_features <= 256:
+            raise HyalineError(
+                f"features: is {self.texture_features} with extrinsics {self.extrinsics}; expected {least} to 256"
+            )
+        if self.unet_width < 1:
+            raise HyalineError(f"unet_width: is {self.unet_width}; expected at least 1, 64 in the paper")
+        if (self.crop or 0) < 0 or min(self.strides, default=0) < 1:
+            raise HyalineError(f"crop: is {self.crop} with strides {self.strides}; expected 0 or more, and 1 or more")
+
+    def usual(self, geometry: str) -> Self:  # noqa: ARG002
+        if self.preset == "fair":
+            return type(self)()
+        return type(self)(
+            preset="authors",
+            texture_levels=1,
+            texture_features=8,
+            extrinsics="view",
+            norm="batch",
+            crop=0,
+            strides=(1,),
+            texture_color=0.0,
+            regularisation=0.0,
+        )
+
+    def optimisation(self) -> PixelOptimisation:
+        # About as many pixels a step as one picture of the demo has.
+        return PixelOptimisation(batch=16_384)
+
+
+@dataclass(frozen=True, kw_only=True)
+class DnrLayersConfig(DnrConfig):
+    """Deferred Neural Rendering on all straight layers."""
+
+    max_layers: ClassVar[int | None] = None

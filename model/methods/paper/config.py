@@ -1,0 +1,127 @@
+"""What the method `paper` is made of, and its two presets: as its authors published it, and the best of its idea."""
+
+from dataclasses import dataclass
+from typing import ClassVar, Literal, Self
+
+from datagen.data.paths import LayerKind
+from datagen.disk.errors import HyalineError
+from model.methods.protocol import MethodConfig
+from model.settings.flags import choice, unflagged
+from model.settings.losses import LossConfig
+from model.settings.network_parts import (
+    Extrinsics,
+    Norm,
+    Precision,
+    TextureSharing,
+    check_samples,
+    check_texels,
+    check_width,
+)
+from model.settings.optimisation import PixelOptimisation
+
+
+@dataclass(frozen=True, kw_only=True)
+class PaperConfig(MethodConfig):
+    """The paper's renderer: neural textures on straight layers, stacked into a network for each pixel."""
+
+    room: ClassVar[str] = "model.methods.paper.method"
+    stored_layers: ClassVar[LayerKind | None] = "straight"
+    is_shareable: ClassVar[bool] = True
+
+    preset: Literal["published", "best"] = choice("published", {"best": "best"}, is_preset=True)
+    """published: the renderer of the paper's text. best: the same idea (straight layers, neural textures, a network
+    for each pixel) with everything that was found to help it; other flags override it. Its values are listed in
+    model/methods/paper/config.py."""
+    extrinsics: Extrinsics = choice("view", {"none": "no-extrinsics", "sh": "sh"})
+    """What each layer is told of the camera (section 4.6): nothing, the view vector, or three bands of spherical
+    harmonics of it."""
+    width: int = choice(0, "w{}")
+    """Hidden units of the first layer; 0: as many as make 34,000 parameters (section 4.3). 256 in the paper's text,
+    which excludes its 34k."""
+    blocks: int = choice(3, "{}-blocks")
+    """Residual blocks; each ends by halving the channels (section 4.3)."""
+    norm: Norm = choice("batch", {"none": "no-norm", "batch": "batch-norm"})
+    """Batch norm after each linear layer but the last (section 4.3), or none (the authors' code)."""
+    textures: TextureSharing = choice("object", "scene-texture")
+    """A neural texture for each object (section 4.4), or one for the scene, in which each object has a cell."""
+    texture_size: int = choice(0, "t{}")
+    """Width and height of a texture in texels; 0: half the image's width, all of it with the best preset."""
+    zero_layer: bool = choice(False, "zero-layer")
+    """Insert a layer of zeros at a random place while training, and behind all others at test (section 4.4)."""
+    layers: str = choice("all", "{}-layers")
+    """Straight layers that are looked up: all that are stored, a number (the nearest ones), online (traced anew for
+    each batch, through a random place of each pixel; no stored layer is read) or both, such as online-4."""
+    train_samples: int = choice(1, "{}-rays", flag="rays")
+    """Rays per pixel while training, a square number; the paper has one, through the pixel's centre. With more, in
+    training or in rendering, layers are traced for each batch instead of read, and colours are averaged."""
+    render_samples: int = choice(1, "{}-render-rays", flag="render-rays")
+    """Rays per pixel while rendering, a square number."""
+    texture_features: int = choice(16, "{}-features", flag="features")
+    """Channels of a texture (section 4.3); 64 in the paper's runs on coarse proxies."""
+    texture_levels: int = choice(1, "{}-levels")
+    """Textures summed, each half as wide as the one before; the paper has one (section 4.3), Deferred Neural Rendering
+    4."""
+    precision: Precision = choice("fp32", {"bf16": "bf16"})
+    """Numbers that the network multiplies, in training and in rendering: bf16 is faster where the processor has
+    instructions for it."""
+    finer_counts: float = unflagged(1.0)
+    """How much a texture level counts beside the next coarser one."""
+    texels_per_pixel: float = unflagged(0.5)
+    """Width of an object's texture in widths of the picture, where `texture_size` does not say it."""
+    position_size: int = unflagged(512)
+    """Width and height of the position textures of Eq. 3 in texels; the size that the authors ran."""
+
+    def __post_init__(self) -> None:
+        if self.width:
+            check_width(self.width, self.blocks)
+        check_texels("texture_size", self.texture_size, is_open=True)
+        check_texels("position_size", self.position_size)
+        for name in ("train_samples", "render_samples"):
+            check_samples(name, getattr(self, name))
+        if not 1 <= self.texture_features <= 256:
+            raise HyalineError(f"texture_features: is {self.texture_features}; expected 1 to 256")
+        if not 1 <= self.texture_levels <= 8:
+            raise HyalineError(f"texture_levels: is {self.texture_levels}; expected 1 to 8")
+        if not 0 < self.finer_counts <= 1:
+            raise HyalineError(f"finer_counts: is {self.finer_counts}; expected more than 0, at most 1")
+        word, dash, number = self.layers.rpartition("-")
+        if self.layers not in ("all", "online") and (not number.isdecimal() or (dash and word != "online")):
+            raise HyalineError(f"layers: is {self.layers!r}; expected all, a number, online, or both such as online-4")
+
+    @property
+    def asked_layers(self) -> int | None:
+        number = self.layers.rpartition("-")[2]
+        return int(number) if number.isdecimal() else None
+
+    @property
+    def traces_layers(self) -> bool:
+        return self.layers.startswith("online") or max(self.train_samples, self.render_samples) > 1
+
+    def usual(self, geometry: str) -> Self:  # noqa: ARG002
+        if self.preset == "published":
+            return type(self)()
+        return type(self)(
+            preset="best",
+            width=128,
+            norm="none",
+            texture_levels=5,
+            finer_counts=0.5,
+            texels_per_pixel=1.0,
+            train_samples=4,
+            render_samples=16,
+        )
+
+    def optimisation(self) -> PixelOptimisation:
+        if self.preset == "published":
+            return PixelOptimisation()
+        # Half as many rays a step in twice as many steps: as many rays as the published form trains on.
+        return PixelOptimisation(
+            steps=5000, batch=1024, lr=0.003, texture_lr=0.02, lr_decay="cosine", loss=LossConfig(softness=0.03)
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class MlpFirstConfig(PaperConfig):
+    """The paper's network on the first layer alone."""
+
+    max_layers: ClassVar[int | None] = 1

@@ -1,0 +1,94 @@
+"""What a method is: a configuration record, which builds a renderer and loads the pixels that it learns from.
+
+A method is a frozen dataclass that derives from `MethodConfig`. Its fields are the flags of `model train NAME` (see
+model/settings/flags.py); its methods make everything else. Importing it must not import torch, so that `--help` answers
+at once. docs/adding-a-method.md shows how to write one.
+"""
+
+import importlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar, Self
+
+from datagen.data.config import Split
+from datagen.data.dataset import Dataset
+from datagen.data.paths import LayerKind
+from model.settings.optimisation import Optimisation, PixelOptimisation
+
+if TYPE_CHECKING:
+    import model.batches.rays
+    import model.methods.renderer
+
+
+@dataclass(frozen=True, kw_only=True)
+class Inputs:
+    """What a method is given besides its configuration."""
+
+    dataset: Dataset
+    geometry: str
+    """`truth`, or the kind of proxy whose surfaces the method may know."""
+    num_layers: int
+    """Stored layers that it looks up, the nearest ones; 0 where it looks up none."""
+    layers_seal: str
+    """Digest of those layers; of the dataset where there are none."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MethodConfig:
+    """A method's configuration, and the way from it to a renderer."""
+
+    room: ClassVar[str] = ""
+    """A module that may import torch, whose functions `complete`, `build` and `load` take the record first. Empty: the
+    record itself overrides these methods."""
+    stored_layers: ClassVar[LayerKind | None] = None
+    """The stored layers that it looks up; None when it traces its own, or needs none."""
+    max_layers: ClassVar[int | None] = None
+    """The nearest stored layers that it looks at; None: all of them."""
+    knowledge: ClassVar[str] = ""
+    """What it is given besides geometry, images and cameras, in words; empty for nothing."""
+    uses_geometry: ClassVar[bool] = True
+    """False: surfaces are not known to it, and `knowledge` says all that is."""
+    is_shareable: ClassVar[bool] = False
+    """True when a step of several processes, each with a share of the batch's pixels, is what one would do."""
+
+    @property
+    def traces_layers(self) -> bool:
+        """True when no stored layer is read: rays are traced for each batch, or not needed."""
+        return self.stored_layers is None
+
+    @property
+    def asked_layers(self) -> int | None:
+        """How many stored layers it was told to look up; None: all of them."""
+        return None
+
+    def usual(self, geometry: str) -> Self:  # noqa: ARG002
+        """The record that flags change: all values that the preset of this one, and the geometry, bring with them."""
+        return type(self)()
+
+    def optimisation(self) -> Optimisation:
+        """How it is trained unless flags say otherwise; a `PixelOptimisation` takes the flags of further losses."""
+        return PixelOptimisation()
+
+    def complete(self, inputs: Inputs) -> Self:
+        """The same record with what was left for the dataset to decide.
+
+        Raises:
+            HyalineError: a choice that cannot be on this dataset.
+        """
+        return importlib.import_module(self.room).complete(self, inputs) if self.room else self
+
+    def build(self, inputs: Inputs) -> "model.methods.renderer.Renderer":
+        """A fresh renderer, of a complete record; its random start is drawn from torch's default generator."""
+        return importlib.import_module(self.room).build(self, inputs)
+
+    def load(
+        self, inputs: Inputs, split: Split, views: Sequence[int], *, with_images: bool, mapped: bool = False
+    ) -> "model.batches.rays.PixelSource":
+        """The pixels of some views, on the CPU.
+
+        Args:
+            with_images: without, their colours are black: rendering a test view never opens its truth.
+            mapped: keeps layers in files instead of memory; never where `traces_layers`.
+        """
+        load = importlib.import_module(self.room).load
+        return load(self, inputs, split, views, with_images=with_images, mapped=mapped)

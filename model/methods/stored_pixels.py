@@ -1,0 +1,34 @@
+"""The pixels of methods that look up stored layers, in memory or mapped from files."""
+
+from collections.abc import Sequence
+
+from datagen.data.config import Split
+from model.batches.pixel_cache import MappedPixels, map_pixels
+from model.batches.rays import Pixels, load_pixels
+from model.methods.protocol import Inputs
+
+
+def load_stored(
+    inputs: Inputs,
+    split: Split,
+    views: Sequence[int],
+    *,
+    with_images: bool,
+    mapped: bool,
+    whole_views: bool = False,
+) -> Pixels | MappedPixels:
+    """As many of the nearest layers as the method looks up.
+
+    Args:
+        whole_views: the renderer looks at neighbours.
+    """
+    load = map_pixels if mapped else load_pixels
+    return load(
+        inputs.dataset,
+        inputs.geometry,
+        split,
+        views,
+        with_images=with_images,
+        max_layers=inputs.num_layers,
+        whole_views=whole_views,
+    )

@@ -1,0 +1,40 @@
+"""The kinds of network parts that a configuration can name, and the numbers that they take; torch is not needed."""
+
+import math
+from typing import Literal
+
+from datagen.disk.errors import HyalineError
+
+Extrinsics = Literal["none", "view", "sh"]
+
+EXTRINSIC_CHANNELS: dict[Extrinsics, int] = {"none": 0, "view": 3, "sh": 9}
+"""Inputs that each layer gets besides its features. Source: paper section 4.6."""
+
+TextureSharing = Literal["object", "scene"]
+
+Norm = Literal["batch", "none"]
+
+UNetNorm = Literal["instance", "batch"]
+
+Precision = Literal["fp32", "bf16"]
+"""Numbers that linear layers multiply; parameters, and sums over pixels, are float32 anyway."""
+
+VggKind = Literal["vgg16", "vgg19"]
+
+
+def check_width(width: int, blocks: int) -> None:
+    """Raises a HyalineError where a width cannot be halved `blocks` times."""
+    if width < 1 or blocks < 0 or width % (1 << blocks):
+        raise HyalineError(f"width: is {width} with {blocks} blocks; expected a multiple of {1 << max(blocks, 0)}")
+
+
+def check_samples(name: str, samples: int) -> None:
+    """Raises a HyalineError where a pixel cannot be tiled by a square grid of so many cells."""
+    if samples < 1 or math.isqrt(samples) ** 2 != samples:
+        raise HyalineError(f"{name}: is {samples}; expected a square number of rays per pixel")
+
+
+def check_texels(name: str, size: int, *, is_open: bool = False) -> None:
+    """Raises a HyalineError where a texture cannot be so many texels wide; 0 may stand for a size that is open."""
+    if not (2 <= size <= 8192 or (is_open and size == 0)):
+        raise HyalineError(f"{name}: is {size}; expected 2 to 8192 texels")

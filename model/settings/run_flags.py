@@ -1,0 +1,36 @@
+"""What every run can be told, whatever its method."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from datagen.data.paths import TRUTH
+from model.settings.flags import choice
+
+Memory = Literal["auto", "ram", "mapped"]
+
+Device = Literal["auto", "cpu", "cuda"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunFlags:
+    """Where a run learns, where it is kept, and where it is computed."""
+
+    dataset: str | None = choice(None)
+    """Dataset folder, or its name under data/. Default: the only one there."""
+    geometry: str = choice(TRUTH)
+    """Whose layers to look up: truth, or a kind of proxy such as box."""
+    out: Path | None = choice(None)
+    """Folder of the run. Default: runs/SCENE/METHOD, with a suffix for each choice that is not the default."""
+    name: str | None = choice(None)
+    """Label of the run in tables. Default: from the folder's name."""
+    seed: int = choice(0, "seed{}")
+    """Seed of everything random."""
+    device: Device = choice("auto")
+    """Where to compute; auto takes a GPU where there is one."""
+    memory: Memory = choice("auto")
+    """Where training data from stored layers is held: ram, or mapped, in files under ~/.cache/hyaline (or
+    $XDG_CACHE_HOME) of which each step reads what it needs, so that a dataset may be larger than memory. The results
+    are the same, bit by bit. auto maps what does not fit, and says so. The files may be deleted at any time."""
+    overwrite: bool = choice(False)
+    """Delete the run that is there and start anew."""

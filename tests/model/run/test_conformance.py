@@ -1,0 +1,68 @@
+"""Owns the tests of `model check-method`, on the example method, which lives in a distribution of its own."""
+
+import os
+import shutil
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[3]
+EXAMPLE = ROOT / "examples" / "nearest_view"
+BROKEN = {
+    "one seed gives one start": ("torch.tensor(sharpness)", "torch.tensor(sharpness + id(self) % 7919 * 1e-4)"),
+    "pictures have their shape, type and range": (".flatten(0, 1)", ".flatten(0, 1)[:-1]"),
+    "one seed gives one run, which learns": ("rng.integers(", "np.random.default_rng().integers("),
+}
+"""Changes to the example, each of which breaks the promise of one check."""
+
+
+@pytest.fixture
+def installed(tmp_path: Path) -> Path:
+    """The example as an installer would leave it: its module, and its entry points."""
+    project = tomllib.loads((EXAMPLE / "pyproject.toml").read_text())["project"]
+    metadata = tmp_path / f"nearest_view-{project['version']}.dist-info"
+    metadata.mkdir()
+    (metadata / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {project['name']}\nVersion: 0.1.0\n")
+    points = [f"[{group}]\n" + "".join(f"{name} = {value}\n" for name, value in entries.items())
+              for group, entries in project["entry-points"].items()]  # fmt: skip
+    (metadata / "entry_points.txt").write_text("".join(points))
+    shutil.copy(EXAMPLE / "nearest_view.py", tmp_path)
+    return tmp_path
+
+
+def model(installed: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), str(installed)]), "OMP_NUM_THREADS": "1"}
+    return subprocess.run([sys.executable, "-m", "model", *words], capture_output=True, text=True, env=environment)
+
+
+def test_a_method_of_another_distribution_is_listed_checked_and_short(installed: Path) -> None:
+    assert len((EXAMPLE / "nearest_view.py").read_text().splitlines()) < 60
+    listed = model(installed, "train", "--help")
+    assert "nearest-view" in listed.stdout and "Brought by nearest-view." in listed.stdout
+    answer = model(installed, "check-method", "nearest-view")
+    lines = answer.stdout.splitlines()
+    assert answer.returncode == 0, answer.stdout + answer.stderr
+    assert [line.split()[0] for line in lines[:7]] == ["ok"] * 7
+    assert lines[7] in ("ok    it runs on a GPU", "skip  it runs on a GPU: torch finds no GPU")
+
+
+@pytest.mark.parametrize("check", BROKEN)
+def test_a_method_that_breaks_a_promise_is_told_which(installed: Path, check: str) -> None:
+    source = (installed / "nearest_view.py").read_text()
+    before, after = BROKEN[check]
+    assert before in source
+    (installed / "nearest_view.py").write_text(source.replace(before, after))
+    answer = model(installed, "check-method", "nearest-view")
+    assert answer.returncode == 1
+    assert any(line.startswith(f"FAIL  {check}: ") for line in answer.stdout.splitlines()), answer.stdout
+
+
+def test_a_method_that_cannot_be_imported_is_one_line_and_disturbs_no_other(installed: Path) -> None:
+    (installed / "nearest_view.py").write_text("import no_such_module")
+    answer = model(installed, "check-method", "nearest-view")
+    assert answer.returncode == 1 and answer.stderr.count("\n") == 1
+    assert "nearest_view:NearestViewConfig, which nearest-view brings, cannot be imported" in answer.stderr
+    assert model(installed, "train", "paper", "--help").returncode == 0
