@@ -9,7 +9,7 @@ import pytest
 
 PROGRAM = """
 import os, sys
-sys.path.insert(0, {tests!r})
+sys.path[:0] = {folders!r}
 from pathlib import Path
 from support.synthetic import synthetic_scene
 import datagen.build.build as build
@@ -45,8 +45,8 @@ def test_many_views_need_no_more_memory_than_few(
     tmp_path: Path, is_full: bool, cases: Callable[[int, str], None]
 ) -> None:
     early, late = (50, 300) if is_full else (20, 80)
-    tests = str(Path(__file__).resolve().parents[1])
-    program = PROGRAM.format(tests=tests, marks=(early, late), views=late, out=str(tmp_path / "data"))
+    folders = [str(Path(__file__).resolve().parents[place]) for place in (2, 1)]
+    program = PROGRAM.format(folders=folders, marks=(early, late), views=late, out=str(tmp_path / "data"))
     answer = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
     assert answer.returncode == 0, answer.stderr
     held = {tuple(line.split()[:2]): int(line.split()[2]) for line in answer.stdout.splitlines()}

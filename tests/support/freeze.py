@@ -1,6 +1,6 @@
 """The frozen world: a dataset, a run and a scene as a zip, which changes when a format's version does.
 
-`PYTHONPATH=tests python tests/support/freeze.py FILE.zip` makes it; once for each version of the formats.
+`PYTHONPATH=.:tests python tests/support/freeze.py FILE.zip` makes it; once for each version of the formats.
 """
 
 import sys
