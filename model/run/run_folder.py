@@ -81,13 +81,16 @@ def parse_config(data: Json, *, where: str) -> TrainConfig:
     Raises:
         HyalineError: no such method, an unknown or missing key, or a value of the wrong type.
     """
-    content = data if isinstance(data, dict) else {}
+    if not isinstance(data, dict):
+        raise HyalineError(f"{where}: is {shown(data)}; expected an object")
+    if not isinstance(name := data.get("method"), str):
+        raise HyalineError(f"{where}: method is {shown(name)}; expected the name of one")
     try:
-        kind = find_method(str(content.get("method")))
+        kind = find_method(name)
     except HyalineError as error:
         raise HyalineError(f"{where}: {error}") from None
-    net = from_json(kind, content.get("net"), where=f"{where}.net")
-    return dataclasses.replace(from_json(TrainConfig, {**content, "net": OPEN}, where=where), net=net)
+    net = from_json(kind, data.get("net"), where=f"{where}.net")
+    return dataclasses.replace(from_json(TrainConfig, {**data, "net": OPEN}, where=where), net=net)
 
 
 @dataclass(frozen=True, kw_only=True)

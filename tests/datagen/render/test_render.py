@@ -12,6 +12,7 @@ from support.scenes import DUSK, rendered, scene_of
 from support.synthetic import look_at, quad
 
 from datagen.data.cameras import Cameras
+from datagen.data.exr import decode_exr
 from datagen.disk.errors import HyalineError
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.description import Lobe, RectangleLight, Scene, SceneObject, SoftEnvironment

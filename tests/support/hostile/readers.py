@@ -9,6 +9,7 @@ from support.hostile.pictures import PREDICTION
 
 from datagen.build.verify import verify_dataset
 from datagen.data.dataset import Dataset, open_dataset
+from datagen.data.exr import decode_exr
 from datagen.data.geometries import read_meshes
 from datagen.disk.errors import HyalineError
 
