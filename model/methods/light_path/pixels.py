@@ -85,7 +85,7 @@ class LightPathPixels:
                 seed=seed,
                 facets=facets,
             )
-            stack = self._stack(origins, directions) if config.stack_hidden else None
+            stack = self._stack(origins, directions, seed, facets) if config.stack_hidden else None
         return LightPathBatch(
             num_pixels=index.numel(), samples=samples, ends=self._ends(paths), sky=self._sky(paths), stack=stack
         )
@@ -126,13 +126,17 @@ class LightPathPixels:
             throughput=self._tensor(paths.end_throughput[place]),
         )
 
-    def _stack(self, origins: np.ndarray, directions: np.ndarray) -> Stack:
+    def _stack(self, origins: np.ndarray, directions: np.ndarray, seed: int, facets: np.ndarray | None) -> Stack:
+        # By the facets of the paths: were those of a pixel's rays always spread evenly, pairs of rays would know of
+        # each other, and with `--debias` the network would be paid for contrasts that cancel between them.
         paths = self.tracer.trace(
             origins,
             directions,
             max_branches=len(STACKED_VERTICES),
             max_vertices=max(STACKED_VERTICES),
             max_depth=max(STACKED_VERTICES),
+            seed=seed,
+            facets=facets,
         )
         places = [(branch, vertex) for branch, count in enumerate(STACKED_VERTICES) for vertex in range(count)]
         slots = [_slot(paths, *place) for place in places]

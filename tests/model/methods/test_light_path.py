@@ -131,6 +131,32 @@ def test_paired_training_rays_lie_opposite_each_other_and_pairs_are_independent(
     assert np.abs(np.histogram(first, bins=5, range=(0, 1))[0] / 1000 - 0.2).max() < 0.05
 
 
+@pytest.mark.parametrize("paired", [True, False])
+def test_the_stack_meets_the_facets_that_the_paths_meet(
+    dataset: Dataset, monkeypatch: pytest.MonkeyPatch, *, paired: bool
+) -> None:
+    pixels = pixels_of(dataset, paired_rays=paired)
+    traced, given = pixels.tracer.trace, []
+
+    def trace(*rays: np.ndarray, seed: int, facets: np.ndarray, **limits: int) -> object:
+        given.append((seed, facets))
+        return traced(*rays, seed=seed, facets=facets, **limits)
+
+    monkeypatch.setattr(pixels.tracer, "trace", trace)
+    pixels.take(torch.arange(100, 600), np.random.default_rng(2))
+    (seed, facets), (stack_seed, stack_facets) = given
+    assert seed == stack_seed
+    assert np.array_equal(facets, stack_facets)
+    points = facets.reshape(500, 4, 2)
+    if paired:
+        first, second = points.reshape(500, 2, 2, 2)[:, :, 0].transpose(1, 2, 0)
+        assert np.abs(np.corrcoef(np.concatenate([first, second]))[:2, 2:]).max() < 0.15
+    else:  # Spread evenly: no two of a pixel lie near each other.
+        apart = np.abs(points[:, :, None] - points[:, None]) % 1
+        apart = np.linalg.norm(np.minimum(apart, 1 - apart), axis=-1)[:, ~np.eye(4, dtype=bool)]
+        assert apart.min() > 0.25
+
+
 def test_where_everything_shines_alike_glass_disappears(dataset: Dataset) -> None:
     pixels = pixels_of(dataset)
     renderer = white(LightPathRenderer(LightPathConfig(texture_sizes=(8, 8), stack_hidden=0)))
