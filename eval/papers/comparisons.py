@@ -91,7 +91,7 @@ LIGHT_PATH: dict[str, Json] = {
     "sky_lobes": 12,
     "hidden": 128,
     "directions": "off",
-    "debias": 0.0,
+    "debias": 1.0,
     "position_octaves": 0,
     "straight_layers": 0,
     "shells": 1,
@@ -107,13 +107,23 @@ LIGHT_PATH: dict[str, Json] = {
 LIGHT_PATH_ON_PROXIES: dict[str, Json] = {
     **{key: value for key, value in LIGHT_PATH.items() if key != "shells"},
     "directions": "on",
+    "debias": 0.0,
     "stack_hidden": 96,
     "straight_layers": 24,
     "relief": "on",
 }
 """The same on proxies; how many shells there are, the number of objects decides."""
 
-PROXY_KEYS = ("geometry", "texture_sizes", "directions", "stack_hidden", "straight_layers", "shells", "relief")
+PROXY_KEYS = (
+    "geometry",
+    "texture_sizes",
+    "directions",
+    "debias",
+    "stack_hidden",
+    "straight_layers",
+    "shells",
+    "relief",
+)
 """What `light-path` chooses by the geometry."""
 
 OURS = Line(title="paper", method="paper", choices=VIEW, published=VIEW_VECTOR)

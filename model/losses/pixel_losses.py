@@ -90,12 +90,10 @@ def noise_penalty(
     through the variance alone. A truth that is white, and exceeded, asks for nothing. The same idea, with two
     independent renderings: Deng et al. 2022, "Reconstructing Translucent Objects using Differentiable Rendering".
 
-    Long runs still come to ripple on rough surfaces (RESULTS.md), so no method does it by default.
-
     The variance has to be one that independent groups of rays tell. Half of the spread of rays in cells of their own is
-    right on average, but then ripples that cancel within a pixel are paid for: after 1,500 steps those of a rough floor
-    cost 3 dB. The second derivative is taken as far out as the noise reaches: at a difference of 0 that is the mean of
-    two large ones it would pay for noise without limit.
+    right on average, but then ripples that cancel within a pixel are paid for, and grow on rough surfaces (RESULTS.md).
+    The second derivative is taken as far out as the noise reaches: at a difference of 0 that is the mean of two large
+    ones it would pay for noise without limit.
     """
     given = differences.detach()
     curvature = softness**2 / (given.square() + variance.detach() + softness**2) ** 1.5

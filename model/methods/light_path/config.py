@@ -65,9 +65,9 @@ class LightPathConfig(MethodConfig):
     directions: Literal["on", "off"] = choice("off", {"on": "directions", "off": "no-directions"})
     """Tell the decoder the mirrored direction. On true geometry it need not be: gloss is traced, and what is left is
     diffuse. On proxies on."""
-    debias: float = choice(0.0, "debias{}")
+    debias: float = choice(1.0, "debias{}")
     """Share, 0 to 1, of what the noise of training rays adds to the loss that is subtracted; these then come in
-    independent pairs. At 0 lamps are learned too dim. Not safe in long runs: rough surfaces may ripple."""
+    independent pairs. At 0 lamps are learned too dim. On proxies 0: not tried there."""
     position_octaves: int = choice(0, "{}-octaves")
     """Octaves of the sines and cosines of a path end's position that the decoder is told."""
     texture_levels: int = choice(5, "{}-levels")
@@ -123,7 +123,7 @@ class LightPathConfig(MethodConfig):
         """
         if geometry == TRUTH:
             return type(self)()
-        return type(self)(stack_hidden=96, straight_layers=24, shells=4, relief="on", directions="on")
+        return type(self)(stack_hidden=96, straight_layers=24, shells=4, relief="on", directions="on", debias=0.0)
 
     def optimisation(self) -> PixelOptimisation:
         # A quarter of the pixels with four rays each: as many rays a step as `paper`.

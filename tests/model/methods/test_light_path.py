@@ -119,7 +119,7 @@ def training_places(dataset: Dataset, **config: object) -> np.ndarray:
 
 
 def test_training_rays_fill_their_pixels_one_in_each_cell(dataset: Dataset) -> None:
-    cells = np.floor(np.clip(training_places(dataset), 0, 0.999) * 2).astype(int)
+    cells = np.floor(np.clip(training_places(dataset, debias=0.0), 0, 0.999) * 2).astype(int)
     assert (np.sort(cells[..., 0] * 2 + cells[..., 1], axis=1) == np.arange(4)).mean() > 0.99
 
 
@@ -135,7 +135,7 @@ def test_paired_training_rays_lie_opposite_each_other_and_pairs_are_independent(
 def test_the_stack_meets_the_facets_that_the_paths_meet(
     dataset: Dataset, monkeypatch: pytest.MonkeyPatch, *, paired: bool
 ) -> None:
-    pixels = pixels_of(dataset, paired_rays=paired)
+    pixels = pixels_of(dataset, debias=float(paired))
     traced, given = pixels.tracer.trace, []
 
     def trace(*rays: np.ndarray, seed: int, facets: np.ndarray, **limits: int) -> object:
