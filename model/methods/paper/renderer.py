@@ -1,5 +1,6 @@
 """The renderer of `paper`: neural textures on straight layers, stacked into a per-pixel residual MLP."""
 
+import functools
 import math
 
 import numpy as np
@@ -8,6 +9,8 @@ from jaxtyping import Float32
 from torch import Tensor
 from torch.autograd.function import FunctionCtx
 
+from datagen.machine.processor import bf16_instructions
+from datagen.terminal.command import say
 from model.batches.rays import Pixels, PixelSource, RayBatch, insert_random_layer
 from model.batches.samples import linear_curve, srgb_curve
 from model.methods.paper.config import PaperConfig
@@ -169,7 +172,16 @@ class _Beside(torch.autograd.Function):
 
 def build_paper(config: PaperConfig, inputs: Inputs) -> PaperRenderer:
     """A fresh renderer; its start is drawn from torch's default generator."""
+    if config.precision == "bf16":
+        _warn_of_slow_bf16()
     positions = positions_for(config.extrinsics, inputs.dataset, inputs.geometry, config.position_size)
     return PaperRenderer(
         config, num_layers=inputs.num_layers, num_objects=len(inputs.dataset.objects), positions=positions
     )
+
+
+@functools.cache
+def _warn_of_slow_bf16() -> None:
+    """Once a process: PyTorch multiplies bf16 several times more slowly where the processor has no instructions."""
+    if not torch.cuda.is_available() and bf16_instructions() is None:
+        say("--precision bf16: this processor has no instructions for bf16, which is slower here than fp32")

@@ -13,7 +13,7 @@ from support.training import build
 from datagen.disk.errors import HyalineError
 from model.batches.rays import insert_empty_layer, load_pixels
 from model.methods.paper.config import PaperConfig
-from model.methods.paper.renderer import PaperRenderer, default_texture_size
+from model.methods.paper.renderer import PaperRenderer, _warn_of_slow_bf16, default_texture_size
 from model.methods.table import open_inputs
 from model.nets.extrinsics import (
     ExtrinsicInputs,
@@ -191,3 +191,19 @@ def test_stored_uv_and_colors_come_back_exactly(tmp_path: Path) -> None:
 def test_textures_have_half_the_images_width() -> None:
     assert default_texture_size(512, 18, "object") == 256  # What the authors ran.
     assert default_texture_size(512, 18, "scene") == 5 * 256
+
+
+@pytest.mark.parametrize("has_instructions", [True, False])
+def test_bf16_without_instructions_for_it_is_told_once(
+    has_instructions: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "cpuinfo").write_text(f"flags\t\t: fpu sse {'avx512_bf16' if has_instructions else ''}\n")
+    monkeypatch.setattr("datagen.machine.processor.CPUINFO", tmp_path / "cpuinfo")
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    dataset = write_synthetic_dataset(tmp_path / "data")
+    _warn_of_slow_bf16.cache_clear()
+    for precision in ("fp32", "bf16", "bf16"):
+        build(PaperConfig(width=8, texture_size=4, precision=precision), dataset)
+    _warn_of_slow_bf16.cache_clear()
+    told = capsys.readouterr().err.count("--precision bf16: this processor has no instructions for bf16")
+    assert told == (0 if has_instructions else 1)
