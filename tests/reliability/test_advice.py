@@ -13,6 +13,7 @@ from support.disk import State
 from support.scenarios import BUILD, TRAIN
 
 import datagen.terminal.command
+import model.cli
 from datagen.data.advice import BLIND_METHODS
 from datagen.data.dataset import open_dataset
 from datagen.data.finding import find_dataset
@@ -51,6 +52,7 @@ def check_parses(line: str, patch: pytest.MonkeyPatch) -> dict[str, object]:
     with patch.context() as inner:
         for module in MAINS.values():
             inner.setattr(f"{module}.run", run)
+        inner.setattr("model.cli._train", stub(model.cli._train))  # It parses by the method's own record.
         answer = call(line)
     assert (answer.status, len(called)) == (0, 1), f"{line}: {answer.err}"
     return called[0]

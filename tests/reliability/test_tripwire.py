@@ -85,7 +85,7 @@ TRIPS = (
 )  # fmt: skip
 
 WRITES_NOTHING = {
-    "datagen scenes", "datagen doctor", "benchmarks peel", "benchmarks truth",
+    "datagen scenes", "datagen doctor", "model check-method", "benchmarks peel", "benchmarks truth",
     "benchmarks ceilings", "benchmarks step", "benchmarks infer", "benchmarks online", "benchmarks gpu",
 }  # fmt: skip
 """Commands that have no file to write."""

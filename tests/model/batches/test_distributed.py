@@ -20,6 +20,8 @@ from datagen.disk.errors import HyalineError
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.materials import Conductor
 from model.batches.distributed import SharedGenerator, Team, join, own_device
+from model.methods.authors_code.config import AuthorsConfig
+from model.methods.dnr.config import DnrConfig
 from model.run.checkpoint import load_state
 from model.run.run_folder import TrainConfig
 from model.run.train import check_team
@@ -229,8 +231,11 @@ def test_a_share_of_the_rays_meets_the_facets_that_it_meets_among_all(dataset: D
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"method": "dnr"}, "dnr: its steps look at whole patches, pictures or dropout, which several processes"),
-        ({"method": "authors-code"}, "train it without torchrun"),
+        (
+            {"method": "dnr", "net": DnrConfig()},
+            "dnr: its steps look at whole patches, pictures or dropout, which several processes",
+        ),
+        ({"method": "authors-code", "net": AuthorsConfig()}, "train it without torchrun"),
         ({"loss": LossConfig(adversarial=0.01)}, "with losses of pixels alone"),
         ({"batch": 2}, "batch: is 2; expected at least a pixel for each of 3 processes"),
     ],
