@@ -4,7 +4,7 @@ import os
 import shutil
 import signal
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -19,17 +19,9 @@ from model.run import train as train_module
 from model.run.checkpoint import load_checkpoint, load_state, save_checkpoint
 from model.run.run_folder import TrainConfig
 
-pytestmark = pytest.mark.promise("R3")
+pytestmark = [pytest.mark.promise("R3"), pytest.mark.usefixtures("one_thread")]
 
 SIZE = ("--steps", "6", "--batch", "64", "--texture-size", "16", "--width", "32", "--device", "cpu")
-
-
-@pytest.fixture(autouse=True, scope="module")
-def one_thread() -> Iterator[None]:
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
 
 
 @pytest.fixture(autouse=True)
