@@ -29,8 +29,13 @@ def main() -> None:
     """Entry point of the console script."""
     unwrap_help(LaunchChoices)
     commands = {
-        "build": build, "peel": peel, "verify": verify, "mend": mend, "scenes": scenes, "doctor": doctor,
-    }  # fmt: skip
+        "build": build,
+        "peel": peel,
+        "verify": verify,
+        "mend": mend,
+        "scenes": scenes,
+        "doctor": doctor,
+    }
     run("datagen", "Path-traced datasets of transparent objects, with peeled layers.", commands, sys.argv[1:])
 
 
@@ -96,10 +101,19 @@ def build(
     """
     _check_parts(shard, launch, overwrite=overwrite, edit=edit)
     if edit or dataset is not None:
-        given = {"layers": layers != ("straight",), "num-layers": num_layers != 8,
-                 "rays": rays != 4, "seed": seed != 0, "ceiling": ceiling is not None, "views": views is not None,
-                 "resolution": resolution is not None, "test-views": test_views is not None, "spp": spp is not None,
-                 "test-spp": test_spp is not None, "max-depth": max_depth != 24}  # fmt: skip
+        given = {
+            "layers": layers != ("straight",),
+            "num-layers": num_layers != 8,
+            "rays": rays != 4,
+            "seed": seed != 0,
+            "ceiling": ceiling is not None,
+            "views": views is not None,
+            "resolution": resolution is not None,
+            "test-views": test_views is not None,
+            "spp": spp is not None,
+            "test-spp": test_spp is not None,
+            "max-depth": max_depth != 24,
+        }
         _refuse("--edit" if edit else "--dataset", given)
         base = _open_base(scene, out, dataset, preset)
         if edit:
@@ -112,8 +126,15 @@ def build(
             raise HyalineError(
                 "--dataset: goes with --edit, --angle-splits or --super-resolution; a new one takes --scene"
             )
-        _check_build(layers=("straight",), num_layers=8, rays=4, workers=workers, scales=super_resolution,
-                     scaled_views=super_resolution_views, test_views=base.config.interpolating.views)  # fmt: skip
+        _check_build(
+            layers=("straight",),
+            num_layers=8,
+            rays=4,
+            workers=workers,
+            scales=super_resolution,
+            scaled_views=super_resolution_views,
+            test_views=base.config.interpolating.views,
+        )
         _build_more(base, angles=angle_splits, scales=super_resolution, views=super_resolution_views, workers=workers)
         tell(str(base.root))
         next_command(after_build(base))
@@ -134,9 +155,14 @@ def build(
         test_spp=test_spp,
     )
     _check_build(
-        layers=layers, num_layers=num_layers, rays=rays, workers=workers, scales=super_resolution,
-        scaled_views=super_resolution_views, test_views=size.interpolating.views,
-    )  # fmt: skip
+        layers=layers,
+        num_layers=num_layers,
+        rays=rays,
+        workers=workers,
+        scales=super_resolution,
+        scaled_views=super_resolution_views,
+        test_views=size.interpolating.views,
+    )
     config = DatasetConfig(
         scene="scene",  # Its name is known when it is read.
         preset=preset,
@@ -159,13 +185,21 @@ def build(
         send_off(sys.argv[1:], root, launch, workers=workers)
     part = None if shard is None else parse_shard(shard)
     made = build_dataset(
-        description, root, config, kinds=layers, num_layers=num_layers, rays=rays, workers=workers,
-        overwrite=overwrite, shard=part,
-    )  # fmt: skip
+        description,
+        root,
+        config,
+        kinds=layers,
+        num_layers=num_layers,
+        rays=rays,
+        workers=workers,
+        overwrite=overwrite,
+        shard=part,
+    )
     if part is None:
         _say_all(summary(made, TRUTH, layers))
-    _build_more(made, angles=angle_splits, scales=super_resolution, views=super_resolution_views, workers=workers,
-                shard=part)  # fmt: skip
+    _build_more(
+        made, angles=angle_splits, scales=super_resolution, views=super_resolution_views, workers=workers, shard=part
+    )
     peel_variants(made, workers=workers, shard=part)
     tell(str(root))
     if part is not None:
@@ -180,8 +214,16 @@ def build(
     next_command(after_build(made))
 
 
-def _check_build(*, layers: tuple[LayerKind, ...], num_layers: int, rays: int, workers: int, scales: tuple[int, ...],
-                 scaled_views: int | None, test_views: int) -> None:  # fmt: skip
+def _check_build(
+    *,
+    layers: tuple[LayerKind, ...],
+    num_layers: int,
+    rays: int,
+    workers: int,
+    scales: tuple[int, ...],
+    scaled_views: int | None,
+    test_views: int,
+) -> None:
     """Refuses numbers that cannot be before anything is modelled."""
     from datagen.build.plan_variant import MAX_SCALE
 
@@ -238,8 +280,15 @@ def _open_base(scene: str, out: Path | None, dataset: str | None, preset: str) -
     return base
 
 
-def _build_more(base: Dataset, *, angles: bool, scales: tuple[int, ...], views: int | None, workers: int,
-                shard: "Shard | None" = None) -> None:  # fmt: skip
+def _build_more(
+    base: Dataset,
+    *,
+    angles: bool,
+    scales: tuple[int, ...],
+    views: int | None,
+    workers: int,
+    shard: "Shard | None" = None,
+) -> None:
     from datagen.build.build_variant import build_variant
     from datagen.build.plan_variant import plan_angles, plan_larger
 

@@ -114,8 +114,9 @@ def _border(rig: CameraRig, angle: float) -> tuple[Directions, Directions]:
     return start, np.cos(turn)[:, None] * east + np.sin(turn)[:, None] * north
 
 
-def _angle_to_meridian(azimuth: Float[np.ndarray, " place"], elevation: Float[np.ndarray, " place"], low: float,
-                       high: float) -> Float[np.ndarray, " place"]:  # fmt: skip
+def _angle_to_meridian(
+    azimuth: Float[np.ndarray, " place"], elevation: Float[np.ndarray, " place"], low: float, high: float
+) -> Float[np.ndarray, " place"]:
     """Angle to the arc from `low` to `high` of the meridian from which `azimuth` is counted."""
     x = np.cos(elevation) * np.cos(azimuth)
     nearest = np.arctan2(np.sin(elevation), x)  # On the great circle, where it may be beyond a pole.
@@ -125,8 +126,9 @@ def _angle_to_meridian(azimuth: Float[np.ndarray, " place"], elevation: Float[np
     return np.arccos(np.clip(cosine.max(axis=0), -1, 1))
 
 
-def _runs_into(rig: CameraRig, meshes: tuple[Mesh, ...], start: Directions, out: Directions,
-               angle: float) -> Bool[np.ndarray, " place"]:  # fmt: skip
+def _runs_into(
+    rig: CameraRig, meshes: tuple[Mesh, ...], start: Directions, out: Directions, angle: float
+) -> Bool[np.ndarray, " place"]:
     """True where a mesh is in the way from the border to a place, or right behind it, at the rig's radius."""
     corners = np.concatenate([face_corners(mesh) for mesh in meshes]).astype(np.float64) - np.array(rig.target)
     knots = np.linspace(0, angle + MARGIN, math.ceil((angle + MARGIN) / math.radians(4)) + 1)
@@ -145,8 +147,9 @@ def _runs_into(rig: CameraRig, meshes: tuple[Mesh, ...], start: Directions, out:
     return np.logical_or.reduce(hits.reshape(len(knots) - 1, -1))
 
 
-def _segments_hit(triangle: Float[np.ndarray, "3 3"], origins: Directions,
-                  spans: Directions) -> Bool[np.ndarray, " place"]:  # fmt: skip
+def _segments_hit(
+    triangle: Float[np.ndarray, "3 3"], origins: Directions, spans: Directions
+) -> Bool[np.ndarray, " place"]:
     """True where the segment from an origin, one span long, meets a triangle. Source: Moeller and Trumbore 1997."""
     a, e1, e2 = triangle[0], triangle[1] - triangle[0], triangle[2] - triangle[0]
     # Most segments lie on one side of its plane.

@@ -35,8 +35,18 @@ from datagen.terminal.command import say, this_command, track
 from datagen.trace.light_path_layers import NUM_BRANCHES, create_light_paths
 
 
-def build_dataset(scene: Scene, root: Path, config: DatasetConfig, *, kinds: tuple[LayerKind, ...], num_layers: int,
-                  workers: int, overwrite: bool, rays: int = 4, shard: Shard | None = None) -> Dataset:  # fmt: skip
+def build_dataset(
+    scene: Scene,
+    root: Path,
+    config: DatasetConfig,
+    *,
+    kinds: tuple[LayerKind, ...],
+    num_layers: int,
+    workers: int,
+    overwrite: bool,
+    rays: int = 4,
+    shard: Shard | None = None,
+) -> Dataset:
     """Renders and peels every view that is not there yet, or those of one part.
 
     The bytes depend on scene and configuration alone: not on workers, threads, order, parts, or how often it was
@@ -92,8 +102,17 @@ def render_dataset(dataset: Dataset, *, workers: int, shard: Shard | None = None
             pass
 
 
-def peel_dataset(dataset: Dataset, geometry: str, *, kinds: tuple[LayerKind, ...], num_layers: int, overwrite: bool,
-                 rays: int = 4, workers: int = 1, shard: Shard | None = None) -> None:  # fmt: skip
+def peel_dataset(
+    dataset: Dataset,
+    geometry: str,
+    *,
+    kinds: tuple[LayerKind, ...],
+    num_layers: int,
+    overwrite: bool,
+    rays: int = 4,
+    workers: int = 1,
+    shard: Shard | None = None,
+) -> None:
     """Peels every view of a geometry, or those of one part, that is not peeled yet.
 
     Args:
@@ -128,8 +147,17 @@ def peel_dataset(dataset: Dataset, geometry: str, *, kinds: tuple[LayerKind, ...
                         pass
 
 
-def _start_layers(dataset: Dataset, geometry: str, kind: LayerKind, meshes_hash: str, *, num_layers: int, rays: int,
-                  overwrite: bool, shard: Shard | None) -> None:  # fmt: skip
+def _start_layers(
+    dataset: Dataset,
+    geometry: str,
+    kind: LayerKind,
+    meshes_hash: str,
+    *,
+    num_layers: int,
+    rays: int,
+    overwrite: bool,
+    shard: Shard | None,
+) -> None:
     """Sees to it that a store of these settings stands there, without views or with some; the caller holds it."""
     root = layers_root(dataset.root, geometry, kind)
     is_started = not overwrite and _is_started(dataset, geometry, kind, meshes_hash, num_layers=num_layers, rays=rays)
@@ -184,8 +212,9 @@ def summary(dataset: Dataset, geometry: str, kinds: tuple[LayerKind, ...]) -> li
 # Starting and going on
 
 
-def open_or_start(scene: Scene, root: Path, config: DatasetConfig, cameras: dict[Split, Cameras], *, overwrite: bool
-                  ) -> Dataset:  # fmt: skip
+def open_or_start(
+    scene: Scene, root: Path, config: DatasetConfig, cameras: dict[Split, Cameras], *, overwrite: bool
+) -> Dataset:
     """The dataset at `root`, its head complete, or a new one without views; the caller holds the folder.
 
     Raises:
@@ -214,8 +243,9 @@ def open_or_start(scene: Scene, root: Path, config: DatasetConfig, cameras: dict
     return dataset
 
 
-def _is_started(dataset: Dataset, geometry: str, kind: LayerKind, meshes_hash: str, *, num_layers: int,
-                rays: int) -> bool:  # fmt: skip
+def _is_started(
+    dataset: Dataset, geometry: str, kind: LayerKind, meshes_hash: str, *, num_layers: int, rays: int
+) -> bool:
     """True when a store of these settings stands there; of other ones it is an error."""
     root = layers_root(dataset.root, geometry, kind)
     if not (root / "layers.json").is_file():
@@ -232,8 +262,16 @@ def _is_started(dataset: Dataset, geometry: str, kind: LayerKind, meshes_hash: s
     return head.geometry == meshes_hash
 
 
-def _start(dataset: Dataset, geometry: str, kind: LayerKind, meshes_hash: str, *, num_layers: int,
-           rays: int, replace: bool = False) -> None:  # fmt: skip
+def _start(
+    dataset: Dataset,
+    geometry: str,
+    kind: LayerKind,
+    meshes_hash: str,
+    *,
+    num_layers: int,
+    rays: int,
+    replace: bool = False,
+) -> None:
     if kind == "straight":
         create_layers(dataset, geometry, num_layers=num_layers, geometry_hash=meshes_hash, replace=replace)
     else:
@@ -248,8 +286,9 @@ def _start(dataset: Dataset, geometry: str, kind: LayerKind, meshes_hash: str, *
         )
 
 
-def _start_beside_others(dataset: Dataset, geometry: str, kind: LayerKind, meshes_hash: str, *, num_layers: int,
-                         rays: int) -> None:  # fmt: skip
+def _start_beside_others(
+    dataset: Dataset, geometry: str, kind: LayerKind, meshes_hash: str, *, num_layers: int, rays: int
+) -> None:
     """Starts a store that other processes may be starting too; what stands there is never deleted.
 
     Raises:

@@ -20,8 +20,9 @@ from datagen.scene.edits import moved_mesh
 from datagen.terminal.command import say
 
 
-def build_variant(base: Dataset, plan: Plan, *, workers: int, shard: Shard | None = None,
-                  overwrite: bool = False) -> Dataset:  # fmt: skip
+def build_variant(
+    base: Dataset, plan: Plan, *, workers: int, shard: Shard | None = None, overwrite: bool = False
+) -> Dataset:
     """Renders and peels what is missing of a variant, or of one part of its views.
 
     An edit gets the proxies of the base, changed as their objects are, and its edit masks.

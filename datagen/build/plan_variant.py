@@ -88,9 +88,7 @@ def plan_edit(base: Dataset, edits: tuple[Edit, ...]) -> Plan:
     read_meshes(base, TRUTH)
     before = load_scene(base.root / "scene", is_sealed=True)
     edited = edit_scene(before, edits)
-    edit = SceneEdit(
-        edits=tuple(map(describe_edit, edits)), changed=edited.changed(before), copies=edited.copies
-    )  # fmt: skip
+    edit = SceneEdit(edits=tuple(map(describe_edit, edits)), changed=edited.changed(before), copies=edited.copies)
     return Plan(
         name=edits_name(edits),
         config=base.config,

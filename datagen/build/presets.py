@@ -36,8 +36,15 @@ PRESETS: dict[str, Preset] = {
 }
 
 
-def resize(preset: Preset, *, resolution: int | None, views: int | None, test_views: int | None, spp: int | None,
-           test_spp: int | None) -> Preset:  # fmt: skip
+def resize(
+    preset: Preset,
+    *,
+    resolution: int | None,
+    views: int | None,
+    test_views: int | None,
+    spp: int | None,
+    test_spp: int | None,
+) -> Preset:
     """The preset with single values replaced where they are given."""
 
     def replaced(split: SplitConfig, views: int | None, spp: int | None) -> SplitConfig:

@@ -20,6 +20,7 @@ TRANSFORMS_FILES: dict[Split, str] = {
     "extrapolating": "transforms_extrapolating.json",
     **{split: f"transforms_{split}.json" for split in ANGLE_SPLITS},
 }
+CONVENTION = "transform_matrix is world_from_camera, OpenGL: +x right, +y up, looks along -z; world +z up; m"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -89,8 +90,9 @@ def look_at(position: Float[np.ndarray, "3"], target: Float[np.ndarray, "3"]) ->
     return matrix
 
 
-def subpixel_offsets(samples: int, place: float | Float[np.ndarray, "... sample 2"] = 0.5
-                     ) -> Float[np.ndarray, "... sample 2"]:  # fmt: skip
+def subpixel_offsets(
+    samples: int, place: float | Float[np.ndarray, "... sample 2"] = 0.5
+) -> Float[np.ndarray, "... sample 2"]:
     """Where the rays of a pixel pass through it: (down, right) from its upper left corner, in [0, 1)^2 of its width.
 
     Each ray has a cell of its own in a regular grid that tiles the pixel, row by row.
@@ -109,8 +111,9 @@ def subpixel_offsets(samples: int, place: float | Float[np.ndarray, "... sample 
     return (cells + place) / side
 
 
-def subpixel_rays(cameras: Cameras, pixel: Int[np.ndarray, " pixel"], offsets: Float[np.ndarray, "pixel sample 2"]
-                  ) -> tuple[Float32[np.ndarray, "ray 3"], Float32[np.ndarray, "ray 3"]]:  # fmt: skip
+def subpixel_rays(
+    cameras: Cameras, pixel: Int[np.ndarray, " pixel"], offsets: Float[np.ndarray, "pixel sample 2"]
+) -> tuple[Float32[np.ndarray, "ray 3"], Float32[np.ndarray, "ray 3"]]:
     """Origins and unit directions of rays through pixels of any views, pixel by pixel, computed in float64.
 
     Args:
@@ -133,20 +136,22 @@ def subpixel_rays(cameras: Cameras, pixel: Int[np.ndarray, " pixel"], offsets: F
 def transforms_bytes(cameras: Cameras, split: Split) -> bytes:
     """The cameras of a split as NeRF tools read them."""
     focal = 0.5 * cameras.width / math.tan(0.5 * cameras.fov_x)
-    return dump_json({
-        "convention": "transform_matrix is world_from_camera, OpenGL: +x right, +y up, looks along -z; world +z up; m",
-        "camera_angle_x": cameras.fov_x,
-        "fl_x": focal,
-        "fl_y": focal,
-        "cx": 0.5 * cameras.width,
-        "cy": 0.5 * cameras.height,
-        "w": cameras.width,
-        "h": cameras.height,
-        "frames": [
-            {"file_path": f"images/{split}/{view_name(view)}", "transform_matrix": matrix.tolist()}
-            for view, matrix in enumerate(cameras.world_from_camera)
-        ],
-    })  # fmt: skip
+    return dump_json(
+        {
+            "convention": CONVENTION,
+            "camera_angle_x": cameras.fov_x,
+            "fl_x": focal,
+            "fl_y": focal,
+            "cx": 0.5 * cameras.width,
+            "cy": 0.5 * cameras.height,
+            "w": cameras.width,
+            "h": cameras.height,
+            "frames": [
+                {"file_path": f"images/{split}/{view_name(view)}", "transform_matrix": matrix.tolist()}
+                for view, matrix in enumerate(cameras.world_from_camera)
+            ],
+        }
+    )
 
 
 def parse_transforms(data: bytes, *, where: str) -> Cameras:

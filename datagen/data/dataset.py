@@ -236,8 +236,10 @@ class View:
                 f"mend it with `{mend_command(path)}`"
             )
         if set(record.files) != {self._file(".png"), self._file(".exr")}:
-            raise HyalineError(f"{path}: promises {', '.join(sorted(record.files))}; expected its view's pictures, "
-                               f"mend it with `{mend_command(path)}`")  # fmt: skip
+            raise HyalineError(
+                f"{path}: promises {', '.join(sorted(record.files))}; expected its view's pictures, "
+                f"mend it with `{mend_command(path)}`"
+            )
         return record
 
     @property

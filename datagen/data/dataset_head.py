@@ -24,9 +24,16 @@ from datagen.disk.records import Json, from_json, to_json
 from datagen.disk.storage import commit, commit_same, commit_sealed, load_sealed, seal_bytes, seal_of, sha256
 
 
-def write_head(root: Path, config: DatasetConfig, objects: tuple[DatasetObject, ...], cameras: dict[Split, Cameras],
-               scene: Mapping[str, bytes], *, variant: Variant | None = None, replace: bool = False
-               ) -> Dataset:  # fmt: skip
+def write_head(
+    root: Path,
+    config: DatasetConfig,
+    objects: tuple[DatasetObject, ...],
+    cameras: dict[Split, Cameras],
+    scene: Mapping[str, bytes],
+    *,
+    variant: Variant | None = None,
+    replace: bool = False,
+) -> Dataset:
     """Commits the head of a dataset, then the scene and the cameras that it promises; the caller holds the folder.
 
     Several processes may do the same at once. A head that stands there stays: whose it is says what is returned. Where

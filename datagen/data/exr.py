@@ -30,8 +30,7 @@ def encode_exr(radiance: Float32[np.ndarray, "h w 3"], noise: Float32[np.ndarray
     return buffer.getvalue()
 
 
-def decode_exr(data: bytes, *, where: str = "EXR"
-               ) -> tuple[Float32[np.ndarray, "h w 3"], Float32[np.ndarray, "h w 3"]]:  # fmt: skip
+def decode_exr(data: bytes, *, where: str = "EXR") -> tuple[Float32[np.ndarray, "h w 3"], Float32[np.ndarray, "h w 3"]]:
     """Radiance and noise from the bytes of an EXR; the inverse of `encode_exr`.
 
     Raises:

@@ -60,8 +60,13 @@ class ProxyRecord:
             raise HyalineError(f"proxy of {self.object}: lies at {self.file!r}; expected meshes/{self.object}.ply")
 
 
-def write_proxies(dataset: Dataset, kind: str, meshes: tuple[Mesh, ...], statistics: tuple[ProxyStatistics, ...],
-                  assignment: tuple[str, ...] | None = None) -> None:  # fmt: skip
+def write_proxies(
+    dataset: Dataset,
+    kind: str,
+    meshes: tuple[Mesh, ...],
+    statistics: tuple[ProxyStatistics, ...],
+    assignment: tuple[str, ...] | None = None,
+) -> None:
     """Commits one proxy mesh per object, in object order, but none of an object that an edit removed.
 
     Args:

@@ -129,8 +129,9 @@ class LayerStore:
         shards = [Path(file).parts for file in record.files]
         expected = [(STORE, split, name, "c", str(view)) for name in self._metadata_of(split)]
         if sorted(shard[:5] for shard in shards) != sorted(expected):
-            raise HyalineError(f"{path}: promises {', '.join(sorted(record.files))}; expected its view's arrays, "
-                               "peel it again")  # fmt: skip
+            raise HyalineError(
+                f"{path}: promises {', '.join(sorted(record.files))}; expected its view's arrays, peel it again"
+            )
         return record
 
     def is_peeled(self, split: Split, view: int) -> bool:

@@ -48,8 +48,9 @@ class ArrayFormat:
     """Shape of the pieces that are compressed one by one."""
 
 
-def create_store(dataset: Dataset, geometry: str, head: Head, arrays: Mapping[str, ArrayFormat], *,
-                 replace: bool = False) -> None:  # fmt: skip
+def create_store(
+    dataset: Dataset, geometry: str, head: Head, arrays: Mapping[str, ArrayFormat], *, replace: bool = False
+) -> None:
     """Commits the head of a store (whose `files` are filled in), then zarr's metadata: an empty store.
 
     Several processes may do the same at once: the bytes are the same, and no view that is there is touched. Of a store
@@ -166,8 +167,16 @@ def check_settings(*, num_layers: int, rays: int, workers: int, kinds: tuple[Lay
     subpixel_offsets(rays)
 
 
-def write_view(dataset: Dataset, geometry: str, kind: LayerKind, split: Split, view: int,
-               values: Mapping[str, np.ndarray], *, overflow_share: float) -> None:  # fmt: skip
+def write_view(
+    dataset: Dataset,
+    geometry: str,
+    kind: LayerKind,
+    split: Split,
+    view: int,
+    values: Mapping[str, np.ndarray],
+    *,
+    overflow_share: float,
+) -> None:
     """Commits one view's arrays: their shards, then the record."""
     import zarr
 
@@ -192,8 +201,9 @@ def write_view(dataset: Dataset, geometry: str, kind: LayerKind, split: Split, v
     commit_sealed(record_path, cast(dict[str, Json], to_json(record)))
 
 
-def create_layers(dataset: Dataset, geometry: str, *, num_layers: int, geometry_hash: str,
-                  replace: bool = False) -> None:  # fmt: skip
+def create_layers(
+    dataset: Dataset, geometry: str, *, num_layers: int, geometry_hash: str, replace: bool = False
+) -> None:
     """Lays out an empty store."""
     size = dataset.config.resolution
     plane = ArrayFormat(dtype="uint8", axes=("layer", "y", "x"), shape=(num_layers, size, size), chunk=(1, size, size))
@@ -206,8 +216,9 @@ def create_layers(dataset: Dataset, geometry: str, *, num_layers: int, geometry_
     create_store(dataset, geometry, head, arrays, replace=replace)
 
 
-def write_layers(dataset: Dataset, geometry: str, split: Split, view: int, layers: Layers,
-                 *, overflow_share: float) -> None:  # fmt: skip
+def write_layers(
+    dataset: Dataset, geometry: str, split: Split, view: int, layers: Layers, *, overflow_share: float
+) -> None:
     """Commits one view's layers."""
     values = {
         "uv": np.moveaxis(layers.uv, -1, 0),

@@ -16,8 +16,9 @@ class SurfacePoints:
     position: Float[np.ndarray, "point 3"]
 
 
-def points_on(mesh: Mesh, count: int, *, part: Int[np.ndarray, " face"] | None = None, count_a_part: int = 0
-              ) -> SurfacePoints:  # fmt: skip
+def points_on(
+    mesh: Mesh, count: int, *, part: Int[np.ndarray, " face"] | None = None, count_a_part: int = 0
+) -> SurfacePoints:
     """So many points on the whole mesh, then so many on each of its parts.
 
     Args:

@@ -21,8 +21,11 @@ MAX_SHARE = 0.005
 _POINTS_AT_ONCE = 1 << 20
 
 
-def windings(corners: Float[np.ndarray, "face 3 3"], points: Float[np.ndarray, "point 3"],
-             own: Int[np.ndarray, " point"] | None = None) -> Int[np.ndarray, " point"]:  # fmt: skip
+def windings(
+    corners: Float[np.ndarray, "face 3 3"],
+    points: Float[np.ndarray, "point 3"],
+    own: Int[np.ndarray, " point"] | None = None,
+) -> Int[np.ndarray, " point"]:
     """How often closed, outward triangles go around each point: 1 inside of a solid, 0 outside.
 
     Args:
@@ -114,8 +117,9 @@ def _generic_rotation() -> Float[np.ndarray, "3 3"]:
     return rotation * np.sign(np.linalg.det(rotation))
 
 
-def _pairs_of_ray_and_face(flat: Float[np.ndarray, "face 3 2"], rays: Float[np.ndarray, "point 2"]
-                           ) -> list[tuple[np.ndarray, np.ndarray]]:  # fmt: skip
+def _pairs_of_ray_and_face(
+    flat: Float[np.ndarray, "face 3 2"], rays: Float[np.ndarray, "point 2"]
+) -> list[tuple[np.ndarray, np.ndarray]]:
     """(face, point) of all rays through the circle around a face's shadow, in pieces."""
     from scipy.spatial import KDTree
 

@@ -50,13 +50,19 @@ DATASET = FolderKind(
     nested=("layers/*", "proxies/*", "variants/*", "edit-masks", "heads"),
 )
 LAYERS = FolderKind(
-    what="layers", head="layers.json", folders=("peels.zarr", "records"), store="peels.zarr",
+    what="layers",
+    head="layers.json",
+    folders=("peels.zarr", "records"),
+    store="peels.zarr",
     way_out="move that elsewhere, or delete the folder",
-)  # fmt: skip
+)
 PROXIES = FolderKind(
-    what="proxies", head="proxies.json", folders=("meshes",), nested=("layers/*",),
+    what="proxies",
+    head="proxies.json",
+    folders=("meshes",),
+    nested=("layers/*",),
     way_out="move that elsewhere, or delete the folder",
-)  # fmt: skip
+)
 EDIT_MASKS = FolderKind(
     what="edit masks", head="edit-masks.json", folders=("*",), way_out="move that elsewhere, or delete the folder"
 )
@@ -95,8 +101,14 @@ def holding(root: Path, kind: FolderKind, *, within: Path | None = None, shared:
         yield
 
 
-def begin(root: Path, kind: FolderKind, head: bytes, files: Mapping[str, bytes] = {}, *,
-          is_proven: Callable[[], bool] = lambda: False) -> None:  # fmt: skip
+def begin(
+    root: Path,
+    kind: FolderKind,
+    head: bytes,
+    files: Mapping[str, bytes] = {},
+    *,
+    is_proven: Callable[[], bool] = lambda: False,
+) -> None:
     """Writes the head of a folder that has none yet, or whose head was lost or damaged; the caller holds the folder.
 
     Several processes may begin a folder at once: one of their heads stays.

@@ -118,8 +118,13 @@ def load_toml(path: Path) -> dict[str, object]:
 
 
 def _check_regular(path: Path, mode: int) -> None:
-    kinds = {stat.S_IFDIR: "a folder", stat.S_IFIFO: "a pipe", stat.S_IFSOCK: "a socket",
-             stat.S_IFCHR: "a device", stat.S_IFBLK: "a device"}  # fmt: skip
+    kinds = {
+        stat.S_IFDIR: "a folder",
+        stat.S_IFIFO: "a pipe",
+        stat.S_IFSOCK: "a socket",
+        stat.S_IFCHR: "a device",
+        stat.S_IFBLK: "a device",
+    }
     if not stat.S_ISREG(mode):
         raise HyalineError(f"{path}: is {kinds.get(stat.S_IFMT(mode), 'no regular file')}; expected a file")
 

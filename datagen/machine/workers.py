@@ -11,8 +11,13 @@ Job = TypeVar("Job")
 Task = TypeVar("Task")
 
 
-def in_workers(function: Callable[[Job, Task], None], tasks: list[Task], workers: int, make_job: Callable[..., Job],
-               arguments: tuple[object, ...]) -> Iterable[None]:  # fmt: skip
+def in_workers(
+    function: Callable[[Job, Task], None],
+    tasks: list[Task],
+    workers: int,
+    make_job: Callable[..., Job],
+    arguments: tuple[object, ...],
+) -> Iterable[None]:
     """Calls `function` with a job and each task: here, or in spawned processes (a fork would hang torch and Dr.Jit).
 
     Raises:
@@ -26,8 +31,12 @@ def in_workers(function: Callable[[Job, Task], None], tasks: list[Task], workers
     return _spawned(function, tasks, min(workers, len(tasks)), make_job, arguments)
 
 
-def _here(function: Callable[[Job, Task], None], tasks: list[Task], make_job: Callable[..., Job],
-          arguments: tuple[object, ...]) -> Iterator[None]:  # fmt: skip
+def _here(
+    function: Callable[[Job, Task], None],
+    tasks: list[Task],
+    make_job: Callable[..., Job],
+    arguments: tuple[object, ...],
+) -> Iterator[None]:
     from datagen.machine.mitsuba_variant import num_cores
 
     job = make_job(num_cores(), *arguments)
@@ -35,8 +44,13 @@ def _here(function: Callable[[Job, Task], None], tasks: list[Task], make_job: Ca
         yield function(job, task)
 
 
-def _spawned(function: Callable[[Job, Task], None], tasks: list[Task], workers: int, make_job: Callable[..., Job],
-             arguments: tuple[object, ...]) -> Iterator[None]:  # fmt: skip
+def _spawned(
+    function: Callable[[Job, Task], None],
+    tasks: list[Task],
+    workers: int,
+    make_job: Callable[..., Job],
+    arguments: tuple[object, ...],
+) -> Iterator[None]:
     import multiprocessing
     from concurrent.futures.process import BrokenProcessPool
 

@@ -98,8 +98,9 @@ def to_columns(vectors: Float[np.ndarray, "ray axis"]) -> "list[mi.Float]":
     return [mi.Float(column) for column in columns]
 
 
-def load_sensor(world_from_camera: Float[np.ndarray, "4 4"], fov_x: float, width: int, height: int,
-                *, sampler: str = "multijitter") -> "mi.Sensor":  # fmt: skip
+def load_sensor(
+    world_from_camera: Float[np.ndarray, "4 4"], fov_x: float, width: int, height: int, *, sampler: str = "multijitter"
+) -> "mi.Sensor":
     """A pinhole camera with a box filter, so that a sample counts for its own pixel alone.
 
     Args:
@@ -111,24 +112,26 @@ def load_sensor(world_from_camera: Float[np.ndarray, "4 4"], fov_x: float, width
     to_world = world_from_camera @ np.diag([-1.0, 1.0, -1.0, 1.0])
     return cast(
         "mi.Sensor",
-        mi.load_dict({
-            "type": "perspective",
-            "fov": float(np.degrees(fov_x)),
-            "fov_axis": "x",
-            "near_clip": 1e-3,
-            "far_clip": 1e4,
-            "to_world": _transform(to_world),
-            "film": {
-                "type": "hdrfilm",
-                "width": width,
-                "height": height,
-                "pixel_format": "rgb",
-                "component_format": "float32",
-                "rfilter": {"type": "box"},
-            },
-            "sampler": {"type": sampler},
-        }),
-    )  # fmt: skip
+        mi.load_dict(
+            {
+                "type": "perspective",
+                "fov": float(np.degrees(fov_x)),
+                "fov_axis": "x",
+                "near_clip": 1e-3,
+                "far_clip": 1e4,
+                "to_world": _transform(to_world),
+                "film": {
+                    "type": "hdrfilm",
+                    "width": width,
+                    "height": height,
+                    "pixel_format": "rgb",
+                    "component_format": "float32",
+                    "rfilter": {"type": "box"},
+                },
+                "sampler": {"type": sampler},
+            }
+        ),
+    )
 
 
 def radiance_of_environment(environment: SoftEnvironment, directions: Float[np.ndarray, "... 3"]) -> np.ndarray:

@@ -41,8 +41,9 @@ class PathTracer:
         self._scene = scene
         self._tables = _Tables(scene, media, max_depth=max_depth, has_lamps=has_lamps, aims=aims)
 
-    def render(self, sensor: "mi.Sensor", *, width: int, height: int, spp: int, seed: int
-               ) -> Float32[np.ndarray, "h w 3"]:  # fmt: skip
+    def render(
+        self, sensor: "mi.Sensor", *, width: int, height: int, spp: int, seed: int
+    ) -> Float32[np.ndarray, "h w 3"]:
         """Mean radiance of each pixel under a box filter; the same to the last bit every time.
 
         (Mitsuba's film adds a pixel's samples in the order in which threads come by, and floats mind the order.)

@@ -40,8 +40,9 @@ class SobolPoints:
         """What makes the points of a pixel its own."""
         return _hash(_hash(pixel) + self._seed)
 
-    def sample(self, scramble: "mi.UInt32", index: "mi.UInt32", dimension: "mi.UInt32", active: "mi.Bool"
-               ) -> "mi.Float":  # fmt: skip
+    def sample(
+        self, scramble: "mi.UInt32", index: "mi.UInt32", dimension: "mi.UInt32", active: "mi.Bool"
+    ) -> "mi.Float":
         """One coordinate, in [0, 1), of point `index` (below `count`)."""
         place = (dimension & (NUM_DIMENSIONS - 1)) * self._count + index
         seed = _hash(scramble + dimension * 0x9E3779B9)
@@ -49,8 +50,9 @@ class SobolPoints:
         bits = _reverse_bits(_permute(dr.gather(mi.UInt32, self._table, place, active), seed))
         return mi.Float(bits >> 8) * 2**-24
 
-    def sample_2d(self, scramble: "mi.UInt32", index: "mi.UInt32", dimension: "mi.UInt32", active: "mi.Bool"
-                  ) -> "mi.Point2f":  # fmt: skip
+    def sample_2d(
+        self, scramble: "mi.UInt32", index: "mi.UInt32", dimension: "mi.UInt32", active: "mi.Bool"
+    ) -> "mi.Point2f":
         """Two coordinates in turn."""
         return mi.Point2f(*(self.sample(scramble, index, dimension + step, active) for step in range(2)))
 

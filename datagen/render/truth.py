@@ -92,8 +92,9 @@ class Renderer:
         return np.array(image, np.float32), spp
 
 
-def render_view(renderer: Renderer, cameras: Cameras, view: int, *, spp: int, view_seed: int,
-                ceiling_db: float | None) -> Truth:  # fmt: skip
+def render_view(
+    renderer: Renderer, cameras: Cameras, view: int, *, spp: int, view_seed: int, ceiling_db: float | None
+) -> Truth:
     """Renders both halves of a view, in passes that fit into memory.
 
     Args:

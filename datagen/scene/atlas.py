@@ -280,8 +280,10 @@ def _run_child(source: Path, target: Path, timeout_s: float, *, where: str) -> N
 
 def _with_uv(mesh: Mesh, vertex_of: np.ndarray, faces: np.ndarray, uv: np.ndarray, *, where: str) -> Mesh:
     if not np.isfinite(uv).all():
-        raise HyalineError(f"{where}: xatlas found no uv for {int((~np.isfinite(uv)).any(axis=-1).sum())} vertices; "
-                           "remove degenerate faces")  # fmt: skip
+        raise HyalineError(
+            f"{where}: xatlas found no uv for {int((~np.isfinite(uv)).any(axis=-1).sum())} vertices; "
+            "remove degenerate faces"
+        )
     if uv.min() < 0 or uv.max() > 1:
         raise HyalineError(f"{where}: xatlas's uv span {uv.min():g} to {uv.max():g}; expected [0, 1]")
     assert np.array_equal(vertex_of[faces], mesh.faces), "xatlas keeps the faces and their order"

@@ -94,8 +94,9 @@ def _in_one_plane(a: Float[np.ndarray, "pair 3 3"], b: Float[np.ndarray, "pair 3
     return is_parallel & (np.minimum(a_from_b, b_from_a) <= TOLERANCE)
 
 
-def _is_over(point: Float[np.ndarray, "pair 3"], corners: Float[np.ndarray, "pair 3 3"],
-             normals: Float[np.ndarray, "pair 3"]) -> Bool[np.ndarray, " pair"]:  # fmt: skip
+def _is_over(
+    point: Float[np.ndarray, "pair 3"], corners: Float[np.ndarray, "pair 3 3"], normals: Float[np.ndarray, "pair 3"]
+) -> Bool[np.ndarray, " pair"]:
     """Points whose foot on the face's plane is in the face."""
     is_over = np.ones(len(point), bool)
     for start in range(3):

@@ -44,8 +44,9 @@ def baked_image(image: Float32[np.ndarray, "tex_h tex_w 3"], before: Mesh, after
     return png_bytes(to_8bit(srgb_from_linear(_look_up(image, uv, repeats=repeats))))
 
 
-def _look_up(image: Float32[np.ndarray, "tex_h tex_w 3"], uv: Float[np.ndarray, "h w 2"], *, repeats: bool
-             ) -> Float[np.ndarray, "h w 3"]:  # fmt: skip
+def _look_up(
+    image: Float32[np.ndarray, "tex_h tex_w 3"], uv: Float[np.ndarray, "h w 2"], *, repeats: bool
+) -> Float[np.ndarray, "h w 3"]:
     """Bilinear, as Mitsuba looks it up; v = 1 is the first row."""
     height, width = image.shape[:2]
     column, row = uv[..., 0] * width - 0.5, (1 - uv[..., 1]) * height - 0.5

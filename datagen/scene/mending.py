@@ -139,7 +139,5 @@ def _without_unused(mesh: Mesh) -> tuple[Mesh, int]:
         return mesh, 0
     place = np.zeros(len(mesh.vertices), np.int32)
     place[used] = np.arange(len(used), dtype=np.int32)
-    kept = Mesh(
-        vertices=mesh.vertices[used], faces=place[mesh.faces], normals=mesh.normals[used], uv=mesh.uv[used]
-    )  # fmt: skip
+    kept = Mesh(vertices=mesh.vertices[used], faces=place[mesh.faces], normals=mesh.normals[used], uv=mesh.uv[used])
     return kept, len(mesh.vertices) - len(used)

@@ -88,8 +88,9 @@ def lathe(profile: Profile, *, segments: int = 96, crease_deg: float = CREASE_DE
     return shaded(np.concatenate(positions), np.concatenate(faces), crease_deg=crease_deg)
 
 
-def cylinder(radius: float, height: float, *, top_radius: float | None = None, bevel: float = 0.002,
-             segments: int = 48) -> Mesh:  # fmt: skip
+def cylinder(
+    radius: float, height: float, *, top_radius: float | None = None, bevel: float = 0.002, segments: int = 48
+) -> Mesh:
     """A standing cylinder or cone stump with rounded edges, from z = 0 to z = height."""
     top = radius if top_radius is None else top_radius
     outline = filleted([(0, 0, 0), (radius, 0, bevel), (top, height, bevel), (0, height, 0)])
@@ -181,9 +182,9 @@ def filleted(corners: Sequence[tuple[float, float, float]], *, segments: int = 4
         total = np.arctan2(start[0] * end[1] - start[1] * end[0], start @ end)
         for angle in np.linspace(0, total, segments + 1):
             cos, sin = np.cos(angle), np.sin(angle)
-            outline.append((
-                float(centre[0] + cos * start[0] - sin * start[1]), float(centre[1] + sin * start[0] + cos * start[1])
-            ))  # fmt: skip
+            outline.append(
+                (float(centre[0] + cos * start[0] - sin * start[1]), float(centre[1] + sin * start[0] + cos * start[1]))
+            )
     outline.append((float(corners[-1][0]), float(corners[-1][1])))
     return outline
 
@@ -357,9 +358,7 @@ def _grid_faces(rows: int, columns: int) -> np.ndarray:
 def _band(low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """Triangles between two rings of point indices; a ring that is one point gives a fan."""
     next_low, next_high = np.roll(low, -1), np.roll(high, -1)
-    faces = np.concatenate([
-        np.stack([low, next_low, next_high], axis=-1), np.stack([low, next_high, high], axis=-1)
-    ])  # fmt: skip
+    faces = np.concatenate([np.stack([low, next_low, next_high], axis=-1), np.stack([low, next_high, high], axis=-1)])
     distinct = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
     return faces[distinct]
 

@@ -35,9 +35,9 @@ def bake_texture(texture: SolidTexture, mesh: Mesh, size: int) -> Float32[np.nda
     """The texture at each texel of the mesh's atlas, linear."""
     positions = bake_positions(mesh, size)
     rows = max(1, POINTS_AT_ONCE // size)
-    return np.concatenate([
-        evaluate_texture(texture, positions[first : first + rows]) for first in range(0, size, rows)
-    ])  # fmt: skip
+    return np.concatenate(
+        [evaluate_texture(texture, positions[first : first + rows]) for first in range(0, size, rows)]
+    )
 
 
 # Patterns: positions in periods -> share of the second colour

@@ -205,8 +205,9 @@ def choose(what: str, value: str, choices: Collection[str]) -> str:
     )
 
 
-def track(items: Iterable[Item], *, label: str, total: int, done: int = 0,
-          status: Callable[[], str] = lambda: "") -> Iterator[Item]:  # fmt: skip
+def track(
+    items: Iterable[Item], *, label: str, total: int, done: int = 0, status: Callable[[], str] = lambda: ""
+) -> Iterator[Item]:
     """Yields `items` while stderr shows how far they are and how long the rest will take.
 
     Args:
@@ -222,8 +223,9 @@ def track(items: Iterable[Item], *, label: str, total: int, done: int = 0,
         yield from _track_in_lines(items, label, total, done, status)
 
 
-def _track_on_terminal(items: Iterable[Item], label: str, total: int, done: int,
-                       status: Callable[[], str]) -> Iterator[Item]:  # fmt: skip
+def _track_on_terminal(
+    items: Iterable[Item], label: str, total: int, done: int, status: Callable[[], str]
+) -> Iterator[Item]:
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
@@ -240,8 +242,9 @@ def _track_on_terminal(items: Iterable[Item], label: str, total: int, done: int,
             progress.update(task, advance=1, left=when, status=status())
 
 
-def _track_in_lines(items: Iterable[Item], label: str, total: int, done: int,
-                    status: Callable[[], str]) -> Iterator[Item]:  # fmt: skip
+def _track_in_lines(
+    items: Iterable[Item], label: str, total: int, done: int, status: Callable[[], str]
+) -> Iterator[Item]:
     clock = _Clock()
     last = time.monotonic()
     for count, item in enumerate(items, start=1):

@@ -97,8 +97,16 @@ AT_ENDS = {"has_left": _plain("bool"), "end_direction": _DIRECTION, "end_through
 NUM_COMPONENTS = {"uv": 2, "octahedral": 2, "xyz": 3, "rgb": 3}
 
 
-def create_light_paths(dataset: Dataset, geometry: str, *, num_branches: int, max_vertices: int, samples: int,
-                       geometry_hash: str, replace: bool = False) -> None:  # fmt: skip
+def create_light_paths(
+    dataset: Dataset,
+    geometry: str,
+    *,
+    num_branches: int,
+    max_vertices: int,
+    samples: int,
+    geometry_hash: str,
+    replace: bool = False,
+) -> None:
     """Lays out an empty store."""
     head = LightPathsHead(
         version=LAYERS_VERSION,
@@ -134,8 +142,7 @@ def read_light_paths_head(dataset: Dataset, geometry: str) -> LightPathsHead:
     return head
 
 
-def write_light_paths(dataset: Dataset, geometry: str, split: Split, view: int,
-                      blocks: Iterable[LightPaths]) -> None:  # fmt: skip
+def write_light_paths(dataset: Dataset, geometry: str, split: Split, view: int, blocks: Iterable[LightPaths]) -> None:
     """Commits one view's paths, given as `trace_view` yields them."""
     head = read_light_paths_head(dataset, geometry)
     size = dataset.config.resolution
@@ -206,8 +213,9 @@ def _scatter(values: Shaped[np.ndarray, "hit *components"], mask: Bool[np.ndarra
     return scattered
 
 
-def _rays_to_picture(values: Shaped[np.ndarray, "*outer ray"], width: int, side: int
-                     ) -> Shaped[np.ndarray, "*outer y x"]:  # fmt: skip
+def _rays_to_picture(
+    values: Shaped[np.ndarray, "*outer ray"], width: int, side: int
+) -> Shaped[np.ndarray, "*outer y x"]:
     """Rays of whole rows of pixels, pixel by pixel, as rows of a picture `side` times as wide."""
     grid = values.reshape(*values.shape[:-1], -1, width, side, side)  # Row, column, row and column in the pixel.
     rows = grid.shape[-4]

@@ -75,8 +75,12 @@ class Peeler:
         self._first_face = np.cumsum([0, *(len(mesh.faces) for mesh in meshes)])[:-1]
         self._corner_uv = np.concatenate([mesh.uv[mesh.faces] for mesh in meshes])
 
-    def trace(self, origin: Float32[np.ndarray, "3"] | Float32[np.ndarray, "ray 3"],
-              directions: Float32[np.ndarray, "ray 3"], num_layers: int) -> Hits:  # fmt: skip
+    def trace(
+        self,
+        origin: Float32[np.ndarray, "3"] | Float32[np.ndarray, "ray 3"],
+        directions: Float32[np.ndarray, "ray 3"],
+        num_layers: int,
+    ) -> Hits:
         """The first `num_layers` hits of rays from one origin, or one each, along unit directions."""
         if is_scalar():
             return _trace_scalar(self._scene, origin, directions, num_layers)
@@ -110,9 +114,18 @@ class Peeler:
         )
         flat = (num_layers, len(order))
         _to_layers(
-            order, hits.shape, hits.prim, hits.barycentric, hits.t, self._object_id, self._first_face, self._corner_uv,
-            layers.uv.reshape(*flat, 2), layers.object_id.reshape(flat), layers.depth.reshape(flat),
-        )  # fmt: skip
+            order,
+            hits.shape,
+            hits.prim,
+            hits.barycentric,
+            hits.t,
+            self._object_id,
+            self._first_face,
+            self._corner_uv,
+            layers.uv.reshape(*flat, 2),
+            layers.object_id.reshape(flat),
+            layers.depth.reshape(flat),
+        )
         return layers, float(hits.has_more.mean())
 
     def peel_rays(
@@ -140,10 +153,16 @@ def _interpolate(corners, barycentric):
 
 
 @numba.njit(cache=True, nogil=True)
-def _to_stacks(shape: Int32[np.ndarray, "layer ray"], prim: Int32[np.ndarray, "layer ray"],
-               barycentric: Float32[np.ndarray, "layer ray 2"], object_ids: np.ndarray, first_face: np.ndarray,
-               corner_uv: Float32[np.ndarray, "face 3 2"], uv: Float32[np.ndarray, "ray layer 2"],
-               object_id: UInt8[np.ndarray, "ray layer"]) -> None:  # fmt: skip
+def _to_stacks(
+    shape: Int32[np.ndarray, "layer ray"],
+    prim: Int32[np.ndarray, "layer ray"],
+    barycentric: Float32[np.ndarray, "layer ray 2"],
+    object_ids: np.ndarray,
+    first_face: np.ndarray,
+    corner_uv: Float32[np.ndarray, "face 3 2"],
+    uv: Float32[np.ndarray, "ray layer 2"],
+    object_id: UInt8[np.ndarray, "ray layer"],
+) -> None:
     """Writes interpolated uv and object id of every hit ray by ray; 0 where empty. It is too little for threads."""
     for ray in range(shape.shape[1]):
         for layer in range(len(shape)):
@@ -157,11 +176,19 @@ def _to_stacks(shape: Int32[np.ndarray, "layer ray"], prim: Int32[np.ndarray, "l
 
 
 @numba.njit(parallel=True, cache=True, nogil=True)
-def _to_layers(order: Int32[np.ndarray, " ray"], shape: Int32[np.ndarray, "layer ray"],
-               prim: Int32[np.ndarray, "layer ray"], barycentric: Float32[np.ndarray, "layer ray 2"],
-               t: Float32[np.ndarray, "layer ray"], object_ids: np.ndarray, first_face: np.ndarray,
-               corner_uv: Float32[np.ndarray, "face 3 2"], uv: np.ndarray, object_id: np.ndarray,
-               depth: np.ndarray) -> None:  # fmt: skip
+def _to_layers(
+    order: Int32[np.ndarray, " ray"],
+    shape: Int32[np.ndarray, "layer ray"],
+    prim: Int32[np.ndarray, "layer ray"],
+    barycentric: Float32[np.ndarray, "layer ray 2"],
+    t: Float32[np.ndarray, "layer ray"],
+    object_ids: np.ndarray,
+    first_face: np.ndarray,
+    corner_uv: Float32[np.ndarray, "face 3 2"],
+    uv: np.ndarray,
+    object_id: np.ndarray,
+    depth: np.ndarray,
+) -> None:
     """Writes the hits of rays to their pixels: interpolated uv in 16 bits, object id and distance; 0 where empty.
 
     uv are computed in float32 and rounded from float64: stored layers depend on every step.

@@ -87,15 +87,28 @@ class Rasterizer:
         uv, object_id = np.empty((*shape, 2), np.uint16), np.empty(shape, np.uint8)
         depth, has_more = np.empty(shape, np.float32), np.empty((height, width), np.bool_)
         _fill(
-            projected, self._faces, self._uv, self._object_id, order, first_of_strip, focal, uv, object_id, depth,
-            has_more, numba.get_num_threads(),
-        )  # fmt: skip
+            projected,
+            self._faces,
+            self._uv,
+            self._object_id,
+            order,
+            first_of_strip,
+            focal,
+            uv,
+            object_id,
+            depth,
+            has_more,
+            numba.get_num_threads(),
+        )
         return Layers(uv=uv, object_id=object_id, depth=depth), has_more
 
 
 @numba.njit(parallel=True, cache=True, nogil=True)
-def _project(vertices: Float32[np.ndarray, "vertex 3"], image_from_world: Float64[np.ndarray, "3 3"],
-             origin: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "vertex 5"]:  # fmt: skip
+def _project(
+    vertices: Float32[np.ndarray, "vertex 3"],
+    image_from_world: Float64[np.ndarray, "3 3"],
+    origin: Float64[np.ndarray, "3"],
+) -> Float64[np.ndarray, "vertex 5"]:
     """Of every vertex x, y, z such that its image is at (x / z, y / z) pixels, and that image; z is metres ahead."""
     out = np.empty((len(vertices), 5))
     m = image_from_world
@@ -138,8 +151,9 @@ def _box(projected, a, b, c, width, height):
 
 
 @numba.njit(parallel=True, cache=True, nogil=True)
-def _sort_into_strips(projected: Float64[np.ndarray, "vertex 5"], faces: Int32[np.ndarray, "face 3"], width: int,
-                      height: int) -> tuple[Int32[np.ndarray, " entry"], np.ndarray]:  # fmt: skip
+def _sort_into_strips(
+    projected: Float64[np.ndarray, "vertex 5"], faces: Int32[np.ndarray, "face 3"], width: int, height: int
+) -> tuple[Int32[np.ndarray, " entry"], np.ndarray]:
     """The faces that each strip of rows may show, in their order, and where in that list each strip begins."""
     num_strips = (height + STRIP_ROWS - 1) // STRIP_ROWS
     strips = np.empty((len(faces), 2), np.int16)
@@ -173,12 +187,20 @@ def _sort_into_strips(projected: Float64[np.ndarray, "vertex 5"], faces: Int32[n
 
 
 @numba.njit(parallel=True, cache=True, nogil=True)
-def _fill(projected: Float64[np.ndarray, "vertex 5"], faces: Int32[np.ndarray, "face 3"],
-          vertex_uv: Float32[np.ndarray, "vertex 2"], face_id: UInt8[np.ndarray, " face"],
-          order: Int32[np.ndarray, " entry"], first_of_strip: np.ndarray, focal: float,
-          uv: UInt16[np.ndarray, "layer h w 2"], object_id: UInt8[np.ndarray, "layer h w"],
-          depth: Float32[np.ndarray, "layer h w"], has_more: Bool[np.ndarray, "h w"],
-          num_threads: int) -> None:  # fmt: skip
+def _fill(
+    projected: Float64[np.ndarray, "vertex 5"],
+    faces: Int32[np.ndarray, "face 3"],
+    vertex_uv: Float32[np.ndarray, "vertex 2"],
+    face_id: UInt8[np.ndarray, " face"],
+    order: Int32[np.ndarray, " entry"],
+    first_of_strip: np.ndarray,
+    focal: float,
+    uv: UInt16[np.ndarray, "layer h w 2"],
+    object_id: UInt8[np.ndarray, "layer h w"],
+    depth: Float32[np.ndarray, "layer h w"],
+    has_more: Bool[np.ndarray, "h w"],
+    num_threads: int,
+) -> None:
     """Rasterises every strip and writes its layers; threads take every n-th strip, as views are uneven."""
     num_layers, height, width = object_id.shape
     for thread in prange(num_threads):

@@ -52,7 +52,7 @@ def describe_slit(scene: Scene, slit: Slit) -> str:
         f"scene {scene.name}: the sky shows through a slit of {100 * slit.width:.1f} cm between {one} and {other}, "
         f"near ({place}), in {slit.num_views} of {slit.tried_views} views; if they ought to meet, let one reach behind "
         "the other"
-    )  # fmt: skip
+    )
 
 
 def find_slits(scene: Scene, cameras: tuple[Cameras, ...]) -> tuple[Slit, ...]:
@@ -78,8 +78,15 @@ def find_slits(scene: Scene, cameras: tuple[Cameras, ...]) -> tuple[Slit, ...]:
             widths = np.where(seen.any(axis=0), np.linalg.norm(ends - starts, axis=-1), 0)
             at = int(widths.argmax())
             place = tuple(((starts[at] + ends[at]) / 2).tolist())
-            slits.append(Slit(between=(one, other), width=float(widths[at]), place=place,
-                              num_views=int(seen.any(axis=1).sum()), tried_views=len(positions)))  # fmt: skip
+            slits.append(
+                Slit(
+                    between=(one, other),
+                    width=float(widths[at]),
+                    place=place,
+                    num_views=int(seen.any(axis=1).sum()),
+                    tried_views=len(positions),
+                )
+            )
     return tuple(slits)
 
 
@@ -102,8 +109,9 @@ def _is_large(points: np.ndarray, scene: Scene) -> bool:
     return float(np.sort(np.ptp(points, axis=0))[1]) > WALL * scene.cameras.radius
 
 
-def _gap(one: Float[np.ndarray, "face 3 3"], other: Float[np.ndarray, "face 3 3"], widest: float
-         ) -> tuple[Float[np.ndarray, "place 3"], Float[np.ndarray, "place 3"]]:  # fmt: skip
+def _gap(
+    one: Float[np.ndarray, "face 3 3"], other: Float[np.ndarray, "face 3 3"], widest: float
+) -> tuple[Float[np.ndarray, "place 3"], Float[np.ndarray, "place 3"]]:
     """Points on one wall and the nearest on the other, where they are near each other but do not touch.
 
     Whatever shines through a gap passes its rim, which is an edge of one of both: it is enough to look at edges.
@@ -132,8 +140,9 @@ def _gap(one: Float[np.ndarray, "face 3 3"], other: Float[np.ndarray, "face 3 3"
     return np.concatenate([nothing, *starts]), np.concatenate([nothing, *ends])
 
 
-def _on_edges(corners: Float[np.ndarray, "face 3 3"], spacing: float, low: np.ndarray, high: np.ndarray
-              ) -> Float[np.ndarray, "point 3"]:  # fmt: skip
+def _on_edges(
+    corners: Float[np.ndarray, "face 3 3"], spacing: float, low: np.ndarray, high: np.ndarray
+) -> Float[np.ndarray, "point 3"]:
     """Points along the edges of triangles, inside a box, each once and in the order of their places."""
     start, end = corners.reshape(-1, 3), np.roll(corners, -1, axis=1).reshape(-1, 3)
     meets = ((np.minimum(start, end) <= high) & (np.maximum(start, end) >= low)).all(axis=-1)
@@ -151,8 +160,7 @@ def _on_edges(corners: Float[np.ndarray, "face 3 3"], spacing: float, low: np.nd
     return points[kept]
 
 
-def _in_box(corners: Float[np.ndarray, "face 3 3"], low: np.ndarray, high: np.ndarray
-            ) -> Float[np.ndarray, "near 3 3"]:  # fmt: skip
+def _in_box(corners: Float[np.ndarray, "face 3 3"], low: np.ndarray, high: np.ndarray) -> Float[np.ndarray, "near 3 3"]:
     """The triangles whose bounding box meets a box."""
     return corners[((corners.min(axis=1) <= high) & (corners.max(axis=1) >= low)).all(axis=-1)]
 

@@ -126,10 +126,12 @@ def _lemonade() -> list[SceneObject]:
     bands = SolidTexture(pattern="stripes", colors=((0.85, 0.83, 0.78), (0.72, 0.10, 0.12)), scale=0.022, axis="z")
     # From above the floor out over the rim; of joints that end in each other, since one long strip makes a bad atlas.
     line = np.linspace((-0.0160, 0.0, 0.0175), (0.0330, 0.002, 0.205), 61)
-    straw = merged([
-        tube(line[max(0, start - 1) : start + 11], 0.0030 + 0.0002 * (start % 20 == 0), segments=20)
-        for start in range(0, 60, 10)
-    ])  # fmt: skip
+    straw = merged(
+        [
+            tube(line[max(0, start - 1) : start + 11], 0.0030 + 0.0002 * (start % 20 == 0), segments=20)
+            for start in range(0, 60, 10)
+        ]
+    )
     cube = transformed(_ice(0.019), rotation((0.5, 1, 0.3), 33.0), (-0.012, 0.0, 0.104))
     return [
         _on_table("highball", lathe(walled(side, **vessel)), GLASS, -0.05, 0.02),
@@ -182,9 +184,14 @@ def _things() -> list[SceneObject]:
         _on_table("board", moved(slab, (0, 0, height / 2)), Plastic(color=board, roughness=0.3), 0.33, 0.17),
         _on_table("lemon", _standing(lemon, height + GAP), Plastic(color=peel, roughness=0.2), 0.37, 0.15),
         _on_table("orange", _standing(ball(0.036), height + GAP), Plastic(color=zest, roughness=0.2), 0.28, 0.19),
-        _on_table("lime", _standing(turned(deformed(ball(0.024), _lemon), (0, 0, 1), 110), 0.005),
-                  Plastic(color=(0.16, 0.36, 0.06), roughness=0.2), -0.21, -0.19),
-    ]  # fmt: skip
+        _on_table(
+            "lime",
+            _standing(turned(deformed(ball(0.024), _lemon), (0, 0, 1), 110), 0.005),
+            Plastic(color=(0.16, 0.36, 0.06), roughness=0.2),
+            -0.21,
+            -0.19,
+        ),
+    ]
 
 
 def _drink(ior: float, absorption: Color) -> Dielectric:

@@ -173,9 +173,14 @@ def _things() -> list[SceneObject]:
         _on_table("pear", pear, Plastic(color=glaze, roughness=0.12), -0.31, 0.16),
         _on_table("mug", turned(mug, (0, 0, 1), -60), Plastic(color=stripes, roughness=0.1), -0.30, -0.20),
         _on_table("vase", vase, Plastic(color=marble, roughness=0.08), 0.14, 0.20),
-        _on_table("knot", tube(knot, 0.0085, segments=20, is_loop=True),
-                  Conductor(color=(0.90, 0.66, 0.33), roughness=0.18), 0.36, -0.19),
-    ]  # fmt: skip
+        _on_table(
+            "knot",
+            tube(knot, 0.0085, segments=20, is_loop=True),
+            Conductor(color=(0.90, 0.66, 0.33), roughness=0.18),
+            0.36,
+            -0.19,
+        ),
+    ]
 
 
 def _pear(p: np.ndarray) -> np.ndarray:

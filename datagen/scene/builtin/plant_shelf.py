@@ -86,10 +86,12 @@ def _shelf() -> Mesh:
     """Three boards, let 1 cm into two side boards that are a little deeper."""
     side = rounded_box((0.024, 0.32, 1.03), bevel=0.003)
     board = rounded_box((1.16, 0.30, BOARD), bevel=0.003)
-    return merged([
-        *(moved(side, (x, 0.22, GAP + 1.03 / 2)) for x in (-0.582, 0.582)),
-        *(moved(board, (0, 0.22, level - BOARD / 2)) for level in LEVELS),
-    ])  # fmt: skip
+    return merged(
+        [
+            *(moved(side, (x, 0.22, GAP + 1.03 / 2)) for x in (-0.582, 0.582)),
+            *(moved(board, (0, 0.22, level - BOARD / 2)) for level in LEVELS),
+        ]
+    )
 
 
 def _plants() -> list[SceneObject]:
@@ -231,9 +233,12 @@ def _things() -> list[SceneObject]:
         _on_board("basket", basket, Diffuse(color=reed), -0.30, 0.21, 0),
         _on_board("bowl", lathe(walled(bowl_side, wall=0.005, floor=0.006)), Plastic(color=veins), 0.42, 0.20, 2),
         _on_board("box", rounded_box((0.30, 0.20, 0.16), bevel=0.012), Plastic(color=dots), 0.25, 0.22, 0),
-        SceneObject(name="can", mesh=moved(_watering_can(), (-0.88, -0.10, GAP)),
-                    material=Plastic(color=(0.10, 0.36, 0.46), roughness=0.12)),
-    ]  # fmt: skip
+        SceneObject(
+            name="can",
+            mesh=moved(_watering_can(), (-0.88, -0.10, GAP)),
+            material=Plastic(color=(0.10, 0.36, 0.46), roughness=0.12),
+        ),
+    ]
     x = -0.50
     for name, size, color, lean in (
         ("book_ochre", (0.034, 0.15, 0.22), (0.74, 0.48, 0.12), 0.0),
@@ -263,13 +268,16 @@ def _watering_can() -> Mesh:
         [(-0.0835, 0, 0.18), (-0.13, 0, 0.23), (-0.20, 0, 0.17), (-0.16, 0, 0.07), (-0.099, 0, 0.05)], count=28
     )
     return turned(
-        merged([
-            lathe(walled(body, wall=0.005, floor=0.006), segments=72),
-            tube(spout, np.linspace(0.019, 0.011, 20)),
-            tube(handle, 0.008),
-        ]),
-        (0, 0, 1), -35,
-    )  # fmt: skip
+        merged(
+            [
+                lathe(walled(body, wall=0.005, floor=0.006), segments=72),
+                tube(spout, np.linspace(0.019, 0.011, 20)),
+                tube(handle, 0.008),
+            ]
+        ),
+        (0, 0, 1),
+        -35,
+    )
 
 
 def _on_board(name: str, mesh: Mesh, material: Material, x: float, y: float, level: int) -> SceneObject:

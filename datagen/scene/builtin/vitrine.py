@@ -120,13 +120,15 @@ def _panes() -> Mesh:
     x, y, z = WIDTH / 2 - inset, DEPTH / 2 - inset, HEIGHT - inset
     width, depth, height = (2 * x, 0, 0), (0, 2 * y, 0), (0, 0, z - inset)
     cells = (4, 4)
-    return merged([
-        sheet((-x, -DEPTH / 2, inset), width, height, cells=cells),
-        sheet((x, DEPTH / 2, inset), (-2 * x, 0, 0), height, cells=cells),
-        sheet((WIDTH / 2, -y, inset), depth, height, cells=cells),
-        sheet((-WIDTH / 2, y, inset), (0, -2 * y, 0), height, cells=cells),
-        sheet((-x, -y, HEIGHT), width, depth, cells=cells),
-    ])  # fmt: skip
+    return merged(
+        [
+            sheet((-x, -DEPTH / 2, inset), width, height, cells=cells),
+            sheet((x, DEPTH / 2, inset), (-2 * x, 0, 0), height, cells=cells),
+            sheet((WIDTH / 2, -y, inset), depth, height, cells=cells),
+            sheet((-WIDTH / 2, y, inset), (0, -2 * y, 0), height, cells=cells),
+            sheet((-x, -y, HEIGHT), width, depth, cells=cells),
+        ]
+    )
 
 
 def _sculptures() -> list[SceneObject]:
@@ -140,21 +142,28 @@ def _sculptures() -> list[SceneObject]:
     heights = [(0.048, float(z)) for z in np.linspace(0, 0.34, 48)]
     pillar = deformed(lathe([(0.0, 0.0), *heights, (0.0, 0.34)], segments=64), _twist)
     bowl_side = filleted([(0, 0, 0), (0.040, 0, 0.004), (0.046, 0.012, 0.02), (0.105, 0.075, 0.03), (0.112, 0.10, 0)])
-    totem = merged([
-        moved(ball(radius, subdivisions=3), (0, 0, z)) for radius, z in
-        ((0.060, 0.060), (0.046, 0.150), (0.034, 0.217), (0.024, 0.266))
-    ])  # fmt: skip
+    totem = merged(
+        [
+            moved(ball(radius, subdivisions=3), (0, 0, z))
+            for radius, z in ((0.060, 0.060), (0.046, 0.150), (0.034, 0.217), (0.024, 0.266))
+        ]
+    )
     gem = deformed(ball(0.072, subdivisions=1), lambda p: p * [1, 1, 1.25], crease_deg=5)
     egg = deformed(ball(0.055), lambda p: p * (1 - 1.6 * p[:, 2:]) * [1, 1, 1.32])
     return [
         _inside("knot", upright, Plastic(color=(0.72, 0.12, 0.08), roughness=0.08), 0.16, 0.09),
         _inside("pillar", pillar, Plastic(color=(0.03, 0.34, 0.40), roughness=0.15), -0.10, 0.13),
-        _inside("bowl", lathe(walled(bowl_side, wall=0.006, floor=0.008), segments=72),
-                Plastic(color=veined, roughness=0.1), 0.07, -0.11),
+        _inside(
+            "bowl",
+            lathe(walled(bowl_side, wall=0.006, floor=0.008), segments=72),
+            Plastic(color=veined, roughness=0.1),
+            0.07,
+            -0.11,
+        ),
         _inside("totem", totem, Plastic(color=spots, roughness=0.15), -0.30, 0.04),
         _inside("gem", turned(gem, (1, 0.3, 0), 25), Conductor(color=(0.92, 0.60, 0.48), roughness=0.25), 0.32, -0.08),
         _inside("egg", egg, Plastic(color=chess, roughness=0.1), -0.16, -0.12),
-    ]  # fmt: skip
+    ]
 
 
 def _twist(p: np.ndarray) -> np.ndarray:

@@ -100,10 +100,12 @@ class Optics(ABC):
     def moved(self, offset: Vector) -> Self:
         """The material of an object that was moved by so many metres: patterns carved from space come along."""
         patterns = {name: value for name, value in self.textures().items() if isinstance(value, SolidTexture)}
-        return self.with_fields({
-            name: dataclasses.replace(value, origin=tuple(a + b for a, b in zip(value.origin, offset, strict=True)))
-            for name, value in patterns.items()
-        })  # fmt: skip
+        return self.with_fields(
+            {
+                name: dataclasses.replace(value, origin=tuple(a + b for a, b in zip(value.origin, offset, strict=True)))
+                for name, value in patterns.items()
+            }
+        )
 
 
 def rgb(color: Color) -> Plugin:
