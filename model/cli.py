@@ -174,9 +174,14 @@ def render(
 
 
 def sweep(
-    experiment: str, /, *, dataset: tuple[str, ...] = (), seed: tuple[int, ...] = (), jobs: int = 1,
+    experiment: str,
+    /,
+    *,
+    dataset: tuple[str, ...] = (),
+    seed: tuple[int, ...] = (),
+    jobs: int = 1,
     dry_run: bool = False,
-) -> None:  # fmt: skip
+) -> None:
     """Train all runs of an experiment file, one process a GPU (one on a CPU); what is finished is skipped.
 
     Args:

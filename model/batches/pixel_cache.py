@@ -69,8 +69,9 @@ class MappedFiles:
     most_resident: int
     """Bytes of mapped files that the process may hold before it lets go of these."""
 
-    def read(self, row: Int[np.ndarray, " ray"], num_layers: int
-             ) -> tuple[Int16[np.ndarray, "ray layer 2"], UInt8[np.ndarray, "ray layer"]]:  # fmt: skip
+    def read(
+        self, row: Int[np.ndarray, " ray"], num_layers: int
+    ) -> tuple[Int16[np.ndarray, "ray layer 2"], UInt8[np.ndarray, "ray layer"]]:
         """uv, as the bits of uint16, and object ids of the pixels with these row numbers; 0 where a layer is empty."""
         view, pixel = np.divmod(row, self.starts.shape[1] - 1)
         first = self.starts[view, pixel].astype(np.int64)
@@ -124,8 +125,16 @@ class MappedPixels:
         )
 
 
-def map_pixels(dataset: Dataset, geometry: str, split: Split, views: Sequence[int], *, with_images: bool = True,
-               max_layers: int | None = None, whole_views: bool = False) -> MappedPixels:  # fmt: skip
+def map_pixels(
+    dataset: Dataset,
+    geometry: str,
+    split: Split,
+    views: Sequence[int],
+    *,
+    with_images: bool = True,
+    max_layers: int | None = None,
+    whole_views: bool = False,
+) -> MappedPixels:
     """What `load_pixels` gives, from a cache, which is laid out where it is not there or damaged.
 
     Every byte is verified: of the dataset when the cache is laid out, of the cache when it is found.
@@ -266,8 +275,9 @@ def _map(path: Path) -> mmap.mmap:
     return mapping
 
 
-def _lay_out(folder: Path, dataset: Dataset, geometry: str, split: Split, views: Sequence[int],
-             num_layers: int) -> None:  # fmt: skip
+def _lay_out(
+    folder: Path, dataset: Dataset, geometry: str, split: Split, views: Sequence[int], num_layers: int
+) -> None:
     """Writes a cache, a view at a time, beside where it then appears."""
     folder.parent.mkdir(parents=True, exist_ok=True)
     for old in folder.parent.glob(f"{folder.name}.*.partial"):
@@ -294,8 +304,10 @@ def _lay_out(folder: Path, dataset: Dataset, geometry: str, split: Split, views:
                 uv, object_id = read_stack(dataset, geometry, split, view, num_layers)
                 is_hit = object_id > 0
                 if (is_hit[:, 1:] & ~is_hit[:, :-1]).any() or uv[~is_hit].any():
-                    raise HyalineError(f"{dataset.root}: layers of {geometry}, {split} view {view}, have a hit behind "
-                                       "an empty layer; peel it again")  # fmt: skip
+                    raise HyalineError(
+                        f"{dataset.root}: layers of {geometry}, {split} view {view}, have a hit behind "
+                        "an empty layer; peel it again"
+                    )
                 found = np.empty(int(is_hit.sum()), HIT)
                 found["uv"], found["object_id"] = uv[is_hit], object_id[is_hit]
                 add(STARTS, np.concatenate([[0], np.cumsum(is_hit.sum(axis=1))]).astype("<u4"))

@@ -125,8 +125,16 @@ def pixels_at_once(device: torch.device) -> int:
     return 16_384 if device.type == "cpu" else 65_536
 
 
-def load_pixels(dataset: Dataset, geometry: str, split: Split, views: Sequence[int], *, with_images: bool = True,
-                max_layers: int | None = None, whole_views: bool = False) -> Pixels:  # fmt: skip
+def load_pixels(
+    dataset: Dataset,
+    geometry: str,
+    split: Split,
+    views: Sequence[int],
+    *,
+    with_images: bool = True,
+    max_layers: int | None = None,
+    whole_views: bool = False,
+) -> Pixels:
     """Reads layers, cameras and (unless told otherwise) images of some views, every byte verified.
 
     Args:
@@ -148,8 +156,9 @@ def load_pixels(dataset: Dataset, geometry: str, split: Split, views: Sequence[i
     )
 
 
-def read_stack(dataset: Dataset, geometry: str, split: Split, view: int, max_layers: int | None
-               ) -> tuple[UInt16[np.ndarray, "pixel layer 2"], UInt8[np.ndarray, "pixel layer"]]:  # fmt: skip
+def read_stack(
+    dataset: Dataset, geometry: str, split: Split, view: int, max_layers: int | None
+) -> tuple[UInt16[np.ndarray, "pixel layer 2"], UInt8[np.ndarray, "pixel layer"]]:
     """uv and object ids of a view's pixels in its nearest layers, every byte verified.
 
     Raises:
@@ -185,8 +194,9 @@ def side_of(pixels: PixelSource) -> int:
     return math.isqrt(pixels.pixels_per_view)
 
 
-def draw_patches(pixels: PixelSource, number: int, size: int, rng: np.random.Generator, *, strides: Sequence[int] = (1,)
-                 ) -> Int[Tensor, "patch row column"]:  # fmt: skip
+def draw_patches(
+    pixels: PixelSource, number: int, size: int, rng: np.random.Generator, *, strides: Sequence[int] = (1,)
+) -> Int[Tensor, "patch row column"]:
     """Row numbers of the pixels of square patches at random places of random views.
 
     Args:
@@ -204,8 +214,7 @@ def draw_patches(pixels: PixelSource, number: int, size: int, rng: np.random.Gen
     return torch.from_numpy(index).to(pixels.rgb.device)
 
 
-def read_colors(dataset: Dataset, split: Split, views: Sequence[int], *, with_images: bool
-                ) -> UInt8[Tensor, "pixel 3"]:  # fmt: skip
+def read_colors(dataset: Dataset, split: Split, views: Sequence[int], *, with_images: bool) -> UInt8[Tensor, "pixel 3"]:
     """All pixels of the views; black without images: rendering a test view never opens its truth."""
     size = dataset.config.resolution
     black = np.zeros((size, size, 3), np.uint8)

@@ -100,9 +100,17 @@ class TracedLayerPixels:
         )
 
 
-def load_traced_layers(dataset: Dataset, geometry: str, num_layers: int, split: Split, views: Sequence[int],
-                       with_images: bool, *, train_samples: int, render_samples: int
-                       ) -> TracedLayerPixels:  # fmt: skip
+def load_traced_layers(
+    dataset: Dataset,
+    geometry: str,
+    num_layers: int,
+    split: Split,
+    views: Sequence[int],
+    with_images: bool,
+    *,
+    train_samples: int,
+    render_samples: int,
+) -> TracedLayerPixels:
     """Reads cameras and (unless told otherwise) images of some views, and loads the surfaces for tracing."""
     return TracedLayerPixels(
         peeler=_load_peeler(geometry_key(dataset, geometry)),

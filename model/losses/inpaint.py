@@ -35,8 +35,17 @@ AIM = 0.25
 class Inpainter:
     """Renders patches of poses without truth through which only unvisited texels get a gradient."""
 
-    def __init__(self, renderer: nn.Module, training: PixelSource[RayBatch], dataset: Dataset, geometry: str, *,
-                 num_layers: int, seed: int, device: torch.device) -> None:  # fmt: skip
+    def __init__(
+        self,
+        renderer: nn.Module,
+        training: PixelSource[RayBatch],
+        dataset: Dataset,
+        geometry: str,
+        *,
+        num_layers: int,
+        seed: int,
+        device: torch.device,
+    ) -> None:
         """Counts the visits of all training rays, and looks for pixels that show a texel without any.
 
         Raises:
@@ -59,8 +68,9 @@ class Inpainter:
 
         The network and all visited texels are constants, and batch norm uses what it knows from training.
         """
-        index = patches_around(self.showing[torch.from_numpy(rng.integers(len(self.showing), size=number))],
-                               size, side_of(self.pixels))  # fmt: skip
+        index = patches_around(
+            self.showing[torch.from_numpy(rng.integers(len(self.showing), size=number))], size, side_of(self.pixels)
+        )
         parameters = {name: value.detach() for name, value in renderer.named_parameters()}
         for name, visits in self.visits.items():
             table = renderer.get_parameter(name)
@@ -81,8 +91,9 @@ def count_visits(textures: NeuralTextures, pixels: PixelSource[RayBatch]) -> Int
     return counts
 
 
-def pixels_showing(textures: NeuralTextures, wanted: Bool[Tensor, " texel"], pixels: PixelSource[RayBatch]
-                   ) -> Bool[Tensor, " pixel"]:  # fmt: skip
+def pixels_showing(
+    textures: NeuralTextures, wanted: Bool[Tensor, " texel"], pixels: PixelSource[RayBatch]
+) -> Bool[Tensor, " pixel"]:
     """The pixels in one of whose layers at least half of what is looked up comes from wanted texels."""
     found = []
     for rays in _chunks(pixels):

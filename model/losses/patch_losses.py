@@ -19,16 +19,29 @@ from model.settings.state import State
 class OwnLoss(Protocol):
     """What a renderer's own loss takes (model/methods/renderer.py)."""
 
-    def __call__(self, training: PixelSource, batch: int, rng: np.random.Generator, *, softness: float = 0.0,
-                 patch_terms: PatchTerms | None = None) -> Tensor:  # fmt: skip
-        ...
+    def __call__(
+        self,
+        training: PixelSource,
+        batch: int,
+        rng: np.random.Generator,
+        *,
+        softness: float = 0.0,
+        patch_terms: PatchTerms | None = None,
+    ) -> Tensor: ...
 
 
 class Losses:
     """A method's own loss with the further terms of a configuration, and what these learn."""
 
-    def __init__(self, config: LossConfig, *, steps: int, seed: int, device: torch.device,
-                 make_inpainter: Callable[[], Inpainter]) -> None:  # fmt: skip
+    def __init__(
+        self,
+        config: LossConfig,
+        *,
+        steps: int,
+        seed: int,
+        device: torch.device,
+        make_inpainter: Callable[[], Inpainter],
+    ) -> None:
         """Raises a HyalineError where weights of VGG are not there, or there is nothing to in-paint."""
         self.config = config
         self.first_adversarial_step = round(config.adversarial_from * steps)
@@ -45,8 +58,16 @@ class Losses:
         """The learning rate of a step: no higher than the adversarial one as soon as that term is there."""
         return min(rate, self.config.adversarial_lr) if self.is_adversarial(step) else rate
 
-    def loss(self, own: OwnLoss, renderer: nn.Module, training: PixelSource, batch: int, rng: np.random.Generator, *,
-             step: int) -> Tensor:  # fmt: skip
+    def loss(
+        self,
+        own: OwnLoss,
+        renderer: nn.Module,
+        training: PixelSource,
+        batch: int,
+        rng: np.random.Generator,
+        *,
+        step: int,
+    ) -> Tensor:
         """What step `step` makes small, `own` being the renderer's loss. The discriminator has learned afterwards."""
         config, is_adversarial = self.config, self.is_adversarial(step)
         size = min(config.patch, side_of(training))

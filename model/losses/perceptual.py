@@ -92,8 +92,9 @@ class PerceptualLoss(nn.Module):
         else:
             self.features.load_state_dict(_read_features(vgg_path(kind, weights), self.features))
         self.requires_grad_(False)
-        self.compared = [sum(2 * count + 1 for count in CONVOLUTIONS[kind][: stage + 1]) - 2
-                         for stage in range(COMPARED_STAGES)]  # fmt: skip
+        self.compared = [
+            sum(2 * count + 1 for count in CONVOLUTIONS[kind][: stage + 1]) - 2 for stage in range(COMPARED_STAGES)
+        ]
         self.register_buffer("mean", torch.tensor(IMAGENET_MEAN).view(3, 1, 1))
         self.register_buffer("std", torch.tensor(IMAGENET_STD).view(3, 1, 1))
         noise = torch.rand(1, 3, 16, 16, generator=torch.Generator().manual_seed(0))

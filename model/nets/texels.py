@@ -119,8 +119,12 @@ def add_look_ups(
             _fetch_ahead(table, rows, hit, count)
             slot = slots[hit]
             r0, r1, r2, r3 = rows[hit, 0], rows[hit, 1], rows[hit, 2], rows[hit, 3]
-            w0, w1, w2, w3 = (weights[hit, 0] * scale, weights[hit, 1] * scale,
-                              weights[hit, 2] * scale, weights[hit, 3] * scale)  # fmt: skip
+            w0, w1, w2, w3 = (
+                weights[hit, 0] * scale,
+                weights[hit, 1] * scale,
+                weights[hit, 2] * scale,
+                weights[hit, 3] * scale,
+            )
             for c in range(channels):
                 result[slot, c] += w0 * table[r0, c] + w1 * table[r1, c] + w2 * table[r2, c] + w3 * table[r3, c]
 

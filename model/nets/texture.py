@@ -101,8 +101,10 @@ def sample(
     if flat_uv.device.type == "cpu" and not math.isfinite(flat_uv.detach().sum().item()):
         raise NumericsError("uv: a layer has one that is not finite; check the data with `datagen verify`")
     if flat_uv.device.type != "cpu":
-        levels = [scale * sample_by_bags(table, flat_uv, flat_id, layout)
-                  for table, layout, scale in zip(tables, layouts, scales, strict=True)]  # fmt: skip
+        levels = [
+            scale * sample_by_bags(table, flat_uv, flat_id, layout)
+            for table, layout, scale in zip(tables, layouts, scales, strict=True)
+        ]
         features = torch.stack(levels).sum(dim=0) if len(levels) > 1 else levels[0]
     else:
         features = _CompiledSample.apply(flat_uv, flat_id, tuple(layouts), tuple(scales), *tables)
@@ -113,8 +115,14 @@ class _CompiledSample(torch.autograd.Function):
     """`sample` by the loops of `model.nets.texels`."""
 
     @staticmethod
-    def forward(ctx: FunctionCtx, uv: Tensor, object_id: Tensor, layouts: tuple[TextureLayout, ...],
-                scales: tuple[float, ...], *tables: Tensor) -> Tensor:  # fmt: skip
+    def forward(
+        ctx: FunctionCtx,
+        uv: Tensor,
+        object_id: Tensor,
+        layouts: tuple[TextureLayout, ...],
+        scales: tuple[float, ...],
+        *tables: Tensor,
+    ) -> Tensor:
         ctx.save_for_backward(uv, object_id, *tables)
         ctx.levels = [(places_of(layout), np.float32(scale)) for layout, scale in zip(layouts, scales, strict=True)]  # pyright: ignore[reportAttributeAccessIssue]
         result = torch.zeros(len(object_id), tables[0].shape[1])

@@ -131,8 +131,9 @@ def lift(features: Float32[Tensor, "1 c p q"], camera: ViewCamera, grid: VoxelGr
     return _spread(rows, is_seen).T.reshape(1, -1, *[grid.num_voxels] * 3)
 
 
-def sample_frustum(volume: Float32[Tensor, "1 c z y x"], camera: ViewCamera, grid: VoxelGrid, size: int
-                   ) -> Float32[Tensor, "1 c d p q"]:  # fmt: skip
+def sample_frustum(
+    volume: Float32[Tensor, "1 c z y x"], camera: ViewCamera, grid: VoxelGrid, size: int
+) -> Float32[Tensor, "1 c d p q"]:
     """The grid's features on a view's frustum, trilinear between voxel centres; 0 outside the outermost centres."""
     points = frustum_points(camera, grid, size)
     place = (points - grid.origin) / grid.voxel_size + grid.num_voxels // 2
@@ -141,8 +142,9 @@ def sample_frustum(volume: Float32[Tensor, "1 c z y x"], camera: ViewCamera, gri
     return _spread(rows, is_inside).T.reshape(1, -1, grid.num_planes, size, size)
 
 
-def _gather(table: Float32[Tensor, "cell c"], place: Float32[Tensor, "point axis"], size: int
-            ) -> Float32[Tensor, "point c"]:  # fmt: skip
+def _gather(
+    table: Float32[Tensor, "cell c"], place: Float32[Tensor, "point axis"], size: int
+) -> Float32[Tensor, "point c"]:
     """Rows of a square or cubic table between its cells, linear along each axis; the last axis varies fastest.
 
     A bag of four or eight rows for each point. `grid_sample` in five dimensions runs on one CPU thread.

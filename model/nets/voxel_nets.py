@@ -109,8 +109,9 @@ class Occlusion(nn.Module):
         return torch.softmax(weights, dim=2)
 
 
-def collapse(frustum: Float32[Tensor, "1 c d p q"], visibility: Float32[Tensor, "1 1 d p q"]
-             ) -> Float32[Tensor, "1 c p q"]:  # fmt: skip
+def collapse(
+    frustum: Float32[Tensor, "1 c d p q"], visibility: Float32[Tensor, "1 1 d p q"]
+) -> Float32[Tensor, "1 c p q"]:
     """Features of each ray: the *mean* over depth of visible features, as in the authors' code; a sum over d planes."""
     return (visibility * frustum).mean(dim=2)
 

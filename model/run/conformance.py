@@ -158,8 +158,10 @@ def _resumes(subject: Subject) -> str:
     finally:
         hook.remove()
     out = subject.train("parts")
-    _expect(_bytes(out) == _bytes(subject.folder / "first"), "a run that was stopped and resumed ends with other "
-            "weights; keep all state in parameters and buffers")  # fmt: skip
+    _expect(
+        _bytes(out) == _bytes(subject.folder / "first"),
+        "a run that was stopped and resumed ends with other weights; keep all state in parameters and buffers",
+    )
     return ""
 
 

@@ -46,8 +46,17 @@ CHECKPOINT_EVERY_S = 60.0
 """At least so often a checkpoint is left, whatever the number of steps; no byte of the result depends on it."""
 
 
-def train(config: TrainConfig, dataset: Dataset, out: Path, *, label: str, device: torch.device,
-          team: Team = ALONE, memory: Memory = "ram", anew: bool = False) -> None:  # fmt: skip
+def train(
+    config: TrainConfig,
+    dataset: Dataset,
+    out: Path,
+    *,
+    label: str,
+    device: torch.device,
+    team: Team = ALONE,
+    memory: Memory = "ram",
+    anew: bool = False,
+) -> None:
     """Trains until `out` holds weights.pt; goes on from the newest intact checkpoint where there is one.
 
     SIGINT and SIGTERM end it after the step at hand, with a checkpoint.
@@ -71,8 +80,10 @@ def train(config: TrainConfig, dataset: Dataset, out: Path, *, label: str, devic
     method = config.net
     inputs = open_inputs(method, dataset, config.geometry)
     if config.loss.inpaint and method.traces_layers:
-        raise HyalineError("inpaint: counts which texels the stored layers' rays visit; expected paper with one ray "
-                           "per pixel, or another method that reads straight layers")  # fmt: skip
+        raise HyalineError(
+            "inpaint: counts which texels the stored layers' rays visit; expected paper with one ray "
+            "per pixel, or another method that reads straight layers"
+        )
 
     # The renderer.
     with torch.random.fork_rng(devices=[]):
@@ -81,8 +92,10 @@ def train(config: TrainConfig, dataset: Dataset, out: Path, *, label: str, devic
     team.share_norms(renderer)
     renderer.to(device)
     groups = renderer.groups(config)
-    num_parameters = {kind: sum(count(group.parameters) for group in groups if group.counts_as == kind)
-                      for kind in ("network", "textures")}  # fmt: skip
+    num_parameters = {
+        kind: sum(count(group.parameters) for group in groups if group.counts_as == kind)
+        for kind in ("network", "textures")
+    }
     # Dense Adam, as in the paper: a texel moves on by its momentum after the step that touched it.
     optimizer = torch.optim.Adam(
         [{"params": group.parameters, "lr": group.lr, "weight_decay": group.weight_decay} for group in groups],
@@ -134,10 +147,14 @@ def train(config: TrainConfig, dataset: Dataset, out: Path, *, label: str, devic
 
     # The losses, the terms beside the method's own included.
     losses = Losses(
-        config.loss, steps=config.steps, seed=config.seed, device=device,
-        make_inpainter=lambda: Inpainter(renderer, training, dataset, config.geometry, num_layers=inputs.num_layers,
-                                         seed=config.seed, device=device),
-    )  # fmt: skip
+        config.loss,
+        steps=config.steps,
+        seed=config.seed,
+        device=device,
+        make_inpainter=lambda: Inpainter(
+            renderer, training, dataset, config.geometry, num_layers=inputs.num_layers, seed=config.seed, device=device
+        ),
+    )
 
     # Where to go on.
     first_step, loss_sum, loss_count = 0, 0.0, 0
@@ -247,8 +264,10 @@ def check_team(config: TrainConfig, team: Team) -> None:
             "share; train it without torchrun (paper, mlp-first and light-path can be, with losses of pixels alone)"
         )
     if config.batch // config.updates < team.size:
-        raise HyalineError(f"batch: is {config.batch}; expected at least a pixel for each of {team.size} processes in "
-                           f"each of {config.updates} updates")  # fmt: skip
+        raise HyalineError(
+            f"batch: is {config.batch}; expected at least a pixel for each of {team.size} processes in "
+            f"each of {config.updates} updates"
+        )
 
 
 def choose_held_out(num_views: int, at_most: int) -> list[int]:

@@ -77,8 +77,9 @@ def _usual_of_words(method: str, words: Sequence[str]) -> Asked[MethodConfig, Op
         "Presets",
         [("geometry", str, TRUTH), *((item.name, net.__annotations__[item.name], item.default) for item in presets)],
     )
-    found, _ = tyro.cli(named, prog=f"model train {method}", args=list(words), config=CONFIG, add_help=False,
-                        return_unknown_args=True)  # fmt: skip
+    found, _ = tyro.cli(
+        named, prog=f"model train {method}", args=list(words), config=CONFIG, add_help=False, return_unknown_args=True
+    )
     return usual_of(net(**{item.name: getattr(found, item.name) for item in presets}), found.geometry)
 
 

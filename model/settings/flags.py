@@ -60,8 +60,11 @@ def name_flags(record: type) -> None:
     import tyro
 
     documented = [base for base in reversed(record.__mro__) if dataclasses.is_dataclass(base)]
-    texts = {param.arg_name: param.description for base in documented
-             for param in docstring_parser.parse_from_object(base).params}  # fmt: skip
+    texts = {
+        param.arg_name: param.description
+        for base in documented
+        for param in docstring_parser.parse_from_object(base).params
+    }
     annotations = {name: kind for base in documented for name, kind in base.__dict__.get("__annotations__", {}).items()}
     record.__annotations__ = dict(record.__dict__.get("__annotations__", {}))
     for item in dataclasses.fields(record):

@@ -145,9 +145,11 @@ class LightPathRenderer(Renderer[LightPathPixels]):
         return torch.cat([stack.uv[:, :first], straight], dim=1)
 
     def _shifted(
-        self, uv: Float32[Tensor, "ray slot 2"], surface: UInt8[Tensor, "ray slot"],
+        self,
+        uv: Float32[Tensor, "ray slot 2"],
+        surface: UInt8[Tensor, "ray slot"],
         uv_slope: Float32[Tensor, "ray slot 2"],
-    ) -> Float32[Tensor, "ray slot 2"]:  # fmt: skip
+    ) -> Float32[Tensor, "ray slot 2"]:
         """Where the rays meet the learned relief below (or above) the surfaces."""
         if self.relief is None:
             return uv

@@ -175,8 +175,12 @@ def share_texels(dataset: Dataset, geometry: str, size: int) -> tuple[int, ...]:
     """
     pixels = load_light_path_pixels(
         default_light_path((2,) * len(dataset.objects), is_proxy=geometry != TRUTH),
-        dataset, geometry, "train", range(dataset.config.train.views), False,
-    )  # fmt: skip
+        dataset,
+        geometry,
+        "train",
+        range(dataset.config.train.views),
+        False,
+    )
     index = np.random.default_rng(0).integers(len(pixels.rgb), size=COUNTED_PIXELS)
     batch = pixels.take(torch.from_numpy(index), None)
     met = [batch.ends.surface]
@@ -193,8 +197,9 @@ def share_texels(dataset: Dataset, geometry: str, size: int) -> tuple[int, ...]:
     return tuple(int(width) for width in wanted.maximum(least).clamp_max(MAX_TEXTURE_SIZE).round())
 
 
-def load_light_path_pixels(config: LightPathConfig, dataset: Dataset, geometry: str, split: Split,
-                           views: Sequence[int], with_images: bool) -> LightPathPixels:  # fmt: skip
+def load_light_path_pixels(
+    config: LightPathConfig, dataset: Dataset, geometry: str, split: Split, views: Sequence[int], with_images: bool
+) -> LightPathPixels:
     """Reads cameras and (unless told otherwise) images of some views, and loads the scene for tracing."""
     surfaces = _load_surfaces(geometry_key(dataset, geometry), config.shells if config.straight_layers else 0)
     return LightPathPixels(
@@ -239,8 +244,9 @@ def _surface_of(object_id: UInt8[np.ndarray, " vertex"], shells: int) -> UInt8[n
     return np.where(object_id > 0, (object_id.astype(np.int64) - 1) * shells + 1, 0).astype(np.uint8)
 
 
-def _mirrored(direction: Float32[np.ndarray, "vertex 3"], normal: Float32[np.ndarray, "vertex 3"]
-              ) -> tuple[Float32[np.ndarray, " vertex"], Float32[np.ndarray, "vertex 3"]]:  # fmt: skip
+def _mirrored(
+    direction: Float32[np.ndarray, "vertex 3"], normal: Float32[np.ndarray, "vertex 3"]
+) -> tuple[Float32[np.ndarray, " vertex"], Float32[np.ndarray, "vertex 3"]]:
     """The cosine, in [0, 1], at which rays arrive at surfaces, and their directions mirrored there."""
     cosine = -np.einsum("vc,vc->v", direction, normal)
     return np.clip(cosine, 0, 1), direction + 2 * cosine[:, None] * normal

@@ -27,6 +27,12 @@ def load(
     if not config.traces_layers:
         return load_stored(inputs, split, views, with_images=with_images, mapped=mapped)
     return load_traced_layers(
-        inputs.dataset, inputs.geometry, inputs.num_layers, split, views, with_images,
-        train_samples=config.train_samples, render_samples=config.render_samples,
-    )  # fmt: skip
+        inputs.dataset,
+        inputs.geometry,
+        inputs.num_layers,
+        split,
+        views,
+        with_images,
+        train_samples=config.train_samples,
+        render_samples=config.render_samples,
+    )

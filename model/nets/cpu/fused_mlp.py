@@ -68,10 +68,13 @@ class _Chain(torch.autograd.Function):
             layer, of_output = layers[index], above[index]
             assert of_output is not None
             gradients = kernels.backward(
-                _source(x, layers, made, index), layer.linear, None if layer.slope is None else made[index], of_output,
+                _source(x, layers, made, index),
+                layer.linear,
+                None if layer.slope is None else made[index],
+                of_output,
                 needs_source=index > 0 or ctx.needs_input_grad[0],  # pyright: ignore[reportAttributeAccessIssue]
                 further=above[index - 1] if index else None,
-            )  # fmt: skip
+            )
             found.insert(0, gradients)
             if index:
                 above[index - 1] = gradients.source

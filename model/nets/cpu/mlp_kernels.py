@@ -148,11 +148,14 @@ class Network:
         # What the structures point to.
         self._weights = [_packed(layer) for layer in layers]
         self._biases = [pad(layer.bias.numpy()) for layer in layers]
-        self.array = (_FoldedLayer * len(layers))(*(
-            _FoldedLayer(*layer.weight.shape[::-1], weight.data_ptr(), _address(bias), layer.slope, layer.adds,
-                         layer.is_half)
-            for layer, weight, bias in zip(layers, self._weights, self._biases, strict=True)
-        ))  # fmt: skip
+        self.array = (_FoldedLayer * len(layers))(
+            *(
+                _FoldedLayer(
+                    *layer.weight.shape[::-1], weight.data_ptr(), _address(bias), layer.slope, layer.adds, layer.is_half
+                )
+                for layer, weight, bias in zip(layers, self._weights, self._biases, strict=True)
+            )
+        )
 
 
 class Kernels:
@@ -182,10 +185,16 @@ class Kernels:
             assert norm.running_mean is not None
             assert norm.running_var is not None
             assert norm.momentum is not None
-            record = ctypes.byref(_Norm(
-                norm.weight.data_ptr(), norm.bias.data_ptr(), norm.running_mean.data_ptr(), norm.running_var.data_ptr(),
-                norm.eps, norm.momentum,
-            ))  # fmt: skip
+            record = ctypes.byref(
+                _Norm(
+                    norm.weight.data_ptr(),
+                    norm.bias.data_ptr(),
+                    norm.running_mean.data_ptr(),
+                    norm.running_var.data_ptr(),
+                    norm.eps,
+                    norm.momentum,
+                )
+            )
         self._forward(
             len(given), linear.in_features, linear.out_features, ctypes.byref(source.as_input()),
             linear.weight.data_ptr(), linear.bias.data_ptr(), record, ctypes.byref(made.record),
@@ -193,8 +202,16 @@ class Kernels:
         )  # fmt: skip
         return made
 
-    def backward(self, source: Source, linear: nn.Linear, made: Made | None, upstream: Tensor, *, needs_source: bool,
-                 further: Tensor | None) -> Gradients:  # fmt: skip
+    def backward(
+        self,
+        source: Source,
+        linear: nn.Linear,
+        made: Made | None,
+        upstream: Tensor,
+        *,
+        needs_source: bool,
+        further: Tensor | None,
+    ) -> Gradients:
         """The gradients of a layer's source (with `further` added), weight and bias.
 
         Args:
@@ -246,8 +263,14 @@ class Kernels:
             stacks.p_camera.data_ptr(), stacks.places.shape[1], stacks.pixels_per_view,
         )  # fmt: skip
         colors = torch.empty(num_pixels, 3)
-        self._draw_stacks(num_pixels, ctypes.byref(array), network.array, len(network.array), colors.data_ptr(),
-                          torch.get_num_threads())  # fmt: skip
+        self._draw_stacks(
+            num_pixels,
+            ctypes.byref(array),
+            network.array,
+            len(network.array),
+            colors.data_ptr(),
+            torch.get_num_threads(),
+        )
         return colors
 
 
