@@ -21,8 +21,12 @@ if TYPE_CHECKING:
 
 def main() -> None:
     """Entry point of the console script."""
-    run("proxies", "Coarse closed meshes with UV around the objects of a dataset.", {"make": make, "check": check},
-        sys.argv[1:])  # fmt: skip
+    run(
+        "proxies",
+        "Coarse closed meshes with UV around the objects of a dataset.",
+        {"make": make, "check": check},
+        sys.argv[1:],
+    )
 
 
 def make(

@@ -107,8 +107,12 @@ def missed_shares(dataset: Dataset, geometry: str, counts: list[int]) -> dict[in
 def budget_grid(title: str, budgets: tuple[Budget, ...]) -> Grid:
     """The table of a scene's budgets."""
     groups = ("PSNR dB ↑", "PSNR glass dB ↑", "more %", "deeper %")
-    columns = [Column(group="budget", is_number=False), Column(group="layers"), Column(group="runs"),
-               Column(group="parameters")]  # fmt: skip
+    columns = [
+        Column(group="budget", is_number=False),
+        Column(group="layers"),
+        Column(group="runs"),
+        Column(group="parameters"),
+    ]
     columns += [Column(group=group, split=split) for group in groups for split in TEST_SPLITS]
     rows = []
     for budget in budgets:
@@ -116,14 +120,16 @@ def budget_grid(title: str, budgets: tuple[Budget, ...]) -> Grid:
             parameters = "" if point.num_parameters is None else f"{point.num_parameters:,}"
             scores = [point.psnr_db, point.glass_psnr_db]
             shares = [point.more_share, point.deeper_share]
-            rows.append((
-                budget.name,
-                str(point.num_layers),
-                str(len(point.runs)),
-                parameters,
-                *(format_number(values[split], 2) for values in scores for split in TEST_SPLITS),
-                *(f"{100 * values[split]:.1f}" for values in shares for split in TEST_SPLITS),
-            ))  # fmt: skip
+            rows.append(
+                (
+                    budget.name,
+                    str(point.num_layers),
+                    str(len(point.runs)),
+                    parameters,
+                    *(format_number(values[split], 2) for values in scores for split in TEST_SPLITS),
+                    *(f"{100 * values[split]:.1f}" for values in shares for split in TEST_SPLITS),
+                )
+            )
     return Grid(
         title=f"{title}: layer budget", columns=tuple(columns), rows=tuple(rows), notes=BUDGET_NOTES, is_detail=True
     )

@@ -116,9 +116,12 @@ def cover_view(coverage: Coverage, dataset: Dataset, split: Split, view: int) ->
     return PixelCoverage(pixel=pixel, angle_deg=np.degrees(angle), views=views)
 
 
-def _nearest_angle(points: Float[np.ndarray, "ray 3"], rays: Float[np.ndarray, "ray 3"],
-                   p_camera: Float[np.ndarray, "view 3"], is_seen: Bool[np.ndarray, "ray view"]
-                   ) -> Float[np.ndarray, " ray"]:  # fmt: skip
+def _nearest_angle(
+    points: Float[np.ndarray, "ray 3"],
+    rays: Float[np.ndarray, "ray 3"],
+    p_camera: Float[np.ndarray, "view 3"],
+    is_seen: Bool[np.ndarray, "ray view"],
+) -> Float[np.ndarray, " ray"]:
     """The least angle in radians at a point between its ray and the lines from the cameras that saw it, or inf."""
     # |p - c|^2 and (p - c) . d without an array of (ray, view, 3).
     squared = np.sum(points**2, axis=1)[:, None] - 2 * points @ p_camera.T + np.sum(p_camera**2, axis=1)

@@ -64,8 +64,9 @@ class Curve:
     """See `slope_db_per_10deg`."""
 
 
-def make_curve(runs: Mapping[Split, Run], truths: dict[Split, Truth],
-               coverage: dict[Split, tuple[PixelCoverage, ...]]) -> Curve:  # fmt: skip
+def make_curve(
+    runs: Mapping[Split, Run], truths: dict[Split, Truth], coverage: dict[Split, tuple[PixelCoverage, ...]]
+) -> Curve:
     """The curve of a run over the test splits in `coverage`, all of which it predicted.
 
     Args:
@@ -90,8 +91,9 @@ def pool_seeds(runs: Sequence[RunScores], curves: Mapping[str, Curve]) -> dict[s
     return pooled
 
 
-def curve_of(angle_deg: Float[np.ndarray, " pixel"], views: Int[np.ndarray, " pixel"],
-             squared_error: Float[np.ndarray, " pixel"]) -> Curve:  # fmt: skip
+def curve_of(
+    angle_deg: Float[np.ndarray, " pixel"], views: Int[np.ndarray, " pixel"], squared_error: Float[np.ndarray, " pixel"]
+) -> Curve:
     """The curve of some pixels.
 
     Args:
@@ -156,8 +158,9 @@ def curve_grid(title: str, curves: dict[str, Curve]) -> Grid:
     )
 
 
-def _bins(values: Float[np.ndarray, " pixel"], squared_error: Float[np.ndarray, " pixel"],
-          edges: tuple[int, ...]) -> tuple[Bin, ...]:  # fmt: skip
+def _bins(
+    values: Float[np.ndarray, " pixel"], squared_error: Float[np.ndarray, " pixel"], edges: tuple[int, ...]
+) -> tuple[Bin, ...]:
     place = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
     pixels = np.bincount(place, minlength=len(edges) - 1)
     value_sum = np.bincount(place, weights=values, minlength=len(edges) - 1)

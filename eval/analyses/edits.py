@@ -57,8 +57,9 @@ class EditScores:
         return tuple(scores.run for scores in self.scored.runs.values())
 
 
-def score_edits(scene: SceneScores, variants: Sequence[VariantScores],
-                errors: list[HyalineError]) -> tuple[EditScores, ...]:  # fmt: skip
+def score_edits(
+    scene: SceneScores, variants: Sequence[VariantScores], errors: list[HyalineError]
+) -> tuple[EditScores, ...]:
     """Every edit among these variants in regions; what cannot be scored is added to `errors`."""
     found = []
     for scored in variants:

@@ -84,8 +84,9 @@ def _known_orders(dataset: Dataset, num_layers: int, *, title: str) -> UInt64[np
     return known
 
 
-def _rows(name: str, dataset: Dataset, runs: Sequence[Run], known: UInt64[np.ndarray, " order"],
-          num_layers: int) -> list[OrderRow]:  # fmt: skip
+def _rows(
+    name: str, dataset: Dataset, runs: Sequence[Run], known: UInt64[np.ndarray, " order"], num_layers: int
+) -> list[OrderRow]:
     masks: dict[Split, list[Masks]] = {split: _masks(dataset, split, known, num_layers) for split in TEST_SPLITS}
     targets: dict[Split, list[Image]] = {split: truths(dataset, split) for split in TEST_SPLITS}
     shares: dict[Split, float] = {split: mean_share(masks[split], "new") for split in TEST_SPLITS}

@@ -49,8 +49,9 @@ def curve_figure(title: str, curves: dict[str, Curve]) -> bytes:
 def budget_figure(title: str, budgets: tuple[Budget, ...]) -> bytes:
     """The PNG of PSNR by the number of layers, and of the shares of rays that these leave out, for both test splits."""
     figure = Figure(figsize=(1500 / DPI, 640 / DPI), dpi=DPI, facecolor="white")
-    panels = figure.subplots(2, 2, sharex=True, sharey="row", height_ratios=(2, 1), gridspec_kw={"hspace": 0.08,
-                             "wspace": 0.06})  # fmt: skip
+    panels = figure.subplots(
+        2, 2, sharex=True, sharey="row", height_ratios=(2, 1), gridspec_kw={"hspace": 0.08, "wspace": 0.06}
+    )
     for column, split in enumerate(TEST_SPLITS):
         scores, shares = panels[:, column]
         for place, budget in enumerate(budgets):
@@ -83,8 +84,9 @@ def _head(figure: Figure, axes: Axes, title: str) -> None:
 
 def _line(axes: Axes, bins: Sequence[Bin], color: str, label: str | None = None) -> None:
     shown = [part for part in bins if part.pixels >= MIN_PIXELS and part.mse > 0]
-    axes.plot([part.mean for part in shown], [part.psnr_db for part in shown], "o-", color=color, label=label,
-              markersize=4)  # fmt: skip
+    axes.plot(
+        [part.mean for part in shown], [part.psnr_db for part in shown], "o-", color=color, label=label, markersize=4
+    )
     axes.grid(color="0.92")
     axes.set_axisbelow(True)
 

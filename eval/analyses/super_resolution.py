@@ -52,11 +52,18 @@ def super_resolution_grid(scene: SceneScores, scaled: list[tuple[VariantScores, 
         listed += [(name, ENLARGED, splits) for name, splits in enlarged.items()]
         order = {name: place for place, name in enumerate([*scored.runs, TRUTH_ENLARGED])}
         for name, how, splits in sorted(listed, key=lambda row: order[row[0]]):
-            rows.append((size, name, how, *(
-                format_number(None if (values := splits[split]) is None else values.mean(key), decimals)
-                for key, (_, decimals) in KEYS.items()
-                for split in TEST_SPLITS
-            )))  # fmt: skip
+            rows.append(
+                (
+                    size,
+                    name,
+                    how,
+                    *(
+                        format_number(None if (values := splits[split]) is None else values.mean(key), decimals)
+                        for key, (_, decimals) in KEYS.items()
+                        for split in TEST_SPLITS
+                    ),
+                )
+            )
         ceilings = [format_number(scored.truths[split].ceiling_db, 2) for split in TEST_SPLITS]
         rows.append((size, CEILING, "", *ceilings, *[MISSING] * (len(TEST_SPLITS) * (len(KEYS) - 1))))
     texts = ("size", "run", "pictures")

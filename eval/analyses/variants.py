@@ -25,8 +25,7 @@ class VariantScores:
     """By the run's name; the folder and the dataset of each `run` are the variant's."""
 
 
-def score_variants(scene: SceneScores, errors: list[HyalineError], *, edits_alone: bool = False
-                   ) -> list[VariantScores]:  # fmt: skip
+def score_variants(scene: SceneScores, errors: list[HyalineError], *, edits_alone: bool = False) -> list[VariantScores]:
     """The scores of each variant that a run has drawn; what pictures or truth lack is added to `errors`."""
     scored = []
     for name in list_variants(scene.dataset.root):

@@ -137,8 +137,15 @@ def draw_sheet(title: str, heads: Sequence[str], rows: Sequence[Row], *, size: i
             left = SIDE + column * (side + GAP)
             axes = figure.add_axes((left / width, 1 - (top + side) / height, side / width, side / height))
             _fill(axes, panel)
-            text(left + side // 2, top + side + 11, panel.caption, fontsize=10, ha="center", va="center",
-                 weight="bold" if panel.is_best else "normal")  # fmt: skip
+            text(
+                left + side // 2,
+                top + side + 11,
+                panel.caption,
+                fontsize=10,
+                ha="center",
+                va="center",
+                weight="bold" if panel.is_best else "normal",
+            )
     if has_error:
         left, extent = width - MARGIN - bar + 20, min(2 * side, height - HEADING - MARGIN - CAPTION)
         axes = figure.add_axes((left / width, 1 - (HEADING + extent) / height, 14 / width, extent / height))

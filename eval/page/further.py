@@ -40,8 +40,9 @@ class Further:
     """PNGs by the name of their file, drawn when asked for."""
 
 
-def analyse(scene: SceneScores, truths: dict[Split, Truth], errors: list[HyalineError], *,
-            order_layers: int) -> Further:  # fmt: skip
+def analyse(
+    scene: SceneScores, truths: dict[Split, Truth], errors: list[HyalineError], *, order_layers: int
+) -> Further:
     """All analyses of a scored scene.
 
     Args:

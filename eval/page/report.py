@@ -37,8 +37,17 @@ TABLE_FORMATS = ("table", "markdown", "latex")
 """Of `make_tables`: what the tables hold is in the report's CSV and JSON."""
 
 
-def make_report(runs_root: Path, data_root: Path, out: Path, *, output_format: str, order_layers: int = 0,
-                only: Path | None = None, is_full: bool = False, is_published: bool = False) -> None:  # fmt: skip
+def make_report(
+    runs_root: Path,
+    data_root: Path,
+    out: Path,
+    *,
+    output_format: str,
+    order_layers: int = 0,
+    only: Path | None = None,
+    is_full: bool = False,
+    is_published: bool = False,
+) -> None:
     """Scores all runs; a run that cannot be scored is reported after the others are.
 
     Args:
@@ -77,8 +86,9 @@ TABLES = (*COMPARISONS, "proxies", *ABLATIONS, "claims")
 """What `make_tables` prints."""
 
 
-def make_tables(runs_root: Path, data_root: Path, out: Path, *, tables: Sequence[str], output_format: str,
-                only: Path | None = None) -> None:  # fmt: skip
+def make_tables(
+    runs_root: Path, data_root: Path, out: Path, *, tables: Sequence[str], output_format: str, only: Path | None = None
+) -> None:
     """Scores the runs that some tables need and prints those alone; pictures of them are written to `out`.
 
     Raises:
@@ -93,10 +103,12 @@ def make_tables(runs_root: Path, data_root: Path, out: Path, *, tables: Sequence
     wanted = [run for run in runs if any(line.fits(run) for line in lines)]
     scenes = [scene for scene, _ in _score_scenes(wanted, errors)]
     if not scenes:
-        errors.append(HyalineError(
-            f"{runs_root}: no run there that stands in {', '.join(tables)}; "
-            f"make them with `{_sweep_command(tables[0], only)}`"
-        ))  # fmt: skip
+        errors.append(
+            HyalineError(
+                f"{runs_root}: no run there that stands in {', '.join(tables)}; "
+                f"make them with `{_sweep_command(tables[0], only)}`"
+            )
+        )
     for table in tables:
         for grid in _grids_of(table, scenes, errors):
             sys.stdout.write(grid_text(grid, output_format, width=_output_width(), color=sys.stdout.isatty()) + "\n")
@@ -153,8 +165,7 @@ def _picture_of(table: str, scene: SceneScores) -> bytes | None:
     return None
 
 
-def _open_runs(runs_root: Path, data_root: Path, out: Path,
-               only: Path | None) -> tuple[list[Run], list[HyalineError]]:  # fmt: skip
+def _open_runs(runs_root: Path, data_root: Path, out: Path, only: Path | None) -> tuple[list[Run], list[HyalineError]]:
     """The runs that can be opened and why others cannot; of one dataset alone where `only` is given."""
     dataset = None if only is None else open_dataset(only)
     runs, errors = [], []
@@ -224,8 +235,9 @@ def _json(scenes: list[SceneScores], further: list[Further]) -> bytes:
     )
 
 
-def _print_scores(scenes: list[SceneScores], further: list[Further], output_format: str, *, is_full: bool,
-                  is_published: bool) -> None:  # fmt: skip
+def _print_scores(
+    scenes: list[SceneScores], further: list[Further], output_format: str, *, is_full: bool, is_published: bool
+) -> None:
     if output_format == "json":
         text = _json(scenes, further).decode()
     elif output_format == "csv":

@@ -74,13 +74,28 @@ def ladder_grid(scene: SceneScores) -> Grid:
     rows = []
     for entry, error in find_ladder(scene):
         group = entry.group
-        rows.append((entry.line.title, group.first.geometry or MISSING, str(len(group.runs)), f"{error.mean_mm:.2f}",
-                     f"{error.max_mm:.1f}", *_scores(group)))  # fmt: skip
+        rows.append(
+            (
+                entry.line.title,
+                group.first.geometry or MISSING,
+                str(len(group.runs)),
+                f"{error.mean_mm:.2f}",
+                f"{error.max_mm:.1f}",
+                *_scores(group),
+            )
+        )
     empty = [line for line in LADDER.lines if line.title not in {row[0] for row in rows}]
     rows += [(line.title, NOT_RUN, *[MISSING] * 8) for line in empty]
-    columns = [Column(group="method", is_number=False), Column(group="geometry", is_number=False),
-               Column(group="seeds"), Column(group="mean distance mm"), Column(group="max distance mm"),
-               *PSNR, DROP, *WRAPPED]  # fmt: skip
+    columns = [
+        Column(group="method", is_number=False),
+        Column(group="geometry", is_number=False),
+        Column(group="seeds"),
+        Column(group="mean distance mm"),
+        Column(group="max distance mm"),
+        *PSNR,
+        DROP,
+        *WRAPPED,
+    ]
     return Grid(
         title=f"{scene.title}: {LADDER.title}",
         columns=tuple(columns),

@@ -136,11 +136,16 @@ COMPARISONS: dict[str, Comparison] = {
     "table1": Comparison(
         title="Table 1, what each layer is told of the camera",
         lines=(
-            Line(title="no extrinsics", method="paper", choices={**PAPER, "extrinsics": "none"},
-                 published=NO_EXTRINSICS),
+            Line(
+                title="no extrinsics", method="paper", choices={**PAPER, "extrinsics": "none"}, published=NO_EXTRINSICS
+            ),
             Line(title="view vector", method="paper", choices=VIEW, published=VIEW_VECTOR),
-            Line(title="spherical harmonics", method="paper", choices={**PAPER, "extrinsics": "sh"},
-                 published=SPHERICAL_HARMONICS),
+            Line(
+                title="spherical harmonics",
+                method="paper",
+                choices={**PAPER, "extrinsics": "sh"},
+                published=SPHERICAL_HARMONICS,
+            ),
         ),
         # The width follows from the number of inputs, so that all have about 34,000 parameters.
         varied=("extrinsics", "width"),
@@ -178,11 +183,10 @@ COMPARISONS: dict[str, Comparison] = {
     ),
     "headline": Comparison(
         title="light-path against the paper",
-        lines=(Line(title="light-path", method="light-path", choices=LIGHT_PATH),
-               BEST, OURS),
+        lines=(Line(title="light-path", method="light-path", choices=LIGHT_PATH), BEST, OURS),
         notes=(BEST_NOTE,),
     ),
-}  # fmt: skip
+}
 
 LADDER = Comparison(
     title="Quality against the proxy's error",

@@ -17,9 +17,14 @@ if TYPE_CHECKING:
 
 MISSING = "–"  # noqa: RUF001  An en dash, as tables have it.
 CEILING = "truth's noise (ceiling)"
-SHORT_SPLITS: dict[Split, str] = {"train": "train", "interpolating": "inter", "extrapolating": "extra",
-                                  "extrapolating-10deg": "10°", "extrapolating-20deg": "20°",
-                                  "extrapolating-40deg": "40°"}  # fmt: skip
+SHORT_SPLITS: dict[Split, str] = {
+    "train": "train",
+    "interpolating": "inter",
+    "extrapolating": "extra",
+    "extrapolating-10deg": "10°",
+    "extrapolating-20deg": "20°",
+    "extrapolating-40deg": "40°",
+}
 TABLE_WIDTH = 120
 
 MEANS_NOTE = "Of runs that differ in their seed alone: means over the seeds."
@@ -152,12 +157,15 @@ def _run_grid(scene: SceneScores) -> Grid:
     texts = ("run", "method", "label", "geometry", "knowledge")
     return Grid(
         title=f"{scene.title}: the runs",
-        columns=(*(Column(group=text, is_number=False) for text in texts), Column(group="parameters"),
-                 Column(group="seed")),
+        columns=(
+            *(Column(group=text, is_number=False) for text in texts),
+            Column(group="parameters"),
+            Column(group="seed"),
+        ),
         rows=tuple(_run_row(scores) for scores in scene.runs),
         notes=(f"Data: dataset seal {scene.dataset.seal[:12]}.",),
         is_detail=True,
-    )  # fmt: skip
+    )
 
 
 def _run_row(scores: RunScores) -> tuple[str, ...]:
@@ -203,8 +211,16 @@ def _without_glass(scene: SceneScores) -> dict[Split, int]:
 # Looks
 
 
-def tables_text(scenes: list[SceneScores], output_format: str, *, width: int, color: bool = False,
-                more: Sequence[Grid] = (), is_full: bool = True, is_wrapped: bool = False) -> str:  # fmt: skip
+def tables_text(
+    scenes: list[SceneScores],
+    output_format: str,
+    *,
+    width: int,
+    color: bool = False,
+    more: Sequence[Grid] = (),
+    is_full: bool = True,
+    is_wrapped: bool = False,
+) -> str:
     """The tables, and the notes that explain them, as `table` (plain text), `markdown` or `latex`.
 
     Args:
@@ -303,10 +319,12 @@ def _markdown(grid: Grid) -> str:
     heads = [column.group if column.split is None else f"{column.group}, {column.split}" for column in grid.columns]
     rules = ["---:" if column.is_number else "---" for column in grid.columns]
     rows = [
-        [f"**{markdown_escaped(cell)}**" if (place, column) in grid.best else markdown_escaped(cell)
-         for column, cell in enumerate(row)]
+        [
+            f"**{markdown_escaped(cell)}**" if (place, column) in grid.best else markdown_escaped(cell)
+            for column, cell in enumerate(row)
+        ]
         for place, row in enumerate(grid.rows)
-    ]  # fmt: skip
+    ]
     lines = [[markdown_escaped(head) for head in heads], rules, *rows]
     body = "".join(f"| {' | '.join(line)} |\n" for line in lines)
     return f"### {markdown_escaped(grid.title)}\n\n{body}" + _paragraphs(grid.notes, "markdown", TABLE_WIDTH)
@@ -352,6 +370,14 @@ def _latex(grid: Grid) -> str:
     heads = [" & ".join(top) + r" \\"]
     if rules:
         heads += [" ".join(rules), " & ".join(below) + r" \\"]
-    lines = [f"% {grid.title}", rf"\begin{{tabular}}{{{alignment}}}", r"\toprule", *heads, r"\midrule", *rows,
-             r"\bottomrule", r"\end{tabular}"]  # fmt: skip
+    lines = [
+        f"% {grid.title}",
+        rf"\begin{{tabular}}{{{alignment}}}",
+        r"\toprule",
+        *heads,
+        r"\midrule",
+        *rows,
+        r"\bottomrule",
+        r"\end{tabular}",
+    ]
     return "\n".join(lines) + "\n" + _paragraphs(grid.notes, "latex", TABLE_WIDTH)

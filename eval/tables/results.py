@@ -18,8 +18,11 @@ RESULTS_VERSION = 1
 Cell = str | int | None
 
 
-def results_json(scenes: list[SceneScores], analyses: Mapping[str, dict[str, Json]] | None = None,
-                 more: Mapping[str, Json] | None = None) -> bytes:  # fmt: skip
+def results_json(
+    scenes: list[SceneScores],
+    analyses: Mapping[str, dict[str, Json]] | None = None,
+    more: Mapping[str, Json] | None = None,
+) -> bytes:
     """The bytes of results.json. Infinite values are the string "inf", since JSON has no such number.
 
     Args:

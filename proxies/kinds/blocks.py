@@ -35,9 +35,11 @@ QUADS = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2,
 
 def fit_blocks(solids: tuple[Solid, ...], paddings: tuple[float, ...]) -> tuple[Mesh, ...]:
     """Up to `MAX_BOXES` closed boxes around each solid, which overlap a little where they meet."""
-    return unwrap_surfaces(tuple(
-        blocks(solid, padding=padding, step=min(paddings)) for solid, padding in zip(solids, paddings, strict=True)
-    ))  # fmt: skip
+    return unwrap_surfaces(
+        tuple(
+            blocks(solid, padding=padding, step=min(paddings)) for solid, padding in zip(solids, paddings, strict=True)
+        )
+    )
 
 
 def blocks(solid: Solid, *, padding: float, step: float) -> Surface:

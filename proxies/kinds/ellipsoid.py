@@ -118,9 +118,9 @@ def _to_sphere(octahedron: np.ndarray) -> np.ndarray:
     radius = np.abs(x) + np.abs(y)
     angle = 0.25 * np.pi * np.where(radius > 0, (np.abs(y) - np.abs(x)) / np.where(radius > 0, radius, 1) + 1, 0)
     ring = radius * np.sqrt(2 - radius**2)
-    return np.stack([
-        np.sign(x) * ring * np.cos(angle), np.sign(y) * ring * np.sin(angle), np.sign(z) * (1 - radius**2)
-    ], axis=-1)  # fmt: skip
+    return np.stack(
+        [np.sign(x) * ring * np.cos(angle), np.sign(y) * ring * np.sin(angle), np.sign(z) * (1 - radius**2)], axis=-1
+    )
 
 
 def _gauge(grid: SphereGrid, root: np.ndarray, points: np.ndarray) -> float:

@@ -95,8 +95,9 @@ def _correlation_length(truth: Mesh, size: float) -> float:
     return max(CORRELATION * size, EDGE_LENGTHS * float(np.sqrt(2 * typical)))
 
 
-def _field(points: Float64[np.ndarray, "point 3"], frequencies: np.ndarray, phases: np.ndarray,
-           weights: np.ndarray) -> tuple[Float64[np.ndarray, "point 3"], Float64[np.ndarray, "point 3 3"]]:  # fmt: skip
+def _field(
+    points: Float64[np.ndarray, "point 3"], frequencies: np.ndarray, phases: np.ndarray, weights: np.ndarray
+) -> tuple[Float64[np.ndarray, "point 3"], Float64[np.ndarray, "point 3 3"]]:
     """The field at the points, and its derivative: row i holds how coordinate i changes along x, y and z."""
     values, gradients = [], []
     for start in range(0, len(points), 4096):
