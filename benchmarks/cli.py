@@ -17,9 +17,17 @@ def main() -> None:
     """`python -m benchmarks NAME ...`."""
     unwrap_help(BenchChoices)
     commands = {
-        "peel": peel, "truth": truth, "scale": scale,
-        "ceilings": ceilings, "step": step, "infer": infer, "online": online, "gpu": gpu, "sky": sky, "errors": errors,
-    }  # fmt: skip
+        "peel": peel,
+        "truth": truth,
+        "scale": scale,
+        "ceilings": ceilings,
+        "step": step,
+        "infer": infer,
+        "online": online,
+        "gpu": gpu,
+        "sky": sky,
+        "errors": errors,
+    }
     run("python -m benchmarks", DESCRIPTION, commands, sys.argv[1:])
 
 
@@ -83,8 +91,9 @@ def truth(
     if light == "soft":
         description = under_soft_light(description)
     split = SplitConfig(views=4, spp=4)
-    config = DatasetConfig(scene=description.name, preset="bench", resolution=size, train=split, interpolating=split,
-                           extrapolating=split)  # fmt: skip
+    config = DatasetConfig(
+        scene=description.name, preset="bench", resolution=size, train=split, interpolating=split, extrapolating=split
+    )
     cameras = make_cameras(description.cameras, config)["train"]
     show(bench_truth(description, cameras, rounds=rounds), as_json=json)
 

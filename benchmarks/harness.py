@@ -147,9 +147,17 @@ class BenchReport:
         return all(verdict.passed for verdict in self.checks + self.gates)
 
 
-def measure(title: str, candidates: Sequence[Candidate], *, checks: Sequence[Check] = (), gates: Sequence[Gate] = (),
-            ceilings: Sequence[Ceiling] = (), settings: Mapping[str, object] | None = None,
-            facts: Mapping[str, object] | None = None, rounds: int = 7) -> BenchReport:  # fmt: skip
+def measure(
+    title: str,
+    candidates: Sequence[Candidate],
+    *,
+    checks: Sequence[Check] = (),
+    gates: Sequence[Gate] = (),
+    ceilings: Sequence[Ceiling] = (),
+    settings: Mapping[str, object] | None = None,
+    facts: Mapping[str, object] | None = None,
+    rounds: int = 7,
+) -> BenchReport:
     """Checks, then times by turns, then judges.
 
     Args:
@@ -177,8 +185,10 @@ def measure(title: str, candidates: Sequence[Candidate], *, checks: Sequence[Che
             Timing(name=one.name, note=one.note, calls=one.calls, wall=_seconds(wall), cpu=_seconds(cpu))
             for one, wall, cpu in zip(candidates, walls, cpus, strict=True)
         )
-        series = {one.name: {"wall": one.calls * wall[1:], "cpu": one.calls * cpu[1:]}
-                  for one, wall, cpu in zip(candidates, walls, cpus, strict=True)}  # fmt: skip
+        series = {
+            one.name: {"wall": one.calls * wall[1:], "cpu": one.calls * cpu[1:]}
+            for one, wall, cpu in zip(candidates, walls, cpus, strict=True)
+        }
         judged = tuple(_judge(gate, series) for gate in gates)
     return BenchReport(
         title=title,

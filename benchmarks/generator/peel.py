@@ -47,8 +47,14 @@ MIN_GAP = 1e-5
 LIGHT_LIMITS = {"max_branches": 2, "max_vertices": 8, "max_depth": 16}
 
 
-def bench_peel(*, size: int = 512, num_layers: int = 6, triangles: float = 1.0, rounds: int = 7,
-               engines: tuple[Engine, ...] = ENGINES) -> BenchReport:  # fmt: skip
+def bench_peel(
+    *,
+    size: int = 512,
+    num_layers: int = 6,
+    triangles: float = 1.0,
+    rounds: int = 7,
+    engines: tuple[Engine, ...] = ENGINES,
+) -> BenchReport:
     """Measures one view of the shells. Call `use_mitsuba` first.
 
     Args:
@@ -76,10 +82,12 @@ def bench_peel(*, size: int = 512, num_layers: int = 6, triangles: float = 1.0, 
             "raster": (lambda: rasterizer.peel(cameras, 0, num_layers), "datagen/trace/raster.py"),
             "trimesh": (lambda: embree and embree.peel(cameras, 0, num_layers), "embreex, all hits, no uv"),
             "exr": (lambda: stored and stored.read(), "decodes stored layers, no depth"),
-            "light-path-loop": (lambda: trace_eagerly(tracer, origins, directions, **LIGHT_LIMITS),
-                                "an evaluation a bounce"),
+            "light-path-loop": (
+                lambda: trace_eagerly(tracer, origins, directions, **LIGHT_LIMITS),
+                "an evaluation a bounce",
+            ),
             "light-path": (lambda: tracer.trace(origins, directions, **LIGHT_LIMITS), "datagen/trace/light_path.py"),
-        }  # fmt: skip
+        }
         agreement: dict[str, object] = {"triangles": sum(len(mesh.faces) for mesh in meshes)}
         agreement["hits kept"] = int((first.object_id > 0).sum())
         if eager:
@@ -108,8 +116,9 @@ def bench_peel(*, size: int = 512, num_layers: int = 6, triangles: float = 1.0, 
         )
 
 
-def compare_engines(meshes: tuple[Mesh, ...], peeler: Peeler, rasterizer: Rasterizer, cameras: Cameras,
-                    num_layers: int) -> tuple[bool, str]:  # fmt: skip
+def compare_engines(
+    meshes: tuple[Mesh, ...], peeler: Peeler, rasterizer: Rasterizer, cameras: Cameras, num_layers: int
+) -> tuple[bool, str]:
     """Whether tracing and rasterising find the same objects on every ray in general position, of every view."""
     views = len(cameras.world_from_camera)
     different, wrong, steps = 0, [], []

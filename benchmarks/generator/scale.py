@@ -82,8 +82,13 @@ class ScaleReport:
     growth: tuple[Growth, ...]
 
 
-def bench_scale(factors: tuple[float, ...], quantities: tuple[Quantity, ...] = QUANTITIES, *, base: Task | None = None,
-                rounds: int = 3) -> ScaleReport:  # fmt: skip
+def bench_scale(
+    factors: tuple[float, ...],
+    quantities: tuple[Quantity, ...] = QUANTITIES,
+    *,
+    base: Task | None = None,
+    rounds: int = 3,
+) -> ScaleReport:
     """Measures every engine at every factor of every quantity.
 
     Raises:
@@ -95,8 +100,10 @@ def bench_scale(factors: tuple[float, ...], quantities: tuple[Quantity, ...] = Q
     wanted: list[tuple[Engine, Quantity, float]] = [
         (engine, quantity, factor) for quantity in quantities for factor in sorted(set(factors)) for engine in ENGINES
     ]
-    tasks = [dataclasses.replace(base, **{quantity: round(getattr(base, quantity) * factor)})
-             for _, quantity, factor in wanted]  # fmt: skip
+    tasks = [
+        dataclasses.replace(base, **{quantity: round(getattr(base, quantity) * factor)})
+        for _, quantity, factor in wanted
+    ]
     for task in tasks:
         if max(task.objects, task.layers) > MAX_IDS:
             raise HyalineError(
@@ -111,8 +118,11 @@ def bench_scale(factors: tuple[float, ...], quantities: tuple[Quantity, ...] = Q
         with ProcessPoolExecutor(1, mp_context=context) as pool:
             wall, cpu, memory = pool.submit(measure_task, engine, task, rounds).result()
         value = getattr(task, quantity)
-        points.append(Point(engine=engine, quantity=quantity, factor=factor, value=value, wall_s=wall, cpu_s=cpu,
-                            memory_mb=memory))  # fmt: skip
+        points.append(
+            Point(
+                engine=engine, quantity=quantity, factor=factor, value=value, wall_s=wall, cpu_s=cpu, memory_mb=memory
+            )
+        )
     return ScaleReport(machine=describe_machine(), points=tuple(points), growth=fit_growth(points))
 
 
@@ -123,8 +133,10 @@ def fit_growth(points: list[Point]) -> tuple[Growth, ...]:
     for engine, quantity in dict.fromkeys(series):
         mine = [point for point in points if (point.engine, point.quantity) == (engine, quantity)]
         x = np.log([point.value for point in mine])
-        slopes = [float(np.polyfit(x, np.log([max(getattr(point, name), 1e-6) for point in mine]), 1)[0])
-                  for name in ("wall_s", "cpu_s", "memory_mb")]  # fmt: skip
+        slopes = [
+            float(np.polyfit(x, np.log([max(getattr(point, name), 1e-6) for point in mine]), 1)[0])
+            for name in ("wall_s", "cpu_s", "memory_mb")
+        ]
         found.append(Growth(engine=engine, quantity=quantity, wall=slopes[0], cpu=slopes[1], memory=slopes[2]))
     return tuple(found)
 
@@ -209,9 +221,12 @@ def _draw(report: ScaleReport, out: Path) -> None:
             mine = [point for point in report.points if (point.engine, point.quantity) == (engine, quantity)]
             law = laws[engine, quantity]
             x = [point.value for point in mine]
-            for row, (values, slope) in enumerate((
-                ([1e3 * point.wall_s for point in mine], law.wall), ([point.memory_mb for point in mine], law.memory),
-            )):  # fmt: skip
+            for row, (values, slope) in enumerate(
+                (
+                    ([1e3 * point.wall_s for point in mine], law.wall),
+                    ([point.memory_mb for point in mine], law.memory),
+                )
+            ):
                 axes[row, column].loglog(x, values, marker="o", label=f"{engine}: n^{slope:.2f}")
         for row, label in enumerate(("ms a view", "MB")):
             axes[row, column].set(xlabel=quantity, ylabel=label)

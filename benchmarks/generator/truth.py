@@ -59,8 +59,17 @@ class NoiseLaw:
         return (self.scale / 10 ** (-ceiling_db / 10)) ** (1 / self.exponent)
 
 
-def bench_truth(scene: Scene, cameras: Cameras, *, view: int = 0, max_depth: int = 24, low_spp: int = 16,
-                high_spp: int = 64, mean_spp: int = 512, rounds: int = 7) -> BenchReport:  # fmt: skip
+def bench_truth(
+    scene: Scene,
+    cameras: Cameras,
+    *,
+    view: int = 0,
+    max_depth: int = 24,
+    low_spp: int = 16,
+    high_spp: int = 64,
+    mean_spp: int = 512,
+    rounds: int = 7,
+) -> BenchReport:
     """Measures the time to a noise ceiling of 45 dB. Call `use_mitsuba` first.
 
     Args:

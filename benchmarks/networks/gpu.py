@@ -66,8 +66,9 @@ def bench_gpu(choices: BenchChoices, *, seed: int = 0, frame: int = FRAME, step:
     """Times a frame and a step; without CUDA says so, and times nothing."""
     if not torch.cuda.is_available():
         why = "torch finds no CUDA device here"
-        return measure("gpu", [], settings={"precision": choices.precision}, facts={"skipped": why},
-                       rounds=choices.rounds)  # fmt: skip
+        return measure(
+            "gpu", [], settings={"precision": choices.precision}, facts={"skipped": why}, rounds=choices.rounds
+        )
     device = torch.device("cuda")
     rng = np.random.default_rng(seed)
     renderer = make_renderer(choices, rng=rng).to(device)
@@ -77,8 +78,9 @@ def bench_gpu(choices: BenchChoices, *, seed: int = 0, frame: int = FRAME, step:
 
     def of_size(count: int) -> RayBatch:
         index = torch.arange(count) % len(truth)
-        return to_device(RayBatch(uv=rays.uv[index], object_id=rays.object_id[index], p_camera=rays.p_camera[index]),
-                         device)  # fmt: skip
+        return to_device(
+            RayBatch(uv=rays.uv[index], object_id=rays.object_id[index], p_camera=rays.p_camera[index]), device
+        )
 
     whole, batch = of_size(frame), of_size(step)
     colors = truth[torch.arange(step) % len(truth)].to(device)

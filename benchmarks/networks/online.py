@@ -76,8 +76,9 @@ class OnlineBench:
         return bool(same >= SAME_OBJECTS), f"{same:.2%} of the pixels; expected at least {SAME_OBJECTS:.0%}"
 
 
-def bench_online(choices: BenchChoices, *, ceilings: tuple[Ceiling, ...] = (), seed: int = 0, triangles: int = 315_000
-                 ) -> BenchReport:  # fmt: skip
+def bench_online(
+    choices: BenchChoices, *, ceilings: tuple[Ceiling, ...] = (), seed: int = 0, triangles: int = 315_000
+) -> BenchReport:
     """Times frames.
 
     Raises:

@@ -31,8 +31,14 @@ PHASES = ("look-up", "network", "backward", "optimiser")
 class Trainee:
     """A renderer, its optimiser, and the seconds that each phase of its steps took."""
 
-    def __init__(self, rays: RayBatch, truth: Tensor, optimizer: torch.optim.Optimizer,
-                 look_up: Callable[[], Tensor], net: Callable[[Tensor], Tensor]) -> None:  # fmt: skip
+    def __init__(
+        self,
+        rays: RayBatch,
+        truth: Tensor,
+        optimizer: torch.optim.Optimizer,
+        look_up: Callable[[], Tensor],
+        net: Callable[[Tensor], Tensor],
+    ) -> None:
         self.rays, self.truth, self.optimizer = rays, truth, optimizer
         self.look_up, self.net = look_up, net
         self.seconds: list[list[float]] = []
@@ -65,9 +71,12 @@ def naive_trainee(naive: NaiveRenderer, rays: RayBatch, truth: Tensor) -> Traine
 def product_trainee(renderer: PaperRenderer, rays: RayBatch, truth: Tensor) -> Trainee:
     optimizer = torch.optim.Adam(renderer.parameters(), lr=1e-3, fused=True)
     return Trainee(
-        rays, truth, optimizer, lambda: renderer.textures(rays.uv, rays.object_id),
+        rays,
+        truth,
+        optimizer,
+        lambda: renderer.textures(rays.uv, rays.object_id),
         lambda stack: renderer.net(stack.flatten(1)),
-    )  # fmt: skip
+    )
 
 
 def texture_step(look_up: Callable[[], Tensor], upstream: Tensor, optimizer: torch.optim.Optimizer) -> None:
@@ -77,8 +86,9 @@ def texture_step(look_up: Callable[[], Tensor], upstream: Tensor, optimizer: tor
     optimizer.step()
 
 
-def compare(renderer: PaperRenderer, naive: NaiveRenderer, rays: RayBatch, truth: Tensor, tolerance: float
-            ) -> tuple[bool, str]:  # fmt: skip
+def compare(
+    renderer: PaperRenderer, naive: NaiveRenderer, rays: RayBatch, truth: Tensor, tolerance: float
+) -> tuple[bool, str]:
     """Whether both make the same colours, and the same gradients of textures and network."""
     truth = truth[:CHECKED]
     rays = RayBatch(uv=rays.uv[:CHECKED], object_id=rays.object_id[:CHECKED], p_camera=rays.p_camera[:CHECKED])

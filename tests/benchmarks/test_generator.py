@@ -45,8 +45,11 @@ def test_every_engine_is_timed_after_all_checks_passed() -> None:
     report = bench_peel(size=24, num_layers=3, triangles=0.01, rounds=3)
     assert [timing.name for timing in report.timings] == list(ENGINES)
     assert [check.name for check in report.checks] == [
-        "same objects", "even parity", "stored layers are the peeled ones", "same light paths"
-    ]  # fmt: skip
+        "same objects",
+        "even parity",
+        "stored layers are the peeled ones",
+        "same light paths",
+    ]
     assert all(check.passed for check in report.checks)
     assert all(gate.ratio is not None for gate in report.gates)
 
@@ -100,10 +103,17 @@ def test_noise_of_a_known_law_is_extrapolated_exactly() -> None:
 
 def points_of_a_law(exponent: float) -> list[Point]:
     return [
-        Point(engine="raster", quantity="pixels", factor=factor, value=100 * factor, wall_s=0.1 * factor**exponent,
-              cpu_s=0.2 * factor, memory_mb=7.0)
+        Point(
+            engine="raster",
+            quantity="pixels",
+            factor=factor,
+            value=100 * factor,
+            wall_s=0.1 * factor**exponent,
+            cpu_s=0.2 * factor,
+            memory_mb=7.0,
+        )
         for factor in (1, 2, 8)
-    ]  # fmt: skip
+    ]
 
 
 def test_growth_is_the_exponent_of_the_power_law(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -21,6 +21,7 @@ from datagen.disk.records import to_json
 from eval.page.report import TABLES, make_report, make_tables
 from eval.papers import claims, comparisons
 from eval.score.seeds import spread
+from eval.tables.grids import MISSING
 from model.methods.light_path.config import default_light_path
 from model.methods.paper.config import PaperConfig
 from model.run.run_folder import TrainConfig
@@ -30,11 +31,16 @@ PAPER = TrainConfig(method="paper", geometry="truth", net=PaperConfig(width=80, 
 BEST = dataclasses.replace(
     PAPER,
     net=PaperConfig(
-        width=128, norm="none", texture_size=128, texture_levels=5, finer_counts=0.5,
-        train_samples=4, render_samples=16,
+        width=128,
+        norm="none",
+        texture_size=128,
+        texture_levels=5,
+        finer_counts=0.5,
+        train_samples=4,
+        render_samples=16,
     ),
     loss=LossConfig(softness=0.03),
-)  # fmt: skip
+)
 LIGHT = TrainConfig(
     method="light-path",
     geometry="truth",
@@ -58,8 +64,9 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     )
 
 
-def write_run(dataset: Dataset, runs: Path, name: str, config: TrainConfig | str, near: int, far: int,
-              *, geometry: str = "truth") -> None:  # fmt: skip
+def write_run(
+    dataset: Dataset, runs: Path, name: str, config: TrainConfig | str, near: int, far: int, *, geometry: str = "truth"
+) -> None:
     """A run all of whose pixels are off by so many levels of 255; a method's name instead of a configuration."""
     folder = runs / "synthetic" / name
     for split, level in zip(TEST_SPLITS, (near, far), strict=True):
@@ -72,8 +79,14 @@ def write_run(dataset: Dataset, runs: Path, name: str, config: TrainConfig | str
     if isinstance(config, str):
         record |= {"method": config, "geometry": geometry}
     else:
-        record |= {"method": config.method, "geometry": config.geometry, "seed": config.seed, "config": to_json(config),
-                   "layers_seal": "the same", "num_parameters": 34483}  # fmt: skip
+        record |= {
+            "method": config.method,
+            "geometry": config.geometry,
+            "seed": config.seed,
+            "config": to_json(config),
+            "layers_seal": "the same",
+            "num_parameters": 34483,
+        }
     (folder / "run.json").write_text(json.dumps(record))
 
 
@@ -154,9 +167,16 @@ def test_table_1_sets_comparable_runs_beside_the_papers_numbers(
     cell = f"{statistics.fmean(near):.2f}±{statistics.stdev(near):.2f}"
     assert rows["view vector"][1:4] == ["2", cell, f"{decibels(25):.2f}±0.00"]
     assert rows["spherical harmonics"] == [
-        "harmonics", "1", f"{decibels(18):.2f}", f"{decibels(30):.2f}", f"{decibels(18) - decibels(30):.2f}",
-        f"{wrapped(18):.2f}", f"{wrapped(30):.2f}", "33.80", "32.52",
-    ]  # fmt: skip
+        "harmonics",
+        "1",
+        f"{decibels(18):.2f}",
+        f"{decibels(30):.2f}",
+        f"{decibels(18) - decibels(30):.2f}",
+        f"{wrapped(18):.2f}",
+        f"{wrapped(30):.2f}",
+        "33.80",
+        "32.52",
+    ]
     assert rows["no extrinsics"][0] == "not run" and rows["no extrinsics"][-2:] == ["33.09", "32.96"]
     assert len(rows) == 3
 
@@ -172,12 +192,17 @@ def test_methods_are_told_by_their_records_whoever_made_them(
     tables(dataset, tmp_path, "square", "table2")
     rows = rows_of(capsys.readouterr().out)
     assert [row[:2] for row in rows if row[0]] == [
-        ["U-Net, first layer (DNR)", "somebodys"], ["per pixel, first layer", "wide"],
-        ["per pixel, all layers (paper)", "ours"], ["U-Net, all layers", "not run"],
+        ["U-Net, first layer (DNR)", "somebodys"],
+        ["per pixel, first layer", "wide"],
+        ["per pixel, all layers (paper)", "ours"],
+        ["U-Net, all layers", "not run"],
         ["per pixel, all layers (paper-best)", "not run"],
-        ["DNR", "somebodys"], ["paper", "ours"], ["DeepVoxels", "voxels"],
-        ["paper-best", "not run"], ["what the authors ran", "not run"],
-    ]  # fmt: skip
+        ["DNR", "somebodys"],
+        ["paper", "ours"],
+        ["DeepVoxels", "voxels"],
+        ["paper-best", "not run"],
+        ["what the authors ran", "not run"],
+    ]
     assert [row[-2:] for row in rows if row[1] == "ours"] == [["33.19", "32.99"]] * 2
 
 
@@ -296,8 +321,11 @@ def test_claims_are_judged_by_the_runs_and_not_run_without_them(
     write_run(dataset, tmp_path, "view", paper(), 10, 11)
     tables(dataset, tmp_path, "claims")
     assert verdicts(capsys.readouterr().out) == {
-        "1": ["–", "not run"], "2": ["–", "not run"], "3": ["not run"], "4": ["not run"],  # noqa: RUF001
-    }  # fmt: skip
+        "1": [MISSING, "not run"],
+        "2": [MISSING, "not run"],
+        "3": ["not run"],
+        "4": ["not run"],
+    }
     write_run(dataset, tmp_path, "unet", "dnr", 9, 20)
     write_run(dataset, tmp_path, "unet-layers", "dnr-layers", 9, 9)
     write_run(dataset, tmp_path, "sh", paper(extrinsics="sh", width=72), 9, 12)
@@ -307,9 +335,11 @@ def test_claims_are_judged_by_the_runs_and_not_run_without_them(
     tables(dataset, tmp_path, "claims")
     text = capsys.readouterr().out
     assert verdicts(text) == {
-        "1": ["–", "confirmed", "contradicted"], "2": ["–", "confirmed"],  # noqa: RUF001
-        "3": ["confirmed, within the spread"], "4": ["not run"],
-    }  # fmt: skip
+        "1": [MISSING, "confirmed", "contradicted"],
+        "2": [MISSING, "confirmed"],
+        "3": ["confirmed, within the spread"],
+        "4": ["not run"],
+    }
     assert f"drop {decibels(10) - decibels(11):.2f} against {decibels(9) - decibels(20):.2f}" in text
     assert "inter 33.80 against 33.19; extra 32.52 against 32.99" in text and "drop 0.20 against 2.66" in text
 

@@ -69,8 +69,13 @@ def test_a_pixel_sees_up_to_its_first_opaque_layer() -> None:
     ids = np.array([[1, 2, 1, 0, 1], [1, 1, 2, 0, 0], [2, 2, 1, 0, 0]], np.uint8)[:, None]
     layers = Layers(uv=np.zeros((*ids.shape, 2), np.uint16), object_id=ids, depth=np.zeros(ids.shape, np.float32))
     seen = visible_layers(layers, np.array([False, True, False]))
-    assert seen[:, 0].T.tolist() == [[True] * 3, [True, False, False], [True, True, False], [False] * 3,
-                                     [True, False, False]]  # fmt: skip
+    assert seen[:, 0].T.tolist() == [
+        [True] * 3,
+        [True, False, False],
+        [True, True, False],
+        [False] * 3,
+        [True, False, False],
+    ]
 
 
 def test_the_slope_is_the_weighted_least_squares_line_of_numpy() -> None:
@@ -85,8 +90,13 @@ def test_the_slope_is_the_weighted_least_squares_line_of_numpy() -> None:
     assert sum(part.pixels for part in curve.by_angle) == 20_000
     inside = (angle >= 4) & (angle < 6)
     (part,) = [part for part in curve.by_angle if part.low == 4]
-    assert part == Bin(low=4, high=6, mean=pytest.approx(angle[inside].mean()), pixels=inside.sum(),
-                       mse=pytest.approx(error[inside].mean()))  # fmt: skip
+    assert part == Bin(
+        low=4,
+        high=6,
+        mean=pytest.approx(angle[inside].mean()),
+        pixels=inside.sum(),
+        mse=pytest.approx(error[inside].mean()),
+    )
     assert [(part.low, part.high) for part in curve.by_views] == [(3, 5)]
 
 

@@ -153,8 +153,9 @@ def test_table_fits_120_columns_and_says_what_it_measures(made: Path, capsys: py
 
 
 @pytest.mark.usefixtures("no_pictures")
-def test_markdown_has_as_many_cells_in_each_line(made: Path, tmp_path: Path,
-                                                 capsys: pytest.CaptureFixture[str]) -> None:  # fmt: skip
+def test_markdown_has_as_many_cells_in_each_line(
+    made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     make_report(made / "runs", made / "data", tmp_path, output_format="markdown", is_full=True, is_published=True)
     tables = re.findall(r"(?:^\|.*\n)+", capsys.readouterr().out, re.MULTILINE)
     assert len(tables) == 4
@@ -207,8 +208,14 @@ def test_without_layers_the_glass_column_is_empty(copy: Path, capsys: pytest.Cap
 def test_pictures_are_written_and_do_not_depend_on_the_day(made: Path, tmp_path: Path) -> None:
     for out in (tmp_path / "a", tmp_path / "b"):
         make_report(made / "runs", made / "data", out, output_format="json")
-    names = ["cameras_synthetic", "comparison_synthetic", "curve_synthetic", "synthetic_foreign_nerf", "synthetic_grey",
-             "synthetic_perfect"]  # fmt: skip
+    names = [
+        "cameras_synthetic",
+        "comparison_synthetic",
+        "curve_synthetic",
+        "synthetic_foreign_nerf",
+        "synthetic_grey",
+        "synthetic_perfect",
+    ]
     assert sorted(path.name for path in (tmp_path / "a").iterdir()) == sorted(
         [*(f"{n}.png" for n in names), "report.json", "results.json"]
     )
@@ -353,10 +360,15 @@ def command(*words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
 
 @pytest.mark.parametrize(
     "form",
-    [["report"], ["env", "eval", "report"], ["env", "eval"], [sys.executable, "-m", "eval", "report"],
-     ["bash", "-c", "eval report --help"]],
+    [
+        ["report"],
+        ["env", "eval", "report"],
+        ["env", "eval"],
+        [sys.executable, "-m", "eval", "report"],
+        ["bash", "-c", "eval report --help"],
+    ],
     ids=["report", "eval-report", "eval", "python-m", "bash"],
-)  # fmt: skip
+)
 def test_every_form_answers_help(form: list[str], tmp_path: Path) -> None:
     start = time.monotonic()
     done = command(*form, "--help", cwd=tmp_path)
@@ -367,8 +379,9 @@ def test_every_form_answers_help(form: list[str], tmp_path: Path) -> None:
 
 
 def test_typed_in_bash_it_prints_only_the_table_on_stdout(made: Path, tmp_path: Path) -> None:
-    done = command("bash", "-c", f"eval report --data {made}/data --runs {made}/runs --out out --format csv",
-                   cwd=tmp_path)  # fmt: skip
+    done = command(
+        "bash", "-c", f"eval report --data {made}/data --runs {made}/runs --out out --format csv", cwd=tmp_path
+    )
     assert done.returncode == 0, done.stderr
     assert set(csv_rows(done.stdout)) == {"foreign_nerf", "grey", "perfect", CEILING}
     assert "wrote out/results.json" in done.stderr

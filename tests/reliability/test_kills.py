@@ -17,8 +17,12 @@ QUICK = 6
 
 @pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda scenario: scenario.name)
 def test_a_command_killed_at_any_change_of_the_disk_ends_in_the_same_bytes(
-    scenario: Scenario, here: Path, start: Callable[[str], State], is_full: bool, cases: Callable[[int, str], None],
-) -> None:  # fmt: skip
+    scenario: Scenario,
+    here: Path,
+    start: Callable[[str], State],
+    is_full: bool,
+    cases: Callable[[int, str], None],
+) -> None:
     start(scenario.start)
     seen = observe(here, lambda: run(scenario.line))
     end = seen.states[-1]

@@ -34,8 +34,9 @@ def test_a_disk_that_refuses_any_change_is_one_line_and_loses_nothing(
             answer = call(scenario.line)
         what = f"{fault} at change {number}, {seen.changes[number].what} {seen.changes[number].path}"
         after = read_state(here)
-        if problem := wrong_answer(answer.status, answer.err, [str(here / change.path) for change in refused], after,
-                                   seen.states[-1]):  # fmt: skip
+        if problem := wrong_answer(
+            answer.status, answer.err, [str(here / change.path) for change in refused], after, seen.states[-1]
+        ):
             broken.append(f"{what}: {problem}")
         if "--overwrite" not in scenario.line and (lost := lost_files(before, after)):
             broken.append(f"{what}: {lost} of what was there is lost or changed")

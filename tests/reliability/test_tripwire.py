@@ -65,11 +65,11 @@ TRIPS = (
         taken=("data/one/variants/remove-pane/thesis.tex",),
     ),
     Trip(line="proxies make --dataset data/one --kind box", taken=("data/one/proxies/box/meshes/floor.ply",)),
+    Trip(line="proxies make --dataset data/one --kind box --overwrite", taken=("data/one/proxies/box/proxies.json",)),
     Trip(
-        line="proxies make --dataset data/one --kind box --overwrite", taken=("data/one/proxies/box/proxies.json",)
+        line="datagen peel --dataset data/one --layers light-path --overwrite",
+        taken=("data/one/layers/light-path/layers.json",),
     ),
-    Trip(line="datagen peel --dataset data/one --layers light-path --overwrite",
-         taken=("data/one/layers/light-path/layers.json",)),
     Trip(line=f"{TRAIN} --out runs/one/paper --overwrite", taken=("runs/one/paper/weights.pt",)),
     Trip(line=f"{TRAIN} --out runs/one/paper --overwrite", taken=("runs/one/paper/run.json",)),
     Trip(line=f"{RENDER} --overwrite", taken=("runs/one/paper/run.json", "runs/one/paper/weights.pt")),
@@ -79,10 +79,13 @@ TRIPS = (
     Trip(line=f"{REPORT} --table table1 --out figures", start="run", taken=("figures/report.json",)),
     Trip(line="benchmarks scale --out figure.png", start="scene", taken=("figure.png",)),
     Trip(line="benchmarks errors --before runs/one/paper --after runs/one/paper --overwrite", start="drawn"),
-    Trip(line="benchmarks errors --before runs/one/paper --after runs/one/paper --out figure.png", start="run",
-         taken=("figure.png",)),
+    Trip(
+        line="benchmarks errors --before runs/one/paper --after runs/one/paper --out figure.png",
+        start="run",
+        taken=("figure.png",),
+    ),
     Trip(line="benchmarks sky --runs runs/one/paper --out figure.png", start="run", taken=("figure.png",)),
-)  # fmt: skip
+)
 
 WRITES_NOTHING = {
     "datagen scenes", "datagen doctor", "model check-method", "benchmarks peel", "benchmarks truth",

@@ -222,8 +222,16 @@ def _fsync(handle: Any) -> None:
     _announce("fsync", os.readlink(f"/proc/self/fd/{number}"))
 
 
-def _open(file: Any, mode: str = "r", buffering: int = -1, encoding: Any = None, errors: Any = None,
-          newline: Any = None, closefd: bool = True, opener: Any = None) -> Any:  # fmt: skip
+def _open(
+    file: Any,
+    mode: str = "r",
+    buffering: int = -1,
+    encoding: Any = None,
+    errors: Any = None,
+    newline: Any = None,
+    closefd: bool = True,
+    opener: Any = None,
+) -> Any:
     is_ours = _active is not None and isinstance(file, str | bytes | os.PathLike) and set(mode) & set("wax+")
     if not is_ours or not os.path.realpath(os.fsdecode(file)).startswith(_active[0]):  # pyright: ignore
         return _true_open(file, mode, buffering, encoding, errors, newline, closefd, opener)

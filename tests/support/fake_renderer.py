@@ -37,9 +37,16 @@ def render(job: FakeJob, task: Task) -> None:
     layers = _trace(job.dataset, split, view, 4)
     noise = np.random.default_rng([view, len(split)]).bytes(50)
     commit_view(
-        job.dataset, split, view, png=png_bytes(shade(layers)), exr=noise, seed=view, spp=4, noise_mse=1e-5,
+        job.dataset,
+        split,
+        view,
+        png=png_bytes(shade(layers)),
+        exr=noise,
+        seed=view,
+        spp=4,
+        noise_mse=1e-5,
         variant="none",
-    )  # fmt: skip
+    )
 
 
 def peel(job: FakeJob, task: Task) -> None:

@@ -208,5 +208,6 @@ def test_two_builds_at_once_do_not_mix(scene_folder: Path, tmp_path: Path) -> No
     few = SplitConfig(views=1, spp=2)
     config = DatasetConfig(scene="s", preset="tiny", resolution=8, train=few, interpolating=few, extrapolating=few)
     with one_writer(tmp_path / "out"), pytest.raises(HyalineError, match="another process is writing there"):
-        build_dataset(synthetic_scene(), tmp_path / "out", config, kinds=("straight",), num_layers=4, workers=1,
-                      overwrite=False)  # fmt: skip
+        build_dataset(
+            synthetic_scene(), tmp_path / "out", config, kinds=("straight",), num_layers=4, workers=1, overwrite=False
+        )

@@ -273,9 +273,14 @@ def base(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 def _build(root: Path, *, seed: int) -> Dataset:
     few = SplitConfig(views=2, spp=32)
     config = DatasetConfig(
-        scene="table", preset="tiny", resolution=24, train=SplitConfig(views=2, spp=8), interpolating=few,
-        extrapolating=few, seed=seed,
-    )  # fmt: skip
+        scene="table",
+        preset="tiny",
+        resolution=24,
+        train=SplitConfig(views=2, spp=8),
+        interpolating=few,
+        extrapolating=few,
+        seed=seed,
+    )
     return build_dataset(table(), root, config, kinds=("straight",), num_layers=4, workers=1, overwrite=seed > 0)
 
 

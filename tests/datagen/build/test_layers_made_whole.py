@@ -17,9 +17,13 @@ pytestmark = pytest.mark.promise("R1")
 
 FEW = SplitConfig(views=1, spp=4)
 CONFIG = DatasetConfig(
-    scene="synthetic", preset="tiny", resolution=4, train=SplitConfig(views=2, spp=4), interpolating=FEW,
+    scene="synthetic",
+    preset="tiny",
+    resolution=4,
+    train=SplitConfig(views=2, spp=4),
+    interpolating=FEW,
     extrapolating=FEW,
-)  # fmt: skip
+)
 
 
 @pytest.fixture(autouse=True)

@@ -236,8 +236,17 @@ def test_foreign_files_are_a_remark_and_no_damage(here: Path) -> None:
 
 def test_an_unfinished_dataset_is_one_line(here: Path) -> None:
     whole = tree(ROOT)
-    for folder in ("images", "records", "layers/straight/records", "variants", "proxies", "heads/variants",
-                   "heads/proxies", "layers/light-path", "heads/layers/light-path"):  # fmt: skip
+    for folder in (
+        "images",
+        "records",
+        "layers/straight/records",
+        "variants",
+        "proxies",
+        "heads/variants",
+        "heads/proxies",
+        "layers/light-path",
+        "heads/layers/light-path",
+    ):
         shutil.rmtree(ROOT / folder)
     answer = call("datagen verify data/one")
     assert answer.status == 1

@@ -131,8 +131,9 @@ def test_a_variant_of_other_data_is_refused_and_replaced(made: tuple[Path, dict[
         (("--super-resolution", "2"), "holds a variant with another configuration (interpolating:"),
     ],
 )
-def test_wrong_sizes_are_one_line(made: tuple[Path, dict[str, bytes]], capsys: pytest.CaptureFixture[str],
-                                  flags: tuple[str, ...], message: str) -> None:  # fmt: skip
+def test_wrong_sizes_are_one_line(
+    made: tuple[Path, dict[str, bytes]], capsys: pytest.CaptureFixture[str], flags: tuple[str, ...], message: str
+) -> None:
     with pytest.raises(SystemExit):
         call(
             datagen.cli.main, "build", "--scene", made[0] / "scene/mine", "--out", made[0] / "data/mine", *FLAGS, *flags

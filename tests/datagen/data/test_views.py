@@ -55,8 +55,16 @@ def test_a_views_parts_fit_together(dataset: Dataset) -> None:
     assert dataset.object_id(dataset.objects[1].name) == 2
 
 
-@pytest.mark.parametrize("broken", ["layers/straight/layers.json", "transforms_train.json", "images/train/0000.exr",
-                                    "layers/straight/peels.zarr/train/uv/c/0/0/0/0/0", "dataset.json"])  # fmt: skip
+@pytest.mark.parametrize(
+    "broken",
+    [
+        "layers/straight/layers.json",
+        "transforms_train.json",
+        "images/train/0000.exr",
+        "layers/straight/peels.zarr/train/uv/c/0/0/0/0/0",
+        "dataset.json",
+    ],
+)
 def test_a_file_that_is_damaged_is_refused_by_whoever_opens_it_next(
     broken: str, dataset: Dataset, tmp_path: Path
 ) -> None:

@@ -10,8 +10,12 @@ from zarr.codecs import BloscCodec
 from datagen.data.zarr_shard import ShardFormat, decode_shard, parse_shard_format
 from datagen.disk.errors import HyalineError
 
-SHAPES = [((3, 8, 8), (1, 8, 8), "uint8"), ((2, 3, 8, 4), (1, 1, 8, 4), "uint16"), ((4, 6), (2, 3), "float32"),
-          ((2, 5, 5), (1, 5, 5), "bool")]  # fmt: skip
+SHAPES = [
+    ((3, 8, 8), (1, 8, 8), "uint8"),
+    ((2, 3, 8, 4), (1, 1, 8, 4), "uint16"),
+    ((4, 6), (2, 3), "float32"),
+    ((2, 5, 5), (1, 5, 5), "bool"),
+]
 
 
 def write_shard(folder: Path, shape: tuple[int, ...], chunk: tuple[int, ...], dtype: str) -> tuple[bytes, bytes]:

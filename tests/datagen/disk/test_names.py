@@ -91,8 +91,12 @@ def test_control_characters_are_spelled_out_in_one_line(capsys: pytest.CaptureFi
 
 @pytest.mark.parametrize("look", ["table", "markdown", "latex"])
 def test_a_name_in_a_table_neither_ends_its_line_nor_its_cell(look: str) -> None:
-    grid = Grid(title=EVIL, columns=(Column(group="run", is_number=False), Column(group="n")), rows=((EVIL, "1"),),
-                notes=(EVIL,))  # fmt: skip
+    grid = Grid(
+        title=EVIL,
+        columns=(Column(group="run", is_number=False), Column(group="n")),
+        rows=((EVIL, "1"),),
+        notes=(EVIL,),
+    )
     plain = Grid(title="t", columns=grid.columns, rows=(("a", "1"),), notes=("n",))
     text = grid_text(grid, look, width=400)
     assert all(line.isprintable() for line in text.splitlines())

@@ -79,9 +79,10 @@ PANEL = RectangleLight(corner=(-0.5, -1.5, 2), edge_u=(0, 1, 0), edge_v=(1, 0, 0
 
 
 @pytest.mark.parametrize(
-    ("environment", "lights"), [(DUSK, ()), (SPARK, ()), (DUSK, (PANEL,)), (SPARK, (PANEL,))],
+    ("environment", "lights"),
+    [(DUSK, ()), (SPARK, ()), (DUSK, (PANEL,)), (SPARK, (PANEL,))],
     ids=["soft sky", "small light in it", "lamp", "both"],
-)  # fmt: skip
+)
 def test_the_path_tracer_is_unbiased_against_mitsubas_own(
     environment: SoftEnvironment, lights: tuple[RectangleLight, ...]
 ) -> None:
@@ -154,8 +155,9 @@ def test_glass_in_air_is_mitsubas_own_to_the_last_bit() -> None:
     assert np.array_equal(*pictures)
 
 
-@pytest.mark.parametrize(("glass_first", "priorities"), [(True, (1, 0)), (True, (0, 1)), (True, (0, 0)),
-                                                         (False, (0, 0)), (False, (-1, 3))])  # fmt: skip
+@pytest.mark.parametrize(
+    ("glass_first", "priorities"), [(True, (1, 0)), (True, (0, 1)), (True, (0, 0)), (False, (0, 0)), (False, (-1, 3))]
+)
 @pytest.mark.parametrize("absorptions", [(0.0, 0.0), (2.0, 5.0)])
 def test_glass_and_water_that_overlap_pass_what_fresnel_and_beer_say(
     glass_first: bool, priorities: tuple[int, int], absorptions: tuple[float, float]
@@ -166,12 +168,15 @@ def test_glass_and_water_that_overlap_pass_what_fresnel_and_beer_say(
     slabs = [
         SceneObject(name=name, mesh=moved(box((0.3, size, size)), (x, 0, 0)), material=material)
         for name, x, size, material in zip(
-            ("right", "left"), (0.1, -0.1), (8, 7), (
+            ("right", "left"),
+            (0.1, -0.1),
+            (8, 7),
+            (
                 Dielectric(ior=ior, absorption=(absorption,) * 3, priority=priority)
                 for ior, absorption, priority in zip(iors, absorptions, priorities)
-            )
+            ),
         )
-    ]  # fmt: skip
+    ]
     image = rendered(scene_of(*slabs), camera((9, 0, 0.0), fov=0.02), spp=4096)
     right_wins = priorities[0] >= priorities[1]
     lengths = (0.3, 0.2) if right_wins else (0.2, 0.3)

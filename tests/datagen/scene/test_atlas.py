@@ -23,12 +23,14 @@ def mesh_of(solid: trimesh.Trimesh) -> Mesh:
 @pytest.fixture(scope="module")
 def unwrapped() -> dict[str, Mesh]:
     """Shapes of several kinds, one of them of two parts, unwrapped by one child."""
-    return unwrap_all({
-        "box": rounded_box((0.4, 0.3, 0.2), bevel=0.02, segments=1),
-        "ball": ball(2.0, subdivisions=3),
-        "knotted": mesh_of(trimesh.creation.torus(1.0, 0.3, major_sections=24, minor_sections=12)),
-        "two": merged([ball(0.1, subdivisions=2), sheet((5, 5, 5), (3, 0, 0), (0, 2, 0), cells=(3, 2))]),
-    })  # fmt: skip
+    return unwrap_all(
+        {
+            "box": rounded_box((0.4, 0.3, 0.2), bevel=0.02, segments=1),
+            "ball": ball(2.0, subdivisions=3),
+            "knotted": mesh_of(trimesh.creation.torus(1.0, 0.3, major_sections=24, minor_sections=12)),
+            "two": merged([ball(0.1, subdivisions=2), sheet((5, 5, 5), (3, 0, 0), (0, 2, 0), cells=(3, 2))]),
+        }
+    )
 
 
 KINDS = ("box", "ball", "knotted", "two")

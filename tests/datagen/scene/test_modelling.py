@@ -66,12 +66,11 @@ def corner_cosines(mesh: Mesh) -> np.ndarray:
     return np.einsum("fi,fki->fk", flat, mesh.normals[mesh.faces])
 
 
-@given(
-    st.floats(0.05, 3), st.floats(0.05, 3), st.floats(0.05, 3), st.integers(3, 80), st.booleans()
-)  # fmt: skip
+@given(st.floats(0.05, 3), st.floats(0.05, 3), st.floats(0.05, 3), st.integers(3, 80), st.booleans())
 @settings(max_examples=30, deadline=None, derandomize=True)
-def test_lathe_encloses_the_volume_of_its_stack_of_pyramid_frusta(r: float, s: float, h: float, n: int,
-                                                                 is_reversed: bool) -> None:  # fmt: skip
+def test_lathe_encloses_the_volume_of_its_stack_of_pyramid_frusta(
+    r: float, s: float, h: float, n: int, is_reversed: bool
+) -> None:
     profile = [(0, 0), (r, 0), (s, h), (0, h)]
     mesh = lathe(profile[::-1] if is_reversed else profile, segments=n)
     polygon = n / 2 * np.sin(2 * np.pi / n)  # Area of the n-gon in the unit circle.

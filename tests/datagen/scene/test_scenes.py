@@ -75,8 +75,12 @@ def test_every_face_has_texels_that_are_about_square(scene: Scene) -> None:
 def test_charts_keep_a_gutter_at_512(scene: Scene) -> None:
     for item in scene.objects:
         charts = chart_map(item.mesh, 512)
-        for one, other in ((charts[1:], charts[:-1]), (charts[:, 1:], charts[:, :-1]),
-                           (charts[1:, 1:], charts[:-1, :-1]), (charts[1:, :-1], charts[:-1, 1:])):  # fmt: skip
+        for one, other in (
+            (charts[1:], charts[:-1]),
+            (charts[:, 1:], charts[:, :-1]),
+            (charts[1:, 1:], charts[:-1, :-1]),
+            (charts[1:, :-1], charts[:-1, 1:]),
+        ):
             assert not ((one >= 0) & (other >= 0) & (one != other)).any(), item.name
 
 

@@ -61,9 +61,8 @@ def test_wrong_input_is_answered_with_the_way_out(line: str, status: int, messag
 
 @pytest.mark.parametrize(
     "line",
-    ["datagen", "datagen build", "proxies", "proxies make", "model", "model train",
-     "eval", "eval report"],
-)  # fmt: skip
+    ["datagen", "datagen build", "proxies", "proxies make", "model", "model train", "eval", "eval report"],
+)
 def test_every_command_tells_its_version(line: str, tmp_path: Path) -> None:
     answer = run(*line.split(), "--version", cwd=tmp_path)
     assert (answer.returncode, answer.stdout, answer.stderr) == (0, f"hyaline {version()}\n", "")

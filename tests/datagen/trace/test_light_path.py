@@ -33,8 +33,9 @@ def wide(z: float) -> Mesh:
     return Mesh(vertices=mesh.vertices * np.float32([20, 20, 1]), faces=mesh.faces, normals=mesh.normals, uv=mesh.uv)
 
 
-def traced(*objects: tuple[Mesh, Material], origins: object, directions: object, max_branches: int = 2,
-           **limits: int) -> TracedPaths:  # fmt: skip
+def traced(
+    *objects: tuple[Mesh, Material], origins: object, directions: object, max_branches: int = 2, **limits: int
+) -> TracedPaths:
     directions = np.atleast_2d(np.asarray(directions, np.float64))
     directions = directions / np.linalg.norm(directions, axis=1, keepdims=True)
     origins = np.broadcast_to(np.asarray(origins, np.float64), directions.shape)

@@ -40,8 +40,9 @@ def glass_scene() -> Scene:
     """A solid, absorbing block of glass instead of the pane."""
     scene = synthetic_scene()
     block = box((0.8, 0.8, 0.4))
-    raised = Mesh(vertices=block.vertices + np.float32([0, 0, 0.5]), faces=block.faces, normals=block.normals,
-                  uv=block.uv)  # fmt: skip
+    raised = Mesh(
+        vertices=block.vertices + np.float32([0, 0, 0.5]), faces=block.faces, normals=block.normals, uv=block.uv
+    )
     glass = SceneObject(name="block", mesh=raised, material=Dielectric(ior=1.5, absorption=(1, 2, 3)))
     return dataclasses.replace(scene, objects=(glass, scene.objects[1]))
 

@@ -22,8 +22,15 @@ GREY, GLASS = Diffuse(color=(0.5, 0.5, 0.5)), Dielectric()
 
 def all_cameras(scene: Scene, *, seed: int = 0, views: int = 40, size: int = 64) -> tuple[Cameras, ...]:
     split = SplitConfig(views=views, spp=4)
-    config = DatasetConfig(scene=scene.name, preset="tiny", resolution=size, seed=seed, train=split,
-                           interpolating=split, extrapolating=split)  # fmt: skip
+    config = DatasetConfig(
+        scene=scene.name,
+        preset="tiny",
+        resolution=size,
+        seed=seed,
+        train=split,
+        interpolating=split,
+        extrapolating=split,
+    )
     return tuple(make_cameras(scene.cameras, config).values())
 
 
@@ -45,10 +52,13 @@ def with_meshes(scene: Scene, meshes: dict[str, Mesh]) -> Scene:
 
 def test_the_slit_that_the_glass_table_once_had_is_found() -> None:
     """Its left wall ended at y = 2.55, and its back wall began at x = -2.60, y = 2.60."""
-    scene = with_meshes(SCENES["glass_table"](), {
-        "back_wall": moved(rounded_box((6.6, 0.08, 3.4), bevel=0.004), (0.7, 2.64, 1.701)),
-        "left_wall": moved(rounded_box((0.08, 6.6, 3.4), bevel=0.004), (-2.66, -0.75, 1.701)),
-    })  # fmt: skip
+    scene = with_meshes(
+        SCENES["glass_table"](),
+        {
+            "back_wall": moved(rounded_box((6.6, 0.08, 3.4), bevel=0.004), (0.7, 2.64, 1.701)),
+            "left_wall": moved(rounded_box((0.08, 6.6, 3.4), bevel=0.004), (-2.66, -0.75, 1.701)),
+        },
+    )
     (slit,) = slits_of(scene)
     assert slit.between == ("back_wall", "left_wall")
     assert 0.04 < slit.width < 0.14
@@ -112,13 +122,18 @@ CLOSED: dict[str, Scene] = {
     "a back wall that reaches behind the side wall": room(0.001, reach=0.3),
     "a wide opening": room(0.4),
     "a slit behind a cupboard": room(
-        0.03, cupboard=(moved(rounded_box((0.4, 0.1, 3.2), bevel=0.004), (-2.8, 1.85, 1.61)), GREY),
+        0.03,
+        cupboard=(moved(rounded_box((0.4, 0.1, 3.2), bevel=0.004), (-2.8, 1.85, 1.61)), GREY),
         side_board=(moved(rounded_box((0.1, 0.5, 3.2), bevel=0.004), (-2.9, 1.7, 1.61)), GREY),
     ),
-    "a glass wall": dataclasses.replace(room(0.03), objects=(
-        *room(0.03).objects[:2], dataclasses.replace(room(0.03).objects[2], material=GLASS),
-    )),
-}  # fmt: skip
+    "a glass wall": dataclasses.replace(
+        room(0.03),
+        objects=(
+            *room(0.03).objects[:2],
+            dataclasses.replace(room(0.03).objects[2], material=GLASS),
+        ),
+    ),
+}
 
 
 @pytest.mark.parametrize("case", CLOSED)
@@ -128,9 +143,16 @@ def test_what_is_closed_wide_or_hidden_is_no_slit(case: str) -> None:
 
 def test_a_slit_that_no_camera_has_in_its_picture_is_none() -> None:
     scene = room(0.03)
-    aside = dataclasses.replace(scene.cameras, fov_deg=20, target=(2.5, 1.5, 0.9), azimuth_deg=(-100, -60), walk=(
-        WalkPoint(position=(1, -1, 1.2), target=(2.5, 1.5, 1)), WalkPoint(position=(2, 0, 1), target=(2.5, 1.5, 1)),
-    ))  # fmt: skip
+    aside = dataclasses.replace(
+        scene.cameras,
+        fov_deg=20,
+        target=(2.5, 1.5, 0.9),
+        azimuth_deg=(-100, -60),
+        walk=(
+            WalkPoint(position=(1, -1, 1.2), target=(2.5, 1.5, 1)),
+            WalkPoint(position=(2, 0, 1), target=(2.5, 1.5, 1)),
+        ),
+    )
     assert slits_of(dataclasses.replace(scene, cameras=aside)) == ()
 
 

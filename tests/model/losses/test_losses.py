@@ -268,8 +268,9 @@ def test_only_texels_without_visits_get_a_gradient(dataset: Dataset) -> None:
     visits = inpainter.visits["textures.0.table"]
     assert (table.grad[visits > 0] == 0).all() and table.grad[visits == 0].abs().sum() > 0
     # What is seen is what the renderer itself draws there.
-    index = patches_around(inpainter.showing[torch.from_numpy(
-        np.random.default_rng(0).integers(len(inpainter.showing), size=2))], 32, 32)  # fmt: skip
+    index = patches_around(
+        inpainter.showing[torch.from_numpy(np.random.default_rng(0).integers(len(inpainter.showing), size=2))], 32, 32
+    )
     with torch.no_grad():
         expected = renderer.eval()(inpainter.pixels.take(index, None)).view(2, 32, 32, 3)
     torch.testing.assert_close(colors, expected)

@@ -26,9 +26,16 @@ pytestmark = pytest.mark.usefixtures("one_thread")
 CPU = torch.device("cpu")
 NET = AuthorsConfig(texture_size=24, position_size=64, zero_layer=True)
 SMALL = TrainConfig(
-    method="authors-code", geometry=TRUTH, net=NET, steps=10, batch=256, beta1=0.5, weight_decay=1e-4,
-    evaluate_every=5, checkpoint_every=4,
-)  # fmt: skip
+    method="authors-code",
+    geometry=TRUTH,
+    net=NET,
+    steps=10,
+    batch=256,
+    beta1=0.5,
+    weight_decay=1e-4,
+    evaluate_every=5,
+    checkpoint_every=4,
+)
 
 
 @pytest.fixture(scope="module")

@@ -346,9 +346,16 @@ def test_each_side_of_the_game_gets_its_own_gradient() -> None:
 
 def run_config(net: DeepVoxelsConfig, *, steps: int) -> TrainConfig:
     return TrainConfig(
-        method="deepvoxels", geometry="truth", net=net, steps=steps, batch=2, lr=4e-4, lr_decay="none",
-        evaluate_every=2, checkpoint_every=2,
-    )  # fmt: skip
+        method="deepvoxels",
+        geometry="truth",
+        net=net,
+        steps=steps,
+        batch=2,
+        lr=4e-4,
+        lr_decay="none",
+        evaluate_every=2,
+        checkpoint_every=2,
+    )
 
 
 def test_a_stopped_and_resumed_run_has_the_same_bytes(

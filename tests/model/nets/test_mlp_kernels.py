@@ -27,8 +27,10 @@ from model.nets.pixel_mlp import Norm, PixelMlp, Precision
 from model.run.predict import predict_colors
 
 
-@pytest.mark.skipif(not (sys.platform == "linux" and platform.machine() == "x86_64" and shutil.which("g++")),
-                    reason="no C++ compiler, or not Linux on x86-64")  # fmt: skip
+@pytest.mark.skipif(
+    not (sys.platform == "linux" and platform.machine() == "x86_64" and shutil.which("g++")),
+    reason="no C++ compiler, or not Linux on x86-64",
+)
 def test_where_a_compiler_is_there_the_layers_are_built() -> None:
     assert find_kernels() is not None
 
@@ -125,15 +127,25 @@ def made_up_pixels(rows: int, layers: int, rng: np.random.Generator, *, share_em
 @pytest.mark.parametrize("zero_layer", [False, True])
 @pytest.mark.parametrize(("rows", "features", "share_empty"), [(2, 3, 0.0), (3000, 16, 0.4), (66, 21, 1.0)])
 def test_pictures_are_those_of_torch(
-    precision: Precision, extrinsics: str, zero_layer: bool, rows: int, features: int, share_empty: float,
+    precision: Precision,
+    extrinsics: str,
+    zero_layer: bool,
+    rows: int,
+    features: int,
+    share_empty: float,
     monkeypatch: pytest.MonkeyPatch,
-) -> None:  # fmt: skip
+) -> None:
     torch.manual_seed(0)
     rng = np.random.default_rng(0)
     config = PaperConfig(
-        texture_size=8, width=40, extrinsics="view" if extrinsics == "view" else "none", zero_layer=zero_layer,
-        texture_features=features, position_size=8, precision=precision,
-    )  # fmt: skip
+        texture_size=8,
+        width=40,
+        extrinsics="view" if extrinsics == "view" else "none",
+        zero_layer=zero_layer,
+        texture_features=features,
+        position_size=8,
+        precision=precision,
+    )
     positions = torch.randn(3 * 64, 3) if extrinsics == "view" else None
     renderer = PaperRenderer(config, num_layers=5, num_objects=3, positions=positions).eval()
     nn.init.normal_(renderer.textures.get_parameter("table"))

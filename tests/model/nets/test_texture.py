@@ -55,8 +55,13 @@ def random_case(
 
 
 @settings(deadline=None, max_examples=40, derandomize=True)
-@given(seed=st.integers(0, 1000), num_objects=st.integers(1, 7), size=st.integers(6, 17), scene=st.booleans(),
-       step=st.integers(0, 3))  # fmt: skip
+@given(
+    seed=st.integers(0, 1000),
+    num_objects=st.integers(1, 7),
+    size=st.integers(6, 17),
+    scene=st.booleans(),
+    step=st.integers(0, 3),
+)
 def test_lookup_equals_a_slow_loop(seed: int, num_objects: int, size: int, scene: bool, step: int) -> None:
     table, uv, object_id, layout = random_case(seed, num_objects, size, scene=scene, step=step)
     expected = slow_sample(table.numpy(), uv.numpy(), object_id.numpy(), layout)
@@ -161,8 +166,10 @@ def test_the_compiled_pyramid_equals_the_one_by_torchs_operations(channels: int)
     features.backward(upstream)
 
     plain = [table.clone().requires_grad_() for table in start]
-    levels = [sample_by_bags(table, plain_uv.flatten(0, 1), object_id.flatten(), layout)
-              for table, layout in zip(plain, layouts)]  # fmt: skip
+    levels = [
+        sample_by_bags(table, plain_uv.flatten(0, 1), object_id.flatten(), layout)
+        for table, layout in zip(plain, layouts)
+    ]
     expected = sum(scale * level for scale, level in zip(scales, levels))
     assert isinstance(expected, Tensor)
     expected.backward(upstream.flatten(0, 1))

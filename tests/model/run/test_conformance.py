@@ -26,8 +26,10 @@ def installed(tmp_path: Path) -> Path:
     metadata = tmp_path / f"nearest_view-{project['version']}.dist-info"
     metadata.mkdir()
     (metadata / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {project['name']}\nVersion: 0.1.0\n")
-    points = [f"[{group}]\n" + "".join(f"{name} = {value}\n" for name, value in entries.items())
-              for group, entries in project["entry-points"].items()]  # fmt: skip
+    points = [
+        f"[{group}]\n" + "".join(f"{name} = {value}\n" for name, value in entries.items())
+        for group, entries in project["entry-points"].items()
+    ]
     (metadata / "entry_points.txt").write_text("".join(points))
     shutil.copy(EXAMPLE / "nearest_view.py", tmp_path)
     return tmp_path

@@ -43,13 +43,24 @@ from model.run.train import train
 GLASS = Dielectric(ior=1.5, absorption=(0.2, 0.6, 1.5))
 CHECKER = Diffuse(color=SolidTexture(pattern="checker", colors=((0.7, 0.6, 0.2), (0.1, 0.2, 0.5)), scale=0.5))
 LIGHT_PATH = TrainConfig(
-    method="light-path", geometry=TRUTH, steps=200, batch=512, lr=0.002, texture_lr=0.02, lr_decay="cosine",
-    net=LightPathConfig(texture_sizes=(8, 64), texture_levels=2, branches=6, render_samples=9), evaluate_every=200,
-)  # fmt: skip
+    method="light-path",
+    geometry=TRUTH,
+    steps=200,
+    batch=512,
+    lr=0.002,
+    texture_lr=0.02,
+    lr_decay="cosine",
+    net=LightPathConfig(texture_sizes=(8, 64), texture_levels=2, branches=6, render_samples=9),
+    evaluate_every=200,
+)
 PAPER = TrainConfig(
-    method="paper", geometry=TRUTH, steps=3, batch=512, evaluate_every=200,
+    method="paper",
+    geometry=TRUTH,
+    steps=3,
+    batch=512,
+    evaluate_every=200,
     net=PaperConfig(width=16, texture_size=16, position_size=32, zero_layer=True),
-)  # fmt: skip
+)
 EDITS = ("remove:ball", "duplicate:ball:0.3,0.8,0")
 SPLIT: Split = "interpolating"
 
@@ -73,9 +84,13 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("edits")
     few = SplitConfig(views=2, spp=128)
     config = DatasetConfig(
-        scene="edit", preset="tiny", resolution=48, train=SplitConfig(views=16, spp=50), interpolating=few,
+        scene="edit",
+        preset="tiny",
+        resolution=48,
+        train=SplitConfig(views=16, spp=50),
+        interpolating=few,
         extrapolating=few,
-    )  # fmt: skip
+    )
     base = build_dataset(
         scene(), root / "data" / "edit", config, kinds=("straight",), num_layers=4, workers=1, overwrite=False
     )
@@ -167,9 +182,12 @@ def test_the_report_scores_edits_by_region_and_pixels_by_order(
     scored = {tuple(edit["edits"]): edit for edit in results["scenes"][0]["analyses"]["variants"].values()}
     rows = {(row["run"], row["scene"]): row["psnr_db"] for row in scored[("remove:ball",)]["rows"]}
     assert set(rows) == {
-        ("ours", "edited"), ("ours", "unedited"), ("paper", "edited"), ("paper", "unedited"),
+        ("ours", "edited"),
+        ("ours", "unedited"),
+        ("paper", "edited"),
+        ("paper", "unedited"),
         ("truth before the edit", "edited"),
-    }  # fmt: skip
+    }
     folder = made / "runs" / "edit" / "ours"
     for row, place, dataset in (
         ("edited", folder / "variants" / "remove-ball", after),

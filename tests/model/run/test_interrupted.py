@@ -148,9 +148,13 @@ def test_a_run_that_is_killed_again_and_again_ends_in_the_same_bytes(
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=lambda number: number.name)
 @pytest.mark.parametrize("flags", [(), ("--overwrite",)], ids=["fresh", "overwrite"])
 def test_a_signal_leaves_a_checkpoint_from_which_the_same_command_goes_on(
-    train: Train, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
-    number: signal.Signals, flags: tuple[str, ...],
-) -> None:  # fmt: skip
+    train: Train,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    number: signal.Signals,
+    flags: tuple[str, ...],
+) -> None:
     assert train("whole") == 0
     capsys.readouterr()
     check = train_module.check_finite

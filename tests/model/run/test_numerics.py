@@ -96,15 +96,18 @@ def inject(monkeypatch: pytest.MonkeyPatch, site: str) -> None:
     take_colors, take, colors = losses.take_colors, Pixels.take, predict.predict_colors
     if site == "image":
         monkeypatch.setattr(
-            losses, "take_colors",
+            losses,
+            "take_colors",
             lambda *given: poison_image(take_colors(*given)) if step_now == LAST_GOOD else take_colors(*given),
-        )  # fmt: skip
+        )
     if site == "uv":
         monkeypatch.setattr(
-            Pixels, "take",
-            lambda self, index, rng: poison_uv(take(self, index, rng)) if step_now == LAST_GOOD
-            else take(self, index, rng),
-        )  # fmt: skip
+            Pixels,
+            "take",
+            lambda self, index, rng: (
+                poison_uv(take(self, index, rng)) if step_now == LAST_GOOD else take(self, index, rng)
+            ),
+        )
     if site == "prediction":
         monkeypatch.setattr(predict, "predict_colors", lambda *given: poison_image(colors(*given).clone()))
 
@@ -123,9 +126,12 @@ SITES = {
 @pytest.mark.promise("R10")
 @pytest.mark.parametrize("site", SITES)
 def test_training_stops_before_it_keeps_a_number_that_is_not_finite(
-    call: Callable[[str], int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
+    call: Callable[[str], int],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
     site: str,
-) -> None:  # fmt: skip
+) -> None:
     inject(monkeypatch, site)
     assert call("train") == 3
     last = capsys.readouterr().err.splitlines()[-1]

@@ -41,7 +41,9 @@ def call(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
 
 
 def test_a_grid_is_every_combination_in_the_order_of_the_file(tmp_path: Path) -> None:
-    path = write(tmp_path, """
+    path = write(
+        tmp_path,
+        """
         [[runs]]
         dataset = ["one", "my two"]
         method = "paper"
@@ -52,7 +54,8 @@ def test_a_grid_is_every_combination_in_the_order_of_the_file(tmp_path: Path) ->
         method = "paper"
         extrinsics = ["view", "sh"]   # The default, and so the same run as without it.
         lr = 0.0001
-    """)  # fmt: skip
+    """,
+    )
     commands = [sweep.command_line(arguments) for arguments in read_experiment(path).runs]
     expected = []
     for dataset in ("one", "'my two'"):
@@ -82,12 +85,12 @@ def test_a_grid_is_every_combination_in_the_order_of_the_file(tmp_path: Path) ->
         ('[[runs]]\nmethod = "paper"\nsteps = false', "steps is False; expected a number or text"),
         ('[[runs]]\nmethod = "paper"\nout = "here"', "out cannot be set; a run's folder is the one that"),
         ('[[runs]]\nmethod = "paper"\nseed = []', "seed is an empty list; expected at least one value"),
-        ('[[runs]]\nseed = 1', 'key "method" is missing'),
+        ("[[runs]]\nseed = 1", 'key "method" is missing'),
         ('about = "nothing"', "has no runs; expected at least one block"),
-        ('about = 3\n[[runs]]', "about is 3; expected text"),
+        ("about = 3\n[[runs]]", "about is 3; expected text"),
         ("[[runs]", "not TOML"),
     ],
-)  # fmt: skip
+)
 def test_what_no_command_could_be_is_named(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(HyalineError, match=message):
         read_experiment(write(tmp_path, text))

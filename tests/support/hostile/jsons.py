@@ -91,8 +91,9 @@ def without(value: Any, path: tuple[str | int, ...]) -> Any:
     return value
 
 
-def json_cases(reader: str, path: str, good: dict[str, Any], *, each: int,
-               write: Callable[[Any], bytes] = text_of) -> list[Case]:  # fmt: skip
+def json_cases(
+    reader: str, path: str, good: dict[str, Any], *, each: int, write: Callable[[Any], bytes] = text_of
+) -> list[Case]:
     """A good file spoilt: `each` values at each place (another choice at each), keys lost and added.
 
     Args:
@@ -190,19 +191,22 @@ def experiment_cases() -> list[Case]:
         "a flag of another method": f"{block}branches = 2",
         "methods that share no flag": '[[runs]]\nmethod = ["paper", "light-path"]\nextrinsics = "sh"',
         "help": f"{block}help = true",
-        "a grid of ten thousand million runs": block + "".join(
-            f"{key} = {list(range(2, 102))}\n" for key in ("seed", "steps", "batch", "features", "blocks")
-        ),
+        "a grid of ten thousand million runs": block
+        + "".join(f"{key} = {list(range(2, 102))}\n" for key in ("seed", "steps", "batch", "features", "blocks")),
         "deep": f"{block}seed = " + "[" * 20_000 + "]" * 20_000,
         "UTF-16": None,
         "NUL": "\x00",
         "empty": "",
         "a byte order mark": "\ufeff" + block,
-        "a long line": f"about = \"{'x' * 1_000_000}\"\n{block}",
+        "a long line": f'about = "{"x" * 1_000_000}"\n{block}',
         "JSON": '{"runs": [{"method": "paper"}]}',
-    }  # fmt: skip
+    }
     return [
-        Case(name=f"experiment {name}", reader="experiment", path="grid.toml",
-             content=block.encode("utf-16") if text is None else text.encode("utf-8", "surrogatepass"))
+        Case(
+            name=f"experiment {name}",
+            reader="experiment",
+            path="grid.toml",
+            content=block.encode("utf-16") if text is None else text.encode("utf-8", "surrogatepass"),
+        )
         for name, text in texts.items()
-    ]  # fmt: skip
+    ]

@@ -16,23 +16,45 @@ UV = ("0 0", "1 0", "1 1", "0 1")
 FACES = ("3 0 1 2", "3 0 2 3")
 
 
-def ascii_ply(*, points: tuple[str, ...] = POINTS, uv: tuple[str, ...] = UV, faces: tuple[str, ...] = FACES,
-              vertices: str | None = None, triangles: str | None = None, header: str = "") -> bytes:  # fmt: skip
+def ascii_ply(
+    *,
+    points: tuple[str, ...] = POINTS,
+    uv: tuple[str, ...] = UV,
+    faces: tuple[str, ...] = FACES,
+    vertices: str | None = None,
+    triangles: str | None = None,
+    header: str = "",
+) -> bytes:
     """A square in words."""
     lines = [
-        "ply", "format ascii 1.0", *filter(None, [header]),
+        "ply",
+        "format ascii 1.0",
+        *filter(None, [header]),
         f"element vertex {len(points) if vertices is None else vertices}",
-        "property float x", "property float y", "property float z", "property float s", "property float t",
+        "property float x",
+        "property float y",
+        "property float z",
+        "property float s",
+        "property float t",
         f"element face {len(faces) if triangles is None else triangles}",
-        "property list uchar int vertex_indices", "end_header",
-        *(f"{point} {pair}" for point, pair in zip(points, uv, strict=False)), *faces,
-    ]  # fmt: skip
+        "property list uchar int vertex_indices",
+        "end_header",
+        *(f"{point} {pair}" for point, pair in zip(points, uv, strict=False)),
+        *faces,
+    ]
     return ("\n".join(lines) + "\n").encode()
 
 
-def binary_ply(*, order: str = "<", vertices: int = 4, triangles: int = 2,
-               faces: tuple[tuple[int, ...], ...] = ((0, 1, 2), (0, 2, 3)), z: float = 0.5,
-               count: str = "uchar", index: str = "int") -> bytes:  # fmt: skip
+def binary_ply(
+    *,
+    order: str = "<",
+    vertices: int = 4,
+    triangles: int = 2,
+    faces: tuple[tuple[int, ...], ...] = ((0, 1, 2), (0, 2, 3)),
+    z: float = 0.5,
+    count: str = "uchar",
+    index: str = "int",
+) -> bytes:
     """The same in bytes."""
     name = "binary_little_endian" if order == "<" else "binary_big_endian"
     header = (
@@ -82,11 +104,15 @@ def mesh_cases(good: bytes) -> list[Case]:
     ):
         contents[f"face {corners}"] = ascii_ply(faces=(corners, FACES[1]))
     for name, header in {
-        "comment": "comment \x1b[31mred", "obj_info": "obj_info x", "second format": "format ascii 1.0",
-        "unknown word": "elephant 3", "element of nothing": "element thing 0",
+        "comment": "comment \x1b[31mred",
+        "obj_info": "obj_info x",
+        "second format": "format ascii 1.0",
+        "unknown word": "elephant 3",
+        "element of nothing": "element thing 0",
         "huge element": "element thing 99999999999",
-        "texture": "comment TextureFile ../secret/secret.png", "absolute texture": "comment TextureFile /etc/passwd",
-    }.items():  # fmt: skip
+        "texture": "comment TextureFile ../secret/secret.png",
+        "absolute texture": "comment TextureFile /etc/passwd",
+    }.items():
         contents[f"header with {name}"] = ascii_ply(header=header)
     contents |= {
         "no magic": ascii_ply()[4:],
@@ -105,9 +131,9 @@ def mesh_cases(good: bytes) -> list[Case]:
         "faces without a list": ascii_ply().replace(b"list uchar int vertex_indices", b"int vertex_indices"),
         "faces of floats": ascii_ply().replace(b"uchar int", b"uchar float"),
         "unknown type": ascii_ply().replace(b"float x", b"quaternion x"),
-        "wedge texture": ascii_ply(
-            faces=("3 0 1 2 6 0 0 1 0 1 1", "3 0 2 3 6 0 0 1 1 0 1")
-        ).replace(b"vertex_indices\n", b"vertex_indices\nproperty list uchar float texcoord\n"),
+        "wedge texture": ascii_ply(faces=("3 0 1 2 6 0 0 1 0 1 1", "3 0 2 3 6 0 0 1 1 0 1")).replace(
+            b"vertex_indices\n", b"vertex_indices\nproperty list uchar float texcoord\n"
+        ),
         "uv of zeros": ascii_ply(uv=("0 0",) * 4),
         "uv of one value": ascii_ply(uv=("0.5 0.5",) * 4),
         "uv that overlaps": ascii_ply(uv=("0 0", "1 0", "1 1", "1 0")),
@@ -141,7 +167,7 @@ def mesh_cases(good: bytes) -> list[Case]:
         "binary": bytes(range(256)) * 8,
         "an OBJ": b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n",
         "a zip": b"PK\x03\x04" + bytes(100),
-    }  # fmt: skip
+    }
     for size in np.linspace(1, len(good) - 1, 30).astype(int):
         contents[f"ours cut to {size}"] = good[:size]
     rng = np.random.default_rng(7)

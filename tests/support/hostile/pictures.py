@@ -16,8 +16,17 @@ def chunk(kind: bytes, data: bytes, *, good: bool = True) -> bytes:
     return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data) ^ (not good))
 
 
-def png(width: int, height: int, *, depth: int = 8, color: int = 2, interlace: int = 0, method: int = 0,
-        body: bytes | None = None, more: bytes = b"") -> bytes:  # fmt: skip
+def png(
+    width: int,
+    height: int,
+    *,
+    depth: int = 8,
+    color: int = 2,
+    interlace: int = 0,
+    method: int = 0,
+    body: bytes | None = None,
+    more: bytes = b"",
+) -> bytes:
     """A PNG made by hand; black unless a body is given."""
     channels = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}.get(color, 3)
     line = b"\x00" + bytes(min(-(-width * channels * depth // 8), 1000))
@@ -94,7 +103,7 @@ def picture_cases(good: bytes) -> list[Case]:
         "bytes after the end": good + b"more",
         "zeros": bytes(500),
         "text": b"hello",
-    }  # fmt: skip
+    }
     for length in np.linspace(9, len(good) - 1, 15).astype(int):
         contents[f"cut to {length}"] = good[:length]
     return [
@@ -105,8 +114,15 @@ def picture_cases(good: bytes) -> list[Case]:
 def exr_cases(good: bytes) -> list[Case]:
     """Radiance whose record promises just these bytes."""
     rng = np.random.default_rng(3)
-    contents = {"good": good, "empty": b"", "zeros": bytes(400), "text": b"not rendered", "magic alone": good[:4],
-                "a PNG": png(8, 8), "bytes after the end": good + b"more"}  # fmt: skip
+    contents = {
+        "good": good,
+        "empty": b"",
+        "zeros": bytes(400),
+        "text": b"not rendered",
+        "magic alone": good[:4],
+        "a PNG": png(8, 8),
+        "bytes after the end": good + b"more",
+    }
     for length in np.linspace(8, len(good) - 1, 12).astype(int):
         contents[f"cut to {length}"] = good[:length]
     for number in range(12):

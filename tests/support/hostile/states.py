@@ -127,7 +127,7 @@ def state_cases(good: bytes) -> list[Case]:
         "text": b"hello\n",
         "a PNG": b"\x89PNG\r\n\x1a\n" + bytes(100),
         "bytes after the end": good + b"more",
-    }  # fmt: skip
+    }
     for length in np.linspace(1, len(good) - 1, 30).astype(int):
         contents[f"cut to {length}"] = good[:length]
     rng = np.random.default_rng(11)
