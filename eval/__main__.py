@@ -1,4 +1,4 @@
-"""Owns `python -m eval`."""
+"""`python -m eval`."""
 
 from eval.cli import main
 

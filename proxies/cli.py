@@ -1,4 +1,4 @@
-"""Owns the command line of `proxies`: parse, configure, call one function."""
+"""The command line of `proxies`: parse, configure, call one function."""
 
 import sys
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Owns the making of proxies: fits one to every object of a dataset, commits them, checks them."""
+"""Making proxies: fits one to every object of a dataset, commits them, checks them."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Owns which proxies to make: one kind for all objects, or a mixture that says for each object what stands for it."""
+"""Which proxies to make: one kind for all objects, or a mixture that names a kind for each object."""
 
 import re
 from collections.abc import Sequence

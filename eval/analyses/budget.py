@@ -1,4 +1,4 @@
-"""Owns the layer budget: scores of runs that differ in how many layers they are given, and what those layers miss."""
+"""The layer budget: scores of runs that differ in how many layers they are given, and what those layers miss."""
 
 from collections import defaultdict
 from dataclasses import dataclass

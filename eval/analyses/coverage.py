@@ -1,4 +1,4 @@
-"""Owns what training saw of what a test ray meets: from how near an angle, and in how many views."""
+"""What training saw of the surface points that a test ray meets: from how near an angle, and in how many views."""
 
 from dataclasses import dataclass
 

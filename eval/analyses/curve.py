@@ -1,4 +1,4 @@
-"""Owns the extrapolation curve: a run's error against what training saw of each pixel, and its slope."""
+"""The extrapolation curve: a run's error against what training saw of each pixel, and its slope."""
 
 import dataclasses
 import math

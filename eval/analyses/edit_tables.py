@@ -1,4 +1,4 @@
-"""Owns the tables of edits and of order, and what results.json says of them."""
+"""The tables of edits and of order, and what results.json says of them."""
 
 from collections.abc import Iterable, Mapping, Sequence
 

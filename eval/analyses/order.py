@@ -1,4 +1,4 @@
-"""Owns the test of order: how well runs draw pixels whose surfaces stand in an order that no training pixel had.
+"""The test of order: how well runs draw pixels whose surfaces appear in an order that no training pixel had.
 
 A renderer that stacks its layers may have learned orders by heart. The order of a pixel is the sequence of object ids
 along its centre ray, of the first few layers of the true geometry; a copy counts as its original.

@@ -1,4 +1,4 @@
-"""Owns the line plots of a report."""
+"""The line plots of a report."""
 
 from collections.abc import Callable, Sequence
 

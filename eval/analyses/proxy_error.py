@@ -1,4 +1,4 @@
-"""Owns how far a geometry is from the truth, and the figure of quality against that distance."""
+"""How far a geometry is from the truth, and the figure of quality against that distance."""
 
 import math
 from dataclasses import dataclass

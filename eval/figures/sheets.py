@@ -1,4 +1,4 @@
-"""Owns the contact sheets: truth, predictions and errors side by side, every pixel drawn as a square of pixels."""
+"""The contact sheets: truth, predictions and errors side by side, every pixel drawn as a square of pixels."""
 
 import io
 import math

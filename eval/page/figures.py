@@ -1,4 +1,4 @@
-"""Owns the pictures of a report: which there are, and the one that shows where all cameras stand."""
+"""The pictures of a report, and the one that shows where all cameras stand."""
 
 from collections.abc import Callable
 from functools import partial

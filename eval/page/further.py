@@ -1,4 +1,4 @@
-"""Owns what a report shows of a scene beyond the scores: which analyses there are, their tables, data and figures."""
+"""The analyses of a scene that a report shows beyond the scores: their tables, data and figures."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Owns the report: finds the runs, scores them, prints tables, writes results.json and pictures."""
+"""The report: finds the runs, scores them, prints tables, writes results.json and pictures."""
 
 import dataclasses
 import shlex

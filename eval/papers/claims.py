@@ -1,4 +1,4 @@
-"""Owns the paper's four claims: what each says of runs, and whether the runs bear it out."""
+"""The paper's four claims: what each says of runs, and whether the runs support it."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence

@@ -1,4 +1,4 @@
-"""Owns the looks of comparisons: the paper's tables with our numbers, the proxy ladder, the ablation."""
+"""Comparisons as tables: the paper's tables with our numbers, the proxy ladder, the ablation."""
 
 from collections.abc import Sequence
 

@@ -1,4 +1,4 @@
-"""Owns which runs the paper's tables set side by side, found by what their records say, not by their names."""
+"""The runs that the paper's tables compare, found by what their records say, not by their names."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence

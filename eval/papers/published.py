@@ -1,4 +1,4 @@
-"""Owns the paper's own numbers, printed for reference."""
+"""The paper's own numbers, printed for reference."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""Owns the metrics: pure functions of one predicted and one true picture, both 8-bit sRGB.
+"""The metrics: pure functions of one predicted and one true picture, both 8-bit sRGB.
 
 A split's score is the mean over its pictures of these values (`mean_of`), not the value of the pooled error.
 """

@@ -1,4 +1,4 @@
-"""Owns scores of parts of pictures: PSNR inside masks that say what a pixel shows."""
+"""Scores of parts of pictures: PSNR inside masks that say what a pixel shows."""
 
 from collections.abc import Iterable, Iterator
 

@@ -1,4 +1,4 @@
-"""Owns what a run is on disk: a folder of predicted pictures, with or without a record of what made them.
+"""What a run is on disk: a folder of predicted pictures, with or without a record of what made them.
 
     RUNS/SCENE/NAME/predictions/SPLIT/0000.png ...   8-bit sRGB, one a view of the split, the size of the truth
     RUNS/SCENE/NAME/variants/VARIANT/predictions/... the same of a variant of the dataset (datagen/data/variants.py)

@@ -1,4 +1,4 @@
-"""Owns the scores of runs: every metric of every predicted picture, and what the truth itself allows."""
+"""The scores of runs: every metric of every predicted picture, and what the truth itself allows."""
 
 import math
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Owns what several seeds tell: runs that differ in their seed alone, and the mean and spread of their scores."""
+"""Runs that differ in their seed alone, and the mean and spread of their scores."""
 
 import math
 import re

@@ -1,4 +1,4 @@
-"""Owns the scores as data: results.json, with every picture's value, and CSV, one line a run."""
+"""The scores as data: results.json, with every picture's value, and CSV, one line a run."""
 
 import csv
 import io

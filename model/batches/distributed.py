@@ -1,4 +1,4 @@
-"""Owns training by several processes (`torchrun`): who they are, each one's share of a batch, sums over all of them.
+"""Training by several processes (`torchrun`): who they are, each one's share of a batch, sums over all of them.
 
 Each process draws the whole batch, takes its share, and adds its part of the loss and of every gradient to those of the
 others; batch norm sees all shares. So the processes together take the steps that one alone would, but for rounding.

@@ -1,4 +1,4 @@
-"""Owns training data larger than memory: the hits of all pixels in flat files, mapped, of which batches take rows.
+"""Training data larger than memory: the hits of all pixels in memory-mapped files, from which batches take rows.
 
     CACHE/KEY/cache.json   sealed: what was laid out, SHA-256 of the other files
     CACHE/KEY/starts.bin   (view, pixel + 1) uint32: place of each pixel's first hit among those of its view

@@ -1,4 +1,4 @@
-"""Owns the training data in memory: every pixel of some views with its layers, and random batches of them."""
+"""The training data in memory: every pixel of some views with its layers, and random batches of them."""
 
 import dataclasses
 import math

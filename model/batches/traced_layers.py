@@ -1,4 +1,4 @@
-"""Owns the sub-pixel rays of training and test pixels, traced anew for every batch: straight layers or light paths."""
+"""The sub-pixel rays of training and test pixels, traced anew for every batch: straight layers or light paths."""
 
 import dataclasses
 import functools

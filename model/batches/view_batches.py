@@ -1,4 +1,4 @@
-"""Owns whole views as training data: cameras, pictures, and which training views look the same way."""
+"""Whole views as training data: cameras, pictures, and which training views look the same way."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

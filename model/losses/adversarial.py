@@ -1,4 +1,4 @@
-"""Owns the adversarial loss: a discriminator of patches, which learns beside the renderer by its own optimiser."""
+"""The adversarial loss: a discriminator of patches, which learns beside the renderer by its own optimiser."""
 
 from typing import cast
 

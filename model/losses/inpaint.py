@@ -1,4 +1,4 @@
-"""Owns in-painting: on poses without truth, only the texels that no training ray has visited learn to look real.
+"""In-painting: on poses without truth, only the texels that no training ray has visited learn to look real.
 
 Source: the remedy that the paper proposes for surfaces never seen in training (section 6), on the idea of DeepVoxels to
 let a discriminator judge views that have no truth.

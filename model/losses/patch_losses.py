@@ -1,4 +1,4 @@
-"""Owns the losses of a run: the method's own, and the terms beside it, some of which learn themselves."""
+"""The losses of a run: the method's own, and the terms added to it, some of which learn themselves."""
 
 from collections.abc import Callable
 from typing import Protocol

@@ -1,4 +1,4 @@
-"""Owns the perceptual loss: differences of VGG features, and where their weights come from."""
+"""The perceptual loss: differences of VGG features, and where their weights come from."""
 
 import dataclasses
 import pickle

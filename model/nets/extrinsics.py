@@ -1,4 +1,4 @@
-"""Owns what the renderer is told about the camera: nothing, the view vector of Eq. 3, or its spherical harmonics."""
+"""What the renderer is told about the camera: nothing, the view vector of Eq. 3, or its spherical harmonics."""
 
 import functools
 

@@ -1,4 +1,4 @@
-"""Owns linear layers over many pixels on a CPU: through oneDNN, because MKL, which torch takes for float32, is slower.
+"""Linear layers over many pixels on a CPU, by oneDNN: torch takes MKL for float32, which is slower.
 
 Measured on an AMD processor with AVX-512 (65,536 pixels, 96 to 88 channels): the products of the forward pass and of
 the input's gradient take less than half the time. For bfloat16 torch takes oneDNN by itself.

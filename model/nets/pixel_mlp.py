@@ -1,4 +1,4 @@
-"""Owns the paper's renderer network: a residual MLP that turns one pixel's stacked layers into its colour."""
+"""The paper's renderer network: a residual MLP that turns one pixel's stacked layers into its colour."""
 
 from typing import cast
 

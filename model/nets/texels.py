@@ -1,4 +1,4 @@
-"""Owns the inner loops of neural textures on a CPU: weighted sums of four texels, and their gradients.
+"""The inner loops of neural textures on a CPU: weighted sums of four texels, and their gradients.
 
 Compiled by Numba. The loops visit each slot of a stack of layers once, skip the empty ones, and write straight into
 the result: no copy of texels is ever made, which is what torch's own operations spend their time on. What is left is

@@ -1,4 +1,4 @@
-"""Owns neural textures: where an object's texels lie in one packed table, and the bilinear lookup of layers in it."""
+"""Neural textures: where an object's texels lie in one packed table, and the bilinear lookup of layers in it."""
 
 import functools
 import itertools

@@ -1,4 +1,4 @@
-"""Owns the U-Net of Deferred Neural Rendering: pictures of features in, pictures of colours out."""
+"""The U-Net of Deferred Neural Rendering: pictures of features in, pictures of colours out."""
 
 import torch
 from jaxtyping import Float32

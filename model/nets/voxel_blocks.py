@@ -1,4 +1,4 @@
-"""Owns the convolutional blocks of DeepVoxels: two- and three-dimensional U-Nets, and the halving and doubling stages.
+"""The convolutional blocks of DeepVoxels: two- and three-dimensional U-Nets, and the halving and doubling stages.
 
 Everywhere: reflection padding in 2-D, replication padding in 3-D, batch norm after each convolution, no bias where
 there is a norm. Source: Sitzmann et al. 2019 and the authors' module library, from its description.

@@ -1,4 +1,4 @@
-"""Owns the geometry of DeepVoxels: where its grid stands, which pixel each voxel falls on, which voxels each ray meets.
+"""The geometry of DeepVoxels: where its grid stands, which pixel each voxel falls on, which voxels each ray meets.
 
 Axis words besides the contract's: `z y x` voxels of the grid along the world's axes, `d` planes of a view's frustum,
 nearest first, `p q` rows and columns of the small picture plane on which features are lifted and projected.

@@ -1,4 +1,4 @@
-"""Owns the networks that DeepVoxels is made of: from a picture to features, into the grid, and from rays to a picture.
+"""The networks that DeepVoxels is made of: from a picture to features, into the grid, and from rays to a picture.
 
 Source: Sitzmann et al. 2019 and the code they released, from its description.
 """

@@ -1,4 +1,4 @@
-"""Owns experiment files: grids of runs in TOML, each run equal to one command line of `model train`.
+"""Experiment files: grids of runs in TOML, each run equal to one command line of `model train`.
 
     about = "What the experiment shows, in one line."
 

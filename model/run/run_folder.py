@@ -1,4 +1,4 @@
-"""Owns a run's folder: what was trained on what, which state it is in, and its files.
+"""A run's folder: what was trained on what, its state, and its files.
 
     RUN/run.json                    sealed, written first: the configuration and what it was trained on
     RUN/run.next.json               while --overwrite deletes what the run before it left: what run.json will be

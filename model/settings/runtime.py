@@ -1,4 +1,4 @@
-"""Owns settings of the C libraries beneath torch and Numba, without which CPU training is slower or does not repeat."""
+"""Settings of the C libraries beneath torch and Numba, without which CPU training is slower or not repeatable."""
 
 import ctypes
 import os

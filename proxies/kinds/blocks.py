@@ -1,4 +1,4 @@
-"""Owns the kind `blocks`: a few boxes an object, as of the paper's chair: seat, back and legs.
+"""Proxies of kind `blocks`: a few boxes an object, as for the paper's chair: seat, back and legs.
 
 The object is cut into the cells of a grid, a tight box around what lies in each, and the boxes are merged two by two
 where that adds least volume. All boxes of an object stand along the axes of its smallest box.

@@ -1,4 +1,4 @@
-"""Owns the kind `box`: the oriented bounding box of least volume."""
+"""Proxies of kind `box`: the oriented bounding box of least volume."""
 
 from dataclasses import dataclass
 

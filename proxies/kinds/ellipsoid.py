@@ -1,4 +1,4 @@
-"""Owns the kind `ellipsoid`: the ellipsoid of least volume, tessellated so that the polyhedron encloses everything."""
+"""Proxies of kind `ellipsoid`: the ellipsoid of least volume, as a polyhedron that encloses the whole object."""
 
 from dataclasses import dataclass
 

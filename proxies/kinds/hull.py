@@ -1,4 +1,4 @@
-"""Owns the kind `hull`: the convex hull with its edges and corners rounded, a smooth convex mesh around the object.
+"""Proxies of kind `hull`: the convex hull with rounded edges and corners, a smooth convex mesh around the object.
 
 All is done in the space in which the hull's smallest ellipsoid is the unit sphere. A hull is never thinner there than a
 third of the sphere (John 1948), so a slab's rim gets a rounding of its own size, and texels.

@@ -1,4 +1,4 @@
-"""Owns the kinds `wrap` and `lowpoly`: meshes that follow the object into its hollows, by PyMeshLab's alpha wrap.
+"""Proxies of kinds `wrap` and `lowpoly`: meshes that follow the object into its hollows, by PyMeshLab's alpha wrap.
 
 A wrap encloses what it is made from, be that open, in parts or a soup, and it is closed: a glass has its bowl, panes
 become slabs. The kinds differ in how coarse they are and in which way: a wrap stands off evenly, with even triangles; a

@@ -1,4 +1,4 @@
-"""Owns whether a closed mesh of any shape encloses another mesh: vertices, edges and faces, without sampling.
+"""Whether a closed mesh of any shape encloses another mesh: vertices, edges and faces, without sampling.
 
 Where no edge of either surface crosses a face of the other, each connected part of the one lies all inside or all
 outside the other, and one point tells which.

@@ -1,4 +1,4 @@
-"""Owns how good a proxy is: what it encloses, how much larger it is than its object, how far it stands off."""
+"""How good a proxy is: what it encloses, how much larger it is than its object, how far apart their surfaces are."""
 
 from dataclasses import dataclass
 

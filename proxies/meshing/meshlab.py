@@ -1,4 +1,4 @@
-"""Owns every call of pymeshlab: the only file that names it, and only its child process imports it.
+"""All calls of pymeshlab: no other file names it, and only its child process imports it.
 
 pymeshlab ends its process on some inputs (a hull of collinear points) and never returns from others, so its filters get
 validated arrays, never files, in a child with a time limit: `python -m proxies.meshing.meshlab TASK IN.npz OUT.npz`.

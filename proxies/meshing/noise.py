@@ -1,4 +1,4 @@
-"""Owns the kind `noise`: the true surface displaced by a smooth random field, for studies of how much error is borne.
+"""Proxies of kind `noise`: the true surface displaced by a smooth random field, to study how much error is tolerable.
 
 A noisy mesh keeps the truth's faces and uv, so it needs no room of its own and encloses nothing. An open mesh stays
 open. Both walls of thin glass move alike where they are closer than the field's correlation length, so a wall keeps its

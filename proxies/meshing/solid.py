@@ -1,4 +1,4 @@
-"""Owns the solid: what every kind of proxy is fitted to, an object's points with a volume and a convex hull."""
+"""A solid: what every kind of proxy is fitted to, an object's points with a volume and a convex hull."""
 
 from dataclasses import dataclass
 

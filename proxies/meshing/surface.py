@@ -1,4 +1,4 @@
-"""Owns the surface: closed triangles that have no uv yet, and their unwrapping."""
+"""Surfaces: closed triangle meshes that have no uv yet, and how they are unwrapped."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Owns the training of per-pixel networks by compiled layers: forward and backward passes of a chain of linear layers.
+"""Training of per-pixel networks by compiled layers: forward and backward passes of a chain of linear layers.
 
 Between two layers nothing is written but what the first one made: its batch norm and activation are done by whoever
 reads it.
