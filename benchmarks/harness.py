@@ -1,4 +1,4 @@
-"""Owns how speed is measured: rivals timed by turns in one process, checked first, and judged by their ratios alone.
+"""How speed is measured: rivals timed by turns in one process, checked first, and judged by their ratios alone.
 
 A bench names its candidates, its checks and its gates; `measure` runs them and `show` prints what came out:
 

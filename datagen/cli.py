@@ -1,4 +1,4 @@
-"""Owns the command line of `datagen`: parse, configure, call one function."""
+"""The command line of `datagen`: parse, configure, call one function."""
 
 import dataclasses
 import sys

@@ -1,4 +1,4 @@
-"""Owns the bench of peeling: the product's two engines against a plain loop, all hits by Embree, and stored layers."""
+"""Benchmark of peeling: the product's two engines against a plain loop, all hits by Embree, and stored layers."""
 
 import tempfile
 from collections.abc import Callable

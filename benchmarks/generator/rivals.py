@@ -1,4 +1,4 @@
-"""Owns the ways to get layers that the product is measured against: each as one would write it without much thought."""
+"""Other ways to get layers, each written as one would without much thought, to measure the product against."""
 
 # Mitsuba's stubs describe no variant: what is a number in one is an array in another.
 # pyright: reportArgumentType=false, reportCallIssue=false, reportOperatorIssue=false, reportIndexIssue=false

@@ -1,4 +1,4 @@
-"""Owns the bench of growth: how the time and the memory of peeling grow with the size of the task.
+"""Benchmark of growth: how the time and the memory of peeling grow with the size of the task.
 
 One quantity grows at a time. Every point is measured in a process of its own, after a small view to warm up, so that
 memory is what this point needs. A power law through each series says how steep it is: exponent 1 is linear.

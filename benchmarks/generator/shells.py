@@ -1,4 +1,4 @@
-"""Owns the scene that the benches peel: closed objects within two concentric shells, as fine as one wants."""
+"""The scene that the benchmarks peel: closed objects within two concentric shells, as fine as one wants."""
 
 import math
 

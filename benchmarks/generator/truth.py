@@ -1,4 +1,4 @@
-"""Owns the bench of truth: how long until a picture's noise is so low, with our sampling and with Mitsuba's own.
+"""Benchmark of truth: how long until a picture's noise is low enough, with our sampling and with Mitsuba's own.
 
 Noise is estimated from independent renderings at two numbers of samples, and a power law through both tells how many
 samples a ceiling takes: it is steeper than 1 / n where samples are stratified. Time per sample is measured by turns.

@@ -1,4 +1,4 @@
-"""Owns what this machine does at best at the things that the renderers need, as torch reaches it."""
+"""The best this machine can do at what the renderers need, as torch reaches it."""
 
 import mmap
 

@@ -1,4 +1,4 @@
-"""Owns the bench of the renderer on a GPU: a 1080p frame and a large step, beside plain torch and computed floors."""
+"""Benchmark of the renderer on a GPU: a 1080p frame and a large step, beside plain torch and computed floors."""
 
 from collections.abc import Callable
 

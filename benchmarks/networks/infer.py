@@ -1,4 +1,4 @@
-"""Owns the bench of rendering a frame from its layers on a CPU: as `model render` does it, beside the naive way."""
+"""Benchmark of rendering a frame from its layers on a CPU: as `model render` does it, beside the naive way."""
 
 from collections.abc import Sequence
 

@@ -1,4 +1,4 @@
-"""Owns the baseline of the benches: the renderer `paper` as one writes it first, with equal weights.
+"""The baseline of the benchmarks: the renderer `paper` as one writes it first, with equal weights.
 
 A `grid_sample` for each object and layer, masked and summed, then 1x1 convolutions on images of channels. Nothing in
 the product uses it.

@@ -1,4 +1,4 @@
-"""Owns the bench of a frame from meshes and a camera alone: layers rasterised and shaded, beside the naive way."""
+"""Benchmark of a frame from meshes and a camera alone: layers rasterised and shaded, beside the naive way."""
 
 import dataclasses
 

@@ -1,4 +1,4 @@
-"""Owns what the benches of `model` measure on: how large it is, layers made up for it, and the renderer `paper`."""
+"""What the benchmarks of `model` measure on: its size, layers made up for it, and the renderer `paper`."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""Owns the bench of a training step on a CPU: the product's beside the naive one, whole, its phases, its textures."""
+"""Benchmark of a training step on a CPU: the product's beside the naive one, whole, its phases, its textures."""
 
 import time
 from collections.abc import Callable, Sequence

@@ -1,4 +1,4 @@
-"""Owns the cameras of the splits by angle: rotated out of what training covers, at the training distance."""
+"""The cameras of the splits by angle: rotated out of what training covers, at the training distance."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Owns the making of a dataset: for every view render, commit, peel, commit; goes on where it was stopped."""
+"""Making a dataset: for every view render, commit, peel, commit; goes on where it was stopped."""
 
 import contextlib
 import functools

@@ -1,4 +1,4 @@
-"""Owns what is done for one view of a dataset: rendered, peeled or traced, and committed. Runs in workers."""
+"""What is done for one view of a dataset: rendered, peeled or traced, and committed. Runs in workers."""
 
 from pathlib import Path
 

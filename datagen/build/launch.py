@@ -1,4 +1,4 @@
-"""Owns builds on a cluster: sends the parts of a build off as jobs, waits, and says which failed and where it tells.
+"""Builds on a cluster: sends the parts of a build off as jobs, waits, and says which failed and where it tells.
 
 A job is `datagen build ... --shard i/n`, with the words of the command that sends it off; submitit hands it to Slurm,
 or to this machine. Its files lie beside the dataset, in DATASET-jobs/, and may be deleted when all has ended.

@@ -1,4 +1,4 @@
-"""Owns the named sizes of a dataset."""
+"""Presets: the named sizes of a dataset."""
 
 import dataclasses
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Owns the parts of a build that machines make at once: which views are whose, and what the whole still lacks.
+"""The parts of a build that several machines make at once: which views are whose, and what the whole still lacks.
 
 Machines meet in the folder alone, without a lock that all of them would have to see (flock often ends at the machine).
 So a part never deletes or replaces anything but by the same bytes: what several need (scene, cameras, heads) each

@@ -1,4 +1,4 @@
-"""Owns a dataset's geometries: the true meshes of its scene, and the proxies that stand in for them.
+"""A dataset's geometries: the true meshes of its scene, and the proxies that stand in for them.
 
 scene/meshes/NAME.ply              the truth
 proxies/KIND/proxies.json          sealed, written first: one mesh per object, with SHA-256 and statistics

@@ -1,4 +1,4 @@
-"""Owns the triangle mesh: the record, its validation, and its PLY file."""
+"""Triangle meshes: the record, its validation, and its PLY file."""
 
 import io
 import re

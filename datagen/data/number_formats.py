@@ -1,4 +1,4 @@
-"""Owns the number formats of stored layers: how few bits each quantity keeps, and the largest error of that."""
+"""The number formats of stored layers: how few bits each quantity keeps, and the largest error of that."""
 
 import numpy as np
 from jaxtyping import Float32, Int16, UInt16

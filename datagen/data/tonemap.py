@@ -1,4 +1,4 @@
-"""Owns the one way from linear radiance to a picture: clip, the sRGB curve, 8 bits. No exposure, no tone curve."""
+"""The only way from linear radiance to a picture: clip, the sRGB curve, 8 bits. No exposure, no tone curve."""
 
 import numpy as np
 from jaxtyping import Float, UInt8

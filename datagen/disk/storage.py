@@ -1,4 +1,4 @@
-"""Owns how files reach the disk: atomic commits, sealed JSON that notices a flipped bit, one writer a folder."""
+"""How files reach the disk: atomic commits, checksummed JSON, one writer a folder."""
 
 import contextlib
 import fcntl

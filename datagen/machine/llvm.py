@@ -1,4 +1,4 @@
-"""Owns the search for a libLLVM that works, done before Dr.Jit is imported. Standard library only.
+"""The search for a libLLVM that works, done before Dr.Jit is imported. Standard library only.
 
 Dr.Jit 1.5 takes the highest libLLVM that it finds. LLVM 15 and 16 load and then abort the process at the first render
 (they cannot lower llvm.minimum on x86-64), and 15 is what a Debian 12 machine has; 17 to 23 work. So the choice is made

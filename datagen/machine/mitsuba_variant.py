@@ -1,4 +1,4 @@
-"""Owns the choice of Mitsuba's variant on this machine, made before anything imports Mitsuba or Dr.Jit."""
+"""The choice of Mitsuba's variant on this machine, made before anything imports Mitsuba or Dr.Jit."""
 
 # Mitsuba's stubs describe no variant: what is a number in one is an array in another.
 # pyright: reportCallIssue=false

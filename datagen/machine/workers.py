@@ -1,4 +1,4 @@
-"""Owns worker processes: the same job in each of them, tasks from one list, no orphan when the parent dies."""
+"""Worker processes: the same job in each of them, tasks from one list, no orphan when the parent dies."""
 
 import os
 from collections.abc import Callable, Iterable, Iterator

@@ -1,4 +1,4 @@
-"""Owns the path tracer of truth: absorbing and nested glass, and the cheapest samples that soft light allows.
+"""The path tracer of truth: absorbing and nested glass, and the cheapest samples that soft light allows.
 
 What it estimates is what Mitsuba's `path` does, and more. Mitsuba has absorption only as a participating medium, where
 a path is absorbed or not by a throw of dice; here the throughput is multiplied by exp(-absorption * length). Mitsuba's

@@ -1,4 +1,4 @@
-"""Owns the random numbers that paths are made of: Sobol's sequence, scrambled anew for each pixel and dimension.
+"""The random numbers that paths are made of: Sobol's sequence, scrambled anew for each pixel and dimension.
 
 Points of a pixel are spread evenly not in pairs of dimensions alone, as those of Mitsuba's `multijitter` are, but over
 many bounces at once. Source: Owen 1995, "Randomly Permuted (t,m,s)-Nets and (t,s)-Sequences"; the scrambling is a hash,

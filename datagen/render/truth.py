@@ -1,4 +1,4 @@
-"""Owns the path-traced truth of one view: two independent halves, their mean, and the noise that is left."""
+"""The path-traced truth of one view: two independent halves, their mean, and the noise that is left."""
 
 # Mitsuba's stubs describe no variant: what is a number in one is an array in another.
 # pyright: reportAttributeAccessIssue=false, reportArgumentType=false, reportCallIssue=false

@@ -1,4 +1,4 @@
-"""Owns the uv atlas: unwrapping a mesh so that every surface point has texels of its own, and what lies at each texel.
+"""The uv atlas: unwrapping a mesh so that every surface point has texels of its own, and what lies at each texel.
 
 Texture arrays are (tex_h, tex_w, c), row 0 on top: texel (r, c) is centred on u = (c + 0.5) / size,
 v = 1 - (r + 0.5) / size.

@@ -1,4 +1,4 @@
-"""Owns edits: what may be changed of a scene whose renderer is trained already, how it is written, and what it does.
+"""Edits: what may be changed in a scene whose renderer is already trained, how an edit is written, what it does.
 
 Objects keep their ids, their names and their atlases, so that trained textures stay valid. A removed object leaves its
 id unused. A copy is an object of its own behind all others, with an id of its own: it moves, hides and refracts by

@@ -1,4 +1,4 @@
-"""Owns the procedural shapes that scenes are built of: closed and outward (but for sheets), smooth but for creases.
+"""The procedural shapes that scenes are built of: closed and outward (but for sheets), smooth but for creases.
 
 All lengths are metres, +z is up. Shapes have no uv yet (all 0): `datagen.scene.atlas` unwraps finished objects.
 """

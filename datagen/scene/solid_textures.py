@@ -1,4 +1,4 @@
-"""Owns the procedural textures: the linear colour of a `SolidTexture` at any point, and its bake into an atlas.
+"""The procedural textures: the linear colour of a `SolidTexture` at any point, and its bake into an atlas.
 
 Noise is a hash of lattice points, so the same point has the same colour in every run and on every machine.
 """

@@ -1,4 +1,4 @@
-"""Owns how a command starts, reports progress and ends: parse, run one function, errors as one line."""
+"""How a command starts, reports progress and ends: parse, run one function, errors as one line."""
 
 import contextlib
 import difflib

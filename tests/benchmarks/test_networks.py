@@ -1,4 +1,4 @@
-"""Owns the tests of the benches of `model`, tiny: that they compare equal things. Nothing here looks at a time."""
+"""Tests of the benchmarks of `model`, tiny: that they compare equal things. Nothing here looks at a time."""
 
 import json
 

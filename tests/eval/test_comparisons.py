@@ -1,4 +1,4 @@
-"""Owns the tests of seeds, the paper's tables, the proxy ladder and the claims, on errors of known size."""
+"""Tests of seeds, the paper's tables, the proxy ladder and the claims, on errors of known size."""
 
 import dataclasses
 import json

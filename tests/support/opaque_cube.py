@@ -1,4 +1,4 @@
-"""Owns a scene without glass, a painted cube on a disc: what a method must manage before its failure on glass counts.
+"""A scene without glass, a painted cube on a disc: what a method must manage before its failure on glass counts.
 
 `python tests/opaque_cube.py FOLDER` writes it for `datagen build --scene FOLDER`.
 """

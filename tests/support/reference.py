@@ -1,4 +1,4 @@
-"""Owns the slow oracles: loops and closed formulas that fast code is compared with."""
+"""The slow oracles: loops and closed formulas that fast code is compared with."""
 
 import itertools
 from dataclasses import dataclass

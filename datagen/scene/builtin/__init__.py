@@ -1,4 +1,4 @@
-"""Owns the list of built-in scenes: all made by code, one file each, the same bytes every time."""
+"""The list of built-in scenes: all made by code, one file each, the same bytes every time."""
 
 import dataclasses
 from collections.abc import Callable

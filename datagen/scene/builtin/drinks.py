@@ -1,4 +1,4 @@
-"""Owns the scene `drinks`: tinted drinks in glasses, with ice and a straw, on a table in a room.
+"""The scene `drinks`: tinted drinks in glasses, with ice and a straw, on a table in a room.
 
 Drinks reach into the walls of their glasses and have the lowest priority, ice has the highest (datagen/scene/media.py).
 """

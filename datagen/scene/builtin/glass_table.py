@@ -1,4 +1,4 @@
-"""Owns the scene `glass_table`: a glass table top with solid glassware and textured things on it, in a room."""
+"""The scene `glass_table`: a glass table top with solid glassware and textured things on it, in a room."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Owns the scene `plant_shelf`: two plants of some hundred leaves, glass and small things on a shelf."""
+"""The scene `plant_shelf`: two plants of some hundred leaves, glass and small things on a shelf."""
 
 from collections.abc import Callable
 

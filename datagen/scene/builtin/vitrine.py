@@ -1,4 +1,4 @@
-"""Owns the scene `vitrine`: small sculptures in a brass-framed case of thin glass, on a plinth in a gallery."""
+"""The scene `vitrine`: small sculptures in a brass-framed case of thin glass, on a plinth in a gallery."""
 
 import numpy as np
 

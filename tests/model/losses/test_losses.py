@@ -1,4 +1,4 @@
-"""Owns the tests of the perceptual and the adversarial loss and of in-painting."""
+"""Tests of the perceptual and the adversarial loss and of in-painting."""
 
 import dataclasses
 import json

@@ -1,4 +1,4 @@
-"""Owns the tests of what the released code ran."""
+"""Tests of what the released code ran."""
 
 import dataclasses
 from pathlib import Path

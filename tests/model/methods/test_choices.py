@@ -1,4 +1,4 @@
-"""Owns the tests of what `model train` can be told: flags, configurations, names of run folders."""
+"""Tests of what `model train` can be told: flags, configurations, names of run folders."""
 
 import dataclasses
 

@@ -1,4 +1,4 @@
-"""Owns the tests of the method `deepvoxels`: its geometry, its networks, its loss, its run."""
+"""Tests of the method `deepvoxels`: its geometry, its networks, its loss, its run."""
 
 import dataclasses
 import json

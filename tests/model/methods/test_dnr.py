@@ -1,4 +1,4 @@
-"""Owns the tests of Deferred Neural Rendering and of the paper's network on the first layer alone."""
+"""Tests of Deferred Neural Rendering and of the paper's network on the first layer alone."""
 
 import dataclasses
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Owns the tests of the network's fast forms: equal to the plain ones, also where gradients flow."""
+"""Tests of the network's fast forms: equal to the plain ones, also where gradients flow."""
 
 import pytest
 import torch

@@ -1,4 +1,4 @@
-"""Owns the tests of the compiled layers: equal to torch's own in float64, and not needed."""
+"""Tests of the compiled layers: equal to torch's own in float64, and not needed."""
 
 import copy
 import dataclasses

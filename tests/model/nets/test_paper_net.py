@@ -1,4 +1,4 @@
-"""Owns the tests of the renderer network and its extrinsic inputs."""
+"""Tests of the renderer network and its extrinsic inputs."""
 
 import dataclasses
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Owns the tests of the neural texture's layout and lookup."""
+"""Tests of the neural texture's layout and lookup."""
 
 import math
 import os

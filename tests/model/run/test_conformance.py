@@ -1,4 +1,4 @@
-"""Owns the tests of `model check-method`, on the example method, which lives in a distribution of its own."""
+"""Tests of `model check-method`, on the example method, which lives in a distribution of its own."""
 
 import os
 import shutil

@@ -1,4 +1,4 @@
-"""Owns the tests of layers that are traced for each batch of training and rendering."""
+"""Tests of layers that are traced for each batch of training and rendering."""
 
 import dataclasses
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Owns the tests of experiment files and of sweeps: grids equal to commands, sweeps that survive a kill."""
+"""Tests of experiment files and of sweeps: grids equal to commands, sweeps that survive a kill."""
 
 import os
 import shlex

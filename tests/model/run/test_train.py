@@ -1,4 +1,4 @@
-"""Owns the tests of training, checkpoints, run folders and the command `model`."""
+"""Tests of training, checkpoints, run folders and the command `model`."""
 
 import dataclasses
 import json
