@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, ClassVar, Self
 from datagen.data.config import Split
 from datagen.data.dataset import Dataset
 from datagen.data.paths import LayerKind
+from model.settings.flags import check_limits
 from model.settings.optimisation import Optimisation, PixelOptimisation
 
 if TYPE_CHECKING:
@@ -50,6 +51,10 @@ class MethodConfig:
     """False: surfaces are not known to it, and `knowledge` says all that is."""
     is_shareable: ClassVar[bool] = False
     """True when a step of several processes, each with a share of the batch's pixels, is what one would do."""
+
+    def __post_init__(self) -> None:
+        """Check the fields' numbers against their limits; a method that checks more calls this first."""
+        check_limits(self)
 
     @property
     def traces_layers(self) -> bool:

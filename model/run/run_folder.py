@@ -35,6 +35,7 @@ from datagen.disk.records import Json, from_json, shown, to_json
 from datagen.disk.storage import SEAL, commit, commit_sealed, load_sealed, seal_bytes
 from model.methods.protocol import MethodConfig
 from model.methods.table import find_method
+from model.settings.flags import AMOUNT, COUNT, SEED, unflagged
 from model.settings.optimisation import PixelOptimisation
 
 RUN_VERSION = 2
@@ -56,23 +57,14 @@ class TrainConfig(PixelOptimisation):
     """`truth`, a kind of proxy or a mixture."""
     net: MethodConfig
     """The method's own record, complete."""
-    seed: int = 0
-    held_out_views: int = 4
+    seed: int = unflagged(0, limits=SEED)
+    held_out_views: int = unflagged(4, limits=AMOUNT)
     """Training views set aside for the progress line's PSNR: at most so many, and at most a fifth."""
-    evaluate_every: int = 500
+    evaluate_every: int = unflagged(500, limits=COUNT)
     """Steps between two held-out PSNRs."""
-    checkpoint_every: int = 1000
+    checkpoint_every: int = unflagged(1000, limits=COUNT)
     """Steps between two checkpoints, of which there is also one a minute: 15 MB each for 18 textures of 64 texels
     squared, 230 MB of 256."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        for name in ("evaluate_every", "checkpoint_every"):
-            if getattr(self, name) < 1:
-                raise HyalineError(f"{name}: is {getattr(self, name)}; expected at least 1")
-        for name in ("seed", "held_out_views"):
-            if getattr(self, name) < 0:
-                raise HyalineError(f"{name}: is {getattr(self, name)}; expected at least 0")
 
 
 def parse_config(data: Json, *, where: str) -> TrainConfig:

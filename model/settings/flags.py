@@ -2,10 +2,28 @@
 
 import dataclasses
 import functools
+import math
 from typing import Any
 
+from datagen.disk.errors import HyalineError
 
-def choice(default: Any, suffix: str | dict[object, str] = "", *, flag: str = "", is_preset: bool = False) -> Any:
+Limits = tuple[float, float]
+"""The least and the largest value of a number; infinity where there is no largest."""
+
+COUNT: Limits = (1, math.inf)
+AMOUNT: Limits = (0, math.inf)
+SHARE: Limits = (0, 1)
+SEED: Limits = (0, 2**32 - 1)
+
+
+def choice(
+    default: Any,
+    suffix: str | dict[object, str] = "",
+    *,
+    flag: str = "",
+    is_preset: bool = False,
+    limits: Limits | None = None,
+) -> Any:
     """A field of a record that is a flag.
 
     Args:
@@ -13,13 +31,29 @@ def choice(default: Any, suffix: str | dict[object, str] = "", *, flag: str = ""
             under the empty one that of all others); empty: nothing does, since no result depends on it.
         flag: its name on the command line, without dashes; default: the field's.
         is_preset: it decides what is usual for other fields, so it marks the folder where it is not its own default.
+        limits: of its number, which `check_limits` checks.
     """
-    return dataclasses.field(default=default, metadata={"suffix": suffix, "flag": flag, "is_preset": is_preset})
+    about = {"suffix": suffix, "flag": flag, "is_preset": is_preset, "limits": limits}
+    return dataclasses.field(default=default, metadata=about)
 
 
-def unflagged(default: Any) -> Any:
+def unflagged(default: Any, *, limits: Limits | None = None) -> Any:
     """A field that is no flag: presets set it, or the dataset."""
-    return dataclasses.field(default=default, metadata={"is_hidden": True})
+    return dataclasses.field(default=default, metadata={"is_hidden": True, "limits": limits})
+
+
+def check_limits(record: object) -> None:
+    """Check the numbers of a record against the limits of their fields; None is within any.
+
+    Raises:
+        HyalineError: a number that is not a number, too small or too large.
+    """
+    for item in dataclasses.fields(record):  # pyright: ignore[reportArgumentType]
+        value, limits = getattr(record, item.name), item.metadata.get("limits")
+        if limits is None or value is None or (limits[0] <= value <= limits[1] and value < math.inf):
+            continue
+        wanted = f"{limits[0]} to {limits[1]}" if limits[1] < math.inf else f"at least {limits[0]}"
+        raise HyalineError(f"{item.name}: is {value}; expected {wanted}")
 
 
 def flags_of(record: type) -> dict[str, str]:

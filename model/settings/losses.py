@@ -1,9 +1,10 @@
 """What training makes small besides the difference of each pixel."""
 
+import math
 from dataclasses import dataclass
 
 from datagen.disk.errors import HyalineError
-from model.settings.flags import choice, unflagged
+from model.settings.flags import AMOUNT, COUNT, SHARE, check_limits, choice, unflagged
 from model.settings.network_parts import VggKind
 
 LEAST_PATCH = 32
@@ -21,37 +22,33 @@ class LossConfig:
     nothing), a path, or random (a stand-in, and called that in tables)."""
     vgg: VggKind = choice("vgg16", "{}")
     """Which network that is."""
-    perceptual: float = choice(0.05, "perceptual{}")
+    perceptual: float = choice(0.05, "perceptual{}", limits=AMOUNT)
     """Weight of the perceptual loss; the paper names none. Measured with random weights on a blurred prediction, its
     gradient by the colours of a patch is then a sixth as long as that of their mean absolute difference."""
-    adversarial: float = choice(0.0, "adversarial{}")
+    adversarial: float = choice(0.0, "adversarial{}", limits=AMOUNT)
     """Weight of the loss before a 70 x 70 PatchGAN; 0: there is none. 0.01 is pix2pix's: L1 has a hundred times as
     much."""
-    adversarial_from: float = choice(0.6, "from{}")
+    adversarial_from: float = choice(0.6, "from{}", limits=SHARE)
     """Share of the steps after which it begins (a warm-up without it: section 4.4); from then on no learning rate is
     above 0.0004."""
     inpaint: bool = choice(False, "inpaint")
     """Let the discriminator judge poses without truth instead, where only texels never seen in training learn."""
-    patch: int = choice(64, "patch{}")
+    patch: int = choice(64, "patch{}", limits=(LEAST_PATCH, math.inf))
     """Height and width in pixels of the patches that these losses look at (U-Nets: of poses without truth alone)."""
-    patches: int = unflagged(1)
+    patches: int = unflagged(1, limits=COUNT)
     """Of them, in each step, besides the random pixels."""
     adversarial_lr: float = unflagged(0.0004)
     """Learning rate of the discriminator, and from then on the most of every other (section 4.4)."""
-    softness: float = unflagged(0.0)
+    softness: float = unflagged(0.0, limits=AMOUNT)
     """Differences of pixels well below it count by their squares, those above by their size: the Charbonnier loss, less
     its value at 0. 0: all by their size, as in the paper. PSNR asks for squares."""
     vgg_sha256: str = unflagged("")
     """Of the file of weights; empty for random ones."""
 
     def __post_init__(self) -> None:
-        for name in ("softness", "perceptual", "adversarial"):
-            if getattr(self, name) < 0:
-                raise HyalineError(f"{name}: is {getattr(self, name)}; expected a weight of at least 0")
-        if not 0 <= self.adversarial_from <= 1 or not 0 < self.adversarial_lr <= 1:
-            raise HyalineError(f"adversarial_from: is {self.adversarial_from}; expected a share of the steps, 0 to 1")
-        if self.patch < LEAST_PATCH or self.patches < 1:
-            raise HyalineError(f"patch: is {self.patch}; expected at least {LEAST_PATCH} pixels")
+        check_limits(self)
+        if not 0 < self.adversarial_lr <= 1:
+            raise HyalineError(f"adversarial_lr: is {self.adversarial_lr}; expected a learning rate in (0, 1]")
         if self.inpaint and not self.adversarial:
             raise HyalineError("inpaint: needs the discriminator's judgement; give --adversarial, such as 0.01")
         if self.perceptual != type(self).perceptual and not self.has_vgg:

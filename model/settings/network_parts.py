@@ -22,6 +22,10 @@ Precision = Literal["fp32", "bf16"]
 VggKind = Literal["vgg16", "vgg19"]
 
 
+MOST_RAYS = 1024
+"""Rays per pixel, in training and in rendering."""
+
+
 def check_width(width: int, blocks: int) -> None:
     """Raises a HyalineError where a width cannot be halved `blocks` times."""
     if width < 1 or blocks < 0 or width % (1 << blocks):
@@ -30,8 +34,8 @@ def check_width(width: int, blocks: int) -> None:
 
 def check_samples(name: str, samples: int) -> None:
     """Raises a HyalineError where a pixel cannot be tiled by a square grid of so many cells."""
-    if samples < 1 or math.isqrt(samples) ** 2 != samples:
-        raise HyalineError(f"{name}: is {samples}; expected a square number of rays per pixel")
+    if not 1 <= samples <= MOST_RAYS or math.isqrt(samples) ** 2 != samples:
+        raise HyalineError(f"{name}: is {samples}; expected a square number of rays per pixel, 1 to {MOST_RAYS}")
 
 
 def check_texels(name: str, size: int, *, is_open: bool = False) -> None:

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Literal
 
 from datagen.data.paths import TRUTH
-from model.settings.flags import choice
+from model.settings.flags import SEED, check_limits, choice
 
 Memory = Literal["auto", "ram", "mapped"]
 
@@ -24,7 +24,7 @@ class RunFlags:
     """Folder of the run. Default: runs/SCENE/METHOD, with a suffix for each choice that is not the default."""
     name: str | None = choice(None)
     """Label of the run in tables. Default: from the folder's name."""
-    seed: int = choice(0, "seed{}")
+    seed: int = choice(0, "seed{}", limits=SEED)
     """Seed of everything random."""
     device: Device = choice("auto")
     """Where to compute; auto takes a GPU where there is one."""
@@ -34,3 +34,6 @@ class RunFlags:
     are the same, bit by bit. auto maps what does not fit, and says so. The files may be deleted at any time."""
     overwrite: bool = choice(False)
     """Delete the run that is there and start anew."""
+
+    def __post_init__(self) -> None:
+        check_limits(self)

@@ -24,9 +24,9 @@ class AuthorsConfig(MethodConfig):
     extrinsics: Extrinsics = choice("view", {"none": "no-extrinsics", "sh": "sh"})
     """What each layer is told of the camera: nothing, the view vector (from the camera to the surface), or nine more
     channels, of which 3 to 11 are multiplied by spherical harmonics of it, without their constants."""
-    width: int = choice(64, "w{}")
+    width: int = choice(64, "w{}", limits=(LEAST_WIDTH, 8192))
     """Hidden units of the first layer: 64, because the code loses the 256 that its scripts ask for."""
-    texture_features: int = choice(16, "{}-features", flag="features")
+    texture_features: int = choice(16, "{}-features", flag="features", limits=(3, 256))
     """Channels of a texture; nine more with sh."""
     texture_size: int = choice(0, "t{}")
     """Width and height of a texture in texels; 0: half the image's width, 256 for their 512 pixels."""
@@ -37,18 +37,15 @@ class AuthorsConfig(MethodConfig):
     batch's own uv gives, so that predictions repeat."""
     texture_start: float = unflagged(0.5)
     position_size: int = unflagged(512)
-    blocks: int = unflagged(3)
+    blocks: int = unflagged(3, limits=(0, 8))
     dropout: float = unflagged(0.2)
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         check_texels("texture_size", self.texture_size, is_open=True)
         check_texels("position_size", self.position_size)
-        if self.width < LEAST_WIDTH or self.blocks < 0:
-            raise HyalineError(f"width: is {self.width} with {self.blocks} blocks; expected at least {LEAST_WIDTH}")
         if not 0 <= self.dropout < 1:
             raise HyalineError(f"dropout: is {self.dropout}; expected a share in [0, 1), 0.2 in the code")
-        if not 3 <= self.texture_features <= 256:
-            raise HyalineError(f"features: is {self.texture_features}; expected 3 to 256")
 
     def optimisation(self) -> PixelOptimisation:
         return PixelOptimisation(beta1=0.5, weight_decay=1e-4)

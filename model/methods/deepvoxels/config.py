@@ -31,8 +31,8 @@ class DeepVoxelsConfig(MethodConfig):
     plane_size: int = unflagged(64)
     """Width and height on which features are lifted and projected: a power of two, at most the pictures' size. Each
     halving from the pictures to it is a stage of the feature extractor, and one of the rendering network."""
-    voxel_features: int = unflagged(64)
-    width: int = unflagged(64)
+    voxel_features: int = unflagged(64, limits=(1, 4096))
+    width: int = unflagged(64, limits=(2, 4096))
     """Channels of the outermost 2-D convolutions; the deepest have eight times as many."""
     dropout: float = unflagged(0.1)
     """Share of channels dropped in the rendering network; the integration drops twice as many."""
@@ -44,6 +44,7 @@ class DeepVoxelsConfig(MethodConfig):
     """Adds the authors' patch discriminator to the loss; the paper had to leave it out (section 5.1)."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         for name, low in (("image_size", 64 if self.adversarial else 16), ("plane_size", 16), ("num_voxels", 4)):
             value = getattr(self, name)
             if (value < low or value & (value - 1)) and not (name == "image_size" and value == 0):
@@ -52,8 +53,6 @@ class DeepVoxelsConfig(MethodConfig):
             raise HyalineError(f"plane_size: is {self.plane_size}; expected at most the pictures' {self.image_size}")
         if not 0 <= self.dropout < 0.5:
             raise HyalineError(f"dropout: is {self.dropout}; expected a share from 0 to below 0.5")
-        if self.width < 2 or self.voxel_features < 1:
-            raise HyalineError(f"width: is {self.width} with {self.voxel_features} features; expected 2 and 1 or more")
 
     @property
     def preset(self) -> Literal["small", "paper", "original"]:

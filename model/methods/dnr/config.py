@@ -6,7 +6,7 @@ from typing import ClassVar, Literal, Self
 from datagen.data.paths import LayerKind
 from datagen.disk.errors import HyalineError
 from model.methods.protocol import MethodConfig
-from model.settings.flags import choice, unflagged
+from model.settings.flags import AMOUNT, choice, unflagged
 from model.settings.network_parts import Extrinsics, UNetNorm, check_texels
 from model.settings.optimisation import PixelOptimisation
 
@@ -35,7 +35,7 @@ class DnrConfig(MethodConfig):
     preset: Literal["fair", "authors"] = choice("fair", {"authors": "authors"}, is_preset=True)
     """Deferred neural rendering as its own authors made it, with 16 features; or weakened as the transparent paper's
     authors ran it: 8 features, one level, the view vector as an input, whole pictures. Other flags override it."""
-    unet_width: int = choice(64, "u{}")
+    unet_width: int = choice(64, "u{}", limits=(1, 1024))
     """Channels of the U-Net's first level; 16 makes it 16 times smaller, for CPUs."""
     texture_features: int = choice(16, "{}-features", flag="features")
     """Channels of a texture."""
@@ -44,9 +44,9 @@ class DnrConfig(MethodConfig):
     spherical harmonics of it, for each pixel."""
     texture_size: int = choice(0, "t{}")
     """Width and height of an object's finest texture in texels; 0: half the image's width."""
-    texture_levels: int = choice(4, "{}-levels")
+    texture_levels: int = choice(4, "{}-levels", limits=(1, len(LEVEL_WEIGHTS)))
     """Textures summed, each half as wide as the one before."""
-    crop: int | None = choice(None, "crop{}")
+    crop: int | None = choice(None, "crop{}", limits=AMOUNT)
     """Height and width of training crops in pixels; 0: whole pictures; None: half the image's width, but 128 at
     least."""
     position_size: int = unflagged(512)
@@ -55,24 +55,21 @@ class DnrConfig(MethodConfig):
     strides: tuple[int, ...] = unflagged((1, 2))
     """Random scales of the crops: every pixel or every second one. uv is never interpolated, because neighbours across
     a seam do not mix; so pictures are made smaller only, and their colours are those of the pixels kept."""
-    texture_color: float = unflagged(1.0)
+    texture_color: float = unflagged(1.0, limits=AMOUNT)
     """Weight of the difference between the first three texture channels and the picture, beside that of the output."""
-    regularisation: float = unflagged(0.1)
+    regularisation: float = unflagged(0.1, limits=AMOUNT)
     """Weight of the mean squares of the texels, itself weighted by level."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         check_texels("texture_size", self.texture_size, is_open=True)
-        if not 1 <= self.texture_levels <= len(LEVEL_WEIGHTS):
-            raise HyalineError(f"texture_levels: is {self.texture_levels}; expected 1 to {len(LEVEL_WEIGHTS)}")
         least = SH_CHANNELS.stop if self.extrinsics == "sh" else 3
         if not least <= self.texture_features <= 256:
             raise HyalineError(
                 f"features: is {self.texture_features} with extrinsics {self.extrinsics}; expected {least} to 256"
             )
-        if self.unet_width < 1:
-            raise HyalineError(f"unet_width: is {self.unet_width}; expected at least 1, 64 in the paper")
-        if (self.crop or 0) < 0 or min(self.strides, default=0) < 1:
-            raise HyalineError(f"crop: is {self.crop} with strides {self.strides}; expected 0 or more, and 1 or more")
+        if min(self.strides, default=0) < 1:
+            raise HyalineError(f"strides: are {self.strides}; expected at least 1 pixel")
 
     def usual(self, geometry: str) -> Self:  # noqa: ARG002
         if self.preset == "fair":

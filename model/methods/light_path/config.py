@@ -7,9 +7,9 @@ from typing import ClassVar, Literal, Self
 from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
 from model.methods.protocol import MethodConfig
-from model.settings.flags import choice, unflagged
+from model.settings.flags import SHARE, choice, unflagged
 from model.settings.losses import LossConfig
-from model.settings.network_parts import check_samples
+from model.settings.network_parts import check_samples, check_texels
 from model.settings.optimisation import PixelOptimisation, check_rate
 
 MAX_SURFACES = 255
@@ -38,66 +38,62 @@ class LightPathConfig(MethodConfig):
     refined_samples: int = choice(0, "{}-refined-rays", flag="refined-rays")
     """Rays per pixel while rendering pixels whose rays differ (rough metal, edges, glass), a square number. Where it is
     no more than --render-rays, none are drawn anew. 0: 64, or what --render-rays says where that is not 16."""
-    branches: int = choice(12, "{}-branches")
+    branches: int = choice(12, "{}-branches", limits=(1, 64))
     """Branches followed for each ray: refracted, first mirror, then those of most light."""
     compositing: Literal["physics", "stack"] = choice("physics", "{}")
     """Sum what shines at the ends of branches, weighted by physics; or let the stack network alone make the colour."""
-    stack_hidden: int = choice(32, "stack{}", flag="stack")
+    stack_hidden: int = choice(32, "stack{}", flag="stack", limits=(0, 4096))
     """Units of the two hidden layers of the network that sees the stacked vertices and adds what physics leaves out; 0
     leaves it out. On proxies 96."""
-    straight_layers: int = choice(0, "{}-straight")
+    straight_layers: int = choice(0, "{}-straight", limits=(0, 255))
     """Straight layers that this network sees beside the paths. On proxies 24."""
-    shells: int = choice(1, "{}-shells")
+    shells: int = choice(1, "{}-shells", limits=(1, MAX_SURFACES))
     """Copies of each surface, one inside the other, that straight layers meet: copy k of n is 1 - k / n as large as the
     proxy and has a texture of its own, so that there are layers near what lies inside of a coarse proxy. On proxies 4.
     Source: layered semi-transparent meshes (Volumetric Surfaces, 2024), there fitted to the truth."""
     relief: Literal["on", "off"] = choice("off", {"on": "relief", "off": "no-relief"})
     """Learn how deep below the surface the true one lies, and look up colour where the ray meets it, to first order. On
     proxies on. Source: relief mapping (Policarpo et al. 2005), with learned depths."""
-    environment_size: int = choice(32, "sky{}", flag="environment")
+    environment_size: int = choice(32, "sky{}", flag="environment", limits=(1, 1024))
     """Height in texels of the finest of the learned latitude-longitude maps that sum to the light from outside; 1 makes
     it two colours. It is twice as wide; the others are halved down to a single colour: directions in which no
     training ray left are filled in from around them, as texels are."""
-    sky_lobes: int = choice(12, "{}-lobes")
+    sky_lobes: int = choice(12, "{}-lobes", limits=(0, 256))
     """Spherical Gaussians of the learned sky, which lamps are made of. Without effect on a sky of two colours."""
     sky_lr: float = choice(0.005, "sky-lr{}")
     """Learning rate of the learned sky's maps; its lobes learn 2.5 times as fast."""
     directions: Literal["on", "off"] = choice("off", {"on": "directions", "off": "no-directions"})
     """Tell the decoder the mirrored direction. On true geometry it need not be: gloss is traced, and what is left is
     diffuse. On proxies on."""
-    debias: float = choice(1.0, "debias{}")
+    debias: float = choice(1.0, "debias{}", limits=SHARE)
     """Share, 0 to 1, of what the noise of training rays adds to the loss that is subtracted; these then come in
     independent pairs. At 0 lamps are learned too dim. On proxies 0: not tried there."""
-    position_octaves: int = choice(0, "{}-octaves")
+    position_octaves: int = choice(0, "{}-octaves", limits=(0, 16))
     """Octaves of the sines and cosines of a path end's position that the decoder is told."""
-    texture_levels: int = choice(5, "{}-levels")
+    texture_levels: int = choice(5, "{}-levels", limits=(1, 8))
     """Textures summed, each half as wide as the one before: what few rays have met is filled in from around it."""
     texture_sizes: tuple[int, ...] = unflagged(())
     """Width and height of each object's texture in texels."""
-    texture_features: int = unflagged(8)
+    texture_features: int = unflagged(8, limits=(1, 256))
     """Channels of a texture; the paper's 16 do no better and take twice the memory."""
-    hidden: int = unflagged(128)
+    hidden: int = unflagged(128, limits=(1, 4096))
     """Units of the decoder's two hidden layers. 64 score 0.3 / 0.6 dB less (400 steps of 1,024 pixels, one seed)."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if min(self.texture_sizes, default=2) < 2:
             raise HyalineError(f"texture_sizes: are {self.texture_sizes}; expected at least 2 texels for each object")
         if not self.composite and not self.stack_hidden:
             raise HyalineError("compositing: is stack, but the stack network has no units; expected --stack above 0")
-        for name in ("texture_features", "texture_levels", "hidden", "shells", "environment_size", "branches"):
-            if getattr(self, name) < 1:
-                raise HyalineError(f"{name}: is {getattr(self, name)}; expected at least 1")
         if self.shells * len(self.texture_sizes) > MAX_SURFACES:
             raise HyalineError(
                 f"shells: is {self.shells} for {len(self.texture_sizes)} objects; expected at most 255 copies"
             )
-        if self.sky_lobes < 0:
-            raise HyalineError(f"sky_lobes: is {self.sky_lobes}; expected at least 0")
-        for name in ("train_samples", "render_samples", "refined_samples"):
-            check_samples(name, getattr(self, name) or 1)
+        check_texels("texture_size", self.texture_size, is_open=True)
+        for name in ("train_samples", "render_samples"):
+            check_samples(name, getattr(self, name))
+        check_samples("refined_samples", self.refined_samples or 1)
         check_rate("sky_lr", self.sky_lr)
-        if not 0 <= self.debias <= 1:
-            raise HyalineError(f"debias: is {self.debias}; expected a share of 0 to 1")
 
     @property
     def composite(self) -> bool:

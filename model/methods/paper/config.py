@@ -35,10 +35,10 @@ class PaperConfig(MethodConfig):
     extrinsics: Extrinsics = choice("view", {"none": "no-extrinsics", "sh": "sh"})
     """What each layer is told of the camera (section 4.6): nothing, the view vector, or three bands of spherical
     harmonics of it."""
-    width: int = choice(0, "w{}")
+    width: int = choice(0, "w{}", limits=(0, 8192))
     """Hidden units of the first layer; 0: as many as make 34,000 parameters (section 4.3). 256 in the paper's text,
     which excludes its 34k."""
-    blocks: int = choice(3, "{}-blocks")
+    blocks: int = choice(3, "{}-blocks", limits=(0, 8))
     """Residual blocks; each ends by halving the channels (section 4.3)."""
     norm: Norm = choice("batch", {"none": "no-norm", "batch": "batch-norm"})
     """Batch norm after each linear layer but the last (section 4.3), or none (the authors' code)."""
@@ -56,34 +56,29 @@ class PaperConfig(MethodConfig):
     training or in rendering, layers are traced for each batch instead of read, and colours are averaged."""
     render_samples: int = choice(1, "{}-render-rays", flag="render-rays")
     """Rays per pixel while rendering, a square number."""
-    texture_features: int = choice(16, "{}-features", flag="features")
+    texture_features: int = choice(16, "{}-features", flag="features", limits=(1, 256))
     """Channels of a texture (section 4.3); 64 in the paper's runs on coarse proxies."""
-    texture_levels: int = choice(1, "{}-levels")
+    texture_levels: int = choice(1, "{}-levels", limits=(1, 8))
     """Textures summed, each half as wide as the one before; the paper has one (section 4.3), Deferred Neural Rendering
     4."""
     precision: Precision = choice("fp32", {"bf16": "bf16"})
     """Numbers that the network multiplies, in training and in rendering: bf16 is faster where the processor has
     instructions for it."""
-    finer_counts: float = unflagged(1.0)
+    finer_counts: float = unflagged(1.0, limits=(0.001, 1))
     """How much a texture level counts beside the next coarser one."""
-    texels_per_pixel: float = unflagged(0.5)
+    texels_per_pixel: float = unflagged(0.5, limits=(1 / 64, 64))
     """Width of an object's texture in widths of the picture, where `texture_size` does not say it."""
     position_size: int = unflagged(512)
     """Width and height of the position textures of Eq. 3 in texels; the size that the authors ran."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.width:
             check_width(self.width, self.blocks)
         check_texels("texture_size", self.texture_size, is_open=True)
         check_texels("position_size", self.position_size)
         for name in ("train_samples", "render_samples"):
             check_samples(name, getattr(self, name))
-        if not 1 <= self.texture_features <= 256:
-            raise HyalineError(f"texture_features: is {self.texture_features}; expected 1 to 256")
-        if not 1 <= self.texture_levels <= 8:
-            raise HyalineError(f"texture_levels: is {self.texture_levels}; expected 1 to 8")
-        if not 0 < self.finer_counts <= 1:
-            raise HyalineError(f"finer_counts: is {self.finer_counts}; expected more than 0, at most 1")
         word, dash, number = self.layers.rpartition("-")
         if self.layers not in ("all", "online") and (not number.isdecimal() or (dash and word != "online")):
             raise HyalineError(f"layers: is {self.layers!r}; expected all, a number, online, or both such as online-4")

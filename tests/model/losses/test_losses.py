@@ -213,7 +213,7 @@ def test_impossible_losses_are_refused() -> None:
         LossConfig(inpaint=True)
     with pytest.raises(HyalineError, match="perceptual: there is no network to compare with; give --vgg-weights"):
         LossConfig(perceptual=0.1)
-    with pytest.raises(HyalineError, match="patch: is 16; expected at least 32 pixels"):
+    with pytest.raises(HyalineError, match="patch: is 16; expected at least 32"):
         LossConfig(patch=16)
 
 
@@ -329,5 +329,5 @@ def test_differences_below_the_softness_count_by_their_squares(dataset: Dataset,
 
 
 def test_a_softness_below_zero_is_refused() -> None:
-    with pytest.raises(HyalineError, match="softness: is -1; expected a weight of at least 0"):
+    with pytest.raises(HyalineError, match="softness: is -1; expected at least 0"):
         LossConfig(softness=-1)

@@ -127,5 +127,5 @@ def test_a_white_truth_that_is_exceeded_asks_for_nothing() -> None:
 
 
 def test_a_share_above_1_is_refused() -> None:
-    with pytest.raises(HyalineError, match=r"debias: is 1\.5; expected a share of 0 to 1"):
+    with pytest.raises(HyalineError, match=r"debias: is 1\.5; expected 0 to 1"):
         LightPathConfig(debias=1.5)

@@ -1,6 +1,7 @@
 """Tests of what `model train` can be told: flags, configurations, names of run folders."""
 
 import dataclasses
+import math
 
 import pytest
 
@@ -64,6 +65,30 @@ def test_every_flag_of_a_method_means_one_thing_and_marks_the_folder(method: str
         for item in dataclasses.fields(part):
             is_record = isinstance(item.type, type) and dataclasses.is_dataclass(item.type)
             assert is_record or item.metadata.get("is_hidden") or item.metadata["suffix"], item.name
+
+
+LARGEST_OPEN = {"batch", "steps", "updates", "crop", "patch"}
+"""Counts that memory and patience alone bound."""
+
+
+@pytest.mark.parametrize("method", BUILT_IN)
+def test_every_number_that_a_flag_takes_has_limits(method: str) -> None:
+    usual = parse_train(method, [])
+    records = (usual.run, usual.method, usual.optimisation, getattr(usual.optimisation, "loss", usual.run))
+    tried = 0
+    for name in flags_of_method(method).values():
+        record = next(part for part in records if hasattr(part, name))
+        kind = {item.name: item.type for item in dataclasses.fields(record)}[name]
+        impossible: list[float] = []
+        if kind in (int, int | None):
+            impossible = [-1] if name in LARGEST_OPEN else [-1, 10**21]
+        elif kind in (float, float | None):
+            impossible = [-0.1, math.nan, math.inf]
+        for value in impossible:
+            with pytest.raises(HyalineError, match=rf"{name.removeprefix('texture_')}: is {value}"):
+                dataclasses.replace(record, **{name: value})
+        tried += len(impossible)
+    assert tried > 5
 
 
 def test_the_method_may_still_be_named_by_a_flag(

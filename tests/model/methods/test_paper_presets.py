@@ -90,7 +90,7 @@ def test_finer_levels_count_less(dataset: Dataset) -> None:
 
 @pytest.mark.parametrize("share", [0.0, 1.5])
 def test_finer_levels_cannot_count_more_than_coarser_ones_or_nothing(share: float) -> None:
-    with pytest.raises(HyalineError, match=f"finer_counts: is {share}; expected more than 0, at most 1"):
+    with pytest.raises(HyalineError, match=f"finer_counts: is {share}; expected 0.001 to 1"):
         PaperConfig(width=16, texture_size=16, finer_counts=share)
 
 
