@@ -6,7 +6,7 @@ import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from datagen.data.advice import report_command
 from datagen.data.dataset import Dataset, open_dataset
@@ -173,6 +173,36 @@ def render(
     _end(out, run=run)
 
 
+def export(
+    *,
+    run: Path,
+    out: Path = Path("scene.html"),
+    quality: Literal["small", "exact"] = "small",
+    dataset: str | None = None,
+    overwrite: bool = False,
+) -> None:
+    """Write a trained scene as one HTML file, which draws it live in a browser, from disk and without a server.
+
+    Args:
+        run: Folder of a trained run of light-path on the true geometry.
+        out: The page; a file that stands there is kept.
+        quality: small keeps a texel in 8 bits; exact keeps every number as it is, in about three times the bytes.
+        dataset: Dataset folder, or its name under data/. Default: where the run found it.
+        overwrite: Replace a file that stands at --out.
+    """
+    from datagen.disk.ownership import refuse_file
+    from model.run.run_folder import read_run
+    from model.web.export import export_run
+
+    if not overwrite:
+        refuse_file(out)
+    record = read_run(run)
+    opened = open_dataset(find_dataset(dataset) if dataset else Path(record.dataset))
+    _check_same_run(run, record.config, opened)
+    export_run(run, record, opened, out, quality)
+    tell(str(out))
+
+
 def sweep(
     experiment: str,
     /,
@@ -243,7 +273,7 @@ def main() -> None:
         run(
             "model",
             DESCRIPTION,
-            {"train": train, "render": render, "sweep": sweep, "check-method": check_method},
+            {"train": train, "render": render, "export": export, "sweep": sweep, "check-method": check_method},
             words,
         )
 

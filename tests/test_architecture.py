@@ -37,7 +37,7 @@ HOMES = {
 FLOORS = {
     "datagen": ("cli", "build", "trace", "render", "scene", "data", "machine", "terminal", "disk"),
     "proxies": ("cli", "make", "spec", "kinds", "meshing"),
-    "model": ("cli", "run", "methods", "losses", "batches", "nets", "settings"),
+    "model": ("cli", "web", "run", "methods", "losses", "batches", "nets", "settings"),
     "hyaline": ("tensors", "scores", "datasets"),
     "eval": ("cli", "page", "papers", "analyses", "figures", "tables", "score"),
 }

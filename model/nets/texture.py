@@ -236,14 +236,14 @@ class TexturePyramid(nn.ModuleList):
     def forward(
         self, uv: Float32[Tensor, "ray layer 2"], object_id: UInt8[Tensor, "ray layer"]
     ) -> Float32[Tensor, "ray layer c"]:
-        layouts = [level.layout for level in self._levels()]
+        layouts = [level.layout for level in self.levels()]
         return sample(self.tables(), uv, object_id, layouts, level_scales(len(self), self.finer_counts))
 
     def tables(self) -> list[Float32[Tensor, "texel c"]]:
         """The texels of each level, finest first."""
-        return [level.table for level in self._levels()]
+        return [level.table for level in self.levels()]
 
-    def _levels(self) -> "list[NeuralTextures]":
+    def levels(self) -> "list[NeuralTextures]":
         return cast(list[NeuralTextures], list(self))
 
 

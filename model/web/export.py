@@ -1,0 +1,103 @@
+"""A trained scene as one HTML file, which draws it live in a browser, from disk and without a server.
+
+The page's parts lie beside this file: page.html has a place for each, named {{so}}. Nothing is loaded from outside, and
+a content security policy forbids it. Equal runs give equal bytes.
+"""
+
+import base64
+import hashlib
+import html
+import json
+import re
+from collections.abc import Mapping
+from importlib import resources
+from pathlib import Path
+
+from datagen.data.dataset import Dataset
+from datagen.data.paths import view_name
+from datagen.disk.errors import HyalineError
+from datagen.disk.reading import read_regular
+from datagen.disk.storage import commit
+from datagen.terminal.command import version
+from model.methods.light_path.net import LightPathRenderer
+from model.run.predict import load_renderer
+from model.run.run_folder import RunRecord
+from model.web.scene import Quality, web_scene
+
+SCRIPTS = ("unpack.js", "bvh.js", "camera.js", "tracer.js", "frames.js", "page.js")
+
+MAX_PICTURE = 1 << 26
+"""Bytes of the still picture."""
+
+
+def export_run(run: Path, record: RunRecord, dataset: Dataset, out: Path, quality: Quality) -> None:
+    """Writes the page of a trained run.
+
+    Raises:
+        HyalineError: the run's method or geometry is one that the page cannot draw, or its weights are not there.
+    """
+    if record.method != "light-path":
+        raise HyalineError(f"{run}: is a run of {record.method}; expected one of light-path, which a page can draw")
+    renderer = load_renderer(run, record.config, dataset)
+    assert isinstance(renderer, LightPathRenderer)
+    still = run / "predictions" / "interpolating" / f"{view_name(0)}.png"
+    if not still.is_file():
+        raise HyalineError(f"{still}: not there; render it with `model render --run {run}`")
+    page = scene_page(
+        renderer, dataset, record.geometry, quality, label=record.label, still=read_regular(still, at_most=MAX_PICTURE)
+    )
+    commit(out, page)
+
+
+def scene_page(renderer: LightPathRenderer, dataset: Dataset, geometry: str, quality: Quality, *, label: str,
+               still: bytes) -> bytes:  # fmt: skip
+    """The page of a renderer.
+
+    Args:
+        label: of the run.
+        still: a PNG, shown until the first picture is drawn, and where none can be.
+    """
+    scene = web_scene(renderer, dataset, geometry, quality)
+    manifest = {**scene.manifest, "arrays": scene.packed.entries}
+    script = '"use strict";\n(() => {\n' + "\n".join(_part(name) for name in SCRIPTS) + "})();\n"
+    style = _part("page.css")
+    title = f"{dataset.name}: {label}"
+    return fill(
+        _part("page.html"),
+        {
+            "policy": _policy(script, style),
+            "generator": f"hyaline {version()}",
+            "title": html.escape(title),
+            "style": style,
+            "alternative": html.escape(f"Still picture of {dataset.name}"),
+            "still": "data:image/png;base64," + base64.b64encode(still).decode(),
+            "label": html.escape(f"{dataset.name}, drawn live"),
+            "heading": html.escape(title),
+            "about": html.escape(
+                f"Drawn by the networks that hyaline's light-path learned from pictures of {dataset.name} "
+                f"(quality {quality}; dataset {dataset.seal[:12]}). The page's program is under the MIT licence."
+            ),
+            "manifest": json.dumps(manifest, sort_keys=True).replace("<", "\\u003c"),
+            "shader": _part("tracer.glsl"),
+            "data": scene.packed.text(),
+            "script": script,
+        },
+    ).encode()
+
+
+def fill(template: str, parts: Mapping[str, str]) -> str:
+    """The template with a part in each of its places, each of which there must be exactly once."""
+    places = re.findall(r"\{\{(\w+)\}\}", template)
+    assert sorted(places) == sorted(parts), "every place of the page has its part, and every part its place"
+    return re.sub(r"\{\{(\w+)\}\}", lambda place: parts[place[1]], template)
+
+
+def _part(name: str) -> str:
+    return resources.files("model.web").joinpath(name).read_text(encoding="utf-8")
+
+
+def _policy(script: str, style: str) -> str:
+    """A content security policy that allows this script and this style, pictures in the page, and nothing else."""
+    hashes = (base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() for text in (script, style))
+    allowed = [f"{kind}-src 'sha256-{digest}'" for kind, digest in zip(("script", "style"), hashes)]
+    return "; ".join(["default-src 'none'", *allowed, "img-src data: blob:"])

@@ -1,0 +1,59 @@
+"""Arrays as text in a page: sorted by bytes, deflated, base64."""
+
+import base64
+import zlib
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float32, Shaped, UInt32
+
+from datagen.disk.records import Json
+
+DTYPES = ("uint8", "uint16", "uint32", "float32", "float64")
+"""What unpack.js reads."""
+
+NORMAL_STEPS = 0xFFFFFE
+"""Of a coordinate of an octahedral normal in 24 bits: an even number, so that 0 is one of them."""
+
+
+@dataclass(kw_only=True)
+class Packed:
+    """Named arrays in the order in which they were added."""
+
+    entries: list[Json] = field(default_factory=list)
+    """What unpack.js is told of each array."""
+    parts: list[bytes] = field(default_factory=list)
+
+    def add(self, name: str, values: Shaped[np.ndarray, "*shape"], *, differences: bool = False) -> None:
+        """One more array.
+
+        Args:
+            differences: store how each row differs from the one before it, of whole numbers that grow together.
+        """
+        assert values.dtype.name in DTYPES
+        self.entries.append(
+            {"name": name, "dtype": values.dtype.name, "shape": list(values.shape), "differences": differences}
+        )
+        if differences:
+            values = np.diff(values, axis=0, prepend=np.zeros_like(values[:1]))
+        rows = values.reshape(-1, values.shape[-1] if values.ndim > 1 else 1)
+        # Equal bytes of numbers that belong together lie side by side: they deflate well.
+        raw = np.ascontiguousarray(rows).view(np.uint8).reshape(len(rows), rows.shape[1], values.itemsize)
+        self.parts.append(np.ascontiguousarray(raw.transpose(1, 2, 0)).tobytes())
+
+    def text(self) -> str:
+        """All arrays, as unpack.js reads them; equal arrays give equal text."""
+        return base64.b64encode(zlib.compress(b"".join(self.parts), 9)).decode()
+
+
+def fold_normals(normals: Float32[np.ndarray, "vertex 3"]) -> Float32[np.ndarray, "vertex 2"]:
+    """Unit vectors as points of an unfolded octahedron (as `data.number_formats.encode_directions`), in floats."""
+    d = normals.astype(np.float64)
+    d /= np.abs(d).sum(axis=1, keepdims=True)
+    folded = (1 - np.abs(d[:, [1, 0]])) * np.where(d[:, :2] >= 0, 1, -1)
+    return np.where(d[:, 2:] < 0, folded, d[:, :2]).astype(np.float32)
+
+
+def quantize_normals(normals: Float32[np.ndarray, "vertex 3"]) -> UInt32[np.ndarray, "vertex 2"]:
+    """The same in 24 bits each way: in 16, refraction through curved glass would lose 4 dB."""
+    return np.rint((fold_normals(normals).astype(np.float64) + 1) / 2 * NORMAL_STEPS).astype(np.uint32)
