@@ -21,6 +21,8 @@ from datagen.data.config import SPLITS, TEST_SPLITS, Split
 from datagen.data.dataset import Dataset, View
 from datagen.data.layers import Layers
 from datagen.disk.errors import HyalineError
+from datagen.quantities.light_ends import LightEnds
+from datagen.quantities.view_quantities import ViewQuantities, quantities
 from datagen.terminal.command import version
 from hyaline.datasets import list_datasets, open_dataset
 from hyaline.scores import Scores, score
@@ -38,15 +40,18 @@ __all__ = [
     "Dataset",
     "HyalineError",
     "Layers",
+    "LightEnds",
     "RayDataset",
     "Scores",
     "Split",
     "View",
     "ViewDataset",
+    "ViewQuantities",
     "__version__",
     "list_datasets",
     "look_at",
     "open_dataset",
+    "quantities",
     "score",
 ]
 

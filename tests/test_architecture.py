@@ -35,7 +35,7 @@ HOMES = {
 
 
 FLOORS = {
-    "datagen": ("cli", "build", "trace", "render", "scene", "data", "machine", "terminal", "disk"),
+    "datagen": ("cli", "build", "quantities", "trace", "render", "scene", "data", "machine", "terminal", "disk"),
     "proxies": ("cli", "make", "spec", "kinds", "meshing"),
     "model": ("cli", "web", "run", "methods", "losses", "batches", "nets", "settings"),
     "hyaline": ("tensors", "scores", "datasets"),

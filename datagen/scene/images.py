@@ -41,10 +41,10 @@ def baked_image(image: Float32[np.ndarray, "tex_h tex_w 3"], before: Mesh, after
     size = int(np.clip(wanted, MIN_SIZE, MAX_SIZE))
     uv = bake_corners(after, before.uv[before.faces].astype(np.float64), size)
     repeats = bool(before.uv.min() < 0 or before.uv.max() > 1)
-    return png_bytes(to_8bit(srgb_from_linear(_look_up(image, uv, repeats=repeats))))
+    return png_bytes(to_8bit(srgb_from_linear(look_up(image, uv, repeats=repeats))))
 
 
-def _look_up(
+def look_up(
     image: Float32[np.ndarray, "tex_h tex_w 3"], uv: Float[np.ndarray, "h w 2"], *, repeats: bool
 ) -> Float[np.ndarray, "h w 3"]:
     """Bilinear, as Mitsuba looks it up; v = 1 is the first row."""

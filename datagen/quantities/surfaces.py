@@ -1,0 +1,108 @@
+"""What a dataset's objects are: their materials and meshes, looked up by the object ids of layers."""
+
+import functools
+import weakref
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32
+
+from datagen.data.dataset import Dataset
+from datagen.data.geometries import read_meshes
+from datagen.data.meshes import Mesh
+from datagen.data.paths import TRUTH
+from datagen.quantities.faces import FaceFinder
+from datagen.scene.description import Scene, image_bytes
+from datagen.scene.folder import load_scene
+from datagen.scene.images import linear_pixels, look_up
+from datagen.scene.materials import Conductor, Diffuse, Material, Plastic
+from datagen.scene.solid_textures import evaluate_texture
+from datagen.scene.textures import ImageTexture, Reflectance, SolidTexture
+
+if TYPE_CHECKING:
+    from datagen.trace.light_path import LightPathTracer
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Surfaces:
+    """The true geometry of a dataset and what it is made of. Tables are indexed by object id; 0 is nothing."""
+
+    scene: Scene
+    meshes: tuple[Mesh, ...]
+    """In object order, verified; the mesh of object id i is `meshes[i - 1]`."""
+    _finders: dict[int, FaceFinder] = field(default_factory=dict, repr=False)
+    _images: dict[str, np.ndarray] = field(default_factory=dict, repr=False)
+
+    @property
+    def materials(self) -> tuple[Material, ...]:
+        """In object order."""
+        return tuple(item.material for item in self.scene.objects)
+
+    @property
+    def is_glass(self) -> Bool[np.ndarray, " id"]:
+        """One sees through it."""
+        return np.array([False, *(material.is_glass for material in self.materials)])
+
+    @property
+    def is_solid(self) -> Bool[np.ndarray, " id"]:
+        """A closed mesh full of glass or liquid; thin panes are none."""
+        return np.array([False, *(material.medium is not None for material in self.materials)])
+
+    @property
+    def ior(self) -> Float32[np.ndarray, " id"]:
+        """Index of refraction of glass and liquids, thin panes too; 0 of everything else."""
+        values = [material.surface().ior if material.is_glass else 0.0 for material in self.materials]
+        return np.array([0.0, *values], np.float32)
+
+    def face_finder(self, object_id: int) -> FaceFinder:
+        """Where on an object a layer lies."""
+        if object_id not in self._finders:
+            self._finders[object_id] = FaceFinder(self.meshes[object_id - 1])
+        return self._finders[object_id]
+
+    def albedo(
+        self, object_id: int, uv: Float[np.ndarray, "hit 2"], position: Float[np.ndarray, "hit 3"]
+    ) -> Float32[np.ndarray, "hit 3"]:
+        """Linear reflectance (Rec. 709) of an object at places on it; NaN where it has none, as glass."""
+        match self.materials[object_id - 1]:
+            case Diffuse(color=color) | Plastic(color=color) | Conductor(color=color):
+                return self._reflectance(color, uv, position)
+            case _:
+                return np.full((len(uv), 3), np.nan, np.float32)
+
+    @functools.cached_property
+    def tracer(self) -> "LightPathTracer":
+        """What follows light through the scene. Call `use_mitsuba` first."""
+        from datagen.trace.light_path import LightPathTracer
+
+        return LightPathTracer(self.meshes, self.materials)
+
+    def _reflectance(
+        self, color: Reflectance, uv: Float[np.ndarray, "hit 2"], position: Float[np.ndarray, "hit 3"]
+    ) -> Float32[np.ndarray, "hit 3"]:
+        match color:
+            case SolidTexture():
+                return evaluate_texture(color, position)
+            case ImageTexture(path=path):
+                if path not in self._images:
+                    self._images[path] = linear_pixels(image_bytes(self.scene, color), where=path)
+                return look_up(self._images[path], uv, repeats=False).astype(np.float32)
+            case _:
+                return np.tile(np.array(color, np.float32), (len(uv), 1))
+
+
+_OPENED: "weakref.WeakKeyDictionary[Dataset, Surfaces]" = weakref.WeakKeyDictionary()
+
+
+def surfaces_of(dataset: Dataset) -> Surfaces:
+    """The surfaces of an opened dataset, read once and verified.
+
+    Raises:
+        HyalineError: a file of the scene is missing or damaged.
+    """
+    if dataset not in _OPENED:
+        meshes = read_meshes(dataset, TRUTH)
+        scene = load_scene(dataset.home.root / "scene", is_sealed=True)
+        _OPENED[dataset] = Surfaces(scene=scene, meshes=meshes)
+    return _OPENED[dataset]

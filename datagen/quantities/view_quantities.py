@@ -1,0 +1,239 @@
+"""What is known of every pixel of a view besides its colour: depth, normals, masks, materials, glass.
+
+All of it is about the ray through the pixel's centre: pictures average over a pixel's area, these numbers do not. It is
+computed from stored layers of the true geometry, meshes and scene; only `light_ends` traces.
+
+World axes are the dataset's: metres, +z up. Camera axes are OpenGL's: +x right, +y up, +z towards the viewer (the
+camera looks along -z).
+"""
+
+import functools
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Bool, Float32, UInt8
+
+from datagen.data.dataset import View
+from datagen.data.layers import Layers
+from datagen.disk.errors import HyalineError
+from datagen.quantities.light_ends import LightEnds, find_light_ends
+from datagen.quantities.surfaces import Surfaces, surfaces_of
+
+NormalKind = Literal["shading", "geometric"]
+Axes = Literal["world", "camera"]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ViewQuantities:
+    """The quantities of one view, each computed when it is first asked for, and then kept.
+
+    Where a pixel's ray meets nothing, numbers are 0 unless their docstring says otherwise, and `background` is True.
+    """
+
+    view: View
+
+    # Which surfaces
+
+    @functools.cached_property
+    def layers(self) -> Layers:
+        """The surfaces along each ray, nearest first, of the true geometry."""
+        return self.view.layers()
+
+    @functools.cached_property
+    def surfaces(self) -> Surfaces:
+        """Meshes and materials of the scene."""
+        return surfaces_of(self.view.dataset)
+
+    @property
+    def object_id(self) -> UInt8[np.ndarray, "h w"]:
+        """The object that the ray meets first: 1 + its place in `dataset.objects`; 0 where it meets none."""
+        return self.layers.object_id[0]
+
+    @functools.cached_property
+    def opaque_object_id(self) -> UInt8[np.ndarray, "h w"]:
+        """The first opaque object along the straight ray, as if glass did not bend light; 0 where there is none."""
+        return self._at_opaque(self.layers.object_id)
+
+    @property
+    def background(self) -> Bool[np.ndarray, "h w"]:
+        """The ray meets no object: the sky, or a light, is seen directly."""
+        return self.object_id == 0
+
+    @property
+    def glass(self) -> Bool[np.ndarray, "h w"]:
+        """The ray meets glass first; the same as `view.mask("glass")`."""
+        return self.surfaces.is_glass[self.object_id]
+
+    def object_mask(self, name: str) -> Bool[np.ndarray, "h w"]:
+        """The ray meets the object of this name first.
+
+        Raises:
+            HyalineError: there is none.
+        """
+        return self.object_id == self.view.dataset.object_id(name)
+
+    @functools.cached_property
+    def material_names(self) -> tuple[str, ...]:
+        """Kinds of material in the scene, such as Dielectric, sorted: `material_id` i is `material_names[i - 1]`."""
+        return tuple(sorted({type(material).__name__ for material in self.surfaces.materials}))
+
+    @property
+    def material_id(self) -> UInt8[np.ndarray, "h w"]:
+        """The kind of material that the ray meets first, 1 + its place in `material_names`; 0 where it meets none."""
+        kinds = [1 + self.material_names.index(type(material).__name__) for material in self.surfaces.materials]
+        return np.array([0, *kinds], np.uint8)[self.object_id]
+
+    # Where they are
+
+    @property
+    def depth_along_ray(self) -> Float32[np.ndarray, "h w"]:
+        """Metres from the camera's centre to the first surface, glass or not; relative error 8e-6."""
+        return self.layers.depth[0]
+
+    @property
+    def depth_along_axis(self) -> Float32[np.ndarray, "h w"]:
+        """Metres that the first surface lies ahead of the camera, along the axis in which it looks (z-depth)."""
+        return self._along_axis(self.depth_along_ray)
+
+    @functools.cached_property
+    def opaque_depth_along_ray(self) -> Float32[np.ndarray, "h w"]:
+        """Metres from the camera's centre to the first opaque surface along the straight ray, through all glass."""
+        return self._at_opaque(self.layers.depth)
+
+    @property
+    def opaque_depth_along_axis(self) -> Float32[np.ndarray, "h w"]:
+        """The same along the axis in which the camera looks."""
+        return self._along_axis(self.opaque_depth_along_ray)
+
+    @functools.cached_property
+    def position(self) -> Float32[np.ndarray, "h w 3"]:
+        """The first surface's place in metres, in world axes."""
+        return self._position(self.depth_along_ray)
+
+    @functools.cached_property
+    def opaque_position(self) -> Float32[np.ndarray, "h w 3"]:
+        """The place of the first opaque surface along the straight ray, in metres, in world axes."""
+        return self._position(self.opaque_depth_along_ray)
+
+    def normal(self, kind: NormalKind = "shading", axes: Axes = "world") -> Float32[np.ndarray, "h w 3"]:
+        """Unit normal of the first surface, on the side from which the ray comes.
+
+        Args:
+            kind: shading: interpolated between the mesh's vertices, as the path tracer takes it; geometric: that of
+                the flat face. Both are turned by the side of the face that is seen, so that a shading normal may
+                point a little away from the camera where a surface is grazed.
+            axes: world, or camera (+x right, +y up, +z towards the viewer).
+        """
+        if kind not in ("shading", "geometric") or axes not in ("world", "camera"):
+            raise HyalineError(
+                f"normal: is {kind!r} in {axes!r} axes; expected 'shading' or 'geometric', 'world' or 'camera'"
+            )
+        normals = self._normals[kind]
+        if axes == "world":
+            return normals
+        return (normals @ self.view.camera.world_from_camera[:3, :3]).astype(np.float32)
+
+    # What they are made of
+
+    @functools.cached_property
+    def albedo(self) -> Float32[np.ndarray, "h w 3"]:
+        """Linear reflectance (Rec. 709) of the first surface: of the base under a coat, of metal at normal incidence.
+
+        NaN on glass and where there is nothing. Patterns are evaluated at the place itself, where the path tracer looks
+        them up in textures of a finite size.
+        """
+        albedo = np.full((*self.object_id.shape, 3), np.nan, np.float32)
+        for object_id, mask in self._objects_in_view():
+            uv = self.layers.uv[0][mask] / 65535
+            albedo[mask] = self.surfaces.albedo(object_id, uv, self.position[mask].astype(np.float64))
+        return albedo
+
+    @property
+    def ior(self) -> Float32[np.ndarray, "h w"]:
+        """Index of refraction of the first surface's glass or liquid; 0 on everything opaque."""
+        return self.surfaces.ior[self.object_id]
+
+    @functools.cached_property
+    def glass_thickness(self) -> Float32[np.ndarray, "h w"]:
+        """Metres that the straight ray runs inside solid glass or liquid before it meets something opaque.
+
+        Thin panes have no thickness. A solid inside another counts once. A ray of more surfaces than were peeled counts
+        up to the last one.
+        """
+        ids, depth = self.layers.object_id, self.layers.depth
+        place = np.zeros(len(self.surfaces.is_solid), np.int64)
+        solids = [index for index in np.unique(ids) if self.surfaces.is_solid[index]]
+        place[solids] = 1 + np.arange(len(solids))
+        is_inside = np.zeros((1 + len(solids), *ids.shape[1:]), bool)  # The first for all that is no solid.
+        in_front = np.ones(ids.shape[1:], bool)
+        thickness = np.zeros(ids.shape[1:])
+        rows, columns = np.indices(ids.shape[1:])
+        for layer in range(len(ids)):
+            if layer:
+                is_segment = in_front & is_inside[1:].any(axis=0) & (ids[layer] > 0)
+                thickness += np.where(is_segment, depth[layer].astype(np.float64) - depth[layer - 1], 0)
+            is_inside[place[ids[layer]], rows, columns] ^= True
+            in_front &= self.surfaces.is_glass[ids[layer]]
+        return thickness.astype(np.float32)
+
+    # Where its light comes from
+
+    @functools.cached_property
+    def light_ends(self) -> LightEnds:
+        """Refractive flow, attenuation, and where the refracted path of each pixel ends. Traces: needs Mitsuba."""
+        from datagen.machine.mitsuba_variant import use_mitsuba
+
+        use_mitsuba(quiet=True)
+        return find_light_ends(self.view.camera, self.surfaces.tracer, self.surfaces.is_glass)
+
+    # Parts
+
+    @functools.cached_property
+    def _rays(self) -> tuple[np.ndarray, np.ndarray]:
+        return self.view.camera.rays()
+
+    @functools.cached_property
+    def _normals(self) -> dict[str, np.ndarray]:
+        shading, geometric = (np.zeros((*self.object_id.shape, 3)) for _ in range(2))
+        for object_id, mask in self._objects_in_view():
+            mesh = self.surfaces.meshes[object_id - 1]
+            finder = self.surfaces.face_finder(object_id)
+            points = finder.find(self.layers.uv[0][mask] / 65535, self.position[mask].astype(np.float64))
+            corners = mesh.vertices[mesh.faces[points.face]].astype(np.float64)
+            across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+            smooth = np.einsum("hk,hkc->hc", points.weights, mesh.normals[mesh.faces[points.face]].astype(np.float64))
+            side = np.where((across * self._rays[1][mask]).sum(axis=-1, keepdims=True) < 0, 1.0, -1.0)
+            geometric[mask] = side * across / np.linalg.norm(across, axis=-1, keepdims=True)
+            shading[mask] = side * smooth / np.linalg.norm(smooth, axis=-1, keepdims=True)
+        return {"shading": shading.astype(np.float32), "geometric": geometric.astype(np.float32)}
+
+    @functools.cached_property
+    def _opaque_layer(self) -> tuple[np.ndarray, np.ndarray]:
+        """The place of the first opaque layer (1, h, w), and whether there is one (h, w)."""
+        ids = self.layers.object_id
+        is_opaque = (ids > 0) & ~self.surfaces.is_glass[ids]
+        return is_opaque.argmax(axis=0)[None], np.asarray(is_opaque.any(axis=0))
+
+    def _at_opaque(self, values: np.ndarray) -> np.ndarray:
+        layer, is_there = self._opaque_layer
+        found = np.take_along_axis(values, layer, axis=0)[0]
+        return np.where(is_there, found, np.zeros((), values.dtype))
+
+    def _along_axis(self, depth: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
+        cosine = self._rays[1].astype(np.float64) @ -self.view.camera.world_from_camera[:3, 2]
+        return (depth * cosine).astype(np.float32)
+
+    def _position(self, depth: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w 3"]:
+        origin, directions = self._rays
+        places = origin.astype(np.float64) + depth[..., None].astype(np.float64) * directions
+        return np.where(depth[..., None] > 0, places, 0).astype(np.float32)
+
+    def _objects_in_view(self) -> list[tuple[int, Bool[np.ndarray, "h w"]]]:
+        """Each object that some ray meets first, and which rays."""
+        return [(int(index), self.object_id == index) for index in np.unique(self.object_id) if index > 0]
+
+
+def quantities(view: View) -> ViewQuantities:
+    """What is known of every pixel of a view besides its colour."""
+    return ViewQuantities(view=view)

@@ -1,0 +1,150 @@
+"""Tests the quantities of views against closed formulas: a ball, a slab, a pane and a cube above a floor."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.traced_dataset import BALL, SLAB, glass_scene, write_traced_dataset
+
+from datagen.data.dataset import Dataset, View, open_dataset
+from datagen.disk.errors import HyalineError
+from datagen.quantities.faces import FaceFinder
+from datagen.quantities.view_quantities import ViewQuantities, quantities
+from datagen.scene.solid_textures import evaluate_texture
+from datagen.scene.textures import SolidTexture
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    root = tmp_path_factory.mktemp("quantities") / "glasses"
+    write_traced_dataset(root)
+    return open_dataset(root)
+
+
+@pytest.fixture(params=range(3))
+def found(dataset: Dataset, request: pytest.FixtureRequest) -> ViewQuantities:
+    return quantities(dataset.view("train", request.param))
+
+
+def project(view: View, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels (column, row) of world points and their distance ahead, by the camera's matrices alone."""
+    camera = view.camera
+    p_camera = (points - camera.world_from_camera[:3, 3]) @ camera.world_from_camera[:3, :3] * [1, -1, -1]
+    image = p_camera @ camera.intrinsics.T
+    return image[..., :2] / image[..., 2:], p_camera[..., 2]
+
+
+def test_depth_and_position_say_the_same_of_every_pixel(found: ViewQuantities) -> None:
+    rows, columns = np.indices(found.object_id.shape)
+    centres = np.stack([columns, rows], axis=-1) + 0.5
+    for position, along_ray, along_axis, ids in (
+        (found.position, found.depth_along_ray, found.depth_along_axis, found.object_id),
+        (found.opaque_position, found.opaque_depth_along_ray, found.opaque_depth_along_axis, found.opaque_object_id),
+    ):
+        there = ids > 0
+        assert there.any() and not (position[~there].any() or along_ray[~there].any() or along_axis[~there].any())
+        pixels, ahead = project(found.view, position[there].astype(np.float64))
+        assert np.abs(pixels - centres[there]).max() < 1e-3
+        assert np.abs(ahead - along_axis[there]).max() < 1e-4
+        origin = found.view.camera.world_from_camera[:3, 3]
+        assert np.abs(np.linalg.norm(position[there] - origin, axis=-1) - along_ray[there]).max() < 1e-4
+
+
+def test_positions_lie_on_the_surfaces_that_the_masks_name(found: ViewQuantities) -> None:
+    center, radius = BALL
+    on_ball = found.object_mask("ball")
+    assert on_ball.any() and np.abs(np.linalg.norm(found.position[on_ball] - center, axis=-1) - radius).max() < 0.01
+    on_floor = found.opaque_object_id == 1
+    assert on_floor.any() and np.abs(found.opaque_position[on_floor][:, 2]).max() < 1e-4
+    names = [item.name for item in found.view.dataset.objects]
+    masks = np.stack([found.background, *(found.object_mask(name) for name in names)])
+    assert (masks.sum(axis=0) == 1).all() and found.background.any()
+    with pytest.raises(HyalineError, match="has no object 'teapot'"):
+        found.object_mask("teapot")
+
+
+def test_masks_and_materials_are_those_of_the_scene(found: ViewQuantities) -> None:
+    assert np.array_equal(found.glass, found.view.mask("glass"))
+    assert found.material_names == ("Dielectric", "Diffuse", "Plastic", "ThinDielectric")
+    kinds = [found.material_names.index(type(item.material).__name__) + 1 for item in glass_scene().objects]
+    assert np.array_equal(found.material_id, np.array([0, *kinds])[found.object_id])
+    assert np.array_equal(found.ior, np.array([0, 0, 1.5, 1.6, 1.5, 0], np.float32)[found.object_id])
+
+
+def test_normals_are_those_of_the_meshes(found: ViewQuantities) -> None:
+    shading, geometric = found.normal("shading"), found.normal("geometric")
+    there = ~found.background
+    assert np.abs(np.linalg.norm(shading[there], axis=-1) - 1).max() < 1e-6 and not shading[found.background].any()
+    _, directions = found.view.camera.rays()
+    assert ((geometric * directions).sum(axis=-1)[there] < 0).all()
+    on_ball, center = found.object_mask("ball"), BALL[0]
+    outward = (found.position[on_ball] - center) / np.linalg.norm(found.position[on_ball] - center, axis=-1)[:, None]
+    # A ball of 1,280 faces: its flat normals are off by up to 5 degrees, what they are interpolated to by much less.
+    assert (shading[on_ball] * outward).sum(axis=-1).min() > np.cos(np.radians(0.3))
+    flat = (geometric[on_ball] * outward).sum(axis=-1)
+    assert np.cos(np.radians(6)) < flat.min() < np.cos(np.radians(2))
+    assert np.abs(geometric[found.object_mask("floor")] - [0, 0, 1]).max() < 1e-6
+
+
+def test_a_normal_in_camera_axes_looks_at_the_viewer(found: ViewQuantities) -> None:
+    there = ~found.background
+    in_camera = found.normal("geometric", "camera")
+    rotation = found.view.camera.world_from_camera[:3, :3]
+    assert np.abs(in_camera @ rotation.T - found.normal("geometric")).max() < 1e-6
+    # What a ray in the middle of the picture meets, it meets from the viewer's side, which is +z.
+    middle = slice(20, 28)
+    assert (in_camera[middle, middle, 2][there[middle, middle]] > 0).all()
+    with pytest.raises(HyalineError, match="normal: is 'smooth' in 'world' axes; expected"):
+        found.normal("smooth")  # type: ignore[arg-type]
+
+
+def test_albedo_is_the_described_colour_at_the_place(found: ViewQuantities) -> None:
+    floor = found.object_mask("floor")
+    pattern = glass_scene().objects[0].material.color  # type: ignore[union-attr]
+    assert isinstance(pattern, SolidTexture)
+    assert (
+        np.abs(found.albedo[floor] - evaluate_texture(pattern, found.position[floor].astype(np.float64))).max() < 1e-6
+    )
+    assert np.ptp(found.albedo[floor][:, 0]) > 0.5
+    assert np.array_equal(np.isnan(found.albedo).all(axis=-1), found.glass | found.background)
+    cube = found.object_mask("cube")
+    assert np.array_equal(found.albedo[cube], np.tile(np.array((0.2, 0.6, 0.3), np.float32), (cube.sum(), 1)))
+
+
+def test_thickness_is_the_length_inside_solid_glass(found: ViewQuantities) -> None:
+    _, directions = found.view.camera.rays()
+    origin = found.view.camera.world_from_camera[:3, 3]
+    center, radius = BALL
+    along = (directions * (center - origin)).sum(axis=-1)
+    chord = 2 * np.sqrt(np.maximum(radius**2 - ((center - origin) ** 2).sum() + along**2, 0))
+    low, high = SLAB
+    # Both intersections of each ray with the slab's box.
+    with np.errstate(divide="ignore"):
+        sides = (np.array([[0.5, -0.4, low], [1.3, 0.4, high]])[:, None, None] - origin) / directions
+    slab = np.maximum(sides.max(axis=0).min(axis=-1) - sides.min(axis=0).max(axis=-1), 0)
+    blocked = found.object_mask("cube") | found.object_mask("floor") | found.background
+    thick = found.glass_thickness
+    assert not thick[blocked].any() and (thick > 0.1).any()
+    # The ball's mesh is up to 3 mm smaller than the ball: a chord that grazes it may miss it.
+    inside = (chord > 0.2) & (slab == 0) & ~blocked & (found.opaque_object_id != 5)
+    assert inside.sum() > 20 and np.abs(thick - chord)[inside].max() < 0.02
+    only_slab = (slab > 0) & (chord == 0) & found.object_mask("slab")
+    assert np.abs(thick - slab)[only_slab].max(initial=0) < 1e-4
+    pane = found.object_mask("pane") & (chord == 0) & (slab == 0)
+    assert not thick[pane].any()
+
+
+def test_faces_are_found_from_their_uv(dataset: Dataset) -> None:
+    mesh = quantities(dataset.view("train", 0)).surfaces.meshes[1]
+    rng = np.random.default_rng(0)
+    face, weights = rng.integers(0, len(mesh.faces), 5000), rng.dirichlet([1, 1, 1], 5000)
+    uv = np.einsum("hk,hkc->hc", weights, mesh.uv[mesh.faces[face]].astype(np.float64))
+    position = np.einsum("hk,hkc->hc", weights, mesh.vertices[mesh.faces[face]].astype(np.float64))
+    points = FaceFinder(mesh).find(np.rint(uv * 65535) / 65535, position)
+    assert np.array_equal(points.face, face)
+    assert np.abs(points.weights - weights).max() < 0.01 and points.distance.max() < 1e-4
+
+
+def test_what_is_asked_for_twice_is_read_once(tmp_path: Path, dataset: Dataset) -> None:
+    first, second = (quantities(dataset.view("train", index)) for index in (0, 1))
+    assert first.surfaces is second.surfaces and first.layers is first.layers

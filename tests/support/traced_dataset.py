@@ -1,0 +1,144 @@
+"""A small dataset of solid glass, whose layers come from the rasteriser: made in half a second, without Mitsuba."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+from support.synthetic import pixel_rays
+
+from datagen.data.cameras import Cameras, look_at
+from datagen.data.config import SPLITS, DatasetConfig, Split, SplitConfig
+from datagen.data.dataset import Dataset, DatasetObject
+from datagen.data.dataset_head import commit_view, write_head
+from datagen.data.exr import encode_exr
+from datagen.data.geometries import geometry_hash
+from datagen.data.layer_writing import create_layers, write_layers
+from datagen.data.meshes import Mesh
+from datagen.data.paths import TRUTH
+from datagen.data.png import png_bytes
+from datagen.data.tonemap import linear_from_srgb
+from datagen.scene.description import CameraRig, Scene, SceneObject, SoftEnvironment, WalkPoint
+from datagen.scene.folder import scene_files
+from datagen.scene.materials import Dielectric, Diffuse, Plastic, ThinDielectric
+from datagen.scene.modelling import ball, moved, rounded_box, sheet
+from datagen.scene.textures import SolidTexture
+from datagen.trace.raster import Rasterizer
+
+BALL = (np.array([0.0, 0.0, 0.7]), 0.3)
+"""Centre and radius of the ball of glass."""
+
+SLAB = (0.45, 0.55)
+"""z of the faces of a slab of glass below a part of the floor's view; it spans 0.5 to 1.3 in x and -0.4 to 0.4 in y."""
+
+
+def with_own_uv(mesh: Mesh) -> Mesh:
+    """The mesh with a cell of the atlas for each face, and vertices of its own: an atlas that needs no xatlas."""
+    count = len(mesh.faces)
+    side = int(np.ceil(np.sqrt(count)))
+    corner = np.stack(np.divmod(np.arange(count), side)[::-1], axis=-1)[:, None]
+    triangle = np.array([[0.1, 0.1], [0.9, 0.1], [0.1, 0.9]])
+    return Mesh(
+        vertices=mesh.vertices[mesh.faces].reshape(-1, 3),
+        faces=np.arange(3 * count, dtype=np.int32).reshape(-1, 3),
+        normals=mesh.normals[mesh.faces].reshape(-1, 3),
+        uv=((corner + triangle) / side).reshape(-1, 2).astype(np.float32),
+    )
+
+
+def glass_scene() -> Scene:
+    """A ball, a slab and a thin pane of glass, and a glossy cube, above a floor with a pattern, under a grey sky."""
+    grey = (0.5, 0.5, 0.5)
+    pattern = SolidTexture(pattern="stripes", colors=((0.8, 0.2, 0.1), (0.1, 0.2, 0.8)), scale=0.5)
+    low, high = SLAB
+    things = {
+        "floor": (sheet((-2, -2, 0), (4, 0, 0), (0, 4, 0)), Diffuse(color=pattern)),
+        "ball": (
+            moved(ball(BALL[1], subdivisions=3), BALL[0].tolist()),
+            Dielectric(ior=1.5, absorption=(3.0, 1.0, 0.0)),
+        ),
+        "slab": (moved(_flat_box((0.8, 0.8, high - low)), (0.9, 0, (low + high) / 2)), Dielectric(ior=1.6)),
+        "pane": (sheet((-1.2, -0.4, 0.5), (0.6, 0, 0), (0, 0.8, 0)), ThinDielectric(ior=1.5)),
+        "cube": (moved(rounded_box((0.4, 0.4, 0.4), bevel=0.05), (0, 0.9, 0.25)), Plastic(color=(0.2, 0.6, 0.3))),
+    }
+    objects = tuple(
+        SceneObject(name=name, mesh=with_own_uv(mesh), material=material) for name, (mesh, material) in things.items()
+    )
+    return Scene(
+        name="glasses",
+        objects=objects,
+        environment=SoftEnvironment(zenith=grey, horizon=grey, ground=grey),
+        cameras=CameraRig(
+            target=(0, 0, 0.3),
+            radius=3,
+            elevation_deg=(20, 80),
+            walk=(WalkPoint(position=(2, 0, 2), target=(0, 0, 0)), WalkPoint(position=(0, 2, 1), target=(0, 0, 0))),
+        ),
+    )
+
+
+def write_traced_dataset(root: Path, *, scene: Scene | None = None, resolution: int = 48) -> Dataset:
+    """A complete dataset with straight layers: 10 training views and 2 of each test split, in colours by object."""
+    scene = scene or glass_scene()
+    few = SplitConfig(views=2, spp=4)
+    config = DatasetConfig(
+        scene=scene.name,
+        preset="tiny",
+        resolution=resolution,
+        train=SplitConfig(views=10, spp=4),
+        interpolating=few,
+        extrapolating=few,
+    )
+    cameras: dict[Split, Cameras] = {split: _cameras(split, config.split(split).views, resolution) for split in SPLITS}
+    objects = tuple(DatasetObject(name=item.name, is_glass=item.material.is_glass) for item in scene.objects)
+    dataset = write_head(root, config, objects, cameras, scene_files(scene))
+    create_layers(dataset, TRUTH, num_layers=8, geometry_hash=geometry_hash(dataset, TRUTH))
+    rasterizer = Rasterizer(tuple(item.mesh for item in scene.objects))
+    for split in SPLITS:
+        for view in range(config.split(split).views):
+            layers, _ = rasterizer.peel(dataset.cameras(split), view, 8)
+            picture = _colors(len(objects))[layers.object_id[0]]
+            radiance = linear_from_srgb(picture / 255).astype(np.float32)
+            exr = encode_exr(radiance, np.zeros_like(radiance))
+            png = png_bytes(picture)
+            commit_view(dataset, split, view, png=png, exr=exr, seed=0, spp=4, noise_mse=1e-5, variant="none")
+            write_layers(dataset, TRUTH, split, view, layers, overflow_share=0.0)
+    return dataset
+
+
+def _flat_box(size: tuple[float, float, float]) -> Mesh:
+    """A box whose faces are flat, normals included, so that Snell's law can be worked out for it by hand."""
+    half = np.array(size) / 2
+    sides = []
+    for axis in range(3):
+        for sign in (1, -1):
+            u, v = np.eye(3)[(axis + 1) % 3], np.eye(3)[(axis + 2) % 3]
+            u, v = (u, v) if sign > 0 else (v, u)
+            out = sign * np.eye(3)[axis]
+            corner = (out - u - v) * half
+            sides.append(sheet(tuple(corner), tuple(2 * u * half), tuple(2 * v * half)))
+    offsets = np.cumsum([0, *(len(side.vertices) for side in sides)])[:-1]
+    return dataclasses.replace(
+        sides[0],
+        vertices=np.concatenate([side.vertices for side in sides]),
+        faces=np.concatenate([side.faces + offset for side, offset in zip(sides, offsets, strict=True)]).astype(
+            np.int32
+        ),
+        normals=np.concatenate([side.normals for side in sides]),
+        uv=np.concatenate([side.uv for side in sides]),
+    )
+
+
+def _colors(count: int) -> np.ndarray:
+    return np.concatenate([[[230, 230, 230]], np.random.default_rng(0).integers(20, 220, (count, 3))]).astype(np.uint8)
+
+
+def _cameras(split: Split, count: int, resolution: int) -> Cameras:
+    rng = np.random.default_rng(SPLITS.index(split))
+    azimuth, elevation = rng.uniform(0, 2 * np.pi, count), rng.uniform(0.3, 1.3, count)
+    around = np.stack([np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation), np.sin(elevation)])
+    target = np.array([0.2, 0.1, 0.4])
+    poses = [look_at(target + 3 * place, target) for place in around.T]
+    return Cameras(world_from_camera=np.stack(poses), fov_x=np.radians(50), width=resolution, height=resolution)
+
+
+__all__ = ["BALL", "SLAB", "glass_scene", "pixel_rays", "with_own_uv", "write_traced_dataset"]
