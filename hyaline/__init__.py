@@ -1,4 +1,4 @@
-"""hyaline from Python: datasets of transparent objects, their views, and scores of pictures.
+"""hyaline from Python: datasets of transparent objects, their views, trained runs, and scores of pictures.
 
 >>> import hyaline
 >>> dataset = hyaline.open_dataset("glass_table")       # data/glass_table, or a folder
@@ -11,7 +11,8 @@
 inf
 
 Lengths are metres, +z is up, cameras are world_from_camera in the OpenGL convention. Everything is read from disk when
-it is asked for, and verified by its checksum. `ViewDataset` and `RayDataset` are for PyTorch, which they import.
+it is asked for, and verified by its checksum. `open_run` opens a trained run, which renders what any camera sees.
+PyTorch is imported by what needs it: `ViewDataset`, `RayDataset`, and a run's first picture.
 """
 
 from typing import TYPE_CHECKING
@@ -24,7 +25,9 @@ from datagen.disk.errors import HyalineError
 from datagen.quantities.light_ends import LightEnds
 from datagen.quantities.view_quantities import ViewQuantities, quantities
 from datagen.terminal.command import version
+from hyaline.cameras import camera_from_intrinsics, orbit
 from hyaline.datasets import list_datasets, open_dataset
+from hyaline.runs import Run, list_runs, open_run
 from hyaline.scores import Scores, score
 
 if TYPE_CHECKING:
@@ -42,15 +45,20 @@ __all__ = [
     "Layers",
     "LightEnds",
     "RayDataset",
+    "Run",
     "Scores",
     "Split",
     "View",
     "ViewDataset",
     "ViewQuantities",
     "__version__",
+    "camera_from_intrinsics",
     "list_datasets",
+    "list_runs",
     "look_at",
     "open_dataset",
+    "open_run",
+    "orbit",
     "quantities",
     "score",
 ]

@@ -14,7 +14,7 @@ from datagen.data.finding import find_dataset
 from datagen.disk.errors import HyalineError, UsageError
 from datagen.terminal.command import choose, mute, next_command, run, run_parsed, say, tell
 from model.settings.run_flags import Device, Memory
-from model.settings.runtime import wait_briefly
+from model.settings.runtime import choose_device, wait_briefly
 
 if TYPE_CHECKING:
     import torch
@@ -55,7 +55,7 @@ def train_method(words: list[str]) -> None:
         opened,
         out,
         label=asked.run.name or out.name,
-        device=_device(asked.run.device),
+        device=choose_device(asked.run.device),
         anew=asked.run.overwrite,
         memory=asked.run.memory,
     )
@@ -84,7 +84,7 @@ def _train(
     from model.batches.distributed import join, own_device
     from model.run.checkpoint import delete_checkpoints, has_checkpoint
     from model.run.predict import is_all_drawn, render_predictions
-    from model.run.run_folder import FOLDER, WEIGHTS, finish_clearing
+    from model.run.run_folder import FOLDER, WEIGHTS, check_trained_on, finish_clearing
     from model.run.train import check_team
     from model.run.train import train as train_run
 
@@ -103,7 +103,7 @@ def _train(
             refuse_others(out, FOLDER)
             finish_clearing(out)
             if is_ours(out, FOLDER) and not anew:
-                _check_same_run(out, config, dataset)
+                check_trained_on(out, config, dataset)
                 if is_all_drawn(out, dataset):
                     say(f"{out}: finished before, nothing to do; --overwrite trains it anew")
                     team.agree(False)
@@ -149,11 +149,11 @@ def render(
         render_predictions,
         render_variant,
     )
-    from model.run.run_folder import FOLDER, read_run
+    from model.run.run_folder import FOLDER, check_trained_on, read_run
 
     record = read_run(run)
     opened = open_dataset(find_dataset(dataset) if dataset else Path(record.dataset))
-    _check_same_run(run, record.config, opened)
+    check_trained_on(run, record.config, opened)
     config, out = record.config, run
     if variant is None:
         is_done, draw = is_all_drawn(run, opened), functools.partial(render_predictions, run, config, opened)
@@ -169,7 +169,7 @@ def render(
         say(f"{out}: its predictions are intact, nothing to do; --overwrite renders them again")
     else:
         with holding(run, FOLDER):
-            draw(device=_device(device))
+            draw(device=choose_device(device))
     _end(out, run=run)
 
 
@@ -286,22 +286,6 @@ def _method_first(words: list[str]) -> list[str]:
         if word.startswith("--method="):
             return [word.removeprefix("--method="), *words[:place], *words[place + 1 :]]
     return words
-
-
-def _check_same_run(out: Path, config: "TrainConfig", dataset: Dataset) -> None:
-    from model.methods.table import open_inputs
-    from model.run.run_folder import check_same_run
-
-    inputs = open_inputs(config.net, dataset, config.geometry)
-    check_same_run(out, config, dataset_seal=dataset.seal, layers_seal=inputs.layers_seal)
-
-
-def _device(name: str) -> "torch.device":
-    import torch
-
-    if name == "cuda" and not torch.cuda.is_available():
-        raise HyalineError("device: torch finds no CUDA device; use --device cpu")
-    return torch.device("cuda" if name != "cpu" and torch.cuda.is_available() else "cpu")
 
 
 def _end(out: Path, *, run: Path) -> None:

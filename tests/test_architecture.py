@@ -38,7 +38,7 @@ FLOORS = {
     "datagen": ("cli", "build", "quantities", "trace", "render", "scene", "data", "machine", "terminal", "disk"),
     "proxies": ("cli", "make", "spec", "kinds", "meshing"),
     "model": ("cli", "web", "run", "methods", "losses", "batches", "nets", "settings"),
-    "hyaline": ("tensors", "scores", "datasets"),
+    "hyaline": ("tensors", "runs", "scores", "cameras", "datasets"),
     "eval": ("cli", "page", "papers", "analyses", "figures", "tables", "score"),
 }
 """The rooms of each package, the highest first: a file imports from its own room and from those below it."""

@@ -11,7 +11,7 @@ from datagen.data.config import ANGLE_SPLITS, Split
 from datagen.data.paths import view_name
 from datagen.disk.errors import HyalineError
 from datagen.disk.reading import parse_json
-from datagen.disk.records import Json
+from datagen.disk.records import Json, shown
 from datagen.disk.storage import dump_json
 
 TRANSFORMS_FILES: dict[Split, str] = {
@@ -74,8 +74,11 @@ class Cameras:
         )
 
 
-def look_at(position: Float[np.ndarray, "3"], target: Float[np.ndarray, "3"]) -> Float[np.ndarray, "4 4"]:
-    """world_from_camera of a level camera (OpenGL convention, +z up).
+def look_at(
+    position: Float[np.ndarray, "3"] | tuple[float, float, float],
+    target: Float[np.ndarray, "3"] | tuple[float, float, float],
+) -> Float[np.ndarray, "4 4"]:
+    """world_from_camera of a level camera (OpenGL convention, +z up), from its place and what it looks at, in metres.
 
     Raises:
         HyalineError: the camera looks straight up or down, or at its own place.
@@ -88,6 +91,28 @@ def look_at(position: Float[np.ndarray, "3"], target: Float[np.ndarray, "3"]) ->
     matrix = np.eye(4)
     matrix[:3] = np.stack([right, np.cross(back, right), back, position], axis=1)
     return matrix
+
+
+def check_camera(camera: Camera) -> None:
+    """Refuses what somebody made by hand and no picture can be drawn through.
+
+    Raises:
+        HyalineError: no rotation and place, no lens, or no pixels.
+    """
+    matrix = np.asarray(camera.world_from_camera)
+    if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
+        raise HyalineError(f"camera: world_from_camera is of shape {matrix.shape}; expected (4, 4) finite numbers")
+    rotation = matrix[:3, :3]
+    is_rotation = np.abs(rotation.T @ rotation - np.eye(3)).max() < 1e-4 and np.linalg.det(rotation) > 0
+    if not is_rotation or not np.allclose(matrix[3], (0, 0, 0, 1)):
+        raise HyalineError(
+            f"camera: world_from_camera is {shown(matrix.tolist())}; expected a rotation and a place, without scale or "
+            "mirroring, as look_at gives"
+        )
+    if not 0 < camera.fov_x < math.pi:
+        raise HyalineError(f"camera: fov_x is {camera.fov_x}; expected radians, more than 0 and less than pi")
+    if camera.width < 1 or camera.height < 1:
+        raise HyalineError(f"camera: is {camera.width} x {camera.height} pixels; expected at least 1 x 1")
 
 
 def subpixel_offsets(

@@ -11,6 +11,7 @@ import torch
 from jaxtyping import Float32, Int, Int16, UInt8, UInt16
 from torch import Tensor
 
+from datagen.data.cameras import Cameras
 from datagen.data.config import Split
 from datagen.data.dataset import Dataset
 from datagen.data.number_formats import UV_SCALE
@@ -220,6 +221,11 @@ def read_colors(dataset: Dataset, split: Split, views: Sequence[int], *, with_im
     black = np.zeros((size, size, 3), np.uint8)
     images = [dataset.view(split, view).image if with_images else black for view in views]
     return torch.from_numpy(np.concatenate([image.reshape(-1, 3) for image in images]))
+
+
+def black(cameras: Cameras) -> UInt8[Tensor, "pixel 3"]:
+    """The colours of all pixels of cameras of which there is no picture."""
+    return torch.zeros(len(cameras) * cameras.height * cameras.width, 3, dtype=torch.uint8)
 
 
 def take_colors(pixels: PixelSource, index: Int[Tensor, " ray"]) -> Float32[Tensor, "ray 3"]:

@@ -17,7 +17,7 @@ from datagen.data.dataset import Dataset
 from datagen.data.geometries import GeometryKey, geometry_key, read_meshes
 from datagen.data.meshes import Mesh
 from datagen.machine.mitsuba_variant import short_lived_workers, use_mitsuba
-from model.batches.rays import RayBatch, read_colors
+from model.batches.rays import Pixels, RayBatch, black, read_colors
 
 if TYPE_CHECKING:
     from datagen.trace.peel import Peeler
@@ -112,14 +112,52 @@ def load_traced_layers(
     render_samples: int,
 ) -> TracedLayerPixels:
     """Reads cameras and (unless told otherwise) images of some views, and loads the surfaces for tracing."""
+    pixels = trace_cameras(
+        dataset,
+        geometry,
+        num_layers,
+        cameras_of(dataset, split, views),
+        train_samples=train_samples,
+        render_samples=render_samples,
+    )
+    return dataclasses.replace(pixels, rgb=read_colors(dataset, split, views, with_images=with_images))
+
+
+def trace_cameras(
+    dataset: Dataset, geometry: str, num_layers: int, cameras: Cameras, *, train_samples: int, render_samples: int
+) -> TracedLayerPixels:
+    """The pixels of any cameras, black, with the surfaces loaded for tracing."""
     return TracedLayerPixels(
         peeler=_load_peeler(geometry_key(dataset, geometry)),
-        rays=rays_of(dataset, split, views),
-        rgb=read_colors(dataset, split, views, with_images=with_images),
+        rays=SubpixelRays(cameras=cameras),
+        rgb=black(cameras),
         num_layers=num_layers,
         train_samples=train_samples,
         render_samples=render_samples,
         device=torch.device("cpu"),
+    )
+
+
+def peel_cameras(
+    dataset: Dataset, geometry: str, num_layers: int, cameras: Cameras, *, whole_views: bool = False
+) -> Pixels:
+    """The pixels of any cameras, black, with the layers that `datagen peel` would store of them.
+
+    Args:
+        whole_views: the renderer looks at neighbours.
+    """
+    peeler = _load_peeler(geometry_key(dataset, geometry))
+    with short_lived_workers():
+        views = [peeler.peel(cameras, view, num_layers)[0] for view in range(len(cameras))]
+    uv = np.concatenate([np.moveaxis(layers.uv, 0, 2).reshape(-1, num_layers, 2) for layers in views])
+    object_id = np.concatenate([np.moveaxis(layers.object_id, 0, 2).reshape(-1, num_layers) for layers in views])
+    return Pixels(
+        uv=torch.from_numpy(uv.view(np.int16)),
+        object_id=torch.from_numpy(object_id),
+        rgb=black(cameras),
+        p_camera=torch.from_numpy(cameras.world_from_camera[:, :3, 3].astype(np.float32)),
+        pixels_per_view=cameras.width * cameras.height,
+        whole_views=whole_views,
     )
 
 
@@ -128,7 +166,7 @@ def trace_layers(meshes: tuple[Mesh, ...], cameras: Cameras, num_layers: int) ->
     return TracedLayerPixels(
         peeler=_make_peeler(meshes),
         rays=SubpixelRays(cameras=cameras),
-        rgb=torch.zeros(len(cameras.world_from_camera) * cameras.height * cameras.width, 3, dtype=torch.uint8),
+        rgb=black(cameras),
         num_layers=num_layers,
         train_samples=1,
         render_samples=1,
@@ -148,7 +186,7 @@ def _make_peeler(meshes: tuple[Mesh, ...]) -> "Peeler":
     return Peeler(meshes)
 
 
-def rays_of(dataset: Dataset, split: Split, views: Sequence[int]) -> SubpixelRays:
-    """The rays through the pixels of some views of a split."""
+def cameras_of(dataset: Dataset, split: Split, views: Sequence[int]) -> Cameras:
+    """The cameras of some views of a split."""
     cameras = dataset.cameras(split)
-    return SubpixelRays(cameras=dataclasses.replace(cameras, world_from_camera=cameras.world_from_camera[list(views)]))
+    return dataclasses.replace(cameras, world_from_camera=cameras.world_from_camera[list(views)])

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, Self
 
+from datagen.data.cameras import Cameras
 from datagen.data.config import Split
 from datagen.data.dataset import Dataset
 from datagen.data.paths import LayerKind
@@ -39,8 +40,8 @@ class MethodConfig:
     """A method's configuration, and the way from it to a renderer."""
 
     room: ClassVar[str] = ""
-    """A module that may import torch, whose functions `complete`, `build` and `load` take the record first. Empty: the
-    record itself overrides these methods."""
+    """A module that may import torch, whose functions `complete`, `build`, `load` and (with `draws_cameras`)
+    `load_cameras` take the record first. Empty: the record itself overrides these methods."""
     stored_layers: ClassVar[LayerKind | None] = None
     """The stored layers that it looks up; None when it traces its own, or needs none."""
     max_layers: ClassVar[int | None] = None
@@ -51,6 +52,10 @@ class MethodConfig:
     """False: surfaces are not known to it, and `knowledge` says all that is."""
     is_shareable: ClassVar[bool] = False
     """True when a step of several processes, each with a share of the batch's pixels, is what one would do."""
+    draws_cameras: ClassVar[bool] = False
+    """True when `load_cameras` gives the pixels of cameras that no view of the dataset has."""
+    has_radiance: ClassVar[bool] = False
+    """True when it predicts linear radiance, of which its colours are the sRGB curve, unclipped."""
 
     def __post_init__(self) -> None:
         """Check the fields' numbers against their limits; a method that checks more calls this first."""
@@ -97,3 +102,13 @@ class MethodConfig:
         """
         load = importlib.import_module(self.room).load
         return load(self, inputs, split, views, with_images=with_images, mapped=mapped)
+
+    def load_cameras(self, inputs: Inputs, cameras: Cameras) -> "model.batches.rays.PixelSource":
+        """The pixels of any cameras, black, on the CPU; a method with `draws_cameras` has it.
+
+        Through the camera of a view the renderer draws what it draws of `load`'s pixels.
+
+        Raises:
+            HyalineError: it cannot draw pictures of this size.
+        """
+        return importlib.import_module(self.room).load_cameras(self, inputs, cameras)

@@ -2,9 +2,11 @@
 
 from collections.abc import Sequence
 
+from datagen.data.cameras import Cameras
 from datagen.data.config import Split
 from model.batches.pixel_cache import MappedPixels, map_pixels
 from model.batches.rays import Pixels, load_pixels
+from model.batches.traced_layers import peel_cameras
 from model.methods.protocol import Inputs
 
 
@@ -32,3 +34,8 @@ def load_stored(
         max_layers=inputs.num_layers,
         whole_views=whole_views,
     )
+
+
+def peel_as_stored(inputs: Inputs, cameras: Cameras, *, whole_views: bool = False) -> Pixels:
+    """What `load_stored` would give if the views of these cameras were stored; peeled now."""
+    return peel_cameras(inputs.dataset, inputs.geometry, inputs.num_layers, cameras, whole_views=whole_views)

@@ -18,6 +18,7 @@ from datagen.data.png import read_png
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import to_json
 from datagen.terminal.signals import Stopped
+from model.batches.traced_layers import cameras_of
 from model.methods.protocol import Inputs
 from model.methods.renderer import Renderer
 from model.methods.table import find_method, open_inputs
@@ -188,6 +189,20 @@ def _draws_nothing(subject: Subject) -> str:
     return ""
 
 
+def _draws_any_camera(subject: Subject) -> str:
+    net, inputs = subject.config.net, subject.inputs
+    if not net.draws_cameras:
+        return "it draws the views of its dataset alone (draws_cameras is False)"
+    renderer = subject.build()
+    camera = cameras_of(subject.dataset, "extrapolating", [0])
+    free = predict_colors(renderer, net.load_cameras(inputs, camera))
+    stored = predict_colors(renderer, net.load(inputs, "extrapolating", [0], with_images=False))
+    share = float(((free - stored).abs().amax(dim=1) > 1 / 255).float().mean())
+    # Layers may have been stored by another machine, whose rays along an edge meet its other side.
+    _expect(share < 0.01, f"through a view's camera {share:.0%} of the pixels differ from the view's")
+    return ""
+
+
 def _runs_on_a_gpu(subject: Subject) -> str:
     if not torch.cuda.is_available():
         return "torch finds no GPU"
@@ -209,6 +224,7 @@ CHECKS: dict[str, Callable[[Subject], str]] = {
     "one seed gives one run, which learns": _trains_alike,
     "a stopped run resumes to the bit": _resumes,
     "saved weights draw what they drew": _predicts,
+    "a view's camera draws what the view does": _draws_any_camera,
     "it runs on a GPU": _runs_on_a_gpu,
 }
 """Each gives why it was skipped, empty where it was not; later ones use the runs of earlier ones."""

@@ -30,11 +30,11 @@ from datagen.data.variants import FOLDER as VARIANTS
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import FolderKind, begin, is_ours, refuse_taken, remove_files
 from datagen.disk.promises import check_files
-from datagen.disk.reading import load_json
+from datagen.disk.reading import load_json, parse_json, read_regular
 from datagen.disk.records import Json, from_json, shown, to_json
 from datagen.disk.storage import SEAL, commit, commit_sealed, load_sealed, seal_bytes
-from model.methods.protocol import MethodConfig
-from model.methods.table import find_method
+from model.methods.protocol import Inputs, MethodConfig
+from model.methods.table import find_method, open_inputs
 from model.settings.flags import AMOUNT, COUNT, SEED, unflagged
 from model.settings.optimisation import PixelOptimisation
 
@@ -195,6 +195,13 @@ def check_same_run(out: Path, config: TrainConfig, *, dataset_seal: str, layers_
             )
 
 
+def check_trained_on(out: Path, config: TrainConfig, dataset: Dataset) -> Inputs:
+    """What a run of this configuration is given of a dataset; refused as by `check_same_run`."""
+    inputs = open_inputs(config.net, dataset, config.geometry)
+    check_same_run(out, config, dataset_seal=dataset.seal, layers_seal=inputs.layers_seal)
+    return inputs
+
+
 def is_config(stored: object, config: TrainConfig) -> bool:
     """True when a configuration stored as JSON is this one; what is younger than it counts as the default.
 
@@ -261,6 +268,21 @@ def write_metrics(out: Path, metrics: list[dict[str, Json]]) -> None:
         commit(out / METRICS, "".join(json.dumps(line, allow_nan=False) + "\n" for line in metrics).encode())
     else:
         (out / METRICS).unlink(missing_ok=True)
+
+
+def read_metrics(out: Path) -> list[dict[str, float | None]]:
+    """The lines of metrics.jsonl, one an evaluation: step, loss, and held_out_psnr in dB (None without held-out views).
+
+    Raises:
+        HyalineError: a line that is no such object.
+    """
+    path = out / METRICS
+    lines = read_regular(path).splitlines() if path.is_file() else []
+    found = []
+    for number, line in enumerate(lines, start=1):
+        where = f"{path}: line {number}"
+        found.append(from_json(dict[str, float | None], parse_json(line, where=where), where=where))
+    return found
 
 
 def _flatten(data: Json) -> dict[str, Json]:

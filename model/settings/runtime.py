@@ -1,7 +1,14 @@
-"""Settings of the C libraries beneath torch and Numba, without which CPU training is slower or not repeatable."""
+"""Where torch computes; settings of the C libraries beneath it and Numba that keep training fast and repeatable."""
 
 import ctypes
 import os
+from typing import TYPE_CHECKING
+
+from datagen.disk.errors import HyalineError
+from model.settings.run_flags import Device
+
+if TYPE_CHECKING:
+    import torch
 
 M_TRIM_THRESHOLD, M_TOP_PAD, M_MMAP_MAX = -1, -2, -4
 
@@ -42,3 +49,16 @@ def start_numba_threads() -> None:
     threads = torch.get_num_threads()
     numba.set_num_threads(min(threads, numba.get_num_threads()))
     torch.set_num_threads(threads)
+
+
+def choose_device(name: Device) -> "torch.device":
+    """The device that `--device` means.
+
+    Raises:
+        HyalineError: there is no GPU, but one was asked for.
+    """
+    import torch
+
+    if name == "cuda" and not torch.cuda.is_available():
+        raise HyalineError("device: torch finds no CUDA device; use --device cpu")
+    return torch.device("cuda" if name != "cpu" and torch.cuda.is_available() else "cpu")

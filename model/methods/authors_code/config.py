@@ -20,6 +20,7 @@ class AuthorsConfig(MethodConfig):
 
     room: ClassVar[str] = "model.methods.authors_code.method"
     stored_layers: ClassVar[LayerKind | None] = "straight"
+    draws_cameras: ClassVar[bool] = True
 
     extrinsics: Extrinsics = choice("view", {"none": "no-extrinsics", "sh": "sh"})
     """What each layer is told of the camera: nothing, the view vector (from the camera to the surface), or nine more

@@ -3,13 +3,14 @@
 import dataclasses
 from collections.abc import Sequence
 
+from datagen.data.cameras import Cameras
 from datagen.data.config import Split
 from model.batches.rays import PixelSource, RayBatch
 from model.methods.authors_code.config import AuthorsConfig
 from model.methods.authors_code.renderer import AuthorsRenderer, build_authors
 from model.methods.paper.renderer import default_texture_size
 from model.methods.protocol import Inputs
-from model.methods.stored_pixels import load_stored
+from model.methods.stored_pixels import load_stored, peel_as_stored
 
 
 def complete(config: AuthorsConfig, inputs: Inputs) -> AuthorsConfig:
@@ -32,3 +33,7 @@ def load(
     mapped: bool,
 ) -> PixelSource[RayBatch]:
     return load_stored(inputs, split, views, with_images=with_images, mapped=mapped)
+
+
+def load_cameras(config: AuthorsConfig, inputs: Inputs, cameras: Cameras) -> PixelSource[RayBatch]:  # noqa: ARG001
+    return peel_as_stored(inputs, cameras)

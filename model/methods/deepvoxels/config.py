@@ -18,6 +18,7 @@ class DeepVoxelsConfig(MethodConfig):
     room: ClassVar[str] = "model.methods.deepvoxels.method"
     knowledge: ClassVar[str] = "cameras only, and the scene's extent"
     uses_geometry: ClassVar[bool] = False
+    draws_cameras: ClassVar[bool] = True
 
     voxels: Literal["auto", "small", "paper", "original"] = choice("auto", "{}", is_preset=True)
     """small (a fourteenth of the parameters, no dropout, a bounded grid, L1 at rate 0.002), paper (as the paper ran it:

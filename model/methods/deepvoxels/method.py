@@ -2,7 +2,12 @@
 
 from collections.abc import Sequence
 
+import torch
+
+from datagen.data.cameras import Cameras
 from datagen.data.config import Split
+from datagen.disk.errors import HyalineError
+from model.batches.rays import black
 from model.batches.view_batches import Views, load_views
 from model.methods.deepvoxels.config import DeepVoxelsConfig
 from model.methods.deepvoxels.renderer import DeepVoxels, build_deepvoxels
@@ -27,3 +32,18 @@ def load(
     mapped: bool,  # noqa: ARG001
 ) -> Views:
     return load_views(inputs.dataset, split, views, with_images=with_images)
+
+
+def load_cameras(config: DeepVoxelsConfig, inputs: Inputs, cameras: Cameras) -> Views:  # noqa: ARG001
+    size = config.image_size
+    if (cameras.width, cameras.height) != (size, size):
+        raise HyalineError(
+            f"camera: is {cameras.width} x {cameras.height} pixels; deepvoxels draws {size} x {size}, the size that "
+            "its networks were made for"
+        )
+    return Views(
+        rgb=black(cameras),
+        world_from_camera=torch.from_numpy(cameras.world_from_camera).float(),
+        fov_x=cameras.fov_x,
+        size=size,
+    )

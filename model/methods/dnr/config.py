@@ -31,6 +31,7 @@ class DnrConfig(MethodConfig):
     room: ClassVar[str] = "model.methods.dnr.method"
     stored_layers: ClassVar[LayerKind | None] = "straight"
     max_layers: ClassVar[int | None] = 1
+    draws_cameras: ClassVar[bool] = True
 
     preset: Literal["fair", "authors"] = choice("fair", {"authors": "authors"}, is_preset=True)
     """Deferred neural rendering as its own authors made it, with 16 features; or weakened as the transparent paper's

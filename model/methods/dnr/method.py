@@ -3,6 +3,7 @@
 import dataclasses
 from collections.abc import Sequence
 
+from datagen.data.cameras import Cameras
 from datagen.data.config import Split
 from datagen.disk.errors import HyalineError
 from model.batches.rays import PixelSource, RayBatch
@@ -10,7 +11,7 @@ from model.methods.dnr.config import LEAST_CROP, DnrConfig
 from model.methods.dnr.renderer import DnrRenderer, build_dnr
 from model.methods.paper.renderer import default_texture_size
 from model.methods.protocol import Inputs
-from model.methods.stored_pixels import load_stored
+from model.methods.stored_pixels import load_stored, peel_as_stored
 
 
 def complete(config: DnrConfig, inputs: Inputs) -> DnrConfig:
@@ -43,3 +44,11 @@ def load(
     mapped: bool,
 ) -> PixelSource[RayBatch]:
     return load_stored(inputs, split, views, with_images=with_images, mapped=mapped, whole_views=True)
+
+
+def load_cameras(config: DnrConfig, inputs: Inputs, cameras: Cameras) -> PixelSource[RayBatch]:  # noqa: ARG001
+    if cameras.width != cameras.height:
+        raise HyalineError(
+            f"camera: is {cameras.width} x {cameras.height} pixels; dnr draws square pictures, of any width"
+        )
+    return peel_as_stored(inputs, cameras, whole_views=True)

@@ -27,6 +27,8 @@ class LightPathConfig(MethodConfig):
     room: ClassVar[str] = "model.methods.light_path.method"
     knowledge: ClassVar[str] = "materials (all but diffuse colours)"
     is_shareable: ClassVar[bool] = True
+    draws_cameras: ClassVar[bool] = True
+    has_radiance: ClassVar[bool] = True
 
     texture_size: int = choice(0, "t{}")
     """Width and height of a texture in texels; as many texels are shared among the objects by how much is seen of

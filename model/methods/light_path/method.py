@@ -2,10 +2,16 @@
 
 from collections.abc import Sequence
 
+from datagen.data.cameras import Cameras
 from datagen.data.config import Split
 from model.methods.light_path.config import LightPathConfig
 from model.methods.light_path.net import LightPathRenderer, build_light_path
-from model.methods.light_path.pixels import LightPathPixels, load_light_path_pixels, share_texels
+from model.methods.light_path.pixels import (
+    LightPathPixels,
+    load_light_path_pixels,
+    share_texels,
+    trace_light_paths,
+)
 from model.methods.protocol import Inputs
 
 
@@ -29,3 +35,7 @@ def load(
     mapped: bool,  # noqa: ARG001
 ) -> LightPathPixels:
     return load_light_path_pixels(config, inputs.dataset, inputs.geometry, split, views, with_images)
+
+
+def load_cameras(config: LightPathConfig, inputs: Inputs, cameras: Cameras) -> LightPathPixels:
+    return trace_light_paths(config, inputs.dataset, inputs.geometry, cameras)

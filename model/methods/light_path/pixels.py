@@ -11,14 +11,15 @@ import torch
 from jaxtyping import Bool, Float32, Int, UInt8
 from torch import Tensor
 
+from datagen.data.cameras import Cameras
 from datagen.data.config import Split
 from datagen.data.dataset import Dataset
 from datagen.data.geometries import GeometryKey, geometry_key, read_meshes
 from datagen.data.meshes import Mesh
 from datagen.data.paths import TRUTH
 from datagen.machine.mitsuba_variant import short_lived_workers, use_mitsuba
-from model.batches.rays import read_colors
-from model.batches.traced_layers import SubpixelRays, in_pairs, rays_of
+from model.batches.rays import black, read_colors
+from model.batches.traced_layers import SubpixelRays, cameras_of, in_pairs
 from model.methods.light_path.config import LightPathConfig, default_light_path
 from model.methods.light_path.paths import STACKED_VERTICES, Ends, LightPathBatch, Sky, Stack
 
@@ -201,13 +202,19 @@ def load_light_path_pixels(
     config: LightPathConfig, dataset: Dataset, geometry: str, split: Split, views: Sequence[int], with_images: bool
 ) -> LightPathPixels:
     """Reads cameras and (unless told otherwise) images of some views, and loads the scene for tracing."""
+    pixels = trace_light_paths(config, dataset, geometry, cameras_of(dataset, split, views))
+    return dataclasses.replace(pixels, rgb=read_colors(dataset, split, views, with_images=with_images))
+
+
+def trace_light_paths(config: LightPathConfig, dataset: Dataset, geometry: str, cameras: Cameras) -> LightPathPixels:
+    """The pixels of any cameras, black, with the scene loaded for tracing."""
     surfaces = _load_surfaces(geometry_key(dataset, geometry), config.shells if config.straight_layers else 0)
     return LightPathPixels(
         tracer=surfaces.tracer,
         straight_tracer=surfaces.straight_tracer,
-        rays=rays_of(dataset, split, views),
+        rays=SubpixelRays(cameras=cameras),
         is_opaque=surfaces.is_opaque,
-        rgb=read_colors(dataset, split, views, with_images=with_images),
+        rgb=black(cameras),
         config=config,
         device=torch.device("cpu"),
     )

@@ -27,6 +27,7 @@ class PaperConfig(MethodConfig):
     room: ClassVar[str] = "model.methods.paper.method"
     stored_layers: ClassVar[LayerKind | None] = "straight"
     is_shareable: ClassVar[bool] = True
+    draws_cameras: ClassVar[bool] = True
 
     preset: Literal["published", "best"] = choice("published", {"best": "best"}, is_preset=True)
     """published: the renderer of the paper's text. best: the same idea (straight layers, neural textures, a network

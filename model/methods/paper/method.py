@@ -3,13 +3,14 @@
 import dataclasses
 from collections.abc import Sequence
 
+from datagen.data.cameras import Cameras
 from datagen.data.config import Split
 from model.batches.rays import PixelSource, RayBatch
-from model.batches.traced_layers import load_traced_layers
+from model.batches.traced_layers import load_traced_layers, trace_cameras
 from model.methods.paper.config import PaperConfig
 from model.methods.paper.renderer import PaperRenderer, build_paper, complete_paper
 from model.methods.protocol import Inputs
-from model.methods.stored_pixels import load_stored
+from model.methods.stored_pixels import load_stored, peel_as_stored
 
 
 def complete(config: PaperConfig, inputs: Inputs) -> PaperConfig:
@@ -33,6 +34,19 @@ def load(
         split,
         views,
         with_images,
+        train_samples=config.train_samples,
+        render_samples=config.render_samples,
+    )
+
+
+def load_cameras(config: PaperConfig, inputs: Inputs, cameras: Cameras) -> PixelSource[RayBatch]:
+    if not config.traces_layers:
+        return peel_as_stored(inputs, cameras)
+    return trace_cameras(
+        inputs.dataset,
+        inputs.geometry,
+        inputs.num_layers,
+        cameras,
         train_samples=config.train_samples,
         render_samples=config.render_samples,
     )

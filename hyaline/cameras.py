@@ -1,0 +1,73 @@
+"""Making cameras: from another program's intrinsics, and on a circle around something."""
+
+import dataclasses
+import math
+
+import numpy as np
+from jaxtyping import Float
+
+from datagen.data.cameras import Camera, check_camera, look_at
+from datagen.disk.errors import HyalineError
+
+
+def camera_from_intrinsics(
+    world_from_camera: Float[np.ndarray, "4 4"], intrinsics: Float[np.ndarray, "3 3"], width: int, height: int
+) -> Camera:
+    """The camera of a matrix of intrinsics in pixels, as OpenCV writes them.
+
+    >>> import numpy as np
+    >>> matrix = look_at((2.0, 0.0, 1.0), (0.0, 0.0, 0.3))
+    >>> camera = camera_from_intrinsics(matrix, np.array([[100, 0, 32], [0, 100, 24], [0, 0, 1]]), 64, 48)
+    >>> bool(np.allclose(camera.intrinsics, [[100, 0, 32], [0, 100, 24], [0, 0, 1]]))
+    True
+
+    Args:
+        world_from_camera: metres, OpenGL convention (+x right, +y up, the camera looks along -z); a matrix of OpenCV's
+            convention times `diag(1, -1, -1, 1)`.
+        intrinsics: focal lengths and principal point in pixels.
+        width: of the picture, in pixels.
+        height: of the picture, in pixels.
+
+    Raises:
+        HyalineError: pixels that are not square, a principal point outside of the picture's middle, or no camera.
+    """
+    (focal_x, skew, center_x), (_, focal_y, center_y), _ = np.asarray(intrinsics, np.float64)
+    if not math.isclose(focal_x, focal_y, rel_tol=1e-4) or abs(skew) > 1e-4 * abs(focal_x):
+        raise HyalineError(
+            f"intrinsics: focal lengths {focal_x:g}, {focal_y:g} and skew {skew:g}; expected square "
+            "pixels: equal focal lengths and no skew"
+        )
+    if max(abs(center_x - width / 2), abs(center_y - height / 2)) > 0.01:
+        raise HyalineError(
+            f"intrinsics: the principal point is {center_x:g}, {center_y:g}; expected the middle of the "
+            f"picture, {width / 2:g}, {height / 2:g}"
+        )
+    fov_x = 2 * math.atan2(0.5 * width, focal_x)
+    camera = Camera(world_from_camera=np.asarray(world_from_camera), fov_x=fov_x, width=width, height=height)
+    check_camera(camera)
+    return camera
+
+
+def orbit(start: Camera, target: tuple[float, float, float], count: int, *, turn_deg: float = 360.0) -> list[Camera]:
+    """Cameras on a level circle around a point, evenly spaced, each looking at it; the first stands where `start` does.
+
+    >>> from hyaline import open_dataset
+    >>> start = open_dataset("glass_table").view("train", 0).camera
+    >>> cameras = orbit(start, (0.0, 0.0, 0.2), count=24)
+    >>> len(cameras), cameras[6].width == start.width
+    (24, True)
+
+    Args:
+        start: whose place, lens and size to take.
+        target: metres; not straight above or below `start`.
+        count: how many; the last one stands a step short of `turn_deg`, so that a full turn repeats without a jump.
+        turn_deg: counter-clockwise as seen from above.
+    """
+    center = np.asarray(target, np.float64)
+    offset = start.world_from_camera[:3, 3] - center
+    cameras = []
+    for angle in np.arange(count) * math.radians(turn_deg) / count:
+        sin, cos = math.sin(angle), math.cos(angle)
+        turned = np.array([cos * offset[0] - sin * offset[1], sin * offset[0] + cos * offset[1], offset[2]])
+        cameras.append(dataclasses.replace(start, world_from_camera=look_at(center + turned, center)))
+    return cameras
