@@ -1,9 +1,10 @@
-"""Training: straight-line code from a dataset to a run folder with weights."""
+"""Training, in run order: from a dataset to a run folder with weights."""
 
 import math
 import signal
 import time
 from collections.abc import Iterable
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import cast
 
@@ -12,31 +13,28 @@ import torch
 from torch import Tensor, nn
 
 from datagen.data.dataset import Dataset
-from datagen.data.geometries import NO_GEOMETRY
 from datagen.disk.errors import HyalineError, NumericsError
 from datagen.disk.records import Json, to_json
 from datagen.terminal.command import say, track
-from datagen.terminal.signals import Stopped, hold_signals
+from datagen.terminal.signals import Held, Stopped, hold_signals
 from model.batches.distributed import ALONE, Team
-from model.batches.pixel_cache import choose_memory
 from model.batches.rays import PixelSource
 from model.losses.inpaint import Inpainter
 from model.losses.patch_losses import Losses
-from model.methods.renderer import Renderer
+from model.methods.renderer import ParameterGroup, Renderer
 from model.methods.table import open_inputs
 from model.run.checkpoint import check_numbers, delete_checkpoints, load_checkpoint, save_checkpoint, save_state
 from model.run.predict import predict_pixels
-from model.run.run_folder import (
-    CHECKPOINT,
-    RUN_VERSION,
-    WEIGHTS,
-    RunRecord,
-    TrainConfig,
-    begin_run,
-    describe_knowledge,
-    is_config,
-    write_metrics,
+from model.run.preparation import (
+    build_renderer,
+    check_inpainting,
+    choose_held_out,
+    count_parameters,
+    describe_run,
+    load_training,
+    make_optimizer,
 )
+from model.run.run_folder import CHECKPOINT, WEIGHTS, TrainConfig, begin_run, is_config, write_metrics
 from model.settings.optimisation import LrDecay
 from model.settings.run_flags import Memory
 from model.settings.runtime import keep_freed_memory
@@ -77,75 +75,25 @@ def train(
     """
     keep_freed_memory()
     check_team(config, team)
-    method = config.net
-    inputs = open_inputs(method, dataset, config.geometry)
-    if config.loss.inpaint and method.traces_layers:
-        raise HyalineError(
-            "inpaint: counts which texels the stored layers' rays visit; expected paper with one ray "
-            "per pixel, or another method that reads straight layers"
-        )
+    inputs = open_inputs(config.net, dataset, config.geometry)
+    check_inpainting(config)
 
     # The renderer.
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(config.seed)
-        renderer = method.build(inputs)
-    team.share_norms(renderer)
-    renderer.to(device)
+    renderer = build_renderer(config, inputs, team=team, device=device)
     groups = renderer.groups(config)
-    num_parameters = {
-        kind: sum(count(group.parameters) for group in groups if group.counts_as == kind)
-        for kind in ("network", "textures")
-    }
-    # Dense Adam, as in the paper: a texel moves on by its momentum after the step that touched it.
-    optimizer = torch.optim.Adam(
-        [{"params": group.parameters, "lr": group.lr, "weight_decay": group.weight_decay} for group in groups],
-        betas=(config.beta1, 0.999),
-        fused=True,
-    )
-
-    record = RunRecord(
-        version=RUN_VERSION,
-        method=config.method,
-        geometry=config.geometry if method.uses_geometry else NO_GEOMETRY,
-        knowledge=describe_knowledge(dataset, config.geometry, method.knowledge, config.loss.describe())
-        if method.uses_geometry
-        else method.knowledge,
-        dataset=dataset.root.as_posix(),
-        dataset_seal=dataset.seal,
-        layers_seal=inputs.layers_seal,
-        seed=config.seed,
-        num_parameters=num_parameters["network"],
-        num_texture_parameters=num_parameters["textures"],
-        num_layers=inputs.num_layers or None,
-        label=label,
-        config=config,
-        torch=torch.__version__,
-    )
+    sizes = count_parameters(groups)
     with team.in_turn():
         if team.is_first:
-            begin_run(out, record, anew=anew)
+            begin_run(out, describe_run(config, inputs, label=label, num_parameters=sizes), anew=anew)
 
-    # The data.
+    # The data, and the losses: the terms beside the method's own included.
     views = range(dataset.config.train.views)
     held_out = choose_held_out(len(views), config.held_out_views)
     shown = [view for view in views if view not in held_out]
-    is_mapped = choose_memory(
-        memory,
-        num_pixels=len(shown) * dataset.config.resolution**2,
-        num_layers=0 if method.traces_layers else inputs.num_layers,
-        processes=team.size_here,
-        device=device,
-    )
-    if is_mapped:
-        with team.in_turn():
-            training = method.load(inputs, "train", shown, with_images=True, mapped=True).to(device)
-    else:
-        training = method.load(inputs, "train", shown, with_images=True).to(device)
+    training = load_training(config, inputs, shown, team=team, memory=memory, device=device)
     testing = None
     if held_out and team.is_first:
-        testing = method.load(inputs, "train", held_out, with_images=True).to(device)
-
-    # The losses, the terms beside the method's own included.
+        testing = config.net.load(inputs, "train", held_out, with_images=True).to(device)
     losses = Losses(
         config.loss,
         steps=config.steps,
@@ -156,102 +104,182 @@ def train(
         ),
     )
 
-    # Where to go on.
-    first_step, loss_sum, loss_count = 0, 0.0, 0
-    metrics: list[dict[str, Json]] = []
-    with team.in_turn():
-        checkpoint = load_checkpoint(out)
-    if checkpoint is not None:
-        if "metrics" not in checkpoint or not is_config(checkpoint["config"], config):
-            raise HyalineError(f"{out / CHECKPOINT}: made by another configuration; start anew with --overwrite")
-        renderer.load_state_dict(cast(dict[str, Tensor], checkpoint["renderer"]))
-        optimizer.load_state_dict(cast(dict[str, Tensor], checkpoint["optimizer"]))
-        losses.load_state(checkpoint.get("losses"))
-        first_step = cast(int, checkpoint["step"])
-        loss_sum, loss_count = cast(float, checkpoint["loss_sum"]), cast(int, checkpoint["loss_count"])
-        metrics = cast(list[dict[str, Json]], checkpoint["metrics"])
-        say(f"{out}: goes on from step {first_step:,} of {config.steps:,}")
-    if team.is_first:
-        # There may be more of them than the checkpoint knows.
-        write_metrics(out, metrics)
+    # Where to go on, and the steps.
+    optimizer = make_optimizer(config, groups)
+    run = Run(
+        config=config,
+        out=out,
+        team=team,
+        renderer=renderer,
+        groups=groups,
+        optimizer=optimizer,
+        losses=losses,
+        training=training,
+        testing=testing,
+    )
+    progress = resume(run)
     say(
         f"{label} on {dataset.root}: {len(shown)} training views and {len(held_out)} held out, "
-        f"{inputs.num_layers or ('traced' if method.uses_geometry else 'no')} layers, "
-        f"{num_parameters['network']:,} parameters in the network and {num_parameters['textures']:,} in textures"
+        f"{inputs.num_layers or ('traced' if config.net.uses_geometry else 'no')} layers, "
+        f"{sizes['network']:,} parameters in the network and {sizes['textures']:,} in textures"
     )
+    take_steps(run, progress, anew=anew)
 
-    # The loop.
-    shown_loss, shown_psnr = math.nan, math.nan
-    steps: Iterable[int] = range(first_step, config.steps)
-    batch = config.batch // config.updates
 
-    def status() -> str:
-        return f"loss {shown_loss:.4f}" + ("" if math.isnan(shown_psnr) else f", held out {shown_psnr:.2f} dB")
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Run:
+    """What every step of a run works with."""
 
-    def save_progress(done: int) -> None:
-        state: dict[str, State] = {
-            "config": cast(State, to_json(config)),
-            "step": done,
-            "renderer": cast(State, dict(renderer.state_dict())),
-            "optimizer": cast(State, optimizer.state_dict()),
-            "loss_sum": loss_sum,
-            "loss_count": loss_count,
-            "losses": losses.state(),
-            "metrics": cast(State, metrics),
-        }
-        save_checkpoint(out, state)
+    config: TrainConfig
+    out: Path
+    team: Team
+    renderer: Renderer
+    groups: list[ParameterGroup]
+    optimizer: torch.optim.Optimizer
+    losses: Losses
+    training: PixelSource
+    testing: PixelSource | None
+    """The held-out views, in the first process; None: there are none."""
 
-    renderer.train()
+
+@dataclass(kw_only=True)
+class Progress:
+    """How far a run has come."""
+
+    step: int = 0
+    """Steps that are done."""
+    loss_sum: float = 0.0
+    loss_count: int = 0
+    """Losses since the last line of metrics, and how many they are."""
+    metrics: list[dict[str, Json]] = field(default_factory=list)
+    loss: float = math.nan
+    psnr: float = math.nan
+    """As the terminal shows them: the mean loss since the last line of metrics, and that line's score in dB."""
+
+    def status(self) -> str:
+        return f"loss {self.loss:.4f}" + ("" if math.isnan(self.psnr) else f", held out {self.psnr:.2f} dB")
+
+
+def resume(run: Run) -> Progress:
+    """Loads the newest intact checkpoint, if there is one, into the run; says how far it had come.
+
+    Raises:
+        HyalineError: another configuration made it.
+    """
+    progress = Progress()
+    with run.team.in_turn():
+        checkpoint = load_checkpoint(run.out)
+    if checkpoint is not None:
+        if "metrics" not in checkpoint or not is_config(checkpoint["config"], run.config):
+            raise HyalineError(f"{run.out / CHECKPOINT}: made by another configuration; start anew with --overwrite")
+        run.renderer.load_state_dict(cast(dict[str, Tensor], checkpoint["renderer"]))
+        run.optimizer.load_state_dict(cast(dict[str, Tensor], checkpoint["optimizer"]))
+        run.losses.load_state(checkpoint.get("losses"))
+        progress.step = cast(int, checkpoint["step"])
+        progress.loss_sum = cast(float, checkpoint["loss_sum"])
+        progress.loss_count = cast(int, checkpoint["loss_count"])
+        progress.metrics = cast(list[dict[str, Json]], checkpoint["metrics"])
+        say(f"{run.out}: goes on from step {progress.step:,} of {run.config.steps:,}")
+    if run.team.is_first:
+        # There may be more of them than the checkpoint knows.
+        write_metrics(run.out, progress.metrics)
+    return progress
+
+
+def take_steps(run: Run, progress: Progress, *, anew: bool) -> None:
+    """Takes all steps that are left and saves the weights.
+
+    Raises:
+        NumericsError: a loss, a gradient or a weight is not finite.
+        Stopped: a signal has arrived; a checkpoint is saved.
+    """
+    config, team = run.config, run.team
+    first = progress.step
+    steps: Iterable[int] = range(first, config.steps)
+    run.renderer.train()
     with hold_signals() as held:
         saved_at = time.monotonic()
-        for step in track(steps, label="train", total=config.steps, done=first_step, status=status):
-            is_stopped = False
-            for update in range(config.updates):
-                rng = team.generator([config.seed, step, update] if update else [config.seed, step], batch)
-                own = len(team.share(batch))
-                loss = team.weigh(losses.loss(renderer.loss, renderer, training, own, rng, step=step), batch)
-                optimizer.zero_grad(set_to_none=True)
-                loss.backward()
-                team.sum_gradients(renderer)
-                loss_value, is_asked = team.sum_loss(loss, is_stopped=held.number is not None)
-                is_stopped = is_stopped or is_asked
-                check_finite(loss_value, renderer, step=step, out=out)
-                progress = (step + update / config.updates) / config.steps
-                for learning, group in zip(optimizer.param_groups, groups, strict=True):
-                    learning["lr"] = losses.limit_rate(group.lr * decay(config.lr_decay, progress), step)
-                optimizer.step()
-                loss_sum, loss_count = loss_sum + loss_value, loss_count + 1
-
-            done, shown_loss = step + 1, loss_sum / loss_count
-            if team.is_first and (done % config.evaluate_every == 0 or done == config.steps):
-                score = held_out_psnr(renderer, testing) if testing is not None else None
-                shown_psnr = math.nan if score is None else score
-                metrics.append({"step": done, "loss": shown_loss, "held_out_psnr": score})
-                write_metrics(out, metrics)
-                loss_sum, loss_count = 0.0, 0
-            if done == config.steps:
+        for step in track(steps, label="train", total=config.steps, done=first, status=progress.status):
+            is_stopped = take_step(run, progress, step, held)
+            if team.is_first and (progress.step % config.evaluate_every == 0 or progress.step == config.steps):
+                add_metrics(run, progress)
+            if progress.step == config.steps:
                 continue
-            is_due = done % config.checkpoint_every == 0 or time.monotonic() - saved_at >= CHECKPOINT_EVERY_S
+            is_due = progress.step % config.checkpoint_every == 0 or time.monotonic() - saved_at >= CHECKPOINT_EVERY_S
             if team.is_first and (is_due or is_stopped):
-                save_progress(done)
+                save_progress(run, progress)
                 saved_at = time.monotonic()
             if is_stopped:
                 team.agree()  # `torchrun` ends all as soon as one has ended, so the first has to have saved.
                 way_on = "the same command without --overwrite" if anew else "the same command"
                 raise Stopped(
                     held.number or signal.SIGTERM,
-                    f"{out}: stopped after step {done:,} of {config.steps:,}; {way_on} goes on from there",
+                    f"{run.out}: stopped after step {progress.step:,} of {config.steps:,}; {way_on} goes on from there",
                 )
-
         if team.is_first:
-            weights: dict[str, State] = {
-                "config": cast(State, to_json(config)),
-                "step": config.steps,
-                "renderer": cast(State, dict(renderer.state_dict())),
-            }
-            check_numbers(weights, where=str(out / WEIGHTS))
-            save_state(out / WEIGHTS, weights)
-            delete_checkpoints(out)
+            save_weights(run)
+
+
+def take_step(run: Run, progress: Progress, step: int, held: Held) -> bool:
+    """One step, of several updates where the configuration says so; True when a process was asked to stop meanwhile."""
+    config, team, renderer = run.config, run.team, run.renderer
+    batch = config.batch // config.updates
+    is_stopped = False
+    for update in range(config.updates):
+        rng = team.generator([config.seed, step, update] if update else [config.seed, step], batch)
+        own = len(team.share(batch))
+        loss = team.weigh(run.losses.loss(renderer.loss, renderer, run.training, own, rng, step=step), batch)
+        run.optimizer.zero_grad(set_to_none=True)
+        loss.backward()
+        team.sum_gradients(renderer)
+        loss_value, is_asked = team.sum_loss(loss, is_stopped=held.number is not None)
+        is_stopped = is_stopped or is_asked
+        check_finite(loss_value, renderer, step=step, out=run.out)
+        done = (step + update / config.updates) / config.steps
+        for learning, group in zip(run.optimizer.param_groups, run.groups, strict=True):
+            learning["lr"] = run.losses.limit_rate(group.lr * decay(config.lr_decay, done), step)
+        run.optimizer.step()
+        progress.loss_sum += loss_value
+        progress.loss_count += 1
+    progress.step = step + 1
+    progress.loss = progress.loss_sum / progress.loss_count
+    return is_stopped
+
+
+def add_metrics(run: Run, progress: Progress) -> None:
+    """Scores the held-out views and writes a line of metrics; the mean loss starts anew."""
+    score = None if run.testing is None else held_out_psnr(run.renderer, run.testing)
+    progress.psnr = math.nan if score is None else score
+    progress.metrics.append({"step": progress.step, "loss": progress.loss, "held_out_psnr": score})
+    write_metrics(run.out, progress.metrics)
+    progress.loss_sum, progress.loss_count = 0.0, 0
+
+
+def save_progress(run: Run, progress: Progress) -> None:
+    """A checkpoint, from which `resume` goes on."""
+    state: dict[str, State] = {
+        "config": cast(State, to_json(run.config)),
+        "step": progress.step,
+        "renderer": cast(State, dict(run.renderer.state_dict())),
+        "optimizer": cast(State, run.optimizer.state_dict()),
+        "loss_sum": progress.loss_sum,
+        "loss_count": progress.loss_count,
+        "losses": run.losses.state(),
+        "metrics": cast(State, progress.metrics),
+    }
+    save_checkpoint(run.out, state)
+
+
+def save_weights(run: Run) -> None:
+    """The result; the checkpoints go."""
+    weights: dict[str, State] = {
+        "config": cast(State, to_json(run.config)),
+        "step": run.config.steps,
+        "renderer": cast(State, dict(run.renderer.state_dict())),
+    }
+    check_numbers(weights, where=str(run.out / WEIGHTS))
+    save_state(run.out / WEIGHTS, weights)
+    delete_checkpoints(run.out)
 
 
 def check_team(config: TrainConfig, team: Team) -> None:
@@ -268,12 +296,6 @@ def check_team(config: TrainConfig, team: Team) -> None:
             f"batch: is {config.batch}; expected at least a pixel for each of {team.size} processes in "
             f"each of {config.updates} updates"
         )
-
-
-def choose_held_out(num_views: int, at_most: int) -> list[int]:
-    """The training views that only measure: evenly spread, and no more than a fifth of all."""
-    number = min(at_most, num_views // 5)
-    return [(2 * index + 1) * num_views // (2 * number) for index in range(number)]
 
 
 def decay(kind: LrDecay, progress: float) -> float:
@@ -309,7 +331,3 @@ def held_out_psnr(renderer: Renderer, pixels: PixelSource) -> float:
     error = (prediction.astype(np.float64) - truth) / 255
     mse = np.square(error).reshape(-1, pixels.pixels_per_view * 3).mean(axis=1)
     return float(np.mean(-10 * np.log10(np.maximum(mse, 1e-12))))
-
-
-def count(parameters: list[nn.Parameter]) -> int:
-    return sum(parameter.numel() for parameter in parameters)

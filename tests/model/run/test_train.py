@@ -18,8 +18,9 @@ from datagen.disk.errors import HyalineError
 from model.run import train as train_module
 from model.run.checkpoint import fingerprint, load_checkpoint, load_state, save_checkpoint
 from model.run.predict import render_predictions
+from model.run.preparation import choose_held_out
 from model.run.run_folder import check_same_run, is_finished, read_run
-from model.run.train import choose_held_out, decay, train
+from model.run.train import decay, train
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
