@@ -104,10 +104,7 @@ def _trace(scene, ray, points, scramble, index, tables):
         throughput *= dr.select(hit, dr.exp(-sigma_a * dr.select(hit, si.t, 0)), 1)
 
         # The media on both sides of smooth glass.
-        rank = dr.gather(mi.Int32, tables.rank, dr.reinterpret_array(mi.UInt32, si.shape), active & hit)
-        is_glass = active & hit & (rank >= 0)
-        rank = mi.UInt32(dr.maximum(rank, 0))
-        with_it, without_it = with_solid(tables.media, solids, rank), without_solid(tables.media, solids, rank)
+        is_glass, with_it, without_it = _solids_around(tables, solids, si.shape, active & hit)
         inner, outer = medium_of(tables.media, with_it), medium_of(tables.media, without_it)
         vanishes = is_glass & (inner == outer) if tables.media.is_nested else mi.Bool(False)
 
@@ -144,9 +141,7 @@ def _trace(scene, ray, points, scramble, index, tables):
 
         # Smooth glass reflects or refracts. Where its surface is none, both media are one: nothing is reflected.
         sides = [dr.gather(mi.Float, tables.ior, side, active & is_glass) for side in (inner, outer)]
-        reflectance, cos_t, _, eta_ti = mi.fresnel(mi.Frame3f.cos_theta(si.wi), sides[0] / sides[1])
-        is_reflected = (sample1 <= reflectance) & ~vanishes
-        glass_wo = dr.select(is_reflected, mi.reflect(si.wi), mi.refract(si.wi, cos_t, eta_ti))
+        is_reflected, glass_wo, eta_ti = _reflect_or_refract(si.wi, sides[0] / sides[1], sample1, vanishes)
         goes_in = dr.select(vanishes, dr.dot(ray.d, si.n) < 0, glass_wo.z < 0)
         solids = dr.select(is_glass & ~is_reflected, dr.select(goes_in, with_it, without_it), solids)
 
@@ -165,6 +160,21 @@ def _trace(scene, ray, points, scramble, index, tables):
     sky = dr.zeros(mi.SurfaceInteraction3f)
     sky.wi = -ray.d
     return radiance + dr.select(escaped, throughput * scene.environment().eval(sky, escaped), 0)
+
+
+def _solids_around(tables, solids, shape, hit):
+    """Whether a shape is smooth glass, and the solids on its inner and outer side, where `hit`."""
+    rank = dr.gather(mi.Int32, tables.rank, dr.reinterpret_array(mi.UInt32, shape), hit)
+    is_glass = hit & (rank >= 0)
+    rank = mi.UInt32(dr.maximum(rank, 0))
+    return is_glass, with_solid(tables.media, solids, rank), without_solid(tables.media, solids, rank)
+
+
+def _reflect_or_refract(wi, eta, sample, vanishes):
+    """Whether smooth glass reflects, where to in the surface's frame, and `eta_ti` of `mi.fresnel`."""
+    reflectance, cos_t, _, eta_ti = mi.fresnel(mi.Frame3f.cos_theta(wi), eta)
+    is_reflected = (sample <= reflectance) & ~vanishes
+    return is_reflected, dr.select(is_reflected, mi.reflect(wi), mi.refract(wi, cos_t, eta_ti)), eta_ti
 
 
 def _balance(pdf, other):
