@@ -23,17 +23,19 @@ def report(
     order: int = 0,
     full: bool = False,
     published: bool = False,
+    views: int = 3,
 ) -> None:
-    """Scores every folder RUNS/SCENE/NAME/predictions/SPLIT/0000.png, 0001.png, ... and draws contact sheets.
+    """Scores every folder RUNS/SCENE/NAME/predictions/SPLIT/0000.png, 0001.png, ... and writes a page of them.
 
-    A folder of 8-bit sRGB PNGs from any method will do; run.json is optional. Tables go to stdout, one a scene.
+    A folder of 8-bit sRGB PNGs from any method will do; run.json is optional. Tables go to stdout, one a scene. Open
+    the page, RUNS/report/index.html, in any browser: one file that needs no server.
 
     Args:
         runs: Folder with the runs.
         data: Folder with the datasets, DATA/SCENE, for runs that do not say where theirs is.
         dataset: Score only the runs of this dataset: its folder, or its name under DATA.
         format: What stdout gets: table, markdown, csv, latex or json.
-        out: Folder for results.json and pictures; RUNS/report unless given.
+        out: Folder for index.html, results.json and pictures; RUNS/report unless given.
         table: Print these tables alone, beside what the paper printed, and draw what their runs drew: table1
             (extrinsics), table2 (DNR), square (layers or network), zero-layer, headline, proxies (with a figure),
             ablation (parts of light-path), variants (of paper), claims. `model sweep` trains the runs of each.
@@ -41,6 +43,8 @@ def report(
             its first so many layers. 0 adds none.
         full: Also print what each run is, and quality by angle, by number of training views and by layers.
         published: Also print the paper's own numbers, and beside them what its authors' script would for these runs.
+        views: Views of each split and run in index.html: the worst, the median and the best first. Of more than fit
+            into 20 MB, the last are left out.
     """
     from datagen.data.finding import find_dataset
     from eval.page.report import make_report, make_tables
@@ -59,6 +63,7 @@ def report(
         only=only,
         is_full=full,
         is_published=published,
+        most_views=views,
     )
 
 

@@ -35,7 +35,19 @@ HOMES = {
 
 
 FLOORS = {
-    "datagen": ("cli", "build", "quantities", "trace", "render", "scene", "data", "machine", "terminal", "disk"),
+    "datagen": (
+        "cli",
+        "build",
+        "quantities",
+        "trace",
+        "render",
+        "scene",
+        "data",
+        "machine",
+        "pages",
+        "terminal",
+        "disk",
+    ),
     "proxies": ("cli", "make", "spec", "kinds", "meshing"),
     "model": ("cli", "web", "run", "methods", "losses", "batches", "nets", "settings"),
     "hyaline": ("tensors", "runs", "scores", "cameras", "datasets"),

@@ -17,7 +17,7 @@ from eval.analyses.coverage import PixelCoverage, cover_view, read_coverage
 from eval.analyses.curve import Curve, curve_grid, make_curve, pool_seeds
 from eval.analyses.edit_sheet import edit_sheet
 from eval.analyses.edit_tables import edit_grids, edit_json, order_grid, order_json
-from eval.analyses.edits import score_edits
+from eval.analyses.edits import EditScores, score_edits
 from eval.analyses.order import score_order
 from eval.analyses.plots import budget_figure, curve_figure
 from eval.analyses.super_resolution import score_enlarged, super_resolution_grid, super_resolution_json
@@ -38,6 +38,10 @@ class Further:
     """For results.json."""
     figures: dict[str, Callable[[], bytes]]
     """PNGs by the name of their file, drawn when asked for."""
+    curves: dict[str, Curve]
+    """By the run's name, over seeds where there are several."""
+    variants: tuple[VariantScores, ...]
+    edits: tuple[EditScores, ...]
 
 
 def analyse(
@@ -61,6 +65,7 @@ def analyse(
     if by_angle is not None:
         grids.append(angle_grid(scene, by_angle))
         by_name[ANGLES] = variant_json(by_angle)
+    pooled: dict[str, Curve] = {}
     if curves := _curves(scene, truths, by_angle):
         pooled = pool_seeds(scene.runs, curves)
         grids.append(curve_grid(scene.title, pooled))
@@ -83,7 +88,15 @@ def analyse(
         order = score_order(scene, edits, order_layers)
         grids.append(order_grid(scene.title, order, scene.runs))
         data["order"] = order_json(order)
-    return Further(title=scene.title, grids=tuple(grids), data=data, figures=figures)
+    return Further(
+        title=scene.title,
+        grids=tuple(grids),
+        data=data,
+        figures=figures,
+        curves=pooled,
+        variants=tuple(variants),
+        edits=edits,
+    )
 
 
 def _curves(scene: SceneScores, truths: dict[Split, Truth], by_angle: VariantScores | None) -> dict[str, Curve]:

@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 
 from datagen.data.advice import train_command
-from datagen.data.config import TEST_SPLITS, Split
+from datagen.data.config import MAX_VIEWS, TEST_SPLITS, Split
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.finding import list_datasets
 from datagen.disk.errors import HyalineError
@@ -20,6 +20,7 @@ from eval.analyses.variants import score_variants
 from eval.figures.sheets import comparison_sheet
 from eval.page.figures import figures_of
 from eval.page.further import Further, analyse
+from eval.page.page import PAGE, USUAL_VIEWS, report_page
 from eval.page.report_folder import check_report_folder, write_report
 from eval.papers.claims import CLAIMS, claims_grid
 from eval.papers.comparison_tables import ablation_grid, comparison_grid, find_ladder, ladder_grid
@@ -47,6 +48,7 @@ def make_report(
     only: Path | None = None,
     is_full: bool = False,
     is_published: bool = False,
+    most_views: int = USUAL_VIEWS,
 ) -> None:
     """Scores all runs; a run that cannot be scored is reported after the others are.
 
@@ -55,11 +57,14 @@ def make_report(
         only: the dataset whose runs are scored; those of all unless given.
         is_full: also print what the runs are, quality by angle and by layers.
         is_published: also print the paper's own numbers, and beside them what its authors' script would for our runs.
+        most_views: that the page shows of each split and run.
 
     Raises:
         HyalineError: an unknown format, no run, or a run that cannot be scored.
     """
     choose("format", output_format, FORMATS)
+    if not 1 <= most_views <= MAX_VIEWS:
+        raise HyalineError(f"--views: is {most_views}; expected 1 to {MAX_VIEWS:,} of each split and run")
     check_report_folder(out)
     if order_layers:
         check_order_layers(order_layers)
@@ -74,7 +79,12 @@ def make_report(
         scenes = [scene for scene, _ in scored]
         further = [analyse(scene, truths, errors, order_layers=order_layers) for scene, truths in scored]
         _print_scores(scenes, further, output_format, is_full=is_full, is_published=is_published)
-        for path in write_report(out, {"results.json": partial(_json, scenes, further), **figures_of(scenes, further)}):
+        files = {
+            "results.json": partial(_json, scenes, further),
+            PAGE: partial(report_page, scenes, further, most_views=most_views),
+            **figures_of(scenes, further),
+        }
+        for path in write_report(out, files):
             say(f"wrote {path}")
     for error in errors[:-1]:
         say(f"error: {error}")

@@ -2,6 +2,7 @@
 
 REPORT/report.json     sealed, written first: the names of all files that reports have written there
 REPORT/results.json    every score (eval/tables/results.py)
+REPORT/index.html      the page (eval/page/page.py)
 REPORT/*.png           contact sheets and figures
 """
 

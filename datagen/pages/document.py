@@ -1,0 +1,80 @@
+"""A page that is one file: its styles and scripts lie inside it, and it may ask for nothing else."""
+
+import base64
+import hashlib
+from pathlib import Path
+
+from datagen.pages.html import Markup, Part, join, tag
+
+HERE = Path(__file__).parent
+
+
+def document(
+    title: str, *content: Part, navigation: Part = None, more_script: str = "", refresh_s: int | None = None
+) -> bytes:
+    """The bytes of a page.
+
+    Its content security policy lets it load nothing but pictures inside it, and run nothing but its own script: what a
+    hostile name might smuggle in would not run.
+
+    Args:
+        more_script: beside the one that every page has.
+        refresh_s: seconds after which a browser reads the file again.
+    """
+    style, script = read_part("page.css"), read_part("page.js") + more_script
+    if "</" in style or "</script" in script:
+        raise ValueError("a style or script holds an end tag, which would end it inside the page")
+    policy = (
+        f"default-src 'none'; img-src data:; style-src {_source(style)}; script-src {_source(script)}; "
+        "base-uri 'none'; form-action 'none'"
+    )
+    head = [
+        tag("meta", charset="utf-8"),
+        # `tag` would write the quotes of the policy as references, which browsers read alike and people do not.
+        Markup(f'<meta http-equiv="Content-Security-Policy" content="{policy}"/>'),
+        tag("meta", name="viewport", content="width=device-width, initial-scale=1"),
+        tag("meta", name="color-scheme", content="light dark"),
+        None if refresh_s is None else tag("meta", http_equiv="refresh", content=refresh_s),
+        tag("title", title),
+        Markup(f"<style>{style}</style>"),
+    ]
+    skip = tag("a", "Skip to the content", href="#content", class_="skip")
+    main = tag("main", *content, id="content")
+    body = tag("body", skip, navigation, main, Markup(f"<script>{script}</script>"))
+    page = f'<!DOCTYPE html>\n<html lang="en">\n<head>\n{_lines(head)}</head>\n{body}\n</html>\n'
+    return page.encode()
+
+
+def read_part(name: str) -> str:
+    """A style or script that lies beside this file."""
+    return (HERE / name).read_text(encoding="utf-8")
+
+
+def anchor(*words: str) -> str:
+    """A name for a place in a page, unlike that of any other words."""
+    digest = hashlib.sha256("\0".join(words).encode()).hexdigest()[:12]
+    return f"p{digest}"
+
+
+def section(title: str, *parts: Part, id_: str, level: int = 2) -> Markup:
+    """A section with its heading, which names it for screen readers."""
+    heading = f"{id_}-title"
+    return tag("section", tag(f"h{level}", title, id=heading), *parts, id=id_, aria_labelledby=heading)
+
+
+def definitions(pairs: list[tuple[str, Part]]) -> Markup:
+    """Terms and what they are, as a list of two columns."""
+    return tag("dl", *(join([tag("dt", term), tag("dd", value)]) for term, value in pairs))
+
+
+def command(words: str) -> Markup:
+    """A command that one may copy."""
+    return tag("pre", tag("code", words))
+
+
+def _source(text: str) -> str:
+    return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"
+
+
+def _lines(parts: list[Markup | None]) -> str:
+    return "".join(f"{part}\n" for part in parts if part is not None)

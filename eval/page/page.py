@@ -1,0 +1,225 @@
+"""The report as one page: a file that opens without a server, asks for nothing, and can be read without scripts."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from datagen.data.config import TEST_SPLITS
+from datagen.data.paths import view_name
+from datagen.pages.charts import Line, line_chart
+from datagen.pages.document import anchor, document, section
+from datagen.pages.html import Markup, Part, join, tag
+from datagen.pages.pictures import Gallery
+from eval.analyses.curve import MIN_PIXELS, Bin, Curve
+from eval.page.edit_page import draw_edit
+from eval.page.further import Further
+from eval.page.html_tables import html_table
+from eval.page.run_page import run_anchor, run_page
+from eval.page.views import Compared, ShownView, prediction_panel, store_truth, store_view, store_views, truth_name
+from eval.score.scores import RunScores, SceneScores, metric_notes
+from eval.score.seeds import group_seeds
+from eval.tables.grids import Column, Grid, format_number, scene_grids
+
+PAGE = "index.html"
+MOST_PICTURE_BYTES = 18_500_000
+"""Of all pictures together, as text: with tables and curves a page then stays below 20 MB."""
+USUAL_VIEWS = 3
+"""Of each split and run: the worst, the median and the best."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _ScenePart:
+    """What a page shows of one scene."""
+
+    scene: SceneScores
+    further: Further
+    views: dict[str, dict[Compared, list[ShownView]]]
+    """By the run's name."""
+    side_by_side: Markup
+
+
+def report_page(
+    scenes: Sequence[SceneScores],
+    further: Sequence[Further],
+    *,
+    most_views: int = USUAL_VIEWS,
+    most_bytes: int = MOST_PICTURE_BYTES,
+    refresh_s: int | None = None,
+) -> bytes:
+    """The bytes of the page.
+
+    Args:
+        further: of each scene.
+        most_views: shown of each split and run.
+        most_bytes: of all pictures; those that find no room are left out, and the page says so.
+        refresh_s: seconds after which a browser reads it again.
+    """
+    gallery = Gallery(most_bytes)
+    pairs = list(zip(scenes, further, strict=True))
+    compared = {
+        scene.title: {scores.run.name: _compared(scores, more) for scores in scene.runs} for scene, more in pairs
+    }
+    overviews = {scene.title: _side_by_side(scene, compared[scene.title], gallery) for scene in scenes}
+    stored = store_views(
+        gallery, [item for of_scene in compared.values() for items in of_scene.values() for item in items], most_views
+    )
+    parts = [
+        _ScenePart(
+            scene=scene,
+            further=more,
+            views={name: {item: stored[item] for item in items} for name, items in compared[scene.title].items()},
+            side_by_side=overviews[scene.title],
+        )
+        for scene, more in pairs
+    ]
+    overview = _overview(parts)
+    analyses = [_scene_page(part, gallery) for part in parts]
+    runs = [run_page(part.scene, s, part.views[s.run.name], gallery) for part in parts for s in part.scene.runs]
+    left_out = (
+        tag("p", f"{gallery.left_out} pictures found no room: a page holds at most 20 MB.", class_="note")
+        if gallery.left_out
+        else None
+    )
+    return document(
+        "Report",
+        gallery.store(),
+        overview,
+        *analyses,
+        *runs,
+        left_out,
+        navigation=_navigation(parts),
+        refresh_s=refresh_s,
+    )
+
+
+def scenes_grid(scenes: Sequence[SceneScores]) -> Grid:
+    """PSNR of each run on every scene, runs of one name together; the mean over seeds where there are several."""
+    columns = [Column(group="run", is_number=False)]
+    columns += [Column(group=scene.title, split=split) for scene in scenes for split in TEST_SPLITS]
+    groups = {scene.title: {group.name: group for group in group_seeds(scene.runs)} for scene in scenes}
+    names = sorted({name for found in groups.values() for name in found})
+    values = [
+        [
+            groups[scene.title][name].score("psnr_db", split).mean if name in groups[scene.title] else None
+            for scene in scenes
+            for split in TEST_SPLITS
+        ]
+        for name in names
+    ]
+    best = set()
+    for place in range(len(columns) - 1):
+        known = [(value, row) for row, line in enumerate(values) if (value := line[place]) is not None]
+        if len(known) > 1:
+            best.add((max(known)[1], place + 1))
+    rows = [(name, *(format_number(value, 2) for value in line)) for name, line in zip(names, values, strict=True)]
+    return Grid(title="PSNR dB over scenes", columns=tuple(columns), rows=tuple(rows), best=frozenset(best))
+
+
+def _compared(scores: RunScores, further: Further) -> list[Compared]:
+    """What a run predicted of its dataset and of variants that are no edits."""
+    listed = [scores]
+    for scored in further.variants:
+        if scored.variant.edit is None and scores.run.name in scored.runs:
+            listed.append(scored.runs[scores.run.name])
+    return [
+        Compared(run=item.run, split=split, scores=values)
+        for item in listed
+        for split, values in item.splits.items()
+        if values is not None
+    ]
+
+
+def _navigation(parts: Sequence[_ScenePart]) -> Markup:
+    places = [("overview-page", "Overview")]
+    places += [(f"{_scene_anchor(part.scene)}-page", part.scene.title) for part in parts]
+    for part in parts:
+        several = f"{part.scene.title}: " if len(parts) > 1 else ""
+        places += [(f"{run_anchor(part.scene, s.run)}-page", several + s.run.name) for s in part.scene.runs]
+    items = [tag("li", tag("a", name, href=f"#{place}")) for place, name in places]
+    return tag("nav", tag("ul", *items), aria_label="Parts of the report")
+
+
+def _scene_anchor(scene: SceneScores) -> str:
+    return anchor("scene", scene.title)
+
+
+def _links(scene: SceneScores) -> dict[str, str]:
+    return {scores.run.name: f"{run_anchor(scene, scores.run)}-page" for scores in scene.runs}
+
+
+def _overview(parts: Sequence[_ScenePart]) -> Markup:
+    scenes = [part.scene for part in parts]
+    content: list[Part] = [tag("h1", "Report", id="overview")]
+    if len(scenes) > 1:
+        content.append(html_table(scenes_grid(scenes)))
+    for part in parts:
+        scores, *_ = scene_grids(part.scene)
+        content += [tag("h2", part.scene.title), html_table(scores, _links(part.scene)), part.side_by_side]
+    content += [tag("p", note, class_="note") for note in metric_notes(is_wrapped=False)]
+    return tag("div", *content, class_="page", id="overview-page")
+
+
+def _side_by_side(scene: SceneScores, compared: dict[str, list[Compared]], gallery: Gallery) -> Markup:
+    """The middle view of each test split, as truth and by all runs, as far as there is room."""
+    rows = []
+    for split in TEST_SPLITS:
+        view = scene.dataset.config.split(split).views // 2
+        panels: list[Part] = []
+        if store_truth(gallery, scene.dataset, split, view):
+            name = f"truth, {split} view {view_name(view)}"
+            truth = gallery.show(truth_name(scene.dataset, split, view), label=name)
+            panels.append(tag("figure", truth, tag("figcaption", name)))
+        for item in (item for items in compared.values() for item in items):
+            if item.split == split and item.dataset.variant is None and store_view(gallery, item, view):
+                panels.append(prediction_panel(gallery, item, view))
+        rows.append(tag("div", *panels, class_="sheet"))
+    return join(rows)
+
+
+def _scene_page(part: _ScenePart, gallery: Gallery) -> Markup:
+    scene, place, links = part.scene, _scene_anchor(part.scene), _links(part.scene)
+    _, *rest = scene_grids(scene)
+    config = scene.dataset.config
+    about = f"{config.resolution} × {config.resolution} pixels, dataset {scene.dataset.seal[:12]}"  # noqa: RUF001
+    content: list[Part] = [tag("p", about, class_="note")]
+    if part.further.curves:
+        content += [tag("h3", "Error against what training saw"), *curve_charts(part.further.curves)]
+    content += [html_table(grid, links) for grid in (*rest, *part.further.grids)]
+    content += [draw_edit(gallery, scene, edit) for edit in part.further.edits]
+    return tag("div", section(scene.title, *content, id_=place), class_="page", id=f"{place}-page")
+
+
+def curve_charts(curves: dict[str, Curve]) -> list[Markup]:
+    """PSNR by the angle to the nearest training ray, all of it, and by how many training views saw the texel."""
+
+    def lines(name: str, unit: str) -> list[Line]:
+        return [
+            Line(
+                name=run,
+                points=tuple((part.mean, part.psnr_db) for part in _enough(getattr(curve, name))),
+                labels=tuple(
+                    f"{part.mean:.1f} {unit}: {part.psnr_db:.2f} dB, {part.pixels:,} pixels"
+                    for part in _enough(getattr(curve, name))
+                ),
+            )
+            for run, curve in curves.items()
+        ]
+
+    return [
+        line_chart(
+            lines("by_angle", "degrees"),
+            title="PSNR by the angle to the nearest training ray",
+            x_title="angle (degrees)",
+            y_title="PSNR (dB)",
+        ),
+        line_chart(
+            lines("by_views", "views"),
+            title="PSNR by the number of training views that saw the texel",
+            x_title="training views",
+            y_title="PSNR (dB)",
+            is_log_x=True,
+        ),
+    ]
+
+
+def _enough(bins: Sequence[Bin]) -> list[Bin]:
+    return [part for part in bins if part.pixels >= MIN_PIXELS and part.mse > 0]

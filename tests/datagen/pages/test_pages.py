@@ -1,0 +1,92 @@
+"""Tests of pages and their parts: nothing in them breaks out, asks for anything, or grows beyond its room."""
+
+import numpy as np
+import pytest
+from support.pages import read_page
+
+from datagen.pages.charts import HEIGHT, WIDTH, Line, line_chart
+from datagen.pages.document import document, section
+from datagen.pages.html import Markup, join, tag
+from datagen.pages.pictures import Gallery, data_uri
+
+HOSTILE = (
+    "<script>alert(1)</script>",
+    '"><img src=x onerror=alert(1)>',
+    "' onmouseover='alert(1)",
+    "</style><b>",
+    "a & b < c",
+    "\x1b[31mred\x00\nline\u202e",
+    "]]><!--",
+    "&#60;script&#62;",
+)
+
+
+@pytest.mark.parametrize("text", HOSTILE)
+def test_what_a_page_shows_is_never_markup(text: str) -> None:
+    data = document(text, section(text, tag("p", text, title=text), id_="here"))
+    page = read_page(data)
+    (paragraph,) = page.all("p")
+    shown = paragraph.text
+    assert shown == paragraph.attributes["title"] == page.all("title")[0].text
+    assert shown.isprintable() and (shown == text or not text.isprintable())
+    assert [element.name for element in page.elements].count("script") == 1
+    assert not page.all("b") and not page.all("img")
+
+
+def test_markup_is_not_escaped_twice_and_absent_parts_leave_no_trace() -> None:
+    inner = tag("b", "1 < 2")
+    assert join([inner, None, 3]) == "<b>1 &lt; 2</b>3"
+    assert tag("a", inner, None, href=None, hidden=True, disabled=False, class_="x") == (
+        '<a hidden class="x"><b>1 &lt; 2</b></a>'
+    )
+    assert isinstance(tag("p", "x"), Markup)
+
+
+def test_a_picture_in_a_page_is_what_was_put_in() -> None:
+    import base64
+    import io
+
+    from PIL import Image
+
+    image = np.random.default_rng(0).integers(0, 256, (9, 7, 3), np.uint8)
+    kind, content = data_uri(image).split(",")
+    assert kind == "data:image/webp;base64"
+    with Image.open(io.BytesIO(base64.b64decode(content))) as stored:
+        np.testing.assert_array_equal(np.asarray(stored.convert("RGB")), image)
+
+
+def test_a_gallery_keeps_each_picture_once_and_below_its_room() -> None:
+    noise = np.random.default_rng(0).integers(0, 256, (3, 32, 32, 3), np.uint8)
+    room = len(data_uri(noise[0])) + len(data_uri(noise[1]))
+    gallery = Gallery(room)
+    assert [gallery.add(name, noise[place]) for name, place in (("a", 0), ("b", 1), ("a", 0), ("c", 2))] == [
+        True,
+        True,
+        True,
+        False,
+    ]
+    assert gallery.left_out == 1
+    store, shown = gallery.store(), gallery.show("a", "b", label="a over b", class_="error")
+    assert store.count("data:image/webp") == 2
+    assert len(store) < room + 500
+    page = read_page(document("pictures", store, shown))
+    assert [use.attributes["href"] for use in page.all("use")] == ["#a", "#b"]
+
+
+def test_a_chart_stands_within_its_frame_and_every_point_says_what_it_is() -> None:
+    lines = [
+        Line(name="<one>", points=((0.5, 20.0), (10, 30.5), (100, 25))),
+        Line(name="broken", points=((1, 21), (2, float("inf")), (3, 22)), labels=("first", "none", "third")),
+        Line(name="empty", points=()),
+    ]
+    for is_log_x in (False, True):
+        page = read_page(document("chart", line_chart(lines, title="t", x_title="x", y_title="y", is_log_x=is_log_x)))
+        titles = [element.text for element in page.all("title")]
+        assert titles[2:] == ["<one>, 0.5: 20", "<one>, 10: 30.5", "<one>, 100: 25", "broken, first", "broken, third"]
+        for circle in page.all("circle"):
+            assert 0 <= float(circle.attributes["cx"] or "") <= WIDTH
+            assert 0 <= float(circle.attributes["cy"] or "") <= HEIGHT
+        paths = [path.attributes["d"] or "" for path in page.all("path")]
+        assert [path.count("M") for path in paths] == [1, 2]  # An infinite value parts a line.
+        assert [item.text for item in page.all("li")] == ["<one>", "broken"]
+    assert "nothing to draw" in line_chart([lines[2]], title="t", x_title="x", y_title="y")
