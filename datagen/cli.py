@@ -1,6 +1,7 @@
 """The command line of `datagen`: parse, configure, call one function."""
 
 import dataclasses
+import shlex
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -18,7 +19,11 @@ from datagen.data.geometries import check_geometry
 from datagen.data.layer_writing import check_settings
 from datagen.data.paths import TRUTH, LayerKind
 from datagen.disk.errors import HyalineError
+from datagen.scene.importers.choices import ImportChoices
 from datagen.terminal.command import choose, fail, next_command, run, say, tell, unwrap_help
+
+SCENES_ROOT = Path("scenes")
+"""Where imported scenes go unless told."""
 
 if TYPE_CHECKING:
     from datagen.build.shards import Shard
@@ -28,8 +33,10 @@ if TYPE_CHECKING:
 def main() -> None:
     """Entry point of the console script."""
     unwrap_help(LaunchChoices)
+    unwrap_help(ImportChoices)
     commands = {
         "build": build,
+        "import": import_file,
         "peel": peel,
         "verify": verify,
         "mend": mend,
@@ -67,7 +74,7 @@ def build(
     """Renders a scene and peels its layers; the same command again goes on where it was stopped.
 
     Args:
-        scene: A name that `datagen scenes` lists, or a folder with a scene.json.
+        scene: A name that `datagen scenes` lists, a folder with a scene.json, or a file that `datagen import` reads.
         preset: tiny, demo, standard or paper.
         layers: Kinds of layers to peel: straight, light-path (which follows light through the glass) or both.
         num_layers: Layers kept per ray, vertices kept per branch of a light path; the share of rays with more is
@@ -144,7 +151,7 @@ def build(
     from datagen.build.launch import launch as send_off
     from datagen.build.shards import count_missing, parse_shard
     from datagen.disk.ownership import DATASET, refuse_strangers
-    from datagen.scene.builtin import find_scene
+    from datagen.scene.importers.finding import find_scene, is_foreign
 
     size = resize(
         PRESETS[choose("preset", preset, PRESETS)],
@@ -174,10 +181,10 @@ def build(
         max_depth=max_depth,
         seed=seed,
     )
-    if out is not None or "/" not in scene:
+    if out is not None or ("/" not in scene and not is_foreign(scene)):
         # Before anything is modelled; what may be a dataset's is judged when it is known what should stand there.
         refuse_strangers(out or DATA_ROOT / scene, DATASET, {DATASET.head, *TRANSFORMS_FILES.values()})
-    description = find_scene(scene, built=None if overwrite else out or DATA_ROOT / scene)
+    description = find_scene(scene, built=None if overwrite else out or DATA_ROOT / scene, resolution=size.resolution)
     root = out or DATA_ROOT / description.name
     config = dataclasses.replace(config, scene=description.name)
     if launch.launcher is not None:
@@ -212,6 +219,35 @@ def build(
         say(f"{root}: part {part} is done, and with it the dataset")
         _say_all(summary(made, TRUTH, layers))
     next_command(after_build(made))
+
+
+def import_file(
+    file: tyro.conf.Positional[Path],
+    out: Path | None = None,
+    overwrite: bool = False,
+    choices: ImportChoices = ImportChoices(),  # noqa: B008
+) -> None:
+    """Makes a scene of a file from elsewhere: glTF or GLB.
+
+    Writes the folder that `datagen build --scene` takes, with an import.json that has a line for each thing that is
+    drawn other than the file asks for.
+
+    Args:
+        file: A file that ends in .glb or .gltf.
+        out: Where the scene goes; scenes/NAME unless given.
+        overwrite: Replace an imported scene that stands there.
+        choices: What the file leaves open.
+    """
+    from datagen.scene.importers.imported_folder import check_free, write_imported
+    from datagen.scene.importers.importing import import_scene, scene_name
+
+    root = out or SCENES_ROOT / scene_name(file)
+    check_free(root, overwrite=overwrite)
+    imported = import_scene(file, choices)
+    write_imported(imported.scene, imported.record, root, overwrite=overwrite)
+    _say_all(imported.told())
+    tell(str(root))
+    next_command(shlex.join(["datagen", "build", "--scene", str(root)]))
 
 
 def _check_build(
@@ -268,9 +304,12 @@ def _refuse(wanted: str, given: dict[str, bool]) -> None:
 def _open_base(scene: str, out: Path | None, dataset: str | None, preset: str) -> Dataset:
     """The dataset that is added to: what --dataset names, or what --scene or --out would have been built into."""
     from datagen.scene.folder import load_scene
+    from datagen.scene.importers.finding import is_foreign
+    from datagen.scene.importers.importing import scene_name
 
     if dataset is None:
-        name = load_scene(Path(scene), is_sealed=True).name if (Path(scene) / "scene.json").is_file() else scene
+        name = scene_name(Path(scene)) if is_foreign(scene) else scene
+        name = load_scene(Path(scene), is_sealed=True).name if (Path(scene) / "scene.json").is_file() else name
         base = open_dataset(out or find_dataset(name))
     else:
         _refuse("--dataset", {"scene": scene != "glass_table", "out": out is not None})

@@ -51,16 +51,22 @@ def write_hashed(path: Path, data: bytes) -> None:
 
 def is_intact(path: Path) -> bool:
     """True when `write_hashed` of this user has written the file, and every bit of it is as it was."""
+    return read_hashed(path) is not None
+
+
+def read_hashed(path: Path) -> bytes | None:
+    """What `write_hashed` of this user has written; None where any bit of it is in doubt."""
     try:
         handle = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
     except OSError:
-        return False
+        return None
     with os.fdopen(handle, "rb") as file:
         found = os.fstat(handle)
         if not stat.S_ISREG(found.st_mode) or _strangers(path, found) is not None:
-            return False
+            return None
         data = file.read()
-    return len(data) > HASH_BYTES and sha256(data[:-HASH_BYTES]) == data[-HASH_BYTES:].hex()
+    content, digest = data[:-HASH_BYTES], data[-HASH_BYTES:]
+    return content if content and sha256(content) == digest.hex() else None
 
 
 def _strangers(path: Path, found: os.stat_result) -> str | None:

@@ -20,6 +20,7 @@ from datagen.data.meshes import Mesh, is_there
 from datagen.disk.errors import HyalineError
 from datagen.disk.os_errors import naming
 from datagen.machine.mitsuba_variant import num_cores
+from datagen.scene.atlas_cache import Arrays, atlas_key, find_atlas, keep_atlas
 
 if TYPE_CHECKING:
     import xatlas
@@ -51,50 +52,60 @@ def unwrap(mesh: Mesh, *, where: str) -> Mesh:
 def unwrap_all(meshes: dict[str, Mesh]) -> dict[str, Mesh]:
     """`unwrap` for many meshes, in a few child processes side by side; the keys name them in errors.
 
-    xatlas hangs on infinite coordinates and could crash, so it never runs in this process.
+    xatlas hangs on infinite coordinates and could crash, so it never runs in this process. A surface that was
+    unwrapped before keeps the atlas that it got then, which is in the user's cache.
 
     Raises:
         HyalineError: see `unwrap`.
     """
     for where, mesh in meshes.items():
         _check_input(mesh, where=where)
-    shares = _share_out(meshes, min(MAX_CHILDREN, num_cores()))
+    surfaces = {where: _surface(mesh) for where, mesh in meshes.items()}
+    keys = {where: atlas_key(surface, Path(__file__)) for where, surface in surfaces.items()}
+    atlases = {key: found for key in keys.values() if (found := find_atlas(key)) is not None}
+    # Of surfaces that are the same but for their place and size, one is unwrapped.
+    first = {key: where for where, key in reversed(keys.items()) if key not in atlases}
+    shares = _share_out({where: surfaces[where] for where in first.values()}, min(MAX_CHILDREN, num_cores()))
     with ThreadPoolExecutor(max_workers=MAX_CHILDREN) as pool:
-        done = {where: mesh for share in pool.map(_unwrap_in_child, shares) for where, mesh in share.items()}
-    return {where: done[where] for where in meshes}
+        made = {keys[where]: atlas for share in pool.map(_unwrap_in_child, shares) for where, atlas in share.items()}
+    done = {where: _with_uv(mesh, {**atlases, **made}[keys[where]], where=where) for where, mesh in meshes.items()}
+    for key, atlas in made.items():
+        keep_atlas(key, atlas)
+    return done
 
 
-def _share_out(meshes: dict[str, Mesh], most: int) -> list[dict[str, Mesh]]:
+def _surface(mesh: Mesh) -> Arrays:
+    """What an atlas is made from."""
+    return {
+        "vertices": _in_box(mesh.vertices),
+        "normals": mesh.normals.astype(np.float32),
+        "faces": mesh.faces.astype(np.uint32),
+    }
+
+
+def _share_out(surfaces: dict[str, Arrays], most: int) -> list[dict[str, Arrays]]:
     """At most so many shares of about as many faces each; none is empty."""
-    shares: list[dict[str, Mesh]] = [{} for _ in range(min(most, len(meshes)))]
-    for where, mesh in sorted(meshes.items(), key=lambda item: -len(item[1].faces)):
-        least = min(shares, key=lambda share: sum(len(other.faces) for other in share.values()))
-        least[where] = mesh
+    shares: list[dict[str, Arrays]] = [{} for _ in range(min(most, len(surfaces)))]
+    for where, surface in sorted(surfaces.items(), key=lambda item: -len(item[1]["faces"])):
+        least = min(shares, key=lambda share: sum(len(other["faces"]) for other in share.values()))
+        least[where] = surface
     return shares
 
 
-def _unwrap_in_child(meshes: dict[str, Mesh]) -> dict[str, Mesh]:
+def _unwrap_in_child(surfaces: dict[str, Arrays]) -> dict[str, Arrays]:
     arrays: dict[str, np.ndarray] = {}
-    for index, mesh in enumerate(meshes.values()):
-        arrays[f"{index}.vertices"] = _in_box(mesh.vertices)
-        arrays[f"{index}.normals"] = mesh.normals.astype(np.float32)
-        arrays[f"{index}.faces"] = mesh.faces.astype(np.uint32)
-    timeout_s = 60 + sum(len(mesh.faces) for mesh in meshes.values()) / 200
+    for index, surface in enumerate(surfaces.values()):
+        arrays |= {f"{index}.{name}": values for name, values in surface.items()}
+    timeout_s = 60 + sum(len(surface["faces"]) for surface in surfaces.values()) / 200
     with tempfile.TemporaryDirectory(prefix="hyaline-atlas-") as folder:
         source, target = Path(folder) / "in.npz", Path(folder) / "out.npz"
         with naming(source):
             np.savez(source, allow_pickle=False, **arrays)
-        _run_child(source, target, timeout_s, where=", ".join(meshes))
+        _run_child(source, target, timeout_s, where=", ".join(surfaces))
         with np.load(target) as answers:
             return {
-                where: _with_uv(
-                    mesh,
-                    answers[f"{index}.vertex_of"].astype(np.int64),
-                    answers[f"{index}.faces"].astype(np.int32),
-                    answers[f"{index}.uv"],
-                    where=where,
-                )
-                for index, (where, mesh) in enumerate(meshes.items())
+                where: {name: answers[f"{index}.{name}"] for name in ("vertex_of", "faces", "uv")}
+                for index, where in enumerate(surfaces)
             }
 
 
@@ -278,7 +289,8 @@ def _run_child(source: Path, target: Path, timeout_s: float, *, where: str) -> N
         raise HyalineError(f"{where}: unwrapping ended with status {answer.returncode} ({last}); bring a mesh with uv")
 
 
-def _with_uv(mesh: Mesh, vertex_of: np.ndarray, faces: np.ndarray, uv: np.ndarray, *, where: str) -> Mesh:
+def _with_uv(mesh: Mesh, atlas: Arrays, *, where: str) -> Mesh:
+    vertex_of, faces, uv = atlas["vertex_of"].astype(np.int64), atlas["faces"].astype(np.int32), atlas["uv"]
     if not np.isfinite(uv).all():
         raise HyalineError(
             f"{where}: xatlas found no uv for {int((~np.isfinite(uv)).any(axis=-1).sum())} vertices; "

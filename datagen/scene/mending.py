@@ -60,7 +60,7 @@ def _with_atlases(scene: Scene, faults: dict[str, str]) -> Scene:
         if item.name in faults:
             check_areas(item.mesh, where=wheres[item.name])
     meshes = unwrap_all({wheres[item.name]: item.mesh for item in scene.objects if item.name in faults})
-    objects, baked = [], {}
+    objects, baked = [], dict(scene.baked)
     for item in scene.objects:
         if (fault := faults.get(item.name)) is None:
             objects.append(item)

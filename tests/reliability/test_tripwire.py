@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from support.commands import MAINS, Answer, call
 from support.disk import State, read_state
+from support.gltf import GltfBuilder
 from support.scenarios import BUILD, GRID, TRAIN
 
 from model.run.sweep import Failure
@@ -40,6 +41,9 @@ TRIPS = (
     Trip(line="datagen build --dataset data/one --angle-splits --super-resolution 2"),
     Trip(line="datagen peel --dataset data/one --num-layers 3 --overwrite"),
     Trip(line="datagen verify data/one"),
+    Trip(line="datagen import thing.glb --out mine --overwrite", start="scene"),
+    Trip(line="datagen import thing.glb --out scene", start="scene", taken=("scene/scene.json",)),
+    Trip(line="datagen import thing.glb --out mine --overwrite", start="scene", taken=("mine/meshes/ground.ply",)),
     Trip(line="datagen mend --dataset data/one --scene scene --workers 1", start="proxies"),
     Trip(line="proxies make --dataset data/one --kind box --overwrite", start="proxies"),
     Trip(line="proxies make --dataset data/one --assign pane=box --rest hull --name mixed-a"),
@@ -97,6 +101,7 @@ ELSEWHERE = {
     "datagen build": {"scene", "preset", "num_layers", "workers", "ceiling", "resolution", "test_views", "spp",
                       "test_spp", "max_depth", "rays", "seed", "shards", "slurm_partition", "slurm_time", "slurm_cpus",
                       "slurm_gpus"},
+    "datagen import": {"scale", "up", "material", "thin", "ground", "merge", "strict", "resolution"},
     "datagen peel": {"geometry", "rays", "workers"},
     "benchmarks scale": {"factors", "quantities", "rounds", "json", "overwrite"},
     "benchmarks sky": {"names", "overwrite"},
@@ -148,6 +153,9 @@ def prepared(start: Callable[[str], State], here: Path, monkeypatch: pytest.Monk
     def make(name: str) -> None:
         start(name)
         (here / "grid.toml").write_text(GRID)
+        builder = GltfBuilder()
+        builder.node(mesh=builder.mesh())
+        builder.written(here)
 
     return make
 
@@ -261,7 +269,9 @@ def test_every_command_that_writes_is_tried_with_every_flag_that_says_where(
         if not lines:
             missing.append(name)
         words = {word.removeprefix("--").replace("-", "_") for line in lines for word in line.split()}
-        positional = {"dataset", "experiment"} if name in ("datagen verify", "model sweep") else set()
+        positional = {"datagen verify": {"dataset"}, "model sweep": {"experiment"}, "datagen import": {"file"}}.get(
+            name, set()
+        )
         # What `model train` is told beside --out and --overwrite makes the run's name: tried in its own tests.
         known = flags_of(command) if name == "model train" else words | ELSEWHERE.get(name, set()) | positional
         missing += [f"{name} --{flag}" for flag in sorted(flags_of(command) - known)]

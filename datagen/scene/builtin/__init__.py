@@ -43,22 +43,17 @@ def make_scene(name: str) -> Scene:
     return scene
 
 
-def find_scene(given: str, *, built: Path | None = None) -> Scene:
-    """The scene that `--scene` means: a folder with a scene.json, or the name of a built-in one.
+def find_builtin(name: str, *, built: Path | None = None) -> Scene:
+    """A built-in scene: as a dataset holds it that is there, or made.
 
     Args:
         built: a dataset that may hold the same scene, unwrapped.
 
     Raises:
-        HyalineError: neither, or the folder's scene is bad.
+        HyalineError: there is none of that name.
     """
-    if (Path(given) / "scene.json").is_file():
-        say(f"scene {given}: reads and checks it")
-        return load_scene(Path(given))
-    if "/" in given:
-        return load_scene(Path(given))
-    choose("scene", given, SCENES)
-    return (None if built is None else _same_scene(given, built)) or make_scene(given)
+    choose("scene", name, SCENES)
+    return (None if built is None else _same_scene(name, built)) or make_scene(name)
 
 
 def _same_scene(name: str, root: Path) -> Scene | None:

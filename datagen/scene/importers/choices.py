@@ -1,0 +1,38 @@
+"""What a user may say about an import."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+from datagen.disk.errors import HyalineError
+
+Thin = Literal["open", "file", "all"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImportChoices:
+    """The flags of `datagen import`."""
+
+    scale: float | None = None
+    """Metres per unit of the file, such as 0.001 for millimetres. Unless given, the format's own unit; or a guess,
+    which is said, where the scene would be smaller than 2 cm or larger than 5 m."""
+    up: Literal["auto", "x", "y", "z"] = "auto"
+    """The file's axis that points up; auto: as the format has it (y in glTF, OBJ and PLY, z in STL and 3MF)."""
+    material: tuple[str, ...] = ()
+    """A material by name for all objects (glass, green-glass, water, diamond, thin-glass, plaster, plastic, mirror,
+    gold, ...), or for those that match a pattern: 'leg*=gold'. Later ones win."""
+    thin: Thin = "open"
+    """Glass that is drawn as thin panes: open meshes, also what the file calls thin-walled (file), or all."""
+    ground: Literal["auto", "always", "never"] = "auto"
+    """Add a checkered ground: where nothing lies below the glass, always or never."""
+    merge: bool = False
+    """Make one object of all surfaces of a material: a scene has at most 255 objects."""
+    strict: bool = False
+    """Refuse a file of which anything would be drawn other than it asks for."""
+    resolution: int = 128
+    """Pixels a side of the pictures that the ground's pattern is made for."""
+
+    def __post_init__(self) -> None:
+        if self.scale is not None and not 1e-9 < self.scale < 1e9:
+            raise HyalineError(f"--scale: is {self.scale:g}; expected metres a unit, such as 0.001 for millimetres")
+        if self.resolution < 16:
+            raise HyalineError(f"--resolution: is {self.resolution}; expected at least 16 pixels")

@@ -1,0 +1,84 @@
+"""What a foreign file holds, whatever its format: surfaces in the file's own units and axes, and their materials."""
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from datagen.scene.materials import Material
+from datagen.scene.values import Color
+
+Axis = Literal["x", "y", "z"]
+
+MAX_FILE_BYTES = 1 << 29
+"""Of a file that is imported, and of each file that it names."""
+MAX_TRIANGLES = 4_000_000
+"""Of a whole scene, each instance counted."""
+MAX_SURFACES = 20_000
+"""Instances of surfaces in a file; a scene has 255 objects, or so many after --merge."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ForeignImage:
+    """An image file: a PNG, a JPEG or a WebP, as its bytes."""
+
+    name: str
+    data: bytes
+
+
+@dataclass(frozen=True, kw_only=True)
+class ForeignMaterial:
+    """A material in the terms of glTF's metallic-roughness model and its extensions, into which other files translate.
+
+    Source: glTF 2.0 section 3.9, KHR_materials_transmission, _volume, _ior, _dispersion.
+    """
+
+    name: str
+    base_color: Color = (1.0, 1.0, 1.0)
+    """Linear; times the image."""
+    image: ForeignImage | None = None
+    alpha: float = 1.0
+    alpha_mode: Literal["opaque", "mask", "blend"] = "opaque"
+    metallic: float = 0.0
+    roughness: float = 0.5
+    """Perceptual: the square root of the microfacet alpha."""
+    transmission: float = 0.0
+    ior: float = 1.5
+    is_volume: bool = False
+    """It fills its mesh; else the file calls it thin-walled."""
+    attenuation_color: Color = (1.0, 1.0, 1.0)
+    """What white light becomes after `attenuation_distance`."""
+    attenuation_distance: float = math.inf
+    """In the file's units."""
+    dispersion: float = 0.0
+    """20 over the Abbe number."""
+    priority: int = 0
+    is_drink: bool = False
+    """Its name says that it is a liquid in a glass."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ForeignObject:
+    """One surface of one material, placed in the file's world."""
+
+    name: str
+    positions: Float[ndarray, "vertex 3"]
+    faces: Int[ndarray, "face 3"]
+    """Counter-clockwise seen from outside."""
+    normals: Float[ndarray, "vertex 3"] | None
+    uv: Float[ndarray, "vertex 2"] | None
+    """Of the material's image; v points up."""
+    material: ForeignMaterial | Material
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ForeignScene:
+    """All surfaces of a file."""
+
+    objects: tuple[ForeignObject, ...]
+    up: Axis
+    """The axis that points up, by the format's rule or custom."""
+    metres: float = 1.0
+    """Metres a unit, by the format's rule; 1 where it has none."""

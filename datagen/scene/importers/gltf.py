@@ -1,0 +1,190 @@
+"""glTF and GLB files: every surface that a viewer would show, in the file's world."""
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from datagen.disk.errors import HyalineError
+from datagen.scene.importers.fields import Fields
+from datagen.scene.importers.foreign import (
+    MAX_SURFACES,
+    MAX_TRIANGLES,
+    ForeignMaterial,
+    ForeignObject,
+    ForeignScene,
+)
+from datagen.scene.importers.gltf_arrays import GltfArrays
+from datagen.scene.importers.gltf_draco import read_draco
+from datagen.scene.importers.gltf_file import GltfFile
+from datagen.scene.importers.gltf_materials import TextureUse, read_material
+from datagen.scene.importers.gltf_nodes import instances
+from datagen.scene.importers.remarks import Remarks
+
+TRIANGLES, STRIP, FAN = 4, 5, 6
+Attributes = dict[str, np.ndarray]
+
+
+def read_gltf(path: Path, remarks: Remarks) -> ForeignScene:
+    """The surfaces of a glTF or GLB file.
+
+    Raises:
+        HyalineError: it is no such file, damaged, or needs what is not read.
+    """
+    file = GltfFile(path)
+    arrays = GltfArrays(file)
+    _check_lists(file)
+    placed = list(instances(arrays, remarks))
+    if "animations" in file.root:
+        remarks.note(path.name, "has animations; each object stands where its node puts it")
+    uses: dict[int, int] = {}
+    for instance in placed:
+        uses[instance.mesh] = uses.get(instance.mesh, 0) + 1
+    _check_size(arrays, uses)
+    materials: dict[int | None, tuple[ForeignMaterial, TextureUse | None]] = {}
+    surfaces: dict[int, list[ForeignObject]] = {}
+    for mesh in uses:
+        surfaces[mesh] = list(_surfaces(arrays, mesh, materials, remarks))
+    objects = []
+    for instance in placed:
+        parts = surfaces[instance.mesh]
+        name = instance.node.text("name") or file.lists["meshes"][instance.mesh].text("name")
+        for index, part in enumerate(parts):
+            own = name or part.name or "object"
+            own = f"{own}_{index}" if len(parts) > 1 else own
+            objects.append(_placed(part, own, instance.world_from_mesh))
+    if not objects:
+        raise HyalineError(f"{path}: holds no triangles; expected a scene with a mesh")
+    return ForeignScene(objects=tuple(objects), up="y")
+
+
+def _check_lists(file: GltfFile) -> None:
+    for mesh in file.lists["meshes"]:
+        if not mesh.listed("primitives"):
+            raise HyalineError(f"{mesh.where}.primitives: is empty; expected at least one")
+
+
+def _check_size(arrays: GltfArrays, uses: dict[int, int]) -> None:
+    """Refuses a scene that is too large before any of it is decoded."""
+    triangles = surfaces = 0
+    for index, times in uses.items():
+        for primitive in arrays.file.lists["meshes"][index].listed("primitives"):
+            attributes = primitive.fields("attributes")
+            source = primitive if "indices" in primitive else attributes
+            count = source.integer("indices" if "indices" in primitive else "POSITION")
+            is_list = primitive.integer("mode", TRIANGLES) == TRIANGLES
+            triangles += times * arrays.count(count, where=source.where) // (3 if is_list else 1)
+            surfaces += times
+    if triangles > MAX_TRIANGLES or surfaces > MAX_SURFACES:
+        raise HyalineError(
+            f"{arrays.file.path}: has {triangles:,} triangles in {surfaces:,} surfaces; "
+            f"expected at most {MAX_TRIANGLES:,} in {MAX_SURFACES:,}"
+        )
+
+
+def _surfaces(
+    arrays: GltfArrays,
+    mesh: int,
+    materials: dict[int | None, tuple[ForeignMaterial, TextureUse | None]],
+    remarks: Remarks,
+) -> Iterator[ForeignObject]:
+    """The triangles of a mesh, one surface a primitive, where the mesh itself is."""
+    described = arrays.file.lists["meshes"][mesh]
+    name = described.text("name")
+    for primitive in described.listed("primitives"):
+        mode = primitive.integer("mode", TRIANGLES, high=6)
+        if mode < TRIANGLES:
+            remarks.approximate(name or described.where, "has points or lines, which are left out")
+            continue
+        if "targets" in primitive:
+            remarks.note(name or described.where, "has morph targets; it keeps the shape without them")
+        chosen = primitive.integer("material") if "material" in primitive else None
+        if chosen not in materials:
+            materials[chosen] = read_material(arrays.file, chosen, remarks)
+        material, use = materials[chosen]
+        attributes, corners = _attributes(arrays, primitive)
+        if "COLOR_0" in primitive.fields("attributes"):
+            remarks.approximate(name or described.where, "has colours at its vertices, which are left out")
+        faces = _triangles(corners, mode)
+        if not len(faces):
+            continue
+        if "EXT_mesh_features" in primitive.extensions():
+            remarks.note(name or described.where, "has feature ids, which are left out")
+        uv = None
+        if use is not None and (raw := attributes.get(f"TEXCOORD_{use.channel}")) is not None:
+            uv = use.uv_from_file(raw)
+        yield ForeignObject(
+            name=name or material.name,
+            positions=attributes["POSITION"],
+            faces=faces,
+            normals=attributes.get("NORMAL"),
+            uv=uv,
+            material=material,
+        )
+
+
+def _attributes(arrays: GltfArrays, primitive: Fields) -> tuple[Attributes, np.ndarray]:
+    """Positions, normals and uv of a primitive's vertices, and the vertices of its corners in order."""
+    listed = primitive.fields("attributes")
+    wanted = {"POSITION": "VEC3", "NORMAL": "VEC3"}
+    wanted |= {name: "VEC2" for name in listed if re.fullmatch(r"TEXCOORD_\d{1,2}", name)}
+    draco = primitive.extension("KHR_draco_mesh_compression")
+    if draco is not None:
+        found, corners = read_draco(arrays, draco, {name: kind for name, kind in wanted.items() if name in listed})
+    else:
+        listed.integer("POSITION")
+        found = {
+            name: arrays.array(listed.integer(name), kind, where=listed.where)
+            for name, kind in wanted.items()
+            if name in listed
+        }
+        corners = np.arange(len(found["POSITION"]))
+        if "indices" in primitive:
+            corners = arrays.array(primitive.integer("indices"), "SCALAR", where=primitive.where)
+    count = len(found["POSITION"])
+    if any(len(values) != count for values in found.values()):
+        raise HyalineError(f"{primitive.where}: its attributes differ in length; export the file again")
+    if corners.ndim != 1 or corners.dtype.kind != "i":
+        raise HyalineError(f"{primitive.where}.indices: are no whole numbers; export the file again")
+    if len(corners) and (corners.min() < 0 or corners.max() >= count):
+        raise HyalineError(f"{primitive.where}: names vertex {corners.max()} of {count}; export the file again")
+    return found, corners
+
+
+def _triangles(corners: np.ndarray, mode: int) -> np.ndarray:
+    """Faces (n, 3) of corners in the order of a list, a strip or a fan."""
+    if mode == TRIANGLES:
+        return corners[: len(corners) // 3 * 3].reshape(-1, 3)
+    if len(corners) < 3:
+        return np.zeros((0, 3), np.int64)
+    if mode == FAN:
+        return np.stack([np.broadcast_to(corners[0], len(corners) - 2), corners[1:-1], corners[2:]], axis=-1)
+    faces = np.stack([corners[:-2], corners[1:-1], corners[2:]], axis=-1)
+    faces[1::2] = faces[1::2, [1, 0, 2]]
+    return faces
+
+
+def _placed(part: ForeignObject, name: str, world: np.ndarray) -> ForeignObject:
+    """A surface in the world: what a mirroring node turns inside out is wound the right way round again."""
+    linear = world[:3, :3]
+    determinant = float(np.linalg.det(linear))
+    if abs(determinant) < 1e-30:
+        raise HyalineError(f"{name}: its node flattens it to nothing; expected a scale other than 0")
+    normals = None
+    if part.normals is not None:
+        normals = elementwise(part.normals, np.linalg.inv(linear).T, np.zeros(3))
+    return ForeignObject(
+        name=name,
+        positions=elementwise(part.positions, linear, world[:3, 3]),
+        faces=part.faces[:, ::-1] if determinant < 0 else part.faces,
+        normals=normals,
+        uv=part.uv,
+        material=part.material,
+    )
+
+
+def elementwise(points: np.ndarray, linear: np.ndarray, offset: np.ndarray) -> np.ndarray:
+    """linear p + offset; equal points stay equal to the last bit, as they may not in a matrix product."""
+    x, y, z = points[:, 0], points[:, 1], points[:, 2]
+    return np.stack([x * row[0] + y * row[1] + z * row[2] + at for row, at in zip(linear, offset)], axis=-1)

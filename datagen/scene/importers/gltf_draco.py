@@ -1,0 +1,92 @@
+"""Meshes of a glTF file that Draco has compressed; decoded in a process of its own, since that is native code.
+
+Source: KHR_draco_mesh_compression.
+"""
+
+import importlib.util
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from datagen.disk.errors import HyalineError
+from datagen.disk.os_errors import naming
+from datagen.scene.importers.fields import Fields
+from datagen.scene.importers.gltf_arrays import WIDTHS, GltfArrays
+
+TIMEOUT_S = 60
+
+
+def read_draco(arrays: GltfArrays, draco: Fields, wanted: dict[str, str]) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """Attributes of the vertices, and the vertices of the corners in order.
+
+    Args:
+        wanted: the type of each attribute by its name.
+
+    Raises:
+        HyalineError: DracoPy is not installed, or the bytes cannot be decoded.
+    """
+    if importlib.util.find_spec("DracoPy") is None:
+        raise HyalineError(
+            f"{draco.where}: is compressed by Draco; `pip install 'hyaline[import]'` installs what reads it, "
+            "or export the file without compression"
+        )
+    ids = draco.fields("attributes")
+    names = [name for name in wanted if name in ids]
+    if "POSITION" not in names:
+        raise HyalineError(f"{ids.where}: has no POSITION; export the file again")
+    view, _ = arrays.file.buffer_view(draco.integer("bufferView"), where=draco.where)
+    found = _decode(bytes(view), {name: ids.integer(name) for name in names}, where=draco.where)
+    attributes = {name: found[name].astype(np.float64) for name in names}
+    for name, values in attributes.items():
+        if values.shape != (len(attributes["POSITION"]), WIDTHS[wanted[name]]) or not np.isfinite(values).all():
+            raise HyalineError(f"{draco.where}: its {name} are no {wanted[name]} of finite numbers; export it again")
+    return attributes, found["faces"].astype(np.int64).reshape(-1)
+
+
+def _decode(data: bytes, ids: dict[str, int], *, where: str) -> dict[str, np.ndarray]:
+    with tempfile.TemporaryDirectory(prefix="hyaline-draco-") as folder:
+        source, target = Path(folder) / "in.drc", Path(folder) / "out.npz"
+        with naming(source):
+            source.write_bytes(data)
+        words = [f"{name}={unique}" for name, unique in ids.items()]
+        # The child finds this package where the parent found it; -P keeps the working directory out of its path.
+        package_root = str(Path(__file__).resolve().parents[3])
+        path = os.pathsep.join([package_root, *filter(None, [os.environ.get("PYTHONPATH")])])
+        command = [sys.executable, "-P", "-m", "datagen.scene.importers.gltf_draco", str(source), str(target), *words]
+        try:
+            answer = subprocess.run(
+                command,
+                env={**os.environ, "PYTHONPATH": path},
+                stdin=subprocess.DEVNULL,
+                capture_output=True,
+                text=True,
+                timeout=TIMEOUT_S,
+                check=False,
+            )
+        except subprocess.TimeoutExpired:
+            raise HyalineError(f"{where}: Draco took more than {TIMEOUT_S} s; export the file again") from None
+        if answer.returncode != 0 or not target.is_file():
+            last = (answer.stderr.strip().splitlines() or [f"status {answer.returncode}"])[-1]
+            raise HyalineError(f"{where}: Draco cannot read it ({last}); export the file again")
+        with np.load(target) as arrays:
+            return dict(arrays)
+
+
+def _child(source: Path, target: Path, ids: dict[str, int]) -> None:
+    import DracoPy  # pyright: ignore[reportMissingImports]
+
+    mesh = DracoPy.decode(source.read_bytes())
+    found = {"faces": np.asarray(mesh.faces)}
+    for attribute in mesh.attributes:
+        for name, unique in ids.items():
+            if attribute["unique_id"] == unique:
+                found[name] = np.asarray(attribute["data"])
+    np.savez(target, allow_pickle=False, **found)
+
+
+if __name__ == "__main__":
+    _child(Path(sys.argv[1]), Path(sys.argv[2]), {k: int(v) for k, v in (word.split("=") for word in sys.argv[3:])})

@@ -1,0 +1,187 @@
+"""Materials of a glTF file: its metallic-roughness model and those of Khronos's extensions that glass needs.
+
+Source: glTF 2.0 section 3.9 and the READMEs of the extensions in KhronosGroup/glTF.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal, cast
+
+import numpy as np
+from jaxtyping import Float
+
+from datagen.disk.errors import HyalineError
+from datagen.scene.importers.fields import Fields
+from datagen.scene.importers.foreign import ForeignImage, ForeignMaterial
+from datagen.scene.importers.gltf_file import GltfFile
+from datagen.scene.importers.remarks import Remarks
+
+IGNORED = {
+    "KHR_materials_anisotropy": "brushed grain (anisotropy)",
+    "KHR_materials_clearcoat": "a clear coat",
+    "KHR_materials_diffuse_transmission": "diffuse transmission",
+    "KHR_materials_iridescence": "iridescence",
+    "KHR_materials_sheen": "sheen",
+    "KHR_materials_specular": "a specular weight or tint",
+}
+DRINKS = ("water", "drink", "liquid", "wine", "juice", "beer", "milk", "tea", "coffee")
+MAX_PRIORITY = 9
+
+
+@dataclass(frozen=True, kw_only=True)
+class TextureUse:
+    """How a material's image lies on a mesh."""
+
+    channel: int
+    """Which TEXCOORD of the mesh."""
+    uv_from_file: Callable[[Float[np.ndarray, "vertex 2"]], Float[np.ndarray, "vertex 2"]]
+    """To uv whose v points up."""
+
+
+def read_material(file: GltfFile, index: int | None, remarks: Remarks) -> tuple[ForeignMaterial, TextureUse | None]:
+    """A material of the file, and how its base colour's image lies; glTF's default one for None."""
+    if index is None:
+        return ForeignMaterial(name="default", metallic=1.0, roughness=1.0), None
+    fields = file.item("materials", index, where=str(file.path))
+    name = fields.text("name") or f"material_{index}"
+    pbr = fields.fields("pbrMetallicRoughness")
+    red, green, blue, alpha = pbr.numbers("baseColorFactor", (1.0, 1.0, 1.0, 1.0))
+    metallic, roughness = pbr.share("metallicFactor", 1.0), pbr.share("roughnessFactor", 1.0)
+    texture = pbr.fields("baseColorTexture") if "baseColorTexture" in pbr else None
+    if (gloss := fields.extension("KHR_materials_pbrSpecularGlossiness")) is not None:
+        red, green, blue, alpha = gloss.numbers("diffuseFactor", (1.0, 1.0, 1.0, 1.0))
+        metallic, roughness = 0.0, 1 - gloss.share("glossinessFactor", 1.0)
+        texture = gloss.fields("diffuseTexture") if "diffuseTexture" in gloss else None
+        remarks.approximate(name, "is of the specular-glossiness model; drawn as plastic of its diffuse colour")
+    if fields.extension("KHR_materials_unlit") is not None:
+        metallic, roughness = 0.0, 1.0
+        remarks.approximate(name, "is unlit; drawn as a matt surface that light falls on")
+    image, use = (None, None) if texture is None else _texture(file, texture, name, remarks)
+    _remark_on(fields, pbr, name, remarks)
+    transmission = fields.extension("KHR_materials_transmission")
+    volume = fields.extension("KHR_materials_volume")
+    dispersion = fields.extension("KHR_materials_dispersion")
+    material = ForeignMaterial(
+        name=name,
+        base_color=cast(tuple[float, float, float], tuple(min(max(c, 0.0), 1.0) for c in (red, green, blue))),
+        image=image,
+        alpha=min(max(alpha, 0.0), 1.0),
+        alpha_mode=_alpha_mode(fields),
+        metallic=metallic,
+        roughness=roughness,
+        transmission=0.0 if transmission is None else transmission.share("transmissionFactor", 0.0),
+        ior=_ior(fields, name, remarks),
+        is_volume=volume is not None and volume.number("thicknessFactor", 0.0) > 0,
+        attenuation_color=(1.0, 1.0, 1.0) if volume is None else volume.color("attenuationColor", (1.0, 1.0, 1.0)),
+        attenuation_distance=_distance(volume),
+        dispersion=0.0 if dispersion is None else max(dispersion.number("dispersion", 0.0), 0.0),
+        priority=_priority(fields),
+        is_drink=any(word in name.lower() for word in DRINKS),
+    )
+    return material, use
+
+
+def _alpha_mode(fields: Fields) -> Literal["opaque", "mask", "blend"]:
+    mode = fields.text("alphaMode", "OPAQUE")
+    modes: dict[str, Literal["opaque", "mask", "blend"]] = {"OPAQUE": "opaque", "MASK": "mask", "BLEND": "blend"}
+    if mode not in modes:
+        raise HyalineError(f"{fields.where}.alphaMode: is {mode[:40]!r}; expected one of {', '.join(modes)}")
+    return modes[mode]
+
+
+def _ior(fields: Fields, name: str, remarks: Remarks) -> float:
+    extension = fields.extension("KHR_materials_ior")
+    ior = 1.5 if extension is None else extension.number("ior", 1.5)
+    if ior == 0:  # The extension's word for a surface that mirrors all: of the specular-glossiness model.
+        remarks.approximate(name, "has an index of refraction of 0, which stands for none; drawn with 1.5")
+        return 1.5
+    if not 1 <= ior < 10:
+        raise HyalineError(f"{fields.where}: material {name} has an index of refraction of {ior:g}; expected 1 to 10")
+    return ior
+
+
+def _distance(volume: Fields | None) -> float:
+    if volume is None or "attenuationDistance" not in volume:
+        return math.inf
+    distance = volume.number("attenuationDistance", 1.0)
+    if distance <= 0:
+        raise HyalineError(f"{volume.where}.attenuationDistance: is {distance:g}; expected a positive number")
+    return distance
+
+
+def _priority(fields: Fields) -> int:
+    extras = fields.data.get("extras")
+    if not isinstance(extras, dict) or "priority" not in extras:
+        return 0
+    return Fields(extras, f"{fields.where}.extras").integer("priority", low=-MAX_PRIORITY, high=MAX_PRIORITY)
+
+
+def _remark_on(fields: Fields, pbr: Fields, name: str, remarks: Remarks) -> None:
+    """A line for each thing that the file says about a material and that is not drawn."""
+    for extension in fields.extensions():
+        if extension in IGNORED:
+            remarks.approximate(name, f"has {IGNORED[extension]}, which is left out")
+    for key, what in (("normalTexture", "a normal map"), ("occlusionTexture", "an occlusion map")):
+        if key in fields:
+            remarks.approximate(name, f"has {what}, which is left out")
+    if "metallicRoughnessTexture" in pbr:
+        remarks.approximate(name, "has an image of metalness and roughness; its factors alone are used")
+    transmission, volume = (fields.extension(f"KHR_materials_{kind}") for kind in ("transmission", "volume"))
+    if transmission is not None and "transmissionTexture" in transmission:
+        remarks.approximate(name, "has an image of transmission; its factor alone is used")
+    if volume is not None and "thicknessTexture" in volume:
+        remarks.note(name, "has an image of thickness, which path tracers do not need: light crosses the mesh itself")
+    emissive = fields.color("emissiveFactor", (0.0, 0.0, 0.0))
+    if max(emissive) > 0:
+        remarks.approximate(name, "glows, which is left out")
+
+
+# Images
+
+
+def _texture(
+    file: GltfFile, texture: Fields, name: str, remarks: Remarks
+) -> tuple[ForeignImage | None, TextureUse | None]:
+    entry = file.item("textures", texture.integer("index"), where=texture.where)
+    webp = entry.extension("EXT_texture_webp")
+    source = webp if webp is not None else entry
+    if "source" not in source:
+        kinds = ", ".join(entry.extensions())
+        remarks.approximate(name, f"has an image of a kind that is not read ({kinds}), which is left out")
+        return None, None
+    image = file.item("images", source.integer("source"), where=entry.where)
+    if "uri" in image:
+        data = file.uri(image.text("uri"), where=f"{image.where}.uri")
+    else:
+        view, _ = file.buffer_view(image.integer("bufferView"), where=image.where)
+        data = bytes(view)
+    transform = texture.extension("KHR_texture_transform")
+    channel = texture.integer("texCoord", 0, high=31)
+    if transform is not None:
+        channel = transform.integer("texCoord", channel, high=31)
+    wraps = {"wrapS": 10497, "wrapT": 10497}
+    if "sampler" in entry:
+        sampler = file.item("samplers", entry.integer("sampler"), where=entry.where)
+        wraps = {key: sampler.integer(key, 10497) for key in wraps}
+    return ForeignImage(name=name, data=data), TextureUse(channel=channel, uv_from_file=_uv(transform, wraps))
+
+
+def _uv(
+    transform: Fields | None, wraps: dict[str, int]
+) -> Callable[[Float[np.ndarray, "vertex 2"]], Float[np.ndarray, "vertex 2"]]:
+    """From uv of the file, v down, to uv of its image, v up. Source: KHR_texture_transform's README."""
+    shift, factor, turn = (0.0, 0.0), (1.0, 1.0), 0.0
+    if transform is not None:
+        shift, factor = transform.numbers("offset", (0.0, 0.0)), transform.numbers("scale", (1.0, 1.0))
+        turn = transform.number("rotation", 0.0)
+    cos, sin = math.cos(turn), math.sin(turn)
+    clamps = [wraps[key] == 33071 for key in ("wrapS", "wrapT")]
+
+    def uv_from_file(uv: Float[np.ndarray, "vertex 2"]) -> Float[np.ndarray, "vertex 2"]:
+        u, v = uv[:, 0] * factor[0], uv[:, 1] * factor[1]
+        sides = [cos * u + sin * v + shift[0], -sin * u + cos * v + shift[1]]
+        sides = [np.clip(side, 0, 1) if clamp else side for side, clamp in zip(sides, clamps)]
+        return np.stack([sides[0], 1 - sides[1]], axis=-1)
+
+    return uv_from_file

@@ -1,0 +1,148 @@
+"""Where the meshes of a glTF file stand: its tree of nodes, and the instances that they make.
+
+Source: glTF 2.0 section 3.5, EXT_mesh_gpu_instancing.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from datagen.disk.errors import HyalineError
+from datagen.scene.importers.fields import Fields
+from datagen.scene.importers.foreign import MAX_SURFACES
+from datagen.scene.importers.gltf_arrays import GltfArrays
+from datagen.scene.importers.remarks import Remarks
+
+MAX_NODES = 20_000
+MAX_COORDINATE = 1e18
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Instance:
+    """A mesh at one place."""
+
+    node: Fields
+    mesh: int
+    world_from_mesh: Float[np.ndarray, "4 4"]
+
+
+def instances(arrays: GltfArrays, remarks: Remarks) -> Iterator[Instance]:
+    """Every mesh of the file's scene, once for each place at which it stands; parents come before children.
+
+    Raises:
+        HyalineError: nodes in a circle, or one that has two parents.
+    """
+    file = arrays.file
+    nodes = file.lists["nodes"]
+    if len(nodes) > MAX_NODES:
+        raise HyalineError(f"{file.path}: has {len(nodes):,} nodes; expected at most {MAX_NODES:,}")
+    waiting = [(index, np.eye(4)) for index in reversed(_roots(arrays))]
+    seen: set[int] = set()
+    count = 0
+    while waiting:
+        index, world_from_parent = waiting.pop()
+        node = nodes[index]
+        if index in seen:
+            raise HyalineError(f"{node.where}: stands in a circle, or below two nodes; export the file again")
+        seen.add(index)
+        world_from_node = world_from_parent @ _local(node)
+        if not np.abs(world_from_node).max() < MAX_COORDINATE:
+            raise HyalineError(f"{node.where}: is larger than can be; export the file again")
+        if "mesh" in node:
+            if "skin" in node:
+                remarks.approximate(_name(node), "is moved by bones, which are not read; it stands in its rest pose")
+            for world_from_mesh in _copies(arrays, node, world_from_node):
+                count += 1
+                if count > MAX_SURFACES:
+                    raise HyalineError(f"{file.path}: places more than {MAX_SURFACES:,} meshes; expected fewer")
+                mesh = node.integer("mesh", high=len(file.lists["meshes"]) - 1)
+                yield Instance(node=node, mesh=mesh, world_from_mesh=world_from_mesh)
+        _remark_on(node, remarks)
+        children = node.indices("children", count=len(nodes))
+        waiting += [(child, world_from_node) for child in reversed(children)]
+
+
+def _name(node: Fields) -> str:
+    return node.text("name") or node.where.rsplit(".", 1)[-1]
+
+
+def _remark_on(node: Fields, remarks: Remarks) -> None:
+    if "camera" in node:
+        remarks.note(_name(node), "is a camera; the scene gets cameras all around instead")
+    if node.extension("KHR_lights_punctual") is not None:
+        remarks.approximate(_name(node), "is a lamp, which is left out; the scene gets soft light from all around")
+
+
+def _roots(arrays: GltfArrays) -> list[int]:
+    """The top nodes of the file's scene; of a file without scenes, those that are nobody's children."""
+    file = arrays.file
+    nodes = file.lists["nodes"]
+    if file.lists["scenes"]:
+        scene = file.item("scenes", file.root.integer("scene", 0), where=file.root.where)
+        return scene.indices("nodes", count=len(nodes))
+    below = {child for node in nodes for child in node.indices("children", count=len(nodes))}
+    return [index for index in range(len(nodes)) if index not in below]
+
+
+def _local(node: Fields) -> Float[np.ndarray, "4 4"]:
+    if "matrix" in node:
+        return np.array(node.numbers("matrix", (0.0,) * 16)).reshape(4, 4).T
+    if not any(key in node for key in ("rotation", "translation", "scale")):
+        return np.eye(4)
+    rotation = np.array([node.numbers("rotation", (0.0, 0.0, 0.0, 1.0))])
+    translation = np.array([node.numbers("translation", (0.0, 0.0, 0.0))])
+    scale = np.array([node.numbers("scale", (1.0, 1.0, 1.0))])
+    return _matrices(translation, rotation, scale, where=node.where)[0]
+
+
+def _matrices(
+    translation: Float[np.ndarray, "n 3"],
+    rotation: Float[np.ndarray, "n 4"],
+    scale: Float[np.ndarray, "n 3"],
+    *,
+    where: str,
+) -> Float[np.ndarray, "n 4 4"]:
+    """Scale, then turn by a quaternion (x, y, z, w), then move."""
+    length = np.linalg.norm(rotation, axis=-1, keepdims=True)
+    if (length < 1e-9).any():
+        raise HyalineError(f"{where}: has a rotation of length 0; export the file again")
+    x, y, z, w = (rotation / length).T
+    turn = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+    matrices = np.tile(np.eye(4), (len(translation), 1, 1))
+    matrices[:, :3, :3] = np.moveaxis(turn, -1, 0) * scale[:, None, :]
+    matrices[:, :3, 3] = translation
+    return matrices
+
+
+def _copies(arrays: GltfArrays, node: Fields, world_from_node: Float[np.ndarray, "4 4"]) -> list[np.ndarray]:
+    """One place, or those of EXT_mesh_gpu_instancing."""
+    instancing = node.extension("EXT_mesh_gpu_instancing")
+    if instancing is None:
+        return [world_from_node]
+    attributes = instancing.fields("attributes")
+    given = {name: attributes.integer(name) for name in ("TRANSLATION", "ROTATION", "SCALE") if name in attributes}
+    counts = {arrays.count(index, where=attributes.where) for index in given.values()}
+    if len(counts) != 1 or max(counts) > MAX_SURFACES:
+        raise HyalineError(
+            f"{attributes.where}: places {sorted(counts)} instances; expected one number up to {MAX_SURFACES}"
+        )
+    count = counts.pop()
+    values = {
+        name: arrays.array(index, "VEC4" if name == "ROTATION" else "VEC3", where=attributes.where)
+        for name, index in given.items()
+    }
+    placed = _matrices(
+        values.get("TRANSLATION", np.zeros((count, 3))),
+        values.get("ROTATION", np.tile([0.0, 0.0, 0.0, 1.0], (count, 1))),
+        values.get("SCALE", np.ones((count, 3))),
+        where=attributes.where,
+    )
+    return [world_from_node @ local for local in placed]

@@ -1,0 +1,177 @@
+"""From a foreign file to a scene: read, mend, map, stage, check."""
+
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from datagen.disk.errors import HyalineError
+from datagen.disk.names import file_name
+from datagen.disk.records import Json, shown
+from datagen.disk.storage import sha256_file
+from datagen.scene.description import MAX_OBJECTS, OBJECT_NAME, Scene, SceneObject
+from datagen.scene.importers.apart import apart, parted
+from datagen.scene.importers.choices import ImportChoices
+from datagen.scene.importers.foreign import Axis, ForeignObject, ForeignScene
+from datagen.scene.importers.gltf import elementwise, read_gltf
+from datagen.scene.importers.mapping import Mapper
+from datagen.scene.importers.merging import merged_by_material
+from datagen.scene.importers.overrides import override, parse_overrides
+from datagen.scene.importers.remarks import Remark, Remarks
+from datagen.scene.importers.staging import LIGHT, find_scale, has_ground, make_ground, make_rig, z_up_from
+from datagen.scene.importers.surfaces import made_sound, mesh_of, shape_of
+from datagen.scene.materials import Material
+from datagen.scene.mending import mend_scene, mend_surface
+from datagen.scene.soundness import check_scene
+
+READERS: dict[str, Callable[[Path, Remarks], ForeignScene]] = {".glb": read_gltf, ".gltf": read_gltf}
+"""Readers of files by their ending."""
+
+RECORD_VERSION = 1
+MAX_TOLD = 40
+"""Lines that a command says; import.json has all of them."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Imported:
+    """A scene made of a foreign file, and what import.json says about it."""
+
+    scene: Scene
+    record: Mapping[str, Json]
+    remarks: tuple[Remark, ...]
+
+    def told(self) -> list[str]:
+        """What a user is told: all approximations, notes, and how many objects there are."""
+        glass = sum(item.material.is_glass for item in self.scene.objects)
+        lines = [f"{line.where}: {line.what}" for line in self.remarks]
+        shown = lines if len(lines) <= MAX_TOLD else [*lines[:MAX_TOLD], f"... and {len(lines) - MAX_TOLD} lines more"]
+        return [*shown, f"scene {self.scene.name}: {len(self.scene.objects)} objects, {glass} of them glass"]
+
+
+def import_scene(path: Path, choices: ImportChoices) -> Imported:
+    """The scene in a foreign file, with an atlas for each object, checked.
+
+    Raises:
+        HyalineError: a file that cannot be read or that hides what it needs, or a scene that would render wrong.
+    """
+    if path.suffix.lower() not in READERS:
+        raise HyalineError(f"{path}: ends in {shown(path.suffix)}; expected one of {', '.join(sorted(READERS))}")
+    remarks, overrides = Remarks(is_strict=choices.strict), parse_overrides(choices.material)
+    foreign = READERS[path.suffix.lower()](path, remarks)
+    up: Axis = foreign.up if choices.up == "auto" else choices.up
+    parts = tuple(foreign.objects)
+    if len(parts) > MAX_OBJECTS - 1:
+        if not choices.merge:
+            raise HyalineError(
+                f"{path}: has {len(parts):,} objects, and a scene has at most {MAX_OBJECTS - 1} besides its ground; "
+                "pass --merge to make one of those of a material"
+            )
+        parts = merged_by_material(parts, remarks, where=path.name)
+    scale = _find_scale(parts, foreign, choices, remarks, where=path.name)
+    names = _unique_names([part.name for part in parts])
+    mapper = Mapper(metres=scale, thin=choices.thin, remarks=remarks)
+    linear, offset = _world(parts, scale, up)
+    objects: list[SceneObject] = []
+    without_uv: set[str] = set()
+    for name, part in zip(names, parts, strict=True):
+        item = _object(name, part, linear, offset, mapper, override(name, overrides), remarks)
+        objects += parted(item, remarks)
+        if part.uv is None:
+            without_uv.add(name)
+    objects = apart(objects, remarks)
+    rig = make_rig(objects, remarks)
+    if choices.ground == "always" or (choices.ground == "auto" and not has_ground(objects)):
+        ground = make_ground(objects, resolution=choices.resolution, remarks=remarks)
+        without_uv.add(ground.name)
+        objects.append(ground)
+    used = {image.path for item in objects for image in item.material.images().values()}
+    scene = Scene(
+        name=scene_name(path),
+        description=f"Imported from {path.name}"[:200],
+        objects=tuple(objects),
+        environment=LIGHT,
+        cameras=rig,
+        baked={image: data for image, data in mapper.images.items() if image in used},
+    )
+    scene = mend_scene(scene, without_uv={item.name for item in objects if item.name in without_uv})
+    check_scene(scene)
+    record: dict[str, Json] = {
+        "version": RECORD_VERSION,
+        "source": path.name,
+        "source_sha256": sha256_file(path),
+        "scale": scale,
+        "up": up,
+        "materials": list(choices.material),
+        **remarks.to_json(),
+    }
+    return Imported(scene=scene, record=record, remarks=tuple(remarks.lines))
+
+
+def _object(
+    name: str,
+    part: ForeignObject,
+    linear: np.ndarray,
+    offset: np.ndarray,
+    mapper: Mapper,
+    chosen: Material | None,
+    remarks: Remarks,
+) -> SceneObject:
+    """One object in metres, z up, with a material that suits its mesh."""
+    normals = None if part.normals is None else elementwise(part.normals, linear, np.zeros(3))
+    mesh = mesh_of(elementwise(part.positions, linear, offset), part.faces, normals, part.uv, where=name)
+    mesh = made_sound(mesh, remarks, where=name)
+    mesh, mended = mend_surface(mesh, is_solid=True)
+    for line in mended:
+        remarks.note(name, line)
+    material = chosen or part.material
+    if not isinstance(material, Material):
+        material = mapper.material(material, shape_of(mesh, has_uv=part.uv is not None), where=name)
+    return SceneObject(name=name, mesh=mesh, material=material)
+
+
+def _find_scale(
+    parts: tuple[ForeignObject, ...], foreign: ForeignScene, choices: ImportChoices, remarks: Remarks, *, where: str
+) -> float:
+    """Metres a unit."""
+    low = np.min([part.positions[part.faces].min(axis=(0, 1)) for part in parts], axis=0)
+    high = np.max([part.positions[part.faces].max(axis=(0, 1)) for part in parts], axis=0)
+    size = float((high - low).max())
+    if not 1e-30 < size < 1e30:
+        raise HyalineError(f"{where}: is {size:g} units large; expected a scene that has a size")
+    if choices.scale is not None:
+        return choices.scale
+    return find_scale(size, metres=foreign.metres, remarks=remarks, where=where)
+
+
+def _world(parts: tuple[ForeignObject, ...], scale: float, up: Axis) -> tuple[np.ndarray, np.ndarray]:
+    """From the file's world to ours: linear part and offset. The scene's box stands on z = 0, over the origin."""
+    linear = scale * z_up_from(up)
+    points = [elementwise(part.positions[np.unique(part.faces)], linear, np.zeros(3)) for part in parts]
+    low, high = np.min([p.min(axis=0) for p in points], axis=0), np.max([p.max(axis=0) for p in points], axis=0)
+    return linear, -np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]])
+
+
+def scene_name(path: Path) -> str:
+    """The name of the scene that is made of a file."""
+    name = re.sub(r"[^A-Za-z0-9_+,-]", "_", file_name(path.stem))[:60]
+    return name if re.match(r"[A-Za-z0-9_]", name) else f"_{name}"
+
+
+def _unique_names(names: list[str]) -> list[str]:
+    """Names that a scene may have, each once: others are numbered."""
+    fit = [re.sub(r"[^A-Za-z0-9_-]", "_", name).lstrip("-")[:60] or "object" for name in names]
+    assert all(re.fullmatch(OBJECT_NAME, name) for name in fit)
+    counts = {name: fit.count(name) for name in set(fit)} if len(fit) < 1000 else dict.fromkeys(fit, 2)
+    taken: set[str] = {name for name, count in counts.items() if count == 1}
+    unique, following = [], dict.fromkeys(fit, 0)
+    for name in fit:
+        if counts[name] == 1:
+            unique.append(name)
+            continue
+        while (numbered := f"{name}_{following[name]}") in taken:
+            following[name] += 1
+        taken.add(numbered)
+        unique.append(numbered)
+    return unique

@@ -1,0 +1,165 @@
+"""From the material of a foreign file to one of ours; whatever it cannot say is a line of import.json.
+
+Formulas: glTF's extensions KHR_materials_transmission, _volume, _ior and _dispersion.
+"""
+
+import math
+from dataclasses import dataclass, field
+
+from datagen.disk.names import file_name
+from datagen.scene.importers.choices import Thin
+from datagen.scene.importers.foreign import ForeignMaterial
+from datagen.scene.importers.pictures import decoded, mean_color, tinted_png
+from datagen.scene.importers.remarks import Remarks
+from datagen.scene.importers.surfaces import Shape
+from datagen.scene.materials import Conductor, Dielectric, Diffuse, Material, Plastic, ThinDielectric
+from datagen.scene.textures import ImageTexture, Reflectance
+from datagen.scene.values import Color
+
+MIN_ALPHA = 0.001
+"""Smallest GGX alpha that is rendered; below it a surface is smooth."""
+SMOOTH_ALPHA = 0.0025
+"""Facets that nobody sees in glass."""
+MATT = 0.6
+"""Perceptual roughness from which on no highlight is seen."""
+MIN_TRANSMITTANCE = 1e-4
+"""Of a channel after the attenuation distance: a black one would absorb without end."""
+MIN_IOR = 1.0001
+SOLID_BLEND = 0.9
+"""Alpha from which on a blended surface counts as opaque."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mapper:
+    """Maps materials; PNGs of the images that it needs gather in `images` by path."""
+
+    metres: float
+    """Metres a unit of the file."""
+    thin: Thin
+    remarks: Remarks
+    images: dict[str, bytes] = field(default_factory=dict)
+    _paths: dict[ForeignMaterial, str] = field(default_factory=dict)
+    _means: dict[ForeignMaterial, Color] = field(default_factory=dict)
+
+    def material(self, foreign: ForeignMaterial, shape: Shape, *, where: str) -> Material:
+        """The material of ours that comes nearest, on a surface of this shape."""
+        is_blended = foreign.alpha_mode == "blend" and foreign.alpha < SOLID_BLEND
+        lets_through = foreign.transmission * (1 - foreign.metallic)
+        if lets_through >= 0.5:
+            if foreign.transmission < 1:
+                self.remarks.approximate(
+                    where, f"lets {100 * foreign.transmission:.0f} % of the light through; drawn as clear glass"
+                )
+            return self._glass(foreign, shape, where=where)
+        if is_blended and foreign.metallic < 0.5:
+            self.remarks.approximate(
+                where, f"is blended with alpha {foreign.alpha:.2g}; drawn as a thin pane of that colour"
+            )
+            tint = _mixed(self._flat_color(foreign, where=where), 1 - foreign.alpha)
+            return ThinDielectric(ior=self._ior(foreign, where=where), tint=tint)
+        if foreign.transmission > 0:
+            what = "is metal, which" if foreign.metallic >= 0.5 else "is drawn opaque, and"
+            self.remarks.approximate(where, f"{what} lets no light through (transmission {foreign.transmission:.2g})")
+        if foreign.alpha_mode == "mask":
+            self.remarks.approximate(where, "is cut out by alpha; drawn whole")
+        return self._opaque(foreign, shape, where=where)
+
+    def _glass(self, foreign: ForeignMaterial, shape: Shape, *, where: str) -> Material:
+        alpha = foreign.roughness**2
+        if alpha > SMOOTH_ALPHA:
+            self.remarks.approximate(where, f"is rough glass (GGX alpha {alpha:.2g}); drawn smooth")
+        if foreign.dispersion > 0:
+            self.remarks.approximate(
+                where, f"disperses light (Abbe number {20 / foreign.dispersion:.3g}); drawn with one index"
+            )
+        ior, color = self._ior(foreign, where=where), self._flat_color(foreign, where=where)
+        is_thin = not shape.is_closed or self.thin == "all" or (self.thin == "file" and not foreign.is_volume)
+        if is_thin:
+            if not shape.is_closed:
+                what = "its mesh is open: drawn as thin glass, which light crosses without bending"
+                if foreign.is_volume:
+                    self.remarks.approximate(where, f"{what}; --repair may close it")
+                else:
+                    self.remarks.note(where, what)
+            elif foreign.is_volume:
+                self.remarks.approximate(where, "is solid; drawn as thin glass, as --thin all asks for")
+            if foreign.is_volume and foreign.attenuation_distance < math.inf:
+                self.remarks.approximate(where, "its absorption is left out, since a thin pane has no depth")
+            return ThinDielectric(ior=ior, tint=color)
+        if not foreign.is_volume:
+            self.remarks.note(
+                where, "the file gives it no volume, and its mesh is closed: drawn as solid glass; --thin file differs"
+            )
+        absorption = self._absorption(foreign)
+        if color != (1, 1, 1) and shape.chord > 0:
+            red, green, blue = (
+                a - 2 * math.log(max(c, MIN_TRANSMITTANCE)) / shape.chord
+                for a, c in zip(absorption, color, strict=True)
+            )
+            absorption = red, green, blue
+            self.remarks.approximate(
+                where,
+                "its base colour tints each surface; drawn as absorption that does the same over the mean way through "
+                f"it, {1000 * shape.chord:.3g} mm",
+            )
+        if foreign.is_drink and foreign.priority == 0:
+            self.remarks.note(where, "is a liquid by its name; where it reaches into glass, the glass is what counts")
+        priority = foreign.priority or (-1 if foreign.is_drink else 0)
+        return Dielectric(ior=ior, absorption=absorption, priority=priority)
+
+    def _absorption(self, foreign: ForeignMaterial) -> Color:
+        """1/m: after the attenuation distance, light is the attenuation colour. Source: KHR_materials_volume."""
+        distance = foreign.attenuation_distance * self.metres
+        red, green, blue = (
+            -math.log(min(max(c, MIN_TRANSMITTANCE), 1.0)) / distance if math.isfinite(distance) else 0.0
+            for c in foreign.attenuation_color
+        )
+        return red + 0.0, green + 0.0, blue + 0.0
+
+    def _ior(self, foreign: ForeignMaterial, *, where: str) -> float:
+        if foreign.ior < MIN_IOR:
+            self.remarks.approximate(where, f"has an index of refraction of {foreign.ior:g}; drawn with {MIN_IOR:g}")
+        return max(foreign.ior, MIN_IOR)
+
+    def _opaque(self, foreign: ForeignMaterial, shape: Shape, *, where: str) -> Material:
+        alpha = max(foreign.roughness**2, MIN_ALPHA)
+        if 0.1 < foreign.metallic < 0.9:
+            kind = "metal" if foreign.metallic >= 0.5 else "no metal"
+            self.remarks.approximate(where, f"is {100 * foreign.metallic:.0f} % metal; drawn as {kind}")
+        if foreign.metallic >= 0.5:
+            roughness = 0.0 if foreign.roughness**2 < MIN_ALPHA else alpha
+            return Conductor(color=self._flat_color(foreign, where=where), roughness=roughness)
+        color = self._reflectance(foreign, shape, where=where)
+        if foreign.roughness < MATT:
+            return Plastic(color=color, ior=self._ior(foreign, where=where), roughness=alpha)
+        return Diffuse(color=color)
+
+    def _reflectance(self, foreign: ForeignMaterial, shape: Shape, *, where: str) -> Reflectance:
+        if foreign.image is None:
+            return foreign.base_color
+        if not shape.has_uv:
+            self.remarks.approximate(where, "has an image and no uv; drawn in the image's mean colour")
+            return self._flat_color(foreign, where=where, is_told=False)
+        if foreign not in self._paths:
+            # Two materials may have one name.
+            path = f"textures/{len(self._paths)}_{file_name(foreign.name)[:60]}.png"
+            self._paths[foreign] = path
+            self.images[path] = tinted_png(decoded(foreign.image), foreign.base_color)
+        return ImageTexture(path=self._paths[foreign])
+
+    def _flat_color(self, foreign: ForeignMaterial, *, where: str, is_told: bool = True) -> Color:
+        """The base colour, times the mean of its image."""
+        if foreign.image is None:
+            return foreign.base_color
+        if is_told:
+            self.remarks.approximate(where, "has an image where only one colour can be; drawn in its mean colour")
+        if foreign not in self._means:
+            self._means[foreign] = mean_color(decoded(foreign.image))
+        red, green, blue = (a * b for a, b in zip(foreign.base_color, self._means[foreign], strict=True))
+        return red, green, blue
+
+
+def _mixed(color: Color, share: float) -> Color:
+    """White, as far as a blended surface is not there, and else its colour."""
+    red, green, blue = (share + (1 - share) * c for c in color)
+    return red, green, blue

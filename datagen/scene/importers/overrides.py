@@ -1,0 +1,44 @@
+"""Materials by name, for files that have none or the wrong one: `--material glass`, `--material 'leg*=gold'`."""
+
+import fnmatch
+
+from datagen.disk.errors import HyalineError
+from datagen.disk.records import shown
+from datagen.scene.materials import Conductor, Dielectric, Diffuse, Material, Plastic, ThinDielectric
+from datagen.terminal.command import choose
+
+NAMED: dict[str, Material] = {
+    "glass": Dielectric(ior=1.5),
+    "green-glass": Dielectric(ior=1.52, absorption=(40.0, 8.0, 25.0)),
+    "blue-glass": Dielectric(ior=1.52, absorption=(45.0, 20.0, 5.0)),
+    "amber": Dielectric(ior=1.54, absorption=(3.0, 25.0, 90.0)),
+    "water": Dielectric(ior=1.333),
+    "diamond": Dielectric(ior=2.417),
+    "thin-glass": ThinDielectric(ior=1.5),
+    "plaster": Diffuse(color=(0.75, 0.74, 0.72)),
+    "plastic": Plastic(color=(0.55, 0.09, 0.07), roughness=0.1),
+    "mirror": Conductor(color=(0.95, 0.95, 0.95), roughness=0.0),
+    # Reflectance at normal incidence, as most renderers list it.
+    "gold": Conductor(color=(1.0, 0.78, 0.34), roughness=0.15),
+    "copper": Conductor(color=(0.96, 0.64, 0.54), roughness=0.15),
+}
+
+
+def parse_overrides(given: tuple[str, ...]) -> list[tuple[str, Material]]:
+    """Pairs of a pattern of object names and the material for them; later ones win.
+
+    Raises:
+        HyalineError: a material of that name is not known.
+    """
+    found = []
+    for text in given:
+        pattern, is_for_some, name = text.rpartition("=")
+        if is_for_some and not pattern:
+            raise HyalineError(f"--material: is {shown(text)}; expected NAME, or OBJECT=NAME")
+        found.append((pattern if is_for_some else "*", NAMED[choose("material", name, NAMED)]))
+    return found
+
+
+def override(name: str, overrides: list[tuple[str, Material]]) -> Material | None:
+    """The material that somebody chose for an object."""
+    return next((material for pattern, material in reversed(overrides) if fnmatch.fnmatchcase(name, pattern)), None)

@@ -1,0 +1,50 @@
+"""What an import says about itself: each approximation, and each thing done that nobody asked for, in a line."""
+
+from dataclasses import dataclass
+
+from datagen.disk.errors import HyalineError
+from datagen.disk.records import Json
+
+
+@dataclass(frozen=True, kw_only=True)
+class Remark:
+    """One line of import.json."""
+
+    where: str
+    """The object, material or file that it is about."""
+    what: str
+    is_approximation: bool
+    """The scene looks other than the file asks for."""
+
+
+class Remarks:
+    """The lines of one import, each once, in the order in which they came up."""
+
+    def __init__(self, *, is_strict: bool = False) -> None:
+        self.lines: list[Remark] = []
+        self._is_strict = is_strict
+
+    def approximate(self, where: str, what: str) -> None:
+        """Something is drawn other than the file asks for.
+
+        Raises:
+            HyalineError: the import is strict.
+        """
+        if self._is_strict:
+            raise HyalineError(f"{where}: {what}; leave out --strict to import it so")
+        self._add(Remark(where=where, what=what, is_approximation=True))
+
+    def note(self, where: str, what: str) -> None:
+        """Something was decided or mended, and the scene is what the file asks for."""
+        self._add(Remark(where=where, what=what, is_approximation=False))
+
+    def to_json(self) -> dict[str, Json]:
+        """The lines as import.json holds them."""
+        return {
+            "approximations": [f"{line.where}: {line.what}" for line in self.lines if line.is_approximation],
+            "notes": [f"{line.where}: {line.what}" for line in self.lines if not line.is_approximation],
+        }
+
+    def _add(self, remark: Remark) -> None:
+        if remark not in self.lines:
+            self.lines.append(remark)

@@ -1,0 +1,229 @@
+"""What a foreign scene lacks to be rendered: its size in metres, a ground, soft light, and cameras all around."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from datagen.data.meshes import face_corners
+from datagen.scene.description import CameraRig, Lobe, SceneObject, SoftEnvironment, WalkPoint
+from datagen.scene.importers.foreign import Axis
+from datagen.scene.importers.remarks import Remarks
+from datagen.scene.materials import Diffuse
+from datagen.scene.modelling import sheet
+from datagen.scene.textures import SolidTexture
+
+USUAL_SIZE = (0.02, 5.0)
+"""Metres: what is smaller or larger was not modelled in metres."""
+TABLE_TOP_SIZE = 0.3
+"""Metres to which a scene comes whose unit nobody can guess."""
+FOV_DEG = 40.0
+MARGIN = 1.1
+"""By how much a picture is wider than what it shows."""
+TEXELS_A_PERIOD = 4
+GROUND_RADII = 3.0
+"""Half the ground's side over the radius of what stands on it."""
+MIN_GAP, MAX_GAP = 3e-4, 1e-3
+"""Metres between the ground and what stands on it: coincident faces lose layers."""
+MIN_BACKDROP_DEG, MIN_ARC_DEG = 60, 80
+"""Degrees around the glass that a backdrop hides, and that are left for cameras."""
+GRAZING_DEG = 15.0
+"""Degrees that cameras keep from the edge of a backdrop."""
+FRONT_DEG = -90.0
+"""Azimuth from which files are meant to be seen: glTF's +z, ours -y."""
+
+LIGHT = SoftEnvironment(
+    zenith=(0.62, 0.68, 0.78),
+    horizon=(0.60, 0.57, 0.54),
+    ground=(0.24, 0.22, 0.20),
+    lobes=(
+        Lobe(direction=(0.8, -0.35, 0.85), radiance=(3.4, 2.8, 2.1), sharpness=8.0),
+        Lobe(direction=(-0.6, -1.0, 0.5), radiance=(0.55, 0.75, 1.05), sharpness=5.0),
+    ),
+)
+
+
+def find_scale(size: float, *, metres: float, remarks: Remarks, where: str) -> float:
+    """Metres a unit for a scene of so many units: the file's own, or a guess where that makes no sense."""
+    low, high = USUAL_SIZE
+    for factor, unit in ((1.0, ""), (0.01, "centimetres"), (0.001, "millimetres")):
+        if low <= size * metres * factor <= high:
+            if unit:
+                remarks.approximate(
+                    where, f"would be {size * metres:.3g} m large, so its unit is taken for {unit}; --scale sets it"
+                )
+            return metres * factor
+    remarks.approximate(
+        where, f"would be {size * metres:.3g} m large; made {TABLE_TOP_SIZE} m large, --scale sets metres a unit"
+    )
+    return TABLE_TOP_SIZE / size
+
+
+def z_up_from(up: Axis) -> Float[np.ndarray, "3 3"]:
+    """The rotation that turns an axis upwards."""
+    rows = {
+        "x": [[0, 1, 0], [0, 0, 1], [1, 0, 0]],
+        "y": [[1, 0, 0], [0, 0, -1], [0, 1, 0]],
+        "z": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
+    }
+    return np.array(rows[up], np.float64)
+
+
+def subject_box(objects: Sequence[SceneObject]) -> Float[np.ndarray, "2 3"]:
+    """Lowest and highest corner of the glass; of everything where there is none."""
+    glass = [item for item in objects if item.material.is_glass] or list(objects)
+    corners = np.concatenate([item.mesh.vertices for item in glass]).astype(np.float64)
+    return np.stack([corners.min(axis=0), corners.max(axis=0)])
+
+
+def has_ground(objects: Sequence[SceneObject]) -> bool:
+    """True where something opaque lies below the glass and around it."""
+    low, high = subject_box(objects)
+    middle, half = (low + high) / 2, (high - low) / 2
+    around = np.array([[1.2, 1.2], [1.2, -1.2], [-1.2, 1.2], [-1.2, -1.2]])
+    origins = np.concatenate([middle[:2] + around * half[:2], np.full((4, 1), middle[2])], axis=-1)
+    downwards = np.tile([0.0, 0.0, -1.0], (4, 1))
+    return int(np.isfinite(_distances(_opaque(objects), origins, downwards)).sum()) >= 3
+
+
+def make_ground(objects: Sequence[SceneObject], *, resolution: int, remarks: Remarks) -> SceneObject:
+    """A checkered ground just below everything, whose pattern the textures of a method can hold.
+
+    Args:
+        resolution: of the pictures; an object's texture is half as wide.
+    """
+    vertices = np.concatenate([item.mesh.vertices for item in objects]).astype(np.float64)
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    box = subject_box(objects)
+    reach = float(np.linalg.norm(box[1] - box[0])) / 2
+    middle = (box[0] + box[1])[:2] / 2
+    half = max(GROUND_RADII * reach, 1.05 * float(np.abs(np.stack([low[:2], high[:2]]) - middle).max()))
+    gap = min(max(0.005 * reach, MIN_GAP), MAX_GAP)
+    texels = resolution // 2
+    period = 2 * half * TEXELS_A_PERIOD / texels
+    remarks.note(
+        "ground",
+        f"added, {2 * half:.3g} m wide; a period of its pattern, {period:.3g} m, is {TEXELS_A_PERIOD} texels "
+        f"in pictures {resolution} pixels wide",
+    )
+    height = float(low[2]) - gap
+    mesh = sheet((middle[0] - half, middle[1] - half, height), (2 * half, 0, 0), (0, 2 * half, 0), cells=(8, 8))
+    pattern = SolidTexture(
+        pattern="checker",
+        colors=((0.62, 0.55, 0.46), (0.22, 0.29, 0.40)),
+        scale=period,
+        origin=(float(middle[0]) + period / 4, float(middle[1]) + period / 4, height),
+    )
+    return SceneObject(name=_free_name("ground", objects), mesh=mesh, material=Diffuse(color=pattern))
+
+
+def make_rig(objects: Sequence[SceneObject], remarks: Remarks) -> CameraRig:
+    """Cameras around the glass, on the side from which nothing opaque hides it."""
+    low, high = subject_box(objects)
+    target = (low + high) / 2
+    reach = float(np.linalg.norm(high - low)) / 2
+    radius = MARGIN * reach / math.sin(math.radians(FOV_DEG / 2))
+    first, last = _open_arc(_opaque(objects), target, reach, radius, remarks)
+    middle, half = (first + last) / 2, min((last - first) / 2, 100.0)
+
+    def walk_point(turn: float, elevation_deg: float, distance: float) -> WalkPoint:
+        place = target + distance * radius * _direction(middle + turn * half, elevation_deg)
+        return WalkPoint(position=_vector(place), target=_vector(target))
+
+    return CameraRig(
+        target=_vector(target),
+        radius=radius,
+        elevation_deg=(5.0, 65.0),
+        azimuth_deg=(first, last),
+        fov_deg=FOV_DEG,
+        target_jitter=0.08,
+        walk=(
+            walk_point(-0.9, 40.0, 1.0),
+            walk_point(-0.45, 20.0, 0.72),
+            walk_point(0.0, 4.0, 0.85),
+            walk_point(0.4, 12.0, 1.4),
+            walk_point(0.7, 45.0, 1.9),
+            walk_point(0.95, 25.0, 1.2),
+        ),
+    )
+
+
+def _vector(values: np.ndarray) -> tuple[float, float, float]:
+    x, y, z = (float(value) for value in values)
+    return x, y, z
+
+
+def _free_name(name: str, objects: Sequence[SceneObject]) -> str:
+    taken = {item.name for item in objects}
+    choices = (name, *(f"{name}_{index}" for index in range(len(taken) + 1)))
+    return next(choice for choice in choices if choice not in taken)
+
+
+def _direction(azimuth_deg: float, elevation_deg: float) -> np.ndarray:
+    azimuth, elevation = math.radians(azimuth_deg), math.radians(elevation_deg)
+    across = math.cos(elevation)
+    return np.array([across * math.cos(azimuth), across * math.sin(azimuth), math.sin(elevation)])
+
+
+def _open_arc(
+    corners: Float[np.ndarray, "face 3 3"],
+    target: Float[np.ndarray, "3"],
+    reach: float,
+    radius: float,
+    remarks: Remarks,
+) -> tuple[float, float]:
+    """First and last azimuth of the widest arc on which no backdrop stands between cameras and glass."""
+    step = 10
+    azimuths = FRONT_DEG + np.arange(0, 360, step)
+    directions = np.stack([_direction(a, e) for a in azimuths for e in (8.0, 30.0, 55.0)])
+    origins = target + 1.05 * reach * directions
+    is_seen = (_distances(corners, origins, directions) > radius - 1.05 * reach).reshape(-1, 3)
+    is_open = is_seen.sum(axis=-1) >= 2
+    # Things among the glass hide it only here and there.
+    if (~is_open).sum() * step < MIN_BACKDROP_DEG:
+        return FRONT_DEG - 180.0, FRONT_DEG + 180.0
+    # The widest run of open azimuths on the circle.
+    runs = [0] * len(azimuths)
+    for start in range(len(azimuths)):
+        while runs[start] < len(azimuths) and is_open[(start + runs[start]) % len(azimuths)]:
+            runs[start] += 1
+    best = int(np.argmax(runs))
+    if runs[best] * step < MIN_ARC_DEG:
+        remarks.approximate("cameras", "everything stands in a closed space; cameras all around see it from outside")
+        return FRONT_DEG - 180.0, FRONT_DEG + 180.0
+    first = float(azimuths[best])
+    first -= 360.0 if first > 180 else 0.0
+    first, last = first + GRAZING_DEG, first + step * (runs[best] - 1) - GRAZING_DEG
+    remarks.note("cameras", f"stand at azimuths from {first:.0f} to {last:.0f} degrees, in front of a backdrop")
+    return first, last
+
+
+def _opaque(objects: Sequence[SceneObject]) -> Float[np.ndarray, "face 3 3"]:
+    opaque = [face_corners(item.mesh) for item in objects if not item.material.is_glass]
+    return np.concatenate(opaque).astype(np.float64) if opaque else np.zeros((0, 3, 3))
+
+
+def _distances(
+    corners: Float[np.ndarray, "face 3 3"], origins: Float[np.ndarray, "ray 3"], directions: Float[np.ndarray, "ray 3"]
+) -> Float[np.ndarray, " ray"]:
+    """Metres along each ray to the first face; infinite where it meets none. Source: Moeller and Trumbore 1997."""
+    found = np.full(len(origins), np.inf)
+    if not len(corners):
+        return found
+    a, b, c = np.moveaxis(corners, 1, 0)
+    edge_b, edge_c = b - a, c - a
+    for index, (origin, direction) in enumerate(zip(origins, directions)):
+        across = np.cross(direction, edge_c)
+        determinant = np.einsum("fc,fc->f", edge_b, across)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            inverse = 1 / determinant
+            from_a = origin - a
+            u = np.einsum("fc,fc->f", from_a, across) * inverse
+            turned = np.cross(from_a, edge_b)
+            v = (turned @ direction) * inverse
+            distance = np.einsum("fc,fc->f", edge_c, turned) * inverse
+            hit = (u >= 0) & (v >= 0) & (u + v <= 1) & (distance > 0)
+        if hit.any():
+            found[index] = distance[hit].min()
+    return found

@@ -1,0 +1,169 @@
+"""A foreign surface as a mesh of ours: in metres, joined along its seams, wound outward, with normals.
+
+Vertices that lie apart by rounding alone are moved onto each other; faces that look the wrong way are turned.
+"""
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from datagen.data.meshes import Mesh, component_of_faces, face_corners, open_edges, signed_volume, welded
+from datagen.data.windings import windings
+from datagen.disk.errors import HyalineError
+from datagen.scene.importers.remarks import Remarks
+from datagen.scene.modelling import CREASE_DEG
+from datagen.scene.shading_normals import shaded_anew
+
+WELD = 1e-5
+"""Of a surface's size: vertices that are nearer may be one."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shape:
+    """What a material has to know of the surface that it is on."""
+
+    is_closed: bool
+    has_uv: bool
+    chord: float
+    """Mean length in metres of a straight line through the solid, 4 volume / area; 0 where it is open."""
+
+
+def mesh_of(
+    positions: Float[np.ndarray, "vertex 3"],
+    faces: Int[np.ndarray, "face 3"],
+    normals: Float[np.ndarray, "vertex 3"] | None,
+    uv: Float[np.ndarray, "vertex 2"] | None,
+    *,
+    where: str,
+) -> Mesh:
+    """A mesh of these arrays without collapsed faces; without normals it is shaded smoothly but for creases.
+
+    Raises:
+        HyalineError: nothing is left.
+    """
+    vertices = positions.astype(np.float32)
+    corners = vertices[faces]
+    is_flat = (corners == np.roll(corners, 1, axis=1)).all(axis=-1).any(axis=-1)
+    faces = faces[~is_flat]
+    if not len(faces):
+        raise HyalineError(f"{where}: has no face with an area; expected a surface")
+    mesh = Mesh(
+        vertices=vertices,
+        faces=np.ascontiguousarray(faces, np.int32),
+        normals=np.zeros_like(vertices) if normals is None else _unit(normals),
+        uv=np.zeros((len(vertices), 2), np.float32) if uv is None else uv.astype(np.float32),
+    )
+    return mesh if normals is not None else shaded_anew(mesh, crease_deg=CREASE_DEG)
+
+
+def made_sound(mesh: Mesh, remarks: Remarks, *, where: str) -> Mesh:
+    """The mesh with its seams joined and its faces outward, where that can be told; a line for each change."""
+    if open_edges(mesh):
+        joined, distance = _joined(mesh)
+        if open_edges(joined) < open_edges(mesh):
+            remarks.note(where, f"vertices up to {1000 * distance:.2g} mm apart were joined")
+            mesh = joined
+    if open_edges(mesh):
+        turned, count = _wound_alike(mesh)
+        if count and open_edges(turned) < open_edges(mesh):
+            remarks.note(where, f"{count:,} of its {len(mesh.faces):,} faces were turned round to look as the others")
+            mesh = turned
+    if not open_edges(mesh):
+        mesh = _outward(mesh, remarks, where=where)
+    return mesh
+
+
+def shape_of(mesh: Mesh, *, has_uv: bool) -> Shape:
+    """What a material has to know of a mesh."""
+    is_closed = open_edges(mesh) == 0
+    a, b, c = np.moveaxis(face_corners(mesh).astype(np.float64), 1, 0)
+    area = 0.5 * float(np.linalg.norm(np.cross(b - a, c - a), axis=-1).sum())
+    chord = 4 * abs(signed_volume(mesh)) / area if is_closed and area > 0 else 0.0
+    return Shape(is_closed=is_closed, has_uv=has_uv, chord=chord)
+
+
+def _unit(normals: np.ndarray) -> np.ndarray:
+    lengths = np.linalg.norm(normals, axis=-1, keepdims=True)
+    return np.where(lengths > 0, normals / np.where(lengths > 0, lengths, 1), 0).astype(np.float32)
+
+
+def _joined(mesh: Mesh) -> tuple[Mesh, float]:
+    """The mesh with vertices that are very near each other in one place, and how far apart they were at most."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import KDTree
+
+    positions, index = np.unique(mesh.vertices, axis=0, return_inverse=True)
+    reach = WELD * float(np.ptp(positions, axis=0).max())
+    pairs = KDTree(positions).query_pairs(reach, output_type="ndarray")
+    if not len(pairs):
+        return mesh, 0.0
+    distance = float(np.linalg.norm(positions[pairs[:, 0]] - positions[pairs[:, 1]], axis=-1).max())
+    graph = coo_array((np.ones(len(pairs), np.int8), (pairs[:, 0], pairs[:, 1])), shape=(len(positions),) * 2)
+    _, group = connected_components(graph, directed=False)
+    _, first = np.unique(group, return_index=True)
+    vertices = positions[first[group]][index.reshape(-1)]
+    corners = vertices[mesh.faces]
+    is_flat = (corners == np.roll(corners, 1, axis=1)).all(axis=-1).any(axis=-1)
+    if is_flat.all():
+        return mesh, 0.0
+    faces = np.ascontiguousarray(mesh.faces[~is_flat])
+    return dataclasses.replace(mesh, vertices=vertices, faces=faces), distance
+
+
+def _wound_alike(mesh: Mesh) -> tuple[Mesh, int]:
+    """The mesh with neighbours wound alike where an edge has two faces, and how many were turned."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import breadth_first_order, connected_components
+
+    _, faces = welded(mesh)
+    start = faces.reshape(-1).astype(np.int64)
+    end = np.roll(faces, -1, axis=1).reshape(-1).astype(np.int64)
+    key = np.minimum(start, end) * (int(faces.max()) + 1) + np.maximum(start, end)
+    order = np.argsort(key, kind="stable")
+    _, first, counts = np.unique(key[order], return_index=True, return_counts=True)
+    pair = first[counts == 2]
+    one, other = order[pair], order[pair + 1]
+    # Two faces that run along their edge in one direction look to different sides.
+    differs = start[one] == start[other]
+    if not differs.any():
+        return mesh, 0
+    size = (len(faces),) * 2
+    links = coo_array((np.where(differs, 2, 1), (one // 3, other // 3)), shape=size).tocsr()
+    both = (links.maximum(links.T)).tocsr()
+    num_parts, part = connected_components(both, directed=False)
+    is_turned = np.zeros(len(faces), bool)
+    for root in np.unique(part, return_index=True)[1][:num_parts]:
+        reached, before = breadth_first_order(both, int(root), directed=False)
+        for face in reached[1:]:
+            is_turned[face] = is_turned[before[face]] ^ (both[before[face], face] == 2)
+    # Of each part, the fewer faces are turned.
+    share = np.bincount(part, is_turned) / np.bincount(part)
+    is_turned ^= share[part] > 0.5
+    return _turned(mesh, is_turned), int(is_turned.sum())
+
+
+def _turned(mesh: Mesh, is_turned: np.ndarray) -> Mesh:
+    faces = np.where(is_turned[:, None], mesh.faces[:, ::-1], mesh.faces)
+    return dataclasses.replace(mesh, faces=np.ascontiguousarray(faces))
+
+
+def _outward(mesh: Mesh, remarks: Remarks, *, where: str) -> Mesh:
+    """The closed mesh with each part outward, but for cavities."""
+    if signed_volume(mesh) < 0:
+        mesh = _turned(mesh, np.ones(len(mesh.faces), bool))
+        remarks.note(where, "was inside out; its faces were turned round")
+    corners, part = face_corners(mesh).astype(np.float64), component_of_faces(mesh)
+    a, b, c = np.moveaxis(corners - corners.mean(axis=(0, 1)), 1, 0)
+    volumes = np.bincount(part, np.einsum("fi,fi->f", a, np.cross(b, c)) / 6)
+    suspects = np.flatnonzero(volumes < 0)
+    if not len(suspects):
+        return mesh
+    face = np.unique(part, return_index=True)[1][suspects]
+    inside_out = suspects[windings(corners, corners[face].mean(axis=1), face) < 0]
+    if not len(inside_out):
+        return mesh
+    remarks.note(where, f"{len(inside_out)} of its {len(volumes)} parts were inside out; their faces were turned round")
+    return _turned(mesh, np.isin(part, inside_out))

@@ -1,0 +1,213 @@
+"""Tests that a foreign file becomes a scene: its size, its ground and cameras, its folder, and what is said of it."""
+
+import dataclasses
+import io
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from support.commands import call
+from support.gltf import BOX, GltfBuilder, clear, glass
+from support.rigs import config
+
+from datagen.data.meshes import signed_volume
+from datagen.data.windings import check_closed
+from datagen.disk.errors import HyalineError
+from datagen.disk.storage import load_sealed
+from datagen.scene.description import Scene, SceneObject
+from datagen.scene.folder import load_scene, scene_files
+from datagen.scene.importers.choices import ImportChoices
+from datagen.scene.importers.importing import Imported, import_scene
+from datagen.scene.materials import Conductor, Dielectric, Diffuse
+from datagen.scene.rig import make_cameras
+from datagen.scene.textures import ImageTexture, SolidTexture
+
+
+def scene_with_glass() -> GltfBuilder:
+    """A mirrored glass box beside a textured one, 30 cm large, y up."""
+    picture = io.BytesIO()
+    Image.new("RGB", (8, 8), (200, 100, 50)).save(picture, format="JPEG")
+    builder = GltfBuilder()
+    image = builder.add("images", {"bufferView": builder.view(picture.getvalue()), "mimeType": "image/jpeg"})
+    use = {"index": builder.add("textures", {"source": image})}
+    clear_glass = builder.material("Glass", pbrMetallicRoughness=clear(), extensions=glass())
+    photo = builder.material("Photo", pbrMetallicRoughness=clear(roughnessFactor=1.0, baseColorTexture=use))
+    uv = np.stack([BOX.vertices[:, 0] + 0.5, BOX.vertices[:, 1] + 0.5], axis=-1).astype(np.float32)
+    textured = dataclasses.replace(BOX, uv=uv)
+    builder.node(mesh=builder.mesh(material=clear_glass), name="vase", scale=[-0.1, 0.2, 0.1])
+    builder.node(
+        mesh=builder.mesh(textured, material=photo, has_uv=True), name="box", scale=[0.1, 0.1, 0.1],
+        translation=[0.2, 0.03, 0],
+    )  # fmt: skip
+    return builder
+
+
+@pytest.fixture(scope="module")
+def imported(tmp_path_factory: pytest.TempPathFactory) -> Imported:
+    return import_scene(scene_with_glass().written(tmp_path_factory.mktemp("files")), ImportChoices())
+
+
+def of_name(scene: Scene, name: str) -> SceneObject:
+    return next(item for item in scene.objects if item.name == name)
+
+
+def extent(item: SceneObject) -> np.ndarray:
+    return np.ptp(item.mesh.vertices, axis=0)
+
+
+def test_what_points_up_in_the_file_points_up_in_the_scene_and_stands_on_the_ground(imported: Imported) -> None:
+    scene = imported.scene
+    assert [item.name for item in scene.objects] == ["vase", "box", "ground"]
+    np.testing.assert_allclose(extent(of_name(scene, "vase")), [0.1, 0.04, 0.12], atol=1e-6)
+    lowest = min(item.mesh.vertices[:, 2].min() for item in scene.objects[:2])
+    assert lowest == pytest.approx(0, abs=1e-7)
+    gap = lowest - of_name(scene, "ground").mesh.vertices[:, 2].max()
+    assert 3e-4 <= gap <= 1e-3
+    middle = np.concatenate([item.mesh.vertices[:, :2] for item in scene.objects[:2]])
+    np.testing.assert_allclose(middle.min(axis=0) + middle.max(axis=0), 0, atol=1e-6)
+
+
+def test_glass_is_solid_closed_and_of_the_volume_that_it_had(imported: Imported) -> None:
+    vase = of_name(imported.scene, "vase")
+    assert vase.material == Dielectric(ior=1.5)
+    check_closed(vase.mesh, where="vase")
+    assert signed_volume(vase.mesh) == pytest.approx(0.1 * 0.2 * 0.1 * signed_volume(BOX), rel=1e-4)
+
+
+def test_an_image_comes_along_as_a_png(imported: Imported) -> None:
+    material = of_name(imported.scene, "box").material
+    assert isinstance(material, Diffuse) and isinstance(material.color, ImageTexture)
+    with Image.open(io.BytesIO(imported.scene.baked[material.color.path])) as picture:
+        assert picture.format == "PNG"
+        np.testing.assert_allclose(np.asarray(picture.convert("RGB"))[64, 64], [200, 100, 50], atol=2)
+
+
+@pytest.mark.parametrize("resolution", [32, 128])
+def test_a_period_of_the_grounds_pattern_is_four_texels(imported: Imported, resolution: int) -> None:
+    from datagen.scene.importers.remarks import Remarks
+    from datagen.scene.importers.staging import make_ground
+
+    ground = make_ground(imported.scene.objects[:2], resolution=resolution, remarks=Remarks())
+    assert isinstance(ground.material, Diffuse) and isinstance(ground.material.color, SolidTexture)
+    # An object's texture is half as wide as the picture.
+    assert extent(ground)[0] / ground.material.color.scale == pytest.approx(resolution / 2 / 4, rel=1e-5)
+
+
+def test_cameras_of_all_splits_are_above_the_ground_and_see_the_glass_whole(imported: Imported) -> None:
+    vase = of_name(imported.scene, "vase").mesh.vertices
+    for split, cameras in make_cameras(imported.scene.cameras, config(views=32)).items():
+        for view in range(len(cameras)):
+            camera = cameras[view]
+            position = camera.world_from_camera[:3, 3]
+            assert position[2] > 0
+            p_camera = (vase - position) @ camera.world_from_camera[:3, :3]
+            if split == "interpolating":
+                shares = np.abs(p_camera[:, :2] / p_camera[:, 2:]) / np.tan(camera.fov_x / 2)
+                assert shares.max() <= 1, "in the picture"
+                assert shares.max() > 0.4, "and not far away"
+
+
+def test_a_backdrop_keeps_the_cameras_on_its_front_side(tmp_path: Path) -> None:
+    builder = scene_with_glass()
+    wall = builder.material("Wall", pbrMetallicRoughness=clear(roughnessFactor=1.0))
+    builder.node(mesh=builder.mesh(material=wall), scale=[2, 3, 0.01], translation=[0, 0, -0.15], name="wall")
+    scene = import_scene(builder.written(tmp_path), ImportChoices()).scene
+    # The file's +z, where its viewer stands, is our -y.
+    front = of_name(scene, "wall").mesh.vertices[:, 1].min()
+    for cameras in make_cameras(scene.cameras, config(views=32)).values():
+        assert (cameras.world_from_camera[:, 1, 3] < front).all()
+    assert scene.cameras.azimuth_deg[1] - scene.cameras.azimuth_deg[0] > 120
+
+
+@pytest.mark.parametrize(
+    ("scale", "up", "expected"),
+    [(None, "auto", [0.1, 0.04, 0.12]), (2.0, "auto", [0.2, 0.08, 0.24]), (None, "z", [0.1, 0.12, 0.04]),
+     (None, "x", [0.12, 0.04, 0.1])],
+)  # fmt: skip
+def test_scale_and_up_are_as_one_says(scale: float | None, up: str, expected: list[float], tmp_path: Path) -> None:
+    builder = GltfBuilder()
+    builder.node(mesh=builder.mesh(), scale=[0.1, 0.2, 0.1])
+    scene = import_scene(builder.written(tmp_path), ImportChoices(scale=scale, up=up)).scene  # pyright: ignore
+    np.testing.assert_allclose(extent(scene.objects[0]), expected, atol=1e-6)
+
+
+@pytest.mark.parametrize(("factor", "size"), [(1.0, 1.0), (20.0, 0.2), (3000.0, 3.0), (40_000.0, 0.3), (0.001, 0.3)])
+def test_a_scene_too_small_or_large_for_metres_gets_another_unit_and_says_so(
+    factor: float, size: float, tmp_path: Path
+) -> None:
+    builder = GltfBuilder()
+    builder.node(mesh=builder.mesh(), scale=[factor] * 3)
+    done = import_scene(builder.written(tmp_path), ImportChoices())
+    assert extent(done.scene.objects[0])[0] == pytest.approx(size, rel=1e-4)
+    assert any("--scale" in line.what for line in done.remarks) == (factor != 1)
+
+
+def test_materials_by_name_override_those_of_the_file(tmp_path: Path) -> None:
+    path = scene_with_glass().written(tmp_path)
+    scene = import_scene(path, ImportChoices(material=("gold", "v*=diamond"))).scene
+    assert of_name(scene, "vase").material == Dielectric(ior=2.417)
+    assert isinstance(of_name(scene, "box").material, Conductor)
+    with pytest.raises(HyalineError, match="did you mean 'diamond'"):
+        import_scene(path, ImportChoices(material=("diamnd",)))
+
+
+def test_glass_that_is_inside_out_in_the_file_is_turned(tmp_path: Path) -> None:
+    builder = GltfBuilder()
+    inverted = dataclasses.replace(BOX, faces=np.ascontiguousarray(BOX.faces[:, ::-1]), normals=-BOX.normals)
+    glass_material = builder.material(pbrMetallicRoughness=clear(), extensions=glass())
+    builder.node(mesh=builder.mesh(inverted, material=glass_material), name="bowl")
+    done = import_scene(builder.written(tmp_path), ImportChoices())
+    assert signed_volume(done.scene.objects[0].mesh) == pytest.approx(signed_volume(BOX), rel=1e-4)
+    assert "bowl: was inside out; its faces were turned round" in done.record["notes"]
+
+
+def test_glass_that_shares_a_face_with_its_stand_is_moved_in(tmp_path: Path) -> None:
+    builder = scene_with_glass()
+    matt = builder.material(pbrMetallicRoughness=clear(roughnessFactor=1.0))
+    # Its top is where the vase's bottom is: 0.2 * 0.3 below the origin.
+    builder.node(mesh=builder.mesh(material=matt), name="stand", scale=[0.2, 0.1, 0.2], translation=[0, -0.09, 0])
+    done = import_scene(builder.written(tmp_path), ImportChoices())
+    assert any(line.where == "vase" and "moved in by 0.2 mm" in line.what for line in done.remarks)
+    np.testing.assert_allclose(extent(of_name(done.scene, "vase")), np.array([0.1, 0.04, 0.12]) - 4e-4, atol=2e-4)
+
+
+def test_more_objects_than_a_scene_has_are_merged_when_asked(tmp_path: Path) -> None:
+    builder = GltfBuilder()
+    matt = builder.material("Tile", pbrMetallicRoughness=clear(roughnessFactor=1.0))
+    box = builder.mesh(material=matt)
+    for index in range(300):
+        builder.node(mesh=box, translation=[index % 20, 0, index // 20], scale=[0.1, 0.1, 0.1])
+    path = builder.written(tmp_path)
+    with pytest.raises(HyalineError, match=r"has 300 objects.*pass --merge"):
+        import_scene(path, ImportChoices(scale=0.01))
+    scene = import_scene(path, ImportChoices(scale=0.01, merge=True)).scene
+    assert [item.name for item in scene.objects] == ["Tile", "ground"]
+    assert len(scene.objects[0].mesh.faces) == 300 * len(BOX.faces)
+
+
+def test_the_command_writes_a_folder_that_holds_the_scene_and_a_line_for_each_approximation(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    builder = scene_with_glass()
+    builder.content["materials"][0]["normalTexture"] = {"index": 0}
+    builder.written(tmp_path, "my things.glb")
+    answer = call("datagen import 'my things.glb'")
+    assert (answer.status, answer.out) == (0, "scenes/my_things\n"), answer.err
+    assert "Glass: has a normal map, which is left out" in answer.err
+    assert answer.err.splitlines()[-1] == "next: datagen build --scene scenes/my_things"
+    root = tmp_path / "scenes" / "my_things"
+    record = load_sealed(root / "import.json")
+    assert record["approximations"] == ["Glass: has a normal map, which is left out"]
+    assert (record["source"], record["scale"], record["up"]) == ("my things.glb", 1.0, "y")
+    written = {path.relative_to(root).as_posix(): path.read_bytes() for path in root.rglob("*") if path.is_file()}
+    # Read as any scene, nothing is left to mend, and it is the same to the last byte.
+    assert {**scene_files(load_scene(root)), "import.json": written["import.json"]} == written
+    again = call("datagen import 'my things.glb'")
+    assert again.status == 1 and "pass --overwrite" in again.error
+    assert call("datagen import 'my things.glb' --overwrite --ground never").status == 0
+    assert not (root / "meshes" / "ground.ply").exists()
+    strict = call("datagen import 'my things.glb' --strict --out other")
+    assert strict.status == 1 and "leave out --strict" in strict.error
+    assert not (tmp_path / "other").exists()

@@ -1,0 +1,190 @@
+"""Tests that foreign materials become the nearest ones of ours, by the formulas of glTF's extensions."""
+
+import io
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from support.gltf import BOX, GltfBuilder, clear, glass
+
+from datagen.data.meshes import face_areas, signed_volume
+from datagen.disk.errors import HyalineError
+from datagen.scene.importers.choices import Thin
+from datagen.scene.importers.foreign import ForeignMaterial
+from datagen.scene.importers.gltf import read_gltf
+from datagen.scene.importers.mapping import Mapper
+from datagen.scene.importers.remarks import Remarks
+from datagen.scene.importers.surfaces import Shape
+from datagen.scene.materials import Conductor, Dielectric, Diffuse, Material, Plastic, ThinDielectric
+
+CLOSED = Shape(is_closed=True, has_uv=True, chord=0.02)
+OPEN = Shape(is_closed=False, has_uv=True, chord=0.0)
+
+
+def foreign(folder: Path, **entry: object) -> ForeignMaterial:
+    """A material as it is read from a file."""
+    builder = GltfBuilder()
+    builder.node(mesh=builder.mesh(material=builder.material(**entry)))
+    material = read_gltf(builder.written(folder), Remarks()).objects[0].material
+    assert isinstance(material, ForeignMaterial)
+    return material
+
+
+def mapped(material: ForeignMaterial, shape: Shape = CLOSED, *, metres: float = 1.0, thin: Thin = "open"
+           ) -> tuple[Material, list[str]]:  # fmt: skip
+    """The material of ours, and the approximations that it takes."""
+    remarks = Remarks()
+    found = Mapper(metres=metres, thin=thin, remarks=remarks).material(material, shape, where="thing")
+    return found, [line.what for line in remarks.lines if line.is_approximation]
+
+
+def test_attenuation_becomes_absorption_per_metre(tmp_path: Path) -> None:
+    extensions = glass(attenuationColor=[0.1, 0.5, 0.9], attenuationDistance=1.0)
+    material, lines = mapped(foreign(tmp_path, pbrMetallicRoughness=clear(), extensions=extensions), metres=0.015)
+    assert isinstance(material, Dielectric)
+    # Of Khronos's attenuation test, made 0.015 times as large: -ln(colour) / 0.015 m.
+    np.testing.assert_allclose(material.absorption, [153.505673, 46.209812, 7.024034], rtol=1e-6)
+    assert material.ior == 1.5
+    assert lines == []
+    # A ray straight through what is one unit thick comes out in the colour that the file names.
+    np.testing.assert_allclose(np.exp(-0.015 * np.array(material.absorption)), [0.1, 0.5, 0.9])
+
+
+def test_without_attenuation_glass_is_clear_and_black_attenuation_stays_finite(tmp_path: Path) -> None:
+    material, _ = mapped(foreign(tmp_path, pbrMetallicRoughness=clear(), extensions=glass()))
+    assert material == Dielectric(ior=1.5)
+    extensions = glass(attenuationColor=[0, 1, 1], attenuationDistance=0.5)
+    material, _ = mapped(foreign(tmp_path, pbrMetallicRoughness=clear(), extensions=extensions))
+    assert isinstance(material, Dielectric)
+    np.testing.assert_allclose(material.absorption, [-math.log(1e-4) / 0.5, 0, 0])
+
+
+def test_the_index_of_refraction_and_a_priority_are_kept(tmp_path: Path) -> None:
+    extensions = {**glass(), "KHR_materials_ior": {"ior": 1.33}}
+    entry = foreign(tmp_path, pbrMetallicRoughness=clear(), extensions=extensions, extras={"priority": 3})
+    assert mapped(entry)[0] == Dielectric(ior=1.33, priority=3)
+
+
+def test_a_liquid_yields_to_its_glass(tmp_path: Path) -> None:
+    entry = foreign(tmp_path, name="Water.001", pbrMetallicRoughness=clear(), extensions=glass())
+    assert mapped(entry)[0] == Dielectric(ior=1.5, priority=-1)
+
+
+THIN = {**glass()}
+del THIN["KHR_materials_volume"]
+
+
+@pytest.mark.parametrize(
+    ("is_volume", "is_closed", "thin", "expected"),
+    [
+        (True, True, "open", Dielectric), (False, True, "open", Dielectric), (False, True, "file", ThinDielectric),
+        (True, True, "file", Dielectric), (True, True, "all", ThinDielectric), (True, False, "open", ThinDielectric),
+        (False, False, "open", ThinDielectric),
+    ],
+)  # fmt: skip
+def test_glass_is_solid_where_its_mesh_is_closed_unless_told(
+    is_volume: bool, is_closed: bool, thin: Thin, expected: type, tmp_path: Path
+) -> None:
+    entry = foreign(tmp_path, pbrMetallicRoughness=clear(), extensions=glass() if is_volume else THIN)
+    assert isinstance(mapped(entry, CLOSED if is_closed else OPEN, thin=thin)[0], expected)
+
+
+def test_the_base_colour_tints_a_pane_and_is_absorbed_by_a_solid(tmp_path: Path) -> None:
+    entry = foreign(
+        tmp_path, pbrMetallicRoughness=clear(baseColorFactor=[0.8, 0.5, 1.0, 1.0]), extensions=glass()
+    )  # fmt: skip
+    assert mapped(entry, OPEN)[0] == ThinDielectric(ior=1.5, tint=(0.8, 0.5, 1.0))
+    solid, lines = mapped(entry)
+    assert isinstance(solid, Dielectric)
+    # Twice the base colour, over the mean way through.
+    np.testing.assert_allclose(np.exp(-CLOSED.chord * np.array(solid.absorption)), [0.64, 0.25, 1.0])
+    assert len(lines) == 1 and "mean way" in lines[0]
+
+
+@pytest.mark.parametrize(
+    ("pbr", "expected"),
+    [
+        ({}, Conductor(color=(1, 1, 1), roughness=1.0)),
+        ({"metallicFactor": 1.0, "roughnessFactor": 0.5, "baseColorFactor": [0.9, 0.6, 0.3, 1]},
+         Conductor(color=(0.9, 0.6, 0.3), roughness=0.25)),
+        ({"metallicFactor": 1.0, "roughnessFactor": 0.0}, Conductor(color=(1, 1, 1), roughness=0.0)),
+        (clear(roughnessFactor=0.9), Diffuse(color=(1, 1, 1))),
+        (clear(roughnessFactor=0.3), Plastic(color=(1, 1, 1), ior=1.5, roughness=0.09)),
+        (clear(), Plastic(color=(1, 1, 1), ior=1.5, roughness=0.001)),
+    ],
+)  # fmt: skip
+def test_what_lets_no_light_through_is_metal_plastic_or_matt(pbr: dict, expected: Material, tmp_path: Path) -> None:
+    found, lines = mapped(foreign(tmp_path, pbrMetallicRoughness=pbr))
+    assert found == expected
+    assert lines == []
+
+
+def test_metal_lets_no_light_through_whatever_its_transmission(tmp_path: Path) -> None:
+    found, lines = mapped(foreign(tmp_path, pbrMetallicRoughness={}, extensions=glass()))
+    assert isinstance(found, Conductor)
+    assert len(lines) == 1 and "is metal" in lines[0]
+
+
+def test_a_blended_surface_becomes_a_pane_that_lets_through_what_it_does_not_cover(tmp_path: Path) -> None:
+    pbr = clear(baseColorFactor=[0.0, 0.5, 1.0, 0.4])
+    found, lines = mapped(foreign(tmp_path, pbrMetallicRoughness=pbr, alphaMode="BLEND"))
+    assert isinstance(found, ThinDielectric)
+    np.testing.assert_allclose(found.tint, [0.6, 0.8, 1.0])
+    assert len(lines) == 1
+
+
+def test_each_thing_that_is_not_drawn_is_a_line(tmp_path: Path) -> None:
+    builder = GltfBuilder()
+    extensions = {**glass(), "KHR_materials_sheen": {}, "KHR_materials_dispersion": {"dispersion": 0.5}}
+    texture = {"index": 0}
+    material = builder.material(
+        pbrMetallicRoughness=clear(roughnessFactor=0.5, metallicRoughnessTexture=texture), extensions=extensions,
+        normalTexture=texture, emissiveFactor=[1, 0, 0], occlusionTexture=texture,
+    )  # fmt: skip
+    builder.node(mesh=builder.mesh(material=material))
+    remarks = Remarks()
+    entry = read_gltf(builder.written(tmp_path), remarks).objects[0].material
+    assert isinstance(entry, ForeignMaterial)
+    Mapper(metres=1.0, thin="open", remarks=remarks).material(entry, CLOSED, where="thing")
+    lines = " | ".join(line.what for line in remarks.lines if line.is_approximation)
+    for word in ("sheen", "normal map", "occlusion", "metalness", "glows", "rough glass (GGX alpha 0.25)",
+                 "Abbe number 40"):  # fmt: skip
+        assert word in lines
+    with pytest.raises(HyalineError, match="leave out --strict"):
+        read_gltf(builder.written(tmp_path), Remarks(is_strict=True))
+
+
+def test_an_image_is_multiplied_by_its_factor_and_metal_gets_its_mean(tmp_path: Path) -> None:
+    picture = Image.new("RGB", (4, 4), (255, 255, 255))
+    picture.paste((0, 0, 0), (0, 0, 4, 2))
+    buffer = io.BytesIO()
+    picture.save(buffer, format="PNG")
+    builder = GltfBuilder()
+    image = builder.add("images", {"bufferView": builder.view(buffer.getvalue()), "mimeType": "image/png"})
+    use = {"index": builder.add("textures", {"source": image})}
+    for metallic in (0.0, 1.0):
+        pbr = clear(metallicFactor=metallic, baseColorTexture=use, baseColorFactor=[1.0, 0.5, 0.0, 1.0])
+        builder.node(mesh=builder.mesh(material=builder.material(pbrMetallicRoughness=pbr), has_uv=True))
+    mapper = Mapper(metres=1.0, thin="open", remarks=Remarks())
+    matt, metal = (
+        mapper.material(item.material, CLOSED, where="thing")
+        for item in read_gltf(builder.written(tmp_path), Remarks()).objects
+        if isinstance(item.material, ForeignMaterial)
+    )
+    assert isinstance(matt, Plastic) and isinstance(metal, Conductor)
+    (png,) = mapper.images.values()
+    pixels = np.asarray(Image.open(io.BytesIO(png)))
+    # Half of linear white is 188 in sRGB.
+    assert pixels[0, 0].tolist() == [0, 0, 0] and pixels[3, 0].tolist() == [255, 188, 0]
+    np.testing.assert_allclose(metal.color, [0.5, 0.25, 0.0], atol=1e-6)
+
+
+def test_the_mean_way_through_a_solid_is_four_volumes_over_its_surface() -> None:
+    from datagen.scene.importers.surfaces import shape_of
+    from datagen.scene.modelling import ball
+
+    sphere = ball(0.5, subdivisions=4)
+    assert shape_of(sphere, has_uv=False).chord == pytest.approx(4 / 3 * 0.5, rel=3e-3)
+    assert shape_of(BOX, has_uv=True).chord == pytest.approx(4 * signed_volume(BOX) / face_areas(BOX).sum())

@@ -1,0 +1,117 @@
+"""Tests that an atlas is made once for a surface, and that nothing but what was kept is ever taken for it."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from datagen.data.meshes import Mesh, write_ply
+from datagen.disk.private import write_hashed
+from datagen.scene import atlas
+from datagen.scene.atlas import unwrap, unwrap_all
+from datagen.scene.modelling import moved, rounded_box
+
+BOX = rounded_box((0.4, 0.3, 0.2), bevel=0.02, segments=1)
+
+
+@pytest.fixture
+def children(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """How many surfaces each child process was asked for, with an empty cache."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    asked: list[int] = []
+
+    def one_chart(surfaces: dict[str, dict]) -> dict[str, dict]:
+        asked.append(len(surfaces))
+        return {
+            where: {
+                "vertex_of": np.arange(len(surface["vertices"])),
+                "faces": surface["faces"].astype(np.int32),
+                "uv": ((surface["vertices"] + 1)[:, :2] / 2048).astype(np.float32),
+            }
+            for where, surface in surfaces.items()
+        }
+
+    monkeypatch.setattr(atlas, "_unwrap_in_child", one_chart)
+    return asked
+
+
+def kept(tmp_path: Path) -> list[Path]:
+    return sorted((tmp_path / "cache" / "hyaline" / "atlases").iterdir())
+
+
+def test_the_same_surface_is_unwrapped_once_and_has_the_same_bytes(children: list[int], tmp_path: Path) -> None:
+    first = unwrap(BOX, where="first")
+    assert write_ply(unwrap(BOX, where="second")) == write_ply(first)
+    assert children == [1]
+    assert [path.stat().st_mode & 0o777 for path in kept(tmp_path)] == [0o600]
+
+
+def test_copies_of_a_surface_are_unwrapped_together(children: list[int]) -> None:
+    # Powers of two, so that it is the same surface but for its place.
+    whole = dataclasses.replace(BOX, vertices=np.rint(BOX.vertices * 1024) / np.float32(1024))
+    copies = {str(index): moved(whole, (index, 0, 0)) for index in range(3)}
+    found = unwrap_all(copies)
+    assert sum(children) == 1
+    for name, mesh in copies.items():
+        np.testing.assert_array_equal(found[name].vertices, mesh.vertices)
+        np.testing.assert_array_equal(found[name].uv, found["0"].uv)
+
+
+@pytest.mark.parametrize("change", ["vertices", "normals", "faces"])
+def test_any_change_of_a_surface_is_another_one(children: list[int], change: str) -> None:
+    unwrap(BOX, where="box")
+    unwrap(dataclasses.replace(BOX, **{change: np.roll(getattr(BOX, change), 1, axis=0)}), where="box")
+    assert children == [1, 1]
+
+
+def test_other_code_makes_another_atlas(children: list[int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    unwrap(BOX, where="box")
+    other = tmp_path / "atlas.py"
+    other.write_bytes(Path(atlas.__file__).read_bytes() + b"\n# changed\n")
+    monkeypatch.setattr(atlas, "__file__", str(other))
+    unwrap(BOX, where="box")
+    assert children == [1, 1]
+
+
+def cut(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:-50])
+
+
+def flip(path: Path) -> None:
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 1
+    path.write_bytes(data)
+
+
+def no_archive(path: Path) -> None:
+    write_hashed(path, b"hashed, and no archive")
+
+
+def open_to_others(path: Path) -> None:
+    path.chmod(0o666)
+
+
+def lost(path: Path) -> None:
+    path.unlink()
+
+
+@pytest.mark.parametrize("harm", [cut, flip, no_archive, open_to_others, lost])
+def test_what_is_in_doubt_is_made_again(children: list[int], harm: object, tmp_path: Path) -> None:
+    first = unwrap(BOX, where="box")
+    harm(kept(tmp_path)[0])
+    assert write_ply(unwrap(BOX, where="box")) == write_ply(first)
+    assert children == [1, 1]
+
+
+def test_without_a_cache_nothing_fails(children: list[int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "cache").write_bytes(b"a file where the folder would be")
+    meshes: list[Mesh] = [unwrap(BOX, where="box") for _ in range(2)]
+    assert children == [1, 1] and len(meshes[0].faces) == len(BOX.faces)
+
+
+def test_the_oldest_atlases_are_forgotten(children: list[int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("datagen.scene.atlas_cache.MAX_KEPT", 3)
+    for size in range(1, 6):
+        unwrap(dataclasses.replace(BOX, normals=BOX.normals * np.float32(size)), where="box")
+    assert len(kept(tmp_path)) == 3
