@@ -31,7 +31,7 @@ Event = Literal["ends", "coated", "mirrors", "passes", "refracts"]
 
 @dataclass(frozen=True, kw_only=True)
 class Surface:
-    """What a surface does to a ray, as datagen/trace/light_path.py follows it; other events ignore a value."""
+    """What a surface does to a ray, as datagen/trace/surface_hits.py follows it; other events ignore a value."""
 
     event: Event
     ior: float = 1.0

@@ -19,7 +19,8 @@ from datagen.scene.textures import ImageTexture, SolidTexture
 use_mitsuba()
 
 from datagen.render.mitsuba_scene import load_scene_mitsuba  # noqa: E402
-from datagen.trace.light_path import EVENTS, LightPathTracer  # noqa: E402
+from datagen.trace.light_path import LightPathTracer  # noqa: E402
+from datagen.trace.surface_tables import EVENTS  # noqa: E402
 
 SAMPLES: dict[type[Material], Material] = {
     Dielectric: Dielectric(ior=1.4, absorption=(1.0, 2.0, 3.0), priority=-2),

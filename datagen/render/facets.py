@@ -1,0 +1,85 @@
+"""Facets of rough surfaces (GGX), sampled as a ray sees them. Call `use_mitsuba` first.
+
+Source: GGX facets with Smith's shadowing, sampled by their visible area (Dupuy and Benyoub 2023, "Sampling Visible GGX
+Normals with Spherical Caps"). Times Fresnel's term, the shadowing is what a sampled direction weighs. Light that the
+facets throw onto each other is lost, as in Mitsuba's own plugins.
+"""
+
+from typing import TYPE_CHECKING, NamedTuple
+
+if TYPE_CHECKING:
+    import mitsuba as mi
+
+
+def sample_facet(wi, alpha, u1, u2):
+    """The unit normal of a facet that a ray meets, in the surface's frame; with alpha = 0 the surface's own.
+
+    Args:
+        wi: unit direction in which the ray came from, in the surface's frame (z > 0).
+        alpha: GGX roughness.
+        u1, u2: numbers in [0, 1).
+    """
+    import drjit as dr
+    import mitsuba as mi
+
+    stretched = dr.normalize(mi.Vector3f(alpha * wi.x, alpha * wi.y, dr.maximum(wi.z, 1e-6)))
+    z = dr.fma(1 - u2, 1 + stretched.z, -stretched.z)
+    sine, azimuth = dr.safe_sqrt(1 - z * z), 2 * dr.pi * u1
+    cap = mi.Vector3f(sine * dr.cos(azimuth), sine * dr.sin(azimuth), z) + stretched
+    return dr.normalize(mi.Vector3f(alpha * cap.x, alpha * cap.y, dr.maximum(cap.z, 1e-6)))
+
+
+def unshadowed(wo, alpha):
+    """Share of the facets that face `wo`, a unit vector in the surface's frame, which other facets do not hide."""
+    import drjit as dr
+
+    tangent2 = (wo.x * wo.x + wo.y * wo.y) / dr.maximum(wo.z * wo.z, 1e-12)
+    return 2 / (1 + dr.sqrt(1 + alpha * alpha * tangent2))
+
+
+class Facet(NamedTuple):
+    """A facet that a ray meets."""
+
+    frame: "mi.Frame3f"
+    """That of the surface, with its normal on the side from which the ray comes."""
+    wi: "mi.Vector3f"
+    """Unit direction back along the ray, in the frame."""
+    m: "mi.Vector3f"
+    """Unit normal of the facet, in the frame."""
+    cosine: "mi.Float"
+    """Of the angle at which the ray meets the facet."""
+    alpha: "mi.Float"
+
+
+def facet_towards(d, normal, alpha, u1, u2) -> Facet:
+    """A visible facet of a rough surface for a ray that arrives along `d`; with alpha = 0 the surface itself."""
+    import drjit as dr
+    import mitsuba as mi
+
+    frame = mi.Frame3f(normal)
+    wi = frame.to_local(-d)
+    m = sample_facet(wi, alpha, u1, u2)
+    return Facet(frame=frame, wi=wi, m=m, cosine=dr.clip(dr.dot(wi, m), 0, 1), alpha=alpha)
+
+
+def mirrored_by(facet: Facet):
+    """The direction mirrored by a facet, and the shadowing (0 below the surface)."""
+    import drjit as dr
+
+    wo = 2 * facet.cosine * facet.m - facet.wi
+    shadowing = dr.select(wo.z > 0, unshadowed(wo, facet.alpha), 0)
+    return dr.normalize(facet.frame.to_world(wo)), shadowing
+
+
+def refracted_by(facet: Facet, cos_t, eta_ti):
+    """The direction refracted by a facet, and the shadowing (0 above the surface).
+
+    Args:
+        cos_t: cosine of the angle behind the facet.
+        eta_ti: index of refraction on the side of the ray over that behind the facet.
+    """
+    import drjit as dr
+
+    wo = facet.m * (facet.cosine * eta_ti - cos_t) - facet.wi * eta_ti
+    shadowing = dr.select(wo.z < 0, unshadowed(wo, facet.alpha), 0)
+    return dr.normalize(facet.frame.to_world(wo)), shadowing

@@ -1,0 +1,285 @@
+"""The kernel that follows the branches of light paths, one surface at a time (datagen/trace/light_path.py).
+
+A ray has one branch at a time and a queue of starts of further ones. Each step of the loop meets the next surface of
+the branch, records a vertex, puts the surface's mirror image into the queue, and goes on behind the surface; where the
+branch ends, the first start in the queue comes next.
+"""
+
+# Mitsuba's stubs describe no variant: what is a number in one is an array in another.
+# pyright: reportArgumentType=false, reportCallIssue=false, reportOperatorIssue=false, reportIndexIssue=false
+# pyright: reportAttributeAccessIssue=false
+
+from typing import TYPE_CHECKING, NamedTuple
+
+from datagen.scene.media import medium_of, no_solids
+from datagen.trace.surface_hits import Bounce, Hit, Kernel, Limits, Sides, bounce_of, meet, sides_of, uv_slope
+from datagen.trace.surface_tables import OPAQUE, SurfaceTables
+
+if TYPE_CHECKING:
+    import mitsuba as mi
+
+SPARE_STEPS = 16
+"""Trace steps beyond the vertices of all branches, for hits that do not count: faces met again, surfaces of solids
+inside others."""
+
+MIN_THROUGHPUT = 1 / 512
+"""A branch that starts with less is not followed: less than one step of an 8-bit picture."""
+
+FIRST_MIRROR = 16.0
+"""Weight in the queue of branches beyond any throughput, so that the first surface's mirror comes next."""
+
+
+class _Start(NamedTuple):
+    """Where a branch starts."""
+
+    weight: "mi.Float"
+    """In the queue; 0 for no start."""
+    o: "mi.Point3f"
+    d: "mi.Vector3f"
+    beta: "mi.Color3f"
+    """Throughput so far."""
+    last_face: "mi.Int32"
+    """The face that it leaves; -1 for none."""
+    solids: "mi.UInt32"
+    """The solids that it is in (datagen/scene/media.py)."""
+
+
+class _State(NamedTuple):
+    """What the steps of the loop hand on, a branch's segment and its place among the outputs."""
+
+    o: "mi.Point3f"
+    d: "mi.Vector3f"
+    beta: "mi.Color3f"
+    solids: "mi.UInt32"
+    way: "mi.Float"
+    """Metres inside glass or liquid since the last vertex."""
+    last_face: "mi.Int32"
+    branch: "mi.UInt32"
+    vertex: "mi.UInt32"
+    step: "mi.UInt32"
+    queue: "tuple[_Start, ...]"
+    """Sorted by weight."""
+    active: "mi.Bool"
+
+
+def follow_branches(scene, tables, media, o, d, rows, shift, count, max_branches, max_vertices, max_depth):
+    """One kernel for all vertices of all branches of `count` rays from `o` along `d`.
+
+    Args:
+        rows: two numbers in [0, 1) for each ray. Where those of consecutive rays, which are those of one pixel, are an
+            R2 sequence, these share out the facets of a rough surface evenly.
+        shift: seed of the shifts.
+
+    Returns:
+        By field of `TracedPaths`: a flat array.
+    """
+    import drjit as dr
+
+    limits = Limits(max_branches, max_vertices, max_depth)
+    kernel = Kernel(scene, SurfaceTables(*tables), media, limits, rows, shift)
+    outputs = _Outputs(count, limits)
+
+    # Dr.Jit's loops take plain tuples.
+    def is_tracing(*state):
+        return state[-1]
+
+    def advance(*state):
+        return tuple(_advance(kernel, outputs, _State(*state)))
+
+    dr.while_loop(tuple(_first_state(kernel, o, d, count)), is_tracing, advance, label="light_path")
+    return outputs.arrays
+
+
+def _first_state(kernel: Kernel, o, d, count: int) -> _State:
+    import drjit as dr
+    import mitsuba as mi
+
+    return _State(
+        o=o,
+        d=d,
+        beta=dr.full(mi.Color3f, 1, count),
+        solids=dr.full(mi.UInt32, no_solids(kernel.media), count),
+        way=dr.zeros(mi.Float, count),
+        last_face=dr.full(mi.Int32, -1, count),
+        branch=dr.zeros(mi.UInt32, count),
+        vertex=dr.zeros(mi.UInt32, count),
+        step=dr.zeros(mi.UInt32, count),
+        queue=tuple(tuple(_no_start(kernel, count)) for _ in range(kernel.limits.max_branches - 1)),
+        active=dr.full(mi.Bool, True, count),
+    )
+
+
+def _no_start(kernel: Kernel, count: int) -> _Start:
+    import drjit as dr
+    import mitsuba as mi
+
+    return _Start(
+        weight=dr.zeros(mi.Float, count),
+        o=dr.zeros(mi.Point3f, count),
+        d=dr.zeros(mi.Vector3f, count),
+        beta=dr.zeros(mi.Color3f, count),
+        last_face=dr.full(mi.Int32, -1, count),
+        solids=dr.full(mi.UInt32, no_solids(kernel.media), count),
+    )
+
+
+def _advance(kernel: Kernel, outputs: "_Outputs", state: _State) -> _State:
+    """One step: the next surface, what it records, and where the ray goes on."""
+    hit = meet(kernel, state.o, state.d, state.last_face, state.active)
+    sides = sides_of(kernel, hit, state.solids)
+    state = _absorb(kernel, hit, state)
+    outputs.record(hit, sides, state)
+    bounce = bounce_of(kernel, hit, sides, state.d, state.step)
+    state = state._replace(queue=_with_mirror(hit, sides, bounce, state))
+    return _turn(kernel, *_go_on(kernel, hit, sides, bounce, state))
+
+
+def _absorb(kernel: Kernel, hit: Hit, state: _State) -> _State:
+    """Beer and Lambert, along the segment that ends here."""
+    import drjit as dr
+    import mitsuba as mi
+
+    medium = medium_of(kernel.media, state.solids)
+    in_glass = hit.found & (medium < mi.UInt32(len(kernel.media.ior) - 1))
+    sigma = mi.Color3f(*(dr.gather(mi.Float, table, medium, in_glass) for table in kernel.tables.absorption))
+    length = dr.select(in_glass & hit.counts, dr.norm(hit.p - state.o), 0)
+    beta = dr.select(in_glass, state.beta * dr.exp(-sigma * length), state.beta)
+    return state._replace(beta=beta, way=state.way + length)
+
+
+def _with_mirror(hit: Hit, sides: Sides, bounce: Bounce, state: _State) -> tuple:
+    """The queue with a further branch, where light also comes by reflection. It is sorted; its last one falls out."""
+    import drjit as dr
+
+    beta = state.beta * bounce.mirror_share
+    weight = dr.max(beta)
+    starts = hit.counts & ~sides.is_void & (sides.kind != OPAQUE) & ~bounce.total & (weight > MIN_THROUGHPUT)
+    weight = dr.select((state.branch == 0) & (state.vertex == 0), FIRST_MIRROR, weight)
+    p = hit.p + hit.outward * hit.offset
+    start = (dr.select(starts, weight, 0), p, bounce.mirrored, beta, hit.face, state.solids)
+    sorted_queue = []
+    for other in state.queue:
+        is_better = start[0] > other[0]
+        sorted_queue.append(_choose(is_better, start, other))
+        start = _choose(is_better, other, start)
+    return tuple(sorted_queue)
+
+
+def _choose(condition, these, others) -> tuple:
+    import drjit as dr
+
+    return tuple(dr.select(condition, this, other) for this, other in zip(these, others, strict=True))
+
+
+def _go_on(kernel: Kernel, hit: Hit, sides: Sides, bounce: Bounce, state: _State) -> "tuple[_State, mi.Bool]":
+    """The next segment of this branch, and whether the branch is over instead."""
+    import drjit as dr
+
+    real = hit.counts & ~sides.is_void
+    again = hit.found & ~hit.counts
+    missed = state.active & ~hit.found
+    passes = sides.is_thin | sides.is_glass
+    goes_through = passes & ~bounce.total
+    o = dr.select(passes, hit.p + dr.select(goes_through, -hit.outward, hit.outward) * hit.offset, state.o)
+    vertex = dr.select(real, state.vertex + 1, state.vertex)
+    on = state._replace(
+        o=dr.select(again, o + state.d * (hit.t * (1 + 2.4e-7) + 1e-7), o),
+        d=dr.select(passes, bounce.next_d, state.d),
+        beta=dr.select(passes & ~sides.is_void, state.beta * bounce.next_share, state.beta),
+        solids=dr.select(goes_through, sides.beyond, state.solids),
+        way=dr.select(real, 0, state.way),
+        last_face=dr.select(hit.counts, hit.face, state.last_face),
+        vertex=vertex,
+        step=state.step + 1,
+    )
+    is_over = missed | (hit.counts & ~passes) | (real & (vertex == kernel.limits.max_depth))
+    if kernel.tables.has_rough_glass:
+        # A facet's refracted ray that does not come out on the other side is lost.
+        is_over |= real & (dr.max(on.beta) == 0)
+    return on, is_over
+
+
+def _turn(kernel: Kernel, state: _State, is_over) -> _State:
+    """Where a branch is over: the next one, or none."""
+    import drjit as dr
+
+    limits, queue = kernel.limits, state.queue
+    turns = is_over & (state.branch + 1 < limits.max_branches)
+    if queue:
+        turns &= queue[0][0] > 0
+        first, behind = _Start(*queue[0]), [*queue[1:], _no_start(kernel, 1)]
+        state = state._replace(
+            o=dr.select(turns, first.o, state.o),
+            d=dr.select(turns, first.d, state.d),
+            beta=dr.select(turns, first.beta, state.beta),
+            last_face=dr.select(turns, first.last_face, state.last_face),
+            solids=dr.select(turns, first.solids, state.solids),
+            queue=tuple(_choose(turns, after, this) for this, after in zip(queue, behind, strict=True)),
+        )
+    max_steps = limits.max_branches * limits.max_depth + SPARE_STEPS
+    return state._replace(
+        way=dr.select(turns, 0, state.way),
+        vertex=dr.select(turns, 0, state.vertex),
+        branch=dr.select(turns, state.branch + 1, state.branch),
+        active=state.active & (~is_over | turns) & (state.step < max_steps),
+    )
+
+
+class _Outputs:
+    """Flat arrays of all places of all branches, which the steps fill."""
+
+    def __init__(self, count: int, limits: Limits) -> None:
+        import drjit as dr
+        import mitsuba as mi
+
+        self._count, self._limits = count, limits
+        self._ray = dr.arange(mi.UInt32, count)
+        ends = limits.max_branches * count
+        places = ends * limits.max_vertices
+        self.arrays = {
+            "object_id": dr.zeros(mi.UInt32, places),
+            "uv": dr.zeros(mi.Float, 2 * places),
+            "uv_slope": dr.zeros(mi.Float, 2 * places),
+            "direction": dr.zeros(mi.Float, 3 * places),
+            "position": dr.zeros(mi.Float, 3 * places),
+            "normal": dr.zeros(mi.Float, 3 * places),
+            "throughput": dr.zeros(mi.Float, 3 * places),
+            "medium_length": dr.zeros(mi.Float, places),
+            "has_left": dr.zeros(mi.UInt32, ends),
+            "end_direction": dr.zeros(mi.Float, 3 * ends),
+            "end_throughput": dr.zeros(mi.Float, 3 * ends),
+        }
+
+    def record(self, hit: Hit, sides: Sides, state: _State) -> None:
+        """The vertex, or the end in the open. What comes after the last place takes it: a branch's end is kept."""
+        import drjit as dr
+        import mitsuba as mi
+
+        real = hit.counts & ~sides.is_void
+        last = self._limits.max_vertices - 1
+        slot = (state.branch * (last + 1) + dr.minimum(state.vertex, last)) * self._count + self._ray
+        vertex = {
+            "object_id": [hit.shape + 1],
+            "medium_length": [state.way],
+            "uv": hit.uv,
+            "uv_slope": uv_slope(hit, state.d),
+            "direction": state.d,
+            "position": hit.p,
+            "normal": hit.facing,
+            "throughput": state.beta,
+        }
+        for name, values in vertex.items():
+            self._store(name, values, slot, real)
+        missed = state.active & ~hit.found
+        end = state.branch * self._count + self._ray
+        for name, values in {
+            "has_left": [mi.UInt32(1)], "end_direction": state.d, "end_throughput": state.beta
+        }.items():  # fmt: skip
+            self._store(name, values, end, missed)
+
+    def _store(self, name: str, values, index, mask) -> None:
+        import drjit as dr
+
+        components = list(values)  # They lie side by side, as NumPy wants them: no copy of the whole is made.
+        for component, value in enumerate(components):
+            dr.scatter(self.arrays[name], value, index * len(components) + component, mask)

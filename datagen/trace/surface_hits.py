@@ -1,0 +1,258 @@
+"""What a ray meets at a surface, and what the surface does to it: the steps of datagen/trace/branches.py."""
+
+# Mitsuba's stubs describe no variant: what is a number in one is an array in another.
+# pyright: reportArgumentType=false, reportCallIssue=false, reportOperatorIssue=false, reportIndexIssue=false
+# pyright: reportAttributeAccessIssue=false
+
+from typing import TYPE_CHECKING, NamedTuple
+
+from datagen.render.facets import facet_towards, mirrored_by, refracted_by
+from datagen.scene.media import Media, medium_of, with_solid, without_solid
+from datagen.trace.surface_tables import COATED, DIELECTRIC, METAL, THIN, SurfaceTables
+
+if TYPE_CHECKING:
+    import mitsuba as mi
+
+OFFSET = 2e-6
+"""How far, relative to 1 + its largest coordinate, a new ray starts from its surface: neighbouring faces round."""
+
+MIN_COSINE = 0.2
+"""Where a ray grazes a surface, the slope of its uv is that at this cosine."""
+
+
+class Limits(NamedTuple):
+    """What bounds a ray's paths."""
+
+    max_branches: int
+    max_vertices: int
+    max_depth: int
+
+
+class Kernel(NamedTuple):
+    """What stays the same in all steps."""
+
+    scene: "mi.Scene"
+    tables: SurfaceTables
+    media: Media
+    limits: Limits
+    rows: "tuple[mi.Float, ...]"
+    """Two numbers in [0, 1) for each ray."""
+    shift: "mi.UInt32"
+    """Seed of the shifts."""
+
+
+class Hit(NamedTuple):
+    """What a segment meets."""
+
+    found: "mi.Bool"
+    """Anything at all."""
+    counts: "mi.Bool"
+    """Another face than the one that it left."""
+    t: "mi.Float"
+    shape: "mi.UInt32"
+    face: "mi.Int32"
+    p: "mi.Point3f"
+    uv: "mi.Point2f"
+    edges: "tuple[mi.Vector3f, mi.Vector3f]"
+    uv_edges: "tuple[mi.Vector2f, mi.Vector2f]"
+    n_wide: "mi.Vector3f"
+    """Normal of the face, as long as twice its area."""
+    n_face: "mi.Vector3f"
+    """Unit normal of the face."""
+    facing: "mi.Vector3f"
+    """Unit shading normal on the side from which the ray comes."""
+    is_outside: "mi.Bool"
+    """The ray comes from where the face's normal points."""
+    outward: "mi.Vector3f"
+    """Unit normal of the face on the side from which the ray comes."""
+    offset: "mi.Float"
+    """How far from here a new ray starts."""
+
+
+class Sides(NamedTuple):
+    """The kind of surface, and the solids on its two sides."""
+
+    kind: "mi.UInt32"
+    is_glass: "mi.Bool"
+    """A medium begins or ends here."""
+    is_thin: "mi.Bool"
+    is_void: "mi.Bool"
+    """A solid of higher priority fills both sides: there is no surface."""
+    here: "mi.UInt32"
+    beyond: "mi.UInt32"
+
+
+class Bounce(NamedTuple):
+    """Where light goes on from a surface, and with how much of what arrived."""
+
+    mirrored: "mi.Vector3f"
+    mirror_share: "mi.Color3f"
+    next_d: "mi.Vector3f"
+    next_share: "mi.Color3f"
+    total: "mi.Bool"
+    """Reflected as a whole: the branch itself is mirrored."""
+
+
+def meet(kernel: Kernel, o, d, last_face, active) -> Hit:
+    """The nearest face, and where the segment meets it."""
+    import drjit as dr
+    import mitsuba as mi
+
+    tables = kernel.tables
+    pi = kernel.scene.ray_intersect_preliminary(mi.Ray3f(o, d), coherent=False, active=active)
+    found = active & pi.is_valid()
+    shape = mi.UInt32(pi.shape_index)
+    face = mi.Int32(dr.gather(mi.UInt32, tables.first_face, shape, found) + pi.prim_index)
+    counts = found & (face != last_face)
+
+    b1, b2 = pi.prim_uv.x, pi.prim_uv.y
+    weights = (1 - b1 - b2, b1, b2)
+    place = mi.UInt32(dr.maximum(face, 0))
+    corners = _corners_of(tables.positions, mi.Point3f, place, counts)
+    uv_corners = _corners_of(tables.uv, mi.Point2f, place, counts)
+    n = dr.normalize(_mix(_corners_of(tables.normals, mi.Vector3f, place, counts), weights))
+    edges = (corners[1] - corners[0], corners[2] - corners[0])
+    n_wide = dr.cross(*edges)
+    n_face = dr.normalize(n_wide)
+    p = _mix(corners, weights)
+    is_outside = dr.dot(d, n_face) < 0
+    return Hit(
+        found=found,
+        counts=counts,
+        t=pi.t,
+        shape=shape,
+        face=face,
+        p=p,
+        uv=_mix(uv_corners, weights),
+        edges=edges,
+        uv_edges=(uv_corners[1] - uv_corners[0], uv_corners[2] - uv_corners[0]),
+        n_wide=n_wide,
+        n_face=n_face,
+        facing=dr.select(is_outside, n, -n),
+        is_outside=is_outside,
+        outward=dr.select(is_outside, n_face, -n_face),
+        offset=OFFSET * (1 + dr.max(dr.abs(p))),
+    )
+
+
+def _corners_of(table, kind, face, active):
+    """What a table holds for the three corners of each face."""
+    import drjit as dr
+    import mitsuba as mi
+
+    size = dr.size_v(kind)
+    return [
+        kind(*(dr.gather(mi.Float, table, face * (3 * size) + corner * size + axis, active) for axis in range(size)))
+        for corner in range(3)
+    ]
+
+
+def _mix(corners, weights):
+    return corners[0] * weights[0] + corners[1] * weights[1] + corners[2] * weights[2]
+
+
+def sides_of(kernel: Kernel, hit: Hit, solids) -> Sides:
+    """The solids on both sides of the surface."""
+    import drjit as dr
+    import mitsuba as mi
+
+    tables, media = kernel.tables, kernel.media
+    kind = dr.gather(mi.UInt32, tables.kind, hit.shape, hit.counts)
+    is_glass, is_thin = hit.counts & (kind == DIELECTRIC), hit.counts & (kind == THIN)
+    rank = mi.UInt32(dr.maximum(dr.gather(mi.Int32, tables.rank, hit.shape, is_glass), 0))
+    entered, left_behind = with_solid(media, solids, rank), without_solid(media, solids, rank)
+    beyond = dr.select(is_glass, dr.select(hit.is_outside, entered, left_behind), solids)
+    here = dr.select(is_glass, dr.select(hit.is_outside, left_behind, entered), solids)
+    return Sides(
+        kind=kind,
+        is_glass=is_glass,
+        is_thin=is_thin,
+        is_void=is_glass & (medium_of(media, here) == medium_of(media, beyond)),
+        here=here,
+        beyond=beyond,
+    )
+
+
+def uv_slope(hit: Hit, d):
+    """What uv changes as the ray goes on in the plane of the face, whose edges are e1 and e2: d = a e1 + b e2 + c n."""
+    import drjit as dr
+
+    shares = [dr.dot(dr.cross(d, hit.edges[1]), hit.n_wide), dr.dot(dr.cross(hit.edges[0], d), hit.n_wide)]
+    # Depth counts inwards, which is back along a ray that comes out.
+    cosine = dr.maximum(dr.abs(dr.dot(d, hit.n_face)), MIN_COSINE)
+    per_depth = dr.rcp(dr.maximum(dr.squared_norm(hit.n_wide) * cosine, 1e-30))
+    per_depth = dr.select(hit.is_outside, per_depth, -per_depth)
+    return (shares[0] * hit.uv_edges[0] + shares[1] * hit.uv_edges[1]) * per_depth
+
+
+def bounce_of(kernel: Kernel, hit: Hit, sides: Sides, d, step) -> Bounce:
+    """What the surface does to the ray."""
+    import drjit as dr
+    import mitsuba as mi
+
+    tables, facing = kernel.tables, hit.facing
+    iors = [
+        dr.gather(mi.Float, tables.medium_ior, medium_of(kernel.media, side), sides.is_glass)
+        for side in (sides.beyond, sides.here)
+    ]
+    borders = sides.is_glass & ~sides.is_void
+    eta = dr.select(borders, iors[0] / iors[1], dr.gather(mi.Float, tables.coat_ior, hit.shape, hit.counts))
+    cos_i = dr.clip(-dr.dot(d, facing), 0, 1)
+    # The ratio is that of the two sides as the ray comes, so that it always comes from the first of them.
+    reflectance, cos_t, _, eta_ti = mi.fresnel(cos_i, eta)
+    cos_t = dr.abs(cos_t)
+    reflectance = dr.select(sides.is_thin, 2 * reflectance / (1 + reflectance), reflectance)
+    total = borders & (reflectance >= 1)
+    mirrored = dr.normalize(d + 2 * cos_i * facing)
+    refracted = dr.normalize(d * eta_ti + facing * (cos_i * eta_ti - cos_t))
+
+    color = mi.Color3f(*(dr.gather(mi.Float, table, hit.shape, hit.counts) for table in tables.color))
+    is_metal = sides.kind == METAL
+    coated = hit.counts & ((sides.kind == COATED) | is_metal)
+    has_facets = coated | borders if tables.has_rough_glass else coated
+    alpha = dr.gather(mi.Float, tables.roughness, hit.shape, has_facets)
+    facet = facet_towards(d, facing, alpha, *_random_point(kernel, step))
+    facet_d, shadowing = mirrored_by(facet)
+    facet_reflectance, facet_cos_t, _, _ = mi.fresnel(facet.cosine, eta)
+    facet_share = dr.select(is_metal, color, mi.Color3f(facet_reflectance)) * shadowing
+    mirrored = dr.select(coated, facet_d, mirrored)
+
+    share = dr.select(total, 1, (1 - reflectance) * dr.select(sides.is_glass, dr.square(eta_ti), 1))
+    bounce = Bounce(
+        mirrored=mirrored,
+        mirror_share=dr.select(coated, facet_share, mi.Color3f(reflectance)),
+        next_d=dr.select(total, mirrored, dr.select(borders, refracted, d)),
+        next_share=dr.select(sides.is_thin, share * color, mi.Color3f(share)),
+        total=total,
+    )
+    if not tables.has_rough_glass:
+        return bounce
+    total = facet_reflectance >= 1
+    refracted, passed = refracted_by(facet, dr.abs(facet_cos_t), eta_ti)
+    by_facet = Bounce(
+        mirrored=facet_d,
+        mirror_share=facet_share,
+        next_d=dr.select(total, facet_d, refracted),
+        next_share=mi.Color3f(dr.select(total, shadowing, (1 - facet_reflectance) * passed * dr.square(eta_ti))),
+        total=total,
+    )
+    is_rough = borders & (alpha > 0)
+    return Bounce(*(dr.select(is_rough, rough, smooth) for rough, smooth in zip(by_facet, bounce, strict=True)))
+
+
+def _random_point(kernel: Kernel, step):
+    """Where among the facets of a rough surface each ray chooses: two numbers in [0, 1)."""
+    import drjit as dr
+    import mitsuba as mi
+
+    shifts = (mi.sample_tea_float32(kernel.shift, 2 * step + axis) for axis in range(2))
+    points = [row + shift for row, shift in zip(kernel.rows, shifts, strict=True)]
+    points = [point - dr.floor(point) for point in points]
+    if not kernel.tables.has_rough_glass:
+        return points
+    # Light that leaves rough glass has met a facet before: were both shared out by one sequence, a ray's second facet
+    # would follow from its first. From the second surface on, each ray throws its own dice.
+    ray = dr.arange(mi.UInt32, dr.width(kernel.rows[0]))
+    dice = (mi.sample_tea_32(kernel.shift, 2 * step + axis)[0] for axis in range(2))
+    own = (mi.sample_tea_float32(ray, die) for die in dice)
+    return [dr.select(step == 0, point, die) for point, die in zip(points, own, strict=True)]
