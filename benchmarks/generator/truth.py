@@ -154,6 +154,7 @@ def without_absorption(scene: Scene) -> Scene:
 
 def under_soft_light(scene: Scene) -> Scene:
     """The scene in an even sky as bright as its horizon, without lamps."""
+    assert isinstance(scene.environment, SoftEnvironment), "as all built-in scenes have it"
     sky = scene.environment.horizon
     return dataclasses.replace(scene, environment=SoftEnvironment(zenith=sky, horizon=sky, ground=sky), lights=())
 

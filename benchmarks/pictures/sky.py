@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.tonemap import srgb_from_linear
 from datagen.disk.errors import HyalineError
-from datagen.render.mitsuba_scene import radiance_of_environment
+from datagen.render.environment import radiance_of_sky
 from datagen.scene.folder import load_scene
 from eval.figures.sheets import DPI, figure_png
 from model.methods.light_path.net import LightPathRenderer
@@ -47,7 +47,7 @@ def draw_skies(runs: tuple[Path, ...], names: tuple[str, ...] = ()) -> bytes:
 
 def true_sky(dataset: Dataset) -> Sky:
     """What the dataset was rendered under."""
-    return radiance_of_environment(load_scene(dataset.root / "scene").environment, map_directions())
+    return radiance_of_sky(load_scene(dataset.root / "scene"), map_directions())
 
 
 def learned_sky(folder: Path, dataset: Dataset) -> Sky:

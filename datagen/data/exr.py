@@ -1,4 +1,4 @@
-"""EXR files: linear radiance and its noise, half floats."""
+"""EXR files: linear radiance and its noise, half floats; and the radiance in those of others."""
 
 import io
 import struct
@@ -16,6 +16,10 @@ PIZ, ROWS_PER_BLOCK = 4, 32
 CHANNELS = ("R", "G", "B", "noise.R", "noise.G", "noise.B")
 
 MAX_WIDTH = 1 << 16
+
+BLOCK_ROWS = {0: 1, 1: 1, 2: 1, 3: 16, 4: 32, 5: 16, 6: 32, 7: 32, 8: 32, 9: 256}
+"""Rows that are compressed at once, by the number of the compression: none, RLE, ZIPS, ZIP, PIZ, PXR24, B44, B44A,
+DWAA, DWAB."""
 
 
 def encode_exr(radiance: Float32[np.ndarray, "h w 3"], noise: Float32[np.ndarray, "h w 3"]) -> bytes:
@@ -48,6 +52,36 @@ def decode_exr(data: bytes, *, where: str = "EXR") -> tuple[Float32[np.ndarray, 
     return np.stack(values[:3], axis=-1), np.stack(values[3:], axis=-1)
 
 
+def decode_radiance(data: bytes, *, where: str) -> Float32[np.ndarray, "h w 3"]:
+    """The colours of an EXR that anybody may have written: scan lines of one part, floats or halves.
+
+    Raises:
+        HyalineError: another kind of EXR, or a damaged one.
+    """
+    import OpenEXR
+
+    expected = "expected an OpenEXR file of scan lines with channels R, G and B"
+    try:
+        attributes, place = header_of(data)
+        left, top, right, bottom = struct.unpack("<4i", attributes["dataWindow"])
+        rows_per_block = BLOCK_ROWS[attributes["compression"][0]]
+    except (KeyError, IndexError, ValueError, struct.error) as error:
+        raise HyalineError(f"{where}: cannot be read ({error}); {expected}") from error
+    width, height = right + 1 - left, bottom + 1 - top
+    if not (0 < width <= MAX_WIDTH and 0 < height <= MAX_WIDTH):
+        raise HyalineError(f"{where}: is {width} x {height} pixels; expected 1 to {MAX_WIDTH}")
+    # On some files that are cut short, OpenEXR never ends.
+    if fault := missing_block(data, place, first_row=top, height=height, rows_per_block=rows_per_block):
+        raise HyalineError(f"{where}: damaged, {fault}; {expected}")
+    try:
+        channels = OpenEXR.File(io.BytesIO(data), separate_channels=True, num_threads=0).channels()
+        names = "RGB" if "R" in channels else "YYY"
+        planes = [np.asarray(channels[name].pixels, np.float32) for name in names]
+    except (RuntimeError, ValueError, KeyError) as error:
+        raise HyalineError(f"{where}: cannot be read ({error}); {expected}") from error
+    return np.stack(planes, axis=-1)
+
+
 def check_exr(data: bytes, *, where: str) -> None:
     """Refuses what is no EXR as this package writes them: half floats in scan lines, every block within the file.
 
@@ -55,7 +89,7 @@ def check_exr(data: bytes, *, where: str) -> None:
         HyalineError: names the first thing that is wrong.
     """
     try:
-        attributes, place = _header(data)
+        attributes, place = header_of(data)
         window = struct.unpack("<4i", attributes["dataWindow"])
         compression = attributes["compression"]
     except (KeyError, ValueError, struct.error) as error:
@@ -63,19 +97,31 @@ def check_exr(data: bytes, *, where: str) -> None:
     width, height = window[2] + 1 - window[0], window[3] + 1 - window[1]
     if compression != bytes([PIZ]) or not (0 < width <= MAX_WIDTH and 0 < height <= MAX_WIDTH):
         raise HyalineError(f"{where}: damaged, an EXR of {width} x {height} pixels; render it again")
-    count = -(-height // ROWS_PER_BLOCK)
+    fault = missing_block(data, place, first_row=window[1], height=height, rows_per_block=ROWS_PER_BLOCK)
+    if fault is not None:
+        raise HyalineError(f"{where}: damaged, {fault}; render it again")
+
+
+def missing_block(data: bytes, place: int, *, first_row: int, height: int, rows_per_block: int) -> str | None:
+    """What is wrong with the blocks of scan lines whose table stands at `place`; None where all lie within the file."""
+    count = -(-height // rows_per_block)
     if len(data) < place + 8 * count:
-        raise HyalineError(f"{where}: damaged, the EXR ends before its pixels; render it again")
+        return "the EXR ends before its pixels"
     for block, offset in enumerate(struct.unpack_from(f"<{count}Q", data, place)):
         if offset + 8 > len(data):
-            raise HyalineError(f"{where}: damaged, block {block} of the EXR is missing; render it again")
+            return f"block {block} of the EXR is missing"
         row, size = struct.unpack_from("<iI", data, offset)
-        if row != window[1] + block * ROWS_PER_BLOCK or offset + 8 + size > len(data):
-            raise HyalineError(f"{where}: damaged, block {block} of the EXR is incomplete; render it again")
+        if row != first_row + block * rows_per_block or offset + 8 + size > len(data):
+            return f"block {block} of the EXR is incomplete"
+    return None
 
 
-def _header(data: bytes) -> tuple[dict[str, bytes], int]:
-    """The attributes by name, and where they end."""
+def header_of(data: bytes) -> tuple[dict[str, bytes], int]:
+    """The attributes by name, and where they end.
+
+    Raises:
+        ValueError: no EXR of scan lines and one part, or cut short.
+    """
     if not data.startswith(START):
         raise ValueError("not an EXR")
     attributes: dict[str, bytes] = {}

@@ -6,7 +6,8 @@ import numpy as np
 from jaxtyping import Float, Float32
 
 from datagen.data.meshes import Mesh, face_areas
-from datagen.scene.description import Scene, SceneObject, SoftEnvironment, image_bytes
+from datagen.render.environment import environment_plugin, mitsuba_transform
+from datagen.scene.description import Scene, SceneObject, image_bytes
 from datagen.scene.images import linear_pixels
 from datagen.scene.materials.optics import Medium, Plugin, rgb
 from datagen.scene.textures import ImageTexture, Reflectance, SolidTexture
@@ -19,13 +20,6 @@ TEXEL_SIZE = 0.001
 
 MIN_TEXTURE_SIZE, MAX_TEXTURE_SIZE = 128, 1024
 
-SMALL_LIGHT = 32.0
-"""Sharpness of a lobe from which on it is aimed at. Measured on the glass table, its lobes made sharper at equal power:
-to 45 dB it takes 0.8, 1.0 and 1.2 times as long without aiming at 16, 32 and 64. Shipped scenes have 4 to 8."""
-
-ENVIRONMENT_SIZE = (256, 512)
-"""Height and width of the latitude-longitude map; the sky is smooth, so more adds nothing."""
-
 
 def load_scene_mitsuba(scene: Scene, *, aims_at_sky: bool = True) -> "mi.Scene":
     """The whole scene, ready to render; `shapes()` keeps the order of `scene.objects`, then the lights.
@@ -35,7 +29,7 @@ def load_scene_mitsuba(scene: Scene, *, aims_at_sky: bool = True) -> "mi.Scene":
     """
     import mitsuba as mi
 
-    environment = _environment(scene.environment)
+    environment = environment_plugin(scene)
     if scene.lights and not aims_at_sky:
         environment["sampling_weight"] = 0.0
     content: dict[str, object] = {"type": "scene", "environment": environment}
@@ -55,15 +49,10 @@ def load_scene_mitsuba(scene: Scene, *, aims_at_sky: bool = True) -> "mi.Scene":
         to_world[:3] = np.stack([u / 2, v / 2, normal / np.linalg.norm(normal), center], axis=1)
         content[f"z_light_{index:03d}"] = {
             "type": "rectangle",
-            "to_world": _transform(to_world),
+            "to_world": mitsuba_transform(to_world),
             "emitter": {"type": "area", "radiance": {"type": "rgb", "value": list(light.radiance)}},
         }
     return _load(content, len(scene.objects))
-
-
-def has_small_light(environment: SoftEnvironment) -> bool:
-    """Whether a part of the sky is so small and bright that it is worth a ray to aim at it."""
-    return any(lobe.sharpness > SMALL_LIGHT for lobe in environment.lobes)
 
 
 def is_scalar() -> bool:
@@ -119,7 +108,7 @@ def load_sensor(
                 "fov_axis": "x",
                 "near_clip": 1e-3,
                 "far_clip": 1e4,
-                "to_world": _transform(to_world),
+                "to_world": mitsuba_transform(to_world),
                 "film": {
                     "type": "hdrfilm",
                     "width": width,
@@ -132,20 +121,6 @@ def load_sensor(
             }
         ),
     )
-
-
-def radiance_of_environment(environment: SoftEnvironment, directions: Float[np.ndarray, "... 3"]) -> np.ndarray:
-    """Radiance (..., 3) that arrives from unit directions (world space, +z up)."""
-    up = directions[..., 2:3]
-    sky = np.clip(up, 0, 1) ** 0.6
-    ground = np.clip(-up, 0, 1) ** 0.6
-    zenith, horizon, nadir = (np.array(c) for c in (environment.zenith, environment.horizon, environment.ground))
-    radiance = horizon * (1 - sky - ground) + zenith * sky + nadir * ground
-    for lobe in environment.lobes:
-        axis = np.array(lobe.direction) / np.linalg.norm(lobe.direction)
-        falloff = np.exp(lobe.sharpness * (directions @ axis - 1))[..., None]
-        radiance = radiance + falloff * np.array(lobe.radiance)
-    return radiance
 
 
 def _shape_id(index: int) -> str:
@@ -216,22 +191,3 @@ def _bitmap(linear: Float32[np.ndarray, "tex_h tex_w 3"]) -> Plugin:
     # Mitsuba's bitmap has v = 0 in its first row, our textures have v = 1 there.
     pixels = np.ascontiguousarray(np.flipud(linear), np.float32)
     return {"type": "bitmap", "bitmap": mi.Bitmap(pixels), "raw": True, "wrap_mode": "clamp"}
-
-
-def _transform(matrix: Float[np.ndarray, "4 4"]) -> "mi.ScalarTransform4f":
-    import mitsuba as mi
-
-    return mi.ScalarTransform4f(matrix.tolist())
-
-
-def _environment(environment: SoftEnvironment) -> Plugin:
-    import mitsuba as mi
-
-    height, width = ENVIRONMENT_SIZE
-    theta = (np.arange(height) + 0.5)[:, None] / height * np.pi
-    phi = (np.arange(width) + 0.5)[None, :] / width * 2 * np.pi
-    # Mitsuba's map has +y up: u runs with atan2(x, -z), v with acos(y). Turned about x, its y is our z.
-    x, y, z = np.broadcast_arrays(np.sin(phi) * np.sin(theta), np.cos(theta), -np.cos(phi) * np.sin(theta))
-    radiance = radiance_of_environment(environment, np.stack([x, -z, y], axis=-1))
-    turned = _transform(np.array([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]], np.float64))
-    return {"type": "envmap", "bitmap": mi.Bitmap(radiance.astype(np.float32)), "to_world": turned}

@@ -3,7 +3,7 @@
 What it estimates is what Mitsuba's `path` does, and more. Mitsuba has absorption only as a participating medium, where
 a path is absorbed or not by a throw of dice; here the throughput is multiplied by exp(-absorption * length). Mitsuba's
 `dielectric` borders on the same medium everywhere; here a surface of glass borders on whatever the ray is in
-(datagen/scene/media.py), by the formulas of `dielectric`.
+(datagen/scene/media.py), by the formulas of `dielectric` and, where it is rough, of `roughdielectric`.
 
 Two things make a picture cheap. Its random numbers are Sobol's (render/sobol.py). And light is sampled only where
 there is something to aim at, a lamp or a small bright place of the sky: a soft sky is found as well by the rays that
@@ -19,6 +19,7 @@ import mitsuba as mi
 import numpy as np
 from jaxtyping import Float32
 
+from datagen.render.facets import sample_facet, unshadowed
 from datagen.render.sobol import SobolPoints
 from datagen.scene.media import Media, medium_of, no_solids, with_solid, without_solid
 
@@ -33,13 +34,23 @@ class PathTracer:
     There is no Russian roulette: it costs more in noise than it saves.
     """
 
-    def __init__(self, scene: "mi.Scene", media: Media, *, max_depth: int, has_lamps: bool, aims: bool) -> None:
+    def __init__(
+        self,
+        scene: "mi.Scene",
+        media: Media,
+        roughness: Float32[np.ndarray, "object"],
+        *,
+        max_depth: int,
+        has_lamps: bool,
+        aims: bool,
+    ) -> None:
         """Args:
+        roughness: GGX alpha of the surface of each object that is a solid of glass; 0 is smooth.
         has_lamps: there are emitters besides the environment.
         aims: light is sampled at each rough vertex, too.
         """
         self._scene = scene
-        self._tables = _Tables(scene, media, max_depth=max_depth, has_lamps=has_lamps, aims=aims)
+        self._tables = _Tables(scene, media, roughness, max_depth=max_depth, has_lamps=has_lamps, aims=aims)
 
     def render(
         self, sensor: "mi.Sensor", *, width: int, height: int, spp: int, seed: int
@@ -67,12 +78,25 @@ class _Tables:
     No dataclass: Dr.Jit 1.5 would take it for state of the loop and assign its fields.
     """
 
-    def __init__(self, scene: "mi.Scene", media: Media, *, max_depth: int, has_lamps: bool, aims: bool) -> None:
+    def __init__(
+        self,
+        scene: "mi.Scene",
+        media: Media,
+        roughness: Float32[np.ndarray, "object"],
+        *,
+        max_depth: int,
+        has_lamps: bool,
+        aims: bool,
+    ) -> None:
         # Registry ids of shapes are not their places in the scene and change between loads, hence a table by id.
         ids = np.array(dr.reinterpret_array(mi.UInt32, scene.shapes_dr()))
         rank = np.full(ids.max() + 1, -1, np.int32)
         rank[ids[: len(media.rank)]] = media.rank
+        alpha = np.zeros(ids.max() + 1, np.float32)
+        alpha[ids[: len(roughness)]] = roughness
         self.media = media
+        self.has_rough_glass = bool(roughness.any())
+        self.alpha = mi.Float(alpha)
         self.max_depth, self.has_lamps, self.aims = max_depth, has_lamps, aims
         self.rank = mi.Int32(rank)
         self.ior = mi.Float(media.ior)
@@ -103,7 +127,7 @@ def _trace(scene, ray, points, scramble, index, tables):
         sigma_a = dr.gather(mi.Spectrum, tables.absorption, medium_of(tables.media, solids), active)
         throughput *= dr.select(hit, dr.exp(-sigma_a * dr.select(hit, si.t, 0)), 1)
 
-        # The media on both sides of smooth glass.
+        # The media on both sides of glass.
         is_glass, with_it, without_it = _solids_around(tables, solids, si.shape, active & hit)
         inner, outer = medium_of(tables.media, with_it), medium_of(tables.media, without_it)
         vanishes = is_glass & (inner == outer) if tables.media.is_nested else mi.Bool(False)
@@ -126,8 +150,10 @@ def _trace(scene, ray, points, scramble, index, tables):
         bsdf = si.bsdf(ray)
         is_rough = active & ~is_glass
         if dr.hint(tables.aims, mode="scalar"):
-            # Light aimed at from here; smooth glass has no such term.
+            # Light aimed at from here; glass is left to the rays that it sends out.
             active_light = active & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
+            if dr.hint(tables.has_rough_glass, mode="scalar"):
+                active_light &= ~is_glass
             place = points.sample_2d(scramble, index, dimension, active_light)
             dimension += 2
             ds, light = scene.sample_emitter_direction(si, place, True, active_light)
@@ -139,14 +165,21 @@ def _trace(scene, ray, points, scramble, index, tables):
         else:
             bsdf_sample, bsdf_weight = bsdf.sample(context, si, sample1, sample2, is_rough)
 
-        # Smooth glass reflects or refracts. Where its surface is none, both media are one: nothing is reflected.
+        # Glass reflects or refracts. Where its surface is none, both media are one: nothing is reflected.
         sides = [dr.gather(mi.Float, tables.ior, side, active & is_glass) for side in (inner, outer)]
-        is_reflected, glass_wo, eta_ti = _reflect_or_refract(si.wi, sides[0] / sides[1], sample1, vanishes)
+        if dr.hint(tables.has_rough_glass, mode="scalar"):
+            shape = dr.reinterpret_array(mi.UInt32, si.shape)
+            alpha = dr.gather(mi.Float, tables.alpha, shape, is_glass & ~vanishes)
+            is_reflected, glass_wo, glass_share = _bounce_off_facet(
+                si.wi, sides[0] / sides[1], alpha, sample1, sample2, vanishes
+            )
+        else:
+            is_reflected, glass_wo, glass_share = _reflect_or_refract(si.wi, sides[0] / sides[1], sample1, vanishes)
         goes_in = dr.select(vanishes, dr.dot(ray.d, si.n) < 0, glass_wo.z < 0)
         solids = dr.select(is_glass & ~is_reflected, dr.select(goes_in, with_it, without_it), solids)
 
         # The next segment; a path that has ended keeps its last. Radiance is scaled as its solid angle is squeezed.
-        factor = dr.select(is_glass, dr.select(is_reflected, 1, dr.square(eta_ti)), bsdf_weight)
+        factor = dr.select(is_glass, glass_share, bsdf_weight)
         throughput *= dr.select(active, factor, 1)
         to_world = si.to_world(dr.select(is_glass, glass_wo, bsdf_sample.wo))
         ray = dr.select(active, si.spawn_ray(dr.select(vanishes, ray.d, to_world)), ray)
@@ -163,7 +196,7 @@ def _trace(scene, ray, points, scramble, index, tables):
 
 
 def _solids_around(tables, solids, shape, hit):
-    """Whether a shape is smooth glass, and the solids on its inner and outer side, where `hit`."""
+    """Whether a shape is glass, and the solids on its inner and outer side, where `hit`."""
     rank = dr.gather(mi.Int32, tables.rank, dr.reinterpret_array(mi.UInt32, shape), hit)
     is_glass = hit & (rank >= 0)
     rank = mi.UInt32(dr.maximum(rank, 0))
@@ -171,10 +204,24 @@ def _solids_around(tables, solids, shape, hit):
 
 
 def _reflect_or_refract(wi, eta, sample, vanishes):
-    """Whether smooth glass reflects, where to in the surface's frame, and `eta_ti` of `mi.fresnel`."""
+    """Whether smooth glass reflects, where to in the surface's frame, and the factor of radiance."""
     reflectance, cos_t, _, eta_ti = mi.fresnel(mi.Frame3f.cos_theta(wi), eta)
     is_reflected = (sample <= reflectance) & ~vanishes
-    return is_reflected, dr.select(is_reflected, mi.reflect(wi), mi.refract(wi, cos_t, eta_ti)), eta_ti
+    wo = dr.select(is_reflected, mi.reflect(wi), mi.refract(wi, cos_t, eta_ti))
+    return is_reflected, wo, dr.select(is_reflected, 1, dr.square(eta_ti))
+
+
+def _bounce_off_facet(wi, eta, alpha, sample1, sample2, vanishes):
+    """`_reflect_or_refract` of rough glass, by one of its facets; alpha = 0 is smooth."""
+    side = dr.sign(mi.Frame3f.cos_theta(wi))
+    facet = sample_facet(wi * side, alpha, sample2.x, sample2.y)
+    reflectance, cos_t, _, eta_ti = mi.fresnel(dr.dot(wi, facet), eta)
+    is_reflected = (sample1 <= reflectance) & ~vanishes
+    wo = dr.select(is_reflected, mi.reflect(wi, facet), mi.refract(wi, facet, cos_t, eta_ti))
+    # What comes out on the wrong side is lost.
+    is_lost = ((wo.z * side > 0) != is_reflected) & ~vanishes
+    share = dr.select(is_reflected, 1, dr.square(eta_ti)) * dr.select(vanishes, 1, unshadowed(wo, alpha))
+    return is_reflected, wo, dr.select(is_lost, 0, share)
 
 
 def _balance(pdf, other):

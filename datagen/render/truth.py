@@ -18,7 +18,8 @@ from datagen.data.meshes import is_there
 from datagen.data.png import png_bytes
 from datagen.data.tonemap import srgb_from_linear, to_8bit
 from datagen.disk.errors import HyalineError
-from datagen.render.mitsuba_scene import has_small_light, is_scalar, load_scene_mitsuba, load_sensor
+from datagen.render.environment import has_small_light
+from datagen.render.mitsuba_scene import is_scalar, load_scene_mitsuba, load_sensor
 from datagen.scene.description import Scene
 from datagen.scene.media import find_media
 
@@ -74,8 +75,14 @@ class Renderer:
 
             has_lamps, aims_at_sky = bool(scene.lights), has_small_light(scene.environment)
             self._scene = load_scene_mitsuba(scene, aims_at_sky=aims_at_sky)
+            roughness = [material.surface().roughness if material.medium else 0 for material in materials]
             self._tracer = PathTracer(
-                self._scene, media, max_depth=max_depth, has_lamps=has_lamps, aims=has_lamps or aims_at_sky
+                self._scene,
+                media,
+                np.array(roughness, np.float32),
+                max_depth=max_depth,
+                has_lamps=has_lamps,
+                aims=has_lamps or aims_at_sky,
             )
 
     def radiance(self, cameras: Cameras, view: int, *, spp: int, seed: int) -> tuple[np.ndarray, int]:

@@ -1,6 +1,5 @@
 """The renderer-neutral description of a scene (objects, lights, cameras)."""
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -8,63 +7,29 @@ from pathlib import Path
 from datagen.data.meshes import Mesh
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import find_file
+from datagen.disk.reading import read_regular
+from datagen.scene.lights import Environment, EnvironmentMap, Lobe, RectangleLight, SoftEnvironment
 from datagen.scene.materials import Material, check_material
 from datagen.scene.textures import ImageTexture
-from datagen.scene.values import Color, Vector, check_positive, check_range
+from datagen.scene.values import Vector, check_positive
+
+__all__ = [
+    "MAX_OBJECTS",
+    "OBJECT_NAME",
+    "CameraRig",
+    "EnvironmentMap",
+    "Lobe",
+    "RectangleLight",
+    "Scene",
+    "SceneObject",
+    "SoftEnvironment",
+    "WalkPoint",
+    "image_bytes",
+]
 
 OBJECT_NAME = r"[A-Za-z0-9_][A-Za-z0-9_-]*"
 MAX_OBJECTS = 255
 """Object ids are 8 bits; 0 means empty."""
-
-
-# Lights
-
-
-@dataclass(frozen=True, kw_only=True)
-class Lobe:
-    """A soft round light in the sky: radiance falls off as exp(sharpness (cos angle - 1)).
-
-    Sharpness 20 is about 36 degrees wide at half height; small lights make fireflies behind glass.
-    """
-
-    direction: Vector
-    """Towards the light; any length."""
-    radiance: Color
-    sharpness: float
-
-    def __post_init__(self) -> None:
-        check_positive("lobe direction", math.hypot(*self.direction))
-        check_range("lobe radiance", self.radiance, 0, math.inf)
-        check_positive("lobe sharpness", self.sharpness)
-
-
-@dataclass(frozen=True, kw_only=True)
-class SoftEnvironment:
-    """Light from infinitely far: a smooth gradient over height and some lobes."""
-
-    zenith: Color
-    """Radiance from straight above (+z)."""
-    horizon: Color
-    ground: Color
-    """Radiance from straight below."""
-    lobes: tuple[Lobe, ...] = ()
-
-    def __post_init__(self) -> None:
-        for color in (self.zenith, self.horizon, self.ground):
-            check_range("environment radiance", color, 0, math.inf)
-
-
-@dataclass(frozen=True, kw_only=True)
-class RectangleLight:
-    """A one-sided rectangle that shines along the cross product of its edges; seen by the camera, not peeled."""
-
-    corner: Vector
-    edge_u: Vector
-    edge_v: Vector
-    radiance: Color
-
-    def __post_init__(self) -> None:
-        check_range("light radiance", self.radiance, 0, math.inf)
 
 
 # Cameras
@@ -131,18 +96,18 @@ class Scene:
     name: str
     description: str = ""
     objects: tuple[SceneObject, ...]
-    environment: SoftEnvironment
+    environment: Environment
     lights: tuple[RectangleLight, ...] = ()
     cameras: CameraRig
     folder: Path | None = field(default=None)
-    """Where image textures lie; None for scenes made by code."""
+    """Where image textures and the map of the environment lie; None for scenes made by code."""
     baked: Mapping[str, bytes] = field(default_factory=dict)
     """PNG files of image textures that were baked into another uv, by path; they lie in no folder yet."""
 
 
-def image_bytes(scene: Scene, image: ImageTexture) -> bytes:
-    """The file of an image texture."""
+def image_bytes(scene: Scene, image: ImageTexture | EnvironmentMap) -> bytes:
+    """The file of an image texture or of a map of the environment."""
     if image.path in scene.baked:
         return scene.baked[image.path]
     assert scene.folder is not None, "a scene with images has a folder"
-    return find_file(scene.folder, image.path, where=f"scene {scene.name}").read_bytes()
+    return read_regular(find_file(scene.folder, image.path, where=f"scene {scene.name}"))

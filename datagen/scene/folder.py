@@ -2,7 +2,7 @@
 
 import dataclasses
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeVar, cast
 
@@ -16,15 +16,16 @@ from datagen.scene.description import (
     MAX_OBJECTS,
     OBJECT_NAME,
     CameraRig,
-    RectangleLight,
     Scene,
     SceneObject,
-    SoftEnvironment,
     image_bytes,
 )
+from datagen.scene.environment_maps import read_map
+from datagen.scene.lights import Environment, EnvironmentMap, RectangleLight, SoftEnvironment
 from datagen.scene.materials import Material
 from datagen.scene.mending import mend_scene
 from datagen.scene.soundness import check_names, check_scene
+from datagen.scene.transforms import Transform, transformed, transformed_material
 
 Record = TypeVar("Record")
 SCENE_VERSION = 1
@@ -36,6 +37,8 @@ class _ObjectFile:
     mesh: str | None
     """Relative to the scene's folder; None where an edit removed the object."""
     material: Material
+    transform: Transform = field(default_factory=Transform)
+    """Applied when the scene is read; a scene that is written has it in its meshes."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,7 +47,7 @@ class _SceneFile:
     name: str
     description: str = ""
     objects: tuple[_ObjectFile, ...]
-    environment: SoftEnvironment
+    environment: Environment
     lights: tuple[RectangleLight, ...] = ()
     cameras: CameraRig
 
@@ -66,6 +69,8 @@ def scene_files(scene: Scene) -> dict[str, bytes]:
         listed.append(_ObjectFile(name=item.name, mesh=mesh, material=item.material))
         for image in item.material.images().values():
             files[image.path] = image_bytes(scene, image)
+    if isinstance(scene.environment, EnvironmentMap):
+        files[scene.environment.path] = image_bytes(scene, scene.environment)
     file = _SceneFile(
         version=SCENE_VERSION,
         name=scene.name,
@@ -79,6 +84,7 @@ def scene_files(scene: Scene) -> dict[str, bytes]:
     canonical = from_json(_SceneFile, to_json(file), where=f"scene {scene.name}")
     data = cast(dict[str, Json], to_json(canonical))
     for item, described in zip(canonical.objects, cast(list[dict[str, dict[str, Json]]], data["objects"]), strict=True):
+        del described["transform"]
         material = described["material"]
         # A key that came later stands only where it says something: the scenes of older datasets keep their bytes.
         for key in item.material.brief_keys:
@@ -112,13 +118,16 @@ def load_scene(folder: Path, *, is_sealed: bool = False) -> Scene:
         mesh, has_uv = no_mesh(), True
         if item.mesh is not None:
             mesh, has_uv = read_ply(find_file(folder, item.mesh, where=f"{path}: object {item.name}"))
+        material = item.material
+        if item.transform != Transform():
+            mesh, material = transformed(mesh, item.transform), transformed_material(material, item.transform)
         if not has_uv:
             without_uv.add(item.name)
         for image in item.material.images().values():
             texture = find_file(folder, image.path, where=f"{path}: object {item.name}")
             if not texture.is_file():
                 raise HyalineError(f"{texture}: the texture of object {item.name} is missing")
-        objects.append(SceneObject(name=item.name, mesh=mesh, material=item.material))
+        objects.append(SceneObject(name=item.name, mesh=mesh, material=material))
     scene = Scene(
         name=file.name,
         description=file.description,
@@ -129,6 +138,8 @@ def load_scene(folder: Path, *, is_sealed: bool = False) -> Scene:
         folder=folder,
     )
     if not is_sealed:
+        if isinstance(scene.environment, EnvironmentMap):
+            read_map(image_bytes(scene, scene.environment), where=f"{path}: {scene.environment.path}")
         check_names(scene)
         scene = mend_scene(scene, without_uv=without_uv)
     check_scene(scene, is_sealed=is_sealed)
@@ -144,6 +155,9 @@ def _parse_scene(data: dict[str, Json], path: Path) -> _SceneFile:
             for index, entry in enumerate(listed)
         )
         data = {**data, "objects": []}
+    environment = data.get("environment")
+    if isinstance(environment, dict):  # It needed no type as long as there was one kind.
+        data = {**data, "environment": {"type": SoftEnvironment.__name__, **environment}}
     return dataclasses.replace(_parse_in(_SceneFile, data, where=str(path)), objects=objects)
 
 

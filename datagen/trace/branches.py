@@ -273,8 +273,10 @@ class _Outputs:
         missed = state.active & ~hit.found
         end = state.branch * self._count + self._ray
         for name, values in {
-            "has_left": [mi.UInt32(1)], "end_direction": state.d, "end_throughput": state.beta
-        }.items():  # fmt: skip
+            "has_left": [mi.UInt32(1)],
+            "end_direction": state.d,
+            "end_throughput": state.beta,
+        }.items():
             self._store(name, values, end, missed)
 
     def _store(self, name: str, values, index, mask) -> None:

@@ -103,9 +103,17 @@ class LightPathTracer:
         # limits.
         self._trace = dr.freeze(follow_branches, limit=RECORDINGS, warn_after=1 << 30)
 
-    def trace(self, origins: Float32[np.ndarray, "ray 3"], directions: Float32[np.ndarray, "ray 3"],
-              *, max_branches: int = 4, max_vertices: int = 8, max_depth: int = 24,
-              seed: int = 0, facets: Float32[np.ndarray, "ray 2"] | None = None) -> TracedPaths:  # fmt: skip
+    def trace(
+        self,
+        origins: Float32[np.ndarray, "ray 3"],
+        directions: Float32[np.ndarray, "ray 3"],
+        *,
+        max_branches: int = 4,
+        max_vertices: int = 8,
+        max_depth: int = 24,
+        seed: int = 0,
+        facets: Float32[np.ndarray, "ray 2"] | None = None,
+    ) -> TracedPaths:
         """Follows rays that start in air.
 
         Args:
@@ -130,11 +138,18 @@ class LightPathTracer:
             self._spread[count] = rows
 
         outputs = self._trace(
-            self._scene, tuple(self._tables), self._media,
-            mi.Point3f(*to_columns(origins)), mi.Vector3f(*to_columns(directions)),
-            tuple(rows), dr.opaque(mi.UInt32, seed),
-            count, max_branches, max_vertices, max_depth,
-        )  # fmt: skip
+            self._scene,
+            tuple(self._tables),
+            self._media,
+            mi.Point3f(*to_columns(origins)),
+            mi.Vector3f(*to_columns(directions)),
+            tuple(rows),
+            dr.opaque(mi.UInt32, seed),
+            count,
+            max_branches,
+            max_vertices,
+            max_depth,
+        )
         dr.eval(outputs)
 
         def array(name: str, *shape: int) -> np.ndarray:

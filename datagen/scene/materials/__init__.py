@@ -7,12 +7,22 @@ from datagen.scene.materials.conductor import Conductor
 from datagen.scene.materials.dielectric import Dielectric
 from datagen.scene.materials.diffuse import Diffuse
 from datagen.scene.materials.plastic import Plastic
+from datagen.scene.materials.rough_dielectric import RoughDielectric
 from datagen.scene.materials.thin_dielectric import ThinDielectric
 
-Material = Dielectric | ThinDielectric | Diffuse | Plastic | Conductor
+Material = Dielectric | RoughDielectric | ThinDielectric | Diffuse | Plastic | Conductor
 """Every material that can be described, rendered and traced (docs/adding-a-material.md)."""
 
-__all__ = ["Conductor", "Dielectric", "Diffuse", "Material", "Plastic", "ThinDielectric", "check_material"]
+__all__ = [
+    "Conductor",
+    "Dielectric",
+    "Diffuse",
+    "Material",
+    "Plastic",
+    "RoughDielectric",
+    "ThinDielectric",
+    "check_material",
+]
 
 
 def check_material(material: object, *, where: str) -> None:

@@ -25,7 +25,7 @@ Event = Literal["ends", "coated", "mirrors", "passes", "refracts"]
 - ends, and a clear coat of index `ior` and GGX roughness `roughness` mirrors a share by Fresnel's equations;
 - ends, and metal of GGX roughness `roughness` mirrors the share `color`;
 - passes straight through a thin pane of index `ior` and tint `color`, which also mirrors, or
-- is refracted or mirrored where the medium of a solid begins or ends.
+- is refracted or mirrored where the medium of a solid begins or ends, by facets of GGX roughness `roughness`.
 """
 
 
@@ -37,7 +37,7 @@ class Surface:
     ior: float = 1.0
     """Of a coat or a pane."""
     roughness: float = 0.0
-    """Microfacet (GGX) alpha of a coat or a metal; 0 is smooth."""
+    """Microfacet (GGX) alpha of a coat, a metal, or of solid glass; 0 is smooth."""
     color: Color = (1.0, 1.0, 1.0)
     """Share that a metal mirrors, or that a pane lets through of what it does not mirror."""
 
@@ -93,17 +93,20 @@ class Optics(ABC):
         """The textures that are images, by the name of their field."""
         return {name: value for name, value in self.textures().items() if isinstance(value, ImageTexture)}
 
+    def solids(self) -> dict[str, SolidTexture]:
+        """The textures that are carved from space, by the name of their field."""
+        return {name: value for name, value in self.textures().items() if isinstance(value, SolidTexture)}
+
     def with_fields(self, changes: dict[str, SolidTexture | ImageTexture]) -> Self:
         """The material with other textures in these fields."""
         return dataclasses.replace(self, **changes) if changes else self
 
     def moved(self, offset: Vector) -> Self:
         """The material of an object that was moved by so many metres: patterns carved from space come along."""
-        patterns = {name: value for name, value in self.textures().items() if isinstance(value, SolidTexture)}
         return self.with_fields(
             {
                 name: dataclasses.replace(value, origin=tuple(a + b for a, b in zip(value.origin, offset, strict=True)))
-                for name, value in patterns.items()
+                for name, value in self.solids().items()
             }
         )
 

@@ -16,6 +16,9 @@ MAX_SURFACES = 255
 """Ids of surfaces are bytes, and 0 is the empty one."""
 
 
+SKY_HEIGHT, MAX_SKY_HEIGHT = 32, 256
+"""Texels, unless told otherwise, of the learned sky's finest map: of a soft sky, and at most of an environment map."""
+
 RENDER_SAMPLES, REFINED_SAMPLES = 16, 64
 """Rays per pixel while rendering unless told otherwise: of all pixels, and of those whose rays differ."""
 
@@ -56,10 +59,11 @@ class LightPathConfig(MethodConfig):
     relief: Literal["on", "off"] = choice("off", {"on": "relief", "off": "no-relief"})
     """Learn how deep below the surface the true one lies, and look up colour where the ray meets it, to first order. On
     proxies on. Source: relief mapping (Policarpo et al. 2005), with learned depths."""
-    environment_size: int = choice(32, "sky{}", flag="environment", limits=(1, 1024))
+    environment_size: int = choice(SKY_HEIGHT, "sky{}", flag="environment", limits=(1, 1024))
     """Height in texels of the finest of the learned latitude-longitude maps that sum to the light from outside; 1 makes
     it two colours. It is twice as wide; the others are halved down to a single colour: directions in which no
-    training ray left are filled in from around them, as texels are."""
+    training ray left are filled in from around them, as texels are. 32 becomes the height of the scene's environment
+    map, where it has one, up to 256."""
     sky_lobes: int = choice(12, "{}-lobes", limits=(0, 256))
     """Spherical Gaussians of the learned sky, which lamps are made of. Without effect on a sky of two colours."""
     sky_lr: float = choice(0.005, "sky-lr{}")

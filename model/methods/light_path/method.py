@@ -1,10 +1,15 @@
 """How `light-path` is made: what the dataset decides, the renderer, and the pixels."""
 
+import dataclasses
 from collections.abc import Sequence
 
 from datagen.data.cameras import Cameras
 from datagen.data.config import Split
-from model.methods.light_path.config import LightPathConfig
+from datagen.data.dataset import Dataset
+from datagen.scene.description import EnvironmentMap, image_bytes
+from datagen.scene.environment_maps import read_map
+from datagen.scene.folder import load_scene
+from model.methods.light_path.config import MAX_SKY_HEIGHT, SKY_HEIGHT, LightPathConfig
 from model.methods.light_path.net import LightPathRenderer, build_light_path
 from model.methods.light_path.pixels import (
     LightPathPixels,
@@ -18,7 +23,18 @@ from model.methods.protocol import Inputs
 def complete(config: LightPathConfig, inputs: Inputs) -> LightPathConfig:
     """The same with the objects' textures; paths are traced to see how texels are shared."""
     size = config.texture_size or inputs.dataset.config.resolution
+    if config.environment_size == SKY_HEIGHT:
+        config = dataclasses.replace(config, environment_size=_sky_height(inputs.dataset))
     return config.sized(share_texels(inputs.dataset, inputs.geometry, size))
+
+
+def _sky_height(dataset: Dataset) -> int:
+    """Texels of the learned sky's finest map: as fine as the environment map that it has to show."""
+    scene = load_scene(dataset.root / "scene", is_sealed=True)
+    if not isinstance(scene.environment, EnvironmentMap):
+        return SKY_HEIGHT
+    height = len(read_map(image_bytes(scene, scene.environment), where=scene.environment.path))
+    return max(SKY_HEIGHT, min(MAX_SKY_HEIGHT, 1 << (height.bit_length() - 1)))
 
 
 def build(config: LightPathConfig, inputs: Inputs) -> LightPathRenderer:

@@ -24,7 +24,7 @@ from datagen.scene.soundness import check_scene
 use_mitsuba(quiet=True)
 
 
-from datagen.render.mitsuba_scene import radiance_of_environment  # noqa: E402
+from datagen.render.environment import radiance_of_environment  # noqa: E402
 from datagen.render.truth import Renderer, picture_bytes, radiance_bytes, render_view  # noqa: E402
 
 
@@ -150,7 +150,9 @@ def test_glass_in_air_is_mitsubas_own_to_the_last_bit() -> None:
     cameras = camera((2, 1, 1), fov=0.9, size=48)
     pictures = []
     for given in (media, dataclasses.replace(media, rank=np.full_like(media.rank, -1))):
-        renderer._tracer = PathTracer(renderer._scene, given, max_depth=16, has_lamps=False, aims=False)
+        renderer._tracer = PathTracer(
+            renderer._scene, given, np.zeros(3, np.float32), max_depth=16, has_lamps=False, aims=False
+        )
         pictures.append(renderer.radiance(cameras, 0, spp=64, seed=5)[0])
     assert np.array_equal(*pictures)
 

@@ -11,7 +11,7 @@ from datagen.disk.errors import HyalineError
 from datagen.disk.records import from_json, to_json
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.description import SceneObject, SoftEnvironment
-from datagen.scene.materials import Conductor, Dielectric, Diffuse, Material, Plastic, ThinDielectric
+from datagen.scene.materials import Conductor, Dielectric, Diffuse, Material, Plastic, RoughDielectric, ThinDielectric
 from datagen.scene.materials.optics import Event, Optics, Plugin, Surface, TexturePlugin
 from datagen.scene.soundness import check_scene
 from datagen.scene.textures import ImageTexture, SolidTexture
@@ -24,6 +24,7 @@ from datagen.trace.surface_tables import EVENTS  # noqa: E402
 
 SAMPLES: dict[type[Material], Material] = {
     Dielectric: Dielectric(ior=1.4, absorption=(1.0, 2.0, 3.0), priority=-2),
+    RoughDielectric: RoughDielectric(ior=1.4, absorption=(1.0, 2.0, 3.0), priority=-2, roughness=0.001),
     ThinDielectric: ThinDielectric(ior=1.4, tint=(0.9, 0.5, 0.2)),
     Diffuse: Diffuse(color=(0.2, 0.4, 0.6)),
     Plastic: Plastic(color=(0.2, 0.4, 0.6), ior=1.6, roughness=0.001),
@@ -114,7 +115,9 @@ class Velvet(Optics):
 def test_a_material_that_is_not_listed_is_refused_by_the_objects_name_instead_of_drawn_opaque(
     strange: Material,
 ) -> None:
-    message = rf"its material is a {type(strange).__name__}; expected one of Dielectric, ThinDielectric, Diffuse"
+    message = (
+        rf"its material is a {type(strange).__name__}; expected one of Dielectric, RoughDielectric, ThinDielectric"
+    )
     floor = synthetic_scene().objects[1]
     with pytest.raises(HyalineError, match=rf"^object floor: {message}"):
         dataclasses.replace(floor, material=strange)

@@ -1,0 +1,31 @@
+"""Frosted solid glass."""
+
+from dataclasses import dataclass
+
+from datagen.scene.materials.dielectric import Dielectric
+from datagen.scene.materials.optics import Plugin, Surface, TexturePlugin
+from datagen.scene.values import check_roughness
+
+
+@dataclass(frozen=True, kw_only=True)
+class RoughDielectric(Dielectric):
+    """Solid glass or liquid whose surface is made of facets: ground, frosted or etched glass, ice."""
+
+    roughness: float = 0.1
+    """Microfacet (GGX) alpha; 0 is smooth glass."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.roughness != 0:
+            check_roughness(self.roughness)
+
+    def bsdf(self, texture: TexturePlugin) -> Plugin:
+        """Facets that refract and reflect; our own integrator samples them itself, for what lies on their two sides."""
+        smooth = super().bsdf(texture)
+        if self.roughness == 0:
+            return smooth
+        return {**smooth, "type": "roughdielectric", "alpha": self.roughness, "distribution": "ggx"}
+
+    def surface(self) -> Surface:
+        """Refracts by one of its facets."""
+        return Surface(event="refracts", ior=self.ior, roughness=self.roughness)

@@ -1,0 +1,199 @@
+"""Tests maps of the environment: their files, which way they lie, and what light paths and the truth see of them."""
+
+import dataclasses
+import io
+import math
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+import pytest
+import trimesh
+from support.meshes import mesh_of
+from support.synthetic import look_at, synthetic_scene
+
+from datagen.data.cameras import Cameras
+from datagen.disk.errors import HyalineError
+from datagen.machine.mitsuba_variant import use_mitsuba
+from datagen.scene.description import EnvironmentMap, Scene, SceneObject
+from datagen.scene.environment_maps import look_up, read_map
+from datagen.scene.folder import load_scene, save_scene, scene_files
+from datagen.scene.materials import Dielectric
+
+use_mitsuba(quiet=True)
+
+from datagen.render.environment import radiance_of_sky  # noqa: E402
+from datagen.render.mitsuba_scene import load_scene_mitsuba  # noqa: E402
+from datagen.render.truth import Renderer  # noqa: E402
+
+HEIGHT, WIDTH = 16, 32
+
+
+def exr_bytes(radiance: np.ndarray, *, kind: type = np.float32, compression: int = OpenEXR.ZIP_COMPRESSION) -> bytes:
+    channels = {name: np.ascontiguousarray(radiance[..., c], kind) for c, name in enumerate("RGB")}
+    buffer = io.BytesIO()
+    OpenEXR.File({"compression": compression, "type": OpenEXR.scanlineimage}, channels).write(buffer)
+    return buffer.getvalue()
+
+
+def hdr_bytes(radiance: np.ndarray, *, is_compressed: bool) -> bytes:
+    """By the definition: a shared exponent so that the largest of three mantissas is 128 to 255."""
+    _, exponent = np.frexp(radiance.max(axis=-1))
+    mantissas = radiance / np.exp2(exponent - 8.0)[..., None]
+    pixels = np.concatenate([mantissas, (exponent + 128)[..., None]], axis=-1).astype(np.uint8)
+    height, width = radiance.shape[:2]
+    head = f"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y {height} +X {width}\n".encode()
+    if not is_compressed:
+        return head + pixels.tobytes()
+    lines = []
+    for row in pixels:
+        lines.append(bytes([2, 2, width >> 8, width & 255]))
+        for channel in row.T:
+            # The first half as a literal, the second as runs of one.
+            half = width // 2
+            lines.append(bytes([half]) + channel[:half].tobytes())
+            lines += [bytes([129, value]) for value in channel[half:].tolist()]
+    return head + b"".join(lines)
+
+
+def spotted(row: int, column: int) -> np.ndarray:
+    """Dim, but for one bright texel."""
+    radiance = np.full((HEIGHT, WIDTH, 3), 0.01, np.float32)
+    radiance[row, column] = (4, 2, 1)
+    return radiance
+
+
+def scene_under(folder: Path, radiance: np.ndarray, **settings: float) -> Scene:
+    """A glass ball under a map."""
+    folder.mkdir(exist_ok=True)
+    (folder / "sky.exr").write_bytes(exr_bytes(radiance))
+    ball = mesh_of(trimesh.creation.icosphere(3, 0.2))
+    return dataclasses.replace(
+        synthetic_scene(),
+        objects=(SceneObject(name="ball", mesh=ball, material=Dielectric()),),
+        environment=EnvironmentMap(path="sky.exr", **settings),
+        folder=folder,
+    )
+
+
+@pytest.mark.parametrize(
+    ("row", "column", "rotation_deg", "expected"),
+    [
+        (8, 16, 0.0, (1, 0, 0)),
+        (8, 24, 0.0, (0, -1, 0)),
+        (8, 8, 0.0, (0, 1, 0)),
+        (8, 0, 0.0, (-1, 0, 0)),
+        (1, 16, 0.0, (0.2, 0, 1)),
+        (14, 16, 0.0, (0.2, 0, -1)),
+        (8, 16, 90.0, (0, 1, 0)),
+        (8, 16, -45.0, (1, -1, 0)),
+    ],
+)
+def test_a_bright_texel_shines_from_where_the_convention_says_in_mitsuba_and_by_formula(
+    tmp_path: Path, row: int, column: int, rotation_deg: float, expected: tuple[float, float, float]
+) -> None:
+    import mitsuba as mi
+
+    scene = scene_under(tmp_path, spotted(row, column), rotation_deg=rotation_deg)
+    grid = np.random.default_rng(0).normal(size=(40000, 3))
+    directions = grid / np.linalg.norm(grid, axis=1, keepdims=True)
+    by_formula = radiance_of_sky(scene, directions)
+    si = mi.SurfaceInteraction3f()
+    environment = load_scene_mitsuba(scene).environment()
+    brightest = []
+    if not (mi.variant() or "").startswith("scalar"):
+        si.wi = mi.Vector3f(*(-directions.T).astype(np.float32))
+        found = np.array(environment.eval(si)).T
+        brightest.append(directions[found[:, 0] > 2])
+    brightest.append(directions[by_formula[:, 0] > 2])
+    for lit in brightest:
+        middle = lit.mean(axis=0) / np.linalg.norm(lit.mean(axis=0))
+        # Half a texel, 6 degrees, and at the poles as much again: Mitsuba's rows reach from pole to pole.
+        assert math.degrees(math.acos(middle @ expected / np.linalg.norm(expected))) < 13
+
+
+@pytest.mark.parametrize("compression", [OpenEXR.NO_COMPRESSION, OpenEXR.ZIP_COMPRESSION, OpenEXR.PIZ_COMPRESSION])
+def test_an_exr_of_halves_or_floats_is_read_as_it_was_written(compression: int) -> None:
+    radiance = np.random.default_rng(0).random((HEIGHT, WIDTH, 3)).astype(np.float16).astype(np.float32)
+    for kind in (np.float16, np.float32):
+        data = exr_bytes(radiance, kind=kind, compression=compression)
+        assert np.array_equal(read_map(data, where="sky.exr"), radiance)
+
+
+@pytest.mark.parametrize("is_compressed", [True, False])
+def test_a_radiance_picture_is_read_to_its_8_bits_as_mitsuba_reads_it(tmp_path: Path, is_compressed: bool) -> None:
+    import mitsuba as mi
+
+    radiance = np.exp(np.random.default_rng(0).normal(size=(HEIGHT, WIDTH, 3)) * 3).astype(np.float32)
+    path = tmp_path / "sky.hdr"
+    path.write_bytes(hdr_bytes(radiance, is_compressed=is_compressed))
+    found = read_map(path.read_bytes(), where="sky.hdr")
+    assert np.array_equal(found, np.array(mi.Bitmap(str(path)), np.float32))
+    assert (np.abs(found - radiance).max(axis=-1) <= radiance.max(axis=-1) / 127).all()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda data: data[: len(data) // 2], "damaged|cannot be read"),
+        (lambda data: b"PK" + data, "cannot be read"),
+        (lambda data: data[:8], "cannot be read"),
+    ],
+)
+def test_a_broken_map_is_refused_in_one_line(change: object, message: str) -> None:
+    with pytest.raises(HyalineError, match=message):
+        read_map(change(exr_bytes(spotted(3, 3))), where="sky.exr")  # type: ignore[operator]
+    for broken in (hdr_bytes(spotted(3, 3), is_compressed=True)[:-3], b"#?RADIANCE\n\n-Y 16 +X 99999999\n", b"#?\n"):
+        with pytest.raises(HyalineError, match=r"sky\.hdr: .*(damaged|expected|not a Radiance)"):
+            read_map(broken, where="sky.hdr")
+    negative = spotted(3, 3)
+    negative[2, 5, 1] = -1
+    with pytest.raises(HyalineError, match=r"sky\.exr: pixel \(column 5, row 2\) is .*; expected finite radiance"):
+        read_map(exr_bytes(negative), where="sky.exr")
+
+
+def test_a_scene_under_a_map_is_written_with_it_and_read_again(tmp_path: Path) -> None:
+    settled = scene_under(tmp_path / "a", spotted(5, 6), scale=2.0, rotation_deg=30.0)
+    scene = dataclasses.replace(settled, objects=synthetic_scene().objects)
+    save_scene(scene, tmp_path / "b")
+    again = load_scene(tmp_path / "b")
+    assert again.environment == scene.environment
+    assert scene_files(again) == scene_files(scene)
+    (tmp_path / "b" / "sky.exr").unlink()
+    with pytest.raises(HyalineError, match=r"sky\.exr: the file is missing"):
+        load_scene(tmp_path / "b")
+    with pytest.raises(HyalineError, match=r"environment path: is 'sky\.png'; expected an \.exr or \.hdr file"):
+        EnvironmentMap(path="sky.png")
+
+
+def test_truth_and_light_paths_see_one_map_through_glass(tmp_path: Path) -> None:
+    from datagen.render.mitsuba_scene import is_scalar
+    from datagen.trace.light_path import LightPathTracer
+
+    if is_scalar():
+        pytest.skip("light paths need a vectorised variant of Mitsuba")
+    rng = np.random.default_rng(1)
+    # Smooth enough that half a texel at the poles matters little.
+    coarse = rng.random((4, 8, 3)).astype(np.float32)
+    ways = np.stack(np.meshgrid(*[np.linspace(-1, 1, 64)] * 2), axis=-1)
+    polar, azimuth = (ways[..., 1] + 1) * math.pi / 2, -ways[..., 0] * math.pi
+    directions = np.stack([np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)], axis=-1)
+    radiance = look_up(coarse, directions, 0.0).astype(np.float32)
+    scene = scene_under(tmp_path, radiance, scale=1.5, rotation_deg=70.0)
+    pose = look_at(np.array((1.0, 0.5, 0.3)), np.zeros(3))[None]
+    cameras = Cameras(world_from_camera=pose, fov_x=0.5, width=16, height=16)
+    truth, _ = Renderer(scene, max_depth=16).radiance(cameras, 0, spp=1024, seed=0)
+    tracer = LightPathTracer(tuple(item.mesh for item in scene.objects), tuple(item.material for item in scene.objects))
+    seen = np.zeros((16 * 16, 3))
+    for _ in range(16):
+        jitter = rng.random((16, 16, 2))
+        column, row = np.meshgrid(np.arange(16), np.arange(16))
+        focal = 8 / math.tan(0.25)
+        x, y = (column + jitter[..., 0] - 8) / focal, (8 - row - jitter[..., 1]) / focal
+        d = np.stack([x, y, -np.ones_like(x)], axis=-1).reshape(-1, 3) @ pose[0, :3, :3].T
+        d = (d / np.linalg.norm(d, axis=1, keepdims=True)).astype(np.float32)
+        paths = tracer.trace(np.tile(pose[0, :3, 3].astype(np.float32), (256, 1)), d, max_branches=8, max_vertices=1)
+        sky = radiance_of_sky(scene, paths.end_direction.astype(np.float64))
+        seen += (paths.end_throughput * sky).sum(axis=0) / 16
+    error = np.abs(seen.reshape(16, 16, 3) - truth)
+    assert error.mean() < 0.02 * truth.mean()

@@ -1,0 +1,131 @@
+"""Tests rough glass, in the truth and in light paths, against Mitsuba's own facets and against smooth glass."""
+
+import math
+
+import numpy as np
+import pytest
+import trimesh
+from support.meshes import box, mesh_of
+from support.scenes import DUSK, WHITE, rendered, scene_of
+from support.synthetic import look_at, quad
+
+from datagen.data.cameras import Cameras
+from datagen.data.meshes import Mesh
+from datagen.machine.mitsuba_variant import use_mitsuba
+from datagen.scene.description import SceneObject
+from datagen.scene.materials import Dielectric, Diffuse, Material, RoughDielectric
+
+if use_mitsuba(quiet=True).startswith("scalar"):
+    pytest.skip("light paths need a vectorised variant of Mitsuba", allow_module_level=True)
+
+from datagen.render.environment import radiance_of_environment
+from datagen.render.mitsuba_scene import load_scene_mitsuba, load_sensor
+from datagen.render.truth import Renderer
+from datagen.trace.light_path import LightPathTracer, TracedPaths
+
+BALL = mesh_of(trimesh.creation.icosphere(4, 0.5))
+
+
+def rays_along(direction: tuple[float, float, float], count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Rays to the origin, all the same, from 3 m away."""
+    d = np.tile(np.array(direction) / np.linalg.norm(direction), (count, 1)).astype(np.float32)
+    return -3 * d, d
+
+
+def traced(mesh: Mesh, material: Material, direction: tuple[float, float, float], **limits: int) -> TracedPaths:
+    return LightPathTracer((mesh,), (material,)).trace(*rays_along(direction, 4096), **limits)
+
+
+def seen(direction: tuple[float, float, float], *objects: SceneObject, spp: int) -> np.ndarray:
+    """Mean radiance of truth along one ray."""
+    place = -3 * np.array(direction) / np.linalg.norm(direction)
+    view = Cameras(world_from_camera=look_at(place, np.zeros(3))[None], fov_x=1e-3, width=2, height=2)
+    return rendered(scene_of(*objects, environment=DUSK), view, spp=spp).mean(axis=(0, 1))
+
+
+@pytest.mark.parametrize("roughness", [0.05, 0.4])
+@pytest.mark.parametrize("direction", [(0.3, 0.0, -1.0), (2.0, 0.0, -1.0), (0.5, 0.0, 1.0), (0.0, 1.4, 1.0)])
+def test_facets_mirror_and_pass_as_much_and_in_the_same_directions_as_mitsubas(
+    roughness: float, direction: tuple[float, float, float]
+) -> None:
+    """From both sides of one surface; 55 degrees from inside is beyond the critical angle."""
+    import mitsuba as mi
+
+    glass = RoughDielectric(ior=1.5, roughness=roughness)
+    paths = traced(quad(0.0), glass, direction, max_branches=2)
+    loaded = load_scene_mitsuba(scene_of(SceneObject(name="pane", mesh=quad(0.0), material=glass)))
+    origins, directions = rays_along(direction, 1)
+    ray = mi.Ray3f(mi.Point3f(*origins[0].tolist()), mi.Vector3f(*directions[0].tolist()))
+    si, count = loaded.ray_intersect(ray), 1 << 18
+    numbers = np.random.default_rng(0).random((3, count)).astype(np.float32)
+    sample, weight = si.bsdf().sample(mi.BSDFContext(), si, mi.Float(numbers[0]), mi.Point2f(numbers[1:]), True)
+    wo = np.array(si.to_world(sample.wo)).T
+    value = np.array(weight).reshape(3, -1)[0] * np.ones(count)
+    above = -math.copysign(1, direction[2]) * wo[:, 2] > 0
+    ways, shares = paths.end_direction.astype(np.float64), paths.end_throughput[..., 0].astype(np.float64)
+    for is_above in (True, False):
+        expected = np.where(above == is_above, value, 0)
+        up = -math.copysign(1, direction[2]) * ways[..., 2] > 0
+        found = np.where((up == is_above), shares, 0)
+        assert found.sum(axis=0).mean() == pytest.approx(expected.mean(), rel=0.02, abs=2e-3)
+        moments = np.einsum("br,bra->a", found, ways) / ways.shape[1]
+        assert moments == pytest.approx((expected[:, None] * wo).mean(axis=0), abs=0.01 * max(1, expected.mean()))
+
+
+def test_glass_of_roughness_0_is_smooth_glass_to_the_last_bit_and_of_little_nearly() -> None:
+    smooth, rough_0, rough = (
+        traced(BALL, material, (0.3, 0.2, -1.0), max_branches=4)
+        for material in (Dielectric(ior=1.4), RoughDielectric(ior=1.4, roughness=0.0), RoughDielectric(roughness=0.001))
+    )
+    for name in ("object_id", "position", "end_direction", "end_throughput"):
+        assert np.array_equal(getattr(smooth, name), getattr(rough_0, name))
+    expected = traced(BALL, Dielectric(), (0.3, 0.2, -1.0), max_branches=4)
+    assert np.median(np.abs(rough.end_direction[0] - expected.end_direction[0])) < 3e-3
+    assert rough.end_throughput[0].mean() == pytest.approx(expected.end_throughput[0].mean(), rel=1e-3)
+
+
+def test_truth_of_rough_glass_is_that_of_mitsubas_own_path_tracer() -> None:
+    import mitsuba as mi
+
+    floor = SceneObject(name="floor", mesh=quad(-0.6), material=Diffuse(color=(0.7, 0.3, 0.2)))
+    ball = SceneObject(name="ball", mesh=BALL, material=RoughDielectric(ior=1.5, roughness=0.25))
+    scene = scene_of(ball, floor, environment=DUSK)
+    pose = look_at(np.array((2.0, 1.0, 1.0)), np.zeros(3))[None]
+    cameras = Cameras(world_from_camera=pose, fov_x=0.6, width=24, height=24)
+    renderer = Renderer(scene, max_depth=24)
+    ours = np.stack([renderer.radiance(cameras, 0, spp=128, seed=100 + seed)[0] for seed in range(8)])
+    sensor = load_sensor(pose[0], 0.6, 24, 24)
+    path = mi.load_dict({"type": "path", "max_depth": 24, "rr_depth": 50})
+    loaded = load_scene_mitsuba(scene)
+    theirs = np.stack([np.array(mi.render(loaded, sensor=sensor, integrator=path, spp=128, seed=s)) for s in range(8)])
+    error = np.sqrt(sum(run.var(axis=0, ddof=1) / 8 for run in (ours, theirs))) + 1e-4
+    z = (ours.mean(axis=0) - theirs.mean(axis=0)) / error
+    assert np.abs(z).mean() < 1.0
+    assert np.abs(z).max() < 10
+    assert ours.mean() == pytest.approx(theirs.mean(), rel=2e-3)
+
+
+@pytest.mark.parametrize("roughness", [0.1, 0.5])
+def test_light_paths_through_rough_glass_see_what_the_truth_sees(roughness: float) -> None:
+    """Two facets in a row, and what absorbs between them: the second must not follow from the first."""
+    glass = RoughDielectric(ior=1.5, roughness=roughness, absorption=(0.2, 1.0, 3.0))
+    slab, direction = box((4.0, 4.0, 0.4)), (0.4, 0.1, -1.0)
+    truth = seen(direction, SceneObject(name="slab", mesh=slab, material=glass), spp=1 << 15)
+    paths = traced(slab, glass, direction, max_branches=12, max_vertices=1)
+    sky = radiance_of_environment(DUSK, paths.end_direction.astype(np.float64))
+    found = (paths.end_throughput * sky).sum(axis=0).mean(axis=0)
+    assert found == pytest.approx(truth, rel=0.02)
+
+
+def test_rough_glass_keeps_the_energy_of_a_white_furnace_but_for_what_facets_throw_onto_each_other() -> None:
+    """Of light that falls onto facets of GGX, single scattering loses more the rougher they are; nothing is gained."""
+    kept = []
+    for roughness in (0.02, 0.2, 0.6):
+        glass = RoughDielectric(ior=1.5, roughness=roughness)
+        paths = traced(BALL, glass, (0.1, 0.05, -1.0), max_branches=16, max_vertices=1, max_depth=32)
+        kept.append(float(paths.end_throughput.sum(axis=0).mean()))
+        pose = look_at(-3 * np.array((0.1, 0.05, -1.0)), np.zeros(3))[None]
+        view = Cameras(world_from_camera=pose, fov_x=1e-3, width=2, height=2)
+        item = SceneObject(name="ball", mesh=BALL, material=glass)
+        assert kept[-1] == pytest.approx(rendered(scene_of(item, environment=WHITE), view, spp=4096).mean(), abs=0.01)
+    assert 1.001 > kept[0] > 0.99 > kept[1] > 0.93 > kept[2] > 0.5
