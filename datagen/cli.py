@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from datagen.build.film import FilmChoices
 from datagen.build.launch import LaunchChoices
 from datagen.build.presets import PRESETS, resize
 from datagen.data.advice import after_build, after_edit, after_layers
@@ -34,12 +35,14 @@ def main() -> None:
     """Entry point of the console script."""
     unwrap_help(LaunchChoices)
     unwrap_help(ImportChoices)
+    unwrap_help(FilmChoices)
     commands = {
         "build": build,
         "import": import_file,
         "peel": peel,
         "verify": verify,
         "mend": mend,
+        "render": render,
         "scenes": scenes,
         "doctor": doctor,
     }
@@ -426,6 +429,33 @@ def mend(dataset: str | None = None, scene: str | None = None, workers: int = 1)
     found = verify_dataset(mended.root)
     _tell_problems(mended.root, found)
     tell(f"{mended.root}: {found.verified} files verified")
+
+
+def render(
+    dataset: str | None = None,
+    path: str = "orbit",
+    spp: int = 128,
+    film: FilmChoices = FilmChoices(),  # noqa: B008
+    overwrite: bool = False,
+) -> None:
+    """Path-trace a film of a dataset's scene; `model render --path` draws the same film with a trained run.
+
+    Args:
+        dataset: A dataset's folder or its name under data/; the only one there unless given. May stand first, without
+            the flag.
+        path: orbit, spline (through the interpolating test views), or a JSON file of key frames as NeRF tools write
+            cameras.
+        spp: Samples per pixel.
+        film: What the film is.
+        overwrite: Replace a film that stands there.
+    """
+    from datagen.build.film import film_scene, plan_film
+
+    opened = open_dataset(find_dataset(dataset))
+    out = film.video or Path(f"{opened.name}-truth.webp")
+    cameras = plan_film(opened, path, film, out, overwrite=overwrite)
+    film_scene(opened, cameras, out, fps=film.fps, spp=spp)
+    tell(str(out))
 
 
 def scenes() -> None:

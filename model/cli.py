@@ -8,11 +8,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from datagen.build.film import FilmChoices
 from datagen.data.advice import report_command
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.finding import find_dataset
 from datagen.disk.errors import HyalineError, UsageError
-from datagen.terminal.command import choose, mute, next_command, run, run_parsed, say, tell
+from datagen.terminal.command import choose, mute, next_command, run, run_parsed, say, tell, unwrap_help
 from model.settings.run_flags import Device, Memory
 from model.settings.runtime import choose_device, wait_briefly
 
@@ -125,19 +126,31 @@ def render(
     run: Path,
     dataset: str | None = None,
     variant: str | None = None,
+    path: str | None = None,
+    film: FilmChoices = FilmChoices(),  # noqa: B008
     device: Device = "auto",
     overwrite: bool = False,
 ) -> None:
-    """Render all test splits again from a run's weights.
+    """Render all test splits again from a run's weights; or, with --path, a film.
 
     Args:
         run: Folder of a trained run.
         dataset: Dataset folder, or its name under data/. Default: where the run found it.
         variant: Render a variant of the dataset instead, into the run's variants/NAME: x2 for what `datagen build
             --super-resolution 2` has made, or what `--edit` was given, such as remove:glass_ball.
+        path: Draw a film instead, along orbit, spline (through the interpolating test views), or a JSON file of key
+            frames as NeRF tools write cameras. `datagen render` path-traces the same film.
+        film: What the film is.
         device: Where to compute; auto takes a GPU where there is one.
-        overwrite: Render again even where the predictions are intact.
+        overwrite: Render again even where the predictions are intact, and replace a film that stands there.
     """
+    if path is not None:
+        if variant is not None:
+            raise UsageError("--path: does not go with --variant; a film shows the dataset's own scene")
+        _render_film(run, dataset, path, film, device=device, overwrite=overwrite)
+        return
+    if film != FilmChoices():
+        raise UsageError("--video, --frames, --fps, --width, --height: go with --path, such as --path orbit")
     from datagen.data.variants import open_variant, variant_root
     from datagen.disk.ownership import holding
     from datagen.scene.edits import edits_name, parse_edit
@@ -203,6 +216,25 @@ def export(
     tell(str(out))
 
 
+def _render_film(
+    run: Path, dataset: str | None, path: str, film: FilmChoices, *, device: Device, overwrite: bool
+) -> None:
+    from datagen.build.film import plan_film
+    from datagen.data.film import write_film
+    from model.run.run_folder import check_trained_on, read_run
+
+    record = read_run(run)
+    opened = open_dataset(find_dataset(dataset) if dataset else Path(record.dataset))
+    check_trained_on(run, record.config, opened)
+    out = film.video or Path(f"{opened.name}-{run.name}.webp")
+    cameras = plan_film(opened, path, film, out, overwrite=overwrite)
+    from model.run.predict import film_pictures
+
+    pictures = film_pictures(run, record.config, opened, cameras, device=choose_device(device))
+    write_film(out, pictures, film.fps, frames=len(cameras))
+    tell(str(out))
+
+
 def sweep(
     experiment: str,
     /,
@@ -265,6 +297,7 @@ def check_method(name: str, /, *, dataset: str | None = None) -> None:
 
 
 def main() -> None:
+    unwrap_help(FilmChoices)
     wait_briefly()
     words = sys.argv[1:]
     if words[:1] == ["train"]:

@@ -41,6 +41,10 @@ def run(program: str, description: str, commands: dict[str, Callable[..., None]]
     def call() -> None:
         import tyro
 
+        if {"-h", "--help"} & set(arguments):
+            for command in commands.values():
+                unwrap_help(command)
+
         tyro.extras.subcommand_cli_from_dict(
             commands,
             prog=program,
@@ -138,18 +142,19 @@ def _end_stopped(stopped: Stopped, arguments: list[str]) -> NoReturn:
 
 
 @functools.cache
-def unwrap_help(record: type) -> None:
-    """Makes `--help` print the docstrings under a record's fields as text that flows.
+def unwrap_help(documented: type | Callable[..., None]) -> None:
+    """Makes `--help` print the docstrings of a record's fields, or of a function's arguments, as text that flows.
 
-    tyro 1.0.17 keeps their line breaks, because the lines after the first begin with blanks.
+    tyro 1.0.17 keeps their line breaks where the lines after the first begin with blanks.
     """
     import docstring_parser
     import tyro
 
-    for item in docstring_parser.parse_from_object(record).params:
-        if item.description and item.arg_name in record.__annotations__:
+    kinds = documented.__annotations__
+    for item in docstring_parser.parse_from_object(documented).params:
+        if item.description and item.arg_name in kinds:
             flowing = tyro.conf.arg(help=" ".join(item.description.split()))
-            record.__annotations__[item.arg_name] = Annotated[record.__annotations__[item.arg_name], flowing]
+            kinds[item.arg_name] = Annotated[kinds[item.arg_name], flowing]
 
 
 def fail(message: str, *, status: int = 1) -> NoReturn:

@@ -5,8 +5,9 @@ RUN/predictions.json               sealed, written last: SHA-256 of each picture
 RUN/variants/NAME/...              the same of a variant, whose seal its predictions.json says
 """
 
+import dataclasses
 import itertools
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import cast
 
@@ -16,6 +17,7 @@ from jaxtyping import Float32, UInt8
 from torch import Tensor
 
 from datagen.data.advice import edit_command
+from datagen.data.cameras import Cameras
 from datagen.data.config import Split
 from datagen.data.dataset import Dataset
 from datagen.data.geometries import list_geometries
@@ -159,6 +161,37 @@ def check_draws_edits(config: TrainConfig) -> None:
     """Refuses a run of a method that knows no geometry, which cannot draw any edit."""
     if not config.net.uses_geometry:
         raise HyalineError(f"--variant: method {config.method} knows no geometry, so it cannot draw an edit")
+
+
+def film_pictures(
+    run: Path, config: TrainConfig, dataset: Dataset, cameras: Cameras, *, device: torch.device
+) -> Iterator[UInt8[np.ndarray, "h w 3"]]:
+    """What each of these cameras sees by a run's weights, 8-bit sRGB, drawn one by one.
+
+    Raises:
+        HyalineError: the run has no weights yet, or its method draws the views of a dataset alone.
+    """
+    inputs = open_inputs(config.net, dataset, config.geometry)
+    check_draws_cameras(run, config)
+    keep_freed_memory()
+    renderer = load_renderer(run, config, dataset).to(device)
+
+    def draw() -> Iterator[UInt8[np.ndarray, "h w 3"]]:
+        for view in track(list(range(len(cameras))), label="render", total=len(cameras)):
+            one = dataclasses.replace(cameras, world_from_camera=cameras.world_from_camera[view : view + 1])
+            pixels = config.net.load_cameras(inputs, one).to(device)
+            yield predict_pixels(renderer, pixels).reshape(cameras.height, cameras.width, 3)
+
+    return draw()
+
+
+def check_draws_cameras(run: Path, config: TrainConfig) -> None:
+    """Refuses a run of a method that draws nothing but the views of its dataset."""
+    if not config.net.draws_cameras:
+        raise HyalineError(
+            f"{run}: {config.method} draws the views of its dataset, not other cameras; its MethodConfig has no "
+            "load_cameras (docs/adding-a-method.md)"
+        )
 
 
 def _drawn_along(dataset: Dataset) -> list[Dataset]:

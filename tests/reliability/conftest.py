@@ -10,7 +10,7 @@ import pytest
 import torch
 from support.commands import call, run
 from support.disk import State, empty, read_state
-from support.fake_renderer import install
+from support.fake_renderer import film, install
 from support.scenarios import GRID, PREPARED
 from support.synthetic import synthetic_scene
 
@@ -33,6 +33,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """
     install(monkeypatch)
     monkeypatch.setattr("model.run.sweep._train_in_child", train_here)
+    monkeypatch.setattr("model.run.predict.film_pictures", lambda run, config, dataset, cameras, device: film(cameras))
     often = (TrainConfig.__init__.__kwdefaults__ or {}) | {"checkpoint_every": 2}
     monkeypatch.setattr(TrainConfig.__init__, "__kwdefaults__", often)
     monkeypatch.chdir(tmp_path)

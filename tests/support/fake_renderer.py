@@ -4,12 +4,14 @@ The pictures and layers are those of the pane and the floor (tests/synthetic.py)
 function of dataset, split and view alone, as the real ones are.
 """
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 from support.synthetic import pixel_rays, shade, trace
 
+from datagen.data.cameras import Cameras
 from datagen.data.config import Split
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.dataset_head import commit_view
@@ -69,9 +71,15 @@ def _trace(dataset: Dataset, split: Split, view: int, num_layers: int) -> Layers
     return trace(*pixel_rays(dataset.cameras(split), view), num_layers)
 
 
+def film(cameras: Cameras) -> Iterator[np.ndarray]:
+    for view in range(len(cameras)):
+        yield np.full((cameras.height, cameras.width, 3), view, np.uint8)
+
+
 def install(patch: pytest.MonkeyPatch) -> None:
     """Lets builds in this process call these."""
     import datagen.build.build
+    import datagen.build.film
     import datagen.build.find_edit_masks
     import datagen.machine.mitsuba_variant
 
@@ -81,6 +89,7 @@ def install(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(datagen.build.build, "_require_vectorised", lambda: None)
     patch.setattr(datagen.machine.mitsuba_variant, "use_mitsuba", lambda **options: "none")
     patch.setattr(datagen.build.find_edit_masks, "_read_halves", _read_halves)
+    patch.setattr(datagen.build.film, "_truth", lambda dataset, cameras, spp: film(cameras))
 
 
 def _read_halves(dataset: Dataset, split: Split, view: int) -> np.ndarray:

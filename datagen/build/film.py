@@ -1,0 +1,69 @@
+"""Films through a dataset's scene: what they are told, their cameras, and their path-traced pictures."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import UInt8
+
+from datagen.data.cameras import Cameras
+from datagen.data.dataset import Dataset
+from datagen.data.film import check_film, write_film
+from datagen.data.tonemap import srgb_from_linear, to_8bit
+from datagen.disk.errors import HyalineError
+from datagen.machine.mitsuba_variant import use_mitsuba
+from datagen.scene.camera_path import make_path
+from datagen.scene.folder import load_scene
+from datagen.terminal.command import track
+
+
+@dataclass(frozen=True, kw_only=True)
+class FilmChoices:
+    """A film along --path."""
+
+    video: Path | None = None
+    """The film: .webp, .gif, .png (animated), .mp4 (needs the extra `video`), or a folder for a PNG a frame. Default:
+    named after what it shows, .webp."""
+    frames: int = 48
+    """Pictures in the film."""
+    fps: float = 24.0
+    """Frames a second."""
+    width: int | None = None
+    """Pixels; the dataset's unless given."""
+    height: int | None = None
+    """Pixels; from the width and the dataset's aspect unless given."""
+
+
+def plan_film(dataset: Dataset, path: str, choices: FilmChoices, out: Path, *, overwrite: bool) -> Cameras:
+    """The cameras of a film that can be written to `out`.
+
+    Raises:
+        HyalineError: a path, a number or a file that cannot be.
+    """
+    cameras = make_path(dataset, path, choices.frames, width=choices.width, height=choices.height)
+    check_film(out, choices.fps, frames=choices.frames, overwrite=overwrite)
+    return cameras
+
+
+def film_scene(dataset: Dataset, cameras: Cameras, out: Path, *, fps: float, spp: int) -> None:
+    """Path-trace a film and write it.
+
+    Raises:
+        HyalineError: too few samples per pixel.
+    """
+    if spp < 2:
+        raise HyalineError(f"spp: is {spp}; expected at least 2 samples per pixel")
+    write_film(out, _truth(dataset, cameras, spp), fps, frames=len(cameras))
+
+
+def _truth(dataset: Dataset, cameras: Cameras, spp: int) -> Iterator[UInt8[np.ndarray, "h w 3"]]:
+    """8-bit sRGB pictures, one a camera, each with noise of its own; seeds follow from the dataset's."""
+    use_mitsuba()
+    from datagen.render.truth import Renderer, derive_seed, render_view
+
+    renderer = Renderer(load_scene(dataset.root / "scene", is_sealed=True), max_depth=dataset.config.max_depth)
+    for view in track(list(range(len(cameras))), label="render", total=len(cameras)):
+        seed = derive_seed(dataset.config.seed, "film", view)
+        truth = render_view(renderer, cameras, view, spp=spp, view_seed=seed, ceiling_db=None)
+        yield to_8bit(srgb_from_linear(truth.radiance))

@@ -1,0 +1,112 @@
+"""Films: pictures in a row, as one animated file or as a folder of PNGs."""
+
+import io
+import subprocess
+import tempfile
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import UInt8
+from PIL import Image
+
+from datagen.data.paths import view_name
+from datagen.data.png import png_bytes
+from datagen.disk.errors import HyalineError
+from datagen.disk.ownership import FolderKind, begin, holding, is_ours, refuse_file, refuse_others, remove_files
+from datagen.disk.reading import read_regular
+from datagen.disk.records import Json
+from datagen.disk.storage import commit, load_sealed, seal_bytes
+
+FRAMES = FolderKind(what="film", head="film.json", way_out="choose another --video")
+"""A folder of PNGs; its head says which."""
+
+ANIMATED = {".gif": "GIF", ".webp": "WEBP", ".png": "PNG"}
+MOVIE = ".mp4"
+KINDS = f"{', '.join(ANIMATED)} or {MOVIE}, or a folder for a PNG a frame"
+MAX_FPS = 240.0
+
+
+def check_film(out: Path, fps: float, *, frames: int, overwrite: bool) -> None:
+    """Refuse a film that cannot be written, before anything is drawn.
+
+    Raises:
+        HyalineError: an unknown kind of file, something that stands there, or no program for MP4.
+    """
+    if not 0 < fps <= MAX_FPS:
+        raise HyalineError(f"fps: is {fps}; expected more than 0, at most {MAX_FPS:g} frames a second")
+    if out.suffix == "":
+        refuse_others(out, FRAMES)
+        if is_ours(out, FRAMES) and not overwrite and load_sealed(out / FRAMES.head) != _head(frames):
+            raise HyalineError(f"{out}: holds another film; pass --overwrite to replace it, or choose another --video")
+        return
+    if out.suffix not in (*ANIMATED, MOVIE):
+        raise HyalineError(f"{out}: {out.suffix!r} is no kind of film; expected {KINDS}")
+    if not overwrite:
+        refuse_file(out)
+    if out.suffix == MOVIE:
+        _find_ffmpeg()
+
+
+def write_film(out: Path, pictures: Iterable[UInt8[np.ndarray, "h w 3"]], fps: float, *, frames: int) -> None:
+    """Write a film of equally large pictures; `check_film` says first whether it can be.
+
+    An animated file repeats for ever, and gets its name when it is whole.
+    """
+    if out.suffix == "":
+        _write_frames(out, pictures, frames)
+    elif out.suffix == MOVIE:
+        commit(out, _mp4_bytes(list(pictures), fps))
+    else:
+        first, *others = (Image.fromarray(picture) for picture in pictures)
+        data = io.BytesIO()
+        how = {"quality": 90, "method": 4} if out.suffix == ".webp" else {}
+        first.save(
+            data, format=ANIMATED[out.suffix], save_all=True, append_images=others, duration=1000 / fps, loop=0, **how
+        )
+        commit(out, data.getvalue())
+
+
+def _head(frames: int) -> dict[str, Json]:
+    return {"version": 1, "frames": [f"{view_name(number)}.png" for number in range(frames)]}
+
+
+def _write_frames(out: Path, pictures: Iterable[UInt8[np.ndarray, "h w 3"]], frames: int) -> None:
+    head = _head(frames)
+    with holding(out, FRAMES):
+        if is_ours(out, FRAMES):
+            before = load_sealed(out / FRAMES.head).get("frames")
+            remove_files(out, [name for name in before if isinstance(name, str)] if isinstance(before, list) else [])
+            commit(out / FRAMES.head, seal_bytes(head))
+        else:
+            begin(out, FRAMES, seal_bytes(head))
+        for number, picture in enumerate(pictures):
+            commit(out / f"{view_name(number)}.png", png_bytes(picture))
+
+
+def _find_ffmpeg() -> str:
+    try:
+        import imageio_ffmpeg
+    except ImportError:
+        raise HyalineError(
+            "MP4 needs the extra `video` (`pip install imageio-ffmpeg`); or let --video end in .webp, .gif or .png"
+        ) from None
+    return imageio_ffmpeg.get_ffmpeg_exe()
+
+
+def _mp4_bytes(pictures: list[UInt8[np.ndarray, "h w 3"]], fps: float) -> bytes:
+    """H.264 in MP4; odd sizes are padded by a row or column, because the format has none."""
+    height, width = pictures[0].shape[:2]
+    raw = b"".join(
+        np.pad(picture, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge").tobytes() for picture in pictures
+    )
+    size = f"{width + width % 2}x{height + height % 2}"
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "film.mp4"
+        words = [_find_ffmpeg(), "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", size]
+        words += ["-r", f"{fps:g}", "-i", "-", "-c:v", "libx264", "-crf", "16", "-pix_fmt", "yuv420p"]
+        words += ["-movflags", "+faststart", "-map_metadata", "-1", "-fflags", "+bitexact", "-flags:v", "+bitexact"]
+        ended = subprocess.run([*words, str(out)], input=raw, capture_output=True, check=False)
+        if ended.returncode != 0:
+            raise HyalineError(f"ffmpeg: {ended.stderr.decode(errors='replace').strip()[-300:]}; try --video film.webp")
+        return read_regular(out)

@@ -1,0 +1,74 @@
+"""Tests that a film holds its pictures in order, takes no foreign file's place, and tells what it cannot be."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import imageio_ffmpeg
+import numpy as np
+import pytest
+from PIL import Image, ImageSequence
+from support.disk import read_state
+
+from datagen.data.film import check_film, write_film
+from datagen.data.png import read_png
+from datagen.disk.errors import HyalineError
+
+FRAMES = [np.full((6, 9, 3), level, np.uint8) for level in (0, 90, 255)]
+
+
+@pytest.mark.parametrize("suffix", [".gif", ".webp", ".png"])
+def test_an_animated_file_shows_every_picture_in_order_at_its_pace_for_ever(suffix: str, tmp_path: Path) -> None:
+    out = tmp_path / f"film{suffix}"
+    check_film(out, 10, frames=3, overwrite=False)
+    write_film(out, iter(FRAMES), 10, frames=3)
+    with Image.open(out) as film:
+        shown = [np.asarray(frame.convert("RGB")) for frame in ImageSequence.Iterator(film)]
+        assert film.info["loop"] == 0 and film.info["duration"] == 100
+    assert np.abs(np.stack(shown).astype(int) - np.stack(FRAMES)).max() <= 2  # WebP and GIF round.
+
+
+def test_a_folder_gets_a_png_a_frame_and_its_own_frames_alone_are_replaced(tmp_path: Path) -> None:
+    out = tmp_path / "frames"
+    write_film(out, iter(FRAMES), 10, frames=3)
+    assert [read_png(out / f"000{number}.png")[0, 0, 0] for number in range(3)] == [0, 90, 255]
+    (out / "notes.txt").write_text("mine")
+    with pytest.raises(HyalineError, match=r"frames: holds another film; pass --overwrite"):
+        check_film(out, 10, frames=2, overwrite=False)
+    check_film(out, 10, frames=2, overwrite=True)
+    write_film(out, iter(FRAMES[1:]), 10, frames=2)
+    assert sorted(read_state(out).files) == ["0000.png", "0001.png", "film.json", "notes.txt"]
+    assert read_png(out / "0000.png")[0, 0, 0] == 90
+
+
+def test_nothing_foreign_is_taken_for_a_film(tmp_path: Path) -> None:
+    file, folder = tmp_path / "x.gif", tmp_path / "thesis"
+    file.write_text("mine")
+    folder.mkdir()
+    (folder / "0000.png").write_text("mine")
+    with pytest.raises(HyalineError, match=r"x\.gif: is there already; pass --overwrite"):
+        check_film(file, 10, frames=3, overwrite=False)
+    for overwrite in (False, True):
+        with pytest.raises(HyalineError, match=r"thesis: is not empty \(0000\.png\) and no film; choose another --vid"):
+            check_film(folder, 10, frames=3, overwrite=overwrite)
+    with pytest.raises(HyalineError, match=r"'\.avi' is no kind of film; expected \.gif, \.webp, \.png or \.mp4"):
+        check_film(tmp_path / "x.avi", 10, frames=3, overwrite=False)
+    for fps in (0, -1, float("nan"), 1e9):
+        with pytest.raises(HyalineError, match=r"fps: is .*; expected more than 0"):
+            check_film(tmp_path / "x.webp", fps, frames=3, overwrite=False)
+
+
+def test_a_movie_plays_every_picture_of_odd_sizes_too(tmp_path: Path) -> None:
+    out = tmp_path / "film.mp4"
+    check_film(out, 10, frames=3, overwrite=False)
+    write_film(out, iter(FRAMES), 10, frames=3)
+    words = [imageio_ffmpeg.get_ffmpeg_exe(), "-i", str(out), "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
+    played = subprocess.run(words, capture_output=True, check=True).stdout
+    shown = np.frombuffer(played, np.uint8).reshape(3, 6, 10, 3)
+    np.testing.assert_allclose(shown.mean(axis=(1, 2, 3)), [0, 90, 255], atol=4)
+
+
+def test_a_movie_without_its_program_names_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    with pytest.raises(HyalineError, match="MP4 needs the extra `video`"):
+        check_film(tmp_path / "film.mp4", 10, frames=3, overwrite=False)

@@ -1,0 +1,91 @@
+"""Tests of camera paths: closed turns, curves that pass their keys, and files that hold none."""
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.synthetic import write_synthetic_dataset
+
+from datagen.data.dataset import Dataset
+from datagen.disk.errors import HyalineError
+from datagen.scene.camera_path import _orbit, make_path
+from datagen.scene.description import CameraRig, WalkPoint
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    return write_synthetic_dataset(tmp_path_factory.mktemp("path") / "data")
+
+
+RIG = CameraRig(
+    target=(0.1, 0.2, 0.3), radius=2.0, elevation_deg=(20.0, 40.0),
+    walk=(WalkPoint(position=(2, 0, 1), target=(0, 0, 0)), WalkPoint(position=(0, 2, 1), target=(0, 0, 0))),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("azimuth", [(0.0, 360.0), (-60.0, 60.0)])
+def test_an_orbit_keeps_its_distance_and_its_bounds_and_closes(azimuth: tuple[float, float]) -> None:
+    rig = dataclasses.replace(RIG, azimuth_deg=azimuth)
+    poses = _orbit(rig, 36)
+    offset = poses[:, :3, 3] - np.array(rig.target)
+    np.testing.assert_allclose(np.linalg.norm(offset, axis=1), rig.radius)
+    np.testing.assert_allclose(offset[:, 2], rig.radius * np.sin(np.radians(30)))
+    looks = -poses[:, :3, 2]
+    np.testing.assert_allclose(looks, -offset / rig.radius, atol=1e-12)
+    angle = np.degrees(np.arctan2(offset[:, 1], offset[:, 0]))
+    if azimuth == (-60.0, 60.0):
+        assert -60 < angle.min() < -50 and 50 < angle.max() < 60
+    else:
+        np.testing.assert_allclose(np.diff(np.unwrap(np.radians(angle))), np.radians(10))
+    steps = np.linalg.norm(np.diff(offset, axis=0, append=offset[:1]), axis=1)
+    assert steps[-1] <= steps.max() + 1e-9, "the last frame is one step before the first"
+
+
+def test_a_spline_passes_through_every_test_view(dataset: Dataset) -> None:
+    keys = dataset.cameras("interpolating")
+    cameras = make_path(dataset, "spline", 9, width=None, height=None)
+    assert (cameras.width, cameras.height, cameras.fov_x) == (keys.width, keys.height, keys.fov_x)
+    np.testing.assert_allclose(cameras.world_from_camera[[0, 8]], keys.world_from_camera, atol=1e-9)
+    rotations = cameras.world_from_camera[:, :3, :3]
+    np.testing.assert_allclose(rotations @ rotations.transpose(0, 2, 1), np.tile(np.eye(3), (9, 1, 1)), atol=1e-12)
+
+
+def test_key_frames_come_from_a_file_with_their_lens(dataset: Dataset, tmp_path: Path) -> None:
+    poses = dataset.cameras("train").world_from_camera[:4]
+    file = tmp_path / "keys.json"
+    frames = [{"transform_matrix": pose.tolist()} for pose in poses]
+    file.write_text(json.dumps({"camera_angle_x": 0.7, "frames": frames}))
+    cameras = make_path(dataset, str(file), 7, width=30, height=10)
+    np.testing.assert_allclose(cameras.world_from_camera[::2], poses, atol=1e-9)
+    assert (cameras.fov_x, cameras.width, cameras.height) == (0.7, 30, 10)
+
+
+@pytest.mark.parametrize(
+    ("content", "problem"),
+    [
+        ("{}", "has no frames; expected an object with a list"),
+        ('{"frames": [{}]}', r"frames\[0\]\.transform_matrix: "),
+        ('{"frames": [{"transform_matrix": [["1", 0, 0, 0]]}]}', r"frames\[0\]\.transform_matrix: "),
+        ('{"frames": [{"transform_matrix": [[2,0,0,0],[0,2,0,0],[0,0,2,0],[0,0,0,1]]}]}', "expected a rotation"),
+        ('{"camera_angle_x": 9, "frames": [{"transform_matrix": [[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]}]}', "fov_x"),
+        ("[", "not a JSON file"),
+    ],
+)
+def test_a_file_without_cameras_is_refused_in_a_line_that_names_it(
+    dataset: Dataset, tmp_path: Path, content: str, problem: str
+) -> None:
+    file = tmp_path / "keys.json"
+    file.write_text(content)
+    with pytest.raises(HyalineError, match=rf"keys\.json: .*{problem}"):
+        make_path(dataset, str(file), 4, width=None, height=None)
+
+
+def test_impossible_films_are_refused(dataset: Dataset) -> None:
+    with pytest.raises(HyalineError, match="swirl: no such file; --path takes orbit, spline or a JSON file of key fra"):
+        make_path(dataset, "swirl", 4, width=None, height=None)
+    with pytest.raises(HyalineError, match="frames: is 1; expected 2 to 10000"):
+        make_path(dataset, "spline", 1, width=None, height=None)
+    with pytest.raises(HyalineError, match="height: is 0; expected 1 to 8192 pixels"):
+        make_path(dataset, "spline", 2, width=None, height=0)
