@@ -27,6 +27,7 @@ def main() -> None:
         "gpu": gpu,
         "sky": sky,
         "errors": errors,
+        "turntable": turntable,
     }
     run("python -m benchmarks", DESCRIPTION, commands, sys.argv[1:])
 
@@ -220,3 +221,34 @@ def errors(
 
     out.write_bytes(draw_errors(before, after, views=views))
     print(out)
+
+
+def turntable(
+    runs: tuple[Path, ...],
+    names: tuple[str, ...] = (),
+    out: Path = Path("turntable.webp"),
+    path: str = "orbit",
+    frames: int = 48,
+    size: int = 192,
+    spp: int = 192,
+    fps: float = 16.0,
+    overwrite: bool = False,
+) -> None:
+    """A film of a scene, path-traced and drawn by runs of its dataset, side by side.
+
+    Args:
+        runs: Folders of trained runs.
+        names: Captions, instead of the folders' names.
+        out: The film, of any kind that `datagen render` writes.
+        path: orbit, spline, or a JSON file of key frames.
+        frames: Pictures in the film.
+        size: Width of each picture in pixels.
+        spp: Samples per pixel of the path-traced one.
+        fps: Frames a second.
+        overwrite: Replace a file that stands at --out.
+    """
+    from benchmarks.pictures.turntable import draw_turntable
+    from datagen.terminal.command import tell
+
+    draw_turntable(runs, names, out, path=path, frames=frames, size=size, spp=spp, fps=fps, overwrite=overwrite)
+    tell(str(out))

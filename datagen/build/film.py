@@ -54,10 +54,10 @@ def film_scene(dataset: Dataset, cameras: Cameras, out: Path, *, fps: float, spp
     """
     if spp < 2:
         raise HyalineError(f"spp: is {spp}; expected at least 2 samples per pixel")
-    write_film(out, _truth(dataset, cameras, spp), fps, frames=len(cameras))
+    write_film(out, path_trace(dataset, cameras, spp=spp), fps, frames=len(cameras))
 
 
-def _truth(dataset: Dataset, cameras: Cameras, spp: int) -> Iterator[UInt8[np.ndarray, "h w 3"]]:
+def path_trace(dataset: Dataset, cameras: Cameras, *, spp: int) -> Iterator[UInt8[np.ndarray, "h w 3"]]:
     """8-bit sRGB pictures, one a camera, each with noise of its own; seeds follow from the dataset's."""
     use_mitsuba()
     from datagen.render.truth import Renderer, derive_seed, render_view

@@ -95,6 +95,8 @@ TRIPS = (
         start="run",
         taken=("figure.png",),
     ),
+    Trip(line="benchmarks turntable --runs runs/one/paper --frames 2 --out film.gif", start="run", taken=("film.gif",)),
+    Trip(line="benchmarks turntable --runs runs/one/paper --frames 2 --out film.gif --overwrite", start="run"),
     Trip(line="benchmarks sky --runs runs/one/paper --out figure.png", start="run", taken=("figure.png",)),
 )
 
@@ -113,6 +115,7 @@ ELSEWHERE = {
     "benchmarks scale": {"factors", "quantities", "rounds", "json", "overwrite"},
     "benchmarks sky": {"names", "overwrite"},
     "benchmarks errors": {"views"},
+    "benchmarks turntable": {"names", "path", "size", "spp", "fps"},
     "proxies make": {"amount", "layers", "num_layers", "rays", "workers"},
     "proxies check": {"amount", "name"},
     "datagen render": {"fps", "width", "height"},

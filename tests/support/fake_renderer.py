@@ -89,7 +89,7 @@ def install(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(datagen.build.build, "_require_vectorised", lambda: None)
     patch.setattr(datagen.machine.mitsuba_variant, "use_mitsuba", lambda **options: "none")
     patch.setattr(datagen.build.find_edit_masks, "_read_halves", _read_halves)
-    patch.setattr(datagen.build.film, "_truth", lambda dataset, cameras, spp: film(cameras))
+    patch.setattr(datagen.build.film, "path_trace", lambda dataset, cameras, *, spp: film(cameras))
 
 
 def _read_halves(dataset: Dataset, split: Split, view: int) -> np.ndarray:
