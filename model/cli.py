@@ -204,14 +204,14 @@ def export(
         overwrite: Replace a file that stands at --out.
     """
     from datagen.disk.ownership import refuse_file
-    from model.run.run_folder import read_run
+    from model.run.run_folder import check_trained_on, read_run
     from model.web.export import export_run
 
     if not overwrite:
         refuse_file(out)
     record = read_run(run)
     opened = open_dataset(find_dataset(dataset) if dataset else Path(record.dataset))
-    _check_same_run(run, record.config, opened)
+    check_trained_on(run, record.config, opened)
     export_run(run, record, opened, out, quality)
     tell(str(out))
 

@@ -54,6 +54,7 @@ TRIPS = (
     Trip(line=f"{RENDER} --overwrite", start="run"),
     Trip(line=f"{RENDER} --variant angles --overwrite", start="drawn"),
     Trip(line=f"{RENDER} --path spline --frames 2 --video film.gif", start="run"),
+    Trip(line="model export --run runs/one/paper --out page.html --overwrite", start="run"),
     Trip(line="model sweep grid.toml"),
     Trip(line=REPORT, start="run"),
     Trip(line=f"{REPORT} --table table1 --out figures", start="run"),
@@ -84,6 +85,7 @@ TRIPS = (
         taken=("films/0000.png",),
     ),
     Trip(line=f"{RENDER} --path spline --frames 2 --video film.gif", start="run", taken=("film.gif",)),
+    Trip(line="model export --run runs/one/paper --out page.html", start="run", taken=("page.html",)),
     Trip(line="model sweep grid.toml", taken=("runs/one/paper-w8-t8-batch32-2-steps/weights.pt",)),
     Trip(line=REPORT, start="run", taken=("runs/report/results.json",)),
     Trip(line=f"{REPORT} --out figures", start="run", taken=("figures/cameras_one.png",)),
@@ -120,8 +122,9 @@ ELSEWHERE = {
     "proxies check": {"amount", "name"},
     "datagen render": {"fps", "width", "height"},
     "model render": {"dataset", "fps", "width", "height"},
+    "model export": {"dataset", "quality"},
     "model sweep": {"dataset", "seed", "jobs", "dry_run"},
-    "report report": {"format", "order", "dataset", "full", "published"},
+    "report report": {"format", "order", "dataset", "full", "published", "views"},
 }  # fmt: skip
 """Flags that choose what is written, or by how many, and never where: no line above needs them."""
 
