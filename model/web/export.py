@@ -49,8 +49,9 @@ def export_run(run: Path, record: RunRecord, dataset: Dataset, out: Path, qualit
     commit(out, page)
 
 
-def scene_page(renderer: LightPathRenderer, dataset: Dataset, geometry: str, quality: Quality, *, label: str,
-               still: bytes) -> bytes:  # fmt: skip
+def scene_page(
+    renderer: LightPathRenderer, dataset: Dataset, geometry: str, quality: Quality, *, label: str, still: bytes
+) -> bytes:
     """The page of a renderer.
 
     Args:

@@ -114,21 +114,23 @@ def _objects(
     first_vertex = first_face = 0
     for index, (item, mesh) in enumerate(zip(scene.objects, meshes, strict=True)):
         surface, medium, rank = item.material.surface(), item.material.medium, int(ranks[index])
-        listed.append({
-            "name": item.name,
-            "firstVertex": first_vertex,
-            "numVertices": len(mesh.vertices),
-            "firstFace": first_face,
-            "numFaces": len(mesh.faces),
-            "event": surface.event,
-            "ior": surface.ior,
-            "roughness": surface.roughness,
-            "color": list(surface.color),
-            "rank": rank,
-            "mediumIor": 1.0 if medium is None else medium.ior,
-            "absorption": [0.0, 0.0, 0.0] if medium is None else list(medium.absorption),
-            "texels": cast(Json, places[index]),
-        })  # fmt: skip
+        listed.append(
+            {
+                "name": item.name,
+                "firstVertex": first_vertex,
+                "numVertices": len(mesh.vertices),
+                "firstFace": first_face,
+                "numFaces": len(mesh.faces),
+                "event": surface.event,
+                "ior": surface.ior,
+                "roughness": surface.roughness,
+                "color": list(surface.color),
+                "rank": rank,
+                "mediumIor": 1.0 if medium is None else medium.ior,
+                "absorption": [0.0, 0.0, 0.0] if medium is None else list(medium.absorption),
+                "texels": cast(Json, places[index]),
+            }
+        )
         first_vertex, first_face = first_vertex + len(mesh.vertices), first_face + len(mesh.faces)
     return listed
 

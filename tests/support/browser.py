@@ -35,8 +35,9 @@ class Watched:
     requests: list[str] = field(default_factory=list)
     """Addresses that were asked for, the page's own first."""
 
-    def picture(self, view: str, size: int, samples: int, edits: dict[str, dict[str, object]] | None = None
-                ) -> np.ndarray:  # fmt: skip
+    def picture(
+        self, view: str, size: int, samples: int, edits: dict[str, dict[str, object]] | None = None
+    ) -> np.ndarray:
         """The page's picture of a view of the dataset, of so many rays a pixel, after edits by object: (h, w, 3)."""
         encoded = self.page.evaluate(
             "async ([view, size, samples, edits]) => (await hyaline).picture(view, size, samples, edits)",

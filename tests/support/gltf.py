@@ -21,8 +21,16 @@ class GltfBuilder:
     """The JSON and the buffer of a glTF file that grows."""
 
     def __init__(self) -> None:
-        self.content: dict = {"asset": {"version": "2.0"}, "accessors": [], "bufferViews": [], "materials": [],
-                              "meshes": [], "nodes": [], "scenes": [{"nodes": []}], "scene": 0}  # fmt: skip
+        self.content: dict = {
+            "asset": {"version": "2.0"},
+            "accessors": [],
+            "bufferViews": [],
+            "materials": [],
+            "meshes": [],
+            "nodes": [],
+            "scenes": [{"nodes": []}],
+            "scene": 0,
+        }
         self.binary = bytearray()
 
     def view(self, data: bytes, **more: object) -> int:
@@ -37,8 +45,13 @@ class GltfBuilder:
         """An accessor of these numbers in this component type."""
         values = np.asarray(values).astype(f"<{kind}")
         width = 1 if values.ndim == 1 else values.shape[1]
-        entry = {"bufferView": self.view(values.tobytes()), "componentType": COMPONENTS[kind], "count": len(values),
-                 "type": KINDS[width], **more}  # fmt: skip
+        entry = {
+            "bufferView": self.view(values.tobytes()),
+            "componentType": COMPONENTS[kind],
+            "count": len(values),
+            "type": KINDS[width],
+            **more,
+        }
         return self.accessor(entry)
 
     def accessor(self, entry: dict) -> int:

@@ -66,19 +66,27 @@ def scene() -> Scene:
     """Every kind of surface: a drink in a glass whose wall it reaches into, a pane before it, metal, plastic, floor."""
     grey = (0.5, 0.5, 0.5)
     tall = {"glass": (0.45, 0.9), "drink": (0.4, 0.7)}
-    cups = {name: placed(trimesh.creation.cylinder(radius, height, sections=24), 0.2, 0.1, 0.5)
-            for name, (radius, height) in tall.items()}  # fmt: skip
+    cups = {
+        name: placed(trimesh.creation.cylinder(radius, height, sections=24), 0.2, 0.1, 0.5)
+        for name, (radius, height) in tall.items()
+    }
     drink = Dielectric(ior=1.33, absorption=(0.3, 2, 3), priority=1)
     objects = (
         SceneObject(name="floor", mesh=quad(0), material=Diffuse(color=grey)),
         SceneObject(name="glass", mesh=cups["glass"], material=Dielectric(ior=1.5, absorption=(0.2, 0.1, 0.3))),
         SceneObject(name="drink", mesh=cups["drink"], material=drink),
         SceneObject(name="pane", mesh=standing_pane(), material=ThinDielectric(ior=1.5, tint=(0.9, 0.8, 0.7))),
-        SceneObject(name="metal", mesh=placed(trimesh.creation.icosphere(3, 0.3), -0.6, 0.3, 0.35),
-                    material=Conductor(color=(0.9, 0.7, 0.4), roughness=0.2)),
-        SceneObject(name="plastic", mesh=placed(trimesh.creation.icosphere(3, 0.25), -0.5, -0.4, 0.3),
-                    material=Plastic(color=grey, ior=1.5, roughness=0.1)),
-    )  # fmt: skip
+        SceneObject(
+            name="metal",
+            mesh=placed(trimesh.creation.icosphere(3, 0.3), -0.6, 0.3, 0.35),
+            material=Conductor(color=(0.9, 0.7, 0.4), roughness=0.2),
+        ),
+        SceneObject(
+            name="plastic",
+            mesh=placed(trimesh.creation.icosphere(3, 0.25), -0.5, -0.4, 0.3),
+            material=Plastic(color=grey, ior=1.5, roughness=0.1),
+        ),
+    )
     return dataclasses.replace(synthetic_scene(), objects=objects)
 
 
@@ -100,10 +108,17 @@ def renderer(dataset: Dataset) -> LightPathRenderer:
     torch.manual_seed(3)
     net = LightPathRenderer(
         LightPathConfig(
-            texture_sizes=(40, 8, 8, 8, 24, 17), texture_levels=2, hidden=18, stack_hidden=10, environment_size=6,
-            sky_lobes=3, branches=5, render_samples=1, refined_samples=1,
+            texture_sizes=(40, 8, 8, 8, 24, 17),
+            texture_levels=2,
+            hidden=18,
+            stack_hidden=10,
+            environment_size=6,
+            sky_lobes=3,
+            branches=5,
+            render_samples=1,
+            refined_samples=1,
         )
-    )  # fmt: skip
+    )
     with torch.no_grad():
         for name, values in net.named_parameters():
             # The page sums all levels into one, which blurs the coarse one's noise; what is trained is smoother.

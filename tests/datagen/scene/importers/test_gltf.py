@@ -140,12 +140,17 @@ def test_instances_of_one_node_stand_at_their_own_places(tmp_path: Path) -> None
     builder = GltfBuilder()
     places = np.array([[0, 0, 0], [3, 0, 0], [0, 4, 0]], np.float32)
     turns = np.array([[0, 0, 0, 1], [0, 0, 1, 0], [0, 0, 0, 1]], np.float32)
-    attributes = {"TRANSLATION": builder.array(places), "ROTATION": builder.array(turns),
-                  "SCALE": builder.array(np.full((3, 3), 0.5))}  # fmt: skip
+    attributes = {
+        "TRANSLATION": builder.array(places),
+        "ROTATION": builder.array(turns),
+        "SCALE": builder.array(np.full((3, 3), 0.5)),
+    }
     builder.node(
-        mesh=builder.mesh(), name="cup", translation=[0, 0, 1],
+        mesh=builder.mesh(),
+        name="cup",
+        translation=[0, 0, 1],
         extensions={"EXT_mesh_gpu_instancing": {"attributes": attributes}},
-    )  # fmt: skip
+    )
     found = read(builder, tmp_path).objects
     assert len(found) == 3
     for item, place in zip(found, places, strict=True):
@@ -195,8 +200,16 @@ def test_a_name_that_leads_out_of_the_folder_is_refused_and_not_read(tmp_path: P
     (tmp_path / "secret.bin").write_bytes(bytes(builder.binary))
     (tmp_path / "in").mkdir()
     (tmp_path / "in" / "link.bin").symlink_to(tmp_path / "secret.bin")
-    outside = ("../secret.bin", "%2e%2e/secret.bin", str(tmp_path / "secret.bin"), f"file://{tmp_path}/secret.bin",
-               "http://localhost/secret.bin", "link.bin", "C:/secret.bin", "..\\secret.bin")  # fmt: skip
+    outside = (
+        "../secret.bin",
+        "%2e%2e/secret.bin",
+        str(tmp_path / "secret.bin"),
+        f"file://{tmp_path}/secret.bin",
+        "http://localhost/secret.bin",
+        "link.bin",
+        "C:/secret.bin",
+        "..\\secret.bin",
+    )
     for uri in outside:
         (tmp_path / "in" / "a.gltf").write_bytes(builder.gltf(uri))
         with pytest.raises(HyalineError, match=r"expected a file in|is a link out of its folder") as refused:

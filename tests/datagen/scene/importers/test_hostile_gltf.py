@@ -168,7 +168,7 @@ CHANGES: dict[str, Change] = {
     ),
     "meshopt": put("bufferViews", 1, "extensions", value={"EXT_meshopt_compression": {}}),
     "an unknown extension that is required": put("extensionsRequired", value=["VENDOR_secret"]),
-}  # fmt: skip
+}
 
 
 def refusal(path: Path) -> str:

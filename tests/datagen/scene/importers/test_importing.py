@@ -37,9 +37,11 @@ def scene_with_glass() -> GltfBuilder:
     textured = dataclasses.replace(BOX, uv=uv)
     builder.node(mesh=builder.mesh(material=clear_glass), name="vase", scale=[-0.1, 0.2, 0.1])
     builder.node(
-        mesh=builder.mesh(textured, material=photo, has_uv=True), name="box", scale=[0.1, 0.1, 0.1],
+        mesh=builder.mesh(textured, material=photo, has_uv=True),
+        name="box",
+        scale=[0.1, 0.1, 0.1],
         translation=[0.2, 0.03, 0],
-    )  # fmt: skip
+    )
     return builder
 
 
@@ -122,9 +124,13 @@ def test_a_backdrop_keeps_the_cameras_on_its_front_side(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("scale", "up", "expected"),
-    [(None, "auto", [0.1, 0.04, 0.12]), (2.0, "auto", [0.2, 0.08, 0.24]), (None, "z", [0.1, 0.12, 0.04]),
-     (None, "x", [0.12, 0.04, 0.1])],
-)  # fmt: skip
+    [
+        (None, "auto", [0.1, 0.04, 0.12]),
+        (2.0, "auto", [0.2, 0.08, 0.24]),
+        (None, "z", [0.1, 0.12, 0.04]),
+        (None, "x", [0.12, 0.04, 0.1]),
+    ],
+)
 def test_scale_and_up_are_as_one_says(scale: float | None, up: str, expected: list[float], tmp_path: Path) -> None:
     builder = GltfBuilder()
     builder.node(mesh=builder.mesh(), scale=[0.1, 0.2, 0.1])

@@ -32,8 +32,9 @@ def foreign(folder: Path, **entry: object) -> ForeignMaterial:
     return material
 
 
-def mapped(material: ForeignMaterial, shape: Shape = CLOSED, *, metres: float = 1.0, thin: Thin = "open"
-           ) -> tuple[Material, list[str]]:  # fmt: skip
+def mapped(
+    material: ForeignMaterial, shape: Shape = CLOSED, *, metres: float = 1.0, thin: Thin = "open"
+) -> tuple[Material, list[str]]:
     """The material of ours, and the approximations that it takes."""
     remarks = Remarks()
     found = Mapper(metres=metres, thin=thin, remarks=remarks).material(material, shape, where="thing")
@@ -79,11 +80,15 @@ del THIN["KHR_materials_volume"]
 @pytest.mark.parametrize(
     ("is_volume", "is_closed", "thin", "expected"),
     [
-        (True, True, "open", Dielectric), (False, True, "open", Dielectric), (False, True, "file", ThinDielectric),
-        (True, True, "file", Dielectric), (True, True, "all", ThinDielectric), (True, False, "open", ThinDielectric),
+        (True, True, "open", Dielectric),
+        (False, True, "open", Dielectric),
+        (False, True, "file", ThinDielectric),
+        (True, True, "file", Dielectric),
+        (True, True, "all", ThinDielectric),
+        (True, False, "open", ThinDielectric),
         (False, False, "open", ThinDielectric),
     ],
-)  # fmt: skip
+)
 def test_glass_is_solid_where_its_mesh_is_closed_unless_told(
     is_volume: bool, is_closed: bool, thin: Thin, expected: type, tmp_path: Path
 ) -> None:
@@ -92,9 +97,7 @@ def test_glass_is_solid_where_its_mesh_is_closed_unless_told(
 
 
 def test_the_base_colour_tints_a_pane_and_is_absorbed_by_a_solid(tmp_path: Path) -> None:
-    entry = foreign(
-        tmp_path, pbrMetallicRoughness=clear(baseColorFactor=[0.8, 0.5, 1.0, 1.0]), extensions=glass()
-    )  # fmt: skip
+    entry = foreign(tmp_path, pbrMetallicRoughness=clear(baseColorFactor=[0.8, 0.5, 1.0, 1.0]), extensions=glass())
     assert mapped(entry, OPEN)[0] == ThinDielectric(ior=1.5, tint=(0.8, 0.5, 1.0))
     solid, lines = mapped(entry)
     assert isinstance(solid, Dielectric)
@@ -107,14 +110,16 @@ def test_the_base_colour_tints_a_pane_and_is_absorbed_by_a_solid(tmp_path: Path)
     ("pbr", "expected"),
     [
         ({}, Conductor(color=(1, 1, 1), roughness=1.0)),
-        ({"metallicFactor": 1.0, "roughnessFactor": 0.5, "baseColorFactor": [0.9, 0.6, 0.3, 1]},
-         Conductor(color=(0.9, 0.6, 0.3), roughness=0.25)),
+        (
+            {"metallicFactor": 1.0, "roughnessFactor": 0.5, "baseColorFactor": [0.9, 0.6, 0.3, 1]},
+            Conductor(color=(0.9, 0.6, 0.3), roughness=0.25),
+        ),
         ({"metallicFactor": 1.0, "roughnessFactor": 0.0}, Conductor(color=(1, 1, 1), roughness=0.0)),
         (clear(roughnessFactor=0.9), Diffuse(color=(1, 1, 1))),
         (clear(roughnessFactor=0.3), Plastic(color=(1, 1, 1), ior=1.5, roughness=0.09)),
         (clear(), Plastic(color=(1, 1, 1), ior=1.5, roughness=0.001)),
     ],
-)  # fmt: skip
+)
 def test_what_lets_no_light_through_is_metal_plastic_or_matt(pbr: dict, expected: Material, tmp_path: Path) -> None:
     found, lines = mapped(foreign(tmp_path, pbrMetallicRoughness=pbr))
     assert found == expected
@@ -140,17 +145,27 @@ def test_each_thing_that_is_not_drawn_is_a_line(tmp_path: Path) -> None:
     extensions = {**glass(), "KHR_materials_sheen": {}, "KHR_materials_dispersion": {"dispersion": 0.5}}
     texture = {"index": 0}
     material = builder.material(
-        pbrMetallicRoughness=clear(roughnessFactor=0.5, metallicRoughnessTexture=texture), extensions=extensions,
-        normalTexture=texture, emissiveFactor=[1, 0, 0], occlusionTexture=texture,
-    )  # fmt: skip
+        pbrMetallicRoughness=clear(roughnessFactor=0.5, metallicRoughnessTexture=texture),
+        extensions=extensions,
+        normalTexture=texture,
+        emissiveFactor=[1, 0, 0],
+        occlusionTexture=texture,
+    )
     builder.node(mesh=builder.mesh(material=material))
     remarks = Remarks()
     entry = read_gltf(builder.written(tmp_path), remarks).objects[0].material
     assert isinstance(entry, ForeignMaterial)
     Mapper(metres=1.0, thin="open", remarks=remarks).material(entry, CLOSED, where="thing")
     lines = " | ".join(line.what for line in remarks.lines if line.is_approximation)
-    for word in ("sheen", "normal map", "occlusion", "metalness", "glows", "rough glass (GGX alpha 0.25)",
-                 "Abbe number 40"):  # fmt: skip
+    for word in (
+        "sheen",
+        "normal map",
+        "occlusion",
+        "metalness",
+        "glows",
+        "rough glass (GGX alpha 0.25)",
+        "Abbe number 40",
+    ):
         assert word in lines
     with pytest.raises(HyalineError, match="leave out --strict"):
         read_gltf(builder.written(tmp_path), Remarks(is_strict=True))
