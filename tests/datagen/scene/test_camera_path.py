@@ -20,9 +20,11 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 
 
 RIG = CameraRig(
-    target=(0.1, 0.2, 0.3), radius=2.0, elevation_deg=(20.0, 40.0),
+    target=(0.1, 0.2, 0.3),
+    radius=2.0,
+    elevation_deg=(20.0, 40.0),
     walk=(WalkPoint(position=(2, 0, 1), target=(0, 0, 0)), WalkPoint(position=(0, 2, 1), target=(0, 0, 0))),
-)  # fmt: skip
+)
 
 
 @pytest.mark.parametrize("azimuth", [(0.0, 360.0), (-60.0, 60.0)])
