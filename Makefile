@@ -18,7 +18,7 @@ $(STAMP): pyproject.toml constraints.txt
 		> $(ENVIRONMENT)/hyaline-constraints.txt
 	@system=$$($(BIN)/python -m datagen.machine.llvm); \
 	extras=$$(test -n "$$system" && echo dev || echo llvm,dev); \
-	echo "setup: installs hyaline[$$extras]$${system:+ (uses $$system)} and its libraries into $(ENVIRONMENT)"; \
+	echo "setup: installs hyaline-glass[$$extras]$${system:+ (uses $$system)} and its libraries into $(ENVIRONMENT)"; \
 	echo "setup: downloads about 0.8 GB, which take 2.2 GB on disk; minutes, depending on the network"; \
 	if [ "$$(uname)" = Linux ] && ! command -v nvidia-smi >/dev/null && ! $(BIN)/python -c "import torch" 2>/dev/null; then \
 		echo "setup: there is no NVIDIA GPU here. If pip brings CUDA libraries (4 GB more), press Ctrl-C and first run"; \

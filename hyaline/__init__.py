@@ -24,7 +24,7 @@ from datagen.data.layers import Layers
 from datagen.disk.errors import HyalineError
 from datagen.quantities.light_ends import LightEnds
 from datagen.quantities.view_quantities import ViewQuantities, quantities
-from datagen.terminal.command import version
+from datagen.terminal.distribution import VERSION, naming_parts
 from hyaline.cameras import camera_from_intrinsics, orbit
 from hyaline.datasets import list_datasets, open_dataset
 from hyaline.runs import Run, list_runs, open_run
@@ -33,7 +33,7 @@ from hyaline.scores import Scores, score
 if TYPE_CHECKING:
     from hyaline.tensors import RayDataset, ViewDataset
 
-__version__ = version()
+__version__ = VERSION
 
 __all__ = [
     "SPLITS",
@@ -67,7 +67,8 @@ __all__ = [
 def __getattr__(name: str) -> object:
     """PyTorch is imported when somebody asks for what needs it."""
     if name in ("RayDataset", "ViewDataset"):
-        from hyaline import tensors
+        with naming_parts(f"hyaline.{name}"):
+            from hyaline import tensors
 
         return getattr(tensors, name)
     raise AttributeError(f"module 'hyaline' has no attribute {name!r}")

@@ -15,6 +15,7 @@ from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.finding import find_dataset
 from datagen.disk.errors import HyalineError, NumericsError
 from datagen.disk.reading import load_json
+from datagen.terminal.distribution import naming_parts
 from model.methods.protocol import Inputs
 from model.run.run_folder import RUN, WEIGHTS, RunRecord, TrainConfig, check_trained_on, read_metrics, read_run
 from model.settings.run_flags import Device
@@ -76,6 +77,7 @@ class Run:
         """True when the method predicts linear radiance."""
         return self.config.net.has_radiance
 
+    @naming_parts("hyaline.Run.render")
     def render(self, camera: Camera) -> UInt8[np.ndarray, "h w 3"]:
         """The 8-bit sRGB picture that a camera takes; through a view's camera it is the run's own prediction.
 
@@ -87,6 +89,7 @@ class Run:
         pixels = self._pixels(camera)
         return predict_pixels(self._renderer, pixels).reshape(camera.height, camera.width, 3)
 
+    @naming_parts("hyaline.Run.radiance")
     def radiance(self, camera: Camera) -> Float32[np.ndarray, "h w 3"]:
         """Linear radiance (Rec. 709), unclipped. Training pictures end at white: of what is brighter, a run knows only
         that it is.

@@ -21,7 +21,6 @@ from datagen.terminal.command import say
 if TYPE_CHECKING:
     import submitit
 
-INSTALL = 'pip install "submitit>=1.5,<2"'
 
 JOBS = FolderKind(what="jobs of a build", head="jobs.json", way_out="move that elsewhere, or choose another --out")
 """What submitit and the jobs write there, DATASET-jobs/, has names of its own."""
@@ -80,13 +79,11 @@ def launch(arguments: Sequence[str], root: Path, choices: LaunchChoices, *, work
         root: the dataset.
 
     Raises:
-        HyalineError: submitit is not installed, the cluster took no job, or a job failed.
+        HyalineError: the cluster took no job, or a job failed.
     """
-    try:
-        import submitit
-        from submitit.core.utils import FailedJobError, FailedSubmissionError
-    except ImportError:
-        raise HyalineError(f"--launcher: needs submitit, which is not installed; {INSTALL}") from None
+    import submitit
+    from submitit.core.utils import FailedJobError, FailedSubmissionError
+
     folder = (root.parent / f"{root.name}-jobs").resolve()
     try:
         executor = submitit.AutoExecutor(folder=folder, cluster=choices.launcher)

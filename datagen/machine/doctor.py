@@ -6,10 +6,12 @@ import platform
 import shutil
 import subprocess
 from dataclasses import dataclass
+from pathlib import Path
 
 from datagen.machine.llvm import advice
 from datagen.machine.mitsuba_variant import choose_variant
 from datagen.machine.processor import describe_processor
+from datagen.terminal.distribution import VERSION, install_command
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,20 +25,14 @@ class Finding:
 
 
 def examine() -> list[Finding]:
-    """Looks at cores, processor, GPU, libLLVM, the Mitsuba variant, torch and the libraries that PyMeshLab needs."""
-    choice = choose_variant()
-    llvm = choice.llvm
+    """Looks at the installation, cores, processor, GPU, and at what path tracing, training and proxies need."""
     return [
+        Finding(what="hyaline", found=f"{VERSION} in {Path(__file__).resolve().parents[2]}", remedy=None),
         Finding(what="cores", found=f"{os.cpu_count()} ({platform.system()})", remedy=None),
         Finding(what="processor", found=describe_processor(), remedy=None),
         Finding(what="GPU", found=_gpu(), remedy=None),
-        Finding(
-            what="libLLVM",
-            found=f"{'.'.join(map(str, llvm.version))} ({llvm.source}: {llvm.path})" if llvm else "none of 17 or newer",
-            remedy=None if llvm else advice(),
-        ),
-        Finding(what="Mitsuba", found=f"{_version('mitsuba')}, variant {choice.variant}: {choice.reason}", remedy=None),
-        Finding(what="torch", found=_version("torch"), remedy=None),
+        *_mitsuba(),
+        _torch(),
         _meshlab(),
     ]
 
@@ -49,18 +45,44 @@ def _gpu() -> str:
     return answer.stdout.strip().replace("\n", "; ") or "none"
 
 
-def _version(package: str) -> str:
+def _mitsuba() -> list[Finding]:
+    """Mitsuba, and the libLLVM that makes it fast."""
+    choice = choose_variant()
+    version = _version("mitsuba")
+    if version is None:
+        return [_missing("Mitsuba", "generate", "building datasets and tracing layers need it")]
+    llvm = choice.llvm
+    found = f"{'.'.join(map(str, llvm.version))} ({llvm.source}: {llvm.path})" if llvm else "none of 17 or newer"
+    return [
+        Finding(what="libLLVM", found=found, remedy=None if llvm else advice()),
+        Finding(what="Mitsuba", found=f"{version}, variant {choice.variant}: {choice.reason}", remedy=None),
+    ]
+
+
+def _torch() -> Finding:
+    version = _version("torch")
+    if version is None:
+        return _missing("torch", "model", "training, and rendering with trained runs, need it")
+    return Finding(what="torch", found=version, remedy=None)
+
+
+def _version(package: str) -> str | None:
+    """None: it is not installed."""
     try:
         return importlib.metadata.version(package)
     except importlib.metadata.PackageNotFoundError:
-        return "not installed"
+        return None
+
+
+def _missing(what: str, extra: str, need: str) -> Finding:
+    return Finding(what=what, found=f"not installed; {need}", remedy=install_command(extra))
 
 
 def _meshlab() -> Finding:
     """PyMeshLab needs the system's libGL; boxes and ellipsoids are made without it."""
     version = _version("pymeshlab")
-    if version == "not installed":
-        return Finding(what="PyMeshLab", found=version, remedy='pip install -e "."')
+    if version is None:
+        return _missing("PyMeshLab", "proxies", "proxies of the kinds wrap and lowpoly need it")
     try:
         import ctypes
 

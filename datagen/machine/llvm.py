@@ -13,6 +13,8 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
+from datagen.terminal.distribution import install_command
+
 MIN_LLVM = 17
 VARIABLE = "DRJIT_LIBLLVM_PATH"
 
@@ -90,7 +92,7 @@ def advice() -> str:
     if platform.system() == "Darwin":
         return "brew install llvm"
     if platform.system() == "Linux" and platform.machine() == "x86_64":
-        return 'pip install -e ".[llvm]"'
+        return install_command("llvm")
     return f"install a libLLVM of version {MIN_LLVM} or newer (Debian 12: apt install libllvm19)"
 
 

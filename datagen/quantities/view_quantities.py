@@ -19,6 +19,7 @@ from datagen.data.layers import Layers
 from datagen.disk.errors import HyalineError
 from datagen.quantities.light_ends import LightEnds, find_light_ends
 from datagen.quantities.surfaces import Surfaces, surfaces_of
+from datagen.terminal.distribution import naming_parts
 
 NormalKind = Literal["shading", "geometric"]
 Axes = Literal["world", "camera"]
@@ -184,7 +185,8 @@ class ViewQuantities:
         """Refractive flow, attenuation, and where the refracted path of each pixel ends. Traces: needs Mitsuba."""
         from datagen.machine.mitsuba_variant import use_mitsuba
 
-        use_mitsuba(quiet=True)
+        with naming_parts("light_ends"):
+            use_mitsuba(quiet=True)
         return find_light_ends(self.view.camera, self.surfaces.tracer, self.surfaces.is_glass)
 
     # Parts

@@ -18,6 +18,7 @@ from datagen.disk.errors import HyalineError
 from datagen.disk.names import printable
 from datagen.disk.os_errors import describe_os_error, naming
 from datagen.disk.records import shown
+from datagen.terminal.distribution import VERSION, naming_parts
 from datagen.terminal.signals import Stopped, raise_on_sigterm, signal_within
 
 Item = TypeVar("Item")
@@ -61,9 +62,10 @@ def run_parsed(call: Callable[[], None], arguments: list[str]) -> None:
     """The same for a command that parses its `arguments` itself."""
     try:
         if "--version" in arguments:
-            print(f"hyaline {version()}", flush=True)
+            print(f"hyaline {VERSION}", flush=True)
             return
-        with raise_on_sigterm(), _flushed():
+        where = " ".join([_program(), *(word for word in arguments[:1] if not word.startswith("-"))])
+        with raise_on_sigterm(), _flushed(), naming_parts(where):
             call()
     except (Exception, KeyboardInterrupt, Stopped) as error:
         _end(error, arguments)
@@ -112,16 +114,6 @@ def _end_unread() -> NoReturn:
     for number in (1, 2):
         os.dup2(nowhere, number)  # Else the interpreter would complain when it flushes them at its end.
     sys.exit(128 + signal.SIGPIPE)
-
-
-def version() -> str:
-    """The version that is installed."""
-    from importlib import metadata
-
-    try:
-        return metadata.version("hyaline")
-    except metadata.PackageNotFoundError:
-        return "(not installed)"
 
 
 def _dataset_first(commands: dict[str, Callable[..., None]], arguments: list[str]) -> list[str]:
@@ -190,9 +182,13 @@ def next_command(line: str) -> None:
 
 def this_command() -> str:
     """What to type to go on with the command that runs: its own words, but without `--overwrite`, which starts anew."""
+    return shlex.join([_program(), *(word for word in sys.argv[1:] if word != "--overwrite")])
+
+
+def _program() -> str:
+    """What was typed first: `datagen`, also for `python -m datagen`."""
     program = Path(sys.argv[0])
-    name = program.parent.name if program.name == "__main__.py" else program.name
-    return shlex.join([name, *(word for word in sys.argv[1:] if word != "--overwrite")])
+    return program.parent.name if program.name == "__main__.py" else program.name
 
 
 def choose(what: str, value: str, choices: Collection[str]) -> str:

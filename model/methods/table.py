@@ -13,6 +13,7 @@ from datagen.data.dataset import Dataset
 from datagen.data.layer_store import LayersHead
 from datagen.disk.errors import HyalineError
 from datagen.terminal.command import choose
+from datagen.terminal.distribution import DISTRIBUTION
 from model.methods.protocol import Inputs, MethodConfig
 
 GROUP = "hyaline.methods"
@@ -103,6 +104,6 @@ def _choose_layers(asked: int | None, stored: int, dataset: Dataset, geometry: s
 
 def _sources(name: str) -> list[str]:
     """The distributions that bring a method of a name."""
-    built_in = ["hyaline"] if name in BUILT_IN else []
+    built_in = [DISTRIBUTION] if name in BUILT_IN else []
     points = metadata.entry_points(group=GROUP, name=name)
     return built_in + [point.dist.name if point.dist else point.value for point in points]

@@ -18,6 +18,8 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float, Float64, Int64
 
+from datagen.terminal.distribution import install_command
+
 TIMEOUT_S = 120.0
 """Longest time that the child may take for the objects of one dataset."""
 
@@ -38,7 +40,8 @@ def meshlab_problem() -> str | None:
         _run("probe", {})
     except MeshlabError as error:
         message = str(error)
-        mend = "`apt install libgl1`" if "libGL" in message else "`pip install pymeshlab` and `apt install libgl1`"
+        installed = f"`{install_command('proxies')}` and `apt install libgl1`"
+        mend = "`apt install libgl1`" if "libGL" in message else installed
         return f"pymeshlab cannot be used ({message}); mend it with {mend}"
     return None
 

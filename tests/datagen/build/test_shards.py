@@ -232,7 +232,7 @@ def test_jobs_are_told_what_the_command_was_told_but_how_to_send_it_off() -> Non
         (("--launcher", "local", "--shard", "1/2"), "--launcher: makes all parts itself; leave out --shard"),
         (("--shard", "1/2", "--overwrite"), "--overwrite: does not go with --shard, which deletes nothing"),
         (("--shard", "1/2", "--edit", "remove:pane"), "--edit: does not go with --shard"),
-        (("--launcher", "local"), 'needs submitit, which is not installed; pip install "submitit>=1.5,<2"'),
+        (("--launcher", "local"), 'submitit, which is not installed; `pip install "hyaline-glass[cluster]"` brings it'),
     ],
 )
 def test_flags_that_do_not_go_together_are_one_line(

@@ -15,8 +15,9 @@ import pytest
 from datagen.disk.errors import HyalineError
 from datagen.disk.os_errors import REASONS, describe_os_error, naming
 from datagen.disk.storage import commit
-from datagen.terminal.command import choose, track, version
+from datagen.terminal.command import choose, track
 from datagen.terminal.command import run as command_run
+from datagen.terminal.distribution import VERSION
 from datagen.terminal.signals import Stopped
 
 
@@ -65,8 +66,8 @@ def test_wrong_input_is_answered_with_the_way_out(line: str, status: int, messag
 )
 def test_every_command_tells_its_version(line: str, tmp_path: Path) -> None:
     answer = run(*line.split(), "--version", cwd=tmp_path)
-    assert (answer.returncode, answer.stdout, answer.stderr) == (0, f"hyaline {version()}\n", "")
-    assert re.fullmatch(r"\d+\.\d+\.\d+", version())
+    assert (answer.returncode, answer.stdout, answer.stderr) == (0, f"hyaline {VERSION}\n", "")
+    assert re.fullmatch(r"\d+\.\d+\.\d+", VERSION)
 
 
 @pytest.mark.parametrize("line", ["datagen verify", "datagen peel", "proxies make", "proxies check"])
