@@ -166,21 +166,14 @@ def _trace(scene, ray, points, scramble, index, tables):
             bsdf_sample, bsdf_weight = bsdf.sample(context, si, sample1, sample2, is_rough)
 
         # Glass reflects or refracts. Where its surface is none, both media are one: nothing is reflected.
-        sides = [dr.gather(mi.Float, tables.ior, side, active & is_glass) for side in (inner, outer)]
-        if dr.hint(tables.has_rough_glass, mode="scalar"):
-            shape = dr.reinterpret_array(mi.UInt32, si.shape)
-            alpha = dr.gather(mi.Float, tables.alpha, shape, is_glass & ~vanishes)
-            is_reflected, glass_wo, glass_share = _bounce_off_facet(
-                si.wi, sides[0] / sides[1], alpha, sample1, sample2, vanishes
-            )
-        else:
-            is_reflected, glass_wo, glass_share = _reflect_or_refract(si.wi, sides[0] / sides[1], sample1, vanishes)
+        is_reflected, glass_wo, glass_share = _meet_glass(
+            tables, si, (inner, outer), active, is_glass, vanishes, sample1, sample2
+        )
         goes_in = dr.select(vanishes, dr.dot(ray.d, si.n) < 0, glass_wo.z < 0)
         solids = dr.select(is_glass & ~is_reflected, dr.select(goes_in, with_it, without_it), solids)
 
         # The next segment; a path that has ended keeps its last. Radiance is scaled as its solid angle is squeezed.
-        factor = dr.select(is_glass, glass_share, bsdf_weight)
-        throughput *= dr.select(active, factor, 1)
+        throughput *= dr.select(active, dr.select(is_glass, glass_share, bsdf_weight), 1)
         to_world = si.to_world(dr.select(is_glass, glass_wo, bsdf_sample.wo))
         ray = dr.select(active, si.spawn_ray(dr.select(vanishes, ray.d, to_world)), ray)
         previous = mi.Interaction3f(si)
@@ -190,9 +183,14 @@ def _trace(scene, ray, points, scramble, index, tables):
         depth += dr.select(vanishes, 0, 1)
         vanished += dr.select(vanishes, 1, 0)
 
+    return radiance + dr.select(escaped, throughput * _sky(scene, ray, escaped), 0)
+
+
+def _sky(scene, ray, escaped):
+    """The radiance of the sky where rays have run into it."""
     sky = dr.zeros(mi.SurfaceInteraction3f)
     sky.wi = -ray.d
-    return radiance + dr.select(escaped, throughput * scene.environment().eval(sky, escaped), 0)
+    return scene.environment().eval(sky, escaped)
 
 
 def _solids_around(tables, solids, shape, hit):
@@ -203,8 +201,18 @@ def _solids_around(tables, solids, shape, hit):
     return is_glass, with_solid(tables.media, solids, rank), without_solid(tables.media, solids, rank)
 
 
+def _meet_glass(tables, si, sides, active, is_glass, vanishes, sample1, sample2):
+    """Whether glass reflects, where to in the surface's frame, and the factor of radiance; `sides`: in and out."""
+    inner, outer = (dr.gather(mi.Float, tables.ior, side, active & is_glass) for side in sides)
+    if not tables.has_rough_glass:
+        return _reflect_or_refract(si.wi, inner / outer, sample1, vanishes)
+    shape = dr.reinterpret_array(mi.UInt32, si.shape)
+    alpha = dr.gather(mi.Float, tables.alpha, shape, is_glass & ~vanishes)
+    return _bounce_off_facet(si.wi, inner / outer, alpha, sample1, sample2, vanishes)
+
+
 def _reflect_or_refract(wi, eta, sample, vanishes):
-    """Whether smooth glass reflects, where to in the surface's frame, and the factor of radiance."""
+    """`_meet_glass` of smooth glass."""
     reflectance, cos_t, _, eta_ti = mi.fresnel(mi.Frame3f.cos_theta(wi), eta)
     is_reflected = (sample <= reflectance) & ~vanishes
     wo = dr.select(is_reflected, mi.reflect(wi), mi.refract(wi, cos_t, eta_ti))
@@ -212,7 +220,7 @@ def _reflect_or_refract(wi, eta, sample, vanishes):
 
 
 def _bounce_off_facet(wi, eta, alpha, sample1, sample2, vanishes):
-    """`_reflect_or_refract` of rough glass, by one of its facets; alpha = 0 is smooth."""
+    """`_meet_glass` of rough glass, by one of its facets; alpha = 0 is smooth."""
     side = dr.sign(mi.Frame3f.cos_theta(wi))
     facet = sample_facet(wi * side, alpha, sample2.x, sample2.y)
     reflectance, cos_t, _, eta_ti = mi.fresnel(dr.dot(wi, facet), eta)
