@@ -28,6 +28,7 @@ def main() -> None:
         "sky": sky,
         "errors": errors,
         "turntable": turntable,
+        "browser": browser,
     }
     run("python -m benchmarks", DESCRIPTION, commands, sys.argv[1:])
 
@@ -252,3 +253,25 @@ def turntable(
 
     draw_turntable(runs, names, out, path=path, frames=frames, size=size, spp=spp, fps=fps, overwrite=overwrite)
     tell(str(out))
+
+
+def browser(
+    run: Path,
+    dataset: Path | None = None,
+    *,
+    quality: Literal["small", "exact"] = "small",
+    samples: int = 1,
+    views: int = 0,
+) -> None:
+    """A run's page in a headless browser beside Python: decibels between them, and of each to the truth, by view.
+
+    Args:
+        run: A run folder of light-path.
+        dataset: Its dataset's folder. Default: where the run found it.
+        quality: Of the page, as `model export` takes it.
+        samples: Rays a pixel, a square number.
+        views: How many of each test split; 0 for all.
+    """
+    from benchmarks.pages.compare import compare_page, page_table
+
+    print(page_table(compare_page(run, dataset, quality, samples=samples, views=views)))

@@ -165,8 +165,12 @@ class Page {
       this.moved();
     }, { passive: false });
     canvas.addEventListener("keydown", (event) => this.key(event));
-    canvas.addEventListener("webglcontextlost", (event) => (event.preventDefault(), this.show("The graphics processor was lost; waits for it …")));
-    canvas.addEventListener("webglcontextrestored", () => this.tracer.start().then(() => this.update()).catch(fail));
+    canvas.addEventListener("webglcontextlost", (event) => {
+      event.preventDefault();
+      this.frames.held = true;
+      this.show("The graphics processor was lost; waits for it …");
+    });
+    canvas.addEventListener("webglcontextrestored", () => this.restart().catch(fail));
     new ResizeObserver(() => (this.fit(), this.frames.changed())).observe(canvas);
     element("views").addEventListener("change", (event) => this.goTo(event.target.value));
     element("fade").addEventListener("input", () => this.showTruth());
@@ -174,6 +178,14 @@ class Page {
     element("link").addEventListener("click", () => this.copyLink());
     element("picture").addEventListener("click", () => this.savePicture());
     window.addEventListener("hashchange", () => this.readLink() && this.update());
+  }
+
+  // After the graphics processor was lost, and all textures with it.
+  async restart() {
+    await this.tracer.start();
+    this.frames.speed /= 4;  // If it was lost over a frame that took too long, the next ones are smaller.
+    this.update();
+    this.frames.held = false;
   }
 
   at(event) {

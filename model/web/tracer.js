@@ -86,6 +86,7 @@ class Tracer {
 
   async start() {
     const { gl } = this, { defines } = this.scene.manifest;
+    gl.getExtension("EXT_color_buffer_float");  // It is lost with the graphics processor.
     const lines = Object.entries({ ...defines, TEXTURE_WIDTH, STACK: 2 * DEPTH + 2 }).map(([name, value]) => `#define ${name} ${value}`);
     const precision = "precision highp float;\nprecision highp int;\nprecision highp sampler2D;";
     this.tracing = await compile(gl, ["#version 300 es", precision, ...lines, this.source].join("\n"));

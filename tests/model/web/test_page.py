@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 import torch
 import trimesh
-from support.browser import Watched, open_file, running_browser, watched_page
+from support.browser import require_browser
 from support.meshes import mesh_of
 from support.synthetic import look_at, quad, synthetic_scene
 
+from benchmarks.pages.browser import Watched, open_file, running_browser, watched_page
 from datagen.data.cameras import Cameras
 from datagen.data.config import SPLITS, DatasetConfig, SplitConfig
 from datagen.data.dataset import Dataset, DatasetObject
@@ -149,6 +150,7 @@ def psnr(one: np.ndarray, other: np.ndarray) -> float:
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator["Browser"]:
+    require_browser()
     with running_browser() as browser:
         yield browser
 
@@ -223,6 +225,26 @@ def test_a_page_asks_for_nothing_and_complains_of_nothing(page: Watched) -> None
     blocked = page.page.evaluate("async () => { try { await fetch('data:,x'); } catch (error) { return 'refused'; } }")
     assert blocked == "refused"
     page.complaints.clear()  # The policy's complaint of this test's own request.
+
+
+def test_a_page_that_lost_its_graphics_processor_draws_as_before(page: Watched) -> None:
+    before = page.picture(VIEW, SIZE, 1)
+    page.evaluate(
+        """async () => {
+            const { gl, canvas } = await hyaline, lost = gl.getExtension("WEBGL_lose_context");
+            const heard = (name) => new Promise((resolve) => canvas.addEventListener(name, resolve, { once: true }));
+            const gone = heard("webglcontextlost");
+            lost.loseContext();
+            await gone;
+            await new Promise((resolve) => setTimeout(resolve, 100));
+            const back = heard("webglcontextrestored");
+            lost.restoreContext();
+            await back;
+        }"""
+    )
+    page.page.wait_for_function("async () => !(await hyaline).frames.held")
+    assert np.array_equal(page.picture(VIEW, SIZE, 1), before)
+    page.complaints.clear()  # The browser says that it lost it.
 
 
 def test_a_link_brings_back_camera_and_edits(page: Watched) -> None:

@@ -1,0 +1,106 @@
+"""A headless Chromium that opens pages from disk, and watches what they ask for and complain of."""
+
+import contextlib
+import importlib.util
+import shutil
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from datagen.disk.errors import HyalineError
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
+
+PROGRAMS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+FLAGS = (
+    "--no-sandbox",
+    "--use-gl=angle",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--ignore-gpu-blocklist",
+)
+"""A browser whose drawing is computed by the processor: the same on every machine."""
+
+PATIENCE_MS = 120_000
+"""How long a page may take to answer: it draws a frame of 512 x 512 in a quarter of that."""
+
+
+@dataclass(kw_only=True)
+class Watched:
+    """A page, and what it did besides being shown."""
+
+    page: "Page"
+    complaints: list[str] = field(default_factory=list)
+    """Errors and warnings in the console, and exceptions that nobody caught."""
+    requests: list[str] = field(default_factory=list)
+    """Addresses that were asked for, the page's own first."""
+
+    def evaluate(self, script: str, argument: object = None) -> Any:
+        """What a function of the page answers, awaited for as long as `PATIENCE_MS`."""
+        late = f"new Promise((_, no) => setTimeout(() => no(new Error('no answer')), {PATIENCE_MS}))"
+        return self.page.evaluate(f"(given) => Promise.race([({script})(given), {late}])", argument)
+
+    def picture(self, view: str, size: int, samples: int, edits: dict[str, dict[str, object]] | None = None
+                ) -> np.ndarray:  # fmt: skip
+        """The page's picture of a view of the dataset, of so many rays a pixel, after edits by object: (h, w, 3)."""
+        encoded = self.evaluate(
+            "async ([view, size, samples, edits]) => (await hyaline).picture(view, size, samples, edits)",
+            [view, size, samples, edits or {}],
+        )
+        return np.array(encoded, np.uint8).reshape(size, size, 4)[..., :3]
+
+
+def find_browser() -> str:
+    """The system's Chromium.
+
+    Raises:
+        HyalineError: there is none, or nothing to drive it with.
+    """
+    if importlib.util.find_spec("playwright") is None:
+        raise HyalineError("playwright: not installed, and it drives the browser; `pip install -e .[browser]`")
+    program = next(filter(None, map(shutil.which, PROGRAMS)), None)
+    if program is None:
+        raise HyalineError(
+            f"browser: none of {', '.join(PROGRAMS)} is there; install the system's package chromium, such as by "
+            "`apt-get install chromium`"
+        )
+    return program
+
+
+@contextlib.contextmanager
+def running_browser() -> Iterator["Browser"]:
+    """A browser, of which there may be one at a time."""
+    program = find_browser()
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=program, args=list(FLAGS))
+        try:
+            yield browser
+        finally:
+            browser.close()
+
+
+@contextlib.contextmanager
+def watched_page(browser: "Browser", *, width: int = 400, height: int = 300, dark: bool = False) -> Iterator[Watched]:
+    """An empty page."""
+    page = browser.new_page(viewport={"width": width, "height": height}, color_scheme="dark" if dark else "light")
+    try:
+        page.set_default_timeout(PATIENCE_MS)
+        watched = Watched(page=page)
+        page.on("console", lambda message: watched.complaints.append(f"{message.type}: {message.text}"))
+        page.on("pageerror", lambda error: watched.complaints.append(str(error)))
+        page.on("request", lambda request: watched.requests.append(request.url))
+        yield watched
+    finally:
+        page.close()
+
+
+def open_file(watched: Watched, path: Path) -> None:
+    """Opens a page from disk, and waits until its scene is there."""
+    watched.page.goto(path.resolve().as_uri())
+    watched.evaluate("async () => { await hyaline; }")
