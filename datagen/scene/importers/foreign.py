@@ -4,8 +4,8 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
 from jaxtyping import Float, Int
-from numpy import ndarray
 
 from datagen.scene.materials import Material
 from datagen.scene.values import Color
@@ -18,6 +18,9 @@ MAX_TRIANGLES = 4_000_000
 """Of a whole scene, each instance counted."""
 MAX_SURFACES = 20_000
 """Instances of surfaces in a file; a scene has 255 objects, or so many after --merge."""
+
+
+DRINKS = ("water", "drink", "liquid", "wine", "juice", "beer", "milk", "tea", "coffee")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,11 +67,11 @@ class ForeignObject:
     """One surface of one material, placed in the file's world."""
 
     name: str
-    positions: Float[ndarray, "vertex 3"]
-    faces: Int[ndarray, "face 3"]
+    positions: Float[np.ndarray, "vertex 3"]
+    faces: Int[np.ndarray, "face 3"]
     """Counter-clockwise seen from outside."""
-    normals: Float[ndarray, "vertex 3"] | None
-    uv: Float[ndarray, "vertex 2"] | None
+    normals: Float[np.ndarray, "vertex 3"] | None
+    uv: Float[np.ndarray, "vertex 2"] | None
     """Of the material's image; v points up."""
     material: ForeignMaterial | Material
 
@@ -82,3 +85,14 @@ class ForeignScene:
     """The axis that points up, by the format's rule or custom."""
     metres: float = 1.0
     """Metres a unit, by the format's rule; 1 where it has none."""
+
+
+def elementwise(points: np.ndarray, linear: np.ndarray, offset: np.ndarray) -> np.ndarray:
+    """linear p + offset; equal points stay equal to the last bit, as they may not in a matrix product."""
+    x, y, z = points[:, 0], points[:, 1], points[:, 2]
+    return np.stack([x * row[0] + y * row[1] + z * row[2] + at for row, at in zip(linear, offset)], axis=-1)
+
+
+def is_drink(name: str) -> bool:
+    """True for the name of a liquid."""
+    return any(word in name.lower() for word in DRINKS)

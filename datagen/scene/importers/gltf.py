@@ -14,6 +14,7 @@ from datagen.scene.importers.foreign import (
     ForeignMaterial,
     ForeignObject,
     ForeignScene,
+    elementwise,
 )
 from datagen.scene.importers.gltf_arrays import GltfArrays
 from datagen.scene.importers.gltf_draco import read_draco
@@ -182,9 +183,3 @@ def _placed(part: ForeignObject, name: str, world: np.ndarray) -> ForeignObject:
         uv=part.uv,
         material=part.material,
     )
-
-
-def elementwise(points: np.ndarray, linear: np.ndarray, offset: np.ndarray) -> np.ndarray:
-    """linear p + offset; equal points stay equal to the last bit, as they may not in a matrix product."""
-    x, y, z = points[:, 0], points[:, 1], points[:, 2]
-    return np.stack([x * row[0] + y * row[1] + z * row[2] + at for row, at in zip(linear, offset)], axis=-1)

@@ -16,6 +16,7 @@ from datagen.disk.errors import HyalineError
 from datagen.disk.os_errors import naming
 from datagen.scene.importers.fields import Fields
 from datagen.scene.importers.gltf_arrays import WIDTHS, GltfArrays
+from datagen.terminal.distribution import install_command
 
 TIMEOUT_S = 60
 
@@ -31,7 +32,7 @@ def read_draco(arrays: GltfArrays, draco: Fields, wanted: dict[str, str]) -> tup
     """
     if importlib.util.find_spec("DracoPy") is None:
         raise HyalineError(
-            f"{draco.where}: is compressed by Draco; `pip install 'hyaline[import]'` installs what reads it, "
+            f"{draco.where}: is compressed by Draco; `{install_command('import')}` brings what reads it, "
             "or export the file without compression"
         )
     ids = draco.fields("attributes")

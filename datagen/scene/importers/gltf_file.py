@@ -108,10 +108,18 @@ class GltfFile:
                 return base64.b64decode(body, validate=True)
             except (binascii.Error, ValueError) as error:
                 raise HyalineError(f"{where}: holds no base64 ({error}); export the file again") from None
+        return read_regular(self.beside(uri, where=where), at_most=MAX_FILE_BYTES)
+
+    def beside(self, uri: str, *, where: str) -> Path:
+        """The file in the folder of this one that a URI names; it may not be there.
+
+        Raises:
+            HyalineError: it leads anywhere else.
+        """
         relative = unquote(uri).removeprefix("./")
         if ":" in relative.split("/")[0]:
             raise HyalineError(f"{where}: names {shown(uri)}; expected a file in the folder of {self.path.name}")
-        return read_regular(find_file(self.path.parent, relative, where=where), at_most=MAX_FILE_BYTES)
+        return find_file(self.path.parent, relative, where=where)
 
     def _buffer(self, index: int, *, where: str) -> bytes:
         if index not in self._buffers:

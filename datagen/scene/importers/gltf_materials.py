@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from datagen.disk.errors import HyalineError
 from datagen.scene.importers.fields import Fields
-from datagen.scene.importers.foreign import ForeignImage, ForeignMaterial
+from datagen.scene.importers.foreign import ForeignImage, ForeignMaterial, is_drink
 from datagen.scene.importers.gltf_file import GltfFile
 from datagen.scene.importers.remarks import Remarks
 
@@ -25,7 +25,6 @@ IGNORED = {
     "KHR_materials_sheen": "sheen",
     "KHR_materials_specular": "a specular weight or tint",
 }
-DRINKS = ("water", "drink", "liquid", "wine", "juice", "beer", "milk", "tea", "coffee")
 MAX_PRIORITY = 9
 
 
@@ -77,7 +76,7 @@ def read_material(file: GltfFile, index: int | None, remarks: Remarks) -> tuple[
         attenuation_distance=_distance(volume),
         dispersion=0.0 if dispersion is None else max(dispersion.number("dispersion", 0.0), 0.0),
         priority=_priority(fields),
-        is_drink=any(word in name.lower() for word in DRINKS),
+        is_drink=is_drink(name),
     )
     return material, use
 
@@ -152,7 +151,11 @@ def _texture(
         return None, None
     image = file.item("images", source.integer("source"), where=entry.where)
     if "uri" in image:
-        data = file.uri(image.text("uri"), where=f"{image.where}.uri")
+        uri, where = image.text("uri"), f"{image.where}.uri"
+        if not uri.startswith("data:") and not (found := file.beside(uri, where=where)).exists():
+            remarks.approximate(name, f"has an image that is not there ({found.name}); drawn without it")
+            return None, None
+        data = file.uri(uri, where=where)
     else:
         view, _ = file.buffer_view(image.integer("bufferView"), where=image.where)
         data = bytes(view)

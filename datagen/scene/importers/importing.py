@@ -14,19 +14,30 @@ from datagen.disk.storage import sha256_file
 from datagen.scene.description import MAX_OBJECTS, OBJECT_NAME, Scene, SceneObject
 from datagen.scene.importers.apart import apart, parted
 from datagen.scene.importers.choices import ImportChoices
-from datagen.scene.importers.foreign import Axis, ForeignObject, ForeignScene
-from datagen.scene.importers.gltf import elementwise, read_gltf
+from datagen.scene.importers.foreign import Axis, ForeignObject, ForeignScene, elementwise
+from datagen.scene.importers.gltf import read_gltf
 from datagen.scene.importers.mapping import Mapper
 from datagen.scene.importers.merging import merged_by_material
+from datagen.scene.importers.obj import PLAIN, read_obj
 from datagen.scene.importers.overrides import override, parse_overrides
+from datagen.scene.importers.ply import read_ply_file
 from datagen.scene.importers.remarks import Remark, Remarks
 from datagen.scene.importers.staging import LIGHT, find_scale, has_ground, make_ground, make_rig, z_up_from
+from datagen.scene.importers.stl import read_stl
 from datagen.scene.importers.surfaces import made_sound, mesh_of, shape_of
+from datagen.scene.importers.threemf import read_3mf
 from datagen.scene.materials import Material
 from datagen.scene.mending import mend_scene, mend_surface
 from datagen.scene.soundness import check_scene
 
-READERS: dict[str, Callable[[Path, Remarks], ForeignScene]] = {".glb": read_gltf, ".gltf": read_gltf}
+READERS: dict[str, Callable[[Path, Remarks], ForeignScene]] = {
+    ".glb": read_gltf,
+    ".gltf": read_gltf,
+    ".obj": read_obj,
+    ".ply": read_ply_file,
+    ".stl": read_stl,
+    ".3mf": read_3mf,
+}
 """Readers of files by their ending."""
 
 RECORD_VERSION = 1
@@ -45,7 +56,13 @@ class Imported:
     def told(self) -> list[str]:
         """What a user is told: all approximations, notes, and how many objects there are."""
         glass = sum(item.material.is_glass for item in self.scene.objects)
-        lines = [f"{line.where}: {line.what}" for line in self.remarks]
+        wheres: dict[str, list[str]] = {}
+        for line in self.remarks:
+            wheres.setdefault(line.what, []).append(line.where)
+        lines = [
+            f"{places[0]}{f' and {len(places) - 1} more' if len(places) > 1 else ''}: {what}"
+            for what, places in wheres.items()
+        ]
         shown = lines if len(lines) <= MAX_TOLD else [*lines[:MAX_TOLD], f"... and {len(lines) - MAX_TOLD} lines more"]
         return [*shown, f"scene {self.scene.name}: {len(self.scene.objects)} objects, {glass} of them glass"]
 
@@ -126,6 +143,8 @@ def _object(
     for line in mended:
         remarks.note(name, line)
     material = chosen or part.material
+    if material is PLAIN:
+        remarks.note(name, "has no material in the file; drawn grey and matt, --material names another")
     if not isinstance(material, Material):
         material = mapper.material(material, shape_of(mesh, has_uv=part.uv is not None), where=name)
     return SceneObject(name=name, mesh=mesh, material=material)

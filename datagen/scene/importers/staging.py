@@ -47,13 +47,13 @@ LIGHT = SoftEnvironment(
 def find_scale(size: float, *, metres: float, remarks: Remarks, where: str) -> float:
     """Metres a unit for a scene of so many units: the file's own, or a guess where that makes no sense."""
     low, high = USUAL_SIZE
-    for factor, unit in ((1.0, ""), (0.01, "centimetres"), (0.001, "millimetres")):
-        if low <= size * metres * factor <= high:
-            if unit:
+    for unit, name in ((metres, ""), (1.0, "a metre"), (0.01, "a centimetre"), (0.001, "a millimetre")):
+        if low <= size * unit <= high:
+            if name:
                 remarks.approximate(
-                    where, f"would be {size * metres:.3g} m large, so its unit is taken for {unit}; --scale sets it"
+                    where, f"would be {size * metres:.3g} m large, so its unit is taken for {name}; --scale sets it"
                 )
-            return metres * factor
+            return unit
     remarks.approximate(
         where, f"would be {size * metres:.3g} m large; made {TABLE_TOP_SIZE} m large, --scale sets metres a unit"
     )

@@ -159,7 +159,6 @@ CHANGES: dict[str, Change] = {
     "an image outside of the folder": put("images", 0, value={"uri": "../../etc/passwd"}),
     "an image of a folder": put("images", 0, value={"uri": "folder"}),
     "an image of a pipe": put("images", 0, value={"uri": "pipe"}),
-    "an image that is missing": put("images", 0, value={"uri": "gone.png"}),
     "an image of bad base64": put("images", 0, value={"uri": "data:image/png;base64,@@@"}),
     "extensions that are no object": put("materials", 0, "extensions", value=[1]),
     "an extension that is null": put("materials", 0, "extensions", "KHR_materials_volume", value=None),

@@ -1,0 +1,102 @@
+"""Materials of OBJ files. Source: the MTL specification of 1995, and its physically based extension of 2013."""
+
+import math
+from pathlib import Path
+
+from datagen.disk.errors import HyalineError
+from datagen.disk.names import find_file
+from datagen.disk.reading import read_regular
+from datagen.scene.importers.foreign import MAX_FILE_BYTES, ForeignImage, ForeignMaterial, is_drink
+from datagen.scene.importers.remarks import Remarks
+from datagen.scene.importers.text_numbers import floats, lines_of
+from datagen.scene.values import Color
+
+MAX_BYTES = 1 << 24
+GLASS_MODELS = (4, 6, 7, 9)
+"""Illumination models whose transparency is glass, by their names in the specification."""
+MAX_OPAQUE = 0.9
+"""Dissolve from which on a surface is opaque."""
+USUAL_IOR = 1.5
+OPTION_VALUES = {"-blendu": 1, "-blendv": 1, "-boost": 1, "-mm": 2, "-o": 3, "-s": 3, "-t": 3, "-texres": 1,
+                 "-clamp": 1, "-bm": 1, "-imfchan": 1, "-cc": 1}  # fmt: skip
+"""How many words follow each option of an image."""
+IGNORED = {"map_bump": "a bump map", "bump": "a bump map", "norm": "a normal map", "disp": "a displacement map",
+           "map_d": "a map of opacity", "map_ks": "a map of highlights", "map_ke": "a map of glow"}  # fmt: skip
+
+Entry = dict[str, list[str]]
+
+
+def read_mtl(path: Path, remarks: Remarks) -> dict[str, ForeignMaterial]:
+    """The materials of a file by name.
+
+    Raises:
+        HyalineError: a number is none, or an image leads out of the folder.
+    """
+    entries: dict[str, Entry] = {}
+    entry: Entry = {}
+    for line in lines_of(read_regular(path, at_most=MAX_BYTES), where=str(path)):
+        words = line.split()
+        if not words or words[0].startswith("#"):
+            continue
+        if words[0] == "newmtl":
+            entry = entries.setdefault(" ".join(words[1:]), {})
+        else:
+            entry[words[0].lower()] = words[1:]
+    return {name: _material(name, entry, path, remarks) for name, entry in entries.items()}
+
+
+def _material(name: str, entry: Entry, path: Path, remarks: Remarks) -> ForeignMaterial:
+    where = f"{path}: material {name}"
+
+    def number(key: str, default: float) -> float:
+        return floats(entry[key], 1, where=f"{where}: {key}")[0] if key in entry else default
+
+    for key, what in IGNORED.items():
+        if key in entry:
+            remarks.approximate(name, f"has {what}, which is left out")
+    if "ke" in entry and max(_color(entry, "ke", (0, 0, 0), where=where)) > 0:
+        remarks.approximate(name, "glows, which is left out")
+    dissolve = number("d", 1.0 - number("tr", 0.0))
+    model = number("illum", 2.0)
+    is_glass = model in GLASS_MODELS or dissolve < MAX_OPAQUE
+    ior = number("ni", USUAL_IOR)
+    if is_glass and not 1.001 < ior < 10:
+        remarks.approximate(name, f"is glass with an index of refraction of {ior:g}; drawn with {USUAL_IOR:g}")
+    # Phong's exponent as a microfacet alpha, whose square root is the roughness.
+    glossy = math.sqrt(math.sqrt(2 / (max(number("ns", 10.0), 0.0) + 2)))
+    key, default = ("tf", (1.0, 1.0, 1.0)) if is_glass else ("kd", (0.7, 0.7, 0.7))
+    return ForeignMaterial(
+        name=name,
+        base_color=_color(entry, key, default, where=where),
+        image=None if is_glass else _image(name, entry, path, remarks),
+        metallic=min(max(number("pm", 0.0), 0.0), 1.0),
+        roughness=min(max(number("pr", 0.0 if is_glass else glossy), 0.0), 1.0),
+        transmission=1.0 if is_glass else 0.0,
+        ior=ior if 1.001 < ior < 10 else USUAL_IOR,
+        is_drink=is_drink(name),
+    )
+
+
+def _color(entry: Entry, key: str, default: tuple[float, float, float], *, where: str) -> Color:
+    if key not in entry:
+        return default
+    if entry[key][:1] in (["spectral"], ["xyz"]):
+        raise HyalineError(f"{where}: {key} is {entry[key][0]}; expected three numbers, export it with RGB colours")
+    words = entry[key] if len(entry[key]) > 1 else entry[key] * 3
+    red, green, blue = (min(max(value, 0.0), 1.0) for value in floats(words, 3, where=f"{where}: {key}"))
+    return red, green, blue
+
+
+def _image(name: str, entry: Entry, path: Path, remarks: Remarks) -> ForeignImage | None:
+    words = list(entry.get("map_kd", []))
+    if not words:
+        return None
+    while words and words[0] in OPTION_VALUES:
+        remarks.approximate(name, f"has an image with the option {words[0]}, which is left out")
+        words = words[1 + OPTION_VALUES[words[0]] :]
+    relative = " ".join(words).replace("\\", "/").removeprefix("./")
+    found = find_file(path.parent, relative, where=f"{path}: material {name}")
+    if not found.exists():
+        remarks.approximate(name, f"has an image that is not there ({found.name}); drawn without it")
+        return None
+    return ForeignImage(name=name, data=read_regular(found, at_most=MAX_FILE_BYTES))

@@ -1,0 +1,317 @@
+"""Tests that OBJ with MTL, STL, PLY and 3MF files are read, and that broken ones are refused in one line."""
+
+import io
+import math
+import struct
+import time
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from support.gltf import BOX
+
+from datagen.data.meshes import open_edges, signed_volume, write_ply
+from datagen.disk.errors import HyalineError
+from datagen.scene.importers.foreign import ForeignMaterial, ForeignObject, ForeignScene
+from datagen.scene.importers.importing import READERS
+from datagen.scene.importers.remarks import Remarks
+from datagen.scene.importers.surfaces import made_sound, mesh_of
+
+
+def read(path: Path, data: bytes | str, remarks: Remarks | None = None) -> ForeignScene:
+    path.write_bytes(data.encode() if isinstance(data, str) else data)
+    return READERS[path.suffix](path, remarks or Remarks())
+
+
+def solid_volume(item: ForeignObject) -> float:
+    mesh = mesh_of(item.positions, item.faces, item.normals, item.uv, where="x")
+    mesh = made_sound(mesh, Remarks(), where="x")
+    assert open_edges(mesh) == 0
+    return signed_volume(mesh)
+
+
+CUBE = """
+v 0 0 0
+v 1 0 0
+v 1 1 0
+v 0 1 0
+v 0 0 1
+v 1 0 1
+v 1 1 1
+v 0 1 1
+f 4 3 2 1
+f 5 6 7 8
+f 1 2 6 5
+f 2 3 7 6
+f 3 4 8 7
+f -5 -8 -4 -1
+"""
+
+
+def test_an_obj_of_quads_with_indices_from_both_ends_is_a_closed_cube(tmp_path: Path) -> None:
+    scene = read(tmp_path / "cube.obj", CUBE)
+    (item,) = scene.objects
+    assert (item.name, scene.up, len(item.faces)) == ("cube", "y", 12)
+    assert solid_volume(item) == pytest.approx(1)
+
+
+def test_an_obj_is_parted_by_objects_and_materials_and_keeps_uv_and_normals(tmp_path: Path) -> None:
+    (tmp_path / "a.mtl").write_text("newmtl red\nKd 1 0 0\nnewmtl clear\nillum 4\nNi 1.33\n")
+    text = (
+        "mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nvt 0 0\nvt 1 0\nvt 0 1\nvn 0 0 1\no first\nusemtl red\n"
+        "f 1/1/1 2/2/1 3/3/1\nusemtl clear\nf 1//1 2//1 4//1\no second\nusemtl red\nf 1 3 \\\n 4\n"
+    )
+    first, clear, second = read(tmp_path / "a.obj", text).objects
+    assert [item.name for item in (first, clear, second)] == ["first", "first", "second"]
+    assert first.uv is not None and first.normals is not None
+    np.testing.assert_array_equal(first.uv[first.faces[0]], [[0, 0], [1, 0], [0, 1]])
+    np.testing.assert_array_equal(first.positions[first.faces[0]], [[0, 0, 0], [1, 0, 0], [0, 1, 0]])
+    assert clear.uv is None and clear.normals is not None and second.normals is None
+    assert isinstance(clear.material, ForeignMaterial)
+    assert (clear.material.transmission, clear.material.ior) == (1.0, 1.33)
+
+
+def material_of(folder: Path, text: str, remarks: Remarks | None = None) -> ForeignMaterial:
+    (folder / "m.mtl").write_text(f"newmtl m\n{text}\n")
+    scene = read(folder / "a.obj", f"mtllib m.mtl\nusemtl m\n{CUBE}", remarks)
+    material = scene.objects[0].material
+    assert isinstance(material, ForeignMaterial)
+    return material
+
+
+@pytest.mark.parametrize("text", ["d 0.3", "Tr 0.5", "illum 4", "illum 6", "illum 7", "illum 9"])
+def test_what_an_mtl_calls_transparent_is_glass(text: str, tmp_path: Path) -> None:
+    material = material_of(tmp_path, f"Ni 1.62\nTf 0.9 0.8 0.7\nKd 0.2 0.2 0.2\nNs 20\n{text}")
+    assert (material.transmission, material.ior, material.roughness) == (1.0, 1.62, 0.0)
+    assert material.base_color == (0.9, 0.8, 0.7)
+
+
+def test_what_an_mtl_calls_opaque_has_its_colour_and_highlight(tmp_path: Path) -> None:
+    material = material_of(tmp_path, "Kd 0.2 0.3 0.4\nNs 98\nillum 2\nd 1")
+    assert (material.transmission, material.base_color, material.metallic) == (0.0, (0.2, 0.3, 0.4), 0.0)
+    # Of Phong's exponent n, alpha is sqrt(2 / (n + 2)).
+    assert material.roughness**2 == pytest.approx(math.sqrt(0.02))
+    assert material_of(tmp_path, "Pr 0.25\nPm 1").roughness == 0.25
+
+
+def test_glass_of_index_1_is_drawn_as_glass_and_said(tmp_path: Path) -> None:
+    remarks = Remarks()
+    assert material_of(tmp_path, "Ni 1.0\nd 0.1", remarks).ior == 1.5
+    assert [line.what for line in remarks.lines] == ["is glass with an index of refraction of 1; drawn with 1.5"]
+
+
+def test_an_image_is_found_after_its_options_and_one_outside_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "a b.png").write_bytes(b"picture")
+    assert material_of(tmp_path, "map_Kd -s 2 2 1 -clamp on a b.png").image is not None
+    remarks = Remarks()
+    assert material_of(tmp_path, "map_Kd gone.png", remarks).image is None
+    assert "not there" in remarks.lines[0].what
+    with pytest.raises(HyalineError, match="expected a file inside the folder"):
+        material_of(tmp_path, "map_Kd ../../etc/passwd")
+
+
+BALL = trimesh.creation.icosphere(2, 0.5)
+
+
+@pytest.mark.parametrize("kind", ["stl", "stl_ascii"])
+def test_an_stl_is_a_closed_solid_in_millimetres(kind: str, tmp_path: Path) -> None:
+    data = BALL.export(file_type=kind)
+    scene = read(tmp_path / "ball.stl", data)
+    assert (scene.up, scene.metres) == ("z", 0.001)
+    assert solid_volume(scene.objects[0]) == pytest.approx(BALL.volume, rel=1e-5)
+
+
+def strips_ply(order: str) -> bytes:
+    """The two sides of a sheet as two strips."""
+    points = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0], [0, 2, 0], [1, 2, 0]], np.float64)
+    strip = [0, 1, 2, 3, 4, 5, -1, 1, 0, 3, 2, 5, 4, -1]
+    kind = {"<": "binary_little_endian", ">": "binary_big_endian", "": "ascii"}[order]
+    header = (
+        f"ply\nformat {kind} 1.0\nelement vertex 6\nproperty float x\nproperty float y\nproperty float z\n"
+        "element tristrips 1\nproperty list int int vertex_indices\nend_header\n"
+    )
+    if not order:
+        rows = [" ".join(map(str, row)) for row in points.tolist()]
+        return (header + "\n".join(rows) + f"\n{len(strip)} " + " ".join(map(str, strip)) + "\n").encode()
+    numbers = np.array([len(strip), *strip], f"{order}i4").tobytes()
+    return header.encode() + points.astype(f"{order}f4").tobytes() + numbers
+
+
+@pytest.mark.parametrize("order", ["<", ">", ""])
+def test_strips_of_a_ply_are_triangles_that_look_to_the_side_of_their_strip(order: str, tmp_path: Path) -> None:
+    (item,) = read(tmp_path / "sheet.ply", strips_ply(order)).objects
+    a, b, c = np.moveaxis(item.positions[item.faces], 1, 0)
+    up = np.cross(b - a, c - a)[:, 2]
+    assert up.tolist() == [1, 1, 1, 1, -1, -1, -1, -1]
+
+
+def test_a_ply_is_read_with_its_uv(tmp_path: Path) -> None:
+    (item,) = read(tmp_path / "box.ply", write_ply(BOX)).objects
+    assert solid_volume(item) == pytest.approx(signed_volume(BOX), rel=1e-5)
+    assert item.uv is not None
+
+
+def model_3mf(model: str, name: str = "3D/3dmodel.model") -> bytes:
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as archive:
+        archive.writestr(name, model)
+    return buffer.getvalue()
+
+
+VERTICES = "".join(f'<vertex x="{x}" y="{y}" z="{z}"/>' for x, y, z in ((0, 0, 0), (9, 0, 0), (0, 9, 0), (0, 0, 9)))
+TRIANGLES = "".join(
+    f'<triangle v1="{a}" v2="{b}" v3="{c}"/>' for a, b, c in ((0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2))
+)
+MODEL = f"""<?xml version="1.0"?>
+<model unit="centimeter" xmlns="http://schemas.microsoft.com/3dmanufacturing/core/2015/02">
+<resources><basematerials id="5"><base name="red" displaycolor="#FF000080"/></basematerials>
+<object id="1" name="part" pid="5" pindex="0"><mesh>
+<vertices>{VERTICES}</vertices><triangles>{TRIANGLES}</triangles></mesh>
+</object><object id="2"><components><component objectid="1"/>
+<component objectid="1" transform="-1 0 0 0 1 0 0 0 1 20 0 0"/></components></object></resources>
+<build><item objectid="2" transform="2 0 0 0 2 0 0 0 2 0 0 5"/></build></model>"""
+
+
+def test_a_3mf_places_components_and_keeps_unit_and_colour(tmp_path: Path) -> None:
+    scene = read(tmp_path / "job.3mf", model_3mf(MODEL))
+    assert (scene.metres, scene.up, [item.name for item in scene.objects]) == (0.01, "z", ["part", "part"])
+    for item, corner in zip(scene.objects, ([0, 0, 5], [40, 0, 5]), strict=True):
+        np.testing.assert_allclose(item.positions[0], corner)
+        assert solid_volume(item) == pytest.approx(8 * 9**3 / 6)
+        assert isinstance(item.material, ForeignMaterial)
+        assert item.material.base_color == (1, 0, 0) and item.material.alpha == pytest.approx(128 / 255)
+
+
+# Broken files
+
+
+def stl(count: int, triangles: int) -> bytes:
+    return b"x" * 80 + struct.pack("<I", count) + b"\0" * (50 * triangles)
+
+
+TETRAHEDRON = b"".join(struct.pack("<12fH", *range(12), 0) for _ in range(4))
+FACE = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"
+MTL = f"mtllib m.mtl\nusemtl m\n{FACE}f 1 2 3\n"
+PLY = b"ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
+LIST = b"property list uchar int vertex_indices\nend_header\n"
+BOMB = '<!DOCTYPE m [<!ENTITY a "' + "x" * 999 + '">]><model>&a;</model>'
+Bytes = bytes | str | Callable[[], bytes]
+
+
+def changed_3mf(before: str, after: str) -> bytes:
+    assert before in MODEL
+    return model_3mf(MODEL.replace(before, after))
+
+
+BROKEN: dict[str, tuple[str, Bytes]] = {
+    "empty obj": ("a.obj", ""),
+    "obj without faces": ("a.obj", FACE),
+    "obj of binary": ("a.obj", b"\0\1\2"),
+    "obj of prose": ("a.obj", "once upon a time\nthere was a cube\n"),
+    "face of index 0": ("a.obj", FACE + "f 0 1 2\n"),
+    "face beyond the vertices": ("a.obj", FACE + "f 1 2 4\n"),
+    "face before the vertices": ("a.obj", FACE + "f -4 1 2\n"),
+    "face of huge index": ("a.obj", FACE + f"f 1 2 {10**30}\n"),
+    "face of words": ("a.obj", FACE + "f a b c\n"),
+    "face of two corners": ("a.obj", FACE + "f 1 2\n"),
+    "face of four parts": ("a.obj", FACE + "f 1/1/1/1 2 3\n"),
+    "face of no vertex": ("a.obj", FACE + "f /1 2 3\n"),
+    "face of uv that are not there": ("a.obj", FACE + "f 1/1 2/2 3/3\n"),
+    "face of normals that are not there": ("a.obj", FACE + "f 1//9 2//9 3//9\n"),
+    "face of 20,000 corners": ("a.obj", FACE + "f " + "1 2 " * 10_000 + "\n"),
+    "vertex of nan": ("a.obj", "v nan 0 0\n" + FACE + "f 1 2 3\n"),
+    "vertex of infinity": ("a.obj", "v 0 inf 0\n" + FACE + "f 1 2 3\n"),
+    "vertex of 1e999": ("a.obj", "v 0 1e999 0\n" + FACE + "f 1 2 3\n"),
+    "vertex of two numbers": ("a.obj", "v 0 1\n"),
+    "vertex of words": ("a.obj", "v x y z\n"),
+    "uv of words": ("a.obj", "vt x\n"),
+    "normal of one number": ("a.obj", "vn 1\n"),
+    "a library outside": ("a.obj", "mtllib ../m.mtl\n" + FACE + "f 1 2 3\n"),
+    "a library from the root": ("a.obj", "mtllib /etc/passwd\n" + FACE + "f 1 2 3\n"),
+    "a library that is a folder": ("a.obj", "mtllib folder\n" + FACE + "f 1 2 3\n"),
+    "a library that is a link out": ("a.obj", "mtllib link.mtl\n" + FACE + "f 1 2 3\n"),
+    "a colour of words": ("bad1/a.obj", MTL),
+    "a colour of nan": ("bad2/a.obj", MTL),
+    "a spectral colour": ("bad3/a.obj", MTL),
+    "an image from the root": ("bad4/a.obj", MTL),
+    "an empty name of a library": ("a.obj", "mtllib \n" + FACE + "f 1 2 3\n"),
+    "empty stl": ("a.stl", b""),
+    "stl of few bytes": ("a.stl", b"x" * 83),
+    "stl of 2**32 - 1 triangles": ("a.stl", stl(2**32 - 1, 1)),
+    "stl of one too many": ("a.stl", stl(3, 2)),
+    "stl of none": ("a.stl", stl(0, 0)),
+    "stl of nan": ("a.stl", stl(1, 0) + b"\xff" * 50),
+    "text stl that is cut off": ("a.stl", "solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\n"),
+    "text stl of words": ("a.stl", "solid a\n" + "vertex x y z\n" * 3 + "endfacet\nendsolid\n"),
+    "empty ply": ("a.ply", b""),
+    "ply of nothing": ("a.ply", b"ply\nend_header\n"),
+    "ply of points": ("a.ply", PLY + b"end_header\n0 0 0\n1 0 0\n0 1 0\n"),
+    "ply that is cut off": ("a.ply", PLY + b"element face 2\n" + LIST + b"0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n"),
+    "ply beyond its vertices": ("a.ply", PLY + b"element face 1\n" + LIST + b"0 0 0\n1 0 0\n0 1 0\n3 0 1 7\n"),
+    "ply of nan": ("a.ply", PLY + b"element face 1\n" + LIST + b"0 0 nan\n1 0 0\n0 1 0\n3 0 1 2\n"),
+    "strips that are cut off": ("a.ply", lambda: strips_ply("<")[:-9]),
+    "strips without vertices": ("a.ply", lambda: strips_ply("<").replace(b"vertex 6", b"vertex 0")),
+    "strips of many vertices": ("a.ply", lambda: strips_ply("<").replace(b"vertex 6", b"vertex 999999999")),
+    "strips of unknown numbers": ("a.ply", lambda: strips_ply("<").replace(b"float x", b"quark x")),
+    "strips of words": ("a.ply", lambda: strips_ply("").replace(b" -1", b" no")),
+    "empty 3mf": ("a.3mf", b""),
+    "3mf of no archive": ("a.3mf", b"PK\3\4 and then nothing"),
+    "3mf without a model": ("a.3mf", lambda: model_3mf(MODEL, "thumbnail.png")),
+    "3mf that is cut off": ("a.3mf", lambda: model_3mf(MODEL)[:-40]),
+    "3mf of half an XML": ("a.3mf", lambda: model_3mf(MODEL[:-30])),
+    "3mf with a document type": ("a.3mf", lambda: model_3mf(BOMB)),
+    "3mf that builds nothing": ("a.3mf", changed_3mf("<item", "<nothing")),
+    "3mf of an object in itself": ("a.3mf", changed_3mf('t objectid="1"/', 't objectid="2"/')),
+    "3mf of an object that is not there": ("a.3mf", changed_3mf('m objectid="2"', 'm objectid="7"')),
+    "3mf of eleven numbers": ("a.3mf", changed_3mf("2 0 0 0 2 0 0 0 2 0 0 5", "2 0 0 0 2 0 0 0 2 0 0")),
+    "3mf that is flat": ("a.3mf", changed_3mf("2 0 0 0 2 0 0 0 2 0 0 5", "2 0 0 0 2 0 0 0 0 0 0 5")),
+    "3mf beyond its vertices": ("a.3mf", changed_3mf('v1="0"', 'v1="4"')),
+    "3mf of a vertex below 0": ("a.3mf", changed_3mf('v1="0"', 'v1="-1"')),
+    "3mf of a word for x": ("a.3mf", changed_3mf('x="9"', 'x="nine"')),
+    "3mf of a colour that is none": ("a.3mf", changed_3mf("#FF000080", "#red")),
+    "3mf of several parts": ("a.3mf", changed_3mf('<item ', '<item p:path="/3D/b.model" xmlns:p="p" ')),
+}  # fmt: skip
+
+LIBRARIES = {
+    "bad1": "Kd red green blue",
+    "bad2": "Kd nan 0 0",
+    "bad3": "Kd spectral a.rfl",
+    "bad4": "map_Kd /etc/passwd",
+}
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_a_broken_file_is_refused_in_one_line(name: str, tmp_path: Path) -> None:
+    root = tmp_path / "in"
+    for folder, text in LIBRARIES.items():
+        (root / folder).mkdir(parents=True)
+        (root / folder / "m.mtl").write_text(f"newmtl m\n{text}\n")
+    (root / "folder").mkdir()
+    (tmp_path / "m.mtl").write_text("newmtl m\n")
+    (root / "link.mtl").symlink_to(tmp_path / "m.mtl")
+    file, data = BROKEN[name]
+    began = time.process_time()
+    with pytest.raises(HyalineError) as refused:
+        read(root / file, data() if callable(data) else data)
+    assert time.process_time() - began < 2
+    assert "\n" not in str(refused.value) and "root:" not in str(refused.value)
+
+
+def test_no_byte_that_is_changed_makes_a_reader_fail_otherwise(tmp_path: Path) -> None:
+    seeds = {
+        "a.obj": CUBE.encode(), "a.stl": BALL.export(file_type="stl"), "b.stl": BALL.export(file_type="stl_ascii"),
+        "a.ply": strips_ply("<"), "b.ply": strips_ply(""), "a.3mf": model_3mf(MODEL),
+    }  # fmt: skip
+    random = np.random.default_rng(0)
+    for name, data in seeds.items():
+        raw = data.encode() if isinstance(data, str) else data
+        for _ in range(60):
+            changed = bytearray(raw)
+            changed[random.integers(min(len(raw), 1500))] = random.integers(256)
+            try:
+                read(tmp_path / name, bytes(changed))
+            except HyalineError as error:
+                assert "\n" not in str(error)
