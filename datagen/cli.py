@@ -18,7 +18,7 @@ from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.finding import DATA_ROOT, build_command, find_dataset
 from datagen.data.geometries import check_geometry
 from datagen.data.layer_writing import check_settings
-from datagen.data.paths import TRUTH, LayerKind
+from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
 from datagen.scene.importers.choices import ImportChoices
 from datagen.terminal.command import choose, fail, next_command, run, say, tell, unwrap_help
@@ -52,9 +52,7 @@ def main() -> None:
 def build(
     scene: str = "glass_table",
     preset: str = "demo",
-    layers: tuple[LayerKind, ...] = ("straight",),
     num_layers: int = 8,
-    rays: int = 4,
     out: Path | None = None,
     seed: int = 0,
     workers: int = 1,
@@ -79,10 +77,7 @@ def build(
     Args:
         scene: A name that `datagen scenes` lists, a folder with a scene.json, or a file that `datagen import` reads.
         preset: tiny, demo, standard or paper.
-        layers: Kinds of layers to peel: straight, light-path (which follows light through the glass) or both.
-        num_layers: Layers kept per ray, vertices kept per branch of a light path; the share of rays with more is
-            reported.
-        rays: light-path: rays per pixel, a square number.
+        num_layers: Layers kept per ray; the share of rays with more is reported.
         out: Where the dataset goes; data/SCENE unless given.
         seed: Fixes cameras and noise; the same seed gives the same bytes.
         workers: Processes that render side by side; the bytes do not depend on it.
@@ -112,9 +107,7 @@ def build(
     _check_parts(shard, launch, overwrite=overwrite, edit=edit)
     if edit or dataset is not None:
         given = {
-            "layers": layers != ("straight",),
             "num-layers": num_layers != 8,
-            "rays": rays != 4,
             "seed": seed != 0,
             "ceiling": ceiling is not None,
             "views": views is not None,
@@ -137,9 +130,7 @@ def build(
                 "--dataset: goes with --edit, --angle-splits or --super-resolution; a new one takes --scene"
             )
         _check_build(
-            layers=("straight",),
             num_layers=8,
-            rays=4,
             workers=workers,
             scales=super_resolution,
             scaled_views=super_resolution_views,
@@ -165,9 +156,7 @@ def build(
         test_spp=test_spp,
     )
     _check_build(
-        layers=layers,
         num_layers=num_layers,
-        rays=rays,
         workers=workers,
         scales=super_resolution,
         scaled_views=super_resolution_views,
@@ -195,32 +184,24 @@ def build(
         send_off(sys.argv[1:], root, launch, workers=workers)
     part = None if shard is None else parse_shard(shard)
     made = build_dataset(
-        description,
-        root,
-        config,
-        kinds=layers,
-        num_layers=num_layers,
-        rays=rays,
-        workers=workers,
-        overwrite=overwrite,
-        shard=part,
+        description, root, config, num_layers=num_layers, workers=workers, overwrite=overwrite, shard=part
     )
     if part is None:
-        _say_all(summary(made, TRUTH, layers))
+        _say_all(summary(made, TRUTH))
     _build_more(
         made, angles=angle_splits, scales=super_resolution, views=super_resolution_views, workers=workers, shard=part
     )
     peel_variants(made, workers=workers, shard=part)
     tell(str(root))
     if part is not None:
-        missing, total = count_missing(made, layers)
+        missing, total = count_missing(made)
         if missing:
             say(
                 f"{root}: part {part} is done; {missing} of {total} pictures and layers are for the other parts to make"
             )
             return
         say(f"{root}: part {part} is done, and with it the dataset")
-        _say_all(summary(made, TRUTH, layers))
+        _say_all(summary(made, TRUTH))
     next_command(after_build(made))
 
 
@@ -254,19 +235,12 @@ def import_file(
 
 
 def _check_build(
-    *,
-    layers: tuple[LayerKind, ...],
-    num_layers: int,
-    rays: int,
-    workers: int,
-    scales: tuple[int, ...],
-    scaled_views: int | None,
-    test_views: int,
+    *, num_layers: int, workers: int, scales: tuple[int, ...], scaled_views: int | None, test_views: int
 ) -> None:
     """Refuses numbers that cannot be before anything is modelled."""
     from datagen.build.plan_variant import MAX_SCALE
 
-    check_settings(num_layers=num_layers, rays=rays, workers=workers, kinds=layers)
+    check_settings(num_layers=num_layers, workers=workers)
     for scale in scales:
         if not 2 <= scale <= MAX_SCALE:
             raise HyalineError(f"super_resolution: is {scale}; expected 2 to {MAX_SCALE} times the dataset's size")
@@ -347,7 +321,7 @@ def _build_edit(base: Dataset, edit: tuple[str, ...], *, workers: int, overwrite
 
     plan = plan_edit(base, tuple(map(parse_edit, edit)))
     edited = build_variant(base, plan, workers=workers, overwrite=overwrite)
-    _say_all(summary(edited, TRUTH, ("straight",)))
+    _say_all(summary(edited, TRUTH))
     tell(str(edited.root))
     next_command(after_edit(base, edited))
 
@@ -355,9 +329,7 @@ def _build_edit(base: Dataset, edit: tuple[str, ...], *, workers: int, overwrite
 def peel(
     dataset: str | None = None,
     geometry: str = TRUTH,
-    layers: tuple[LayerKind, ...] = ("straight",),
     num_layers: int = 8,
-    rays: int = 4,
     workers: int = 1,
     overwrite: bool = False,
 ) -> None:
@@ -367,9 +339,7 @@ def peel(
         dataset: A dataset's folder or its name under data/; the only one there unless given. May stand first, without
             the flag.
         geometry: truth, or a kind of proxy that `proxies make` has made.
-        layers: Kinds of layers to peel: straight, light-path (which follows light through the glass) or both.
-        num_layers: Layers kept per ray, vertices kept per branch of a light path.
-        rays: light-path: rays per pixel, a square number.
+        num_layers: Layers kept per ray.
         workers: Processes that peel side by side.
         overwrite: Peel again what is there.
     """
@@ -377,10 +347,10 @@ def peel(
     from datagen.build.build_variant import peel_variants
 
     opened = open_dataset(find_dataset(dataset))
-    check_settings(num_layers=num_layers, rays=rays, workers=workers, kinds=layers)
+    check_settings(num_layers=num_layers, workers=workers)
     check_geometry(opened, geometry)
-    peel_dataset(opened, geometry, kinds=layers, num_layers=num_layers, rays=rays, overwrite=overwrite, workers=workers)
-    _say_all(summary(opened, geometry, layers))
+    peel_dataset(opened, geometry, num_layers=num_layers, overwrite=overwrite, workers=workers)
+    _say_all(summary(opened, geometry))
     peel_variants(opened, workers=workers)
     tell(str(opened.root))
     next_command(after_layers(opened, geometry))

@@ -10,7 +10,7 @@ from datagen.data.advice import after_layers
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.finding import DATA_ROOT, build_command, find_dataset, list_datasets
 from datagen.data.layer_writing import check_settings
-from datagen.data.paths import TRUTH, LayerKind
+from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
 from datagen.terminal.command import choose, fail, next_command, run, say
 
@@ -36,9 +36,7 @@ def make(
     assign: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = (),
     rest: str = TRUTH,
     name: str = "mixed",
-    layers: tuple[LayerKind, ...] = ("straight",),
     num_layers: int = 8,
-    rays: int = 4,
     workers: int = 1,
     overwrite: bool = False,
 ) -> None:
@@ -56,9 +54,7 @@ def make(
             fit a pattern such as 'fern*'. KIND is one of the above, noise-0.02, or truth.
         rest: With --assign: the kind of all other objects.
         name: With --assign: the geometry's name, mixed or mixed-SOMETHING.
-        layers: Kinds of layers to peel: straight, light-path or both.
-        num_layers: Layers kept per ray, vertices kept per branch of a light path.
-        rays: light-path: rays per pixel, a square number.
+        num_layers: Layers kept per ray.
         workers: Processes that peel side by side.
         overwrite: Make proxies and layers anew where they stand already.
     """
@@ -69,7 +65,7 @@ def make(
     if not assign and (rest, name) != (TRUTH, "mixed"):
         raise HyalineError(f"--rest {rest} --name {name}: nothing is mixed; they go with --assign OBJECT=KIND")
     one_kind = _one_kind(kind, amount)
-    check_settings(num_layers=num_layers, rays=rays, workers=workers, kinds=layers)
+    check_settings(num_layers=num_layers, workers=workers)
     datasets = _datasets(dataset)
     from datagen.build.build_variant import peel_variants
 
@@ -82,15 +78,7 @@ def make(
         if not is_new:
             say(f"{opened.root}: keeps its {spec.geometry} proxies; --overwrite makes them anew")
         _print_table(opened, spec.geometry, read_reports(opened, spec.geometry))
-        peel_dataset(
-            opened,
-            spec.geometry,
-            kinds=layers,
-            num_layers=num_layers,
-            rays=rays,
-            overwrite=overwrite,
-            workers=workers,
-        )
+        peel_dataset(opened, spec.geometry, num_layers=num_layers, overwrite=overwrite, workers=workers)
         peel_variants(opened, workers=workers)
     next_command(after_layers(datasets[0], specs[0].geometry))
 

@@ -159,7 +159,6 @@ def loaded_after(statement: str) -> set[str]:
     [
         "datagen.data.dataset",
         "datagen.data.layers",
-        "datagen.trace.light_path_layers",
         "datagen.scene.description",
         "datagen.data.meshes",
     ],

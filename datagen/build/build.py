@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from datagen.build.jobs import PeelJob, RenderJob, Task, TraceJob, peel_task, render_task, trace_task
+from datagen.build.jobs import PeelJob, RenderJob, Task, peel_task, render_task
 from datagen.build.shards import Shard, own_tasks
 from datagen.data.cameras import Cameras
 from datagen.data.clear import clear_dataset
@@ -15,14 +15,9 @@ from datagen.data.config import SPLITS, DatasetConfig, Split, config_difference,
 from datagen.data.dataset import Dataset, DatasetObject, head_files
 from datagen.data.dataset_head import dataset_files, head_contents, view_files, write_head
 from datagen.data.geometries import geometry_hash
-from datagen.data.layer_store import (
-    Head,
-    LayersHead,
-    LightPathsHead,
-    record_path_of_layers,
-)
+from datagen.data.layer_store import record_path_of_layers
 from datagen.data.layer_writing import check_settings, create_layers
-from datagen.data.paths import TRUTH, LayerKind, layers_root
+from datagen.data.paths import TRUTH, layers_root
 from datagen.disk.errors import DamagedError, HyalineError, WorkerKilledError
 from datagen.disk.ownership import DATASET, LAYERS, holding, is_ours, refuse_taken, remove_files
 from datagen.disk.promises import check_files
@@ -32,7 +27,6 @@ from datagen.scene.description import Scene
 from datagen.scene.folder import scene_files
 from datagen.scene.rig import make_cameras
 from datagen.terminal.command import say, this_command, track
-from datagen.trace.light_path_layers import NUM_BRANCHES, create_light_paths
 
 
 def build_dataset(
@@ -40,40 +34,33 @@ def build_dataset(
     root: Path,
     config: DatasetConfig,
     *,
-    kinds: tuple[LayerKind, ...],
     num_layers: int,
     workers: int,
     overwrite: bool,
-    rays: int = 4,
     shard: Shard | None = None,
 ) -> Dataset:
     """Renders and peels every view that is not there yet, or those of one part.
 
     The bytes depend on scene and configuration alone: not on workers, threads, order, parts, or how often it was
-    stopped. `kinds`, `num_layers` and `rays` are those of `peel_dataset`.
+    stopped. `num_layers` are kept of each ray.
 
     Raises:
         HyalineError: something else stands at `root`, or another process writes there.
     """
-    check_settings(num_layers=num_layers, rays=rays, workers=workers, kinds=kinds)
+    check_settings(num_layers=num_layers, workers=workers)
     if config.train.views < 1:
         raise HyalineError(f"views: are {config.train.views}; expected at least 1 training view")
     with holding(root, DATASET, shared=shard is not None):
         cameras = make_cameras(scene.cameras, config)
         dataset = open_or_start(scene, root, config, cameras, overwrite=overwrite)
         meshes_hash = geometry_hash(dataset, TRUTH)
-        for kind in kinds:
-            # Now, so that a dataset that is stopped while it renders says which layers it is to have.
-            with holding(layers_root(root, TRUTH, kind), LAYERS, within=root, shared=shard is not None):
-                _start_layers(
-                    dataset, TRUTH, kind, meshes_hash, num_layers=num_layers, rays=rays, overwrite=False, shard=shard
-                )
+        # Now, so that a dataset that is stopped while it renders says which layers it is to have.
+        with holding(layers_root(root, TRUTH), LAYERS, within=root, shared=shard is not None):
+            _start_layers(dataset, TRUTH, meshes_hash, num_layers=num_layers, overwrite=False, shard=shard)
         if shard is None and not dataset.view("train", 0).is_built:
             _say_slits(scene, cameras)
         render_dataset(dataset, workers=workers, shard=shard)
-    peel_dataset(
-        dataset, TRUTH, kinds=kinds, num_layers=num_layers, rays=rays, overwrite=False, workers=workers, shard=shard
-    )
+    peel_dataset(dataset, TRUTH, num_layers=num_layers, overwrite=False, workers=workers, shard=shard)
     return dataset
 
 
@@ -103,78 +90,48 @@ def render_dataset(dataset: Dataset, *, workers: int, shard: Shard | None = None
 
 
 def peel_dataset(
-    dataset: Dataset,
-    geometry: str,
-    *,
-    kinds: tuple[LayerKind, ...],
-    num_layers: int,
-    overwrite: bool,
-    rays: int = 4,
-    workers: int = 1,
-    shard: Shard | None = None,
+    dataset: Dataset, geometry: str, *, num_layers: int, overwrite: bool, workers: int = 1, shard: Shard | None = None
 ) -> None:
-    """Peels every view of a geometry, or those of one part, that is not peeled yet.
-
-    Args:
-        num_layers: straight layers kept of each ray, vertices kept of each branch of a light path.
-        rays: light paths of each pixel, a square number.
+    """Peels every view of a geometry, or those of one part, that is not peeled yet, into `num_layers` of each ray.
 
     Raises:
         HyalineError: the geometry does not exist, or was peeled with other settings.
     """
-    check_settings(num_layers=num_layers, rays=rays, workers=workers, kinds=kinds)
+    check_settings(num_layers=num_layers, workers=workers)
     meshes_hash = geometry_hash(dataset, geometry)
-    for kind in kinds:
-        root = layers_root(dataset.root, geometry, kind)
-        with holding(root, LAYERS, within=dataset.root, shared=shard is not None):
-            _start_layers(
-                dataset, geometry, kind, meshes_hash, num_layers=num_layers, rays=rays, overwrite=overwrite, shard=shard
-            )
-            tasks = own_tasks(shard, _tasks(dataset))
-            missing = [task for task in tasks if not _is_peeled(dataset, geometry, kind, task)]
-            if missing and kind == "light-path":
-                _require_vectorised()
-            if missing:
-                arguments = (dataset.root, geometry)
-                if kind == "straight":
-                    finished = in_workers(peel_task, missing, workers, PeelJob, arguments)
-                else:
-                    finished = in_workers(trace_task, missing, workers, TraceJob, arguments)
-                is_made = functools.partial(_is_peeled, dataset, geometry, kind)
-                done = len(tasks) - len(missing)
-                with _told_missing(missing, is_made, where=f"{root}: peel"):
-                    for _ in track(finished, label=f"peel {geometry} {kind}", total=len(tasks), done=done):
-                        pass
+    root = layers_root(dataset.root, geometry)
+    with holding(root, LAYERS, within=dataset.root, shared=shard is not None):
+        _start_layers(dataset, geometry, meshes_hash, num_layers=num_layers, overwrite=overwrite, shard=shard)
+        is_made = functools.partial(_is_peeled, dataset, geometry)
+        tasks = own_tasks(shard, _tasks(dataset))
+        missing = [task for task in tasks if not is_made(task)]
+        if not missing:
+            return
+        finished = in_workers(peel_task, missing, workers, PeelJob, (dataset.root, geometry))
+        done = len(tasks) - len(missing)
+        with _told_missing(missing, is_made, where=f"{root}: peel"):
+            for _ in track(finished, label=f"peel {geometry}", total=len(tasks), done=done):
+                pass
 
 
 def _start_layers(
-    dataset: Dataset,
-    geometry: str,
-    kind: LayerKind,
-    meshes_hash: str,
-    *,
-    num_layers: int,
-    rays: int,
-    overwrite: bool,
-    shard: Shard | None,
+    dataset: Dataset, geometry: str, meshes_hash: str, *, num_layers: int, overwrite: bool, shard: Shard | None
 ) -> None:
     """Sees to it that a store of these settings stands there, without views or with some; the caller holds it."""
-    root = layers_root(dataset.root, geometry, kind)
-    is_started = not overwrite and _is_started(dataset, geometry, kind, meshes_hash, num_layers=num_layers, rays=rays)
-    if not is_started and kind == "light-path":
-        _require_vectorised()
+    root = layers_root(dataset.root, geometry)
+    is_started = not overwrite and _is_started(dataset, geometry, meshes_hash, num_layers=num_layers)
     if shard is None:
         if overwrite and is_ours(root, LAYERS):
             # Views that verify under the new head are kept, unless all are asked for anew.
             remove_files(root, [record_path_of_layers(Path(), *task).as_posix() for task in _tasks(dataset)])
-        _start(dataset, geometry, kind, meshes_hash, num_layers=num_layers, rays=rays, replace=not is_started)
+        create_layers(dataset, geometry, num_layers=num_layers, geometry_hash=meshes_hash, replace=not is_started)
     elif not is_started:
-        _start_beside_others(dataset, geometry, kind, meshes_hash, num_layers=num_layers, rays=rays)
+        _start_beside_others(dataset, geometry, meshes_hash, num_layers=num_layers)
 
 
-def _is_peeled(dataset: Dataset, geometry: str, kind: LayerKind, task: Task) -> bool:
+def _is_peeled(dataset: Dataset, geometry: str, task: Task) -> bool:
     try:
-        return dataset.layer_store(geometry, kind).is_peeled(*task)
+        return dataset.layer_store(geometry).is_peeled(*task)
     except HyalineError:
         return False
 
@@ -191,21 +148,15 @@ def _told_missing(tasks: list[Task], is_made: Callable[[Task], bool], *, where: 
         ) from None
 
 
-def summary(dataset: Dataset, geometry: str, kinds: tuple[LayerKind, ...]) -> list[str]:
+def summary(dataset: Dataset, geometry: str) -> list[str]:
     """What was made, in a few lines: noise ceilings, rays that were cut off."""
     splits: list[Split] = [split for split in dataset.splits if dataset.config.split(split).views]
     lines = [f"noise ceiling {split}: {dataset.noise_ceiling_db(split):.1f} dB" for split in splits]
-    for kind in kinds:
-        head = dataset.layer_store(geometry, kind).head
-        match head:
-            case LayersHead():
-                what = f"rays with more than {head.num_layers} hits"
-            case LightPathsHead():
-                what = f"rays with a branch given up after {head.max_depth} surfaces"
-        for split in splits:
-            views = range(dataset.config.split(split).views)
-            shares = [dataset.layer_store(geometry, kind).record(split, view).overflow_share for view in views]
-            lines.append(f"{what} {split}: {100 * float(np.mean(shares)):.2f} %")
+    store = dataset.layer_store(geometry)
+    for split in splits:
+        shares = [store.record(split, view).overflow_share for view in range(dataset.config.split(split).views)]
+        share = 100 * float(np.mean(shares))
+        lines.append(f"rays with more than {store.head.num_layers} hits {split}: {share:.2f} %")
     return lines
 
 
@@ -243,87 +194,37 @@ def open_or_start(
     return dataset
 
 
-def _is_started(
-    dataset: Dataset, geometry: str, kind: LayerKind, meshes_hash: str, *, num_layers: int, rays: int
-) -> bool:
+def _is_started(dataset: Dataset, geometry: str, meshes_hash: str, *, num_layers: int) -> bool:
     """True when a store of these settings stands there; of other ones it is an error."""
-    root = layers_root(dataset.root, geometry, kind)
+    root = layers_root(dataset.root, geometry)
     if not (root / "layers.json").is_file():
         return False
     try:
-        head = dataset.layer_store(geometry, kind).head
+        head = dataset.layer_store(geometry).head
     except DamagedError as error:
         say(f"{error}; makes it again")
         return False
-    if difference := _settings_difference(head, num_layers=num_layers, rays=rays):
-        raise HyalineError(f"{root}: was {difference}")
+    if head.num_layers != num_layers:
+        raise HyalineError(
+            f"{root}: was peeled into {head.num_layers} layers, not {num_layers}; pass --overwrite, or "
+            f"--num-layers {head.num_layers}"
+        )
     if head.geometry != meshes_hash:
         say(f"{root}: the geometry has changed since it was peeled; peels it again")
     return head.geometry == meshes_hash
 
 
-def _start(
-    dataset: Dataset,
-    geometry: str,
-    kind: LayerKind,
-    meshes_hash: str,
-    *,
-    num_layers: int,
-    rays: int,
-    replace: bool = False,
-) -> None:
-    if kind == "straight":
-        create_layers(dataset, geometry, num_layers=num_layers, geometry_hash=meshes_hash, replace=replace)
-    else:
-        create_light_paths(
-            dataset,
-            geometry,
-            num_branches=NUM_BRANCHES,
-            max_vertices=num_layers,
-            samples=rays,
-            geometry_hash=meshes_hash,
-            replace=replace,
-        )
-
-
-def _start_beside_others(
-    dataset: Dataset, geometry: str, kind: LayerKind, meshes_hash: str, *, num_layers: int, rays: int
-) -> None:
+def _start_beside_others(dataset: Dataset, geometry: str, meshes_hash: str, *, num_layers: int) -> None:
     """Starts a store that other processes may be starting too; what stands there is never deleted.
 
     Raises:
         HyalineError: a store of another geometry stands there, or another process has started one of other settings.
     """
-    root = layers_root(dataset.root, geometry, kind)
-    _start(dataset, geometry, kind, meshes_hash, num_layers=num_layers, rays=rays)
-    if not _is_started(dataset, geometry, kind, meshes_hash, num_layers=num_layers, rays=rays):
+    root = layers_root(dataset.root, geometry)
+    create_layers(dataset, geometry, num_layers=num_layers, geometry_hash=meshes_hash)
+    if not _is_started(dataset, geometry, meshes_hash, num_layers=num_layers):
         raise HyalineError(f"{root}: holds layers of another geometry; build without --shard, which replaces them")
-    check_files(root, dataset.layer_store(geometry, kind).head.files)
-
-
-def _require_vectorised() -> None:
-    """Says here what workers would say later, when an empty store has replaced what was there."""
-    from datagen.machine.mitsuba_variant import use_mitsuba
-
-    if use_mitsuba(quiet=True).startswith("scalar"):
-        raise HyalineError(
-            "light paths: Mitsuba runs as scalar_rgb, which cannot trace them; "
-            "`datagen doctor` names the libLLVM to install"
-        )
-
-
-def _settings_difference(head: Head, *, num_layers: int, rays: int) -> str | None:
-    """How a store was made that was not made as asked, and the way out."""
-    match head:
-        case LayersHead(num_layers=stored) if stored != num_layers:
-            return f"peeled into {stored} layers, not {num_layers}; pass --overwrite, or --num-layers {stored}"
-        case LightPathsHead(max_vertices=stored) if stored != num_layers:
-            return f"traced to {stored} vertices, not {num_layers}; pass --overwrite, or --num-layers {stored}"
-        case LightPathsHead(samples=stored) if stored != rays:
-            return f"traced with {stored} rays a pixel, not {rays}; pass --overwrite, or --rays {stored}"
-        case LightPathsHead(num_branches=stored) if stored != NUM_BRANCHES:
-            return f"traced in {stored} branches, which are now {NUM_BRANCHES}; pass --overwrite"
-    return None
+    check_files(root, dataset.layer_store(geometry).head.files)
 
 
 def _tasks(dataset: Dataset) -> list[Task]:

@@ -9,7 +9,6 @@ from datagen.data.config import config_difference
 from datagen.data.dataset import Dataset, SceneEdit, Variant, head_files, open_dataset
 from datagen.data.dataset_head import dataset_files, head_contents, view_files, write_head
 from datagen.data.geometries import list_geometries, read_assignment, read_meshes, read_proxy_records, write_proxies
-from datagen.data.layer_store import LayersHead
 from datagen.data.meshes import Mesh, is_there, no_mesh, write_ply
 from datagen.data.paths import TRUTH, geometry_root, layers_root
 from datagen.data.variants import list_variants, open_variant, variant_root
@@ -42,7 +41,7 @@ def build_variant(
 
 
 def peel_variants(base: Dataset, *, workers: int, shard: Shard | None = None) -> None:
-    """Peels what is missing in every variant, of each geometry that has straight layers in the dataset itself."""
+    """Peels what is missing in every variant, of each geometry that has layers in the dataset itself."""
     for name in list_variants(base.root):
         variant = open_variant(base, name)
         if shard is None or variant.edit is None:  # Edits are made by one machine.
@@ -50,22 +49,20 @@ def peel_variants(base: Dataset, *, workers: int, shard: Shard | None = None) ->
 
 
 def _peel(base: Dataset, variant: Dataset, *, workers: int, shard: Shard | None) -> None:
-    """Peels as many straight layers of each geometry as the base has of it."""
+    """Peels as many layers of each geometry as the base has of it."""
     for geometry in list_geometries(base):
-        if not (layers_root(base.root, geometry, "straight") / "layers.json").is_file():
+        if not (layers_root(base.root, geometry) / "layers.json").is_file():
             continue
         if variant.edit is not None and geometry != TRUTH:
             with holding(geometry_root(variant.root, geometry), PROXIES, within=variant.root):
                 _write_proxies(base, variant, variant.edit, geometry)
-        head = base.layer_store(geometry).head
-        assert isinstance(head, LayersHead)
-        stands = (layers_root(variant.root, geometry, "straight") / "layers.json").is_file()
-        is_other = stands and variant.layer_store(geometry).head.num_layers != head.num_layers  # pyright: ignore
+        num_layers = base.layer_store(geometry).head.num_layers
+        stands = (layers_root(variant.root, geometry) / "layers.json").is_file()
+        is_other = stands and variant.layer_store(geometry).head.num_layers != num_layers
         peel_dataset(
             variant,
             geometry,
-            kinds=("straight",),
-            num_layers=head.num_layers,
+            num_layers=num_layers,
             overwrite=is_other and shard is None,
             workers=workers,
             shard=shard,

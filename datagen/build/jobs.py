@@ -1,4 +1,4 @@
-"""What is done for one view of a dataset: rendered, peeled or traced, and committed. Runs in workers."""
+"""What is done for one view of a dataset: rendered or peeled, and committed. Runs in workers."""
 
 from pathlib import Path
 
@@ -7,11 +7,8 @@ from datagen.data.config import Split
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.dataset_head import commit_view
 from datagen.data.geometries import read_meshes
-from datagen.data.layer_store import LayersHead
 from datagen.data.layer_writing import write_layers
-from datagen.scene.description import Scene
 from datagen.scene.folder import load_scene
-from datagen.trace.light_path_layers import read_light_paths_head, trace_view, write_light_paths
 
 Task = tuple[Split, int]
 
@@ -70,42 +67,14 @@ class PeelJob:
         self.dataset, self.geometry = open_dataset(root), geometry
         self.cameras = _all_cameras(self.dataset)
         self.peeler = Peeler(read_meshes(self.dataset, geometry))
-        head = self.dataset.layer_store(geometry).head
-        assert isinstance(head, LayersHead)
-        self.num_layers = head.num_layers
+        self.num_layers = self.dataset.layer_store(geometry).head.num_layers
 
 
 def peel_task(job: PeelJob, task: Task) -> None:
-    """Peels one view into straight layers and commits them."""
+    """Peels one view into layers and commits them."""
     split, view = task
     layers, overflow_share = job.peeler.peel(job.cameras[split], view, job.num_layers)
     write_layers(job.dataset, job.geometry, split, view, layers, overflow_share=overflow_share)
-
-
-class TraceJob:
-    """What a worker keeps between the views of which it traces the light paths."""
-
-    def __init__(self, threads: int, root: Path, geometry: str) -> None:
-        from datagen.machine.mitsuba_variant import use_mitsuba
-        from datagen.trace.light_path import LightPathTracer
-
-        use_mitsuba(quiet=True, threads=threads)
-        self.dataset, self.geometry = open_dataset(root), geometry
-        self.cameras = _all_cameras(self.dataset)
-        materials = tuple(item.material for item in _scene_of(self.dataset).objects)
-        self.tracer = LightPathTracer(read_meshes(self.dataset, geometry), materials)
-        self.head = read_light_paths_head(self.dataset, geometry)
-
-
-def trace_task(job: TraceJob, task: Task) -> None:
-    """Traces one view's light paths and commits them."""
-    split, view = task
-    blocks = trace_view(job.tracer, job.cameras[split], view, job.head)
-    write_light_paths(job.dataset, job.geometry, split, view, blocks)
-
-
-def _scene_of(dataset: Dataset) -> Scene:
-    return load_scene(dataset.home.root / "scene", is_sealed=True)
 
 
 def _all_cameras(dataset: Dataset) -> dict[Split, Cameras]:

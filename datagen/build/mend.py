@@ -16,8 +16,7 @@ from datagen.build.verify import check_is_there, is_good, list_obstacles
 from datagen.data.cameras import TRANSFORMS_FILES, transforms_bytes
 from datagen.data.dataset import Dataset, head_files, open_dataset
 from datagen.data.geometries import list_geometries
-from datagen.data.layer_store import LayersHead, LightPathsHead
-from datagen.data.paths import LAYER_KINDS, layers_root
+from datagen.data.paths import layers_root
 from datagen.data.variants import list_variants, open_variant
 from datagen.disk.errors import DamagedError, HyalineError
 from datagen.disk.heads import list_heads, true_head
@@ -62,19 +61,10 @@ def mend_dataset(root: Path, *, scene: str | None, workers: int) -> Dataset:
 
 
 def _peel(dataset: Dataset, geometry: str, *, workers: int) -> None:
-    """Peels what is missing of a geometry, each kind of layers that its heads promise, with their settings."""
-    for kind in LAYER_KINDS:
-        if not (layers_root(dataset.root, geometry, kind) / "layers.json").is_file():
-            continue
-        head = dataset.layer_store(geometry, kind).head
-        match head:
-            case LayersHead():
-                num_layers, rays = head.num_layers, 4
-            case LightPathsHead():
-                num_layers, rays = head.max_vertices, head.samples
-        peel_dataset(
-            dataset, geometry, kinds=(kind,), num_layers=num_layers, rays=rays, overwrite=False, workers=workers
-        )
+    """Peels what is missing of the layers that a geometry's head promises."""
+    if (layers_root(dataset.root, geometry) / "layers.json").is_file():
+        num_layers = dataset.layer_store(geometry).head.num_layers
+        peel_dataset(dataset, geometry, num_layers=num_layers, overwrite=False, workers=workers)
 
 
 @contextlib.contextmanager

@@ -12,7 +12,6 @@ from typing import TypeVar
 
 from datagen.data.config import Split
 from datagen.data.dataset import Dataset
-from datagen.data.paths import TRUTH, LayerKind, layers_root
 from datagen.data.variants import list_variants, open_variant
 from datagen.disk.errors import HyalineError
 
@@ -56,31 +55,27 @@ def own_tasks(shard: Shard | None, tasks: list[T]) -> list[T]:
     return tasks if shard is None else shard.of(tasks)
 
 
-def count_missing(dataset: Dataset, kinds: Sequence[LayerKind]) -> tuple[int, int]:
+def count_missing(dataset: Dataset) -> tuple[int, int]:
     """How many views, and sets of layers of views, are not committed yet, and how many there are in all.
 
     Counts by the records, which are written last; only a build without a part reads every byte. Variants count, too.
     """
-    found = [_is_there(dataset, kinds, split, view) for split, view in _views(dataset)]
+    found = [_is_there(dataset, split, view) for split, view in _views(dataset)]
     for name in list_variants(dataset.root):
         variant = open_variant(dataset, name)
         if variant.edit is not None:
             continue  # Made by one machine.
-        has_straight = (layers_root(dataset.root, TRUTH, "straight") / "layers.json").is_file()
-        found += [_is_there(variant, ("straight",) if has_straight else (), *view) for view in _views(variant)]
+        found += [_is_there(variant, *view) for view in _views(variant)]
     states = [state for view in found for state in view]
     return states.count(False), len(states)
 
 
-def _is_there(dataset: Dataset, kinds: Sequence[LayerKind], split: Split, view: int) -> list[bool]:
-    """Whether a view's record, and that of each kind of its layers, stands there."""
+def _is_there(dataset: Dataset, split: Split, view: int) -> list[bool]:
+    """Whether a view's record, and that of its layers, stands there."""
     states = []
-    for kind in (None, *kinds):
+    for read in (lambda: dataset.view(split, view).record, lambda: dataset.layer_store().record(split, view)):
         try:
-            if kind is None:
-                _ = dataset.view(split, view).record
-            else:
-                dataset.layer_store(TRUTH, kind).record(split, view)
+            read()
             states.append(True)
         except HyalineError:
             states.append(False)

@@ -4,6 +4,7 @@ Damage is a file of the dataset that is missing, does not hold what was promised
 followed, a pipe never opened); each line ends with the command that mends it. What is no part of a dataset is a remark.
 """
 
+import contextlib
 import shlex
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -14,8 +15,8 @@ from datagen.data.dataset import Dataset, head_files, open_dataset
 from datagen.data.edit_masks import FOLDER as EDIT_MASKS
 from datagen.data.edit_masks import edit_mask_files
 from datagen.data.geometries import geometry_hash, list_geometries, read_assignment, read_proxy_records
-from datagen.data.layer_store import LayersHead, record_path_of_layers
-from datagen.data.paths import LAYER_KINDS, TRUTH, LayerKind, geometry_root, layers_root, record_path
+from datagen.data.layer_store import record_path_of_layers
+from datagen.data.paths import TRUTH, geometry_root, layers_root, record_path
 from datagen.disk.errors import HyalineError
 from datagen.disk.heads import list_heads, true_head
 from datagen.disk.homes import HEADS, home_of
@@ -154,7 +155,7 @@ class _Search:
             return shlex.join(["proxies", "make", "--dataset", str(self.home), "--kind", geometry, "--overwrite"])
         if parts[0] not in ("layers", "proxies"):
             return None
-        words = ["datagen", "peel", "--dataset", str(self.home), "--geometry", geometry, "--layers", parts[-2]]
+        words = ["datagen", "peel", "--dataset", str(self.home), "--geometry", geometry]
         array = (self.home / head).parent / "peels.zarr" / "interpolating" / "object_id" / "zarr.json"
         try:
             shape = load_json(array).get("shape")
@@ -243,14 +244,13 @@ class _Search:
                 return
             command = None if dataset.edit is not None else make_command(dataset, geometry)
             self.check_all(place, {record.file: record.sha256 for record in records}, command)
-        for kind in LAYER_KINDS:
-            if f"{place}layers/{kind}/layers.json" in self.good:
-                self._check_layers(dataset, f"{place}layers/{kind}/", geometry, kind)
+        if f"{place}layers/straight/layers.json" in self.good:
+            self._check_layers(dataset, f"{place}layers/straight/", geometry)
 
-    def _check_layers(self, dataset: Dataset, prefix: str, geometry: str, kind: LayerKind) -> None:
-        root = layers_root(dataset.root, geometry, kind)
+    def _check_layers(self, dataset: Dataset, prefix: str, geometry: str) -> None:
+        root = layers_root(dataset.root, geometry)
         try:
-            head = dataset.layer_store(geometry, kind).head
+            head = dataset.layer_store(geometry).head
         except HyalineError as error:
             self.wrong(f"{prefix}layers.json", _reason(error, root / "layers.json"))
             return
@@ -271,7 +271,7 @@ class _Search:
                     unmade.append(relative)
                 elif self.check(relative, None):
                     try:
-                        self.check_all(prefix, dataset.layer_store(geometry, kind).record(split, view).files)
+                        self.check_all(prefix, dataset.layer_store(geometry).record(split, view).files)
                     except HyalineError as error:
                         self.good.discard(relative)
                         self.wrong(relative, _reason(error, path))
@@ -336,16 +336,8 @@ def make_command(dataset: Dataset, geometry: str) -> str:
     else:
         kind, _, amount = geometry.partition("-")
         words += ["--kind", kind, *(["--amount", amount] if amount else [])]
-    for layers in LAYER_KINDS:
-        try:
-            head = dataset.layer_store(geometry, layers).head
-        except HyalineError:
-            continue
-        if isinstance(head, LayersHead):
-            words += ["--layers", layers, "--num-layers", str(head.num_layers)]
-        else:
-            words += ["--layers", layers, "--num-layers", str(head.max_vertices), "--rays", str(head.samples)]
-        break
+    with contextlib.suppress(HyalineError):
+        words += ["--num-layers", str(dataset.layer_store(geometry).head.num_layers)]
     return shlex.join(words)
 
 

@@ -17,7 +17,6 @@ the camera looks along -z). Pixel (column i, row j) has its centre at (i + 0.5, 
                                          independent halves A and B (so A = RGB + noise, B = RGB - noise)
       records/SPLIT/0000.json            sealed, written last: a view exists only when its record verifies
       layers/straight/                   peeled layers of the true geometry (format: datagen/data/layers.py)
-      layers/light-path/                 its light paths, when asked for (format: datagen/trace/light_path_layers.py)
       proxies/KIND/proxies.json          sealed: one mesh per object, with SHA-256 and statistics
       proxies/KIND/meshes/NAME.ply
       proxies/KIND/layers/...            the same of the proxies
@@ -41,7 +40,7 @@ from datagen.data.exr import decode_exr
 from datagen.data.finding import where_datasets_are
 from datagen.data.layer_store import LayerStore, open_layers
 from datagen.data.layers import Layers, glass_mask, read_layers
-from datagen.data.paths import TRUTH, LayerKind, image_path, layers_root, record_path
+from datagen.data.paths import TRUTH, image_path, layers_root, record_path
 from datagen.data.png import decode_png
 from datagen.disk.errors import DamagedError, HyalineError
 from datagen.disk.homes import mend_command
@@ -165,14 +164,14 @@ class Dataset:
             raise DamagedError(f"{path}: damaged or edited (checksum differs); mend it with `{mend_command(path)}`")
         return parse_transforms(read_promised(self.root, file, promised), where=str(path))
 
-    def layer_store(self, geometry: str = TRUTH, kind: LayerKind = "straight") -> LayerStore:
+    def layer_store(self, geometry: str = TRUTH) -> LayerStore:
         """The layers of a geometry, opened.
 
         Raises:
             HyalineError: they were not made, or their head is damaged.
         """
-        head = layers_root(self.root, geometry, kind) / LAYERS.head
-        return self._opened.get(head, lambda: open_layers(self.root, geometry, kind))
+        head = layers_root(self.root, geometry) / LAYERS.head
+        return self._opened.get(head, lambda: open_layers(self.root, geometry))
 
     def object_id(self, name: str) -> int:
         """The id that layers hold of an object: 1 + its place among the dataset's objects.

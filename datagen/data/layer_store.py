@@ -1,11 +1,11 @@
-"""Layers of any kind on disk: a zarr store of arrays, its sealed head, a sealed record for each view.
+"""Layers on disk: a zarr store of arrays, its sealed head, a sealed record for each view.
 
     LAYERS/layers.json                   sealed, written first: version, kind, geometry, settings, SHA-256 of metadata
-    LAYERS/peels.zarr/SPLIT/ARRAY        (view, ...): a kind's arrays are listed in its own file
+    LAYERS/peels.zarr/SPLIT/ARRAY        (view, ...): the arrays are listed in layers.py
     LAYERS/records/SPLIT/0000.json       sealed, written last: SHA-256 of the view's shards, one for each array
 
-LAYERS is layers/KIND of a geometry. One shard a view and array, blosc zstd-5 with byte shuffle: standard zarr v3 codecs
-only.
+LAYERS is layers/straight of a geometry. One shard a view and array, blosc zstd-5 with byte shuffle: standard zarr v3
+codecs only.
 """
 
 import shlex
@@ -17,7 +17,7 @@ from typing import Literal, cast
 import numpy as np
 
 from datagen.data.config import Split
-from datagen.data.paths import LayerKind, layers_root, view_name
+from datagen.data.paths import layers_root, view_name
 from datagen.data.zarr_shard import ShardFormat, decode_shard, parse_shard_format
 from datagen.disk.errors import HyalineError
 from datagen.disk.opened import Opened
@@ -32,7 +32,7 @@ STORE = "peels.zarr"
 
 @dataclass(frozen=True, kw_only=True)
 class LayersHead:
-    """What a store of straight layers holds."""
+    """What a store of layers holds."""
 
     version: int
     kind: Literal["straight"]
@@ -44,28 +44,6 @@ class LayersHead:
 
 
 @dataclass(frozen=True, kw_only=True)
-class LightPathsHead:
-    """What a store of light paths holds."""
-
-    version: int
-    kind: Literal["light-path"]
-    geometry: str
-    """Hash over the meshes that were traced."""
-    num_branches: int
-    max_vertices: int
-    """Vertices kept of each branch; the last place holds the last vertex."""
-    max_depth: int
-    """Surfaces after which a branch was given up."""
-    samples: int
-    """Rays per pixel, a square number."""
-    files: dict[str, str]
-    """SHA-256 of the zarr metadata, by path relative to the store."""
-
-
-Head = LayersHead | LightPathsHead
-
-
-@dataclass(frozen=True, kw_only=True)
 class LayersRecord:
     """One peeled view."""
 
@@ -74,7 +52,7 @@ class LayersRecord:
     split: Split
     view: int
     overflow_share: float
-    """Share of the rays that were cut off: more hits than layers, or a branch that was given up."""
+    """Share of the rays that were cut off: more hits than layers."""
     files: dict[str, str]
 
 
@@ -84,12 +62,11 @@ def record_path_of_layers(root: Path, split: Split, view: int) -> Path:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LayerStore:
-    """The layers of one geometry and kind, opened: head and metadata are verified once, a view when it is read."""
+    """The layers of one geometry, opened: head and metadata are verified once, a view when it is read."""
 
     dataset_root: Path
     geometry: str
-    kind: LayerKind
-    head: Head
+    head: LayersHead
     seal: str
     """Of the head: names the layers in a run's record."""
     _opened: Opened = field(default_factory=Opened, repr=False)
@@ -97,7 +74,7 @@ class LayerStore:
     @property
     def root(self) -> Path:
         """The folder LAYERS."""
-        return layers_root(self.dataset_root, self.geometry, self.kind)
+        return layers_root(self.dataset_root, self.geometry)
 
     def read(self, split: Split, view: int, only: Collection[str] | None = None) -> dict[str, np.ndarray]:
         """One view's arrays by name (or those named in `only`), every byte of them verified.
@@ -145,13 +122,8 @@ class LayerStore:
     @property
     def peel_command(self) -> str:
         """What makes the views that are missing."""
-        words = _peel_words(self.dataset_root, self.geometry, self.kind)
-        match self.head:
-            case LayersHead(num_layers=num_layers):
-                words += ["--num-layers", str(num_layers)]
-            case LightPathsHead(max_vertices=num_vertices, samples=samples):
-                words += ["--num-layers", str(num_vertices), "--rays", str(samples)]
-        return shlex.join(words)
+        words = _peel_words(self.dataset_root, self.geometry)
+        return shlex.join([*words, "--num-layers", str(self.head.num_layers)])
 
     def _formats_of(self, split: Split) -> dict[str, ShardFormat]:
         """What a shard of each array holds; all of the split's metadata is verified."""
@@ -176,26 +148,24 @@ def _is_of(file: str, split: Split) -> bool:
     return file.split("/")[1] == split
 
 
-def open_layers(dataset_root: Path, geometry: str, kind: LayerKind) -> LayerStore:
+def open_layers(dataset_root: Path, geometry: str) -> LayerStore:
     """The store of a geometry's layers, its head verified.
 
     Raises:
-        HyalineError: the geometry was not peeled, or the head is damaged or of another kind.
+        HyalineError: the geometry was not peeled, or the head is damaged.
     """
-    path = layers_root(dataset_root, geometry, kind) / LAYERS.head
+    path = layers_root(dataset_root, geometry) / LAYERS.head
     if not path.is_file():
-        command = shlex.join(_peel_words(dataset_root, geometry, kind))
-        raise HyalineError(f"{path}: {geometry} has no {kind} layers; make them with `{command}`")
+        command = shlex.join(_peel_words(dataset_root, geometry))
+        raise HyalineError(f"{path}: {geometry} has no straight layers; make them with `{command}`")
     content = load_sealed(path)
     if content.get("version") != LAYERS_VERSION:
         raise HyalineError(
             f"{path}: format version {shown(content.get('version'))}; this program reads {LAYERS_VERSION}"
         )
-    classes: dict[LayerKind, type[Head]] = {"straight": LayersHead, "light-path": LightPathsHead}
-    head = from_json(classes[kind], cast(Json, content), where=str(path))
-    return LayerStore(dataset_root=dataset_root, geometry=geometry, kind=kind, head=head, seal=seal_of(content))
+    head = from_json(LayersHead, cast(Json, content), where=str(path))
+    return LayerStore(dataset_root=dataset_root, geometry=geometry, head=head, seal=seal_of(content))
 
 
-def _peel_words(dataset_root: Path, geometry: str, kind: LayerKind) -> list[str]:
-    words = ["datagen", "peel", "--dataset", str(dataset_root), "--geometry", geometry]
-    return words + ([] if kind == "straight" else ["--layers", kind])
+def _peel_words(dataset_root: Path, geometry: str) -> list[str]:
+    return ["datagen", "peel", "--dataset", str(dataset_root), "--geometry", geometry]

@@ -9,13 +9,11 @@ from typing import cast
 
 import numpy as np
 
-from datagen.data.cameras import subpixel_offsets
 from datagen.data.config import Split
 from datagen.data.dataset import Dataset
 from datagen.data.layer_store import (
     LAYERS_VERSION,
     STORE,
-    Head,
     LayersHead,
     LayersRecord,
     open_layers,
@@ -23,7 +21,7 @@ from datagen.data.layer_store import (
 )
 from datagen.data.layers import Layers
 from datagen.data.number_formats import round_mantissa
-from datagen.data.paths import LayerKind, layers_root
+from datagen.data.paths import layers_root
 from datagen.disk.errors import DamagedError, HyalineError
 from datagen.disk.heads import keep_head
 from datagen.disk.names import check_relative
@@ -32,9 +30,6 @@ from datagen.disk.ownership import LAYERS, begin, is_ours
 from datagen.disk.promises import check_files
 from datagen.disk.records import Json, from_json, to_json
 from datagen.disk.storage import commit_same, commit_sealed, load_sealed, seal_bytes, seal_of, sha256, sha256_file
-
-MAX_RAYS = 1024
-"""A pixel."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,8 +43,8 @@ class ArrayFormat:
     """Shape of the pieces that are compressed one by one."""
 
 
-def create_store(
-    dataset: Dataset, geometry: str, head: Head, arrays: Mapping[str, ArrayFormat], *, replace: bool = False
+def _create_store(
+    dataset: Dataset, geometry: str, head: LayersHead, arrays: Mapping[str, ArrayFormat], *, replace: bool = False
 ) -> None:
     """Commits the head of a store (whose `files` are filled in), then zarr's metadata: an empty store.
 
@@ -63,9 +58,9 @@ def create_store(
         DamagedError: metadata that stands there is damaged, and this version of zarr writes other bytes.
         HyalineError: something else stands there.
     """
-    root = layers_root(dataset.root, geometry, head.kind)
+    root = layers_root(dataset.root, geometry)
     stands = not replace and is_ours(root, LAYERS)
-    promised = open_layers(dataset.root, geometry, head.kind).head.files if stands else {}
+    promised = open_layers(dataset.root, geometry).head.files if stands else {}
     if stands and _are_good(root, promised):
         keep_head(dataset.root, root / "layers.json")
         return
@@ -150,37 +145,30 @@ def _store_metadata(dataset: Dataset, arrays: Mapping[str, ArrayFormat]) -> dict
         return {path.relative_to(folder).as_posix(): path.read_bytes() for path in found}
 
 
-def check_settings(*, num_layers: int, rays: int, workers: int, kinds: tuple[LayerKind, ...]) -> None:
+def check_settings(*, num_layers: int, workers: int) -> None:
     """Refuses how layers cannot be made, before anything is done.
 
     Raises:
         HyalineError: naming the number.
     """
-    if not kinds:
-        raise HyalineError("layers: is empty; expected straight, light-path or both")
     if not 1 <= num_layers <= 255:
         raise HyalineError(f"num_layers: is {num_layers}; expected 1 to 255")
     if workers < 1:
         raise HyalineError(f"workers: is {workers}; expected at least 1")
-    if rays > MAX_RAYS:
-        raise HyalineError(f"rays: is {rays}; expected at most {MAX_RAYS}")
-    subpixel_offsets(rays)
 
 
-def write_view(
-    dataset: Dataset,
-    geometry: str,
-    kind: LayerKind,
-    split: Split,
-    view: int,
-    values: Mapping[str, np.ndarray],
-    *,
-    overflow_share: float,
+def write_layers(
+    dataset: Dataset, geometry: str, split: Split, view: int, layers: Layers, *, overflow_share: float
 ) -> None:
-    """Commits one view's arrays: their shards, then the record."""
+    """Commits one view's layers: their shards, then the record."""
     import zarr
 
-    store = dataset.layer_store(geometry, kind)
+    values = {
+        "uv": np.moveaxis(layers.uv, -1, 0),
+        "object_id": layers.object_id,
+        "depth": round_mantissa(layers.depth),
+    }
+    store = dataset.layer_store(geometry)
     root = store.root
     group = zarr.open_group(root / STORE / split, mode="r+")
     record_path = record_path_of_layers(root, split, view)
@@ -213,16 +201,4 @@ def create_layers(
         "depth": dataclasses.replace(plane, dtype="float32"),
     }
     head = LayersHead(version=LAYERS_VERSION, kind="straight", geometry=geometry_hash, num_layers=num_layers, files={})
-    create_store(dataset, geometry, head, arrays, replace=replace)
-
-
-def write_layers(
-    dataset: Dataset, geometry: str, split: Split, view: int, layers: Layers, *, overflow_share: float
-) -> None:
-    """Commits one view's layers."""
-    values = {
-        "uv": np.moveaxis(layers.uv, -1, 0),
-        "object_id": layers.object_id,
-        "depth": round_mantissa(layers.depth),
-    }
-    write_view(dataset, geometry, "straight", split, view, values, overflow_share=overflow_share)
+    _create_store(dataset, geometry, head, arrays, replace=replace)

@@ -1,16 +1,12 @@
 """Where the parts of a dataset lie, relative to its folder."""
 
 from pathlib import Path
-from typing import Literal
 
 from datagen.data.config import Split
 from datagen.disk.names import check_name
 
 TRUTH = "truth"
 """The geometry that is not a proxy: the scene's own meshes."""
-
-LayerKind = Literal["straight", "light-path"]
-LAYER_KINDS: tuple[LayerKind, ...] = ("straight", "light-path")
 
 
 def view_name(view: int) -> str:
@@ -31,6 +27,6 @@ def geometry_root(root: Path, geometry: str) -> Path:
     return root if geometry == TRUTH else root / "proxies" / check_name(geometry, where="geometry")
 
 
-def layers_root(root: Path, geometry: str, kind: LayerKind) -> Path:
-    """Where a geometry's layers of one kind lie."""
-    return geometry_root(root, geometry) / "layers" / kind
+def layers_root(root: Path, geometry: str) -> Path:
+    """Where a geometry's layers lie."""
+    return geometry_root(root, geometry) / "layers" / "straight"

@@ -5,8 +5,7 @@
                                                 layers, proxies and variants: at the same path, the same bytes
 
 A head is committed first and copied then. So a head that verifies counts, and the copy where it does not; where both do
-and differ, the one under which the views were made. Datasets made before there were copies get them from the next
-command that writes there.
+and differ, the one under which the views were made.
 """
 
 from collections.abc import Iterator
@@ -17,11 +16,10 @@ from datagen.disk.homes import HEADS, home_of
 from datagen.disk.reading import load_json
 from datagen.disk.storage import SEAL, commit, load_sealed, sha256_file
 
-_KINDS = ("straight", "light-path")
 _PARTS = (
     "dataset.json",
     "proxies/*/proxies.json",
-    *(f"{outer}layers/{kind}/layers.json" for outer in ("", "proxies/*/") for kind in _KINDS),
+    *(f"{outer}layers/straight/layers.json" for outer in ("", "proxies/*/")),
 )
 PATTERNS = tuple(f"{outer}{inner}" for outer in ("", "variants/*/") for inner in _PARTS)
 """Where heads lie in a dataset."""

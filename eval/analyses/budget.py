@@ -7,7 +7,6 @@ import numpy as np
 
 from datagen.data.config import TEST_SPLITS, Split
 from datagen.data.dataset import Dataset
-from datagen.data.layer_store import LayersHead
 from datagen.data.paths import TRUTH
 from datagen.disk.records import Json
 from datagen.disk.storage import dump_json
@@ -85,7 +84,6 @@ def missed_shares(dataset: Dataset, geometry: str, counts: list[int]) -> dict[in
     """
     is_glass = np.array([False, *(item.is_glass for item in dataset.objects)])
     head = dataset.layer_store(geometry).head
-    assert isinstance(head, LayersHead)
     shares: dict[int, tuple[Shares, Shares]] = {count: ({}, {}) for count in counts}
     for split in TEST_SPLITS:
         more, deeper = ({count: [] for count in counts} for _ in range(2))

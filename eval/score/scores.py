@@ -149,7 +149,7 @@ def read_truth(dataset: Dataset, split: Split) -> Truth:
 
 def has_glass_mask(dataset: Dataset) -> bool:
     """True when the true geometry has straight layers, which tell the pixels that see glass."""
-    return (layers_root(dataset.root, TRUTH, "straight") / "layers.json").is_file()
+    return (layers_root(dataset.root, TRUTH) / "layers.json").is_file()
 
 
 def score_run(run: Run, truths: dict[Split, Truth]) -> RunScores:

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, ClassVar, Self
 from datagen.data.cameras import Cameras
 from datagen.data.config import Split
 from datagen.data.dataset import Dataset
-from datagen.data.paths import LayerKind
 from model.settings.flags import check_limits
 from model.settings.optimisation import Optimisation, PixelOptimisation
 
@@ -42,10 +41,10 @@ class MethodConfig:
     room: ClassVar[str] = ""
     """A module that may import torch, whose functions `complete`, `build`, `load` and (with `draws_cameras`)
     `load_cameras` take the record first. Empty: the record itself overrides these methods."""
-    stored_layers: ClassVar[LayerKind | None] = None
-    """The stored layers that it looks up; None when it traces its own, or needs none."""
+    reads_layers: ClassVar[bool] = False
+    """True when it looks up the layers that were peeled; False when it traces its own, or needs none."""
     max_layers: ClassVar[int | None] = None
-    """The nearest stored layers that it looks at; None: all of them."""
+    """The nearest peeled layers that it looks at; None: all of them."""
     knowledge: ClassVar[str] = ""
     """What it is given besides geometry, images and cameras, in words; empty for nothing."""
     uses_geometry: ClassVar[bool] = True
@@ -64,7 +63,7 @@ class MethodConfig:
     @property
     def traces_layers(self) -> bool:
         """True when no stored layer is read: rays are traced for each batch, or not needed."""
-        return self.stored_layers is None
+        return not self.reads_layers
 
     @property
     def asked_layers(self) -> int | None:

@@ -10,7 +10,6 @@ from functools import cache
 from importlib import metadata
 
 from datagen.data.dataset import Dataset
-from datagen.data.layer_store import LayersHead
 from datagen.disk.errors import HyalineError
 from datagen.terminal.command import choose
 from datagen.terminal.distribution import DISTRIBUTION
@@ -82,14 +81,12 @@ def open_inputs(config: MethodConfig, dataset: Dataset, geometry: str) -> Inputs
     Raises:
         HyalineError: the geometry was not peeled, or has fewer layers than the configuration asks for.
     """
-    if config.stored_layers is None:
+    if not config.reads_layers:
         return Inputs(dataset=dataset, geometry=geometry, num_layers=0, layers_seal=dataset.seal)
-    store = dataset.layer_store(geometry, config.stored_layers)
-    assert isinstance(store.head, LayersHead), "no method looks up light paths"
-    head, seal = store.head, store.seal
-    stored = min(head.num_layers, config.max_layers or head.num_layers)
+    store = dataset.layer_store(geometry)
+    stored = min(store.head.num_layers, config.max_layers or store.head.num_layers)
     num_layers = _choose_layers(config.asked_layers, stored, dataset, geometry)
-    return Inputs(dataset=dataset, geometry=geometry, num_layers=num_layers, layers_seal=seal)
+    return Inputs(dataset=dataset, geometry=geometry, num_layers=num_layers, layers_seal=store.seal)
 
 
 def _choose_layers(asked: int | None, stored: int, dataset: Dataset, geometry: str) -> int:

@@ -58,9 +58,7 @@ def test_make_writes_the_proxies_peels_them_and_prints_the_table(
     out, err = capsys.readouterr()
     assert [line.split()[0] for line in out.splitlines() if "100 %" in line] == ["pane", "floor"]
     assert f"model train light-path --dataset data/one --geometry {kind}" in err
-    assert [(item["geometry"], item["kinds"], item["num_layers"], item["overwrite"]) for item in peeled] == [
-        (kind, ("straight",), 3, False)
-    ]
+    assert [(item["geometry"], item["num_layers"], item["overwrite"]) for item in peeled] == [(kind, 3, False)]
     content = load_sealed(here / "data/one/proxies" / kind / "proxies.json")
     assert content["kind"] == kind
     call(monkeypatch, "check", "--dataset", "data/one", "--kind", kind)

@@ -32,7 +32,7 @@ build.peel_task = counting(build.peel_task, "peel")
 few = SplitConfig(views=1, spp=2)
 config = DatasetConfig(scene="synthetic", preset="tiny", resolution=16, interpolating=few, extrapolating=few,
                        train=SplitConfig(views={views} - 2, spp=2))
-build.build_dataset(synthetic_scene(), Path({out!r}), config, kinds=("straight",), num_layers=4, workers=1,
+build.build_dataset(synthetic_scene(), Path({out!r}), config, num_layers=4, workers=1,
                     overwrite=False)
 """
 

@@ -18,7 +18,7 @@ from datagen.scene.folder import save_scene
 VIEWS = 6
 FLAGS = (
     *("--preset", "tiny", "--resolution", "24", "--num-layers", "4", "--views", str(VIEWS), "--test-views", "3"),
-    *("--spp", "64", "--test-spp", "64", "--layers", "straight"),
+    *("--spp", "64", "--test-spp", "64"),
 )
 QUICK_KILLS, ALL_KILLS, SIGNALS = 12, 200, 10
 

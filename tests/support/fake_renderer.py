@@ -1,4 +1,4 @@
-"""A renderer and tracers that take no time: what `datagen build` calls for each view, without Mitsuba.
+"""A renderer and a peeler that take no time: what `datagen build` calls for each view, without Mitsuba.
 
 The pictures and layers are those of the pane and the floor (tests/synthetic.py), whatever the scene's meshes are: a
 function of dataset, split and view alone, as the real ones are.
@@ -16,17 +16,15 @@ from datagen.data.config import Split
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.dataset_head import commit_view
 from datagen.data.geometries import read_meshes
-from datagen.data.layer_store import LayersHead
-from datagen.data.layer_writing import write_layers, write_view
+from datagen.data.layer_writing import write_layers
 from datagen.data.layers import Layers
 from datagen.data.png import png_bytes
-from datagen.trace.light_path_layers import _formats, read_light_paths_head
 
 Task = tuple[Split, int]
 
 
 class FakeJob:
-    """Stands for RenderJob, PeelJob and TraceJob."""
+    """Stands for RenderJob and PeelJob."""
 
     def __init__(self, threads: int, root: Path, geometry: str | None = None) -> None:
         self.dataset, self.geometry = open_dataset(root), geometry
@@ -53,18 +51,8 @@ def render(job: FakeJob, task: Task) -> None:
 
 def peel(job: FakeJob, task: Task) -> None:
     assert job.geometry is not None
-    head = job.dataset.layer_store(job.geometry).head
-    assert isinstance(head, LayersHead)
-    layers = _trace(job.dataset, *task, head.num_layers)
+    layers = _trace(job.dataset, *task, job.dataset.layer_store(job.geometry).head.num_layers)
     write_layers(job.dataset, job.geometry, *task, layers, overflow_share=0.0)
-
-
-def trace_paths(job: FakeJob, task: Task) -> None:
-    assert job.geometry is not None
-    split, view = task
-    formats = _formats(read_light_paths_head(job.dataset, job.geometry), job.dataset.config.resolution)
-    values = {name: np.full(array.shape, view + 1, array.dtype) for name, array in formats.items()}
-    write_view(job.dataset, job.geometry, "light-path", split, view, values, overflow_share=0.0)
 
 
 def _trace(dataset: Dataset, split: Split, view: int, num_layers: int) -> Layers:
@@ -83,10 +71,9 @@ def install(patch: pytest.MonkeyPatch) -> None:
     import datagen.build.find_edit_masks
     import datagen.machine.mitsuba_variant
 
-    for name, function in (("render", render), ("peel", peel), ("trace", trace_paths)):
+    for name, function in (("render", render), ("peel", peel)):
         patch.setattr(datagen.build.build, f"{name.title()}Job", FakeJob)
         patch.setattr(datagen.build.build, f"{name}_task", function)
-    patch.setattr(datagen.build.build, "_require_vectorised", lambda: None)
     patch.setattr(datagen.machine.mitsuba_variant, "use_mitsuba", lambda **options: "none")
     patch.setattr(datagen.build.find_edit_masks, "_read_halves", _read_halves)
     patch.setattr(datagen.build.film, "path_trace", lambda dataset, cameras, *, spp: film(cameras))

@@ -40,9 +40,8 @@ class Scenario:
 
 
 SCENARIOS = (
-    Scenario(name="build", start="scene", line=f"{BUILD} --layers straight light-path"),
+    Scenario(name="build", start="scene", line=BUILD),
     Scenario(name="build anew", start="dataset", line=f"{BUILD} --seed 1 --overwrite"),
-    Scenario(name="peel", start="dataset", line="datagen peel --dataset data/one --layers light-path --rays 1"),
     Scenario(name="peel anew", start="proxies", line="datagen peel --dataset data/one --num-layers 3 --overwrite"),
     Scenario(name="proxies", start="dataset", line="proxies make --dataset data/one --kind box"),
     Scenario(name="proxies anew", start="proxies", line="proxies make --dataset data/one --kind box --overwrite"),

@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
-from datagen.data.paths import LayerKind
 from datagen.disk.errors import HyalineError
 from model.methods.protocol import MethodConfig
 from model.settings.flags import choice, unflagged
@@ -19,7 +18,7 @@ class AuthorsConfig(MethodConfig):
     """What the paper's released code ran; defaults as in the scripts of its Table 1."""
 
     room: ClassVar[str] = "model.methods.authors_code.method"
-    stored_layers: ClassVar[LayerKind | None] = "straight"
+    reads_layers: ClassVar[bool] = True
     draws_cameras: ClassVar[bool] = True
 
     extrinsics: Extrinsics = choice("view", {"none": "no-extrinsics", "sh": "sh"})

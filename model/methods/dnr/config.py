@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 from typing import ClassVar, Literal, Self
 
-from datagen.data.paths import LayerKind
 from datagen.disk.errors import HyalineError
 from model.methods.protocol import MethodConfig
 from model.settings.flags import AMOUNT, choice, unflagged
@@ -29,7 +28,7 @@ class DnrConfig(MethodConfig):
     """
 
     room: ClassVar[str] = "model.methods.dnr.method"
-    stored_layers: ClassVar[LayerKind | None] = "straight"
+    reads_layers: ClassVar[bool] = True
     max_layers: ClassVar[int | None] = 1
     draws_cameras: ClassVar[bool] = True
 

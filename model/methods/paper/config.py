@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 from typing import ClassVar, Literal, Self
 
-from datagen.data.paths import LayerKind
 from datagen.disk.errors import HyalineError
 from model.methods.protocol import MethodConfig
 from model.settings.flags import choice, unflagged
@@ -25,7 +24,7 @@ class PaperConfig(MethodConfig):
     """The paper's renderer: neural textures on straight layers, stacked into a network for each pixel."""
 
     room: ClassVar[str] = "model.methods.paper.method"
-    stored_layers: ClassVar[LayerKind | None] = "straight"
+    reads_layers: ClassVar[bool] = True
     is_shareable: ClassVar[bool] = True
     draws_cameras: ClassVar[bool] = True
 

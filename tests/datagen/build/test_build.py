@@ -127,7 +127,7 @@ def test_verify_finds_lost_swapped_and_foreign_files(tmp_path: Path) -> None:
     one.write_bytes(content[1])
     two.write_bytes(content[0])
     (root / "images" / "notes.txt").write_text("mine")
-    shards = layers_root(root, TRUTH, "straight") / "peels.zarr" / "train" / "uv" / "c" / "0"
+    shards = layers_root(root, TRUTH) / "peels.zarr" / "train" / "uv" / "c" / "0"
     lost = next(path for path in shards.rglob("0") if path.is_file())
     lost.unlink()
     problems = "\n".join(verify_dataset(root)[1])
@@ -143,7 +143,7 @@ def test_a_damaged_view_is_made_again(built: Path, scene_folder: Path, tmp_path:
     out = tmp_path / "copy"
     shutil.copytree(built, out)
     image_path(out, "train", 1).write_bytes(b"garbage")
-    shards = layers_root(out, TRUTH, "straight") / "peels.zarr" / "train" / "uv" / "c" / "2"
+    shards = layers_root(out, TRUTH) / "peels.zarr" / "train" / "uv" / "c" / "2"
     next(path for path in shards.rglob("0") if path.is_file()).unlink()
     subprocess.run(command(scene_folder, out), check=True, capture_output=True)
     assert tree(out) == tree(built)
@@ -188,7 +188,7 @@ def test_layers_with_another_number_need_overwrite(tmp_path: Path) -> None:
 
 
 def _peel(dataset, num_layers: int, *, overwrite: bool, geometry_hash_of_files: bool = False) -> None:
-    peel_dataset(dataset, TRUTH, kinds=("straight",), num_layers=num_layers, overwrite=overwrite)
+    peel_dataset(dataset, TRUTH, num_layers=num_layers, overwrite=overwrite)
 
 
 def test_peeling_equals_the_closed_formula_on_the_whole_dataset(tmp_path: Path) -> None:
@@ -208,6 +208,4 @@ def test_two_builds_at_once_do_not_mix(scene_folder: Path, tmp_path: Path) -> No
     few = SplitConfig(views=1, spp=2)
     config = DatasetConfig(scene="s", preset="tiny", resolution=8, train=few, interpolating=few, extrapolating=few)
     with one_writer(tmp_path / "out"), pytest.raises(HyalineError, match="another process is writing there"):
-        build_dataset(
-            synthetic_scene(), tmp_path / "out", config, kinds=("straight",), num_layers=4, workers=1, overwrite=False
-        )
+        build_dataset(synthetic_scene(), tmp_path / "out", config, num_layers=4, workers=1, overwrite=False)

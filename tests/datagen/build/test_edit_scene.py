@@ -266,7 +266,7 @@ def base(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     numbers = ProxyStatistics(volume_ratio=1.0, mean_distance=0.0, max_distance=0.0)
     proxies = tuple(moved_mesh(mesh, (0, 0, 0.05)) for mesh in read_meshes(dataset, TRUTH))
     write_proxies(dataset, "box", proxies, (numbers,) * len(proxies))
-    peel_dataset(dataset, "box", kinds=("straight",), num_layers=4, overwrite=False)
+    peel_dataset(dataset, "box", num_layers=4, overwrite=False)
     return dataset
 
 
@@ -281,7 +281,7 @@ def _build(root: Path, *, seed: int) -> Dataset:
         extrapolating=few,
         seed=seed,
     )
-    return build_dataset(table(), root, config, kinds=("straight",), num_layers=4, workers=1, overwrite=seed > 0)
+    return build_dataset(table(), root, config, num_layers=4, workers=1, overwrite=seed > 0)
 
 
 def build(base: Dataset, *texts: str, overwrite: bool = False) -> Dataset:

@@ -11,7 +11,7 @@ from support.synthetic import synthetic_scene
 from datagen.build.build import build_dataset, peel_dataset
 from datagen.data.config import DatasetConfig, SplitConfig
 from datagen.data.dataset import open_dataset
-from datagen.data.paths import LAYER_KINDS, TRUTH, LayerKind
+from datagen.data.paths import TRUTH
 
 pytestmark = pytest.mark.promise("R1")
 
@@ -42,29 +42,25 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def build(root: Path) -> None:
-    build_dataset(synthetic_scene(), root, CONFIG, kinds=LAYER_KINDS, num_layers=3, rays=1, workers=1, overwrite=False)
+    build_dataset(synthetic_scene(), root, CONFIG, num_layers=3, workers=1, overwrite=False)
 
 
 def peel(root: Path, *, overwrite: bool = False) -> None:
-    dataset = open_dataset(root)
-    peel_dataset(dataset, TRUTH, kinds=LAYER_KINDS, num_layers=3, rays=1, overwrite=overwrite)
+    peel_dataset(open_dataset(root), TRUTH, num_layers=3, overwrite=overwrite)
 
 
 def tree(root: Path) -> dict[str, bytes]:
     return {path.relative_to(root).as_posix(): path.read_bytes() for path in root.rglob("*") if path.is_file()}
 
 
-@pytest.mark.parametrize("kind", LAYER_KINDS)
 def test_peel_and_build_make_whole_what_is_left_when_a_file_or_folder_of_layers_is_deleted(
-    built: Path, tmp_path: Path, kind: LayerKind
+    built: Path, tmp_path: Path
 ) -> None:
     whole = tree(built)
     root = tmp_path / "damaged"
     shutil.copytree(built, root)
-    places = [path.relative_to(built) for path in sorted((built / "layers" / kind).rglob("*"))]
-    # Every one alone of straight layers; of light paths, which have many more files of the same kinds, every 20th.
-    chosen = [Path("layers"), Path("layers", kind), *(places if kind == "straight" else places[::20])]
-    for number, place in enumerate(chosen):
+    places = [Path("layers"), *(path.relative_to(built) for path in sorted((built / "layers").rglob("*")))]
+    for number, place in enumerate(places):
         path = root / place
         shutil.rmtree(path) if path.is_dir() else path.unlink()
         (peel, build)[number % 2](root)

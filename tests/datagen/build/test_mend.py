@@ -19,7 +19,7 @@ pytestmark = pytest.mark.promise("R4")
 
 BUILD = (
     "datagen build --scene scene --out data/one --preset tiny --resolution 4 --views 2 --test-views 1 --spp 2"
-    " --test-spp 2 --num-layers 2 --layers straight light-path --rays 1"
+    " --test-spp 2 --num-layers 2"
 )
 COMMANDS = (
     BUILD,
@@ -33,7 +33,7 @@ DAMAGES = ("deleted", "truncated", "flipped", "emptied", "link", "pipe", "folder
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a scene and a dataset that has everything: both kinds of layers, proxies, every kind of variant."""
+    """A folder with a scene and a dataset that has everything: layers, proxies, every kind of variant."""
     folder = tmp_path_factory.mktemp("made")
     with pytest.MonkeyPatch.context() as patch:
         prepare(patch, folder)
@@ -244,8 +244,6 @@ def test_an_unfinished_dataset_is_one_line(here: Path) -> None:
         "proxies",
         "heads/variants",
         "heads/proxies",
-        "layers/light-path",
-        "heads/layers/light-path",
     ):
         shutil.rmtree(ROOT / folder)
     answer = call("datagen verify data/one")

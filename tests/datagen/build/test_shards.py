@@ -27,11 +27,8 @@ from datagen.disk.storage import commit, commit_first, one_writer, shared_writer
 from datagen.scene.folder import save_scene
 from datagen.scene.rig import make_cameras
 
-ALL = (
-    *("--layers", "straight", "light-path"),
-    *("--angle-splits", "--super-resolution", "2", "--super-resolution-views", "1"),
-)
-"""Both kinds of layers and variants of both kinds."""
+ALL = ("--angle-splits", "--super-resolution", "2", "--super-resolution-views", "1")
+"""Variants of both kinds."""
 
 
 @pytest.fixture(scope="module")
@@ -169,8 +166,8 @@ def test_any_number_of_writers_may_start_one_dataset_at_once(tmp_path: Path) -> 
 
     def start(root: Path, shard: bool) -> str:
         dataset = open_or_start(scene, root, config, cameras, overwrite=False)
-        root = layers_root(dataset.root, TRUTH, "straight")
-        _start_beside_others(dataset, TRUTH, "straight", geometry_hash(dataset, TRUTH), num_layers=4, rays=4)
+        root = layers_root(dataset.root, TRUTH)
+        _start_beside_others(dataset, TRUTH, geometry_hash(dataset, TRUTH), num_layers=4)
         return dataset.seal
 
     (tmp_path / "alone").mkdir()
@@ -218,7 +215,7 @@ def test_a_part_that_cannot_be_is_refused(text: str) -> None:
 
 
 def test_jobs_are_told_what_the_command_was_told_but_how_to_send_it_off() -> None:
-    own = ["build", "--scene", "a", "--views=3", "--layers", "straight", "light-path"]
+    own = ["build", "--scene", "a", "--views=3", "--super-resolution", "2", "4"]
     sent = [*own[:3], "--launcher", "slurm", *own[3:4], "--slurm-partition=gpu", "--slurm_time", "5", *own[4:]]
     assert _without_launch([*sent, "--shards", "9"]) == own
 

@@ -33,7 +33,6 @@ def run(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
         ("datagen build --scene ./nowhere", 1, "nowhere/scene.json: the file is missing"),
         ("datagen build --resolution 0", 1, "resolution: is 0; expected 1 to 8192 pixels"),
         ("datagen build --num-layers 0", 1, "num_layers: is 0; expected 1 to 255"),
-        ("datagen build --rays 1000000000", 1, "rays: is 1000000000; expected at most 1024"),
         ("datagen build --workers 0", 1, "workers: is 0; expected at least 1"),
         ("datagen build --super-resolution 9", 1, "super_resolution: is 9; expected 2 to 8 times"),
         ("datagen build --super-resolution-views 2", 1, "goes with --super-resolution"),

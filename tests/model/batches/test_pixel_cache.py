@@ -215,7 +215,7 @@ def test_the_command_maps_and_refuses_to_map_what_is_traced(
     assert "memory: is mapped, but this method traces" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("method", [name for name in BUILT_IN if find_method(name).stored_layers == "straight"])
+@pytest.mark.parametrize("method", [name for name in BUILT_IN if find_method(name).reads_layers])
 def test_every_method_on_stored_layers_can_be_fed_from_files(dataset: Dataset, method: str) -> None:
     pixels = load(find_method(method)(), dataset, VIEWS, mapped=True)
     assert isinstance(pixels, MappedPixels)

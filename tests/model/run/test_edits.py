@@ -91,9 +91,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
         interpolating=few,
         extrapolating=few,
     )
-    base = build_dataset(
-        scene(), root / "data" / "edit", config, kinds=("straight",), num_layers=4, workers=1, overwrite=False
-    )
+    base = build_dataset(scene(), root / "data" / "edit", config, num_layers=4, workers=1, overwrite=False)
     edits = [build_variant(base, plan_edit(base, (parse_edit(text),)), workers=1) for text in EDITS]
     for name, run in (("ours", LIGHT_PATH), ("paper", PAPER)):
         out = root / "runs" / "edit" / name
