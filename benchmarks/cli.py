@@ -23,7 +23,6 @@ def main() -> None:
         "ceilings": ceilings,
         "step": step,
         "infer": infer,
-        "online": online,
         "gpu": gpu,
         "sky": sky,
         "errors": errors,
@@ -41,14 +40,14 @@ def peel(
     engines: tuple[str, ...] = (),
     json: bool = False,
 ) -> None:
-    """Peeling a view: the tracer and the rasteriser against a plain loop, all hits by Embree, and stored layers.
+    """Peeling a view: the tracer against a plain loop, all hits by Embree, and stored layers.
 
     Args:
         size: Width and height in pixels.
         layers: Layers kept per ray.
         triangles: A factor on the 315,000 triangles of the scene.
         rounds: Turns of each engine.
-        engines: Only these of mitsuba-eager, mitsuba-fused, raster, trimesh, exr, light-path-loop, light-path.
+        engines: Only these of mitsuba-eager, mitsuba-fused, trimesh, exr, light-path-loop, light-path.
         json: Print JSON instead of tables.
     """
     from datagen.machine.mitsuba_variant import use_mitsuba
@@ -114,7 +113,7 @@ def scale(
         factors: Each quantity is multiplied by these, the others staying as they are.
         quantities: Only these of pixels, layers, objects, triangles.
         out: The figure, a PNG; a file that stands there is kept.
-        rounds: Turns of each engine at each size.
+        rounds: Turns at each size.
         json: Print JSON instead of a table.
         overwrite: Replace a file that stands at --out.
     """
@@ -162,15 +161,6 @@ def infer(choices: BenchChoices) -> None:
     from benchmarks.networks.infer import bench_infer
 
     show(bench_infer(choices, ceilings=all_ceilings()), as_json=choices.json)
-
-
-def online(choices: BenchChoices) -> None:
-    """A frame from meshes and a camera alone, on a CPU."""
-    from benchmarks.harness import show
-    from benchmarks.networks.ceilings import all_ceilings
-    from benchmarks.networks.online import bench_online
-
-    show(bench_online(choices, ceilings=all_ceilings()), as_json=choices.json)
 
 
 def gpu(choices: BenchChoices) -> None:

@@ -28,10 +28,6 @@ Quantity = Literal["pixels", "layers", "objects", "triangles"]
 
 QUANTITIES: tuple[Quantity, ...] = get_args(Quantity)
 
-Engine = Literal["mitsuba", "raster"]
-
-ENGINES: tuple[Engine, ...] = get_args(Engine)
-
 MAX_IDS = 255
 """Object ids and numbers of layers that are peeled have 8 bits."""
 
@@ -48,9 +44,8 @@ class Task:
 
 @dataclass(frozen=True, kw_only=True)
 class Point:
-    """What one engine needed for one view, with one quantity multiplied."""
+    """What one view needed, with one quantity multiplied."""
 
-    engine: Engine
     quantity: Quantity
     factor: float
     value: int
@@ -64,9 +59,8 @@ class Point:
 
 @dataclass(frozen=True, kw_only=True)
 class Growth:
-    """Exponents of the power laws of one engine and quantity."""
+    """Exponents of the power laws of one quantity."""
 
-    engine: Engine
     quantity: Quantity
     wall: float
     cpu: float
@@ -89,7 +83,7 @@ def bench_scale(
     base: Task | None = None,
     rounds: int = 3,
 ) -> ScaleReport:
-    """Measures every engine at every factor of every quantity.
+    """Measures every factor of every quantity.
 
     Raises:
         HyalineError: fewer than two factors, one below 1, or one that leads beyond 255 objects or layers.
@@ -97,12 +91,9 @@ def bench_scale(
     if len(set(factors)) < 2 or min(factors, default=0) < 1:
         raise HyalineError(f"factors: are {', '.join(map(str, factors))}; expected two or more, none below 1")
     base = base or Task()
-    wanted: list[tuple[Engine, Quantity, float]] = [
-        (engine, quantity, factor) for quantity in quantities for factor in sorted(set(factors)) for engine in ENGINES
-    ]
+    wanted = [(quantity, factor) for quantity in quantities for factor in sorted(set(factors))]
     tasks = [
-        dataclasses.replace(base, **{quantity: round(getattr(base, quantity) * factor)})
-        for _, quantity, factor in wanted
+        dataclasses.replace(base, **{quantity: round(getattr(base, quantity) * factor)}) for quantity, factor in wanted
     ]
     for task in tasks:
         if max(task.objects, task.layers) > MAX_IDS:
@@ -111,59 +102,49 @@ def bench_scale(
                 "name smaller factors or other quantities"
             )
     points = []
-    for (engine, quantity, factor), task in track(
+    for (quantity, factor), task in track(
         list(zip(wanted, tasks, strict=True)), label="bench scale", total=len(wanted)
     ):
         context = multiprocessing.get_context("spawn")
         with ProcessPoolExecutor(1, mp_context=context) as pool:
-            wall, cpu, memory = pool.submit(measure_task, engine, task, rounds).result()
+            wall, cpu, memory = pool.submit(measure_task, task, rounds).result()
         value = getattr(task, quantity)
-        points.append(
-            Point(
-                engine=engine, quantity=quantity, factor=factor, value=value, wall_s=wall, cpu_s=cpu, memory_mb=memory
-            )
-        )
+        points.append(Point(quantity=quantity, factor=factor, value=value, wall_s=wall, cpu_s=cpu, memory_mb=memory))
     return ScaleReport(machine=describe_machine(), points=tuple(points), growth=fit_growth(points))
 
 
 def fit_growth(points: list[Point]) -> tuple[Growth, ...]:
     """The slope of each series in double logarithmic scale, by least squares."""
     found = []
-    series: list[tuple[Engine, Quantity]] = [(point.engine, point.quantity) for point in points]
-    for engine, quantity in dict.fromkeys(series):
-        mine = [point for point in points if (point.engine, point.quantity) == (engine, quantity)]
+    for quantity in dict.fromkeys(point.quantity for point in points):
+        mine = [point for point in points if point.quantity == quantity]
         x = np.log([point.value for point in mine])
         slopes = [
             float(np.polyfit(x, np.log([max(getattr(point, name), 1e-6) for point in mine]), 1)[0])
             for name in ("wall_s", "cpu_s", "memory_mb")
         ]
-        found.append(Growth(engine=engine, quantity=quantity, wall=slopes[0], cpu=slopes[1], memory=slopes[2]))
+        found.append(Growth(quantity=quantity, wall=slopes[0], cpu=slopes[1], memory=slopes[2]))
     return tuple(found)
 
 
-def measure_task(engine: Engine, task: Task, rounds: int) -> tuple[float, float, float]:
+def measure_task(task: Task, rounds: int) -> tuple[float, float, float]:
     """Wall and cpu seconds (medians) and megabytes; in a process that has done nothing else."""
-    peel_once(engine, Task(pixels=64, layers=task.layers, triangles=400), rounds=1)
+    peel_once(Task(pixels=64, layers=task.layers, triangles=400), rounds=1)
     before = _peak_mb(reset=True)
-    walls, cpus = peel_once(engine, task, rounds=rounds)
+    walls, cpus = peel_once(task, rounds=rounds)
     return float(np.median(walls)), float(np.median(cpus)), max(_peak_mb(reset=False) - before, 0.1)
 
 
-def peel_once(engine: Engine, task: Task, *, rounds: int) -> tuple[list[float], list[float]]:
+def peel_once(task: Task, *, rounds: int) -> tuple[list[float], list[float]]:
     """Loads a task's scene and peels its view so many times, after one to warm up; wall and cpu seconds of each."""
     meshes = make_shells(task.triangles, task.objects)
     cameras = random_cameras(1, max(1, round(math.sqrt(task.pixels))))
-    if engine == "mitsuba":
-        from datagen.machine.mitsuba_variant import use_mitsuba
+    from datagen.machine.mitsuba_variant import use_mitsuba
 
-        use_mitsuba(quiet=True)
-        from datagen.trace.peel import Peeler
+    use_mitsuba(quiet=True)
+    from datagen.trace.peel import Peeler
 
-        peeler = Peeler(meshes)
-    else:
-        from datagen.trace.raster import Rasterizer
-
-        peeler = Rasterizer(meshes)
+    peeler = Peeler(meshes)
     peeler.peel(cameras, 0, task.layers)
     walls, cpus = [], []
     for _ in range(rounds):
@@ -184,12 +165,11 @@ def show_scale(report: ScaleReport, out: Path, *, as_json: bool) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    table = Table("quantity", "engine", "values", "wall ms", "MB", "wall grows as", "cpu grows as", "memory grows as")
+    table = Table("quantity", "values", "wall ms", "MB", "wall grows as", "cpu grows as", "memory grows as")
     for law in report.growth:
-        mine = [point for point in report.points if (point.engine, point.quantity) == (law.engine, law.quantity)]
+        mine = [point for point in report.points if point.quantity == law.quantity]
         table.add_row(
             law.quantity,
-            law.engine,
             " ".join(str(point.value) for point in mine),
             " ".join(f"{1e3 * point.wall_s:.1f}" for point in mine),
             " ".join(f"{point.memory_mb:.0f}" for point in mine),
@@ -212,24 +192,16 @@ def _peak_mb(*, reset: bool) -> float:
 def _draw(report: ScaleReport, out: Path) -> None:
     from matplotlib.figure import Figure
 
-    quantities = list(dict.fromkeys(point.quantity for point in report.points))
-    figure = Figure(figsize=(3.2 * len(quantities), 5.6), layout="constrained")
-    axes = figure.subplots(2, len(quantities), squeeze=False)
-    laws = {(law.engine, law.quantity): law for law in report.growth}
-    for column, quantity in enumerate(quantities):
-        for engine in ENGINES:
-            mine = [point for point in report.points if (point.engine, point.quantity) == (engine, quantity)]
-            law = laws[engine, quantity]
-            x = [point.value for point in mine]
-            for row, (values, slope) in enumerate(
-                (
-                    ([1e3 * point.wall_s for point in mine], law.wall),
-                    ([point.memory_mb for point in mine], law.memory),
-                )
-            ):
-                axes[row, column].loglog(x, values, marker="o", label=f"{engine}: n^{slope:.2f}")
+    figure = Figure(figsize=(3.2 * len(report.growth), 5.6), layout="constrained")
+    axes = figure.subplots(2, len(report.growth), squeeze=False)
+    for column, law in enumerate(report.growth):
+        mine = [point for point in report.points if point.quantity == law.quantity]
+        x = [point.value for point in mine]
+        walls, memory = [1e3 * point.wall_s for point in mine], [point.memory_mb for point in mine]
+        axes[0, column].loglog(x, walls, marker="o", label=f"n^{law.wall:.2f}")
+        axes[1, column].loglog(x, memory, marker="o", label=f"n^{law.memory:.2f}")
         for row, label in enumerate(("ms a view", "MB")):
-            axes[row, column].set(xlabel=quantity, ylabel=label)
+            axes[row, column].set(xlabel=law.quantity, ylabel=label)
             axes[row, column].legend()
     buffer = io.BytesIO()
     figure.savefig(buffer, dpi=120, format="png")

@@ -10,7 +10,6 @@ from benchmarks.harness import show
 from benchmarks.networks.choices import BenchChoices
 from benchmarks.networks.gpu import bench_gpu
 from benchmarks.networks.infer import bench_infer
-from benchmarks.networks.online import bench_online
 from benchmarks.networks.setting import COVERED, made_up_frame
 from benchmarks.networks.step import bench_step
 
@@ -22,12 +21,6 @@ def test_the_naive_baseline_computes_what_the_product_does(precision) -> None:
     choices = BenchChoices(**TINY, precision=precision)
     for report in (bench_step(choices), bench_infer(choices)):
         assert report.checks and all(check.passed for check in report.checks), report.checks
-
-
-def test_a_frame_online_shows_what_the_naive_way_draws() -> None:
-    report = bench_online(BenchChoices(**{**TINY, "objects": 5, "resolution": 48}), triangles=2000)
-    assert report.checks and all(check.passed for check in report.checks), report.checks
-    assert report.gates[-1].ratio == pytest.approx(1 / report.timings[1].wall.median)
 
 
 def test_the_bench_of_a_gpu_says_why_it_is_skipped(capsys: pytest.CaptureFixture[str]) -> None:
