@@ -23,8 +23,7 @@ class Line:
     title: str
     method: str
     choices: Mapping[str, Json] = field(default_factory=dict)
-    """Keys of the configuration with their values; a key that is younger than the run counts as fitting, but a run that
-    has none of them fits only where none is asked for."""
+    """Keys of the configuration with their values."""
     geometry: str | None = TRUTH
     """None takes any, `PROXIES` any that is neither the truth nor none."""
     published: PublishedRow | None = None
@@ -36,8 +35,7 @@ class Line:
         return (
             run.method == self.method
             and self.geometry in (None, run.geometry, run.geometry if run.geometry in (TRUTH, NO_GEOMETRY) else PROXIES)
-            and (not self.choices or any(key in config for key in self.choices))
-            and all(config.get(key, value) == value for key, value in self.choices.items())
+            and all(key in config and config[key] == value for key, value in self.choices.items())
         )
 
 

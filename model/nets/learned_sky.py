@@ -28,7 +28,6 @@ class LearnedSky(nn.Module):
 
     def __init__(self, height: int, lobes: int) -> None:
         super().__init__()
-        # Named as in runs from before there were lobes, whose weights load.
         for level, size in enumerate(_map_sizes(height)):
             self.register_parameter(str(level), nn.Parameter(torch.zeros(3, *size)))
         self.num_maps = len(_map_sizes(height))

@@ -30,9 +30,9 @@ from datagen.data.variants import FOLDER as VARIANTS
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import FolderKind, begin, is_ours, refuse_taken, remove_files
 from datagen.disk.promises import check_files
-from datagen.disk.reading import load_json, parse_json, read_regular
+from datagen.disk.reading import parse_json, read_regular
 from datagen.disk.records import Json, from_json, shown, to_json
-from datagen.disk.storage import SEAL, commit, commit_sealed, load_sealed, seal_bytes
+from datagen.disk.storage import commit, commit_sealed, load_sealed, seal_bytes
 from model.methods.protocol import Inputs, MethodConfig
 from model.methods.table import find_method, open_inputs
 from model.settings.flags import AMOUNT, COUNT, SEED, unflagged
@@ -103,7 +103,7 @@ class RunRecord:
     """Of the network alone."""
     num_texture_parameters: int
     num_layers: int | None = None
-    """Straight layers that it looks up; None: it traces its own paths, or an older program wrote the record."""
+    """Straight layers that it looks up; None: it looks up none."""
     label: str
     """How tables and figures call the run."""
     config: TrainConfig
@@ -166,9 +166,7 @@ def read_run(out: Path) -> RunRecord:
 
 
 def _read_record(path: Path) -> RunRecord:
-    content = load_json(path)
-    if SEAL in content:  # Older runs have none.
-        content = load_sealed(path)
+    content = load_sealed(path)
     if content.get("version") != RUN_VERSION:
         raise HyalineError(f"{path}: format version {shown(content.get('version'))}; this program reads {RUN_VERSION}")
     config = parse_config(content.get("config"), where=f"{path}.config")
@@ -203,7 +201,7 @@ def check_trained_on(out: Path, config: TrainConfig, dataset: Dataset) -> Inputs
 
 
 def is_config(stored: object, config: TrainConfig) -> bool:
-    """True when a configuration stored as JSON is this one; what is younger than it counts as the default.
+    """True when a configuration stored as JSON is this one.
 
     Raises:
         HyalineError: an unknown key.

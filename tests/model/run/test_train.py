@@ -15,6 +15,7 @@ from support.training import SMALL, call, quick, run_bytes, stop_at
 from datagen.data.dataset import Dataset
 from datagen.data.png import read_png
 from datagen.disk.errors import HyalineError
+from datagen.disk.storage import seal_bytes
 from model.run import train as train_module
 from model.run.checkpoint import fingerprint, load_checkpoint, load_state, save_checkpoint
 from model.run.predict import render_predictions
@@ -160,8 +161,8 @@ def test_run_json_says_what_was_trained_on_what(dataset: Dataset, tmp_path: Path
     (tmp_path / "run/run.json").write_text(json.dumps(content))
     with pytest.raises(HyalineError, match="does not match its own checksum"):
         read_run(tmp_path / "run")
-    del content["sha256"]  # As older runs have none.
-    (tmp_path / "run/run.json").write_text(json.dumps(content))
+    del content["sha256"]
+    (tmp_path / "run/run.json").write_bytes(seal_bytes(content))
     with pytest.raises(HyalineError, match="config: unknown key 'stepz'"):
         read_run(tmp_path / "run")
 
