@@ -1,6 +1,6 @@
 # `make demo` and `make test` set everything up by themselves; neither needs root.
 # An active virtual or conda environment is used as it is; otherwise .venv is made.
-.PHONY: setup demo test reliability docs clean
+.PHONY: setup demo test reliability results docs clean
 
 ENVIRONMENT := $(or $(VIRTUAL_ENV),$(CONDA_PREFIX),$(CURDIR)/.venv)
 BIN := $(ENVIRONMENT)/bin
@@ -47,6 +47,10 @@ test: setup
 # Every promise of docs/reliability.md with every case, an hour on two cores; writes the counts into that file.
 reliability: setup
 	$(BIN)/python -m pytest $(PARALLEL) -m promise --full --promises=docs/reliability.md
+
+# RESULTS.md, from the results.json files that were kept.
+results: setup
+	$(BIN)/report --results docs/results/*.json > RESULTS.md.new && mv RESULTS.md.new RESULTS.md
 
 # The pages of docs/ as a web site.
 docs: setup

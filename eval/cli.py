@@ -24,6 +24,7 @@ def report(
     full: bool = False,
     published: bool = False,
     views: int = 3,
+    results: tuple[Path, ...] = (),
 ) -> None:
     """Scores every folder RUNS/SCENE/NAME/predictions/SPLIT/0000.png, 0001.png, ... and writes a page of them.
 
@@ -45,7 +46,14 @@ def report(
         published: Also print the paper's own numbers, and beside them what its authors' script would for these runs.
         views: Views of each split and run in index.html: the worst, the median and the best first. Of more than fit
             into 20 MB, the last are left out.
+        results: Instead of scoring runs, print the tables of these results.json files as one page of Markdown; from all
+            of docs/results, `make results` makes RESULTS.md.
     """
+    if results:
+        from eval.page.results_page import results_page
+
+        sys.stdout.write(results_page(results))
+        return
     from datagen.data.finding import find_dataset
     from eval.page.report import make_report, make_tables
 

@@ -91,7 +91,9 @@ def bench_scale(
     if len(set(factors)) < 2 or min(factors, default=0) < 1:
         raise HyalineError(f"factors: are {', '.join(map(str, factors))}; expected two or more, none below 1")
     base = base or Task()
-    wanted = [(quantity, factor) for quantity in quantities for factor in sorted(set(factors))]
+    wanted: list[tuple[Quantity, float]] = [
+        (quantity, factor) for quantity in quantities for factor in sorted(set(factors))
+    ]
     tasks = [
         dataclasses.replace(base, **{quantity: round(getattr(base, quantity) * factor)}) for quantity, factor in wanted
     ]
@@ -116,7 +118,8 @@ def bench_scale(
 def fit_growth(points: list[Point]) -> tuple[Growth, ...]:
     """The slope of each series in double logarithmic scale, by least squares."""
     found = []
-    for quantity in dict.fromkeys(point.quantity for point in points):
+    series: list[Quantity] = [point.quantity for point in points]
+    for quantity in dict.fromkeys(series):
         mine = [point for point in points if point.quantity == quantity]
         x = np.log([point.value for point in mine])
         slopes = [

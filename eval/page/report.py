@@ -13,6 +13,8 @@ from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.finding import list_datasets
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import file_name
+from datagen.disk.records import Json
+from datagen.machine.revision import code_version
 from datagen.terminal.command import choose, say, track
 from eval.analyses.edits import object_psnr, score_edits
 from eval.analyses.order import check_order_layers
@@ -78,9 +80,10 @@ def make_report(
     if scored:
         scenes = [scene for scene, _ in scored]
         further = [analyse(scene, truths, errors, order_layers=order_layers) for scene, truths in scored]
-        _print_scores(scenes, further, output_format, is_full=is_full, is_published=is_published)
+        made_by = _made_by(only, order_layers)
+        _print_scores(scenes, further, made_by, output_format, is_full=is_full, is_published=is_published)
         files = {
-            "results.json": partial(_json, scenes, further),
+            "results.json": partial(_json, scenes, further, made_by),
             PAGE: partial(report_page, scenes, further, most_views=most_views),
             **figures_of(scenes, further),
         }
@@ -239,17 +242,31 @@ def _score_scene(dataset: Dataset, title: str, runs: list[Run], errors: list[Hya
     return scene, truths
 
 
-def _json(scenes: list[SceneScores], further: list[Further]) -> bytes:
-    return results_json(
-        scenes, {analyses.title: analyses.data for analyses in further}, {"published": published_json()}
-    )
+def _made_by(only: Path | None, order_layers: int) -> dict[str, Json]:
+    """The command that scored, without its folders, and the code that it ran."""
+    words = [
+        *([] if only is None else ["--dataset", only.name]),
+        *(["--order", str(order_layers)] if order_layers else []),
+    ]
+    return {"command": shlex.join(["report", *words]), "code": code_version()}
+
+
+def _json(scenes: list[SceneScores], further: list[Further], made_by: dict[str, Json]) -> bytes:
+    more: dict[str, Json] = {"made_by": made_by, "published": published_json()}
+    return results_json(scenes, {analyses.title: analyses.data for analyses in further}, more)
 
 
 def _print_scores(
-    scenes: list[SceneScores], further: list[Further], output_format: str, *, is_full: bool, is_published: bool
+    scenes: list[SceneScores],
+    further: list[Further],
+    made_by: dict[str, Json],
+    output_format: str,
+    *,
+    is_full: bool,
+    is_published: bool,
 ) -> None:
     if output_format == "json":
-        text = _json(scenes, further).decode()
+        text = _json(scenes, further, made_by).decode()
     elif output_format == "csv":
         text = results_csv(scenes)
     else:

@@ -90,6 +90,7 @@ def _scene_json(scene: SceneScores, analyses: dict[str, Json]) -> Json:
     return {
         "scene": scene.title,
         "dataset_seal": scene.dataset.seal,
+        "preset": scene.dataset.config.preset,
         "resolution": scene.dataset.config.resolution,
         "noise_ceiling_db": {split: scene.ceilings_db[split] for split in TEST_SPLITS},
         "notes": list(left_out_notes(scene)),

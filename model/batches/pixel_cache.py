@@ -31,7 +31,6 @@ from torch import Tensor
 
 from datagen.data.config import Split
 from datagen.data.dataset import Dataset
-from datagen.data.layer_store import LayersHead
 from datagen.data.number_formats import UV_SCALE
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import remove_files
@@ -144,7 +143,6 @@ def map_pixels(
     """
     assert with_images, "only training data is large"
     store = dataset.layer_store(geometry)
-    assert isinstance(store.head, LayersHead)
     num_layers = min(store.head.num_layers, max_layers or store.head.num_layers)
     content: dict[str, Json] = {
         "version": CACHE_VERSION,

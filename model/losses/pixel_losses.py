@@ -91,7 +91,7 @@ def noise_penalty(
     independent renderings: Deng et al. 2022, "Reconstructing Translucent Objects using Differentiable Rendering".
 
     The variance has to be one that independent groups of rays tell. Half of the spread of rays in cells of their own is
-    right on average, but then ripples that cancel within a pixel are paid for, and grow on rough surfaces (RESULTS.md).
+    right on average, but then ripples that cancel within a pixel are paid for, and grow on rough surfaces (docs/notes).
     The second derivative is taken as far out as the noise reaches: at a difference of 0 that is the mean of two large
     ones it would pay for noise without limit.
     """

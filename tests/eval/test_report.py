@@ -22,7 +22,9 @@ from datagen.data.config import TEST_SPLITS, Split
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.png import png_bytes, read_png
 from datagen.disk.errors import HyalineError
+from datagen.machine.revision import code_version
 from eval.page.report import make_report
+from eval.page.results_page import results_page
 from eval.score.runs import RUN_KEYS, list_run_folders
 from eval.tables.grids import CEILING, latex_escaped
 from model.run.run_folder import RunRecord
@@ -130,8 +132,13 @@ def test_json_on_stdout_is_the_file_and_holds_every_picture(
     text = capsys.readouterr().out
     assert (tmp_path / "results.json").read_text() == text
     assert str(made) not in text  # No path of this machine.
+    assert json.loads(text)["made_by"] == {"command": "report", "code": code_version()}
     (scene,) = json.loads(text)["scenes"]
+    assert scene["preset"] == "tiny"
     runs = {run["run"]: run for run in scene["runs"]}
+    page = results_page([tmp_path / "results.json"])
+    assert f"hyaline {code_version()}." in page
+    assert "| perfect | true geometry | 33,267 | 1 | **∞** | **∞** |" in page
     assert runs["perfect"]["splits"]["interpolating"]["psnr_db"] == {"mean": "inf", "pictures": ["inf", "inf"]}
     assert runs["foreign_nerf"]["splits"]["extrapolating"] is None
     assert len(runs["grey"]["splits"]["extrapolating"]["delta_e"]["pictures"]) == 2

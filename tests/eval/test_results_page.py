@@ -1,0 +1,101 @@
+"""Tests RESULTS.md: it is what the command writes from stored results, seeds become means, other files are refused."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from datagen.disk.errors import HyalineError
+from eval.page.results_page import results_page
+from eval.tables.grids import MISSING
+
+ROOT = Path(__file__).resolve().parents[2]
+KEYS = ("psnr_db", "glass_psnr_db", "ssim", "delta_e")
+
+
+def run(name: str, psnr_db: float, *, seed: int = 0) -> dict[str, Any]:
+    scores = {key: {"mean": psnr_db, "pictures": [psnr_db]} for key in KEYS}
+    return {
+        "run": name,
+        "knowledge": "true | geometry",
+        "num_parameters": 1234,
+        "seed": seed,
+        "drop_db": None,
+        "splits": {"interpolating": scores, "extrapolating": None},
+    }
+
+
+def results(**change: Any) -> dict[str, Any]:
+    angles = {"extrapolating-10deg": {key: {"mean": 20.0, "pictures": [20.0]} for key in KEYS}}
+    scene = {
+        "scene": "glass_table",
+        "preset": "tiny",
+        "resolution": 16,
+        "noise_ceiling_db": {"interpolating": "inf", "extrapolating": 40.0},
+        "runs": [run("worse", 29.0), run("mine", 30.0), run("mine-seed1", 32.0, seed=1)],
+        "seeds": [{"runs": ["mine", "mine-seed1"]}],
+        "analyses": {
+            "curves": {"mine": {"db_per_10deg": -1.0}, "mine-seed1": {"db_per_10deg": -3.0}},
+            "variants": {"angles": {"noise_ceiling_db": {"extrapolating-10deg": 45.0}, "runs": {"mine": angles}}},
+        },
+    }
+    return {"version": 1, "made_by": {"command": "make demo", "code": "0.1.0 (abc)"}, "scenes": [scene], **change}
+
+
+def write(folder: Path, name: str, content: dict[str, Any]) -> Path:
+    path = folder / name
+    path.write_text(json.dumps(content))
+    return path
+
+
+def test_results_md_is_what_the_command_writes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(ROOT)
+    files = list(Path("docs/results").glob("*.json"))
+    assert files
+    assert Path("RESULTS.md").read_text() == results_page(files), "write it with `make results`"
+
+
+def test_seeds_are_a_mean_with_its_deviation_and_the_best_run_comes_first(tmp_path: Path) -> None:
+    page = results_page([write(tmp_path, "demo.json", results())])
+    lines = page[page.index("## demo") :].splitlines()
+    assert lines[2:5] == ["```", "make demo", "```"]
+    assert lines[6] == f"[demo.json]({tmp_path.as_posix()}/demo.json); hyaline 0.1.0 (abc)."
+    first = lines.index("### glass_table, preset tiny: 16 x 16 pixels") + 4
+    table = [line.replace(MISSING, "none") for line in lines[first:]]
+    mean = "31.00 ± 1.41"
+    assert table[0].startswith(f"| mine | true \\| geometry | 1,234 | 2 | **{mean}** | none | **{mean}** | none |")
+    assert table[0].endswith("| none | -2.00 ± 1.41 |")
+    assert table[1].startswith("| worse | true \\| geometry | 1,234 | 1 | 29.00 | none | 29.00 |")
+    assert table[1].endswith("| **29.00** | none | none | none |"), "of colour differences the least is best"
+    assert table[2].startswith("| truth's noise (ceiling) |  |  |  | ∞ | 40.00 |")
+    angles = lines[lines.index("### glass_table: variant angles") + 4 :]
+    assert angles[:2] == [
+        "| mine | 1 | 20.00 | 20.00 |",
+        "| truth's noise (ceiling) |  | 45.00 |  |",
+    ]
+
+
+def test_files_come_by_name_and_what_none_recorded_is_said(tmp_path: Path) -> None:
+    plain = results()
+    del plain["made_by"], plain["scenes"][0]["preset"]
+    page = results_page([write(tmp_path, "b.json", results()), write(tmp_path, "a.json", plain)])
+    assert page.index("## a\n\n```\nnot recorded\n```") < page.index("## b\n")
+    assert "hyaline not recorded." in page
+    assert "### glass_table: 16 x 16 pixels" in page
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (results(version=2), "demo.json: format version 2; this program reads 1, as `eval report` writes it"),
+        (
+            results(scenes=[{"scene": "x"}]),
+            "demo.json: lacks 'seeds'; expected a results.json that `eval report` wrote",
+        ),
+        ({"version": 1}, "demo.json: lacks 'scenes'"),
+    ],
+)
+def test_a_file_of_another_kind_is_refused(content: dict[str, Any], message: str, tmp_path: Path) -> None:
+    with pytest.raises(HyalineError, match=message):
+        results_page([write(tmp_path, "demo.json", content)])
