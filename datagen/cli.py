@@ -146,6 +146,7 @@ def build(
     from datagen.build.shards import count_missing, parse_shard
     from datagen.disk.ownership import DATASET, refuse_strangers
     from datagen.scene.importers.finding import find_scene, is_foreign
+    from datagen.scene.rig import with_listed_views
 
     size = resize(
         PRESETS[choose("preset", preset, PRESETS)],
@@ -179,6 +180,8 @@ def build(
     description = find_scene(scene, built=None if overwrite else out or DATA_ROOT / scene, resolution=size.resolution)
     root = out or DATA_ROOT / description.name
     config = dataclasses.replace(config, scene=description.name)
+    if views is None and test_views is None:
+        config = with_listed_views(config, description.cameras)
     if launch.launcher is not None:
         # What follows then finds all views made, and reads every byte of them.
         send_off(sys.argv[1:], root, launch, workers=workers)

@@ -36,6 +36,11 @@ def make_angle_cameras(scene: Scene, config: DatasetConfig) -> dict[Split, Camer
     Raises:
         HyalineError: there is no such place.
     """
+    if not isinstance(scene.cameras, CameraRig):
+        raise HyalineError(
+            f"scene {scene.name}: lists its cameras, so that nobody knows which directions training covers; leave out "
+            "--angle-splits, or give it a CameraRig"
+        )
     size, fov_x, count = config.resolution, math.radians(scene.cameras.fov_deg), config.extrapolating.views
     meshes = tuple(item.mesh for item in scene.objects)
     cameras: dict[Split, Cameras] = {}

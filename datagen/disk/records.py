@@ -94,6 +94,8 @@ def _parse_union(choices: tuple[object, ...], data: Json, where: str) -> object:
         _checked(name, isinstance(name, str) and name in records, f"{where}.type", f"one of {sorted(records)}")
         return _parse_record(records[typing.cast(str, name)], data, where)
     plain = [choice for choice in choices if choice not in records.values() and choice is not types.NoneType]
+    if str in plain and len(plain) == 2:  # Text, or what is none.
+        plain = [choice for choice in plain if (choice is str) == isinstance(data, str)]
     if len(plain) != 1:
         raise HyalineError(f"{where}: {shown(data)} has no `type`; expected one of {sorted(records)}")
     return _parse(plain[0], data, where)

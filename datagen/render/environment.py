@@ -1,5 +1,6 @@
 """Light from infinitely far: the sky's radiance by direction, and Mitsuba's map of it. Call `use_mitsuba` first."""
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,8 +18,11 @@ SMALL_LIGHT = 32.0
 """Sharpness of a lobe from which on it is aimed at. Measured on the glass table, its lobes made sharper at equal power:
 to 45 dB it takes 0.8, 1.0 and 1.2 times as long without aiming at 16, 32 and 64. Shipped scenes have 4 to 8."""
 
-ENVIRONMENT_SIZE = (256, 512)
-"""Height and width of the latitude-longitude map; a soft sky is smooth, so more adds nothing."""
+MIN_HEIGHT, MAX_HEIGHT = 256, 2048
+"""Rows of the latitude-longitude map of a soft sky, which is half as high as wide. Where it is smooth, more than 256
+add nothing."""
+ROWS_PER_LOBE = 4
+"""Across the width at half height of the sharpest lobe."""
 
 
 def has_small_light(environment: Environment) -> bool:
@@ -56,7 +60,7 @@ def environment_plugin(scene: Scene) -> Plugin:
 
     environment = scene.environment
     if isinstance(environment, SoftEnvironment):
-        radiance, to_world = _painted(environment), _Z_UP
+        radiance, to_world = painted(environment), _Z_UP
     else:
         radiance, to_world = _map_of(scene, environment), _about_z(environment.rotation_deg) @ _MIDDLE_TO_X
     return {"type": "envmap", "bitmap": mi.Bitmap(radiance), "to_world": mitsuba_transform(to_world)}
@@ -88,10 +92,21 @@ def _map_of(scene: Scene, environment: EnvironmentMap) -> Float32[np.ndarray, "h
     return read_map(image_bytes(scene, environment), where=where) * np.float32(environment.scale)
 
 
-def _painted(environment: SoftEnvironment) -> Float32[np.ndarray, "h w 3"]:
+def painted(environment: SoftEnvironment) -> Float32[np.ndarray, "h w 3"]:
     """The map of a soft sky that lies as `_Z_UP` turns it."""
-    height, width = ENVIRONMENT_SIZE
+    height = _painted_height(environment)
+    width = 2 * height
     theta = (np.arange(height) + 0.5)[:, None] / height * np.pi
     phi = (np.arange(width) + 0.5)[None, :] / width * 2 * np.pi
     x, y, z = np.broadcast_arrays(np.sin(phi) * np.sin(theta), np.cos(theta), -np.cos(phi) * np.sin(theta))
     return radiance_of_environment(environment, np.stack([x, -z, y], axis=-1)).astype(np.float32)
+
+
+def _painted_height(environment: SoftEnvironment) -> int:
+    """Rows of the map: a power of two, so many that the sharpest lobe has a few."""
+    height = MIN_HEIGHT
+    for lobe in environment.lobes:
+        width = 2 * math.acos(max(-1.0, 1 - math.log(2) / lobe.sharpness))
+        while height < MAX_HEIGHT and height * width < ROWS_PER_LOBE * math.pi:
+            height *= 2
+    return height

@@ -5,6 +5,9 @@ Normals with Spherical Caps"). Times Fresnel's term, the shadowing is what a sam
 facets throw onto each other is lost, as in Mitsuba's own plugins.
 """
 
+# Mitsuba's stubs describe no variant: what is a number in one is an array in another.
+# pyright: reportArgumentType=false, reportOperatorIssue=false
+
 from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:

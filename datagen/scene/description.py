@@ -8,6 +8,7 @@ from datagen.data.meshes import Mesh
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import find_file
 from datagen.disk.reading import read_regular
+from datagen.scene.camera_list import CameraList
 from datagen.scene.lights import Environment, EnvironmentMap, Lobe, RectangleLight, SoftEnvironment
 from datagen.scene.materials import Material, check_material
 from datagen.scene.textures import ImageTexture
@@ -16,6 +17,7 @@ from datagen.scene.values import Vector, check_positive
 __all__ = [
     "MAX_OBJECTS",
     "OBJECT_NAME",
+    "CameraList",
     "CameraRig",
     "EnvironmentMap",
     "Lobe",
@@ -98,7 +100,7 @@ class Scene:
     objects: tuple[SceneObject, ...]
     environment: Environment
     lights: tuple[RectangleLight, ...] = ()
-    cameras: CameraRig
+    cameras: CameraRig | CameraList
     folder: Path | None = field(default=None)
     """Where image textures and the map of the environment lie; None for scenes made by code."""
     baked: Mapping[str, bytes] = field(default_factory=dict)

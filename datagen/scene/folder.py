@@ -15,6 +15,7 @@ from datagen.disk.storage import commit, dump_json
 from datagen.scene.description import (
     MAX_OBJECTS,
     OBJECT_NAME,
+    CameraList,
     CameraRig,
     Scene,
     SceneObject,
@@ -33,6 +34,8 @@ SCENE_VERSION = 1
 
 @dataclass(frozen=True, kw_only=True)
 class _ObjectFile:
+    """One object: what is peeled under one id, textured by one neural texture, replaced by one proxy."""
+
     name: str
     mesh: str | None
     """Relative to the scene's folder; None where an edit removed the object."""
@@ -43,13 +46,19 @@ class _ObjectFile:
 
 @dataclass(frozen=True, kw_only=True)
 class _SceneFile:
+    """What scene.json holds."""
+
     version: int
     name: str
     description: str = ""
     objects: tuple[_ObjectFile, ...]
     environment: Environment
     lights: tuple[RectangleLight, ...] = ()
-    cameras: CameraRig
+    cameras: CameraRig | CameraList
+
+
+FILE_RECORD: type = _SceneFile
+"""The record of a whole scene.json, from which its schema is made."""
 
 
 def save_scene(scene: Scene, folder: Path) -> None:
@@ -155,9 +164,9 @@ def _parse_scene(data: dict[str, Json], path: Path) -> _SceneFile:
             for index, entry in enumerate(listed)
         )
         data = {**data, "objects": []}
-    environment = data.get("environment")
-    if isinstance(environment, dict):  # It needed no type as long as there was one kind.
-        data = {**data, "environment": {"type": SoftEnvironment.__name__, **environment}}
+    for key, first in (("environment", SoftEnvironment), ("cameras", CameraRig)):
+        if isinstance(described := data.get(key), dict):  # It needed no type as long as there was one kind.
+            data = {**data, key: {"type": first.__name__, **described}}
     return dataclasses.replace(_parse_in(_SceneFile, data, where=str(path)), objects=objects)
 
 

@@ -1,5 +1,6 @@
 """The cameras of every split, placed by a scene's rig."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -7,23 +8,47 @@ from jaxtyping import Float
 
 from datagen.data.cameras import Cameras, look_at
 from datagen.data.config import SPLITS, DatasetConfig, Split
+from datagen.disk.errors import HyalineError
+from datagen.scene.camera_list import CameraList
 from datagen.scene.description import CameraRig
 from datagen.scene.values import Vector
 
 
-def make_cameras(rig: CameraRig, config: DatasetConfig) -> dict[Split, Cameras]:
-    """The cameras of all splits; only the training ones are random, from the dataset's seed.
+def make_cameras(rig: CameraRig | CameraList, config: DatasetConfig) -> dict[Split, Cameras]:
+    """The cameras of all splits; only the training ones of a rig are random, from the dataset's seed.
 
     Source: paper section 4.5. Training cameras lie on a hemisphere that is cropped at the floor, the interpolating path
     lies on the same hemisphere, the extrapolating walk leaves it: nearer, farther, lower, looking elsewhere.
     """
-    poses = {
-        "train": _hemisphere(rig, config.train.views, np.random.default_rng(config.seed)),
-        "interpolating": _path_on_hemisphere(rig, config.interpolating.views),
-        "extrapolating": _walk(rig, config.extrapolating.views),
-    }
+    if isinstance(rig, CameraList):
+        poses = _listed(rig, config)
+    else:
+        poses = {
+            "train": _hemisphere(rig, config.train.views, np.random.default_rng(config.seed)),
+            "interpolating": _path_on_hemisphere(rig, config.interpolating.views),
+            "extrapolating": _walk(rig, config.extrapolating.views),
+        }
     size, fov_x = config.resolution, math.radians(rig.fov_deg)
     return {split: Cameras(world_from_camera=poses[split], fov_x=fov_x, width=size, height=size) for split in SPLITS}
+
+
+def with_listed_views(config: DatasetConfig, rig: CameraRig | CameraList) -> DatasetConfig:
+    """The configuration with as many views of each split as a scene lists; unchanged where a rig places them."""
+    if isinstance(rig, CameraRig):
+        return config
+    sizes = {split: dataclasses.replace(config.split(split), views=len(rig.poses()[split])) for split in SPLITS}
+    return dataclasses.replace(config, **sizes)
+
+
+def _listed(rig: CameraList, config: DatasetConfig) -> dict[str, Float[np.ndarray, "view 4 4"]]:
+    poses = rig.poses()
+    for split in SPLITS:
+        if config.split(split).views != len(poses[split]):
+            raise HyalineError(
+                f"{split}: {config.split(split).views} views are asked for, and the scene lists {len(poses[split])} "
+                "cameras; leave out --views and --test-views, or list others in its scene.json"
+            )
+    return poses
 
 
 def _hemisphere(rig: CameraRig, count: int, rng: np.random.Generator) -> Float[np.ndarray, "view 4 4"]:

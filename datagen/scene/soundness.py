@@ -14,7 +14,7 @@ from datagen.data.windings import check_closed, check_solid, windings
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import check_name
 from datagen.scene.contact import touching_share
-from datagen.scene.description import MAX_OBJECTS, OBJECT_NAME, CameraRig, Scene, SceneObject
+from datagen.scene.description import MAX_OBJECTS, OBJECT_NAME, CameraList, CameraRig, Scene, SceneObject
 from datagen.scene.media import MAX_NESTED
 from datagen.scene.shading_normals import MAX_OPPOSING, count_without_normal, opposing_share
 
@@ -87,8 +87,10 @@ def check_sound(scene: Scene) -> None:
     _check_contact(scene, there)
 
 
-def camera_places(rig: CameraRig) -> Float[np.ndarray, "place 3"]:
-    """Places all over the rig's hemisphere and along its walk."""
+def camera_places(rig: CameraRig | CameraList) -> Float[np.ndarray, "place 3"]:
+    """Places all over the rig's hemisphere and along its walk; or of the cameras that are listed."""
+    if isinstance(rig, CameraList):
+        return np.concatenate([poses[:, :3, 3] for poses in rig.poses().values()])
     elevation, azimuth = np.meshgrid(
         np.radians(np.linspace(*rig.elevation_deg, 9)), np.radians(np.linspace(*rig.azimuth_deg, 25))
     )

@@ -3,7 +3,6 @@
 import dataclasses
 import math
 from dataclasses import dataclass
-from typing import cast
 
 import numpy as np
 from jaxtyping import Float
@@ -11,7 +10,7 @@ from jaxtyping import Float
 from datagen.data.meshes import Mesh
 from datagen.disk.errors import HyalineError
 from datagen.scene.materials import Material
-from datagen.scene.values import Vector, check_positive
+from datagen.scene.values import Vector, as_vector, check_positive
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,6 +61,5 @@ def transformed_material(material: Material, transform: Transform) -> Material:
     """
     for name, pattern in material.solids().items():
         place = transform.rotation() @ (np.array(transform.scale) * pattern.origin) + transform.translation
-        origin = cast(Vector, tuple(place.tolist()))
-        material = material.with_fields({name: dataclasses.replace(pattern, origin=origin)})
+        material = material.with_fields({name: dataclasses.replace(pattern, origin=as_vector(place))})
     return material

@@ -2,11 +2,20 @@
 
 import math
 
+import numpy as np
+from jaxtyping import Float
+
 from datagen.disk.errors import HyalineError
 
 Vector = tuple[float, float, float]
 Color = tuple[float, float, float]
 """Linear Rec. 709 reflectance or radiance."""
+
+
+def as_vector(values: Float[np.ndarray, "3"]) -> Vector:
+    """Three numbers of an array."""
+    x, y, z = values.tolist()
+    return x, y, z
 
 
 def check_positive(name: str, value: float) -> None:
@@ -19,12 +28,6 @@ def check_range(name: str, color: Color, low: float, high: float) -> None:
     """Refuses a colour or vector with a component outside of [low, high], or one that is no number."""
     if not all(math.isfinite(value) and low <= value <= high for value in color):
         raise HyalineError(f"{name}: is {color}; expected three numbers from {low:g} to {high:g}")
-
-
-def check_ior(ior: float) -> None:
-    """Refuses an index of refraction that is not above that of air."""
-    if not 1 < ior < 10:
-        raise HyalineError(f"ior: is {ior}; expected an index of refraction above 1 (glass has 1.5)")
 
 
 def check_roughness(roughness: float) -> None:

@@ -56,6 +56,9 @@ def web_scene(renderer: LightPathRenderer, dataset: Dataset, geometry: str, qual
     config = renderer.config
     check_exportable(config)
     scene = load_scene(dataset.root / "scene", is_sealed=True)
+    for item in scene.objects:
+        if item.material.medium is not None and item.material.surface().roughness > 0:
+            raise HyalineError(f"export: {item.name} is of rough glass, which the page does not draw; expected smooth")
     meshes = read_meshes(dataset, geometry)
     packed = Packed()
     _add_meshes(packed, meshes, quality)

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from datagen.scene.materials.optics import Medium, Optics, Plugin, Surface, TexturePlugin
-from datagen.scene.values import Color, check_ior, check_range
+from datagen.scene.substances import Ior, check_ior, index_of
+from datagen.scene.values import Color, check_range
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -15,8 +16,8 @@ class Dielectric(Optics):
     is_glass: ClassVar[bool] = True
     brief_keys: ClassVar[tuple[str, ...]] = ("priority",)
 
-    ior: float = 1.5
-    """Absolute index of refraction; air has 1."""
+    ior: Ior = 1.5
+    """Absolute index of refraction (air has 1), or the name of a substance such as bk7, water or diamond."""
     absorption: Color = (0.0, 0.0, 0.0)
     """Absorption coefficient per channel, 1/m: transmittance over d metres is exp(-absorption d)."""
     priority: int = 0
@@ -31,12 +32,12 @@ class Dielectric(Optics):
     @property
     def medium(self) -> Medium:
         """What lies inside."""
-        return Medium(ior=self.ior, absorption=self.absorption, priority=self.priority)
+        return Medium(ior=index_of(self.ior), absorption=self.absorption, priority=self.priority)
 
     def bsdf(self, texture: TexturePlugin) -> Plugin:  # noqa: ARG002
         """The surface between glass and air; our own integrator asks the media for what lies on its two sides."""
-        return {"type": "dielectric", "int_ior": self.ior, "ext_ior": 1.0}
+        return {"type": "dielectric", "int_ior": index_of(self.ior), "ext_ior": 1.0}
 
     def surface(self) -> Surface:
         """Refracts; which media meet there is known by the solids that the ray is in."""
-        return Surface(event="refracts", ior=self.ior)
+        return Surface(event="refracts", ior=index_of(self.ior))

@@ -3,8 +3,9 @@
 from dataclasses import dataclass
 
 from datagen.scene.materials.optics import Optics, Plugin, Surface, TexturePlugin
+from datagen.scene.substances import Ior, check_ior, index_of
 from datagen.scene.textures import Reflectance, check_reflectance
-from datagen.scene.values import check_ior, check_roughness
+from datagen.scene.values import check_roughness
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -12,7 +13,8 @@ class Plastic(Optics):
     """A diffuse base under a clear coat."""
 
     color: Reflectance
-    ior: float = 1.5
+    ior: Ior = 1.5
+    """Index of refraction of the coat, or the name of a substance."""
     roughness: float = 0.1
     """Microfacet (GGX) alpha of the coat."""
 
@@ -26,7 +28,7 @@ class Plastic(Optics):
         plastic = {
             "type": "roughplastic",
             "diffuse_reflectance": texture(self.color),
-            "int_ior": self.ior,
+            "int_ior": index_of(self.ior),
             "ext_ior": 1.0,
             "alpha": self.roughness,
             "distribution": "ggx",
@@ -36,4 +38,4 @@ class Plastic(Optics):
 
     def surface(self) -> Surface:
         """Ends the path; its coat mirrors."""
-        return Surface(event="coated", ior=self.ior, roughness=self.roughness)
+        return Surface(event="coated", ior=index_of(self.ior), roughness=self.roughness)

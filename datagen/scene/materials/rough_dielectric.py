@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from datagen.scene.materials.dielectric import Dielectric
 from datagen.scene.materials.optics import Plugin, Surface, TexturePlugin
+from datagen.scene.substances import index_of
 from datagen.scene.values import check_roughness
 
 
@@ -22,10 +23,10 @@ class RoughDielectric(Dielectric):
     def bsdf(self, texture: TexturePlugin) -> Plugin:
         """Facets that refract and reflect; our own integrator samples them itself, for what lies on their two sides."""
         smooth = super().bsdf(texture)
-        if self.roughness == 0:
+        if self.roughness == 0 or index_of(self.ior) == 1:  # Facets of index 1, which do nothing, Mitsuba refuses.
             return smooth
         return {**smooth, "type": "roughdielectric", "alpha": self.roughness, "distribution": "ggx"}
 
     def surface(self) -> Surface:
         """Refracts by one of its facets."""
-        return Surface(event="refracts", ior=self.ior, roughness=self.roughness)
+        return Surface(event="refracts", ior=index_of(self.ior), roughness=self.roughness)

@@ -4,7 +4,8 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from datagen.scene.materials.optics import Optics, Plugin, Surface, TexturePlugin, rgb
-from datagen.scene.values import Color, check_ior, check_range
+from datagen.scene.substances import Ior, check_ior, index_of
+from datagen.scene.values import Color, check_range
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -14,7 +15,8 @@ class ThinDielectric(Optics):
     is_glass: ClassVar[bool] = True
     brief_keys: ClassVar[tuple[str, ...]] = ("tint",)
 
-    ior: float = 1.5
+    ior: Ior = 1.5
+    """Index of refraction, or the name of a substance."""
     tint: Color = (1.0, 1.0, 1.0)
     """Share of the light that is not mirrored which comes through, at every angle; each in [0, 1]."""
 
@@ -24,9 +26,9 @@ class ThinDielectric(Optics):
 
     def bsdf(self, texture: TexturePlugin) -> Plugin:  # noqa: ARG002
         """A pane without thickness."""
-        pane: Plugin = {"type": "thindielectric", "int_ior": self.ior, "ext_ior": 1.0}
+        pane: Plugin = {"type": "thindielectric", "int_ior": index_of(self.ior), "ext_ior": 1.0}
         return pane if self.tint == (1, 1, 1) else {**pane, "specular_transmittance": rgb(self.tint)}
 
     def surface(self) -> Surface:
         """Lets light through as it comes, and mirrors what both of its faces do."""
-        return Surface(event="passes", ior=self.ior, color=self.tint)
+        return Surface(event="passes", ior=index_of(self.ior), color=self.tint)

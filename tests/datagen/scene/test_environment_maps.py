@@ -15,14 +15,14 @@ from support.synthetic import look_at, synthetic_scene
 from datagen.data.cameras import Cameras
 from datagen.disk.errors import HyalineError
 from datagen.machine.mitsuba_variant import use_mitsuba
-from datagen.scene.description import EnvironmentMap, Scene, SceneObject
+from datagen.scene.description import EnvironmentMap, Lobe, Scene, SceneObject, SoftEnvironment
 from datagen.scene.environment_maps import look_up, read_map
 from datagen.scene.folder import load_scene, save_scene, scene_files
 from datagen.scene.materials import Dielectric
 
 use_mitsuba(quiet=True)
 
-from datagen.render.environment import radiance_of_sky  # noqa: E402
+from datagen.render.environment import painted, radiance_of_sky  # noqa: E402
 from datagen.render.mitsuba_scene import load_scene_mitsuba  # noqa: E402
 from datagen.render.truth import Renderer  # noqa: E402
 
@@ -197,3 +197,15 @@ def test_truth_and_light_paths_see_one_map_through_glass(tmp_path: Path) -> None
         seen += (paths.end_throughput * sky).sum(axis=0) / 16
     error = np.abs(seen.reshape(16, 16, 3) - truth)
     assert error.mean() < 0.02 * truth.mean()
+
+
+@pytest.mark.parametrize("sharpness", [8.0, 300.0, 3000.0, 60000.0])
+def test_a_lobe_as_small_as_the_sun_shines_as_much_as_its_formula_says(sharpness: float) -> None:
+    lobe = Lobe(direction=(1, -1, 0.7), radiance=(3, 2, 1), sharpness=sharpness)
+    radiance = painted(SoftEnvironment(zenith=(0, 0, 0), horizon=(0, 0, 0), ground=(0, 0, 0), lobes=(lobe,)))
+    height, width = radiance.shape[:2]
+    rows = np.cos(np.linspace(0, np.pi, height + 1))
+    areas = (rows[:-1] - rows[1:]) * 2 * np.pi / width
+    found = (radiance[..., 0].astype(np.float64) * areas[:, None]).sum()
+    assert found == pytest.approx(3 * 2 * np.pi / sharpness * (1 - np.exp(-2 * sharpness)), rel=0.02)
+    assert (height, width) == ((256, 512) if sharpness < 2000 else (512, 1024) if sharpness < 9000 else (2048, 4096))

@@ -94,7 +94,7 @@ def test_a_mesh_without_uv_is_unwrapped(tmp_path: Path) -> None:
         (lambda d: d.update(version=7), r"scene\.json: version 7; this program reads version 1"),
         (
             lambda d: d["objects"][0]["material"].update(ior=0),
-            r"scene\.json: object pane: ior: is 0\.0; expected .* above 1",
+            r"scene\.json: object pane: ior: is 0\.0; expected .* at least 1",
         ),
         (lambda d: d["objects"][0]["material"].update(ior=-1.5), r"ior: is -1\.5"),
         (
