@@ -18,7 +18,7 @@ from datagen.data.paths import view_name
 from datagen.disk.errors import HyalineError
 from datagen.disk.reading import read_regular
 from datagen.disk.storage import commit
-from datagen.terminal.command import version
+from datagen.terminal.distribution import VERSION
 from model.methods.light_path.net import LightPathRenderer
 from model.run.predict import load_renderer
 from model.run.run_folder import RunRecord
@@ -67,7 +67,7 @@ def scene_page(
         _part("page.html"),
         {
             "policy": _policy(script, style),
-            "generator": f"hyaline {version()}",
+            "generator": f"hyaline {VERSION}",
             "title": html.escape(title),
             "style": style,
             "alternative": html.escape(f"Still picture of {dataset.name}"),

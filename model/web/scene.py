@@ -73,6 +73,7 @@ def web_scene(renderer: LightPathRenderer, dataset: Dataset, geometry: str, qual
     # Of objects that are not there the place in the order does not matter, but their boxes have no bounds.
     there = tuple(item.material if is_there(mesh) else None for item, mesh in zip(scene.objects, meshes, strict=True))
     rank = find_media(there, meshes).rank
+    surfaces = [item.material.surface() for item in scene.objects]
     manifest: dict[str, Json] = {
         "schema": 1,
         "name": dataset.name,
@@ -83,13 +84,18 @@ def web_scene(renderer: LightPathRenderer, dataset: Dataset, geometry: str, qual
         "reach": scene.cameras.radius / 2,
         "start": f"{'interpolating' if 'interpolating' in views else dataset.splits[0]}/0",
         "views": views,
-        "defines": _defines(config, quality, num_media=int((rank >= 0).sum())),
+        "defines": {
+            **_defines(config, quality),
+            # In the page any solid may be moved into any other.
+            "NESTED": int(int((rank >= 0).sum()) <= MAX_NESTED),
+            "ROUGH_GLASS": int(any(surface.event == "refracts" and surface.roughness > 0 for surface in surfaces)),
+        },
         "objects": _objects(scene, meshes, rank, places),
     }
     return WebScene(manifest=manifest, packed=packed)
 
 
-def _defines(config: LightPathConfig, quality: Quality, *, num_media: int) -> dict[str, Json]:
+def _defines(config: LightPathConfig, quality: Quality) -> dict[str, Json]:
     """The numbers that stand above the shader."""
     return {
         "BRANCHES": config.branches,
@@ -104,8 +110,6 @@ def _defines(config: LightPathConfig, quality: Quality, *, num_media: int) -> di
         "SKY_HEIGHT": config.environment_size,
         "SKY_LEVELS": config.environment_size.bit_length() + 1,
         "LOBES": config.sky_lobes if config.composite else 0,
-        # In the page any solid may be moved into any other.
-        "NESTED": int(num_media <= MAX_NESTED),
     }
 
 

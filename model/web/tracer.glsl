@@ -1,6 +1,5 @@
-// Light paths and the networks that shade them: what datagen/trace/light_path.py and model/methods/light_path/net.py
-// compute, one ray a pixel. The page defines, above this text: BRANCHES, MAX_DEPTH, LEVELS, FEATURE_TEXELS, HIDDEN,
-// STACK_HIDDEN, SEES_DIRECTIONS, OCTAVES, COMPOSITE, SKY_HEIGHT, SKY_LEVELS, LOBES, NESTED, TEXTURE_WIDTH, STACK.
+// Light paths and the networks that shade them, one ray a pixel: what datagen/trace and
+// model/methods/light_path/net.py compute. The page defines, above this text, the numbers of model/web/scene.py.
 
 uniform highp sampler2D nodes;      // Of both levels of the tree: four texels each, a box and where it leads, twice.
 uniform highp sampler2D triangles;  // Three corners each; beside each its vertex.
@@ -152,14 +151,25 @@ vec4 medium(int rank) { return rank < 0 ? vec4(1.0, 0.0, 0.0, 0.0) : of_object(r
 
 // ---- Random numbers, as Mitsuba makes them
 
-float random(uint v0, uint v1) {
+uvec2 tea(uint v0, uint v1) {
     uint sum = 0u;
     for (int i = 0; i < 4; i++) {
         sum += 0x9e3779b9u;
         v0 += ((v1 << 4) + 0xa341316cu) ^ (v1 + sum) ^ ((v1 >> 5) + 0xc8013ea4u);
         v1 += ((v0 << 4) + 0xad90777du) ^ (v0 + sum) ^ ((v0 >> 5) + 0x7e95761eu);
     }
-    return uintBitsToFloat((v1 >> 9) | 0x3f800000u) - 1.0;
+    return uvec2(v0, v1);
+}
+
+float random(uint v0, uint v1) { return uintBitsToFloat((tea(v0, v1).y >> 9) | 0x3f800000u) - 1.0; }
+
+// Which facet of a rough surface a ray chooses. Where glass is rough, each ray throws its own dice from the second
+// surface on.
+vec2 random_point(vec2 row, uint ray, int step) {
+    uvec2 at = uvec2(2 * step, 2 * step + 1);
+    if (ROUGH_GLASS == 1 && step > 0) return vec2(random(ray, tea(seed, at.x).x), random(ray, tea(seed, at.y).x));
+    vec2 point = row + vec2(random(seed, at.x), random(seed, at.y));
+    return point - floor(point);
 }
 
 // ---- Optics
@@ -174,21 +184,39 @@ vec2 fresnel(float cos_i, float eta) {
     return vec2(0.5 * (s * s + p * p), cos_t);
 }
 
-// A visible facet of a rough surface mirrors a ray. Source: as `_mirror_rough` of the tracer.
-vec3 mirror_rough(vec3 d, vec3 n, float alpha, vec2 u, out float cosine, out float shadowing) {
+// A visible facet of a rough surface, in the surface's frame. Source: datagen/render/facets.py.
+struct Facet {
+    mat3 frame;
+    vec3 wi, m;
+    float cosine, alpha;
+};
+
+Facet facet_towards(vec3 d, vec3 n, float alpha, vec2 u) {
     float turn = n.z < 0.0 ? -1.0 : 1.0, a = -1.0 / (turn + n.z), b = n.x * n.y * a;
-    vec3 s = vec3(turn * n.x * n.x * a + 1.0, turn * b, -turn * n.x), t = vec3(b, turn + n.y * n.y * a, -n.y);
-    vec3 wi = vec3(dot(-d, s), dot(-d, t), dot(-d, n));
+    mat3 frame = mat3(turn * n.x * n.x * a + 1.0, turn * b, -turn * n.x, b, turn + n.y * n.y * a, -n.y, n);
+    vec3 wi = -d * frame;
     vec3 stretched = normalize(vec3(alpha * wi.xy, max(wi.z, 1e-6)));
     float z = (1.0 - u.y) * (1.0 + stretched.z) - stretched.z;
     float sine = sqrt(max(1.0 - z * z, 0.0)), azimuth = 6.283185307179586 * u.x;
     vec3 cap = vec3(sine * cos(azimuth), sine * sin(azimuth), z) + stretched;
-    vec3 facet = normalize(vec3(alpha * cap.xy, max(cap.z, 1e-6)));
-    cosine = clamp(dot(wi, facet), 0.0, 1.0);
-    vec3 wo = 2.0 * cosine * facet - wi;
-    float tangent2 = dot(wo.xy, wo.xy) / max(wo.z * wo.z, 1e-12);
-    shadowing = wo.z > 0.0 ? 2.0 / (1.0 + sqrt(1.0 + alpha * alpha * tangent2)) : 0.0;
-    return normalize(s * wo.x + t * wo.y + n * wo.z);
+    vec3 m = normalize(vec3(alpha * cap.xy, max(cap.z, 1e-6)));
+    return Facet(frame, wi, m, clamp(dot(wi, m), 0.0, 1.0), alpha);
+}
+
+float unshadowed(vec3 wo, float alpha) {
+    return 2.0 / (1.0 + sqrt(1.0 + alpha * alpha * dot(wo.xy, wo.xy) / max(wo.z * wo.z, 1e-12)));
+}
+
+vec3 mirrored_by(Facet facet, out float shadowing) {
+    vec3 wo = 2.0 * facet.cosine * facet.m - facet.wi;
+    shadowing = wo.z > 0.0 ? unshadowed(wo, facet.alpha) : 0.0;
+    return normalize(facet.frame * wo);
+}
+
+vec3 refracted_by(Facet facet, float cos_t, float eta, out float shadowing) {
+    vec3 wo = facet.m * (facet.cosine / eta - cos_t) - facet.wi / eta;
+    shadowing = wo.z < 0.0 ? unshadowed(wo, facet.alpha) : 0.0;
+    return normalize(facet.frame * wo);
 }
 
 // ---- Networks
@@ -306,7 +334,7 @@ vec3 unfold(vec2 code) {
     return normalize(vec3(code.x >= 0.0 ? code.x - back : code.x + back, code.y >= 0.0 ? code.y - back : code.y + back, z));
 }
 
-vec3 trace(vec3 o, vec3 d, vec2 row) {
+vec3 trace(vec3 o, vec3 d, vec2 row, uint ray) {
     vec3 radiance = vec3(0.0), beta = vec3(1.0);
 #if STACK_HIDDEN > 0
     vec4 stacked[STACK_GROUPS];
@@ -375,16 +403,29 @@ vec3 trace(vec3 o, vec3 d, vec2 row) {
             }
 
             // What the surface does to the ray.
-            float eta = is_glass && !is_void ? medium(medium_of(beyond)).x / medium(medium_of(here)).x : optics.y;
+            bool borders = is_glass && !is_void;
+            float eta = borders ? medium(medium_of(beyond)).x / medium(medium_of(here)).x : optics.y;
             vec2 f = fresnel(cos_i, eta);
             float reflectance = is_thin ? 2.0 * f.x / (1.0 + f.x) : f.x;
-            bool total = is_glass && !is_void && f.x >= 1.0;
-            vec3 mirrored = normalize(d + 2.0 * cos_i * facing), m_beta = beta * reflectance;
-            if (kind == COATED || kind == METAL) {
-                vec2 at = row + vec2(random(seed, uint(2 * step)), random(seed, uint(2 * step + 1)));
-                float facet_cos, shadowing;
-                mirrored = mirror_rough(d, facing, optics.z, at - floor(at), facet_cos, shadowing);
-                m_beta = beta * shadowing * (kind == METAL ? color.rgb : vec3(fresnel(facet_cos, eta).x));
+            bool total = borders && f.x >= 1.0;
+            vec3 mirrored = normalize(d + 2.0 * cos_i * facing), m_beta = beta * reflectance, next_d = d;
+            if (total) next_d = mirrored;
+            else if (borders) next_d = normalize(d / eta + facing * (cos_i / eta - f.y));
+            vec3 next_share = vec3(total ? 1.0 : (1.0 - reflectance) * (is_glass ? 1.0 / (eta * eta) : 1.0));
+            if (is_thin) next_share *= color.rgb;
+            bool is_rough = ROUGH_GLASS == 1 && borders && optics.z > 0.0;
+            if (kind == COATED || kind == METAL || is_rough) {
+                Facet facet = facet_towards(d, facing, optics.z, random_point(row, ray, step));
+                vec2 at_facet = fresnel(facet.cosine, eta);
+                float shadowing, passed;
+                mirrored = mirrored_by(facet, shadowing);
+                m_beta = beta * shadowing * (kind == METAL ? color.rgb : vec3(at_facet.x));
+                if (is_rough) {
+                    total = at_facet.x >= 1.0;
+                    vec3 refracted = refracted_by(facet, at_facet.y, eta, passed);
+                    next_d = total ? mirrored : refracted;
+                    next_share = vec3(total ? shadowing : (1.0 - at_facet.x) * passed / (eta * eta));
+                }
             }
 
             // A further branch, where light also comes by reflection. Of a full queue the weakest one falls out.
@@ -399,19 +440,17 @@ vec3 trace(vec3 o, vec3 d, vec2 row) {
 
             // The next segment of this branch.
             bool passes = is_thin || is_glass, goes_through = passes && !total;
-            if (passes && !is_void) {
-                vec3 scale = vec3(total ? 1.0 : (1.0 - reflectance) * (is_glass ? 1.0 / (eta * eta) : 1.0));
-                beta *= is_thin ? scale * color.rgb : scale;
-            }
+            if (passes && !is_void) beta *= next_share;
             if (passes) {
                 o = p + (goes_through ? -outward : outward) * offset;
-                if (total) d = mirrored;
-                else if (is_glass && !is_void) d = normalize(d / eta + facing * (cos_i / eta - f.y));
+                d = next_d;
             }
             if (goes_through) solids = beyond;
             left_face = hit.face, left_object = hit.object;
             if (!is_void) vertex++;
             is_over = !passes || !is_void && vertex == MAX_DEPTH;
+            // A facet's refracted ray that does not come out on the other side is lost.
+            if (ROUGH_GLASS == 1 && !is_void && beta == vec3(0.0)) is_over = true;
         }
 
         // The end of this branch: the next one, or none.
@@ -451,6 +490,6 @@ void main() {
     uint ray = (uint(pixel.y) * uint(size.x) + uint(pixel.x)) % chunk * samples + ray_sample;
     // The R2 sequence in whole numbers: its step is 2^32 over the plastic number, and over its square.
     vec2 row = vec2(float(ray * 3242174889u), float(ray * 2447445414u)) * 2.3283064365386963e-10;
-    vec3 radiance = trace(camera_place, d, row);
+    vec3 radiance = trace(camera_place, d, row, ray);
     result = vec4(radiance, 1.0) + keep * texelFetch(before, ivec2(gl_FragCoord.xy), 0);
 }
