@@ -1,5 +1,6 @@
 """Tests of `model check-method`, on the example method, which lives in a distribution of its own."""
 
+import dataclasses
 import os
 import shutil
 import subprocess
@@ -7,7 +8,18 @@ import sys
 import tomllib
 from pathlib import Path
 
+import numpy as np
 import pytest
+from support.synthetic import write_synthetic_dataset
+from support.training import SMALL
+
+from datagen.data.cameras import Cameras
+from datagen.data.paths import TRUTH
+from model.batches.rays import PixelSource
+from model.methods.paper.config import PaperConfig
+from model.methods.protocol import Inputs
+from model.methods.table import open_inputs
+from model.run.conformance import CHECKS, Broken, Subject
 
 ROOT = Path(__file__).parents[3]
 EXAMPLE = ROOT / "examples" / "nearest_view"
@@ -71,3 +83,21 @@ def test_a_method_that_cannot_be_imported_is_one_line_and_disturbs_no_other(inst
     assert answer.returncode == 1 and answer.stderr.count("\n") == 1
     assert "nearest_view:NearestViewConfig, which nearest-view brings, cannot be imported" in answer.stderr
     assert model(installed, "train", "paper", "--help").returncode == 0
+
+
+def test_a_method_that_draws_another_camera_than_asked_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    dataset = write_synthetic_dataset(tmp_path / "data")
+    config = dataclasses.replace(SMALL, steps=4)
+    subject = Subject(config=config, inputs=open_inputs(config.net, dataset, TRUTH), folder=tmp_path)
+    subject.train("first")
+    check = CHECKS["a view's camera draws what the view does"]
+    assert check(subject) == ""
+    right = PaperConfig.load_cameras
+
+    def from_the_other_side(config: PaperConfig, inputs: Inputs, cameras: Cameras) -> PixelSource:
+        turned = np.diag([-1.0, -1.0, 1.0, 1.0]) @ cameras.world_from_camera
+        return right(config, inputs, dataclasses.replace(cameras, world_from_camera=turned))
+
+    monkeypatch.setattr(PaperConfig, "load_cameras", from_the_other_side)
+    with pytest.raises(Broken, match=r"^through a view's camera \d+% of the pixels differ from the view's$"):
+        check(subject)
