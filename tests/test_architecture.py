@@ -68,7 +68,7 @@ def imports_of(path: Path) -> set[str]:
 
 
 FUNCTIONS = (ast.FunctionDef, ast.AsyncFunctionDef)
-TOO_LONG = {"datagen/cli.py", "datagen/cli.py::build"}
+TOO_LONG: set[str] = set()
 """What is still to be split: longer than a function's 80 lines, or a file's 400."""
 FILES = [path for package in (*PACKAGES, LIBRARY) for path in sorted((ROOT / package).rglob("*.py"))]
 

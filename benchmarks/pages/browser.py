@@ -44,8 +44,9 @@ class Watched:
         late = f"new Promise((_, no) => setTimeout(() => no(new Error('no answer')), {PATIENCE_MS}))"
         return self.page.evaluate(f"(given) => Promise.race([({script})(given), {late}])", argument)
 
-    def picture(self, view: str, size: int, samples: int, edits: dict[str, dict[str, object]] | None = None
-                ) -> np.ndarray:  # fmt: skip
+    def picture(
+        self, view: str, size: int, samples: int, edits: dict[str, dict[str, object]] | None = None
+    ) -> np.ndarray:
         """The page's picture of a view of the dataset, of so many rays a pixel, after edits by object: (h, w, 3)."""
         encoded = self.evaluate(
             "async ([view, size, samples, edits]) => (await hyaline).picture(view, size, samples, edits)",

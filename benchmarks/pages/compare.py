@@ -58,8 +58,11 @@ def compare_page(run: Path, dataset: Path | None, quality: Quality, *, samples: 
     record = read_run(run)
     opened = open_dataset(dataset or Path(record.dataset))
     renderer = load_renderer(run, record.config, opened)
-    chosen = [(split, view) for split in TEST_SPLITS
-              for view in range(min(views or opened.num_views[split], opened.num_views[split]))]  # fmt: skip
+    chosen = [
+        (split, view)
+        for split in TEST_SPLITS
+        for view in range(min(views or opened.num_views[split], opened.num_views[split]))
+    ]
     compared = []
     with tempfile.TemporaryDirectory() as folder, running_browser() as browser, watched_page(browser) as page:
         file = Path(folder) / "scene.html"
@@ -73,10 +76,14 @@ def compare_page(run: Path, dataset: Path | None, quality: Quality, *, samples: 
             seconds = time.perf_counter() - before
             compared.append(
                 Compared(
-                    split=split, view=view, to_python=psnr(drawn, mine), page_to_truth=psnr(drawn, truth),
-                    python_to_truth=psnr(mine, truth), seconds=seconds,
+                    split=split,
+                    view=view,
+                    to_python=psnr(drawn, mine),
+                    page_to_truth=psnr(drawn, truth),
+                    python_to_truth=psnr(mine, truth),
+                    seconds=seconds,
                 )
-            )  # fmt: skip
+            )
         size, complaints = file.stat().st_size, page.complaints
     return PageReport(quality=quality, size=size, samples=samples, views=compared, complaints=complaints)
 
@@ -106,8 +113,10 @@ def page_table(report: PageReport) -> str:
         "|---|---:|---:|---:|---:|",
     ]
     for name, items in rows:
-        columns = [[getattr(item, key) for item in items]
-                   for key in ("to_python", "page_to_truth", "python_to_truth", "seconds")]  # fmt: skip
+        columns = [
+            [getattr(item, key) for item in items]
+            for key in ("to_python", "page_to_truth", "python_to_truth", "seconds")
+        ]
         lines.append(f"| {name} | " + " | ".join(f"{np.mean(column):.2f}" for column in columns) + " |")
     worst = min(item.to_python for item in report.views)
     return "\n".join([*lines, "", f"worst view: {worst:.2f} dB to Python"])

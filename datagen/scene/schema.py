@@ -46,8 +46,13 @@ def _record(kind: type, definitions: dict[str, Json]) -> dict[str, Json]:
             required.append(field.name)
         properties[field.name] = value
     description = " ".join((kind.__doc__ or "").split())
-    return {"type": "object", "description": description, "properties": properties, "required": required,
-            "additionalProperties": False}  # fmt: skip
+    return {
+        "type": "object",
+        "description": description,
+        "properties": properties,
+        "required": required,
+        "additionalProperties": False,
+    }
 
 
 def _schema_of(kind: object, definitions: dict[str, Json]) -> dict[str, Json]:

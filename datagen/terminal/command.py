@@ -175,6 +175,11 @@ def say(message: str) -> None:
         print(printable(message), file=sys.stderr, flush=True)
 
 
+def say_all(messages: Iterable[str]) -> None:
+    for message in messages:
+        say(message)
+
+
 def next_command(line: str) -> None:
     """The last line of a command: what to type next."""
     say(f"next: {line}")

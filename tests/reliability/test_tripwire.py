@@ -3,6 +3,7 @@
 import dataclasses
 import importlib
 import inspect
+import typing
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
@@ -266,6 +267,7 @@ def flags_of(command: Callable[..., None]) -> set[str]:
     names: set[str] = set()
     for parameter in inspect.signature(command).parameters.values():
         kind = parameter.annotation
+        kind = typing.get_args(kind)[0] if typing.get_origin(kind) is typing.Annotated else kind
         if dataclasses.is_dataclass(kind) and isinstance(kind, type):
             names |= {item.name for item in dataclasses.fields(kind)}
         else:

@@ -17,11 +17,30 @@ GLASS_MODELS = (4, 6, 7, 9)
 MAX_OPAQUE = 0.9
 """Dissolve from which on a surface is opaque."""
 USUAL_IOR = 1.5
-OPTION_VALUES = {"-blendu": 1, "-blendv": 1, "-boost": 1, "-mm": 2, "-o": 3, "-s": 3, "-t": 3, "-texres": 1,
-                 "-clamp": 1, "-bm": 1, "-imfchan": 1, "-cc": 1}  # fmt: skip
+OPTION_VALUES = {
+    "-blendu": 1,
+    "-blendv": 1,
+    "-boost": 1,
+    "-mm": 2,
+    "-o": 3,
+    "-s": 3,
+    "-t": 3,
+    "-texres": 1,
+    "-clamp": 1,
+    "-bm": 1,
+    "-imfchan": 1,
+    "-cc": 1,
+}
 """How many words follow each option of an image."""
-IGNORED = {"map_bump": "a bump map", "bump": "a bump map", "norm": "a normal map", "disp": "a displacement map",
-           "map_d": "a map of opacity", "map_ks": "a map of highlights", "map_ke": "a map of glow"}  # fmt: skip
+IGNORED = {
+    "map_bump": "a bump map",
+    "bump": "a bump map",
+    "norm": "a normal map",
+    "disp": "a displacement map",
+    "map_d": "a map of opacity",
+    "map_ks": "a map of highlights",
+    "map_ke": "a map of glow",
+}
 
 Entry = dict[str, list[str]]
 

@@ -21,9 +21,13 @@ from model.run.run_folder import TrainConfig
 from model.run.train import train
 
 LIGHT_PATH = TrainConfig(
-    method="light-path", geometry="truth", steps=1, batch=16, evaluate_every=1,
+    method="light-path",
+    geometry="truth",
+    steps=1,
+    batch=16,
+    evaluate_every=1,
     net=LightPathConfig(texture_sizes=(8, 8), hidden=8, stack_hidden=4, branches=2, train_samples=1, debias=0.0),
-)  # fmt: skip
+)
 
 
 @pytest.fixture(scope="module")

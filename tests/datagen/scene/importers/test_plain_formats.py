@@ -272,8 +272,8 @@ BROKEN: dict[str, tuple[str, Bytes]] = {
     "3mf of a vertex below 0": ("a.3mf", changed_3mf('v1="0"', 'v1="-1"')),
     "3mf of a word for x": ("a.3mf", changed_3mf('x="9"', 'x="nine"')),
     "3mf of a colour that is none": ("a.3mf", changed_3mf("#FF000080", "#red")),
-    "3mf of several parts": ("a.3mf", changed_3mf('<item ', '<item p:path="/3D/b.model" xmlns:p="p" ')),
-}  # fmt: skip
+    "3mf of several parts": ("a.3mf", changed_3mf("<item ", '<item p:path="/3D/b.model" xmlns:p="p" ')),
+}
 
 LIBRARIES = {
     "bad1": "Kd red green blue",
@@ -302,9 +302,13 @@ def test_a_broken_file_is_refused_in_one_line(name: str, tmp_path: Path) -> None
 
 def test_no_byte_that_is_changed_makes_a_reader_fail_otherwise(tmp_path: Path) -> None:
     seeds = {
-        "a.obj": CUBE.encode(), "a.stl": BALL.export(file_type="stl"), "b.stl": BALL.export(file_type="stl_ascii"),
-        "a.ply": strips_ply("<"), "b.ply": strips_ply(""), "a.3mf": model_3mf(MODEL),
-    }  # fmt: skip
+        "a.obj": CUBE.encode(),
+        "a.stl": BALL.export(file_type="stl"),
+        "b.stl": BALL.export(file_type="stl_ascii"),
+        "a.ply": strips_ply("<"),
+        "b.ply": strips_ply(""),
+        "a.3mf": model_3mf(MODEL),
+    }
     random = np.random.default_rng(0)
     for name, data in seeds.items():
         raw = data.encode() if isinstance(data, str) else data

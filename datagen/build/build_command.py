@@ -1,0 +1,206 @@
+"""What `datagen build` does: builds a dataset, or one part of it, or adds edits and more test views to one."""
+
+import dataclasses
+import sys
+from pathlib import Path
+
+from datagen.build.build import build_dataset, summary
+from datagen.build.build_variant import build_variant, peel_variants
+from datagen.build.choices import BuildChoices
+from datagen.build.launch import LaunchChoices
+from datagen.build.launch import launch as send_off
+from datagen.build.plan_variant import MAX_SCALE, plan_angles, plan_edit, plan_larger
+from datagen.build.presets import PRESETS, resize
+from datagen.build.shards import Shard, count_missing, parse_shard
+from datagen.data.advice import after_build, after_edit
+from datagen.data.cameras import TRANSFORMS_FILES
+from datagen.data.config import DatasetConfig
+from datagen.data.dataset import Dataset, open_dataset
+from datagen.data.finding import DATA_ROOT, find_dataset
+from datagen.data.layer_writing import check_settings
+from datagen.data.paths import TRUTH
+from datagen.disk.errors import HyalineError
+from datagen.disk.ownership import DATASET, refuse_strangers
+from datagen.scene.edits import parse_edit
+from datagen.scene.folder import load_scene
+from datagen.scene.importers.finding import find_scene, is_foreign
+from datagen.scene.importers.importing import scene_name
+from datagen.scene.rig import with_listed_views
+from datagen.terminal.command import choose, next_command, say, say_all, tell
+
+DEFAULTS = BuildChoices()
+SETTINGS = ("num_layers", "seed", "ceiling", "views", "resolution", "test_views", "spp", "test_spp", "max_depth")
+"""What a dataset that is added to has decided."""
+
+
+def build_or_add(choices: BuildChoices, launch: LaunchChoices) -> None:
+    """Carries out one command line of `datagen build`.
+
+    Raises:
+        HyalineError: choices that do not go together, or what building raises.
+    """
+    _check_parts(choices, launch)
+    if not choices.edit and choices.dataset is None:
+        _build_new(choices, launch)
+        return
+    _refuse(choices, "--edit" if choices.edit else "--dataset", *SETTINGS)
+    base = _open_base(choices)
+    if choices.edit:
+        _add_edit(base, choices)
+    else:
+        _add_views(base, choices, launch)
+
+
+def _build_new(choices: BuildChoices, launch: LaunchChoices) -> None:
+    config = _configure(choices)
+    if choices.out is not None or ("/" not in choices.scene and not is_foreign(choices.scene)):
+        # Before anything is modelled; what may be a dataset's is judged when it is known what should stand there.
+        place = choices.out or DATA_ROOT / choices.scene
+        refuse_strangers(place, DATASET, {DATASET.head, *TRANSFORMS_FILES.values()})
+    built = None if choices.overwrite else choices.out or DATA_ROOT / choices.scene
+    scene = find_scene(choices.scene, built=built, resolution=config.resolution)
+    root = choices.out or DATA_ROOT / scene.name
+    config = dataclasses.replace(config, scene=scene.name)
+    if choices.views is None and choices.test_views is None:
+        config = with_listed_views(config, scene.cameras)
+    if launch.launcher is not None:
+        # What follows then finds all views made, and reads every byte of them.
+        send_off(sys.argv[1:], root, launch, workers=choices.workers)
+    part = None if choices.shard is None else parse_shard(choices.shard)
+    made = build_dataset(
+        scene,
+        root,
+        config,
+        num_layers=choices.num_layers,
+        workers=choices.workers,
+        overwrite=choices.overwrite,
+        shard=part,
+    )
+    if part is None:
+        say_all(summary(made, TRUTH))
+    _build_more(made, choices, part)
+    peel_variants(made, workers=choices.workers, shard=part)
+    tell(str(root))
+    if part is not None:
+        missing, total = count_missing(made)
+        if missing:
+            say(
+                f"{root}: part {part} is done; {missing} of {total} pictures and layers are for the other parts to make"
+            )
+            return
+        say(f"{root}: part {part} is done, and with it the dataset")
+        say_all(summary(made, TRUTH))
+    next_command(after_build(made))
+
+
+def _configure(choices: BuildChoices) -> DatasetConfig:
+    """The configuration of a new dataset, but for its scene's name, which is known when the scene is read."""
+    size = resize(
+        PRESETS[choose("preset", choices.preset, PRESETS)],
+        resolution=choices.resolution,
+        views=choices.views,
+        test_views=choices.test_views,
+        spp=choices.spp,
+        test_spp=choices.test_spp,
+    )
+    _check_numbers(choices, test_views=size.interpolating.views)
+    return DatasetConfig(
+        scene="scene",
+        preset=choices.preset,
+        resolution=size.resolution,
+        train=size.train,
+        interpolating=size.interpolating,
+        extrapolating=size.extrapolating,
+        ceiling_db=choices.ceiling,
+        max_depth=choices.max_depth,
+        seed=choices.seed,
+    )
+
+
+def _add_edit(base: Dataset, choices: BuildChoices) -> None:
+    _refuse(choices, "--edit", "angle_splits", "super_resolution")
+    plan = plan_edit(base, tuple(map(parse_edit, choices.edit)))
+    edited = build_variant(base, plan, workers=choices.workers, overwrite=choices.overwrite)
+    say_all(summary(edited, TRUTH))
+    tell(str(edited.root))
+    next_command(after_edit(base, edited))
+
+
+def _add_views(base: Dataset, choices: BuildChoices, launch: LaunchChoices) -> None:
+    _refuse(choices, "--dataset", "overwrite", "shard")
+    if launch.launcher is not None:
+        raise _does_not_go_with("launcher", "--dataset")
+    if not choices.angle_splits and not choices.super_resolution:
+        raise HyalineError("--dataset: goes with --edit, --angle-splits or --super-resolution; a new one takes --scene")
+    _check_numbers(choices, test_views=base.config.interpolating.views)
+    _build_more(base, choices, None)
+    tell(str(base.root))
+    next_command(after_build(base))
+
+
+def _build_more(base: Dataset, choices: BuildChoices, shard: Shard | None) -> None:
+    """The test splits by angle and in larger pictures that are asked for."""
+    plans = [plan_angles(base)] if choices.angle_splits else []
+    larger = (plan_larger(base, scale, views=choices.super_resolution_views) for scale in choices.super_resolution)
+    for plan in [*plans, *larger]:
+        build_variant(base, plan, workers=choices.workers, shard=shard)
+
+
+def _open_base(choices: BuildChoices) -> Dataset:
+    """The dataset that is added to: what --dataset names, or what --scene or --out would have been built into."""
+    if choices.dataset is None:
+        base = open_dataset(choices.out or find_dataset(_name_of(choices.scene)))
+    else:
+        _refuse(choices, "--dataset", "scene", "out")
+        base = open_dataset(find_dataset(choices.dataset))
+    if choices.preset not in (DEFAULTS.preset, base.config.preset):
+        raise HyalineError(
+            f"--preset: is {choices.preset}, but {base.root} was built with {base.config.preset}; leave it out"
+        )
+    return base
+
+
+def _name_of(scene: str) -> str:
+    """The name of the dataset that --scene would have been built into."""
+    if (Path(scene) / "scene.json").is_file():
+        return load_scene(Path(scene), is_sealed=True).name
+    return scene_name(Path(scene)) if is_foreign(scene) else scene
+
+
+def _check_parts(choices: BuildChoices, launch: LaunchChoices) -> None:
+    flag = "--shard" if choices.shard is not None else "--launcher"
+    if choices.shard is None and launch.launcher is None:
+        return
+    if choices.shard is not None:
+        parse_shard(choices.shard)
+        if launch.launcher is not None:
+            raise HyalineError("--launcher: makes all parts itself; leave out --shard")
+    if choices.overwrite:
+        raise HyalineError(f"--overwrite: does not go with {flag}, which deletes nothing; delete the folder first")
+    if choices.edit:
+        raise HyalineError(f"--edit: does not go with {flag}; its few views are made by one machine")
+
+
+def _check_numbers(choices: BuildChoices, *, test_views: int) -> None:
+    """Refuses numbers that cannot be before anything is modelled."""
+    scales, views = choices.super_resolution, choices.super_resolution_views
+    check_settings(num_layers=choices.num_layers, workers=choices.workers)
+    for scale in scales:
+        if not 2 <= scale <= MAX_SCALE:
+            raise HyalineError(f"super_resolution: is {scale}; expected 2 to {MAX_SCALE} times the dataset's size")
+    if views is not None and not scales:
+        raise HyalineError("--super-resolution-views: goes with --super-resolution; give that, too, or leave it out")
+    if views is not None and not 1 <= views <= test_views:
+        raise HyalineError(f"super_resolution_views: is {views}; expected 1 to {test_views}")
+
+
+def _refuse(choices: BuildChoices, wanted: str, *names: str) -> None:
+    """Raises for the first choice of these that was made: the flag `wanted` takes it from the dataset."""
+    for name in names:
+        if getattr(choices, name) != getattr(DEFAULTS, name):
+            raise _does_not_go_with(name, wanted)
+
+
+def _does_not_go_with(name: str, wanted: str) -> HyalineError:
+    flag = name.replace("_", "-")
+    return HyalineError(f"--{flag}: does not go with {wanted}, which takes it from the dataset; leave it out")
