@@ -28,8 +28,8 @@ DESCRIPTION = "Train neural renderers on datasets of transparent objects, and re
 def train() -> None:
     """Train a method on a dataset, then render its test splits.
 
-    `torchrun --nproc-per-node N -m model train METHOD ...` trains on N GPUs (or CPU processes), and ends where one
-    process would but for rounding: paper, mlp-first and light-path, with losses of pixels alone.
+    `torchrun --nproc-per-node N -m model train METHOD ...` trains on N GPUs (or CPU processes): each draws its own
+    share of every batch, and gradients are averaged. DeepVoxels and discriminators cannot be trained so.
     """
 
 
@@ -86,18 +86,18 @@ def _train(
     from model.run.checkpoint import delete_checkpoints, has_checkpoint
     from model.run.predict import is_all_drawn, render_predictions
     from model.run.run_folder import FOLDER, WEIGHTS, check_trained_on, finish_clearing
-    from model.run.train import check_team
+    from model.run.train import check_processes
     from model.run.train import train as train_run
 
     device = own_device(device)
-    with join(device) as team:
-        check_team(config, team)
+    with join(device) as processes:
+        check_processes(config, processes)
         train = functools.partial(
-            train_run, config, dataset, out, label=label, device=device, team=team, memory=memory, anew=anew
+            train_run, config, dataset, out, label=label, device=device, processes=processes, memory=memory, anew=anew
         )
-        if not team.is_first:
+        if not processes.is_first:
             # The first process holds the folder, and tells whether there is anything to train.
-            if team.agree():
+            if processes.broadcast():
                 train()
             return
         with holding(out, FOLDER):
@@ -107,12 +107,12 @@ def _train(
                 check_trained_on(out, config, dataset)
                 if is_all_drawn(out, dataset):
                     say(f"{out}: finished before, nothing to do; --overwrite trains it anew")
-                    team.agree(False)
+                    processes.broadcast(False)
                     _end(out, run=out)
                     return
                 if not (out / WEIGHTS).is_file() and not has_checkpoint(out):
                     say(f"{out}: was stopped before its first checkpoint; starts at step 0")
-            if team.agree(anew or not (out / WEIGHTS).is_file()):
+            if processes.broadcast(anew or not (out / WEIGHTS).is_file()):
                 train()
             else:
                 delete_checkpoints(out)

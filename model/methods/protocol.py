@@ -50,7 +50,8 @@ class MethodConfig:
     uses_geometry: ClassVar[bool] = True
     """False: surfaces are not known to it, and `knowledge` says all that is."""
     is_shareable: ClassVar[bool] = False
-    """True when a step of several processes, each with a share of the batch's pixels, is what one would do."""
+    """True when several processes can train it, whose gradients are averaged: a step leaves nothing behind but its
+    gradient, and what torch's batch norm remembers."""
     draws_cameras: ClassVar[bool] = False
     """True when `load_cameras` gives the pixels of cameras that no view of the dataset has."""
     has_radiance: ClassVar[bool] = False

@@ -4,7 +4,7 @@ import torch
 
 from datagen.data.geometries import NO_GEOMETRY
 from datagen.disk.errors import HyalineError
-from model.batches.distributed import Team
+from model.batches.distributed import Processes
 from model.batches.pixel_cache import choose_memory
 from model.batches.rays import PixelSource
 from model.methods.protocol import Inputs
@@ -22,12 +22,11 @@ def check_inpainting(config: TrainConfig) -> None:
         )
 
 
-def build_renderer(config: TrainConfig, inputs: Inputs, *, team: Team, device: torch.device) -> Renderer:
+def build_renderer(config: TrainConfig, inputs: Inputs, *, device: torch.device) -> Renderer:
     """The network and textures before any step; their numbers depend on the seed alone."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(config.seed)
         renderer = config.net.build(inputs)
-    team.share_norms(renderer)
     return renderer.to(device)
 
 
@@ -79,7 +78,7 @@ def choose_held_out(num_views: int, at_most: int) -> list[int]:
 
 
 def load_training(
-    config: TrainConfig, inputs: Inputs, views: list[int], *, team: Team, memory: Memory, device: torch.device
+    config: TrainConfig, inputs: Inputs, views: list[int], *, processes: Processes, memory: Memory, device: torch.device
 ) -> PixelSource:
     """The pixels of the views to train on, in memory or mapped from a cache on disk."""
     method = config.net
@@ -87,10 +86,10 @@ def load_training(
         memory,
         num_pixels=len(views) * inputs.dataset.config.resolution**2,
         num_layers=0 if method.traces_layers else inputs.num_layers,
-        processes=team.size_here,
+        processes=processes.count_here,
         device=device,
     )
     if not is_mapped:
         return method.load(inputs, "train", views, with_images=True).to(device)
-    with team.in_turn():
+    with processes.in_turn():
         return method.load(inputs, "train", views, with_images=True, mapped=True).to(device)

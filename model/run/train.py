@@ -17,7 +17,7 @@ from datagen.disk.errors import HyalineError, NumericsError
 from datagen.disk.records import Json, to_json
 from datagen.terminal.command import say, track
 from datagen.terminal.signals import Held, Stopped, hold_signals
-from model.batches.distributed import ALONE, Team
+from model.batches.distributed import ALONE, Processes
 from model.batches.rays import PixelSource
 from model.losses.inpaint import Inpainter
 from model.losses.patch_losses import Losses
@@ -51,7 +51,7 @@ def train(
     *,
     label: str,
     device: torch.device,
-    team: Team = ALONE,
+    processes: Processes = ALONE,
     memory: Memory = "ram",
     anew: bool = False,
 ) -> None:
@@ -63,36 +63,36 @@ def train(
     generator of its own, seeded by (seed, step). That holds for equal numbers of CPU threads.
 
     Args:
-        team: the processes that call this together; the first of them alone writes to `out`.
+        processes: those that call this together; the first of them alone writes to `out`.
         memory: where training pixels are held; no number depends on it.
         anew: deletes the run that stands there.
 
     Raises:
-        HyalineError: data is missing or damaged, the loss cannot be shared by a team, or in-painting cannot tell which
+        HyalineError: data is missing or damaged, several processes cannot train this, or in-painting cannot tell which
             texels training visits.
         NumericsError: the loss, a gradient or a weight is not finite.
         Stopped: a signal has arrived; the message says after which step.
     """
     keep_freed_memory()
-    check_team(config, team)
+    check_processes(config, processes)
     inputs = open_inputs(config.net, dataset, config.geometry)
     check_inpainting(config)
 
     # The renderer.
-    renderer = build_renderer(config, inputs, team=team, device=device)
+    renderer = build_renderer(config, inputs, device=device)
     groups = renderer.groups(config)
     sizes = count_parameters(groups)
-    with team.in_turn():
-        if team.is_first:
+    with processes.in_turn():
+        if processes.is_first:
             begin_run(out, describe_run(config, inputs, label=label, num_parameters=sizes), anew=anew)
 
     # The data, and the losses: the terms beside the method's own included.
     views = range(dataset.config.train.views)
     held_out = choose_held_out(len(views), config.held_out_views)
     shown = [view for view in views if view not in held_out]
-    training = load_training(config, inputs, shown, team=team, memory=memory, device=device)
+    training = load_training(config, inputs, shown, processes=processes, memory=memory, device=device)
     testing = None
-    if held_out and team.is_first:
+    if held_out and processes.is_first:
         testing = config.net.load(inputs, "train", held_out, with_images=True).to(device)
     losses = Losses(
         config.loss,
@@ -109,7 +109,7 @@ def train(
     run = Run(
         config=config,
         out=out,
-        team=team,
+        processes=processes,
         renderer=renderer,
         groups=groups,
         optimizer=optimizer,
@@ -132,7 +132,7 @@ class Run:
 
     config: TrainConfig
     out: Path
-    team: Team
+    processes: Processes
     renderer: Renderer
     groups: list[ParameterGroup]
     optimizer: torch.optim.Optimizer
@@ -167,7 +167,7 @@ def resume(run: Run) -> Progress:
         HyalineError: another configuration made it.
     """
     progress = Progress()
-    with run.team.in_turn():
+    with run.processes.in_turn():
         checkpoint = load_checkpoint(run.out)
     if checkpoint is not None:
         if "metrics" not in checkpoint or not is_config(checkpoint["config"], run.config):
@@ -180,7 +180,7 @@ def resume(run: Run) -> Progress:
         progress.loss_count = cast(int, checkpoint["loss_count"])
         progress.metrics = cast(list[dict[str, Json]], checkpoint["metrics"])
         say(f"{run.out}: goes on from step {progress.step:,} of {run.config.steps:,}")
-    if run.team.is_first:
+    if run.processes.is_first:
         # There may be more of them than the checkpoint knows.
         write_metrics(run.out, progress.metrics)
     return progress
@@ -193,7 +193,7 @@ def take_steps(run: Run, progress: Progress, *, anew: bool) -> None:
         NumericsError: a loss, a gradient or a weight is not finite.
         Stopped: a signal has arrived; a checkpoint is saved.
     """
-    config, team = run.config, run.team
+    config, processes = run.config, run.processes
     first = progress.step
     steps: Iterable[int] = range(first, config.steps)
     run.renderer.train()
@@ -201,38 +201,37 @@ def take_steps(run: Run, progress: Progress, *, anew: bool) -> None:
         saved_at = time.monotonic()
         for step in track(steps, label="train", total=config.steps, done=first, status=progress.status):
             is_stopped = take_step(run, progress, step, held)
-            if team.is_first and (progress.step % config.evaluate_every == 0 or progress.step == config.steps):
+            if processes.is_first and (progress.step % config.evaluate_every == 0 or progress.step == config.steps):
                 add_metrics(run, progress)
             if progress.step == config.steps:
                 continue
             is_due = progress.step % config.checkpoint_every == 0 or time.monotonic() - saved_at >= CHECKPOINT_EVERY_S
-            if team.is_first and (is_due or is_stopped):
+            if processes.is_first and (is_due or is_stopped):
                 save_progress(run, progress)
                 saved_at = time.monotonic()
             if is_stopped:
-                team.agree()  # `torchrun` ends all as soon as one has ended, so the first has to have saved.
+                processes.broadcast()  # `torchrun` ends all as soon as one has ended, so the first has to have saved.
                 way_on = "the same command without --overwrite" if anew else "the same command"
                 raise Stopped(
                     held.number or signal.SIGTERM,
                     f"{run.out}: stopped after step {progress.step:,} of {config.steps:,}; {way_on} goes on from there",
                 )
-        if team.is_first:
+        if processes.is_first:
             save_weights(run)
 
 
 def take_step(run: Run, progress: Progress, step: int, held: Held) -> bool:
     """One step, of several updates where the configuration says so; True when a process was asked to stop meanwhile."""
-    config, team, renderer = run.config, run.team, run.renderer
+    config, processes, renderer = run.config, run.processes, run.renderer
     batch = config.batch // config.updates
     is_stopped = False
     for update in range(config.updates):
-        rng = team.generator([config.seed, step, update] if update else [config.seed, step], batch)
-        own = len(team.share(batch))
-        loss = team.weigh(run.losses.loss(renderer.loss, renderer, run.training, own, rng, step=step), batch)
+        rng = processes.generator(config.seed, step, update)
+        loss = run.losses.loss(renderer.loss, renderer, run.training, processes.share(batch), rng, step=step)
         run.optimizer.zero_grad(set_to_none=True)
         loss.backward()
-        team.sum_gradients(renderer)
-        loss_value, is_asked = team.sum_loss(loss, is_stopped=held.number is not None)
+        processes.average_gradients(renderer)
+        loss_value, is_asked = processes.mean_loss(loss, is_stopped=held.number is not None)
         is_stopped = is_stopped or is_asked
         check_finite(loss_value, renderer, step=step, out=run.out)
         done = (step + update / config.updates) / config.steps
@@ -282,18 +281,23 @@ def save_weights(run: Run) -> None:
     delete_checkpoints(run.out)
 
 
-def check_team(config: TrainConfig, team: Team) -> None:
-    """Raises a HyalineError where a step cannot be shared so that it stays what one process would do."""
-    if team.size == 1:
+def check_processes(config: TrainConfig, processes: Processes) -> None:
+    """Raises a HyalineError where averaging gradients is not all that several processes would have to share."""
+    if processes.count == 1:
         return
-    if not config.net.is_shareable or not config.loss.is_of_pixels:
+    if not config.net.is_shareable:
         raise HyalineError(
-            f"{config.method}: its steps look at whole patches, pictures or dropout, which several processes cannot "
-            "share; train it without torchrun (paper, mlp-first and light-path can be, with losses of pixels alone)"
+            f"{config.method}: learns more than gradients tell, which several processes do not share; train it without "
+            "torchrun"
         )
-    if config.batch // config.updates < team.size:
+    if config.loss.adversarial:
         raise HyalineError(
-            f"batch: is {config.batch}; expected at least a pixel for each of {team.size} processes in "
+            "adversarial: a discriminator learns beside the renderer, which several processes do not share; train "
+            "without torchrun, or leave it out"
+        )
+    if processes.share(config.batch // config.updates) < 1:
+        raise HyalineError(
+            f"batch: is {config.batch}; expected at least a pixel for each of {processes.count} processes in "
             f"each of {config.updates} updates"
         )
 

@@ -61,11 +61,6 @@ class LossConfig:
         """True when there is a perceptual loss."""
         return self.vgg_weights != NO_VGG
 
-    @property
-    def is_of_pixels(self) -> bool:
-        """True when there are no other terms."""
-        return not (self.has_vgg or self.adversarial or self.inpaint)
-
     def describe(self) -> str:
         """What it brings in that no picture of the dataset has taught, in words; empty for nothing."""
         if not self.has_vgg:
