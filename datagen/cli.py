@@ -36,6 +36,7 @@ def main() -> None:
         "build": build,
         "import": import_file,
         "peel": peel,
+        "export": export,
         "verify": verify,
         "mend": mend,
         "render": render,
@@ -117,6 +118,33 @@ def peel(
     peel_variants(opened, workers=workers)
     tell(str(opened.root))
     next_command(after_layers(opened, geometry))
+
+
+def export(
+    dataset: str | None = None,
+    format: str = "nerfstudio",  # noqa: A002
+    out: Path | None = None,
+    points: int = 20000,
+    flow: bool = False,
+    overwrite: bool = False,
+) -> None:
+    """Writes a dataset in the format of another tool, into a folder of its own; goes on where it was stopped.
+
+    Args:
+        dataset: A dataset's folder or its name under data/; the only one there unless given. May stand first, without
+            the flag.
+        format: nerfstudio, blender, 3dgs, colmap, nerfbaselines, refref, cleargrasp or webdataset.
+        out: Where the export goes; exports/NAME-FORMAT unless given.
+        points: Points of the true surfaces, coloured from the training pictures, for formats that start from points.
+        flow: webdataset: also trace refractive flow and attenuation through the glass.
+        overwrite: Replace an export that stands there.
+    """
+    from datagen.export.formats import export_dataset
+
+    opened = open_dataset(find_dataset(dataset))
+    where, hint = export_dataset(opened, format, out, num_points=points, flow=flow, overwrite=overwrite)
+    tell(str(where))
+    next_command(hint)
 
 
 def verify(dataset: str | None = None) -> None:

@@ -38,6 +38,7 @@ HOMES = {
 FLOORS = {
     "datagen": (
         "cli",
+        "export",
         "build",
         "quantities",
         "trace",

@@ -2,6 +2,7 @@
 
 import io
 import struct
+from collections.abc import Mapping
 
 import numpy as np
 from jaxtyping import Float32
@@ -31,6 +32,17 @@ def encode_exr(radiance: Float32[np.ndarray, "h w 3"], noise: Float32[np.ndarray
     header = {"compression": OpenEXR.PIZ_COMPRESSION, "type": OpenEXR.scanlineimage}
     buffer = io.BytesIO()
     OpenEXR.File(header, channels, num_threads=0).write(buffer)
+    return buffer.getvalue()
+
+
+def encode_float_exr(channels: Mapping[str, Float32[np.ndarray, "h w"]]) -> bytes:
+    """An EXR of whole floats, by channel's name, losslessly compressed. The same values give the same bytes."""
+    import OpenEXR
+
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    buffer = io.BytesIO()
+    planes = {name: np.ascontiguousarray(values) for name, values in channels.items()}
+    OpenEXR.File(header, planes, num_threads=0).write(buffer)
     return buffer.getvalue()
 
 

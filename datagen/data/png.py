@@ -4,7 +4,7 @@ import io
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import UInt8, UInt16
 from PIL import Image
 
 from datagen.disk.errors import HyalineError
@@ -60,8 +60,8 @@ def decode_png(data: bytes, *, where: str, size: int | None = None) -> Image.Ima
         raise HyalineError(f"{where}: not a PNG that can be read ({error})") from error
 
 
-def png_bytes(image: UInt8[np.ndarray, "h w c"]) -> bytes:
-    """The PNG file of an 8-bit picture; the same picture gives the same bytes."""
+def png_bytes(image: UInt8[np.ndarray, "h w *c"] | UInt16[np.ndarray, "h w"]) -> bytes:
+    """The PNG file of a picture: grey, RGB or RGBA of 8 bits, or grey of 16; the same picture gives the same bytes."""
     buffer = io.BytesIO()
     Image.fromarray(image).save(buffer, format="PNG", compress_level=6)
     return buffer.getvalue()

@@ -11,7 +11,7 @@ import pytest
 from support.commands import MAINS, Answer, call
 from support.disk import State, read_state
 from support.gltf import GltfBuilder
-from support.scenarios import BUILD, GRID, TRAIN
+from support.scenarios import BUILD, EXPORT, GRID, TRAIN
 
 from model.run.sweep import Failure
 
@@ -40,6 +40,8 @@ TRIPS = (
     Trip(line="datagen build --scene scene --out data/one --edit remove:pane --overwrite"),
     Trip(line="datagen build --dataset data/one --angle-splits --super-resolution 2"),
     Trip(line="datagen peel --dataset data/one --num-layers 3 --overwrite"),
+    Trip(line=f"{EXPORT} --format colmap"),
+    Trip(line=f"{EXPORT} --format 3dgs --overwrite", start="exported"),
     Trip(line="datagen verify data/one"),
     Trip(line="datagen import thing.glb --out mine --overwrite", start="scene"),
     Trip(line="datagen import thing.glb --out scene", start="scene", taken=("scene/scene.json",)),
@@ -80,6 +82,9 @@ TRIPS = (
         line="datagen peel --dataset data/one --layers light-path --overwrite",
         taken=("data/one/layers/light-path/layers.json",),
     ),
+    Trip(line=f"{EXPORT} --format blender", taken=("exported/transforms_train.json",)),
+    Trip(line=f"{EXPORT} --format 3dgs --overwrite", start="exported", taken=("exported/points3d.ply",)),
+    Trip(line=f"{EXPORT} --format 3dgs --overwrite", taken=("exported/hyaline-export.json",)),
     Trip(line=f"{TRAIN} --out runs/one/paper --overwrite", taken=("runs/one/paper/weights.pt",)),
     Trip(line=f"{TRAIN} --out runs/one/paper --overwrite", taken=("runs/one/paper/run.json",)),
     Trip(line=f"{RENDER} --overwrite", taken=("runs/one/paper/run.json", "runs/one/paper/weights.pt")),
@@ -117,6 +122,7 @@ ELSEWHERE = {
                       "slurm_gpus"},
     "datagen import": {"scale", "up", "material", "thin", "ground", "merge", "strict", "resolution"},
     "datagen peel": {"geometry", "rays", "workers"},
+    "datagen export": {"flow"},
     "benchmarks scale": {"factors", "quantities", "rounds", "json", "overwrite"},
     "benchmarks sky": {"names", "overwrite"},
     "benchmarks errors": {"views"},

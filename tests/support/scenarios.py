@@ -6,6 +6,7 @@ BUILD = (
     "datagen build --scene scene --out data/one --preset tiny --resolution 8 --views 1 --test-views 1"
     " --spp 2 --test-spp 2 --num-layers 2"
 )
+EXPORT = "datagen export --dataset data/one --out exported --points 9"
 TRAIN = "model train paper --dataset data/one --steps 5 --batch 32 --texture-size 8 --width 8 --device cpu"
 GRID = """[[runs]]
 dataset = "data/one"
@@ -22,6 +23,7 @@ PREPARED: dict[str, tuple[str, ...]] = {
     "scene": ("",),
     "dataset": ("scene", BUILD),
     "proxies": ("dataset", "proxies make --dataset data/one --kind box"),
+    "exported": ("dataset", f"{EXPORT} --format nerfstudio"),
     "run": ("dataset", f"{TRAIN} --out runs/one/paper"),
     "variants": ("dataset", f"{BUILD} --angle-splits"),
     "drawn": ("variants", f"{TRAIN} --out runs/one/paper"),
@@ -48,6 +50,8 @@ SCENARIOS = (
     Scenario(name="angle splits", start="dataset", line=f"{BUILD} --angle-splits"),
     Scenario(name="super-resolution", start="dataset", line=f"{BUILD} --super-resolution 2"),
     Scenario(name="edit", start="proxies", line="datagen build --scene scene --out data/one --edit remove:pane"),
+    Scenario(name="export", start="dataset", line=f"{EXPORT} --format nerfbaselines"),
+    Scenario(name="export anew", start="exported", line=f"{EXPORT} --format webdataset --overwrite"),
     Scenario(name="train", start="dataset", line=f"{TRAIN} --out runs/one/paper"),
     Scenario(name="train anew", start="run", line=f"{TRAIN} --out runs/one/paper --seed 1 --overwrite"),
     Scenario(name="render", start="run", line="model render --run runs/one/paper --device cpu --overwrite"),

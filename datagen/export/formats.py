@@ -1,0 +1,58 @@
+"""The formats in which datasets are exported, and the export of one."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+from datagen.data.dataset import Dataset
+from datagen.disk.errors import HyalineError
+from datagen.export.blender import plan_3dgs, plan_blender
+from datagen.export.cleargrasp import plan_cleargrasp
+from datagen.export.colmap import plan_colmap
+from datagen.export.folder import write_export
+from datagen.export.nerfbaselines import plan_nerfbaselines
+from datagen.export.nerfstudio import plan_nerfstudio
+from datagen.export.plan import Plan
+from datagen.export.refref import plan_refref
+from datagen.export.source import Source
+from datagen.export.webdataset import plan_webdataset
+from datagen.terminal.command import choose, say
+
+FORMATS: dict[str, Callable[[Source], Plan]] = {
+    "nerfstudio": plan_nerfstudio,
+    "blender": plan_blender,
+    "3dgs": plan_3dgs,
+    "colmap": plan_colmap,
+    "nerfbaselines": plan_nerfbaselines,
+    "refref": plan_refref,
+    "cleargrasp": plan_cleargrasp,
+    "webdataset": plan_webdataset,
+}
+
+EXPORTS = Path("exports")
+"""Where exports go unless told."""
+
+
+def export_dataset(
+    dataset: Dataset, form: str, out: Path | None, *, num_points: int, flow: bool, overwrite: bool
+) -> tuple[Path, str]:
+    """Writes what is missing of an export; its folder, and the command of the tool that opens it.
+
+    Raises:
+        HyalineError: no such format, a dataset that is not finished, or something else stands in the folder.
+    """
+    make_plan = FORMATS[choose("format", form, FORMATS)]
+    if flow and form != "webdataset":
+        raise HyalineError(f"--flow: has no place in the format {form}; leave it out, or take --format webdataset")
+    source = Source(dataset=dataset, num_points=num_points, flow=flow)
+    out = out or EXPORTS / f"{dataset.name}-{form}"
+    if out.resolve().is_relative_to(dataset.root.resolve()):
+        raise HyalineError(f"--out: {out} lies in the dataset, which keeps to its own files; choose a folder outside")
+    plan = make_plan(source)
+    settings = {"format": form, "dataset": dataset.seal, "points": num_points, "flow": flow}
+    write_export(out, plan, {**settings}, overwrite=overwrite)
+    say(f"{out}: {len(source.pictures)} views; {_roles(source)}")
+    return out, plan.hint.replace("OUT", str(out))
+
+
+def _roles(source: Source) -> str:
+    return ", ".join(f"{len(source.of_role(role))} {role}" for role in ("train", "val", "test"))

@@ -1,0 +1,298 @@
+"""Tests that each export shows the dataset's world: vertices, pictures, depth, masks and points, by its own reader."""
+
+import importlib
+import io
+import json
+import tarfile
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+import pytest
+from PIL import Image
+from support.export_readers import (
+    ReadView,
+    read_blender,
+    read_colmap_binary,
+    read_colmap_text,
+    read_nerfstudio,
+    read_picture,
+    read_ply_points,
+    read_refref,
+)
+from support.traced_dataset import BALL, write_traced_dataset
+
+from datagen.data.dataset import Dataset, View, open_dataset
+from datagen.disk.errors import HyalineError
+from datagen.export.formats import FORMATS, export_dataset
+from datagen.export.source import Source
+from datagen.quantities.surfaces import surfaces_of
+from datagen.quantities.view_quantities import quantities
+
+POINTS = 600
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    root = tmp_path_factory.mktemp("source") / "glasses"
+    write_traced_dataset(root)
+    return open_dataset(root)
+
+
+@pytest.fixture(scope="module")
+def exports(dataset: Dataset, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Every format, exported once."""
+    root = tmp_path_factory.mktemp("exports")
+    for form in FORMATS:
+        export_dataset(dataset, form, root / form, num_points=POINTS, flow=False, overwrite=False)
+    return {form: root / form for form in FORMATS}
+
+
+def view_of(dataset: Dataset, name: str) -> View:
+    split, _, index = name.rpartition("_")
+    return dataset.view(split, int(index))  # type: ignore[arg-type]
+
+
+def check_vertices(dataset: Dataset, views: dict[str, ReadView]) -> None:
+    """Vertices of the cube and the ball fall on the objects' own pixels, and where the dataset's rays go."""
+    assert views
+    meshes = {item.name: item.mesh for item in surfaces_of(dataset).scene.objects}
+    boxes = 0
+    for name, read in views.items():
+        view = view_of(dataset, name)
+        camera, found = view.camera, quantities(view)
+        vertices = np.concatenate([meshes["cube"].vertices, meshes["ball"].vertices]).astype(np.float64)
+        pixels = read.project(vertices)
+        _, directions = camera.rays()
+        # Beside the ray through its pixel's centre, a vertex lies by less than half a pixel's width.
+        inside = ((pixels >= 0) & (pixels < camera.width)).all(axis=-1)
+        column, row = np.floor(pixels[inside]).astype(int).T
+        towards = vertices[inside] - camera.world_from_camera[:3, 3]
+        towards /= np.linalg.norm(towards, axis=-1, keepdims=True)
+        off = (pixels[inside] - np.stack([column, row], axis=-1) - 0.5) / camera.intrinsics[0, 0]
+        right, up, back = camera.world_from_camera[:3, :3].T
+        ray = directions[row, column] / -(directions[row, column] @ back)[:, None]
+        expected = ray + off[:, :1] * right - off[:, 1:] * up
+        expected /= np.linalg.norm(expected, axis=-1, keepdims=True)
+        assert np.abs(expected - towards).max() * camera.intrinsics[0, 0] < 0.01
+        for thing in ("cube", "ball"):
+            mine = read.project(meshes[thing].vertices.astype(np.float64))
+            mask = found.object_mask(thing)
+            layers = view.layers().object_id
+            everywhere = (layers == dataset.object_id(thing)).any(axis=0)
+            is_whole = mask.sum() == everywhere.sum() and ((mine > 1) & (mine < camera.width - 1)).all()
+            if is_whole:
+                rows, columns = np.nonzero(mask)
+                low, high = np.array([columns.min(), rows.min()]), np.array([columns.max(), rows.max()]) + 1
+                centre = (low + high) / 2 - (mine.min(axis=0) + mine.max(axis=0)) / 2
+                assert np.abs(centre).max() < 0.75, "the middles of both boxes, on a grid of pixels"
+                boxes += 1
+    assert boxes > 0
+
+
+def check_picture(dataset: Dataset, name: str, file: Path, channels: int) -> None:
+    picture = read_picture(file)
+    assert picture.shape[-1] == channels
+    assert np.array_equal(picture[..., :3], view_of(dataset, name).image)
+    assert channels == 3 or (picture[..., 3] == 255).all()
+
+
+def test_nerfstudio_reads_views_splits_depth_and_points(dataset: Dataset, exports: dict[str, Path]) -> None:
+    root = exports["nerfstudio"]
+    views, splits = read_nerfstudio(root)
+    check_vertices(dataset, views)
+    assert {name: len(listed) for name, listed in splits.items()} == {"train": 8, "val": 2, "test": 4}
+    assert sorted(name for listed in splits.values() for name in listed) == sorted(views)
+    for name, read in views.items():
+        check_picture(dataset, name, read.file, channels=3)
+        found = quantities(view_of(dataset, name))
+        depth = read_picture(root / read.frame["depth_file_path"]).astype(np.float64) / 1000
+        assert np.abs(depth - found.depth_along_axis).max() <= 0.0005 + 1e-6
+        assert np.array_equal(read_picture(root / read.frame["mask_file_path"]) == 255, found.glass)
+        # nerfstudio would leave what this key masks out of training.
+        assert "mask_path" not in read.frame
+
+
+def test_near_far_and_box_keep_every_surface(dataset: Dataset, exports: dict[str, Path]) -> None:
+    meta = json.loads((exports["nerfstudio"] / "transforms.json").read_text())
+    low, high = np.array(meta["aabb"])
+    depths = []
+    for split in dataset.splits:
+        for view in dataset.views(split):
+            found = quantities(view)
+            depths += [
+                found.depth_along_ray[~found.background],
+                found.opaque_depth_along_ray[found.opaque_object_id > 0],
+            ]
+            for position in (found.position[~found.background], found.opaque_position[found.opaque_object_id > 0]):
+                assert ((position > low) & (position < high)).all()
+    seen = np.concatenate(depths)
+    assert 0 < meta["near"] < seen.min() < meta["near"] * 1.02 and meta["far"] / 1.02 < seen.max() < meta["far"]
+
+
+@pytest.mark.parametrize("form", ["blender", "3dgs"])
+def test_blender_reads_every_split(form: str, dataset: Dataset, exports: dict[str, Path]) -> None:
+    root = exports[form]
+    splits = {split: read_blender(root, split) for split in ("train", "val", "test", *dataset.splits[1:])}
+    assert [len(views) for views in splits.values()] == [8, 2, 4, 2, 2]
+    assert {**splits["interpolating"], **splits["extrapolating"]}.keys() == splits["test"].keys()
+    for views in splits.values():
+        for name, read in views.items():
+            check_picture(dataset, name, read.file, channels=4)
+    check_vertices(dataset, splits["train"])
+    check_vertices(dataset, splits["test"])
+
+
+@pytest.mark.parametrize("form", ["colmap", "nerfbaselines"])
+@pytest.mark.parametrize("read", [read_colmap_text, read_colmap_binary])
+def test_colmap_reads_cameras_points_and_tracks(form: str, read, dataset: Dataset, exports: dict[str, Path]) -> None:
+    root = exports[form]
+    views, points, seen = read(root)
+    check_vertices(dataset, views)
+    assert len(views) == 14 and len(points) == POINTS
+    names, observations = list(views), 0
+    for name, read_view in views.items():
+        check_picture(dataset, name, read_view.file, channels=3)
+        rows = seen[name]
+        positions = np.array([points[int(point)][0] for _, _, point in rows])
+        assert np.abs(read_view.project(positions) - np.array([row[:2] for row in rows])).max() < 1e-4
+        observations += len(rows)
+    tracked = 0
+    for number, (_, _, track) in points.items():
+        for image, place in track.reshape(-1, 2):
+            assert int(seen[names[image - 1]][place][2]) == number
+            tracked += 1
+    assert tracked == observations > 4 * POINTS
+    lists = {name: (root / f"{name}_list.txt").read_text().split() for name in ("train", "test")}
+    assert {name: len(listed) for name, listed in lists.items()} == {"train": 8, "test": 4}
+    assert set(lists["train"] + lists["test"]) <= {f"{name}.png" for name in views}
+    assert not set(lists["train"]) & set(lists["test"])
+    if form == "nerfbaselines":
+        info = json.loads((root / "nb-info.json").read_text())
+        assert (info["loader"], info["scene"]) == ("colmap", "glasses")
+
+
+def test_points_lie_on_surfaces_in_their_colours(dataset: Dataset, exports: dict[str, Path]) -> None:
+    for form, file in (("nerfstudio", "sparse_pc.ply"), ("3dgs", "points3d.ply"), ("refref", "points3d.ply")):
+        position, normal, color = read_ply_points(exports[form] / file)
+        assert len(position) == POINTS and np.abs(np.linalg.norm(normal, axis=-1) - 1).max() < 1e-5
+        on_floor = np.abs(position[:, 2]) < 1e-4
+        center, radius = BALL
+        distance = np.linalg.norm(position - center, axis=-1)
+        on_ball = np.abs(distance - radius) < 0.01
+        assert on_floor.sum() > POINTS / 4 and on_ball.any()
+        assert np.abs(normal[on_floor] - [0, 0, 1]).max() < 1e-5
+        outward = (position[on_ball] - center) / distance[on_ball][:, None]
+        assert (normal[on_ball] * outward).sum(axis=-1).min() > 0.99
+        # The pictures of this dataset have one colour an object.
+        view = dataset.view("train", 0)
+        floor_color = view.image[quantities(view).object_mask("floor")][0]
+        assert (color[on_floor] == floor_color).all()
+
+
+def test_refref_reads_masks_depth_and_glass(dataset: Dataset, exports: dict[str, Path]) -> None:
+    root = exports["refref"]
+    for split, count in (("train", 8), ("val", 2), ("test", 4)):
+        views = read_refref(root, split)
+        assert len(views) == count
+        for name, read in views.items():
+            check_picture(dataset, name, read.file, channels=4)
+            found = quantities(view_of(dataset, name))
+            assert np.array_equal(np.load(root / read.frame["depth_file_path"]), found.depth_along_axis)
+            assert np.array_equal(read_picture(root / read.frame["mask_file_path"]) == 255, found.glass)
+    check_vertices(dataset, read_refref(root, "train"))
+    objects = json.loads((root / "objects.json").read_text())
+    assert {name: (item["ior"], item["is_thin"]) for name, item in objects.items()} == {
+        "ball": (1.5, False),
+        "slab": (1.6, False),
+        "pane": (1.5, True),
+    }
+    assert objects["ball"]["absorption_per_metre"] == [3, 1, 0]
+    scene = dataset.root / "scene" / "meshes"
+    assert (root / objects["ball"]["mesh"]).read_bytes() == (scene / "ball.ply").read_bytes()
+
+
+def test_cleargrasp_reads_depth_normals_and_masks(dataset: Dataset, exports: dict[str, Path]) -> None:
+    root = exports["cleargrasp"]
+    for folder, split in (("train", "train"), ("val", "train"), ("extrapolating", "extrapolating")):
+        files = sorted((root / folder / "rgb-imgs").glob("*-rgb.jpg"))
+        assert len(files) == {"train": 8, "val": 2, "extrapolating": 2}[folder]
+        for file in files:
+            number = file.name.removesuffix("-rgb.jpg")
+            assert len(number) == 9
+            found = quantities(view_of(dataset, f"{split}_{int(number):04d}"))
+            depth = read_exr(root / folder / "depth-imgs-rectified" / f"{number}-depth-rectified.exr")
+            assert np.array_equal(depth["R"], found.depth_along_axis)
+            normals = read_exr(root / folder / "camera-normals" / f"{number}-cameraNormals.exr")
+            assert np.array_equal(np.stack([normals[name] for name in "RGB"], axis=-1), found.normal(axes="camera"))
+            mask = read_picture(root / folder / "segmentation-masks" / f"{number}-segmentation-mask.png")
+            assert np.array_equal(mask >= 100, found.glass)
+            picture = read_picture(file).astype(int)
+            assert np.abs(picture - found.view.image).mean() < 6
+
+
+def read_exr(path: Path) -> dict[str, np.ndarray]:
+    channels = OpenEXR.File(str(path), separate_channels=True).channels()
+    return {name: np.asarray(channel.pixels) for name, channel in channels.items()}
+
+
+def test_webdataset_samples_hold_every_quantity(dataset: Dataset, exports: dict[str, Path], tmp_path: Path) -> None:
+    root = exports["webdataset"]
+    shards = sorted(path.name for path in root.glob("*.tar"))
+    assert shards == [f"{name}-000000.tar" for name in ("extrapolating", "interpolating", "train", "val")]
+    samples = read_samples(root / "train-000000.tar")
+    assert len(samples) == 8
+    for name, sample in samples.items():
+        found = quantities(view_of(dataset, name))
+        assert np.array_equal(np.asarray(Image.open(io.BytesIO(sample["png"]))), found.view.image)
+        for key, values in {
+            "depth": found.depth_along_axis,
+            "opaque_depth": found.opaque_depth_along_axis,
+            "position": found.position,
+            "normal": found.normal(),
+            "thickness": found.glass_thickness,
+            "albedo": found.albedo,
+            "ior": found.ior,
+        }.items():
+            assert np.array_equal(np.load(io.BytesIO(sample[f"{key}.npy"])), values, equal_nan=True)
+        for key, values in {"object_id": found.object_id, "material_id": found.material_id}.items():
+            assert np.array_equal(np.asarray(Image.open(io.BytesIO(sample[f"{key}.png"]))), values)
+        camera = json.loads(sample["camera.json"])
+        assert np.array_equal(camera["transform_matrix"], found.view.camera.world_from_camera)
+    about = json.loads((root / "dataset.json").read_text())
+    assert [item["name"] for item in about["objects"]] == [item.name for item in dataset.objects]
+
+
+def read_samples(shard: Path) -> dict[str, dict[str, bytes]]:
+    """Files grouped by what comes before the first dot of their names, as WebDataset groups them."""
+    samples: dict[str, dict[str, bytes]] = {}
+    with tarfile.open(shard) as archive:
+        for entry in archive:
+            key, _, ending = entry.name.partition(".")
+            file = archive.extractfile(entry)
+            assert file is not None and entry.mtime == 0
+            samples.setdefault(key, {})[ending] = file.read()
+    return samples
+
+
+def test_views_held_out_are_those_that_training_holds_out(dataset: Dataset) -> None:
+    held_out = importlib.import_module("model.run.train").choose_held_out(10, 4)
+    source = Source(dataset=dataset, num_points=1, flow=False)
+    assert [item.view.index for item in source.of_role("val")] == held_out
+    assert [item.view.index for item in source.of_role("train")] == [n for n in range(10) if n not in held_out]
+    assert [item.view.split for item in source.of_role("test")] == ["interpolating"] * 2 + ["extrapolating"] * 2
+
+
+def test_what_cannot_be_exported_is_said(dataset: Dataset, tmp_path: Path) -> None:
+    def export(form: str, out: Path, flow: bool = False) -> None:
+        export_dataset(dataset, form, out, num_points=1, flow=flow, overwrite=False)
+
+    with pytest.raises(HyalineError, match="format 'nerfstudo': there is none of that name; did you mean 'nerfstudio'"):
+        export("nerfstudo", tmp_path / "out")
+    with pytest.raises(HyalineError, match="--flow: has no place in the format colmap"):
+        export("colmap", tmp_path / "out", flow=True)
+    with pytest.raises(HyalineError, match="lies in the dataset, which keeps to its own files"):
+        export("colmap", dataset.root / "colmap")
+    with pytest.raises(HyalineError, match="points: is 0; expected 1 to"):
+        Source(dataset=dataset, num_points=0, flow=False)
+    assert not (tmp_path / "out").exists()
