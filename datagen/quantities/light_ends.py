@@ -1,7 +1,8 @@
 """Where the light of a pixel comes from, through all glass: refractive flow and attenuation.
 
 A light path (datagen/trace/light_path.py) starts at the camera, through the pixel's centre, is refracted by every
-surface of glass and ends on the first opaque surface, or leaves the scene. It is traced when it is asked for.
+surface of glass and ends on the first opaque surface, or leaves the scene. Rough glass counts as smooth: its facets
+spread light around that path. It is traced when it is asked for.
 """
 
 from dataclasses import dataclass

@@ -1,5 +1,6 @@
 """What a dataset's objects are: their materials and meshes, looked up by the object ids of layers."""
 
+import dataclasses
 import functools
 import weakref
 from dataclasses import dataclass, field
@@ -16,7 +17,7 @@ from datagen.quantities.faces import FaceFinder
 from datagen.scene.description import Scene, image_bytes
 from datagen.scene.folder import load_scene
 from datagen.scene.images import linear_pixels, look_up
-from datagen.scene.materials import Conductor, Diffuse, Material, Plastic
+from datagen.scene.materials import Conductor, Diffuse, Material, Plastic, RoughDielectric
 from datagen.scene.solid_textures import evaluate_texture
 from datagen.scene.textures import ImageTexture, Reflectance, SolidTexture
 
@@ -73,10 +74,14 @@ class Surfaces:
 
     @functools.cached_property
     def tracer(self) -> "LightPathTracer":
-        """What follows light through the scene. Call `use_mitsuba` first."""
+        """What follows light through the scene, rough glass as if it were smooth. Call `use_mitsuba` first."""
         from datagen.trace.light_path import LightPathTracer
 
-        return LightPathTracer(self.meshes, self.materials)
+        smooth = (
+            dataclasses.replace(material, roughness=0.0) if isinstance(material, RoughDielectric) else material
+            for material in self.materials
+        )
+        return LightPathTracer(self.meshes, tuple(smooth))
 
     def _reflectance(
         self, color: Reflectance, uv: Float[np.ndarray, "hit 2"], position: Float[np.ndarray, "hit 3"]

@@ -1,4 +1,4 @@
-"""Tests that an export goes on where it was stopped, skips what is finished, and touches nothing that is not its own."""
+"""Tests that an export goes on where it was stopped, skips what is finished, and touches nothing but its own files."""
 
 from collections.abc import Callable
 from pathlib import Path
