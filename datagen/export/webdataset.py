@@ -36,9 +36,8 @@ VIEWS = 32
 def plan_webdataset(source: Source) -> Plan:
     """All shards, and what they have in common."""
     about = Part(name="about", files=("dataset.json",), make=lambda: {"dataset.json": dump_json(_about(source))})
-    return Plan(
-        parts=(*_shards(source), about), hint="python -c 'import webdataset; webdataset.WebDataset(...)', see OUT"
-    )
+    hint = "python -c \"import webdataset; print(next(iter(webdataset.WebDataset('OUT/train-000000.tar'))).keys())\""
+    return Plan(parts=(*_shards(source), about), hint=hint)
 
 
 def _shards(source: Source) -> Iterator[Part]:
