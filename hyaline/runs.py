@@ -117,22 +117,18 @@ class Run:
         return load_renderer(self.folder, self.config, self.dataset).to(choose_device(self.device))
 
     def _pixels(self, camera: Camera) -> "PixelSource":
+        from model.run.predict import check_draws_cameras
         from model.settings.runtime import choose_device
 
         check_camera(camera)
-        net = self.config.net
-        if not net.draws_cameras:
-            raise HyalineError(
-                f"{self.folder}: {self.method} draws the views of its dataset, not other cameras; its MethodConfig has "
-                "no load_cameras (docs/adding-a-method.md)"
-            )
+        check_draws_cameras(self.folder, self.config)
         cameras = Cameras(
             world_from_camera=np.asarray(camera.world_from_camera, np.float64)[None],
             fov_x=camera.fov_x,
             width=camera.width,
             height=camera.height,
         )
-        return net.load_cameras(self.inputs, cameras).to(choose_device(self.device))
+        return self.config.net.load_cameras(self.inputs, cameras).to(choose_device(self.device))
 
 
 def list_runs(root: Path | str = RUNS) -> list[str]:
