@@ -9,9 +9,10 @@ from datagen.data.dataset import Dataset
 from datagen.data.paths import view_name
 from datagen.data.variants import ANGLES, has_variant, open_variant, variant_root
 from datagen.disk.errors import HyalineError
-from eval.figures.sheets import Panel, Row, decibels, draw_sheet
+from eval.figures.sheets import Panel, Row, draw_sheet
 from eval.score.metrics import psnr
 from eval.score.runs import Run, has_split, open_run, read_prediction, within
+from eval.tables.grids import psnr_text
 
 HEADS = ("truth", "before", "after", "error before, levels of 255", "error after")
 
@@ -67,7 +68,7 @@ def _row(split: Split, view: int, runs: list[Run]) -> Row:
         split=split,
         panels=(
             Panel(image=truth, caption=f"view {view_name(view)}"),
-            *(Panel(image=picture, caption=decibels(psnr(picture, truth))) for picture in drawn),
+            *(Panel(image=picture, caption=psnr_text(psnr(picture, truth))) for picture in drawn),
             *(Panel(image=error, caption=f"mean {error.mean():.1f}, largest {error.max():.0f}") for error in errors),
         ),
     )

@@ -49,7 +49,7 @@ from datagen.disk.opened import Opened
 from datagen.disk.ownership import DATASET, LAYERS
 from datagen.disk.promises import check_files, read_promised
 from datagen.disk.records import Json, entry, from_json, shown
-from datagen.disk.storage import load_sealed, seal_of, sha256_file
+from datagen.disk.storage import load_sealed, seal_of, sha256, sha256_file
 
 DATASET_VERSION = 1
 
@@ -255,6 +255,11 @@ class View:
         """The 8-bit sRGB picture: what metrics compare."""
         picture = decode_png(self._read(".png"), where=str(self.dataset.root / self._file(".png")))
         return np.asarray(picture.convert("RGB"))
+
+    @property
+    def image_sha256(self) -> str:
+        """SHA-256 of the file of `image`, verified: a name for the picture that needs no decoding."""
+        return sha256(self._read(".png"))
 
     @property
     def radiance(self) -> Float32[np.ndarray, "h w 3"]:

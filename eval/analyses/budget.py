@@ -8,9 +8,10 @@ import numpy as np
 from datagen.data.config import TEST_SPLITS, Split
 from datagen.data.dataset import Dataset
 from datagen.data.paths import TRUTH
-from datagen.disk.records import Json
+from datagen.disk.records import Json, from_json
 from datagen.disk.storage import dump_json
 from eval.analyses.coverage import visible_layers
+from eval.score.kept import Kept, layers_digest
 from eval.score.metrics import mean_of
 from eval.score.runs import Run
 from eval.score.scores import RunScores, SceneScores
@@ -54,7 +55,7 @@ class Budget:
     points: tuple[BudgetPoint, ...]
 
 
-def find_budgets(scene: SceneScores) -> tuple[Budget, ...]:
+def find_budgets(scene: SceneScores, kept: Kept) -> tuple[Budget, ...]:
     """The budgets among a scene's runs: at least two numbers of layers each."""
     groups: dict[bytes, list[RunScores]] = defaultdict(list)
     for scores in scene.runs:
@@ -67,13 +68,26 @@ def find_budgets(scene: SceneScores) -> tuple[Budget, ...]:
             by_layers[scores.run.num_layers or 0].append(scores)
         if len(by_layers) > 1:
             name = by_layers[max(by_layers)][0].run.name
-            shares = missed_shares(scene.dataset, group[0].run.geometry or TRUTH, sorted(by_layers))
+            shares = _kept_shares(scene.dataset, group[0].run.geometry or TRUTH, sorted(by_layers), kept)
             points = tuple(_point(count, by_layers[count], *shares[count]) for count in sorted(by_layers))
             budgets.append(Budget(name=name, points=points))
     return tuple(budgets)
 
 
 Shares = dict[Split, float]
+
+
+def _kept_shares(dataset: Dataset, geometry: str, counts: list[int], kept: Kept) -> dict[int, tuple[Shares, Shares]]:
+    def compute() -> Json:
+        found = missed_shares(dataset, geometry, counts)
+        return [[[shares[split] for split in TEST_SPLITS] for shares in found[count]] for count in counts]
+
+    about: Json = [dataset.seal, layers_digest(dataset, geometry, TEST_SPLITS), list[Json](counts)]
+    data = from_json(
+        tuple[tuple[tuple[float, ...], ...], ...], kept.get("layer budget", about, compute), where="kept shares"
+    )
+    pairs = [tuple(dict(zip(TEST_SPLITS, values, strict=True)) for values in pair) for pair in data]
+    return {count: (more, deeper) for count, (more, deeper) in zip(counts, pairs, strict=True)}
 
 
 def missed_shares(dataset: Dataset, geometry: str, counts: list[int]) -> dict[int, tuple[Shares, Shares]]:

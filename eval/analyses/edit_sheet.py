@@ -6,11 +6,12 @@ from datagen.data.config import TEST_SPLITS
 from datagen.data.edit_masks import OBJECT, read_edit_mask
 from datagen.data.paths import view_name
 from eval.analyses.edits import EditScores
-from eval.figures.sheets import Panel, Row, decibels, draw_sheet
+from eval.figures.sheets import Panel, Row, draw_sheet
 from eval.score.metrics import psnr
 from eval.score.runs import has_split, read_prediction
 from eval.score.scores import SceneScores
 from eval.score.seeds import by_group
+from eval.tables.grids import psnr_text
 
 EDIT_VIEWS = 2
 """Views of each split on the sheet of an edit."""
@@ -30,7 +31,7 @@ def edit_sheet(scene: SceneScores, edit: EditScores) -> bytes:
             panels = [Panel(image=image, caption=f"view {view_name(view)}") for image in truths]
             for run in runs:
                 pred = read_prediction(run, split, view) if has_split(run, split) else None
-                panels.append(Panel(image=pred, caption="" if pred is None else decibels(psnr(pred, truths[1]))))
+                panels.append(Panel(image=pred, caption="" if pred is None else psnr_text(psnr(pred, truths[1]))))
             rows.append(Row(split=split, panels=tuple(panels)))
     heads = ("truth before", "truth after", *(run.name for run in runs))
     title = f"{scene.title}: {edit.edited.name}"

@@ -8,8 +8,17 @@ from datagen.data.dataset import Dataset
 from datagen.data.variants import parent_views
 from datagen.disk.records import Json
 from eval.analyses.variants import VariantScores, splits_json, variant_json
+from eval.score.kept import Kept, picture_digests
 from eval.score.runs import read_prediction
-from eval.score.scores import RunScores, SceneScores, SplitScores, score_picture
+from eval.score.scores import (
+    RunScores,
+    SceneScores,
+    SplitScores,
+    Truth,
+    score_picture,
+    scores_from_json,
+    scores_json,
+)
 from eval.tables.grids import CEILING, MISSING, Column, Grid, format_number
 
 KEYS = {"psnr_db": ("PSNR dB ↑", 2), "glass_psnr_db": ("PSNR glass dB ↑", 2), "ssim": ("SSIM ↑", 3)}
@@ -26,12 +35,12 @@ Enlarged = dict[str, dict[Split, SplitScores | None]]
 """Scores of enlarged pictures by the run's name; `TRUTH_ENLARGED` stands for the true ones."""
 
 
-def score_enlarged(scene: SceneScores, scored: VariantScores) -> Enlarged:
+def score_enlarged(scene: SceneScores, scored: VariantScores, kept: Kept) -> Enlarged:
     """What the small pictures of each run that drew a larger variant are worth when they are enlarged."""
     runs = [scores for scores in scene.runs if scores.run.name in scored.runs]
     return {
-        TRUTH_ENLARGED: _enlarged(scene.dataset, scored, None),
-        **{scores.run.name: _enlarged(scene.dataset, scored, scores) for scores in runs},
+        TRUTH_ENLARGED: _enlarged(scene.dataset, scored, None, kept),
+        **{scores.run.name: _enlarged(scene.dataset, scored, scores, kept) for scores in runs},
     }
 
 
@@ -87,18 +96,27 @@ def super_resolution_json(scored: VariantScores, enlarged: Enlarged) -> dict[str
     }
 
 
-def _enlarged(dataset: Dataset, scored: VariantScores, scores: RunScores | None) -> dict[Split, SplitScores | None]:
+def _enlarged(
+    dataset: Dataset, scored: VariantScores, scores: RunScores | None, kept: Kept
+) -> dict[Split, SplitScores | None]:
     """The scores of enlarged predictions; of the enlarged truth without a run."""
-    size = scored.variant.config.resolution
     splits: dict[Split, SplitScores | None] = {}
     for split, truth in scored.truths.items():
         if scores is not None and scores.splits[split] is None:
             splits[split] = None
             continue
-        rows = []
-        for place, view in enumerate(parent_views(scored.variant, split)):
-            small = dataset.view(split, view).image if scores is None else read_prediction(scores.run, split, view)
-            glass = None if truth.glass is None else truth.glass[place]
-            rows.append(score_picture(enlarge(small, size), truth.images[place], glass))
-        splits[split] = SplitScores(images={key: tuple(row[key] for row in rows) for key in rows[0]})
+        small: Json = list(picture_digests(dataset, split) if scores is None else scores.digests[split])
+        about: Json = [truth.digest, small, list(parent_views(scored.variant, split))]
+        data = kept.get("enlarged", about, lambda truth=truth: scores_json(_score_enlarged(dataset, truth, scores)))
+        splits[split] = scores_from_json(data)
     return splits
+
+
+def _score_enlarged(dataset: Dataset, truth: Truth, scores: RunScores | None) -> SplitScores:
+    split, size = truth.split, truth.dataset.config.resolution
+    rows = []
+    for place, view in enumerate(parent_views(truth.dataset, split)):
+        small = dataset.view(split, view).image if scores is None else read_prediction(scores.run, split, view)
+        glass = None if truth.glass is None else truth.glass[place]
+        rows.append(score_picture(enlarge(small, size), truth.images[place], glass))
+    return SplitScores(images={key: tuple(row[key] for row in rows) for key in rows[0]})

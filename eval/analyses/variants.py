@@ -10,6 +10,7 @@ from datagen.disk.errors import HyalineError
 from datagen.disk.records import Json
 from datagen.disk.storage import load_sealed
 from datagen.terminal.command import track
+from eval.score.kept import Kept
 from eval.score.metrics import mean_of
 from eval.score.runs import Run, has_split, within
 from eval.score.scores import RunScores, SceneScores, SplitScores, Truth, read_truth, score_run
@@ -25,7 +26,9 @@ class VariantScores:
     """By the run's name; the folder and the dataset of each `run` are the variant's."""
 
 
-def score_variants(scene: SceneScores, errors: list[HyalineError], *, edits_alone: bool = False) -> list[VariantScores]:
+def score_variants(
+    scene: SceneScores, errors: list[HyalineError], kept: Kept, *, edits_alone: bool = False
+) -> list[VariantScores]:
     """The scores of each variant that a run has drawn; what pictures or truth lack is added to `errors`."""
     scored = []
     for name in list_variants(scene.dataset.root):
@@ -35,7 +38,7 @@ def score_variants(scene: SceneScores, errors: list[HyalineError], *, edits_alon
             variant = open_variant(scene.dataset, name)
             if edits_alone and variant.edit is None:
                 continue
-            if (found := _score(scene, variant, errors)).runs:
+            if (found := _score(scene, variant, errors, kept)).runs:
                 scored.append(found)
         except HyalineError as error:
             errors.append(error)
@@ -82,13 +85,13 @@ def splits_json(splits: dict[Split, SplitScores | None]) -> Json:
     }
 
 
-def _score(scene: SceneScores, variant: Dataset, errors: list[HyalineError]) -> VariantScores:
+def _score(scene: SceneScores, variant: Dataset, errors: list[HyalineError], kept: Kept) -> VariantScores:
     truths: dict[Split, Truth] = {split: read_truth(variant, split) for split in variant.splits}
     runs = {}
     for scores in track(scene.runs, label=f"scoring {variant.root}", total=len(scene.runs)):
         try:
             if (found := run_of_variant(scores.run, variant)) is not None:
-                runs[found.name] = score_run(found, truths)
+                runs[found.name] = score_run(found, truths, kept)
         except HyalineError as error:
             errors.append(error)
     return VariantScores(variant=variant, truths=truths, runs=runs)

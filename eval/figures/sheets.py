@@ -20,6 +20,7 @@ from datagen.data.paths import view_name
 from eval.score.runs import read_prediction
 from eval.score.scores import RunScores, SceneScores
 from eval.score.seeds import group_seeds
+from eval.tables.grids import psnr_text
 
 DPI = 100
 PANEL = 300
@@ -59,7 +60,7 @@ def contact_sheet(scene: SceneScores, scores: RunScores) -> bytes:
         if (values := scores.splits[split]) is not None:
             pred = read_prediction(scores.run, split, view)
             error = np.abs(pred.astype(np.float64) - truth).mean(axis=-1)
-            panels[1] = Panel(image=pred, caption=decibels(values.images["psnr_db"][view]))
+            panels[1] = Panel(image=pred, caption=psnr_text(values.images["psnr_db"][view]))
             panels[2] = Panel(image=error, caption=f"mean {error.mean():.1f}, largest {error.max():.0f}")
         rows.append(Row(split=split, panels=tuple(panels)))
     heads = ("truth", "prediction", "error, levels of 255")
@@ -86,7 +87,7 @@ def comparison_sheet(scene: SceneScores, what: str) -> bytes:
                 panels.append(Panel(image=None))
             else:
                 pred = read_prediction(scores.run, split, view)
-                panels.append(Panel(image=pred, caption=decibels(value), is_best=value == best))
+                panels.append(Panel(image=pred, caption=psnr_text(value), is_best=value == best))
         rows.append(Row(split=split, panels=tuple(panels)))
     heads = ("truth", *(scores.run.name for scores in runs))
     return draw_sheet(f"{scene.title}: {what}", heads, rows, size=scene.dataset.config.resolution)
@@ -170,12 +171,6 @@ def _color_bar(figure: Figure, axes: Axes) -> None:
     bar = figure.colorbar(colors, cax=axes, ticks=list(ERROR_TICKS))
     bar.ax.set_yticklabels([*map(str, ERROR_TICKS[:-1]), f"≥ {ERROR_LIMIT}"])
     bar.ax.tick_params(labelsize=10)
-
-
-def decibels(value: float | None) -> str:
-    if value is None:
-        return ""
-    return "PSNR ∞ (identical)" if math.isinf(value) else f"PSNR {value:.2f} dB"
 
 
 def _fitting(words: str, width: int) -> str:

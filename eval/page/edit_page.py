@@ -27,7 +27,7 @@ def draw_edit(gallery: Gallery, scene: SceneScores, edit: EditScores) -> Markup:
         ]
         for scores in edit.scored.runs.values():
             if (values := scores.splits[split]) is not None:
-                item = Compared(run=scores.run, split=split, scores=values)
+                item = Compared(run=scores.run, split=split, scores=values, digests=scores.digests[split])
                 panels.append(prediction_panel(gallery, item, view) if store_view(gallery, item, view) else None)
         rows.append(tag("div", *panels, class_="sheet"))
     place = anchor("edit", scene.title, edit.edited.name)

@@ -1,29 +1,30 @@
 """The analyses of a scene that a report shows beyond the scores: their tables, data and figures."""
 
-from collections.abc import Callable
+import functools
 from dataclasses import dataclass
-from functools import partial
 
 from datagen.data.config import Split
 from datagen.data.dataset import Dataset
+from datagen.data.edit_masks import edit_mask_files
+from datagen.data.paths import TRUTH
 from datagen.data.variants import ANGLES, is_larger
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import file_name
 from datagen.disk.records import Json, to_json
 from datagen.terminal.command import say, track
 from eval.analyses.angles import angle_grid
-from eval.analyses.budget import budget_grid, find_budgets
-from eval.analyses.coverage import PixelCoverage, cover_view, read_coverage
-from eval.analyses.curve import Curve, curve_grid, make_curve, pool_seeds
-from eval.analyses.edit_sheet import edit_sheet
+from eval.analyses.budget import Budget, budget_grid, find_budgets
+from eval.analyses.coverage import Coverage, PixelCoverage, cover_view, read_coverage
+from eval.analyses.curve import Curve, curve_from_json, curve_grid, curve_json, make_curve, pool_seeds
 from eval.analyses.edit_tables import edit_grids, edit_json, order_grid, order_json
 from eval.analyses.edits import EditScores, score_edits
 from eval.analyses.order import score_order
-from eval.analyses.plots import budget_figure, curve_figure
 from eval.analyses.super_resolution import score_enlarged, super_resolution_grid, super_resolution_json
 from eval.analyses.variants import VariantScores, score_variants, variant_json
+from eval.page.report_folder import Drawing
+from eval.score.kept import Kept, layers_digest
 from eval.score.runs import Run
-from eval.score.scores import SceneScores, Truth
+from eval.score.scores import RunScores, SceneScores, Truth
 from eval.tables.grids import Grid
 
 
@@ -36,52 +37,50 @@ class Further:
     grids: tuple[Grid, ...]
     data: dict[str, Json]
     """For results.json."""
-    figures: dict[str, Callable[[], bytes]]
-    """PNGs by the name of their file, drawn when asked for."""
+    figures: dict[str, Drawing]
+    """PNGs by the name of their file."""
     curves: dict[str, Curve]
     """By the run's name, over seeds where there are several."""
     variants: tuple[VariantScores, ...]
     edits: tuple[EditScores, ...]
 
 
-def analyse(
-    scene: SceneScores, truths: dict[Split, Truth], errors: list[HyalineError], *, order_layers: int
-) -> Further:
+def analyse(scene: SceneScores, errors: list[HyalineError], kept: Kept, *, order_layers: int) -> Further:
     """All analyses of a scored scene.
 
     Args:
         order_layers: layers by whose order pixels are told apart; 0 leaves that analysis out.
-        truths: of the two test splits that every dataset has.
+        kept: takes what is computed, and gives what was.
         errors: takes what is wrong with runs; the others are analysed.
     """
     grids: list[Grid] = []
     data: dict[str, Json] = {}
-    figures: dict[str, Callable[[], bytes]] = {}
+    figures: dict[str, Drawing] = {}
     name = file_name(scene.title)
 
-    variants = score_variants(scene, errors)
+    variants = score_variants(scene, errors, kept)
     by_name: dict[str, Json] = {}
     by_angle = next((scored for scored in variants if scored.variant.name == ANGLES), None)
     if by_angle is not None:
         grids.append(angle_grid(scene, by_angle))
         by_name[ANGLES] = variant_json(by_angle)
     pooled: dict[str, Curve] = {}
-    if curves := _curves(scene, truths, by_angle):
+    if curves := _curves(scene, by_angle, kept):
         pooled = pool_seeds(scene.runs, curves)
         grids.append(curve_grid(scene.title, pooled))
         data["curves"] = to_json(curves)
-        figures[f"curve_{name}"] = lambda: curve_figure(scene.title, pooled)
-    if budgets := find_budgets(scene):
+        figures[f"curve_{name}"] = _curve_figure(scene.title, pooled)
+    if budgets := find_budgets(scene, kept):
         grids.append(budget_grid(scene.title, budgets))
         data["layer_budgets"] = to_json(budgets)
-        figures[f"budget_{name}"] = lambda: budget_figure(scene.title, budgets)
-    if larger := [(scored, score_enlarged(scene, scored)) for scored in variants if is_larger(scored.variant)]:
+        figures[f"budget_{name}"] = _budget_figure(scene.title, budgets)
+    if larger := [(scored, score_enlarged(scene, scored, kept)) for scored in variants if is_larger(scored.variant)]:
         grids.append(super_resolution_grid(scene, larger))
         by_name |= {scored.variant.name: super_resolution_json(scored, enlarged) for scored, enlarged in larger}
-    if edits := score_edits(scene, variants, errors):
+    if edits := score_edits(scene, variants, errors, kept):
         grids += edit_grids(scene.title, edits, scene.runs)
         by_name |= {edit.edited.name: edit_json(edit) for edit in edits}
-        figures |= {f"edit_{name}_{file_name(edit.edited.name)}": partial(edit_sheet, scene, edit) for edit in edits}
+        figures |= {f"edit_{name}_{file_name(edit.edited.name)}": _edit_sheet(scene, edit) for edit in edits}
     if by_name:
         data["variants"] = by_name
     if order_layers:
@@ -99,31 +98,84 @@ def analyse(
     )
 
 
-def _curves(scene: SceneScores, truths: dict[Split, Truth], by_angle: VariantScores | None) -> dict[str, Curve]:
+def _curve_figure(title: str, curves: dict[str, Curve]) -> Drawing:
+    def draw() -> bytes:
+        from eval.analyses.plots import curve_figure
+
+        return curve_figure(title, curves)
+
+    return Drawing(draw=draw, about=["curves", title, [[name, curve_json(curve)] for name, curve in curves.items()]])
+
+
+def _budget_figure(title: str, budgets: tuple[Budget, ...]) -> Drawing:
+    def draw() -> bytes:
+        from eval.analyses.plots import budget_figure
+
+        return budget_figure(title, budgets)
+
+    return Drawing(draw=draw, about=["budget", title, to_json(budgets)])
+
+
+def _edit_sheet(scene: SceneScores, edit: EditScores) -> Drawing:
+    def draw() -> bytes:
+        from eval.analyses.edit_sheet import edit_sheet
+
+        return edit_sheet(scene, edit)
+
+    before = {split: truth.digest for split, truth in scene.truths.items()}
+    after = {split: truth.digest for split, truth in edit.scored.truths.items()}
+    runs = [[name, scores.digests] for name, scores in edit.scored.runs.items()]
+    about = [scene.title, edit.edited.name, before, after, edit_mask_files(edit.edited), runs]
+    return Drawing(draw=draw, about=["edit", to_json(about)])
+
+
+def _curves(scene: SceneScores, by_angle: VariantScores | None, kept: Kept) -> dict[str, Curve]:
     """The extrapolation curves by the run's name; none without straight layers."""
     if not scene.has_glass_mask:
         return {}
-    say(f"{scene.title}: reads what the training views saw")
-    coverage = read_coverage(scene.dataset)
-    if by_angle is not None:
-        truths = truths | by_angle.truths
-    covered: dict[Split, tuple[PixelCoverage, ...]] = {
-        split: tuple(
-            cover_view(coverage, _home(scene, by_angle, split), split, view) for view in range(len(truth.images))
-        )
-        for split, truth in truths.items()
-    }
+    truths = scene.truths | ({} if by_angle is None else by_angle.truths)
+    covered = _Covered(scene, by_angle)
+    training = layers_digest(scene.dataset, TRUTH, ["train"])
     curves = {}
     for scores in track(scene.runs, label=f"curves of {scene.title}", total=len(scene.runs)):
         drawn = [scores]
         if by_angle is not None and scores.run.name in by_angle.runs:
             drawn.append(by_angle.runs[scores.run.name])
-        runs: dict[Split, Run] = {
-            split: found.run for found in drawn for split, values in found.splits.items() if values is not None
+        runs: dict[Split, RunScores] = {
+            split: found for found in drawn for split, values in found.splits.items() if values is not None
         }
         if runs:
-            curves[scores.run.name] = make_curve(runs, truths, {split: covered[split] for split in runs})
+            about: list[Json] = [scene.dataset.seal, training]
+            about += [[truths[split].digest, list(found.digests[split])] for split, found in runs.items()]
+            data = kept.get("curve", about, lambda runs=runs: curve_json(_make_curve(runs, truths, covered)))
+            curves[scores.run.name] = curve_from_json(data)
     return curves
+
+
+def _make_curve(runs: dict[Split, RunScores], truths: dict[Split, Truth], covered: "_Covered") -> Curve:
+    found: dict[Split, Run] = {split: scores.run for split, scores in runs.items()}
+    seen: dict[Split, tuple[PixelCoverage, ...]] = {split: covered.split(split) for split in found}
+    return make_curve(found, truths, seen)
+
+
+class _Covered:
+    """What training saw of the test views: read when a run is new, and once."""
+
+    def __init__(self, scene: SceneScores, by_angle: VariantScores | None) -> None:
+        self._scene, self._by_angle = scene, by_angle
+        self._by_split: dict[Split, tuple[PixelCoverage, ...]] = {}
+
+    @functools.cached_property
+    def _training(self) -> Coverage:
+        say(f"{self._scene.title}: reads what the training views saw")
+        return read_coverage(self._scene.dataset)
+
+    def split(self, split: Split) -> tuple[PixelCoverage, ...]:
+        if split not in self._by_split:
+            home = _home(self._scene, self._by_angle, split)
+            views = range(home.config.split(split).views)
+            self._by_split[split] = tuple(cover_view(self._training, home, split, view) for view in views)
+        return self._by_split[split]
 
 
 def _home(scene: SceneScores, by_angle: VariantScores | None, split: Split) -> Dataset:

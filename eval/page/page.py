@@ -2,18 +2,23 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 from datagen.data.config import TEST_SPLITS
 from datagen.data.paths import view_name
+from datagen.disk.records import Json, to_json
 from datagen.pages.charts import Line, line_chart
 from datagen.pages.document import anchor, document, section
 from datagen.pages.html import Markup, Part, join, tag
 from datagen.pages.pictures import Gallery
 from eval.analyses.curve import MIN_PIXELS, Bin, Curve
 from eval.page.edit_page import draw_edit
+from eval.page.figures import shown_of_run, shown_of_scene
 from eval.page.further import Further
 from eval.page.html_tables import html_table
+from eval.page.report_folder import Drawing
 from eval.page.run_page import run_anchor, run_page
+from eval.page.training import read_training
 from eval.page.views import Compared, ShownView, prediction_panel, store_truth, store_view, store_views, truth_name
 from eval.score.scores import RunScores, SceneScores, metric_notes
 from eval.score.seeds import group_seeds
@@ -33,7 +38,7 @@ class _ScenePart:
     scene: SceneScores
     further: Further
     views: dict[str, dict[Compared, list[ShownView]]]
-    """By the run's name."""
+    """By `run_anchor`."""
     side_by_side: Markup
 
 
@@ -56,7 +61,8 @@ def report_page(
     gallery = Gallery(most_bytes)
     pairs = list(zip(scenes, further, strict=True))
     compared = {
-        scene.title: {scores.run.name: _compared(scores, more) for scores in scene.runs} for scene, more in pairs
+        scene.title: {run_anchor(scene, scores.run): _compared(scores, more) for scores in scene.runs}
+        for scene, more in pairs
     }
     overviews = {scene.title: _side_by_side(scene, compared[scene.title], gallery) for scene in scenes}
     stored = store_views(
@@ -66,14 +72,18 @@ def report_page(
         _ScenePart(
             scene=scene,
             further=more,
-            views={name: {item: stored[item] for item in items} for name, items in compared[scene.title].items()},
+            views={run: {item: stored[item] for item in items} for run, items in compared[scene.title].items()},
             side_by_side=overviews[scene.title],
         )
         for scene, more in pairs
     ]
     overview = _overview(parts)
     analyses = [_scene_page(part, gallery) for part in parts]
-    runs = [run_page(part.scene, s, part.views[s.run.name], gallery) for part in parts for s in part.scene.runs]
+    runs = [
+        run_page(part.scene, s, part.views[run_anchor(part.scene, s.run)], gallery)
+        for part in parts
+        for s in part.scene.runs
+    ]
     left_out = (
         tag("p", f"{gallery.left_out} pictures found no room: a page holds at most 20 MB.", class_="note")
         if gallery.left_out
@@ -88,6 +98,23 @@ def report_page(
         left_out,
         navigation=_navigation(parts),
         refresh_s=refresh_s,
+    )
+
+
+def page_drawing(
+    scenes: list[SceneScores], further: list[Further], results: str, *, most_views: int, refresh_s: int | None = None
+) -> Drawing:
+    """The page as a file of the report, made again when anything in it differs.
+
+    Args:
+        results: a hash of all scores.
+    """
+    told = [
+        [shown_of_run(scores), read_training(scores.run.folder).digest] for scene in scenes for scores in scene.runs
+    ]
+    about: Json = [results, list(map(shown_of_scene, scenes)), to_json(told), most_views, refresh_s]
+    return Drawing(
+        draw=partial(report_page, scenes, further, most_views=most_views, refresh_s=refresh_s), about=["page", about]
     )
 
 
@@ -121,7 +148,7 @@ def _compared(scores: RunScores, further: Further) -> list[Compared]:
         if scored.variant.edit is None and scores.run.name in scored.runs:
             listed.append(scored.runs[scores.run.name])
     return [
-        Compared(run=item.run, split=split, scores=values)
+        Compared(run=item.run, split=split, scores=values, digests=item.digests[split])
         for item in listed
         for split, values in item.splits.items()
         if values is not None

@@ -14,21 +14,21 @@ from datagen.data.finding import list_datasets
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import file_name
 from datagen.disk.records import Json
+from datagen.disk.storage import sha256
 from datagen.machine.revision import code_version
 from datagen.terminal.command import choose, say, track
 from eval.analyses.edits import object_psnr, score_edits
 from eval.analyses.order import check_order_layers
 from eval.analyses.variants import score_variants
-from eval.figures.sheets import comparison_sheet
 from eval.page.figures import figures_of
 from eval.page.further import Further, analyse
-from eval.page.page import PAGE, USUAL_VIEWS, report_page
-from eval.page.report_folder import check_report_folder, write_report
+from eval.page.page import PAGE, USUAL_VIEWS, page_drawing
+from eval.page.report_folder import Drawing, check_report_folder, keep, kept_in, write_report
 from eval.papers.claims import CLAIMS, claims_grid
 from eval.papers.comparison_tables import ablation_grid, comparison_grid, find_ladder, ladder_grid
 from eval.papers.comparisons import ABLATIONS, COMPARISONS, LADDER, Line, find_entries
-from eval.papers.ladder import ladder_figure
 from eval.papers.published import published_grid, published_json
+from eval.score.kept import Kept
 from eval.score.runs import Run, has_predictions, list_run_folders, open_run
 from eval.score.scores import RunScores, SceneScores, Truth, has_glass_mask, read_truth, score_run
 from eval.score.seeds import group_seeds
@@ -76,19 +76,20 @@ def make_report(
             f"{runs_root}: no predictions there; make some with `{train_command()}`, or put a method's pictures "
             f"at {runs_root}/SCENE/NAME/predictions/SPLIT/0000.png"
         )
-    scored = _score_scenes(runs, errors)
-    if scored:
-        scenes = [scene for scene, _ in scored]
-        further = [analyse(scene, truths, errors, order_layers=order_layers) for scene, truths in scored]
-        made_by = _made_by(only, order_layers)
-        _print_scores(scenes, further, made_by, output_format, is_full=is_full, is_published=is_published)
+    kept = kept_in(out)
+    if scenes := _score_scenes(runs, errors, kept):
+        further = [analyse(scene, errors, kept, order_layers=order_layers) for scene in scenes]
+        results = _json(scenes, further, _made_by(only, order_layers))
+        _print_scores(scenes, further, results, output_format, is_full=is_full, is_published=is_published)
         files = {
-            "results.json": partial(_json, scenes, further, made_by),
-            PAGE: partial(report_page, scenes, further, most_views=most_views),
+            "results.json": Drawing(draw=lambda: results, about=sha256(results)),
+            PAGE: page_drawing(scenes, further, sha256(results), most_views=most_views),
             **figures_of(scenes, further),
         }
         for path in write_report(out, files):
             say(f"wrote {path}")
+        keep(out, kept, are_all=only is None)
+        say(f"open {out / PAGE} in a browser")
     for error in errors[:-1]:
         say(f"error: {error}")
     if errors:
@@ -114,7 +115,8 @@ def make_tables(
     lines = [line for table in tables for line in _lines_of(table)]
     runs, errors = _open_runs(runs_root, data_root, out, only)
     wanted = [run for run in runs if any(line.fits(run) for line in lines)]
-    scenes = [scene for scene, _ in _score_scenes(wanted, errors)]
+    kept = kept_in(out)
+    scenes = _score_scenes(wanted, errors, kept)
     if not scenes:
         errors.append(
             HyalineError(
@@ -123,13 +125,14 @@ def make_tables(
             )
         )
     for table in tables:
-        for grid in _grids_of(table, scenes, errors):
+        for grid in _grids_of(table, scenes, errors, kept):
             sys.stdout.write(grid_text(grid, output_format, width=_output_width(), color=sys.stdout.isatty()) + "\n")
     sys.stdout.flush()
     pictures = {(table, scene.title): _picture_of(table, scene) for table in tables for scene in scenes}
     files = {f"{table}_{file_name(title)}.png": png for (table, title), png in pictures.items() if png is not None}
-    for path in write_report(out, {name: partial(bytes, png) for name, png in files.items()}) if files else ():
+    for path in write_report(out, {n: Drawing(draw=partial(bytes, png)) for n, png in files.items()}) if files else ():
         say(f"wrote {path}")
+    keep(out, kept, are_all=False)
     for error in errors[:-1]:
         say(f"error: {error}")
     if errors:
@@ -150,9 +153,9 @@ def _lines_of(table: str) -> tuple[Line, ...]:
     return LADDER.lines if table == "proxies" else (ABLATIONS[table],)
 
 
-def _grids_of(table: str, scenes: list[SceneScores], errors: list[HyalineError]) -> list[Grid]:
+def _grids_of(table: str, scenes: list[SceneScores], errors: list[HyalineError], kept: Kept) -> list[Grid]:
     if table == "claims":
-        return [claims_grid(scenes, {scene.title: _object_psnr(scene, errors) for scene in scenes})]
+        return [claims_grid(scenes, {scene.title: _object_psnr(scene, errors, kept) for scene in scenes})]
     if table in ABLATIONS:
         return [ablation_grid(ABLATIONS[table], scene) for scene in scenes]
     if table == "proxies":
@@ -160,14 +163,17 @@ def _grids_of(table: str, scenes: list[SceneScores], errors: list[HyalineError])
     return [comparison_grid(COMPARISONS[table], scene) for scene in scenes]
 
 
-def _object_psnr(scene: SceneScores, errors: list[HyalineError]) -> dict[str, dict[Split, float | None]]:
+def _object_psnr(scene: SceneScores, errors: list[HyalineError], kept: Kept) -> dict[str, dict[Split, float | None]]:
     """PSNR where edited objects are or were, by the run's name and the split."""
-    edits = score_variants(scene, errors, edits_alone=True)
-    return object_psnr(score_edits(scene, edits, errors))
+    edits = score_variants(scene, errors, kept, edits_alone=True)
+    return object_psnr(score_edits(scene, edits, errors, kept))
 
 
 def _picture_of(table: str, scene: SceneScores) -> bytes | None:
     """Of a comparison what its runs drew, of the ladder a plot."""
+    from eval.figures.sheets import comparison_sheet
+    from eval.papers.ladder import ladder_figure
+
     if table in COMPARISONS:
         comparison = COMPARISONS[table]
         entries = [entry for part in find_entries(comparison, group_seeds(scene.runs)) for entry in part]
@@ -197,11 +203,8 @@ def _open_runs(runs_root: Path, data_root: Path, out: Path, only: Path | None) -
     return runs, errors
 
 
-ScoredScene = tuple[SceneScores, dict[Split, Truth]]
-
-
-def _score_scenes(runs: list[Run], errors: list[HyalineError]) -> list[ScoredScene]:
-    """The scores by dataset, sorted by name, and the truth; what a run's pictures lack is added to `errors`."""
+def _score_scenes(runs: list[Run], errors: list[HyalineError], kept: Kept) -> list[SceneScores]:
+    """The scores by dataset, sorted by name; what a run's pictures lack is added to `errors`."""
     datasets: dict[str, Dataset] = {}
     for run in runs:
         datasets.setdefault(run.dataset.seal, run.dataset)
@@ -212,12 +215,14 @@ def _score_scenes(runs: list[Run], errors: list[HyalineError]) -> list[ScoredSce
         here = [run for run in runs if run.dataset.seal == dataset.seal]
         # Two datasets of one name (an old one beside a new one) are told apart by their folders.
         title = dataset.name if names.count(dataset.name) == 1 else dataset.root.as_posix()
-        if scored := _score_scene(dataset, title, here, errors):
+        if scored := _score_scene(dataset, title, here, errors, kept):
             scenes.append(scored)
     return scenes
 
 
-def _score_scene(dataset: Dataset, title: str, runs: list[Run], errors: list[HyalineError]) -> ScoredScene | None:
+def _score_scene(
+    dataset: Dataset, title: str, runs: list[Run], errors: list[HyalineError], kept: Kept
+) -> SceneScores | None:
     truths: dict[Split, Truth] = {split: read_truth(dataset, split) for split in TEST_SPLITS}
     if not has_glass_mask(dataset):
         say(
@@ -227,19 +232,18 @@ def _score_scene(dataset: Dataset, title: str, runs: list[Run], errors: list[Hya
     scored: list[RunScores] = []
     for run in track(runs, label=f"scoring {title}", total=len(runs)):
         try:
-            scored.append(score_run(run, truths))
+            scored.append(score_run(run, truths, kept))
         except HyalineError as error:
             errors.append(error)
     if not scored:
         return None
-    scene = SceneScores(
+    return SceneScores(
         dataset=dataset,
         title=title,
         has_glass_mask=has_glass_mask(dataset),
-        ceilings_db={split: truths[split].ceiling_db for split in TEST_SPLITS},
+        truths=truths,
         runs=tuple(sorted(scored, key=lambda scores: scores.run.name)),
     )
-    return scene, truths
 
 
 def _made_by(only: Path | None, order_layers: int) -> dict[str, Json]:
@@ -259,14 +263,14 @@ def _json(scenes: list[SceneScores], further: list[Further], made_by: dict[str, 
 def _print_scores(
     scenes: list[SceneScores],
     further: list[Further],
-    made_by: dict[str, Json],
+    results: bytes,
     output_format: str,
     *,
     is_full: bool,
     is_published: bool,
 ) -> None:
     if output_format == "json":
-        text = _json(scenes, further, made_by).decode()
+        text = results.decode()
     elif output_format == "csv":
         text = results_csv(scenes)
     else:

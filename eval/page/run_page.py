@@ -18,7 +18,7 @@ from eval.tables.grids import Column, Grid, format_number
 
 def run_anchor(scene: SceneScores, run: Run) -> str:
     """Where in the page a run stands."""
-    return anchor("run", scene.title, run.name)
+    return anchor("run", scene.title, run.folder.parent.name, run.name)
 
 
 def run_page(

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from datagen.disk.errors import HyalineError
 from datagen.disk.reading import MAX_JSON_BYTES, parse_json, read_regular
+from datagen.disk.storage import sha256
 from datagen.pages.charts import Line, line_chart
 from datagen.pages.html import Markup, join, tag
 
@@ -17,6 +18,8 @@ class Training:
     """Curves by their name in the file: steps and values."""
 
     curves: dict[str, tuple[tuple[float, float], ...]]
+    digest: str = ""
+    """SHA-256 of the file."""
     is_damaged: bool = False
     """A line could not be read; the others were."""
 
@@ -29,10 +32,10 @@ def read_training(folder: Path) -> Training:
         return Training(curves={})
     is_damaged = False
     try:
-        lines = read_regular(path, at_most=MAX_JSON_BYTES).splitlines()
+        data = read_regular(path, at_most=MAX_JSON_BYTES)
     except HyalineError:
         return Training(curves={}, is_damaged=True)
-    for line in lines:
+    for line in data.splitlines():
         try:
             record = parse_json(line, where=str(path))
         except HyalineError:  # A run that was killed may have left half a line.
@@ -43,7 +46,9 @@ def read_training(folder: Path) -> Training:
             for key, value in record.items():
                 if isinstance(value, (int, float)) and not isinstance(value, bool):
                     curves.setdefault(key, []).append((float(step), float(value)))
-    return Training(curves={key: _thinned(points) for key, points in curves.items()}, is_damaged=is_damaged)
+    return Training(
+        curves={key: _thinned(points) for key, points in curves.items()}, digest=sha256(data), is_damaged=is_damaged
+    )
 
 
 def training_charts(training: Training) -> Markup:

@@ -10,9 +10,9 @@ from datagen.data.paths import view_name
 from datagen.pages.document import anchor
 from datagen.pages.html import Markup, tag
 from datagen.pages.pictures import Gallery
-from eval.figures.sheets import decibels
 from eval.score.runs import Run, read_prediction
 from eval.score.scores import SplitScores
+from eval.tables.grids import psnr_text
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -22,6 +22,8 @@ class Compared:
     run: Run
     split: Split
     scores: SplitScores
+    digests: Sequence[str]
+    """SHA-256 of each picture."""
 
     @property
     def dataset(self) -> Dataset:
@@ -93,7 +95,7 @@ def prediction_panel(gallery: Gallery, item: Compared, view: int) -> Markup:
     """A prediction alone with its score; it has to be in the gallery."""
     label = f"{item.run.name}, {item.title} view {view_name(view)}"
     picture = gallery.show(_prediction_name(item, view), label=label)
-    caption = tag("figcaption", item.run.name, ": ", decibels(item.psnr_db(view)))
+    caption = tag("figcaption", item.run.name, ": ", psnr_text(item.psnr_db(view)))
     return tag("figure", picture, caption)
 
 
@@ -106,13 +108,13 @@ def _draw_view(gallery: Gallery, item: Compared, shown: ShownView) -> Markup:
         ("error × 8", gallery.show(truth, pred, label=f"error, {what}", class_="error")),  # noqa: RUF001
     ]
     rank = f" ({shown.rank})" if shown.rank else ""
-    caption = f"{what}{rank}: {decibels(item.psnr_db(shown.view))}"
+    caption = f"{what}{rank}: {psnr_text(item.psnr_db(shown.view))}"
     drawn = tag("div", *(tag("div", picture, tag("span", name)) for name, picture in panels), class_="panels")
     return tag("figure", tag("figcaption", caption), drawn, class_="compare")
 
 
 def _prediction_name(item: Compared, view: int) -> str:
-    return anchor("prediction", item.run.folder.as_posix(), item.dataset.seal, item.split, view_name(view))
+    return anchor("prediction", item.digests[view])
 
 
 def _by_rank(compared: Sequence[Compared], most: int) -> Iterator[tuple[Compared, ShownView]]:

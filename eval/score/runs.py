@@ -17,6 +17,7 @@ Test splits are scored; pictures of the training split may lie there, too.
 import dataclasses
 import os
 import shlex
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
@@ -222,12 +223,17 @@ def _render_command(run: Run) -> str:
     return shlex.join(["model", "render", "--run", str(folder)])
 
 
-def predictions_sha256(run: Run, splits: list[Split]) -> str:
+def prediction_digests(run: Run, split: Split) -> list[str]:
+    """SHA-256 of each of a run's pictures of a split, which are those that were promised."""
+    return [sha256(_read_bytes(run, split, view)) for view in range(run.dataset.config.split(split).views)]
+
+
+def predictions_sha256(digests: Mapping[Split, Sequence[str]]) -> str:
     """One hash over the pictures of these splits: of the lines `SPLIT/0000.png SHA-256`, in the order given."""
     lines = [
-        f"{split}/{view_name(view)}.png {sha256(_read_bytes(run, split, view))}\n"
-        for split in splits
-        for view in range(run.dataset.config.split(split).views)
+        f"{split}/{view_name(view)}.png {digest}\n"
+        for split, of_split in digests.items()
+        for view, digest in enumerate(of_split)
     ]
     return sha256("".join(lines).encode())
 

@@ -1,6 +1,8 @@
 """The scores of runs: every metric of every predicted picture, and what the truth itself allows."""
 
+import functools
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,8 +12,17 @@ from datagen.data.config import TEST_SPLITS, Split
 from datagen.data.dataset import Dataset
 from datagen.data.paths import TRUTH, layers_root
 from datagen.disk.errors import NumericsError
+from datagen.disk.records import Json
+from eval.score.kept import Kept, layers_digest, number_from_json, number_json, picture_digests
 from eval.score.metrics import SSIM_WINDOW, delta_e_2000, masked_psnr, mean_of, psnr, psnr_uint8_wrap, ssim
-from eval.score.runs import Run, has_split, prediction_path, predictions_sha256, read_prediction
+from eval.score.runs import (
+    Run,
+    has_split,
+    prediction_digests,
+    prediction_path,
+    predictions_sha256,
+    read_prediction,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,12 +83,25 @@ def metric_notes(*, is_wrapped: bool) -> tuple[str, ...]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Truth:
-    """What one split's predictions are compared with."""
+    """What one split's predictions are compared with: verified when it is made, decoded when it is looked at."""
 
-    images: tuple[UInt8[np.ndarray, "h w 3"], ...]
-    glass: tuple[Bool[np.ndarray, "h w"], ...] | None
-    """Pixels that see glass; None where the true geometry was not peeled."""
+    dataset: Dataset
+    split: Split
+    digest: Json
+    """Names all of it: pictures, and the layers that tell the pixels that see glass."""
     ceiling_db: float
+
+    @functools.cached_property
+    def images(self) -> tuple[UInt8[np.ndarray, "h w 3"], ...]:
+        """Every picture."""
+        return tuple(view.image for view in self.dataset.views(self.split))
+
+    @functools.cached_property
+    def glass(self) -> tuple[Bool[np.ndarray, "h w"], ...] | None:
+        """Pixels that see glass; None where the true geometry was not peeled."""
+        if not has_glass_mask(self.dataset):
+            return None
+        return tuple(view.mask("glass") for view in self.dataset.views(self.split))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,7 +131,13 @@ class RunScores:
 
     run: Run
     splits: dict[Split, SplitScores | None]
-    predictions_sha256: str
+    digests: Mapping[Split, Sequence[str]]
+    """SHA-256 of each picture by split."""
+
+    @property
+    def predictions_sha256(self) -> str:
+        """One hash over all of them."""
+        return predictions_sha256(self.digests)
 
     def mean(self, key: str, split: Split) -> float | None:
         scores = self.splits[split]
@@ -129,20 +159,27 @@ class SceneScores:
     dataset: Dataset
     title: str
     has_glass_mask: bool
-    ceilings_db: dict[Split, float]
+    truths: dict[Split, Truth]
+    """Of the test splits that every dataset has."""
     runs: tuple[RunScores, ...]
+
+    @property
+    def ceilings_db(self) -> dict[Split, float]:
+        """What the truth's own noise allows a perfect method."""
+        return {split: truth.ceiling_db for split, truth in self.truths.items()}
 
 
 def read_truth(dataset: Dataset, split: Split) -> Truth:
-    """Pictures, glass masks and noise ceiling of a split, every byte verified.
+    """Pictures, glass masks and noise ceiling of a split.
 
     Raises:
-        HyalineError: a view is not built, is damaged, or is not peeled in a dataset that has layers.
+        HyalineError: a view is not built, its picture is damaged, or it is not peeled in a dataset that has layers.
     """
-    views = dataset.views(split)
+    layers = layers_digest(dataset, TRUTH, [split]) if has_glass_mask(dataset) else None
     return Truth(
-        images=tuple(view.image for view in views),
-        glass=tuple(view.mask("glass") for view in views) if has_glass_mask(dataset) else None,
+        dataset=dataset,
+        split=split,
+        digest=[*picture_digests(dataset, split), layers],
         ceiling_db=dataset.noise_ceiling_db(split),
     )
 
@@ -152,30 +189,54 @@ def has_glass_mask(dataset: Dataset) -> bool:
     return (layers_root(dataset.root, TRUTH) / "layers.json").is_file()
 
 
-def score_run(run: Run, truths: dict[Split, Truth]) -> RunScores:
+def score_run(run: Run, truths: dict[Split, Truth], kept: Kept) -> RunScores:
     """Every metric of every picture that the run predicted.
 
     Args:
         truths: of each test split; all of them in the run's dataset.
+        kept: takes what is computed, and gives what was.
 
     Raises:
         HyalineError: a missing, surplus, unreadable or wrongly sized picture.
         NumericsError: a score is not a number.
     """
     predicted: list[Split] = [split for split in truths if has_split(run, split)]
+    digests: dict[Split, list[str]] = {split: prediction_digests(run, split) for split in predicted}
     splits: dict[Split, SplitScores | None] = dict.fromkeys(truths)
     for split in predicted:
-        rows = []
-        for view, target in enumerate(truths[split].images):
-            glass = truths[split].glass
-            row = score_picture(read_prediction(run, split, view), target, None if glass is None else glass[view])
-            if bad := [key for key, value in row.items() if value is not None and math.isnan(value)]:
-                raise NumericsError(
-                    f"{prediction_path(run, split, view)}: its {bad[0]} is not a number; run not scored"
-                )
-            rows.append(row)
-        splits[split] = SplitScores(images={key: tuple(row[key] for row in rows) for key in rows[0]})
-    return RunScores(run=run, splits=splits, predictions_sha256=predictions_sha256(run, predicted))
+        truth = truths[split]
+        about: Json = [truth.digest, list(digests[split])]
+        data = kept.get("scores", about, lambda truth=truth: scores_json(_score_split(run, truth)))
+        splits[split] = scores_from_json(data)
+    return RunScores(run=run, splits=splits, digests=digests)
+
+
+def _score_split(run: Run, truth: Truth) -> SplitScores:
+    rows = []
+    for view, target in enumerate(truth.images):
+        glass = None if truth.glass is None else truth.glass[view]
+        row = score_picture(read_prediction(run, truth.split, view), target, glass)
+        if bad := [key for key, value in row.items() if value is not None and math.isnan(value)]:
+            raise NumericsError(
+                f"{prediction_path(run, truth.split, view)}: its {bad[0]} is not a number; run not scored"
+            )
+        rows.append(row)
+    return SplitScores(images={key: tuple(row[key] for row in rows) for key in rows[0]})
+
+
+def scores_json(scores: SplitScores) -> Json:
+    """Every value by metric and picture."""
+    return {key: [number_json(value) for value in values] for key, values in scores.images.items()}
+
+
+def scores_from_json(data: Json) -> SplitScores:
+    """The inverse of `scores_json`."""
+    assert isinstance(data, dict)
+    images: dict[str, tuple[float | None, ...]] = {}
+    for key, values in data.items():
+        assert isinstance(values, list)
+        images[key] = tuple(number_from_json(value) for value in values)
+    return SplitScores(images=images)
 
 
 def score_picture(

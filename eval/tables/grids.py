@@ -72,6 +72,13 @@ def format_number(value: float | None, decimals: int) -> str:
     return "∞" if math.isinf(value) else f"{value:.{decimals}f}"
 
 
+def psnr_text(value: float | None) -> str:
+    """The PSNR of one picture as its caption; nothing where it has none."""
+    if value is None:
+        return ""
+    return "PSNR ∞ (identical)" if math.isinf(value) else f"PSNR {value:.2f} dB"
+
+
 def _score_grid(scene: SceneScores, metrics: tuple[Metric, ...]) -> Grid:
     """The best run first, by its PSNR on the interpolating split."""
     columns = [Column(group="run", is_number=False)]

@@ -224,10 +224,10 @@ def test_pictures_are_written_and_do_not_depend_on_the_day(made: Path, tmp_path:
         "synthetic_perfect",
     ]
     assert sorted(path.name for path in (tmp_path / "a").iterdir()) == sorted(
-        [*(f"{n}.png" for n in names), "index.html", "report.json", "results.json"]
+        [*(f"{n}.png" for n in names), "index.html", "kept", "report.json", "results.json"]
     )
-    for path in (tmp_path / "a").iterdir():
-        assert path.read_bytes() == (tmp_path / "b" / path.name).read_bytes()
+    for path in (path for path in (tmp_path / "a").rglob("*") if path.is_file()):
+        assert path.read_bytes() == (tmp_path / "b" / path.relative_to(tmp_path / "a")).read_bytes()
     with Image.open(tmp_path / "a" / "synthetic_grey.png") as picture:
         assert picture.info.keys() <= {"dpi"}
 

@@ -94,7 +94,7 @@ def test_the_same_runs_give_the_same_page(root: Path, tmp_path: Path, monkeypatc
 def test_pictures_that_find_no_room_are_left_out_and_the_page_says_so(
     root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("eval.page.report.report_page", lambda *a, **k: report_page(*a, **k | {"most_bytes": 12_000}))
+    monkeypatch.setattr("eval.page.page.report_page", lambda *a, **k: report_page(*a, **k | {"most_bytes": 12_000}))
     data = write_page(root, tmp_path, monkeypatch, most_views=100)
     page = read_page(data)
     addresses = [image.attributes["href"] or "" for image in page.all("image")]
