@@ -40,6 +40,42 @@ def unshadowed(wo, alpha):
     return 2 / (1 + dr.sqrt(1 + alpha * alpha * tangent2))
 
 
+def lobe_of_glass(wi, wo, eta, alpha):
+    """How much rough glass scatters from `wo` to `wi`, and how likely a sampled facet throws `wo`.
+
+    Args:
+        wi: unit direction, in the surface's frame, in which the ray came from; on either side.
+        wo: unit direction to light, on either side.
+        eta: index of refraction inside over that outside.
+        alpha: GGX roughness, above 0.
+
+    Returns:
+        The scattering function times the cosine at `wo`, and the density over solid angle.
+
+    Source: Walter et al. 2007, "Microfacet Models for Refraction through Rough Surfaces", Eqs. 20 and 21.
+    """
+    import drjit as dr
+    import mitsuba as mi
+
+    is_reflected = wi.z * wo.z > 0
+    across = dr.select(wi.z > 0, eta, dr.rcp(eta))  # Index of the far side over that of the ray's.
+    m = dr.normalize(wi + wo * dr.select(is_reflected, 1, across))
+    m = dr.select(m.z < 0, -m, m)
+    wi_m, wo_m = dr.dot(wi, m), dr.dot(wo, m)
+    is_seen = (wi_m * wi.z > 0) & (wo_m * wo.z > 0)
+    alpha2 = alpha * alpha
+    density = alpha2 / (dr.pi * dr.square((alpha2 - 1) * dr.square(m.z) + 1))
+    reflectance, _, _, _ = mi.fresnel(wi_m, eta)
+    seen = unshadowed(wi, alpha) * density / dr.maximum(dr.abs(wi.z), 1e-6)
+    squeeze = dr.square(wi_m + across * wo_m)
+    mirrored = reflectance * seen / 4
+    refracted = (1 - reflectance) * seen * dr.abs(wi_m * wo_m) / dr.maximum(squeeze, 1e-12)
+    # Refracted radiance changes by the square of the index, by which the solid angle is squeezed: both cancel here.
+    value = dr.select(is_reflected, mirrored, refracted) * unshadowed(wo, alpha)
+    pdf = dr.select(is_reflected, mirrored, refracted * dr.square(across))
+    return dr.select(is_seen, value, 0), dr.select(is_seen, pdf, 0)
+
+
 class Facet(NamedTuple):
     """A facet that a ray meets."""
 

@@ -19,7 +19,7 @@ import mitsuba as mi
 import numpy as np
 from jaxtyping import Float32
 
-from datagen.render.facets import sample_facet, unshadowed
+from datagen.render.facets import lobe_of_glass, sample_facet, unshadowed
 from datagen.render.sobol import SobolPoints
 from datagen.scene.media import Media, medium_of, no_solids, with_solid, without_solid
 
@@ -129,8 +129,8 @@ def _trace(scene, ray, points, scramble, index, tables):
 
         # The media on both sides of glass.
         is_glass, with_it, without_it = _solids_around(tables, solids, si.shape, active & hit)
-        inner, outer = medium_of(tables.media, with_it), medium_of(tables.media, without_it)
-        vanishes = is_glass & (inner == outer) if tables.media.is_nested else mi.Bool(False)
+        sides = medium_of(tables.media, with_it), medium_of(tables.media, without_it)
+        vanishes = is_glass & (sides[0] == sides[1]) if tables.media.is_nested else mi.Bool(False)
 
         # Light that the ray runs into, weighted against having been aimed at from the last vertex.
         weight = mi.Float(1)
@@ -149,26 +149,25 @@ def _trace(scene, ray, points, scramble, index, tables):
         dimension += 3
         bsdf = si.bsdf(ray)
         is_rough = active & ~is_glass
+        alpha = _roughness_of_glass(tables, si, active & is_glass & ~vanishes)
         if dr.hint(tables.aims, mode="scalar"):
-            # Light aimed at from here; glass is left to the rays that it sends out.
-            active_light = active & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
-            if dr.hint(tables.has_rough_glass, mode="scalar"):
-                active_light &= ~is_glass
+            # Light aimed at from here; smooth glass has no such term.
+            active_light = active & ((mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth) & ~is_glass) | (alpha > 0))
             place = points.sample_2d(scramble, index, dimension, active_light)
             dimension += 2
             ds, light = scene.sample_emitter_direction(si, place, True, active_light)
             active_light &= ds.pdf != 0
             wo = si.to_local(ds.d)
             value, pdf, bsdf_sample, bsdf_weight = bsdf.eval_pdf_sample(context, si, wo, sample1, sample2, is_rough)
+            value, pdf = _scattered_by_glass(tables, si, sides, wo, alpha, (value, pdf))
             weight = dr.select(ds.delta, 1, _balance(ds.pdf, pdf))
             radiance += dr.select(active_light, throughput * value * light * weight, 0)
         else:
             bsdf_sample, bsdf_weight = bsdf.sample(context, si, sample1, sample2, is_rough)
 
         # Glass reflects or refracts. Where its surface is none, both media are one: nothing is reflected.
-        is_reflected, glass_wo, glass_share = _meet_glass(
-            tables, si, (inner, outer), active, is_glass, vanishes, sample1, sample2
-        )
+        samples = sample1, sample2
+        is_reflected, glass_wo, glass_share = _meet_glass(tables, si, sides, alpha, is_glass, vanishes, samples)
         goes_in = dr.select(vanishes, dr.dot(ray.d, si.n) < 0, glass_wo.z < 0)
         solids = dr.select(is_glass & ~is_reflected, dr.select(goes_in, with_it, without_it), solids)
 
@@ -177,8 +176,8 @@ def _trace(scene, ray, points, scramble, index, tables):
         to_world = si.to_world(dr.select(is_glass, glass_wo, bsdf_sample.wo))
         ray = dr.select(active, si.spawn_ray(dr.select(vanishes, ray.d, to_world)), ray)
         previous = mi.Interaction3f(si)
-        previous_pdf = bsdf_sample.pdf
-        previous_is_delta = is_glass | mi.has_flag(bsdf_sample.sampled_type, mi.BSDFFlags.Delta)
+        _, previous_pdf = _scattered_by_glass(tables, si, sides, glass_wo, alpha, (bsdf_weight, bsdf_sample.pdf))
+        previous_is_delta = (is_glass & (alpha == 0)) | mi.has_flag(bsdf_sample.sampled_type, mi.BSDFFlags.Delta)
         active &= dr.max(throughput) > 0
         depth += dr.select(vanishes, 0, 1)
         vanished += dr.select(vanishes, 1, 0)
@@ -201,14 +200,32 @@ def _solids_around(tables, solids, shape, hit):
     return is_glass, with_solid(tables.media, solids, rank), without_solid(tables.media, solids, rank)
 
 
-def _meet_glass(tables, si, sides, active, is_glass, vanishes, sample1, sample2):
-    """Whether glass reflects, where to in the surface's frame, and the factor of radiance; `sides`: in and out."""
-    inner, outer = (dr.gather(mi.Float, tables.ior, side, active & is_glass) for side in sides)
+def _roughness_of_glass(tables, si, is_solid):
+    """GGX alpha of rough glass; 0 where there is none."""
     if not tables.has_rough_glass:
-        return _reflect_or_refract(si.wi, inner / outer, sample1, vanishes)
-    shape = dr.reinterpret_array(mi.UInt32, si.shape)
-    alpha = dr.gather(mi.Float, tables.alpha, shape, is_glass & ~vanishes)
-    return _bounce_off_facet(si.wi, inner / outer, alpha, sample1, sample2, vanishes)
+        return mi.Float(0)
+    return dr.gather(mi.Float, tables.alpha, dr.reinterpret_array(mi.UInt32, si.shape), is_solid)
+
+
+def _scattered_by_glass(tables, si, sides, wo, alpha, otherwise):
+    """What the surface scatters towards the ray from `wo`, and with which density it sends rays there.
+
+    Args:
+        otherwise: both of any other surface than rough glass.
+    """
+    if not tables.has_rough_glass:
+        return otherwise
+    inner, outer = (dr.gather(mi.Float, tables.ior, side, alpha > 0) for side in sides)
+    value, pdf = lobe_of_glass(si.wi, wo, inner / outer, alpha)
+    return dr.select(alpha > 0, mi.Spectrum(value), otherwise[0]), dr.select(alpha > 0, pdf, otherwise[1])
+
+
+def _meet_glass(tables, si, sides, alpha, is_glass, vanishes, samples):
+    """Whether glass reflects, where to in the surface's frame, and the factor of radiance; `sides`: in and out."""
+    inner, outer = (dr.gather(mi.Float, tables.ior, side, is_glass) for side in sides)
+    if not tables.has_rough_glass:
+        return _reflect_or_refract(si.wi, inner / outer, samples[0], vanishes)
+    return _bounce_off_facet(si.wi, inner / outer, alpha, *samples, vanishes)
 
 
 def _reflect_or_refract(wi, eta, sample, vanishes):

@@ -1,5 +1,6 @@
 """Tests rough glass, in the truth and in light paths, against Mitsuba's own facets and against smooth glass."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -12,17 +13,19 @@ from support.synthetic import look_at, quad
 from datagen.data.cameras import Cameras
 from datagen.data.meshes import Mesh
 from datagen.machine.mitsuba_variant import use_mitsuba
-from datagen.scene.description import SceneObject
+from datagen.scene.description import Lobe, SceneObject, SoftEnvironment
 from datagen.scene.materials import Dielectric, Diffuse, Material, RoughDielectric
 
 if use_mitsuba(quiet=True).startswith("scalar"):
     pytest.skip("light paths need a vectorised variant of Mitsuba", allow_module_level=True)
 
 from datagen.render.environment import radiance_of_environment
+from datagen.render.facets import lobe_of_glass
 from datagen.render.mitsuba_scene import load_scene_mitsuba, load_sensor
 from datagen.render.truth import Renderer
 from datagen.trace.light_path import LightPathTracer, TracedPaths
 
+SPARK = dataclasses.replace(DUSK, lobes=(Lobe(direction=(1, 1, 1), radiance=(9, 7, 5), sharpness=60),))
 BALL = mesh_of(trimesh.creation.icosphere(4, 0.5))
 
 
@@ -84,12 +87,32 @@ def test_glass_of_roughness_0_is_smooth_glass_to_the_last_bit_and_of_little_near
     assert rough.end_throughput[0].mean() == pytest.approx(expected.end_throughput[0].mean(), rel=1e-3)
 
 
-def test_truth_of_rough_glass_is_that_of_mitsubas_own_path_tracer() -> None:
+@pytest.mark.parametrize("direction", [(0.3, 0.0, 1.0), (1.5, 0.2, 1.0), (0.3, 0.1, -1.0), (0.9, 0.0, -1.0)])
+def test_the_lobe_of_facets_is_mitsubas(direction: tuple[float, float, float]) -> None:
+    """Value and density of light from all around, for rays that meet the surface from outside and from inside."""
+    import mitsuba as mi
+
+    count, alpha, ior = 2000, 0.3, 1.6
+    glass = mi.load_dict(
+        {"type": "roughdielectric", "int_ior": ior, "ext_ior": 1.0, "alpha": alpha, "distribution": "ggx"}
+    )
+    wo = np.random.default_rng(0).normal(size=(3, count))
+    wo = mi.Vector3f(*(wo / np.linalg.norm(wo, axis=0)).astype(np.float32))
+    si = mi.SurfaceInteraction3f()
+    si.wi = mi.Vector3f(*(np.array(direction) / np.linalg.norm(direction)).tolist())
+    value, pdf = glass.eval_pdf(mi.BSDFContext(), si, wo, True)
+    found_value, found_pdf = lobe_of_glass(si.wi, wo, mi.Float(ior), mi.Float(alpha))
+    assert np.array(found_value) == pytest.approx(np.array(value)[0], rel=2e-3, abs=1e-5)
+    assert np.array(found_pdf) == pytest.approx(np.array(pdf), rel=2e-3, abs=1e-5)
+
+
+@pytest.mark.parametrize("environment", [DUSK, SPARK], ids=["soft sky", "small light that is aimed at"])
+def test_truth_of_rough_glass_is_that_of_mitsubas_own_path_tracer(environment: SoftEnvironment) -> None:
     import mitsuba as mi
 
     floor = SceneObject(name="floor", mesh=quad(-0.6), material=Diffuse(color=(0.7, 0.3, 0.2)))
     ball = SceneObject(name="ball", mesh=BALL, material=RoughDielectric(ior=1.5, roughness=0.25))
-    scene = scene_of(ball, floor, environment=DUSK)
+    scene = scene_of(ball, floor, environment=environment)
     pose = look_at(np.array((2.0, 1.0, 1.0)), np.zeros(3))[None]
     cameras = Cameras(world_from_camera=pose, fov_x=0.6, width=24, height=24)
     renderer = Renderer(scene, max_depth=24)
