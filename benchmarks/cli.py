@@ -28,6 +28,7 @@ def main() -> None:
         "errors": errors,
         "turntable": turntable,
         "browser": browser,
+        "screenshot": screenshot,
     }
     run("python -m benchmarks", DESCRIPTION, commands, sys.argv[1:])
 
@@ -265,3 +266,35 @@ def browser(
     from benchmarks.pages.compare import compare_page, page_table
 
     print(page_table(compare_page(run, dataset, quality, samples=samples, views=views)))
+
+
+def screenshot(
+    page: Path,
+    out: Path = Path("browser.png"),
+    *,
+    width: int = 1100,
+    height: int = 640,
+    dark: bool = False,
+    rays: int = 4,
+    link: str = "",
+    overwrite: bool = False,
+) -> None:
+    """A picture of a page that `model export` wrote, as a headless browser shows it.
+
+    Args:
+        page: The page.
+        out: The picture, a PNG; a file that stands there is kept.
+        width: Of the browser's window, in pixels.
+        height: Of the browser's window, in pixels.
+        dark: Let the browser ask for dark colours.
+        rays: Rays a pixel that the page draws before the picture is taken.
+        link: What the page's own "Copy link" gives after the #: a camera and edits.
+        overwrite: Replace a file that stands at --out.
+    """
+    from benchmarks.pages.shots import take_screenshot
+    from datagen.disk.ownership import refuse_file
+
+    if not overwrite:
+        refuse_file(out)
+    out.write_bytes(take_screenshot(page, width=width, height=height, dark=dark, rays=rays, link=link))
+    print(out)

@@ -39,9 +39,9 @@ class Watched:
     requests: list[str] = field(default_factory=list)
     """Addresses that were asked for, the page's own first."""
 
-    def evaluate(self, script: str, argument: object = None) -> Any:
-        """What a function of the page answers, awaited for as long as `PATIENCE_MS`."""
-        late = f"new Promise((_, no) => setTimeout(() => no(new Error('no answer')), {PATIENCE_MS}))"
+    def evaluate(self, script: str, argument: object = None, *, patience_ms: int = PATIENCE_MS) -> Any:
+        """What a function of the page answers, awaited for so long."""
+        late = f"new Promise((_, no) => setTimeout(() => no(new Error('no answer')), {patience_ms}))"
         return self.page.evaluate(f"(given) => Promise.race([({script})(given), {late}])", argument)
 
     def picture(
@@ -101,7 +101,7 @@ def watched_page(browser: "Browser", *, width: int = 400, height: int = 300, dar
         page.close()
 
 
-def open_file(watched: Watched, path: Path) -> None:
-    """Opens a page from disk, and waits until its scene is there."""
-    watched.page.goto(path.resolve().as_uri())
+def open_file(watched: Watched, path: Path, *, link: str = "") -> None:
+    """Opens a page from disk, with what stands after the # of its address, and waits until its scene is there."""
+    watched.page.goto(path.resolve().as_uri() + (f"#{link}" if link else ""))
     watched.evaluate("async () => { await hyaline; }")

@@ -77,6 +77,17 @@ class Frames {
     }
   }
 
+  // Draws the whole canvas with so many rays a pixel, and nothing after it: for pictures of the page.
+  async still(rays) {
+    this.held = true;
+    await this.busy;
+    const { tracer } = this, { canvas } = tracer.gl;
+    tracer.resize(canvas.width, canvas.height);
+    for (let frame = 0; frame < rays; frame++) await this.draw(rayOf(frame, tracer.scene.manifest.samples));
+    tracer.show();
+    this.tell({ width: canvas.width, height: canvas.height, rays });
+  }
+
   // A picture of its own size, of the rays that the product takes; the page waits meanwhile.
   async picture(width, height, samples) {
     this.held = true;

@@ -31,7 +31,8 @@ class Page {
 
   drew({ width, height, rays, ms }) {
     this.canvas.classList.add("drawn");
-    this.show(`${width} × ${height}, ${rays} ${rays === 1 ? "ray" : "rays"} a pixel, ${ms < 10 ? ms.toFixed(1) : Math.round(ms)} ms a frame`);
+    const time = ms === undefined ? "" : `, ${ms < 10 ? ms.toFixed(1) : Math.round(ms)} ms a frame`;
+    this.show(`${width} × ${height}, ${rays} ${rays === 1 ? "ray" : "rays"} a pixel${time}`);
   }
 
   // The canvas has as many pixels as are shown.

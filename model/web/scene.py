@@ -14,7 +14,7 @@ from datagen.data.meshes import Mesh, is_there
 from datagen.data.number_formats import quantize_uv
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import Json
-from datagen.scene.description import Scene
+from datagen.scene.description import CameraRig, Scene
 from datagen.scene.folder import load_scene
 from datagen.scene.media import MAX_NESTED, find_media
 from model.methods.light_path.config import LightPathConfig
@@ -56,9 +56,6 @@ def web_scene(renderer: LightPathRenderer, dataset: Dataset, geometry: str, qual
     config = renderer.config
     check_exportable(config)
     scene = load_scene(dataset.root / "scene", is_sealed=True)
-    for item in scene.objects:
-        if item.material.medium is not None and item.material.surface().roughness > 0:
-            raise HyalineError(f"export: {item.name} is of rough glass, which the page does not draw; expected smooth")
     meshes = read_meshes(dataset, geometry)
     packed = Packed()
     _add_meshes(packed, meshes, quality)
@@ -73,6 +70,7 @@ def web_scene(renderer: LightPathRenderer, dataset: Dataset, geometry: str, qual
     # Of objects that are not there the place in the order does not matter, but their boxes have no bounds.
     there = tuple(item.material if is_there(mesh) else None for item, mesh in zip(scene.objects, meshes, strict=True))
     rank = find_media(there, meshes).rank
+    target, reach = _orbit(scene, dataset)
     surfaces = [item.material.surface() for item in scene.objects]
     manifest: dict[str, Json] = {
         "schema": 1,
@@ -80,8 +78,8 @@ def web_scene(renderer: LightPathRenderer, dataset: Dataset, geometry: str, qual
         "quality": quality,
         "samples": config.render_samples,
         "fov": dataset.cameras(dataset.splits[0]).fov_x,
-        "target": list(scene.cameras.target),
-        "reach": scene.cameras.radius / 2,
+        "target": target,
+        "reach": reach,
         "start": f"{'interpolating' if 'interpolating' in views else dataset.splits[0]}/0",
         "views": views,
         "defines": {
@@ -93,6 +91,16 @@ def web_scene(renderer: LightPathRenderer, dataset: Dataset, geometry: str, qual
         "objects": _objects(scene, meshes, rank, places),
     }
     return WebScene(manifest=manifest, packed=packed)
+
+
+def _orbit(scene: Scene, dataset: Dataset) -> tuple[list[Json], float]:
+    """The point that the page's camera turns about, and half of how far the dataset's cameras are from it, metres."""
+    if isinstance(scene.cameras, CameraRig):
+        return list(scene.cameras.target), scene.cameras.radius / 2
+    vertices = np.concatenate([item.mesh.vertices for item in scene.objects])
+    target = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
+    places = dataset.cameras(dataset.splits[0]).world_from_camera[:, :3, 3]
+    return [float(value) for value in target], float(np.linalg.norm(places - target, axis=1).mean() / 2)
 
 
 def _defines(config: LightPathConfig, quality: Quality) -> dict[str, Json]:

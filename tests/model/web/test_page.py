@@ -3,8 +3,9 @@
 import dataclasses
 import re
 from collections.abc import Iterator
+from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
 import pytest
@@ -28,6 +29,7 @@ from datagen.scene.description import Scene, SceneObject
 from datagen.scene.edits import moved_mesh
 from datagen.scene.folder import scene_files
 from datagen.scene.materials import Conductor, Dielectric, Diffuse, Plastic, RoughDielectric, ThinDielectric
+from datagen.scene.materials.optics import Event, Surface
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
@@ -36,6 +38,7 @@ if use_mitsuba(quiet=True).startswith("scalar"):
     pytest.skip("light paths need a vectorised variant of Mitsuba", allow_module_level=True)
 
 from datagen.trace.light_path import LightPathTracer
+from datagen.trace.surface_tables import EVENTS
 from model.methods.light_path.config import LightPathConfig
 from model.methods.light_path.net import LightPathRenderer
 from model.methods.light_path.pixels import LightPathPixels, load_light_path_pixels
@@ -280,9 +283,11 @@ def test_a_small_page_is_close_to_python(
     data = scene_page(renderer, dataset, TRUTH, "small", label="noise", still=STILL)
     assert data == scene_page(renderer, dataset, TRUTH, "small", label="noise", still=STILL)
     (tmp_path / "small.html").write_bytes(data)
-    with watched_page(browser) as page:
+    with watched_page(browser, width=120, height=90) as page:
         open_file(page, tmp_path / "small.html")
         assert psnr(page.picture(VIEW, SIZE, 1), drawn_by_python(renderer, dataset)) >= 42
+        page.evaluate("async () => (await hyaline).frames.still(2)")
+        assert re.match(r"120 .+, 2 rays a pixel", page.page.inner_text("#status"))
 
 
 def test_a_browser_without_webgl_says_so_and_shows_a_still_picture(
@@ -303,6 +308,16 @@ def test_what_the_page_cannot_draw_is_refused() -> None:
     for change in ({"straight_layers": 2}, {"relief": "on"}, {"shells": 2}):
         with pytest.raises(HyalineError, match="expected light-path on the true geometry"):
             check_exportable(LightPathConfig(texture_sizes=(8,), **change))
+
+
+def test_the_page_knows_all_that_a_surface_may_do_to_light() -> None:
+    listed = re.search(r"EVENTS = \{(.*?)\}", (resources.files("model.web") / "tracer.js").read_text())
+    assert listed is not None
+    known = dict(re.findall(r"(\w+): (\d)", listed[1]))
+    assert {name: int(number) for name, number in known.items()} == EVENTS
+    assert EVENTS.keys() == set(get_args(Event))
+    # What a surface is told of beside this needs a line in the shader.
+    assert {field.name for field in dataclasses.fields(Surface)} == {"event", "ior", "roughness", "color"}
 
 
 def test_a_template_whose_places_are_not_those_of_the_parts_is_no_page() -> None:
