@@ -19,6 +19,7 @@ from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.finding import DATA_ROOT, find_dataset
 from datagen.data.layer_writing import check_settings
 from datagen.data.paths import TRUTH
+from datagen.data.variants import TWINS
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import DATASET, refuse_strangers
 from datagen.scene.edits import parse_edit
@@ -118,7 +119,7 @@ def _configure(choices: BuildChoices) -> DatasetConfig:
 
 
 def _add_edit(base: Dataset, choices: BuildChoices) -> None:
-    _refuse(choices, "--edit", "angle_splits", "super_resolution")
+    _refuse(choices, "--edit", "twins", "angle_splits", "super_resolution")
     plan = plan_edit(base, tuple(map(parse_edit, choices.edit)))
     edited = build_variant(base, plan, workers=choices.workers, overwrite=choices.overwrite)
     say_all(summary(edited, TRUTH))
@@ -130,8 +131,10 @@ def _add_views(base: Dataset, choices: BuildChoices, launch: LaunchChoices) -> N
     _refuse(choices, "--dataset", "overwrite", "shard")
     if launch.launcher is not None:
         raise _does_not_go_with("launcher", "--dataset")
-    if not choices.angle_splits and not choices.super_resolution:
-        raise HyalineError("--dataset: goes with --edit, --angle-splits or --super-resolution; a new one takes --scene")
+    if not (choices.twins or choices.angle_splits or choices.super_resolution):
+        raise HyalineError(
+            "--dataset: goes with --edit, --twins, --angle-splits or --super-resolution; a new one takes --scene"
+        )
     _check_numbers(choices, test_views=base.config.interpolating.views)
     _build_more(base, choices, None)
     tell(str(base.root))
@@ -139,8 +142,9 @@ def _add_views(base: Dataset, choices: BuildChoices, launch: LaunchChoices) -> N
 
 
 def _build_more(base: Dataset, choices: BuildChoices, shard: Shard | None) -> None:
-    """The test splits by angle and in larger pictures that are asked for."""
-    plans = [plan_angles(base)] if choices.angle_splits else []
+    """The twins, and the test splits by angle and in larger pictures, that are asked for."""
+    plans = [plan_edit(base, (parse_edit(twin),)) for twin in TWINS] if choices.twins else []
+    plans += [plan_angles(base)] if choices.angle_splits else []
     larger = (plan_larger(base, scale, views=choices.super_resolution_views) for scale in choices.super_resolution)
     for plan in [*plans, *larger]:
         build_variant(base, plan, workers=choices.workers, shard=shard)
@@ -177,8 +181,9 @@ def _check_parts(choices: BuildChoices, launch: LaunchChoices) -> None:
             raise HyalineError("--launcher: makes all parts itself; leave out --shard")
     if choices.overwrite:
         raise HyalineError(f"--overwrite: does not go with {flag}, which deletes nothing; delete the folder first")
-    if choices.edit:
-        raise HyalineError(f"--edit: does not go with {flag}; its few views are made by one machine")
+    for name in ("edit", "twins"):
+        if getattr(choices, name):
+            raise HyalineError(f"--{name}: does not go with {flag}; its few views are made by one machine")
 
 
 def _check_numbers(choices: BuildChoices, *, test_views: int) -> None:

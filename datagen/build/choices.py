@@ -42,7 +42,11 @@ class BuildChoices:
     edit: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     """Re-render an existing dataset's scene after an edit, with the same test cameras, into its variants/NAME:
     remove:OBJECT, move:OBJECT:dx,dy,dz (metres), duplicate:OBJECT:dx,dy,dz, glass:OBJECT (turns what is opaque into
-    glass, and glass opaque) or swap:OBJECT:OBJECT. Several --edit change one scene, one after the other."""
+    glass, and glass opaque), swap:OBJECT:OBJECT, no-glass or opaque-glass. Several --edit change one scene, one after
+    the other."""
+    twins: bool = False
+    """Also render the test views with all glass gone, and with it painted opaque; may be added to a finished
+    dataset."""
     angle_splits: bool = False
     """Also render test cameras 10, 20 and 40 degrees outside of what training cameras cover; may be added to a finished
     dataset."""
@@ -51,8 +55,8 @@ class BuildChoices:
     super_resolution_views: int | None = None
     """Views of each test split at those sizes, evenly chosen; all unless given."""
     dataset: str | None = None
-    """Instead of --scene: the folder of an existing dataset, or its name under data/, to which --edit, --angle-splits
-    or --super-resolution add."""
+    """Instead of --scene: the folder of an existing dataset, or its name under data/, to which --edit, --twins,
+    --angle-splits or --super-resolution add."""
     shard: str | None = None
     """Makes part I of N (such as 2/4) of all views into the folder, beside any other parts, on any machines of one kind
     that share it. The dataset is complete when every part is, byte for byte as if made by one; the same command without

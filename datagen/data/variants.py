@@ -3,6 +3,7 @@
     variants/angles/        the splits extrapolating-10deg, -20deg, -40deg: cameras outside of what training covers
     variants/x2/            views of the test splits, rendered twice as wide and high; x4 the same four times
     variants/remove-ball/   the test splits of the scene after an edit, with edit-masks/ (data/edit_masks.py)
+    variants/no-glass/, variants/opaque-glass/   the twins: such edits of all glass at once
 
 Each is laid out like a dataset; its head says which dataset it belongs to (`dataset.Variant`). Scene, meshes and
 proxies are the parent's, but for an edit, which has its own. Predictions of a variant lie in RUN/variants/NAME/.
@@ -20,6 +21,9 @@ FOLDER = "variants"
 """In a dataset and in a run."""
 
 ANGLES = "angles"
+
+TWINS = ("no-glass", "opaque-glass")
+"""Edits, and the variants that they make: all glass gone, and painted opaque."""
 
 
 def variant_root(root: Path, name: str) -> Path:
@@ -76,6 +80,8 @@ def _build_command(dataset: Dataset, name: str) -> str:
     """The command that makes a variant, as far as its name tells."""
     if name == ANGLES:
         flag = "--angle-splits"
+    elif name in TWINS:
+        flag = "--twins"
     elif name[:1] == "x" and name[1:].isdecimal():
         flag = f"--super-resolution {name[1:]}"
     else:

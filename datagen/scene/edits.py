@@ -24,7 +24,7 @@ from datagen.scene.soundness import check_scene
 from datagen.scene.values import Vector
 from datagen.terminal.command import choose
 
-Verb = Literal["remove", "move", "duplicate", "glass", "swap"]
+Verb = Literal["remove", "move", "duplicate", "glass", "swap", "no-glass", "opaque-glass"]
 
 USAGE: dict[Verb, str] = {
     "remove": "remove:OBJECT",
@@ -32,13 +32,15 @@ USAGE: dict[Verb, str] = {
     "duplicate": "duplicate:OBJECT:dx,dy,dz",
     "glass": "glass:OBJECT",
     "swap": "swap:OBJECT:OBJECT",
+    "no-glass": "no-glass",
+    "opaque-glass": "opaque-glass",
 }
 
 CLEAR_GLASS = Dielectric(ior=1.5)
 """What `glass` makes of an opaque object."""
 
 GREY = Diffuse(color=(0.5, 0.5, 0.5))
-"""What `glass` makes of a transparent object."""
+"""What `glass` and `opaque-glass` make of a transparent object."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,7 +49,7 @@ class Edit:
 
     verb: Verb
     objects: tuple[str, ...]
-    """Names; two of `swap`, else one."""
+    """Names; two of `swap`, none of what is done to all glass, else one."""
     offset: Vector | None = None
     """Metres, of `move` and `duplicate`."""
 
@@ -159,12 +161,35 @@ def _swap(edited: EditedScene, edit: Edit) -> EditedScene:
     return _moved(_moved(edited, one, offset), other, -offset)
 
 
+def _remove_glass(edited: EditedScene, edit: Edit) -> EditedScene:
+    """The same scene as if its glass had never stood there."""
+    for item in _all_glass(edited, edit):
+        edited = _with_object(edited, dataclasses.replace(item, mesh=no_mesh()))
+    return edited
+
+
+def _paint_glass(edited: EditedScene, edit: Edit) -> EditedScene:
+    """The same scene with a coat of matt grey on its glass: shapes as a depth sensor would like them."""
+    for item in _all_glass(edited, edit):
+        edited = _with_object(edited, dataclasses.replace(item, material=GREY))
+    return edited
+
+
+def _all_glass(edited: EditedScene, edit: Edit) -> list[SceneObject]:
+    glass = [item for item in edited.scene.objects if is_there(item.mesh) and item.material.is_glass]
+    if not glass:
+        raise HyalineError(f"edit {describe_edit(edit)!r}: the scene has no glass; expected some, or another edit")
+    return glass
+
+
 VERBS: dict[Verb, Callable[[EditedScene, Edit], EditedScene]] = {
     "remove": _remove,
     "move": _move,
     "duplicate": _duplicate,
     "glass": _toggle_glass,
     "swap": _swap,
+    "no-glass": _remove_glass,
+    "opaque-glass": _paint_glass,
 }
 
 

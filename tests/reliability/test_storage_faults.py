@@ -62,7 +62,7 @@ def wrong_answer(status: int, said: str, refused: list[str], found: State, expec
         return f"has several errors: {said}"
     # A sweep goes on past runs that fail, and says why before its last line.
     words = said if "the lines above say" in lines[-1] else lines[-1]
-    if not re.search(r"(data|runs)/[a-z]+[\w./-]*: ", words):
+    if not re.search(r"(data|runs|exports)/[a-z]+[\w./-]*: ", words):
         return f"does not name {refused[0]}: {lines[-1]}"
     return None
 

@@ -6,7 +6,7 @@ BUILD = (
     "datagen build --scene scene --out data/one --preset tiny --resolution 8 --views 1 --test-views 1"
     " --spp 2 --test-spp 2 --num-layers 2"
 )
-EXPORT = "datagen export --dataset data/one --out exported --points 9"
+EXPORT = "datagen export --dataset data/one --out exports/one --points 9"
 TRAIN = "model train paper --dataset data/one --steps 5 --batch 32 --texture-size 8 --width 8 --device cpu"
 GRID = """[[runs]]
 dataset = "data/one"

@@ -22,7 +22,7 @@ from datagen.data.edit_masks import ELSEWHERE, LIGHT, OBJECT, read_edit_mask
 from datagen.data.geometries import ProxyStatistics, read_meshes, write_proxies
 from datagen.data.meshes import Mesh, is_there, no_mesh
 from datagen.data.paths import TRUTH
-from datagen.data.variants import open_variant
+from datagen.data.variants import TWINS, open_variant
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import commit_sealed, load_sealed, sha256
 from datagen.machine.mitsuba_variant import use_mitsuba
@@ -79,6 +79,22 @@ def test_an_edit_is_read_and_written_in_one_way(text: str, edit: Edit, name: str
     assert parse_edit(text) == edit
     assert parse_edit(describe_edit(edit)) == edit
     assert edits_name((edit, parse_edit("glass:c"))) == f"{name}+glass-c"
+
+
+def test_twins_have_no_glass_or_opaque_glass_and_else_the_same_objects() -> None:
+    before = table()
+    gone, painted = (edit_scene(before, (parse_edit(twin),)) for twin in TWINS)
+    for twin in (gone, painted):
+        glass = [item.name for item in before.objects if item.material.is_glass]
+        assert twin.changed(before) == tuple(glass) == ("ball",)
+        assert not any(item.material.is_glass for item in twin.scene.objects if is_there(item.mesh))
+    assert [is_there(item.mesh) for item in gone.scene.objects] == [True, False, True]
+    assert all(a.mesh is b.mesh for a, b in zip(painted.scene.objects, before.objects, strict=True))
+    assert edits_name((parse_edit("no-glass"),)) == "no-glass"
+    with pytest.raises(HyalineError, match="edit 'no-glass': the scene has no glass; expected some"):
+        edit_scene(gone.scene, (parse_edit("no-glass"),))
+    with pytest.raises(HyalineError, match="edit 'no-glass:ball': has 1 parts after the verb; expected no-glass"):
+        parse_edit("no-glass:ball")
 
 
 @pytest.mark.parametrize(
