@@ -86,17 +86,16 @@ def bench_gpu(choices: BenchChoices, *, seed: int = 0, frame: int = FRAME, step:
     colors = truth[torch.arange(step) % len(truth)].to(device)
     ours = torch.optim.Adam(renderer.parameters(), lr=1e-3, fused=True)
     theirs = torch.optim.Adam(naive.parameters(), lr=1e-3, foreach=False, fused=False)
-    folded = renderer.net.folded()
 
     @torch.inference_mode()
-    def draw(module: torch.nn.Module, **more: object) -> Tensor:
+    def draw(module: torch.nn.Module) -> Tensor:
         was_training = module.training
-        result = module.eval()(whole, **more)
+        result = module.eval()(whole)
         module.train(was_training)
         return result
 
     def compare() -> tuple[bool, str]:
-        error, most = relative_error(draw(renderer, folded=folded), draw(naive)), TOLERANCE[choices.precision]
+        error, most = relative_error(draw(renderer), draw(naive)), TOLERANCE[choices.precision]
         return error <= most, f"colours off by {error:.1e} of the largest; expected at most {most:g}"
 
     least = floors(renderer, frame, filled)["frame"], floors(renderer, step, filled)["step"]
@@ -104,7 +103,7 @@ def bench_gpu(choices: BenchChoices, *, seed: int = 0, frame: int = FRAME, step:
         "gpu",
         [
             Candidate(name="naive frame", run=synchronised(lambda: draw(naive)), note="plain torch"),
-            Candidate(name="frame", run=synchronised(lambda: draw(renderer, folded=folded))),
+            Candidate(name="frame", run=synchronised(lambda: draw(renderer))),
             Candidate(
                 name="naive step", run=synchronised(lambda: step_of(naive, batch, colors, theirs)), note="plain torch"
             ),

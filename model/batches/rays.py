@@ -17,10 +17,6 @@ from datagen.data.dataset import Dataset
 from datagen.data.number_formats import UV_SCALE
 from datagen.disk.errors import HyalineError
 
-ROUND_NUMBER = 1024
-"""oneDNN prepares, and keeps, the products of each new number of rows: there should be few."""
-
-
 Batch_co = TypeVar("Batch_co", covariant=True)
 
 
@@ -95,17 +91,6 @@ class Pixels:
     def to(self, device: torch.device) -> "Pixels":
         names = ("uv", "object_id", "rgb", "p_camera")
         return dataclasses.replace(self, **{name: getattr(self, name).to(device) for name in names})
-
-    def split_empty(self) -> tuple[Int[Tensor, " distinct"], Int[Tensor, " empty"]]:
-        """Row numbers of the pixels that differ, and of those without any layer; the first of these differs, too.
-
-        The former are filled up by repeating one until there are a multiple of `ROUND_NUMBER`.
-        """
-        is_empty = (self.object_id == 0).all(dim=1)
-        empty = is_empty.nonzero().flatten()
-        is_empty[empty[:1]] = False
-        distinct = (~is_empty).nonzero().flatten()
-        return torch.cat([distinct, distinct[:1].expand(-len(distinct) % ROUND_NUMBER)]), empty
 
     def take(self, index: Int[Tensor, "*pixel"], rng: np.random.Generator | None) -> RayBatch:  # noqa: ARG002
         """The rays of the pixels with these row numbers: always those through pixel centres."""

@@ -16,9 +16,9 @@ from model.batches.samples import linear_curve, srgb_curve
 from model.methods.paper.config import PaperConfig
 from model.methods.protocol import Inputs
 from model.methods.renderer import Renderer
-from model.nets.cpu.mlp_kernels import Stacks
+from model.nets.cpu.mlp_kernels import Stacks, find_kernels
 from model.nets.extrinsics import ExtrinsicInputs, positions_for
-from model.nets.pixel_mlp import FoldedMlp, PixelMlp, width_for_34k
+from model.nets.pixel_mlp import PixelMlp, width_for_34k
 from model.nets.texture import NeuralTextures, TexturePyramid, make_layout, places_of
 from model.settings.network_parts import EXTRINSIC_CHANNELS, Extrinsics, TextureSharing
 
@@ -94,50 +94,28 @@ class PaperRenderer(Renderer[PixelSource[RayBatch]]):
             num_inputs, width=config.width, blocks=config.blocks, norm=config.norm, precision=config.precision
         )
 
-    def forward(
-        self, rays: RayBatch, *, rng: np.random.Generator | None = None, folded: FoldedMlp | None = None
-    ) -> Float32[Tensor, "pixel 3"]:
+    def forward(self, rays: RayBatch, *, rng: np.random.Generator | None = None) -> Float32[Tensor, "pixel 3"]:
         """sRGB colours of the pixels, about [0, 1]; several rays of a pixel are averaged in linear light.
 
         Args:
             rng: draws the place of each ray's zero layer while training; without it that layer comes last.
-            folded: the network's fast form, for rendering.
         """
         if self.zero_layer:
             rays = insert_random_layer(rays, rng)
         stack = self.textures(rays.uv, rays.object_id)
         if self.extrinsics is not None:
             stack = _Beside.apply(stack, self.extrinsics(rays.uv, rays.object_id, rays.p_camera))
-        colors = (self.net if folded is None else folded)(stack.flatten(1))
+        colors = self.net(stack.flatten(1))
         if rays.samples == 1:
             return colors
         return srgb_curve(linear_curve(colors).view(-1, rays.samples, 3).mean(dim=1))
 
     def render(self, pixels: PixelSource[RayBatch]) -> Float32[Tensor, "pixel 3"]:
-        """sRGB colours of all pixels; the network is folded, which is equal up to rounding, in a third of the time."""
-        folded = self.net.folded()
-        if isinstance(pixels, Pixels):
-            drawn = self.draw(pixels, folded)
-            if drawn is not None:
-                return drawn
-            # Pixels without any layer are all of one colour.
-            index, empty = pixels.split_empty()
-        else:
-            index = torch.arange(len(pixels.rgb), device=pixels.rgb.device)
-            empty = index[:0]
-        parts = [self(pixels.take(part, None), folded=folded) for part in index.split(pixels.chunk)]
-        colors = torch.empty(len(pixels.rgb), 3, device=pixels.device)
-        colors[index] = torch.cat(parts)
-        colors[empty] = colors[empty[:1]]
-        return colors
-
-    def draw(self, pixels: Pixels, folded: FoldedMlp) -> Float32[Tensor, "pixel 3"] | None:
-        """The colours of all pixels, looked up and drawn by one compiled loop; None where there is none for this."""
+        """sRGB colours of all pixels, looked up and drawn by one compiled loop where there is one for this."""
         has_loop = self.extrinsics is None or self.extrinsics.kind == "view"
-        if folded.kernels is None or folded.network is None or not has_loop:
-            return None
-        if not isinstance(self.textures, NeuralTextures) or pixels.device.type != "cpu":
-            return None
+        kernels = find_kernels() if has_loop and self.net.precision == "fp32" and pixels.device.type == "cpu" else None
+        if kernels is None or not isinstance(pixels, Pixels) or not isinstance(self.textures, NeuralTextures):
+            return super().render(pixels)
         stacks = Stacks(
             uv=pixels.uv,
             object_id=pixels.object_id,
@@ -148,7 +126,7 @@ class PaperRenderer(Renderer[PixelSource[RayBatch]]):
             p_camera=pixels.p_camera,
             pixels_per_view=pixels.pixels_per_view,
         )
-        return folded.kernels.draw_stacks(folded.network, stacks)
+        return kernels.draw_stacks(self.net.folded(), stacks)
 
 
 class _Beside(torch.autograd.Function):

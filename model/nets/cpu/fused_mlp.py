@@ -1,4 +1,4 @@
-"""Training of per-pixel networks by compiled layers: forward and backward passes of a chain of linear layers.
+"""Per-pixel networks by compiled layers: forward and backward passes of a chain of linear layers.
 
 Between two layers nothing is written but what the first one made: its batch norm and activation are done by whoever
 reads it.
@@ -22,7 +22,7 @@ class ChainLayer:
 
     linear: nn.Linear
     norm: nn.BatchNorm1d | None = None
-    """In training: with the moments of the batch."""
+    """In training with the moments of the batch, at evaluation with the running ones, and then without gradients."""
     slope: float | None = None
     """Of the LeakyReLU below zero; None for the last layer, which has none."""
     adds: bool = False
@@ -36,9 +36,9 @@ def can_fuse(x: Tensor) -> bool:
 
 
 def run_chain(x: Float32[Tensor, "pixel c_in"], layers: Sequence[ChainLayer]) -> Float32[Tensor, "pixel c_out"]:
-    """What the layers make of a batch; running statistics of batch norms are brought up to date."""
-    if not torch.is_grad_enabled() and not any(layer.norm for layer in layers):
-        return _kernels().draw(Network([_folded(layer) for layer in layers]), x)
+    """What the layers make of a batch; running statistics of batch norms in training are brought up to date."""
+    if not torch.is_grad_enabled() and not any(layer.norm is not None and layer.norm.training for layer in layers):
+        return _kernels().draw(Network([fold(layer) for layer in layers]), x)
     parameters = [value for layer in layers for value in _parameters(layer)]
     return _Chain.apply(x, tuple(layers), *parameters)
 
@@ -88,9 +88,15 @@ class _Chain(torch.autograd.Function):
         return (None if of_x is None else of_x[:, : x.shape[1]], None, *flat)
 
 
-def _folded(layer: ChainLayer) -> FoldedLayer:
-    slope = 1.0 if layer.slope is None else layer.slope
-    return FoldedLayer(weight=layer.linear.weight, bias=layer.linear.bias, slope=slope, adds=layer.adds)
+def fold(layer: ChainLayer) -> FoldedLayer:
+    """The layer as it is at evaluation, its batch norm in weight and bias."""
+    weight, bias = layer.linear.weight.detach(), layer.linear.bias.detach()
+    if layer.norm is not None:
+        assert layer.norm.running_mean is not None
+        assert layer.norm.running_var is not None
+        scale = layer.norm.weight.detach() / torch.sqrt(layer.norm.running_var + layer.norm.eps)
+        weight, bias = weight * scale[:, None], (bias - layer.norm.running_mean) * scale + layer.norm.bias.detach()
+    return FoldedLayer(weight=weight, bias=bias, slope=1.0 if layer.slope is None else layer.slope, adds=layer.adds)
 
 
 def _kernels() -> Kernels:

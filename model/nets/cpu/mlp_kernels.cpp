@@ -6,14 +6,12 @@
 // (`padded`), those of the caller are not. Sums over pixels are taken tile by tile and then in the order of the tiles
 // or threads, so that equal numbers of threads give equal bits.
 
-#include <immintrin.h>
 #include <omp.h>
 
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
 #include <cstring>
-#include <type_traits>
 #include <vector>
 
 namespace {
@@ -75,37 +73,9 @@ Vector leaky(Vector value, float slope) { return value > 0 ? value : value * slo
 // The slope of `leaky` at a value.
 Vector leaky_slope(Vector value, float slope) { return value > 0 ? Vector{} + 1 : Vector{} + slope; }
 
-// Numbers that a product multiplies; sums are float32. Rows of factors are read by words of 32 bits.
-struct Single {
-    static constexpr long IN_WORD = 1;
-    static Vector add_product(Vector sum, float word, Vector words) { return sum + word * words; }
-    static Vector read(const float *row, long column) { return load(row + column); }
-    static void write(float *row, long column, Vector value) { store(row + column, value); }
-};
-
-#ifdef __AVX512BF16__
-struct Half {
-    static constexpr long IN_WORD = 2;
-    static Vector add_product(Vector sum, float word, Vector words) {
-        return _mm512_dpbf16_ps(sum, reinterpret_cast<__m512bh>(_mm512_set1_ps(word)),
-                                reinterpret_cast<__m512bh>(words));
-    }
-    static Vector read(const float *row, long column) {
-        const __m256i numbers = _mm256_loadu_si256(reinterpret_cast<const __m256i *>(row + column / 2));
-        return _mm512_castsi512_ps(_mm512_slli_epi32(_mm512_cvtepu16_epi32(numbers), 16));
-    }
-    static void write(float *row, long column, Vector value) {
-        const __m256bh numbers = _mm512_cvtneps_pbh(value);
-        std::memcpy(row + column / 2, &numbers, sizeof numbers);
-    }
-};
-#else
-using Half = Single;  // `can_multiply_bf16` says so.
-#endif
-
-// Calls finish(row, vector, start + a (ROWS, depth) b (depth, VECTORS * LANES)) for each row and vector. Word (r, d) of
-// a is at a[r * row_step + d * depth_step], row r of start at start + r * ld_start.
-template <class Numbers, int VECTORS, class Finish>
+// Calls finish(row, vector, start + a (ROWS, depth) b (depth, VECTORS * LANES)) for each row and vector. Number (r, d)
+// of a is at a[r * row_step + d * depth_step], row r of start at start + r * ld_start.
+template <int VECTORS, class Finish>
 void multiply_block(const float *a, long row_step, long depth_step, const float *b, long ld_b, long depth,
                     const float *start, long ld_start, const Finish &finish) {
     Vector sum[ROWS][VECTORS];
@@ -116,7 +86,7 @@ void multiply_block(const float *a, long row_step, long depth_step, const float 
         for (int v = 0; v < VECTORS; v++) right[v] = load(b + d * ld_b + v * LANES);
         for (int row = 0; row < ROWS; row++) {
             const float left = a[row * row_step + d * depth_step];
-            for (int v = 0; v < VECTORS; v++) sum[row][v] = Numbers::add_product(sum[row][v], left, right[v]);
+            for (int v = 0; v < VECTORS; v++) sum[row][v] += left * right[v];
         }
     }
     for (int row = 0; row < ROWS; row++)
@@ -124,7 +94,7 @@ void multiply_block(const float *a, long row_step, long depth_step, const float 
 }
 
 // The same for any multiples of ROWS and LANES: calls finish(row, column, values).
-template <class Numbers, class Finish>
+template <class Finish>
 void multiply(const float *a, long row_step, long depth_step, const float *b, long ld_b, long depth, const float *start,
               long ld_start, long rows, long columns, const Finish &finish) {
     for (long column = 0; column < columns; column += PANEL * LANES) {
@@ -133,11 +103,11 @@ void multiply(const float *a, long row_step, long depth_step, const float *b, lo
             const auto place = [&](int r, int v, Vector value) { finish(row + r, column + v * LANES, value); };
             const long vectors = (columns - column) / LANES;
             if (vectors >= 3)
-                multiply_block<Numbers, 3>(left, row_step, depth_step, right, ld_b, depth, from, ld_start, place);
+                multiply_block<3>(left, row_step, depth_step, right, ld_b, depth, from, ld_start, place);
             if (vectors == 2)
-                multiply_block<Numbers, 2>(left, row_step, depth_step, right, ld_b, depth, from, ld_start, place);
+                multiply_block<2>(left, row_step, depth_step, right, ld_b, depth, from, ld_start, place);
             if (vectors == 1)
-                multiply_block<Numbers, 1>(left, row_step, depth_step, right, ld_b, depth, from, ld_start, place);
+                multiply_block<1>(left, row_step, depth_step, right, ld_b, depth, from, ld_start, place);
         }
     }
 }
@@ -256,7 +226,7 @@ void mlp_layer_forward(long pixels, long inputs, long outputs, const Input *inpu
             const long first = tile * TILE, rows = std::min(TILE, pixels - first);
             load_tile(*input, inputs, first, pixels, x.get());
             float *y = made->y + first * wide_out, *target = rows == TILE ? y : last_tile.get();
-            multiply<Single>(x.get(), wide_in, 1, right.get(), wide_out, inputs, offset.get(), 0, TILE, wide_out,
+            multiply(x.get(), wide_in, 1, right.get(), wide_out, inputs, offset.get(), 0, TILE, wide_out,
                              [&](long row, long c, Vector value) { store(target + row * wide_out + c, value); });
             if (rows < TILE) std::copy_n(target, rows * wide_out, y);
             for (long c = 0; norm && c < wide_out; c += LANES) {
@@ -355,10 +325,10 @@ void mlp_layer_backward(long pixels, long inputs, long outputs, const Input *inp
                 }
                 store(biases + c, bias);
             }
-            multiply<Single>(down.get(), 1, wide_out, x.get(), wide_in, TILE, weights, wide_in, weight_rows, wide_in,
+            multiply(down.get(), 1, wide_out, x.get(), wide_in, TILE, weights, wide_in, weight_rows, wide_in,
                              [&](long out, long c, Vector value) { store(weights + out * wide_in + c, value); });
             if (!input_gradient) continue;
-            multiply<Single>(down.get(), wide_out, 1, right.get(), wide_in, outputs, nothing.get(), 0, TILE, wide_in,
+            multiply(down.get(), wide_out, 1, right.get(), wide_in, outputs, nothing.get(), 0, TILE, wide_in,
                              [&](long row, long c, Vector value) { store(back.get() + row * wide_in + c, value); });
             for (long c = 0; c < wide_in; c += LANES) {
                 Vector sum = {}, products = {};
@@ -403,12 +373,10 @@ void mlp_layer_backward(long pixels, long inputs, long outputs, const Input *inp
 // A layer of a network that learns no more, its batch norm folded in.
 struct FoldedLayer {
     long inputs, outputs;
-    // float32: (inputs, padded(outputs)). bf16: pairs of rows side by side, (ceil(inputs / 2), padded(outputs), 2).
-    const float *weight;
+    const float *weight;  // (inputs, padded(outputs))
     const float *bias;  // (padded(outputs))
     float slope;        // Of the LeakyReLU below zero; 1 without one.
     int adds;           // Not 0: what the layer two before made is added to what this one makes.
-    int is_half;        // Not 0: its factors are bf16.
 };
 
 // Stacked layers of pixels, as a dataset has them, and the tables in which they are looked up.
@@ -426,8 +394,6 @@ struct Stacks {
     const float *camera;  // (view, 3)
     long objects, pixels_per_view;
 };
-
-int can_multiply_bf16() { return !std::is_same<Half, Single>::value; }
 
 }  // extern "C"
 
@@ -537,31 +503,15 @@ public:
     // Where the inputs of a tile belong, float32 (TILE, padded(inputs)).
     float *inputs() { return given_.get(); }
 
-    // What the network makes of the tile, a row of `ld_made` floats each.
-    const float *draw(long *ld_made) {
+    // What the network makes of the tile, (TILE, padded(outputs)).
+    const float *draw() {
         const float *from = given_.get();
-        long ld = padded(layers_[0].inputs), ld_before = 0;
-        if (layers_[0].is_half) {
-            // Rows become half as long, from the front: none is written before it is read.
-            for (long row = 0; row < TILE; row++)
-                for (long c = 0; c < ld; c += LANES)
-                    Half::write(given_.get() + row * ld / Half::IN_WORD, c, load(given_.get() + row * ld + c));
-            ld /= Half::IN_WORD;
-        }
         for (long l = 0; l < count_; l++) {
-            const FoldedLayer &layer = layers_[l];
             // What a layer adds is still there, of three buffers in turn.
-            float *made = buffer(l);
-            const float *skip = layer.adds ? buffer(l - 2) : nullptr;
-            const bool to_half = l + 1 < count_ && layers_[l + 1].is_half;
-            const long ld_next = padded(layer.outputs) / (to_half ? Half::IN_WORD : 1);
-            const auto work = !layer.is_half ? work_through<Single, Single>
-                              : to_half      ? work_through<Half, Half>
-                                             : work_through<Half, Single>;
-            work(layer, from, ld, skip, ld_before, made, ld_next);
-            ld_before = ld, from = made, ld = ld_next;
+            const float *skip = layers_[l].adds ? buffer(l - 2) : nullptr;
+            work_through(layers_[l], from, skip, buffer(l));
+            from = buffer(l);
         }
-        *ld_made = ld;
         return from;
     }
 
@@ -575,17 +525,15 @@ private:
 
     float *buffer(long layer) { return buffers_.get() + layer % 3 * TILE * widest_; }
 
-    // One layer: from its factors to those of the next one.
-    template <class From, class To>
-    static void work_through(const FoldedLayer &layer, const float *x, long ld_x, const float *skip, long ld_skip,
-                             float *made, long ld_made) {
-        const long wide = padded(layer.outputs), depth = (layer.inputs + From::IN_WORD - 1) / From::IN_WORD;
-        multiply<From>(x, ld_x, 1, layer.weight, wide, depth, layer.bias, 0, TILE, wide,
-                       [&](long row, long c, Vector value) {
-                           value = leaky(value, layer.slope);
-                           if (skip) value += From::read(skip + row * ld_skip, c);
-                           To::write(made + row * ld_made, c, value);
-                       });
+    // One layer of a tile; what it adds is as wide as what it makes.
+    static void work_through(const FoldedLayer &layer, const float *x, const float *skip, float *made) {
+        const long wide = padded(layer.outputs);
+        multiply(x, padded(layer.inputs), 1, layer.weight, wide, layer.inputs, layer.bias, 0, TILE, wide,
+                 [&](long row, long c, Vector value) {
+                     value = leaky(value, layer.slope);
+                     if (skip) value += load(skip + row * wide + c);
+                     store(made + row * wide + c, value);
+                 });
     }
 
     const FoldedLayer *layers_;
@@ -608,10 +556,9 @@ void mlp_draw(long pixels, const float *x, const FoldedLayer *layers, long count
         for (long tile = 0; tile < tiles; tile++) {
             const long first = tile * TILE, rows = std::min(TILE, pixels - first);
             load_tile(input, inputs, first, pixels, drawer.inputs());
-            long ld;
-            const float *drawn = drawer.draw(&ld);
+            const float *drawn = drawer.draw();
             for (long row = 0; row < rows; row++)
-                std::copy_n(drawn + row * ld, outputs, made + outputs * (first + row));
+                std::copy_n(drawn + row * padded(outputs), outputs, made + outputs * (first + row));
         }
     }
 }
@@ -641,10 +588,9 @@ void mlp_draw_stacks(long pixels, const Stacks *stacks, const FoldedLayer *layer
                 look_up(*stacks, of_tile, hits, drawer.inputs(), wide);
                 // Texels of the next tile are on their way while this one is drawn.
                 if (tile + 1 < stop) list_hits(*stacks, of_tile + TILE, rows_of(tile + 1), wide, next);
-                long ld;
-                const float *colors_of_tile = drawer.draw(&ld);
+                const float *colors_of_tile = drawer.draw();
                 for (long row = 0; row < rows_of(tile); row++)
-                    std::copy_n(colors_of_tile + row * ld, 3, colors + 3 * of_tile[row]);
+                    std::copy_n(colors_of_tile + row * padded(3), 3, colors + 3 * of_tile[row]);
                 std::swap(hits, next);
             }
         }

@@ -96,7 +96,7 @@ class Gradients:
 class _FoldedLayer(ctypes.Structure):
     _fields_ = (
         ("inputs", _LONG), ("outputs", _LONG), ("weight", _POINTER), ("bias", _POINTER), ("slope", _FLOAT),
-        ("adds", _INT), ("is_half", _INT),
+        ("adds", _INT),
     )  # fmt: skip
 
 
@@ -119,8 +119,6 @@ class FoldedLayer:
     """Of the LeakyReLU below zero; 1 without one."""
     adds: bool = False
     """To what this layer makes, the output of the layer two before is added."""
-    is_half: bool = False
-    """It multiplies in bf16."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -150,9 +148,7 @@ class Network:
         self._biases = [pad(layer.bias.numpy()) for layer in layers]
         self.array = (_FoldedLayer * len(layers))(
             *(
-                _FoldedLayer(
-                    *layer.weight.shape[::-1], weight.data_ptr(), _address(bias), layer.slope, layer.adds, layer.is_half
-                )
+                _FoldedLayer(*layer.weight.shape[::-1], weight.data_ptr(), _address(bias), layer.slope, layer.adds)
                 for layer, weight, bias in zip(layers, self._weights, self._biases, strict=True)
             )
         )
@@ -173,7 +169,6 @@ class Kernels:
         for function in (self._draw, self._draw_stacks):
             function.argtypes = [_LONG, _POINTER, _POINTER, _LONG, _POINTER, _INT]
             function.restype = None
-        self.can_multiply_bf16 = bool(library.can_multiply_bf16())
 
     def forward(self, source: Source, linear: nn.Linear, norm: nn.BatchNorm1d | None, slope: float) -> Made:
         """A linear layer of a batch, with the norm in training behind it, whose running statistics move on."""
@@ -274,15 +269,12 @@ class Kernels:
         return colors
 
 
-def _packed(layer: FoldedLayer) -> Tensor:
-    """A weight as the library multiplies by it: inputs by rows; in bf16 two of them side by side."""
+def _packed(layer: FoldedLayer) -> Float32[Tensor, "c_in c_out_padded"]:
+    """A weight as the library multiplies by it."""
     outputs, inputs = layer.weight.shape
-    per_word = 2 if layer.is_half else 1
-    words = -(-inputs // per_word)
-    rows = torch.zeros(words * per_word, padded(outputs))
-    rows[:inputs, :outputs] = layer.weight.T
-    pairs = rows.view(words, per_word, -1).transpose(1, 2).contiguous()
-    return pairs.to(torch.bfloat16) if layer.is_half else pairs
+    packed = torch.zeros(inputs, padded(outputs))
+    packed[:, :outputs] = layer.weight.T
+    return packed
 
 
 def padded(width: int) -> int:

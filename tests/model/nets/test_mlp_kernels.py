@@ -18,12 +18,12 @@ from torch.nn import functional
 
 from datagen.disk.private import is_intact, make_private, write_hashed
 from model.batches.rays import Pixels
+from model.methods.paper import renderer as renderer_module
 from model.methods.paper.config import PaperConfig
 from model.methods.paper.renderer import PaperRenderer
-from model.nets import pixel_mlp
 from model.nets.cpu import fused_mlp, mlp_kernels
 from model.nets.cpu.mlp_kernels import SWITCH, find_kernels
-from model.nets.pixel_mlp import Norm, PixelMlp, Precision
+from model.nets.pixel_mlp import Norm, PixelMlp
 from model.run.predict import predict_colors
 
 
@@ -122,12 +122,10 @@ def made_up_pixels(rows: int, layers: int, rng: np.random.Generator, *, share_em
 
 
 @needs_kernels
-@pytest.mark.parametrize("precision", ["fp32", "bf16"])
 @pytest.mark.parametrize("extrinsics", ["none", "view"])
 @pytest.mark.parametrize("zero_layer", [False, True])
 @pytest.mark.parametrize(("rows", "features", "share_empty"), [(2, 3, 0.0), (3000, 16, 0.4), (66, 21, 1.0)])
 def test_pictures_are_those_of_torch(
-    precision: Precision,
     extrinsics: str,
     zero_layer: bool,
     rows: int,
@@ -144,18 +142,17 @@ def test_pictures_are_those_of_torch(
         zero_layer=zero_layer,
         texture_features=features,
         position_size=8,
-        precision=precision,
     )
     positions = torch.randn(3 * 64, 3) if extrinsics == "view" else None
     renderer = PaperRenderer(config, num_layers=5, num_objects=3, positions=positions).eval()
     nn.init.normal_(renderer.textures.get_parameter("table"))
     pixels = made_up_pixels(rows, 5, rng, share_empty=share_empty)
     found = predict_colors(renderer, pixels)
-    monkeypatch.setattr(pixel_mlp, "find_kernels", lambda: None)
-    monkeypatch.setattr(fused_mlp, "find_kernels", lambda: None)
+    for module in (renderer_module, fused_mlp):
+        monkeypatch.setattr(module, "find_kernels", lambda: None)
     expected = predict_colors(renderer, pixels)
     error = (found - expected).abs().max() / expected.abs().max()
-    assert error < (1e-5 if precision == "fp32" else 1e-2)
+    assert error < 1e-5
 
 
 @needs_kernels
