@@ -4,14 +4,14 @@ import dataclasses
 import math
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Real
 
 from datagen.data.cameras import Camera, check_camera, look_at
 from datagen.disk.errors import HyalineError
 
 
 def camera_from_intrinsics(
-    world_from_camera: Float[np.ndarray, "4 4"], intrinsics: Float[np.ndarray, "3 3"], width: int, height: int
+    world_from_camera: Float[np.ndarray, "4 4"], intrinsics: Real[np.ndarray, "3 3"], width: int, height: int
 ) -> Camera:
     """The camera of a matrix of intrinsics in pixels, as OpenCV writes them.
 

@@ -53,7 +53,7 @@ def make_angle_cameras(scene: Scene, config: DatasetConfig) -> dict[Split, Camer
                 "narrow them in its scene.json, or leave out --angle-splits"
             )
         chosen = positions[((np.arange(count) + 0.5) * len(positions) / count).astype(int)]
-        poses = np.stack([look_at(position, np.array(scene.cameras.target)) for position in chosen])
+        poses = np.stack([look_at(position, np.array(scene.cameras.target, np.float64)) for position in chosen])
         cameras[split] = Cameras(world_from_camera=poses, fov_x=fov_x, width=size, height=size)
     return cameras
 

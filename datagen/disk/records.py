@@ -10,7 +10,10 @@ from pathlib import Path
 
 from datagen.disk.errors import HyalineError
 
-Json = typing.Union[None, bool, int, float, str, list["Json"], dict[str, "Json"]]  # noqa: UP007
+if typing.TYPE_CHECKING:
+    Json = typing.Union[None, bool, int, float, str, list["Json"], dict[str, "Json"]]  # noqa: UP007
+else:
+    Json = None | bool | int | float | str | list | dict  # What checks annotations at run time takes no recursion.
 T = typing.TypeVar("T")
 Value = typing.TypeVar("Value")
 

@@ -62,8 +62,8 @@ def _hemisphere(rig: CameraRig, count: int, rng: np.random.Generator) -> Float[n
     first, last = np.radians(rig.azimuth_deg)
     azimuth = first + unit[:, 1] * (last - first)
     offset = rng.uniform(-1, 1, size=(count, 3)) * rig.target_jitter * rig.radius
-    positions = np.array(rig.target) + rig.radius * _direction(elevation, azimuth)
-    return np.stack([look_at(p, np.array(rig.target) + o) for p, o in zip(positions, offset, strict=True)])
+    positions = np.array(rig.target, np.float64) + rig.radius * _direction(elevation, azimuth)
+    return np.stack([look_at(p, np.array(rig.target, np.float64) + o) for p, o in zip(positions, offset, strict=True)])
 
 
 def _path_on_hemisphere(rig: CameraRig, count: int) -> Float[np.ndarray, "view 4 4"]:
@@ -73,8 +73,8 @@ def _path_on_hemisphere(rig: CameraRig, count: int) -> Float[np.ndarray, "view 4
     low, high = np.radians(rig.elevation_deg)
     azimuth = first + (0.05 + 0.9 * s) * (last - first)
     elevation = low + (0.5 + 0.4 * np.sin(4 * np.pi * s)) * (high - low)
-    positions = np.array(rig.target) + rig.radius * _direction(elevation, azimuth)
-    return np.stack([look_at(position, np.array(rig.target)) for position in positions])
+    positions = np.array(rig.target, np.float64) + rig.radius * _direction(elevation, azimuth)
+    return np.stack([look_at(position, np.array(rig.target, np.float64)) for position in positions])
 
 
 def _walk(rig: CameraRig, count: int) -> Float[np.ndarray, "view 4 4"]:

@@ -4,7 +4,7 @@ import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol, TypeVar
+from typing import Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 import torch
@@ -20,6 +20,7 @@ from datagen.disk.errors import HyalineError
 Batch_co = TypeVar("Batch_co", covariant=True)
 
 
+@runtime_checkable
 class PixelSource(Protocol[Batch_co]):
     """All pixels of some views, row by row and view by view, and what a renderer is told of any of them."""
 

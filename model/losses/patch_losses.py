@@ -1,7 +1,7 @@
 """The losses of a run: the method's own, and the terms added to it, some of which learn themselves."""
 
 from collections.abc import Callable
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 import torch
@@ -16,6 +16,7 @@ from model.settings.losses import LossConfig
 from model.settings.state import State
 
 
+@runtime_checkable
 class OwnLoss(Protocol):
     """What a renderer's own loss takes (model/methods/renderer.py)."""
 

@@ -3,7 +3,7 @@
 from typing import cast
 
 import torch
-from jaxtyping import Float32
+from jaxtyping import Float, Float32
 from torch import Tensor, nn
 
 from model.nets.cpu.fused_mlp import ChainLayer, can_fuse, fold, run_chain
@@ -22,7 +22,8 @@ class LinearUnit(nn.Module):
         self.norm = nn.BatchNorm1d(num_outputs) if norm == "batch" else nn.Identity()
         self.activation = nn.LeakyReLU(LEAKY_SLOPE, inplace=True)
 
-    def forward(self, x: Float32[Tensor, "ray c_in"]) -> Float32[Tensor, "ray c_out"]:
+    def forward(self, x: Float[Tensor, "ray c_in"]) -> Float[Tensor, "ray c_out"]:
+        """float32; bfloat16 where the network is asked for that."""
         return self.activation(self.norm(self.linear(x)))
 
 
@@ -35,7 +36,8 @@ class ResidualBlock(nn.Module):
         self.second = LinearUnit(width, width, norm)
         self.halve = LinearUnit(width, width // 2, norm)
 
-    def forward(self, x: Float32[Tensor, "ray c"]) -> Float32[Tensor, "ray c_half"]:
+    def forward(self, x: Float[Tensor, "ray c"]) -> Float[Tensor, "ray c_half"]:
+        """As the units."""
         return self.halve(x + self.second(self.first(x)))
 
 

@@ -86,7 +86,7 @@ def bilinear_taps(
 
 
 def sample(
-    tables: Sequence[Float32[Tensor, "texel c"]],
+    tables: Sequence[Float32[Tensor, "_ c"]],
     uv: Float32[Tensor, "ray layer 2"],
     object_id: UInt8[Tensor, "ray layer"],
     layouts: Sequence[TextureLayout],
@@ -239,7 +239,7 @@ class TexturePyramid(nn.ModuleList):
         layouts = [level.layout for level in self.levels()]
         return sample(self.tables(), uv, object_id, layouts, level_scales(len(self), self.finer_counts))
 
-    def tables(self) -> list[Float32[Tensor, "texel c"]]:
+    def tables(self) -> list[Float32[Tensor, "_ c"]]:
         """The texels of each level, finest first."""
         return [level.table for level in self.levels()]
 

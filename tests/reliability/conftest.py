@@ -1,6 +1,7 @@
 """What the tests of promises share: a small world of commands, and the states of the disk that they start from."""
 
 import dataclasses
+import inspect
 import os
 import shlex
 from collections.abc import Callable, Iterator, Sequence
@@ -34,8 +35,9 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     install(monkeypatch)
     monkeypatch.setattr("model.run.sweep._train_in_child", train_here)
     monkeypatch.setattr("model.run.predict.film_pictures", lambda run, config, dataset, cameras, device: film(cameras))
-    often = (TrainConfig.__init__.__kwdefaults__ or {}) | {"checkpoint_every": 2}
-    monkeypatch.setattr(TrainConfig.__init__, "__kwdefaults__", often)
+    make = inspect.unwrap(TrainConfig.__init__)
+    often = (make.__kwdefaults__ or {}) | {"checkpoint_every": 2}
+    monkeypatch.setattr(make, "__kwdefaults__", often)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(os, "fsync", lambda handle: None)
     monkeypatch.setenv("HYALINE_KERNELS", "off")

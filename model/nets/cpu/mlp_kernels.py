@@ -131,7 +131,7 @@ class Stacks:
     texels: Float32[Tensor, "texel c"]
     places: Int32[np.ndarray, "3 object"]
     """First row, size and stride of each object's texture."""
-    positions: Float32[Tensor, "texel 3"] | None
+    positions: Float32[Tensor, "place 3"] | None
     """World positions on the surfaces, from which view vectors follow the features; None where they do not."""
     position_places: Int32[np.ndarray, "3 object"] | None
     p_camera: Float32[Tensor, "view 3"]

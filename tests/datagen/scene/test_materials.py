@@ -5,6 +5,7 @@ import typing
 
 import numpy as np
 import pytest
+from support.checked import unchecked
 from support.synthetic import quad, synthetic_scene
 
 from datagen.disk.errors import HyalineError
@@ -119,8 +120,8 @@ def test_a_material_that_is_not_listed_is_refused_by_the_objects_name_instead_of
         rf"its material is a {type(strange).__name__}; expected one of Dielectric, RoughDielectric, ThinDielectric"
     )
     floor = synthetic_scene().objects[1]
-    with pytest.raises(HyalineError, match=rf"^object floor: {message}"):
+    with unchecked(), pytest.raises(HyalineError, match=rf"^object floor: {message}"):
         dataclasses.replace(floor, material=strange)
-    with pytest.raises(HyalineError, match=rf"^light paths: object 2: {message}"):
+    with unchecked(), pytest.raises(HyalineError, match=rf"^light paths: object 2: {message}"):
         LightPathTracer((quad(0.0), quad(1.0)), (None, strange))
     check_scene(synthetic_scene())

@@ -1,6 +1,7 @@
 """Tests training by several processes: gradients are averaged, one process writes, runs resume, the rest is refused."""
 
 import dataclasses
+import inspect
 import json
 import subprocess
 import sys
@@ -116,7 +117,7 @@ def test_two_processes_end_where_the_mean_of_their_two_gradients_leads(
 
     monkeypatch.setattr(Losses, "loss", mean_of_both)
     for key, value in EVERY.items():
-        monkeypatch.setitem(TrainConfig.__init__.__kwdefaults__, key, value)  # pyright: ignore
+        monkeypatch.setitem(inspect.unwrap(TrainConfig.__init__).__kwdefaults__, key, value)  # pyright: ignore
     assert call(monkeypatch, "train", *words_of(dataset, tmp_path / "one", "plain")) == 0
     one, both = tmp_path / "one", two[0] / "plain"
     assert sorted(run_bytes(one)) == sorted(run_bytes(both))

@@ -1,5 +1,6 @@
 """Tests that training which was interrupted, in whatever way and however often, ends as if it had not been."""
 
+import inspect
 import os
 import shutil
 import signal
@@ -27,8 +28,9 @@ SIZE = ("--steps", "6", "--batch", "64", "--texture-size", "16", "--width", "32"
 @pytest.fixture(autouse=True)
 def often(monkeypatch: pytest.MonkeyPatch) -> None:
     """Checkpoints and evaluations of a run of six steps."""
-    defaults = (TrainConfig.__init__.__kwdefaults__ or {}) | {"checkpoint_every": 2, "evaluate_every": 3}
-    monkeypatch.setattr(TrainConfig.__init__, "__kwdefaults__", defaults)
+    make = inspect.unwrap(TrainConfig.__init__)
+    defaults = (make.__kwdefaults__ or {}) | {"checkpoint_every": 2, "evaluate_every": 3}
+    monkeypatch.setattr(make, "__kwdefaults__", defaults)
 
 
 @pytest.fixture(scope="module")

@@ -1,5 +1,6 @@
 """Tests that a number that is not finite, wherever it comes from, stops a command before it is kept or shown."""
 
+import inspect
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -34,8 +35,9 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 @pytest.fixture
 def call(dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], int]:
     """`train` or `report` in this process; answers its exit status."""
-    defaults = (TrainConfig.__init__.__kwdefaults__ or {}) | {"checkpoint_every": 2, "evaluate_every": 5}
-    monkeypatch.setattr(TrainConfig.__init__, "__kwdefaults__", defaults)
+    make = inspect.unwrap(TrainConfig.__init__)
+    defaults = (make.__kwdefaults__ or {}) | {"checkpoint_every": 2, "evaluate_every": 5}
+    monkeypatch.setattr(make, "__kwdefaults__", defaults)
     lines = {
         "train": f"model train paper --dataset {dataset.root} --out {tmp_path}/runs/synthetic/paper --steps 8 "
         "--batch 64 --texture-size 16 --width 32 --device cpu",

@@ -1,0 +1,67 @@
+"""Annotations that are checked: in every test, the packages' functions and records refuse what their types exclude."""
+
+import ast
+import contextlib
+import typing
+from collections.abc import Callable, Iterator
+from typing import Self
+
+import jaxtyping._import_hook as import_hook
+from beartype import BeartypeConf, beartype
+from jaxtyping import config, install_import_hook
+
+PACKAGES = ("hyaline", "datagen", "proxies", "model", "eval")
+
+CONF = BeartypeConf(is_pep484_tower=True)
+"""An int may stand where a float is expected, as for type checkers."""
+
+COMPILERS = {"numba", "intrinsic", "dr"}
+"""Decorators of functions that Numba and Dr.Jit compile from source: they take no wrapped ones."""
+
+
+def check_annotations() -> None:
+    """From now on, a module that is imported has its functions and records wrapped; arrays' shapes are checked, too."""
+    import_hook.JaxtypingTransformer = Wrapping
+    install_import_hook(PACKAGES, f"{__name__}.check")
+
+
+@contextlib.contextmanager
+def unchecked() -> Iterator[None]:
+    """Checks nothing while the block runs: it gives a function what its annotations exclude, to see it refused."""
+    config.update("jaxtyping_disable", True)
+    try:
+        yield
+    finally:
+        config.update("jaxtyping_disable", False)
+
+
+def check(function: Callable[..., object]) -> Callable[..., object]:
+    """Wraps a function so that it checks what it is given and what it returns, but for two kinds of annotation.
+
+    `Self`: beartype 0.22 knows it in a class that it decorates whole; jaxtyping gives it the methods one by one.
+    `type[T]`: for type checkers `tuple[int, ...]` is one, for Python an alias of one.
+    """
+    kinds = function.__annotations__
+    function.__annotations__ = {
+        name: kind for name, kind in kinds.items() if kind is not Self and typing.get_origin(kind) is not type
+    }
+    return beartype(conf=CONF)(function)
+
+
+class Wrapping(import_hook.JaxtypingTransformer):
+    """Wraps functions that have annotations; those inside of others, made anew by every call, would cost too much.
+
+    What it makes of a file is kept in __pycache__, in files that have `jaxtyping` in their names: delete them to see a
+    change of this class.
+    """
+
+    def visit_FunctionDef(self, node: ast.FunctionDef) -> ast.FunctionDef:
+        arguments = [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]
+        is_annotated = node.returns is not None or any(argument.annotation for argument in arguments)
+        names = {
+            name.id for decorator in node.decorator_list for name in ast.walk(decorator) if isinstance(name, ast.Name)
+        }
+        is_inner = any(isinstance(parent, ast.FunctionDef) for parent in self._parents)
+        if is_annotated and not is_inner and not names & COMPILERS:
+            super().visit_FunctionDef(node)
+        return node
