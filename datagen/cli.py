@@ -67,13 +67,13 @@ def import_file(
     overwrite: bool = False,
     choices: ImportChoices = ImportChoices(),  # noqa: B008
 ) -> None:
-    """Makes a scene of a file from elsewhere: glTF, GLB, OBJ with MTL, PLY, STL or 3MF.
+    """Makes a scene of a file from elsewhere: glTF, GLB, OBJ with MTL, PLY, STL, 3MF or a Mitsuba XML.
 
     Writes the folder that `datagen build --scene` takes, with an import.json that has a line for each thing that is
     drawn other than the file asks for.
 
     Args:
-        file: A file that ends in .glb, .gltf, .obj, .ply, .stl or .3mf.
+        file: A file that ends in .glb, .gltf, .obj, .ply, .stl, .3mf or .xml.
         out: Where the scene goes; scenes/NAME unless given.
         overwrite: Replace an imported scene that stands there.
         choices: What the file leaves open.

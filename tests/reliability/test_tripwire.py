@@ -121,7 +121,7 @@ ELSEWHERE = {
     "datagen build": {"scene", "preset", "num_layers", "workers", "ceiling", "resolution", "test_views", "spp",
                       "test_spp", "max_depth", "rays", "seed", "shards", "slurm_partition", "slurm_time", "slurm_cpus",
                       "slurm_gpus"},
-    "datagen import": {"scale", "up", "material", "thin", "ground", "merge", "strict", "resolution"},
+    "datagen import": {"scale", "up", "material", "thin", "cameras", "ground", "merge", "strict", "resolution"},
     "datagen peel": {"geometry", "rays", "workers"},
     "datagen export": {"flow"},
     "benchmarks scale": {"factors", "quantities", "rounds", "json", "overwrite"},

@@ -55,6 +55,10 @@ class ForeignMaterial:
     """What white light becomes after `attenuation_distance`."""
     attenuation_distance: float = math.inf
     """In the file's units."""
+    absorption: Color = (0.0, 0.0, 0.0)
+    """Besides attenuation: 1 over the file's unit, by channel."""
+    is_thin: bool = False
+    """The file calls it a thin pane, whatever its mesh."""
     dispersion: float = 0.0
     """20 over the Abbe number."""
     priority: int = 0
@@ -77,6 +81,26 @@ class ForeignObject:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class ForeignLight:
+    """A rectangle that shines along the cross product of its edges, in the file's world."""
+
+    corner: Float[np.ndarray, "3"]
+    edge_u: Float[np.ndarray, "3"]
+    edge_v: Float[np.ndarray, "3"]
+    radiance: Color
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ForeignCamera:
+    """A camera of the file."""
+
+    world_from_camera: Float[np.ndarray, "4 4"]
+    """OpenGL convention: +x right, +y up, it looks along -z; in the file's units and axes."""
+    fov_deg: float
+    """Horizontal."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class ForeignScene:
     """All surfaces of a file."""
 
@@ -85,6 +109,12 @@ class ForeignScene:
     """The axis that points up, by the format's rule or custom."""
     metres: float = 1.0
     """Metres a unit, by the format's rule; 1 where it has none."""
+    lights: tuple[ForeignLight, ...] = ()
+    sky: Color | None = None
+    """Radiance from all around; None where the file says nothing of it."""
+    cameras: tuple[ForeignCamera, ...] = ()
+    is_complete: bool = False
+    """It was made to be rendered as it is: no ground is added, and it stays where it is."""
 
 
 def elementwise(points: np.ndarray, linear: np.ndarray, offset: np.ndarray) -> np.ndarray:

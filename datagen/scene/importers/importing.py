@@ -18,11 +18,22 @@ from datagen.scene.importers.foreign import Axis, ForeignObject, ForeignScene, e
 from datagen.scene.importers.gltf import read_gltf
 from datagen.scene.importers.mapping import Mapper
 from datagen.scene.importers.merging import merged_by_material
+from datagen.scene.importers.mitsuba_xml import read_mitsuba
 from datagen.scene.importers.obj import PLAIN, read_obj
 from datagen.scene.importers.overrides import override, parse_overrides
 from datagen.scene.importers.ply import read_ply_file
 from datagen.scene.importers.remarks import Remark, Remarks
-from datagen.scene.importers.staging import LIGHT, find_scale, has_ground, make_ground, make_rig, z_up_from
+from datagen.scene.importers.staging import (
+    LIGHT,
+    even_sky,
+    find_scale,
+    has_ground,
+    listed_cameras,
+    make_ground,
+    make_rig,
+    placed_light,
+    z_up_from,
+)
 from datagen.scene.importers.stl import read_stl
 from datagen.scene.importers.surfaces import made_sound, mesh_of, shape_of
 from datagen.scene.importers.threemf import read_3mf
@@ -37,6 +48,7 @@ READERS: dict[str, Callable[[Path, Remarks], ForeignScene]] = {
     ".ply": read_ply_file,
     ".stl": read_stl,
     ".3mf": read_3mf,
+    ".xml": read_mitsuba,
 }
 """Readers of files by their ending."""
 
@@ -90,6 +102,8 @@ def import_scene(path: Path, choices: ImportChoices) -> Imported:
     names = _unique_names([part.name for part in parts])
     mapper = Mapper(metres=scale, thin=choices.thin, remarks=remarks)
     linear, offset = _world(parts, scale, up)
+    if foreign.is_complete:
+        offset = np.zeros(3)
     objects: list[SceneObject] = []
     without_uv: set[str] = set()
     for name, part in zip(names, parts, strict=True):
@@ -98,8 +112,11 @@ def import_scene(path: Path, choices: ImportChoices) -> Imported:
         if part.uv is None:
             without_uv.add(name)
     objects = apart(objects, remarks)
-    rig = make_rig(objects, remarks)
-    if choices.ground == "always" or (choices.ground == "auto" and not has_ground(objects)):
+    rig = (
+        make_rig(objects, remarks) if choices.cameras == "around" else listed_cameras(foreign, linear, offset, remarks)
+    )
+    wants_ground = choices.ground == "auto" and not foreign.is_complete and not has_ground(objects)
+    if choices.ground == "always" or wants_ground:
         ground = make_ground(objects, resolution=choices.resolution, remarks=remarks)
         without_uv.add(ground.name)
         objects.append(ground)
@@ -108,7 +125,8 @@ def import_scene(path: Path, choices: ImportChoices) -> Imported:
         name=scene_name(path),
         description=f"Imported from {path.name}"[:200],
         objects=tuple(objects),
-        environment=LIGHT,
+        environment=LIGHT if foreign.sky is None else even_sky(foreign.sky),
+        lights=tuple(placed_light(light, linear, offset) for light in foreign.lights),
         cameras=rig,
         baked={image: data for image, data in mapper.images.items() if image in used},
     )
@@ -159,8 +177,8 @@ def _find_scale(
     size = float((high - low).max())
     if not 1e-30 < size < 1e30:
         raise HyalineError(f"{where}: is {size:g} units large; expected a scene that has a size")
-    if choices.scale is not None:
-        return choices.scale
+    if choices.scale is not None or foreign.is_complete:
+        return choices.scale or foreign.metres
     return find_scale(size, metres=foreign.metres, remarks=remarks, where=where)
 
 

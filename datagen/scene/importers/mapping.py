@@ -12,7 +12,7 @@ from datagen.scene.importers.foreign import ForeignMaterial
 from datagen.scene.importers.pictures import decoded, mean_color, tinted_png
 from datagen.scene.importers.remarks import Remarks
 from datagen.scene.importers.surfaces import Shape
-from datagen.scene.materials import Conductor, Dielectric, Diffuse, Material, Plastic, ThinDielectric
+from datagen.scene.materials import Conductor, Dielectric, Diffuse, Material, Plastic, RoughDielectric, ThinDielectric
 from datagen.scene.textures import ImageTexture, Reflectance
 from datagen.scene.values import Color
 
@@ -65,15 +65,14 @@ class Mapper:
         return self._opaque(foreign, shape, where=where)
 
     def _glass(self, foreign: ForeignMaterial, shape: Shape, *, where: str) -> Material:
-        alpha = foreign.roughness**2
-        if alpha > SMOOTH_ALPHA:
-            self.remarks.approximate(where, f"is rough glass (GGX alpha {alpha:.2g}); drawn smooth")
         if foreign.dispersion > 0:
             self.remarks.approximate(
                 where, f"disperses light (Abbe number {20 / foreign.dispersion:.3g}); drawn with one index"
             )
         ior, color = self._ior(foreign, where=where), self._flat_color(foreign, where=where)
-        is_thin = not shape.is_closed or self.thin == "all" or (self.thin == "file" and not foreign.is_volume)
+        says_thin = foreign.is_thin or (self.thin == "file" and not foreign.is_volume)
+        is_thin = not shape.is_closed or self.thin == "all" or says_thin
+        alpha = min(foreign.roughness**2, 1.0)
         if is_thin:
             if not shape.is_closed:
                 what = "its mesh is open: drawn as thin glass, which light crosses without bending"
@@ -83,7 +82,9 @@ class Mapper:
                     self.remarks.note(where, what)
             elif foreign.is_volume:
                 self.remarks.approximate(where, "is solid; drawn as thin glass, as --thin all asks for")
-            if foreign.is_volume and foreign.attenuation_distance < math.inf:
+            if alpha > SMOOTH_ALPHA:
+                self.remarks.approximate(where, f"is a rough pane (GGX alpha {alpha:.2g}); drawn smooth")
+            if foreign.is_volume and max(self._absorption(foreign)) > 0:
                 self.remarks.approximate(where, "its absorption is left out, since a thin pane has no depth")
             return ThinDielectric(ior=ior, tint=color)
         if not foreign.is_volume:
@@ -105,16 +106,18 @@ class Mapper:
         if foreign.is_drink and foreign.priority == 0:
             self.remarks.note(where, "is a liquid by its name; where it reaches into glass, the glass is what counts")
         priority = foreign.priority or (-1 if foreign.is_drink else 0)
+        if alpha > SMOOTH_ALPHA:
+            return RoughDielectric(ior=ior, absorption=absorption, priority=priority, roughness=alpha)
         return Dielectric(ior=ior, absorption=absorption, priority=priority)
 
     def _absorption(self, foreign: ForeignMaterial) -> Color:
         """1/m: after the attenuation distance, light is the attenuation colour. Source: KHR_materials_volume."""
         distance = foreign.attenuation_distance * self.metres
         red, green, blue = (
-            -math.log(min(max(c, MIN_TRANSMITTANCE), 1.0)) / distance if math.isfinite(distance) else 0.0
-            for c in foreign.attenuation_color
+            a / self.metres - math.log(min(max(c, MIN_TRANSMITTANCE), 1.0)) / distance
+            for a, c in zip(foreign.absorption, foreign.attenuation_color, strict=True)
         )
-        return red + 0.0, green + 0.0, blue + 0.0
+        return red, green, blue
 
     def _ior(self, foreign: ForeignMaterial, *, where: str) -> float:
         if foreign.ior < MIN_IOR:

@@ -7,12 +7,15 @@ import numpy as np
 from jaxtyping import Float
 
 from datagen.data.meshes import face_corners
-from datagen.scene.description import CameraRig, Lobe, SceneObject, SoftEnvironment, WalkPoint
-from datagen.scene.importers.foreign import Axis
+from datagen.disk.errors import HyalineError
+from datagen.scene.camera_list import CameraList, Matrix
+from datagen.scene.description import CameraRig, Lobe, RectangleLight, SceneObject, SoftEnvironment, WalkPoint
+from datagen.scene.importers.foreign import Axis, ForeignLight, ForeignScene
 from datagen.scene.importers.remarks import Remarks
 from datagen.scene.materials import Diffuse
 from datagen.scene.modelling import sheet
 from datagen.scene.textures import SolidTexture
+from datagen.scene.values import Color
 
 USUAL_SIZE = (0.02, 5.0)
 """Metres: what is smaller or larger was not modelled in metres."""
@@ -30,6 +33,7 @@ MIN_BACKDROP_DEG, MIN_ARC_DEG = 60, 80
 """Degrees around the glass that a backdrop hides, and that are left for cameras."""
 GRAZING_DEG = 15.0
 """Degrees that cameras keep from the edge of a backdrop."""
+DUST = 1e-9
 FRONT_DEG = -90.0
 """Azimuth from which files are meant to be seen: glTF's +z, ours -y."""
 
@@ -68,6 +72,73 @@ def z_up_from(up: Axis) -> Float[np.ndarray, "3 3"]:
         "z": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
     }
     return np.array(rows[up], np.float64)
+
+
+def even_sky(radiance: Color) -> SoftEnvironment:
+    """The same light from all around."""
+    return SoftEnvironment(zenith=radiance, horizon=radiance, ground=radiance)
+
+
+def placed_light(
+    light: ForeignLight, linear: Float[np.ndarray, "3 3"], offset: Float[np.ndarray, "3"]
+) -> RectangleLight:
+    """A light of the file in our world."""
+    return RectangleLight(
+        corner=_vector(linear @ light.corner + offset),
+        edge_u=_vector(_without_dust(linear @ light.edge_u)),
+        edge_v=_vector(_without_dust(linear @ light.edge_v)),
+        radiance=light.radiance,
+    )
+
+
+def _without_dust(edge: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+    """The edge without what rounding left of a turn: Mitsuba 3.9 makes radiance of 2e-16 m that is no number."""
+    return np.where(np.abs(edge) < DUST * np.abs(edge).max(), 0.0, edge)
+
+
+def listed_cameras(
+    foreign: ForeignScene, linear: Float[np.ndarray, "3 3"], offset: Float[np.ndarray, "3"], remarks: Remarks
+) -> CameraList:
+    """The cameras of the file in our world: the outermost for extrapolation, every eighth other one for interpolation.
+
+    Of fewer than three, each split has all.
+
+    Raises:
+        HyalineError: the file has none.
+    """
+    if not foreign.cameras:
+        raise HyalineError("--cameras file: the file brings no cameras; leave it out")
+    fov_deg = foreign.cameras[0].fov_deg
+    if any(abs(camera.fov_deg - fov_deg) > 1e-3 for camera in foreign.cameras):
+        remarks.approximate(
+            "cameras", f"have several fields of view; all of them get the first one's, {fov_deg:.3g} degrees"
+        )
+    rotation = linear / abs(np.linalg.det(linear)) ** (1 / 3)
+    matrices = []
+    for camera in foreign.cameras:
+        matrix = np.eye(4)
+        matrix[:3, :3] = rotation @ camera.world_from_camera[:3, :3]
+        matrix[:3, 3] = linear @ camera.world_from_camera[:3, 3] + offset
+        matrices.append(matrix)
+    listed = [_rows(matrix) for matrix in matrices]
+    if len(listed) < 3:
+        return CameraList(
+            train=tuple(listed), interpolating=tuple(listed), extrapolating=tuple(listed), fov_deg=fov_deg
+        )
+    places = np.array([matrix[:3, 3] for matrix in matrices])
+    outermost = int(np.linalg.norm(places - places.mean(axis=0), axis=-1).argmax())
+    others = [rows for index, rows in enumerate(listed) if index != outermost]
+    return CameraList(
+        train=tuple(rows for index, rows in enumerate(others) if index % 8),
+        interpolating=tuple(others[::8]),
+        extrapolating=(listed[outermost],),
+        fov_deg=fov_deg,
+    )
+
+
+def _rows(matrix: Float[np.ndarray, "4 4"]) -> Matrix:
+    a, b, c, d = ((float(x), float(y), float(z), float(w)) for x, y, z, w in matrix)
+    return a, b, c, d
 
 
 def subject_box(objects: Sequence[SceneObject]) -> Float[np.ndarray, "2 3"]:

@@ -1,0 +1,148 @@
+"""The nodes of a Mitsuba scene, parsed and not made: values by type, children, and files of the scene's folder."""
+
+from pathlib import Path
+
+import numpy as np
+
+from datagen.disk.errors import HyalineError
+from datagen.disk.names import find_file
+from datagen.disk.records import shown
+from datagen.scene.importers.mitsuba_text import check_text
+from datagen.scene.values import Color
+
+Value = object
+
+MAX_VALUE = 1e9
+
+
+class Node:
+    """One object of the scene: its plugin's name and its properties, of which nothing was made."""
+
+    def __init__(self, scene: "NodeList", index: int) -> None:
+        self.scene, self.index = scene, index
+        props = scene.nodes[index].props
+        self.plugin: str = props.plugin_name()
+        self.name: str = props.id() or self.plugin
+        self.where = f"{scene.path}: {self.plugin} {shown(self.name)}"
+        self.props: dict[str, Value] = {key: props[key] for key in props.keys()}  # noqa: SIM118
+        self.kind: str = str(scene.nodes[index].type).rpartition(".")[2]
+
+    def __contains__(self, key: str) -> bool:
+        return key in self.props
+
+    def number(self, key: str, default: float) -> float:
+        """A finite number."""
+        value = self.props.get(key, default)
+        if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < MAX_VALUE:
+            raise HyalineError(f"{self.where}: {key} is {shown(value)}; expected a number")
+        return float(value)
+
+    def text(self, key: str, default: str) -> str:
+        """A string."""
+        value = self.props.get(key, default)
+        if not isinstance(value, str):
+            raise HyalineError(f"{self.where}: {key} is {shown(value)}; expected a word")
+        return value
+
+    def flag(self, key: str, default: bool = False) -> bool:
+        """True or false."""
+        return self.props.get(key, default) is True
+
+    def color(self, key: str, default: float) -> Color:
+        """A number or three, none below 0."""
+        value = self.props.get(key, default)
+        values = (value,) * 3 if isinstance(value, int | float) else self._listed(value)
+        if values is None or len(values) != 3 or not all(0 <= c < MAX_VALUE for c in values):
+            raise HyalineError(f"{self.where}: {key} is {shown(str(value))}; expected a colour of three numbers")
+        red, green, blue = (float(c) for c in values)
+        return red, green, blue
+
+    def point(self, key: str, default: tuple[float, float, float]) -> np.ndarray:
+        """Three finite numbers."""
+        values = self._listed(self.props.get(key, list(default)))
+        if values is None or len(values) != 3 or not np.isfinite(values).all():
+            raise HyalineError(f"{self.where}: {key} is no point; expected three numbers")
+        return np.array(values, np.float64)
+
+    def matrix(self, key: str) -> np.ndarray:
+        """A transform (4, 4); the identity where there is none."""
+        if key not in self.props:
+            return np.eye(4)
+        matrix = np.array(getattr(self.props[key], "matrix", np.zeros((0, 0))), np.float64)
+        if matrix.shape == (3, 3):  # Of a texture: in two dimensions.
+            matrix = np.block([[matrix[:2, :2], np.zeros((2, 1)), matrix[:2, 2:]], [np.zeros((2, 2)), np.eye(2)]])
+        if matrix.shape != (4, 4) or not (np.abs(matrix) < MAX_VALUE).all() or abs(np.linalg.det(matrix)) < 1e-30:
+            raise HyalineError(
+                f"{self.where}: {key} is no transform that can be undone; expected one of finite numbers"
+            )
+        return matrix
+
+    def file(self, key: str) -> Path:
+        """A file that it names, in the scene's folder.
+
+        Raises:
+            HyalineError: it leads elsewhere, or is not there.
+        """
+        name = self.text(key, "")
+        found = find_file(self.scene.path.parent, name.replace("\\", "/").removeprefix("./"), where=self.where)
+        if not found.exists():
+            raise HyalineError(f"{self.where}: names {shown(name)}, which is not in the scene's folder")
+        return found
+
+    def child(self, key: str) -> "Node | None":
+        """The object under a name; None where there is none, or a plain value."""
+        index = self.scene.index_of(self.props.get(key))
+        return None if index is None else Node(self.scene, index)
+
+    def children(self) -> list["Node"]:
+        """All objects that it holds or refers to, but textures."""
+        found = [self.child(key) for key in self.props]
+        return [node for node in found if node is not None]
+
+    def inner(self, kind: str) -> "Node | None":
+        """The first of its objects of a kind, such as BSDF."""
+        return next((node for node in self.children() if node.kind == kind), None)
+
+    @staticmethod
+    def _listed(value: Value) -> list[float] | None:
+        try:
+            return [float(item) for item in value]  # pyright: ignore[reportGeneralTypeIssues]
+        except (TypeError, ValueError):
+            return None
+
+
+class NodeList:
+    """All nodes of a scene file."""
+
+    def __init__(self, path: Path) -> None:
+        from datagen.machine.mitsuba_variant import use_mitsuba
+
+        check_text(path)
+        use_mitsuba(quiet=True)
+        import mitsuba as mi
+
+        self.path = path
+        try:
+            state = mi.parser.parse_file(mi.parser.ParserConfig("scalar_rgb"), str(path))
+        # The parser answers a broken file with several kinds of exception (RuntimeError, UnicodeDecodeError, ...).
+        except Exception as error:
+            reason = " ".join(str(error).replace(str(path), path.name).split())
+            raise HyalineError(f"{path}: not a scene of Mitsuba 3 ({shown(reason[-300:])})") from None
+        self.nodes = state.nodes
+        self._by_name: dict[str, int] = dict(state.id_to_index)
+        self.root = Node(self, 0)
+        if self.root.kind != "Scene":
+            raise HyalineError(f"{path}: holds a {self.root.kind}; expected a scene")
+
+    def index_of(self, value: Value) -> int | None:
+        """The node that a property refers to, if it does."""
+        import mitsuba as mi
+
+        if isinstance(value, mi.Properties.ResolvedReference):
+            return int(value.index())
+        if isinstance(value, mi.Properties.Reference):
+            name = str(value.id())
+            if name not in self._by_name:
+                raise HyalineError(f"{self.path}: refers to {shown(name)}, which is not there")
+            return self._by_name[name]
+        return None

@@ -1,0 +1,298 @@
+"""Tests that Mitsuba scenes are parsed and never loaded, mean what they mean there, and are refused when hostile."""
+
+import io
+import math
+import os
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from support.gltf import BOX
+
+from datagen.data.meshes import signed_volume, write_ply
+from datagen.disk.errors import HyalineError
+from datagen.scene.camera_list import CameraList
+from datagen.scene.description import SoftEnvironment
+from datagen.scene.importers.choices import ImportChoices
+from datagen.scene.importers.foreign import ForeignMaterial, ForeignObject, ForeignScene
+from datagen.scene.importers.importing import import_scene
+from datagen.scene.importers.mitsuba_xml import read_mitsuba
+from datagen.scene.importers.remarks import Remarks
+from datagen.scene.importers.surfaces import mesh_of
+from datagen.scene.materials import Conductor, Dielectric, Plastic, RoughDielectric
+
+SENSOR = """<sensor type="perspective"><float name="fov" value="40"/>
+<transform name="to_world"><lookat origin="0,-3,1.5" target="0,0,0.5" up="0,0,1"/></transform>
+<film type="hdrfilm"><integer name="width" value="64"/><integer name="height" value="64"/></film></sensor>"""
+BALL = '<shape type="sphere" id="ball"><bsdf type="dielectric"/></shape>'
+CUBE = '<shape type="cube" id="cube"/>'
+
+
+def read(folder: Path, body: str, remarks: Remarks | None = None) -> ForeignScene:
+    (folder / "a.xml").write_text(f'<scene version="3.0.0">{body}</scene>')
+    return read_mitsuba(folder / "a.xml", remarks or Remarks())
+
+
+def volume(item: ForeignObject) -> float:
+    return signed_volume(mesh_of(item.positions, item.faces, item.normals, None, where="x"))
+
+
+def material_of(folder: Path, bsdf: str, remarks: Remarks | None = None) -> ForeignMaterial:
+    material = read(folder, f'<shape type="cube">{bsdf}</shape>', remarks).objects[0].material
+    assert isinstance(material, ForeignMaterial)
+    return material
+
+
+def test_shapes_have_the_places_and_volumes_that_their_transforms_say(tmp_path: Path) -> None:
+    (tmp_path / "box.ply").write_bytes(write_ply(BOX))
+    (tmp_path / "tri.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nf 1/1 2/2 3/3\n")
+    move = '<transform name="to_world"><scale x="-2" y="1" z="1"/><translate x="5"/></transform>'
+    scene = read(
+        tmp_path,
+        f'<shape type="cube">{move}</shape>'
+        '<shape type="sphere"><float name="radius" value="0.5"/><point name="center" x="0" y="0" z="3"/></shape>'
+        f'<shape type="ply"><string name="filename" value="box.ply"/>{move}</shape>'
+        '<shape type="obj"><string name="filename" value="tri.obj"/></shape>'
+        '<shape type="cube"><boolean name="flip_normals" value="true"/></shape>',
+    )
+    cube, ball, ply, obj, flipped = scene.objects
+    assert [volume(item) for item in (cube, ply, flipped)] == pytest.approx([16, 2 * signed_volume(BOX), -8], rel=1e-5)
+    assert volume(ball) == pytest.approx(math.pi / 6, rel=2e-3)
+    np.testing.assert_allclose([cube.positions.min(0), cube.positions.max(0)], [[3, -1, -1], [7, 1, 1]])
+    np.testing.assert_allclose(ball.positions.mean(0), [0, 0, 3], atol=1e-6)
+    # Mitsuba turns the v of OBJ files round, and its images: as it is in the file, v points up.
+    assert obj.uv is not None
+    np.testing.assert_allclose(obj.uv[obj.faces[0]], [[0, 0], [1, 0], [0, 1]])
+    assert ply.uv is not None
+    np.testing.assert_allclose(ply.uv, np.stack([BOX.uv[:, 0], 1 - BOX.uv[:, 1]], -1), atol=1e-7)
+
+
+def test_glass_is_relative_to_what_is_around_it_and_absorbs_by_its_medium(tmp_path: Path) -> None:
+    medium = (
+        '<medium name="interior" type="homogeneous"><rgb name="sigma_t" value="0.1,0.2,0.3"/>'
+        '<float name="scale" value="20"/><float name="albedo" value="0"/></medium>'
+    )
+    bsdf = '<bsdf type="dielectric"><string name="int_ior" value="water"/></bsdf>'
+    glass = f'<shape type="sphere" id="drop">{bsdf}{medium}</shape>'
+    (tmp_path / "a.xml").write_text(f'<scene version="3.0.0">{glass}</scene>')
+    scene = import_scene(tmp_path / "a.xml", ImportChoices(scale=0.1)).scene
+    material = scene.objects[0].material
+    assert isinstance(material, Dielectric)
+    assert material.ior == pytest.approx(1.3330 / 1.000277)
+    # Per metre: ten times as much as per unit of a tenth.
+    np.testing.assert_allclose(material.absorption, [20, 40, 60], rtol=1e-6)
+
+
+FACETS = '<string name="distribution" value="ggx"/><float name="alpha" value="0.2"/>'
+INDICES = '<float name="int_ior" value="1.5"/><float name="ext_ior" value="1"/>'
+
+
+@pytest.mark.parametrize(
+    ("bsdf", "expected"),
+    [
+        (f'<bsdf type="dielectric">{INDICES}</bsdf>', Dielectric(ior=1.5)),
+        (f'<bsdf type="roughdielectric">{INDICES}{FACETS}</bsdf>', RoughDielectric(ior=1.5, roughness=0.2)),
+        (f'<bsdf type="twosided"><bsdf type="roughplastic">{INDICES}{FACETS}<boolean name="nonlinear" value="true"/>'
+         '<rgb name="diffuse_reflectance" value="0.1,0.2,0.3"/></bsdf></bsdf>',
+         Plastic(color=(0.1, 0.2, 0.3), ior=1.5, roughness=0.2)),
+        (f'<bsdf type="roughconductor">{FACETS}<string name="material" value="none"/>'
+         '<rgb name="specular_reflectance" value="0.9,0.5,0.25"/></bsdf>',
+         Conductor(color=(0.9, 0.5, 0.25), roughness=0.2)),
+    ],
+)  # fmt: skip
+def test_bsdfs_that_we_have_are_taken_one_to_one(bsdf: str, expected: object, tmp_path: Path) -> None:
+    (tmp_path / "a.xml").write_text(f'<scene version="3.0.0"><shape type="cube">{bsdf}</shape></scene>')
+    done = import_scene(tmp_path / "a.xml", ImportChoices())
+    found = done.scene.objects[0].material
+    assert type(found) is type(expected)
+    for key, value in vars(expected).items():
+        np.testing.assert_allclose(getattr(found, key), value, rtol=1e-6)
+    assert done.record["approximations"] == []
+
+
+def test_a_metal_of_eta_and_k_mirrors_as_fresnel_says_straight_on(tmp_path: Path) -> None:
+    entry = material_of(
+        tmp_path, '<bsdf type="conductor"><rgb name="eta" value="0.2,1,3"/><rgb name="k" value="3,0,2"/></bsdf>'
+    )
+    expected = [(0.64 + 9) / (1.44 + 9), 0.0, (4 + 4) / (16 + 4)]
+    np.testing.assert_allclose(entry.base_color, expected, rtol=1e-6)
+
+
+def test_references_reach_one_bsdf_from_many_shapes(tmp_path: Path) -> None:
+    bsdf = '<bsdf type="diffuse" id="red"><rgb name="reflectance" value="0.8,0.1,0.1"/></bsdf>'
+    scene = read(tmp_path, bsdf + '<shape type="cube"><ref id="red"/></shape>' * 2)
+    colors = [item.material.base_color for item in scene.objects if isinstance(item.material, ForeignMaterial)]
+    np.testing.assert_allclose(colors, [[0.8, 0.1, 0.1]] * 2, rtol=1e-6)
+
+
+def test_a_checkerboard_is_an_image_with_its_first_colour_at_the_origin_of_uv(tmp_path: Path) -> None:
+    texture = (
+        '<texture name="reflectance" type="checkerboard"><rgb name="color0" value="0,0,0"/>'
+        '<rgb name="color1" value="1,1,1"/><transform name="to_uv"><scale x="4" y="2"/></transform></texture>'
+    )
+    scene = read(tmp_path, f'<shape type="rectangle"><bsdf type="diffuse">{texture}</bsdf></shape>')
+    item = scene.objects[0]
+    assert isinstance(item.material, ForeignMaterial) and item.material.image is not None and item.uv is not None
+    pixels = np.asarray(Image.open(io.BytesIO(item.material.image.data)))
+    assert [pixels[0, 0, 0], pixels[0, -1, 0], pixels[-1, 0, 0], pixels[-1, -1, 0]] == [0, 255, 255, 0]
+    np.testing.assert_allclose(np.ptp(item.uv, axis=0), [4, 2])
+
+
+def test_cameras_and_lights_stand_where_the_file_puts_them(tmp_path: Path) -> None:
+    lamp = (
+        '<shape type="rectangle"><transform name="to_world"><rotate x="1" angle="180"/><translate z="4"/></transform>'
+        '<emitter type="area"><rgb name="radiance" value="6,5,4"/></emitter></shape>'
+    )
+    sky = '<emitter type="constant"><rgb name="radiance" value="0.5,0.6,0.7"/></emitter>'
+    (tmp_path / "a.xml").write_text(f'<scene version="3.0.0">{SENSOR}{BALL}{lamp}{sky}</scene>')
+    scene = import_scene(tmp_path / "a.xml", ImportChoices(cameras="file")).scene
+    assert [item.name for item in scene.objects] == ["ball"], "no ground is added, and lamps are no objects"
+    assert isinstance(scene.cameras, CameraList)
+    camera = scene.cameras.poses()["interpolating"][0]
+    np.testing.assert_allclose(camera[:3, 3], [0, -3, 1.5], atol=1e-6)
+    ahead = np.array([0, 3, -1]) / math.sqrt(10)
+    np.testing.assert_allclose(camera[:3, :3].T, [[1, 0, 0], np.cross([1, 0, 0], ahead), -ahead], atol=1e-6)
+    assert scene.cameras.fov_deg == pytest.approx(40)
+    (light,) = scene.lights
+    normal = np.cross(light.edge_u, light.edge_v)
+    np.testing.assert_allclose(normal / 4, [0, 0, -1], atol=1e-12)
+    # Mitsuba 3.9 answers what rounding leaves of a turn, 2e-16, with radiance that is no number.
+    assert all(value == 0 or abs(value) > 1e-6 for value in (*light.edge_u, *light.edge_v))
+    assert isinstance(scene.environment, SoftEnvironment)
+    np.testing.assert_allclose([light.radiance, scene.environment.zenith], [[6, 5, 4], [0.5, 0.6, 0.7]], rtol=1e-6)
+
+
+@pytest.mark.parametrize(("axis", "expected"), [("x", 40), ("y", 72.1048), ("smaller", 72.1048), ("larger", 40)])
+def test_the_field_of_view_is_that_of_its_axis(axis: str, expected: float, tmp_path: Path) -> None:
+    sensor = SENSOR.replace('name="width" value="64"', 'name="width" value="128"')
+    sensor = sensor.replace("<transform", f'<string name="fov_axis" value="{axis}"/><transform', 1)
+    camera = read(tmp_path, sensor + BALL).cameras[0]
+    assert camera.fov_deg == pytest.approx(expected, abs=1e-3)
+
+
+def test_files_are_included_from_the_folder(tmp_path: Path) -> None:
+    (tmp_path / "parts.xml").write_text(f'<scene version="3.0.0">{BALL}</scene>')
+    assert [item.name for item in read(tmp_path, '<include filename="parts.xml"/>').objects] == ["ball"]
+
+
+# Hostile scenes
+
+OUTSIDE = "/etc/passwd"
+MEDIUM = '<medium name="interior" type="homogeneous"><float name="albedo" value="{}"/></medium>'
+
+
+def textured(texture: str) -> str:
+    return f'<shape type="cube"><bsdf type="diffuse">{texture}</bsdf></shape>'
+
+
+def image(name: str) -> str:
+    return textured(f'<texture name="reflectance" type="bitmap"><string name="filename" value="{name}"/></texture>')
+
+
+def mesh(kind: str, name: str) -> str:
+    return f'<shape type="{kind}"><string name="filename" value="{name}"/></shape>'
+
+
+def cube(inner: str) -> str:
+    return f'<shape type="cube">{inner}</shape>'
+
+
+HOSTILE: dict[str, str] = {
+    "nothing to see": "",
+    "a lamp alone": '<emitter type="constant"/>',
+    "an include from the root": f'<include filename="{OUTSIDE}"/>' + CUBE,
+    "an include from above": '<include filename="../other.xml"/>' + CUBE,
+    "an include through a link": '<include filename="link.xml"/>' + CUBE,
+    "an include of a pipe": '<include filename="pipe"/>' + CUBE,
+    "an include of a folder": '<include filename="folder"/>' + CUBE,
+    "an include of itself": '<include filename="a.xml"/>' + CUBE,
+    "includes in a circle": '<include filename="circle.xml"/>' + CUBE,
+    "an include that is missing": '<include filename="gone.xml"/>' + CUBE,
+    "an include without a name": "<include/>" + CUBE,
+    "an include of a parameter": f'<default name="x" value="{OUTSIDE}"/><include filename="$x"/>' + CUBE,
+    "a path for plugins": '<path value="."/>' + CUBE,
+    "a path for plugins as resources": '<resources value="."/>' + CUBE,
+    "an alias": '<alias id="a" as="b"/>' + CUBE,
+    "a shape of a plugin of its own": '<shape type="evil"/>',
+    "a shape by a path": '<shape type="../evil"/>',
+    "a material of its own": cube('<bsdf type="evil"/>'),
+    "a texture of its own": textured('<texture name="reflectance" type="evil"/>'),
+    "a shape that is instanced": '<shape type="instance"/>',
+    "a serialized mesh": mesh("serialized", "a.serialized"),
+    "a PLY from the root": mesh("ply", OUTSIDE),
+    "a PLY from above": mesh("ply", "../other.ply"),
+    "a PLY through a link": mesh("ply", "link.xml"),
+    "a PLY of a pipe": mesh("ply", "pipe"),
+    "a PLY that is missing": mesh("ply", "gone.ply"),
+    "a PLY that is none": mesh("ply", "a.xml"),
+    "a PLY without a name": '<shape type="ply"/>',
+    "an OBJ from the root": mesh("obj", OUTSIDE),
+    "an OBJ that is none": mesh("obj", "a.xml"),
+    "an image from the root": image(OUTSIDE),
+    "an image from above": image("../other.png"),
+    "an image that is missing": image("gone.png"),
+    "an image without a name": textured('<texture name="reflectance" type="bitmap"/>'),
+    "a flat transform": cube('<transform name="to_world"><scale value="0"/></transform>'),
+    "a transform without end": cube('<transform name="to_world"><scale value="1e300"/></transform>'),
+    "a transform of nan": cube('<transform name="to_world"><scale value="nan"/></transform>'),
+    "a transform of words": cube('<transform name="to_world"><scale value="big"/></transform>'),
+    "a matrix of three numbers": cube('<transform name="to_world"><matrix value="1 2 3"/></transform>'),
+    "a radius below 0": '<shape type="sphere"><float name="radius" value="-1"/></shape>',
+    "a radius of nan": '<shape type="sphere"><float name="radius" value="nan"/></shape>',
+    "a radius of words": '<shape type="sphere"><string name="radius" value="big"/></shape>',
+    "an unknown glass": cube('<bsdf type="dielectric"><string name="int_ior" value="kryptonite"/></bsdf>'),
+    "an index below that of air": cube('<bsdf type="dielectric"><float name="int_ior" value="0.5"/></bsdf>'),
+    "an index of nan": cube('<bsdf type="dielectric"><float name="int_ior" value="nan"/></bsdf>'),
+    "an outer index of 0": cube('<bsdf type="dielectric"><float name="ext_ior" value="0"/></bsdf>'),
+    "an unknown metal": cube('<bsdf type="conductor"><string name="material" value="Uo"/></bsdf>'),
+    "facets that are an image": cube('<bsdf type="roughconductor"><texture name="alpha" type="checkerboard"/></bsdf>'),
+    "a scattering medium": cube(f'<bsdf type="dielectric"/>{MEDIUM.format(0.5)}'),
+    "a medium of its own": cube('<bsdf type="dielectric"/><medium name="interior" type="evil"/>'),
+    "a medium inside of paint": cube(f'<bsdf type="diffuse"/>{MEDIUM.format(0)}'),
+    "two sides of nothing": cube('<bsdf type="twosided"/>'),
+    "a reference to nothing": cube('<ref id="gone"/>'),
+    "a name that stands twice": CUBE + CUBE,
+    "a sensor of its own": '<sensor type="evil"/>' + CUBE,
+    "a sensor of an unknown axis": '<sensor type="perspective"><string name="fov_axis" value="w"/></sensor>' + CUBE,
+    "a focal length": '<sensor type="perspective"><string name="focal_length" value="50mm"/></sensor>' + CUBE,
+    "a sensor of no pixels": SENSOR.replace('value="64"', 'value="0"') + CUBE,
+    "a sensor that looks nowhere": SENSOR.replace('target="0,0,0.5"', 'target="0,-3,1.5"') + CUBE,
+    "an unknown tag": "<thing/>" + CUBE,
+    "a parameter that is not there": '<shape type="sphere"><float name="radius" value="$r"/></shape>',
+    "tags without end": "<scene>" * 5000,
+    "very many tags": '<float name="x" value="1"/>' * 200_001,
+}  # fmt: skip
+
+WHOLE: dict[str, bytes] = {
+    "nothing": b"",
+    "no XML": b"ply\n",
+    "half an XML": b'<scene version="3.0.0"><shape type="cube">',
+    "no scene": b'<shape version="3.0.0" type="cube"/>',
+    "no version": b"<scene/>",
+    "UTF-16": '<scene version="3.0.0"/>'.encode("utf-16"),
+    "an unknown encoding": b'<?xml version="1.0" encoding="klingon"?><scene version="3.0.0"/>',
+    "a document type": b'<!DOCTYPE scene [<!ENTITY x SYSTEM "/etc/passwd">]><scene version="3.0.0">&x;</scene>',
+    "a bomb of entities": b'<!DOCTYPE s [<!ENTITY a "aaa"><!ENTITY b "&a;&a;">]><scene version="3.0.0">&b;</scene>',
+    "zeros": b"\0" * 1000,
+}
+
+
+@pytest.mark.parametrize("name", [*HOSTILE, *WHOLE])
+def test_a_hostile_scene_is_refused_in_one_line_and_nothing_outside_is_told(name: str, tmp_path: Path) -> None:
+    root = tmp_path / "in"
+    (root / "folder").mkdir(parents=True)
+    for other in ("other.xml", "other.ply", "other.png"):
+        (tmp_path / other).write_text(f'<scene version="3.0.0">{CUBE}</scene>')
+    (root / "link.xml").symlink_to(tmp_path / "other.xml")
+    (root / "circle.xml").write_text('<scene version="3.0.0"><include filename="a.xml"/></scene>')
+    os.mkfifo(root / "pipe")
+    data = WHOLE[name] if name in WHOLE else f'<scene version="3.0.0">{HOSTILE[name]}</scene>'.encode()
+    (root / "a.xml").write_bytes(data)
+    read_ready = time.process_time()
+    with pytest.raises(HyalineError) as refused:
+        read_mitsuba(root / "a.xml", Remarks())
+    assert time.process_time() - read_ready < 2.5
+    text = str(refused.value)
+    assert "\n" not in text and "root:" not in text and len(text) < 1000
