@@ -16,6 +16,9 @@ from datagen.data.finding import build_command, find_dataset
 from datagen.data.geometries import check_geometry
 from datagen.data.layer_writing import check_settings
 from datagen.data.paths import TRUTH
+from datagen.disk.errors import HyalineError
+from datagen.disk.ownership import refuse_file
+from datagen.disk.storage import commit
 from datagen.scene.importers.choices import ImportChoices
 from datagen.terminal.command import fail, next_command, run, say, say_all, tell, unwrap_help
 
@@ -38,6 +41,7 @@ def main() -> None:
         "peel": peel,
         "export": export,
         "verify": verify,
+        "look": look,
         "mend": mend,
         "render": render,
         "scenes": scenes,
@@ -162,6 +166,29 @@ def verify(dataset: str | None = None) -> None:
         say(remark)
     _tell_problems(root, found)
     tell(f"{root}: {found.verified} files verified")
+
+
+def look(dataset: str | None = None, out: Path | None = None, overwrite: bool = False) -> None:
+    """Writes one page that shows a dataset: pictures, masks, depth, normals, layers, proxies, cameras, noise, objects.
+
+    It takes seconds, needs no training, and shows what is missing; open it in any browser.
+
+    Args:
+        dataset: A dataset's folder or its name under data/; the only one there unless given. May stand first, without
+            the flag.
+        out: The page, or a picture where it ends in .png; NAME-look.html unless given.
+        overwrite: Replace the file that is there.
+    """
+    from datagen.look.look import look_page, look_sheet
+
+    opened = open_dataset(find_dataset(dataset))
+    path = out if out is not None else Path(f"{opened.name}-look.html")
+    if path.suffix not in (".html", ".png"):
+        raise HyalineError(f"--out {path}: ends in {path.suffix!r}; expected .html for a page, or .png for a picture")
+    if not overwrite:
+        refuse_file(path)
+    commit(path, look_sheet(opened) if path.suffix == ".png" else look_page(opened))
+    tell(str(path))
 
 
 def _tell_problems(root: Path, found: "Findings") -> None:

@@ -38,6 +38,7 @@ HOMES = {
 FLOORS = {
     "datagen": (
         "cli",
+        "look",
         "export",
         "build",
         "quantities",

@@ -92,22 +92,23 @@ for (const figure of document.querySelectorAll(".compare")) {
   choose("Slider");
 }
 
-// A choice of several pictures in one place.
+// Several pictures, all of them or one alone and large.
 for (const group of document.querySelectorAll(".choice")) {
   const panels = [...group.children].filter((child) => child.dataset.name !== undefined);
   const tools = document.createElement("div");
   tools.className = "tools";
   const choose = (panel) => {
-    for (const other of panels) other.hidden = other !== panel;
-    [...tools.children].forEach((button, place) => button.setAttribute("aria-pressed", String(panels[place] === panel)));
+    for (const other of panels) other.hidden = panel !== null && other !== panel;
+    group.classList.toggle("alone", panel !== null);
+    [null, ...panels].forEach((other, place) => tools.children[place].setAttribute("aria-pressed", String(other === panel)));
   };
-  for (const panel of panels) {
+  for (const panel of [null, ...panels]) {
     const button = document.createElement("button");
     button.type = "button";
-    button.textContent = panel.dataset.name;
+    button.textContent = panel === null ? "all" : panel.dataset.name;
     button.addEventListener("click", () => choose(panel));
     tools.append(button);
   }
   group.prepend(tools);
-  if (panels.length) choose(panels[0]);
+  choose(null);
 }

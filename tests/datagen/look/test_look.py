@@ -1,0 +1,83 @@
+"""Tests of the look at a dataset: it shows what is there, names what is not, and stands alone as a page."""
+
+import io
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from support.pages import read_page
+from support.synthetic import write_synthetic_dataset
+
+from datagen.data.dataset import Dataset, open_dataset
+from datagen.look.look import folder_sizes, look_page, look_sheet, missing_lines
+from datagen.look.view_pictures import depth_picture, object_colors, stored_pictures
+
+
+@pytest.fixture
+def dataset(tmp_path: Path) -> Dataset:
+    return write_synthetic_dataset(tmp_path / "data" / "synthetic")
+
+
+def test_the_page_shows_every_split_every_object_and_all_that_is_stored(dataset: Dataset) -> None:
+    page = read_page(look_page(dataset))
+    assert "No file is missing." in [paragraph.text for paragraph in page.all("p")]
+    captions = {caption.text for caption in page.all("figcaption")}
+    for split in dataset.splits:
+        for name in ("picture", "glass", "depth", "normals", "layer 0", "layer 1"):
+            assert f"{split} view 0: {name}" in captions
+    assert {"Cameras from above", "Cameras from the side"} <= captions
+    cells = [cell.text for cell in page.all("th")]
+    assert {"pane", "floor"} <= set(cells)
+    assert {"ThinDielectric", "Diffuse"} <= {cell.text for cell in page.all("td")}
+    views = sum(dataset.num_views.values())
+    assert sum(" view " in title.text and ", " not in title.text for title in page.all("title")) == 2 * views
+    assert not page.all("img")
+
+
+def test_what_is_missing_or_damaged_is_said_and_the_rest_is_shown(dataset: Dataset) -> None:
+    (dataset.root / "images" / "train" / "0001.exr").unlink()
+    (dataset.root / "layers" / "straight" / "records" / "interpolating" / "0000.json").unlink()
+    extrapolating = dataset.root / "images" / "extrapolating" / "0000.png"
+    extrapolating.write_bytes(extrapolating.read_bytes()[:-9])
+    count = dataset.num_views["train"]
+    assert missing_lines(dataset) == [
+        f"train: 1 of {count} views are not built, such as 1",
+        f"interpolating: 1 of {dataset.num_views['interpolating']} views lack layers of truth",
+    ]
+    page = read_page(look_page(open_dataset(dataset.root)))
+    bad = [element.text for element in page.elements if element.attributes.get("class") == "bad"]
+    assert any("extrapolating/0000.png: damaged" in text for text in bad)
+    assert any("1 of" in text for text in bad)
+    assert any("datagen verify" in code.text for code in page.all("code"))
+    assert any("train view 0: picture" == caption.text for caption in page.all("figcaption"))
+
+
+def test_the_sheet_holds_the_pictures_pixel_by_pixel(dataset: Dataset) -> None:
+    with Image.open(io.BytesIO(look_sheet(dataset))) as picture:
+        sheet = np.asarray(picture)
+    side = dataset.config.resolution
+    np.testing.assert_array_equal(sheet[:side, :side], dataset.view("train", 0).image)
+    stored = stored_pictures(dataset.view("train", 0), has_layers=True)
+    np.testing.assert_array_equal(sheet[side + 4 : 2 * side + 4, side + 4 : 2 * side + 4], stored["glass"])
+
+
+def test_masks_depth_and_layers_are_what_the_dataset_stores(dataset: Dataset) -> None:
+    view = dataset.view("interpolating", 0)
+    pictures, layers = stored_pictures(view, has_layers=True), view.layers()
+    glass = view.mask("glass")
+    np.testing.assert_array_equal(pictures["glass"][glass], view.image[glass])
+    assert (pictures["glass"][~glass] <= view.image[~glass] // 5).all()
+    np.testing.assert_array_equal(pictures["layer 1"], object_colors(2)[layers.object_id[1]])
+    assert len(np.unique(object_colors(200), axis=0)) == 201
+    depth = depth_picture(np.float32([[1, 2], [3, 9]]), np.array([[True, True], [True, False]]))
+    assert depth[..., 0].tolist() == [[255, 147], [40, 0]]
+    assert list(stored_pictures(view, has_layers=False)) == ["picture"]
+
+
+def test_sizes_are_those_of_the_files(dataset: Dataset) -> None:
+    sizes = folder_sizes(dataset.root)
+    paths = [Path(place) / name for place, _, names in os.walk(dataset.root) for name in names]
+    assert sum(sizes.values()) == sum(path.stat().st_size for path in paths)
+    assert sizes["images"] == sum(path.stat().st_size for path in (dataset.root / "images").rglob("*.*"))
