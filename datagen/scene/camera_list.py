@@ -14,6 +14,9 @@ Matrix = tuple[Row, Row, Row, Row]
 MAX_SKEW = 1e-3
 """By which a rotation's axes may miss being perpendicular and of unit length."""
 
+LEAST_GAP_DEG = 60.0
+"""Between neighbouring cameras on a circle: something may stand where so much of it is empty."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class CameraList:
@@ -62,6 +65,29 @@ class CameraList:
     def radius(self) -> float:
         """Metres from the training cameras to their target; half of them are nearer."""
         return float(np.median(np.linalg.norm(self._axes()[0] - self.target, axis=1)))
+
+    @property
+    def elevation_deg(self) -> tuple[float, float]:
+        """Lowest and highest training camera above the target's horizon."""
+        elevation = np.degrees(np.arcsin(self._directions()[:, 2]))
+        return float(elevation.min()), float(elevation.max())
+
+    @property
+    def azimuth_deg(self) -> tuple[float, float]:
+        """First and last azimuth of training cameras around the target; all but the widest gap between two of them."""
+        directions = self._directions()
+        azimuth = np.sort(np.degrees(np.arctan2(directions[:, 1], directions[:, 0])))
+        gaps = np.diff(azimuth, append=azimuth[0] + 360)
+        widest = int(np.argmax(gaps))
+        if gaps[widest] < LEAST_GAP_DEG:
+            return 0.0, 360.0
+        first = float(azimuth[(widest + 1) % len(azimuth)])
+        return first, first + 360 - float(gaps[widest])
+
+    def _directions(self) -> Float[np.ndarray, "view 3"]:
+        """From the target to the training cameras, of unit length."""
+        away = self._axes()[0] - self.target
+        return away / np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-12)
 
     def _axes(self) -> tuple[Float[np.ndarray, "view 3"], Float[np.ndarray, "view 3"]]:
         matrices = self.poses()["train"]

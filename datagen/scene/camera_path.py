@@ -10,6 +10,7 @@ from datagen.data.cameras import Camera, Cameras, check_camera, look_at
 from datagen.data.dataset import Dataset
 from datagen.disk.errors import HyalineError
 from datagen.disk.reading import load_json
+from datagen.scene.camera_list import CameraList
 from datagen.scene.description import CameraRig
 from datagen.scene.folder import load_scene
 
@@ -53,7 +54,7 @@ def make_path(dataset: Dataset, path: str, frames: int, *, width: int | None, he
     return Cameras(world_from_camera=poses, fov_x=fov_x, width=wide, height=high)
 
 
-def _orbit(rig: CameraRig, frames: int) -> Float[np.ndarray, "view 4 4"]:
+def _orbit(rig: CameraRig | CameraList, frames: int) -> Float[np.ndarray, "view 4 4"]:
     first, last = rig.azimuth_deg
     turn = np.arange(frames) / frames
     if last - first >= FULL_TURN_DEG:

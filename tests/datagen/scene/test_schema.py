@@ -13,6 +13,7 @@ from support.synthetic import synthetic_scene
 from datagen.data.cameras import look_at
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import from_json
+from datagen.scene.camera_list import CameraList
 from datagen.scene.folder import FILE_RECORD, scene_files
 from datagen.scene.schema import scene_schema, schema_page, schema_text
 
@@ -163,6 +164,21 @@ def test_cameras_that_are_listed_are_read_as_they_stand(tmp_path: Path) -> None:
     (tmp_path / "scene.json").write_text(json.dumps(data))
     with pytest.raises(HyalineError, match=r"cameras train\[1\]: is no rotation and place"):
         load_scene(tmp_path)
+
+
+@pytest.mark.parametrize(("first", "last"), [(-30.0, 100.0), (150.0, 260.0), (0.0, 360.0)])
+def test_listed_cameras_know_where_on_the_circle_around_their_target_they_stand(first: float, last: float) -> None:
+    azimuth = np.radians(np.linspace(first, last, 14))
+    elevation = np.radians(np.linspace(10, 50, 14))
+    across = 2 * np.cos(elevation)
+    places = np.stack([across * np.cos(azimuth), across * np.sin(azimuth), 2 * np.sin(elevation)], axis=1)
+    poses = tuple(tuple(map(tuple, look_at(place, np.zeros(3)).tolist())) for place in places)
+    cameras = CameraList(train=poses, interpolating=poses[:1], extrapolating=poses[:1])
+    assert cameras.radius == pytest.approx(2, abs=1e-5)
+    assert cameras.elevation_deg == pytest.approx((10, 50), abs=1e-3)
+    found = np.array(cameras.azimuth_deg)
+    assert found[1] - found[0] == pytest.approx(last - first, abs=1e-3)
+    assert (found[0] - first + 180) % 360 == pytest.approx(180, abs=1e-3)
 
 
 def test_glass_is_known_by_name() -> None:
