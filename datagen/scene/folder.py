@@ -92,16 +92,8 @@ def scene_files(scene: Scene) -> dict[str, bytes]:
     # Through the parser and back, so that 1 and 1.0 give the same bytes.
     canonical = from_json(_SceneFile, to_json(file), where=f"scene {scene.name}")
     data = cast(dict[str, Json], to_json(canonical))
-    for item, described in zip(canonical.objects, cast(list[dict[str, dict[str, Json]]], data["objects"]), strict=True):
-        del described["transform"]
-        material = described["material"]
-        # A key that came later stands only where it says something: the scenes of older datasets keep their bytes.
-        for key in item.material.brief_keys:
-            if getattr(item.material, key) == getattr(type(item.material), key):
-                del material[key]
-        color = material.get("color")
-        if isinstance(color, dict) and color.get("origin") == [0.0, 0.0, 0.0]:
-            del color["origin"]
+    for described in cast(list[dict[str, Json]], data["objects"]):
+        del described["transform"]  # It is in the mesh.
     return {**files, "scene.json": dump_json(data)}
 
 

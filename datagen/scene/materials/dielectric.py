@@ -14,7 +14,6 @@ class Dielectric(Optics):
     """Smooth solid glass or liquid: refracts by Snell's law, reflects by Fresnel, absorbs by Beer and Lambert."""
 
     is_glass: ClassVar[bool] = True
-    brief_keys: ClassVar[tuple[str, ...]] = ("priority",)
 
     ior: Ior = 1.5
     """Absolute index of refraction (air has 1), or the name of a substance such as bk7, water or diamond."""

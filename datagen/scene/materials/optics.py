@@ -68,9 +68,6 @@ class Optics(ABC):
     is_glass: ClassVar[bool] = False
     """One sees through it: it is in no mask of opaque things, and the edit `glass` makes it opaque."""
 
-    brief_keys: ClassVar[tuple[str, ...]] = ()
-    """Keys that stand in scene.json only where they differ from their default."""
-
     @abstractmethod
     def bsdf(self, texture: TexturePlugin) -> Plugin:
         """How Mitsuba renders the surface."""

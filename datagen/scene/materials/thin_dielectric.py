@@ -13,7 +13,6 @@ class ThinDielectric(Optics):
     """A pane so thin that light goes straight through, with the reflections inside it summed; may be an open mesh."""
 
     is_glass: ClassVar[bool] = True
-    brief_keys: ClassVar[tuple[str, ...]] = ("tint",)
 
     ior: Ior = 1.5
     """Index of refraction, or the name of a substance."""
