@@ -5,6 +5,7 @@ here, and the word `report` may or may not be there.
 """
 
 import sys
+import time
 from pathlib import Path
 
 from datagen.terminal.command import run, say
@@ -24,6 +25,7 @@ def report(
     full: bool = False,
     published: bool = False,
     views: int = 3,
+    watch: bool = False,
     results: tuple[Path, ...] = (),
 ) -> None:
     """Scores every folder RUNS/SCENE/NAME/predictions/SPLIT/0000.png, 0001.png, ... and writes a page of them.
@@ -46,6 +48,7 @@ def report(
         published: Also print the paper's own numbers, and beside them what its authors' script would for these runs.
         views: Views of each split and run in index.html: the worst, the median and the best first. Of more than fit
             into 20 MB, the last are left out.
+        watch: Make the report again whenever a run changes, until Ctrl-C; a browser that shows the page follows.
         results: Instead of scoring runs, print the tables of these results.json files as one page of Markdown; from all
             of docs/results, `make results` makes RESULTS.md.
     """
@@ -55,24 +58,37 @@ def report(
         sys.stdout.write(results_page(results))
         return
     from datagen.data.finding import find_dataset
-    from eval.page.report import make_report, make_tables
+    from datagen.disk.errors import UsageError
+    from eval.page.report import check_asked, make_report, make_tables
+    from eval.page.watch import EVERY_S
+    from eval.page.watch import watch as watch_runs
 
     place = out if out is not None else runs / "report"
     only = None if dataset is None else find_dataset(dataset, data)
+    if table and watch:
+        raise UsageError("--watch: makes a whole report; leave out --table")
     if table:
         make_tables(runs, data, place, tables=table, output_format=format, only=only)
         return
-    make_report(
-        runs,
-        data,
-        place,
-        output_format=format,
-        order_layers=order,
-        only=only,
-        is_full=full,
-        is_published=published,
-        most_views=views,
-    )
+
+    def make() -> None:
+        make_report(
+            runs,
+            data,
+            place,
+            output_format=format,
+            order_layers=order,
+            only=only,
+            is_full=full,
+            is_published=published,
+            most_views=views,
+            refresh_s=EVERY_S if watch else None,
+        )
+
+    if watch:
+        check_asked(place, format, most_views=views, order_layers=order)
+        watch_runs(make, runs, place, pause=time.sleep)
+    make()
 
 
 def main() -> None:

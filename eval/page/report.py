@@ -51,6 +51,7 @@ def make_report(
     is_full: bool = False,
     is_published: bool = False,
     most_views: int = USUAL_VIEWS,
+    refresh_s: int | None = None,
 ) -> None:
     """Scores all runs; a run that cannot be scored is reported after the others are.
 
@@ -60,16 +61,12 @@ def make_report(
         is_full: also print what the runs are, quality by angle and by layers.
         is_published: also print the paper's own numbers, and beside them what its authors' script would for our runs.
         most_views: that the page shows of each split and run.
+        refresh_s: seconds after which a browser that shows the page reads it again; never unless given.
 
     Raises:
         HyalineError: an unknown format, no run, or a run that cannot be scored.
     """
-    choose("format", output_format, FORMATS)
-    if not 1 <= most_views <= MAX_VIEWS:
-        raise HyalineError(f"--views: is {most_views}; expected 1 to {MAX_VIEWS:,} of each split and run")
-    check_report_folder(out)
-    if order_layers:
-        check_order_layers(order_layers)
+    check_asked(out, output_format, most_views=most_views, order_layers=order_layers)
     runs, errors = _open_runs(runs_root, data_root, out, only)
     if not runs and not errors:
         raise HyalineError(
@@ -83,7 +80,7 @@ def make_report(
         _print_scores(scenes, further, results, output_format, is_full=is_full, is_published=is_published)
         files = {
             "results.json": Drawing(draw=lambda: results, about=sha256(results)),
-            PAGE: page_drawing(scenes, further, sha256(results), most_views=most_views),
+            PAGE: page_drawing(scenes, further, sha256(results), most_views=most_views, refresh_s=refresh_s),
             **figures_of(scenes, further),
         }
         for path in write_report(out, files):
@@ -94,6 +91,16 @@ def make_report(
         say(f"error: {error}")
     if errors:
         raise errors[-1]
+
+
+def check_asked(out: Path, output_format: str, *, most_views: int, order_layers: int) -> None:
+    """Raises a HyalineError for a choice that cannot be, or a folder that holds something else than a report."""
+    choose("format", output_format, FORMATS)
+    if not 1 <= most_views <= MAX_VIEWS:
+        raise HyalineError(f"--views: is {most_views}; expected 1 to {MAX_VIEWS:,} of each split and run")
+    check_report_folder(out)
+    if order_layers:
+        check_order_layers(order_layers)
 
 
 TABLES = (*COMPARISONS, "proxies", *ABLATIONS, "claims")
