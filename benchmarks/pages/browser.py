@@ -26,7 +26,7 @@ FLAGS = (
 """A browser whose drawing is computed by the processor: the same on every machine."""
 
 PATIENCE_MS = 120_000
-"""How long a page may take to answer: it draws a frame of 512 x 512 in a quarter of that."""
+"""How long a page may take to answer, or to draw one ray a pixel."""
 
 
 @dataclass(kw_only=True)
@@ -51,6 +51,7 @@ class Watched:
         encoded = self.evaluate(
             "async ([view, size, samples, edits]) => (await hyaline).picture(view, size, samples, edits)",
             [view, size, samples, edits or {}],
+            patience_ms=PATIENCE_MS * samples,
         )
         return np.array(encoded, np.uint8).reshape(size, size, 4)[..., :3]
 

@@ -7,16 +7,21 @@ a content security policy forbids it. Equal runs give equal bytes.
 import base64
 import hashlib
 import html
+import io
 import json
 import re
 from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
+from typing import cast
+
+from PIL import Image
 
 from datagen.data.dataset import Dataset
 from datagen.data.paths import view_name
 from datagen.disk.errors import HyalineError
 from datagen.disk.reading import read_regular
+from datagen.disk.records import Json
 from datagen.disk.storage import commit
 from datagen.terminal.distribution import VERSION
 from model.methods.light_path.net import LightPathRenderer
@@ -25,6 +30,9 @@ from model.run.run_folder import RunRecord
 from model.web.scene import Quality, web_scene
 
 SCRIPTS = ("unpack.js", "bvh.js", "camera.js", "tracer.js", "frames.js", "page.js")
+
+TRUTH_QUALITY = 92
+"""Of JPEG: the eye sees no difference, and a test view of the demo takes 9 kB."""
 
 MAX_PICTURE = 1 << 26
 """Bytes of the still picture."""
@@ -59,7 +67,7 @@ def scene_page(
         still: a PNG, shown until the first picture is drawn, and where none can be.
     """
     scene = web_scene(renderer, dataset, geometry, quality)
-    manifest = {**scene.manifest, "arrays": scene.packed.entries}
+    manifest = {**scene.manifest, "arrays": scene.packed.entries, "truth": cast(Json, _truths(dataset))}
     script = '"use strict";\n(() => {\n' + "\n".join(_part(name) for name in SCRIPTS) + "})();\n"
     style = _part("page.css")
     title = f"{dataset.name}: {label}"
@@ -84,6 +92,20 @@ def scene_page(
             "script": script,
         },
     ).encode()
+
+
+def _truths(dataset: Dataset) -> dict[str, str]:
+    """The path tracer's picture of each test view that is built, to be faded over the page's; by split/view."""
+    found = {}
+    for split in dataset.splits:
+        for view in [] if split == "train" else dataset.views(split):
+            if view.is_built:
+                buffer = io.BytesIO()
+                Image.fromarray(view.image).save(buffer, format="JPEG", quality=TRUTH_QUALITY, subsampling=0)
+                found[f"{split}/{view.index}"] = (
+                    "data:image/jpeg;base64," + base64.b64encode(buffer.getvalue()).decode()
+                )
+    return found
 
 
 def fill(template: str, parts: Mapping[str, str]) -> str:

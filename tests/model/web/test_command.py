@@ -1,6 +1,8 @@
 """Tests `model export`: a trained run in, one page out, and what is refused."""
 
 import dataclasses
+import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -55,6 +57,11 @@ def test_a_run_becomes_one_page_of_the_same_bytes_each_time_and_replaces_no_file
     data = pages[0].read_bytes()
     assert data == pages[1].read_bytes()
     assert data.startswith(b"<!doctype html>")
+    listed = re.search(rb'id="manifest">(.*?)</script>', data)
+    assert listed is not None
+    assert sorted(json.loads(listed[1])["truth"]) == [
+        f"{split}/{view}" for split in ("extrapolating", "interpolating") for view in (0, 1)
+    ]
     assert b"http://" not in data
     assert b"https://" not in data
     assert call(monkeypatch, "export", "--run", str(run), "--out", str(pages[0])) == 1
