@@ -26,6 +26,8 @@ class ImportChoices:
     """Cameras all around the glass, or those that the file brings."""
     ground: Literal["auto", "always", "never"] = "auto"
     """Add a checkered ground: where nothing lies below the glass, always or never."""
+    repair: bool = False
+    """Close the holes of glass that is open, where that changes its volume by 5 % at most; else it becomes thin."""
     merge: bool = False
     """Make one object of all surfaces of a material: a scene has at most 255 objects."""
     strict: bool = False

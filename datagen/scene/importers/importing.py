@@ -14,15 +14,16 @@ from datagen.disk.storage import sha256_file
 from datagen.scene.description import MAX_OBJECTS, OBJECT_NAME, Scene, SceneObject
 from datagen.scene.importers.apart import apart, parted
 from datagen.scene.importers.choices import ImportChoices
-from datagen.scene.importers.foreign import Axis, ForeignObject, ForeignScene, elementwise
+from datagen.scene.importers.foreign import Axis, ForeignMaterial, ForeignObject, ForeignScene, elementwise
 from datagen.scene.importers.gltf import read_gltf
-from datagen.scene.importers.mapping import Mapper
+from datagen.scene.importers.mapping import Mapper, lets_light_through
 from datagen.scene.importers.merging import merged_by_material
 from datagen.scene.importers.mitsuba_xml import read_mitsuba
 from datagen.scene.importers.obj import PLAIN, read_obj
 from datagen.scene.importers.overrides import override, parse_overrides
 from datagen.scene.importers.ply import read_ply_file
 from datagen.scene.importers.remarks import Remark, Remarks
+from datagen.scene.importers.repair import closed
 from datagen.scene.importers.staging import (
     LIGHT,
     even_sky,
@@ -107,7 +108,7 @@ def import_scene(path: Path, choices: ImportChoices) -> Imported:
     objects: list[SceneObject] = []
     without_uv: set[str] = set()
     for name, part in zip(names, parts, strict=True):
-        item = _object(name, part, linear, offset, mapper, override(name, overrides), remarks)
+        item = _object(name, part, linear, offset, mapper, override(name, overrides), remarks, repairs=choices.repair)
         objects += parted(item, remarks)
         if part.uv is None:
             without_uv.add(name)
@@ -152,6 +153,8 @@ def _object(
     mapper: Mapper,
     chosen: Material | None,
     remarks: Remarks,
+    *,
+    repairs: bool,
 ) -> SceneObject:
     """One object in metres, z up, with a material that suits its mesh."""
     normals = None if part.normals is None else elementwise(part.normals, linear, np.zeros(3))
@@ -163,9 +166,18 @@ def _object(
     material = chosen or part.material
     if material is PLAIN:
         remarks.note(name, "has no material in the file; drawn grey and matt, --material names another")
+    if repairs and _is_solid(material):
+        mesh = made_sound(closed(mesh, remarks, where=name), remarks, where=name)
     if not isinstance(material, Material):
         material = mapper.material(material, shape_of(mesh, has_uv=part.uv is not None), where=name)
     return SceneObject(name=name, mesh=mesh, material=material)
+
+
+def _is_solid(material: Material | ForeignMaterial) -> bool:
+    """True for glass that fills its mesh, were that closed."""
+    if isinstance(material, ForeignMaterial):
+        return lets_light_through(material) and not material.is_thin
+    return material.medium is not None
 
 
 def _find_scale(

@@ -44,8 +44,7 @@ class Mapper:
     def material(self, foreign: ForeignMaterial, shape: Shape, *, where: str) -> Material:
         """The material of ours that comes nearest, on a surface of this shape."""
         is_blended = foreign.alpha_mode == "blend" and foreign.alpha < SOLID_BLEND
-        lets_through = foreign.transmission * (1 - foreign.metallic)
-        if lets_through >= 0.5:
+        if lets_light_through(foreign):
             if foreign.transmission < 1:
                 self.remarks.approximate(
                     where, f"lets {100 * foreign.transmission:.0f} % of the light through; drawn as clear glass"
@@ -160,6 +159,11 @@ class Mapper:
             self._means[foreign] = mean_color(decoded(foreign.image))
         red, green, blue = (a * b for a, b in zip(foreign.base_color, self._means[foreign], strict=True))
         return red, green, blue
+
+
+def lets_light_through(foreign: ForeignMaterial) -> bool:
+    """True for glass: metal lets nothing through, whatever its transmission."""
+    return foreign.transmission * (1 - foreign.metallic) >= 0.5
 
 
 def _mixed(color: Color, share: float) -> Color:
