@@ -279,7 +279,7 @@ def screenshot(
     link: str = "",
     overwrite: bool = False,
 ) -> None:
-    """A picture of a page that `model export` wrote, as a headless browser shows it.
+    """A picture of a page that `model export`, `eval report` or `datagen look` wrote, as a headless browser shows it.
 
     Args:
         page: The page.
@@ -287,8 +287,8 @@ def screenshot(
         width: Of the browser's window, in pixels.
         height: Of the browser's window, in pixels.
         dark: Let the browser ask for dark colours.
-        rays: Rays a pixel that the page draws before the picture is taken.
-        link: What the page's own "Copy link" gives after the #: a camera and edits.
+        rays: Rays a pixel that the page draws before the picture is taken; 0 for a report or a look, which draw none.
+        link: What the page's own "Copy link" gives after the #: a camera and edits; in a report a part of it.
         overwrite: Replace a file that stands at --out.
     """
     from benchmarks.pages.shots import take_screenshot

@@ -1,0 +1,127 @@
+"""Tests of pages in a real browser: they sort, slide and switch, fit a phone, and ask for nothing."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from support.browser import require_browser
+from support.synthetic import write_synthetic_dataset
+
+from benchmarks.pages.browser import Watched, running_browser, watched_page
+from datagen.data.config import TEST_SPLITS
+from datagen.data.dataset import Dataset
+from datagen.data.png import png_bytes
+from datagen.look.look import look_page
+from eval.page.report import make_report
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    require_browser()
+    return write_synthetic_dataset(tmp_path_factory.mktemp("browser") / "data" / "synthetic")
+
+
+@pytest.fixture(scope="module")
+def report(dataset: Dataset) -> Path:
+    """The page of two runs, one much darker than the truth."""
+    root = dataset.root.parents[1]
+    for name, step in (("near", 3), ("very dark", 200)):
+        for split in TEST_SPLITS:
+            folder = root / "runs" / "synthetic" / name / "predictions" / split
+            folder.mkdir(parents=True)
+            for view in dataset.views(split):
+                (folder / f"{view.index:04d}.png").write_bytes(png_bytes(view.image - np.minimum(view.image, step)))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("eval.page.report.figures_of", lambda *_: {})
+        make_report(root / "runs", root / "data", root / "out", output_format="csv")
+    return root / "out" / "index.html"
+
+
+@pytest.fixture(scope="module")
+def browser(dataset: Dataset) -> Iterator["Browser"]:
+    with running_browser() as running:
+        yield running
+
+
+@pytest.fixture
+def shown(browser: "Browser", report: Path) -> Iterator[Watched]:
+    """The report, which has asked for nothing and complained of nothing when the test is over."""
+    with watched_page(browser, width=1100, height=800) as watched:
+        watched.page.goto(report.as_uri())
+        yield watched
+        assert watched.complaints == []
+        assert {request.partition("#")[0] for request in watched.requests} == {report.as_uri()}
+
+
+def test_tables_sort_by_mouse_and_keyboard_and_say_so(shown: Watched) -> None:
+    page = shown.page
+    table = page.locator("table").first
+    names = table.locator("tbody th")
+    head = table.locator("thead th").nth(1)
+    assert names.all_inner_texts() == ["near", "very dark"]
+    head.locator("button").click()
+    assert (head.get_attribute("aria-sort"), names.all_inner_texts()) == ("descending", ["near", "very dark"])
+    page.keyboard.press("Enter")
+    assert (head.get_attribute("aria-sort"), names.all_inner_texts()) == ("ascending", ["very dark", "near"])
+    assert table.locator("thead th").nth(2).get_attribute("aria-sort") == "none"
+    assert "ceiling" in table.locator("tfoot").inner_text()
+
+
+def test_one_part_is_shown_at_a_time_and_the_slider_parts_truth_and_prediction(shown: Watched) -> None:
+    page = shown.page
+    page.locator("nav").get_by_text("very dark").click()
+    assert page.locator("main > .page:visible").count() == 1
+    figure = page.locator(".compare:visible").first
+    slider, panels = figure.locator("input[type=range]"), figure.locator(".panels")
+
+    def brightness(value: int) -> float:
+        slider.evaluate("(slider, value) => { slider.value = value; slider.dispatchEvent(new Event('input')); }", value)
+        return mean_of(panels.screenshot())
+
+    truth, half, prediction = brightness(100), brightness(50), brightness(0)
+    assert truth > half + 10 > prediction + 20
+    slider.focus()
+    page.keyboard.press("ArrowRight")
+    assert slider.input_value() == "1"
+    figure.get_by_role("button", name="Error").click()
+    assert mean_of(panels.screenshot()) > 150  # Eight times a large difference: white where it was black.
+    figure.get_by_role("button", name="Side by side").click()
+    assert figure.locator(".picture:visible").count() == 3
+
+
+@pytest.mark.parametrize("is_dark", [False, True], ids=["light", "dark"])
+def test_a_phone_shows_the_page_without_scrolling_sideways_in_either_colours(
+    browser: "Browser", report: Path, is_dark: bool
+) -> None:
+    with watched_page(browser, width=360, height=700, dark=is_dark) as watched:
+        watched.page.goto(report.as_uri())
+        for link in watched.page.locator("nav a").all():
+            link.click()
+            assert watched.evaluate("() => document.documentElement.scrollWidth") <= 360
+        assert (mean_of(watched.page.screenshot()) < 128) == is_dark
+
+
+def test_a_look_shows_one_picture_alone_when_asked(browser: "Browser", dataset: Dataset) -> None:
+    path = dataset.root.parents[1] / "look.html"
+    path.write_bytes(look_page(dataset))
+    with watched_page(browser, width=1100, height=800) as watched:
+        watched.page.goto(path.as_uri())
+        group = watched.page.locator(".choice").first
+        assert group.locator("figure:visible").count() > 4
+        group.get_by_role("button", name="depth").click()
+        assert group.locator("figure:visible figcaption").all_inner_texts() == ["train view 0: depth"]
+        assert watched.complaints == []
+
+
+def mean_of(png: bytes) -> float:
+    import io
+
+    from PIL import Image
+
+    with Image.open(io.BytesIO(png)) as picture:
+        return float(np.mean(np.asarray(picture.convert("RGB"))))
