@@ -92,7 +92,7 @@ def box_mesh(box: Box) -> Mesh:
             vertices.append(_to_world(box, local))
             normals.append(np.broadcast_to(sign * box.axes[across], local.shape))
             uv.append(low + np.stack([s, t], axis=-1) * (high - low))
-            faces.append(total + _grid_faces(counts[along_u], counts[along_v]))
+            faces.append(total + _grid_faces(int(counts[along_u]), int(counts[along_v])))
             total += len(s)
     return Mesh(
         vertices=np.concatenate(vertices).astype(np.float32),
