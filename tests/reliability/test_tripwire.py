@@ -79,10 +79,6 @@ TRIPS = (
     ),
     Trip(line="proxies make --dataset data/one --kind box", taken=("data/one/proxies/box/meshes/floor.ply",)),
     Trip(line="proxies make --dataset data/one --kind box --overwrite", taken=("data/one/proxies/box/proxies.json",)),
-    Trip(
-        line="datagen peel --dataset data/one --layers light-path --overwrite",
-        taken=("data/one/layers/light-path/layers.json",),
-    ),
     Trip(line=f"{EXPORT} --format blender", taken=("exports/one/transforms_train.json",)),
     Trip(line=f"{EXPORT} --format 3dgs --overwrite", start="exported", taken=("exports/one/points3d.ply",)),
     Trip(line=f"{EXPORT} --format 3dgs --overwrite", taken=("exports/one/hyaline-export.json",)),
@@ -135,7 +131,7 @@ ELSEWHERE = {
     "model render": {"dataset", "fps", "width", "height"},
     "model export": {"dataset", "quality"},
     "model sweep": {"dataset", "seed", "jobs", "dry_run"},
-    "report report": {"format", "order", "dataset", "full", "published", "views"},
+    "report report": {"format", "order", "dataset", "full", "published", "results", "views"},
 }  # fmt: skip
 """Flags that choose what is written, or by how many, and never where: no line above needs them."""
 
