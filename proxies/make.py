@@ -1,6 +1,5 @@
 """Making proxies: fits one to every object of a dataset, commits them, checks them."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,39 +14,12 @@ from datagen.disk.ownership import PROXIES, holding, refuse_others
 from datagen.disk.promises import check_files
 from datagen.disk.storage import load_sealed
 from datagen.terminal.command import say
-from proxies.kinds.blocks import fit_blocks
-from proxies.kinds.box import fit_box
-from proxies.kinds.ellipsoid import fit_ellipsoid
-from proxies.kinds.hull import fit_hulls
-from proxies.kinds.wrap import fit_lowpolys, fit_wraps
+from proxies.kinds.table import FITTERS
 from proxies.meshing.measure import enclosure, proxy_statistics
 from proxies.meshing.meshlab import meshlab_problem
 from proxies.meshing.noise import noise_problem, noisy_mesh
 from proxies.meshing.solid import Solid, make_solids
-from proxies.spec import MixedSpec, ProxyKind, ProxySpec, parse_part
-
-Fitter = Callable[[tuple[Solid, ...], tuple[float, ...]], tuple[Mesh, ...]]
-
-
-def _one_by_one(fit: Callable[..., Mesh]) -> Fitter:
-    return lambda solids, paddings: tuple(
-        fit(solid, padding=padding) for solid, padding in zip(solids, paddings, strict=True)
-    )
-
-
-FITTERS: dict[ProxyKind, Fitter] = {
-    "box": _one_by_one(fit_box),
-    "ellipsoid": _one_by_one(fit_ellipsoid),
-    "hull": fit_hulls,
-    "lowpoly": fit_lowpolys,
-    "wrap": fit_wraps,
-    "blocks": fit_blocks,
-}
-"""`FITTERS[kind](solids, paddings)` are closed, outward meshes with a uv of its own for every surface point.
-
-Each encloses its solid and stands off by its padding in metres. All at once, since what calls another program for all
-of them starts it once. Every kind but `noise`, which encloses nothing.
-"""
+from proxies.spec import MixedSpec, ProxySpec, parse_part
 
 PADDING = 2e-6
 """Step between the paddings of two proxies, in parts of the scene's extent."""

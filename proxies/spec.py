@@ -4,14 +4,13 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
-from typing import Literal, cast, get_args
+from typing import cast, get_args
 
 from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
 from datagen.terminal.command import choose
+from proxies.kinds.table import ProxyKind
 from proxies.meshing.noise import check_amount
-
-ProxyKind = Literal["box", "ellipsoid", "hull", "lowpoly", "wrap", "blocks", "noise"]
 
 KINDS: tuple[ProxyKind, ...] = get_args(ProxyKind)
 

@@ -20,10 +20,10 @@ from datagen.data.meshes import (
 from datagen.data.windings import check_closed
 from datagen.disk.errors import HyalineError
 from proxies.kinds import box, ellipsoid, hull
-from proxies.make import FITTERS, paddings
+from proxies.kinds.table import FITTERS, ProxyKind
+from proxies.make import paddings
 from proxies.meshing import inside, measure, meshlab, noise, solid
 from proxies.meshing.solid import Solid, make_solids, outside_by
-from proxies.spec import ProxyKind
 
 KINDS = list(FITTERS)
 CONVEX_KINDS: list[ProxyKind] = ["box", "ellipsoid", "hull"]
