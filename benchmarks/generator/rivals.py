@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from datagen.data.cameras import Cameras
+from datagen.data.exr import decode_radiance, encode_float_exr
 from datagen.data.layers import Layers
 from datagen.data.meshes import Mesh
 from datagen.data.number_formats import UV_SCALE, quantize_uv
@@ -83,18 +84,16 @@ class StoredLayers:
     """One EXR a layer, u, v and object id as float32: the stored uv maps of the paper, read again."""
 
     def __init__(self, layers: Layers, folder: Path) -> None:
-        import mitsuba as mi
-
         self._paths = []
         for index, (uv, object_id) in enumerate(zip(layers.uv, layers.object_id, strict=True)):
-            channels = np.concatenate([uv / np.float32(UV_SCALE), object_id[..., None]], axis=-1).astype(np.float32)
+            planes = np.moveaxis(uv / np.float32(UV_SCALE), -1, 0)
+            channels = {"R": planes[0], "G": planes[1], "B": object_id.astype(np.float32)}
             self._paths.append(folder / f"layer_{index}.exr")
-            mi.Bitmap(channels).write(str(self._paths[-1]))
+            # Not Mitsuba's writer, which (3.9.1) has waited for its own threads for ever.
+            self._paths[-1].write_bytes(encode_float_exr(channels))
 
     def read(self) -> Layers:
-        import mitsuba as mi
-
-        planes = [np.array(mi.Bitmap(str(path)), np.float32) for path in self._paths]
+        planes = [decode_radiance(path.read_bytes(), where=str(path)) for path in self._paths]
         stacked = np.stack(planes)
         return Layers(
             uv=quantize_uv(stacked[..., :2]),

@@ -49,6 +49,9 @@ TRIPS = (
     Trip(line="datagen import thing.glb --out mine --overwrite", start="scene", taken=("mine/meshes/ground.ply",)),
     Trip(line="datagen mend --dataset data/one --scene scene --workers 1", start="proxies"),
     Trip(line="datagen render --dataset data/one --path spline --frames 2 --spp 2 --video films/truth"),
+    Trip(line="datagen look --dataset data/one --out look.html --overwrite"),
+    Trip(line="datagen look --dataset data/one", taken=("one-look.html",)),
+    Trip(line="benchmarks screenshot --page page.html --out figure.png", taken=("figure.png", "page.html")),
     Trip(line="proxies make --dataset data/one --kind box --overwrite", start="proxies"),
     Trip(line="proxies make --dataset data/one --assign pane=box --rest hull --name mixed-a"),
     Trip(line="proxies check --dataset data/one --kind box", start="proxies"),
@@ -109,7 +112,7 @@ TRIPS = (
 
 WRITES_NOTHING = {
     "datagen scenes", "datagen doctor", "model check-method", "benchmarks peel", "benchmarks truth",
-    "benchmarks ceilings", "benchmarks step", "benchmarks infer", "benchmarks online", "benchmarks gpu",
+    "benchmarks ceilings", "benchmarks step", "benchmarks infer", "benchmarks gpu", "benchmarks browser",
 }  # fmt: skip
 """Commands that have no file to write."""
 
@@ -124,6 +127,7 @@ ELSEWHERE = {
     "benchmarks scale": {"factors", "quantities", "rounds", "json", "overwrite"},
     "benchmarks sky": {"names", "overwrite"},
     "benchmarks errors": {"views"},
+    "benchmarks screenshot": {"width", "height", "dark", "rays", "link", "overwrite"},
     "benchmarks turntable": {"names", "path", "size", "spp", "fps"},
     "proxies make": {"amount", "layers", "num_layers", "rays", "workers"},
     "proxies check": {"amount", "name"},
@@ -131,7 +135,7 @@ ELSEWHERE = {
     "model render": {"dataset", "fps", "width", "height"},
     "model export": {"dataset", "quality"},
     "model sweep": {"dataset", "seed", "jobs", "dry_run"},
-    "report report": {"format", "order", "dataset", "full", "published", "results", "views"},
+    "report report": {"format", "order", "dataset", "full", "published", "results", "views", "watch"},
 }  # fmt: skip
 """Flags that choose what is written, or by how many, and never where: no line above needs them."""
 

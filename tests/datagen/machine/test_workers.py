@@ -65,7 +65,8 @@ def test_views_are_named_in_runs() -> None:
     assert describe_views(views) == "train 3-5, 7, 12; extrapolating 0"  # type: ignore[arg-type]
 
 
-def test_an_unwrapping_child_that_is_killed_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_unwrapping_child_that_is_killed_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))  # Where no atlas is kept.
     really_run = subprocess.run
 
     def run_and_die(command: list[str], **options):

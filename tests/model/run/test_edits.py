@@ -168,7 +168,7 @@ def test_the_commands_edit_and_draw_what_is_there(made: Path) -> None:
 def test_the_report_scores_edits_by_region_and_pixels_by_order(
     made: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("eval.page.figures.contact_sheet", lambda scene, scores: b"")
+    monkeypatch.setattr("eval.figures.sheets.contact_sheet", lambda scene, scores: b"")
     make_report(made / "runs", made / "data", made / "out", output_format="markdown", order_layers=3)
     text = capsys.readouterr().out
     assert "### edit, after remove:ball (object " in text
