@@ -1,6 +1,10 @@
-"""What all tests share: the promises of docs/reliability.md and the counting of their cases."""
+"""What all tests share: checked annotations, the promises of docs/reliability.md and the counting of their cases."""
 
 import signal
+
+from support.checked import check_annotations
+
+check_annotations()  # Before anything imports one of the packages.
 
 pytest_plugins = ["support.promises"]
 

@@ -110,7 +110,7 @@ def _is_large(points: np.ndarray, scene: Scene) -> bool:
 
 
 def _gap(
-    one: Float[np.ndarray, "face 3 3"], other: Float[np.ndarray, "face 3 3"], widest: float
+    one: Float[np.ndarray, "face 3 3"], other: Float[np.ndarray, "other_face 3 3"], widest: float
 ) -> tuple[Float[np.ndarray, "place 3"], Float[np.ndarray, "place 3"]]:
     """Points on one wall and the nearest on the other, where they are near each other but do not touch.
 

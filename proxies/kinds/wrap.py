@@ -39,7 +39,7 @@ MAX_GROWTH = 1.0
 """How far the vertices of a low-poly mesh may move outward, in offsets of the wrap that it is made from."""
 
 
-Candidate = tuple[Float64[np.ndarray, "vertex 3"], Int64[np.ndarray, "face 3"]]
+Candidate = tuple[Float64[np.ndarray, "_ 3"], Int64[np.ndarray, "_ 3"]]
 
 
 def fit_wraps(solids: tuple[Solid, ...], paddings: tuple[float, ...]) -> tuple[Mesh, ...]:

@@ -686,4 +686,6 @@ def test_an_enclosure_names_what_is_wrong() -> None:
     assert "of the object outside" in str(
         measure.enclosure(changed(vertices=proxy.vertices * np.float32(0.9)), truth).problem
     )
-    assert "of the atlas" in str(measure.enclosure(changed(uv=1 - proxy.uv[:, ::-1] * [1, 0]), truth).problem)
+    assert "of the atlas" in str(
+        measure.enclosure(changed(uv=1 - proxy.uv[:, ::-1] * np.float32([1, 0])), truth).problem
+    )

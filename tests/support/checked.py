@@ -1,19 +1,23 @@
-"""Annotations that are checked: in every test, the packages' functions and records refuse what their types exclude."""
+"""Annotations that are checked: in every test, functions and records refuse arrays that their types exclude."""
 
 import ast
 import contextlib
 import typing
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Self
 
+import jaxtyping
 import jaxtyping._import_hook as import_hook
 from beartype import BeartypeConf, beartype
-from jaxtyping import config, install_import_hook
+from jaxtyping import AbstractDtype, config, install_import_hook
 
 PACKAGES = ("hyaline", "datagen", "proxies", "model", "eval")
 
 CONF = BeartypeConf(is_pep484_tower=True)
 """An int may stand where a float is expected, as for type checkers."""
+
+ARRAYS = {name for name, kind in vars(jaxtyping).items() if isinstance(kind, type) and issubclass(kind, AbstractDtype)}
+"""Float32, UInt8, ...: the names of annotations that say an array's dtype and shape."""
 
 COMPILERS = {"numba", "intrinsic", "dr"}
 """Decorators of functions that Numba and Dr.Jit compile from source: they take no wrapped ones."""
@@ -49,7 +53,8 @@ def check(function: Callable[..., object]) -> Callable[..., object]:
 
 
 class Wrapping(import_hook.JaxtypingTransformer):
-    """Wraps functions that have annotations; those inside of others, made anew by every call, would cost too much.
+    """Wraps records, and functions with arrays in their annotations; those inside of others, made anew by every call,
+    would cost too much.
 
     What it makes of a file is kept in __pycache__, in files that have `jaxtyping` in their names: delete them to see a
     change of this class.
@@ -57,11 +62,14 @@ class Wrapping(import_hook.JaxtypingTransformer):
 
     def visit_FunctionDef(self, node: ast.FunctionDef) -> ast.FunctionDef:
         arguments = [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]
-        is_annotated = node.returns is not None or any(argument.annotation for argument in arguments)
-        names = {
-            name.id for decorator in node.decorator_list for name in ast.walk(decorator) if isinstance(name, ast.Name)
-        }
+        has_arrays = bool(_names([node.returns, *(argument.annotation for argument in arguments)]) & ARRAYS)
+        names = _names(node.decorator_list)
         is_inner = any(isinstance(parent, ast.FunctionDef) for parent in self._parents)
-        if is_annotated and not is_inner and not names & COMPILERS:
+        if has_arrays and not is_inner and not names & COMPILERS:
             super().visit_FunctionDef(node)
         return node
+
+
+def _names(nodes: Iterable[ast.expr | None]) -> set[str]:
+    """The names in some expressions."""
+    return {name.id for node in nodes if node is not None for name in ast.walk(node) if isinstance(name, ast.Name)}
