@@ -10,7 +10,7 @@ from pathlib import Path
 
 from datagen.terminal.command import run, say
 
-DESCRIPTION = "Scores the pictures that methods predicted against a dataset's truth: tables, figures, JSON."
+DESCRIPTION = "Score predicted images against a dataset's ground truth: tables, figures, JSON."
 
 
 def report(
@@ -30,22 +30,22 @@ def report(
 ) -> None:
     """Scores every folder RUNS/SCENE/NAME/predictions/SPLIT/0000.png, 0001.png, ... and writes a page of them.
 
-    A folder of 8-bit sRGB PNGs from any method will do; run.json is optional. Tables go to stdout, one a scene. Open
+    A folder of 8-bit sRGB PNGs from any method works; run.json is optional. Tables go to stdout, one per scene. Open
     the page, RUNS/report/index.html, in any browser: one file that needs no server.
 
     Args:
         runs: Folder with the runs.
-        data: Folder with the datasets, DATA/SCENE, for runs that do not say where theirs is.
+        data: Folder with the datasets, DATA/SCENE, for runs whose record names none.
         dataset: Score only the runs of this dataset: its folder, or its name under DATA.
-        format: What stdout gets: table, markdown, csv, latex or json.
+        format: Format of stdout: table, markdown, csv, latex or json.
         out: Folder for index.html, results.json and pictures; RUNS/report unless given.
-        table: Print these tables alone, beside what the paper printed, and draw what their runs drew: table1
+        table: Print only these tables, beside the paper's numbers, with contact sheets of their runs: table1
             (extrinsics), table2 (DNR), square (layers or network), zero-layer, headline, proxies (with a figure),
             ablation (parts of light-path), variants (of paper), claims. `model sweep` trains the runs of each.
-        order: Layers, 1 to 8: adds a table of pixels that show objects in an order which no training pixel has among
-            its first so many layers. 0 adds none.
+        order: Add a table of the pixels whose first N layers (1 to 8) show objects in an order that no training pixel
+            has. 0 adds none.
         full: Also print what each run is, and quality by angle, by number of training views and by layers.
-        published: Also print the paper's own numbers, and beside them what its authors' script would for these runs.
+        published: Also print the paper's own numbers, and beside them what its authors' script gives for these runs.
         views: Views of each split and run in index.html: the worst, the median and the best first. Of more than fit
             into 20 MB, the last are left out.
         watch: Make the report again whenever a run changes, until Ctrl-C; a browser that shows the page follows.

@@ -34,7 +34,7 @@ def train() -> None:
 
 
 def train_method(words: list[str]) -> None:
-    """What `model train WORDS` does: the first word names the method, the others are its flags."""
+    """Run `model train WORDS`: the first word names the method, the others are its flags."""
     from model.methods.table import about, list_methods
 
     methods = list_methods()
@@ -244,16 +244,16 @@ def sweep(
     jobs: int = 1,
     dry_run: bool = False,
 ) -> None:
-    """Train all runs of an experiment file, one process a GPU (one on a CPU); what is finished is skipped.
+    """Train all runs of an experiment file, one process per GPU (or one on the CPU); finished runs are skipped.
 
     Args:
         experiment: A TOML file (format: model/run/experiment.py), or one of table1, table2, square, zero-layer, claims,
             headline, proxies, ablation, variants and budget.
         dataset: Datasets to train on, instead of the file's.
         seed: Seeds to train with, instead of the file's.
-        jobs: Processes side by side on the CPU, which share its cores out evenly, or on each GPU. On a CPU more runs
-            are finished in an hour by as many as memory allows (4 GB each); a run's numbers differ by rounding.
-        dry_run: Print the command of each run, and do nothing.
+        jobs: Parallel processes: on the CPU, which divide its cores equally, or on each GPU. On a CPU, as many as
+            memory allows (4 GB each) finish the most runs per hour; a run's numbers then differ by rounding.
+        dry_run: Print the command of each run and exit.
     """
     from model.run.experiment import read_experiment
     from model.run.sweep import command_line, find_devices, raise_failures, run_experiment
@@ -268,11 +268,11 @@ def sweep(
 
 
 def check_method(name: str, /, *, dataset: str | None = None) -> None:
-    """Check that a method keeps what runs rely on; prints a line a check.
+    """Check that a method meets the requirements of training and rendering; prints one line per check.
 
     Args:
         name: A method, built in or brought by another distribution.
-        dataset: Dataset folder, or its name under data/. Default: a tiny one, made for the checks.
+        dataset: Dataset folder, or its name under data/. Default: a tiny one made for the checks.
     """
     import tempfile
 

@@ -41,23 +41,23 @@ def make(
     workers: int = 1,
     overwrite: bool = False,
 ) -> None:
-    """Fits a proxy to every object and peels the proxies for every view; images are not rendered again.
+    """Fit a proxy to every object and peel the proxies for every view; images are not rendered again.
 
     Args:
         dataset: A dataset's folder or its name under data/; every one there unless given. May stand first, without the
             flag.
-        kind: box (oriented, of least volume), ellipsoid (of least volume), hull (convex, its edges rounded), blocks (up
-            to 8 boxes), wrap (shrink-wrapped, follows hollows), lowpoly (few triangles, follows hollows) or noise (the
-            true surface displaced at random, which encloses nothing).
-        amount: Standard deviation of the noise in parts of each object's diagonal, 0.001 to 0.05; 0.01 unless given.
-            Each amount is a geometry of its own, such as noise-0.01.
-        assign: Instead of one kind for all, OBJECT=KIND, as often as needed: what stands for an object, or for all that
-            fit a pattern such as 'fern*'. KIND is one of the above, noise-0.02, or truth.
+        kind: box (oriented, of least volume), ellipsoid (of least volume), hull (convex, with rounded edges), blocks
+            (up to 8 boxes), wrap (shrink-wrapped, follows hollows), lowpoly (few triangles, follows hollows) or noise
+            (the true surface displaced at random, which encloses nothing).
+        amount: Standard deviation of the noise as a fraction of each object's diagonal, 0.001 to 0.05; 0.01 unless
+            given. Each amount is a geometry of its own, such as noise-0.01.
+        assign: OBJECT=KIND, repeatable, instead of one kind for all: the kind for one object, or for all that match a
+            pattern such as 'fern*'. KIND is one of the above, noise-0.02, or truth.
         rest: With --assign: the kind of all other objects.
         name: With --assign: the geometry's name, mixed or mixed-SOMETHING.
         num_layers: Layers kept per ray.
-        workers: Processes that peel side by side.
-        overwrite: Make proxies and layers anew where they stand already.
+        workers: Processes that peel in parallel.
+        overwrite: Replace existing proxies and layers.
     """
     from proxies.make import make_proxies, read_reports
 
@@ -87,14 +87,14 @@ def make(
 def check(
     dataset: str | None = None, kind: str = "ellipsoid", amount: float | None = None, name: str | None = None
 ) -> None:
-    """Verifies the proxies on disk: closed, outward, around the object, texels for every face.
+    """Verify the proxies on disk: closed, outward, enclosing the object, with texels for every face.
 
     Args:
         dataset: A dataset's folder or its name under data/; every one there unless given. May stand first, without the
             flag.
         kind: box, ellipsoid, hull, blocks, wrap, lowpoly or noise, which must only have the object's faces and uv.
-        amount: Of the noise, 0.01 unless given.
-        name: Of a mixture, instead of a kind.
+        amount: Amount of the noise, 0.01 unless given.
+        name: Name of a mixture, instead of a kind.
     """
     from proxies.make import read_reports
 

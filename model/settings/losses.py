@@ -1,4 +1,4 @@
-"""What training makes small besides the difference of each pixel."""
+"""The losses that may be added to the difference of each pixel."""
 
 import math
 from dataclasses import dataclass
@@ -15,35 +15,36 @@ NO_VGG = "none"
 
 @dataclass(frozen=True, kw_only=True)
 class LossConfig:
-    """Terms beside the difference of each pixel, whose weight is 1 (mean absolute, sRGB of 0 to 1)."""
+    """Terms added to the difference of each pixel, whose weight is 1 (mean absolute, sRGB of 0 to 1)."""
 
     vgg_weights: str = choice(NO_VGG, {"random": "random-vgg", "auto": "vgg", "": "vgg"})
-    """Weights of the network of a perceptual loss (section 4.4): none, auto (looks in torch's cache, downloads
-    nothing), a path, or random (a stand-in, and called that in tables)."""
+    """Weights of the network of a perceptual loss (section 4.4): none, auto (from torch's cache; downloads nothing), a
+    path, or random (a stand-in, labelled as such in tables)."""
     vgg: VggKind = choice("vgg16", "{}")
-    """Which network that is."""
+    """Network of the perceptual loss."""
     perceptual: float = choice(0.05, "perceptual{}", limits=AMOUNT)
-    """Weight of the perceptual loss; the paper names none. Measured with random weights on a blurred prediction, its
-    gradient by the colours of a patch is then a sixth as long as that of their mean absolute difference."""
+    """Weight of the perceptual loss; the paper names none. With this one, measured with random weights on a blurred
+    prediction, the gradient at a patch's colours has a sixth of the length of that of the mean absolute difference."""
     adversarial: float = choice(0.0, "adversarial{}", limits=AMOUNT)
-    """Weight of the loss before a 70 x 70 PatchGAN; 0: there is none. 0.01 is pix2pix's: L1 has a hundred times as
-    much."""
+    """Weight of the adversarial loss of a 70 x 70 PatchGAN; 0 turns it off. 0.01 is pix2pix's, where L1 weighs a
+    hundred times as much."""
     adversarial_from: float = choice(0.6, "from{}", limits=SHARE)
-    """Share of the steps after which it begins (a warm-up without it: section 4.4); from then on no learning rate is
-    above 0.0004."""
+    """Fraction of the steps after which the adversarial loss begins (section 4.4 warms up without it); from then on no
+    learning rate is above 0.0004."""
     inpaint: bool = choice(False, "inpaint")
-    """Let the discriminator judge poses without truth instead, where only texels never seen in training learn."""
+    """Let the discriminator judge poses without ground truth instead; only texels that no training ray reached
+    learn."""
     patch: int = choice(64, "patch{}", limits=(LEAST_PATCH, math.inf))
-    """Height and width in pixels of the patches that these losses look at (U-Nets: of poses without truth alone)."""
+    """Height and width in pixels of the patches for these losses (U-Nets: only at poses without ground truth)."""
     patches: int = unflagged(1, limits=COUNT)
-    """Of them, in each step, besides the random pixels."""
+    """Patches in each step, besides the random pixels."""
     adversarial_lr: float = unflagged(0.0004)
-    """Learning rate of the discriminator, and from then on the most of every other (section 4.4)."""
+    """Learning rate of the discriminator, and from then on the upper limit of all others (section 4.4)."""
     softness: float = unflagged(0.0, limits=AMOUNT)
-    """Differences of pixels well below it count by their squares, those above by their size: the Charbonnier loss, less
-    its value at 0. 0: all by their size, as in the paper. PSNR asks for squares."""
+    """Scale of the Charbonnier loss (less its value at 0): smaller pixel differences count by their squares, larger
+    ones by their size. 0: all by their size, as in the paper. PSNR asks for squares."""
     vgg_sha256: str = unflagged("")
-    """Of the file of weights; empty for random ones."""
+    """SHA-256 of the file of weights; empty for random ones."""
 
     def __post_init__(self) -> None:
         check_limits(self)

@@ -1,4 +1,4 @@
-"""How weights are found: steps, batches and learning rates. Each method brings defaults of its own."""
+"""Optimisation: steps, batches and learning rates. Each method has its own defaults."""
 
 from dataclasses import dataclass, field
 from typing import Literal
@@ -15,26 +15,27 @@ class Optimisation:
     """Adam, its batches and its learning rates, for methods whose loss is their own."""
 
     batch: int = choice(8192, "batch{}", limits=COUNT)
-    """Random pixels a step, from all training images together; for U-Nets about as many in crops, for deepvoxels
-    pictures. The paper names no number; the authors ran one whole image a step. On a CPU the time of a step is nearly
+    """Random pixels per step, drawn from all training images; for U-Nets about as many in crops, for deepvoxels images.
+    The paper names no number; the authors' code takes one whole image per step. On a CPU a step's time is nearly
     proportional to it."""
     updates: int = choice(1, "{}-updates", limits=COUNT)
-    """Updates of the weights a step, each by an equal share of its batch. For as many rays, more of them fit better:
-    light-path gains 1.5 / 1.6 dB with two (400 steps of 1,024 pixels, one seed), 0.7 / 0.8 dB more with four."""
+    """Weight updates per step, each from an equal part of its batch. For the same number of rays, more updates fit
+    better: light-path gains 1.5 / 1.6 dB with two (400 steps of 1,024 pixels, one seed), 0.7 / 0.8 dB more with
+    four."""
     lr: float = choice(0.001, "lr{}")
     """Learning rate of Adam (section 4.4)."""
     texture_lr: float | None = choice(None, "texture-lr{}")
-    """Learning rate of the textures; None: the same, as in the paper."""
+    """Learning rate of the textures; None: that of the network, as in the paper."""
     lr_decay: LrDecay = choice("linear", {"none": "no-decay", "": "{}-decay"})
-    """none, linear (constant for the first half of the steps, then down to 0) or cosine. The paper's text names none,
-    but the authors' scripts ran the linear one (100 epochs constant, 100 epochs linear)."""
+    """Decay of the learning rate: none, linear (constant for the first half of the steps, then down to 0) or cosine.
+    The paper's text names none; the authors' scripts use linear (100 epochs constant, 100 epochs linear)."""
     beta1: float = unflagged(0.9)
     """Adam's first decay rate; 0.5 in the authors' code."""
     weight_decay: float = unflagged(0.0, limits=AMOUNT)
-    """On the network alone, as Adam's own (added to the gradient); 0.0001 in the authors' code."""
+    """Weight decay of the network alone, added to the gradient as Adam does; 0.0001 in the authors' code."""
     steps: int = choice(2500, "{}-steps", limits=COUNT)
-    """Optimiser steps; more for larger datasets. The paper names no number; at 128 pixels the held-out PSNR has
-    flattened after 2500."""
+    """Optimiser steps; larger datasets need more. The paper names no number; at 128 x 128 pixels the held-out PSNR
+    flattens out by 2500."""
 
     def __post_init__(self) -> None:
         check_limits(self)

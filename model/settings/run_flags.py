@@ -1,4 +1,4 @@
-"""What every run can be told, whatever its method."""
+"""The flags of every run, whatever its method."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +14,7 @@ Device = Literal["auto", "cpu", "cuda"]
 
 @dataclass(frozen=True, kw_only=True)
 class RunFlags:
-    """Where a run learns, where it is kept, and where it is computed."""
+    """What a run trains on, where it is stored, and where it is computed."""
 
     dataset: str | None = choice(None)
     """Dataset folder, or its name under data/. Default: the only one there."""
@@ -25,15 +25,15 @@ class RunFlags:
     name: str | None = choice(None)
     """Label of the run in tables. Default: from the folder's name."""
     seed: int = choice(0, "seed{}", limits=SEED)
-    """Seed of everything random."""
+    """Seed of all random numbers."""
     device: Device = choice("auto")
-    """Where to compute; auto takes a GPU where there is one."""
+    """Where to compute; auto uses a GPU if there is one."""
     memory: Memory = choice("auto")
-    """Where training data from stored layers is held: ram, or mapped, in files under ~/.cache/hyaline (or
-    $XDG_CACHE_HOME) of which each step reads what it needs, so that a dataset may be larger than memory. The results
-    are the same, bit by bit. auto maps what does not fit, and says so. The files may be deleted at any time."""
+    """Where training data from stored layers is held: ram, or mapped: memory-mapped files under ~/.cache/hyaline (or
+    $XDG_CACHE_HOME), of which each step reads what it needs, so that a dataset may be larger than memory. The results
+    are identical, bit for bit. auto maps what does not fit, and says so. The files may be deleted at any time."""
     overwrite: bool = choice(False)
-    """Delete the run that is there and start anew."""
+    """Delete the existing run and start over."""
 
     def __post_init__(self) -> None:
         check_limits(self)

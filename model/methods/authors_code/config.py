@@ -1,4 +1,4 @@
-"""What the method `authors-code` is made of."""
+"""Configuration of the method `authors-code`."""
 
 from dataclasses import dataclass
 from typing import ClassVar, Literal
@@ -15,7 +15,7 @@ LEAST_WIDTH = 4
 
 @dataclass(frozen=True, kw_only=True)
 class AuthorsConfig(MethodConfig):
-    """What the paper's released code ran; defaults as in the scripts of its Table 1."""
+    """The renderer of the paper's released code; defaults as in the scripts for its Table 1."""
 
     room: ClassVar[str] = "model.methods.authors_code.method"
     reads_layers: ClassVar[bool] = True
@@ -23,10 +23,10 @@ class AuthorsConfig(MethodConfig):
     draws_cameras: ClassVar[bool] = True
 
     extrinsics: Extrinsics = choice("view", {"none": "no-extrinsics", "sh": "sh"})
-    """What each layer is told of the camera: nothing, the view vector (from the camera to the surface), or nine more
-    channels, of which 3 to 11 are multiplied by spherical harmonics of it, without their constants."""
+    """What each layer knows about the camera: nothing (none), the vector from the camera to the surface (view), or nine
+    more channels, of which 3 to 11 are multiplied by its spherical harmonics without their constants (sh)."""
     width: int = choice(64, "w{}", limits=(LEAST_WIDTH, 8192))
-    """Hidden units of the first layer: 64, because the code loses the 256 that its scripts ask for."""
+    """Hidden units of the first layer: 64, because the code ignores the 256 that its scripts ask for."""
     texture_features: int = choice(16, "{}-features", flag="features", limits=(3, 256))
     """Channels of a texture; nine more with sh."""
     texture_size: int = choice(0, "t{}")
@@ -34,8 +34,8 @@ class AuthorsConfig(MethodConfig):
     zero_layer: bool = choice(False, "zero-layer")
     """Insert a layer of zeros at a random place while training, and behind all others at test (their `--pad_front`)."""
     test_dropout: Literal["on", "off"] = choice("on", "no-test-dropout")
-    """Leave dropout on while rendering, as their test script did, or turn it off. It is drawn by a seed that the
-    batch's own uv gives, so that predictions repeat."""
+    """Leave dropout on while rendering, as their test script does, or turn it off. Its seed comes from the batch's uv,
+    so that predictions repeat."""
     texture_start: float = unflagged(0.5)
     position_size: int = unflagged(512)
     blocks: int = unflagged(3, limits=(0, 8))

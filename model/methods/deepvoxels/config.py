@@ -1,4 +1,4 @@
-"""What the method `deepvoxels` is made of, and its presets."""
+"""Configuration of the method `deepvoxels`, with its presets."""
 
 import dataclasses
 import math
@@ -13,7 +13,7 @@ from model.settings.optimisation import Optimisation
 
 @dataclass(frozen=True, kw_only=True)
 class DeepVoxelsConfig(MethodConfig):
-    """DeepVoxels: a grid of learned features, from cameras alone; the defaults are its authors'."""
+    """DeepVoxels: a grid of learned features, from cameras alone; defaults as its authors'."""
 
     room: ClassVar[str] = "model.methods.deepvoxels.method"
     knowledge: ClassVar[str] = "cameras only, and the scene's extent"
@@ -21,12 +21,12 @@ class DeepVoxelsConfig(MethodConfig):
     draws_cameras: ClassVar[bool] = True
 
     voxels: Literal["auto", "small", "paper", "original"] = choice("auto", "{}", is_preset=True)
-    """small (a fourteenth of the parameters, no dropout, a bounded grid, L1 at rate 0.002), paper (as the paper ran it:
-    L1 alone at rate 0.00001) or original (its authors' L1 and critic at rate 0.0004). auto: small without a GPU, paper
-    with one."""
+    """small (1/14 of the parameters, no dropout, a bounded grid, L1 at rate 0.002), paper (as the paper ran it: L1
+    alone at rate 0.00001) or original (its authors' L1 and discriminator at rate 0.0004). auto: small without a GPU,
+    paper with one."""
     image_size: int = unflagged(0)
-    """Width and height of the pictures: a power of two; 0: not known yet. Theirs are 512; from 128 on the networks have
-    their form."""
+    """Width and height of the images: a power of two; 0: not known yet. The authors' are 512; from 128 on the networks
+    have the same form."""
     num_voxels: int = unflagged(32)
     """Along each edge of the grid."""
     plane_size: int = unflagged(64)
@@ -36,7 +36,7 @@ class DeepVoxelsConfig(MethodConfig):
     width: int = unflagged(64, limits=(2, 4096))
     """Channels of the outermost 2-D convolutions; the deepest have eight times as many."""
     dropout: float = unflagged(0.1)
-    """Share of channels dropped in the rendering network; the integration drops twice as many."""
+    """Fraction of channels dropped in the rendering network; the integration drops twice as many."""
     bounded: bool = unflagged(False)
     """The integration's candidate is a tanh, as in other gated units, instead of the authors' ReLU. With ReLU nothing
     bounds the grid: norms behind it hide its scale from the loss, and Adam may push the unit's gain above 1. Measured

@@ -1,4 +1,4 @@
-"""What the methods `dnr` and `dnr-layers` are made of."""
+"""Configuration of the methods `dnr` and `dnr-layers`."""
 
 from dataclasses import dataclass
 from typing import ClassVar, Literal, Self
@@ -23,8 +23,8 @@ SH_CHANNELS = slice(3, 12)
 class DnrConfig(MethodConfig):
     """Deferred Neural Rendering: a U-Net on the neural textures of the first layer.
 
-    Defaults: Thies et al. 2019 (arXiv 1904.12356) as it is known from its first author's public code, with the
-    transparent paper's 16 features.
+    Defaults: Thies et al. 2019 (arXiv 1904.12356), after the first author's public code, with the 16 features of the
+    reproduced paper.
     """
 
     room: ClassVar[str] = "model.methods.dnr.method"
@@ -34,24 +34,24 @@ class DnrConfig(MethodConfig):
     draws_cameras: ClassVar[bool] = True
 
     preset: Literal["fair", "authors"] = choice("fair", {"authors": "authors"}, is_preset=True)
-    """Deferred neural rendering as its own authors made it, with 16 features; or weakened as the transparent paper's
-    authors ran it: 8 features, one level, the view vector as an input, whole pictures. Other flags override it."""
+    """fair: deferred neural rendering as its own authors made it, with 16 features. authors: weaker, as the authors of
+    the reproduced paper ran it: 8 features, one level, the view vector as an input, whole images. Other flags override
+    both."""
     unet_width: int = choice(64, "u{}", limits=(1, 1024))
     """Channels of the U-Net's first level; 16 makes it 16 times smaller, for CPUs."""
     texture_features: int = choice(16, "{}-features", flag="features")
     """Channels of a texture."""
     extrinsics: Extrinsics = choice("sh", {"none": "no-extrinsics", "view": "view", "sh": "sh"})
-    """What each layer is told of the camera: nothing, the view vector, or nine features multiplied by three bands of
-    spherical harmonics of it, for each pixel."""
+    """What each layer knows about the camera: nothing (none), the view vector (view), or its spherical harmonics in
+    three bands, which multiply nine features of each pixel (sh)."""
     texture_size: int = choice(0, "t{}")
     """Width and height of an object's finest texture in texels; 0: half the image's width."""
     texture_levels: int = choice(4, "{}-levels", limits=(1, len(LEVEL_WEIGHTS)))
-    """Textures summed, each half as wide as the one before."""
+    """Number of textures summed, each half as wide as the one before."""
     crop: int | None = choice(None, "crop{}", limits=AMOUNT)
-    """Height and width of training crops in pixels; 0: whole pictures; None: half the image's width, but 128 at
-    least."""
+    """Height and width of training crops in pixels; 0: whole images; None: half the image's width, but at least 128."""
     position_size: int = unflagged(512)
-    """Width and height of the position textures that view vectors come from, in texels."""
+    """Width and height in texels of the position textures from which view vectors are computed."""
     norm: UNetNorm = unflagged("instance")
     strides: tuple[int, ...] = unflagged((1, 2))
     """Random scales of the crops: every pixel or every second one. uv is never interpolated, because neighbours across

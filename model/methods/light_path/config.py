@@ -1,4 +1,4 @@
-"""What the method `light-path` is made of."""
+"""Configuration of the method `light-path`."""
 
 import dataclasses
 from dataclasses import dataclass
@@ -34,50 +34,52 @@ class LightPathConfig(MethodConfig):
     has_radiance: ClassVar[bool] = True
 
     texture_size: int = choice(0, "t{}")
-    """Width and height of a texture in texels; as many texels are shared among the objects by how much is seen of
+    """Width and height of an average texture in texels; the texels are divided among the objects by how much is seen of
     each. 0: the image's width."""
     train_samples: int = choice(4, "{}-rays", flag="rays")
     """Rays per pixel while training, a square number."""
     render_samples: int = choice(RENDER_SAMPLES, "{}-render-rays", flag="render-rays")
     """Rays per pixel while rendering, a square number."""
     refined_samples: int = choice(0, "{}-refined-rays", flag="refined-rays")
-    """Rays per pixel while rendering pixels whose rays differ (rough metal, edges, glass), a square number. Where it is
-    no more than --render-rays, none are drawn anew. 0: 64, or what --render-rays says where that is not 16."""
+    """Rays per pixel for rendering pixels whose rays differ (rough metal, edges, glass), a square number. If it is not
+    more than --render-rays, no pixel is rendered again. 0: 64, or --render-rays if that is not 16."""
     branches: int = choice(12, "{}-branches", limits=(1, 64))
-    """Branches followed for each ray: refracted, first mirror, then those of most light."""
+    """Branches followed for each ray: the refracted one, the first reflection, then those that carry most light."""
     compositing: Literal["physics", "stack"] = choice("physics", "{}")
-    """Sum what shines at the ends of branches, weighted by physics; or let the stack network alone make the colour."""
+    """physics: sum the light at the ends of branches, with physical weights. stack: the stack network alone makes the
+    colour."""
     stack_hidden: int = choice(32, "stack{}", flag="stack", limits=(0, 4096))
-    """Units of the two hidden layers of the network that sees the stacked vertices and adds what physics leaves out; 0
-    leaves it out. On proxies 96."""
+    """Units of the two hidden layers of the stack network, which sees the stacked vertices and adds what physics leaves
+    out; 0: no such network. On proxies 96."""
     straight_layers: int = choice(0, "{}-straight", limits=(0, 255))
-    """Straight layers that this network sees beside the paths. On proxies 24."""
+    """Straight layers that the stack network sees besides the paths. On proxies 24."""
     shells: int = choice(1, "{}-shells", limits=(1, MAX_SURFACES))
-    """Copies of each surface, one inside the other, that straight layers meet: copy k of n is 1 - k / n as large as the
-    proxy and has a texture of its own, so that there are layers near what lies inside of a coarse proxy. On proxies 4.
-    Source: layered semi-transparent meshes (Volumetric Surfaces, 2024), there fitted to the truth."""
+    """Nested copies of each surface that straight layers meet: copy k of n is 1 - k / n times as large as the proxy and
+    has its own texture, so that some layers lie near the object inside a coarse proxy. On proxies 4. Source: layered
+    semi-transparent meshes (Volumetric Surfaces, 2024), there fitted to the truth."""
     relief: Literal["on", "off"] = choice("off", {"on": "relief", "off": "no-relief"})
-    """Learn how deep below the surface the true one lies, and look up colour where the ray meets it, to first order. On
-    proxies on. Source: relief mapping (Policarpo et al. 2005), with learned depths."""
+    """Learn the depth of the true surface below the proxy's, and look up the colour where the ray meets it, to first
+    order. On proxies on. Source: relief mapping (Policarpo et al. 2005), with learned depths."""
     environment_size: int = choice(SKY_HEIGHT, "sky{}", flag="environment", limits=(1, 1024))
     """Height in texels of the finest of the learned latitude-longitude maps that sum to the light from outside; 1 makes
     it two colours. It is twice as wide; the others are halved down to a single colour: directions in which no
     training ray left are filled in from around them, as texels are. 32 becomes the height of the scene's environment
     map, where it has one, up to 256."""
     sky_lobes: int = choice(12, "{}-lobes", limits=(0, 256))
-    """Spherical Gaussians of the learned sky, which lamps are made of. Without effect on a sky of two colours."""
+    """Spherical Gaussians of the learned sky, which represent lamps. No effect on a sky of two colours."""
     sky_lr: float = choice(0.005, "sky-lr{}")
     """Learning rate of the learned sky's maps; its lobes learn 2.5 times as fast."""
     directions: Literal["on", "off"] = choice("off", {"on": "directions", "off": "no-directions"})
-    """Tell the decoder the mirrored direction. On true geometry it need not be: gloss is traced, and what is left is
-    diffuse. On proxies on."""
+    """Give the decoder the mirrored direction. True geometry needs none: gloss is traced, and what is left is diffuse.
+    On proxies on."""
     debias: float = choice(1.0, "debias{}", limits=SHARE)
-    """Share, 0 to 1, of what the noise of training rays adds to the loss that is subtracted; these then come in
-    independent pairs. At 0 lamps are learned too dim. On proxies 0: not tried there."""
+    """Fraction, 0 to 1, of the noise of training rays to subtract from the loss; above 0, rays come in independent
+    pairs. At 0 lamps are learned too dim. On proxies 0: not tried there."""
     position_octaves: int = choice(0, "{}-octaves", limits=(0, 16))
-    """Octaves of the sines and cosines of a path end's position that the decoder is told."""
+    """Octaves of positional encoding (sines and cosines) of a path's end that the decoder is given."""
     texture_levels: int = choice(5, "{}-levels", limits=(1, 8))
-    """Textures summed, each half as wide as the one before: what few rays have met is filled in from around it."""
+    """Number of textures summed, each half as wide as the one before: texels that few rays reached are filled in from
+    coarser levels."""
     texture_sizes: tuple[int, ...] = unflagged(())
     """Width and height of each object's texture in texels."""
     texture_features: int = unflagged(8, limits=(1, 256))

@@ -1,4 +1,4 @@
-"""What the method `paper` is made of, and its two presets: as its authors published it, and the best of its idea."""
+"""Configuration of the method `paper`, with its two presets: as published, and the best of the same idea."""
 
 from dataclasses import dataclass
 from typing import ClassVar, Literal, Self
@@ -21,7 +21,7 @@ from model.settings.optimisation import PixelOptimisation
 
 @dataclass(frozen=True, kw_only=True)
 class PaperConfig(MethodConfig):
-    """The paper's renderer: neural textures on straight layers, stacked into a network for each pixel."""
+    """The paper's renderer: neural textures on straight layers, stacked and shaded by a network for each pixel."""
 
     room: ClassVar[str] = "model.methods.paper.method"
     reads_layers: ClassVar[bool] = True
@@ -29,30 +29,30 @@ class PaperConfig(MethodConfig):
     draws_cameras: ClassVar[bool] = True
 
     preset: Literal["published", "best"] = choice("published", {"best": "best"}, is_preset=True)
-    """published: the renderer of the paper's text. best: the same idea (straight layers, neural textures, a network
-    for each pixel) with everything that was found to help it; other flags override it. Its values are listed in
-    model/methods/paper/config.py."""
+    """published: the renderer of the paper's text. best: the same idea (straight layers, neural textures, a network for
+    each pixel) with everything that we found to help it; other flags override its values, which
+    model/methods/paper/config.py lists."""
     extrinsics: Extrinsics = choice("view", {"none": "no-extrinsics", "sh": "sh"})
-    """What each layer is told of the camera (section 4.6): nothing, the view vector, or three bands of spherical
-    harmonics of it."""
+    """What each layer knows about the camera (section 4.6): nothing (none), the view vector (view), or its spherical
+    harmonics in three bands (sh)."""
     width: int = choice(0, "w{}", limits=(0, 8192))
-    """Hidden units of the first layer; 0: as many as make 34,000 parameters (section 4.3). 256 in the paper's text,
-    which excludes its 34k."""
+    """Hidden units of the first layer; 0: as many as give 34,000 parameters (section 4.3). The paper's text says 256,
+    which contradicts its 34k."""
     blocks: int = choice(3, "{}-blocks", limits=(0, 8))
-    """Residual blocks; each ends by halving the channels (section 4.3)."""
+    """Residual blocks; each halves the channels at its end (section 4.3)."""
     norm: Norm = choice("batch", {"none": "no-norm", "batch": "batch-norm"})
     """Batch norm after each linear layer but the last (section 4.3), or none (the authors' code)."""
     textures: TextureSharing = choice("object", "scene-texture")
-    """A neural texture for each object (section 4.4), or one for the scene, in which each object has a cell."""
+    """One neural texture per object (section 4.4), or one for the scene, in which each object has a cell."""
     texture_size: int = choice(0, "t{}")
-    """Width and height of a texture in texels; 0: half the image's width, all of it with the best preset."""
+    """Width and height of a texture in texels; 0: half the image's width, or all of it with the best preset."""
     zero_layer: bool = choice(False, "zero-layer")
     """Insert a layer of zeros at a random place while training, and behind all others at test (section 4.4)."""
     layers: str = choice("all", "{}-layers")
-    """Straight layers that are looked up: all that are stored, a number (the nearest ones), online (traced anew for
-    each batch, through a random place of each pixel; no stored layer is read) or both, such as online-4."""
+    """Straight layers to look up: all (as stored), a number (the nearest ones), online (traced for each batch, through
+    a random point of each pixel; no stored layer is read) or both, such as online-4."""
     train_samples: int = choice(1, "{}-rays", flag="rays")
-    """Rays per pixel while training, a square number; the paper has one, through the pixel's centre. With more, in
+    """Rays per pixel while training, a square number; the paper uses one, through the pixel's centre. With more, in
     training or in rendering, layers are traced for each batch instead of read, and colours are averaged."""
     render_samples: int = choice(1, "{}-render-rays", flag="render-rays")
     """Rays per pixel while rendering, a square number."""
@@ -62,12 +62,12 @@ class PaperConfig(MethodConfig):
     """Textures summed, each half as wide as the one before; the paper has one (section 4.3), Deferred Neural Rendering
     4."""
     precision: Precision = choice("fp32", {"bf16": "bf16"})
-    """Numbers that the network multiplies, in training and in rendering: bf16 is faster where the processor has
-    instructions for it."""
+    """Number format of the network's multiplications, in training and in rendering; bf16 is faster where the processor
+    has instructions for it."""
     finer_counts: float = unflagged(1.0, limits=(0.001, 1))
-    """How much a texture level counts beside the next coarser one."""
+    """Weight of a texture level relative to the next coarser one."""
     texels_per_pixel: float = unflagged(0.5, limits=(1 / 64, 64))
-    """Width of an object's texture in widths of the picture, where `texture_size` does not say it."""
+    """Width of an object's texture as a fraction of the image's width, where `texture_size` is 0."""
     position_size: int = unflagged(512)
     """Width and height of the position textures of Eq. 3 in texels; the size that the authors ran."""
 
