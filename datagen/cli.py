@@ -54,11 +54,11 @@ def build(
     choices: Annotated[BuildChoices, tyro.conf.arg(name="")] = BuildChoices(),  # noqa: B008
     launch: LaunchChoices = LaunchChoices(),  # noqa: B008
 ) -> None:
-    """Renders a scene and peels its layers; the same command again goes on where it was stopped.
+    """Render a scene and peel its layers; if interrupted, the same command resumes.
 
     Args:
         choices: The dataset.
-        launch: Parts as jobs.
+        launch: Build the parts as jobs.
     """
     from datagen.build.build_command import build_or_add
 
@@ -71,16 +71,16 @@ def import_file(
     overwrite: bool = False,
     choices: ImportChoices = ImportChoices(),  # noqa: B008
 ) -> None:
-    """Makes a scene of a file from elsewhere: glTF, GLB, OBJ with MTL, PLY, STL, 3MF or a Mitsuba XML.
+    """Import a file from another program as a scene: glTF, GLB, OBJ with MTL, PLY, STL, 3MF or Mitsuba XML.
 
-    Writes the folder that `datagen build --scene` takes, with an import.json that has a line for each thing that is
-    drawn other than the file asks for.
+    Writes a scene folder for `datagen build --scene`. Its import.json lists everything that is rendered differently
+    from what the file asks for.
 
     Args:
         file: A file that ends in .glb, .gltf, .obj, .ply, .stl, .3mf or .xml.
-        out: Where the scene goes; scenes/NAME unless given.
-        overwrite: Replace an imported scene that stands there.
-        choices: What the file leaves open.
+        out: Folder to write. Default: scenes/NAME.
+        overwrite: Replace an existing imported scene.
+        choices: What the file does not say.
     """
     from datagen.scene.importers.imported_folder import check_free, write_imported
     from datagen.scene.importers.importing import import_scene, scene_name
@@ -101,15 +101,15 @@ def peel(
     workers: int = 1,
     overwrite: bool = False,
 ) -> None:
-    """Peels layers of a geometry for every view, without rendering images again.
+    """Peel a geometry's layers for every view, without rendering the images again.
 
     Args:
-        dataset: A dataset's folder or its name under data/; the only one there unless given. May stand first, without
-            the flag.
-        geometry: truth, or a kind of proxy that `proxies make` has made.
+        dataset: Dataset folder, or its name under data/. Default: the only one there. The flag may be left out if the
+            dataset comes first.
+        geometry: truth, or a kind of proxy made by `proxies make`.
         num_layers: Layers kept per ray.
-        workers: Processes that peel side by side.
-        overwrite: Peel again what is there.
+        workers: Parallel processes.
+        overwrite: Peel again even if layers exist.
     """
     from datagen.build.build import peel_dataset, summary
     from datagen.build.build_variant import peel_variants
@@ -132,16 +132,17 @@ def export(
     flow: bool = False,
     overwrite: bool = False,
 ) -> None:
-    """Writes a dataset in the format of another tool, into a folder of its own; goes on where it was stopped.
+    """Export a dataset in another tool's format, into its own folder; if interrupted, the same command resumes.
 
     Args:
-        dataset: A dataset's folder or its name under data/; the only one there unless given. May stand first, without
-            the flag.
+        dataset: Dataset folder, or its name under data/. Default: the only one there. The flag may be left out if the
+            dataset comes first.
         format: nerfstudio, blender, 3dgs, colmap, nerfbaselines, refref, cleargrasp or webdataset.
-        out: Where the export goes; exports/NAME-FORMAT unless given.
-        points: Points of the true surfaces, coloured from the training pictures, for formats that start from points.
-        flow: webdataset: also trace refractive flow and attenuation through the glass.
-        overwrite: Replace an export that stands there.
+        out: Folder to write. Default: exports/NAME-FORMAT.
+        points: Number of points sampled on the true surfaces, coloured from the training images, for formats that need
+            a point cloud.
+        flow: With webdataset: also trace refractive flow and attenuation through the glass.
+        overwrite: Replace an existing export.
     """
     from datagen.export.formats import export_dataset
 
@@ -152,11 +153,11 @@ def export(
 
 
 def verify(dataset: str | None = None) -> None:
-    """Checks every byte of a dataset; exit status 1 names what is damaged.
+    """Check every byte of a dataset; if something is damaged, name it and exit with status 1.
 
     Args:
-        dataset: A dataset's folder or its name under data/; the only one there unless given. May stand first, without
-            the flag.
+        dataset: Dataset folder, or its name under data/. Default: the only one there. The flag may be left out if the
+            dataset comes first.
     """
     from datagen.build.verify import verify_dataset
 
@@ -169,15 +170,15 @@ def verify(dataset: str | None = None) -> None:
 
 
 def look(dataset: str | None = None, out: Path | None = None, overwrite: bool = False) -> None:
-    """Writes one page that shows a dataset: pictures, masks, depth, normals, layers, proxies, cameras, noise, objects.
+    """Show a dataset on one page: images, masks, depth, normals, layers, proxies, cameras, noise and objects.
 
-    It takes seconds, needs no training, and shows what is missing; open it in any browser.
+    Takes seconds, needs no training, and lists what is missing. Open the page in any browser.
 
     Args:
-        dataset: A dataset's folder or its name under data/; the only one there unless given. May stand first, without
-            the flag.
-        out: The page, or a picture where it ends in .png; NAME-look.html unless given.
-        overwrite: Replace the file that is there.
+        dataset: Dataset folder, or its name under data/. Default: the only one there. The flag may be left out if the
+            dataset comes first.
+        out: File to write: a page, or an image if it ends in .png. Default: NAME-look.html.
+        overwrite: Replace an existing file.
     """
     from datagen.look.look import look_page, look_sheet
 
@@ -201,13 +202,13 @@ def _tell_problems(root: Path, found: "Findings") -> None:
 
 
 def mend(dataset: str | None = None, scene: str | None = None, workers: int = 1) -> None:
-    """Makes a damaged or unfinished dataset whole, from what its own heads say; touches nothing that verifies.
+    """Repair a damaged or unfinished dataset with the settings it records; intact files are left alone.
 
     Args:
         dataset: A dataset's folder or its name under data/; the only one there unless given.
         scene: The folder that the dataset was built from: needed where a file of its scene is lost, and the scene is
             no built-in one.
-        workers: Processes that render side by side.
+        workers: Parallel processes.
     """
     from datagen.build.mend import mend_dataset
     from datagen.build.verify import verify_dataset
@@ -229,13 +230,13 @@ def render(
     """Path-trace a film of a dataset's scene; `model render --path` draws the same film with a trained run.
 
     Args:
-        dataset: A dataset's folder or its name under data/; the only one there unless given. May stand first, without
-            the flag.
+        dataset: Dataset folder, or its name under data/. Default: the only one there. The flag may be left out if the
+            dataset comes first.
         path: orbit, spline (through the interpolating test views), or a JSON file of key frames as NeRF tools write
             cameras.
         spp: Samples per pixel.
-        film: What the film is.
-        overwrite: Replace a film that stands there.
+        film: Format and length of the film.
+        overwrite: Replace an existing film.
     """
     from datagen.build.film import film_scene, plan_film
 
@@ -247,7 +248,7 @@ def render(
 
 
 def scenes() -> None:
-    """Lists the scenes that `datagen build --scene` knows by name."""
+    """List the built-in scenes."""
     from datagen.scene.builtin import describe_scenes
 
     for name, description in describe_scenes().items():
@@ -256,7 +257,7 @@ def scenes() -> None:
 
 
 def doctor() -> None:
-    """Says what this machine has, which Mitsuba variant will be used, and what mends what is missing."""
+    """Describe this machine, the Mitsuba variant in use, and how to install what is missing."""
     from datagen.machine.doctor import examine
 
     findings = examine()
