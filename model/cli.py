@@ -20,7 +20,7 @@ from model.settings.runtime import choose_device, wait_briefly
 if TYPE_CHECKING:
     import torch
 
-    from model.run.run_folder import TrainConfig
+    from model.run.run_folder import RunRecord, TrainConfig
 
 DESCRIPTION = "Train neural renderers on datasets of transparent objects, and render with them."
 
@@ -140,7 +140,7 @@ def render(
             --super-resolution 2` has made, or what `--edit` was given, such as remove:glass_ball.
         path: Draw a film instead, along orbit, spline (through the interpolating test views), or a JSON file of key
             frames as NeRF tools write cameras. `datagen render` path-traces the same film.
-        film: What the film is.
+        film: Format and length of the film.
         device: Where to compute; auto takes a GPU where there is one.
         overwrite: Render again even where the predictions are intact, and replace a film that stands there.
     """
@@ -162,11 +162,9 @@ def render(
         render_predictions,
         render_variant,
     )
-    from model.run.run_folder import FOLDER, check_trained_on, read_run
+    from model.run.run_folder import FOLDER
 
-    record = read_run(run)
-    opened = open_dataset(find_dataset(dataset) if dataset else Path(record.dataset))
-    check_trained_on(run, record.config, opened)
+    record, opened = _open_trained(run, dataset)
     config, out = record.config, run
     if variant is None:
         is_done, draw = is_all_drawn(run, opened), functools.partial(render_predictions, run, config, opened)
@@ -204,16 +202,23 @@ def export(
         overwrite: Replace a file that stands at --out.
     """
     from datagen.disk.ownership import refuse_file
-    from model.run.run_folder import check_trained_on, read_run
     from model.web.export import export_run
 
     if not overwrite:
         refuse_file(out)
+    record, opened = _open_trained(run, dataset)
+    export_run(run, record, opened, out, quality)
+    tell(str(out))
+
+
+def _open_trained(run: Path, dataset: str | None) -> "tuple[RunRecord, Dataset]":
+    """A run's record, and the dataset that it was trained on: the one named, or the one where the run found it."""
+    from model.run.run_folder import check_trained_on, read_run
+
     record = read_run(run)
     opened = open_dataset(find_dataset(dataset) if dataset else Path(record.dataset))
     check_trained_on(run, record.config, opened)
-    export_run(run, record, opened, out, quality)
-    tell(str(out))
+    return record, opened
 
 
 def _render_film(
@@ -221,11 +226,8 @@ def _render_film(
 ) -> None:
     from datagen.build.film import plan_film
     from datagen.data.film import write_film
-    from model.run.run_folder import check_trained_on, read_run
 
-    record = read_run(run)
-    opened = open_dataset(find_dataset(dataset) if dataset else Path(record.dataset))
-    check_trained_on(run, record.config, opened)
+    record, opened = _open_trained(run, dataset)
     out = film.video or Path(f"{opened.name}-{run.name}.webp")
     cameras = plan_film(opened, path, film, out, overwrite=overwrite)
     from model.run.predict import film_pictures
