@@ -38,15 +38,6 @@ def count_parameters(groups: list[ParameterGroup]) -> dict[str, int]:
     }
 
 
-def make_optimizer(config: TrainConfig, groups: list[ParameterGroup]) -> torch.optim.Optimizer:
-    """Dense Adam, as in the paper: a texel moves on by its momentum after the step that touched it."""
-    return torch.optim.Adam(
-        [{"params": group.parameters, "lr": group.lr, "weight_decay": group.weight_decay} for group in groups],
-        betas=(config.beta1, 0.999),
-        fused=True,
-    )
-
-
 def describe_run(config: TrainConfig, inputs: Inputs, *, label: str, num_parameters: dict[str, int]) -> RunRecord:
     """The record of a run: what is trained on what."""
     method, dataset = config.net, inputs.dataset

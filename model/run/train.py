@@ -24,6 +24,7 @@ from model.losses.patch_losses import Losses
 from model.methods.renderer import ParameterGroup, Renderer
 from model.methods.table import open_inputs
 from model.run.checkpoint import check_numbers, delete_checkpoints, load_checkpoint, save_checkpoint, save_state
+from model.run.optimizer import make_optimizer
 from model.run.predict import predict_pixels
 from model.run.preparation import (
     build_renderer,
@@ -32,7 +33,6 @@ from model.run.preparation import (
     count_parameters,
     describe_run,
     load_training,
-    make_optimizer,
 )
 from model.run.run_folder import CHECKPOINT, WEIGHTS, TrainConfig, begin_run, is_config, write_metrics
 from model.settings.optimisation import LrDecay
@@ -105,7 +105,7 @@ def train(
     )
 
     # Where to go on, and the steps.
-    optimizer = make_optimizer(config, groups)
+    optimizer = make_optimizer(groups, beta1=config.beta1)
     run = Run(
         config=config,
         out=out,
