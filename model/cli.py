@@ -3,6 +3,7 @@
 import functools
 import inspect
 import os
+import signal
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -211,6 +212,55 @@ def export(
     tell(str(out))
 
 
+def view(what: str, /, *, host: str = "127.0.0.1", port: int = 8080, device: Device = "auto") -> None:
+    """Look at a dataset or a run in a browser, while it trains too: cameras, meshes, proxies, layers, predictions.
+
+    Args:
+        what: A run, trained or still training, or a dataset: a folder, a name under runs/ (SCENE/NAME), or one under
+            data/.
+        host: Address to listen at. The default answers browsers on this machine alone; with 0.0.0.0, whoever can reach
+            the machine sees what you see.
+        port: Port to listen at; 0 takes any that is free.
+        device: Where to compute; auto takes a GPU where there is one.
+    """
+    from datagen.terminal.signals import Stopped
+
+    try:
+        _view(what, host, port, device)
+    except KeyboardInterrupt:
+        sys.exit(128 + signal.SIGINT)
+    except Stopped as stopped:  # Ctrl-C is how one leaves it: nothing was interrupted.
+        sys.exit(stopped.status)
+
+
+def _view(what: str, host: str, port: int, device: Device) -> None:
+    from model.run.run_folder import RUN
+    from model.view.live_run import LiveRun
+    from model.view.view import view as show
+
+    if not 0 <= port <= 65535:
+        raise UsageError(f"--port: is {port}; expected 0 to 65535")
+    run = next((place for place in (Path(what), Path("runs") / what) if (place / RUN).is_file()), None)
+    if run is not None:
+        record, opened = _open_trained(run, None)
+        live = LiveRun(run, record.config, opened, device=choose_device(device))
+    else:
+        place = find_dataset(what)
+        if not (place / "dataset.json").is_file():
+            raise HyalineError(
+                f"{what}: no run and no dataset is there; expected the folder of one, such as runs/glass_table/paper "
+                "or data/glass_table"
+            )
+        opened, live = open_dataset(place), None
+
+    def announce(address: str) -> None:
+        tell(address)
+        sys.stdout.flush()
+        say(f"{what}: open the address in a browser; Ctrl-C ends the viewer")
+
+    show(opened, live, host=host, port=port, announce=announce)
+
+
 def _open_trained(run: Path, dataset: str | None) -> "tuple[RunRecord, Dataset]":
     """A run's record, and the dataset that it was trained on: the one named, or the one where the run found it."""
     from model.run.run_folder import check_trained_on, read_run
@@ -308,7 +358,14 @@ def main() -> None:
         run(
             "model",
             DESCRIPTION,
-            {"train": train, "render": render, "export": export, "sweep": sweep, "check-method": check_method},
+            {
+                "train": train,
+                "render": render,
+                "export": export,
+                "view": view,
+                "sweep": sweep,
+                "check-method": check_method,
+            },
             words,
         )
 

@@ -32,6 +32,7 @@ HOMES = {
     "zarr": {"datagen/data/layer_writing.py"},
     "OpenEXR": {"datagen/data/exr.py"},
     "submitit": {"datagen/build/launch.py"},
+    "viser": {"model/view/server.py", "model/view/stage.py", "model/view/panel.py", "model/view/view.py"},
 }
 
 
@@ -52,7 +53,7 @@ FLOORS = {
         "disk",
     ),
     "proxies": ("cli", "make", "spec", "kinds", "meshing"),
-    "model": ("cli", "web", "run", "methods", "losses", "batches", "nets", "settings"),
+    "model": ("cli", "view", "web", "run", "methods", "losses", "batches", "nets", "settings"),
     "hyaline": ("tensors", "runs", "scores", "cameras", "datasets"),
     "eval": ("cli", "page", "papers", "analyses", "figures", "tables", "score"),
 }

@@ -15,6 +15,7 @@ PARTS = {
     "generate": _GENERATE,
     "proxies": (*_GENERATE, "pymeshlab"),
     "model": (*_GENERATE, "torch"),
+    "view": ("viser",),
     "cluster": ("submitit",),
 }
 """The modules that each extra adds to what reads datasets and scores pictures (pyproject.toml has their versions)."""

@@ -87,6 +87,10 @@ class MethodConfig:
         """
         return importlib.import_module(self.room).complete(self, inputs) if self.room else self
 
+    def hurried(self) -> Self:
+        """The same for pictures that are drawn in haste, with one ray a pixel, from the same parameters."""
+        return self
+
     def build(self, inputs: Inputs) -> "model.methods.renderer.Renderer":
         """A fresh renderer, of a complete record; its random start is drawn from torch's default generator."""
         return importlib.import_module(self.room).build(self, inputs)

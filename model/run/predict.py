@@ -82,12 +82,12 @@ def load_renderer(out: Path, config: TrainConfig, dataset: Dataset) -> Renderer:
     if not is_config(state.get("config"), config):
         raise HyalineError(f"{out / WEIGHTS}: made by another configuration than run.json; train with --overwrite")
     renderer = config.net.build(open_inputs(config.net, dataset, config.geometry))
-    _check_parameters(renderer.state_dict(), state.get("renderer"), where=str(out / WEIGHTS))
+    check_parameters(renderer.state_dict(), state.get("renderer"), where=str(out / WEIGHTS))
     renderer.load_state_dict(cast(dict[str, Tensor], state["renderer"]))
     return renderer
 
 
-def _check_parameters(expected: Mapping[str, Tensor], found: object, *, where: str) -> None:
+def check_parameters(expected: Mapping[str, Tensor], found: object, *, where: str) -> None:
     """Raises a HyalineError unless these are the numbers of a renderer, all finite: torch would cast what is not."""
     values = found if isinstance(found, dict) else {}
     for name in sorted(expected.keys() | values.keys(), key=str):

@@ -111,7 +111,7 @@ TRIPS = (
 )
 
 WRITES_NOTHING = {
-    "datagen scenes", "datagen doctor", "model check-method", "benchmarks peel", "benchmarks truth",
+    "datagen scenes", "datagen doctor", "model check-method", "model view", "benchmarks peel", "benchmarks truth",
     "benchmarks ceilings", "benchmarks step", "benchmarks infer", "benchmarks gpu", "benchmarks browser",
 }  # fmt: skip
 """Commands that have no file to write."""

@@ -129,6 +129,9 @@ class LightPathConfig(MethodConfig):
             return type(self)()
         return type(self)(stack_hidden=96, straight_layers=24, shells=4, relief="on", directions="on", debias=0.0)
 
+    def hurried(self) -> Self:
+        return dataclasses.replace(self, render_samples=1, refined_samples=1)
+
     def optimisation(self) -> PixelOptimisation:
         # A quarter of the pixels with four rays each: as many rays a step as `paper`.
         return PixelOptimisation(

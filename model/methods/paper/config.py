@@ -1,5 +1,6 @@
 """Configuration of the method `paper`, with its two presets: as published, and the best of the same idea."""
 
+import dataclasses
 from dataclasses import dataclass
 from typing import ClassVar, Literal, Self
 
@@ -105,6 +106,9 @@ class PaperConfig(MethodConfig):
             train_samples=4,
             render_samples=16,
         )
+
+    def hurried(self) -> Self:
+        return dataclasses.replace(self, render_samples=1)
 
     def optimisation(self) -> PixelOptimisation:
         if self.preset == "published":

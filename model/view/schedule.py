@@ -1,0 +1,169 @@
+"""What is drawn next for whom: coarse pictures while a camera moves, finer ones when it stands still."""
+
+import dataclasses
+import threading
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from datagen.data.cameras import Camera
+from model.view.cameras import camera_in_window, fitted_size
+
+STILL_S = 0.25
+"""A camera that has not moved for so long stands still."""
+MOVING_S, STANDING_S, FINEST_S = 0.1, 1.0, 20.0
+"""What a picture may take to draw: a quick one while the camera moves, one when it stands still, and any other."""
+SIDES = (32, 48, 64, 96, 128, 192, 256, 384, 512, 768)
+"""Pixels of a picture's longer side. Few sizes, since tracers compile a program for each."""
+FIRST_RATE, FEWER = 50_000.0, 16
+"""Quick pixels a second, until the first picture was timed; and so many times fewer other ones."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Pose:
+    """Where a browser's camera stands, in viser's convention, and how large its window is."""
+
+    position: Float[np.ndarray, "3"]
+    wxyz: Float[np.ndarray, "4"]
+    fov_y: float
+    window: tuple[int, int]
+    """Width and height in pixels."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Job:
+    """One picture to draw for one browser."""
+
+    client: int
+    number: int
+    """Of the request: a later one of the same browser makes this one needless."""
+    camera: Camera
+    is_quick: bool
+    """To be drawn with one ray a pixel, since the camera moves."""
+
+
+@dataclass
+class _Viewer:
+    pose: Pose
+    number: int
+    moved_at: float
+    quick: int = 0
+    """The longer side of the finest quick picture that was drawn of this pose; 0: none yet."""
+    drawn: int = 0
+    """The same of the others."""
+
+
+class Schedule:
+    """Which picture comes next. Browsers report from any thread; one thread asks and draws.
+
+    Times are those of one monotonic clock, in seconds.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._viewers: dict[int, _Viewer] = {}
+        self._numbers = 0
+        self._rate, self._quick_rate = 0.0, FIRST_RATE
+
+    def move(self, client: int, pose: Pose, now: float) -> None:
+        """A browser's camera is here now."""
+        with self._lock:
+            self._numbers += 1
+            self._viewers[client] = _Viewer(pose=pose, number=self._numbers, moved_at=now)
+
+    def forget(self, client: int) -> None:
+        """A browser has gone."""
+        with self._lock:
+            self._viewers.pop(client, None)
+
+    def redraw(self) -> None:
+        """What is to be seen has changed: every picture is old."""
+        with self._lock:
+            for client, viewer in self._viewers.items():
+                self._numbers += 1
+                self._viewers[client] = dataclasses.replace(viewer, number=self._numbers, quick=0, drawn=0)
+
+    @property
+    def is_watched(self) -> bool:
+        """True while anybody is connected."""
+        return bool(self._viewers)
+
+    def is_wanted(self, job: Job) -> bool:
+        """False as soon as the camera has moved on."""
+        viewer = self._viewers.get(job.client)
+        return viewer is not None and viewer.number == job.number
+
+    def next_job(self, now: float) -> Job | None:
+        """The picture to draw now; None: nobody waits for one."""
+        with self._lock:
+            for client, viewer in sorted(self._viewers.items(), key=_turn):
+                if (following := self._following(viewer, now)) is not None:
+                    side, is_quick = following
+                    pose = viewer.pose
+                    width, height = fitted_size(side, pose.window)
+                    camera = camera_in_window(pose.position, pose.wxyz, pose.fov_y, width, height)
+                    return Job(client=client, number=viewer.number, camera=camera, is_quick=is_quick)
+        return None
+
+    def finish(self, job: Job, seconds: float) -> None:
+        """A picture was drawn, and sent, in so long."""
+        with self._lock:
+            rate = job.camera.width * job.camera.height / max(seconds, 1e-6)
+            if job.is_quick:
+                self._quick_rate = 0.5 * (self._quick_rate + rate)
+            else:
+                self._rate = 0.5 * ((self._rate or rate) + rate)
+            viewer = self._viewers.get(job.client)
+            if viewer is None or viewer.number != job.number:
+                return
+            side = max(job.camera.width, job.camera.height)
+            if job.is_quick:
+                viewer.quick = side
+            else:
+                viewer.drawn = side
+
+    def _following(self, viewer: _Viewer, now: float) -> tuple[int, bool] | None:
+        """The longer side of the next picture of a pose, and whether it is a quick one; None: none, or not yet."""
+        if not viewer.quick:
+            return self._side(viewer, MOVING_S, is_quick=True), True
+        if now - viewer.moved_at < STILL_S:
+            return None
+        longest = self._side(viewer, FINEST_S, is_quick=False)
+        if viewer.drawn:
+            finer = [side for side in SIDES if viewer.drawn < side <= longest]
+            return (finer[min(1, len(finer) - 1)], False) if finer else None
+        standing = self._side(viewer, STANDING_S, is_quick=True)
+        return (standing, True) if standing > viewer.quick else (min(viewer.quick, longest), False)
+
+    def _side(self, viewer: _Viewer, seconds: float, *, is_quick: bool) -> int:
+        """The longest of SIDES that fits the window and takes at most about so long to draw."""
+        width, height = (max(1, pixels) for pixels in viewer.pose.window)
+        rate = self._quick_rate if is_quick else self._rate or self._quick_rate / FEWER
+        longest = (rate * seconds * max(width, height) / min(width, height)) ** 0.5
+        return max((side for side in SIDES if side <= min(longest, max(width, height))), default=SIDES[0])
+
+
+def _turn(item: tuple[int, _Viewer]) -> tuple[bool, int, float]:
+    """Who is served first: whoever sees an old picture, then the coarsest one, then whoever waits longest."""
+    viewer = item[1]
+    return viewer.quick > 0, viewer.drawn, viewer.moved_at
+
+
+class Budget:
+    """Keeps this process to a share of one core while another process trains.
+
+    The time to rest after a piece of work follows from the processor time that it took: whatever else runs, what is
+    taken from the training stays below that share.
+    """
+
+    def __init__(self, share: float) -> None:
+        self.share = share
+        self._ready_at = 0.0
+
+    def spend(self, processor_s: float, now: float) -> None:
+        """Work has taken so much processor time, and ends now."""
+        self._ready_at = now + processor_s * (1 / self.share - 1)
+
+    def is_ready(self, now: float) -> bool:
+        return now >= self._ready_at

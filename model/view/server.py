@@ -1,0 +1,67 @@
+"""The web server of the viewer, on viser: one port, bound to this machine unless told, quiet on standard output."""
+
+import contextlib
+import errno
+import io
+import socket
+from collections.abc import Iterator
+
+import viser
+
+from datagen.disk.errors import HyalineError
+
+
+class Server(viser.ViserServer):
+    """A viser server that nobody can make share itself with the world: viser lets any browser ask for that."""
+
+    def request_share_url(self, verbose: bool = True) -> str | None:  # noqa: ARG002
+        return None
+
+
+@contextlib.contextmanager
+def serving(host: str, port: int, label: str) -> Iterator[Server]:
+    """A server that answers until the block ends.
+
+    Args:
+        port: 0 takes any that is free.
+
+    Raises:
+        HyalineError: the port is taken, or there is no such address.
+    """
+    _check_free(host, port)
+    with contextlib.redirect_stdout(io.StringIO()):  # viser prints a box.
+        server = Server(host=host, port=port, label=label, verbose=False)
+    try:
+        # viser goes on to the next port when somebody has just taken this one.
+        if port and server.get_port() != port:
+            raise _taken(host, port)
+        server.gui.configure_theme(show_share_button=False, show_logo=False, dark_mode=True)
+        yield server
+    finally:
+        with contextlib.redirect_stdout(io.StringIO()):
+            server.stop()
+
+
+def _check_free(host: str, port: int) -> None:
+    try:
+        family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        with socket.socket(family, kind, protocol) as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.bind(address)
+    except PermissionError as error:
+        raise HyalineError(
+            f"--port: {port} needs rights that this account has not; choose one above 1023, such as --port 8080"
+        ) from error
+    except OSError as error:
+        if error.errno == errno.EADDRINUSE:
+            raise _taken(host, port) from error
+        raise HyalineError(
+            f"--host: cannot listen at {host} ({error.strerror}); expected an address of this machine, such as "
+            "127.0.0.1, or 0.0.0.0 for all of them"
+        ) from error
+
+
+def _taken(host: str, port: int) -> HyalineError:
+    return HyalineError(
+        f"--port: {port} of {host} is taken, perhaps by another viewer; choose another, or 0 for any that is free"
+    )

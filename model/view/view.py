@@ -1,0 +1,165 @@
+"""`model view`: a dataset, or a run, in a browser; pictures are drawn one by one, here in the main thread alone."""
+
+import contextlib
+import math
+import threading
+import time
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import viser
+
+from datagen.data.config import Split
+from datagen.data.dataset import Dataset, View
+from datagen.disk.errors import HyalineError
+from datagen.terminal.signals import Held, hold_signals
+from model.view.layers import draw_layer
+from model.view.live_run import LiveRun, MovedOn, Picture
+from model.view.panel import Panel
+from model.view.schedule import Budget, Job, Pose, Schedule
+from model.view.server import Server, serving
+from model.view.stage import Stage
+
+TRAINING_SHARE = 0.09
+"""Share of one core that this process takes while a run trains, however many look at it: the training is slowed by
+less than a tenth. It takes nothing while nobody is connected."""
+LOOK_EVERY_S = 2.0
+"""How often a run's folder is asked for newer weights."""
+WAIT_S, IDLE_S = 0.05, 0.5
+"""How long to wait for something to do while somebody looks, and while nobody does."""
+BACK = 0.4
+"""How much farther back than a dataset's cameras one starts, where there is no prediction to see."""
+JPEG_QUALITY = 85
+"""Of pictures while a camera moves; the others are sent without loss."""
+
+
+def view(dataset: Dataset, run: LiveRun | None, *, host: str, port: int, announce: Callable[[str], None]) -> None:
+    """Shows a dataset, and what a run predicts, until a signal arrives.
+
+    The run is read from its folder and never asked: the process that trains it, if there is one, is another one.
+
+    Args:
+        announce: called with the address to open, once.
+
+    Raises:
+        HyalineError: the port is taken, or what is shown is missing or damaged.
+        Stopped: a signal has arrived, which is how it ends.
+    """
+    if run is not None:
+        run.refresh()
+    with serving(host, port, dataset.name) as server:
+        viewer = Viewer(server, dataset, run)
+        shown_host = "127.0.0.1" if host in ("0.0.0.0", "") else host
+        with hold_signals() as held:
+            announce(f"http://{shown_host}:{server.get_port()}")
+            while held.number is None:
+                viewer.step(held)
+
+
+class Viewer:
+    """Answers the browsers that are connected."""
+
+    def __init__(self, server: Server, dataset: Dataset, run: LiveRun | None) -> None:
+        self._server, self._dataset, self._run = server, dataset, run
+        self._schedule = Schedule()
+        self._budget = Budget(TRAINING_SHARE)
+        self._looked_at = -math.inf
+        self._news = threading.Event()
+        self._stage = Stage(server, dataset, self._show_view)
+        self._panel = Panel(
+            server,
+            dataset,
+            has_run=run is not None,
+            on_sight=self._redraw,
+            on_cameras=self._show_cameras,
+            on_meshes=self._stage.show_meshes,
+        )
+        self._pictures: Iterator[None] = self._stage.pictures()
+        first: Split = "interpolating" if "interpolating" in dataset.splits else dataset.splits[0]
+        self._stage.start_at(dataset.view(first, 0).camera, back=BACK if run is None else 0.0)
+        server.on_client_connect(self._connect)
+        server.on_client_disconnect(lambda client: self._schedule.forget(client.client_id))
+
+    def step(self, held: Held) -> None:
+        """Does the most urgent thing there is, or waits a moment for one."""
+        if not self._schedule.is_watched:
+            self._wait(IDLE_S)
+            return
+        started, processor = time.monotonic(), time.process_time()
+        if self._panel.is_paused or not self._budget.is_ready(started):
+            self._wait(WAIT_S)
+            return
+        if started - self._looked_at >= LOOK_EVERY_S:
+            self._looked_at = started
+            self._look()
+        job = self._schedule.next_job(time.monotonic())
+        if job is not None:
+            with contextlib.suppress(MovedOn):
+                self._draw(job, lambda: held.number is None and self._schedule.is_wanted(job))
+        elif next(self._pictures, self) is self:
+            self._wait(WAIT_S)
+        if self._run is not None and not self._run.is_trained:
+            self._budget.spend(time.process_time() - processor, time.monotonic())
+
+    def _look(self) -> None:
+        """Reads newer weights, if the run has left some."""
+        if self._run is None:
+            return
+        try:
+            if self._run.refresh():
+                self._schedule.redraw()
+            self._panel.tell_run(f"{self._run.folder}: {self._run.status}")
+        except HyalineError as error:
+            self._panel.tell_run(str(error))
+
+    def _draw(self, job: Job, is_wanted: Callable[[], bool]) -> None:
+        started = time.monotonic()
+        try:
+            picture, trouble = self._picture(job, is_wanted), ""
+        except HyalineError as error:
+            picture, trouble = None, str(error)
+        self._panel.tell_trouble(trouble)
+        client = self._server.get_clients().get(job.client)
+        if client is not None:
+            kind = "jpeg" if job.is_quick else "png"
+            client.scene.set_background_image(picture, format=kind, jpeg_quality=JPEG_QUALITY)
+            client.flush()
+        self._schedule.finish(job, time.monotonic() - started)
+
+    def _picture(self, job: Job, is_wanted: Callable[[], bool]) -> Picture | None:
+        panel = self._panel
+        if panel.sight == "prediction" and self._run is not None:
+            return self._run.draw(job.camera, is_quick=job.is_quick, is_wanted=is_wanted)
+        if panel.sight == "layer":
+            return draw_layer(self._dataset, panel.geometry, job.camera, panel.layer, panel.num_layers)
+        return None
+
+    # What viser calls, in threads of its own.
+
+    def _connect(self, client: viser.ClientHandle) -> None:
+        def moved(camera: viser.CameraHandle) -> None:
+            pose = Pose(
+                position=np.array(camera.position),
+                wxyz=np.array(camera.wxyz),
+                fov_y=camera.fov,
+                window=(camera.image_width, camera.image_height),
+            )
+            self._schedule.move(client.client_id, pose, time.monotonic())
+            self._news.set()
+
+        client.camera.on_update(moved)
+        moved(client.camera)
+
+    def _redraw(self) -> None:
+        self._schedule.redraw()
+        self._news.set()
+
+    def _show_cameras(self, split: Split, visible: bool) -> None:
+        self._stage.show_cameras(split, visible=visible)
+
+    def _show_view(self, view: View) -> None:
+        self._panel.show_view(view)
+
+    def _wait(self, seconds: float) -> None:
+        self._news.wait(seconds)
+        self._news.clear()

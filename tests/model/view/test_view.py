@@ -1,0 +1,148 @@
+"""Tests `model view` from outside: a run and a dataset in a browser, the end by Ctrl-C, and what is refused."""
+
+import contextlib
+import dataclasses
+import os
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from support.commands import call
+from support.synthetic import write_synthetic_dataset
+from support.training import SMALL
+from support.viewer import open_window, require_viewer
+
+import hyaline
+from datagen.data.dataset import Dataset
+from datagen.terminal.signals import Held
+from model.run.train import train
+from model.view.cameras import camera_in_window, window_pose
+from model.view.schedule import Pose
+
+PATIENCE_S = 60
+
+
+@pytest.fixture(scope="module")
+def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with data/one and a trained run of it."""
+    home = tmp_path_factory.mktemp("home")
+    dataset = write_synthetic_dataset(home / "data" / "one", train_views=2)
+    config = dataclasses.replace(SMALL, steps=2, held_out_views=0)
+    train(config, dataset, home / "runs" / "one" / "paper", label="paper", device=torch.device("cpu"))
+    return home
+
+
+@pytest.fixture(autouse=True)
+def at_home(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(home)
+    monkeypatch.setenv("OMP_NUM_THREADS", "1")
+
+
+@contextlib.contextmanager
+def viewer(*words: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """A viewer of its own, and its address."""
+
+    def take_signals() -> None:
+        signal.signal(signal.SIGINT, signal.default_int_handler)  # A shell's job in the background ignores it.
+
+    process = subprocess.Popen(
+        [sys.executable, "-m", "model", "view", *words, "--port", "0", "--device", "cpu"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=take_signals,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
+    )
+    with process:  # Which closes its pipes, and waits for it.
+        try:
+            assert process.stdout is not None
+            yield process, process.stdout.readline().strip()
+        finally:
+            process.kill()
+
+
+def pose_of(dataset: Dataset, window: tuple[int, int]) -> Pose:
+    position, wxyz, fov_y = window_pose(dataset.view("interpolating", 0).camera)
+    return Pose(position=position, wxyz=wxyz, fov_y=fov_y, window=window)
+
+
+def test_a_browser_gets_what_the_run_predicts_from_its_own_camera_and_ctrl_c_ends_the_viewer_quietly() -> None:
+    require_viewer()
+    run = hyaline.open_run("one/paper", device="cpu")
+    pose = pose_of(run.dataset, (48, 32))
+    torch.set_num_threads(1)
+    truth = run.render(camera_in_window(pose.position, pose.wxyz, pose.fov_y, 48, 32))
+    with viewer("one/paper") as (process, address):
+        assert address.startswith("http://127.0.0.1:")
+        with open_window(address) as window:
+            window.stand_at(pose)
+            # A quick picture may come before, unless this one has overtaken it on the way.
+            picture = next(picture for kind, picture in window.pictures(PATIENCE_S) if kind == "png")
+        assert np.array_equal(picture, truth)
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 130
+    assert out == ""
+    assert err == "one/paper: open the address in a browser; Ctrl-C ends the viewer\n"
+
+
+def test_a_dataset_without_runs_shows_its_cameras_with_their_pictures_and_its_meshes(home: Path) -> None:
+    require_viewer()
+    from model.view.server import serving
+    from model.view.view import Viewer
+
+    dataset = hyaline.open_dataset("one")
+    views = [(split, view) for split, count in dataset.num_views.items() for view in range(count)]
+    names: set[str] = set()
+    pictures = 0
+    with serving("127.0.0.1", 0, "one") as server:
+        shown = Viewer(server, dataset, None)
+        assert server.request_share_url() is None
+        with open_window(f"http://127.0.0.1:{server.get_port()}") as window:
+            window.stand_at(pose_of(dataset, (48, 32)))
+            for _ in range(100):
+                shown.step(Held())
+                for message, _ in window.messages(0.1):
+                    if message["type"] in ("CameraFrustumMessage", "MeshMessage"):
+                        names.add(message["name"])
+                    pictures += "_image_data" in message.get("updates", {})
+                if pictures == len(views):
+                    break
+    assert pictures == len(views) == 6
+    assert names == {f"/cameras/{split}/{view:04d}" for split, view in views} | {"/meshes/pane", "/meshes/floor"}
+
+
+@pytest.mark.parametrize(
+    ("line", "status", "error"),
+    [
+        ("model view nothing", 1, "error: nothing: no run and no dataset is there; expected the folder of one"),
+        ("model view one --port 70000", 2, "error: --port: is 70000; expected 0 to 65535"),
+        ("model view one --host 192.0.2.1", 1, "error: --host: cannot listen at 192.0.2.1 ("),
+        ("model view one --port {taken}", 1, "error: --port: {taken} of 127.0.0.1 is taken, perhaps by another viewer"),
+    ],
+)
+def test_what_cannot_be_shown_is_refused_in_one_line(line: str, status: int, error: str) -> None:
+    if "nothing" not in line and "70000" not in line:
+        require_viewer()
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        taken = other.getsockname()[1]
+        answer = call(line.format(taken=taken))
+    assert (answer.status, answer.out) == (status, "")
+    assert answer.err.startswith(error.format(taken=taken)) and answer.err.count("\n") == 1
+
+
+def test_without_viser_the_way_to_install_it_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "viser", None)
+    for name in [name for name in sys.modules if name.startswith("model.view.")]:
+        monkeypatch.delitem(sys.modules, name)
+    answer = call("model view one")
+    assert answer.status == 1
+    assert answer.err == (
+        'error: model view: needs viser, which is not installed; `pip install "hyaline-glass[view]"` brings it\n'
+    )

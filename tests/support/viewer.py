@@ -1,0 +1,93 @@
+"""A browser as far as `model view` can tell: it says where its camera is, and gets pictures."""
+
+import importlib.util
+import io
+import os
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from model.view.schedule import Pose
+
+
+def require_viewer() -> None:
+    """Skips the test where viser is not installed; fails it where tests in a browser are demanded, as CI does."""
+    if importlib.util.find_spec("viser") is None:
+        missing = 'viser: not installed; `pip install -c constraints.txt -e ".[view]"` brings it'
+        if os.environ.get("HYALINE_DEMAND_BROWSER"):
+            pytest.fail(missing)
+        pytest.skip(missing)
+
+
+class Window:
+    """One connection to a viewer, in the messages of viser's own page."""
+
+    def __init__(self, connection: Any) -> None:
+        self._connection = connection
+
+    def stand_at(self, pose: Pose) -> None:
+        """The camera is here now."""
+        import msgspec
+
+        width, height = pose.window
+        said = {
+            "type": "ViewerCameraMessage",
+            "wxyz": [float(value) for value in pose.wxyz],
+            "position": [float(value) for value in pose.position],
+            "fov": pose.fov_y,
+            "near": 0.01,
+            "far": 1000.0,
+            "image_height": height,
+            "image_width": width,
+            "look_at": [0.0, 0.0, 0.0],
+            "up_direction": [0.0, 0.0, 1.0],
+        }
+        self._connection.send(msgspec.msgpack.encode(said))
+
+    def messages(self, patience_s: float) -> Iterator[tuple[dict[str, Any], list[bytes]]]:
+        """What the viewer says for so long, with the binary parts of each message's window."""
+        import msgspec
+        import zstandard
+
+        end = time.monotonic() + patience_s
+        while (left := end - time.monotonic()) > 0:
+            try:
+                data = self._connection.recv(timeout=left)
+            except TimeoutError:
+                return
+            size, packed = (int.from_bytes(data[place : place + 8], "little") for place in (0, 8))
+            unpacked = zstandard.ZstdDecompressor().decompress(data[16 : 16 + packed], max_output_size=size)
+            content = msgspec.msgpack.decode(unpacked)
+            place, parts = 16 + packed, []
+            for length in content["binaryBufferLengths"]:
+                place += -place % 8
+                parts.append(data[place : place + length])
+                place += length
+            for message in content["messages"]:
+                yield message, parts
+
+    def pictures(self, patience_s: float) -> Iterator[tuple[str, np.ndarray]]:
+        """Format and pixels of the pictures behind the scene, as they arrive."""
+        for message, parts in self.messages(patience_s):
+            if message["type"] == "BackgroundImageMessage" and message["rgb_data"] is not None:
+                data = message["rgb_data"]
+                data = parts[data["__binary_index"]] if isinstance(data, dict) else data
+                yield message["format"], np.asarray(Image.open(io.BytesIO(data)).convert("RGB"))
+
+
+@contextmanager
+def open_window(address: str) -> Iterator[Window]:
+    """Connects to a viewer at http://HOST:PORT."""
+    import viser
+    from websockets.sync.client import connect
+    from websockets.typing import Subprotocol
+
+    place = address.replace("http://", "ws://")
+    spoken = [Subprotocol(f"viser-v{viser.__version__}")]
+    with connect(place, subprotocols=spoken, max_size=None, compression=None) as connection:
+        yield Window(connection)
