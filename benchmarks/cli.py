@@ -86,6 +86,7 @@ def truth(
     from benchmarks.generator.truth import bench_truth, under_soft_light
     from benchmarks.harness import show
     from datagen.data.config import DatasetConfig, SplitConfig
+    from datagen.data.resolution import square
     from datagen.scene.builtin import find_scene
     from datagen.scene.rig import make_cameras
 
@@ -94,7 +95,12 @@ def truth(
         description = under_soft_light(description)
     split = SplitConfig(views=4, spp=4)
     config = DatasetConfig(
-        scene=description.name, preset="bench", resolution=size, train=split, interpolating=split, extrapolating=split
+        scene=description.name,
+        preset="bench",
+        resolution=square(size),
+        train=split,
+        interpolating=split,
+        extrapolating=split,
     )
     cameras = make_cameras(description.cameras, config)["train"]
     show(bench_truth(description, cameras, rounds=rounds), as_json=json)

@@ -20,7 +20,7 @@ def open_dataset(name: Path | str | None = None, root: Path | str = DATA_ROOT) -
     """A dataset, its head verified. Views are read, and verified, when they are asked for.
 
     >>> dataset = open_dataset("glass_table")
-    >>> dataset.num_views["train"], dataset.config.resolution
+    >>> dataset.num_views["train"], dataset.config.resolution.width
     (8, 32)
     >>> [item.name for item in dataset.objects]         # object ids are 1, 2, ... in this order
     ['pane', 'floor']

@@ -10,6 +10,7 @@ from torch.nn import functional
 
 from benchmarks.networks.choices import BenchChoices
 from datagen.data.number_formats import UV_SCALE
+from datagen.data.resolution import square
 from datagen.disk.errors import HyalineError
 from model.batches.rays import Pixels, RayBatch
 from model.methods.paper.config import PaperConfig
@@ -64,7 +65,7 @@ def made_up_frame(choices: BenchChoices, *, rng: np.random.Generator) -> Pixels:
         object_id=torch.from_numpy(np.where(found, order // 2 + 1, 0).astype(np.uint8)),
         rgb=torch.zeros(len(place), 3, dtype=torch.uint8),
         p_camera=torch.zeros(1, 3),
-        pixels_per_view=side * side,
+        resolution=square(side),
     )
 
 

@@ -96,8 +96,7 @@ def python_picture(
     assert isinstance(config, LightPathConfig)
     even = dataclasses.replace(config, render_samples=samples, refined_samples=1)
     pixels = load_light_path_pixels(even, dataset, record.geometry, split, [view], False)
-    size = dataset.config.resolution
-    return predict_pixels(renderer, pixels).reshape(size, size, 3)
+    return predict_pixels(renderer, pixels).reshape(*dataset.config.resolution.shape, 3)
 
 
 def page_table(report: PageReport) -> str:

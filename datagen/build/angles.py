@@ -54,7 +54,7 @@ def make_angle_cameras(scene: Scene, config: DatasetConfig) -> dict[Split, Camer
             )
         chosen = positions[((np.arange(count) + 0.5) * len(positions) / count).astype(int)]
         poses = np.stack([look_at(position, np.array(scene.cameras.target, np.float64)) for position in chosen])
-        cameras[split] = Cameras(world_from_camera=poses, fov_x=fov_x, width=size, height=size)
+        cameras[split] = Cameras(world_from_camera=poses, fov_x=fov_x, width=size.width, height=size.height)
     return cameras
 
 

@@ -19,6 +19,7 @@ from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.finding import DATA_ROOT, find_dataset
 from datagen.data.layer_writing import check_settings
 from datagen.data.paths import TRUTH
+from datagen.data.resolution import parse_resolution
 from datagen.data.variants import TWINS
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import DATASET, refuse_strangers
@@ -59,7 +60,7 @@ def _build_new(choices: BuildChoices, launch: LaunchChoices) -> None:
         place = choices.out or DATA_ROOT / choices.scene
         refuse_strangers(place, DATASET, {DATASET.head, *TRANSFORMS_FILES.values()})
     built = None if choices.overwrite else choices.out or DATA_ROOT / choices.scene
-    scene = find_scene(choices.scene, built=built, resolution=config.resolution)
+    scene = find_scene(choices.scene, built=built, resolution=config.resolution.mean_side)
     root = choices.out or DATA_ROOT / scene.name
     config = dataclasses.replace(config, scene=scene.name)
     if choices.views is None and choices.test_views is None:
@@ -98,7 +99,7 @@ def _configure(choices: BuildChoices) -> DatasetConfig:
     """The configuration of a new dataset, but for its scene's name, which is known when the scene is read."""
     size = resize(
         PRESETS[choose("preset", choices.preset, PRESETS)],
-        resolution=choices.resolution,
+        resolution=None if choices.resolution is None else parse_resolution(choices.resolution),
         views=choices.views,
         test_views=choices.test_views,
         spp=choices.spp,

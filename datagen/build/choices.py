@@ -27,8 +27,8 @@ class BuildChoices:
     """Replace an existing dataset that has other settings."""
     ceiling: float | None = None
     """Render each test view until its noise ceiling reaches this many dB, instead of a fixed number of samples."""
-    resolution: int | None = None
-    """Width and height in pixels. Default: the preset's."""
+    resolution: str | None = None
+    """Pixels: one number for square pictures, or width and height, such as 320x240. Default: the preset's."""
     views: int | None = None
     """Number of training views. Default: the preset's."""
     test_views: int | None = None

@@ -56,12 +56,12 @@ def write_edit_masks(base: Dataset, edited: Dataset) -> None:
 def shows_objects(base: Dataset, edited: Dataset, split: Split, view: int) -> Bool[np.ndarray, "h w"]:
     """Pixels whose centre ray meets a changed object in either scene, before or as its first opaque surface."""
     assert edited.edit is not None
-    size = edited.config.resolution
-    shown = np.zeros((size, size), bool)
+    shape = edited.config.resolution.shape
+    shown = np.zeros(shape, bool)
     for dataset in (base, edited):
         is_changed = np.array([False, *(item.name in edited.edit.changed for item in dataset.objects)])
         is_glass = np.array([True, *(item.is_glass for item in dataset.objects)])
-        in_view = np.ones((size, size), bool)
+        in_view = np.ones(shape, bool)
         for object_id in dataset.view(split, view).layers().object_id:
             shown |= in_view & is_changed[object_id]
             in_view &= is_glass[object_id]

@@ -70,7 +70,7 @@ def plan_larger(base: Dataset, scale: int, *, views: int | None = None) -> Plan:
             width=scale * poses.width,
             height=scale * poses.height,
         )
-    config = dataclasses.replace(base.config, resolution=scale * base.config.resolution, **sizes)
+    config = dataclasses.replace(base.config, resolution=base.config.resolution.times(scale), **sizes)
     return Plan(name=scale_name(scale), config=config, cameras=cameras, objects=base.objects)
 
 
@@ -104,7 +104,7 @@ def plan_again(base: Dataset, variant: Dataset) -> Plan:
     if variant.edit is not None:
         return plan_edit(base, tuple(map(parse_edit, variant.edit.edits)))
     if is_larger(variant):
-        scale = variant.config.resolution // base.config.resolution
+        scale = variant.config.resolution.width // base.config.resolution.width
         return plan_larger(base, scale, views=variant.config.interpolating.views)
     return plan_angles(base)
 

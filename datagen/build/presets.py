@@ -4,23 +4,24 @@ import dataclasses
 from dataclasses import dataclass
 
 from datagen.data.config import SplitConfig
+from datagen.data.resolution import Resolution, square
 
 
 @dataclass(frozen=True, kw_only=True)
 class Preset:
     """Everything about a dataset's size; samples per pixel are powers of two, as Sobol's sequence likes."""
 
-    resolution: int
+    resolution: Resolution
     train: SplitConfig
     interpolating: SplitConfig
     extrapolating: SplitConfig
     purpose: str
 
 
-def _preset(purpose: str, resolution: int, train: tuple[int, int], test: tuple[int, int]) -> Preset:
+def _preset(purpose: str, side: int, train: tuple[int, int], test: tuple[int, int]) -> Preset:
     test_split = SplitConfig(views=test[0], spp=test[1])
     return Preset(
-        resolution=resolution,
+        resolution=square(side),
         train=SplitConfig(views=train[0], spp=train[1]),
         interpolating=test_split,
         extrapolating=test_split,
@@ -39,7 +40,7 @@ PRESETS: dict[str, Preset] = {
 def resize(
     preset: Preset,
     *,
-    resolution: int | None,
+    resolution: Resolution | None,
     views: int | None,
     test_views: int | None,
     spp: int | None,

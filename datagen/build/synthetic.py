@@ -16,6 +16,7 @@ from datagen.data.meshes import Mesh
 from datagen.data.number_formats import quantize_uv
 from datagen.data.paths import TRUTH
 from datagen.data.png import png_bytes
+from datagen.data.resolution import Resolution, square
 from datagen.data.tonemap import linear_from_srgb
 from datagen.scene.description import CameraRig, Scene, SceneObject, SoftEnvironment, WalkPoint
 from datagen.scene.folder import scene_files
@@ -107,18 +108,25 @@ def shade(layers: Layers) -> np.ndarray:
 
 
 def write_synthetic_dataset(
-    root: Path, *, resolution: int = 32, num_layers: int = 4, train_views: int = 8, sees_nothing: bool = False
+    root: Path,
+    *,
+    resolution: int | Resolution = 32,
+    num_layers: int = 4,
+    train_views: int = 8,
+    sees_nothing: bool = False,
 ) -> Dataset:
     """A complete dataset with its straight layers; 8 training views and 2 of each test split unless told.
 
     Args:
+        resolution: one number for square pictures.
         sees_nothing: the last extrapolating camera looks away from all objects.
     """
     few = SplitConfig(views=2, spp=4)
+    size = resolution if isinstance(resolution, Resolution) else square(resolution)
     config = DatasetConfig(
         scene="synthetic",
         preset="tiny",
-        resolution=resolution,
+        resolution=size,
         train=SplitConfig(views=train_views, spp=4),
         interpolating=few,
         extrapolating=few,
@@ -138,12 +146,12 @@ def write_synthetic_dataset(
             away = poses[-1][:3, 3]
             poses[-1] = look_at(away, 2 * away)
         cameras[split] = Cameras(
-            world_from_camera=np.stack(poses), fov_x=np.radians(50), width=resolution, height=resolution
+            world_from_camera=np.stack(poses), fov_x=np.radians(50), width=size.width, height=size.height
         )
     objects = (DatasetObject(name="pane", is_glass=True), DatasetObject(name="floor", is_glass=False))
     dataset = write_head(root, config, objects, cameras, scene_files(scene))
     create_layers(dataset, TRUTH, num_layers=num_layers, geometry_hash=geometry_hash(dataset, TRUTH))
-    noise = rng.normal(0, 1e-3, (resolution, resolution, 3)).astype(np.float32)
+    noise = rng.normal(0, 1e-3, (*size.shape, 3)).astype(np.float32)
     for split in SPLITS:
         stored = dataset.cameras(split)
         for view in range(config.split(split).views):

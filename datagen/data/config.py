@@ -5,6 +5,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal, cast
 
+from datagen.data.resolution import Resolution
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import check_name
 
@@ -45,8 +46,7 @@ class DatasetConfig:
 
     scene: str
     preset: str
-    resolution: int
-    """Width and height of the square images in pixels."""
+    resolution: Resolution
     train: SplitConfig
     interpolating: SplitConfig
     extrapolating: SplitConfig
@@ -58,8 +58,6 @@ class DatasetConfig:
 
     def __post_init__(self) -> None:
         check_name(self.scene, where="scene name")
-        if not 1 <= self.resolution <= 8192:
-            raise HyalineError(f"resolution: is {self.resolution}; expected 1 to 8192 pixels")
         for split in TEST_SPLITS:
             if self.split(split).views < 1:
                 raise HyalineError(f"{split}: has {self.split(split).views} views; expected at least 1")

@@ -51,7 +51,8 @@ from datagen.disk.promises import check_files, read_promised
 from datagen.disk.records import Json, entry, from_json, shown
 from datagen.disk.storage import load_sealed, seal_of, sha256, sha256_file
 
-DATASET_VERSION = 1
+DATASET_VERSION = 2
+"""Of what is written. Version 1, which is read too, knew square pictures alone: its resolution is one number."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -312,21 +313,35 @@ def open_dataset(root: Path) -> Dataset:
     if not path.is_file():
         raise HyalineError(f"{root}: no dataset; {where_datasets_are(root)}")
     head = load_sealed(path)
-    if head.get("version") != DATASET_VERSION:
-        raise HyalineError(f"{path}: format version {shown(head.get('version'))}; this program reads {DATASET_VERSION}")
+    config = config_of(head, path)
     variant = variant_of(head, path)
     parent = None if variant is None else open_dataset(root.parent.parent)
     if variant is not None and parent is not None and parent.seal != variant.of:
         raise HyalineError(f"{path}: belongs to a dataset that stood there before; build it again, or delete {root}")
     return Dataset(
         root=root,
-        config=from_json(DatasetConfig, entry(head, "config", where=path), where=f"{path}: config"),
+        config=config,
         objects=from_json(tuple[DatasetObject, ...], entry(head, "objects", where=path), where=f"{path}: objects"),
         seal=seal_of(head),
         files=_promised_files(head, path),
         variant=variant,
         parent=parent,
     )
+
+
+def config_of(head: Mapping[str, Json], path: Path) -> DatasetConfig:
+    """The configuration in a dataset's head.
+
+    Raises:
+        HyalineError: another format version, or no configuration.
+    """
+    version = head.get("version")
+    if isinstance(version, bool) or version not in (1, DATASET_VERSION):
+        raise HyalineError(f"{path}: format version {shown(version)}; this program reads 1 and {DATASET_VERSION}")
+    config = entry(head, "config", where=path)
+    if version == 1 and isinstance(config, dict) and isinstance(side := config.get("resolution"), int):
+        config = {**config, "resolution": {"width": side, "height": side}}
+    return from_json(DatasetConfig, config, where=f"{path}: config")
 
 
 def variant_of(head: Mapping[str, Json], path: Path) -> Variant | None:

@@ -12,6 +12,7 @@ from datagen.data.dataset import (
     DatasetObject,
     Variant,
     ViewRecord,
+    config_of,
     head_files,
     open_dataset,
     variant_of,
@@ -20,7 +21,7 @@ from datagen.data.paths import image_path, record_path
 from datagen.disk.errors import HyalineError
 from datagen.disk.heads import keep_head
 from datagen.disk.ownership import DATASET, begin, is_ours
-from datagen.disk.records import Json, from_json, to_json
+from datagen.disk.records import Json, to_json
 from datagen.disk.storage import commit, commit_same, commit_sealed, load_sealed, seal_bytes, seal_of, sha256
 
 
@@ -91,9 +92,7 @@ def dataset_files(root: Path) -> list[str]:
     """
     path = root / DATASET.head
     head = load_sealed(path)
-    if head.get("version") != DATASET_VERSION:
-        raise HyalineError(f"{path}: format version {head.get('version')!r}; this program reads {DATASET_VERSION}")
-    config = from_json(DatasetConfig, head.get("config"), where=f"{path}: config")
+    config = config_of(head, path)
     variant = variant_of(head, path)
     return [*view_files(config, SPLITS if variant is None else variant.splits), *head_files(root)]
 

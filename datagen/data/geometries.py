@@ -13,7 +13,7 @@ import shlex
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from datagen.data.dataset import DATASET_VERSION, Dataset, head_files
+from datagen.data.dataset import Dataset, head_files
 from datagen.data.meshes import Mesh, check_mesh, is_there, no_mesh, read_ply, write_ply
 from datagen.data.paths import TRUTH, geometry_root
 from datagen.disk.errors import HyalineError
@@ -24,6 +24,8 @@ from datagen.disk.promises import check_files
 from datagen.disk.records import Json, entry, from_json, shown, to_json
 from datagen.disk.storage import commit, commit_sealed, load_sealed, seal_bytes, sha256
 from datagen.terminal.command import choose
+
+PROXIES_VERSION = 1
 
 NO_GEOMETRY = "none"
 """What stands for it where a method looks up no layers."""
@@ -81,7 +83,7 @@ def write_proxies(
         files[file] = data
         listed.append(ProxyRecord(object=item.name, file=file, sha256=sha256(data), statistics=numbers))
     content: dict[str, Json] = {
-        "version": DATASET_VERSION,
+        "version": PROXIES_VERSION,
         "kind": kind,
         "dataset": dataset.seal,
         "proxies": to_json(tuple(listed)),
@@ -122,9 +124,9 @@ def read_proxy_records(dataset: Dataset, kind: str) -> tuple[ProxyRecord, ...]:
     if not path.is_file():
         raise HyalineError(f"{path}: no {kind} proxies; make them with `{_make_command(dataset, kind)}`")
     content = load_sealed(path)
-    if content.get("version") != DATASET_VERSION:
+    if content.get("version") != PROXIES_VERSION:
         raise HyalineError(
-            f"{path}: format version {shown(content.get('version'))}; this program reads {DATASET_VERSION}"
+            f"{path}: format version {shown(content.get('version'))}; this program reads {PROXIES_VERSION}"
         )
     if unknown := sorted(set(content) - {"version", "kind", "dataset", "proxies", "assignment"}):
         raise HyalineError(f"{path}: unknown key {unknown[0]!r}; make the proxies again")

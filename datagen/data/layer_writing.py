@@ -193,8 +193,8 @@ def create_layers(
     dataset: Dataset, geometry: str, *, num_layers: int, geometry_hash: str, replace: bool = False
 ) -> None:
     """Lays out an empty store."""
-    size = dataset.config.resolution
-    plane = ArrayFormat(dtype="uint8", axes=("layer", "y", "x"), shape=(num_layers, size, size), chunk=(1, size, size))
+    size = dataset.config.resolution.shape
+    plane = ArrayFormat(dtype="uint8", axes=("layer", "y", "x"), shape=(num_layers, *size), chunk=(1, *size))
     arrays = {
         "uv": ArrayFormat(dtype="uint16", axes=("uv", *plane.axes), shape=(2, *plane.shape), chunk=(1, *plane.chunk)),
         "object_id": plane,

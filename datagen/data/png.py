@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import UInt8, UInt16
 from PIL import Image
 
+from datagen.data.resolution import Resolution
 from datagen.disk.errors import HyalineError
 from datagen.disk.reading import read_regular
 
@@ -24,7 +25,7 @@ def read_png(path: Path) -> UInt8[np.ndarray, "h w 3"]:
     return np.asarray(open_png(path).convert("RGB"))
 
 
-def open_png(path: Path, *, size: int | None = None) -> Image.Image:
+def open_png(path: Path, *, size: Resolution | None = None) -> Image.Image:
     """The picture in a PNG file, decoded, in the file's own mode; see `decode_png`.
 
     Raises:
@@ -33,11 +34,11 @@ def open_png(path: Path, *, size: int | None = None) -> Image.Image:
     return decode_png(read_regular(path, at_most=MAX_PNG_BYTES), where=str(path), size=size)
 
 
-def decode_png(data: bytes, *, where: str, size: int | None = None) -> Image.Image:
+def decode_png(data: bytes, *, where: str, size: Resolution | None = None) -> Image.Image:
     """The picture in the bytes of a PNG file, in the file's own mode.
 
     Args:
-        size: its width and height; nothing of a picture of another size is decoded.
+        size: which it has to have; nothing of a picture of another size is decoded.
 
     Raises:
         HyalineError: not a PNG of at most 8 bits a channel, too large, or of another size.
@@ -45,8 +46,8 @@ def decode_png(data: bytes, *, where: str, size: int | None = None) -> Image.Ima
     if len(data) < 33 or data[:8] != b"\x89PNG\r\n\x1a\n" or data[12:16] != b"IHDR":
         raise HyalineError(f"{where}: not a PNG that can be read; expected an 8-bit sRGB PNG")
     width, height, depth = (int.from_bytes(data[at:end]) for at, end in ((16, 20), (20, 24), (24, 25)))
-    if size is not None and (width, height) != (size, size):
-        raise HyalineError(f"{where}: is {width} x {height} pixels; expected {size} x {size}, as the truth has")
+    if size is not None and (width, height) != (size.width, size.height):
+        raise HyalineError(f"{where}: is {width} x {height} pixels; expected {size}, as the truth has")
     if not (0 < width <= MAX_PNG_SIDE and 0 < height <= MAX_PNG_SIDE):
         raise HyalineError(f"{where}: is {width} x {height} pixels; expected 1 to {MAX_PNG_SIDE} a side")
     if depth > 8:

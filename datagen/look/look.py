@@ -61,12 +61,12 @@ def look_sheet(dataset: Dataset) -> bytes:
         raise HyalineError(
             f"{dataset.root}: no view is built yet; finish with `{mend_command(dataset.root / 'dataset.json')}`"
         )
-    side, gap = dataset.config.resolution, 4
-    sheet = np.full((len(rows) * (side + gap) - gap, SHEET_COLUMNS * (side + gap) - gap, 3), 255, np.uint8)
+    (high, wide), gap = dataset.config.resolution.shape, 4
+    sheet = np.full((len(rows) * (high + gap) - gap, SHEET_COLUMNS * (wide + gap) - gap, 3), 255, np.uint8)
     for place, row in enumerate(rows):
         for column, picture in enumerate(row):
-            top, left = place * (side + gap), column * (side + gap)
-            sheet[top : top + side, left : left + side] = picture
+            top, left = place * (high + gap), column * (wide + gap)
+            sheet[top : top + high, left : left + wide] = picture
     buffer = io.BytesIO()
     Image.fromarray(sheet).save(buffer, format="PNG")
     return buffer.getvalue()
@@ -81,7 +81,7 @@ def _facts(dataset: Dataset) -> list[tuple[str, Part]]:
         ("scene", config.scene),
         ("preset", config.preset),
         ("views", views),
-        ("pixels", f"{config.resolution} × {config.resolution}"),  # noqa: RUF001
+        ("pixels", str(config.resolution)),
         ("samples a pixel", samples),
         ("seed", config.seed),
         ("objects", f"{len(dataset.objects)}, {sum(item.is_glass for item in dataset.objects)} of glass"),

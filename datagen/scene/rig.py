@@ -29,7 +29,10 @@ def make_cameras(rig: CameraRig | CameraList, config: DatasetConfig) -> dict[Spl
             "extrapolating": _walk(rig, config.extrapolating.views),
         }
     size, fov_x = config.resolution, math.radians(rig.fov_deg)
-    return {split: Cameras(world_from_camera=poses[split], fov_x=fov_x, width=size, height=size) for split in SPLITS}
+    return {
+        split: Cameras(world_from_camera=poses[split], fov_x=fov_x, width=size.width, height=size.height)
+        for split in SPLITS
+    }
 
 
 def with_listed_views(config: DatasetConfig, rig: CameraRig | CameraList) -> DatasetConfig:

@@ -66,7 +66,7 @@ def read_coverage(dataset: Dataset) -> Coverage:
     """
     is_glass = np.array([False, *(item.is_glass for item in dataset.objects)])
     num_views = dataset.config.train.views
-    grid = min(MAX_GRID, max(1, dataset.config.resolution // 4))
+    grid = min(MAX_GRID, max(1, dataset.config.resolution.mean_side // 4))
     seen: np.ndarray | None = None
     for view in range(num_views):
         layers = dataset.view("train", view).layers()

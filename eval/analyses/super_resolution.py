@@ -1,10 +1,13 @@
 """Super-resolution: what a run draws at twice the size and more, against truth of that size."""
 
+import dataclasses
+
 import numpy as np
 from jaxtyping import UInt8
 
 from datagen.data.config import TEST_SPLITS, Split
 from datagen.data.dataset import Dataset
+from datagen.data.resolution import Resolution
 from datagen.data.variants import parent_views
 from datagen.disk.records import Json
 from eval.analyses.variants import VariantScores, splits_json, variant_json
@@ -44,11 +47,11 @@ def score_enlarged(scene: SceneScores, scored: VariantScores, kept: Kept) -> Enl
     }
 
 
-def enlarge(image: UInt8[np.ndarray, "h w 3"], size: int) -> UInt8[np.ndarray, "size size 3"]:
+def enlarge(image: UInt8[np.ndarray, "h w 3"], size: Resolution) -> UInt8[np.ndarray, "tall wide 3"]:
     """A picture at another size by cubic splines through its pixels' centres, clipped; edges are repeated beyond."""
     from skimage.transform import resize
 
-    values = np.asarray(resize(image / 255, (size, size), order=3, mode="edge", anti_aliasing=False))
+    values = np.asarray(resize(image / 255, size.shape, order=3, mode="edge", anti_aliasing=False))
     return np.rint(values.clip(0, 1) * 255).astype(np.uint8)
 
 
@@ -56,7 +59,7 @@ def super_resolution_grid(scene: SceneScores, scaled: list[tuple[VariantScores, 
     """The table of all sizes."""
     rows: list[tuple[str, ...]] = []
     for scored, enlarged in scaled:
-        size = f"{scored.variant.config.resolution}²"
+        size = str(scored.variant.config.resolution)
         listed = [(name, DRAWN, scores.splits) for name, scores in scored.runs.items()]
         listed += [(name, ENLARGED, splits) for name, splits in enlarged.items()]
         order = {name: place for place, name in enumerate([*scored.runs, TRUTH_ENLARGED])}
@@ -77,7 +80,7 @@ def super_resolution_grid(scene: SceneScores, scaled: list[tuple[VariantScores, 
         rows.append((size, CEILING, "", *ceilings, *[MISSING] * (len(TEST_SPLITS) * (len(KEYS) - 1))))
     texts = ("size", "run", "pictures")
     return Grid(
-        title=f"{scene.title}: super-resolution, trained at {scene.dataset.config.resolution}²",
+        title=f"{scene.title}: super-resolution, trained at {scene.dataset.config.resolution}",
         columns=(
             *(Column(group=text, is_number=False) for text in texts),
             *(Column(group=title, split=split) for title, _ in KEYS.values() for split in TEST_SPLITS),
@@ -91,7 +94,7 @@ def super_resolution_json(scored: VariantScores, enlarged: Enlarged) -> dict[str
     """The scores of the drawn pictures, and those of enlarged ones beside them."""
     return {
         **variant_json(scored),
-        "resolution": scored.variant.config.resolution,
+        "resolution": dataclasses.asdict(scored.variant.config.resolution),
         "enlarged": {name: splits_json(splits) for name, splits in enlarged.items()},
     }
 

@@ -17,6 +17,7 @@ from matplotlib.text import Text
 
 from datagen.data.config import TEST_SPLITS, Split
 from datagen.data.paths import view_name
+from datagen.data.resolution import Resolution
 from eval.score.runs import read_prediction
 from eval.score.scores import RunScores, SceneScores
 from eval.score.seeds import group_seeds
@@ -115,13 +116,14 @@ def figure_png(figure: Figure) -> bytes:
     return buffer.getvalue()
 
 
-def draw_sheet(title: str, heads: Sequence[str], rows: Sequence[Row], *, size: int) -> bytes:
+def draw_sheet(title: str, heads: Sequence[str], rows: Sequence[Row], *, size: Resolution) -> bytes:
     """Lays panels out in whole pixels, so that nearest-neighbour enlargement is exact."""
-    side = size * math.ceil(PANEL / size)
+    scale = math.ceil(PANEL / size.shorter)
+    high, wide = scale * size.height, scale * size.width
     has_error = any(panel.image is not None and panel.image.ndim == 2 for row in rows for panel in row.panels)
     bar = 70 if has_error else 0
-    width = SIDE + len(heads) * (side + GAP) - GAP + bar + MARGIN
-    height = HEADING + len(rows) * (side + CAPTION) + MARGIN
+    width = SIDE + len(heads) * (wide + GAP) - GAP + bar + MARGIN
+    height = HEADING + len(rows) * (high + CAPTION) + MARGIN
     figure = Figure(figsize=(width / DPI, height / DPI), dpi=DPI, facecolor="white")
 
     def text(x: int, y: int, words: str, **style: Any) -> None:
@@ -129,18 +131,18 @@ def draw_sheet(title: str, heads: Sequence[str], rows: Sequence[Row], *, size: i
 
     text(SIDE, 24, _fitting(title, width - SIDE), fontsize=14, weight="bold", va="center")
     for column, head in enumerate(heads):
-        x = SIDE + column * (side + GAP) + side // 2
-        text(x, HEADING - 10, _fitting(head, side), fontsize=11, ha="center", va="center")
+        x = SIDE + column * (wide + GAP) + wide // 2
+        text(x, HEADING - 10, _fitting(head, wide), fontsize=11, ha="center", va="center")
     for place, row in enumerate(rows):
-        top = HEADING + place * (side + CAPTION)
-        text(SIDE // 2, top + side // 2, row.split, fontsize=11, ha="center", va="center", rotation=90)
+        top = HEADING + place * (high + CAPTION)
+        text(SIDE // 2, top + high // 2, row.split, fontsize=11, ha="center", va="center", rotation=90)
         for column, panel in enumerate(row.panels):
-            left = SIDE + column * (side + GAP)
-            axes = figure.add_axes((left / width, 1 - (top + side) / height, side / width, side / height))
+            left = SIDE + column * (wide + GAP)
+            axes = figure.add_axes((left / width, 1 - (top + high) / height, wide / width, high / height))
             _fill(axes, panel)
             text(
-                left + side // 2,
-                top + side + 11,
+                left + wide // 2,
+                top + high + 11,
                 panel.caption,
                 fontsize=10,
                 ha="center",
@@ -148,7 +150,7 @@ def draw_sheet(title: str, heads: Sequence[str], rows: Sequence[Row], *, size: i
                 weight="bold" if panel.is_best else "normal",
             )
     if has_error:
-        left, extent = width - MARGIN - bar + 20, min(2 * side, height - HEADING - MARGIN - CAPTION)
+        left, extent = width - MARGIN - bar + 20, min(2 * high, height - HEADING - MARGIN - CAPTION)
         axes = figure.add_axes((left / width, 1 - (HEADING + extent) / height, 14 / width, extent / height))
         _color_bar(figure, axes)
     return figure_png(figure)

@@ -206,7 +206,7 @@ def _scene_page(part: _ScenePart, gallery: Gallery) -> Markup:
     scene, place, links = part.scene, _scene_anchor(part.scene), _links(part.scene)
     _, *rest = scene_grids(scene)
     config = scene.dataset.config
-    about = f"{config.resolution} × {config.resolution} pixels, dataset {scene.dataset.seal[:12]}"  # noqa: RUF001
+    about = f"{config.resolution} pixels, dataset {scene.dataset.seal[:12]}"
     content: list[Part] = [tag("p", about, class_="note")]
     if part.further.curves:
         content += [tag("h3", "Error against what training saw"), *curve_charts(part.further.curves)]

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from datagen.data.config import TEST_SPLITS, Split
+from datagen.data.resolution import Resolution
 from datagen.disk.errors import HyalineError
 from datagen.disk.reading import load_json
 from datagen.disk.records import shown
@@ -61,7 +62,7 @@ def _section(path: Path) -> str:
 def _grids(scene: Stored) -> list[Grid]:
     """The scores of a scene, then of each variant that its runs drew."""
     groups = _groups(scene)
-    size = f"{scene['resolution']} x {scene['resolution']} pixels"
+    size = f"{Resolution(**scene['resolution'])} pixels"
     preset = f", preset {scene['preset']}" if "preset" in scene else ""
     runs = {run["run"]: run for run in scene["runs"]}
     analyses = scene["analyses"]

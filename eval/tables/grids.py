@@ -105,10 +105,9 @@ def _score_grid(scene: SceneScores, metrics: tuple[Metric, ...]) -> Grid:
         values.append(numbers)
     ceiling = [format_number(scene.ceilings_db[split], 2) for split in TEST_SPLITS]
     rows.append((CEILING, *ceiling, *[MISSING] * (len(columns) - 1 - len(ceiling))))
-    size = scene.dataset.config.resolution
     views = " + ".join(f"{scene.dataset.config.split(split).views} {split}" for split in TEST_SPLITS)
     return Grid(
-        title=f"{scene.title}: {views} views of {size} x {size} pixels",
+        title=f"{scene.title}: {views} views of {scene.dataset.config.resolution} pixels",
         columns=tuple(columns),
         rows=tuple(rows),
         last_row_apart=True,

@@ -1,6 +1,7 @@
 """The scores as data: results.json, with every picture's value, and CSV, one line a run."""
 
 import csv
+import dataclasses
 import io
 import math
 from collections.abc import Mapping
@@ -91,7 +92,7 @@ def _scene_json(scene: SceneScores, analyses: dict[str, Json]) -> Json:
         "scene": scene.title,
         "dataset_seal": scene.dataset.seal,
         "preset": scene.dataset.config.preset,
-        "resolution": scene.dataset.config.resolution,
+        "resolution": dataclasses.asdict(scene.dataset.config.resolution),
         "noise_ceiling_db": {split: scene.ceilings_db[split] for split in TEST_SPLITS},
         "notes": list(left_out_notes(scene)),
         "runs": [_run_json(scores) for scores in scene.runs],

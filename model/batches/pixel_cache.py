@@ -32,6 +32,7 @@ from torch import Tensor
 from datagen.data.config import Split
 from datagen.data.dataset import Dataset
 from datagen.data.number_formats import UV_SCALE
+from datagen.data.resolution import Resolution
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import remove_files
 from datagen.disk.private import make_private
@@ -97,10 +98,14 @@ class MappedPixels:
     rgb: UInt8[Tensor, "pixel 3"]
     """8-bit sRGB, mapped, so never on a GPU."""
     p_camera: Float32[Tensor, "view 3"]
-    pixels_per_view: int
+    resolution: Resolution
     num_layers: int
     whole_views: bool
     device: torch.device
+
+    @property
+    def pixels_per_view(self) -> int:
+        return self.resolution.pixels
 
     @property
     def chunk(self) -> int:
@@ -174,7 +179,7 @@ def map_pixels(
         files=files,
         rgb=rgb,
         p_camera=torch.from_numpy(p_camera),
-        pixels_per_view=dataset.config.resolution**2,
+        resolution=dataset.config.resolution,
         num_layers=num_layers,
         whole_views=whole_views,
         device=torch.device("cpu"),

@@ -1,7 +1,6 @@
 """The training data in memory: every pixel of some views with its layers, and random batches of them."""
 
 import dataclasses
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol, TypeVar, runtime_checkable
@@ -15,6 +14,7 @@ from datagen.data.cameras import Cameras
 from datagen.data.config import Split
 from datagen.data.dataset import Dataset
 from datagen.data.number_formats import UV_SCALE
+from datagen.data.resolution import Resolution
 from datagen.disk.errors import HyalineError
 
 Batch_co = TypeVar("Batch_co", covariant=True)
@@ -32,6 +32,11 @@ class PixelSource(Protocol[Batch_co]):
     @property
     def device(self) -> torch.device:
         """Where a batch is put; `rgb` may stay elsewhere."""
+        ...
+
+    @property
+    def resolution(self) -> Resolution:
+        """Of the views."""
         ...
 
     @property
@@ -77,13 +82,17 @@ class Pixels:
     rgb: UInt8[Tensor, "pixel 3"]
     """8-bit sRGB."""
     p_camera: Float32[Tensor, "view 3"]
-    pixels_per_view: int
+    resolution: Resolution
     whole_views: bool = False
     """A rendering takes one view at once, because its renderer looks at neighbours."""
 
     @property
     def device(self) -> torch.device:
         return self.rgb.device
+
+    @property
+    def pixels_per_view(self) -> int:
+        return self.resolution.pixels
 
     @property
     def chunk(self) -> int:
@@ -138,7 +147,7 @@ def load_pixels(
         object_id=torch.from_numpy(np.concatenate([object_id for _, object_id in stacks])),
         rgb=read_colors(dataset, split, views, with_images=with_images),
         p_camera=torch.from_numpy(p_camera),
-        pixels_per_view=dataset.config.resolution**2,
+        resolution=dataset.config.resolution,
         whole_views=whole_views,
     )
 
@@ -172,13 +181,8 @@ def grid_of(pixels: PixelSource, index: Int[Tensor, "*pixel"], *, whole_views: b
     if index.ndim == 3:
         return index.shape[0], index.shape[1], index.shape[2]
     if whole_views:
-        return len(index) // pixels.pixels_per_view, side_of(pixels), side_of(pixels)
+        return len(index) // pixels.pixels_per_view, *pixels.resolution.shape
     return None
-
-
-def side_of(pixels: PixelSource) -> int:
-    """Height and width of the views in pixels."""
-    return math.isqrt(pixels.pixels_per_view)
 
 
 def draw_patches(
@@ -187,24 +191,23 @@ def draw_patches(
     """Row numbers of the pixels of square patches at random places of random views.
 
     Args:
-        size: rows and columns of a patch, at most those of a view.
+        size: rows and columns of a patch, at most the shorter side of a view.
         strides: a patch takes every pixel, every second one ...; each draws one of these, as far as it fits.
     """
-    side = side_of(pixels)
-    fitting = [stride for stride in strides if (size - 1) * stride < side]
+    height, width = pixels.resolution.shape
+    fitting = [stride for stride in strides if (size - 1) * stride < min(height, width)]
     stride = rng.choice(fitting, size=number)
-    free = side - (size - 1) * stride
+    free = np.array([[height], [width]]) - (size - 1) * stride
     view = rng.integers(len(pixels.rgb) // pixels.pixels_per_view, size=number)
     row, column = rng.integers(free, size=(2, number))
     rows, columns = (first[:, None] + np.arange(size) * stride[:, None] for first in (row, column))
-    index = (view[:, None, None] * side + rows[:, :, None]) * side + columns[:, None, :]
+    index = (view[:, None, None] * height + rows[:, :, None]) * width + columns[:, None, :]
     return torch.from_numpy(index).to(pixels.rgb.device)
 
 
 def read_colors(dataset: Dataset, split: Split, views: Sequence[int], *, with_images: bool) -> UInt8[Tensor, "pixel 3"]:
     """All pixels of the views; black without images: rendering a test view never opens its truth."""
-    size = dataset.config.resolution
-    black = np.zeros((size, size, 3), np.uint8)
+    black = np.zeros((*dataset.config.resolution.shape, 3), np.uint8)
     images = [dataset.view(split, view).image if with_images else black for view in views]
     return torch.from_numpy(np.concatenate([image.reshape(-1, 3) for image in images]))
 

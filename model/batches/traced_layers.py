@@ -16,6 +16,7 @@ from datagen.data.config import Split
 from datagen.data.dataset import Dataset
 from datagen.data.geometries import GeometryKey, geometry_key, read_meshes
 from datagen.data.meshes import Mesh
+from datagen.data.resolution import Resolution
 from datagen.machine.mitsuba_variant import short_lived_workers, use_mitsuba
 from model.batches.rays import Pixels, RayBatch, black, read_colors
 
@@ -35,8 +36,8 @@ class SubpixelRays:
     """Those of the views alone."""
 
     @property
-    def pixels_per_view(self) -> int:
-        return self.cameras.width * self.cameras.height
+    def resolution(self) -> Resolution:
+        return Resolution(width=self.cameras.width, height=self.cameras.height)
 
     def through(self, index: Int[np.ndarray, " pixel"], samples: int, rng: np.random.Generator | None) -> Rays:
         """Origins and unit directions of `samples` (a square number) rays through each of the pixels, pixel by pixel.
@@ -75,8 +76,12 @@ class TracedLayerPixels:
     device: torch.device
 
     @property
+    def resolution(self) -> Resolution:
+        return self.rays.resolution
+
+    @property
     def pixels_per_view(self) -> int:
-        return self.rays.pixels_per_view
+        return self.resolution.pixels
 
     @property
     def chunk(self) -> int:
@@ -156,7 +161,7 @@ def peel_cameras(
         object_id=torch.from_numpy(object_id),
         rgb=black(cameras),
         p_camera=torch.from_numpy(cameras.world_from_camera[:, :3, 3].astype(np.float32)),
-        pixels_per_view=cameras.width * cameras.height,
+        resolution=Resolution(width=cameras.width, height=cameras.height),
         whole_views=whole_views,
     )
 

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from datagen.data.config import Split
 from datagen.data.dataset import Dataset
+from datagen.data.resolution import Resolution
 from model.batches.rays import read_colors
 from model.nets.voxel_grid import ViewCamera
 
@@ -32,8 +33,8 @@ class Views:
     world_from_camera: Float32[Tensor, "view 4 4"]
     fov_x: float
     """Radians."""
-    size: int
-    """Width and height of a view."""
+    resolution: Resolution
+    """Of a view."""
 
     @property
     def device(self) -> torch.device:
@@ -41,7 +42,7 @@ class Views:
 
     @property
     def pixels_per_view(self) -> int:
-        return self.size**2
+        return self.resolution.pixels
 
     @property
     def chunk(self) -> int:
@@ -57,7 +58,7 @@ class Views:
             rgb=self.rgb.to(device),
             world_from_camera=self.world_from_camera.to(device),
             fov_x=self.fov_x,
-            size=self.size,
+            resolution=self.resolution,
         )
 
     def take(self, index: Int[Tensor, " ray"], rng: np.random.Generator | None) -> ViewBatch:  # noqa: ARG002
@@ -72,7 +73,7 @@ class Views:
     def image(self, view: int) -> Float32[Tensor, "1 3 h w"]:
         """sRGB in [0, 1]."""
         pixels = self.rgb[view * self.pixels_per_view : (view + 1) * self.pixels_per_view]
-        return (pixels.float() / 255).T.reshape(1, 3, self.size, self.size)
+        return (pixels.float() / 255).T.reshape(1, 3, *self.resolution.shape)
 
     def neighbours(self, view: int) -> list[int]:
         """The at most four other views whose optical axes are nearest in angle, nearest first."""
@@ -90,5 +91,5 @@ def load_views(dataset: Dataset, split: Split, views: Sequence[int], *, with_ima
         rgb=read_colors(dataset, split, views, with_images=with_images),
         world_from_camera=torch.from_numpy(cameras.world_from_camera[list(views)]).float(),
         fov_x=cameras.fov_x,
-        size=dataset.config.resolution,
+        resolution=dataset.config.resolution,
     )

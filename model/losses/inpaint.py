@@ -16,9 +16,10 @@ from torch.func import functional_call
 from datagen.data.cameras import Cameras, look_at
 from datagen.data.dataset import Dataset
 from datagen.data.geometries import read_meshes
+from datagen.data.resolution import Resolution
 from datagen.disk.errors import HyalineError
 from datagen.scene.folder import load_scene
-from model.batches.rays import PixelSource, RayBatch, side_of
+from model.batches.rays import PixelSource, RayBatch
 from model.batches.traced_layers import trace_layers
 from model.nets.texture import NeuralTextures, bilinear_taps
 
@@ -69,7 +70,7 @@ class Inpainter:
         The network and all visited texels are constants, and batch norm uses what it knows from training.
         """
         index = patches_around(
-            self.showing[torch.from_numpy(rng.integers(len(self.showing), size=number))], size, side_of(self.pixels)
+            self.showing[torch.from_numpy(rng.integers(len(self.showing), size=number))], size, self.pixels.resolution
         )
         parameters = {name: value.detach() for name, value in renderer.named_parameters()}
         for name, visits in self.visits.items():
@@ -105,13 +106,16 @@ def pixels_showing(
     return torch.cat(found)
 
 
-def patches_around(pixel: Int[Tensor, " patch"], size: int, side: int) -> Int[Tensor, "patch row column"]:
+def patches_around(pixel: Int[Tensor, " patch"], size: int, resolution: Resolution) -> Int[Tensor, "patch row column"]:
     """Row numbers of the square patches whose middles are these pixels, moved inwards where a view ends."""
-    view, row, column = pixel // side**2, pixel // side % side, pixel % side
-    first_row, first_column = ((place - size // 2).clamp(0, side - size) for place in (row, column))
+    height, width = resolution.shape
+    view, row, column = pixel // resolution.pixels, pixel // width % height, pixel % width
+    first_row, first_column = (
+        (place - size // 2).clamp(0, side - size) for place, side in ((row, height), (column, width))
+    )
     steps = torch.arange(size, device=pixel.device)
     rows, columns = first_row[:, None, None] + steps[:, None], first_column[:, None, None] + steps
-    return (view[:, None, None] * side + rows) * side + columns
+    return (view[:, None, None] * height + rows) * width + columns
 
 
 def novel_cameras(dataset: Dataset, number: int, rng: np.random.Generator) -> Cameras:

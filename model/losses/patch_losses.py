@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from model.batches.rays import PixelSource, draw_patches, side_of, take_colors
+from model.batches.rays import PixelSource, draw_patches, take_colors
 from model.losses.adversarial import Adversary
 from model.losses.inpaint import Inpainter
 from model.losses.perceptual import PerceptualLoss
@@ -71,7 +71,7 @@ class Losses:
     ) -> Tensor:
         """What step `step` makes small, `own` being the renderer's loss. The discriminator has learned afterwards."""
         config, is_adversarial = self.config, self.is_adversarial(step)
-        size = min(config.patch, side_of(training))
+        size = min(config.patch, training.resolution.shorter)
 
         def of_patches(colors: Tensor, truth: Tensor) -> Tensor:
             total = colors.new_zeros(())

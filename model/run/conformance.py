@@ -123,7 +123,7 @@ def _draws_pictures(subject: Subject) -> str:
     pixels = subject.config.net.load(subject.inputs, "interpolating", [0], with_images=False)
     _expect(not bool(pixels.rgb.any()), "load gives a picture's colours where with_images is False")
     colors = predict_colors(subject.build(), pixels)
-    count = subject.dataset.config.resolution**2
+    count = subject.dataset.config.resolution.pixels
     _expect(tuple(colors.shape) == (count, 3), f"render gives {tuple(colors.shape)}; expected ({count}, 3)")
     _expect(colors.dtype == torch.float32, f"render gives {colors.dtype}; expected torch.float32")
     _expect(bool(colors.isfinite().all()), "a rendered colour is not finite")
@@ -171,8 +171,7 @@ def _predicts(subject: Subject) -> str:
     render_predictions(out, subject.config, subject.dataset, device=CPU)
     renderer = load_renderer(out, subject.config, subject.dataset)
     pixels = subject.config.net.load(subject.inputs, "extrapolating", [0], with_images=False)
-    size = subject.dataset.config.resolution
-    drawn = predict_pixels(renderer, pixels).reshape(size, size, 3)
+    drawn = predict_pixels(renderer, pixels).reshape(*subject.dataset.config.resolution.shape, 3)
     saved = read_png(out / "predictions" / "extrapolating" / "0000.png")
     _expect(np.array_equal(drawn, saved), "weights that were saved and loaded draw another picture")
     return ""

@@ -219,13 +219,13 @@ def render_views(renderer: Renderer, config: TrainConfig, dataset: Dataset, out:
     todo: list[tuple[Split, int]] = [
         (split, view) for split in splits for view in range(dataset.config.split(split).views)
     ]
-    size = dataset.config.resolution
+    shape = dataset.config.resolution.shape
     files: dict[str, str] = {}
     for split, view in track(todo, label="render", total=len(todo)):
         path = out / "predictions" / split / f"{view_name(view)}.png"
         pixels = config.net.load(inputs, split, [view], with_images=False).to(device)
         try:
-            data = png_bytes(predict_pixels(renderer, pixels).reshape(size, size, 3))
+            data = png_bytes(predict_pixels(renderer, pixels).reshape(*shape, 3))
         except NumericsError as error:
             raise NumericsError(f"{path}: {error}") from error
         commit(path, data)

@@ -75,7 +75,7 @@ def load_training(
     method = config.net
     is_mapped = choose_memory(
         memory,
-        num_pixels=len(views) * inputs.dataset.config.resolution**2,
+        num_pixels=len(views) * inputs.dataset.config.resolution.pixels,
         num_layers=0 if method.traces_layers else inputs.num_layers,
         processes=processes.count_here,
         device=device,

@@ -31,7 +31,7 @@ def results(**change: Any) -> dict[str, Any]:
     scene = {
         "scene": "glass_table",
         "preset": "tiny",
-        "resolution": 16,
+        "resolution": {"width": 16, "height": 16},
         "noise_ceiling_db": {"interpolating": "inf", "extrapolating": 40.0},
         "runs": [run("worse", 29.0), run("mine", 30.0), run("mine-seed1", 32.0, seed=1)],
         "seeds": [{"runs": ["mine", "mine-seed1"]}],

@@ -43,7 +43,7 @@ def test_views_and_rays_are_those_of_the_files(dataset: hyaline.Dataset) -> None
     assert torch.equal((255 * batch["image"][3]).round().byte().permute(1, 2, 0), torch.tensor(view.image))
     assert np.allclose(batch["uv"][3].permute(0, 2, 3, 1).numpy() * 65535, view.layers().uv, atol=0.01)
     assert torch.equal(batch["object_id"][3], torch.tensor(view.layers().object_id))
-    row, column, side = 7, 11, dataset.config.resolution
+    row, column, side = 7, 11, dataset.config.resolution.width
     ray = rays[(3 * side + row) * side + column]
     assert torch.equal(ray["color"], batch["image"][3][:, row, column])
     assert torch.equal(ray["direction"], batch["directions"][3][:, row, column])

@@ -14,6 +14,7 @@ from support.hostile.corpus import DATASET, LAYERS
 from datagen.build.verify import verify_dataset
 from datagen.data.dataset import open_dataset
 from datagen.data.geometries import read_proxy_records
+from datagen.data.resolution import square
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import SEAL, seal_bytes
 from datagen.scene.folder import load_scene
@@ -40,14 +41,23 @@ HEADS: dict[str, Callable[[Path], object]] = {
 @pytest.fixture
 def frozen(tmp_path: Path) -> Path:
     """What the first program of today's versions of all formats wrote (tests/support/freeze.py)."""
-    with zipfile.ZipFile(Path(__file__).parent / "frozen" / "world.zip") as archive:
-        archive.extractall(tmp_path)
-    return tmp_path
+    return thaw("world.zip", tmp_path)
 
 
-def test_what_was_written_in_this_version_is_read_for_ever(frozen: Path, cases: Callable[[int, str], None]) -> None:
+def thaw(name: str, place: Path) -> Path:
+    with zipfile.ZipFile(Path(__file__).parent / "frozen" / name) as archive:
+        archive.extractall(place)
+    return place
+
+
+@pytest.mark.parametrize("world", ["world.zip", "world-1.zip"], ids=["today's versions", "datasets of version 1"])
+def test_what_was_written_in_this_version_is_read_for_ever(
+    world: str, tmp_path: Path, cases: Callable[[int, str], None]
+) -> None:
+    frozen = thaw(world, tmp_path)
     assert verify_dataset(frozen / DATASET).problems == []
     dataset = open_dataset(frozen / DATASET)
+    assert dataset.config.resolution == square(8)
     assert dataset.view("extrapolating", 1).layers().object_id.any()
     assert len(load_scene(frozen / "scene").objects) == 2
     run = open_run(frozen / RUN, frozen / "data")

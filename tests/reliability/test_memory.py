@@ -14,6 +14,7 @@ from pathlib import Path
 from support.synthetic import synthetic_scene
 import datagen.build.build as build
 from datagen.data.config import DatasetConfig, SplitConfig
+from datagen.data.resolution import square
 
 def resident():
     return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
@@ -30,7 +31,7 @@ done = {{}}
 build.render_task = counting(build.render_task, "render")
 build.peel_task = counting(build.peel_task, "peel")
 few = SplitConfig(views=1, spp=2)
-config = DatasetConfig(scene="synthetic", preset="tiny", resolution=16, interpolating=few, extrapolating=few,
+config = DatasetConfig(scene="synthetic", preset="tiny", resolution=square(16), interpolating=few, extrapolating=few,
                        train=SplitConfig(views={views} - 2, spp=2))
 build.build_dataset(synthetic_scene(), Path({out!r}), config, num_layers=4, workers=1,
                     overwrite=False)

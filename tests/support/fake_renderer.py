@@ -80,5 +80,5 @@ def install(patch: pytest.MonkeyPatch) -> None:
 
 
 def _read_halves(dataset: Dataset, split: Split, view: int) -> np.ndarray:
-    size = dataset.config.resolution
-    return np.random.default_rng([view, len(split), len(dataset.objects)]).random((2, size, size, 3))
+    shape = dataset.config.resolution.shape
+    return np.random.default_rng([view, len(split), len(dataset.objects)]).random((2, *shape, 3))

@@ -1,6 +1,7 @@
 """A camera rig, and the configuration of a dataset."""
 
 from datagen.data.config import DatasetConfig, SplitConfig
+from datagen.data.resolution import square
 from datagen.scene.description import CameraRig, WalkPoint
 
 RIG = CameraRig(
@@ -19,5 +20,5 @@ RIG = CameraRig(
 def config(views: int = 64, seed: int = 0) -> DatasetConfig:
     split = SplitConfig(views=views, spp=4)
     return DatasetConfig(
-        scene="s", preset="p", resolution=24, train=split, interpolating=split, extrapolating=split, seed=seed
+        scene="s", preset="p", resolution=square(24), train=split, interpolating=split, extrapolating=split, seed=seed
     )

@@ -16,6 +16,7 @@ from datagen.data.layer_writing import create_layers, write_layers
 from datagen.data.meshes import Mesh
 from datagen.data.paths import TRUTH
 from datagen.data.png import png_bytes
+from datagen.data.resolution import Resolution, square
 from datagen.data.tonemap import linear_from_srgb
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.description import CameraRig, Scene, SceneObject, SoftEnvironment, WalkPoint
@@ -76,19 +77,20 @@ def glass_scene() -> Scene:
     )
 
 
-def write_traced_dataset(root: Path, *, scene: Scene | None = None, resolution: int = 48) -> Dataset:
+def write_traced_dataset(root: Path, *, scene: Scene | None = None, resolution: int | Resolution = 48) -> Dataset:
     """A complete dataset with straight layers: 10 training views and 2 of each test split, in colours by object."""
     scene = scene or glass_scene()
     few = SplitConfig(views=2, spp=4)
+    size = resolution if isinstance(resolution, Resolution) else square(resolution)
     config = DatasetConfig(
         scene=scene.name,
         preset="tiny",
-        resolution=resolution,
+        resolution=size,
         train=SplitConfig(views=10, spp=4),
         interpolating=few,
         extrapolating=few,
     )
-    cameras: dict[Split, Cameras] = {split: _cameras(split, config.split(split).views, resolution) for split in SPLITS}
+    cameras: dict[Split, Cameras] = {split: _cameras(split, config.split(split).views, size) for split in SPLITS}
     objects = tuple(DatasetObject(name=item.name, is_glass=item.material.is_glass) for item in scene.objects)
     dataset = write_head(root, config, objects, cameras, scene_files(scene))
     create_layers(dataset, TRUTH, num_layers=8, geometry_hash=geometry_hash(dataset, TRUTH))
@@ -135,13 +137,13 @@ def _colors(count: int) -> np.ndarray:
     return np.concatenate([[[230, 230, 230]], np.random.default_rng(0).integers(20, 220, (count, 3))]).astype(np.uint8)
 
 
-def _cameras(split: Split, count: int, resolution: int) -> Cameras:
+def _cameras(split: Split, count: int, size: Resolution) -> Cameras:
     rng = np.random.default_rng(SPLITS.index(split))
     azimuth, elevation = rng.uniform(0, 2 * np.pi, count), rng.uniform(0.3, 1.3, count)
     around = np.stack([np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation), np.sin(elevation)])
     target = np.array([0.2, 0.1, 0.4])
     poses = [look_at(target + 3 * place, target) for place in around.T]
-    return Cameras(world_from_camera=np.stack(poses), fov_x=np.radians(50), width=resolution, height=resolution)
+    return Cameras(world_from_camera=np.stack(poses), fov_x=np.radians(50), width=size.width, height=size.height)
 
 
 __all__ = ["BALL", "SLAB", "glass_scene", "pixel_rays", "with_own_uv", "write_traced_dataset"]

@@ -14,8 +14,8 @@ from model.methods.stored_pixels import load_stored, peel_as_stored
 
 
 def complete(config: AuthorsConfig, inputs: Inputs) -> AuthorsConfig:
-    resolution, num_objects = inputs.dataset.config.resolution, len(inputs.dataset.objects)
-    size = config.texture_size or default_texture_size(resolution, num_objects, "object")
+    side, num_objects = inputs.dataset.config.resolution.mean_side, len(inputs.dataset.objects)
+    size = config.texture_size or default_texture_size(side, num_objects, "object")
     return dataclasses.replace(config, texture_size=size)
 
 

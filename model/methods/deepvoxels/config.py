@@ -5,6 +5,7 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar, Literal, Self
 
+from datagen.data.resolution import Resolution
 from datagen.disk.errors import HyalineError
 from model.methods.protocol import MethodConfig
 from model.settings.flags import choice, unflagged
@@ -82,16 +83,17 @@ class DeepVoxelsConfig(MethodConfig):
             case "original":
                 return Optimisation(batch=2, lr=4e-4, lr_decay="none")
 
-    def sized(self, resolution: int) -> Self:
+    def sized(self, resolution: Resolution) -> Self:
         """The same for pictures of some size.
 
         Raises:
-            HyalineError: the size is no power of two.
+            HyalineError: they are not square, or their width is no power of two.
         """
-        if resolution & (resolution - 1):
+        side = resolution.mean_side
+        if resolution.width != resolution.height or side & (side - 1):
             raise HyalineError(
-                f"resolution: is {resolution}; deepvoxels needs a power of two, "
-                f"so build the dataset with --resolution {2 ** round(math.log2(resolution))}"
+                f"resolution: is {resolution}; deepvoxels needs square pictures whose width is a power of two, "
+                f"so build the dataset with --resolution {2 ** round(math.log2(side))}"
             )
-        plane_size = min(self.plane_size, resolution)
-        return dataclasses.replace(self, voxels=self.preset, image_size=resolution, plane_size=plane_size)
+        plane_size = min(self.plane_size, side)
+        return dataclasses.replace(self, voxels=self.preset, image_size=side, plane_size=plane_size)

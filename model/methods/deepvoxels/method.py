@@ -6,6 +6,7 @@ import torch
 
 from datagen.data.cameras import Cameras
 from datagen.data.config import Split
+from datagen.data.resolution import square
 from datagen.disk.errors import HyalineError
 from model.batches.rays import black
 from model.batches.view_batches import Views, load_views
@@ -45,5 +46,5 @@ def load_cameras(config: DeepVoxelsConfig, inputs: Inputs, cameras: Cameras) -> 
         rgb=black(cameras),
         world_from_camera=torch.from_numpy(cameras.world_from_camera).float(),
         fov_x=cameras.fov_x,
-        size=size,
+        resolution=square(size),
     )

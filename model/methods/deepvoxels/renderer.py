@@ -14,6 +14,7 @@ from torch import Tensor
 from datagen.data.dataset import Dataset
 from datagen.data.geometries import read_meshes
 from datagen.data.paths import TRUTH
+from datagen.data.resolution import square
 from datagen.disk.errors import HyalineError
 from model.batches.view_batches import ViewBatch, Views
 from model.losses.pixel_losses import PatchTerms
@@ -160,7 +161,7 @@ def build_deepvoxels(config: DeepVoxelsConfig, dataset: Dataset) -> DeepVoxels:
     Raises:
         HyalineError: pictures of another size, or cameras that do not surround anything.
     """
-    if dataset.config.resolution != config.image_size:
+    if dataset.config.resolution != square(config.image_size):
         raise HyalineError(
             f"image_size: is {config.image_size}, but {dataset.root} has {dataset.config.resolution} pixels; "
             "expected pictures of the size that the networks were made for"

@@ -17,16 +17,17 @@ from model.methods.stored_pixels import load_stored, peel_as_stored
 def complete(config: DnrConfig, inputs: Inputs) -> DnrConfig:
     """The same with sizes that the picture's gives.
 
-    Textures are as wide as those of `paper`: half the picture's width for each object, so that the methods differ in
-    what they do and not in their texels. Crops are half the picture wide (256 pixels of 512 are common), but of 128
-    pixels at least: a narrower one leaves the U-Net's innermost level nothing but its border, which a whole picture is
-    not (measured on the glass table at 128 pixels: crops of 64 cost 3 dB on both splits).
+    Textures are as wide as those of `paper`: half the picture's side for each object, so that the methods differ in
+    what they do and not in their texels. Crops are squares of half the picture's shorter side (256 pixels of 512
+    are common), but 128 pixels at least: a narrower one leaves the U-Net's innermost level nothing but its border,
+    which a whole picture is not (measured on the glass table at 128 pixels: crops of 64 cost 3 dB on both splits).
     """
     resolution = inputs.dataset.config.resolution
-    crop = min(resolution, max(resolution // 2, LEAST_CROP)) if config.crop is None else config.crop
-    if crop > resolution:
-        raise HyalineError(f"crop: is {crop}; expected at most the picture's {resolution} pixels")
-    size = config.texture_size or default_texture_size(resolution, len(inputs.dataset.objects), "object")
+    side = resolution.shorter
+    crop = min(side, max(side // 2, LEAST_CROP)) if config.crop is None else config.crop
+    if crop > side:
+        raise HyalineError(f"crop: is {crop}; expected at most {side}, the shorter side of pictures of {resolution}")
+    size = config.texture_size or default_texture_size(resolution.mean_side, len(inputs.dataset.objects), "object")
     return dataclasses.replace(config, texture_size=size, crop=crop)
 
 
@@ -47,8 +48,4 @@ def load(
 
 
 def load_cameras(config: DnrConfig, inputs: Inputs, cameras: Cameras) -> PixelSource[RayBatch]:  # noqa: ARG001
-    if cameras.width != cameras.height:
-        raise HyalineError(
-            f"camera: is {cameras.width} x {cameras.height} pixels; dnr draws square pictures, of any width"
-        )
     return peel_as_stored(inputs, cameras, whole_views=True)

@@ -5,7 +5,7 @@ import torch
 from jaxtyping import Float32
 from torch import Tensor
 
-from model.batches.rays import PixelSource, RayBatch, draw_patches, side_of, take_colors
+from model.batches.rays import PixelSource, RayBatch, draw_patches, take_colors
 from model.losses.pixel_losses import PatchTerms
 from model.methods.dnr.config import LEVEL_WEIGHTS, SH_CHANNELS, DnrConfig
 from model.methods.protocol import Inputs
@@ -76,7 +76,7 @@ class DnrRenderer(Renderer[PixelSource[RayBatch]]):
         levels' weights.
         """
         config = self.config
-        crop = config.crop or side_of(training)
+        crop = config.crop or training.resolution.shorter
         index = draw_patches(training, max(1, round(batch / crop**2)), crop, rng, strides=config.strides)
         rays = training.take(index, rng)
         colors, diffuse = self.shade(rays)

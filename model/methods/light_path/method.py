@@ -22,7 +22,7 @@ from model.methods.protocol import Inputs
 
 def complete(config: LightPathConfig, inputs: Inputs) -> LightPathConfig:
     """The same with the objects' textures; paths are traced to see how texels are shared."""
-    size = config.texture_size or inputs.dataset.config.resolution
+    size = config.texture_size or inputs.dataset.config.resolution.mean_side
     if config.environment_size == SKY_HEIGHT:
         config = dataclasses.replace(config, environment_size=_sky_height(inputs.dataset))
     return config.sized(share_texels(inputs.dataset, inputs.geometry, size))

@@ -17,6 +17,7 @@ from datagen.data.dataset import Dataset
 from datagen.data.geometries import GeometryKey, geometry_key, read_meshes
 from datagen.data.meshes import Mesh
 from datagen.data.paths import TRUTH
+from datagen.data.resolution import Resolution
 from datagen.machine.mitsuba_variant import short_lived_workers, use_mitsuba
 from model.batches.rays import black, read_colors
 from model.batches.traced_layers import SubpixelRays, cameras_of, in_pairs
@@ -48,8 +49,12 @@ class LightPathPixels:
     device: torch.device
 
     @property
+    def resolution(self) -> Resolution:
+        return self.rays.resolution
+
+    @property
     def pixels_per_view(self) -> int:
-        return self.rays.pixels_per_view
+        return self.resolution.pixels
 
     @property
     def chunk(self) -> int:

@@ -29,16 +29,17 @@ blotches: measured on the glass table at 128 pixels after 1,200 steps, 23.4 dB o
 0.1, 27.4 from one half."""
 
 
-def default_texture_size(
-    resolution: int, num_objects: int, sharing: TextureSharing, *, texels_per_pixel: float = 0.5
-) -> int:
-    """Half the image's width for each object, as the authors ran it: 256 texels for frames of 512 pixels.
+def default_texture_size(side: int, num_objects: int, sharing: TextureSharing, *, texels_per_pixel: float = 0.5) -> int:
+    """Half the side of a square image for each object, as the authors ran it: 256 texels for frames of 512 pixels.
 
     With more, the texels of small objects are seen so rarely that they learn single pixels by heart: at 128 pixels, 256
     texels cost 1.9 dB (interpolating) and 1.1 dB (extrapolating) against 64. (A pyramid of textures does not.)
+
+    Args:
+        side: of the square with as many pixels as an image.
     """
     cells = 1 if sharing == "object" else math.ceil(math.sqrt(num_objects))
-    return cells * max(16, int(resolution * texels_per_pixel))
+    return cells * max(16, int(side * texels_per_pixel))
 
 
 def complete_paper(config: PaperConfig, inputs: Inputs) -> tuple[int, int]:
@@ -50,7 +51,7 @@ def complete_paper(config: PaperConfig, inputs: Inputs) -> tuple[int, int]:
         zero_layer=config.zero_layer,
     )
     size = config.texture_size or default_texture_size(
-        inputs.dataset.config.resolution,
+        inputs.dataset.config.resolution.mean_side,
         len(inputs.dataset.objects),
         config.textures,
         texels_per_pixel=config.texels_per_pixel,

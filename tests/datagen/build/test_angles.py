@@ -10,6 +10,7 @@ from support.synthetic import quad, synthetic_scene
 from datagen.build.angles import angle_outside, make_angle_cameras, places_outside
 from datagen.data.config import ANGLE_SPLITS, DatasetConfig, SplitConfig
 from datagen.data.meshes import Mesh
+from datagen.data.resolution import square
 from datagen.disk.errors import HyalineError
 from datagen.scene.description import CameraRig
 
@@ -74,7 +75,9 @@ def test_no_camera_walks_through_a_wall() -> None:
 def test_cameras_aim_at_the_centre_and_are_spread() -> None:
     scene = dataclasses.replace(synthetic_scene(), cameras=RIG)
     few = SplitConfig(views=5, spp=2)
-    config = DatasetConfig(scene="s", preset="p", resolution=24, train=few, interpolating=few, extrapolating=few)
+    config = DatasetConfig(
+        scene="s", preset="p", resolution=square(24), train=few, interpolating=few, extrapolating=few
+    )
     cameras = make_angle_cameras(scene, config)
     assert list(cameras) == list(ANGLE_SPLITS)
     for item in cameras.values():
@@ -89,7 +92,9 @@ def test_cameras_aim_at_the_centre_and_are_spread() -> None:
 def test_a_scene_without_such_a_place_says_so() -> None:
     scene = synthetic_scene()  # Once around, up to 80 degrees.
     few = SplitConfig(views=5, spp=2)
-    config = DatasetConfig(scene="s", preset="p", resolution=24, train=few, interpolating=few, extrapolating=few)
+    config = DatasetConfig(
+        scene="s", preset="p", resolution=square(24), train=few, interpolating=few, extrapolating=few
+    )
     message = "extrapolating-40deg: scene synthetic has no place for a camera 40 degrees outside of training's azimuths"
     with pytest.raises(HyalineError, match=message):
         make_angle_cameras(scene, config)

@@ -19,6 +19,7 @@ from datagen.data.geometries import read_meshes
 from datagen.data.layer_writing import write_layers
 from datagen.data.layers import Layers
 from datagen.data.paths import TRUTH, image_path, layers_root
+from datagen.data.resolution import square
 from datagen.disk.errors import HyalineError
 from datagen.scene.folder import save_scene
 
@@ -206,6 +207,8 @@ def test_two_builds_at_once_do_not_mix(scene_folder: Path, tmp_path: Path) -> No
     from datagen.disk.storage import one_writer
 
     few = SplitConfig(views=1, spp=2)
-    config = DatasetConfig(scene="s", preset="tiny", resolution=8, train=few, interpolating=few, extrapolating=few)
+    config = DatasetConfig(
+        scene="s", preset="tiny", resolution=square(8), train=few, interpolating=few, extrapolating=few
+    )
     with one_writer(tmp_path / "out"), pytest.raises(HyalineError, match="another process is writing there"):
         build_dataset(synthetic_scene(), tmp_path / "out", config, num_layers=4, workers=1, overwrite=False)

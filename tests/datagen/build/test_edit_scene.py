@@ -22,6 +22,7 @@ from datagen.data.edit_masks import ELSEWHERE, LIGHT, OBJECT, read_edit_mask
 from datagen.data.geometries import ProxyStatistics, read_meshes, write_proxies
 from datagen.data.meshes import Mesh, is_there, no_mesh
 from datagen.data.paths import TRUTH
+from datagen.data.resolution import square
 from datagen.data.variants import TWINS, open_variant
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import commit_sealed, load_sealed, sha256
@@ -289,7 +290,7 @@ def _build(root: Path, *, seed: int) -> Dataset:
     config = DatasetConfig(
         scene="table",
         preset="tiny",
-        resolution=24,
+        resolution=square(24),
         train=SplitConfig(views=2, spp=8),
         interpolating=few,
         extrapolating=few,

@@ -12,6 +12,7 @@ from datagen.build.build import build_dataset, peel_dataset
 from datagen.data.config import DatasetConfig, SplitConfig
 from datagen.data.dataset import open_dataset
 from datagen.data.paths import TRUTH
+from datagen.data.resolution import square
 
 pytestmark = pytest.mark.promise("R1")
 
@@ -19,7 +20,7 @@ FEW = SplitConfig(views=1, spp=4)
 CONFIG = DatasetConfig(
     scene="synthetic",
     preset="tiny",
-    resolution=4,
+    resolution=square(4),
     train=SplitConfig(views=2, spp=4),
     interpolating=FEW,
     extrapolating=FEW,

@@ -22,6 +22,7 @@ from datagen.build.verify import verify_dataset
 from datagen.data.config import DatasetConfig, SplitConfig
 from datagen.data.geometries import geometry_hash
 from datagen.data.paths import TRUTH, layers_root
+from datagen.data.resolution import square
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import commit, commit_first, one_writer, shared_writers
 from datagen.scene.folder import save_scene
@@ -160,7 +161,9 @@ def test_the_launcher_sends_parts_to_slurm(built: Path, scene_folder: Path, tmp_
 
 def test_any_number_of_writers_may_start_one_dataset_at_once(tmp_path: Path) -> None:
     few = SplitConfig(views=3, spp=2)
-    config = DatasetConfig(scene="s", preset="tiny", resolution=8, train=few, interpolating=few, extrapolating=few)
+    config = DatasetConfig(
+        scene="s", preset="tiny", resolution=square(8), train=few, interpolating=few, extrapolating=few
+    )
     scene = synthetic_scene()
     cameras = make_cameras(scene.cameras, config)
 

@@ -32,7 +32,7 @@ def opened_by(root: Path, read: object) -> list[str]:
 
 def test_a_view_opens_its_own_files_alone(dataset: Dataset) -> None:
     dataset.view("train", 0).layers()
-    assert dataset.view("train", 0).camera.width == dataset.config.resolution
+    assert dataset.view("train", 0).camera.width == dataset.config.resolution.width
     view = dataset.view("train", 1)
     shards = [f"layers/straight/peels.zarr/train/{name}/c/1/0/0/0" for name in ("depth", "object_id")]
     uv = "layers/straight/peels.zarr/train/uv/c/1/0/0/0/0"
@@ -44,7 +44,7 @@ def test_a_view_opens_its_own_files_alone(dataset: Dataset) -> None:
 
 
 def test_a_views_parts_fit_together(dataset: Dataset) -> None:
-    view, size = dataset.view("interpolating", 1), dataset.config.resolution
+    view, size = dataset.view("interpolating", 1), dataset.config.resolution.width
     assert view.image.shape == view.radiance.shape == view.noise.shape == (size, size, 3)
     assert (view.image.dtype, view.radiance.dtype, view.noise.dtype) == (np.uint8, np.float32, np.float32)
     assert np.abs(to_8bit(srgb_from_linear(view.radiance)).astype(int) - view.image).max() <= 1

@@ -57,7 +57,7 @@ def test_what_is_missing_or_damaged_is_said_and_the_rest_is_shown(dataset: Datas
 def test_the_sheet_holds_the_pictures_pixel_by_pixel(dataset: Dataset) -> None:
     with Image.open(io.BytesIO(look_sheet(dataset))) as picture:
         sheet = np.asarray(picture)
-    side = dataset.config.resolution
+    side = dataset.config.resolution.width
     np.testing.assert_array_equal(sheet[:side, :side], dataset.view("train", 0).image)
     stored = stored_pictures(dataset.view("train", 0), has_layers=True)
     np.testing.assert_array_equal(sheet[side + 4 : 2 * side + 4, side + 4 : 2 * side + 4], stored["glass"])

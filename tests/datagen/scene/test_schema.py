@@ -11,6 +11,7 @@ import pytest
 from support.synthetic import synthetic_scene
 
 from datagen.data.cameras import look_at
+from datagen.data.resolution import square
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import from_json
 from datagen.scene.camera_list import CameraList
@@ -151,7 +152,7 @@ def test_cameras_that_are_listed_are_read_as_they_stand(tmp_path: Path) -> None:
     assert scene.cameras.target == pytest.approx(target, abs=1e-5)
     split = SplitConfig(views=8, spp=16)
     config = DatasetConfig(
-        scene="synthetic", preset="tiny", resolution=16, train=split, interpolating=split, extrapolating=split
+        scene="synthetic", preset="tiny", resolution=square(16), train=split, interpolating=split, extrapolating=split
     )
     with pytest.raises(HyalineError, match=r"train: 8 views are asked for, and the scene lists 5 cameras"):
         make_cameras(scene.cameras, config)

@@ -32,6 +32,8 @@ def run(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
         ("datagen build --preset dmeo", 1, "did you mean 'demo'?"),
         ("datagen build --scene ./nowhere", 1, "nowhere/scene.json: the file is missing"),
         ("datagen build --resolution 0", 1, "resolution: is 0; expected 1 to 8192 pixels"),
+        ("datagen build --resolution 320x9999", 1, "resolution: is 9999; expected 1 to 8192 pixels"),
+        ("datagen build --resolution wide", 1, "resolution: is 'wide'; expected a width and height such as 320x240"),
         ("datagen build --num-layers 0", 1, "num_layers: is 0; expected 1 to 255"),
         ("datagen build --workers 0", 1, "workers: is 0; expected at least 1"),
         ("datagen build --super-resolution 9", 1, "super_resolution: is 9; expected 2 to 8 times"),

@@ -9,6 +9,7 @@ from support.synthetic import synthetic_scene
 from datagen.data.cameras import Cameras
 from datagen.data.config import DatasetConfig, SplitConfig
 from datagen.data.meshes import Mesh
+from datagen.data.resolution import square
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.builtin import SCENES
 from datagen.scene.description import CameraRig, Scene, SceneObject, WalkPoint
@@ -25,7 +26,7 @@ def all_cameras(scene: Scene, *, seed: int = 0, views: int = 40, size: int = 64)
     config = DatasetConfig(
         scene=scene.name,
         preset="tiny",
-        resolution=size,
+        resolution=square(size),
         seed=seed,
         train=split,
         interpolating=split,

@@ -13,6 +13,7 @@ from support.training import build, load, run_bytes, stop_at
 
 from datagen.data.dataset import Dataset
 from datagen.data.paths import TRUTH
+from datagen.data.resolution import Resolution, square
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import sha256_file
 from datagen.machine.mitsuba_variant import use_mitsuba
@@ -235,11 +236,18 @@ def test_visits_are_where_gradients_arrive(dataset: Dataset) -> None:
 
 def test_patches_lie_around_their_pixels_inside_their_views() -> None:
     pixel = torch.tensor([0, 2 * 1024 + 16 * 32 + 20, 3 * 1024 - 1])
-    index = patches_around(pixel, 9, 32)
+    index = patches_around(pixel, 9, square(32))
     assert index.shape == (3, 9, 9)
     assert [int(part.min()) for part in index] == [0, 2 * 1024 + 12 * 32 + 16, 2 * 1024 + 23 * 32 + 23]
     assert all(place in part for place, part in zip(pixel, index))
     assert torch.equal(index[0, :, 0], 32 * torch.arange(9))
+
+
+def test_patches_stay_inside_oblong_views() -> None:
+    pixel = torch.tensor([0, 24 * 16 - 1, 24 * 16 + 8 * 24 + 12])  # Two corners of one view, the middle of the next.
+    index = patches_around(pixel, 5, Resolution(width=24, height=16))
+    assert [int(part.min()) for part in index] == [0, 11 * 24 + 19, 24 * 16 + 6 * 24 + 10]
+    assert [int(part.max()) for part in index] == [4 * 24 + 4, 24 * 16 - 1, 24 * 16 + 10 * 24 + 14]
 
 
 def make_inpainter(dataset: Dataset, renderer: torch.nn.Module) -> Inpainter:
@@ -269,7 +277,9 @@ def test_only_texels_without_visits_get_a_gradient(dataset: Dataset) -> None:
     assert (table.grad[visits > 0] == 0).all() and table.grad[visits == 0].abs().sum() > 0
     # What is seen is what the renderer itself draws there.
     index = patches_around(
-        inpainter.showing[torch.from_numpy(np.random.default_rng(0).integers(len(inpainter.showing), size=2))], 32, 32
+        inpainter.showing[torch.from_numpy(np.random.default_rng(0).integers(len(inpainter.showing), size=2))],
+        32,
+        square(32),
     )
     with torch.no_grad():
         expected = renderer.eval()(inpainter.pixels.take(index, None)).view(2, 32, 32, 3)

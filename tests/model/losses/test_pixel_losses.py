@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Bool, Float32, Int, UInt8
 from torch import Tensor
 
+from datagen.data.resolution import Resolution, square
 from datagen.disk.errors import HyalineError
 from model.batches.samples import mean_color, srgb_curve, variance_of_mean
 from model.losses.pixel_losses import noise_penalty, pixel_loss
@@ -24,6 +25,7 @@ class Glints:
     chance: Float32[Tensor, " pixel"]
     rgb: UInt8[Tensor, "pixel 3"]
     device: torch.device = CPU
+    resolution: Resolution = square(1)  # noqa: RUF009
     pixels_per_view: int = 1
     chunk: int = 1024
 

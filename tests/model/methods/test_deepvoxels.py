@@ -17,6 +17,7 @@ from datagen.data.cameras import Cameras
 from datagen.data.config import DatasetConfig, SplitConfig
 from datagen.data.dataset import Dataset
 from datagen.data.png import read_png
+from datagen.data.resolution import square
 from datagen.disk.errors import HyalineError
 from datagen.scene.rig import make_cameras
 from model import cli
@@ -201,7 +202,7 @@ def test_cameras_that_look_one_way_are_refused() -> None:
 def test_neighbours_are_the_nearest_in_angle_and_never_the_view_itself() -> None:
     cameras = some_cameras(12)
     poses = torch.from_numpy(cameras.world_from_camera).float()
-    views = Views(rgb=torch.zeros(0, 3, dtype=torch.uint8), world_from_camera=poses, fov_x=1.0, size=SIZE)
+    views = Views(rgb=torch.zeros(0, 3, dtype=torch.uint8), world_from_camera=poses, fov_x=1.0, resolution=square(SIZE))
     for view in range(12):
         forward = cameras.world_from_camera[:, :3, 2]
         angles = [np.arccos(np.clip(forward[view] @ other, -1, 1)) for other in forward]
@@ -402,7 +403,7 @@ def test_the_grid_around_the_opaque_cube_holds_it_and_no_camera() -> None:
     scene = opaque_cube()
     split = SplitConfig(views=30, spp=2)
     config = DatasetConfig(
-        scene=scene.name, preset="demo", resolution=32, train=split, interpolating=split, extrapolating=split
+        scene=scene.name, preset="demo", resolution=square(32), train=split, interpolating=split, extrapolating=split
     )
     cameras = make_cameras(scene.cameras, config)["train"]
     vertices = np.concatenate([item.mesh.vertices for item in scene.objects]).astype(np.float64)
@@ -465,8 +466,8 @@ def test_a_flag_that_it_does_not_have_is_refused(
 
 
 def test_sizes_that_are_no_powers_of_two_are_refused() -> None:
-    with pytest.raises(HyalineError, match=r"resolution: is 100; .* so build the dataset with --resolution 128"):
-        DeepVoxelsConfig(voxels="small").sized(100)
+    with pytest.raises(HyalineError, match=r"resolution: is 100 x 100; .* so build the dataset with --resolution 128"):
+        DeepVoxelsConfig(voxels="small").sized(square(100))
     with pytest.raises(HyalineError, match="image_size: is 32; deepvoxels needs a power of two of 64 or more"):
         DeepVoxelsConfig(image_size=32, plane_size=32, adversarial=True)
     with pytest.raises(HyalineError, match="plane_size: is 64; expected at most the pictures' 32"):

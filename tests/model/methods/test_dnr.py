@@ -13,6 +13,7 @@ from support.training import build, configured, load, run_bytes, stop_at
 from datagen.data.dataset import Dataset
 from datagen.data.paths import TRUTH
 from datagen.data.png import read_png
+from datagen.data.resolution import Resolution
 from datagen.disk.errors import HyalineError
 from model.batches.rays import draw_patches, load_pixels
 from model.methods.dnr.config import LEVEL_WEIGHTS, DnrConfig, DnrLayersConfig
@@ -97,6 +98,19 @@ def test_patches_are_square_pieces_of_views_at_every_scale(dataset: Dataset) -> 
     assert row.max() == column.max() == 31 and row.min() == column.min() == 0
     whole = draw_patches(pixels, 2, 32, np.random.default_rng(0), strides=(1, 2))
     assert torch.equal(whole[0].flatten() % 1024, torch.arange(1024))
+
+
+def test_patches_of_oblong_views_reach_every_border_and_leave_none(tmp_path: Path) -> None:
+    views = write_synthetic_dataset(tmp_path, resolution=Resolution(width=24, height=16), train_views=2)
+    pixels = load_pixels(views, TRUTH, "train", [0, 1], whole_views=True)
+    index = draw_patches(pixels, 300, 5, np.random.default_rng(0), strides=(1, 3, 4)).numpy()
+    view, place = np.divmod(index, 24 * 16)
+    row, column = np.divmod(place, 24)
+    assert set(view.flatten()) == {0, 1} and (view == view[:, :1, :1]).all()
+    assert set(row[:, 1, 0] - row[:, 0, 0]) == {1, 3}  # 5 pixels four apart do not fit into 16.
+    assert (np.ptp(column, axis=(1, 2)) == np.ptp(row, axis=(1, 2))).all()
+    assert (row.min(), row.max(), column.min(), column.max()) == (0, 15, 0, 23)
+    assert pixels.take(torch.arange(24 * 16), None).grid == (1, 16, 24)
 
 
 def test_spherical_harmonics_multiply_nine_features_of_each_pixel(dataset: Dataset) -> None:
@@ -203,5 +217,5 @@ def test_presets_and_impossible_choices(dataset: Dataset) -> None:
     assert (mixed.texture_features, mixed.extrinsics, mixed.texture_levels) == (16, "sh", 1)
     with pytest.raises(HyalineError, match="features: is 8 with extrinsics sh; expected 12 to 256"):
         configured(dataset, "dnr", "--features", "8")
-    with pytest.raises(HyalineError, match="crop: is 64; expected at most the picture's 32 pixels"):
+    with pytest.raises(HyalineError, match="crop: is 64; expected at most 32, the shorter side of pictures of 32 x 32"):
         configured(dataset, "dnr", "--crop", "64")

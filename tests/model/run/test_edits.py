@@ -22,6 +22,7 @@ from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.edit_masks import ELSEWHERE, LIGHT, OBJECT, read_edit_mask
 from datagen.data.paths import TRUTH
 from datagen.data.png import png_bytes, read_png
+from datagen.data.resolution import square
 from datagen.data.variants import open_variant
 from datagen.disk.storage import SEAL, commit_sealed
 from datagen.machine.mitsuba_variant import use_mitsuba
@@ -86,7 +87,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     config = DatasetConfig(
         scene="edit",
         preset="tiny",
-        resolution=48,
+        resolution=square(48),
         train=SplitConfig(views=16, spp=50),
         interpolating=few,
         extrapolating=few,

@@ -23,6 +23,7 @@ from datagen.data.dataset_head import write_head
 from datagen.data.meshes import Mesh, no_mesh
 from datagen.data.paths import TRUTH
 from datagen.data.png import png_bytes
+from datagen.data.resolution import square
 from datagen.disk.errors import HyalineError
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.description import Scene, SceneObject
@@ -103,7 +104,9 @@ def scene() -> Scene:
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     """The scene with its cameras, without any picture."""
     few = SplitConfig(views=1, spp=4)
-    config = DatasetConfig(scene="web", preset="tiny", resolution=SIZE, train=few, interpolating=few, extrapolating=few)
+    config = DatasetConfig(
+        scene="web", preset="tiny", resolution=square(SIZE), train=few, interpolating=few, extrapolating=few
+    )
     pose = look_at(np.array([0.5, -2.2, 1.7]), np.array([-0.1, 0, 0.4]))
     cameras = Cameras(world_from_camera=pose[None], fov_x=np.radians(45), width=SIZE, height=SIZE)
     objects = tuple(DatasetObject(name=item.name, is_glass=item.material.is_glass) for item in scene().objects)

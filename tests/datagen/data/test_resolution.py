@@ -1,0 +1,70 @@
+"""Tests how the size of pictures is read, printed and stored."""
+
+import json
+from pathlib import Path
+
+import pytest
+from support.synthetic import write_synthetic_dataset
+
+from datagen.data.config import SPLITS
+from datagen.data.dataset import open_dataset
+from datagen.data.resolution import MAX_SIDE, Resolution, parse_resolution, square
+from datagen.disk.errors import HyalineError
+from datagen.disk.storage import SEAL, seal_bytes
+
+
+@pytest.mark.parametrize("resolution", [square(256), Resolution(width=320, height=240), Resolution(width=1, height=9)])
+def test_what_is_printed_is_read_back(resolution: Resolution) -> None:
+    assert parse_resolution(str(resolution)) == resolution
+    assert parse_resolution(str(resolution).replace(" ", "")) == resolution
+
+
+def test_one_number_is_a_square_and_two_are_width_and_height() -> None:
+    assert parse_resolution("256") == square(256)
+    wide = parse_resolution("320x240")
+    assert (wide.width, wide.height, wide.shape, wide.pixels) == (320, 240, (240, 320), 76_800)
+    assert (wide.shorter, wide.mean_side, square(99).mean_side) == (240, 277, 99)
+    assert wide.times(2) == parse_resolution("640x480")
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("0", "is 0; expected 1 to 8192"),
+        ("-3", "is -3; expected 1 to 8192"),
+        (f"20x{MAX_SIDE + 1}", "is 8193; expected 1 to 8192"),
+        ("", "is ''; expected a width and height"),
+        ("32x", "is '32x'; expected a width and height"),
+        ("32x24x3", "is '32x24x3'; expected a width and height"),
+        ("3.5", "is '3.5'; expected a width and height"),
+        ("٣٢", "expected a width and height"),
+        ("9" * 5000, "expected a width and height"),
+    ],
+)
+def test_what_is_no_size_of_pictures_is_refused_in_one_line(text: str, problem: str) -> None:
+    with pytest.raises(HyalineError, match=f"^resolution: .*{problem}") as caught:
+        parse_resolution(text)
+    assert len(str(caught.value)) < 200 and "\n" not in str(caught.value)
+
+
+def test_pictures_layers_and_cameras_of_an_oblong_dataset_have_its_shape(tmp_path: Path) -> None:
+    resolution = Resolution(width=24, height=16)
+    dataset = write_synthetic_dataset(tmp_path, resolution=resolution, train_views=2)
+    assert open_dataset(tmp_path).config.resolution == resolution
+    for split in SPLITS:
+        for view in dataset.views(split):
+            assert view.image.shape == view.radiance.shape == (16, 24, 3)
+            assert view.layers().uv.shape == (4, 16, 24, 2) and view.mask("glass").shape == (16, 24)
+            assert (view.camera.width, view.camera.height) == (24, 16)
+
+
+def test_a_head_of_version_1_has_square_pictures(tmp_path: Path) -> None:
+    write_synthetic_dataset(tmp_path, resolution=8, train_views=1)
+    head = json.loads((tmp_path / "dataset.json").read_text())
+    head.pop(SEAL)
+    old = {**head, "version": 1, "config": {**head["config"], "resolution": 8}}
+    (tmp_path / "dataset.json").write_bytes(seal_bytes(old))
+    assert open_dataset(tmp_path).config.resolution == square(8)
+    (tmp_path / "dataset.json").write_bytes(seal_bytes({**old, "version": 2}))
+    with pytest.raises(HyalineError, match=r"dataset.json: config.resolution: is 8; expected an object"):
+        open_dataset(tmp_path)
