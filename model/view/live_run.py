@@ -1,7 +1,6 @@
 """A run as it is now, trained or still training: its newest weights, read from its folder, and what they draw."""
 
 import contextlib
-import dataclasses
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import cast
@@ -101,14 +100,7 @@ class LiveRun:
             return None
         net = self.config.net.hurried() if is_quick else self.config.net
         with self._wanting(is_wanted):
-            try:
-                pixels = net.load_cameras(self.inputs, _alone(camera))
-            except HyalineError:
-                if camera.width == camera.height:
-                    raise
-                # Some methods draw square pictures alone: a larger one that holds this in its middle.
-                square = _squared(camera)
-                return _middle(self.draw(square, is_quick=is_quick, is_wanted=is_wanted), camera)
+            pixels = net.load_cameras(self.inputs, _alone(camera))
             return predict_pixels(self._renderer, pixels.to(self.device)).reshape(camera.height, camera.width, 3)
 
     def _newest(self) -> tuple[tuple[str, int, int], Path] | None:
@@ -150,17 +142,3 @@ def _alone(camera: Camera) -> Cameras:
         width=camera.width,
         height=camera.height,
     )
-
-
-def _squared(camera: Camera) -> Camera:
-    """The camera whose square picture has this one's in its middle."""
-    side = max(camera.width, camera.height)
-    fov = 2 * np.arctan(np.tan(camera.fov_x / 2) * side / camera.width)
-    return dataclasses.replace(camera, fov_x=float(fov), width=side, height=side)
-
-
-def _middle(picture: Picture | None, camera: Camera) -> Picture | None:
-    if picture is None:
-        return None
-    top, left = (picture.shape[0] - camera.height) // 2, (picture.shape[1] - camera.width) // 2
-    return picture[top : top + camera.height, left : left + camera.width]

@@ -88,22 +88,6 @@ def test_a_checkpoint_that_is_damaged_or_of_another_configuration_is_refused_in_
     assert path.is_file(), "a viewer deletes nothing"
 
 
-def test_a_method_that_draws_square_pictures_alone_fills_a_wide_window_too(dataset: Dataset, tmp_path: Path) -> None:
-    config = TrainConfig(
-        method="dnr", geometry="truth", net=DnrConfig(texture_size=16, unet_width=4, crop=32), steps=1, batch=2
-    )
-    train(config, dataset, tmp_path / "run", label="run", device=CPU)
-    run = live(tmp_path / "run", dataset, config)
-    run.refresh()
-    camera = dataclasses.replace(dataset.view("interpolating", 0).camera, width=64, height=32)
-    tall = dataclasses.replace(camera, width=32, height=64, fov_x=2 * np.arctan(np.tan(camera.fov_x / 2) / 2))
-    wide_picture, tall_picture = (run.draw(item, is_quick=False) for item in (camera, tall))
-    assert wide_picture is not None and wide_picture.shape == (32, 64, 3)
-    assert tall_picture is not None and tall_picture.shape == (64, 32, 3)
-    # Both are cut out of one square picture of 64 x 64.
-    assert np.array_equal(wide_picture[:, 16:48], tall_picture[16:48])
-
-
 def test_a_picture_in_haste_takes_one_ray_a_pixel() -> None:
     paper = PaperConfig().usual("truth")
     assert dataclasses.replace(paper, render_samples=9).hurried() == dataclasses.replace(paper, render_samples=1)
