@@ -10,15 +10,16 @@ import tyro
 from datagen.build.choices import BuildChoices
 from datagen.build.film import FilmChoices
 from datagen.build.launch import LaunchChoices
-from datagen.data.advice import after_layers
+from datagen.data.advice import after_build, after_layers
 from datagen.data.dataset import open_dataset
-from datagen.data.finding import build_command, find_dataset
+from datagen.data.finding import DATA_ROOT, build_command, find_dataset
 from datagen.data.geometries import check_geometry
 from datagen.data.layer_writing import check_settings
 from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import refuse_file
 from datagen.disk.storage import commit
+from datagen.import_dataset.choices import DatasetImportChoices
 from datagen.scene.importers.choices import ImportChoices
 from datagen.terminal.command import fail, next_command, run, say, say_all, tell, unwrap_help
 
@@ -34,10 +35,12 @@ def main() -> None:
     unwrap_help(BuildChoices)
     unwrap_help(LaunchChoices)
     unwrap_help(ImportChoices)
+    unwrap_help(DatasetImportChoices)
     unwrap_help(FilmChoices)
     commands = {
         "build": build,
         "import": import_file,
+        "import-dataset": import_dataset,
         "peel": peel,
         "export": export,
         "verify": verify,
@@ -92,6 +95,34 @@ def import_file(
     say_all(imported.told())
     tell(str(root))
     next_command(shlex.join(["datagen", "build", "--scene", str(root)]))
+
+
+def import_dataset(
+    folder: tyro.conf.Positional[Path],
+    out: Path | None = None,
+    overwrite: bool = False,
+    choices: DatasetImportChoices = DatasetImportChoices(),  # noqa: B008
+) -> None:
+    """Import another project's dataset: RefRef, OpenMaterial, NeRF's Blender scenes, or nerfstudio's transforms.json.
+
+    Takes pictures, cameras, masks, depth and meshes. With meshes, the dataset can be peeled and trained on. What only
+    a renderer knows, such as noise, stays unknown. If interrupted, the same command resumes.
+
+    Args:
+        folder: A folder with transforms_train.json or transforms.json.
+        out: Folder to write. Default: data/NAME.
+        overwrite: Replace an existing dataset.
+        choices: What the folder does not say.
+    """
+    from datagen.import_dataset.import_dataset import plan_import, write_import
+
+    plan = plan_import(folder, choices)
+    dataset = write_import(plan, out or DATA_ROOT / plan.config.scene, choices, overwrite=overwrite)
+    say_all(list(plan.imported.remarks))
+    views = ", ".join(f"{count} {split}" for split, count in dataset.num_views.items())
+    say(f"{dataset.root}: {views} views; {len(dataset.objects)} meshes; noise and radiance are unknown")
+    tell(str(dataset.root))
+    next_command(after_build(dataset))
 
 
 def peel(

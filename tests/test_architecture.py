@@ -41,6 +41,7 @@ FLOORS = {
         "cli",
         "look",
         "export",
+        "import_dataset",
         "build",
         "quantities",
         "trace",

@@ -15,6 +15,7 @@ from datagen.data.config import SPLITS, DatasetConfig, Split, config_difference,
 from datagen.data.dataset import Dataset, DatasetObject, head_files
 from datagen.data.dataset_head import dataset_files, head_contents, view_files, write_head
 from datagen.data.geometries import geometry_hash
+from datagen.data.imported import RENDERED, Imported
 from datagen.data.layer_store import record_path_of_layers
 from datagen.data.layer_writing import check_settings, create_layers
 from datagen.data.paths import TRUTH, layers_root
@@ -151,7 +152,7 @@ def _told_missing(tasks: list[Task], is_made: Callable[[Task], bool], *, where: 
 def summary(dataset: Dataset, geometry: str) -> list[str]:
     """What was made, in a few lines: noise ceilings, rays that were cut off."""
     splits: list[Split] = [split for split in dataset.splits if dataset.config.split(split).views]
-    lines = [f"noise ceiling {split}: {dataset.noise_ceiling_db(split):.1f} dB" for split in splits]
+    lines = [f"noise ceiling {split}: {_decibels(dataset.noise_ceiling_db(split))}" for split in splits]
     store = dataset.layer_store(geometry)
     for split in splits:
         shares = [store.record(split, view).overflow_share for view in range(dataset.config.split(split).views)]
@@ -160,38 +161,78 @@ def summary(dataset: Dataset, geometry: str) -> list[str]:
     return lines
 
 
+def _decibels(value: float | None) -> str:
+    return "unknown" if value is None else f"{value:.1f} dB"
+
+
 # Starting and going on
 
 
+def refuse_imported(dataset: Dataset, *, what: str) -> None:
+    """Refuses what needs the light of a scene.
+
+    Raises:
+        HyalineError: the pictures were imported, so that it is unknown.
+    """
+    if dataset.imported is not None:
+        raise HyalineError(
+            f"{dataset.root}: was imported from {dataset.imported.source}, and the light in its scene is unknown, so "
+            f"that {what} cannot be rendered; expected a dataset that `datagen build` made"
+        )
+
+
 def open_or_start(
-    scene: Scene, root: Path, config: DatasetConfig, cameras: dict[Split, Cameras], *, overwrite: bool
+    scene: Scene | None,
+    root: Path,
+    config: DatasetConfig,
+    cameras: dict[Split, Cameras],
+    *,
+    overwrite: bool,
+    imported: Imported | None = None,
 ) -> Dataset:
     """The dataset at `root`, its head complete, or a new one without views; the caller holds the folder.
+
+    Args:
+        scene: None where pictures were imported without any mesh.
+        imported: where the pictures come from, unless they are rendered here.
 
     Raises:
         HyalineError: another dataset, or something else, stands there.
     """
-    files = scene_files(scene)
-    objects = tuple(DatasetObject(name=item.name, is_glass=item.material.is_glass) for item in scene.objects)
+    files = {} if scene is None else scene_files(scene)
+    listed = () if scene is None else scene.objects
+    objects = tuple(DatasetObject(name=item.name, is_glass=item.material.is_glass) for item in listed)
     if overwrite and is_ours(root, DATASET):
-        wanted = [*view_files(config, SPLITS), *head_contents(files, cameras)]
+        endings = RENDERED if imported is None else imported.endings
+        wanted = [*view_files(config, SPLITS, endings), *head_contents(files, cameras)]
         refuse_taken(root, DATASET, wanted, dataset_files(root))
         clear_dataset(root)
     # Another process may have been there first, with other settings.
-    dataset = write_head(root, config, objects, cameras, files, replace=overwrite)
+    dataset = write_head(root, config, objects, cameras, files, imported=imported, replace=overwrite)
+    if dataset.imported != imported:
+        raise HyalineError(
+            f"{root}: holds {_origin(dataset.imported)}; pass --overwrite to replace it, or --out for another place"
+        )
     if difference := config_difference(dataset.config, config):
         raise HyalineError(
             f"{root}: holds a dataset with another configuration ({difference}); "
             "pass --overwrite to replace it, or --out for another place"
         )
     promised = head_files(root)
-    changed = [path for path, data in files.items() if promised.get(f"scene/{path}") != sha256(data)]
+    contents = head_contents(files, cameras if imported is not None else {})
+    changed = [path for path, data in contents.items() if promised.get(path) != sha256(data)]
     if changed:
         raise HyalineError(
-            f"{root}: holds a dataset of another version of scene {scene.name} ({changed[0]} differs); "
+            f"{root}: holds a dataset of another version of scene {config.scene} ({changed[0]} differs); "
             "pass --overwrite to replace it, or --out for another place"
         )
     return dataset
+
+
+def _origin(imported: Imported | None) -> str:
+    if imported is None:
+        return "a dataset that was rendered here"
+    return f"a dataset that was imported from {imported.source}, of other files or with other choices"
 
 
 def _is_started(dataset: Dataset, geometry: str, meshes_hash: str, *, num_layers: int) -> bool:

@@ -4,7 +4,7 @@ import dataclasses
 import sys
 from pathlib import Path
 
-from datagen.build.build import build_dataset, summary
+from datagen.build.build import build_dataset, refuse_imported, summary
 from datagen.build.build_variant import build_variant, peel_variants
 from datagen.build.choices import BuildChoices
 from datagen.build.launch import LaunchChoices
@@ -162,6 +162,7 @@ def _open_base(choices: BuildChoices) -> Dataset:
         raise HyalineError(
             f"--preset: is {choices.preset}, but {base.root} was built with {base.config.preset}; leave it out"
         )
+    refuse_imported(base, what="another view")
     return base
 
 

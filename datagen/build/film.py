@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import UInt8
 
+from datagen.build.build import refuse_imported
 from datagen.data.cameras import Cameras
 from datagen.data.dataset import Dataset
 from datagen.data.film import check_film, write_film
@@ -41,6 +42,7 @@ def plan_film(dataset: Dataset, path: str, choices: FilmChoices, out: Path, *, o
     Raises:
         HyalineError: a path, a number or a file that cannot be.
     """
+    refuse_imported(dataset, what="a film")
     cameras = make_path(dataset, path, choices.frames, width=choices.width, height=choices.height)
     check_film(out, choices.fps, frames=choices.frames, overwrite=overwrite)
     return cameras

@@ -34,12 +34,13 @@ def render_task(job: RenderJob, task: Task) -> None:
 
     split, view = task
     config = job.dataset.config
-    seed = view_seed(config.seed, split, view)
+    seed, spp = view_seed(config.seed, split, view), config.split(split).spp
+    assert spp is not None, "an imported dataset is not rendered"
     truth = render_view(
         job.renderer,
         job.cameras[split],
         view,
-        spp=config.split(split).spp,
+        spp=spp,
         view_seed=seed,
         ceiling_db=config.ceiling_db if split != "train" else None,
     )

@@ -12,7 +12,7 @@ from pathlib import Path
 from datagen.build.build import peel_dataset, render_dataset
 from datagen.build.build_variant import build_variant
 from datagen.build.plan_variant import plan_again
-from datagen.build.verify import check_is_there, is_good, list_obstacles
+from datagen.build.verify import check_is_there, import_command, is_good, list_obstacles
 from datagen.data.cameras import TRANSFORMS_FILES, transforms_bytes
 from datagen.data.dataset import Dataset, head_files, open_dataset
 from datagen.data.geometries import list_geometries
@@ -48,8 +48,11 @@ def mend_dataset(root: Path, *, scene: str | None, workers: int) -> Dataset:
         _clear_the_way(home)
     with holding(home, DATASET):
         dataset = open_dataset(home)
-        _restore_scene(dataset, scene)
-        render_dataset(dataset, workers=workers)
+        if dataset.imported is not None:
+            _check_imported(dataset)
+        else:
+            _restore_scene(dataset, scene)
+            render_dataset(dataset, workers=workers)
     for geometry in list_geometries(dataset):
         with _passing_over_proxies(f"{home}: layers of {geometry}"):
             _peel(dataset, geometry, workers=workers)
@@ -58,6 +61,17 @@ def mend_dataset(root: Path, *, scene: str | None, workers: int) -> Dataset:
         with _passing_over_proxies(str(variant.root)):
             build_variant(dataset, plan_again(dataset, variant), workers=workers)
     return dataset
+
+
+def _check_imported(dataset: Dataset) -> None:
+    """Refuses to go on where only the folder that a dataset was imported from has what is lost."""
+    lost = [file for file, digest in head_files(dataset.root).items() if not is_good(dataset.root / file, digest)]
+    lost += [f"{split} {view.index}" for split in dataset.splits for view in dataset.views(split) if not view.is_built]
+    if lost:
+        raise HyalineError(
+            f"{dataset.root}: {lost[0]} is missing or damaged, and was imported; bring it back with "
+            f"`{import_command(dataset)}`"
+        )
 
 
 def _peel(dataset: Dataset, geometry: str, *, workers: int) -> None:

@@ -105,6 +105,8 @@ class _Search:
         self.remarks: list[str] = []
         self.heads = list_heads(home)
         self.mend = f"datagen mend {shlex.quote(str(home))}"
+        self.finish = self.mend
+        """What makes views that are not there."""
 
     def wrong(self, place: str, what: str, command: str | None = None) -> None:
         if f"{place}/".startswith(self.within):
@@ -179,6 +181,8 @@ class _Search:
             return
         for file, promised in head_files(root).items():
             self.check(prefix + file, promised, self._scene_command(dataset, file))
+        if dataset.imported is not None:
+            self.finish = import_command(dataset)
         self._check_views(dataset, prefix)
         for geometry in list_geometries(dataset):
             self._check_geometry(dataset, prefix, geometry)
@@ -193,32 +197,35 @@ class _Search:
     def _scene_command(self, dataset: Dataset, file: str) -> str | None:
         from datagen.scene.builtin import SCENES
 
+        if dataset.imported is not None:
+            return import_command(dataset)
         if not file.startswith("scene/") or dataset.edit is not None or dataset.config.scene in SCENES:
             return None
         return f"{self.mend} --scene FOLDER"
 
     def _check_views(self, dataset: Dataset, prefix: str) -> None:
         unmade, total = [], 0
+        command = None if dataset.imported is None else import_command(dataset)
         for split in dataset.splits:
             for view in range(dataset.config.split(split).views):
                 total += 1
                 path = record_path(dataset.root, split, view)
                 relative = prefix + path.relative_to(dataset.root).as_posix()
                 self.known.add(relative)
-                pictures = [f"{prefix}images/{split}/{path.stem}{ending}" for ending in (".png", ".exr")]
+                pictures = [f"{prefix}images/{split}/{path.stem}{ending}" for ending in dataset.endings]
                 self.known.update(pictures)
                 if self._is_absent(relative):
                     unmade.append(relative)
                     for picture in pictures:
                         if not self._is_absent(picture):
-                            self.check(picture, None)
+                            self.check(picture, None, command)
                             self.good.discard(picture)
-                elif self.check(relative, None):
+                elif self.check(relative, None, command):
                     try:
-                        self.check_all(prefix, dataset.view(split, view).record.files)
+                        self.check_all(prefix, dataset.view(split, view).record.files, command)
                     except HyalineError as error:
                         self.good.discard(relative)
-                        self.wrong(relative, _reason(error, path))
+                        self.wrong(relative, _reason(error, path), command)
         self._tell_unmade(unmade, total, f" of {prefix.rstrip('/')}" if prefix else "")
 
     def _is_absent(self, relative: str) -> bool:
@@ -293,9 +300,9 @@ class _Search:
         commands = [command for _, command in self.lines.values()]
         if self.unmade:
             lines.append(
-                f"{self.home}: unfinished: without records are {', '.join(self.unmade)}; finish it with `{self.mend}`"
+                f"{self.home}: unfinished: without records are {', '.join(self.unmade)}; finish it with `{self.finish}`"
             )
-            commands.append(self.mend)
+            commands.append(self.finish)
         # Proxies first, from which layers are made; but before them what they are made from.
         is_first = any(place == "dataset.json" or place.startswith("scene/") for place in self.lines)
         order = sorted(set(commands), key=lambda command: (command.startswith("datagen") != is_first, command))
@@ -339,6 +346,11 @@ def make_command(dataset: Dataset, geometry: str) -> str:
     with contextlib.suppress(HyalineError):
         words += ["--num-layers", str(dataset.layer_store(geometry).head.num_layers)]
     return shlex.join(words)
+
+
+def import_command(dataset: Dataset) -> str:
+    """The command that brings back what is lost of an imported dataset."""
+    return f"datagen import-dataset FOLDER --out {shlex.quote(str(dataset.root))}"
 
 
 def _some(paths: Iterable[str]) -> str:

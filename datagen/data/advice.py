@@ -5,7 +5,7 @@ import shlex
 from collections.abc import Iterator
 from pathlib import Path
 
-from datagen.data.dataset import Dataset
+from datagen.data.dataset import Dataset, has_layers
 from datagen.data.finding import build_command, list_datasets
 from datagen.data.geometries import list_geometries
 from datagen.data.paths import TRUTH
@@ -22,6 +22,10 @@ BLIND_METHODS = ("deepvoxels",)
 
 def after_build(dataset: Dataset) -> str:
     """What comes after a dataset."""
+    if not dataset.objects:
+        return shlex.join(["model", "train", "deepvoxels", "--dataset", str(dataset.root)])
+    if not has_layers(dataset):
+        return shlex.join(["datagen", "peel", "--dataset", str(dataset.root)])
     if "ellipsoid" not in list_geometries(dataset):
         return shlex.join(["proxies", "make", "--dataset", str(dataset.root), "--kind", "ellipsoid"])
     return after_layers(dataset, TRUTH)

@@ -1,13 +1,15 @@
 """How a dataset is configured: its splits, their sizes, and how they are rendered."""
 
 import dataclasses
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal, cast
 
 from datagen.data.resolution import Resolution
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import check_name
+from datagen.disk.records import Json, entry, from_json, shown
 
 Split = Literal[
     "train", "interpolating", "extrapolating", "extrapolating-10deg", "extrapolating-20deg", "extrapolating-40deg"
@@ -20,6 +22,9 @@ ANGLE_SPLITS: dict[Split, float] = {"extrapolating-10deg": 10, "extrapolating-20
 
 SPLIT_ORDER: dict[Split, int] = {split: place for place, split in enumerate((*SPLITS, *ANGLE_SPLITS))}
 
+DATASET_VERSION = 2
+"""Of what is written. Version 1, which is read too, knew square pictures alone: its resolution is one number."""
+
 MAX_VIEWS, MAX_SPP, MAX_DEPTH = 10_000, 1 << 20, 1000
 """Of a split, of a picture and of a light path: what is beyond has a slip in it."""
 
@@ -29,11 +34,12 @@ class SplitConfig:
     """How one split is rendered."""
 
     views: int
-    spp: int
-    """Samples per pixel, both halves together; with a noise ceiling the number to start from."""
+    spp: int | None
+    """Samples per pixel, both halves together; with a noise ceiling the number to start from. None where the pictures
+    were imported: nobody knows."""
 
     def __post_init__(self) -> None:
-        if not 0 <= self.views <= MAX_VIEWS or not 2 <= self.spp <= MAX_SPP:
+        if not 0 <= self.views <= MAX_VIEWS or not 2 <= (self.spp or 2) <= MAX_SPP:
             raise HyalineError(
                 f"split: has {self.views} views of {self.spp} spp; expected at least 1 view and 2 spp, "
                 f"at most {MAX_VIEWS:,} and {MAX_SPP:,}"
@@ -86,6 +92,21 @@ def describe_views(views: Iterable[tuple[Split, int]]) -> str:
         runs = [f"{start}" if start == end else f"{start}-{end}" for start, end in zip(starts, ends, strict=True)]
         parts.append(f"{split} {', '.join(runs)}")
     return "; ".join(parts)
+
+
+def config_of(head: Mapping[str, Json], path: Path) -> DatasetConfig:
+    """The configuration in a dataset's head.
+
+    Raises:
+        HyalineError: another format version, or no configuration.
+    """
+    version = head.get("version")
+    if isinstance(version, bool) or version not in (1, DATASET_VERSION):
+        raise HyalineError(f"{path}: format version {shown(version)}; this program reads 1 and {DATASET_VERSION}")
+    config = entry(head, "config", where=path)
+    if version == 1 and isinstance(config, dict) and isinstance(side := config.get("resolution"), int):
+        config = {**config, "resolution": {"width": side, "height": side}}
+    return from_json(DatasetConfig, config, where=f"{path}: config")
 
 
 def config_difference(old: object, new: object) -> str | None:

@@ -15,6 +15,8 @@ the camera looks along -z). Pixel (column i, row j) has its centre at (i + 0.5, 
       images/SPLIT/0000.png              8-bit sRGB: what metrics compare
       images/SPLIT/0000.exr              linear R G B, half floats, and `noise.*`: half the difference of two
                                          independent halves A and B (so A = RGB + noise, B = RGB - noise)
+      images/SPLIT/0000.mask.png         instead of the EXR, where pictures were imported with masks: 255 on glass
+      images/SPLIT/0000.depth.npy        and with depth: float32, metres along the axis to the first surface, 0: none
       records/SPLIT/0000.json            sealed, written last: a view exists only when its record verifies
       layers/straight/                   peeled layers of the true geometry (format: datagen/data/layers.py)
       proxies/KIND/proxies.json          sealed: one mesh per object, with SHA-256 and statistics
@@ -25,7 +27,6 @@ the camera looks along -z). Pixel (column i, row j) has its centre at (i + 0.5, 
                                          the same cameras
 """
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -35,24 +36,24 @@ import numpy as np
 from jaxtyping import Bool, Float32, UInt8
 
 from datagen.data.cameras import TRANSFORMS_FILES, Camera, Cameras, parse_transforms
-from datagen.data.config import SPLITS, DatasetConfig, Split
+from datagen.data.config import SPLITS, DatasetConfig, Split, config_of
 from datagen.data.exr import decode_exr
 from datagen.data.finding import where_datasets_are
+from datagen.data.imported import RENDERED, Imported, imported_of
 from datagen.data.layer_store import LayerStore, open_layers
 from datagen.data.layers import Layers, glass_mask, read_layers
+from datagen.data.npy import read_npy
 from datagen.data.paths import TRUTH, image_path, layers_root, record_path
 from datagen.data.png import decode_png
+from datagen.data.view_record import ViewRecord
 from datagen.disk.errors import DamagedError, HyalineError
 from datagen.disk.homes import mend_command
 from datagen.disk.names import check_name, check_relative
 from datagen.disk.opened import Opened
 from datagen.disk.ownership import DATASET, LAYERS
 from datagen.disk.promises import check_files, read_promised
-from datagen.disk.records import Json, entry, from_json, shown
+from datagen.disk.records import Json, entry, from_json
 from datagen.disk.storage import load_sealed, seal_of, sha256, sha256_file
-
-DATASET_VERSION = 2
-"""Of what is written. Version 1, which is read too, knew square pictures alone: its resolution is one number."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,6 +113,8 @@ class Dataset:
     """None unless this is a variant of the dataset around it."""
     parent: "Dataset | None" = None
     """The dataset that this one is a variant of."""
+    imported: Imported | None = None
+    """None unless its pictures were rendered elsewhere."""
     _opened: Opened = field(default_factory=Opened, repr=False)
 
     @property
@@ -132,6 +135,11 @@ class Dataset:
     def edit(self) -> SceneEdit | None:
         """How the scene differs from the parent's; None where it does not, or there is none."""
         return None if self.variant is None else self.variant.edit
+
+    @property
+    def endings(self) -> tuple[str, ...]:
+        """Endings of the files of each view."""
+        return RENDERED if self.imported is None else self.imported.endings
 
     @property
     def num_views(self) -> dict[Split, int]:
@@ -185,29 +193,14 @@ class Dataset:
             raise HyalineError(f"{self.root}: has no object {name!r}; expected one of {', '.join(names)}")
         return 1 + names.index(name)
 
-    def noise_ceiling_db(self, split: Split) -> float:
-        """The mean PSNR in dB that the truth's own noise would allow a perfect method on this split."""
-        errors = [view.record.noise_mse for view in self.views(split)]
-        return float(np.mean([-10 * math.log10(max(error, 1e-12)) for error in errors]))
+    def noise_ceiling_db(self, split: Split) -> float | None:
+        """The mean PSNR in dB that the truth's own noise would allow a perfect method on this split.
 
-
-@dataclass(frozen=True, kw_only=True)
-class ViewRecord:
-    """What is known of one rendered view; written last."""
-
-    dataset: str
-    """The seal of the dataset that the view belongs to."""
-    split: Split
-    view: int
-    seed: int
-    spp: int
-    """Samples per pixel that were really drawn, both halves together."""
-    noise_mse: float
-    """Estimated mean squared error of the clipped sRGB image against its own limit of infinitely many samples."""
-    variant: str
-    """The Mitsuba variant that rendered it."""
-    files: dict[str, str]
-    """SHA-256 by path, relative to the dataset."""
+        None where the pictures were imported: how noisy they are, nobody knows.
+        """
+        ceilings = [view.record.ceiling_db for view in self.views(split)]
+        known = [ceiling for ceiling in ceilings if ceiling is not None]
+        return float(np.mean(known)) if known else None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -235,7 +228,7 @@ class View:
                 f"{path}: belongs to {record.split} view {record.view} of another dataset; "
                 f"mend it with `{mend_command(path)}`"
             )
-        if set(record.files) != {self._file(".png"), self._file(".exr")}:
+        if set(record.files) != set(map(self._file, self.dataset.endings)):
             raise HyalineError(
                 f"{path}: promises {', '.join(sorted(record.files))}; expected its view's pictures, "
                 f"mend it with `{mend_command(path)}`"
@@ -264,7 +257,11 @@ class View:
 
     @property
     def radiance(self) -> Float32[np.ndarray, "h w 3"]:
-        """Linear radiance (Rec. 709), unclipped: the mean of two independent halves A and B of the samples."""
+        """Linear radiance (Rec. 709), unclipped: the mean of two independent halves A and B of the samples.
+
+        Raises:
+            HyalineError: the picture was imported, 8 bits a channel.
+        """
         return self.radiance_and_noise()[0]
 
     @property
@@ -274,6 +271,10 @@ class View:
 
     def radiance_and_noise(self) -> tuple[Float32[np.ndarray, "h w 3"], Float32[np.ndarray, "h w 3"]]:
         """Both from one reading of their file."""
+        if self.dataset.imported is not None:
+            raise HyalineError(
+                f"{self.dataset.root}: its radiance and noise are unknown; its pictures were imported, take `image`"
+            )
         return decode_exr(self._read(".exr"), where=str(self.dataset.root / self._file(".exr")))
 
     @property
@@ -289,10 +290,35 @@ class View:
         """The object ids of `layers` alone: a small part of what that reads."""
         return self.dataset.layer_store(geometry).read(self.split, self.index, only=["object_id"])["object_id"]
 
+    @property
+    def imported_mask(self) -> Bool[np.ndarray, "h w"] | None:
+        """Pixels that see glass, by the mask that was imported; None where there was none."""
+        if ".mask.png" not in self.dataset.endings:
+            return None
+        picture = decode_png(self._read(".mask.png"), where=str(self.dataset.root / self._file(".mask.png")))
+        return np.asarray(picture.convert("L")) > 127
+
+    @property
+    def imported_depth(self) -> Float32[np.ndarray, "h w"] | None:
+        """Metres along the axis to the first surface, 0 where there is none, as imported; None where there was none."""
+        if ".depth.npy" not in self.dataset.endings:
+            return None
+        return read_npy(self._read(".depth.npy"), where=str(self.dataset.root / self._file(".depth.npy")))
+
+    @property
+    def mask_sha256(self) -> str | None:
+        """SHA-256 of the file of `imported_mask`, verified."""
+        return sha256(self._read(".mask.png")) if ".mask.png" in self.dataset.endings else None
+
     def mask(self, what: Literal["glass"]) -> Bool[np.ndarray, "h w"]:
-        """Pixels whose centre ray meets glass before anything opaque, by the true geometry."""
+        """Pixels whose centre ray meets glass before anything opaque, by the true geometry.
+
+        Where that has no layers, by the mask that was imported with the picture.
+        """
         if what != "glass":
             raise HyalineError(f"mask: is {what!r}; expected 'glass' (`object_ids` tells other objects)")
+        if not has_layers(self.dataset) and (given := self.imported_mask) is not None:
+            return given
         return glass_mask(self.object_ids(), np.array([False, *(item.is_glass for item in self.dataset.objects)]))
 
     def _file(self, ending: str) -> str:
@@ -301,6 +327,16 @@ class View:
     def _read(self, ending: str) -> bytes:
         file = self._file(ending)
         return read_promised(self.dataset.root, file, self.record.files[file])
+
+
+def has_layers(dataset: Dataset) -> bool:
+    """True when the true geometry has straight layers."""
+    return (layers_root(dataset.root, TRUTH) / LAYERS.head).is_file()
+
+
+def has_glass_mask(dataset: Dataset) -> bool:
+    """True when layers of the true geometry, or imported masks, tell the pixels that see glass."""
+    return has_layers(dataset) or (dataset.imported is not None and dataset.imported.has_masks)
 
 
 def open_dataset(root: Path) -> Dataset:
@@ -326,22 +362,8 @@ def open_dataset(root: Path) -> Dataset:
         files=_promised_files(head, path),
         variant=variant,
         parent=parent,
+        imported=imported_of(head, path),
     )
-
-
-def config_of(head: Mapping[str, Json], path: Path) -> DatasetConfig:
-    """The configuration in a dataset's head.
-
-    Raises:
-        HyalineError: another format version, or no configuration.
-    """
-    version = head.get("version")
-    if isinstance(version, bool) or version not in (1, DATASET_VERSION):
-        raise HyalineError(f"{path}: format version {shown(version)}; this program reads 1 and {DATASET_VERSION}")
-    config = entry(head, "config", where=path)
-    if version == 1 and isinstance(config, dict) and isinstance(side := config.get("resolution"), int):
-        config = {**config, "resolution": {"width": side, "height": side}}
-    return from_json(DatasetConfig, config, where=f"{path}: config")
 
 
 def variant_of(head: Mapping[str, Json], path: Path) -> Variant | None:

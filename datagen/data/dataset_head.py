@@ -5,19 +5,18 @@ from pathlib import Path
 from typing import cast
 
 from datagen.data.cameras import TRANSFORMS_FILES, Cameras, transforms_bytes
-from datagen.data.config import SPLITS, DatasetConfig, Split
+from datagen.data.config import DATASET_VERSION, SPLITS, DatasetConfig, Split, config_of
 from datagen.data.dataset import (
-    DATASET_VERSION,
     Dataset,
     DatasetObject,
     Variant,
-    ViewRecord,
-    config_of,
     head_files,
     open_dataset,
     variant_of,
 )
+from datagen.data.imported import RENDERED, Imported, imported_of
 from datagen.data.paths import image_path, record_path
+from datagen.data.view_record import ViewRecord
 from datagen.disk.errors import HyalineError
 from datagen.disk.heads import keep_head
 from datagen.disk.ownership import DATASET, begin, is_ours
@@ -33,6 +32,7 @@ def write_head(
     scene: Mapping[str, bytes],
     *,
     variant: Variant | None = None,
+    imported: Imported | None = None,
     replace: bool = False,
 ) -> Dataset:
     """Commits the head of a dataset, then the scene and the cameras that it promises; the caller holds the folder.
@@ -43,6 +43,7 @@ def write_head(
     Args:
         scene: the files of the scene's folder, by path relative to it; none in a variant of the same scene.
         variant: what a variant says of itself.
+        imported: where the pictures come from, unless they are rendered here.
         replace: take the place of a head of ours, whose views and further files the caller has removed.
 
     Raises:
@@ -55,6 +56,7 @@ def write_head(
         "objects": to_json(objects),
         "files": {path: sha256(data) for path, data in sorted(files.items())},
         **({} if variant is None else {"variant": to_json(variant)}),
+        **({} if imported is None else {"imported": to_json(imported)}),
     }
     if replace and is_ours(root, DATASET):
         commit(root / DATASET.head, seal_bytes(head))
@@ -93,17 +95,19 @@ def dataset_files(root: Path) -> list[str]:
     path = root / DATASET.head
     head = load_sealed(path)
     config = config_of(head, path)
-    variant = variant_of(head, path)
-    return [*view_files(config, SPLITS if variant is None else variant.splits), *head_files(root)]
+    variant, imported = variant_of(head, path), imported_of(head, path)
+    endings = RENDERED if imported is None else imported.endings
+    return [*view_files(config, SPLITS if variant is None else variant.splits, endings), *head_files(root)]
 
 
-def view_files(config: DatasetConfig, splits: Sequence[Split]) -> list[str]:
+def view_files(config: DatasetConfig, splits: Sequence[Split], endings: Sequence[str] = RENDERED) -> list[str]:
     """The files of all views, by path relative to the dataset: records first."""
     here = Path()
     views: list[tuple[Split, int]] = [(split, view) for split in splits for view in range(config.split(split).views)]
     records = [record_path(here, split, view) for split, view in views]
     pictures = [image_path(here, split, view) for split, view in views]
-    return [path.as_posix() for path in (*records, *pictures, *(path.with_suffix(".exr") for path in pictures))]
+    files = (path.with_suffix(ending) for ending in endings for path in pictures)
+    return [path.as_posix() for path in (*records, *files)]
 
 
 def commit_view(
@@ -119,11 +123,7 @@ def commit_view(
     variant: str,
 ) -> None:
     """Commits one rendered view: its pictures, then the record that makes them exist."""
-    path = image_path(dataset.root, split, view)
-    files = {}
-    for file, data in ((path, png), (path.with_suffix(".exr"), exr)):
-        commit(file, data)
-        files[file.relative_to(dataset.root).as_posix()] = sha256(data)
+    files = _commit_files(dataset, split, view, {".png": png, ".exr": exr})
     record = ViewRecord(
         dataset=dataset.seal,
         split=split,
@@ -135,3 +135,25 @@ def commit_view(
         files=files,
     )
     commit_sealed(record_path(dataset.root, split, view), cast(dict[str, Json], to_json(record)))
+
+
+def commit_imported_view(dataset: Dataset, split: Split, view: int, files: Mapping[str, bytes]) -> None:
+    """Commits one view whose picture comes from elsewhere.
+
+    Args:
+        files: the bytes of each of `dataset.endings`.
+    """
+    assert set(files) == set(dataset.endings), "an imported view has the files that its dataset names"
+    hashes = _commit_files(dataset, split, view, files)
+    record = ViewRecord(dataset=dataset.seal, split=split, view=view, files=hashes)
+    commit_sealed(record_path(dataset.root, split, view), cast(dict[str, Json], to_json(record)))
+
+
+def _commit_files(dataset: Dataset, split: Split, view: int, files: Mapping[str, bytes]) -> dict[str, str]:
+    """Writes the files of a view, by ending; their SHA-256 by path."""
+    hashes = {}
+    for ending, data in files.items():
+        path = image_path(dataset.root, split, view).with_suffix(ending)
+        commit(path, data)
+        hashes[path.relative_to(dataset.root).as_posix()] = sha256(data)
+    return hashes

@@ -209,6 +209,12 @@ def read_meshes(dataset: Dataset, geometry: str) -> tuple[Mesh, ...]:
         HyalineError: not made, missing or damaged.
     """
     dataset = dataset.home
+    if not dataset.objects:
+        command = shlex.join(["model", "train", "deepvoxels", "--dataset", str(dataset.root)])
+        raise HyalineError(
+            f"{dataset.root}: has no meshes, since none were imported with its pictures; import it again with --mesh, "
+            f"or train what needs none: `{command}`"
+        )
     root = geometry_root(dataset.root, geometry)
     files = _mesh_files(dataset, geometry)
     check_files(root, dict(files.values()))

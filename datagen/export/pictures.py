@@ -1,7 +1,5 @@
 """The files of pictures, depth, masks and points that several formats share."""
 
-import io
-
 import numpy as np
 from jaxtyping import Bool, Float32
 
@@ -35,13 +33,6 @@ def depth_png(depth: Float32[np.ndarray, "h w"]) -> bytes:
 def mask_png(mask: Bool[np.ndarray, "h w"]) -> bytes:
     """8-bit grey PNG: 255 where the mask is True, 0 elsewhere."""
     return png_bytes(np.where(mask, 255, 0).astype(np.uint8))
-
-
-def npy(values: np.ndarray) -> bytes:
-    """A NumPy file."""
-    buffer = io.BytesIO()
-    np.save(buffer, np.ascontiguousarray(values), allow_pickle=False)
-    return buffer.getvalue()
 
 
 def ply_points(points: PointCloud) -> bytes:

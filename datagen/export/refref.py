@@ -12,9 +12,10 @@ points3d.ply                         points of the surfaces, for `--ply-path poi
 from collections.abc import Mapping
 
 from datagen.data.meshes import is_there, write_ply
+from datagen.data.npy import npy_bytes
 from datagen.disk.records import Json
 from datagen.disk.storage import dump_json
-from datagen.export.pictures import mask_png, npy, ply_points, rgba_png
+from datagen.export.pictures import mask_png, ply_points, rgba_png
 from datagen.export.plan import Part, Plan
 from datagen.export.source import ROLES, ExportView, Role, Source
 from datagen.export.transforms import CONVENTION, bounds_keys, frame, lens_keys
@@ -45,7 +46,7 @@ def _view_part(item: ExportView) -> Part:
 
     def make() -> Mapping[str, bytes]:
         found = item.quantities
-        return dict(zip(files, (rgba_png(item), mask_png(found.glass), npy(found.depth_along_axis)), strict=True))
+        return dict(zip(files, (rgba_png(item), mask_png(found.glass), npy_bytes(found.depth_along_axis)), strict=True))
 
     return Part(name=f"{item.role}-{item.name}", files=files, make=make)
 

@@ -20,10 +20,11 @@ import io
 import tarfile
 from collections.abc import Iterator, Mapping
 
+from datagen.data.npy import npy_bytes
 from datagen.data.png import png_bytes
 from datagen.disk.records import Json
 from datagen.disk.storage import dump_json
-from datagen.export.pictures import mask_png, npy, rgb_png
+from datagen.export.pictures import mask_png, rgb_png
 from datagen.export.plan import Part, Plan
 from datagen.export.source import ExportView, Source
 from datagen.export.transforms import CONVENTION, bounds_keys, frame, lens_keys
@@ -76,22 +77,22 @@ def _sample(item: ExportView, *, flow: bool) -> Mapping[str, bytes]:
     sample = {
         "png": rgb_png(item),
         "camera.json": dump_json(camera),
-        "depth.npy": npy(found.depth_along_axis),
-        "opaque_depth.npy": npy(found.opaque_depth_along_axis),
-        "position.npy": npy(found.position),
-        "normal.npy": npy(found.normal("shading")),
+        "depth.npy": npy_bytes(found.depth_along_axis),
+        "opaque_depth.npy": npy_bytes(found.opaque_depth_along_axis),
+        "position.npy": npy_bytes(found.position),
+        "normal.npy": npy_bytes(found.normal("shading")),
         "object_id.png": png_bytes(found.object_id),
         "material_id.png": png_bytes(found.material_id),
         "glass.png": mask_png(found.glass),
-        "thickness.npy": npy(found.glass_thickness),
-        "albedo.npy": npy(found.albedo),
-        "ior.npy": npy(found.ior),
+        "thickness.npy": npy_bytes(found.glass_thickness),
+        "albedo.npy": npy_bytes(found.albedo),
+        "ior.npy": npy_bytes(found.ior),
     }
     if not flow:
         return sample
     ends = found.light_ends
-    traced = {"flow.npy": npy(ends.flow), "has_flow.png": mask_png(ends.has_flow)}
-    return {**sample, **traced, "attenuation.npy": npy(ends.attenuation)}
+    traced = {"flow.npy": npy_bytes(ends.flow), "has_flow.png": mask_png(ends.has_flow)}
+    return {**sample, **traced, "attenuation.npy": npy_bytes(ends.attenuation)}
 
 
 def _about(source: Source) -> dict[str, Json]:

@@ -30,6 +30,7 @@ MOST_BYTES = 18_000_000
 SHOWN_VIEWS = 6
 """Pictures of each split in the page."""
 SHEET_COLUMNS = 6
+UNKNOWN = "unknown"
 
 
 def look_page(dataset: Dataset) -> bytes:
@@ -75,15 +76,22 @@ def look_sheet(dataset: Dataset) -> bytes:
 def _facts(dataset: Dataset) -> list[tuple[str, Part]]:
     config = dataset.config
     views = ", ".join(f"{count} {split}" for split, count in dataset.num_views.items())
-    samples = ", ".join(f"{config.split(split).spp} {split}" for split in dataset.splits)
+    counts = {split: config.split(split).spp for split in dataset.splits}
+    samples = ", ".join(f"{UNKNOWN if spp is None else spp} {split}" for split, spp in counts.items())
+    imported = dataset.imported
+    origin: list[tuple[str, Part]] = []
+    if imported is not None:
+        origin = [("imported from", f"{imported.source}, laid out as by {imported.layout}")]
+        origin += [("remark", remark) for remark in imported.remarks]
     sizes = "; ".join(f"{name} {size / 1e6:,.1f} MB" for name, size in folder_sizes(dataset.root).items())
     return [
         ("scene", config.scene),
+        *origin,
         ("preset", config.preset),
         ("views", views),
         ("pixels", str(config.resolution)),
         ("samples a pixel", samples),
-        ("seed", config.seed),
+        ("seed", config.seed if imported is None else UNKNOWN),
         ("objects", f"{len(dataset.objects)}, {sum(item.is_glass for item in dataset.objects)} of glass"),
         ("geometries", ", ".join(list_geometries(dataset))),
         ("variants", ", ".join(list_variants(dataset.root)) or "none"),
@@ -119,7 +127,7 @@ def missing_lines(dataset: Dataset) -> list[str]:
 
 def _has_view(dataset: Dataset, split: Split, view: int) -> bool:
     picture = image_path(dataset.root, split, view)
-    files = (record_path(dataset.root, split, view), picture, picture.with_suffix(".exr"))
+    files = (record_path(dataset.root, split, view), *map(picture.with_suffix, dataset.endings))
     return all(file.is_file() and file.stat().st_size > 0 for file in files)
 
 
@@ -179,18 +187,21 @@ def _more_views(dataset: Dataset, split: Split, views: Sequence[int], gallery: G
 
 
 def _noise_chart(dataset: Dataset) -> Markup:
+    if dataset.imported is not None:
+        return tag("p", "The pictures were imported: how noisy they are is unknown.")
     lines = []
     for split in dataset.splits:
         there = [view for view in dataset.views(split) if _has_view(dataset, split, view.index)]
-        ceilings = tuple(
-            (float(view.index), float(-10 * np.log10(max(view.record.noise_mse, 1e-12)))) for view in there
-        )
-        lines.append(Line(name=split, points=ceilings))
+        ceilings = [(float(view.index), view.record.ceiling_db) for view in there]
+        known = tuple((index, ceiling) for index, ceiling in ceilings if ceiling is not None)
+        lines.append(Line(name=split, points=known))
     title = "PSNR at which the truth's own noise would stop a perfect method"
     return line_chart(lines, title=title, x_title="view", y_title="PSNR (dB)")
 
 
 def _objects(dataset: Dataset) -> Markup:
+    if not dataset.objects:
+        return tag("p", "No meshes were imported with the pictures.")
     materials = surfaces_of(dataset).materials
     head = tag(
         "tr",

@@ -26,7 +26,7 @@ def stored_pictures(view: View, *, has_layers: bool, proxies: tuple[str, ...] = 
     """
     pictures = {"picture": view.image}
     if not has_layers:
-        return pictures
+        return {**pictures, **_imported_pictures(view)}
     layers = view.layers()
     colors = object_colors(len(view.dataset.objects))
     found = quantities(view)
@@ -42,6 +42,16 @@ def stored_pictures(view: View, *, has_layers: bool, proxies: tuple[str, ...] = 
         laid = (0.55 * view.image + 0.45 * colors[ids]).astype(np.uint8)
         pictures[geometry] = np.where(_outline(ids)[..., None], colors[ids], laid)
     return pictures
+
+
+def _imported_pictures(view: View) -> dict[str, Picture]:
+    """What came with an imported picture."""
+    found = {}
+    if (mask := view.imported_mask) is not None:
+        found["glass"] = np.where(mask[..., None], view.image, view.image // 5)
+    if (depth := view.imported_depth) is not None:
+        found["depth"] = depth_picture(depth, depth > 0)
+    return found
 
 
 def object_colors(count: int) -> UInt8[np.ndarray, "id 3"]:

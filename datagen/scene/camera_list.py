@@ -1,10 +1,14 @@
 """Cameras given one by one, for scenes that bring their own."""
 
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 
+from datagen.data.cameras import Cameras
+from datagen.data.config import Split
 from datagen.disk.errors import HyalineError
 from datagen.scene.values import Vector, as_vector
 
@@ -92,3 +96,20 @@ class CameraList:
     def _axes(self) -> tuple[Float[np.ndarray, "view 3"], Float[np.ndarray, "view 3"]]:
         matrices = self.poses()["train"]
         return matrices[:, :3, 3], -matrices[:, :3, 2]
+
+
+def list_cameras(cameras: Mapping[Split, Cameras]) -> CameraList:
+    """The cameras of all splits as a scene lists them."""
+    rows = {split: tuple(map(matrix_rows, item.world_from_camera)) for split, item in cameras.items()}
+    return CameraList(
+        train=rows["train"],
+        interpolating=rows["interpolating"],
+        extrapolating=rows["extrapolating"],
+        fov_deg=math.degrees(cameras["train"].fov_x),
+    )
+
+
+def matrix_rows(matrix: Float[np.ndarray, "4 4"]) -> Matrix:
+    """A matrix row by row."""
+    a, b, c, d = ((float(x), float(y), float(z), float(w)) for x, y, z, w in matrix)
+    return a, b, c, d

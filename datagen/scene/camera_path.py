@@ -7,10 +7,11 @@ import numpy as np
 from jaxtyping import Float
 
 from datagen.data.cameras import Camera, Cameras, check_camera, look_at
+from datagen.data.config import SPLITS
 from datagen.data.dataset import Dataset
 from datagen.disk.errors import HyalineError
 from datagen.disk.reading import load_json
-from datagen.scene.camera_list import CameraList
+from datagen.scene.camera_list import CameraList, list_cameras
 from datagen.scene.description import CameraRig
 from datagen.scene.folder import load_scene
 
@@ -45,13 +46,20 @@ def make_path(dataset: Dataset, path: str, frames: int, *, width: int | None, he
             raise HyalineError(f"{name}: is {value}; expected 1 to 8192 pixels")
     fov_x = lens.fov_x
     if path == "orbit":
-        poses = _orbit(load_scene(dataset.root / "scene", is_sealed=True).cameras, frames)
+        poses = _orbit(_rig_of(dataset), frames)
     elif path == "spline":
         poses = _curve(lens.world_from_camera, frames)
     else:
         keys, angle = _read_keys(Path(path))
         poses, fov_x = _curve(keys, frames), fov_x if angle is None else angle
     return Cameras(world_from_camera=poses, fov_x=fov_x, width=wide, height=high)
+
+
+def _rig_of(dataset: Dataset) -> CameraRig | CameraList:
+    """Where the cameras of a dataset stand; of imported pictures without meshes there is no scene that tells."""
+    if dataset.objects:
+        return load_scene(dataset.root / "scene", is_sealed=True).cameras
+    return list_cameras({split: dataset.cameras(split) for split in SPLITS})
 
 
 def _orbit(rig: CameraRig | CameraList, frames: int) -> Float[np.ndarray, "view 4 4"]:

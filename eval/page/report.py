@@ -9,7 +9,7 @@ from pathlib import Path
 
 from datagen.data.advice import train_command
 from datagen.data.config import MAX_VIEWS, TEST_SPLITS, Split
-from datagen.data.dataset import Dataset, open_dataset
+from datagen.data.dataset import Dataset, has_glass_mask, open_dataset
 from datagen.data.finding import list_datasets
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import file_name
@@ -30,7 +30,7 @@ from eval.papers.comparisons import ABLATIONS, COMPARISONS, LADDER, Line, find_e
 from eval.papers.published import published_grid, published_json
 from eval.score.kept import Kept
 from eval.score.runs import Run, has_predictions, list_run_folders, open_run
-from eval.score.scores import RunScores, SceneScores, Truth, has_glass_mask, read_truth, score_run
+from eval.score.scores import RunScores, SceneScores, Truth, read_truth, score_run
 from eval.score.seeds import group_seeds
 from eval.tables.grids import TABLE_WIDTH, Grid, grid_text, tables_text
 from eval.tables.results import results_csv, results_json

@@ -13,7 +13,17 @@ from datagen.disk.reading import load_json
 from datagen.disk.records import shown
 from eval.score.scores import METRICS, Metric, metric_notes
 from eval.score.seeds import Spread, spread
-from eval.tables.grids import CEILING, MISSING, TABLE_WIDTH, Column, Grid, format_number, grid_text, markdown_escaped
+from eval.tables.grids import (
+    CEILING,
+    MISSING,
+    TABLE_WIDTH,
+    Column,
+    Grid,
+    ceiling_text,
+    format_number,
+    grid_text,
+    markdown_escaped,
+)
 from eval.tables.results import RESULTS_VERSION
 
 HEAD = """# Results
@@ -139,7 +149,7 @@ def _grid(
         known = [metric.sign * value for value in values if value is not None]
         if metric.sign and len(known) > 1:
             best |= {(row, first + place) for row, value in enumerate(values) if value == metric.sign * max(known)}
-    ceiling = [format_number(_number(ceilings.get(split)), 2) for split in splits]
+    ceiling = [ceiling_text(_number(ceilings.get(split))) for split in splits]
     rest = len(columns) - first - len(ceiling)
     rows.append((CEILING, *[""] * len(texts), "", *ceiling, *[""] * rest))
     return Grid(title=title, columns=tuple(columns), rows=tuple(rows), best=frozenset(best))

@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Bool, UInt8
 
 from datagen.data.config import TEST_SPLITS, Split
-from datagen.data.dataset import Dataset
-from datagen.data.paths import TRUTH, layers_root
+from datagen.data.dataset import Dataset, has_glass_mask, has_layers
+from datagen.data.paths import TRUTH
 from datagen.disk.errors import NumericsError
 from datagen.disk.records import Json
 from eval.score.kept import Kept, layers_digest, number_from_json, number_json, picture_digests
@@ -89,7 +89,8 @@ class Truth:
     split: Split
     digest: Json
     """Names all of it: pictures, and the layers that tell the pixels that see glass."""
-    ceiling_db: float
+    ceiling_db: float | None
+    """None where nobody knows how noisy the pictures are."""
 
     @functools.cached_property
     def images(self) -> tuple[UInt8[np.ndarray, "h w 3"], ...]:
@@ -98,7 +99,7 @@ class Truth:
 
     @functools.cached_property
     def glass(self) -> tuple[Bool[np.ndarray, "h w"], ...] | None:
-        """Pixels that see glass; None where the true geometry was not peeled."""
+        """Pixels that see glass; None where neither layers of the true geometry nor imported masks tell."""
         if not has_glass_mask(self.dataset):
             return None
         return tuple(view.mask("glass") for view in self.dataset.views(self.split))
@@ -164,7 +165,7 @@ class SceneScores:
     runs: tuple[RunScores, ...]
 
     @property
-    def ceilings_db(self) -> dict[Split, float]:
+    def ceilings_db(self) -> dict[Split, float | None]:
         """What the truth's own noise allows a perfect method."""
         return {split: truth.ceiling_db for split, truth in self.truths.items()}
 
@@ -175,18 +176,16 @@ def read_truth(dataset: Dataset, split: Split) -> Truth:
     Raises:
         HyalineError: a view is not built, its picture is damaged, or it is not peeled in a dataset that has layers.
     """
-    layers = layers_digest(dataset, TRUTH, [split]) if has_glass_mask(dataset) else None
+    digest: list[Json] = [*picture_digests(dataset, split)]
+    digest.append(layers_digest(dataset, TRUTH, [split]) if has_layers(dataset) else None)
+    if has_glass_mask(dataset) and not has_layers(dataset):
+        digest += [view.mask_sha256 for view in dataset.views(split)]
     return Truth(
         dataset=dataset,
         split=split,
-        digest=[*picture_digests(dataset, split), layers],
+        digest=digest,
         ceiling_db=dataset.noise_ceiling_db(split),
     )
-
-
-def has_glass_mask(dataset: Dataset) -> bool:
-    """True when the true geometry has straight layers, which tell the pixels that see glass."""
-    return (layers_root(dataset.root, TRUTH) / "layers.json").is_file()
 
 
 def score_run(run: Run, truths: dict[Split, Truth], kept: Kept) -> RunScores:

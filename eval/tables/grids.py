@@ -72,6 +72,11 @@ def format_number(value: float | None, decimals: int) -> str:
     return "∞" if math.isinf(value) else f"{value:.{decimals}f}"
 
 
+def ceiling_text(value: float | None) -> str:
+    """A noise ceiling in dB; of imported pictures it is unknown."""
+    return "unknown" if value is None else format_number(value, 2)
+
+
 def psnr_text(value: float | None) -> str:
     """The PSNR of one picture as its caption; nothing where it has none."""
     if value is None:
@@ -103,7 +108,7 @@ def _score_grid(scene: SceneScores, metrics: tuple[Metric, ...]) -> Grid:
                 numbers.append(None)
         rows.append(tuple(row))
         values.append(numbers)
-    ceiling = [format_number(scene.ceilings_db[split], 2) for split in TEST_SPLITS]
+    ceiling = [ceiling_text(scene.ceilings_db[split]) for split in TEST_SPLITS]
     rows.append((CEILING, *ceiling, *[MISSING] * (len(columns) - 1 - len(ceiling))))
     views = " + ".join(f"{scene.dataset.config.split(split).views} {split}" for split in TEST_SPLITS)
     return Grid(

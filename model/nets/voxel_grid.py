@@ -51,10 +51,10 @@ class VoxelGrid:
 def fit_cube(cameras: Cameras, vertices: Float[np.ndarray, "vertex 3"]) -> tuple[Float[np.ndarray, "3"], float]:
     """Origin and edge in metres of the cube that the grid fills, from the training cameras and the scene's extent.
 
-    The origin is the point nearest to all optical axes, in the sense of least squares. The cube is the smallest around
-    it that holds the scene, unless cameras stand inside its bounding sphere: then that ends before the nearest camera.
-    The method asks for it (its cameras look at the grid from outside); what a room has behind the grid must then be
-    drawn from within.
+    The origin is the point nearest to all optical axes, in the sense of least squares. The cube is the smallest
+    around it that holds the scene (of an unknown scene the largest), unless cameras stand inside its bounding sphere:
+    then that ends before the nearest camera. The method asks for it (its cameras look at the grid from outside); what
+    a room has behind the grid must then be drawn from within.
 
     Source: DeepVoxels gives origin, scale and near plane by hand for each scene; here nobody chooses them.
 
@@ -70,7 +70,8 @@ def fit_cube(cameras: Cameras, vertices: Float[np.ndarray, "vertex 3"]) -> tuple
         raise HyalineError(f"cameras: all {len(position)} look the same way; deepvoxels needs views from around")
     origin = np.linalg.solve(total, np.einsum("vij,vj->i", across, position))
     nearest = float(np.linalg.norm(position - origin, axis=1).min())
-    edge = min(2 * float(np.abs(vertices - origin).max()), CLEARANCE * nearest * 2 / math.sqrt(3))
+    reach = float(np.abs(vertices - origin).max()) if len(vertices) else math.inf
+    edge = min(2 * reach, CLEARANCE * nearest * 2 / math.sqrt(3))
     if edge <= 0:
         raise HyalineError(f"cameras: one stands at {origin.tolist()}, where all look; expected cameras around a scene")
     return origin, edge

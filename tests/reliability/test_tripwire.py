@@ -3,11 +3,13 @@
 import dataclasses
 import importlib
 import inspect
+import json
 import typing
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import pytest
+from PIL import Image
 from support.commands import MAINS, Answer, call
 from support.disk import State, read_state
 from support.gltf import GltfBuilder
@@ -47,6 +49,8 @@ TRIPS = (
     Trip(line="datagen import thing.glb --out mine --overwrite", start="scene"),
     Trip(line="datagen import thing.glb --out scene", start="scene", taken=("scene/scene.json",)),
     Trip(line="datagen import thing.glb --out mine --overwrite", start="scene", taken=("mine/meshes/ground.ply",)),
+    Trip(line="datagen import-dataset theirs --out mine --overwrite", start="scene"),
+    Trip(line="datagen import-dataset theirs --out mine", start="scene", taken=("mine/images/train/0000.png",)),
     Trip(line="datagen mend --dataset data/one --scene scene --workers 1", start="proxies"),
     Trip(line="datagen render --dataset data/one --path spline --frames 2 --spp 2 --video films/truth"),
     Trip(line="datagen look --dataset data/one --out look.html --overwrite"),
@@ -122,6 +126,7 @@ ELSEWHERE = {
                       "slurm_gpus"},
     "datagen import": {"scale", "up", "material", "thin", "cameras", "ground", "repair", "merge", "strict",
                        "resolution"},
+    "datagen import-dataset": {"mesh", "material", "ior", "scale", "up", "downscale", "background"},
     "datagen peel": {"geometry", "rays", "workers"},
     "datagen export": {"flow"},
     "benchmarks scale": {"factors", "quantities", "rounds", "json", "overwrite"},
@@ -169,6 +174,15 @@ def in_process(arguments: tuple[str, ...], *_: object) -> Failure | None:
     return None if answer.status == 0 else Failure(command="model train", reason=answer.error)
 
 
+def write_theirs(root: Path) -> None:
+    """A dataset as another project lays it out."""
+    root.mkdir()
+    Image.new("RGB", (8, 8)).save(root / "view.png")
+    frame = {"file_path": "view.png", "transform_matrix": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 3], [0, 0, 0, 1]]}
+    for role in ("train", "test"):
+        (root / f"transforms_{role}.json").write_text(json.dumps({"camera_angle_x": 0.7, "frames": [frame]}))
+
+
 @pytest.fixture
 def prepared(start: Callable[[str], State], here: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
     # A sweep's runs are commands of their own, each in a process; here they are called in this one.
@@ -181,6 +195,7 @@ def prepared(start: Callable[[str], State], here: Path, monkeypatch: pytest.Monk
         builder = GltfBuilder()
         builder.node(mesh=builder.mesh())
         builder.written(here)
+        write_theirs(here / "theirs")
 
     return make
 
@@ -294,9 +309,12 @@ def test_every_command_that_writes_is_tried_with_every_flag_that_says_where(
         if not lines:
             missing.append(name)
         words = {word.removeprefix("--").replace("-", "_") for line in lines for word in line.split()}
-        positional = {"datagen verify": {"dataset"}, "model sweep": {"experiment"}, "datagen import": {"file"}}.get(
-            name, set()
-        )
+        positional = {
+            "datagen verify": {"dataset"},
+            "model sweep": {"experiment"},
+            "datagen import": {"file"},
+            "datagen import-dataset": {"folder"},
+        }.get(name, set())
         # What `model train` is told beside --out and --overwrite makes the run's name: tried in its own tests.
         known = flags_of(command) if name == "model train" else words | ELSEWHERE.get(name, set()) | positional
         missing += [f"{name} --{flag}" for flag in sorted(flags_of(command) - known)]

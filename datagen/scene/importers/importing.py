@@ -100,7 +100,7 @@ def import_scene(path: Path, choices: ImportChoices) -> Imported:
             )
         parts = merged_by_material(parts, remarks, where=path.name)
     scale = _find_scale(parts, foreign, choices, remarks, where=path.name)
-    names = _unique_names([part.name for part in parts])
+    names = unique_names([part.name for part in parts])
     mapper = Mapper(metres=scale, thin=choices.thin, remarks=remarks)
     linear, offset = _world(parts, scale, up)
     if foreign.is_complete:
@@ -108,7 +108,9 @@ def import_scene(path: Path, choices: ImportChoices) -> Imported:
     objects: list[SceneObject] = []
     without_uv: set[str] = set()
     for name, part in zip(names, parts, strict=True):
-        item = _object(name, part, linear, offset, mapper, override(name, overrides), remarks, repairs=choices.repair)
+        item = scene_object(
+            name, part, linear, offset, mapper, override(name, overrides), remarks, repairs=choices.repair
+        )
         objects += parted(item, remarks)
         if part.uv is None:
             without_uv.add(name)
@@ -145,7 +147,7 @@ def import_scene(path: Path, choices: ImportChoices) -> Imported:
     return Imported(scene=scene, record=record, remarks=tuple(remarks.lines))
 
 
-def _object(
+def scene_object(
     name: str,
     part: ForeignObject,
     linear: np.ndarray,
@@ -208,7 +210,7 @@ def scene_name(path: Path) -> str:
     return name if re.match(r"[A-Za-z0-9_]", name) else f"_{name}"
 
 
-def _unique_names(names: list[str]) -> list[str]:
+def unique_names(names: list[str]) -> list[str]:
     """Names that a scene may have, each once: others are numbered."""
     fit = [re.sub(r"[^A-Za-z0-9_-]", "_", name).lstrip("-")[:60] or "object" for name in names]
     assert all(re.fullmatch(OBJECT_NAME, name) for name in fit)

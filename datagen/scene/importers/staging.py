@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from datagen.data.meshes import face_corners
 from datagen.disk.errors import HyalineError
-from datagen.scene.camera_list import CameraList, Matrix
+from datagen.scene.camera_list import CameraList, matrix_rows
 from datagen.scene.description import CameraRig, Lobe, RectangleLight, SceneObject, SoftEnvironment, WalkPoint
 from datagen.scene.importers.foreign import Axis, ForeignLight, ForeignScene
 from datagen.scene.importers.remarks import Remarks
@@ -120,7 +120,7 @@ def listed_cameras(
         matrix[:3, :3] = rotation @ camera.world_from_camera[:3, :3]
         matrix[:3, 3] = linear @ camera.world_from_camera[:3, 3] + offset
         matrices.append(matrix)
-    listed = [_rows(matrix) for matrix in matrices]
+    listed = [matrix_rows(matrix) for matrix in matrices]
     if len(listed) < 3:
         return CameraList(
             train=tuple(listed), interpolating=tuple(listed), extrapolating=tuple(listed), fov_deg=fov_deg
@@ -134,11 +134,6 @@ def listed_cameras(
         extrapolating=(listed[outermost],),
         fov_deg=fov_deg,
     )
-
-
-def _rows(matrix: Float[np.ndarray, "4 4"]) -> Matrix:
-    a, b, c, d = ((float(x), float(y), float(z), float(w)) for x, y, z, w in matrix)
-    return a, b, c, d
 
 
 def subject_box(objects: Sequence[SceneObject]) -> Float[np.ndarray, "2 3"]:

@@ -166,6 +166,8 @@ def build_deepvoxels(config: DeepVoxelsConfig, dataset: Dataset) -> DeepVoxels:
             f"image_size: is {config.image_size}, but {dataset.root} has {dataset.config.resolution} pixels; "
             "expected pictures of the size that the networks were made for"
         )
-    vertices = np.concatenate([mesh.vertices for mesh in read_meshes(dataset, TRUTH)]).astype(np.float64)
+    # Imported pictures may come without meshes: then the grid reaches as far as the cameras allow.
+    meshes = read_meshes(dataset, TRUTH) if dataset.objects else ()
+    vertices = np.concatenate([np.zeros((0, 3)), *(mesh.vertices.astype(np.float64) for mesh in meshes)])
     origin, edge = fit_cube(dataset.cameras("train"), vertices)
     return DeepVoxels(config, origin=torch.from_numpy(origin).float(), edge=edge)

@@ -1,0 +1,41 @@
+"""What a user may say about a dataset that is imported."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from datagen.disk.errors import HyalineError
+
+MAX_DOWNSCALE = 64
+
+
+@dataclass(frozen=True, kw_only=True)
+class DatasetImportChoices:
+    """The flags of `datagen import-dataset`."""
+
+    mesh: Annotated[tuple[Path, ...], tyro.conf.UseAppendAction] = ()
+    """A mesh of the scene in the cameras' own axes and units (PLY, OBJ, STL, GLB, ...), where the folder has none;
+    may be repeated. Without meshes nothing can be peeled."""
+    material: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
+    """A material by name for all meshes, or for those that match a pattern: 'foot*=gold', as `datagen import` takes
+    them. Default: what the folder says of a mesh, or else glass of the index --ior."""
+    ior: float = 1.5
+    """Index of refraction of glass of which the folder does not say one."""
+    scale: float = 1.0
+    """Metres per unit of the cameras, the meshes and the depth."""
+    up: Literal["x", "y", "z"] = "z"
+    """The axis of the cameras' world that points up."""
+    downscale: int = 1
+    """Make pictures this many times smaller a side, by averaging light."""
+    background: Literal["white", "black"] = "white"
+    """What is put behind pictures with transparency."""
+
+    def __post_init__(self) -> None:
+        if not 1 < self.ior < 10:
+            raise HyalineError(f"--ior: is {self.ior:g}; expected more than 1, and less than 10")
+        if not 1e-9 < self.scale < 1e9:
+            raise HyalineError(f"--scale: is {self.scale:g}; expected metres per unit, such as 0.001 for millimetres")
+        if not 1 <= self.downscale <= MAX_DOWNSCALE:
+            raise HyalineError(f"--downscale: is {self.downscale}; expected 1 to {MAX_DOWNSCALE}")

@@ -1,0 +1,179 @@
+"""Layouts of folders: which one a folder has, and what it names.
+
+    refref         transforms_{train,val,test}.json, whose frames name masks and depth; meshes/ and objects.json, as
+                   `datagen export --format refref` adds them
+    openmaterial   transforms_{train,test}.json; {train,test}/mask/NAME beside {train,test}/images/NAME
+    blender        transforms_{train,val,test}.json, as of NeRF's synthetic scenes
+    nerfstudio     transforms.json for all pictures
+
+Source: RefRef's data parser, OpenMaterial's loader for instant-nsr-pl, nerf-pytorch, nerfstudio's documentation.
+"""
+
+import re
+from pathlib import Path
+
+from datagen.disk.errors import HyalineError
+from datagen.disk.names import check_regular, find_file
+from datagen.disk.ownership import DATASET
+from datagen.disk.reading import load_json
+from datagen.disk.records import shown
+from datagen.import_dataset.foreign_dataset import (
+    ROLES,
+    ForeignDataset,
+    ForeignSurface,
+    ForeignView,
+    Layout,
+    Role,
+)
+from datagen.import_dataset.transforms import TransformsFile, refuse_other_lens
+from datagen.scene.description import MAX_OBJECTS, OBJECT_NAME
+from datagen.scene.importers.fields import Fields
+
+ONE_FILE = "transforms.json"
+EVERY = 8
+"""Of pictures that nobody has split, each eighth is for tests, as most NeRF tools take it."""
+MESH_ENDINGS = (".ply", ".obj", ".stl", ".glb")
+
+
+def read_layout(root: Path) -> ForeignDataset:
+    """What a folder names.
+
+    Raises:
+        HyalineError: no layout that is known, or a file that breaks its rules.
+    """
+    if not root.is_dir():
+        raise HyalineError(f"{root}: is no folder; expected one with transforms_train.json or {ONE_FILE}")
+    if (root / DATASET.head).is_file():
+        raise HyalineError(f"{root}: is a dataset of hyaline's already; give it to the other commands as it is")
+    files = {role: f"transforms_{role}.json" for role in ROLES if (root / f"transforms_{role}.json").is_file()}
+    if "train" in files:
+        found = {role: TransformsFile(root, name) for role, name in files.items()}
+        layout = _layout_of(root, found["train"])
+        views: dict[Role, tuple[ForeignView, ...]] = {
+            role: _views(found[role], layout) if role in found else () for role in ROLES
+        }
+    elif (root / ONE_FILE).is_file():
+        layout = "nerfstudio"
+        found = {"train": TransformsFile(root, ONE_FILE)}
+        views = _split(found["train"], _views(found["train"], layout))
+    else:
+        raise HyalineError(
+            f"{root}: has neither transforms_train.json nor {ONE_FILE}; expected the layout of RefRef, OpenMaterial, "
+            "Blender or nerfstudio"
+        )
+    lens = found["train"].lens()
+    for item in found.values():
+        refuse_other_lens(item.lens(), lens, where=str(item.path))
+    return ForeignDataset(
+        root=root,
+        layout=layout,
+        lens=lens,
+        views=views,
+        surfaces=_surfaces(root),
+        remarks=_left_out(found["train"], layout, views),
+    )
+
+
+def _layout_of(root: Path, train: TransformsFile) -> Layout:
+    first = train.frames[0]
+    if "mask_file_path" in first or "depth_file_path" in first or (root / "objects.json").is_file():
+        return "refref"
+    return "openmaterial" if _openmaterial_mask(train, first) is not None else "blender"
+
+
+def _openmaterial_mask(file: TransformsFile, frame: Fields) -> Path | None:
+    """The mask of `train/images/000.png` is `train/mask/000.png`."""
+    picture = file.find(frame, "file_path").relative_to(file.root)
+    mask = file.root / picture.parts[0] / "mask" / picture.name
+    if not mask.is_file():
+        return None
+    check_regular(mask, file.root, where=frame.where)
+    return mask
+
+
+def _views(file: TransformsFile, layout: Layout) -> tuple[ForeignView, ...]:
+    views = []
+    for frame in file.frames:
+        mask = depth = None
+        if layout == "openmaterial":
+            mask = _openmaterial_mask(file, frame)
+        elif "mask_file_path" in frame:
+            mask = file.find(frame, "mask_file_path")
+        if "depth_file_path" in frame and _is_metric(frame, layout):
+            depth = file.find(frame, "depth_file_path")
+        picture = file.find(frame, "file_path")
+        views.append(ForeignView(picture=picture, mask=mask, depth=depth, world_from_camera=file.pose(frame)))
+    return tuple(views)
+
+
+def _is_metric(frame: Fields, layout: Layout) -> bool:
+    """True for depth whose unit is documented: NumPy files, and nerfstudio's PNGs in millimetres."""
+    file = frame.text("depth_file_path")
+    return file.endswith(".npy") or (layout == "nerfstudio" and file.endswith(".png"))
+
+
+def _split(file: TransformsFile, views: tuple[ForeignView, ...]) -> dict[Role, tuple[ForeignView, ...]]:
+    """The views of one file by role: as it lists their names, or else each eighth for tests."""
+    paths = [frame.text("file_path").removeprefix("./") for frame in file.frames]
+    if f"{ROLES[0]}_filenames" not in file.fields:
+        test = [place % EVERY == 0 for place in range(len(views))]
+        train = tuple(view for view, is_test in zip(views, test, strict=True) if not is_test)
+        return {"train": train, "val": (), "test": tuple(v for v, is_test in zip(views, test, strict=True) if is_test)}
+    found: dict[Role, tuple[ForeignView, ...]] = {}
+    for role in ROLES:
+        named = file.fields.data.get(f"{role}_filenames", [])
+        if not isinstance(named, list):
+            raise HyalineError(f"{file.path}: {role}_filenames is {shown(named)}; expected a list of names")
+        wanted = {str(name).removeprefix("./") for name in named}
+        found[role] = tuple(view for view, path in zip(views, paths, strict=True) if path in wanted)
+    return found
+
+
+def _surfaces(root: Path) -> tuple[ForeignSurface, ...]:
+    """The meshes in the folder: those that objects.json describes, or all in meshes/."""
+    if (root / "objects.json").is_file():
+        path = find_file(root, "objects.json", where=str(root))
+        listed = Fields(load_json(path), str(path))
+        if len(listed.data) > MAX_OBJECTS:
+            raise HyalineError(f"{path}: has {len(listed.data):,} objects; expected at most {MAX_OBJECTS}")
+        return tuple(_described(root, name, listed.fields(name)) for name in listed)
+    folder = root / "meshes"
+    files = sorted(path for path in folder.glob("*") if path.suffix.lower() in MESH_ENDINGS) if folder.is_dir() else []
+    for path in files:
+        check_regular(path, root, where=str(root))
+    return tuple(ForeignSurface(name=surface_name(path), file=path) for path in files)
+
+
+def _described(root: Path, name: str, fields: Fields) -> ForeignSurface:
+    if not re.fullmatch(OBJECT_NAME, name):
+        raise HyalineError(f"{fields.where}: is the name of an object; expected letters, digits, _ and -")
+    file = find_file(root, fields.text("mesh"), where=f"{fields.where}.mesh")
+    if not file.is_file():
+        raise HyalineError(f"{fields.where}.mesh: names {shown(fields.text('mesh'))}, which is not in {root}")
+    ior = fields.number("ior", 0.0) if "ior" in fields else None
+    if ior is not None and not 1 < ior < 10:
+        raise HyalineError(f"{fields.where}.ior: is {ior:g}; expected more than 1, and less than 10")
+    red, green, blue = fields.numbers("absorption_per_metre", (0.0, 0.0, 0.0))
+    return ForeignSurface(name=name, file=file, ior=ior, absorption=(red, green, blue), is_thin=fields.flag("is_thin"))
+
+
+def surface_name(file: Path) -> str:
+    """The name of the object in a file."""
+    return re.sub(r"[^A-Za-z0-9_-]", "_", file.stem).lstrip("-")[:60] or "object"
+
+
+def _left_out(train: TransformsFile, layout: Layout, views: dict[Role, tuple[ForeignView, ...]]) -> tuple[str, ...]:
+    lines = []
+    first = train.frames[0]
+    if "depth_file_path" in first and not _is_metric(first, layout):
+        lines.append("depth: its files do not say their unit; left out")
+    if layout == "openmaterial":
+        lines.append("masks: show the object, which is taken for glass")
+    if "mask_path" in first:
+        lines.append("mask_path: says what nerfstudio trains on, not what is glass; left out")
+    if layout == "nerfstudio" and f"{ROLES[0]}_filenames" not in train.fields:
+        lines.append(f"splits: the file has none; each {EVERY}th picture is for tests")
+    has_masks = [view.mask is not None for role in ROLES for view in views[role]]
+    if any(has_masks) and not all(has_masks):
+        lines.append(f"masks: {has_masks.count(False)} of {len(has_masks)} pictures have none; all were left out")
+    return tuple(lines)

@@ -1,0 +1,105 @@
+"""Pictures, masks and depth of other projects, as the files of a dataset's view."""
+
+import io
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32, UInt8
+from PIL import Image
+
+from datagen.data.npy import MAX_NPY_BYTES, npy_bytes, read_npy
+from datagen.data.png import png_bytes
+from datagen.data.resolution import Resolution
+from datagen.data.tonemap import linear_from_srgb, srgb_from_linear, to_8bit
+from datagen.disk.errors import HyalineError
+from datagen.disk.reading import read_regular
+from datagen.import_dataset.choices import DatasetImportChoices
+from datagen.import_dataset.foreign_dataset import ForeignView
+from datagen.scene.importers.foreign import MAX_FILE_BYTES
+
+FORMATS = ["PNG", "JPEG", "WEBP"]
+BACKGROUND = {"white": 255.0, "black": 0.0}
+EIGHT_BITS = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "CMYK", "YCbCr")
+MILLIMETRE = 0.001
+
+
+def view_files(
+    view: ForeignView, size: Resolution, choices: DatasetImportChoices, *, has_mask: bool, has_depth: bool
+) -> dict[str, bytes]:
+    """The files of a view, by ending.
+
+    Args:
+        size: of the foreign picture.
+
+    Raises:
+        HyalineError: a file that cannot be read, or is of another size.
+    """
+    files = {".png": png_bytes(picture_of(view, size, choices))}
+    if has_mask:
+        mask = _blocks(mask_of(view, size).astype(np.float64), choices.downscale).mean(axis=(1, 3)) >= 0.5
+        files[".mask.png"] = png_bytes(np.where(mask, 255, 0).astype(np.uint8))
+    if has_depth:
+        depth = _blocks(depth_of(view, size), choices.downscale)
+        middle = choices.downscale // 2
+        files[".depth.npy"] = npy_bytes(depth[:, middle, :, middle] * np.float32(choices.scale))
+    return files
+
+
+def picture_of(view: ForeignView, size: Resolution, choices: DatasetImportChoices) -> UInt8[np.ndarray, "h w 3"]:
+    """The picture over its background, and as small as asked for."""
+    picture = _opened(view.picture.as_posix(), read_regular(view.picture, at_most=MAX_FILE_BYTES), size)
+    if picture.mode not in EIGHT_BITS:
+        raise HyalineError(f"{view.picture}: has pixels of kind {picture.mode}; expected 8 bits a channel, sRGB")
+    image = _over(np.asarray(picture.convert("RGBA")), BACKGROUND[choices.background])
+    if choices.downscale == 1:
+        return image
+    linear = _blocks(linear_from_srgb(image.astype(np.float64) / 255), choices.downscale).mean(axis=(1, 3))
+    return to_8bit(srgb_from_linear(linear))
+
+
+def mask_of(view: ForeignView, size: Resolution) -> Bool[np.ndarray, "h w"]:
+    """Pixels that a mask shows: those that are not black, as RefRef's own reader takes them."""
+    assert view.mask is not None
+    picture = _opened(view.mask.as_posix(), read_regular(view.mask, at_most=MAX_FILE_BYTES), size)
+    return np.asarray(picture.convert("L")) > 127
+
+
+def depth_of(view: ForeignView, size: Resolution) -> Float32[np.ndarray, "h w"]:
+    """Depth in the folder's units: of a NumPy file, or of a PNG in thousandths."""
+    assert view.depth is not None
+    where = str(view.depth)
+    data = read_regular(view.depth, at_most=MAX_NPY_BYTES)
+    if view.depth.suffix == ".npy":
+        depth = read_npy(data, where=where)
+    else:
+        depth = np.asarray(_opened(where, data, size)).astype(np.float64) * MILLIMETRE
+    if depth.shape != size.shape or depth.min() < 0:
+        raise HyalineError(f"{where}: is of shape {depth.shape}; expected {size} distances, none below 0")
+    return depth.astype(np.float32)
+
+
+def _opened(where: str, data: bytes, size: Resolution) -> Image.Image:
+    """The picture of a file; nothing of one of another size is decoded."""
+    try:
+        with Image.open(io.BytesIO(data), formats=FORMATS) as picture:
+            if picture.size != (size.width, size.height):
+                raise HyalineError(
+                    f"{where}: is {picture.width} x {picture.height} pixels; expected {size}, as the others"
+                )
+            picture.load()
+            return picture
+    except HyalineError:
+        raise
+    # Pillow answers a broken file with many kinds of exception (OSError, SyntaxError, ValueError, struct.error, ...).
+    except Exception as error:
+        raise HyalineError(f"{where}: not a picture that can be read ({type(error).__name__}: {error})") from error
+
+
+def _over(rgba: UInt8[np.ndarray, "h w 4"], background: float) -> UInt8[np.ndarray, "h w 3"]:
+    """The picture over a grey, mixed in sRGB as NeRF's tools do it."""
+    alpha = rgba[..., 3:].astype(np.float64) / 255
+    return np.rint(rgba[..., :3] * alpha + background * (1 - alpha)).astype(np.uint8)
+
+
+def _blocks(values: Float[np.ndarray, "h w *c"], side: int) -> Float[np.ndarray, "row i column j *c"]:
+    height, width = values.shape[:2]
+    return values.reshape(height // side, side, width // side, side, *values.shape[2:])

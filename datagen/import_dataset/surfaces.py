@@ -1,0 +1,102 @@
+"""The scene of an imported dataset: its meshes, with materials as far as anybody says them, and its cameras."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from datagen.data.cameras import Cameras
+from datagen.data.config import Split
+from datagen.data.meshes import open_edges
+from datagen.disk.errors import HyalineError
+from datagen.import_dataset.choices import DatasetImportChoices
+from datagen.import_dataset.foreign_dataset import ForeignSurface
+from datagen.scene.camera_list import list_cameras
+from datagen.scene.description import MAX_OBJECTS, Scene, SceneObject
+from datagen.scene.importers.apart import apart, parted
+from datagen.scene.importers.foreign import ForeignObject
+from datagen.scene.importers.importing import READERS, scene_object, unique_names
+from datagen.scene.importers.mapping import Mapper
+from datagen.scene.importers.obj import PLAIN
+from datagen.scene.importers.overrides import override, parse_overrides
+from datagen.scene.importers.remarks import Remarks
+from datagen.scene.importers.staging import even_sky, z_up_from
+from datagen.scene.materials import Dielectric, Material, ThinDielectric
+from datagen.scene.mending import mend_scene
+from datagen.scene.soundness import check_scene
+
+UNKNOWN_LIGHT = (0.5, 0.5, 0.5)
+"""Of a scene whose light nobody knows: it is never rendered."""
+
+
+def make_scene(
+    name: str,
+    surfaces: Sequence[ForeignSurface],
+    cameras: dict[Split, Cameras],
+    choices: DatasetImportChoices,
+    remarks: Remarks,
+) -> Scene:
+    """The scene of some meshes, as far as a dataset without light needs one.
+
+    Raises:
+        HyalineError: a mesh that cannot be read, or that no ray could be followed through.
+    """
+    overrides = parse_overrides(choices.material)
+    linear = choices.scale * z_up_from(choices.up)
+    mapper = Mapper(metres=choices.scale, thin="open", remarks=remarks)
+    objects: list[SceneObject] = []
+    without_uv: set[str] = set()
+    parts = [(surface, part) for surface in surfaces for part in _read(surface, remarks)]
+    if len(parts) > MAX_OBJECTS:
+        raise HyalineError(f"{name}: its meshes have {len(parts):,} objects; expected at most {MAX_OBJECTS}")
+    names = unique_names([surface.name for surface, _ in parts])
+    for object_name, (surface, part) in zip(names, parts, strict=True):
+        chosen = override(object_name, overrides)
+        if chosen is None and (part.material is PLAIN or surface.ior is not None):
+            chosen = _glass(surface, choices, remarks)
+        item = scene_object(object_name, part, linear, np.zeros(3), mapper, chosen, remarks, repairs=False)
+        objects += parted(_thin_where_open(item, remarks), remarks)
+        if part.uv is None:
+            without_uv.add(object_name)
+    objects = apart(objects, remarks)
+    used = {image.path for item in objects for image in item.material.images().values()}
+    scene = Scene(
+        name=name,
+        description=f"Imported from {name}; its light is unknown",
+        objects=tuple(objects),
+        environment=even_sky(UNKNOWN_LIGHT),
+        cameras=list_cameras(cameras),
+        baked={image: data for image, data in mapper.images.items() if image in used},
+    )
+    scene = mend_scene(scene, without_uv={item.name for item in objects if item.name in without_uv})
+    check_scene(scene)
+    return scene
+
+
+def _read(surface: ForeignSurface, remarks: Remarks) -> tuple[ForeignObject, ...]:
+    ending = surface.file.suffix.lower()
+    if ending not in READERS or ending == ".xml":
+        known = ", ".join(sorted(set(READERS) - {".xml"}))
+        raise HyalineError(f"{surface.file}: is no mesh by its ending; expected one of {known}")
+    return READERS[ending](surface.file, remarks).objects
+
+
+def _glass(surface: ForeignSurface, choices: DatasetImportChoices, remarks: Remarks) -> Material:
+    ior = surface.ior
+    if ior is None:
+        ior = choices.ior
+        remarks.approximate(
+            surface.name, f"nothing says its material; taken for glass of index {ior:g}, --ior or --material sets it"
+        )
+    if surface.is_thin:
+        return ThinDielectric(ior=ior)
+    red, green, blue = (value / choices.scale for value in surface.absorption)
+    return Dielectric(ior=ior, absorption=(red, green, blue))
+
+
+def _thin_where_open(item: SceneObject, remarks: Remarks) -> SceneObject:
+    """The object; of thin glass where light could never leave it, since its mesh is open."""
+    medium = item.material.medium
+    if medium is None or not (count := open_edges(item.mesh)):
+        return item
+    remarks.approximate(item.name, f"is not closed ({count} open edges); taken for thin glass, close it in a modeller")
+    return SceneObject(name=item.name, mesh=item.mesh, material=ThinDielectric(ior=item.material.surface().ior))

@@ -1,0 +1,136 @@
+"""One transforms file: the lens and the frames that NeRF tools write, each value checked."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from datagen.data.cameras import Camera, check_camera
+from datagen.data.config import MAX_VIEWS
+from datagen.data.resolution import Resolution
+from datagen.disk.errors import HyalineError
+from datagen.disk.names import find_file
+from datagen.disk.reading import load_json, open_regular
+from datagen.disk.records import shown
+from datagen.import_dataset.foreign_dataset import Lens
+from datagen.scene.importers.fields import Fields
+
+DISTORTION = ("k1", "k2", "k3", "k4", "p1", "p2")
+ENDINGS = ("", ".png", ".jpg", ".jpeg", ".JPG", ".webp")
+TOLERANCE = 1e-3
+"""Share of the picture by which its axis may miss the middle, or two lenses may differ."""
+
+
+class TransformsFile:
+    """A transforms file, parsed; what its frames name is found when it is asked for."""
+
+    def __init__(self, root: Path, name: str) -> None:
+        self.root = root
+        self.path = find_file(root, name, where=str(root))
+        self.fields = Fields(load_json(self.path), str(self.path))
+        self.frames = self.fields.listed("frames")
+        if not 1 <= len(self.frames) <= MAX_VIEWS:
+            raise HyalineError(f"{self.path}: has {len(self.frames)} frames; expected 1 to {MAX_VIEWS:,}")
+
+    def lens(self) -> Lens:
+        """The lens that all frames share.
+
+        Raises:
+            HyalineError: there is none, several, or one that no dataset can have.
+        """
+        found = self._lens(self.frames[0])
+        for frame in self.frames[1:]:
+            if any(key in frame for key in ("fl_x", "fl_y", "cx", "cy", "w", "h", "camera_angle_x", *DISTORTION)):
+                refuse_other_lens(self._lens(frame), found, where=frame.where)
+        return found
+
+    def _lens(self, frame: Fields) -> Lens:
+        def number(key: str, default: float) -> float:
+            return frame.number(key, self.fields.number(key, default))
+
+        bent = [key for key in DISTORTION if abs(number(key, 0.0)) > 1e-9]
+        if bent or "fisheye" in self.fields.text("camera_model").lower():
+            raise HyalineError(
+                f"{frame.where}: its lens is distorted ({', '.join(bent) or 'fisheye'}); expected straight lines, "
+                "undistort the pictures first (`colmap image_undistorter`)"
+            )
+        width, height = (round(number(key, 0.0)) for key in ("w", "h"))
+        if not (width and height):
+            width, height = picture_size(self.find(frame, "file_path"))
+        try:
+            size = Resolution(width=width, height=height)
+        except HyalineError as error:
+            raise HyalineError(f"{frame.where}: {error}") from None
+        focal = number("fl_x", 0.0)
+        if focal <= 0:
+            angle = number("camera_angle_x", 0.0)
+            if not 0 < angle < math.pi:
+                raise HyalineError(f"{frame.where}: has no lens; expected fl_x in pixels or camera_angle_x in radians")
+            return Lens(fov_x=angle, size=size)
+        x, y = number("cx", width / 2), number("cy", height / 2)
+        across = abs(number("fl_y", focal) / focal - 1)
+        if across > TOLERANCE or max(abs(x / width - 0.5), abs(y / height - 0.5)) > TOLERANCE:
+            raise HyalineError(
+                f"{frame.where}: its axis goes through ({x:g}, {y:g}) of {size} pixels, with focal lengths {focal:g} "
+                f"and {number('fl_y', focal):g}; expected the middle, and square pixels"
+            )
+        return Lens(fov_x=2 * math.atan(0.5 * width / focal), size=size)
+
+    def pose(self, frame: Fields) -> np.ndarray:
+        """world_from_camera of a frame, in the file's units.
+
+        Raises:
+            HyalineError: it is no rotation and place.
+        """
+        matrix = frame.data.get("transform_matrix")  # type: ignore[union-attr]
+        try:
+            pose = np.array(matrix, np.float64)
+            if pose.shape == (3, 4):
+                pose = np.concatenate([pose, [[0.0, 0.0, 0.0, 1.0]]])
+            check_camera(Camera(world_from_camera=pose, fov_x=1.0, width=1, height=1))
+        except (TypeError, ValueError, HyalineError) as error:
+            raise HyalineError(f"{frame.where}.transform_matrix: {error}") from None
+        return pose
+
+    def find(self, frame: Fields, key: str) -> Path:
+        """The file that a frame names, with or without its ending.
+
+        Raises:
+            HyalineError: it is missing, or outside of the folder.
+        """
+        where = f"{frame.where}.{key}"
+        name = frame.text(key).removeprefix("./")
+        for ending in ENDINGS:
+            path = find_file(self.root, name + ending, where=where)
+            if path.is_file():
+                return path
+        raise HyalineError(f"{where}: names {shown(name)}, which is not in {self.root}; download the whole scene")
+
+
+def refuse_other_lens(lens: Lens, first: Lens, *, where: str) -> None:
+    """Refuses a lens that is not the first one's.
+
+    Raises:
+        HyalineError: naming both.
+    """
+    if lens.size != first.size or abs(lens.fov_x / first.fov_x - 1) > TOLERANCE:
+        raise HyalineError(
+            f"{where}: its lens sees {math.degrees(lens.fov_x):.4g} degrees in {lens.size} pixels, that of the first "
+            f"picture {math.degrees(first.fov_x):.4g} in {first.size} pixels; expected one lens for all"
+        )
+
+
+def picture_size(path: Path) -> tuple[int, int]:
+    """Width and height of a picture by its header.
+
+    Raises:
+        HyalineError: it is none.
+    """
+    try:
+        with open_regular(path) as file, Image.open(file, formats=["PNG", "JPEG", "WEBP"]) as picture:
+            return picture.size
+    except HyalineError:
+        raise
+    except Exception as error:
+        raise HyalineError(f"{path}: not a picture that can be read ({type(error).__name__})") from error

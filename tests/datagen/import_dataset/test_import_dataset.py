@@ -1,0 +1,386 @@
+"""Tests that other projects' datasets are taken over whole, and that what nobody knows of them is called unknown."""
+
+import json
+import math
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from support.commands import call
+from support.traced_dataset import write_traced_dataset
+
+from datagen.build.build import peel_dataset, summary
+from datagen.build.mend import mend_dataset
+from datagen.build.verify import verify_dataset
+from datagen.data.config import SPLITS, TEST_SPLITS
+from datagen.data.dataset import Dataset, open_dataset
+from datagen.data.paths import TRUTH
+from datagen.data.resolution import square
+from datagen.disk.errors import HyalineError
+from datagen.export.formats import export_dataset
+from datagen.import_dataset.choices import DatasetImportChoices
+from datagen.import_dataset.import_dataset import plan_import, write_import
+from datagen.look.look import look_page
+from datagen.quantities.surfaces import surfaces_of
+from datagen.quantities.view_quantities import quantities
+
+SIDE = 8
+
+
+def take_over(folder: Path, root: Path, **choices: object) -> Dataset:
+    chosen = DatasetImportChoices(**choices)  # type: ignore[arg-type]
+    return write_import(plan_import(folder, chosen), root, chosen, overwrite=False)
+
+
+@pytest.fixture(scope="module")
+def ours(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    root = tmp_path_factory.mktemp("ours") / "glasses"
+    write_traced_dataset(root)
+    return open_dataset(root)
+
+
+@pytest.fixture(scope="module")
+def refref(ours: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("exported") / "refref"
+    export_dataset(ours, "refref", root, num_points=50, flow=False, overwrite=False)
+    return root
+
+
+@pytest.fixture(scope="module")
+def again(refref: Path, tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    dataset = take_over(refref, tmp_path_factory.mktemp("again") / "glasses")
+    peel_dataset(dataset, TRUTH, num_layers=8, overwrite=False)
+    return open_dataset(dataset.root)
+
+
+def test_a_refref_scene_comes_back_with_its_cameras_pictures_masks_depth_and_index(
+    ours: Dataset, again: Dataset
+) -> None:
+    assert again.num_views == ours.num_views
+    for split in SPLITS:
+        before, after = ours.cameras(split), again.cameras(split)
+        assert np.abs(before.world_from_camera - after.world_from_camera).max() < 1e-6
+        assert after.fov_x == pytest.approx(before.fov_x, rel=1e-6) and after.width == before.width
+        for old, new in zip(ours.views(split), again.views(split), strict=True):
+            assert np.array_equal(old.image, new.image)
+            mask, depth = new.imported_mask, new.imported_depth
+            assert mask is not None and np.array_equal(mask, quantities(old).glass)
+            assert depth is not None and np.allclose(depth, quantities(old).depth_along_axis)
+    materials = {item.name: item.material for item in surfaces_of(ours).scene.objects if item.material.is_glass}
+    assert {item.name: item.material for item in surfaces_of(again).scene.objects} == materials
+
+
+def test_its_layers_are_those_of_the_glass(ours: Dataset, again: Dataset) -> None:
+    id_of = {ours.object_id(item.name): again.object_id(item.name) for item in again.objects}
+    assert {item.name for item in again.objects} == {item.name for item in ours.objects if item.is_glass}
+    for split in SPLITS:
+        for old, new in zip(ours.views(split), again.views(split), strict=True):
+            before, after = old.layers(), new.layers()
+            is_glass = np.isin(before.object_id, list(id_of))
+            order = np.argsort(~is_glass, axis=0, kind="stable")
+            ids = np.where(is_glass, np.vectorize(lambda index: id_of.get(index, 0))(before.object_id), 0)
+            assert np.array_equal(np.take_along_axis(ids, order, axis=0), after.object_id)
+            depth = np.take_along_axis(np.where(is_glass, before.depth, 0), order, axis=0)
+            assert np.array_equal(depth, after.depth)
+            uv = np.take_along_axis(np.where(is_glass[..., None], before.uv, 0), order[..., None], axis=0)
+            assert np.array_equal(uv, after.uv)
+
+
+def test_what_only_a_renderer_knows_is_unknown(again: Dataset) -> None:
+    view = again.view("train", 0)
+    assert (view.record.noise_mse, view.record.spp, view.record.seed) == (None, None, None)
+    assert again.noise_ceiling_db("interpolating") is None
+    assert "noise ceiling interpolating: unknown" in summary(again, TRUTH)
+    with pytest.raises(HyalineError, match="radiance and noise are unknown; its pictures were imported"):
+        _ = view.radiance
+    page = look_page(again).decode()
+    assert "how noisy they are is unknown" in page and "imported from" in page
+    for line in (f"build --dataset {again.root} --twins", f"render {again.root}"):
+        answer = call(f"datagen {line}")
+        assert answer.status == 1 and "the light in its scene is unknown" in answer.error
+
+
+def test_every_byte_is_verified_and_the_same_command_brings_back_what_is_lost(
+    refref: Path, again: Dataset, tmp_path: Path
+) -> None:
+    root = shutil.copytree(again.root, tmp_path / "glasses")
+    assert verify_dataset(root).problems == []
+    (root / "images" / "train" / "0000.mask.png").write_bytes(b"spoilt")
+    (root / "records" / "train" / "0001.json").unlink()
+    (root / "scene" / "meshes" / "ball.ply").unlink()
+    found = verify_dataset(root)
+    assert len(found.problems) == 3
+    assert set(found.commands) == {f"datagen import-dataset FOLDER --out {root}"}
+    with pytest.raises(HyalineError, match="was imported; bring it back with `datagen import-dataset FOLDER"):
+        mend_dataset(root, scene=None, workers=1)
+    before = (again.root / "images" / "train" / "0000.mask.png").read_bytes()
+    dataset = take_over(refref, root)
+    assert dataset.seal == again.seal and verify_dataset(root).problems == []
+    assert (root / "images" / "train" / "0000.mask.png").read_bytes() == before
+
+
+def test_a_report_scores_it_and_calls_the_ceiling_unknown(again: Dataset, tmp_path: Path) -> None:
+    for split in ("interpolating", "extrapolating"):
+        for view in again.views(split):
+            path = tmp_path / "runs" / "glasses" / "theirs" / "predictions" / split / f"{view.index:04d}.png"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            Image.fromarray(255 - view.image).save(path)
+    out = tmp_path / "figures"
+    answer = call(f"report --runs {tmp_path / 'runs'} --dataset {again.root} --out {out}")
+    assert answer.status == 0, answer.error
+    assert "unknown" in answer.out
+    told = json.loads((out / "results.json").read_text())
+    assert told["scenes"][0]["noise_ceiling_db"] == {"interpolating": None, "extrapolating": None}
+
+
+# Other layouts
+
+
+def write_frames(root: Path, name: str, files: list[str], **more: object) -> None:
+    """A transforms file of cameras on a circle, and a picture for each: red grows with the place in the file."""
+    frames = []
+    for place, file in enumerate(files):
+        angle = 2 * math.pi * place / len(files)
+        matrix = np.eye(4)
+        matrix[:3, 0], matrix[:3, 1] = (-math.sin(angle), math.cos(angle), 0), (0, 0, 1)
+        matrix[:3, 2] = (math.cos(angle), math.sin(angle), 0)
+        matrix[:3, 3] = (4 + place) * matrix[:3, 2]
+        frames.append({"file_path": file, "transform_matrix": matrix.tolist()})
+        path = root / (file if Path(file).suffix else f"{file}.png")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        picture = np.full((SIDE, SIDE, 4), (10 * place, 100, 200, 255), np.uint8)
+        picture[:, : SIDE // 2, 3] = 0
+        Image.fromarray(picture if path.suffix == ".png" else picture[..., :3]).save(path)
+    (root / name).write_text(json.dumps({"camera_angle_x": 0.7, **more, "frames": frames}))
+
+
+@pytest.fixture
+def blender(tmp_path: Path) -> Path:
+    root = tmp_path / "lego"
+    for role, count in (("train", 6), ("val", 2), ("test", 5)):
+        write_frames(root, f"transforms_{role}.json", [f"./{role}/r_{place}" for place in range(count)])
+    return root
+
+
+def test_blenders_scenes_lie_on_white_and_train_what_needs_no_meshes(blender: Path, tmp_path: Path) -> None:
+    dataset = take_over(blender, tmp_path / "out")
+    assert dataset.num_views == {"train": 6, "interpolating": 4, "extrapolating": 1}
+    image = dataset.view("train", 3).image
+    assert (image[:, : SIDE // 2] == 255).all() and (image[:, SIDE // 2 :] == (30, 100, 200)).all()
+    assert dataset.objects == () and dataset.cameras("train").fov_x == 0.7
+    answer = call(f"datagen peel {dataset.root}")
+    assert answer.status == 1 and "has no meshes" in answer.error and "model train deepvoxels" in answer.error
+    place = {split: dataset.cameras(split).world_from_camera[:, :3, 3] for split in SPLITS}
+    away = {split: np.linalg.norm(place[split][:, None] - place["train"], axis=2).min(axis=1) for split in TEST_SPLITS}
+    assert away["extrapolating"].min() > away["interpolating"].max()
+    assert verify_dataset(dataset.root).problems == []
+    assert "No meshes were imported" in look_page(dataset).decode()
+
+
+def test_pictures_are_made_smaller_by_averaging_light_and_the_world_is_scaled_and_turned(
+    blender: Path, tmp_path: Path
+) -> None:
+    picture = np.zeros((SIDE, SIDE, 3), np.uint8)
+    picture[::2] = 255
+    Image.fromarray(picture).save(blender / "train" / "r_0.png")
+    dataset = take_over(blender, tmp_path / "out", downscale=4, scale=0.5, up="y", background="black")
+    cameras = dataset.cameras("train")
+    assert (cameras.width, dataset.view("train", 0).image.shape) == (2, (2, 2, 3))
+    assert (dataset.view("train", 0).image == 188).all()  # Half the light of white.
+    before = json.loads((blender / "transforms_train.json").read_text())["frames"][1]["transform_matrix"]
+    x, y, z = (row[3] for row in before[:3])
+    assert np.allclose(cameras.world_from_camera[1, :3, 3], (0.5 * x, -0.5 * z, 0.5 * y))
+    assert np.allclose(np.linalg.det(cameras.world_from_camera[:, :3, :3]), 1)
+
+
+def test_pictures_may_be_wider_than_high(blender: Path, tmp_path: Path) -> None:
+    for path in blender.rglob("*.png"):
+        Image.open(path).crop((0, 2, SIDE, SIDE - 2)).save(path)
+    dataset = take_over(blender, tmp_path / "out", downscale=2)
+    assert (dataset.config.resolution.width, dataset.config.resolution.height) == (SIDE // 2, SIDE // 4)
+    assert dataset.view("train", 0).image.shape == (SIDE // 4, SIDE // 2, 3)
+    assert dataset.view("train", 0).camera.rays()[1].shape == (SIDE // 4, SIDE // 2, 3)
+
+
+def test_openmaterials_masks_are_found_beside_the_pictures(tmp_path: Path) -> None:
+    root = tmp_path / "glass"
+    for role, count in (("train", 4), ("test", 2)):
+        files = [f"{role}/images/{place:03d}.png" for place in range(count)]
+        focal = 0.5 * SIDE / math.tan(0.35)
+        write_frames(root, f"transforms_{role}.json", files, fl_x=focal, fl_y=focal, cx=4, cy=4, w=SIDE, h=SIDE)
+        (root / role / "mask").mkdir()
+        for file in files:
+            mask = np.zeros((SIDE, SIDE), np.uint8)
+            mask[2:5] = 255
+            Image.fromarray(mask).save(root / role / "mask" / Path(file).name)
+    dataset = take_over(root, tmp_path / "out")
+    assert dataset.imported is not None and dataset.imported.layout == "openmaterial"
+    assert dataset.view("train", 1).mask("glass").sum() == 3 * SIDE
+    assert "masks: show the object, which is taken for glass" in dataset.imported.remarks
+
+
+def test_a_single_transforms_file_is_split_as_it_says_or_else_each_eighth_picture_is_for_tests(tmp_path: Path) -> None:
+    root = tmp_path / "frames"
+    files = [f"images/frame_{place:05d}.jpg" for place in range(20)]
+    write_frames(root, "transforms.json", files)
+    dataset = take_over(root, tmp_path / "one")
+    assert dataset.num_views == {"train": 17, "interpolating": 2, "extrapolating": 1}
+    lists = {"train_filenames": files[:10], "val_filenames": [], "test_filenames": files[15:]}
+    write_frames(root, "transforms.json", files, **lists)
+    assert take_over(root, tmp_path / "two").num_views == {"train": 10, "interpolating": 4, "extrapolating": 1}
+
+
+def test_our_own_nerfstudio_export_comes_back(ours: Dataset, tmp_path: Path) -> None:
+    export_dataset(ours, "nerfstudio", tmp_path / "exported", num_points=50, flow=False, overwrite=False)
+    dataset = take_over(tmp_path / "exported", tmp_path / "out")
+    for split in SPLITS:
+        assert np.array_equal(dataset.cameras(split).world_from_camera, ours.cameras(split).world_from_camera)
+        for old, new in zip(ours.views(split), dataset.views(split), strict=True):
+            depth = new.imported_depth
+            assert np.array_equal(old.image, new.image)
+            assert depth is not None and np.abs(depth - quantities(old).depth_along_axis).max() < 0.00051
+
+
+def test_meshes_from_elsewhere_get_the_index_that_is_asked_for(ours: Dataset, blender: Path, tmp_path: Path) -> None:
+    mesh = ours.root / "scene" / "meshes" / "ball.ply"
+    dataset = take_over(blender, tmp_path / "out", mesh=(mesh,), ior=1.7)
+    material = surfaces_of(dataset).scene.objects[0].material
+    assert dataset.objects[0].name == "ball" and material.surface().ior == 1.7
+    assert dataset.imported is not None
+    assert any("taken for glass of index 1.7" in line for line in dataset.imported.remarks)
+    named = take_over(blender, tmp_path / "named", mesh=(mesh,), material=("ball=diamond",))
+    assert surfaces_of(named).scene.objects[0].material.surface().ior == 2.417
+
+
+# Refusals
+
+
+def edit_json(change: Callable[[dict], None], name: str = "transforms_train.json") -> Callable[[Path], None]:
+    def spoil(root: Path) -> None:
+        data = json.loads((root / name).read_text())
+        change(data)
+        (root / name).write_text(json.dumps(data))
+
+    return spoil
+
+
+def set_first(**values: object) -> Callable[[Path], None]:
+    return edit_json(lambda data: data["frames"][0].update(values))
+
+
+def outside(root: Path) -> None:
+    (root.parent / "secret.png").write_bytes((root / "train" / "r_0.png").read_bytes())
+    (root / "train" / "r_0.png").unlink()
+    (root / "train" / "r_0.png").symlink_to(root.parent / "secret.png")
+
+
+HOSTILE: dict[str, tuple[Callable[[Path], None], str]] = {
+    "no folder": (shutil.rmtree, "is no folder; expected one with transforms_train.json"),
+    "nothing known": (
+        lambda root: [path.unlink() for path in root.glob("*.json")],
+        "has neither transforms_train.json nor transforms.json",
+    ),
+    "one of ours": (
+        lambda root: (root / "dataset.json").write_text("{}"),
+        "is a dataset of hyaline's already",
+    ),
+    "truncated list": (
+        lambda root: (root / "transforms_train.json").write_text('{"frames": ['),
+        "transforms_train.json: not a JSON file",
+    ),
+    "no frames": (edit_json(lambda data: data.update(frames=[])), "has 0 frames; expected 1 to"),
+    "frames of text": (edit_json(lambda data: data.update(frames=["a"])), "frames.0.: is 'a'; expected an object"),
+    "a path out": (set_first(file_path="../../secret"), "expected a file inside the folder"),
+    "an absolute path": (set_first(file_path="/etc/passwd"), "expected a file inside the folder"),
+    "a link out": (outside, "is a link out of its folder"),
+    "a missing picture": (set_first(file_path="./train/r_99"), "names 'train/r_99', which is not in"),
+    "a mirrored camera": (
+        set_first(transform_matrix=np.diag([-1.0, 1, 1, 1]).tolist()),
+        "transform_matrix: camera: .* expected a rotation and a place",
+    ),
+    "a camera of words": (set_first(transform_matrix="here"), "transform_matrix: "),
+    "a distorted lens": (set_first(k1=0.2), "its lens is distorted .k1.; expected straight lines"),
+    "two lenses": (
+        edit_json(lambda data: data["frames"][1].update(camera_angle_x=0.3)),
+        "expected one lens for all",
+    ),
+    "no lens": (edit_json(lambda data: data.pop("camera_angle_x")), "has no lens; expected fl_x"),
+    "an axis off the middle": (set_first(fl_x=9.0, cx=1.0), "its axis goes through .1, 4. of 8 x 8 pixels"),
+    "no pixels": (set_first(w=8, h=-6), "resolution: is -6; expected 1 to 8192 pixels"),
+    "another size": (
+        lambda root: Image.new("RGB", (4, 4)).save(root / "train" / "r_2.png"),
+        "r_2.png: is 4 x 4 pixels; expected 8 x 8",
+    ),
+    "16 bits": (
+        lambda root: Image.fromarray(np.full((SIDE, SIDE), 300, np.uint16)).save(root / "train" / "r_1.png"),
+        "expected 8 bits a channel",
+    ),
+    "a truncated picture": (
+        lambda root: (root / "test" / "r_1.png").write_bytes((root / "test" / "r_1.png").read_bytes()[:60]),
+        "r_1.png: not a picture that can be read",
+    ),
+    "no tests": (
+        lambda root: [(root / f"transforms_{role}.json").unlink() for role in ("val", "test")],
+        "has 6 pictures to train on and 0 to test",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_a_broken_folder_is_refused_in_one_line(blender: Path, tmp_path: Path, name: str) -> None:
+    spoil, message = HOSTILE[name]
+    spoil(blender)
+    with pytest.raises(HyalineError, match=message) as refusal:
+        take_over(blender, tmp_path / "out")
+    assert "\n" not in str(refusal.value)
+
+
+OBJECTS: dict[str, tuple[dict[str, object], str]] = {
+    "a mesh out": ({"a": {"mesh": "../a.ply"}}, "expected a file inside the folder"),
+    "no mesh": ({"a": {"mesh": "meshes/a.ply"}}, "names 'meshes/a.ply', which is not in"),
+    "a name with a slash": ({"../a": {"mesh": "meshes/a.ply"}}, "expected letters, digits, _ and -"),
+    "an index below 1": ({"ball": {"mesh": "meshes/ball.ply", "ior": 0.5}}, "ior: is 0.5; expected more than 1"),
+    "an index of words": ({"ball": {"mesh": "meshes/ball.ply", "ior": "glass"}}, "ior: is 'glass'; expected a number"),
+    "absorption of two": (
+        {"ball": {"mesh": "meshes/ball.ply", "ior": 1.5, "absorption_per_metre": [1, 2]}},
+        "expected 3 numbers",
+    ),
+    "a list": ([], "holds a list; expected a JSON object"),  # type: ignore[dict-item]
+    "too many": ({f"n{place}": {"mesh": "a"} for place in range(300)}, "has 300 objects; expected at most 255"),
+}
+
+
+@pytest.mark.parametrize("name", OBJECTS)
+def test_a_broken_list_of_objects_is_refused(refref: Path, tmp_path: Path, name: str) -> None:
+    content, message = OBJECTS[name]
+    root = shutil.copytree(refref, tmp_path / "refref")
+    (root / "objects.json").write_text(json.dumps(content))
+    with pytest.raises(HyalineError, match=message):
+        plan_import(root, DatasetImportChoices())
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "message"),
+    [
+        ("depth_train_0000.npy", b"\x93NUMPY\x01\x00", "not a .npy of height x width numbers"),
+        ("depth_train_0000.npy", b"", "not a .npy of height x width numbers"),
+        ("mask_train_0000.png", b"\x89PNG\r\n\x1a\n", "not a picture that can be read"),
+    ],
+)
+def test_broken_masks_and_depth_are_refused(refref: Path, tmp_path: Path, name: str, data: bytes, message: str) -> None:
+    root = shutil.copytree(refref, tmp_path / "refref")
+    (root / "train" / name).write_bytes(data)
+    with pytest.raises(HyalineError, match=message):
+        take_over(root, tmp_path / "out")
+
+
+def test_another_import_in_the_same_place_needs_to_be_told(blender: Path, tmp_path: Path) -> None:
+    take_over(blender, tmp_path / "out")
+    with pytest.raises(HyalineError, match="imported from lego, of other files or with other choices; pass --overw"):
+        take_over(blender, tmp_path / "out", downscale=2)
+    chosen = DatasetImportChoices(downscale=2)
+    dataset = write_import(plan_import(blender, chosen), tmp_path / "out", chosen, overwrite=True)
+    assert dataset.config.resolution == square(SIDE // 2) and verify_dataset(dataset.root).problems == []
