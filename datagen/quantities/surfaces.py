@@ -56,6 +56,16 @@ class Surfaces:
         values = [material.surface().ior if material.is_glass else 0.0 for material in self.materials]
         return np.array([0.0, *values], np.float32)
 
+    @property
+    def ior_by_channel(self) -> Float32[np.ndarray, "id 3"]:
+        """The same for red, green and blue, which differ where glass disperses; panes bend nothing, and have one."""
+        media = [material.medium for material in self.materials]
+        values = np.repeat(self.ior[:, None], 3, axis=1)
+        for place, medium in enumerate(media, 1):
+            if medium is not None:
+                values[place] = medium.iors
+        return values
+
     def face_finder(self, object_id: int) -> FaceFinder:
         """Where on an object a layer lies."""
         if object_id not in self._finders:

@@ -155,6 +155,11 @@ class ViewQuantities:
         """Index of refraction of the first surface's glass or liquid; 0 on everything opaque."""
         return self.surfaces.ior[self.object_id]
 
+    @property
+    def ior_by_channel(self) -> Float32[np.ndarray, "h w 3"]:
+        """The same for red, green and blue light, which differ where glass disperses; `ior` is that of green."""
+        return self.surfaces.ior_by_channel[self.object_id]
+
     @functools.cached_property
     def glass_thickness(self) -> Float32[np.ndarray, "h w"]:
         """Metres that the straight ray runs inside solid glass or liquid before it meets something opaque.

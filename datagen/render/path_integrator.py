@@ -5,6 +5,9 @@ a path is absorbed or not by a throw of dice; here the throughput is multiplied 
 `dielectric` borders on the same medium everywhere; here a surface of glass borders on whatever the ray is in
 (datagen/scene/media.py), by the formulas of `dielectric` and, where it is rough, of `roughdielectric`.
 
+Where glass disperses, its index of refraction depends on the colour: a path keeps all three channels until it first
+meets such glass, and goes on with one of them, which the paths of a pixel share out evenly.
+
 Two things make a picture cheap. Its random numbers are Sobol's (render/sobol.py). And light is sampled only where
 there is something to aim at, a lamp or a small bright place of the sky: a soft sky is found as well by the rays that
 materials send out, for half the rays.
@@ -66,7 +69,8 @@ class PathTracer:
         place = mi.Point2f(mi.Float(pixel % width), mi.Float(pixel // width))
         place += points.sample_2d(scramble, index, mi.UInt32(0), mi.Bool(True))
         ray, _ = sensor.sample_ray(0, 0, place / mi.Point2f(width, height), mi.Point2f(0.5))
-        radiance = _trace(self._scene, mi.Ray3f(ray), points, scramble, index, self._tables)
+        colors = _share_out_channels(index, spp, scramble) if self._tables.disperses else None
+        radiance = _trace(self._scene, mi.Ray3f(ray), points, scramble, index, colors, self._tables)
         dr.eval(radiance)
         channels = [np.array(channel).reshape(height, width, spp) for channel in radiance]
         return np.stack([channel.mean(axis=2, dtype=np.float64) for channel in channels], axis=-1).astype(np.float32)
@@ -99,25 +103,36 @@ class _Tables:
         self.alpha = mi.Float(alpha)
         self.max_depth, self.has_lamps, self.aims = max_depth, has_lamps, aims
         self.rank = mi.Int32(rank)
-        self.ior = mi.Float(media.ior)
+        self.disperses = bool(media.parts_colors.any())
+        self.parts_colors = mi.Bool(media.parts_colors)
+        self.ior = mi.Float(media.iors.ravel() if self.disperses else media.ior)
         self.absorption = mi.Float(media.absorption.ravel())
 
 
+def _share_out_channels(index, spp, scramble):
+    """The colour channel of each sample's path, once glass parts colours, and the weight of all that is 1 on average.
+
+    A pixel's samples are cut into three runs; which channel gets which is drawn for each pixel.
+    """
+    run = index * 3 // spp
+    first, end = (run * spp + 2) // 3, ((run + 1) * spp + 2) // 3
+    weight = mi.Float(spp) / mi.Float(end - first) if spp >= 3 else mi.Float(3)
+    return (run + scramble % 3) % 3, weight
+
+
 @dr.syntax
-def _trace(scene, ray, points, scramble, index, tables):
-    """Radiance along camera rays."""
+def _trace(scene, ray, points, scramble, index, colors, tables):
+    """Radiance along camera rays; `colors` are those of `_share_out_channels`, None where glass parts none."""
     context = mi.BSDFContext()
-    radiance = mi.Spectrum(0)
-    throughput = mi.Spectrum(1)
+    radiance, throughput = mi.Spectrum(0), mi.Spectrum(1)
     solids = mi.UInt32(no_solids(tables.media))  # The solids that the ray is in.
     dimension = mi.UInt32(2)  # Of the random numbers; the camera took two.
-    depth = mi.UInt32(0)
-    vanished = mi.UInt32(0)  # Surfaces passed that are none.
+    depth, vanished = mi.UInt32(0), mi.UInt32(0)  # Bounces, and surfaces passed that are none.
     previous = dr.zeros(mi.Interaction3f)
     previous_pdf = mi.Float(1)
     previous_is_delta = mi.Bool(True)
-    active = mi.Bool(True)
-    escaped = mi.Bool(False)  # Did the path run into the sky?
+    active, escaped = mi.Bool(True), mi.Bool(False)  # Did the path run into the sky?
+    has_all = mi.Bool(True)  # Channels: it has met no glass that parts them.
 
     while active:
         si = scene.ray_intersect(ray, mi.RayFlags.All, depth == 0, active)
@@ -131,6 +146,9 @@ def _trace(scene, ray, points, scramble, index, tables):
         is_glass, with_it, without_it = _solids_around(tables, solids, si.shape, active & hit)
         sides = medium_of(tables.media, with_it), medium_of(tables.media, without_it)
         vanishes = is_glass & (sides[0] == sides[1]) if tables.media.is_nested else mi.Bool(False)
+
+        eta = _ratio_of_indices(tables, sides, colors, is_glass)
+        throughput, has_all = _part_colors(tables, sides, colors, is_glass & ~vanishes, throughput, has_all)
 
         # Light that the ray runs into, weighted against having been aimed at from the last vertex.
         weight = mi.Float(1)
@@ -159,7 +177,7 @@ def _trace(scene, ray, points, scramble, index, tables):
             active_light &= ds.pdf != 0
             wo = si.to_local(ds.d)
             value, pdf, bsdf_sample, bsdf_weight = bsdf.eval_pdf_sample(context, si, wo, sample1, sample2, is_rough)
-            value, pdf = _scattered_by_glass(tables, si, sides, wo, alpha, (value, pdf))
+            value, pdf = _scattered_by_glass(tables, si, eta, wo, alpha, (value, pdf))
             weight = dr.select(ds.delta, 1, _balance(ds.pdf, pdf))
             radiance += dr.select(active_light, throughput * value * light * weight, 0)
         else:
@@ -167,7 +185,7 @@ def _trace(scene, ray, points, scramble, index, tables):
 
         # Glass reflects or refracts. Where its surface is none, both media are one: nothing is reflected.
         samples = sample1, sample2
-        is_reflected, glass_wo, glass_share = _meet_glass(tables, si, sides, alpha, is_glass, vanishes, samples)
+        is_reflected, glass_wo, glass_share = _meet_glass(tables, si, eta, alpha, vanishes, samples)
         goes_in = dr.select(vanishes, dr.dot(ray.d, si.n) < 0, glass_wo.z < 0)
         solids = dr.select(is_glass & ~is_reflected, dr.select(goes_in, with_it, without_it), solids)
 
@@ -176,7 +194,7 @@ def _trace(scene, ray, points, scramble, index, tables):
         to_world = si.to_world(dr.select(is_glass, glass_wo, bsdf_sample.wo))
         ray = dr.select(active, si.spawn_ray(dr.select(vanishes, ray.d, to_world)), ray)
         previous = mi.Interaction3f(si)
-        _, previous_pdf = _scattered_by_glass(tables, si, sides, glass_wo, alpha, (bsdf_weight, bsdf_sample.pdf))
+        _, previous_pdf = _scattered_by_glass(tables, si, eta, glass_wo, alpha, (bsdf_weight, bsdf_sample.pdf))
         previous_is_delta = (is_glass & (alpha == 0)) | mi.has_flag(bsdf_sample.sampled_type, mi.BSDFFlags.Delta)
         active &= dr.max(throughput) > 0
         depth += dr.select(vanishes, 0, 1)
@@ -200,6 +218,24 @@ def _solids_around(tables, solids, shape, hit):
     return is_glass, with_solid(tables.media, solids, rank), without_solid(tables.media, solids, rank)
 
 
+def _part_colors(tables, sides, colors, meets_glass, throughput, has_all):
+    """The throughput of one channel where a path that has all meets glass that parts them, and which still has all."""
+    if not tables.disperses:
+        return throughput, has_all
+    inner, outer = (dr.gather(mi.Bool, tables.parts_colors, side, meets_glass) for side in sides)
+    parts = has_all & (inner | outer)
+    channel, weight = colors
+    one = mi.Spectrum(*(dr.select(channel == kept, weight, 0) for kept in range(3)))
+    return throughput * dr.select(parts, one, 1), has_all & ~parts
+
+
+def _ratio_of_indices(tables, sides, colors, is_glass):
+    """Index of refraction inside over that outside; of the path's own colour where glass parts colours."""
+    places = [3 * side + colors[0] for side in sides] if tables.disperses else sides
+    inner, outer = (dr.gather(mi.Float, tables.ior, place, is_glass) for place in places)
+    return inner / outer
+
+
 def _roughness_of_glass(tables, si, is_solid):
     """GGX alpha of rough glass; 0 where there is none."""
     if not tables.has_rough_glass:
@@ -207,7 +243,7 @@ def _roughness_of_glass(tables, si, is_solid):
     return dr.gather(mi.Float, tables.alpha, dr.reinterpret_array(mi.UInt32, si.shape), is_solid)
 
 
-def _scattered_by_glass(tables, si, sides, wo, alpha, otherwise):
+def _scattered_by_glass(tables, si, eta, wo, alpha, otherwise):
     """What the surface scatters towards the ray from `wo`, and with which density it sends rays there.
 
     Args:
@@ -215,17 +251,15 @@ def _scattered_by_glass(tables, si, sides, wo, alpha, otherwise):
     """
     if not tables.has_rough_glass:
         return otherwise
-    inner, outer = (dr.gather(mi.Float, tables.ior, side, alpha > 0) for side in sides)
-    value, pdf = lobe_of_glass(si.wi, wo, inner / outer, alpha)
+    value, pdf = lobe_of_glass(si.wi, wo, eta, alpha)
     return dr.select(alpha > 0, mi.Spectrum(value), otherwise[0]), dr.select(alpha > 0, pdf, otherwise[1])
 
 
-def _meet_glass(tables, si, sides, alpha, is_glass, vanishes, samples):
-    """Whether glass reflects, where to in the surface's frame, and the factor of radiance; `sides`: in and out."""
-    inner, outer = (dr.gather(mi.Float, tables.ior, side, is_glass) for side in sides)
+def _meet_glass(tables, si, eta, alpha, vanishes, samples):
+    """Whether glass reflects, where to in the surface's frame, and the factor of radiance."""
     if not tables.has_rough_glass:
-        return _reflect_or_refract(si.wi, inner / outer, samples[0], vanishes)
-    return _bounce_off_facet(si.wi, inner / outer, alpha, *samples, vanishes)
+        return _reflect_or_refract(si.wi, eta, samples[0], vanishes)
+    return _bounce_off_facet(si.wi, eta, alpha, *samples, vanishes)
 
 
 def _reflect_or_refract(wi, eta, sample, vanishes):

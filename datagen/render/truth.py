@@ -21,6 +21,7 @@ from datagen.disk.errors import HyalineError
 from datagen.render.environment import has_small_light
 from datagen.render.mitsuba_scene import is_scalar, load_scene_mitsuba, load_sensor
 from datagen.scene.description import Scene
+from datagen.scene.materials import Dielectric
 from datagen.scene.media import find_media
 
 MAX_PATHS_PER_PASS = 1 << 23
@@ -67,7 +68,9 @@ class Renderer:
             )
         media = find_media(materials, meshes)
         if is_scalar():
-            self._scene = load_scene_mitsuba(scene)
+            # Mitsuba's glass bends all colours alike: where ours does not, each channel is a picture of its own.
+            channels = range(3) if media.parts_colors.any() else [None]
+            self._scenes = [load_scene_mitsuba(_in_channel(scene, channel)) for channel in channels]
             kind = "volpath" if media.absorption.any() else "path"
             self._integrator = mi.load_dict({"type": kind, "max_depth": max_depth, "rr_depth": max_depth + 1})
         else:
@@ -95,8 +98,26 @@ class Renderer:
             return self._tracer.render(sensor, width=width, height=height, spp=spp, seed=seed), spp
         sensor.sampler().set_sample_count(spp)
         spp = int(sensor.sampler().sample_count())
-        image = mi.render(self._scene, sensor=sensor, integrator=self._integrator, spp=spp, seed=mi.UInt32(seed))
-        return np.array(image, np.float32), spp
+        images = []
+        for scene in self._scenes:
+            image = mi.render(scene, sensor=sensor, integrator=self._integrator, spp=spp, seed=mi.UInt32(seed))
+            images.append(np.array(image, np.float32))
+        if len(images) == 1:
+            return images[0], spp
+        return np.stack([image[..., channel] for channel, image in enumerate(images)], axis=-1), spp
+
+
+def _in_channel(scene: Scene, channel: int | None) -> Scene:
+    """The scene whose glass does to all colours what it does to one; as it is for None."""
+    if channel is None:
+        return scene
+    objects = (
+        dataclasses.replace(item, material=item.material.in_channel(channel))
+        if isinstance(item.material, Dielectric)
+        else item
+        for item in scene.objects
+    )
+    return dataclasses.replace(scene, objects=tuple(objects))
 
 
 def render_view(

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float32, Int32
+from jaxtyping import Bool, Float32, Int32
 
 from datagen.data.meshes import Mesh
 from datagen.scene.materials import Material
@@ -39,12 +39,22 @@ class Media:
 
     rank: Int32[np.ndarray, "object"]
     """Place of each object among the dielectrics: 0 for the one that displaces all others; -1 for no dielectric."""
-    ior: Float32[np.ndarray, "medium"]
-    """Index of refraction by rank; that of air stands last."""
+    iors: Float32[np.ndarray, "medium 3"]
+    """Index of refraction by rank and colour channel; that of air stands last."""
     absorption: Float32[np.ndarray, "medium 3"]
     """1/m by rank; that of air, 0, stands last."""
     is_nested: bool
     """Whether a ray may be in several solids at once. If not, to leave any of them is to come into air."""
+
+    @property
+    def ior(self) -> Float32[np.ndarray, " medium"]:
+        """Index of refraction by rank, of yellow-green light."""
+        return np.ascontiguousarray(self.iors[:, 1])
+
+    @property
+    def parts_colors(self) -> Bool[np.ndarray, " medium"]:
+        """By rank: channels have different indices (dispersion)."""
+        return (self.iors != self.iors[:, :1]).any(axis=1)
 
 
 def find_media(materials: tuple[Material | None, ...], meshes: tuple[Mesh, ...]) -> Media:
@@ -60,10 +70,10 @@ def find_media(materials: tuple[Material | None, ...], meshes: tuple[Mesh, ...])
     rank[order] = np.arange(len(order))
     # In a set of solids, air is what the count of trailing zeros gives for none.
     count = MAX_NESTED + 1 if is_nested else len(order) + 1
-    ior, absorption = np.ones(count, np.float32), np.zeros((count, 3), np.float32)
+    iors, absorption = np.ones((count, 3), np.float32), np.zeros((count, 3), np.float32)
     for place, index in enumerate(order):
-        ior[place], absorption[place] = glass[index].ior, glass[index].absorption
-    return Media(rank=rank, ior=ior, absorption=absorption, is_nested=is_nested)
+        iors[place], absorption[place] = glass[index].iors, glass[index].absorption
+    return Media(rank=rank, iors=iors, absorption=absorption, is_nested=is_nested)
 
 
 def no_solids(media: Media) -> int:

@@ -1,6 +1,9 @@
 """Indices of refraction of glasses, crystals and liquids, by name."""
 
+import math
+
 from datagen.disk.errors import HyalineError
+from datagen.scene.values import Color
 
 SUBSTANCES: dict[str, float] = {
     "air": 1.0,
@@ -29,15 +32,58 @@ for liquids and ice; Malitson 1965 (fused silica) and 1962 (sapphire, ordinary r
 Sultanova et al. 2009 (acrylic, polycarbonate); Peter 1923 (diamond).
 """
 
+MEASURED = "measured"
+
+PARTINGS: dict[str, tuple[float, float]] = {
+    "air": (0.0, 0.0),
+    "water": (0.00189, 0.00409),
+    "acetone": (0.00194, 0.00465),
+    "ethanol": (0.00182, 0.00428),
+    "fused-silica": (0.00209, 0.00467),
+    "acrylic": (0.00274, 0.00648),
+    "bk7": (0.00248, 0.00558),
+    "soda-lime": (0.00255, 0.00564),
+    "polycarbonate": (0.00615, 0.01484),
+    "f2": (0.00499, 0.01203),
+    "sf10": (0.00737, 0.01815),
+    "sapphire": (0.00329, 0.00734),
+    "sf11": (0.00876, 0.02179),
+    "diamond": (0.00758, 0.01805),
+}
+"""How far the red line (C, 656.3 nm) lies below the yellow one, and the blue line (F, 486.1 nm) above it.
+
+From the dispersion formulas of the sources above; water: Daimon and Masumura 2007 at 20 degrees; acetone and ethanol:
+Rheims et al. 1997.
+"""
+
 Ior = float | str
 """An index of refraction, or the name of a substance."""
 
+Dispersion = float | str
+"""20 over the Abbe number V_d = (n_d - 1) / (n_F - n_C), as in glTF, or `measured` for that of a named substance."""
+
 MAX_IOR = 10.0
+MAX_DISPERSION = 20.0
+"""An Abbe number of 1; glass has 20 to 85."""
 
 
 def index_of(ior: Ior) -> float:
     """The number that it says, or that of the substance."""
     return SUBSTANCES[ior] if isinstance(ior, str) else ior
+
+
+def indices_of(ior: Ior, dispersion: Dispersion) -> Color:
+    """The index of each colour channel: n_C for red, n_d for green and n_F for blue.
+
+    Source: of a number, KHR_materials_dispersion's README, which parts red and blue by the same from green.
+    """
+    index = index_of(ior)
+    if isinstance(dispersion, str):
+        assert isinstance(ior, str)
+        below, above = PARTINGS[ior]
+    else:
+        below = above = (index - 1) * dispersion / 40
+    return index - below, index, index + above
 
 
 def check_ior(ior: Ior) -> None:
@@ -47,3 +93,18 @@ def check_ior(ior: Ior) -> None:
             raise HyalineError(f"ior: is {ior!r}; expected a number, or one of {', '.join(SUBSTANCES)}")
     elif not 1 <= ior < MAX_IOR:
         raise HyalineError(f"ior: is {ior}; expected an index of refraction of at least 1 (glass has 1.5)")
+
+
+def check_dispersion(ior: Ior, dispersion: Dispersion) -> None:
+    """Refuses what is neither a number in range nor the measured dispersion of a substance that is listed."""
+    if not isinstance(dispersion, str):
+        if not (math.isfinite(dispersion) and 0 <= dispersion <= MAX_DISPERSION):
+            raise HyalineError(
+                f"dispersion: is {dispersion}; expected 20 over the Abbe number, from 0 to {MAX_DISPERSION:g}"
+            )
+    elif dispersion != MEASURED:
+        raise HyalineError(f"dispersion: is {dispersion!r}; expected a number, or {MEASURED!r}")
+    elif ior not in PARTINGS:
+        raise HyalineError(
+            f"dispersion: is {MEASURED!r}, and the ior {ior!r}; expected as ior one of {', '.join(PARTINGS)}"
+        )

@@ -77,7 +77,7 @@ def follow_branches(scene, tables, media, o, d, rows, shift, count, max_branches
 
     limits = Limits(max_branches, max_vertices, max_depth)
     kernel = Kernel(scene, SurfaceTables(*tables), media, limits, rows, shift)
-    outputs = _Outputs(count, limits)
+    outputs = _Outputs(count, limits, disperses=kernel.tables.disperses)
 
     # Dr.Jit's loops take plain tuples.
     def is_tracing(*state):
@@ -129,6 +129,8 @@ def _advance(kernel: Kernel, outputs: "_Outputs", state: _State) -> _State:
     sides = sides_of(kernel, hit, state.solids)
     state = _absorb(kernel, hit, state)
     outputs.record(hit, sides, state)
+    if kernel.tables.disperses:
+        outputs.record_dispersion(kernel, sides)
     bounce = bounce_of(kernel, hit, sides, state.d, state.step)
     state = state._replace(queue=_with_mirror(hit, sides, bounce, state))
     return _turn(kernel, *_go_on(kernel, hit, sides, bounce, state))
@@ -228,7 +230,7 @@ def _turn(kernel: Kernel, state: _State, is_over) -> _State:
 class _Outputs:
     """Flat arrays of all places of all branches, which the steps fill."""
 
-    def __init__(self, count: int, limits: Limits) -> None:
+    def __init__(self, count: int, limits: Limits, *, disperses: bool) -> None:
         import drjit as dr
         import mitsuba as mi
 
@@ -249,6 +251,8 @@ class _Outputs:
             "end_direction": dr.zeros(mi.Float, 3 * ends),
             "end_throughput": dr.zeros(mi.Float, 3 * ends),
         }
+        if disperses:
+            self.arrays["disperses"] = dr.zeros(mi.UInt32, count)
 
     def record(self, hit: Hit, sides: Sides, state: _State) -> None:
         """The vertex, or the end in the open. What comes after the last place takes it: a branch's end is kept."""
@@ -278,6 +282,16 @@ class _Outputs:
             "end_throughput": state.beta,
         }.items():
             self._store(name, values, end, missed)
+
+    def record_dispersion(self, kernel: Kernel, sides: Sides) -> None:
+        """That the ray meets glass which parts colours."""
+        import drjit as dr
+        import mitsuba as mi
+
+        borders = sides.is_glass & ~sides.is_void
+        media = (medium_of(kernel.media, side) for side in (sides.here, sides.beyond))
+        parts = [dr.gather(mi.Bool, kernel.tables.parts_colors, medium, borders) for medium in media]
+        self._store("disperses", [mi.UInt32(1)], self._ray, borders & (parts[0] | parts[1]))
 
     def _store(self, name: str, values, index, mask) -> None:
         import drjit as dr

@@ -8,17 +8,20 @@ that several rays together see it blurred. Further branches are reflected at any
 surface of any branch, those of the largest throughput first. What the branches beyond `max_branches` carry is left to
 whoever shades the layers.
 
+Glass that disperses has an index for each colour channel. `trace` follows green light, as if the others went the same
+way; `trace_colors` also follows red and blue, of those rays alone that meet such glass.
+
 Vectorised variants only. Call `use_mitsuba` first.
 """
 
 # Mitsuba's stubs describe no variant: what is a number in one is an array in another.
 # pyright: reportArgumentType=false, reportCallIssue=false
 
+import dataclasses
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Float32, UInt8
+from jaxtyping import Bool, Float32, Int64, UInt8
 
 from datagen.data.meshes import Mesh, is_there
 from datagen.disk.errors import HyalineError
@@ -28,14 +31,15 @@ from datagen.scene.media import find_media
 from datagen.trace.branches import follow_branches
 from datagen.trace.surface_tables import make_tables
 
-if TYPE_CHECKING:
-    import mitsuba as mi
-
 RECORDINGS = 64
 """Kernels that a tracer keeps, one for each number of rays and limits."""
 
 PLASTIC = 1.32471795724474602596
 """The plastic number, of which the R2 sequence is made."""
+
+
+PIECES = 8
+"""How many numbers of rays are told apart where some of a bundle are traced again, in other colours."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -73,6 +77,11 @@ class TracedPaths(LightPaths):
 
     uv_slope: Float32[np.ndarray, "branch vertex ray 2"]
     """Change of uv from the vertex to where the ray would meet a surface one metre below this one, to first order."""
+    disperses: Bool[np.ndarray, " ray"]
+    """Glass that parts colours is on some branch of the ray."""
+
+
+RED, GREEN, BLUE = range(3)
 
 
 class LightPathTracer:
@@ -81,6 +90,7 @@ class LightPathTracer:
     def __init__(self, meshes: tuple[Mesh, ...], materials: tuple[Material | None, ...]) -> None:
         """A surface whose material is None lets every ray through as it comes: its paths are straight layers."""
         import drjit as dr
+        import mitsuba as mi
 
         if is_scalar():
             raise HyalineError(
@@ -98,6 +108,7 @@ class LightPathTracer:
         self._scene = load_geometry_mitsuba(meshes)
         self._media = find_media(kept_materials, meshes)
         self._tables = make_tables(meshes, kept_materials, self._media)
+        self._iors = [mi.Float(np.ascontiguousarray(self._media.iors[:, channel])) for channel in range(3)]
         self._spread: dict[int, list[mi.Float]] = {}
         # Recording a kernel takes as long as running it for 8,192 rays: it is done once for each number of rays and
         # limits.
@@ -113,6 +124,7 @@ class LightPathTracer:
         max_depth: int = 24,
         seed: int = 0,
         facets: Float32[np.ndarray, "ray 2"] | None = None,
+        channel: int = GREEN,
     ) -> TracedPaths:
         """Follows rays that start in air.
 
@@ -124,6 +136,7 @@ class LightPathTracer:
             seed: of the facets of rough surfaces that mirror.
             facets: where among these facets each ray starts to choose, in [0, 1)^2. None: consecutive rays share them
                 out evenly.
+            channel: whose index of refraction counts; throughput is given for all channels all the same.
         """
         import drjit as dr
         import mitsuba as mi
@@ -134,12 +147,12 @@ class LightPathTracer:
         elif count in self._spread:
             rows = self._spread[count]
         else:
-            rows = [mi.Float(np.arange(count) / PLASTIC ** (1 + axis) % 1) for axis in range(2)]
+            rows = [mi.Float(column) for column in np.ascontiguousarray(_spread_evenly(count).T)]
             self._spread[count] = rows
 
         outputs = self._trace(
             self._scene,
-            tuple(self._tables),
+            tuple(self._tables._replace(medium_ior=self._iors[channel])),
             self._media,
             mi.Point3f(*to_columns(origins)),
             mi.Vector3f(*to_columns(directions)),
@@ -168,4 +181,80 @@ class LightPathTracer:
             has_left=array("has_left", *ends).astype(bool),
             end_direction=array("end_direction", *ends, 3),
             end_throughput=array("end_throughput", *ends, 3),
+            disperses=array("disperses", count).astype(bool) if self._tables.disperses else np.zeros(count, bool),
         )
+
+    def trace_colors(
+        self,
+        origins: Float32[np.ndarray, "ray 3"],
+        directions: Float32[np.ndarray, "ray 3"],
+        *,
+        max_branches: int = 4,
+        max_vertices: int = 8,
+        max_depth: int = 24,
+        seed: int = 0,
+        facets: Float32[np.ndarray, "ray 2"] | None = None,
+    ) -> TracedPaths:
+        """The paths of rays, where each colour channel goes its own way through glass that disperses.
+
+        Where no ray meets such glass, this is `trace`. Else there are three times as many branches: those of `trace`,
+        then for the rays that do meet it the branches of red and of blue light. All of these carry their own channel
+        alone; those of the other rays carry all three, and their further branches are empty.
+        """
+
+        def trace(index: np.ndarray | slice, facets: np.ndarray | None, channel: int) -> TracedPaths:
+            return self.trace(
+                origins[index],
+                directions[index],
+                max_branches=max_branches,
+                max_vertices=max_vertices,
+                max_depth=max_depth,
+                seed=seed,
+                facets=facets,
+                channel=channel,
+            )
+
+        count = len(directions)
+        paths = trace(slice(None), facets, GREEN)
+        parted = np.flatnonzero(paths.disperses)
+        if not len(parted):
+            return paths
+        # A kernel is recorded for each number of rays: they are filled up to one of a few numbers.
+        piece = max(1, count // PIECES)
+        filled = np.concatenate([parted, np.full(-len(parted) % piece, parted[0])])
+        spread = _spread_evenly(count) if facets is None else facets
+        others = [_only(trace(filled, spread[filled], channel), channel) for channel in (RED, BLUE)]
+        green = _only(paths, GREEN, paths.disperses)
+        return _side_by_side(green, others, parted)
+
+
+def _spread_evenly(count: int) -> Float32[np.ndarray, "ray 2"]:
+    """Where rays choose facets: the R2 sequence."""
+    return (np.arange(count)[:, None] / PLASTIC ** np.arange(1, 3) % 1).astype(np.float32)
+
+
+def _only(paths: TracedPaths, channel: int, rays: Bool[np.ndarray, " ray"] | slice = slice(None)) -> TracedPaths:
+    """The paths, of which some rays carry one channel alone."""
+    weight = np.zeros(3, np.float32)
+    weight[channel] = 1
+    for throughput in (paths.throughput, paths.end_throughput):
+        throughput[..., rays, :] *= weight
+    return paths
+
+
+def _side_by_side(paths: TracedPaths, others: list[TracedPaths], rays: Int64[np.ndarray, " parted"]) -> TracedPaths:
+    """The paths, and as further branches those of `others` for some of the rays."""
+
+    def joined(name: str) -> np.ndarray:
+        values = getattr(paths, name)
+        axis = 1 if name in ("has_left", "end_direction", "end_throughput") else 2  # Of rays.
+        parts = [values]
+        for other in others:
+            part = np.zeros_like(values)
+            placed = np.moveaxis(part, axis, 0)
+            placed[rays] = np.moveaxis(getattr(other, name), axis, 0)[: len(rays)]
+            parts.append(part)
+        return np.concatenate(parts)
+
+    names = [field.name for field in dataclasses.fields(paths) if field.name != "disperses"]
+    return dataclasses.replace(paths, **{name: joined(name) for name in names})

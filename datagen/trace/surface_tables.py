@@ -39,12 +39,17 @@ class SurfaceTables(NamedTuple):
     color: "list[mi.Float]"
     rank: "mi.Int32"
     medium_ior: "mi.Float"
+    """Of the colour channel whose paths are followed."""
+    parts_colors: "mi.Bool"
+    """By medium."""
     absorption: "list[mi.Float]"
     first_face: "mi.UInt32"
     positions: "mi.Float"
     normals: "mi.Float"
     uv: "mi.Float"
     has_rough_glass: bool
+    disperses: bool
+    """Some medium parts colours."""
 
 
 def make_tables(meshes: tuple[Mesh, ...], materials: tuple[Material | None, ...], media: Media) -> SurfaceTables:
@@ -66,10 +71,12 @@ def make_tables(meshes: tuple[Mesh, ...], materials: tuple[Material | None, ...]
         color=[array([surface.color[c] for surface in surfaces]) for c in range(3)],
         rank=mi.Int32(media.rank),
         medium_ior=mi.Float(media.ior),
+        parts_colors=mi.Bool(media.parts_colors),
         absorption=[mi.Float(np.ascontiguousarray(media.absorption[:, c])) for c in range(3)],
         first_face=mi.UInt32(first_face.astype(np.uint32)),
         positions=corners([mesh.vertices[mesh.faces] for mesh in meshes]),
         normals=corners([mesh.normals[mesh.faces] for mesh in meshes]),
         uv=corners([mesh.uv[mesh.faces] for mesh in meshes]),
         has_rough_glass=any(surface.event == "refracts" and surface.roughness > 0 for surface in surfaces),
+        disperses=bool(media.parts_colors.any()),
     )

@@ -13,6 +13,7 @@ from datagen.scene.importers.pictures import decoded, mean_color, tinted_png
 from datagen.scene.importers.remarks import Remarks
 from datagen.scene.importers.surfaces import Shape
 from datagen.scene.materials import Conductor, Dielectric, Diffuse, Material, Plastic, RoughDielectric, ThinDielectric
+from datagen.scene.substances import MAX_DISPERSION
 from datagen.scene.textures import ImageTexture, Reflectance
 from datagen.scene.values import Color
 
@@ -64,10 +65,6 @@ class Mapper:
         return self._opaque(foreign, shape, where=where)
 
     def _glass(self, foreign: ForeignMaterial, shape: Shape, *, where: str) -> Material:
-        if foreign.dispersion > 0:
-            self.remarks.approximate(
-                where, f"disperses light (Abbe number {20 / foreign.dispersion:.3g}); drawn with one index"
-            )
         ior, color = self._ior(foreign, where=where), self._flat_color(foreign, where=where)
         says_thin = foreign.is_thin or (self.thin == "file" and not foreign.is_volume)
         is_thin = not shape.is_closed or self.thin == "all" or says_thin
@@ -83,6 +80,8 @@ class Mapper:
                 self.remarks.approximate(where, "is solid; drawn as thin glass, as --thin all asks for")
             if alpha > SMOOTH_ALPHA:
                 self.remarks.approximate(where, f"is a rough pane (GGX alpha {alpha:.2g}); drawn smooth")
+            if foreign.dispersion > 0:
+                self.remarks.approximate(where, "its dispersion is left out, since a thin pane bends nothing")
             if foreign.is_volume and max(self._absorption(foreign)) > 0:
                 self.remarks.approximate(where, "its absorption is left out, since a thin pane has no depth")
             return ThinDielectric(ior=ior, tint=color)
@@ -105,9 +104,14 @@ class Mapper:
         if foreign.is_drink and foreign.priority == 0:
             self.remarks.note(where, "is a liquid by its name; where it reaches into glass, the glass is what counts")
         priority = foreign.priority or (-1 if foreign.is_drink else 0)
+        if (dispersion := foreign.dispersion) > MAX_DISPERSION:
+            self.remarks.approximate(where, f"has a dispersion of {dispersion:g}; drawn with {MAX_DISPERSION:g}")
+            dispersion = MAX_DISPERSION
         if alpha > SMOOTH_ALPHA:
-            return RoughDielectric(ior=ior, absorption=absorption, priority=priority, roughness=alpha)
-        return Dielectric(ior=ior, absorption=absorption, priority=priority)
+            return RoughDielectric(
+                ior=ior, absorption=absorption, priority=priority, dispersion=dispersion, roughness=alpha
+            )
+        return Dielectric(ior=ior, absorption=absorption, priority=priority, dispersion=dispersion)
 
     def _absorption(self, foreign: ForeignMaterial) -> Color:
         """1/m: after the attenuation distance, light is the attenuation colour. Source: KHR_materials_volume."""

@@ -46,8 +46,8 @@ class Surface:
 class Medium:
     """What fills a closed mesh and bends light: glass or a liquid (datagen/scene/media.py)."""
 
-    ior: float
-    """Absolute index of refraction; air has 1."""
+    iors: Color
+    """Absolute index of refraction by channel; air has 1."""
     absorption: Color
     """1/m, by channel."""
     priority: int
@@ -56,6 +56,11 @@ class Medium:
     def __post_init__(self) -> None:
         if not -MAX_PRIORITY <= self.priority <= MAX_PRIORITY:
             raise HyalineError(f"priority: is {self.priority}; expected {-MAX_PRIORITY} to {MAX_PRIORITY}")
+
+    @property
+    def ior(self) -> float:
+        """Of yellow-green light."""
+        return self.iors[1]
 
 
 @dataclass(frozen=True, kw_only=True)

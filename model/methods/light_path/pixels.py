@@ -83,7 +83,7 @@ class LightPathPixels:
             facets = self._facets(len(pixels), samples, rng)
         # Of most branches the end is all that counts: one place holds the last vertex.
         with short_lived_workers():
-            paths = self.tracer.trace(
+            paths = self.tracer.trace_colors(
                 origins,
                 directions,
                 max_branches=config.branches,

@@ -58,7 +58,7 @@ def sample() -> dict:
     data = json.loads(scene_files(synthetic_scene())["scene.json"])
     colors = [[0.1, 0.1, 0.1], [0.8, 0.8, 0.8]]
     materials = [
-        {"type": "Dielectric", "ior": "bk7", "absorption": [1, 2, 3], "priority": -1},
+        {"type": "Dielectric", "ior": "bk7", "absorption": [1, 2, 3], "priority": -1, "dispersion": "measured"},
         {"type": "RoughDielectric", "ior": 1.4, "roughness": 0.2},
         {"type": "ThinDielectric", "tint": [1, 0.5, 0.5]},
         {"type": "Diffuse", "color": {"type": "SolidTexture", "pattern": "wood", "colors": colors, "scale": 0.1}},

@@ -1,5 +1,6 @@
 """Tests that foreign materials become the nearest ones of ours, by the formulas of glTF's extensions."""
 
+import dataclasses
 import io
 import math
 from pathlib import Path
@@ -148,9 +149,21 @@ def test_rough_glass_has_facets_of_its_roughness_squared_and_a_rough_pane_is_dra
     assert any("rough pane (GGX alpha 0.25)" in line for line in lines)
 
 
+def test_dispersion_is_kept_and_left_out_of_a_pane_that_bends_nothing(tmp_path: Path) -> None:
+    extensions = {**glass(), "KHR_materials_dispersion": {"dispersion": 0.5}}
+    entry = foreign(tmp_path, pbrMetallicRoughness=clear(roughnessFactor=0.0), extensions=extensions)
+    assert mapped(entry) == (Dielectric(ior=1.5, dispersion=0.5), [])
+    pane, lines = mapped(entry, OPEN)
+    assert pane == ThinDielectric(ior=1.5)
+    assert any("dispersion is left out" in line for line in lines)
+    solid, lines = mapped(dataclasses.replace(entry, dispersion=60.0, roughness=0.5))
+    assert solid == RoughDielectric(ior=1.5, dispersion=20.0, roughness=0.25)
+    assert any("has a dispersion of 60; drawn with 20" in line for line in lines)
+
+
 def test_each_thing_that_is_not_drawn_is_a_line(tmp_path: Path) -> None:
     builder = GltfBuilder()
-    extensions = {**glass(), "KHR_materials_sheen": {}, "KHR_materials_dispersion": {"dispersion": 0.5}}
+    extensions = {**glass(), "KHR_materials_sheen": {}}
     texture = {"index": 0}
     material = builder.material(
         pbrMetallicRoughness=clear(roughnessFactor=0.5, metallicRoughnessTexture=texture),
@@ -171,7 +184,6 @@ def test_each_thing_that_is_not_drawn_is_a_line(tmp_path: Path) -> None:
         "occlusion",
         "metalness",
         "glows",
-        "Abbe number 40",
     ):
         assert word in lines
     with pytest.raises(HyalineError, match="leave out --strict"):
