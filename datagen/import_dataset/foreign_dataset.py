@@ -7,7 +7,7 @@ from typing import Literal, get_args
 import numpy as np
 from jaxtyping import Float
 
-from datagen.data.resolution import Resolution
+from datagen.scene.importers.transforms import Lens
 
 Role = Literal["train", "val", "test"]
 ROLES: tuple[Role, ...] = get_args(Role)
@@ -25,15 +25,6 @@ class ForeignView:
     depth: Path | None
     world_from_camera: Float[np.ndarray, "4 4"]
     """OpenGL convention, in the folder's units and axes."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Lens:
-    """The lens of all pictures: square pixels, its axis through their middle."""
-
-    fov_x: float
-    """Radians."""
-    size: Resolution
 
 
 @dataclass(frozen=True, kw_only=True)

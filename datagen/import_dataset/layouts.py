@@ -25,9 +25,9 @@ from datagen.import_dataset.foreign_dataset import (
     Layout,
     Role,
 )
-from datagen.import_dataset.transforms import TransformsFile, refuse_other_lens
 from datagen.scene.description import MAX_OBJECTS, OBJECT_NAME
 from datagen.scene.importers.fields import Fields
+from datagen.scene.importers.transforms import TransformsFile, refuse_other_lens
 
 ONE_FILE = "transforms.json"
 EVERY = 8

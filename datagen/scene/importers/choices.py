@@ -22,8 +22,9 @@ class ImportChoices:
     gold, ...), or for those that match a pattern: 'leg*=gold'. Later ones win."""
     thin: Thin = "open"
     """Glass that is drawn as thin panes: open meshes, also what the file calls thin-walled (file), or all."""
-    cameras: Literal["around", "file"] = "around"
-    """Cameras all around the glass, or those that the file brings."""
+    cameras: str = "around"
+    """Cameras all around the glass (around), those that the file brings (file), or those of a transforms.json or of a
+    folder of COLMAP's, in the file's own axes and units."""
     ground: Literal["auto", "always", "never"] = "auto"
     """Add a checkered ground: where nothing lies below the glass, always or never."""
     repair: bool = False

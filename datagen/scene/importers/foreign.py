@@ -91,6 +91,19 @@ class ForeignLight:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class ForeignMap:
+    """Light from infinitely far as an equirectangular picture."""
+
+    data: bytes
+    ending: str
+    """.exr or .hdr"""
+    scale: float
+    middle: Float[np.ndarray, "3"]
+    """Direction of its middle column's horizon, in the file's axes; further right in it is clockwise around `up`."""
+    up: Float[np.ndarray, "3"]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class ForeignCamera:
     """A camera of the file."""
 
@@ -110,8 +123,8 @@ class ForeignScene:
     metres: float = 1.0
     """Metres a unit, by the format's rule; 1 where it has none."""
     lights: tuple[ForeignLight, ...] = ()
-    sky: Color | None = None
-    """Radiance from all around; None where the file says nothing of it."""
+    sky: Color | ForeignMap | None = None
+    """Radiance from all around, or a map of it; None where the file says nothing of it."""
     cameras: tuple[ForeignCamera, ...] = ()
     is_complete: bool = False
     """It was made to be rendered as it is: no ground is added, and it stays where it is."""

@@ -11,6 +11,7 @@ from datagen.scene.importers.fields import Fields
 from datagen.scene.importers.foreign import (
     MAX_SURFACES,
     MAX_TRIANGLES,
+    ForeignCamera,
     ForeignMaterial,
     ForeignObject,
     ForeignScene,
@@ -36,7 +37,8 @@ def read_gltf(path: Path, remarks: Remarks) -> ForeignScene:
     file = GltfFile(path)
     arrays = GltfArrays(file)
     _check_lists(file)
-    placed = list(instances(arrays, remarks))
+    cameras: list[ForeignCamera] = []
+    placed = list(instances(arrays, cameras, remarks))
     if "animations" in file.root:
         remarks.note(path.name, "has animations; each object stands where its node puts it")
     uses: dict[int, int] = {}
@@ -57,7 +59,7 @@ def read_gltf(path: Path, remarks: Remarks) -> ForeignScene:
             objects.append(_placed(part, own, instance.world_from_mesh))
     if not objects:
         raise HyalineError(f"{path}: holds no triangles; expected a scene with a mesh")
-    return ForeignScene(objects=tuple(objects), up="y")
+    return ForeignScene(objects=tuple(objects), up="y", cameras=tuple(cameras))
 
 
 def _check_lists(file: GltfFile) -> None:

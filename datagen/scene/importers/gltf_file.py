@@ -63,6 +63,7 @@ class GltfFile:
                 "accessors",
                 "bufferViews",
                 "buffers",
+                "cameras",
                 "images",
                 "materials",
                 "meshes",

@@ -3,6 +3,7 @@
 Source: glTF 2.0 section 3.5, EXT_mesh_gpu_instancing.
 """
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -10,8 +11,9 @@ import numpy as np
 from jaxtyping import Float
 
 from datagen.disk.errors import HyalineError
+from datagen.scene.camera_list import MAX_SKEW
 from datagen.scene.importers.fields import Fields
-from datagen.scene.importers.foreign import MAX_SURFACES
+from datagen.scene.importers.foreign import MAX_SURFACES, ForeignCamera
 from datagen.scene.importers.gltf_arrays import GltfArrays
 from datagen.scene.importers.remarks import Remarks
 
@@ -28,8 +30,11 @@ class Instance:
     world_from_mesh: Float[np.ndarray, "4 4"]
 
 
-def instances(arrays: GltfArrays, remarks: Remarks) -> Iterator[Instance]:
+def instances(arrays: GltfArrays, cameras: list[ForeignCamera], remarks: Remarks) -> Iterator[Instance]:
     """Every mesh of the file's scene, once for each place at which it stands; parents come before children.
+
+    Args:
+        cameras: takes those of the scene.
 
     Raises:
         HyalineError: nodes in a circle, or one that has two parents.
@@ -59,6 +64,9 @@ def instances(arrays: GltfArrays, remarks: Remarks) -> Iterator[Instance]:
                     raise HyalineError(f"{file.path}: places more than {MAX_SURFACES:,} meshes; expected fewer")
                 mesh = node.integer("mesh", high=len(file.lists["meshes"]) - 1)
                 yield Instance(node=node, mesh=mesh, world_from_mesh=world_from_mesh)
+        if "camera" in node:
+            camera = file.item("cameras", node.integer("camera"), where=node.where)
+            cameras += _camera(camera, world_from_node, remarks)
         _remark_on(node, remarks)
         children = node.indices("children", count=len(nodes))
         waiting += [(child, world_from_node) for child in reversed(children)]
@@ -69,10 +77,29 @@ def _name(node: Fields) -> str:
 
 
 def _remark_on(node: Fields, remarks: Remarks) -> None:
-    if "camera" in node:
-        remarks.note(_name(node), "is a camera; the scene gets cameras all around instead")
     if node.extension("KHR_lights_punctual") is not None:
         remarks.approximate(_name(node), "is a lamp, which is left out; the scene gets soft light from all around")
+
+
+def _camera(camera: Fields, world: Float[np.ndarray, "4 4"], remarks: Remarks) -> list[ForeignCamera]:
+    """A camera where it stands; none where it is orthographic. glTF's cameras are OpenGL's."""
+    if camera.text("type", "perspective") != "perspective":
+        remarks.approximate(_name(camera), "is an orthographic camera, which is left out")
+        return []
+    lens = camera.fields("perspective")
+    high, aspect = lens.number("yfov", 0.0), lens.number("aspectRatio", 1.0)
+    if not (0 < high < math.pi and 0 < aspect < 1e3):
+        raise HyalineError(f"{lens.where}: sees {high:g} radians at an aspect of {aspect:g}; expected 0 to pi, above 0")
+    lengths = np.linalg.norm(world[:3, :3], axis=0)
+    if not lengths.min() > 0:
+        raise HyalineError(f"{camera.where}: its node flattens it to nothing; expected a scale other than 0")
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = world[:3, :3] / lengths, world[:3, 3]
+    axes = matrix[:3, :3]
+    if np.abs(axes.T @ axes - np.eye(3)).max() > MAX_SKEW or np.linalg.det(axes) < 0:
+        remarks.approximate(_name(camera), "is a camera that its node skews or mirrors, which is left out")
+        return []
+    return [ForeignCamera(world_from_camera=matrix, fov_deg=math.degrees(2 * math.atan(math.tan(high / 2) * aspect)))]
 
 
 def _roots(arrays: GltfArrays) -> list[int]:

@@ -13,8 +13,9 @@ from datagen.disk.records import Json, shown
 from datagen.disk.storage import sha256_file
 from datagen.scene.description import MAX_OBJECTS, OBJECT_NAME, Scene, SceneObject
 from datagen.scene.importers.apart import apart, parted
+from datagen.scene.importers.camera_files import read_camera_file
 from datagen.scene.importers.choices import ImportChoices
-from datagen.scene.importers.foreign import Axis, ForeignMaterial, ForeignObject, ForeignScene, elementwise
+from datagen.scene.importers.foreign import Axis, ForeignMap, ForeignMaterial, ForeignObject, ForeignScene, elementwise
 from datagen.scene.importers.gltf import read_gltf
 from datagen.scene.importers.mapping import Mapper, lets_light_through
 from datagen.scene.importers.merging import merged_by_material
@@ -33,6 +34,7 @@ from datagen.scene.importers.staging import (
     make_ground,
     make_rig,
     placed_light,
+    placed_map,
     z_up_from,
 )
 from datagen.scene.importers.stl import read_stl
@@ -115,23 +117,34 @@ def import_scene(path: Path, choices: ImportChoices) -> Imported:
         if part.uv is None:
             without_uv.add(name)
     objects = apart(objects, remarks)
-    rig = (
-        make_rig(objects, remarks) if choices.cameras == "around" else listed_cameras(foreign, linear, offset, remarks)
-    )
+    if choices.cameras == "around":
+        rig = make_rig(objects, remarks)
+        if foreign.cameras:
+            remarks.note("cameras", f"the file brings {len(foreign.cameras)}, which --cameras file takes")
+    else:
+        given = foreign.cameras if choices.cameras == "file" else read_camera_file(Path(choices.cameras), remarks)
+        rig = listed_cameras(given, linear, offset, remarks)
     wants_ground = choices.ground == "auto" and not foreign.is_complete and not has_ground(objects)
     if choices.ground == "always" or wants_ground:
         ground = make_ground(objects, resolution=choices.resolution, remarks=remarks)
         without_uv.add(ground.name)
         objects.append(ground)
     used = {image.path for item in objects for image in item.material.images().values()}
+    baked = {image: data for image, data in mapper.images.items() if image in used}
+    environment = LIGHT
+    if isinstance(foreign.sky, ForeignMap):
+        environment = placed_map(foreign.sky, linear, remarks)
+        baked[environment.path] = foreign.sky.data
+    elif foreign.sky is not None:
+        environment = even_sky(foreign.sky)
     scene = Scene(
         name=scene_name(path),
         description=f"Imported from {path.name}"[:200],
         objects=tuple(objects),
-        environment=LIGHT if foreign.sky is None else even_sky(foreign.sky),
+        environment=environment,
         lights=tuple(placed_light(light, linear, offset) for light in foreign.lights),
         cameras=rig,
-        baked={image: data for image, data in mapper.images.items() if image in used},
+        baked=baked,
     )
     scene = mend_scene(scene, without_uv={item.name for item in objects if item.name in without_uv})
     check_scene(scene)

@@ -9,6 +9,7 @@ from datagen.data.meshes import Mesh
 from datagen.disk.errors import HyalineError
 from datagen.scene.importers.foreign import ForeignObject, elementwise
 from datagen.scene.importers.mitsuba_nodes import Node
+from datagen.scene.importers.mitsuba_serialized import read_serialized
 from datagen.scene.importers.obj import PLAIN, read_obj
 from datagen.scene.importers.ply import read_ply_file
 from datagen.scene.importers.remarks import Remarks
@@ -62,6 +63,11 @@ def _ply(node: Node, remarks: Remarks) -> list[ForeignObject]:
 def _obj(node: Node, remarks: Remarks) -> list[ForeignObject]:
     objects = read_obj(node.file("filename"), remarks, has_materials=False).objects
     return [_named(node, item, flips=not node.flag("flip_tex_coords", default=True)) for item in objects]
+
+
+def _serialized(node: Node, remarks: Remarks) -> list[ForeignObject]:  # noqa: ARG001
+    index = node.number("shape_index", 0)
+    return [_named(node, read_serialized(node.file("filename"), int(index)), flips=True)]
 
 
 def _named(node: Node, item: ForeignObject, *, flips: bool) -> ForeignObject:
@@ -124,5 +130,5 @@ def _cylinder(node: Node, remarks: Remarks) -> list[ForeignObject]:  # noqa: ARG
 
 SHAPES: dict[str, Callable[[Node, Remarks], list[ForeignObject]]] = {
     "ply": _ply, "obj": _obj, "sphere": _sphere, "cube": _cube, "rectangle": _rectangle, "disk": _disk,
-    "cylinder": _cylinder,
+    "cylinder": _cylinder, "serialized": _serialized,
 }  # fmt: skip

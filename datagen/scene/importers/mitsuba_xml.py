@@ -10,12 +10,16 @@ from pathlib import Path
 import numpy as np
 
 from datagen.disk.errors import HyalineError
+from datagen.disk.reading import read_regular
+from datagen.scene.environment_maps import read_map
 from datagen.scene.importers.foreign import (
+    MAX_FILE_BYTES,
     MAX_SURFACES,
     MAX_TRIANGLES,
     Axis,
     ForeignCamera,
     ForeignLight,
+    ForeignMap,
     ForeignObject,
     ForeignScene,
 )
@@ -24,6 +28,7 @@ from datagen.scene.importers.mitsuba_nodes import Node, NodeList
 from datagen.scene.importers.mitsuba_shapes import read_shape
 from datagen.scene.importers.obj import PLAIN
 from datagen.scene.importers.remarks import Remarks
+from datagen.scene.lights import MAP_ENDINGS
 from datagen.scene.values import Color
 
 QUIET = ("Integrator", "Sampler", "Film", "BSDF", "Texture", "Medium")
@@ -40,7 +45,7 @@ def read_mitsuba(path: Path, remarks: Remarks) -> ForeignScene:
     objects: list[ForeignObject] = []
     lights: list[ForeignLight] = []
     cameras: list[ForeignCamera] = []
-    sky: Color | None = None
+    sky: Color | ForeignMap | None = None
     for node in nodes.root.children():
         if node.kind == "Shape":
             _add_shape(node, objects, lights, remarks)
@@ -48,6 +53,8 @@ def read_mitsuba(path: Path, remarks: Remarks) -> ForeignScene:
             cameras.append(_camera(node, remarks))
         elif node.kind == "Emitter" and node.plugin == "constant":
             sky = node.color("radiance", 1.0)
+        elif node.kind == "Emitter" and node.plugin == "envmap":
+            sky = _map(node)
         elif node.kind == "Emitter":
             remarks.approximate(node.name, f"is a light of kind {node.plugin}, which is left out")
         elif node.kind not in QUIET:
@@ -102,6 +109,22 @@ def _light(node: Node, emitter: Node) -> ForeignLight:
     return ForeignLight(
         corner=corner[:3], edge_u=edge_u[:3], edge_v=edge_v[:3], radiance=emitter.color("radiance", 1.0)
     )  # fmt: skip
+
+
+def _map(node: Node) -> ForeignMap:
+    """A map of the environment: its middle column lies towards +z, and +y is up, before it is turned."""
+    path = node.file("filename")
+    if path.suffix.lower() not in MAP_ENDINGS:
+        raise HyalineError(f"{node.where}: names {path.name}; expected linear radiance, in .exr or .hdr")
+    world = node.matrix("to_world")[:3, :3]
+    if np.linalg.det(world) < 0:
+        raise HyalineError(f"{node.where}: is mirrored by its to_world; expected a turn, mirror the picture instead")
+    data, scale = read_regular(path, at_most=MAX_FILE_BYTES), node.number("scale", 1.0)
+    read_map(data, where=str(path))
+    if scale <= 0:
+        raise HyalineError(f"{node.where}: scale is {scale:g}; expected more than 0")
+    middle, up = (column / np.linalg.norm(column) for column in (world[:, 2], world[:, 1]))
+    return ForeignMap(data=data, ending=path.suffix.lower(), scale=scale, middle=middle, up=up)
 
 
 def _camera(node: Node, remarks: Remarks) -> ForeignCamera:

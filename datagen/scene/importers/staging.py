@@ -10,8 +10,9 @@ from datagen.data.meshes import face_corners
 from datagen.disk.errors import HyalineError
 from datagen.scene.camera_list import CameraList, matrix_rows
 from datagen.scene.description import CameraRig, Lobe, RectangleLight, SceneObject, SoftEnvironment, WalkPoint
-from datagen.scene.importers.foreign import Axis, ForeignLight, ForeignScene
+from datagen.scene.importers.foreign import Axis, ForeignCamera, ForeignLight, ForeignMap
 from datagen.scene.importers.remarks import Remarks
+from datagen.scene.lights import EnvironmentMap
 from datagen.scene.materials import Diffuse
 from datagen.scene.modelling import sheet
 from datagen.scene.textures import SolidTexture
@@ -34,6 +35,8 @@ MIN_BACKDROP_DEG, MIN_ARC_DEG = 60, 80
 GRAZING_DEG = 15.0
 """Degrees that cameras keep from the edge of a backdrop."""
 DUST = 1e-9
+UPRIGHT = 0.9999
+"""Cosine of the angle by which a map of the environment may lean."""
 FRONT_DEG = -90.0
 """Azimuth from which files are meant to be seen: glTF's +z, ours -y."""
 
@@ -96,26 +99,38 @@ def _without_dust(edge: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
     return np.where(np.abs(edge) < DUST * np.abs(edge).max(), 0.0, edge)
 
 
+def placed_map(sky: ForeignMap, linear: Float[np.ndarray, "3 3"], remarks: Remarks) -> EnvironmentMap:
+    """A map of the environment in our world; one that does not stand upright there is set up."""
+    middle, up = (linear @ sky.middle, linear @ sky.up)
+    if up[2] < UPRIGHT * np.linalg.norm(up):
+        remarks.approximate("environment", "is tilted; drawn upright, turned about the vertical alone")
+    return EnvironmentMap(
+        path=f"textures/environment{sky.ending}",
+        scale=sky.scale,
+        rotation_deg=math.degrees(math.atan2(middle[1], middle[0])),
+    )
+
+
 def listed_cameras(
-    foreign: ForeignScene, linear: Float[np.ndarray, "3 3"], offset: Float[np.ndarray, "3"], remarks: Remarks
+    cameras: Sequence[ForeignCamera], linear: Float[np.ndarray, "3 3"], offset: Float[np.ndarray, "3"], remarks: Remarks
 ) -> CameraList:
-    """The cameras of the file in our world: the outermost for extrapolation, every eighth other one for interpolation.
+    """Cameras of a file in our world: the outermost for extrapolation, every eighth other one for interpolation.
 
     Of fewer than three, each split has all.
 
     Raises:
         HyalineError: the file has none.
     """
-    if not foreign.cameras:
+    if not cameras:
         raise HyalineError("--cameras file: the file brings no cameras; leave it out")
-    fov_deg = foreign.cameras[0].fov_deg
-    if any(abs(camera.fov_deg - fov_deg) > 1e-3 for camera in foreign.cameras):
+    fov_deg = cameras[0].fov_deg
+    if any(abs(camera.fov_deg - fov_deg) > 1e-3 for camera in cameras):
         remarks.approximate(
             "cameras", f"have several fields of view; all of them get the first one's, {fov_deg:.3g} degrees"
         )
     rotation = linear / abs(np.linalg.det(linear)) ** (1 / 3)
     matrices = []
-    for camera in foreign.cameras:
+    for camera in cameras:
         matrix = np.eye(4)
         matrix[:3, :3] = rotation @ camera.world_from_camera[:3, :3]
         matrix[:3, 3] = linear @ camera.world_from_camera[:3, 3] + offset

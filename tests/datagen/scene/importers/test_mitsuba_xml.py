@@ -3,7 +3,9 @@
 import io
 import math
 import os
+import struct
 import time
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -11,10 +13,12 @@ import pytest
 from PIL import Image
 from support.gltf import BOX
 
+from datagen.data.exr import encode_float_exr
 from datagen.data.meshes import signed_volume, write_ply
 from datagen.disk.errors import HyalineError
 from datagen.scene.camera_list import CameraList
-from datagen.scene.description import SoftEnvironment
+from datagen.scene.description import EnvironmentMap, SoftEnvironment
+from datagen.scene.environment_maps import look_up, read_map
 from datagen.scene.importers.choices import ImportChoices
 from datagen.scene.importers.foreign import ForeignMaterial, ForeignObject, ForeignScene
 from datagen.scene.importers.importing import import_scene
@@ -296,3 +300,89 @@ def test_a_hostile_scene_is_refused_in_one_line_and_nothing_outside_is_told(name
     assert time.process_time() - read_ready < 2.5
     text = str(refused.value)
     assert "\n" not in text and "root:" not in text and len(text) < 1000
+
+
+# Maps of the environment and serialized meshes
+
+
+def write_map(path: Path) -> np.ndarray:
+    """A map in which every direction differs, and which is smooth enough to be compared."""
+    row, column = np.mgrid[:32, :64] / 32
+    values = np.stack([1 + np.cos(np.pi * column), 1 + np.sin(np.pi * column), 1.5 + np.cos(np.pi * row)], axis=-1)
+    path.write_bytes(encode_float_exr({name: values[..., c].astype(np.float32) for c, name in enumerate("RGB")}))
+    return values
+
+
+@pytest.mark.parametrize(
+    "turn",
+    [
+        "",
+        '<rotate y="1" angle="70"/>',
+        '<rotate x="1" angle="90"/>',
+        '<rotate x="1" angle="90"/><rotate z="1" angle="-40"/>',
+    ],
+)
+def test_a_map_of_the_environment_shines_from_where_mitsuba_has_it(tmp_path: Path, turn: str) -> None:
+    write_map(tmp_path / "sky.exr")
+    envmap = (
+        '<emitter type="envmap"><string name="filename" value="sky.exr"/><float name="scale" value="2"/>'
+        f'<transform name="to_world">{turn}</transform></emitter>'
+    )
+    (tmp_path / "a.xml").write_text(f'<scene version="3.0.0">{CUBE}{envmap}</scene>')
+    up = "z" if 'x="1"' in turn else "y"
+    imported = import_scene(tmp_path / "a.xml", ImportChoices(up=up))
+    sky = imported.scene.environment
+    assert isinstance(sky, EnvironmentMap) and not any("tilted" in line for line in imported.told())
+    import mitsuba as mi
+
+    world = mi.load_file(str(tmp_path / "a.xml"))
+    directions = np.random.default_rng(0).normal(size=(200, 3))
+    directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
+    theirs = directions if up == "z" else directions @ np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]])
+    found = []
+    for direction in theirs:
+        si = mi.SurfaceInteraction3f()
+        si.wi = mi.Vector3f(*(-direction).tolist())
+        found.append(np.array(world.environment().eval(si)).reshape(-1)[:3])
+    radiance = read_map(imported.scene.baked[sky.path], where="sky")
+    ours = sky.scale * look_up(radiance, directions, sky.rotation_deg)
+    assert np.abs(ours - np.array(found)).max() < 0.05 * ours.max()
+
+
+@pytest.mark.parametrize(
+    ("inside", "message"),
+    [
+        ('<string name="filename" value="../sky.exr"/>', "expected a file inside the folder"),
+        ('<string name="filename" value="sky.png"/>', "expected linear radiance, in .exr or .hdr"),
+        ('<string name="filename" value="cut.exr"/>', "cut.exr"),
+        ('<string name="filename" value="sky.exr"/><float name="scale" value="-1"/>', "scale is -1"),
+        (
+            '<string name="filename" value="sky.exr"/><transform name="to_world"><scale x="-1"/></transform>',
+            "is mirrored by its to_world",
+        ),
+    ],
+)
+def test_broken_maps_are_refused(tmp_path: Path, inside: str, message: str) -> None:
+    write_map(tmp_path / "sky.exr")
+    (tmp_path / "cut.exr").write_bytes((tmp_path / "sky.exr").read_bytes()[:200])
+    (tmp_path / "sky.png").write_bytes(b"")
+    with pytest.raises(HyalineError, match=message):
+        read(tmp_path, f'{CUBE}<emitter type="envmap">{inside}</emitter>')
+
+
+def test_serialized_shapes_lie_as_mitsuba_has_them(tmp_path: Path) -> None:
+    uv = BOX.uv.astype("<f4")
+    body = struct.pack("<I", 0x1003) + b"box\0" + struct.pack("<QQ", len(BOX.vertices), len(BOX.faces))
+    for values in (BOX.vertices.astype("<f4"), BOX.normals.astype("<f4"), uv, BOX.faces.astype("<u4")):
+        body += np.ascontiguousarray(values).tobytes()
+    data = struct.pack("<HH", 0x041C, 4) + zlib.compress(body)
+    (tmp_path / "a.serialized").write_bytes(data + struct.pack("<QI", 0, 1))
+    shape = '<shape type="serialized"><string name="filename" value="a.serialized"/></shape>'
+    (item,) = read(tmp_path, shape).objects
+    import mitsuba as mi
+
+    theirs = mi.traverse(mi.load_file(str(tmp_path / "a.xml")).shapes()[0])
+    np.testing.assert_allclose(item.positions, np.array(theirs["vertex_positions"]).reshape(-1, 3), atol=1e-7)
+    assert item.uv is not None
+    np.testing.assert_allclose(item.uv[:, 1], 1 - np.array(theirs["vertex_texcoords"]).reshape(-1, 2)[:, 1], atol=1e-7)
+    assert (item.faces == np.array(theirs["faces"]).reshape(-1, 3)).all()

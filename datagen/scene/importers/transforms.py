@@ -1,6 +1,7 @@
 """One transforms file: the lens and the frames that NeRF tools write, each value checked."""
 
 import math
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -13,13 +14,21 @@ from datagen.disk.errors import HyalineError
 from datagen.disk.names import find_file
 from datagen.disk.reading import load_json, open_regular
 from datagen.disk.records import shown
-from datagen.import_dataset.foreign_dataset import Lens
 from datagen.scene.importers.fields import Fields
 
 DISTORTION = ("k1", "k2", "k3", "k4", "p1", "p2")
 ENDINGS = ("", ".png", ".jpg", ".jpeg", ".JPG", ".webp")
 TOLERANCE = 1e-3
 """Share of the picture by which its axis may miss the middle, or two lenses may differ."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lens:
+    """The lens of all pictures: square pixels, its axis through their middle."""
+
+    fov_x: float
+    """Radians."""
+    size: Resolution
 
 
 class TransformsFile:
@@ -76,6 +85,25 @@ class TransformsFile:
                 f"and {number('fl_y', focal):g}; expected the middle, and square pixels"
             )
         return Lens(fov_x=2 * math.atan(0.5 * width / focal), size=size)
+
+    def angle(self, frame: Fields) -> tuple[float, bool]:
+        """A frame's horizontal angle of view in radians, and whether its lens is more than that.
+
+        Raises:
+            HyalineError: nothing says it.
+        """
+
+        def number(key: str, default: float) -> float:
+            return frame.number(key, self.fields.number(key, default))
+
+        width, focal = number("w", 2 * number("cx", 0.0)), number("fl_x", 0.0)
+        angle = 2 * math.atan(0.5 * width / focal) if focal > 0 and width > 0 else number("camera_angle_x", 0.0)
+        if not 0 < angle < math.pi:
+            raise HyalineError(
+                f"{frame.where}: has no lens; expected camera_angle_x in radians, or fl_x and w in pixels"
+            )
+        is_off = width > 0 and abs(number("cx", width / 2) / width - 0.5) > TOLERANCE
+        return angle, is_off or any(abs(number(key, 0.0)) > 1e-9 for key in DISTORTION)
 
     def pose(self, frame: Fields) -> np.ndarray:
         """world_from_camera of a frame, in the file's units.

@@ -1,0 +1,220 @@
+"""Cameras of a COLMAP reconstruction: cameras and images, as text or binary.
+
+Source: COLMAP's documentation of its output format, and the list of its camera models.
+"""
+
+import math
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from datagen.data.config import MAX_VIEWS
+from datagen.disk.errors import HyalineError
+from datagen.disk.names import find_file
+from datagen.disk.reading import read_regular
+from datagen.disk.records import shown
+from datagen.scene.importers.foreign import MAX_FILE_BYTES, ForeignCamera
+from datagen.scene.importers.remarks import Remarks
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Model:
+    """A camera model: its name, and how many numbers it has; the focal lengths come first, then the middle."""
+
+    name: str
+    numbers: int
+    focals: int = 1
+
+
+MODELS = {
+    0: _Model(name="SIMPLE_PINHOLE", numbers=3),
+    1: _Model(name="PINHOLE", numbers=4, focals=2),
+    2: _Model(name="SIMPLE_RADIAL", numbers=4),
+    3: _Model(name="RADIAL", numbers=5),
+    4: _Model(name="OPENCV", numbers=8, focals=2),
+    6: _Model(name="FULL_OPENCV", numbers=12, focals=2),
+}
+"""By COLMAP's number. The others are of lenses that see wider than a plane shows."""
+IMAGE, POINT = struct.Struct("<I7dI"), 24
+CAMERA = struct.Struct("<IiQQ")
+FOLDERS = ("", "sparse/0", "sparse", "colmap/sparse/0")
+"""Where reconstructions lie in the folders of a capture."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Lens:
+    width: int
+    height: int
+    model: _Model
+    values: tuple[float, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Image:
+    name: str
+    camera: int
+    pose: tuple[float, ...]
+    """Quaternion (w, x, y, z) and translation: from the world to the camera, which looks along +z, +y down."""
+
+
+def has_colmap(root: Path) -> bool:
+    """True where a folder holds a reconstruction."""
+    return _place(root) is not None
+
+
+def read_colmap(root: Path, remarks: Remarks) -> tuple[ForeignCamera, ...]:
+    """The cameras of a folder, in the order of their pictures' names.
+
+    Raises:
+        HyalineError: a file is damaged, or has a camera that cannot be drawn.
+    """
+    found = _place(root)
+    assert found is not None, "asked for where has_colmap says so"
+    folder, ending = found
+    paths = [find_file(folder, f"{name}.{ending}", where=str(folder)) for name in ("cameras", "images")]
+    lenses, images = (_read_binary if ending == "bin" else _read_text)(*paths)
+    if not 1 <= len(images) <= MAX_VIEWS:
+        raise HyalineError(f"{paths[1]}: has {len(images):,} images; expected 1 to {MAX_VIEWS:,}")
+    cameras = []
+    for image in sorted(images, key=lambda image: image.name):
+        where = f"{paths[1]}: {shown(image.name)}"
+        if image.camera not in lenses:
+            raise HyalineError(f"{where}: was taken by camera {image.camera}; expected one that {paths[0].name} has")
+        fov_deg = _fov_deg(lenses[image.camera], remarks, where=where)
+        cameras.append(ForeignCamera(world_from_camera=_world_from_camera(image, where=where), fov_deg=fov_deg))
+    return tuple(cameras)
+
+
+def _place(root: Path) -> tuple[Path, str] | None:
+    """The folder of a reconstruction, and the ending of its files."""
+    for folder in FOLDERS:
+        for ending in ("bin", "txt"):
+            if all((root / folder / f"{name}.{ending}").is_file() for name in ("cameras", "images")):
+                return root / folder, ending
+    return None
+
+
+def _fov_deg(lens: _Lens, remarks: Remarks, *, where: str) -> float:
+    numbers = lens.values
+    middle = numbers[lens.model.focals : lens.model.focals + 2]
+    if not (numbers[0] > 0 and lens.width > 0 and lens.height > 0 and np.isfinite(numbers).all()):
+        raise HyalineError(
+            f"{where}: has a focal length of {numbers[0]:g} in pictures {lens.width} pixels wide; expected more than 0"
+        )
+    if any(abs(value) > 1e-9 for value in numbers[lens.model.focals + 2 :]):
+        remarks.approximate("cameras", "have a distorted lens; drawn as pinholes")
+    if max(abs(at - size / 2) for at, size in zip(middle, (lens.width, lens.height), strict=True)) > 0.5:
+        remarks.approximate("cameras", "have an axis off the middle of their pictures; drawn through the middle")
+    return math.degrees(2 * math.atan(0.5 * lens.width / numbers[0]))
+
+
+def _world_from_camera(image: _Image, *, where: str) -> np.ndarray:
+    quaternion, place = np.array(image.pose[:4]), np.array(image.pose[4:])
+    length = float(np.linalg.norm(quaternion))
+    if not (0.5 < length < 2 and np.abs(place).max() < 1e12):
+        raise HyalineError(f"{where}: has a rotation of length {length:g}; expected a quaternion of length 1")
+    w, x, y, z = quaternion / length
+    rotation = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+    matrix = np.eye(4)
+    # COLMAP's cameras look along +z with +y down; OpenGL's look along -z with +y up.
+    matrix[:3, :3] = rotation.T * [1, -1, -1]
+    matrix[:3, 3] = -rotation.T @ place
+    return matrix
+
+
+# Binary
+
+
+def _read_binary(cameras: Path, images: Path) -> tuple[dict[int, _Lens], list[_Image]]:
+    try:
+        return _binary_lenses(cameras), _binary_images(images)
+    except (struct.error, ValueError) as error:
+        raise HyalineError(
+            f"{cameras.parent}: its cameras or images are cut off ({error}); export them again"
+        ) from None
+
+
+def _binary_lenses(path: Path) -> dict[int, _Lens]:
+    data = read_regular(path, at_most=MAX_FILE_BYTES)
+    lenses, at = {}, 8
+    for _ in range(_count(data, path)):
+        camera, number, width, height = CAMERA.unpack_from(data, at)
+        model = _model(MODELS.get(number), number, where=str(path))
+        values = struct.unpack_from(f"<{model.numbers}d", data, at + CAMERA.size)
+        lenses[camera] = _Lens(width=width, height=height, model=model, values=values)
+        at += CAMERA.size + 8 * model.numbers
+    return lenses
+
+
+def _binary_images(path: Path) -> list[_Image]:
+    data = read_regular(path, at_most=MAX_FILE_BYTES)
+    images, at = [], 8
+    for _ in range(_count(data, path)):
+        _, *pose, camera = IMAGE.unpack_from(data, at)
+        end = data.index(b"\0", at + IMAGE.size)
+        name = data[at + IMAGE.size : end].decode(errors="replace")
+        (points,) = struct.unpack_from("<Q", data, end + 1)
+        at = end + 9 + POINT * points
+        if at > len(data):
+            raise ValueError(f"{points:,} points of {shown(name)}")
+        images.append(_Image(name=name, camera=camera, pose=tuple(pose)))
+    return images
+
+
+def _count(data: bytes, path: Path) -> int:
+    (count,) = struct.unpack_from("<Q", data)
+    if count > MAX_VIEWS:
+        raise HyalineError(f"{path}: has {count:,} entries; expected at most {MAX_VIEWS:,}")
+    return count
+
+
+# Text
+
+
+def _read_text(cameras: Path, images: Path) -> tuple[dict[int, _Lens], list[_Image]]:
+    by_name = {model.name: model for model in MODELS.values()}
+    lenses: dict[int, _Lens] = {}
+    listed: list[_Image] = []
+    where = str(cameras)
+    try:
+        for words in _lines(cameras):
+            if words:
+                model = _model(by_name.get(words[1]), words[1], where=where)
+                values = tuple(map(float, words[4:]))
+                if len(values) != model.numbers:
+                    raise ValueError(f"{len(values)} numbers of a {model.name}")
+                lens = _Lens(width=int(words[2]), height=int(words[3]), model=model, values=values)
+                lenses[int(words[0])] = lens
+        where = str(images)
+        # Each image is two lines, the second of which lists its points, and may be empty.
+        for words in _lines(images)[::2]:
+            if words:
+                pose = tuple(map(float, words[1:8]))
+                listed.append(_Image(name=" ".join(words[9:]), camera=int(words[8]), pose=pose))
+    except (ValueError, IndexError) as error:
+        raise HyalineError(f"{where}: has a line that cannot be read ({error}); export it again") from None
+    return lenses, listed
+
+
+def _lines(path: Path) -> list[list[str]]:
+    """The words of each line but comments, empty lines included."""
+    text = read_regular(path, at_most=MAX_FILE_BYTES).decode(errors="replace")
+    return [line.split() for line in text.splitlines() if not line.startswith("#")]
+
+
+def _model(model: _Model | None, given: object, *, where: str) -> _Model:
+    if model is None:
+        known = ", ".join(model.name for model in MODELS.values())
+        raise HyalineError(
+            f"{where}: has a camera of model {shown(str(given))}; expected one of {known}; undistort the pictures "
+            "first (`colmap image_undistorter`)"
+        )
+    return model

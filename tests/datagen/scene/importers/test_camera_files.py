@@ -1,0 +1,266 @@
+"""Tests that cameras of COLMAP, of NeRF tools and of glTF stand where they stood, and that broken ones are refused."""
+
+import json
+import math
+import struct
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.gltf import BOX, GltfBuilder
+from support.traced_dataset import write_traced_dataset
+
+from datagen.data.dataset import open_dataset
+from datagen.data.meshes import write_ply
+from datagen.disk.errors import HyalineError
+from datagen.export.formats import export_dataset
+from datagen.scene.camera_list import CameraList
+from datagen.scene.importers.camera_files import read_camera_file
+from datagen.scene.importers.choices import ImportChoices
+from datagen.scene.importers.foreign import MAX_TRIANGLES
+from datagen.scene.importers.importing import import_scene
+from datagen.scene.importers.mitsuba_serialized import read_serialized
+from datagen.scene.importers.remarks import Remarks
+
+
+@pytest.fixture(scope="module")
+def colmap(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, np.ndarray, float]:
+    """A folder of COLMAP's, and the cameras and the angle that it holds."""
+    root = tmp_path_factory.mktemp("colmap")
+    write_traced_dataset(root / "ours", resolution=16)
+    dataset = open_dataset(root / "ours")
+    export_dataset(dataset, "colmap", root / "theirs", num_points=20, flow=False, overwrite=False)
+    splits = ("extrapolating", "interpolating", "train")  # As the names of the pictures are sorted.
+    poses = np.concatenate([dataset.cameras(split).world_from_camera for split in splits])
+    return root / "theirs", poses, dataset.cameras("train").fov_x
+
+
+@pytest.mark.parametrize("left_out", ["bin", "txt"])
+def test_colmaps_cameras_are_read_from_text_and_from_binary_files(
+    colmap: tuple[Path, np.ndarray, float], tmp_path: Path, left_out: str
+) -> None:
+    theirs, poses, fov_x = colmap
+    ending = {"bin": "txt", "txt": "bin"}[left_out]
+    for name in ("cameras", "images"):
+        source = next(theirs.rglob(f"{name}.{ending}"))
+        (tmp_path / source.name).write_bytes(source.read_bytes())
+    remarks = Remarks()
+    found = read_camera_file(tmp_path, remarks)
+    assert np.abs(np.stack([camera.world_from_camera for camera in found]) - poses).max() < 1e-6
+    assert found[0].fov_deg == pytest.approx(math.degrees(fov_x), rel=1e-9) and remarks.lines == []
+
+
+def test_a_reconstruction_is_found_where_captures_keep_it(colmap: tuple[Path, np.ndarray, float]) -> None:
+    theirs, poses, _ = colmap
+    assert len(read_camera_file(theirs, Remarks())) == len(poses)
+
+
+CAMERA = "1 PINHOLE 100 80 120 120 50 40\n"
+IMAGE = "1 1 0 0 0 0 0 5 1 a.png\n\n"
+
+
+def write_text(root: Path, cameras: str, images: str) -> Path:
+    (root / "cameras.txt").write_text(cameras)
+    (root / "images.txt").write_text(images)
+    return root
+
+
+@pytest.mark.parametrize(
+    ("cameras", "images", "message"),
+    [
+        ("1 OPENCV_FISHEYE 9 9 1 1 1 1 0 0 0 0\n", IMAGE, "of model 'OPENCV_FISHEYE'; expected one of SIMPLE_PINHOLE"),
+        ("1 PINHOLE 100 80 120\n", IMAGE, "1 numbers of a PINHOLE"),
+        ("1 PINHOLE 100 80 0 0 50 40\n", IMAGE, "a focal length of 0"),
+        ("1 PINHOLE 100 80 nan nan 50 40\n", IMAGE, "a focal length of nan"),
+        (CAMERA, "1 0 0 0 0 0 0 5 1 a.png\n\n", "a rotation of length 0"),
+        (CAMERA, "1 1 0 0 0 0 0 5 7 a.png\n\n", "was taken by camera 7; expected one that cameras.txt has"),
+        (CAMERA, "1 1 0 0\n\n", "has a line that cannot be read"),
+        (CAMERA, "", "has 0 images; expected 1 to 10,000"),
+        (CAMERA, "# a comment\n", "has 0 images"),
+    ],
+)
+def test_broken_text_of_colmap_is_refused(tmp_path: Path, cameras: str, images: str, message: str) -> None:
+    with pytest.raises(HyalineError, match=message):
+        read_camera_file(write_text(tmp_path, cameras, images), Remarks())
+
+
+def test_distorted_lenses_are_drawn_straight_and_said_to_be(tmp_path: Path) -> None:
+    remarks = Remarks()
+    read_camera_file(write_text(tmp_path, "1 SIMPLE_RADIAL 100 80 120 44 40 0.1\n", IMAGE), remarks)
+    assert [line.what for line in remarks.lines] == [
+        "have a distorted lens; drawn as pinholes",
+        "have an axis off the middle of their pictures; drawn through the middle",
+    ]
+
+
+def test_a_binary_file_cut_anywhere_is_refused(colmap: tuple[Path, np.ndarray, float], tmp_path: Path) -> None:
+    theirs, _, _ = colmap
+    whole = {name: next(theirs.rglob(f"{name}.bin")).read_bytes() for name in ("cameras", "images")}
+    for name, data in whole.items():
+        for length in (0, 3, 8, 20, 60, len(data) - 1):
+            for other, content in whole.items():
+                (tmp_path / f"{other}.bin").write_bytes(content[:length] if other == name else content)
+            with pytest.raises(HyalineError, match=r"cut off|no images|has 0 images"):
+                read_camera_file(tmp_path, Remarks())
+
+
+@pytest.mark.parametrize("count", [1 << 63, 10_001])
+def test_counts_that_no_file_can_hold_are_refused(
+    colmap: tuple[Path, np.ndarray, float], tmp_path: Path, count: int
+) -> None:
+    (tmp_path / "images.bin").write_bytes(struct.pack("<Q", count))
+    (tmp_path / "cameras.bin").write_bytes(next(colmap[0].rglob("cameras.bin")).read_bytes())
+    with pytest.raises(HyalineError, match="entries; expected at most 10,000"):
+        read_camera_file(tmp_path, Remarks())
+
+
+def test_cameras_beside_a_model_move_with_it(tmp_path: Path) -> None:
+    (tmp_path / "box.ply").write_bytes(write_ply(BOX))
+    frames = []
+    for place in range(10):
+        angle = 2 * math.pi * place / 10
+        back = np.array([math.cos(angle), 0.0, math.sin(angle)])  # Around +y, which is up in PLY files.
+        matrix = np.eye(4)
+        matrix[:3, 1], matrix[:3, 2], matrix[:3, 3] = (0, 1, 0), back, 3 * back
+        matrix[:3, 0] = np.cross(matrix[:3, 1], back)
+        frames.append({"file_path": f"{place}.png", "transform_matrix": matrix.tolist()})
+    (tmp_path / "transforms.json").write_text(json.dumps({"camera_angle_x": 0.6, "frames": frames}))
+    choices = ImportChoices(cameras=str(tmp_path / "transforms.json"), material=("glass",), scale=0.5)
+    scene = import_scene(tmp_path / "box.ply", choices).scene
+    assert isinstance(scene.cameras, CameraList) and scene.cameras.fov_deg == pytest.approx(math.degrees(0.6))
+    poses = np.concatenate(list(scene.cameras.poses().values()))
+    assert len(poses) == 10
+    box = next(item.mesh.vertices for item in scene.objects if item.name != "ground")
+    middle = (box.min(axis=0) + box.max(axis=0)) / 2
+    # All of them look at the box's middle, level, from 1.5 m away.
+    np.testing.assert_allclose(poses[:, :3, 3] - 1.5 * poses[:, :3, 2], np.tile(middle, (10, 1)), atol=1e-5)
+    np.testing.assert_allclose(poses[:, :3, 1], np.tile([0, 0, 1], (10, 1)), atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [("nowhere", "--cameras .*nowhere: is no such file"), (".", "holds no cameras; expected transforms.json")],
+)
+def test_a_place_without_cameras_is_refused(tmp_path: Path, given: str, message: str) -> None:
+    with pytest.raises(HyalineError, match=message):
+        read_camera_file(tmp_path / given, Remarks())
+
+
+# glTF
+
+
+WIDE = {"type": "perspective", "perspective": {"yfov": 0.5, "aspectRatio": 2.0}}
+
+
+def with_camera(tmp_path: Path, camera: dict = WIDE, **node: object) -> Path:
+    builder = GltfBuilder()
+    builder.node(mesh=builder.mesh())
+    builder.content["cameras"] = [camera]
+    builder.node(camera=0, translation=[0, 0.2, 3], **node)
+    return builder.written(tmp_path)
+
+
+def test_gltfs_own_cameras_are_taken_when_asked_for(tmp_path: Path) -> None:
+    path = with_camera(tmp_path, scale=[2, 2, 2])
+    around = import_scene(path, ImportChoices())
+    assert any("the file brings 1, which --cameras file takes" in line for line in around.told())
+    scene = import_scene(path, ImportChoices(cameras="file")).scene
+    assert isinstance(scene.cameras, CameraList)
+    assert scene.cameras.fov_deg == pytest.approx(math.degrees(2 * math.atan(2 * math.tan(0.25))))
+    pose = scene.cameras.poses()["train"][0]
+    # glTF's +z is our -y, and the scene's box stands on the ground.
+    height = float(BOX.vertices[:, 1].max())
+    np.testing.assert_allclose(pose[:3, 3], (0, -3, 0.2 + height), atol=1e-5)
+    np.testing.assert_allclose(pose[:3, 2], (0, -1, 0), atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("camera", "message"),
+    [
+        ({"type": "perspective", "perspective": {"yfov": 0.0}}, "sees 0 radians"),
+        ({"type": "perspective", "perspective": {"yfov": "wide"}}, "yfov: is 'wide'; expected a number"),
+        ({"type": "perspective", "perspective": {"yfov": 1.0, "aspectRatio": -1}}, "an aspect of -1"),
+        ({"type": "orthographic"}, "--cameras file: the file brings no cameras"),
+    ],
+)
+def test_broken_cameras_of_gltf_are_refused(tmp_path: Path, camera: dict, message: str) -> None:
+    path = with_camera(tmp_path, camera)
+    with pytest.raises(HyalineError, match=message):
+        import_scene(path, ImportChoices(cameras="file"))
+
+
+@pytest.mark.parametrize("index", [1, -1, "a"])
+def test_a_camera_that_is_not_there_is_refused(tmp_path: Path, index: object) -> None:
+    builder = GltfBuilder()
+    builder.node(mesh=builder.mesh())
+    builder.node(camera=index)
+    with pytest.raises(HyalineError, match=r"cameras\[1\]; the file has 0|expected an integer from 0"):
+        import_scene(builder.written(tmp_path), ImportChoices())
+
+
+# Mitsuba's serialized meshes
+
+TRIANGLE = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], "<f4")
+
+
+def packed(flags: int, *parts: bytes, vertices: int = 3, faces: int = 1, version: int = 4) -> bytes:
+    name = b"thing\0" if version == 4 else b""
+    body = struct.pack("<I", flags) + name + struct.pack("<QQ", vertices, faces) + b"".join(parts)
+    return struct.pack("<HH", 0x041C, version) + zlib.compress(body)
+
+
+def serialized(*meshes: bytes, version: int = 4) -> bytes:
+    offsets = np.cumsum([0, *map(len, meshes)])[:-1]
+    width = "<u8" if version == 4 else "<u4"
+    return b"".join(meshes) + offsets.astype(width).tobytes() + struct.pack("<I", len(meshes))
+
+
+FACE = np.array([0, 1, 2], "<u4").tobytes()
+
+
+@pytest.mark.parametrize("version", [3, 4])
+def test_each_mesh_of_a_serialized_file_is_read(tmp_path: Path, version: int) -> None:
+    uv = np.array([[0, 0], [1, 0], [0, 1]], "<f8")
+    double = packed(0x2002, (2 * TRIANGLE).astype("<f8").tobytes(), uv.tobytes(), FACE, version=version)
+    normals = np.tile(np.array([0, 0, 1], "<f4"), (3, 1)).tobytes()
+    colors = np.zeros((3, 3), "<f4").tobytes()
+    single = packed(0x1009, TRIANGLE.tobytes(), normals, colors, FACE, version=version)
+    (tmp_path / "a.serialized").write_bytes(serialized(single, double, version=version))
+    first, second = (read_serialized(tmp_path / "a.serialized", index) for index in (0, 1))
+    np.testing.assert_array_equal(first.positions, TRIANGLE)
+    np.testing.assert_array_equal(second.positions, 2 * TRIANGLE)
+    assert first.normals is not None and first.uv is None and second.normals is None
+    np.testing.assert_array_equal(second.uv, uv)
+    assert (first.faces == [[0, 1, 2]]).all()
+
+
+BOMB = struct.pack("<HH", 0x041C, 4) + zlib.compress(
+    struct.pack("<I", 0x1000) + b"b\0" + struct.pack("<QQ", 3, 1) + TRIANGLE.tobytes() + FACE + bytes(1 << 27)
+)
+
+
+def test_what_is_packed_behind_a_mesh_is_never_unpacked(tmp_path: Path) -> None:
+    (tmp_path / "a.serialized").write_bytes(serialized(BOMB))
+    assert len(read_serialized(tmp_path / "a.serialized", 0).faces) == 1
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (b"", "not a serialized mesh that can be read"),
+        (b"PK\x03\x04 no mesh at all", "is no serialized mesh of version 3 or 4"),
+        (serialized(packed(0x1000, TRIANGLE.tobytes(), FACE))[:-4] + b"\xff" * 4, "has 4,294,967,295 meshes"),
+        (serialized(packed(0x1000, TRIANGLE.tobytes(), FACE, faces=1 << 40)), "1,099,511,627,776 triangles"),
+        (serialized(packed(0x1000, TRIANGLE.tobytes(), FACE, vertices=1 << 40)), "1,099,511,627,776 vertices"),
+        (serialized(packed(0x1000, TRIANGLE.tobytes(), FACE, faces=MAX_TRIANGLES)), "holds .* of .* bytes"),
+        (serialized(packed(0x1000, TRIANGLE.tobytes(), np.array([0, 1, 3], "<u4").tobytes())), "names vertex 3 of 3"),
+        (serialized(packed(0x1000, (TRIANGLE * np.nan).tobytes(), FACE)), "a number is not finite"),
+        (serialized(packed(0x1000, TRIANGLE.tobytes(), FACE)[:-9]), "not a serialized mesh that can be read"),
+        (serialized(b"\x1c\x04\x04\x00not zlib at all"), "not a serialized mesh that can be read"),
+    ],
+)
+def test_broken_serialized_files_are_refused(tmp_path: Path, data: bytes, message: str) -> None:
+    (tmp_path / "a.serialized").write_bytes(data)
+    with pytest.raises(HyalineError, match=message):
+        read_serialized(tmp_path / "a.serialized", 0)
