@@ -21,7 +21,8 @@ from model.settings.runtime import choose_device, wait_briefly
 if TYPE_CHECKING:
     import torch
 
-    from model.run.run_folder import RunRecord, TrainConfig
+    from model.run.logs import LogChoices
+    from model.run.run_folder import TrainConfig
 
 DESCRIPTION = "Train neural renderers on datasets of transparent objects, and render with them."
 
@@ -45,9 +46,13 @@ def train_method(words: list[str]) -> None:
         run("model train", inspect.getdoc(train) or "", {name: _listed(about(name)) for name in methods}, ["--help"])
     method = choose("method", words[0], methods)
 
+    from model.run.events import require_tensorboard
+    from model.run.logs import LogChoices
     from model.run.train_flags import configure, folder_name, parse_train
 
     asked = parse_train(method, words[1:])
+    if asked.run.tensorboard:
+        require_tensorboard()
     if int(os.environ.get("RANK", "0")) > 0:
         mute()
     config, opened = configure(method, asked)
@@ -60,6 +65,7 @@ def train_method(words: list[str]) -> None:
         device=choose_device(asked.run.device),
         anew=asked.run.overwrite,
         memory=asked.run.memory,
+        logs=LogChoices(snapshots=asked.run.snapshots == "on", tensorboard=asked.run.tensorboard),
     )
 
 
@@ -81,6 +87,7 @@ def _train(
     device: "torch.device",
     anew: bool,
     memory: Memory,
+    logs: "LogChoices",
 ) -> None:
     from datagen.disk.ownership import holding, is_ours, refuse_others
     from model.batches.distributed import join, own_device
@@ -94,7 +101,16 @@ def _train(
     with join(device) as processes:
         check_processes(config, processes)
         train = functools.partial(
-            train_run, config, dataset, out, label=label, device=device, processes=processes, memory=memory, anew=anew
+            train_run,
+            config,
+            dataset,
+            out,
+            label=label,
+            device=device,
+            processes=processes,
+            memory=memory,
+            anew=anew,
+            logs=logs,
         )
         if not processes.is_first:
             # The first process holds the folder, and tells whether there is anything to train.
@@ -155,6 +171,7 @@ def render(
     from datagen.data.variants import open_variant, variant_root
     from datagen.disk.ownership import holding
     from datagen.scene.edits import edits_name, parse_edit
+    from model.run.opening import open_trained
     from model.run.predict import (
         check_can_draw,
         check_draws_edits,
@@ -165,7 +182,7 @@ def render(
     )
     from model.run.run_folder import FOLDER
 
-    record, opened = _open_trained(run, dataset)
+    record, opened = open_trained(run, dataset)
     config, out = record.config, run
     if variant is None:
         is_done, draw = is_all_drawn(run, opened), functools.partial(render_predictions, run, config, opened)
@@ -203,11 +220,12 @@ def export(
         overwrite: Replace a file that stands at --out.
     """
     from datagen.disk.ownership import refuse_file
+    from model.run.opening import open_trained
     from model.web.export import export_run
 
     if not overwrite:
         refuse_file(out)
-    record, opened = _open_trained(run, dataset)
+    record, opened = open_trained(run, dataset)
     export_run(run, record, opened, out, quality)
     tell(str(out))
 
@@ -224,51 +242,16 @@ def view(what: str, /, *, host: str = "127.0.0.1", port: int = 8080, device: Dev
         device: Where to compute; auto takes a GPU where there is one.
     """
     from datagen.terminal.signals import Stopped
+    from model.view.command import show
 
+    if not 0 <= port <= 65535:
+        raise UsageError(f"--port: is {port}; expected 0 to 65535")
     try:
-        _view(what, host, port, device)
+        show(what, host=host, port=port, device=device)
     except KeyboardInterrupt:
         sys.exit(128 + signal.SIGINT)
     except Stopped as stopped:  # Ctrl-C is how one leaves it: nothing was interrupted.
         sys.exit(stopped.status)
-
-
-def _view(what: str, host: str, port: int, device: Device) -> None:
-    from model.run.run_folder import RUN
-    from model.view.live_run import LiveRun
-    from model.view.view import view as show
-
-    if not 0 <= port <= 65535:
-        raise UsageError(f"--port: is {port}; expected 0 to 65535")
-    run = next((place for place in (Path(what), Path("runs") / what) if (place / RUN).is_file()), None)
-    if run is not None:
-        record, opened = _open_trained(run, None)
-        live = LiveRun(run, record.config, opened, device=choose_device(device))
-    else:
-        place = find_dataset(what)
-        if not (place / "dataset.json").is_file():
-            raise HyalineError(
-                f"{what}: no run and no dataset is there; expected the folder of one, such as runs/glass_table/paper "
-                "or data/glass_table"
-            )
-        opened, live = open_dataset(place), None
-
-    def announce(address: str) -> None:
-        tell(address)
-        sys.stdout.flush()
-        say(f"{what}: open the address in a browser; Ctrl-C ends the viewer")
-
-    show(opened, live, host=host, port=port, announce=announce)
-
-
-def _open_trained(run: Path, dataset: str | None) -> "tuple[RunRecord, Dataset]":
-    """A run's record, and the dataset that it was trained on: the one named, or the one where the run found it."""
-    from model.run.run_folder import check_trained_on, read_run
-
-    record = read_run(run)
-    opened = open_dataset(find_dataset(dataset) if dataset else Path(record.dataset))
-    check_trained_on(run, record.config, opened)
-    return record, opened
 
 
 def _render_film(
@@ -276,8 +259,9 @@ def _render_film(
 ) -> None:
     from datagen.build.film import plan_film
     from datagen.data.film import write_film
+    from model.run.opening import open_trained
 
-    record, opened = _open_trained(run, dataset)
+    record, opened = open_trained(run, dataset)
     out = film.video or Path(f"{opened.name}-{run.name}.webp")
     cameras = plan_film(opened, path, film, out, overwrite=overwrite)
     from model.run.predict import film_pictures

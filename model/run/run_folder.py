@@ -3,6 +3,8 @@
     RUN/run.json                    sealed, written first: the configuration and what it was trained on
     RUN/run.next.json               while --overwrite deletes what the run before it left: what run.json will be
     RUN/metrics.jsonl               a line per evaluation: step, loss (mean since the line before), held_out_psnr
+    RUN/snapshots/000500.png        a picture per evaluation: held-out views and what is predicted (run/snapshots.py)
+    RUN/tensorboard/...             with --tensorboard: event files (run/events.py)
     RUN/checkpoint.pt               while training: everything that a resumed run needs (format: run/checkpoint.py)
     RUN/checkpoint.previous.pt      the one before
     RUN/weights.pt                  after training: the renderer alone; the checkpoints are deleted then
@@ -10,7 +12,8 @@
     RUN/predictions.json            sealed, written last: SHA-256 of each prediction; a run that has it is finished
     RUN/variants/NAME/...           predictions of variants of the dataset (format: model/run/predict.py)
 
-No time, host or thread count is in any of them: the same command gives the same bytes (on the same machine).
+No time, host or thread count is in any of them but TensorBoard's: the same command gives the same bytes (on the same
+machine).
 """
 
 import dataclasses
@@ -35,6 +38,10 @@ from datagen.disk.records import Json, from_json, shown, to_json
 from datagen.disk.storage import commit, commit_sealed, load_sealed, seal_bytes
 from model.methods.protocol import Inputs, MethodConfig
 from model.methods.table import find_method, open_inputs
+from model.run.events import FOLDER as EVENTS
+from model.run.events import list_events
+from model.run.snapshots import FOLDER as SNAPSHOTS
+from model.run.snapshots import list_snapshots
 from model.settings.flags import AMOUNT, COUNT, SEED, unflagged
 from model.settings.optimisation import PixelOptimisation
 
@@ -119,7 +126,9 @@ def _is_run(path: Path) -> bool:
     return True
 
 
-FOLDER = FolderKind(what="run", head=RUN, folders=("predictions", "variants/*/predictions"), holds_head=_is_run)
+FOLDER = FolderKind(
+    what="run", head=RUN, folders=("predictions", "variants/*/predictions", SNAPSHOTS, EVENTS), holds_head=_is_run
+)
 """A folder in which a method from elsewhere keeps its pictures, and says so in a run.json of its own, is none."""
 
 
@@ -240,6 +249,9 @@ def read_prediction_hashes(out: Path) -> dict[str, str]:
 def clear_run(out: Path) -> None:
     """Deletes what a run has made, and nothing else; its record stays until the next one takes its place."""
     remove_files(out, [PREDICTIONS, WEIGHTS, CHECKPOINT, PREVIOUS_CHECKPOINT, METRICS, *_pictures(out)])
+    config = read_run(out).config
+    remove_files(out, list_snapshots(out, evaluate_every=config.evaluate_every, steps=config.steps))
+    remove_files(out, list_events(out))
     for folder in sorted(out.glob(f"{VARIANTS}/*")):
         name = folder.relative_to(out).as_posix()
         remove_files(out, [f"{name}/{PREDICTIONS}", *(f"{name}/{file}" for file in _pictures(folder))])

@@ -1,5 +1,6 @@
 """Training, in run order: from a dataset to a run folder with weights."""
 
+import contextlib
 import math
 import signal
 import time
@@ -10,6 +11,7 @@ from typing import cast
 
 import numpy as np
 import torch
+from jaxtyping import UInt8
 from torch import Tensor, nn
 
 from datagen.data.dataset import Dataset
@@ -21,9 +23,11 @@ from model.batches.distributed import ALONE, Processes
 from model.batches.rays import PixelSource
 from model.losses.inpaint import Inpainter
 from model.losses.patch_losses import Losses
+from model.methods.protocol import Inputs
 from model.methods.renderer import ParameterGroup, Renderer
 from model.methods.table import open_inputs
 from model.run.checkpoint import check_numbers, delete_checkpoints, load_checkpoint, save_checkpoint, save_state
+from model.run.logs import LogChoices, Logs
 from model.run.optimizer import make_optimizer
 from model.run.predict import predict_pixels
 from model.run.preparation import (
@@ -54,6 +58,7 @@ def train(
     processes: Processes = ALONE,
     memory: Memory = "ram",
     anew: bool = False,
+    logs: LogChoices = LogChoices(),  # noqa: B008
 ) -> None:
     """Trains until `out` holds weights.pt; goes on from the newest intact checkpoint where there is one.
 
@@ -66,6 +71,7 @@ def train(
         processes: those that call this together; the first of them alone writes to `out`.
         memory: where training pixels are held; no number depends on it.
         anew: deletes the run that stands there.
+        logs: what to leave for people to watch.
 
     Raises:
         HyalineError: data is missing or damaged, several processes cannot train this, or in-painting cannot tell which
@@ -94,15 +100,7 @@ def train(
     testing = None
     if held_out and processes.is_first:
         testing = config.net.load(inputs, "train", held_out, with_images=True).to(device)
-    losses = Losses(
-        config.loss,
-        steps=config.steps,
-        seed=config.seed,
-        device=device,
-        make_inpainter=lambda: Inpainter(
-            renderer, training, dataset, config.geometry, num_layers=inputs.num_layers, seed=config.seed, device=device
-        ),
-    )
+    losses = make_losses(config, renderer, training, inputs, device=device)
 
     # Where to go on, and the steps.
     optimizer = make_optimizer(groups, beta1=config.beta1)
@@ -116,6 +114,8 @@ def train(
         losses=losses,
         training=training,
         testing=testing,
+        view_shape=dataset.config.resolution.shape,
+        logs=logs if processes.is_first else LogChoices(),
     )
     progress = resume(run)
     say(
@@ -140,6 +140,10 @@ class Run:
     training: PixelSource
     testing: PixelSource | None
     """The held-out views, in the first process; None: there are none."""
+    view_shape: tuple[int, int]
+    """Rows and columns of a view."""
+    logs: LogChoices
+    """Where this is not the first process, none is left."""
 
 
 @dataclass(kw_only=True)
@@ -158,6 +162,27 @@ class Progress:
 
     def status(self) -> str:
         return f"loss {self.loss:.4f}" + ("" if math.isnan(self.psnr) else f", held out {self.psnr:.2f} dB")
+
+
+def make_losses(
+    config: TrainConfig, renderer: Renderer, training: PixelSource, inputs: Inputs, *, device: torch.device
+) -> Losses:
+    """The terms beside the method's own loss."""
+    return Losses(
+        config.loss,
+        steps=config.steps,
+        seed=config.seed,
+        device=device,
+        make_inpainter=lambda: Inpainter(
+            renderer,
+            training,
+            inputs.dataset,
+            config.geometry,
+            num_layers=inputs.num_layers,
+            seed=config.seed,
+            device=device,
+        ),
+    )
 
 
 def resume(run: Run) -> Progress:
@@ -197,12 +222,13 @@ def take_steps(run: Run, progress: Progress, *, anew: bool) -> None:
     first = progress.step
     steps: Iterable[int] = range(first, config.steps)
     run.renderer.train()
-    with hold_signals() as held:
+    with contextlib.closing(Logs(run.out, run.logs, first_step=first)) as logs, hold_signals() as held:
         saved_at = time.monotonic()
         for step in track(steps, label="train", total=config.steps, done=first, status=progress.status):
             is_stopped = take_step(run, progress, step, held)
+            logs.add_loss(progress.step, progress.loss)
             if processes.is_first and (progress.step % config.evaluate_every == 0 or progress.step == config.steps):
-                add_metrics(run, progress)
+                add_metrics(run, progress, logs)
             if progress.step == config.steps:
                 continue
             is_due = progress.step % config.checkpoint_every == 0 or time.monotonic() - saved_at >= CHECKPOINT_EVERY_S
@@ -245,9 +271,15 @@ def take_step(run: Run, progress: Progress, step: int, held: Held) -> bool:
     return is_stopped
 
 
-def add_metrics(run: Run, progress: Progress) -> None:
+def add_metrics(run: Run, progress: Progress, logs: Logs) -> None:
     """Scores the held-out views and writes a line of metrics; the mean loss starts anew."""
-    score = None if run.testing is None else held_out_psnr(run.renderer, run.testing)
+    predicted = truth = np.zeros((0, *run.view_shape, 3), np.uint8)
+    score = None
+    if run.testing is not None:
+        predicted = predict_pixels(run.renderer, run.testing).reshape(-1, *run.view_shape, 3)
+        truth = run.testing.rgb.cpu().numpy().reshape(predicted.shape)
+        score = mean_psnr(predicted, truth)
+    logs.add_evaluation(progress.step, score, truth, predicted)
     progress.psnr = math.nan if score is None else score
     progress.metrics.append({"step": progress.step, "loss": progress.loss, "held_out_psnr": score})
     write_metrics(run.out, progress.metrics)
@@ -328,10 +360,8 @@ def check_finite(loss: float, renderer: nn.Module, *, step: int, out: Path) -> N
         )
 
 
-def held_out_psnr(renderer: Renderer, pixels: PixelSource) -> float:
-    """Mean over views of the PSNR in dB, peak 1, of the clipped 8-bit prediction."""
-    prediction = predict_pixels(renderer, pixels)
-    truth = pixels.rgb.cpu().numpy()
-    error = (prediction.astype(np.float64) - truth) / 255
-    mse = np.square(error).reshape(-1, pixels.pixels_per_view * 3).mean(axis=1)
+def mean_psnr(predicted: UInt8[np.ndarray, "view h w 3"], truth: UInt8[np.ndarray, "view h w 3"]) -> float:
+    """Mean over views of the PSNR in dB, peak 1, of 8-bit pictures."""
+    error = (predicted.astype(np.float64) - truth) / 255
+    mse = np.square(error).reshape(len(truth), -1).mean(axis=1)
     return float(np.mean(-10 * np.log10(np.maximum(mse, 1e-12))))

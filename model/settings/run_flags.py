@@ -32,6 +32,11 @@ class RunFlags:
     """Where training data from stored layers is held: ram, or mapped: memory-mapped files under ~/.cache/hyaline (or
     $XDG_CACHE_HOME), of which each step reads what it needs, so that a dataset may be larger than memory. The results
     are identical, bit for bit. auto maps what does not fit, and says so. The files may be deleted at any time."""
+    snapshots: Literal["on", "off"] = choice("on")
+    """Leave a picture of the held-out views, above the truth, at each evaluation: in the run's folder snapshots."""
+    tensorboard: bool = choice(False)
+    """Leave event files for TensorBoard in the run's folder tensorboard: loss, held-out PSNR and pictures. Needs the
+    extra tensorboard."""
     overwrite: bool = choice(False)
     """Delete the existing run and start over."""
 
