@@ -279,11 +279,13 @@ def render(
 
 
 def scenes() -> None:
-    """List the built-in scenes."""
+    """List the built-in scenes, and how to draw random ones."""
     from datagen.scene.builtin import describe_scenes
+    from datagen.scene.procedural.names import FAMILIES, RANDOM
 
     for name, description in describe_scenes().items():
         print(f"{name:14} {description}")
+    print(f"{RANDOM:14} Glassware drawn from --seed N, with --count M of them; --family {', '.join(FAMILIES)}")
     next_command(build_command())
 
 

@@ -27,6 +27,7 @@ from datagen.scene.edits import parse_edit
 from datagen.scene.folder import load_scene
 from datagen.scene.importers.finding import find_scene, is_foreign
 from datagen.scene.importers.importing import scene_name
+from datagen.scene.procedural.names import RANDOM, RandomName
 from datagen.scene.rig import with_listed_views
 from datagen.terminal.command import choose, next_command, say, say_all, tell
 
@@ -42,8 +43,10 @@ def build_or_add(choices: BuildChoices, launch: LaunchChoices) -> None:
         HyalineError: choices that do not go together, or what building raises.
     """
     _check_parts(choices, launch)
+    _check_random(choices, launch)
     if not choices.edit and choices.dataset is None:
-        _build_new(choices, launch)
+        for one in _each(choices):
+            _build_new(one, launch)
         return
     _refuse(choices, "--edit" if choices.edit else "--dataset", *SETTINGS)
     base = _open_base(choices)
@@ -51,6 +54,33 @@ def build_or_add(choices: BuildChoices, launch: LaunchChoices) -> None:
         _add_edit(base, choices)
     else:
         _add_views(base, choices, launch)
+
+
+def _each(choices: BuildChoices) -> list[BuildChoices]:
+    """The choices for each dataset: one, or as many random scenes as --count says."""
+    if choices.scene != RANDOM:
+        return [choices]
+    each = []
+    for seed in range(choices.seed, choices.seed + (1 if choices.count is None else choices.count)):
+        name = str(RandomName(seed=seed, chosen=choices.family))
+        out = choices.out / name if choices.out is not None and choices.count is not None else choices.out
+        each.append(dataclasses.replace(choices, scene=name, seed=seed, out=out))
+    return each
+
+
+def _check_random(choices: BuildChoices, launch: LaunchChoices) -> None:
+    """Refuses flags of random scenes without one, and what works on one dataset where it is not known which."""
+    if choices.scene != RANDOM:
+        for name in ("family", "count"):
+            if getattr(choices, name) is not None:
+                raise HyalineError(f"--{name}: goes with --scene {RANDOM}; leave it out")
+        return
+    if choices.edit:
+        raise HyalineError(f"--scene {RANDOM}: does not say which scene to edit; name one, as in --dataset random-0000")
+    if choices.count is not None and choices.count < 1:
+        raise HyalineError(f"count: is {choices.count}; expected at least 1 dataset")
+    if choices.count is not None and launch.launcher is not None:
+        raise HyalineError("--count: does not go with --launcher; send off one random scene at a time, by its --seed")
 
 
 def _build_new(choices: BuildChoices, launch: LaunchChoices) -> None:

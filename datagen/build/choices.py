@@ -6,21 +6,29 @@ from typing import Annotated
 
 import tyro
 
+from datagen.scene.procedural.names import Family
+
 
 @dataclass(frozen=True, kw_only=True)
 class BuildChoices:
     """Which dataset to build, or what to add to one. Each field is a flag of `datagen build`."""
 
     scene: str = "glass_table"
-    """A name that `datagen scenes` lists, a folder with a scene.json, or a file that `datagen import` reads."""
+    """A name that `datagen scenes` lists, a folder with a scene.json, a file that `datagen import` reads, or random:
+    glassware that --seed draws. random-0007 is the random scene of seed 7."""
     preset: str = "demo"
     """tiny, demo, standard or paper."""
     num_layers: int = 8
     """Layers kept per ray; the share of rays with more layers is reported."""
     out: Path | None = None
-    """Folder to write. Default: data/SCENE."""
+    """Folder to write; with --count, the folder of all datasets. Default: data/SCENE."""
     seed: int = 0
-    """Seed of cameras and noise; the same seed gives the same bytes."""
+    """Seed of cameras and noise, and of a random scene; the same seed gives the same bytes."""
+    family: Family | None = None
+    """With --scene random: object (one before a background), table (glass among other things) or nested (media inside
+    of each other). Default: the seeds take turns."""
+    count: int | None = None
+    """With --scene random: build so many datasets, of --seed and the seeds that follow."""
     workers: int = 1
     """Parallel processes; the bytes do not depend on their number."""
     overwrite: bool = False

@@ -133,12 +133,11 @@ def _restore_scene(dataset: Dataset, given: str | None) -> None:
 
 
 def _find_scene(dataset: Dataset, given: str | None, lost: list[str]) -> Scene:
-    from datagen.scene.builtin import SCENES
-    from datagen.scene.importers.finding import find_scene
+    from datagen.scene.importers.finding import find_scene, is_made_by_code
 
     if not any(file.startswith("scene/") for file in lost):
         return load_scene(dataset.root / "scene")
-    if given is None and dataset.config.scene not in SCENES:
+    if given is None and not is_made_by_code(dataset.config.scene):
         raise HyalineError(
             f"{dataset.root / lost[0]}: is lost or damaged, and comes from a scene of yours; name the folder or file "
             "that the dataset was built from with --scene"

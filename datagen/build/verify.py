@@ -195,11 +195,11 @@ class _Search:
                     self.wrong(index, _reason(error, self.home / index))
 
     def _scene_command(self, dataset: Dataset, file: str) -> str | None:
-        from datagen.scene.builtin import SCENES
+        from datagen.scene.importers.finding import is_made_by_code
 
         if dataset.imported is not None:
             return import_command(dataset)
-        if not file.startswith("scene/") or dataset.edit is not None or dataset.config.scene in SCENES:
+        if not file.startswith("scene/") or dataset.edit is not None or is_made_by_code(dataset.config.scene):
             return None
         return f"{self.mend} --scene FOLDER"
 

@@ -14,6 +14,8 @@ Point = tuple[float, float, float]
 Points = Float[np.ndarray, "p 3"]
 Profile = Sequence[tuple[float, float]]
 """Points (radius, z) of a lathe's outline."""
+Around = Callable[[Float[np.ndarray, " angle"], Float[np.ndarray, "p 2"]], Float[np.ndarray, "p angle"]]
+"""From angles in radians and an outline's points: factors of their radii, so that a section is no circle."""
 
 CREASE_DEG = 40.0
 """Faces that meet at a sharper angle than this get an edge that shades as an edge."""
@@ -56,22 +58,25 @@ def ball(radius: float, *, subdivisions: int = 4) -> Mesh:
     return _mesh(radius * directions, np.asarray(sphere.faces), directions)
 
 
-def lathe(profile: Profile, *, segments: int = 96, crease_deg: float = CREASE_DEG) -> Mesh:
-    """The solid that an outline (radius, z) sweeps around the z axis.
+def lathe(
+    profile: Profile, *, segments: int = 96, crease_deg: float = CREASE_DEG, around: Around | None = None
+) -> Mesh:
+    """The solid that an outline (radius, z) sweeps around the z axis, in a circle unless `around` says otherwise.
 
     The outline either starts and ends on the axis, or closes on itself off the axis (a ring). Its sense does not
     matter: the solid is outward. One vertex stands on the axis where the outline meets it, so it is watertight there.
     """
     outline = np.asarray(profile, np.float64)
     assert (outline[:, 0] >= 0).all(), "a radius is negative"
+    angles = np.arange(segments) * (2 * np.pi / segments)
+    factors = np.ones((len(outline), segments)) if around is None else around(angles, outline)
     area = np.sum(outline[:, 0] * np.roll(outline[:, 1], -1) - np.roll(outline[:, 0], -1) * outline[:, 1])
     if area < 0:
-        outline = outline[::-1]
+        outline, factors = outline[::-1], factors[::-1]
     on_axis = outline[:, 0] == 0
     is_ring = not on_axis.any()
     assert is_ring or (on_axis[[0, -1]].all() and on_axis.sum() == 2), "only the outline's ends may be on the axis"
 
-    angles = np.arange(segments) * (2 * np.pi / segments)
     ring_of = [np.full(segments, 0) for _ in outline]
     positions: list[np.ndarray] = []
     for index, (radius, z) in enumerate(outline):
@@ -81,7 +86,8 @@ def lathe(profile: Profile, *, segments: int = 96, crease_deg: float = CREASE_DE
             ring_of[index] = np.full(segments, count)
         else:
             height = np.full(segments, z)
-            positions.append(np.stack([radius * np.cos(angles), radius * np.sin(angles), height], axis=-1))
+            radii = radius * factors[index]
+            positions.append(np.stack([radii * np.cos(angles), radii * np.sin(angles), height], axis=-1))
             ring_of[index] = count + np.arange(segments)
     following = ring_of[1:] + ring_of[:1] if is_ring else ring_of[1:]
     faces = [_band(low, high) for low, high in zip(ring_of, following)]

@@ -1,12 +1,14 @@
-"""The scene that `--scene` means: a built-in one, a folder, or a file from elsewhere."""
+"""The scene that `--scene` means: a built-in or a random one, a folder, or a file from elsewhere."""
 
 from pathlib import Path
 
-from datagen.scene.builtin import find_builtin
+from datagen.disk.errors import HyalineError
+from datagen.scene.builtin import SCENES, find_builtin
 from datagen.scene.description import Scene
 from datagen.scene.folder import load_scene
 from datagen.scene.importers.choices import ImportChoices
 from datagen.scene.importers.importing import READERS, import_scene
+from datagen.scene.procedural.names import RANDOM, parse_random
 from datagen.terminal.command import say
 
 
@@ -15,8 +17,13 @@ def is_foreign(given: str) -> bool:
     return Path(given).suffix.lower() in READERS and not Path(given).is_dir()
 
 
+def is_made_by_code(name: str) -> bool:
+    """True for the name of a scene that can be made again from it: a built-in or a random one."""
+    return name in SCENES or parse_random(name) is not None
+
+
 def find_scene(given: str, *, built: Path | None = None, resolution: int = 128) -> Scene:
-    """The scene of a folder with a scene.json, of a file that is imported, or a built-in one by its name.
+    """The scene of a folder with a scene.json, of a file that is imported, or a built-in or random one by its name.
 
     Args:
         built: a dataset that may hold the same built-in scene, unwrapped.
@@ -36,4 +43,10 @@ def find_scene(given: str, *, built: Path | None = None, resolution: int = 128) 
         return load_scene(Path(given))
     if "/" in given:
         return load_scene(Path(given))
+    if (random := parse_random(given)) is not None:
+        from datagen.scene.procedural.drawing import make_random
+
+        return make_random(random)
+    if given.startswith(RANDOM):
+        raise HyalineError(f"scene {given}: is no random scene; expected a name like random-0007 or random-table-0007")
     return find_builtin(given, built=built)

@@ -1,0 +1,227 @@
+"""A random scene from its seed: draws until one passes the checks of every scene, and keeps why others did not.
+
+Each draw has a generator of its own, made from the seed, the family and the number of the draw, so that the same name
+gives the same scene to the last bit.
+"""
+
+import dataclasses
+from collections import Counter
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from datagen.data.config import DatasetConfig, SplitConfig
+from datagen.data.resolution import Resolution
+from datagen.data.windings import windings
+from datagen.disk.errors import HyalineError
+from datagen.scene.atlas import unwrap_all
+from datagen.scene.description import CameraRig, Scene, SceneObject, WalkPoint
+from datagen.scene.procedural.backdrop import draw_backdrop
+from datagen.scene.procedural.chance import between
+from datagen.scene.procedural.coverage import glass_shares
+from datagen.scene.procedural.families import draw_things
+from datagen.scene.procedural.names import FAMILIES, RandomName
+from datagen.scene.procedural.placement import spread_out
+from datagen.scene.procedural.thing import Thing
+from datagen.scene.rig import make_cameras
+from datagen.scene.soundness import check_scene
+from datagen.scene.values import Vector
+from datagen.terminal.command import say
+
+MAX_DRAWS = 20
+GLASS_SHARE = 0.05, 0.40
+"""Of the pixels, on average over the views."""
+VIEWS = 12
+"""Training cameras that see how much glass there is."""
+SIZE = 48
+"""Pixels a side of what they see."""
+FOV_DEG = 40.0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Drawn:
+    """A random scene, not unwrapped yet."""
+
+    scene: Scene
+    refused: tuple[str, ...]
+    """Why each earlier draw was refused, in order."""
+    glass_share: float
+    """Of the pixels, on average."""
+    things: tuple[Thing, ...]
+    """What stands in it; its objects are the first of the scene's."""
+
+
+def make_random(name: RandomName) -> Scene:
+    """The scene of this name, unwrapped and checked.
+
+    Raises:
+        HyalineError: no draw passed the checks.
+    """
+    say(f"scene {name}: draws it and unwraps its surfaces")
+    drawn = draw_scene(name)
+    for reason in drawn.refused:
+        say(f"scene {name}: a draw was refused: {reason}")
+    meshes = unwrap_all({item.name: item.mesh for item in drawn.scene.objects})
+    objects = tuple(dataclasses.replace(item, mesh=meshes[item.name]) for item in drawn.scene.objects)
+    scene = dataclasses.replace(drawn.scene, objects=objects)
+    check_scene(scene)
+    return scene
+
+
+def draw_scene(name: RandomName) -> Drawn:
+    """The first draw of this name that passes all checks.
+
+    Raises:
+        HyalineError: none of MAX_DRAWS did.
+    """
+    refused: list[str] = []
+    while len(refused) < MAX_DRAWS:
+        rng = np.random.default_rng([name.seed, FAMILIES.index(name.family), len(refused)])
+        try:
+            return _draw(name, tuple(refused), rng)
+        except HyalineError as error:
+            refused.append(str(error).removeprefix(f"scene {name}: "))
+    counts = Counter(refused).most_common(3)
+    reasons = "; ".join(f"{count} times: {reason}" for reason, count in counts)
+    raise HyalineError(f"scene {name}: {MAX_DRAWS} draws were refused; take another --seed. Reasons: {reasons}")
+
+
+def _draw(name: RandomName, refused: tuple[str, ...], rng: np.random.Generator) -> Drawn:
+    """One draw, which may be refused."""
+    things = _with_own_names(spread_out(draw_things(name.family, rng=rng), rng=rng))
+    check_inside(things, where=f"scene {name}")
+    objects = tuple(item for thing in things for item in thing.objects)
+    target = _target(things)
+    extent = max(float(np.linalg.norm(item.mesh.vertices[:, :2], axis=-1).max()) for item in objects)
+    radius, share = _radius(objects, target, extent, rng)
+    if not GLASS_SHARE[0] <= share <= GLASS_SHARE[1]:
+        raise HyalineError(
+            f"scene {name}: {100 * share:.1f} % of the pixels are glass; expected {100 * GLASS_SHARE[0]:g} to "
+            f"{100 * GLASS_SHARE[1]:g} %"
+        )
+    backdrop = draw_backdrop(name.family, extent=extent, radius=radius, rng=rng)
+    words = (
+        f"{_listed([thing.words for thing in things])}, {backdrop.words}; glass in {100 * share:.0f} % of the pixels"
+    )
+    told = f"; draws refused before: {' | '.join(refused)}" if refused else ""
+    scene = Scene(
+        name=str(name),
+        description=f"Random scene, family {name.family}, seed {name.seed}: {words}{told}",
+        objects=(*objects, *backdrop.objects),
+        environment=backdrop.environment,
+        cameras=_rig(target, radius, backdrop.azimuth_deg, rng),
+        baked=backdrop.files,
+    )
+    check_scene(scene)
+    return Drawn(scene=scene, refused=refused, glass_share=share, things=tuple(things))
+
+
+def check_inside(things: list[Thing], *, where: str) -> None:
+    """Refuses ice, stones and cores that reach into their vessel or into each other.
+
+    Drinks reach into their glass on purpose, and cores and shells are wholly inside of what they are in.
+
+    Raises:
+        HyalineError: naming both objects.
+    """
+    for thing in things:
+        loose = [item for item in thing.objects[1:] if not item.name.endswith("_drink")]
+        for one, other in combinations([thing.objects[0], *loose], 2):
+            inside = windings(one.mesh.vertices[one.mesh.faces], other.mesh.vertices[::3]) > 0
+            if inside.any() and not inside.all():
+                raise HyalineError(
+                    f"{where}: {other.name} reaches into {one.name}; expected it to be clear of it or wholly inside"
+                )
+
+
+def _radius(
+    objects: tuple[SceneObject, ...], target: Vector, extent: float, rng: np.random.Generator
+) -> tuple[float, float]:
+    """How far the cameras are from the things, and the share of the pixels that is glass from there."""
+    wanted = between(0.15, 0.32, rng=rng)
+    nearest = 2.0 * max(extent, target[2])
+    radius = nearest * 1.3
+    for _ in range(3):
+        share = _glass_share(objects, target, radius, views=4)
+        radius = max(nearest, radius * (max(share, 1e-3) / wanted) ** 0.5)
+    radius = round(radius, 3)
+    return radius, _glass_share(objects, target, radius, views=VIEWS)
+
+
+def _glass_share(objects: tuple[SceneObject, ...], target: Vector, radius: float, *, views: int) -> float:
+    split = SplitConfig(views=views, spp=2)
+    config = DatasetConfig(
+        scene="random",
+        preset="draw",
+        resolution=Resolution(width=SIZE, height=SIZE),
+        train=split,
+        interpolating=split,
+        extrapolating=split,
+    )
+    rig = _rig(target, radius, (0.0, 360.0), np.random.default_rng(0))
+    return float(glass_shares(objects, make_cameras(rig, config)["train"]).mean())
+
+
+def _rig(target: Vector, radius: float, azimuth_deg: tuple[float, float], rng: np.random.Generator) -> CameraRig:
+    """Cameras on a hemisphere, and a walk that comes nearer, goes lower and leaves it."""
+    first, last = azimuth_deg
+    start = between(first, last, rng=rng) if last - first >= 360 else first + 20
+    turn = 220.0 if last - first >= 360 else last - first - 40
+    walk = []
+    for share, away, elevation_deg, aside in (
+        (0.0, 1.0, 38.0, 0.0),
+        (0.2, 0.72, 24.0, 0.06),
+        (0.4, 0.62, 12.0, -0.05),
+        (0.6, 0.85, 8.0, 0.05),
+        (0.75, 1.3, 28.0, -0.1),
+        (0.9, 1.55, 42.0, 0.05),
+        (1.0, 1.45, 16.0, 0.0),
+    ):
+        azimuth, elevation = np.radians(start + share * turn), np.radians(elevation_deg)
+        across = np.cos(elevation)
+        position = np.array(target) + away * radius * np.array(
+            [across * np.cos(azimuth), across * np.sin(azimuth), np.sin(elevation)]
+        )
+        x, y, z = np.round(position, 4).tolist()
+        looks_at = target[0] + round(aside * radius, 4), target[1] - round(aside * radius, 4), target[2]
+        walk.append(WalkPoint(position=(x, y, z), target=looks_at))
+    return CameraRig(
+        target=target,
+        radius=radius,
+        elevation_deg=(8.0, 65.0),
+        azimuth_deg=azimuth_deg,
+        fov_deg=FOV_DEG,
+        target_jitter=0.12,
+        walk=tuple(walk),
+    )
+
+
+def _target(things: list[Thing]) -> Vector:
+    """Over the middle, at half the mean height of the glass."""
+    heights = [thing.height for thing in things if thing.is_glass]
+    return 0.0, 0.0, round(0.5 * float(np.mean(heights)), 3)
+
+
+def _with_own_names(things: list[Thing]) -> list[Thing]:
+    """The things with a number in the names of the second and later ones of a kind."""
+    counts: Counter[str] = Counter()
+    named = []
+    for thing in things:
+        kind = thing.objects[0].name
+        counts[kind] += 1
+        number = counts[kind]
+        if number > 1:
+            renamed = tuple(
+                dataclasses.replace(item, name=f"{kind}_{number}{item.name.removeprefix(kind)}")
+                if item.name.startswith(kind)
+                else dataclasses.replace(item, name=f"{item.name}_{number}")
+                for item in thing.objects
+            )
+            thing = dataclasses.replace(thing, objects=renamed)
+        named.append(thing)
+    return named
+
+
+def _listed(words: list[str]) -> str:
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"

@@ -1,0 +1,74 @@
+"""The three families of random scenes: what stands in each, and how large it is made."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from datagen.scene.procedural.chance import between, pick, weigh
+from datagen.scene.procedural.names import Family
+from datagen.scene.procedural.nesting import empty_vessel, filled_vessel, onion, paperweight, solid
+from datagen.scene.procedural.solids import CONVEX, NOT_CONVEX
+from datagen.scene.procedural.thing import Thing, enlarged
+from datagen.scene.procedural.things import THINGS
+from datagen.scene.procedural.vessels import VESSELS
+
+
+def draw_things(family: Family, *, rng: np.random.Generator) -> list[Thing]:
+    """The things of one scene, none placed yet."""
+    return _DRAW[family](rng)
+
+
+def _object(rng: np.random.Generator) -> list[Thing]:
+    """One object, as large as a melon: a convex body, one that is not, or several media."""
+    kind = weigh({"convex": 0.33, "not convex": 0.33, "media": 0.34}, rng=rng)
+    if kind == "convex":
+        thing = solid(pick(tuple(CONVEX), rng=rng), rng=rng)
+    elif kind == "not convex":
+        names = (*NOT_CONVEX, "tumbler", "cut tumbler", "wine glass", "bottle", "jar")
+        name = pick(names, rng=rng)
+        thing = empty_vessel(name, rng=rng) if name in VESSELS else solid(name, rng=rng)
+    else:
+        thing = _several_media(rng)
+    return [enlarged(thing, between(1.6, 2.0, rng=rng))]
+
+
+def _table(rng: np.random.Generator) -> list[Thing]:
+    """Three to six glass things and two to four opaque ones."""
+    things = []
+    for _ in range(int(rng.integers(3, 7))):
+        match weigh({"vessel": 0.3, "drink": 0.3, "solid": 0.4}, rng=rng):
+            case "vessel":
+                thing = empty_vessel(pick([name for name in VESSELS if name != "tank"], rng=rng), rng=rng)
+            case "drink":
+                thing = filled_vessel(pick([name for name in VESSELS if name != "tank"], rng=rng), rng=rng)
+            case _:
+                thing = solid(pick((*CONVEX, *NOT_CONVEX), rng=rng), rng=rng)
+        things.append(enlarged(thing, between(1.3, 1.5, rng=rng)))
+    return [*things, *_opaque(int(rng.integers(2, 5)), rng)]
+
+
+def _nested(rng: np.random.Generator) -> list[Thing]:
+    """One to three things of several media, and an opaque one or two."""
+    things = [enlarged(_several_media(rng), between(1.4, 1.7, rng=rng)) for _ in range(int(rng.integers(1, 4)))]
+    return [*things, *_opaque(int(rng.integers(1, 3)), rng)]
+
+
+def _several_media(rng: np.random.Generator) -> Thing:
+    match weigh({"drink": 0.55, "paperweight": 0.3, "onion": 0.15}, rng=rng):
+        case "drink":
+            return filled_vessel(pick(tuple(VESSELS), rng=rng), rng=rng)
+        case "paperweight":
+            return paperweight(rng=rng)
+        case _:
+            return onion(rng=rng)
+
+
+def _opaque(count: int, rng: np.random.Generator) -> list[Thing]:
+    return [enlarged(THINGS[pick(tuple(THINGS), rng=rng)](rng), between(1.0, 1.4, rng=rng)) for _ in range(count)]
+
+
+_DRAW: dict[Family, Callable[[np.random.Generator], list[Thing]]] = {
+    "object": _object,
+    "table": _table,
+    "nested": _nested,
+}

@@ -1,0 +1,100 @@
+"""Opaque things that stand among the glass: books, pots, fruit, dice, cans and metal."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from datagen.data.meshes import Mesh
+from datagen.scene.description import SceneObject
+from datagen.scene.materials import Conductor, Diffuse, Material, Plastic
+from datagen.scene.modelling import ball, curved, cylinder, deformed, lathe, moved, rounded_box, tube, turned, walled
+from datagen.scene.procedural.chance import between, happens, pick, weigh
+from datagen.scene.procedural.patterns import color_pair, pattern
+from datagen.scene.procedural.thing import Thing, standing
+
+Maker = Callable[[np.random.Generator], Thing]
+
+GAP = 0.001
+"""Metres between things that stand on each other: coincident faces lose layers."""
+METALS = ((0.90, 0.66, 0.33), (0.91, 0.62, 0.50), (0.82, 0.82, 0.84), (0.55, 0.56, 0.58))
+"""Brass, copper, silver, steel."""
+
+
+def surface(scale: float, *, rng: np.random.Generator) -> Material:
+    """Paint, lacquer, paper or metal.
+
+    Args:
+        scale: metres of one period of its pattern.
+    """
+    kind = weigh({"paint": 0.25, "matt": 0.25, "lacquer": 0.4, "metal": 0.1}, rng=rng)
+    if kind == "metal":
+        return Conductor(color=pick(METALS, rng=rng), roughness=round(between(0.12, 0.3, rng=rng), 3))
+    if kind == "paint":
+        return Plastic(color=pick(color_pair(rng=rng), rng=rng), roughness=round(between(0.1, 0.3, rng=rng), 3))
+    if kind == "matt":
+        return Diffuse(color=pattern(scale, rng=rng))
+    return Plastic(color=pattern(scale, rng=rng), roughness=round(between(0.1, 0.25, rng=rng), 3))
+
+
+def _books(rng: np.random.Generator) -> Thing:
+    books, height = [], 0.0
+    for number in range(int(rng.integers(1, 4))):
+        size = between(0.13, 0.17, rng=rng), between(0.09, 0.12, rng=rng), between(0.014, 0.028, rng=rng)
+        book = turned(rounded_box(size, bevel=0.002), (0, 0, 1), between(-20, 20, rng=rng))
+        books.append(
+            SceneObject(
+                name=f"book_{number}",
+                mesh=moved(book, (0, 0, height + size[2] / 2)),
+                material=Diffuse(color=pattern(between(0.02, 0.05, rng=rng), rng=rng)),
+            )
+        )
+        height += size[2] + GAP
+    return Thing(words="books" if len(books) > 1 else "a book", objects=tuple(books))
+
+
+def _pot(rng: np.random.Generator) -> Thing:
+    wide, height = between(0.03, 0.045, rng=rng), between(0.08, 0.16, rng=rng)
+    levels = zip(rng.uniform(0.55, 1.0, 5).tolist(), (0, 0.25, 0.5, 0.78, 1.0), strict=True)
+    line = curved([(wide * share, height * level) for share, level in levels], count=32)
+    outline = walled([(0.0, 0.0), *map(tuple, line.tolist())], wall=0.004, floor=0.007)
+    return _one("pot", lathe(outline, segments=72, crease_deg=30), rng)
+
+
+def _fruit(rng: np.random.Generator) -> Thing:
+    long = between(1.0, 1.35, rng=rng)
+    body = deformed(ball(between(0.03, 0.042, rng=rng)), lambda p: p * np.array([long, 1, 1]))
+    return _one("fruit", body, rng)
+
+
+def _block(rng: np.random.Generator) -> Thing:
+    size = between(0.035, 0.06, rng=rng)
+    return _one("block", rounded_box((size, size, size), bevel=0.12 * size), rng)
+
+
+def _can(rng: np.random.Generator) -> Thing:
+    radius = between(0.028, 0.036, rng=rng)
+    top = radius if happens(0.6, rng=rng) else 0.3 * radius
+    return _one("can", cylinder(radius, between(0.07, 0.13, rng=rng), top_radius=top, segments=64), rng)
+
+
+def _wire(rng: np.random.Generator) -> Thing:
+    loop = np.linspace(0, 2 * np.pi, 160, endpoint=False)
+    ring = 0.034 + 0.014 * np.cos(3 * loop)
+    path = np.stack([ring * np.cos(2 * loop), ring * np.sin(2 * loop), 0.014 * np.sin(3 * loop)], axis=-1)
+    mesh = tube(path, between(0.006, 0.008, rng=rng), segments=18, is_loop=True)
+    return _one("knot", turned(mesh, (1, 0, 0), pick((0.0, 90.0), rng=rng)), rng)
+
+
+THINGS: dict[str, Maker] = {
+    "books": _books,
+    "pot": _pot,
+    "fruit": _fruit,
+    "block": _block,
+    "can": _can,
+    "wire": _wire,
+}
+
+
+def _one(name: str, mesh: Mesh, rng: np.random.Generator) -> Thing:
+    item = SceneObject(name=name, mesh=standing(mesh), material=surface(between(0.012, 0.035, rng=rng), rng=rng))
+    return Thing(words=f"a {name}", objects=(item,))

@@ -1,0 +1,75 @@
+"""Tests `datagen build --scene random`: names, many at once, mending, and which flags go together."""
+
+from pathlib import Path
+
+import pytest
+from support import fake_renderer
+from support.commands import call, run
+
+from datagen.data.dataset import open_dataset
+from datagen.data.meshes import Mesh
+from datagen.disk.storage import sha256
+from datagen.scene.folder import load_scene
+
+SIZE = "--preset tiny --resolution 4 --views 2 --test-views 1 --spp 2 --test-spp 2 --num-layers 2"
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder in which builds neither render nor unwrap."""
+
+    def as_they_are(meshes: dict[str, Mesh]) -> dict[str, Mesh]:
+        return meshes
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("datagen.scene.procedural.drawing.unwrap_all", as_they_are)
+    monkeypatch.setattr("datagen.build.build._say_slits", lambda scene, cameras: None)
+    fake_renderer.install(monkeypatch)
+    return tmp_path
+
+
+def test_count_builds_a_dataset_for_each_seed_and_its_name_builds_the_same_scene(here: Path) -> None:
+    answer = call(f"datagen build --scene random --family object --seed 3 --count 2 {SIZE} --out many")
+    names = ["random-object-0003", "random-object-0004"]
+    assert answer.out.split() == [f"many/{name}" for name in names]
+    for seed, name in enumerate(names, 3):
+        dataset = open_dataset(here / "many" / name)
+        assert (dataset.config.scene, dataset.config.seed) == (name, seed)
+        assert load_scene(dataset.root / "scene", is_sealed=True).name == name
+    run(f"datagen build --scene random-object-0003 --seed 3 {SIZE}")
+    described = [Path(root, names[0], "scene/scene.json").read_bytes() for root in ("many", "data")]
+    assert sha256(described[0]) == sha256(described[1])
+
+
+def test_a_lost_file_of_a_random_scene_comes_back_by_its_name(here: Path) -> None:
+    run(f"datagen build --scene random --family object --seed 12 {SIZE}")
+    root = Path("data/random-object-0012")
+    lost = root / "scene/scene.json"
+    before = lost.read_bytes()
+    lost.unlink()
+    assert call(f"datagen verify {root}").error.endswith("mend them with `datagen mend data/random-object-0012`")
+    run("datagen mend random-object-0012")
+    assert lost.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("flags", "error"),
+    [
+        ("--scene drinks --count 2", "--count: goes with --scene random; leave it out"),
+        ("--family table", "--family: goes with --scene random; leave it out"),
+        ("--scene random --count 0", "count: is 0; expected at least 1 dataset"),
+        ("--scene random --seed -1", "seed: is -1; expected 0 or more, and at most 63 bits"),
+        ("--scene random --edit remove:ball", "--scene random: does not say which scene to edit"),
+        ("--scene random --count 2 --launcher local", "--count: does not go with --launcher"),
+        ("--scene random-12", "scene random-12: is no random scene; expected a name like random-0007"),
+    ],
+)
+def test_flags_that_do_not_go_together_are_refused(here: Path, flags: str, error: str) -> None:
+    answer = call(f"datagen build {flags} {SIZE if '--edit' not in flags else ''}")
+    assert answer.status == 1
+    assert error in answer.error
+    assert not (here / "data").exists()
+
+
+def test_scenes_lists_the_random_ones() -> None:
+    assert "random         Glassware drawn from --seed N" in call("datagen scenes").out
