@@ -17,8 +17,8 @@ def camera_from_intrinsics(
 
     >>> import numpy as np
     >>> matrix = look_at((2.0, 0.0, 1.0), (0.0, 0.0, 0.3))
-    >>> camera = camera_from_intrinsics(matrix, np.array([[100, 0, 32], [0, 100, 24], [0, 0, 1]]), 64, 48)
-    >>> bool(np.allclose(camera.intrinsics, [[100, 0, 32], [0, 100, 24], [0, 0, 1]]))
+    >>> camera = camera_from_intrinsics(matrix, np.array([[100, 0, 30.5], [0, 100, 24], [0, 0, 1]]), 64, 48)
+    >>> bool(np.allclose(camera.intrinsics, [[100, 0, 30.5], [0, 100, 24], [0, 0, 1]]))
     True
 
     Args:
@@ -29,7 +29,7 @@ def camera_from_intrinsics(
         height: of the picture, in pixels.
 
     Raises:
-        HyalineError: pixels that are not square, a principal point outside of the picture's middle, or no camera.
+        HyalineError: pixels that are not square, or no camera.
     """
     (focal_x, skew, center_x), (_, focal_y, center_y), _ = np.asarray(intrinsics, np.float64)
     if not math.isclose(focal_x, focal_y, rel_tol=1e-4) or abs(skew) > 1e-4 * abs(focal_x):
@@ -37,13 +37,13 @@ def camera_from_intrinsics(
             f"intrinsics: focal lengths {focal_x:g}, {focal_y:g} and skew {skew:g}; expected square "
             "pixels: equal focal lengths and no skew"
         )
-    if max(abs(center_x - width / 2), abs(center_y - height / 2)) > 0.01:
-        raise HyalineError(
-            f"intrinsics: the principal point is {center_x:g}, {center_y:g}; expected the middle of the "
-            f"picture, {width / 2:g}, {height / 2:g}"
-        )
-    fov_x = 2 * math.atan2(0.5 * width, focal_x)
-    camera = Camera(world_from_camera=np.asarray(world_from_camera), fov_x=fov_x, width=width, height=height)
+    camera = Camera(
+        world_from_camera=np.asarray(world_from_camera),
+        fov_x=2 * math.atan2(0.5 * width, focal_x),
+        width=width,
+        height=height,
+        center=None if (center_x, center_y) == (0.5 * width, 0.5 * height) else (float(center_x), float(center_y)),
+    )
     check_camera(camera)
     return camera
 

@@ -127,6 +127,7 @@ class Run:
             fov_x=camera.fov_x,
             width=camera.width,
             height=camera.height,
+            center=camera.center,
         )
         return self.config.net.load_cameras(self.inputs, cameras).to(choose_device(self.device))
 

@@ -129,9 +129,7 @@ class DefaultRenderer:
 
         self._scene = load_scene_mitsuba(scene)
         self._integrator = mi.load_dict({"type": "path", "max_depth": max_depth, "rr_depth": DEFAULT_RR_DEPTH})
-        self._sensor = load_sensor(
-            cameras.world_from_camera[view], cameras.fov_x, cameras.width, cameras.height, sampler="independent"
-        )
+        self._sensor = load_sensor(cameras[view], sampler="independent")
 
     def radiance(self, *, spp: int, seed: int) -> tuple[np.ndarray, int]:
         import mitsuba as mi

@@ -14,6 +14,7 @@ from datagen.data.clear import clear_dataset
 from datagen.data.config import SPLITS, DatasetConfig, Split, config_difference, describe_views
 from datagen.data.dataset import Dataset, DatasetObject, head_files
 from datagen.data.dataset_head import dataset_files, head_contents, view_files, write_head
+from datagen.data.depth_range import with_depth_range
 from datagen.data.geometries import geometry_hash
 from datagen.data.imported import RENDERED, Imported
 from datagen.data.layer_store import record_path_of_layers
@@ -52,7 +53,8 @@ def build_dataset(
     if config.train.views < 1:
         raise HyalineError(f"views: are {config.train.views}; expected at least 1 training view")
     with holding(root, DATASET, shared=shard is not None):
-        cameras = make_cameras(scene.cameras, config)
+        meshes = [item.mesh for item in scene.objects]
+        cameras = with_depth_range(make_cameras(scene.cameras, config), meshes)
         dataset = open_or_start(scene, root, config, cameras, overwrite=overwrite)
         meshes_hash = geometry_hash(dataset, TRUTH)
         # Now, so that a dataset that is stopped while it renders says which layers it is to have.

@@ -28,7 +28,7 @@ from datagen.scene.folder import load_scene
 from datagen.scene.importers.finding import find_scene, is_foreign
 from datagen.scene.importers.importing import scene_name
 from datagen.scene.procedural.names import RANDOM, RandomName
-from datagen.scene.rig import with_listed_views
+from datagen.scene.rig import with_listed_shape, with_listed_views
 from datagen.terminal.command import choose, next_command, say, say_all, tell
 
 DEFAULTS = BuildChoices()
@@ -93,6 +93,8 @@ def _build_new(choices: BuildChoices, launch: LaunchChoices) -> None:
     scene = find_scene(choices.scene, built=built, resolution=config.resolution.mean_side)
     root = choices.out or DATA_ROOT / scene.name
     config = dataclasses.replace(config, scene=scene.name)
+    if choices.resolution is None:
+        config = with_listed_shape(config, scene.cameras)
     if choices.views is None and choices.test_views is None:
         config = with_listed_views(config, scene.cameras)
     if launch.launcher is not None:

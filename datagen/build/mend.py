@@ -13,8 +13,10 @@ from datagen.build.build import peel_dataset, render_dataset
 from datagen.build.build_variant import build_variant
 from datagen.build.plan_variant import plan_again
 from datagen.build.verify import check_is_there, import_command, is_good, list_obstacles
-from datagen.data.cameras import TRANSFORMS_FILES, transforms_bytes
+from datagen.data.cameras import TRANSFORMS_FILES
 from datagen.data.dataset import Dataset, head_files, open_dataset
+from datagen.data.dataset_head import head_contents
+from datagen.data.depth_range import with_depth_range
 from datagen.data.geometries import list_geometries
 from datagen.data.paths import layers_root
 from datagen.data.variants import list_variants, open_variant
@@ -120,9 +122,12 @@ def _restore_scene(dataset: Dataset, given: str | None) -> None:
     if not lost:
         return
     scene = _find_scene(dataset, given, lost)
-    cameras = make_cameras(scene.cameras, dataset.config)
-    contents = {f"scene/{path}": data for path, data in scene_files(scene).items()}
-    contents |= {TRANSFORMS_FILES[split]: transforms_bytes(poses, split) for split, poses in cameras.items()}
+    # Datasets of format version 1 have cameras without near and far.
+    bare = make_cameras(scene.cameras, dataset.config)
+    for cameras in (bare, with_depth_range(bare, [item.mesh for item in scene.objects])):
+        contents = head_contents(scene_files(scene), cameras)
+        if all(sha256(contents[file]) == promised[file] for file in lost if file in TRANSFORMS_FILES.values()):
+            break
     for file in lost:
         if file not in contents or sha256(contents[file]) != promised[file]:
             raise HyalineError(

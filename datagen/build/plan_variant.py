@@ -8,6 +8,7 @@ from datagen.build.angles import make_angle_cameras
 from datagen.data.cameras import Cameras
 from datagen.data.config import TEST_SPLITS, DatasetConfig, Split, SplitConfig
 from datagen.data.dataset import Dataset, DatasetObject, SceneEdit
+from datagen.data.depth_range import with_depth_range
 from datagen.data.geometries import read_meshes
 from datagen.data.paths import TRUTH
 from datagen.data.variants import ANGLES, evenly, is_larger, scale_name
@@ -39,7 +40,8 @@ def plan_angles(base: Dataset) -> Plan:
         HyalineError: the scene has no place for such cameras.
     """
     _check_base(base)
-    cameras = make_angle_cameras(load_scene(base.root / "scene", is_sealed=True), base.config)
+    scene = load_scene(base.root / "scene", is_sealed=True)
+    cameras = with_depth_range(make_angle_cameras(scene, base.config), [item.mesh for item in scene.objects])
     return Plan(name=ANGLES, config=base.config, cameras=cameras, objects=base.objects)
 
 
@@ -64,12 +66,8 @@ def plan_larger(base: Dataset, scale: int, *, views: int | None = None) -> Plan:
             raise HyalineError(f"super_resolution_views: is {count}; expected 1 to {there.views}, as {split} has")
         sizes[split] = dataclasses.replace(there, views=count)
         poses = base.cameras(split)
-        cameras[split] = dataclasses.replace(
-            poses,
-            world_from_camera=poses.world_from_camera[evenly(count, there.views)],
-            width=scale * poses.width,
-            height=scale * poses.height,
-        )
+        chosen = poses.world_from_camera[evenly(count, there.views)]
+        cameras[split] = dataclasses.replace(poses.times(scale), world_from_camera=chosen)
     config = dataclasses.replace(base.config, resolution=base.config.resolution.times(scale), **sizes)
     return Plan(name=scale_name(scale), config=config, cameras=cameras, objects=base.objects)
 
@@ -92,7 +90,9 @@ def plan_edit(base: Dataset, edits: tuple[Edit, ...]) -> Plan:
     return Plan(
         name=edits_name(edits),
         config=base.config,
-        cameras={split: base.cameras(split) for split in TEST_SPLITS},
+        cameras=with_depth_range(
+            {split: base.cameras(split) for split in TEST_SPLITS}, [item.mesh for item in edited.scene.objects]
+        ),
         objects=tuple(DatasetObject(name=item.name, is_glass=item.material.is_glass) for item in edited.scene.objects),
         edit=edit,
         scene=scene_files(edited.scene),

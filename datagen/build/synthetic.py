@@ -8,6 +8,7 @@ from datagen.data.cameras import Cameras
 from datagen.data.config import SPLITS, DatasetConfig, SplitConfig
 from datagen.data.dataset import Dataset, DatasetObject
 from datagen.data.dataset_head import commit_view, write_head
+from datagen.data.depth_range import with_depth_range
 from datagen.data.exr import encode_exr
 from datagen.data.geometries import geometry_hash
 from datagen.data.layer_writing import create_layers, write_layers
@@ -149,6 +150,7 @@ def write_synthetic_dataset(
             world_from_camera=np.stack(poses), fov_x=np.radians(50), width=size.width, height=size.height
         )
     objects = (DatasetObject(name="pane", is_glass=True), DatasetObject(name="floor", is_glass=False))
+    cameras = with_depth_range(cameras, [item.mesh for item in scene.objects])
     dataset = write_head(root, config, objects, cameras, scene_files(scene))
     create_layers(dataset, TRUTH, num_layers=num_layers, geometry_hash=geometry_hash(dataset, TRUTH))
     noise = rng.normal(0, 1e-3, (*size.shape, 3)).astype(np.float32)

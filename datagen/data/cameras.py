@@ -1,5 +1,6 @@
 """Cameras: where they stand, which rays they shoot, and their files."""
 
+import dataclasses
 import math
 from dataclasses import dataclass
 from typing import cast
@@ -25,14 +26,22 @@ CONVENTION = "transform_matrix is world_from_camera, OpenGL: +x right, +y up, lo
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Camera:
-    """A pinhole camera with square pixels and its principal point in the picture's middle."""
+    """A pinhole camera with square pixels."""
 
     world_from_camera: Float[np.ndarray, "4 4"]
     """float64, metres, OpenGL convention: +x right, +y up, the camera looks along -z; world +z is up."""
     fov_x: float
-    """Horizontal field of view in radians."""
+    """2 atan(width / 2 / focal length) in radians: the horizontal field of view where the principal point is in the
+    picture's middle."""
     width: int
     height: int
+    center: tuple[float, float] | None = None
+    """Column and row of the principal point in pixels, from the picture's upper left corner; None: its middle."""
+
+    @property
+    def principal_point(self) -> tuple[float, float]:
+        """Column and row in pixels, from the picture's upper left corner."""
+        return _principal_point(self)
 
     @property
     def intrinsics(self) -> Float[np.ndarray, "3 3"]:
@@ -41,13 +50,27 @@ class Camera:
         The rays of `rays` are those of OpenCV's camera (y down, z ahead) after its y and z are turned round.
         """
         focal = 0.5 * self.width / math.tan(0.5 * self.fov_x)
-        return np.array([[focal, 0, 0.5 * self.width], [0, focal, 0.5 * self.height], [0, 0, 1]])
+        column, row = self.principal_point
+        return np.array([[focal, 0, column], [0, focal, row], [0, 0, 1]])
+
+    def project(
+        self, p_world: Float[np.ndarray, "point 3"]
+    ) -> tuple[Float[np.ndarray, "point 2"], Float[np.ndarray, " point"]]:
+        """Column and row in pixels of where points are seen, and their depth along the axis in metres.
+
+        Column and row mean nothing where the depth is not positive.
+        """
+        p_camera = (p_world - self.world_from_camera[:3, 3]) @ self.world_from_camera[:3, :3]
+        depth = -p_camera[:, 2]
+        image = np.stack([p_camera[:, 0], -p_camera[:, 1], depth], axis=1) @ self.intrinsics.T
+        return image[:, :2] / np.where(depth > 0, depth, 1)[:, None], depth
 
     def rays(self) -> tuple[Float32[np.ndarray, "3"], Float32[np.ndarray, "h w 3"]]:
         """Origin (metres) and unit directions of the rays through pixel centres, in the world, computed in float64."""
         focal = self.intrinsics[0, 0]
-        x = (np.arange(self.width) + 0.5 - 0.5 * self.width) / focal
-        y = (0.5 * self.height - np.arange(self.height) - 0.5) / focal
+        column, row = self.principal_point
+        x = (np.arange(self.width) + 0.5 - column) / focal
+        y = (row - np.arange(self.height) - 0.5) / focal
         d_camera = np.stack(np.broadcast_arrays(x[None, :], y[:, None], -1.0), axis=-1)
         d_world = d_camera @ self.world_from_camera[:3, :3].T
         d_world /= np.linalg.norm(d_world, axis=-1, keepdims=True)
@@ -61,17 +84,41 @@ class Cameras:
     world_from_camera: Float[np.ndarray, "view 4 4"]
     """float64, OpenGL convention."""
     fov_x: float
-    """Horizontal field of view in radians."""
+    """Of each `Camera`."""
     width: int
     height: int
+    center: tuple[float, float] | None = None
+    """Of each `Camera`."""
+    near: float | None = None
+    """Metres along the ray: every surface that a picture of the dataset shows is farther; None: not known."""
+    far: float | None = None
+    """And nearer than this; the sky is beyond it."""
 
     def __len__(self) -> int:
         return len(self.world_from_camera)
 
     def __getitem__(self, view: int) -> Camera:
         return Camera(
-            world_from_camera=self.world_from_camera[view], fov_x=self.fov_x, width=self.width, height=self.height
+            world_from_camera=self.world_from_camera[view],
+            fov_x=self.fov_x,
+            width=self.width,
+            height=self.height,
+            center=self.center,
         )
+
+    @property
+    def principal_point(self) -> tuple[float, float]:
+        """Column and row in pixels, from the picture's upper left corner."""
+        return _principal_point(self)
+
+    def times(self, scale: int) -> "Cameras":
+        """The same with pictures so many times as wide and high."""
+        center = None if self.center is None else (scale * self.center[0], scale * self.center[1])
+        return dataclasses.replace(self, width=scale * self.width, height=scale * self.height, center=center)
+
+
+def _principal_point(lens: Camera | Cameras) -> tuple[float, float]:
+    return (0.5 * lens.width, 0.5 * lens.height) if lens.center is None else lens.center
 
 
 def look_at(
@@ -113,6 +160,8 @@ def check_camera(camera: Camera) -> None:
         raise HyalineError(f"camera: fov_x is {camera.fov_x}; expected radians, more than 0 and less than pi")
     if camera.width < 1 or camera.height < 1:
         raise HyalineError(f"camera: is {camera.width} x {camera.height} pixels; expected at least 1 x 1")
+    if not np.isfinite(camera.principal_point).all():
+        raise HyalineError(f"camera: center is {camera.center}; expected a column and a row in pixels, or None")
 
 
 def subpixel_offsets(
@@ -148,8 +197,9 @@ def subpixel_rays(
     view, place = np.divmod(pixel, cameras.height * cameras.width)
     row, column = np.divmod(place, cameras.width)
     focal = 0.5 * cameras.width / math.tan(0.5 * cameras.fov_x)
-    x = (column[:, None] + offsets[..., 1] - 0.5 * cameras.width) / focal
-    y = (0.5 * cameras.height - row[:, None] - offsets[..., 0]) / focal
+    center_x, center_y = cameras.principal_point
+    x = (column[:, None] + offsets[..., 1] - center_x) / focal
+    y = (center_y - row[:, None] - offsets[..., 0]) / focal
     d_camera = np.stack([x, y, -np.ones_like(x)], axis=-1)
     world_from_camera = cameras.world_from_camera[view]
     d_world = np.einsum("psc,pdc->psd", d_camera, world_from_camera[:, :3, :3])
@@ -161,16 +211,19 @@ def subpixel_rays(
 def transforms_bytes(cameras: Cameras, split: Split) -> bytes:
     """The cameras of a split as NeRF tools read them."""
     focal = 0.5 * cameras.width / math.tan(0.5 * cameras.fov_x)
+    column, row = cameras.principal_point
+    bounds: dict[str, Json] = {"near": cameras.near, "far": cameras.far}
     return dump_json(
         {
             "convention": CONVENTION,
             "camera_angle_x": cameras.fov_x,
             "fl_x": focal,
             "fl_y": focal,
-            "cx": 0.5 * cameras.width,
-            "cy": 0.5 * cameras.height,
+            "cx": column,
+            "cy": row,
             "w": cameras.width,
             "h": cameras.height,
+            **{key: value for key, value in bounds.items() if value is not None},
             "frames": [
                 {"file_path": f"images/{split}/{view_name(view)}", "transform_matrix": matrix.tolist()}
                 for view, matrix in enumerate(cameras.world_from_camera)
@@ -188,13 +241,22 @@ def parse_transforms(data: bytes, *, where: str) -> Cameras:
     content = parse_json(data, where=where)
     try:
         frames = cast(list[dict[str, Json]], content["frames"])
+        width, height = int(cast(int, content["w"])), int(cast(int, content["h"]))
+        center = float(cast(float, content["cx"])), float(cast(float, content["cy"]))
         return Cameras(
             world_from_camera=np.array([frame["transform_matrix"] for frame in frames], np.float64).reshape(-1, 4, 4),
             fov_x=float(cast(float, content["camera_angle_x"])),
-            width=int(cast(int, content["w"])),
-            height=int(cast(int, content["h"])),
+            width=width,
+            height=height,
+            center=None if center == (0.5 * width, 0.5 * height) else center,
+            near=_length(content.get("near")),
+            far=_length(content.get("far")),
         )
     except (KeyError, TypeError, ValueError) as error:
         raise HyalineError(
             f"{where}: holds no cameras ({type(error).__name__}: {error}); expected those that `datagen build` writes"
         ) from error
+
+
+def _length(value: Json) -> float | None:
+    return None if value is None else float(cast(float, value))

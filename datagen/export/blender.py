@@ -14,16 +14,18 @@ from datagen.disk.storage import dump_json
 from datagen.export.pictures import ply_points, rgba_png
 from datagen.export.plan import Part, Plan
 from datagen.export.source import ROLES, ExportView, Source
-from datagen.export.transforms import CONVENTION, bounds_keys, frame, lens_keys
+from datagen.export.transforms import CONVENTION, bounds_keys, check_centered, frame, lens_keys
 
 
 def plan_blender(source: Source) -> Plan:
     """Pictures and cameras."""
+    check_centered(source.pictures[0].view.camera, "blender")
     return Plan(parts=_parts(source), hint="ns-train nerfacto --data OUT blender-data")
 
 
 def plan_3dgs(source: Source) -> Plan:
     """The same with points; the reader takes this format where no folder `sparse` is there."""
+    check_centered(source.pictures[0].view.camera, "3dgs")
     points = Part(name="points", files=("points3d.ply",), make=lambda: {"points3d.ply": ply_points(source.points)})
     return Plan(parts=(*_parts(source), points), hint="python train.py -s OUT --eval")
 

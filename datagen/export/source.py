@@ -134,10 +134,12 @@ class Source:
             near, far = NO_SURFACE
             return Bounds(near=near, far=far, low=(-far, -far, -far), high=(far, far, far))
         low, high = np.min(lows, axis=0).astype(float), np.max(highs, axis=0).astype(float)
+        cameras = self.dataset.cameras("train")
         pad = MARGIN * (high - low).max()
         return Bounds(
-            near=float((1 - MARGIN) * min(nears)),
-            far=float((1 + MARGIN) * max(fars)),
+            # Datasets of format version 1 do not say it; then it is what the pixels' centre rays meet.
+            near=float((1 - MARGIN) * min(nears)) if cameras.near is None else cameras.near,
+            far=float((1 + MARGIN) * max(fars)) if cameras.far is None else cameras.far,
             low=tuple((low - pad).tolist()),
             high=tuple((high + pad).tolist()),
         )

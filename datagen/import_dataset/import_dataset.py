@@ -12,6 +12,7 @@ from datagen.data.cameras import Cameras
 from datagen.data.config import SPLITS, DatasetConfig, Split, SplitConfig
 from datagen.data.dataset import Dataset, View
 from datagen.data.dataset_head import commit_imported_view
+from datagen.data.depth_range import with_depth_range
 from datagen.data.imported import Imported
 from datagen.data.resolution import Resolution
 from datagen.disk.errors import HyalineError
@@ -58,12 +59,14 @@ def plan_import(folder: Path, choices: DatasetImportChoices) -> Plan:
     views, lines = split_views(foreign)
     linear = choices.scale * z_up_from(choices.up)
     size = Resolution(width=whole.width // times, height=whole.height // times)
+    center = foreign.lens.center
     cameras: dict[Split, Cameras] = {
         split: Cameras(
             world_from_camera=np.stack([_placed(view.world_from_camera, linear) for view in views[split]]),
             fov_x=foreign.lens.fov_x,
             width=size.width,
             height=size.height,
+            center=None if center is None else (center[0] / times, center[1] / times),
         )
         for split in SPLITS
     }
@@ -72,6 +75,8 @@ def plan_import(folder: Path, choices: DatasetImportChoices) -> Plan:
     surfaces = (*foreign.surfaces, *given)
     remarks = Remarks()
     scene = make_scene(name, surfaces, cameras, choices, remarks) if surfaces else None
+    if scene is not None:
+        cameras = with_depth_range(cameras, [item.mesh for item in scene.objects])
     few = {split: SplitConfig(views=len(views[split]), spp=None) for split in SPLITS}
     config = DatasetConfig(
         scene=name,

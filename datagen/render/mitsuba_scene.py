@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 from jaxtyping import Float, Float32
 
+from datagen.data.cameras import Camera
 from datagen.data.meshes import Mesh, face_areas
 from datagen.render.environment import environment_plugin, mitsuba_transform
 from datagen.scene.description import Scene, SceneObject, image_bytes
@@ -87,9 +88,7 @@ def to_columns(vectors: Float[np.ndarray, "ray axis"]) -> "list[mi.Float]":
     return [mi.Float(column) for column in columns]
 
 
-def load_sensor(
-    world_from_camera: Float[np.ndarray, "4 4"], fov_x: float, width: int, height: int, *, sampler: str = "multijitter"
-) -> "mi.Sensor":
+def load_sensor(camera: Camera, *, sampler: str = "multijitter") -> "mi.Sensor":
     """A pinhole camera with a box filter, so that a sample counts for its own pixel alone.
 
     Args:
@@ -98,21 +97,27 @@ def load_sensor(
     import mitsuba as mi
 
     # Mitsuba's camera looks along +z and has +x on its left.
-    to_world = world_from_camera @ np.diag([-1.0, 1.0, -1.0, 1.0])
+    to_world = camera.world_from_camera @ np.diag([-1.0, 1.0, -1.0, 1.0])
+    shift: dict[str, float] = {}
+    if camera.center is not None:
+        # Mitsuba adds the offset, a share of the film's sides, to where a sample is before it finds its ray.
+        shift["principal_point_offset_x"] = 0.5 - camera.center[0] / camera.width
+        shift["principal_point_offset_y"] = 0.5 - camera.center[1] / camera.height
     return cast(
         "mi.Sensor",
         mi.load_dict(
             {
                 "type": "perspective",
-                "fov": float(np.degrees(fov_x)),
+                "fov": float(np.degrees(camera.fov_x)),
                 "fov_axis": "x",
+                **shift,
                 "near_clip": 1e-3,
                 "far_clip": 1e4,
                 "to_world": mitsuba_transform(to_world),
                 "film": {
                     "type": "hdrfilm",
-                    "width": width,
-                    "height": height,
+                    "width": camera.width,
+                    "height": camera.height,
                     "pixel_format": "rgb",
                     "component_format": "float32",
                     "rfilter": {"type": "box"},

@@ -92,7 +92,7 @@ class Renderer:
         """Linear radiance (h, w, 3) float32 and the samples per pixel really drawn (Mitsuba as scalar rounds them)."""
         import mitsuba as mi
 
-        sensor = load_sensor(cameras.world_from_camera[view], cameras.fov_x, cameras.width, cameras.height)
+        sensor = load_sensor(cameras[view])
         if not is_scalar():
             width, height = cameras.width, cameras.height
             return self._tracer.render(sensor, width=width, height=height, spp=spp, seed=seed), spp

@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from datagen.data.cameras import Cameras
 from datagen.data.config import Split
+from datagen.data.resolution import Resolution
 from datagen.disk.errors import HyalineError
 from datagen.scene.values import Vector, as_vector
 
@@ -18,8 +19,73 @@ Matrix = tuple[Row, Row, Row, Row]
 MAX_SKEW = 1e-3
 """By which a rotation's axes may miss being perpendicular and of unit length."""
 
+MAX_SHIFT = 4
+"""Pictures by which a principal point may be away from the middle: what is beyond has a slip in it."""
+
 LEAST_GAP_DEG = 60.0
 """Between neighbouring cameras on a circle: something may stand where so much of it is empty."""
+
+
+DEFAULT_FOV_DEG = 40.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Intrinsics:
+    """The lens of listed cameras, in pixels of a picture; a dataset of another resolution scales it."""
+
+    fl_x: float
+    """Focal length."""
+    fl_y: float
+    """The same as fl_x: pixels are square."""
+    cx: float
+    """Column of the principal point, from the picture's left border."""
+    cy: float
+    """Row of the principal point, from the picture's upper border."""
+    w: int
+    """Width of the picture."""
+    h: int
+    """Height of the picture."""
+
+    def __post_init__(self) -> None:
+        if self.w < 1 or self.h < 1:
+            raise HyalineError(f"camera intrinsics: are of {self.w} x {self.h} pixels; expected at least 1 x 1")
+        if not (self.fl_x > 0 and math.isclose(self.fl_x, self.fl_y, rel_tol=1e-4)):
+            raise HyalineError(
+                f"camera intrinsics: fl_x and fl_y are {self.fl_x:g} and {self.fl_y:g}; expected equal focal lengths "
+                "above 0, as pixels are square"
+            )
+        if not 0 < math.degrees(self.fov_x) < 170:
+            raise HyalineError(f"camera intrinsics: fl_x is {self.fl_x:g}; expected a lens of less than 170 degrees")
+        if max(abs(self.cx - self.w / 2) / self.w, abs(self.cy - self.h / 2) / self.h) > MAX_SHIFT:
+            raise HyalineError(
+                f"camera intrinsics: cx and cy are {self.cx:g} and {self.cy:g}; expected pixels, at most {MAX_SHIFT} "
+                f"pictures of {self.w} x {self.h} away from the middle"
+            )
+
+    @property
+    def fov_x(self) -> float:
+        """2 atan(w / 2 / fl_x) in radians."""
+        return 2 * math.atan2(0.5 * self.w, self.fl_x)
+
+    def fitting(self, pixels: int) -> Resolution:
+        """The resolution of pictures of the same shape with about so many pixels."""
+        width = max(1, round(self.w * math.sqrt(pixels / (self.w * self.h))))
+        return Resolution(width=width, height=max(1, round(self.h * width / self.w)))
+
+    def center_in(self, resolution: Resolution) -> tuple[float, float] | None:
+        """Column and row of the principal point in pictures of a resolution; None where that is the middle.
+
+        Raises:
+            HyalineError: pictures of another shape.
+        """
+        scale = resolution.width / self.w
+        if abs(resolution.height - scale * self.h) > 0.5 + 1e-9:
+            raise HyalineError(
+                f"resolution: is {resolution}, and the scene's intrinsics are of {self.w} x {self.h} pixels; expected "
+                f"that shape, such as {self.fitting(resolution.pixels)}"
+            )
+        center = self.cx * scale, self.cy * scale
+        return None if center == (resolution.width / 2, resolution.height / 2) else center
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,12 +98,16 @@ class CameraList:
     """Of test views among the training cameras."""
     extrapolating: tuple[Matrix, ...]
     """Of test views away from the training cameras."""
-    fov_deg: float = 40.0
-    """Horizontal field of view."""
+    fov_deg: float = DEFAULT_FOV_DEG
+    """Horizontal field of view, where there are no intrinsics."""
+    intrinsics: Intrinsics | None = None
+    """The lens in pixels, where its principal point is not in the picture's middle or pictures are not square."""
 
     def __post_init__(self) -> None:
         if not 0 < self.fov_deg < 170:
             raise HyalineError(f"camera fov_deg: is {self.fov_deg}; expected 0 to 170")
+        if self.intrinsics is not None and self.fov_deg != DEFAULT_FOV_DEG:
+            raise HyalineError(f"camera fov_deg: is {self.fov_deg}, and there are intrinsics, too; leave one out")
         for split, matrices in self.poses().items():
             if not len(matrices):
                 raise HyalineError(f"cameras {split}: there are none; expected at least one matrix")
@@ -101,11 +171,18 @@ class CameraList:
 def list_cameras(cameras: Mapping[Split, Cameras]) -> CameraList:
     """The cameras of all splits as a scene lists them."""
     rows = {split: tuple(map(matrix_rows, item.world_from_camera)) for split, item in cameras.items()}
+    lens = cameras["train"]
+    fov_deg, intrinsics = math.degrees(lens.fov_x), None
+    if lens.center is not None:
+        focal = 0.5 * lens.width / math.tan(0.5 * lens.fov_x)
+        (column, row), fov_deg = lens.center, DEFAULT_FOV_DEG
+        intrinsics = Intrinsics(fl_x=focal, fl_y=focal, cx=column, cy=row, w=lens.width, h=lens.height)
     return CameraList(
         train=rows["train"],
         interpolating=rows["interpolating"],
         extrapolating=rows["extrapolating"],
-        fov_deg=math.degrees(cameras["train"].fov_x),
+        fov_deg=fov_deg,
+        intrinsics=intrinsics,
     )
 
 

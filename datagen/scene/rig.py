@@ -28,9 +28,11 @@ def make_cameras(rig: CameraRig | CameraList, config: DatasetConfig) -> dict[Spl
             "interpolating": _path_on_hemisphere(rig, config.interpolating.views),
             "extrapolating": _walk(rig, config.extrapolating.views),
         }
-    size, fov_x = config.resolution, math.radians(rig.fov_deg)
+    size, fov_x, center = config.resolution, math.radians(rig.fov_deg), None
+    if isinstance(rig, CameraList) and rig.intrinsics is not None:
+        fov_x, center = rig.intrinsics.fov_x, rig.intrinsics.center_in(size)
     return {
-        split: Cameras(world_from_camera=poses[split], fov_x=fov_x, width=size.width, height=size.height)
+        split: Cameras(world_from_camera=poses[split], fov_x=fov_x, width=size.width, height=size.height, center=center)
         for split in SPLITS
     }
 
@@ -41,6 +43,13 @@ def with_listed_views(config: DatasetConfig, rig: CameraRig | CameraList) -> Dat
         return config
     sizes = {split: dataclasses.replace(config.split(split), views=len(rig.poses()[split])) for split in SPLITS}
     return dataclasses.replace(config, **sizes)
+
+
+def with_listed_shape(config: DatasetConfig, rig: CameraRig | CameraList) -> DatasetConfig:
+    """The configuration with pictures of the shape that a scene's intrinsics say, of about as many pixels."""
+    if isinstance(rig, CameraRig) or rig.intrinsics is None:
+        return config
+    return dataclasses.replace(config, resolution=rig.intrinsics.fitting(config.resolution.pixels))
 
 
 def _listed(rig: CameraList, config: DatasetConfig) -> dict[str, Float[np.ndarray, "view 4 4"]]:

@@ -184,19 +184,16 @@ def _nearest_on(point: Float[np.ndarray, "3"], corners: Float[np.ndarray, "face 
 
 def _chosen_views(cameras: tuple[Cameras, ...]):
     """Positions of some cameras of all splits, and a function that tells which points are in the picture of one."""
-    poses = np.concatenate([split.world_from_camera for split in cameras])
-    fov = np.concatenate([np.full(len(split.world_from_camera), split.fov_x) for split in cameras])
-    aspect = np.concatenate([np.full(len(split.world_from_camera), split.height / split.width) for split in cameras])
-    chosen = np.unique(np.linspace(0, len(poses) - 1, MAX_VIEWS).astype(np.int64))
-    poses, half, aspect = poses[chosen], np.tan(fov[chosen] / 2), aspect[chosen]
+    everyone = [split[view] for split in cameras for view in range(len(split))]
+    chosen = np.unique(np.linspace(0, len(everyone) - 1, MAX_VIEWS).astype(np.int64))
+    some = [everyone[view] for view in chosen]
 
     def can_see(view: int, points: Float[np.ndarray, "place 3"]) -> Bool[np.ndarray, " place"]:
-        p_camera = (points - poses[view, :3, 3]) @ poses[view, :3, :3]
-        depth = -p_camera[:, 2]
-        wide, high = depth * half[view], depth * half[view] * aspect[view]
-        return (depth > 0) & (np.abs(p_camera[:, 0]) <= wide) & (np.abs(p_camera[:, 1]) <= high)
+        pixels, depth = some[view].project(points)
+        inside = (pixels >= 0) & (pixels <= (some[view].width, some[view].height))
+        return (depth > 0) & inside.all(axis=1)
 
-    return poses[:, :3, 3], can_see
+    return np.stack([camera.world_from_camera[:3, 3] for camera in some]), can_see
 
 
 def _occlusion(scene: Scene):

@@ -117,9 +117,11 @@ def frustum_edges(cameras: Cameras, size: float) -> Float[np.ndarray, "edge 2 3"
     Args:
         size: metres from the centre to the picture.
     """
-    half = size * np.tan(cameras.fov_x / 2)
-    half_y = half * cameras.height / cameras.width
-    local = np.array([[-half, -half_y], [half, -half_y], [half, half_y], [-half, half_y]])
+    metres = 2 * size * np.tan(cameras.fov_x / 2) / cameras.width  # Of a pixel, at the picture.
+    column, row = cameras.principal_point
+    left, right = -metres * column, metres * (cameras.width - column)
+    low, high = -metres * (cameras.height - row), metres * row
+    local = np.array([[left, low], [right, low], [right, high], [left, high]])
     p_camera = np.column_stack([local, np.full(4, -size), np.ones(4)])
     p_world = np.einsum("vij,cj->vci", cameras.world_from_camera, p_camera)[..., :3]
     center = np.broadcast_to(cameras.world_from_camera[:, None, :3, 3], p_world.shape)

@@ -1,5 +1,6 @@
 """Whole views as training data: cameras, pictures, and which training views look the same way."""
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -8,6 +9,7 @@ import torch
 from jaxtyping import Float32, Int, UInt8
 from torch import Tensor
 
+from datagen.data.cameras import Cameras
 from datagen.data.config import Split
 from datagen.data.dataset import Dataset
 from datagen.data.resolution import Resolution
@@ -33,6 +35,8 @@ class Views:
     world_from_camera: Float32[Tensor, "view 4 4"]
     fov_x: float
     """Radians."""
+    center: tuple[float, float]
+    """Of each `ViewCamera`."""
     resolution: Resolution
     """Of a view."""
 
@@ -58,6 +62,7 @@ class Views:
             rgb=self.rgb.to(device),
             world_from_camera=self.world_from_camera.to(device),
             fov_x=self.fov_x,
+            center=self.center,
             resolution=self.resolution,
         )
 
@@ -68,7 +73,7 @@ class Views:
         return ViewBatch(cameras=tuple(self.camera(int(view)) for view in first // self.pixels_per_view))
 
     def camera(self, view: int) -> ViewCamera:
-        return ViewCamera(world_from_camera=self.world_from_camera[view], fov_x=self.fov_x)
+        return ViewCamera(world_from_camera=self.world_from_camera[view], fov_x=self.fov_x, center=self.center)
 
     def image(self, view: int) -> Float32[Tensor, "1 3 h w"]:
         """sRGB in [0, 1]."""
@@ -87,9 +92,17 @@ class Views:
 def load_views(dataset: Dataset, split: Split, views: Sequence[int], *, with_images: bool) -> Views:
     """Cameras and (unless told otherwise) pictures of some views, every byte verified."""
     cameras = dataset.cameras(split)
+    some = dataclasses.replace(cameras, world_from_camera=cameras.world_from_camera[list(views)])
+    return views_of(some, read_colors(dataset, split, views, with_images=with_images))
+
+
+def views_of(cameras: Cameras, rgb: UInt8[Tensor, "pixel 3"]) -> Views:
+    """The views of any cameras."""
+    column, row = cameras.principal_point
     return Views(
-        rgb=read_colors(dataset, split, views, with_images=with_images),
-        world_from_camera=torch.from_numpy(cameras.world_from_camera[list(views)]).float(),
+        rgb=rgb,
+        world_from_camera=torch.from_numpy(cameras.world_from_camera).float(),
         fov_x=cameras.fov_x,
-        resolution=dataset.config.resolution,
+        center=(column / cameras.width, row / cameras.height),
+        resolution=Resolution(width=cameras.width, height=cameras.height),
     )

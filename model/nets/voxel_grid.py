@@ -28,6 +28,8 @@ class ViewCamera:
     """OpenGL convention: it looks along -z."""
     fov_x: float
     """Field of view in radians."""
+    center: tuple[float, float] = (0.5, 0.5)
+    """Column and row of the principal point, as shares of the picture's width and height."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -103,16 +105,17 @@ def project_points(p_world: Float32[Tensor, "point 3"], camera: ViewCamera, size
     p_camera = (p_world - camera.world_from_camera[:3, 3]) @ camera.world_from_camera[:3, :3]
     right, up, depth = p_camera[:, 0], p_camera[:, 1], -p_camera[:, 2]
     focal = 0.5 * size / math.tan(0.5 * camera.fov_x)
-    return torch.stack([0.5 * size + focal * right / depth, 0.5 * size - focal * up / depth, depth], dim=1)
+    column, row = camera.center
+    return torch.stack([column * size + focal * right / depth, row * size - focal * up / depth, depth], dim=1)
 
 
 def frustum_points(camera: ViewCamera, grid: VoxelGrid, size: int) -> Float32[Tensor, "point 3"]:
     """World positions of a view's frustum: plane by plane from the near plane on, row by row, at pixel centres."""
     device = grid.origin.device
     focal = 0.5 * size / math.tan(0.5 * camera.fov_x)
-    offset = (torch.arange(size, device=device) + 0.5 - 0.5 * size) / focal
+    across, down = ((torch.arange(size, device=device) + 0.5 - share * size) / focal for share in camera.center)
     depth = near_plane(camera, grid) + grid.voxel_size * torch.arange(grid.num_planes, device=device)
-    z, down, right = torch.meshgrid(depth, offset, offset, indexing="ij")
+    z, down, right = torch.meshgrid(depth, down, across, indexing="ij")
     p_camera = torch.stack([right * z, -down * z, -z], dim=-1).reshape(-1, 3)
     return camera.world_from_camera[:3, 3] + p_camera @ camera.world_from_camera[:3, :3].T
 

@@ -1,5 +1,6 @@
 """What a page of `light-path` holds: meshes, optics, texels, weights and cameras, as arrays and a manifest."""
 
+import math
 from dataclasses import dataclass
 from typing import Literal, cast
 
@@ -8,6 +9,7 @@ import torch
 from jaxtyping import Float32, Int32, UInt8
 from torch import Tensor, nn
 
+from datagen.data.cameras import Cameras
 from datagen.data.dataset import Dataset
 from datagen.data.geometries import read_meshes
 from datagen.data.meshes import Mesh, is_there
@@ -77,7 +79,7 @@ def web_scene(renderer: LightPathRenderer, dataset: Dataset, geometry: str, qual
         "name": dataset.name,
         "quality": quality,
         "samples": config.render_samples,
-        "fov": dataset.cameras(dataset.splits[0]).fov_x,
+        "fov": _shorter_angle(dataset.cameras(dataset.splits[0])),
         "target": target,
         "reach": reach,
         "start": f"{'interpolating' if 'interpolating' in views else dataset.splits[0]}/0",
@@ -91,6 +93,13 @@ def web_scene(renderer: LightPathRenderer, dataset: Dataset, geometry: str, qual
         "objects": _objects(scene, meshes, rank, places),
     }
     return WebScene(manifest=manifest, packed=packed)
+
+
+def _shorter_angle(cameras: Cameras) -> float:
+    """Field of view in radians along a picture's shorter side, which the page keeps whatever its window's shape is."""
+    if cameras.width <= cameras.height:
+        return cameras.fov_x
+    return 2 * math.atan(math.tan(cameras.fov_x / 2) * cameras.height / cameras.width)
 
 
 def _orbit(scene: Scene, dataset: Dataset) -> tuple[list[Json], float]:

@@ -156,10 +156,13 @@ def test_intrinsics_give_the_camera_that_has_them_or_are_refused() -> None:
     camera = dataclasses.replace(hyaline.open_dataset().view("train", 0).camera, width=40, height=30)
     again = hyaline.camera_from_intrinsics(camera.world_from_camera, camera.intrinsics, 40, 30)
     assert again.fov_x == pytest.approx(camera.fov_x) and np.array_equal(again.rays()[1], camera.rays()[1])
-    for row, column, match in ((1, 1, "expected square pixels"), (0, 2, "expected the middle of the picture, 20, 15")):
+    aside = np.add(camera.intrinsics, [[0, 0, 3], [0, 0, -2.5], [0, 0, 0]])
+    moved = hyaline.camera_from_intrinsics(camera.world_from_camera, aside, 40, 30)
+    assert moved.center == (23, 12.5) and np.allclose(moved.intrinsics, aside)
+    for row, column in ((1, 1), (0, 1)):
         wrong = camera.intrinsics
         wrong[row, column] += 3
-        with pytest.raises(hyaline.HyalineError, match=match):
+        with pytest.raises(hyaline.HyalineError, match="expected square pixels"):
             hyaline.camera_from_intrinsics(camera.world_from_camera, wrong, 40, 30)
 
 

@@ -10,6 +10,7 @@ from datagen.data.cameras import Cameras, look_at
 from datagen.data.config import SPLITS, DatasetConfig, Split, SplitConfig
 from datagen.data.dataset import Dataset, DatasetObject
 from datagen.data.dataset_head import commit_view, write_head
+from datagen.data.depth_range import with_depth_range
 from datagen.data.exr import encode_exr
 from datagen.data.geometries import geometry_hash
 from datagen.data.layer_writing import create_layers, write_layers
@@ -92,6 +93,7 @@ def write_traced_dataset(root: Path, *, scene: Scene | None = None, resolution: 
     )
     cameras: dict[Split, Cameras] = {split: _cameras(split, config.split(split).views, size) for split in SPLITS}
     objects = tuple(DatasetObject(name=item.name, is_glass=item.material.is_glass) for item in scene.objects)
+    cameras = with_depth_range(cameras, [item.mesh for item in scene.objects])
     dataset = write_head(root, config, objects, cameras, scene_files(scene))
     create_layers(dataset, TRUTH, num_layers=8, geometry_hash=geometry_hash(dataset, TRUTH))
     use_mitsuba(quiet=True)

@@ -19,16 +19,18 @@ from datagen.scene.importers.fields import Fields
 DISTORTION = ("k1", "k2", "k3", "k4", "p1", "p2")
 ENDINGS = ("", ".png", ".jpg", ".jpeg", ".JPG", ".webp")
 TOLERANCE = 1e-3
-"""Share of the picture by which its axis may miss the middle, or two lenses may differ."""
+"""Share by which two focal lengths may differ, and share of the picture by which two principal points may."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Lens:
-    """The lens of all pictures: square pixels, its axis through their middle."""
+    """The lens of all pictures, with square pixels."""
 
     fov_x: float
     """Radians."""
     size: Resolution
+    center: tuple[float, float] | None = None
+    """Column and row of the principal point in pixels; None: the pictures' middle."""
 
 
 class TransformsFile:
@@ -72,19 +74,16 @@ class TransformsFile:
         except HyalineError as error:
             raise HyalineError(f"{frame.where}: {error}") from None
         focal = number("fl_x", 0.0)
-        if focal <= 0:
-            angle = number("camera_angle_x", 0.0)
-            if not 0 < angle < math.pi:
-                raise HyalineError(f"{frame.where}: has no lens; expected fl_x in pixels or camera_angle_x in radians")
-            return Lens(fov_x=angle, size=size)
-        x, y = number("cx", width / 2), number("cy", height / 2)
-        across = abs(number("fl_y", focal) / focal - 1)
-        if across > TOLERANCE or max(abs(x / width - 0.5), abs(y / height - 0.5)) > TOLERANCE:
+        angle = 2 * math.atan(0.5 * width / focal) if focal > 0 else number("camera_angle_x", 0.0)
+        if not 0 < angle < math.pi:
+            raise HyalineError(f"{frame.where}: has no lens; expected fl_x in pixels or camera_angle_x in radians")
+        if focal > 0 and abs(number("fl_y", focal) / focal - 1) > TOLERANCE:
             raise HyalineError(
-                f"{frame.where}: its axis goes through ({x:g}, {y:g}) of {size} pixels, with focal lengths {focal:g} "
-                f"and {number('fl_y', focal):g}; expected the middle, and square pixels"
+                f"{frame.where}: has focal lengths {focal:g} and {number('fl_y', focal):g}; expected square pixels, of "
+                "equal ones"
             )
-        return Lens(fov_x=2 * math.atan(0.5 * width / focal), size=size)
+        center = number("cx", width / 2), number("cy", height / 2)
+        return Lens(fov_x=angle, size=size, center=None if center == (width / 2, height / 2) else center)
 
     def angle(self, frame: Fields) -> tuple[float, bool]:
         """A frame's horizontal angle of view in radians, and whether its lens is more than that.
@@ -142,10 +141,14 @@ def refuse_other_lens(lens: Lens, first: Lens, *, where: str) -> None:
     Raises:
         HyalineError: naming both.
     """
-    if lens.size != first.size or abs(lens.fov_x / first.fov_x - 1) > TOLERANCE:
+    middle = (first.size.width / 2, first.size.height / 2)
+    apart = np.abs(np.subtract(lens.center or middle, first.center or middle)).max()
+    is_shifted = apart > TOLERANCE * first.size.width
+    if lens.size != first.size or abs(lens.fov_x / first.fov_x - 1) > TOLERANCE or is_shifted:
         raise HyalineError(
             f"{where}: its lens sees {math.degrees(lens.fov_x):.4g} degrees in {lens.size} pixels, that of the first "
-            f"picture {math.degrees(first.fov_x):.4g} in {first.size} pixels; expected one lens for all"
+            f"picture {math.degrees(first.fov_x):.4g} in {first.size} pixels; expected one lens for all, with one "
+            "principal point"
         )
 
 

@@ -2,14 +2,11 @@
 
 from collections.abc import Sequence
 
-import torch
-
 from datagen.data.cameras import Cameras
 from datagen.data.config import Split
-from datagen.data.resolution import square
 from datagen.disk.errors import HyalineError
 from model.batches.rays import black
-from model.batches.view_batches import Views, load_views
+from model.batches.view_batches import Views, load_views, views_of
 from model.methods.deepvoxels.config import DeepVoxelsConfig
 from model.methods.deepvoxels.renderer import DeepVoxels, build_deepvoxels
 from model.methods.protocol import Inputs
@@ -42,9 +39,4 @@ def load_cameras(config: DeepVoxelsConfig, inputs: Inputs, cameras: Cameras) -> 
             f"camera: is {cameras.width} x {cameras.height} pixels; deepvoxels draws {size} x {size}, the size that "
             "its networks were made for"
         )
-    return Views(
-        rgb=black(cameras),
-        world_from_camera=torch.from_numpy(cameras.world_from_camera).float(),
-        fov_x=cameras.fov_x,
-        resolution=square(size),
-    )
+    return views_of(cameras, black(cameras))

@@ -283,3 +283,18 @@ def test_a_build_that_was_stopped_while_it_rendered_is_finished_by_mend_with_its
     ROOT.rename("data/before")
     run(BUILD)
     assert tree(ROOT) == mended
+
+
+def test_lost_cameras_of_a_dataset_without_near_and_far_come_back_as_they_were(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Datasets of format version 1 have none."""
+    prepare(monkeypatch, tmp_path)
+    save_scene(dataclasses.replace(synthetic_scene(), name="one"), Path("scene"))
+    with monkeypatch.context() as patch:
+        patch.setattr("datagen.build.build.with_depth_range", lambda cameras, _: cameras)
+        run(BUILD)
+    before = tree(ROOT)
+    (ROOT / "transforms_train.json").unlink()
+    run("datagen mend data/one")
+    assert tree(ROOT) == before

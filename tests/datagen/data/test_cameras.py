@@ -1,5 +1,7 @@
 """Tests where cameras stand and which rays they shoot."""
 
+import dataclasses
+import json
 import math
 from pathlib import Path
 
@@ -8,7 +10,7 @@ import pytest
 from support.rigs import RIG, config
 from support.synthetic import pixel_rays, synthetic_scene
 
-from datagen.data.cameras import Cameras, look_at, subpixel_offsets, subpixel_rays
+from datagen.data.cameras import Cameras, look_at, parse_transforms, subpixel_offsets, subpixel_rays, transforms_bytes
 from datagen.disk.errors import HyalineError
 from datagen.scene.rig import make_cameras
 
@@ -78,10 +80,31 @@ def test_cameras_survive_the_transforms_files(tmp_path: Path) -> None:
     assert once.fov_x == np.radians(50)
 
 
-def test_subpixel_rays_are_the_pixel_centre_rays_of_a_finer_picture() -> None:
+def test_lens_and_depths_survive_the_transforms_files_of_any_size() -> None:
+    pose = look_at(np.array([3.0, 1.0, 2.0]), np.zeros(3))[None]
+    once = Cameras(world_from_camera=pose, fov_x=0.8, width=24, height=16, center=(9.25, 10.0), near=0.5, far=7.25)
+    data = transforms_bytes(once, "train")
+    keys = json.loads(data)
+    focal = 12 / math.tan(0.4)
+    assert [keys[key] for key in ("fl_x", "fl_y", "cx", "cy", "w", "h")] == [focal, focal, 9.25, 10.0, 24, 16]
+    assert (keys["near"], keys["far"]) == (0.5, 7.25)
+    again = parse_transforms(data, where="file")
+    for name in ("fov_x", "width", "height", "center", "near", "far"):
+        assert getattr(again, name) == getattr(once, name)
+    plain = dataclasses.replace(once, center=None, near=None, far=None)
+    written = transforms_bytes(plain, "train")
+    assert "near" not in json.loads(written) and parse_transforms(written, where="file").center is None
+    twice = once.times(2)
+    assert (twice.width, twice.height, twice.center, twice.near) == (48, 32, (18.5, 20.0), 0.5)
+    finer = twice[0].rays()[1].reshape(16, 2, 24, 2, 3).mean(axis=(1, 3))
+    assert np.abs(finer - once[0].rays()[1]).max() < 1e-3
+
+
+@pytest.mark.parametrize("center", [None, (1.0, 3.5)])
+def test_subpixel_rays_are_the_pixel_centre_rays_of_a_finer_picture(center: tuple[float, float] | None) -> None:
     poses = np.stack([look_at(np.array([3.0, 1.0, 2.0]), np.zeros(3)), look_at(np.array([0.5, -2.0, 1.0]), np.ones(3))])
-    coarse = Cameras(world_from_camera=poses, fov_x=0.8, width=5, height=4)
-    fine = Cameras(world_from_camera=poses, fov_x=0.8, width=15, height=12)
+    coarse = Cameras(world_from_camera=poses, fov_x=0.8, width=5, height=4, center=center)
+    fine = coarse.times(3)
     offsets = np.broadcast_to(subpixel_offsets(9), (2 * 20, 9, 2))
     origins, directions = subpixel_rays(coarse, np.arange(2 * 20), offsets)
     for view in range(2):

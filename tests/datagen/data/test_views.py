@@ -99,13 +99,17 @@ def test_what_is_not_there_is_named(dataset: Dataset) -> None:
         dataset.view("train", 0).mask("wood")  # type: ignore[arg-type]
 
 
-def test_intrinsics_project_a_pixels_ray_onto_its_centre() -> None:
+@pytest.mark.parametrize("center", [None, (1.25, 4.5), (-3.0, 8.0)])
+def test_intrinsics_project_a_pixels_ray_onto_its_centre(center: tuple[float, float] | None) -> None:
     pose = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
     pose = np.block([[pose * np.sign(np.linalg.det(pose)), np.array([[1.0], [2.0], [3.0]])], [np.eye(4)[3:]]])
-    camera = Camera(world_from_camera=pose, fov_x=0.9, width=7, height=5)
+    camera = Camera(world_from_camera=pose, fov_x=0.9, width=7, height=5, center=center)
     origin, directions = camera.rays()
     assert np.allclose(origin, [1, 2, 3]) and np.allclose(np.linalg.norm(directions, axis=-1), 1, atol=1e-6)
     d_camera = directions @ pose[:3, :3] * [1, -1, -1]  # In OpenCV's camera, which looks along +z with y down.
     pixels = d_camera @ camera.intrinsics.T
     pixels = pixels[..., :2] / pixels[..., 2:]
     assert np.allclose(pixels[3, 2], [2.5, 3.5], atol=1e-5) and np.allclose(pixels[0, 6], [6.5, 0.5], atol=1e-5)
+    projected, depth = camera.project((origin + 3 * directions).reshape(-1, 3).astype(np.float64))
+    rows, columns = np.mgrid[:5, :7] + 0.5
+    assert np.allclose(projected, np.stack([columns, rows], axis=-1).reshape(-1, 2), atol=1e-4) and (depth > 0).all()

@@ -26,6 +26,8 @@ from datagen.import_dataset.import_dataset import plan_import, write_import
 from datagen.look.look import look_page
 from datagen.quantities.surfaces import surfaces_of
 from datagen.quantities.view_quantities import quantities
+from datagen.scene.camera_list import list_cameras
+from datagen.scene.rig import make_cameras
 
 SIDE = 8
 
@@ -205,6 +207,18 @@ def test_pictures_may_be_wider_than_high(blender: Path, tmp_path: Path) -> None:
     assert dataset.view("train", 0).camera.rays()[1].shape == (SIDE // 4, SIDE // 2, 3)
 
 
+def test_a_principal_point_may_lie_anywhere(blender: Path, tmp_path: Path) -> None:
+    for role in ("train", "val", "test"):
+        edit_json(lambda data: data.update(cx=3.0, cy=5.5, fl_x=9.0), f"transforms_{role}.json")(blender)
+    dataset = take_over(blender, tmp_path / "out", downscale=2)
+    for split in dataset.splits:
+        assert np.allclose(dataset.cameras(split)[0].intrinsics, [[4.5, 0, 1.5], [0, 4.5, 2.75], [0, 0, 1]])
+    listed = list_cameras({split: dataset.cameras(split) for split in dataset.splits})
+    made = make_cameras(listed, dataset.config)
+    for split, cameras in made.items():
+        assert np.allclose(cameras[0].intrinsics, dataset.cameras(split)[0].intrinsics)
+
+
 def test_openmaterials_masks_are_found_beside_the_pictures(tmp_path: Path) -> None:
     root = tmp_path / "glass"
     for role, count in (("train", 4), ("test", 2)):
@@ -308,7 +322,14 @@ HOSTILE: dict[str, tuple[Callable[[Path], None], str]] = {
         "expected one lens for all",
     ),
     "no lens": (edit_json(lambda data: data.pop("camera_angle_x")), "has no lens; expected fl_x"),
-    "an axis off the middle": (set_first(fl_x=9.0, cx=1.0), "its axis goes through .1, 4. of 8 x 8 pixels"),
+    "pixels that are not square": (
+        set_first(fl_x=9.0, fl_y=9.5),
+        "has focal lengths 9 and 9.5; expected square pixels",
+    ),
+    "two principal points": (
+        edit_json(lambda data: data["frames"][1].update(cx=3.0)),
+        "expected one lens for all, with one principal point",
+    ),
     "no pixels": (set_first(w=8, h=-6), "resolution: is -6; expected 1 to 8192 pixels"),
     "another size": (
         lambda root: Image.new("RGB", (4, 4)).save(root / "train" / "r_2.png"),

@@ -11,7 +11,7 @@ from support.reference import fresnel_reflectance
 from support.scenes import DUSK, rendered, scene_of
 from support.synthetic import look_at, quad
 
-from datagen.data.cameras import Cameras
+from datagen.data.cameras import Camera, Cameras
 from datagen.data.exr import decode_exr
 from datagen.disk.errors import HyalineError
 from datagen.machine.mitsuba_variant import use_mitsuba
@@ -109,9 +109,41 @@ def mitsubas_own(scene: Scene, cameras: Cameras) -> np.ndarray:
     from datagen.render.mitsuba_scene import load_scene_mitsuba, load_sensor
 
     loaded = load_scene_mitsuba(scene)
-    sensor = load_sensor(cameras.world_from_camera[0], cameras.fov_x, cameras.width, cameras.height)
+    sensor = load_sensor(cameras[0])
     path = mi.load_dict({"type": "path", "max_depth": 24, "rr_depth": 50})
     return np.stack([np.array(mi.render(loaded, sensor=sensor, integrator=path, spp=256, seed=s)) for s in range(8)])
+
+
+def test_a_pixel_and_its_ray_meet_the_same_point_wherever_the_principal_point_is() -> None:
+    """The middle of a rendered quad is where the middle of its projected outline is, to a twentieth of a pixel."""
+    pose = look_at(np.array([1.0, -0.8, 2.0]), np.array([0.2, 0.1, 0.0]))[None]
+    lens = Cameras(world_from_camera=pose, fov_x=1.1, width=40, height=24, center=(13.0, 17.5))
+    patch = dataclasses.replace(quad(0.0), vertices=np.float32(0.2) * quad(0.0).vertices)
+    scene = scene_of(SceneObject(name="patch", mesh=patch, material=Diffuse(color=(0.25, 0.25, 0.25))))
+    darkness = 1 - rendered(scene, lens, spp=256)[..., 0]
+    rows, columns = np.mgrid[:24, :40] + 0.5
+    found = [float((darkness * place).sum() / darkness.sum()) for place in (columns, rows)]
+    corners, _ = lens[0].project(patch.vertices.astype(np.float64))
+    following = np.roll(corners, -1, axis=0)
+    area = corners[:, 0] * following[:, 1] - following[:, 0] * corners[:, 1]
+    expected = ((corners + following) * area[:, None]).sum(axis=0) / (3 * area.sum())
+    assert found == pytest.approx(expected, abs=0.05)
+
+
+def test_mitsubas_camera_shoots_the_rays_of_ours() -> None:
+    import mitsuba as mi
+
+    from datagen.render.mitsuba_scene import load_sensor
+
+    pose = look_at(np.array([1.0, -0.8, 2.0]), np.array([0.2, 0.1, 0.0]))
+    for center in (None, (13.0, 17.5), (-4.0, 30.0)):
+        ours = Camera(world_from_camera=pose, fov_x=1.1, width=40, height=24, center=center)
+        sensor = load_sensor(ours)
+        directions = ours.rays()[1]
+        for row, column in ((0, 0), (5, 31), (23, 39)):
+            place = mi.Point2f((column + 0.5) / 40, (row + 0.5) / 24)
+            ray, _ = sensor.sample_ray(0, 0, place, mi.Point2f(0.5))
+            assert np.array(ray.d).ravel() == pytest.approx(directions[row, column], abs=2e-6)
 
 
 def media_of(*objects: SceneObject) -> Media:

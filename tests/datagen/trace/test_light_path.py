@@ -241,7 +241,7 @@ def test_decoding_branches_by_formula_gives_mitsubas_own_image(
     switched_off = {0: {"specular_reflectance": 0.0}, 1: {"specular_transmittance": 0.0}, None: {}}[branch]
     monkeypatch.setattr(mitsuba_scene, "_bsdf", lambda *given: {**plain(*given), **switched_off})
     scene = load_scene_mitsuba(scene_of(*objects, environment=DUSK))
-    sensor = load_sensor(cameras.world_from_camera[0], cameras.fov_x, size, size)
+    sensor = load_sensor(cameras[0])
     integrator = mi.load_dict({"type": "path", "max_depth": 16, "rr_depth": 50})
     image = np.array(mi.render(scene, sensor=sensor, integrator=integrator, spp=4096, seed=1))
 

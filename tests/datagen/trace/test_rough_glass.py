@@ -117,7 +117,7 @@ def test_truth_of_rough_glass_is_that_of_mitsubas_own_path_tracer(environment: S
     cameras = Cameras(world_from_camera=pose, fov_x=0.6, width=24, height=24)
     renderer = Renderer(scene, max_depth=24)
     ours = np.stack([renderer.radiance(cameras, 0, spp=128, seed=100 + seed)[0] for seed in range(8)])
-    sensor = load_sensor(pose[0], 0.6, 24, 24)
+    sensor = load_sensor(cameras[0])
     path = mi.load_dict({"type": "path", "max_depth": 24, "rr_depth": 50})
     loaded = load_scene_mitsuba(scene)
     theirs = np.stack([np.array(mi.render(loaded, sensor=sensor, integrator=path, spp=128, seed=s)) for s in range(8)])

@@ -202,7 +202,13 @@ def test_cameras_that_look_one_way_are_refused() -> None:
 def test_neighbours_are_the_nearest_in_angle_and_never_the_view_itself() -> None:
     cameras = some_cameras(12)
     poses = torch.from_numpy(cameras.world_from_camera).float()
-    views = Views(rgb=torch.zeros(0, 3, dtype=torch.uint8), world_from_camera=poses, fov_x=1.0, resolution=square(SIZE))
+    views = Views(
+        rgb=torch.zeros(0, 3, dtype=torch.uint8),
+        world_from_camera=poses,
+        fov_x=1.0,
+        center=(0.5, 0.5),
+        resolution=square(SIZE),
+    )
     for view in range(12):
         forward = cameras.world_from_camera[:, :3, 2]
         angles = [np.arccos(np.clip(forward[view] @ other, -1, 1)) for other in forward]
@@ -316,7 +322,7 @@ def test_drawing_leaves_the_grid_and_observing_keeps_it_without_gradient(dataset
 @pytest.mark.parametrize("size", [32, 64, 128])
 def test_pictures_of_every_size_are_drawn_whole(size: int) -> None:
     config = dataclasses.replace(
-        DeepVoxelsConfig(voxels="small").usual("truth").sized(size), width=2, voxel_features=2, num_voxels=8
+        DeepVoxelsConfig(voxels="small").usual("truth").sized(square(size)), width=2, voxel_features=2, num_voxels=8
     )
     net = DeepVoxels(config, origin=torch.tensor([0.3, -0.2, 0.1]), edge=1.2)
     camera = camera_of(some_cameras(1), 0)

@@ -1,0 +1,121 @@
+"""Tests pictures that are not square, with a principal point aside, through every command from scene to report."""
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.commands import call, run
+from support.export_readers import read_colmap_text, read_nerfstudio
+from support.synthetic import synthetic_scene
+
+import hyaline
+from datagen.data.cameras import look_at
+from datagen.data.config import SPLITS
+from datagen.data.png import read_png
+from datagen.data.resolution import Resolution
+from datagen.quantities.view_quantities import quantities
+from datagen.scene.camera_list import CameraList
+from datagen.scene.folder import load_scene, save_scene
+
+LENS = {"type": "Intrinsics", "fl_x": 30, "fl_y": 30, "cx": 14, "cy": 22.5, "w": 48, "h": 32}
+
+
+@pytest.fixture(scope="module")
+def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with scene/, data/oblong and runs/oblong, made by the commands."""
+    root = tmp_path_factory.mktemp("oblong")
+    save_scene(synthetic_scene(), root / "scene")
+    places = {"train": 3, "interpolating": 1, "extrapolating": 1}
+    poses = {
+        split: [look_at((2.0 + 0.1 * place, place - 0.8, 1.5), (0.1, 0.3, 0.2)).tolist() for place in range(count)]
+        for split, count in places.items()
+    }
+    data = json.loads((root / "scene" / "scene.json").read_text())
+    data["cameras"] = {"type": "CameraList", **poses, "intrinsics": LENS}
+    (root / "scene" / "scene.json").write_text(json.dumps(data))
+    out = f"--out '{root}/data/oblong'"
+    size = "--preset tiny --resolution 24x16 --spp 64 --test-spp 64 --num-layers 4"
+    run(f"datagen build --scene '{root}/scene' {out} {size}")
+    return root
+
+
+def test_all_that_is_built_has_its_shape_and_verifies(home: Path) -> None:
+    run(f"datagen verify '{home}/data/oblong'")
+    dataset = hyaline.open_dataset(home / "data/oblong")
+    assert dataset.config.resolution == Resolution(width=24, height=16)
+    assert dataset.num_views == {"train": 3, "interpolating": 1, "extrapolating": 1}
+    for split in SPLITS:
+        cameras = dataset.cameras(split)
+        assert (cameras.width, cameras.height, cameras.center) == (24, 16, (7.0, 11.25))
+        assert cameras[0].intrinsics[0, 0] == pytest.approx(15)
+        for view in dataset.views(split):
+            assert view.image.shape == (16, 24, 3) and view.layers().depth.shape == (4, 16, 24)
+            assert cameras.near is not None and cameras.far is not None
+            depth = view.layers().depth
+            assert cameras.near < depth[depth > 0].min() and depth.max() < cameras.far
+
+
+def test_what_the_truth_shows_is_where_the_layers_are(home: Path) -> None:
+    """All light comes from an even sky, and the pane bends none: only pixels that show the floor are darker."""
+    view = hyaline.open_dataset(home / "data/oblong").view("interpolating", 0)
+    shows_floor = (view.object_ids() == 2).any(axis=0)
+    is_dark = view.radiance.mean(axis=-1) < 0.45
+    near_an_edge = np.zeros_like(shows_floor)
+    for axis in (0, 1):
+        changes = np.diff(shows_floor, axis=axis)
+        end = changes.shape[axis]
+        near_an_edge |= np.insert(changes, 0, False, axis=axis) | np.insert(changes, end, False, axis=axis)
+    assert 0.1 < shows_floor.mean() < 0.9 and near_an_edge.mean() < 0.3
+    assert np.array_equal(is_dark[~near_an_edge], shows_floor[~near_an_edge])
+
+
+@pytest.mark.parametrize("method", ["paper --batch 64", "light-path --batch 64", "dnr --crop 16 --unet-width 4"])
+def test_methods_train_on_it_and_predict_pictures_of_its_shape(home: Path, method: str) -> None:
+    out = home / "runs/oblong" / method.split()[0]
+    run(f"model train {method} --dataset '{home}/data/oblong' --out '{out}' --steps 2 --device cpu")
+    for split in ("interpolating", "extrapolating"):
+        assert read_png(out / "predictions" / split / "0000.png").shape == (16, 24, 3)
+
+
+def test_its_runs_are_scored_and_shown(home: Path) -> None:
+    answer = call(f"report --runs '{home}/runs' --data '{home}/data' --out '{home}/report' --format markdown")
+    assert answer.status == 0, answer.err
+    assert "oblong: 1 interpolating + 1 extrapolating views of 24 x 16 pixels" in answer.out
+    scored = json.loads((home / "report" / "results.json").read_text())
+    (scene,) = scored["scenes"]
+    assert scene["resolution"] == {"width": 24, "height": 16} and len(scene["runs"]) == 3
+
+
+def test_exports_carry_its_lens_where_a_format_has_a_place_for_it(home: Path) -> None:
+    dataset = hyaline.open_dataset(home / "data/oblong")
+    for form in ("nerfstudio", "colmap"):
+        run(f"datagen export '{home}/data/oblong' --format {form} --out '{home}/{form}' --points 50")
+    views, _ = read_nerfstudio(home / "nerfstudio")
+    others, *_ = read_colmap_text(home / "colmap")
+    meta = json.loads((home / "nerfstudio" / "transforms.json").read_text())
+    assert [meta[key] for key in ("w", "h", "cx", "cy")] == [24, 16, 7, 11.25]
+    assert (meta["near"], meta["far"]) == (dataset.cameras("train").near, dataset.cameras("train").far)
+    for name, view in views.items():
+        split, _, index = name.rpartition("_")
+        own = dataset.view(split, int(index))  # type: ignore[arg-type]
+        there = own.layers().object_id[0] > 0
+        rows, columns = np.nonzero(there)
+        points = quantities(own).position[there].astype(np.float64)
+        for read in (view, others[name]):
+            assert np.abs(read.project(points) - np.stack([columns, rows], axis=1) - 0.5).max() < 1e-3
+            assert read_png(read.file).shape == (16, 24, 3)
+    answer = call(f"datagen export '{home}/data/oblong' --format blender --out '{home}/blender'")
+    assert (answer.status, answer.error.count("principal point")) == (1, 1)
+
+
+def test_a_resolution_of_another_shape_is_refused_and_the_default_fits(home: Path) -> None:
+    build = f"datagen build --scene '{home}/scene' --out '{home}/data/other' --preset tiny"
+    answer = call(f"{build} --resolution 16")
+    assert answer.status == 1 and "the scene's intrinsics are of 48 x 32 pixels" in answer.error
+    scene = load_scene(home / "scene")
+    assert isinstance(scene.cameras, CameraList) and scene.cameras.intrinsics is not None
+    assert scene.cameras.intrinsics.fitting(32 * 32) == Resolution(width=39, height=26)
+    with pytest.raises(hyaline.HyalineError, match="fl_x and fl_y are 30 and 31; expected equal focal lengths"):
+        dataclasses.replace(scene.cameras.intrinsics, fl_y=31.0)
