@@ -24,7 +24,7 @@ ALLOWED = {
 HOMES = {
     "mitsuba": {"datagen"},
     "drjit": {"datagen"},
-    "pymeshlab": {"proxies/meshing/meshlab.py"},
+    "pymeshlab": {"proxies/meshing/meshlab.py", "datagen/scene/importers/decimating.py"},
     "torch": {"model", "hyaline/tensors.py"},
     "skimage": {"eval"},
     "colour": {"eval"},

@@ -4,10 +4,7 @@ Texture arrays are (tex_h, tex_w, c), row 0 on top: texel (r, c) is centred on u
 v = 1 - (r + 0.5) / size.
 """
 
-import os
-import subprocess
 import sys
-import tempfile
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -18,7 +15,7 @@ from jaxtyping import Float, Float32, Int32
 
 from datagen.data.meshes import Mesh, is_there
 from datagen.disk.errors import HyalineError
-from datagen.disk.os_errors import naming
+from datagen.machine.child_python import ChildError, arrays_from_child
 from datagen.machine.mitsuba_variant import num_cores
 from datagen.scene.atlas_cache import Arrays, atlas_key, find_atlas, keep_atlas
 
@@ -97,16 +94,17 @@ def _unwrap_in_child(surfaces: dict[str, Arrays]) -> dict[str, Arrays]:
     for index, surface in enumerate(surfaces.values()):
         arrays |= {f"{index}.{name}": values for name, values in surface.items()}
     timeout_s = 60 + sum(len(surface["faces"]) for surface in surfaces.values()) / 200
-    with tempfile.TemporaryDirectory(prefix="hyaline-atlas-") as folder:
-        source, target = Path(folder) / "in.npz", Path(folder) / "out.npz"
-        with naming(source):
-            np.savez(source, allow_pickle=False, **arrays)
-        _run_child(source, target, timeout_s, where=", ".join(surfaces))
-        with np.load(target) as answers:
-            return {
-                where: {name: answers[f"{index}.{name}"] for name in ("vertex_of", "faces", "uv")}
-                for index, where in enumerate(surfaces)
-            }
+    try:
+        answers = arrays_from_child("datagen.scene.atlas", arrays, timeout_s=timeout_s)
+    except ChildError as error:
+        where = ", ".join(surfaces)
+        raise HyalineError(
+            f"{where}: unwrapping failed ({error}); run the same command again, simplify the mesh, or bring one with uv"
+        ) from None
+    return {
+        where: {name: answers[f"{index}.{name}"] for name in ("vertex_of", "faces", "uv")}
+        for index, where in enumerate(surfaces)
+    }
 
 
 def bake_positions(mesh: Mesh, size: int) -> Float32[np.ndarray, "tex_h tex_w 3"]:
@@ -260,33 +258,6 @@ def _in_box(vertices: np.ndarray) -> np.ndarray:
     low = wide.min(axis=0)
     extent = float((wide.max(axis=0) - low).max())
     return ((wide - low) * (BOX / (extent or 1.0))).astype(np.float32)
-
-
-def _run_child(source: Path, target: Path, timeout_s: float, *, where: str) -> None:
-    # The child finds this package where the parent found it; -P keeps the working directory out of its path.
-    package_root = str(Path(__file__).resolve().parents[2])
-    paths = [package_root, *filter(None, [os.environ.get("PYTHONPATH")])]
-    command = [sys.executable, "-P", "-m", "datagen.scene.atlas", str(source), str(target)]
-    try:
-        answer = subprocess.run(
-            command,
-            env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            text=True,
-            timeout=timeout_s,
-            check=False,
-        )
-    except subprocess.TimeoutExpired:
-        raise HyalineError(f"{where}: unwrapping took more than {timeout_s:.0f} s; simplify the mesh") from None
-    if answer.returncode < 0:
-        raise HyalineError(
-            f"{where}: unwrapping was ended by signal {-answer.returncode} (9: the system does that where memory runs "
-            "out); run the same command again, or bring a mesh with uv"
-        )
-    if answer.returncode != 0 or not target.is_file():
-        last = (answer.stderr.strip().splitlines() or ["no message"])[-1]
-        raise HyalineError(f"{where}: unwrapping ended with status {answer.returncode} ({last}); bring a mesh with uv")
 
 
 def _with_uv(mesh: Mesh, atlas: Arrays, *, where: str) -> Mesh:

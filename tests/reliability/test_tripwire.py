@@ -125,7 +125,7 @@ ELSEWHERE = {
                       "test_spp", "max_depth", "rays", "seed", "shards", "slurm_partition", "slurm_time", "slurm_cpus",
                       "slurm_gpus"},
     "datagen import": {"scale", "up", "material", "thin", "cameras", "ground", "repair", "merge", "strict",
-                       "resolution"},
+                       "max_triangles", "resolution"},
     "datagen import-dataset": {"mesh", "material", "ior", "scale", "up", "downscale", "background"},
     "datagen peel": {"geometry", "rays", "workers"},
     "datagen export": {"flow"},

@@ -31,6 +31,9 @@ class ImportChoices:
     """Close the holes of glass that is open, where that changes its volume by 5 % at most; else it becomes thin."""
     merge: bool = False
     """Make one object of all surfaces of a material: a scene has at most 255 objects."""
+    max_triangles: int | None = None
+    """Reduce surfaces until the scene has about this many triangles, each by the same share; needs the extra `proxies`.
+    Surfaces with images keep theirs. A solid may change its volume by 5 %."""
     strict: bool = False
     """Refuse a file of which anything would be drawn other than it asks for."""
     resolution: int = 128

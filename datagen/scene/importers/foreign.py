@@ -1,6 +1,7 @@
 """What a foreign file holds, whatever its format: surfaces in the file's own units and axes, and their materials."""
 
 import math
+import re
 from dataclasses import dataclass
 from typing import Literal
 
@@ -8,6 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from datagen.scene.materials import Material
+from datagen.scene.substances import SUBSTANCES
 from datagen.scene.values import Color
 
 Axis = Literal["x", "y", "z"]
@@ -21,6 +23,8 @@ MAX_SURFACES = 20_000
 
 
 DRINKS = ("water", "drink", "liquid", "wine", "juice", "beer", "milk", "tea", "coffee")
+PLAIN_WORDS = ("material", "mat", "shader")
+"""In names of materials: words that say nothing."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -139,3 +143,13 @@ def elementwise(points: np.ndarray, linear: np.ndarray, offset: np.ndarray) -> n
 def is_drink(name: str) -> bool:
     """True for the name of a liquid."""
     return any(word in name.lower() for word in DRINKS)
+
+
+def substance_of(name: str) -> str | None:
+    """The substance that a material's name is, word for word, but for numbers and `material`: `Diamond.001` is diamond.
+
+    A name that says more, such as `water bottle`, is of something else.
+    """
+    words = [word for word in re.split(r"[^a-z0-9]+", name.lower()) if word and word not in PLAIN_WORDS]
+    named = "-".join(word for word in words if not word.isdecimal())
+    return named if named in SUBSTANCES and named != "air" else None

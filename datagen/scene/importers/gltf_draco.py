@@ -4,16 +4,13 @@ Source: KHR_draco_mesh_compression.
 """
 
 import importlib.util
-import os
-import subprocess
 import sys
-import tempfile
 from pathlib import Path
 
 import numpy as np
 
 from datagen.disk.errors import HyalineError
-from datagen.disk.os_errors import naming
+from datagen.machine.child_python import ChildError, arrays_from_child
 from datagen.scene.importers.fields import Fields
 from datagen.scene.importers.gltf_arrays import WIDTHS, GltfArrays
 from datagen.terminal.distribution import install_command
@@ -49,38 +46,23 @@ def read_draco(arrays: GltfArrays, draco: Fields, wanted: dict[str, str]) -> tup
 
 
 def _decode(data: bytes, ids: dict[str, int], *, where: str) -> dict[str, np.ndarray]:
-    with tempfile.TemporaryDirectory(prefix="hyaline-draco-") as folder:
-        source, target = Path(folder) / "in.drc", Path(folder) / "out.npz"
-        with naming(source):
-            source.write_bytes(data)
-        words = [f"{name}={unique}" for name, unique in ids.items()]
-        # The child finds this package where the parent found it; -P keeps the working directory out of its path.
-        package_root = str(Path(__file__).resolve().parents[3])
-        path = os.pathsep.join([package_root, *filter(None, [os.environ.get("PYTHONPATH")])])
-        command = [sys.executable, "-P", "-m", "datagen.scene.importers.gltf_draco", str(source), str(target), *words]
-        try:
-            answer = subprocess.run(
-                command,
-                env={**os.environ, "PYTHONPATH": path},
-                stdin=subprocess.DEVNULL,
-                capture_output=True,
-                text=True,
-                timeout=TIMEOUT_S,
-                check=False,
-            )
-        except subprocess.TimeoutExpired:
-            raise HyalineError(f"{where}: Draco took more than {TIMEOUT_S} s; export the file again") from None
-        if answer.returncode != 0 or not target.is_file():
-            last = (answer.stderr.strip().splitlines() or [f"status {answer.returncode}"])[-1]
-            raise HyalineError(f"{where}: Draco cannot read it ({last}); export the file again")
-        with np.load(target) as arrays:
-            return dict(arrays)
+    words = tuple(f"{name}={unique}" for name, unique in ids.items())
+    try:
+        return arrays_from_child(
+            "datagen.scene.importers.gltf_draco",
+            {"draco": np.frombuffer(data, np.uint8)},
+            timeout_s=TIMEOUT_S,
+            words=words,
+        )
+    except ChildError as error:
+        raise HyalineError(f"{where}: Draco cannot read it ({error}); export the file again") from None
 
 
 def _child(source: Path, target: Path, ids: dict[str, int]) -> None:
     import DracoPy  # pyright: ignore[reportMissingImports]
 
-    mesh = DracoPy.decode(source.read_bytes())
+    with np.load(source) as arrays:
+        mesh = DracoPy.decode(arrays["draco"].tobytes())
     found = {"faces": np.asarray(mesh.faces)}
     for attribute in mesh.attributes:
         for name, unique in ids.items():

@@ -13,9 +13,10 @@ from jaxtyping import Float
 
 from datagen.disk.errors import HyalineError
 from datagen.scene.importers.fields import Fields
-from datagen.scene.importers.foreign import ForeignImage, ForeignMaterial, is_drink
+from datagen.scene.importers.foreign import ForeignImage, ForeignMaterial, is_drink, substance_of
 from datagen.scene.importers.gltf_file import GltfFile
 from datagen.scene.importers.remarks import Remarks
+from datagen.scene.substances import SUBSTANCES
 
 IGNORED = {
     "KHR_materials_anisotropy": "brushed grain (anisotropy)",
@@ -91,6 +92,10 @@ def _alpha_mode(fields: Fields) -> Literal["opaque", "mask", "blend"]:
 
 def _ior(fields: Fields, name: str, remarks: Remarks) -> float:
     extension = fields.extension("KHR_materials_ior")
+    named = substance_of(name) if fields.extension("KHR_materials_transmission") is not None else None
+    if extension is None and named is not None:
+        remarks.note(name, f"the file gives no index of refraction; by its name it is {named}, {SUBSTANCES[named]:g}")
+        return SUBSTANCES[named]
     ior = 1.5 if extension is None else extension.number("ior", 1.5)
     if ior == 0:  # The extension's word for a surface that mirrors all: of the specular-glossiness model.
         remarks.approximate(name, "has an index of refraction of 0, which stands for none; drawn with 1.5")

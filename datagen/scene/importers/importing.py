@@ -1,5 +1,6 @@
 """From a foreign file to a scene: read, mend, map, stage, check."""
 
+import math
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -15,6 +16,7 @@ from datagen.scene.description import MAX_OBJECTS, OBJECT_NAME, Scene, SceneObje
 from datagen.scene.importers.apart import apart, parted
 from datagen.scene.importers.camera_files import read_camera_file
 from datagen.scene.importers.choices import ImportChoices
+from datagen.scene.importers.decimating import check_decimation, decimated
 from datagen.scene.importers.foreign import Axis, ForeignMap, ForeignMaterial, ForeignObject, ForeignScene, elementwise
 from datagen.scene.importers.gltf import read_gltf
 from datagen.scene.importers.mapping import Mapper, lets_light_through
@@ -90,6 +92,7 @@ def import_scene(path: Path, choices: ImportChoices) -> Imported:
     """
     if path.suffix.lower() not in READERS:
         raise HyalineError(f"{path}: ends in {shown(path.suffix)}; expected one of {', '.join(sorted(READERS))}")
+    check_decimation(choices.max_triangles)
     remarks, overrides = Remarks(is_strict=choices.strict), parse_overrides(choices.material)
     foreign = READERS[path.suffix.lower()](path, remarks)
     up: Axis = foreign.up if choices.up == "auto" else choices.up
@@ -109,12 +112,14 @@ def import_scene(path: Path, choices: ImportChoices) -> Imported:
         offset = np.zeros(3)
     objects: list[SceneObject] = []
     without_uv: set[str] = set()
+    kept = min(1.0, (choices.max_triangles or math.inf) / sum(len(part.faces) for part in parts))
     for name, part in zip(names, parts, strict=True):
+        chosen = override(name, overrides)
         item = scene_object(
-            name, part, linear, offset, mapper, override(name, overrides), remarks, repairs=choices.repair
+            name, part, linear, offset, mapper, chosen, remarks, repairs=choices.repair, kept_share=kept
         )
         objects += parted(item, remarks)
-        if part.uv is None:
+        if part.uv is None or not item.mesh.uv.any():
             without_uv.add(name)
     objects = apart(objects, remarks)
     if choices.cameras == "around":
@@ -170,8 +175,13 @@ def scene_object(
     remarks: Remarks,
     *,
     repairs: bool,
+    kept_share: float = 1.0,
 ) -> SceneObject:
-    """One object in metres, z up, with a material that suits its mesh."""
+    """One object in metres, z up, with a material that suits its mesh.
+
+    Args:
+        kept_share: of its triangles; it is reduced to so many.
+    """
     normals = None if part.normals is None else elementwise(part.normals, linear, np.zeros(3))
     mesh = mesh_of(elementwise(part.positions, linear, offset), part.faces, normals, part.uv, where=name)
     mesh = made_sound(mesh, remarks, where=name)
@@ -183,6 +193,11 @@ def scene_object(
         remarks.note(name, "has no material in the file; drawn grey and matt, --material names another")
     if repairs and _is_solid(material):
         mesh = made_sound(closed(mesh, remarks, where=name), remarks, where=name)
+    if kept_share < 1:
+        if isinstance(material, ForeignMaterial) and material.image is not None and part.uv is not None:
+            remarks.note(name, f"keeps its {len(mesh.faces):,} triangles, on which its image lies")
+        else:
+            mesh = decimated(mesh, int(kept_share * len(mesh.faces)), remarks, where=name)
     if not isinstance(material, Material):
         material = mapper.material(material, shape_of(mesh, has_uv=part.uv is not None), where=name)
     return SceneObject(name=name, mesh=mesh, material=material)

@@ -25,7 +25,6 @@ MATT = 0.6
 """Perceptual roughness from which on no highlight is seen."""
 MIN_TRANSMITTANCE = 1e-4
 """Of a channel after the attenuation distance: a black one would absorb without end."""
-MIN_IOR = 1.0001
 SOLID_BLEND = 0.9
 """Alpha from which on a blended surface counts as opaque."""
 
@@ -56,7 +55,7 @@ class Mapper:
                 where, f"is blended with alpha {foreign.alpha:.2g}; drawn as a thin pane of that colour"
             )
             tint = _mixed(self._flat_color(foreign, where=where), 1 - foreign.alpha)
-            return ThinDielectric(ior=self._ior(foreign, where=where), tint=tint)
+            return ThinDielectric(ior=foreign.ior, tint=tint)
         if foreign.transmission > 0:
             what = "is metal, which" if foreign.metallic >= 0.5 else "is drawn opaque, and"
             self.remarks.approximate(where, f"{what} lets no light through (transmission {foreign.transmission:.2g})")
@@ -65,7 +64,7 @@ class Mapper:
         return self._opaque(foreign, shape, where=where)
 
     def _glass(self, foreign: ForeignMaterial, shape: Shape, *, where: str) -> Material:
-        ior, color = self._ior(foreign, where=where), self._flat_color(foreign, where=where)
+        ior, color = foreign.ior, self._flat_color(foreign, where=where)
         says_thin = foreign.is_thin or (self.thin == "file" and not foreign.is_volume)
         is_thin = not shape.is_closed or self.thin == "all" or says_thin
         alpha = min(foreign.roughness**2, 1.0)
@@ -122,11 +121,6 @@ class Mapper:
         )
         return red, green, blue
 
-    def _ior(self, foreign: ForeignMaterial, *, where: str) -> float:
-        if foreign.ior < MIN_IOR:
-            self.remarks.approximate(where, f"has an index of refraction of {foreign.ior:g}; drawn with {MIN_IOR:g}")
-        return max(foreign.ior, MIN_IOR)
-
     def _opaque(self, foreign: ForeignMaterial, shape: Shape, *, where: str) -> Material:
         alpha = max(foreign.roughness**2, MIN_ALPHA)
         if 0.1 < foreign.metallic < 0.9:
@@ -137,7 +131,7 @@ class Mapper:
             return Conductor(color=self._flat_color(foreign, where=where), roughness=roughness)
         color = self._reflectance(foreign, shape, where=where)
         if foreign.roughness < MATT:
-            return Plastic(color=color, ior=self._ior(foreign, where=where), roughness=alpha)
+            return Plastic(color=color, ior=foreign.ior, roughness=alpha)
         return Diffuse(color=color)
 
     def _reflectance(self, foreign: ForeignMaterial, shape: Shape, *, where: str) -> Reflectance:

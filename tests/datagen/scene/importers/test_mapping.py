@@ -71,7 +71,7 @@ def test_the_index_of_refraction_and_a_priority_are_kept(tmp_path: Path) -> None
 
 def test_a_liquid_yields_to_its_glass(tmp_path: Path) -> None:
     entry = foreign(tmp_path, name="Water.001", pbrMetallicRoughness=clear(), extensions=glass())
-    assert mapped(entry)[0] == Dielectric(ior=1.5, priority=-1)
+    assert mapped(entry)[0] == Dielectric(ior=1.333, priority=-1)
 
 
 THIN = {**glass()}
