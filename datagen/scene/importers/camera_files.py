@@ -34,8 +34,8 @@ def read_camera_file(given: Path, remarks: Remarks) -> tuple[ForeignCamera, ...]
     file = TransformsFile(given.parent, given.name)
     cameras = []
     for frame in file.frames:
-        angle, is_bent = file.angle(frame)
-        if is_bent:
-            remarks.approximate("cameras", "have a distorted lens, or an axis off the middle; drawn as plain pinholes")
-        cameras.append(ForeignCamera(world_from_camera=file.pose(frame), fov_deg=math.degrees(angle)))
+        angle, lens, left_out = file.angle(frame)
+        for line in left_out:
+            remarks.approximate("cameras", line)
+        cameras.append(ForeignCamera(world_from_camera=file.pose(frame), fov_deg=math.degrees(angle), intrinsics=lens))
     return tuple(cameras)

@@ -15,8 +15,10 @@ from datagen.disk.errors import HyalineError
 from datagen.disk.names import find_file
 from datagen.disk.reading import read_regular
 from datagen.disk.records import shown
+from datagen.scene.camera_list import Intrinsics
 from datagen.scene.importers.foreign import MAX_FILE_BYTES, ForeignCamera
 from datagen.scene.importers.remarks import Remarks
+from datagen.scene.importers.transforms import DISTORTED, NOT_SQUARE, TOLERANCE
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,8 +84,9 @@ def read_colmap(root: Path, remarks: Remarks) -> tuple[ForeignCamera, ...]:
         where = f"{paths[1]}: {shown(image.name)}"
         if image.camera not in lenses:
             raise HyalineError(f"{where}: was taken by camera {image.camera}; expected one that {paths[0].name} has")
-        fov_deg = _fov_deg(lenses[image.camera], remarks, where=where)
-        cameras.append(ForeignCamera(world_from_camera=_world_from_camera(image, where=where), fov_deg=fov_deg))
+        lens = _intrinsics(lenses[image.camera], remarks, where=where)
+        pose = _world_from_camera(image, where=where)
+        cameras.append(ForeignCamera(world_from_camera=pose, fov_deg=math.degrees(lens.fov_x), intrinsics=lens))
     return tuple(cameras)
 
 
@@ -96,18 +99,22 @@ def _place(root: Path) -> tuple[Path, str] | None:
     return None
 
 
-def _fov_deg(lens: _Lens, remarks: Remarks, *, where: str) -> float:
+def _intrinsics(lens: _Lens, remarks: Remarks, *, where: str) -> Intrinsics:
     numbers = lens.values
-    middle = numbers[lens.model.focals : lens.model.focals + 2]
+    column, row = numbers[lens.model.focals : lens.model.focals + 2]
     if not (numbers[0] > 0 and lens.width > 0 and lens.height > 0 and np.isfinite(numbers).all()):
         raise HyalineError(
             f"{where}: has a focal length of {numbers[0]:g} in pictures {lens.width} pixels wide; expected more than 0"
         )
     if any(abs(value) > 1e-9 for value in numbers[lens.model.focals + 2 :]):
-        remarks.approximate("cameras", "have a distorted lens; drawn as pinholes")
-    if max(abs(at - size / 2) for at, size in zip(middle, (lens.width, lens.height), strict=True)) > 0.5:
-        remarks.approximate("cameras", "have an axis off the middle of their pictures; drawn through the middle")
-    return math.degrees(2 * math.atan(0.5 * lens.width / numbers[0]))
+        remarks.approximate("cameras", DISTORTED)
+    if abs(numbers[lens.model.focals - 1] / numbers[0] - 1) > TOLERANCE:
+        remarks.approximate("cameras", NOT_SQUARE)
+    focal = numbers[0]
+    try:
+        return Intrinsics(fl_x=focal, fl_y=focal, cx=column, cy=row, w=lens.width, h=lens.height)
+    except HyalineError as error:
+        raise HyalineError(f"{where}: {error}") from None
 
 
 def _world_from_camera(image: _Image, *, where: str) -> np.ndarray:

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float, Int
 
+from datagen.scene.camera_list import Intrinsics
 from datagen.scene.materials import Material
 from datagen.scene.substances import SUBSTANCES
 from datagen.scene.values import Color
@@ -114,7 +115,9 @@ class ForeignCamera:
     world_from_camera: Float[np.ndarray, "4 4"]
     """OpenGL convention: +x right, +y up, it looks along -z; in the file's units and axes."""
     fov_deg: float
-    """Horizontal."""
+    """Horizontal, where the axis goes through the picture's middle."""
+    intrinsics: Intrinsics | None = None
+    """The lens in pixels, where the file says the size of its pictures."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from datagen.data.meshes import face_corners
 from datagen.disk.errors import HyalineError
-from datagen.scene.camera_list import CameraList, matrix_rows
+from datagen.scene.camera_list import DEFAULT_FOV_DEG, CameraList, matrix_rows
 from datagen.scene.description import CameraRig, Lobe, RectangleLight, SceneObject, SoftEnvironment, WalkPoint
 from datagen.scene.importers.foreign import Axis, ForeignCamera, ForeignLight, ForeignMap
 from datagen.scene.importers.remarks import Remarks
@@ -123,11 +123,13 @@ def listed_cameras(
     """
     if not cameras:
         raise HyalineError("--cameras file: the file brings no cameras; leave it out")
-    fov_deg = cameras[0].fov_deg
-    if any(abs(camera.fov_deg - fov_deg) > 1e-3 for camera in cameras):
+    fov_deg, intrinsics = cameras[0].fov_deg, cameras[0].intrinsics
+    if any(abs(camera.fov_deg - fov_deg) > 1e-3 or camera.intrinsics != intrinsics for camera in cameras):
         remarks.approximate(
-            "cameras", f"have several fields of view; all of them get the first one's, {fov_deg:.3g} degrees"
+            "cameras", f"have several lenses; all of them get the first one's, which sees {fov_deg:.3g} degrees"
         )
+    if intrinsics is not None:
+        fov_deg = DEFAULT_FOV_DEG
     rotation = linear / abs(np.linalg.det(linear)) ** (1 / 3)
     matrices = []
     for camera in cameras:
@@ -138,7 +140,11 @@ def listed_cameras(
     listed = [matrix_rows(matrix) for matrix in matrices]
     if len(listed) < 3:
         return CameraList(
-            train=tuple(listed), interpolating=tuple(listed), extrapolating=tuple(listed), fov_deg=fov_deg
+            train=tuple(listed),
+            interpolating=tuple(listed),
+            extrapolating=tuple(listed),
+            fov_deg=fov_deg,
+            intrinsics=intrinsics,
         )
     places = np.array([matrix[:3, 3] for matrix in matrices])
     outermost = int(np.linalg.norm(places - places.mean(axis=0), axis=-1).argmax())
@@ -148,6 +154,7 @@ def listed_cameras(
         interpolating=tuple(others[::8]),
         extrapolating=(listed[outermost],),
         fov_deg=fov_deg,
+        intrinsics=intrinsics,
     )
 
 

@@ -14,9 +14,12 @@ from datagen.disk.errors import HyalineError
 from datagen.disk.names import find_file
 from datagen.disk.reading import load_json, open_regular
 from datagen.disk.records import shown
+from datagen.scene.camera_list import Intrinsics
 from datagen.scene.importers.fields import Fields
 
 DISTORTION = ("k1", "k2", "k3", "k4", "p1", "p2")
+DISTORTED = "have a distorted lens; drawn as pinholes"
+NOT_SQUARE = "have pixels that are not square; drawn square, as wide as they are"
 ENDINGS = ("", ".png", ".jpg", ".jpeg", ".JPG", ".webp")
 TOLERANCE = 1e-3
 """Share by which two focal lengths may differ, and share of the picture by which two principal points may."""
@@ -85,8 +88,8 @@ class TransformsFile:
         center = number("cx", width / 2), number("cy", height / 2)
         return Lens(fov_x=angle, size=size, center=None if center == (width / 2, height / 2) else center)
 
-    def angle(self, frame: Fields) -> tuple[float, bool]:
-        """A frame's horizontal angle of view in radians, and whether its lens is more than that.
+    def angle(self, frame: Fields) -> tuple[float, Intrinsics | None, list[str]]:
+        """A frame's horizontal angle of view in radians, its lens in pixels where told, and what that leaves out.
 
         Raises:
             HyalineError: nothing says it.
@@ -95,14 +98,23 @@ class TransformsFile:
         def number(key: str, default: float) -> float:
             return frame.number(key, self.fields.number(key, default))
 
-        width, focal = number("w", 2 * number("cx", 0.0)), number("fl_x", 0.0)
+        width, height, focal = number("w", 2 * number("cx", 0.0)), number("h", 0.0), number("fl_x", 0.0)
         angle = 2 * math.atan(0.5 * width / focal) if focal > 0 and width > 0 else number("camera_angle_x", 0.0)
         if not 0 < angle < math.pi:
             raise HyalineError(
                 f"{frame.where}: has no lens; expected camera_angle_x in radians, or fl_x and w in pixels"
             )
-        is_off = width > 0 and abs(number("cx", width / 2) / width - 0.5) > TOLERANCE
-        return angle, is_off or any(abs(number(key, 0.0)) > 1e-9 for key in DISTORTION)
+        lens = None
+        if width >= 1 and height >= 1:
+            pixels = 0.5 * width / math.tan(0.5 * angle)
+            column, row = number("cx", width / 2), number("cy", height / 2)
+            try:
+                lens = Intrinsics(fl_x=pixels, fl_y=pixels, cx=column, cy=row, w=round(width), h=round(height))
+            except HyalineError as error:
+                raise HyalineError(f"{frame.where}: {error}") from None
+        is_bent = any(abs(number(key, 0.0)) > 1e-9 for key in DISTORTION)
+        is_square = focal <= 0 or abs(number("fl_y", focal) / focal - 1) <= TOLERANCE
+        return angle, lens, [DISTORTED] * is_bent + [NOT_SQUARE] * (not is_square)
 
     def pose(self, frame: Fields) -> np.ndarray:
         """world_from_camera of a frame, in the file's units.

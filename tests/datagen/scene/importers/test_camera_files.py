@@ -1,5 +1,6 @@
 """Tests that cameras of COLMAP, of NeRF tools and of glTF stand where they stood, and that broken ones are refused."""
 
+import dataclasses
 import json
 import math
 import struct
@@ -11,11 +12,12 @@ import pytest
 from support.gltf import BOX, GltfBuilder
 from support.traced_dataset import write_traced_dataset
 
+from datagen.data.cameras import look_at
 from datagen.data.dataset import open_dataset
 from datagen.data.meshes import write_ply
 from datagen.disk.errors import HyalineError
 from datagen.export.formats import export_dataset
-from datagen.scene.camera_list import CameraList
+from datagen.scene.camera_list import CameraList, Intrinsics
 from datagen.scene.importers.camera_files import read_camera_file
 from datagen.scene.importers.choices import ImportChoices
 from datagen.scene.importers.foreign import MAX_TRIANGLES
@@ -87,11 +89,26 @@ def test_broken_text_of_colmap_is_refused(tmp_path: Path, cameras: str, images: 
 
 def test_distorted_lenses_are_drawn_straight_and_said_to_be(tmp_path: Path) -> None:
     remarks = Remarks()
-    read_camera_file(write_text(tmp_path, "1 SIMPLE_RADIAL 100 80 120 44 40 0.1\n", IMAGE), remarks)
+    (camera,) = read_camera_file(write_text(tmp_path, "1 OPENCV 100 80 120 121 44 41 0.1 0 0 0\n", IMAGE), remarks)
     assert [line.what for line in remarks.lines] == [
         "have a distorted lens; drawn as pinholes",
-        "have an axis off the middle of their pictures; drawn through the middle",
+        "have pixels that are not square; drawn square, as wide as they are",
     ]
+    assert camera.intrinsics == Intrinsics(fl_x=120, fl_y=120, cx=44, cy=41, w=100, h=80)
+
+
+def test_the_lens_of_a_transforms_file_keeps_its_principal_point_and_shape(tmp_path: Path) -> None:
+    (tmp_path / "box.ply").write_bytes(write_ply(BOX))
+    frames = [{"transform_matrix": look_at((2.0, place, 1.5), (0.0, 0.0, 0.0)).tolist()} for place in range(4)]
+    lens = {"fl_x": 50, "fl_y": 50, "cx": 30, "cy": 14, "w": 64, "h": 48}
+    (tmp_path / "transforms.json").write_text(json.dumps({**lens, "frames": frames}))
+    choices = ImportChoices(cameras=str(tmp_path / "transforms.json"), material=("glass",), up="z")
+    cameras = import_scene(tmp_path / "box.ply", choices).scene.cameras
+    assert isinstance(cameras, CameraList) and cameras.intrinsics is not None
+    assert dataclasses.asdict(cameras.intrinsics) == pytest.approx(lens)
+    (tmp_path / "transforms.json").write_text(json.dumps({**lens, "cx": 1e6, "frames": frames}))
+    with pytest.raises(HyalineError, match=r"frames.0.: camera intrinsics: cx and cy are 1e\+06 and 14"):
+        import_scene(tmp_path / "box.ply", choices)
 
 
 def test_a_binary_file_cut_anywhere_is_refused(colmap: tuple[Path, np.ndarray, float], tmp_path: Path) -> None:
