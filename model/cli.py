@@ -213,7 +213,7 @@ def export(
     """Write a trained scene as one HTML file, which draws it live in a browser, from disk and without a server.
 
     Args:
-        run: Folder of a trained run of light-path on the true geometry.
+        run: Folder of a trained run of light-path, paper or mlp-first.
         out: The page; a file that stands there is kept.
         quality: small keeps a texel in 8 bits; exact keeps every number as it is, in about three times the bytes.
         dataset: Dataset folder, or its name under data/. Default: where the run found it.

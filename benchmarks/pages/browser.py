@@ -45,15 +45,20 @@ class Watched:
         return self.page.evaluate(f"(given) => Promise.race([({script})(given), {late}])", argument)
 
     def picture(
-        self, view: str, size: int, samples: int, edits: dict[str, dict[str, object]] | None = None
+        self, view: str, shape: tuple[int, ...], samples: int, edits: dict[str, dict[str, object]] | None = None
     ) -> np.ndarray:
-        """The page's picture of a view of the dataset, of so many rays a pixel, after edits by object: (h, w, 3)."""
+        """The page's picture of a view of the dataset, of so many rays a pixel, after edits by object: (h, w, 3).
+
+        Args:
+            shape: height and width.
+        """
+        height, width = shape
         encoded = self.evaluate(
-            "async ([view, size, samples, edits]) => (await hyaline).picture(view, size, samples, edits)",
-            [view, size, samples, edits or {}],
+            "async (given) => (await hyaline).picture(...given)",
+            [view, width, height, samples, edits or {}],
             patience_ms=PATIENCE_MS * samples,
         )
-        return np.array(encoded, np.uint8).reshape(size, size, 4)[..., :3]
+        return np.array(encoded, np.uint8).reshape(height, width, 4)[..., :3]
 
 
 def find_browser() -> str:

@@ -15,12 +15,13 @@ from datagen.data.dataset import Dataset, open_dataset
 from datagen.terminal.command import track
 from eval.score.metrics import psnr
 from model.methods.light_path.config import LightPathConfig
-from model.methods.light_path.pixels import load_light_path_pixels
+from model.methods.paper.config import PaperConfig
 from model.methods.renderer import Renderer
+from model.methods.table import open_inputs
 from model.run.predict import load_renderer, predict_pixels
 from model.run.run_folder import RunRecord, read_run
 from model.web.export import export_run
-from model.web.scene import Quality
+from model.web.packing import Quality
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,7 +73,7 @@ def compare_page(run: Path, dataset: Path | None, quality: Quality, *, samples: 
             mine = python_picture(renderer, record, opened, split, view, samples)
             truth = opened.view(split, view).image
             before = time.perf_counter()
-            drawn = page.picture(f"{split}/{view}", len(mine), samples)
+            drawn = page.picture(f"{split}/{view}", truth.shape[:2], samples)
             seconds = time.perf_counter() - before
             compared.append(
                 Compared(
@@ -93,9 +94,11 @@ def python_picture(
 ) -> UInt8[np.ndarray, "h w 3"]:
     """A view with the same number of rays in every pixel."""
     config = record.config.net
-    assert isinstance(config, LightPathConfig)
-    even = dataclasses.replace(config, render_samples=samples, refined_samples=1)
-    pixels = load_light_path_pixels(even, dataset, record.geometry, split, [view], False)
+    assert isinstance(config, LightPathConfig | PaperConfig)
+    even = dataclasses.replace(config, render_samples=samples)
+    if isinstance(even, LightPathConfig):
+        even = dataclasses.replace(even, refined_samples=1)
+    pixels = even.load(open_inputs(even, dataset, record.geometry), split, [view], with_images=False, mapped=False)
     return predict_pixels(renderer, pixels).reshape(*dataset.config.resolution.shape, 3)
 
 

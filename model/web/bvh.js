@@ -128,7 +128,7 @@ function faceBoxes(positions, faces) {
   return boxes;
 }
 
-// All objects' trees behind the room for the upper one, faces in the order of the leaves: what textures hold.
+// All objects' trees behind the room for the upper ones, faces in the order of the leaves: what textures hold.
 async function buildTrees(scene) {
   const { manifest, arrays } = scene;
   const nodes = [], roots = [], bounds = [], triangles = new Float32Array(12 * (arrays.faces.length / 3));
@@ -138,8 +138,8 @@ async function buildTrees(scene) {
     const boxes = faceBoxes(positions, faces), box = emptyBox();
     for (let at = 0; at < boxes.length; at += 6) grow(box, boxes, at);
     bounds.push(box);
-    roots.push(TOP_NODES + nodes.length / 16);
-    const tree = buildTree(boxes, faces.length / 3, TOP_NODES + nodes.length / 16, object.firstFace, LEAF);
+    roots.push(2 * TOP_NODES + nodes.length / 16);
+    const tree = buildTree(boxes, faces.length / 3, 2 * TOP_NODES + nodes.length / 16, object.firstFace, LEAF);
     for (const value of tree.nodes) nodes.push(value);
     tree.order.forEach((face, place) => {
       for (let corner = 0; corner < 3; corner++) {
@@ -153,11 +153,11 @@ async function buildTrees(scene) {
   return { nodes: new Float32Array(nodes), roots, bounds, triangles };
 }
 
-// The tree over the objects that are shown, each with its box in the world.
-function buildTopTree(boxes, shown) {
-  const packed = new Float32Array(6 * shown.length);
-  shown.forEach((object, place) => packed.set(boxes[object], 6 * place));
-  const { nodes } = buildTree(packed, shown.length, 0, 0, 1);
-  for (let at = 0; at < nodes.length; at += 8) if (nodes[at + 7]) nodes[at + 3] = shown[nodes[at + 3]];
+// The tree over some rows of the table of objects, given with their boxes in the world.
+function buildTopTree(rows, firstNode) {
+  const names = [...rows.keys()], packed = new Float32Array(6 * names.length);
+  names.forEach((name, place) => packed.set(rows.get(name), 6 * place));
+  const { nodes } = buildTree(packed, names.length, firstNode, 0, 1);
+  for (let at = 0; at < nodes.length; at += 8) if (nodes[at + 7]) nodes[at + 3] = names[nodes[at + 3]];
   return new Float32Array(nodes);
 }

@@ -24,12 +24,31 @@ from datagen.disk.reading import read_regular
 from datagen.disk.records import Json
 from datagen.disk.storage import commit
 from datagen.terminal.distribution import VERSION
-from model.methods.light_path.net import LightPathRenderer
+from model.methods.protocol import MethodConfig
+from model.methods.renderer import Renderer
 from model.run.predict import load_renderer
 from model.run.run_folder import RunRecord
-from model.web.scene import Quality, web_scene
+from model.web.packing import Quality
+from model.web.scene import web_scene
 
-SCRIPTS = ("unpack.js", "bvh.js", "camera.js", "tracer.js", "frames.js", "page.js")
+SCRIPTS = (
+    "vectors.js",
+    "unpack.js",
+    "bvh.js",
+    "camera.js",
+    "objects.js",
+    "tracer.js",
+    "frames.js",
+    "film.js",
+    "gizmo.js",
+    "paths.js",
+    "gestures.js",
+    "panel.js",
+    "page.js",
+)
+
+METHODS = ("light-path", "paper", "mlp-first")
+"""Whose runs a page can draw."""
 
 TRUTH_QUALITY = 92
 """Of JPEG: the eye sees no difference, and a test view of the demo takes 9 kB."""
@@ -44,21 +63,35 @@ def export_run(run: Path, record: RunRecord, dataset: Dataset, out: Path, qualit
     Raises:
         HyalineError: the run's method or geometry is one that the page cannot draw, or its weights are not there.
     """
-    if record.method != "light-path":
-        raise HyalineError(f"{run}: is a run of {record.method}; expected one of light-path, which a page can draw")
+    if record.method not in METHODS:
+        raise HyalineError(
+            f"{run}: is a run of {record.method}; expected one of {', '.join(METHODS)}, which a page can draw"
+        )
     renderer = load_renderer(run, record.config, dataset)
-    assert isinstance(renderer, LightPathRenderer)
     still = run / "predictions" / "interpolating" / f"{view_name(0)}.png"
     if not still.is_file():
         raise HyalineError(f"{still}: not there; render it with `model render --run {run}`")
     page = scene_page(
-        renderer, dataset, record.geometry, quality, label=record.label, still=read_regular(still, at_most=MAX_PICTURE)
+        renderer,
+        record.config.net,
+        dataset,
+        record.geometry,
+        quality,
+        label=record.label,
+        still=read_regular(still, at_most=MAX_PICTURE),
     )
     commit(out, page)
 
 
 def scene_page(
-    renderer: LightPathRenderer, dataset: Dataset, geometry: str, quality: Quality, *, label: str, still: bytes
+    renderer: Renderer,
+    config: MethodConfig,
+    dataset: Dataset,
+    geometry: str,
+    quality: Quality,
+    *,
+    label: str,
+    still: bytes,
 ) -> bytes:
     """The page of a renderer.
 
@@ -66,7 +99,7 @@ def scene_page(
         label: of the run.
         still: a PNG, shown until the first picture is drawn, and where none can be.
     """
-    scene = web_scene(renderer, dataset, geometry, quality)
+    scene = web_scene(renderer, config, dataset, geometry, quality)
     manifest = {**scene.manifest, "arrays": scene.packed.entries, "truth": cast(Json, _truths(dataset))}
     script = '"use strict";\n(() => {\n' + "\n".join(_part(name) for name in SCRIPTS) + "})();\n"
     style = _part("page.css")
@@ -83,11 +116,11 @@ def scene_page(
             "label": html.escape(f"{dataset.name}, drawn live"),
             "heading": html.escape(title),
             "about": html.escape(
-                f"Drawn by the networks that hyaline's light-path learned from pictures of {dataset.name} "
+                f"Drawn by the networks that hyaline's {label} learned from pictures of {dataset.name} "
                 f"(quality {quality}; dataset {dataset.seal[:12]}). The page's program is under the MIT licence."
             ),
             "manifest": json.dumps(manifest, sort_keys=True).replace("<", "\\u003c"),
-            "shader": _part("tracer.glsl"),
+            "shader": "\n".join(_part(name) for name in scene.shaders),
             "data": scene.packed.text(),
             "script": script,
         },

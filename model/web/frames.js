@@ -77,28 +77,45 @@ class Frames {
     }
   }
 
-  // Draws the whole canvas with so many rays a pixel, and nothing after it: for pictures of the page.
-  async still(rays) {
-    this.held = true;
-    await this.busy;
-    const { tracer } = this, { canvas } = tracer.gl;
-    tracer.resize(canvas.width, canvas.height);
-    for (let frame = 0; frame < rays; frame++) await this.draw(rayOf(frame, tracer.scene.manifest.samples));
-    tracer.show();
-    this.tell({ width: canvas.width, height: canvas.height, rays });
-  }
-
-  // A picture of its own size, of the rays that the product takes; the page waits meanwhile.
-  async picture(width, height, samples) {
+  // Does something with the tracer, and draws nothing else meanwhile.
+  async alone(task) {
     this.held = true;
     await this.busy;
     try {
-      this.tracer.resize(width, height);
-      for (let frame = 0; frame < samples; frame++) await this.draw(rayOf(frame, samples));
-      return this.tracer.bytes();
+      return await task();
     } finally {
       this.held = false;
       this.changed();
     }
+  }
+
+  async rays(width, height, count, samples) {
+    this.tracer.resize(width, height);
+    for (let frame = 0; frame < count; frame++) await this.draw(rayOf(frame, samples));
+  }
+
+  // Draws the whole canvas with so many rays a pixel, and nothing after it: for pictures of the page.
+  async still(rays) {
+    this.held = true;
+    await this.busy;
+    const { tracer } = this, { width, height } = tracer.gl.canvas;
+    await this.rays(width, height, rays, tracer.scene.manifest.samples);
+    tracer.show();
+    this.tell({ width, height, rays });
+  }
+
+  // A picture of a film, within `alone`.
+  async compose(width, height, rays) {
+    await this.rays(width, height, rays, this.tracer.scene.manifest.samples);
+    this.tracer.show();
+    return createImageBitmap(new ImageData(new Uint8ClampedArray(this.tracer.bytes()), width, height));
+  }
+
+  // A picture of its own size, of the rays that the product takes.
+  picture(width, height, samples) {
+    return this.alone(async () => {
+      await this.rays(width, height, samples, samples);
+      return this.tracer.bytes();
+    });
   }
 }

@@ -3,11 +3,15 @@
 import base64
 import zlib
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float32, Shaped, UInt32
 
 from datagen.disk.records import Json
+
+Quality = Literal["small", "exact"]
+"""small: texels, normals and uv in few bits. exact: every number as it is."""
 
 DTYPES = ("uint8", "uint16", "uint32", "float32", "float64")
 """What unpack.js reads."""

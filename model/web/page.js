@@ -1,13 +1,10 @@
-// The page: its parts, and what mouse, fingers and keys do.
-
-const element = (id) => document.getElementById(id);
+// The page: what its parts tell each other.
 
 class Page {
   constructor(scene, trees, shader) {
-    Object.assign(this, { scene, trees, shader, canvas: element("view"), chosen: -1, pointers: new Map() });
-    const { manifest } = scene;
-    this.camera = new Camera(manifest.fov, manifest.target);
-    this.objects = manifest.objects.map(freshObject);
+    Object.assign(this, { scene, trees, shader, canvas: element("view"), chosen: -1 });
+    this.camera = new Camera(scene.manifest.lens, scene.manifest.target);
+    this.objects = new Objects(scene.manifest);
   }
 
   async start() {
@@ -16,13 +13,36 @@ class Page {
     this.tracer = new Tracer(this.gl, this.scene, this.trees, this.shader);
     this.show("Compiling the shader …");
     await this.tracer.start();
-    this.makeControls();
-    if (!this.readLink()) this.goTo(this.scene.manifest.start);
     this.frames = new Frames(this.tracer, this.camera, (drawn) => this.drew(drawn));
-    this.update();
+    this.gestures = new Gestures(this);
+    this.gizmo = new Gizmo(element("gizmo"), this.camera, (event) => this.gestures.at(event), (change) => this.edit(this.chosen, change));
+    this.rays = new RayView(element("rays"), element("met"), this);
+    this.film = new Film(this);
+    this.panel = new Panel(this);
+    if (!this.readLink()) this.goTo(this.scene.manifest.start), this.panel.listObjects();
     this.listen();
+    this.update();
     this.running = this.frames.run();
     this.running.catch(fail);
+  }
+
+  listen() {
+    this.canvas.addEventListener("webglcontextlost", (event) => {
+      event.preventDefault();
+      this.frames.held = true;
+      this.show("The graphics processor was lost; waits for it …");
+    });
+    this.canvas.addEventListener("webglcontextrestored", () => this.restart().catch(fail));
+    new ResizeObserver(() => (this.fit(), this.frames.changed(), this.overlay())).observe(this.canvas);
+    window.addEventListener("hashchange", () => this.readLink() && this.update());
+  }
+
+  // After the graphics processor was lost, and all textures with it.
+  async restart() {
+    await this.tracer.start();
+    this.frames.speed /= 4;  // If it was lost over a frame that took too long, the next ones are smaller.
+    this.update();
+    this.frames.held = false;
   }
 
   show(text) {
@@ -42,20 +62,99 @@ class Page {
     this.canvas.height = Math.max(1, Math.round(box.height * ratio));
   }
 
-  update() {
-    this.tracer.place(this.objects);
-    this.frames.changed();
-    this.writeLink();
+  // What is drawn over the picture.
+  overlay() {
+    const object = this.objects.all[this.chosen], { clientWidth, clientHeight } = this.canvas;
+    this.gizmo.show(object && object.shown ? object : null, object && middleOf(object, this.trees.bounds[object.of]), clientWidth, clientHeight);
+    this.rays.draw();
   }
 
+  // ---- What has changed
+
+  // An object.
+  update() {
+    this.tracer.place(this.objects.all);
+    this.rays.clear();
+    this.changed();
+  }
+
+  // The camera, which stands at none of the dataset's any more.
   moved() {
     element("views").value = "";
     this.showTruth();
+    this.changed();
+  }
+
+  changed() {
     this.frames.changed();
+    this.overlay();
     this.writeLink();
   }
 
-  // ---- Cameras of the dataset
+  // ---- Objects
+
+  edit(index, change) {
+    Object.assign(this.objects.all[index], change);
+    this.panel.refresh();
+    this.update();
+  }
+
+  choose(index) {
+    this.chosen = index;
+    this.panel.describe();
+    this.overlay();
+  }
+
+  copy() {
+    const middle = middleOf(this.objects.all[this.chosen], this.trees.bounds[this.objects.all[this.chosen].of]);
+    const aside = 0.15 * norm(add(middle, this.camera.place, -1)), right = this.camera.axis(0);
+    const index = this.objects.copy(this.chosen, [right[0] * aside, right[1] * aside, 0]);
+    if (index === undefined) return this.show("There is no room for another copy.");
+    this.panel.listObjects();
+    this.choose(index);
+    this.update();
+  }
+
+  remove() {
+    this.objects.remove(this.chosen);
+    if (this.chosen >= this.objects.all.length) this.chosen = -1;
+    this.panel.listObjects();
+    this.update();
+  }
+
+  wear(index, material) {
+    this.objects.wear(index, material);
+    this.panel.describe();
+    this.update();
+  }
+
+  reset() {
+    this.objects.reset();
+    this.chosen = -1;
+    this.panel.listObjects();
+    this.goTo(this.scene.manifest.start);
+    this.update();
+  }
+
+  // ---- What is asked of the page
+
+  clicked(object, ...at) {
+    if (element("follow").checked) this.rays.ask(...at).catch(fail);
+    else this.choose(object);
+  }
+
+  // What a key or a button stands for; false for none.
+  command(name) {
+    const hasChosen = this.chosen >= 0;
+    if (name === "Escape") this.choose(-1);
+    else if (name === "r") this.reset();
+    else if (name === "f") (this.gestures.looks = !this.gestures.looks), this.panel.refresh();
+    else if (name === "h" && hasChosen) this.edit(this.chosen, { shown: !this.objects.all[this.chosen].shown });
+    else if (name === "c" && hasChosen) this.copy();
+    else if (name === "Delete" && hasChosen) this.remove();
+    else return false;
+    return true;
+  }
 
   goTo(name) {
     const [split, view] = name.split("/"), matrices = this.scene.arrays[`cameras/${split}`];
@@ -64,7 +163,7 @@ class Page {
     this.camera.set([...matrices.subarray(12 * view, 12 * view + 12)]);
     element("views").value = name;
     this.showTruth();
-    if (this.frames) this.frames.changed(), this.writeLink();
+    this.changed();
   }
 
   showTruth() {
@@ -74,196 +173,12 @@ class Page {
     image.style.opacity = element("fade").value / 100;
   }
 
-  // ---- Controls
-
-  makeControls() {
-    const views = element("views"), list = element("objects");
-    views.replaceChildren(new Option("free", ""));
-    for (const [split, count] of Object.entries(this.scene.manifest.views)) {
-      const group = document.createElement("optgroup");
-      group.label = split;
-      for (let view = 0; view < count; view++) group.append(new Option(`${split} ${view}`, `${split}/${view}`));
-      views.append(group);
-    }
-    list.replaceChildren(...this.scene.manifest.objects.map((object, index) => {
-      const item = document.createElement("li"), box = document.createElement("input"), name = document.createElement("button");
-      Object.assign(box, { type: "checkbox", checked: this.objects[index].shown, ariaLabel: `Show ${object.name}` });
-      box.addEventListener("change", () => this.edit(index, { shown: box.checked }));
-      Object.assign(name, { type: "button", textContent: object.name, ariaPressed: "false" });
-      name.addEventListener("click", () => this.choose(this.chosen === index ? -1 : index));
-      item.append(box, name);
-      return item;
-    }));
-  }
-
-  edit(index, change) {
-    Object.assign(this.objects[index], change);
-    this.refresh();
-    this.update();
-  }
-
-  choose(index) {
-    this.chosen = index;
-    const fields = element("chosen");
-    fields.hidden = index < 0;
-    if (index >= 0) {
-      const { name } = this.scene.manifest.objects[index], legend = document.createElement("legend");
-      legend.textContent = name;
-      fields.replaceChildren(legend, ...this.sliders(index));
-    }
-    this.refresh();
-  }
-
-  sliders(index) {
-    const object = this.objects[index], reach = this.scene.manifest.reach, made = [];
-    const slider = (label, low, high, step, get, set) => {
-      const line = document.createElement("label"), input = document.createElement("input"), output = document.createElement("output");
-      Object.assign(input, { type: "range", min: low, max: high, step, value: get() });
-      input.addEventListener("input", () => (set(Number(input.value)), this.update(), input.refresh()));
-      input.refresh = () => ((input.value = get()), (output.textContent = Number(get().toFixed(3)).toString()));
-      input.refresh();
-      line.append(label, input, output);
-      made.push(line);
-    };
-    ["x", "y", "z"].forEach((name, axis) => slider(`Move ${name} (m)`, -reach, reach, reach / 500,
-      () => object.offset[axis], (value) => (object.offset[axis] = value)));
-    slider("Turn (degrees)", -180, 180, 1, () => (object.angle * 180) / Math.PI, (value) => (object.angle = (value * Math.PI) / 180));
-    const index_ = object.rank >= 0 ? "mediumIor" : "ior";
-    if (["refracts", "passes", "coated"].includes(object.event))
-      slider("Refractive index", 1, 2.6, 0.01, () => object[index_], (value) => (object[index_] = value));
-    if (object.rank >= 0)
-      ["red", "green", "blue"].forEach((name, c) => slider(`Absorb ${name} (1/m)`, 0, Math.max(40, 4 * object.absorption[c]), 0.1,
-        () => object.absorption[c], (value) => (object.absorption[c] = value)));
-    return made;
-  }
-
-  refresh() {
-    element("objects").querySelectorAll("li").forEach((item, index) => {
-      item.querySelector("input").checked = this.objects[index].shown;
-      item.querySelector("button").ariaPressed = String(index === this.chosen);
-    });
-    for (const input of element("chosen").querySelectorAll("input")) if (input.refresh) input.refresh();
-  }
-
-  reset() {
-    this.objects = this.scene.manifest.objects.map(freshObject);
-    this.choose(-1);
-    this.goTo(this.scene.manifest.start);
-    this.update();
-  }
-
-  // ---- Mouse, fingers, keys
-
-  listen() {
-    const { canvas } = this;
-    canvas.addEventListener("pointerdown", (event) => this.down(event));
-    canvas.addEventListener("pointermove", (event) => this.drag(event));
-    for (const name of ["pointerup", "pointercancel"]) canvas.addEventListener(name, (event) => this.up(event));
-    canvas.addEventListener("contextmenu", (event) => event.preventDefault());
-    canvas.addEventListener("wheel", (event) => {
-      event.preventDefault();
-      this.camera.zoom(Math.exp(0.001 * event.deltaY));
-      this.moved();
-    }, { passive: false });
-    canvas.addEventListener("keydown", (event) => this.key(event));
-    canvas.addEventListener("webglcontextlost", (event) => {
-      event.preventDefault();
-      this.frames.held = true;
-      this.show("The graphics processor was lost; waits for it …");
-    });
-    canvas.addEventListener("webglcontextrestored", () => this.restart().catch(fail));
-    new ResizeObserver(() => (this.fit(), this.frames.changed())).observe(canvas);
-    element("views").addEventListener("change", (event) => this.goTo(event.target.value));
-    element("fade").addEventListener("input", () => this.showTruth());
-    element("reset").addEventListener("click", () => this.reset());
-    element("link").addEventListener("click", () => this.copyLink());
-    element("picture").addEventListener("click", () => this.savePicture());
-    window.addEventListener("hashchange", () => this.readLink() && this.update());
-  }
-
-  // After the graphics processor was lost, and all textures with it.
-  async restart() {
-    await this.tracer.start();
-    this.frames.speed /= 4;  // If it was lost over a frame that took too long, the next ones are smaller.
-    this.update();
-    this.frames.held = false;
-  }
-
-  at(event) {
-    const box = this.canvas.getBoundingClientRect();
-    return [event.clientX - box.left, event.clientY - box.top, box.width, box.height];
-  }
-
-  down(event) {
-    this.canvas.setPointerCapture(event.pointerId);
-    this.pointers.set(event.pointerId, [event.clientX, event.clientY]);
-    this.travelled = 0;
-    this.held = null;
-    if (this.pointers.size === 1 && event.button === 0 && !event.shiftKey) {
-      const found = this.tracer.pick(this.camera, ...this.at(event));
-      this.under = found ? found.object : -1;
-      if (found && found.object === this.chosen)
-        this.held = add(this.camera.place, this.camera.through(...this.at(event)), found.distance);
-    }
-  }
-
-  drag(event) {
-    const last = this.pointers.get(event.pointerId);
-    if (!last) return;
-    const step = [event.clientX - last[0], event.clientY - last[1]], size = Math.min(this.canvas.clientWidth, this.canvas.clientHeight);
-    this.travelled += Math.abs(step[0]) + Math.abs(step[1]);
-    if (this.travelled < 4) return;
-    const others = [...this.pointers.entries()].filter(([id]) => id !== event.pointerId);
-    this.pointers.set(event.pointerId, [event.clientX, event.clientY]);
-    if (others.length) {
-      const [, other] = others[0], distance = (point) => Math.hypot(point[0] - other[0], point[1] - other[1]);
-      this.camera.zoom(distance(last) / Math.max(distance([event.clientX, event.clientY]), 1));
-      this.camera.pan(-step[0] / size / 2, step[1] / size / 2);
-    } else if (this.held) return this.dragObject(event);
-    else if (event.shiftKey || event.buttons & 2) this.camera.pan(-step[0] / size, step[1] / size);
-    else this.camera.orbit(-step[0] * 0.006, step[1] * 0.006);
-    this.moved();
-  }
-
-  // Over the horizontal plane through the point where it was taken; with Alt up and down.
-  dragObject(event) {
-    const object = this.objects[this.chosen], d = this.camera.through(...this.at(event)), from = this.camera.place;
-    const back = this.camera.axis(2), normal = event.altKey ? [back[0], back[1], 0] : [0, 0, 1];
-    const slope = dot(normal, d), t = dot(normal, add(this.held, from, -1)) / slope;
-    if (Math.abs(slope) < 0.02 || !(t > 0)) return;
-    const shift = add(add(from, d, t), this.held, -1).map((value, axis) => (event.altKey === (axis === 2) ? value : 0));
-    this.held = add(this.held, shift);
-    this.edit(this.chosen, { offset: add(object.offset, shift) });
-  }
-
-  up(event) {
-    if (this.pointers.delete(event.pointerId) && this.travelled < 4 && event.button === 0 && event.type === "pointerup") this.choose(this.under);
-  }
-
-  key(event) {
-    const turn = { ArrowLeft: [-0.1, 0], ArrowRight: [0.1, 0], ArrowUp: [0, 0.1], ArrowDown: [0, -0.1] }[event.key];
-    const zoom = { "+": 0.9, "=": 0.9, "-": 1 / 0.9 }[event.key];
-    if (turn && event.shiftKey) this.camera.pan(turn[0] / 2, turn[1] / 2), this.moved();
-    else if (turn) this.camera.orbit(...turn), this.moved();
-    else if (zoom) this.camera.zoom(zoom), this.moved();
-    else if (event.key === "Escape") this.choose(-1);
-    else if (event.key === "r") this.reset();
-    else if (event.key === "h" && this.chosen >= 0) this.edit(this.chosen, { shown: !this.objects[this.chosen].shown });
-    else return;
-    event.preventDefault();
-  }
-
   // ---- The link: what differs from the page as it opens
 
   writeLink() {
-    const parts = new URLSearchParams(), short = (value) => Number(value.toPrecision(6)).toString();
-    const view = element("views").value;
+    const parts = new URLSearchParams(), view = element("views").value;
     parts.set("view", view || [...this.camera.matrix, ...this.camera.pivot].map(short).join(" "));
-    this.objects.forEach((object, index) => {
-      const { name } = this.scene.manifest.objects[index], fresh = freshObject(this.scene.manifest.objects[index]);
-      const values = (item) => [item.shown ? 1 : 0, ...item.offset, item.angle, item.ior, item.mediumIor, ...item.absorption].map(short).join(" ");
-      if (values(object) !== values(fresh)) parts.set(name, values(object));
-    });
+    this.objects.write(parts);
     history.replaceState(null, "", `#${parts}`);
   }
 
@@ -271,20 +186,16 @@ class Page {
   readLink() {
     const parts = new URLSearchParams(location.hash.slice(1)), view = parts.get("view");
     if (view === null) return false;
-    this.scene.manifest.objects.forEach((item, index) => {
-      const [shown, x, y, z, angle, ior, mediumIor, ...absorption] = (parts.get(item.name) || "").split(" ").map(Number);
-      const values = [x, y, z, angle, ior, mediumIor, ...absorption];
-      this.objects[index] = freshObject(item);
-      if (values.length === 9 && values.every(Number.isFinite))
-        Object.assign(this.objects[index], { shown: shown === 1, offset: [x, y, z], angle, ior, mediumIor, absorption });
-    });
+    this.objects.read(parts);
+    this.chosen = -1;
+    this.panel.listObjects();
     const numbers = view.split(" ").map(Number);
+    this.goTo(this.scene.manifest.start);
     if (numbers.length === 15 && numbers.every(Number.isFinite)) {
       this.camera.set(numbers.slice(0, 12));
       this.camera.pivot = numbers.slice(12);
-      element("views").value = "";
-    } else this.goTo(this.scene.manifest.start), this.goTo(view);
-    this.refresh();
+      this.moved();
+    } else this.goTo(view);
     return true;
   }
 
@@ -297,32 +208,53 @@ class Page {
     }
   }
 
-  // For tests and scripts: a square picture of a view as bytes, red, green, blue and 255, rows from above.
-  async picture(view, size, samples, edits = {}) {
-    const before = this.objects;
-    this.objects = this.scene.manifest.objects.map((item) => ({ ...freshObject(item), ...edits[item.name] }));
-    this.tracer.place(this.objects);
+  // ---- Pictures and films
+
+  // For tests and scripts: a picture of a view as bytes, red, green, blue and 255, rows from above. Edits are
+  // by name; that of a copy says whose `copyOf` it is.
+  async picture(view, width, height, samples, edits = {}) {
+    const before = this.objects.all;
+    this.objects.reset();
+    for (const [name, { copyOf, material, ...change }] of Object.entries(edits)) {
+      const index = copyOf === undefined ? this.objects.all.findIndex((item) => item.name === name)
+        : this.objects.copy(this.objects.all.findIndex((item) => item.name === copyOf), [0, 0, 0]);
+      if (material !== undefined) this.objects.wear(index, this.objects.materials.findIndex((known) => known.name === material));
+      Object.assign(this.objects.all[index], change);
+    }
+    this.tracer.place(this.objects.all);
     this.goTo(view);
     try {
-      return [...(await this.frames.picture(size, size, samples))];
+      return [...(await this.frames.picture(width, height, samples))];
     } finally {
-      this.objects = before;
+      this.objects.all = before;
       this.tracer.place(before);
     }
   }
 
   savePicture() {
-    const link = document.createElement("a");
     this.tracer.show();
-    link.download = `${this.scene.manifest.name}.png`;
-    link.href = this.canvas.toDataURL("image/png");
-    link.click();
+    save(`${this.scene.manifest.name}.png`, this.canvas.toDataURL("image/png"));
+  }
+
+  // A second click stops it.
+  async saveFilm() {
+    if (this.film.isWanted) return void (this.film.isWanted = false);
+    element("film").textContent = "Stop the film";
+    try {
+      const film = await this.film.turntable();
+      if (film) save(`${this.scene.manifest.name}.webm`, URL.createObjectURL(film));
+    } catch (error) {
+      this.show(error.message);
+    } finally {
+      element("film").textContent = "Film a turn";
+    }
   }
 }
 
-function freshObject(item) {
-  const { event, ior, roughness, color, rank, mediumIor, absorption } = item;
-  return { shown: item.numFaces > 0, offset: [0, 0, 0], angle: 0, event, ior, roughness, color, rank, mediumIor, absorption: [...absorption] };
+function save(name, address) {
+  const link = Object.assign(document.createElement("a"), { download: name, href: address });
+  link.click();
+  if (address.startsWith("blob:")) setTimeout(() => URL.revokeObjectURL(address), 60000);
 }
 
 function fail(error) {

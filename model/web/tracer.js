@@ -1,6 +1,7 @@
 // Drawing with WebGL2: the scene in textures, and frames of one ray a pixel that add up.
 
 const TEXTURE_WIDTH = 2048, EVENTS = { ends: 0, refracts: 1, passes: 2, coated: 3, mirrors: 4 };
+const TASKS = { picture: 0, layers: 1, path: 2 };
 
 const CORNERS = `#version 300 es
 void main() { gl_Position = vec4(gl_VertexID == 1 ? 3.0 : -1.0, gl_VertexID == 2 ? 3.0 : -1.0, 0.0, 1.0); }`;
@@ -87,7 +88,7 @@ class Tracer {
   async start() {
     const { gl } = this, { defines } = this.scene.manifest;
     gl.getExtension("EXT_color_buffer_float");  // It is lost with the graphics processor.
-    const lines = Object.entries({ ...defines, TEXTURE_WIDTH, STACK: 2 * DEPTH + 2 }).map(([name, value]) => `#define ${name} ${value}`);
+    const lines = Object.entries({ ...defines, TEXTURE_WIDTH, STACK: 2 * DEPTH + 2, OBJECTS_ROOT: 0, SHELLS_ROOT: TOP_NODES }).map(([name, value]) => `#define ${name} ${value}`);
     const precision = "precision highp float;\nprecision highp int;\nprecision highp sampler2D;";
     this.tracing = await compile(gl, ["#version 300 es", precision, ...lines, this.source].join("\n"));
     this.showing = await compile(gl, SHOW);
@@ -100,14 +101,17 @@ class Tracer {
   // All that does not change, in textures; the order is that of the units.
   fill() {
     const { gl, trees } = this, { arrays, manifest } = this.scene;
-    const nodes = new Float32Array(16 * TOP_NODES + trees.nodes.length);
-    nodes.set(trees.nodes, 16 * TOP_NODES);
+    const nodes = new Float32Array(32 * TOP_NODES + trees.nodes.length);
+    nodes.set(trees.nodes, 32 * TOP_NODES);
     this.nodes = this.table(0, gl.RGBA32F, nodes);
     this.table(1, gl.RGBA32F, trees.triangles);
     this.table(2, gl.RGBA32F, vertexTable(arrays));
-    this.objectWidth = 7 + manifest.defines.LEVELS;
-    this.objectTable = new Float32Array(4 * this.objectWidth * manifest.objects.length);
-    this.objects = makeTexture(gl, 3, gl.RGBA32F, this.objectWidth, manifest.objects.length, this.objectTable);
+    this.shells = manifest.shells;
+    this.capacity = manifest.objects.length + MAX_COPIES;
+    this.objectWidth = 8 + manifest.defines.LEVELS + (manifest.defines.RELIEF || 0);
+    this.objectRows = this.capacity * this.shells;
+    this.objectTable = new Float32Array(4 * this.objectWidth * this.objectRows);
+    this.objects = makeTexture(gl, 3, gl.RGBA32F, this.objectWidth, this.objectRows, this.objectTable);
     this.table(4, manifest.quality === "exact" ? gl.RGBA32F : gl.RGBA16F, texelTable(arrays, manifest));
     this.table(5, gl.RGBA32F, arrays.weights);
   }
@@ -121,29 +125,51 @@ class Tracer {
     return makeTexture(gl, unit, format, TEXTURE_WIDTH, height, padded);
   }
 
+  get followsLight() {
+    return this.scene.manifest.defines.LIGHT_PATH === 1;
+  }
+
   // What may change: where objects stand, which are shown, what they do to light.
   place(objects) {
     const { gl, trees } = this, { manifest } = this.scene, table = this.objectTable, row = 4 * this.objectWidth;
+    const ranks = mediumRanks(objects);
     table.fill(0);
     objects.forEach((object, index) => {
-      const at = index * row, { turn, shift } = worldFromObject(object, trees.bounds[index]);
-      for (let axis = 0; axis < 3; axis++) table.set([...turn[axis], shift[axis]], at + 4 * axis);
-      table.set([EVENTS[object.event], object.ior, object.roughness, object.rank], at + 12);
-      table.set([...object.color, 0], at + 16);
-      table.set([trees.roots[index], 0, 0, 0], at + 20);
-      if (object.rank >= 0) table.set([object.mediumIor, ...object.absorption], object.rank * row + 24);
-      manifest.objects[index].texels.forEach(([base, size], level) => table.set([base, size, 0, 0], at + 28 + 4 * level));
+      const bounds = trees.bounds[object.of], { texels, relief } = manifest.objects[object.of];
+      // A shell is the object again, smaller about the same middle, with texels of its own.
+      for (let shell = 0; shell < this.shells; shell++) {
+        const scale = 1 - shell / this.shells, { turn, shift } = worldFromObject(object, bounds, scale);
+        const at = (shell * this.capacity + index) * row;
+        for (let axis = 0; axis < 3; axis++) table.set([...turn[axis], shift[axis]], at + 4 * axis);
+        table.set([EVENTS[object.event], object.ior, object.roughness, ranks[index]], at + 12);
+        table.set([...object.color, 0], at + 16);
+        table.set([trees.roots[object.of], scale, 0, 0], at + 20);
+        [...texels[shell], ...(relief ? [relief[shell]] : [])].forEach((place, level) => table.set(place, at + 32 + 4 * level));
+      }
+      if (ranks[index] < 0) return;
+      const iors = object.spread.map((value) => object.mediumIor + value);
+      table.set([...iors, Number(object.spread.some(Boolean)), ...object.absorption], ranks[index] * row + 24);
     });
     gl.activeTexture(gl.TEXTURE3);
     gl.bindTexture(gl.TEXTURE_2D, this.objects);
-    gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, this.objectWidth, objects.length, gl.RGBA, gl.FLOAT, table);
-    const shown = objects.map((_, index) => index).filter((index) => objects[index].shown && manifest.objects[index].numFaces);
-    const boxes = objects.map((object, index) => worldBox(object, trees.bounds[index]));
-    const top = new Float32Array(4 * TEXTURE_WIDTH);
-    top.set(buildTopTree(boxes, shown));
+    gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, this.objectWidth, this.objectRows, gl.RGBA, gl.FLOAT, table);
+    this.placeTrees(objects);
+  }
+
+  // The trees over the objects that are shown: of the outermost shells, which light paths meet, and of all.
+  placeTrees(objects) {
+    const { gl, trees } = this, { manifest } = this.scene, tops = new Float32Array(8 * TEXTURE_WIDTH);
+    const shown = objects.map((_, index) => index).filter((index) => objects[index].shown && manifest.objects[objects[index].of].numFaces);
+    for (let top = 0; top < 2; top++) {
+      const rows = new Map();
+      for (let shell = 0; shell < (top ? this.shells : 1); shell++)
+        for (const index of shown)
+          rows.set(shell * this.capacity + index, worldBox(objects[index], trees.bounds[objects[index].of], 1 - shell / this.shells));
+      tops.set(buildTopTree(rows, top * TOP_NODES), 4 * TEXTURE_WIDTH * top);
+    }
     gl.activeTexture(gl.TEXTURE0);
     gl.bindTexture(gl.TEXTURE_2D, this.nodes);
-    gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, TEXTURE_WIDTH, 1, gl.RGBA, gl.FLOAT, top);
+    gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, TEXTURE_WIDTH, 2, gl.RGBA, gl.FLOAT, tops);
   }
 
   resize(width, height) {
@@ -159,22 +185,47 @@ class Tracer {
     const { gl, width, height } = this;
     gl.activeTexture(gl.TEXTURE6);
     gl.bindTexture(gl.TEXTURE_2D, this.sums[0]);
-    this.aim(this.sums[1], camera, width, height, focalLength(camera, width, height), ray, 0);
+    this.aim(this.sums[1], camera, width, height, focalLength(camera, width, height), ray, TASKS.picture);
     gl.enable(gl.SCISSOR_TEST);
     gl.scissor(0, first, width, count);
     gl.drawArrays(gl.TRIANGLES, 0, 3);
     gl.disable(gl.SCISSOR_TEST);
   }
 
-  // The object at a point of a picture of some size, and its distance; null where there is none.
-  pick(camera, x, y, width, height) {
-    const { gl } = this, found = new Float32Array(4), target = makeTexture(gl, 7, gl.RGBA32F, 1, 1, null);
-    const ray = { place: [x - 0.5 * width + 0.5, y - 0.5 * height + 0.5], chunk: 1, samples: 1, sample: 0, seed: 0, isFirst: true };
-    this.aim(target, camera, 1, 1, focalLength(camera, width, height), ray, 1);
+  // The answer to a task of the shader about the ray through a point of a picture of some size: `count` times four
+  // numbers.
+  ask(task, count, camera, x, y, width, height) {
+    const { gl } = this, found = new Float32Array(4 * count), target = makeTexture(gl, 7, gl.RGBA32F, count, 1, null);
+    const ray = { place: [x - 0.5 * width + 0.5 * count, y - 0.5 * height + 0.5], chunk: 1, samples: 1, sample: 0, seed: 0, isFirst: true };
+    this.aim(target, camera, count, 1, focalLength(camera, width, height), ray, task);
     gl.drawArrays(gl.TRIANGLES, 0, 3);
-    gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.FLOAT, found);
+    gl.readPixels(0, 0, count, 1, gl.RGBA, gl.FLOAT, found);
     gl.deleteTexture(target);
-    return found[0] < 0 ? null : { object: found[0], distance: found[1] };
+    return Array.from({ length: count }, (_, index) => [...found.subarray(4 * index, 4 * index + 4)]);
+  }
+
+  // The object that is seen there, and its distance; null where there is none.
+  pick(camera, ...at) {
+    return this.layers(camera, 1, ...at)[0] || null;
+  }
+
+  // All that the straight ray meets, nearest first.
+  layers(camera, most, ...at) {
+    const d = camera.through(...at);
+    return this.ask(TASKS.layers, most, camera, ...at).filter(([object]) => object >= 0)
+      .map(([object, distance]) => ({ object, distance, point: add(camera.place, d, distance) }));
+  }
+
+  // The segments of the light path, branch by branch; of each the object that it meets (-1: none), and what share of
+  // the light there comes through.
+  lightPath(camera, most, ...at) {
+    const found = this.ask(TASKS.path, 2 * most, camera, ...at), segments = [];
+    for (let index = 0; index < found.length; index += 2) {
+      const [start, end] = [found[index], found[index + 1]], branch = Math.floor(start[3]);
+      if (branch < 0) break;
+      segments.push({ from: start.slice(0, 3), to: end.slice(0, 3), branch, object: end[3], share: 2 * (start[3] - branch) });
+    }
+    return segments;
   }
 
   aim(target, camera, width, height, focal, ray, task) {
@@ -185,7 +236,7 @@ class Tracer {
     gl.uniformMatrix3fv(places.camera_turn, false, camera.turn);
     gl.uniform1f(places.focal, focal);
     gl.uniform2f(places.size, width, height);
-    gl.uniform2f(places.place, ...ray.place);
+    gl.uniform2f(places.in_pixel, ...ray.place.map((value, axis) => value - focal * camera.lens.shift[axis]));
     for (const name of ["chunk", "samples", "seed"]) gl.uniform1ui(places[name], ray[name]);
     gl.uniform1ui(places.ray_sample, ray.sample);
     gl.uniform1f(places.keep, ray.isFirst ? 0 : 1);
@@ -229,57 +280,28 @@ class Tracer {
   }
 }
 
-// The lens is that of the dataset's square pictures, which the shorter side of the page shows whole.
-function focalLength(camera, width, height) {
-  return (0.5 * Math.min(width, height)) / Math.tan(0.5 * camera.fov);
-}
-
+// Normals, where the shader wants them, and uv.
 function vertexTable(arrays) {
-  const count = arrays.uv.length / 2, table = new Float32Array(4 * count);
-  const normalScale = arrays.normals instanceof Float32Array ? 0 : 2 / 0xfffffe, uvScale = arrays.uv instanceof Float32Array ? 1 : 1 / 65535;
+  const count = arrays.uv.length / 2, table = new Float32Array(4 * count), { normals } = arrays;
+  const normalScale = normals instanceof Uint32Array ? 2 / 0xfffffe : 0, uvScale = arrays.uv instanceof Float32Array ? 1 : 1 / 65535;
   for (let i = 0; i < count; i++)
     for (let axis = 0; axis < 2; axis++) {
-      const code = arrays.normals[2 * i + axis];
+      const code = normals ? normals[2 * i + axis] : 0;
       table[4 * i + axis] = normalScale ? code * normalScale - 1 : code;
       table[4 * i + 2 + axis] = arrays.uv[2 * i + axis] * uvScale;
     }
   return table;
 }
 
-// Texels as floats: they are so already, or bytes with a scale for each channel of each object.
+// Texels as floats: they are so already, or bytes with a scale for each channel of each texture.
 function texelTable(arrays, manifest) {
   if (arrays.texels instanceof Float32Array) return arrays.texels;
   const channels = 4 * manifest.defines.FEATURE_TEXELS, table = new Float32Array(arrays.texels.length);
-  manifest.objects.forEach((object, index) => {
-    const [base, size] = object.texels[0];
+  manifest.objects.flatMap((object) => object.texels).forEach(([[base, size]], texture) => {
     for (let i = channels * base; i < channels * (base + size * size); i++) {
-      const at = index * channels + (i % channels);
+      const at = texture * channels + (i % channels);
       table[i] = arrays.texelLow[at] + arrays.texelStep[at] * arrays.texels[i];
     }
   });
   return table;
-}
-
-// Rows of the rotation and the shift of an object that was turned about its middle, by an angle around the vertical.
-function worldFromObject(object, bounds) {
-  const cos = Math.cos(object.angle), sin = Math.sin(object.angle);
-  const turn = [[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]];
-  if (!object.angle) return { turn, shift: object.offset };
-  const middle = [0, 1, 2].map((axis) => 0.5 * (bounds[axis] + bounds[axis + 3]));
-  const turned = turn.map((row) => row.reduce((sum, value, axis) => sum + value * middle[axis], 0));
-  return { turn, shift: object.offset.map((value, axis) => value + middle[axis] - turned[axis]) };
-}
-
-function worldBox(object, bounds) {
-  const { turn, shift } = worldFromObject(object, bounds), box = emptyBox();
-  for (let corner = 0; corner < 8; corner++) {
-    const point = [0, 1, 2].map((axis) => bounds[axis + (corner & (1 << axis) ? 3 : 0)]);
-    // A little wider: boxes are kept as floats.
-    turn.forEach((row, axis) => {
-      const value = row[0] * point[0] + row[1] * point[1] + row[2] * point[2] + shift[axis], slack = 1e-6 * (1 + Math.abs(value));
-      box[axis] = Math.min(box[axis], value - slack);
-      box[axis + 3] = Math.max(box[axis + 3], value + slack);
-    });
-  }
-  return box;
 }

@@ -18,6 +18,7 @@ from datagen.machine.mitsuba_variant import use_mitsuba
 if use_mitsuba(quiet=True).startswith("scalar"):
     pytest.skip("light paths need a vectorised variant of Mitsuba", allow_module_level=True)
 
+from model.methods.authors_code.config import AuthorsConfig
 from model.methods.light_path.config import LightPathConfig
 from model.run.run_folder import TrainConfig
 from model.run.train import train
@@ -74,7 +75,8 @@ def test_a_run_becomes_one_page_of_the_same_bytes_each_time_and_replaces_no_file
 def test_a_run_of_another_method_is_refused(
     dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    run = trained(dataclasses.replace(SMALL, steps=1), dataset, tmp_path / "run")
+    net = AuthorsConfig(texture_size=16, position_size=32)
+    run = trained(dataclasses.replace(SMALL, method="authors-code", net=net, steps=1), dataset, tmp_path / "run")
     assert call(monkeypatch, "export", "--run", str(run), "--out", str(tmp_path / "page.html")) == 1
-    assert "is a run of paper; expected one of light-path" in capsys.readouterr().err
+    assert "is a run of authors-code; expected one of light-path, paper, mlp-first" in capsys.readouterr().err
     assert not (tmp_path / "page.html").exists()

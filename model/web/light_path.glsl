@@ -1,0 +1,157 @@
+// The light paths of a ray, and what physics says that they bring. Source: datagen/trace/branches.py.
+
+const float MIN_THROUGHPUT = 1.0 / 512.0, FIRST_MIRROR = 16.0;
+const int SPARE_STEPS = 16;
+
+int asked;    // Of the task PATH: which end of which segment,
+vec4 answer;  // and where that is.
+
+bool parted;  // Glass that parts colours is on the way.
+
+// A branch that waits to be followed.
+struct Start {
+    float weight;
+    vec3 o, d, beta;
+    int face, object;
+    uint solids;
+};
+
+// Linear radiance of a ray; the stack network's first layer sums up what it meets.
+vec3 trace(vec3 o, vec3 d, vec2 row, uint ray) {
+    vec3 radiance = vec3(0.0), beta = vec3(1.0);
+    Start queue[BRANCHES > 1 ? BRANCHES - 1 : 1];
+    for (int i = 0; i < BRANCHES - 1; i++) queue[i].weight = 0.0;
+    uint solids = NO_SOLIDS;
+    int left_face = NO_FACE, left_object = 0, branch = 0, vertex = 0;
+
+    for (int step = 0; step < BRANCHES * MAX_DEPTH + SPARE_STEPS; step++) {
+        Hit hit = find(OBJECTS_ROOT, o, d, left_face, left_object);
+        bool missed = hit.face == NO_FACE, is_over = missed;
+        if (task == PATH && step == asked / 2 && asked % 2 == 0) {
+            answer = vec4(o, float(branch) + 0.5 * min(max(beta.r, max(beta.g, beta.b)), 1.0));
+            return radiance;
+        }
+        if (task == PATH && step == asked / 2) {
+            answer = vec4(o + d * (missed ? 1.0 : hit.t), missed ? -1.0 : float(hit.object));
+            return radiance;
+        }
+        if (missed) {
+#if COMPOSITE == 1
+            radiance += beta * sky(d);
+#endif
+        } else {
+            // Where the ray is, and what is there.
+            Place place = place_of(hit, d);
+            vec3 p = place.p, facing = place.facing, outward = place.outward;
+            vec4 optics = of_object(hit.object, OPTICS), color = of_object(hit.object, COLOR);
+            int kind = int(optics.x), rank = int(optics.w);
+
+            // The medium on the way here, and those on both sides of the surface.
+            bool is_outside = place.is_outside, is_glass = kind == DIELECTRIC, is_thin = kind == THIN;
+            int medium_here = medium_of(solids);
+            uint beyond = solids, here = solids;
+            if (is_glass) {
+                uint inside = with_solid(solids, rank), outside = without_solid(solids, rank);
+                beyond = is_outside ? inside : outside;
+                here = is_outside ? outside : inside;
+            }
+            // Where a solid of higher priority fills both sides, there is no surface.
+            bool is_void = is_glass && medium_of(here) == medium_of(beyond);
+            if (medium_here >= 0) beta *= exp(-absorption_of(medium_here) * length(p - o));
+
+            float cos_i = place.cosine, offset = place.offset;
+            bool is_end = kind == OPAQUE || kind == COATED || kind == METAL;
+            bool is_stacked = STACK_HIDDEN > 0 && !is_void && (branch == 0 && vertex < 4 || branch == 1 && vertex < 2);
+            if (is_stacked || is_end && COMPOSITE == 1) {
+                Features features = look_up(hit.object, place.uv);
+#if STACK_HIDDEN > 0
+                if (is_stacked && channel == 1) stack_slot(branch == 0 ? vertex : 4 + vertex, features, (beta.r + beta.g + beta.b) / 3.0, cos_i);
+#endif
+#if RELIEF == 1
+                if (is_end) features = look_up(hit.object, relieved(hit.object, place));
+#endif
+#if COMPOSITE == 1
+                if (is_end) radiance += beta * decode(features, cos_i, d + 2.0 * cos_i * facing, p);
+#endif
+            }
+
+            // What the surface does to the ray.
+            bool borders = is_glass && !is_void;
+            float eta = borders ? index_of(medium_of(beyond)) / index_of(medium_of(here)) : optics.y;
+            if (borders && (parts_colors(medium_of(beyond)) || parts_colors(medium_of(here)))) parted = true;
+            vec2 f = fresnel(cos_i, eta);
+            float reflectance = is_thin ? 2.0 * f.x / (1.0 + f.x) : f.x;
+            bool total = borders && f.x >= 1.0;
+            vec3 mirrored = normalize(d + 2.0 * cos_i * facing), m_beta = beta * reflectance, next_d = d;
+            if (total) next_d = mirrored;
+            else if (borders) next_d = normalize(d / eta + facing * (cos_i / eta - f.y));
+            vec3 next_share = vec3(total ? 1.0 : (1.0 - reflectance) * (is_glass ? 1.0 / (eta * eta) : 1.0));
+            if (is_thin) next_share *= color.rgb;
+            bool is_rough = ROUGH_GLASS == 1 && borders && optics.z > 0.0;
+            if (kind == COATED || kind == METAL || is_rough) {
+                Facet facet = facet_towards(d, facing, optics.z, random_point(row, ray, step));
+                vec2 at_facet = fresnel(facet.cosine, eta);
+                float shadowing, passed;
+                mirrored = mirrored_by(facet, shadowing);
+                m_beta = beta * shadowing * (kind == METAL ? color.rgb : vec3(at_facet.x));
+                if (is_rough) {
+                    total = at_facet.x >= 1.0;
+                    vec3 refracted = refracted_by(facet, at_facet.y, eta, passed);
+                    next_d = total ? mirrored : refracted;
+                    next_share = vec3(total ? shadowing : (1.0 - at_facet.x) * passed / (eta * eta));
+                }
+            }
+
+            // A further branch, where light also comes by reflection. Of a full queue the weakest one falls out.
+            float weight = max(m_beta.r, max(m_beta.g, m_beta.b));
+            if (BRANCHES > 1 && !is_void && kind != OPAQUE && !total && weight > MIN_THROUGHPUT) {
+                if (branch == 0 && vertex == 0) weight = FIRST_MIRROR;
+                int weakest = 0;
+                for (int i = 1; i < BRANCHES - 1; i++) if (queue[i].weight < queue[weakest].weight) weakest = i;
+                if (weight > queue[weakest].weight)
+                    queue[weakest] = Start(weight, p + outward * offset, mirrored, m_beta, hit.face, hit.object, solids);
+            }
+
+            // The next segment of this branch.
+            bool passes = is_thin || is_glass, goes_through = passes && !total;
+            if (passes && !is_void) beta *= next_share;
+            if (passes) {
+                o = p + (goes_through ? -outward : outward) * offset;
+                d = next_d;
+            }
+            if (goes_through) solids = beyond;
+            left_face = hit.face, left_object = hit.object;
+            if (!is_void) vertex++;
+            is_over = !passes || !is_void && vertex == MAX_DEPTH;
+            // A facet's refracted ray that does not come out on the other side is lost.
+            if (ROUGH_GLASS == 1 && !is_void && beta == vec3(0.0)) is_over = true;
+        }
+
+        // The end of this branch: the next one, or none.
+        if (is_over) {
+            if (branch + 1 >= BRANCHES) break;
+            int best = 0;
+            for (int i = 1; i < BRANCHES - 1; i++) if (queue[i].weight > queue[best].weight) best = i;
+            if (queue[best].weight <= 0.0) break;
+            o = queue[best].o, d = queue[best].d, beta = queue[best].beta;
+            left_face = queue[best].face, left_object = queue[best].object, solids = queue[best].solids;
+            queue[best].weight = 0.0;
+            branch++, vertex = 0;
+        }
+    }
+    return radiance;
+}
+
+// The same of all colours, which go ways of their own through glass that parts them.
+vec3 trace_colors(vec3 o, vec3 d, vec2 row, uint ray) {
+    vec3 radiance = vec3(0.0);
+    parted = false;
+    for (int turn = 0; turn < 1 + 2 * DISPERSES; turn++) {
+        channel = turn == 0 ? 1 : turn == 1 ? 0 : 2;
+        vec3 found = trace(o, d, row, ray);
+        if (!parted) return found;
+        radiance[channel] = found[channel];
+    }
+    channel = 1;
+    return radiance;
+}

@@ -1,0 +1,159 @@
+// The objects as they stand now: which are shown, where, and of which material; copies of them; and all that as text.
+
+const MAX_COPIES = 32, MAX_NESTED = 32;
+const OPTICS = ["event", "ior", "roughness", "color", "priority", "mediumIor", "spread", "absorption"];
+
+// What `datagen build --edit glass:OBJECT` makes of opaque objects, and of glass.
+const CLEAR_GLASS = { event: "refracts", ior: 1, roughness: 0, color: [1, 1, 1], priority: 0, mediumIor: 1.5, spread: [0, 0, 0], absorption: [0, 0, 0] };
+const MATT = { event: "ends", ior: 1, roughness: 0, color: [1, 1, 1], priority: null, mediumIor: 1, spread: [0, 0, 0], absorption: [0, 0, 0] };
+
+class Objects {
+  constructor(manifest) {
+    this.listed = manifest.objects;
+    this.knowsMaterials = manifest.knowsMaterials;
+    this.isNested = manifest.defines.NESTED === 1;
+    this.materials = this.knowsMaterials ? knownMaterials(this.listed) : [];
+    this.reset();
+  }
+
+  reset() {
+    this.all = this.listed.map((item, index) => this.fresh(index, item.name));
+  }
+
+  // An object as it was learned; `of` is the one whose shape and texels it has.
+  fresh(of, name) {
+    const item = this.listed[of];
+    return {
+      of, name, shown: item.numFaces > 0, offset: [0, 0, 0], turn: [0, 0, 0],
+      material: this.materials.findIndex((known) => isSame(known, item)), ...opticsOf(item),
+    };
+  }
+
+  isCopy(index) {
+    return index >= this.listed.length;
+  }
+
+  // Puts a copy beside an object, which stays; its index. Undefined where there is no room for one.
+  copy(index, step) {
+    const original = this.all[index];
+    if (this.all.length >= this.listed.length + MAX_COPIES || !this.hasRoomFor(original)) return undefined;
+    const name = this.freeName(this.listed[original.of].name);
+    this.all.push({ ...structuredClone(original), name, offset: add(original.offset, step) });
+    return this.all.length - 1;
+  }
+
+  freeName(name) {
+    let count = 1;
+    while (this.all.some((item) => item.name === `${name}_copy${count}`)) count++;
+    return `${name}_copy${count}`;
+  }
+
+  // Takes a copy away; an object of the scene is hidden.
+  remove(index) {
+    if (this.isCopy(index)) this.all.splice(index, 1);
+    else this.all[index].shown = false;
+  }
+
+  // A ray keeps one bit for each solid that it may be in.
+  hasRoomFor(optics) {
+    return optics.priority === null || !this.isNested || this.all.filter((item) => item.priority !== null).length < MAX_NESTED;
+  }
+
+  // The places, among those that are known, of the materials that an object may be made of.
+  materialsFor(index) {
+    const item = this.all[index], isSolid = this.listed[item.of].isClosed;
+    return this.materials.map((_, place) => place).filter((place) => {
+      const known = this.materials[place];
+      return place === item.material || known.priority === null || (isSolid && (item.priority !== null || this.hasRoomFor(known)));
+    });
+  }
+
+  wear(index, material) {
+    Object.assign(this.all[index], opticsOf(this.materials[material]), { material });
+  }
+
+  // ---- As text: what differs from the page as it opens
+
+  write(parts) {
+    this.all.slice(this.listed.length).forEach((item) => parts.append("copy", this.listed[item.of].name));
+    for (const item of this.all) {
+      const text = textOf(item);
+      if (this.isCopy(this.all.indexOf(item)) || text !== textOf(this.fresh(item.of, item.name))) parts.set(item.name, text);
+    }
+  }
+
+  read(parts) {
+    this.reset();
+    for (const name of parts.getAll("copy").slice(0, MAX_COPIES)) {
+      const of = this.listed.findIndex((item) => item.name === name);
+      if (of >= 0) this.all.push(this.fresh(of, this.freeName(name)));
+    }
+    this.all.forEach((item, index) => this.readOne(index, (parts.get(item.name) || "").split(" ").map(Number)));
+  }
+
+  readOne(index, numbers) {
+    const [shown, x, y, z, turnX, turnY, turnZ, material, ior, mediumIor, ...absorption] = numbers;
+    if (absorption.length !== 3 || !numbers.every(Number.isFinite)) return;
+    if (this.materialsFor(index).includes(material)) this.wear(index, material);
+    Object.assign(this.all[index], { shown: shown === 1, offset: [x, y, z], turn: [turnX, turnY, turnZ], ior, mediumIor, absorption });
+  }
+}
+
+const short = (value) => Number(value.toPrecision(6)).toString();
+
+function textOf(item) {
+  return [item.shown ? 1 : 0, ...item.offset, ...item.turn, item.material, item.ior, item.mediumIor, ...item.absorption].map(short).join(" ");
+}
+
+function opticsOf(item) {
+  return structuredClone(Object.fromEntries(OPTICS.map((key) => [key, item[key]])));
+}
+
+function isSame(one, other) {
+  return JSON.stringify(opticsOf(one)) === JSON.stringify(opticsOf(other));
+}
+
+// Each material once; but for the first two it is called by the first object that is made of it.
+function knownMaterials(listed) {
+  const known = [];
+  for (const item of [{ ...MATT, name: "matt" }, { ...CLEAR_GLASS, name: "clear glass" }, ...listed])
+    if (!known.some((other) => isSame(other, item))) known.push({ ...opticsOf(item), name: item.name });
+  return known;
+}
+
+// The place of each object among the solids, in the order in which they fill space; -1 for what is none.
+// Source: datagen/scene/media.py.
+function mediumRanks(objects) {
+  const ranks = objects.map(() => -1);
+  objects.map((_, index) => index).filter((index) => objects[index].priority !== null)
+    .sort((a, b) => objects[b].priority - objects[a].priority || a - b).forEach((index, rank) => (ranks[index] = rank));
+  return ranks;
+}
+
+// The middle of an object's box where it stands now; `bounds` are those of its shape.
+function middleOf(object, bounds) {
+  return [0, 1, 2].map((axis) => 0.5 * (bounds[axis] + bounds[axis + 3]) + object.offset[axis]);
+}
+
+// Rows of the rotation (times the scale), and the shift, of an object that was turned, and made smaller, about its
+// middle.
+function worldFromObject(object, bounds, scale = 1) {
+  if (scale === 1 && !object.turn.some(Boolean)) return { turn: UNIT_AXES, shift: object.offset };
+  const turn = turnOf(object.turn).map((row) => row.map((value) => scale * value)), middle = middleOf({ offset: [0, 0, 0] }, bounds);
+  return { turn, shift: object.offset.map((value, axis) => value + middle[axis] - dot(turn[axis], middle)) };
+}
+
+// The box of an object in the world.
+function worldBox(object, bounds, scale) {
+  const { turn, shift } = worldFromObject(object, bounds, scale), box = emptyBox();
+  for (let corner = 0; corner < 8; corner++) {
+    const point = [0, 1, 2].map((axis) => bounds[axis + (corner & (1 << axis) ? 3 : 0)]);
+    // A little wider: boxes are kept as floats.
+    turn.forEach((row, axis) => {
+      const value = dot(row, point) + shift[axis], slack = 1e-6 * (1 + Math.abs(value));
+      box[axis] = Math.min(box[axis], value - slack);
+      box[axis + 3] = Math.max(box[axis + 3], value + slack);
+    });
+  }
+  return box;
+}

@@ -1,0 +1,211 @@
+"""Tests of what mouse, fingers and keys do on the page of a trained scene."""
+
+import re
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from support.web_scenes import STILL, every_surface
+
+from benchmarks.pages.browser import Watched, open_file, watched_page
+from datagen.data.dataset import Dataset
+from datagen.data.paths import TRUTH
+from datagen.trace.peel import Peeler
+from model.methods.light_path.net import LightPathRenderer
+from model.web.export import scene_page
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
+
+STATE = "async () => { const { camera, objects } = await hyaline; return [camera.matrix, objects.all]; }"
+
+
+@pytest.fixture(scope="module")
+def opened(
+    browser: "Browser", renderer: LightPathRenderer, dataset: Dataset, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[Watched]:
+    file = tmp_path_factory.mktemp("page") / "small.html"
+    file.write_bytes(scene_page(renderer, renderer.config, dataset, TRUTH, "small", label="noise", still=STILL))
+    with watched_page(browser, width=700, height=500) as page:
+        open_file(page, file)
+        yield page
+
+
+@pytest.fixture
+def page(opened: Watched) -> Iterator["Page"]:
+    """The page as it opens, in which nothing is drawn: what is asked of it is answered at once."""
+    opened.evaluate("async () => { const page = await hyaline; page.frames.held = true; page.reset(); }")
+    opened.page.uncheck("#follow")
+    yield opened.page
+    assert opened.complaints == []
+
+
+def state(page: "Page") -> tuple[np.ndarray, list[dict[str, Any]]]:
+    matrix, objects = page.evaluate(STATE)
+    return np.array(matrix).reshape(3, 4), objects
+
+
+def center(page: "Page", selector: str) -> tuple[float, float]:
+    box = page.locator(selector).bounding_box()
+    assert box is not None
+    return box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+
+
+def end_of(page: "Page", selector: str) -> tuple[float, float]:
+    """Where the line of a handle ends, in the window."""
+    x, y = page.evaluate(
+        """(selector) => {
+            const path = document.querySelector(selector), box = path.ownerSVGElement.getBoundingClientRect();
+            const [, x, y] = path.getAttribute("d").match(/L([-\\d.e]+) ([-\\d.e]+)/).map(Number);
+            return [x + box.x, y + box.y];
+        }""",
+        selector,
+    )
+    return x, y
+
+
+def drag(page: "Page", start: tuple[float, float], *, right: float, down: float) -> None:
+    page.mouse.move(*start)
+    page.mouse.down()
+    page.mouse.move(start[0] + right, start[1] + down, steps=3)
+    page.mouse.up()
+
+
+def test_an_arrow_moves_the_chosen_object_along_its_axis_alone(page: "Page") -> None:
+    page.get_by_role("button", name="metal").click()
+    drag(page, end_of(page, ".handle.move.z .line"), right=0, down=-40)
+    offset = state(page)[1][4]["offset"]
+    assert offset[:2] == [0, 0]
+    assert offset[2] > 0.05
+
+
+def test_a_ring_turns_the_chosen_object_about_its_axis_alone(page: "Page") -> None:
+    page.get_by_role("button", name="pane").click()
+    drag(page, end_of(page, ".handle.turn.z .line"), right=40, down=10)
+    metal, pane = state(page)[1][4], state(page)[1][3]
+    assert metal["turn"] == [0, 0, 0]
+    assert pane["turn"][:2] == pytest.approx([0, 0], abs=1e-9)
+    assert abs(pane["turn"][2]) > 5
+    assert pane["offset"] == [0, 0, 0]
+
+
+def test_a_click_chooses_the_object_under_it_and_a_drag_moves_that_over_the_ground(page: "Page") -> None:
+    where = page.evaluate(
+        """async () => {
+            const page = await hyaline, box = page.canvas.getBoundingClientRect();
+            const [x, y] = page.camera.project([0.4, -0.9, 0.25], box.width, box.height);
+            return [x + box.x, y + box.y];
+        }"""
+    )
+    page.mouse.click(*where)
+    assert page.get_by_role("button", name="ice").get_attribute("aria-pressed") == "true"
+    beside = page.evaluate(
+        """async ([x, y]) => {
+            const { canvas, tracer, camera, gestures } = await hyaline, steps = [-36, -24, -12, 12, 24, 36];
+            const isFree = ([clientX, clientY]) => document.elementFromPoint(clientX, clientY) === canvas
+                && tracer.pick(camera, ...gestures.at({ clientX, clientY }))?.object === 6;
+            return steps.flatMap((right) => steps.map((down) => [x + right, y + down])).find(isFree);
+        }""",
+        where,
+    )
+    drag(page, beside, right=30, down=0)  # Between the handles.
+    offset = state(page)[1][6]["offset"]
+    assert np.hypot(*offset[:2]) > 0.05
+    assert offset[2] == 0
+
+
+def test_keys_fly_and_look_around(page: "Page") -> None:
+    before, _ = state(page)
+    page.focus("#view")
+    page.keyboard.down("w")
+    page.wait_for_timeout(200)
+    page.keyboard.up("w")
+    after, _ = state(page)
+    step = after[:, 3] - before[:, 3]
+    assert np.array_equal(after[:, :3], before[:, :3])
+    assert -step @ before[:, 2] == pytest.approx(np.linalg.norm(step))  # Straight ahead,
+    assert np.linalg.norm(step) > 0.01  # and some way.
+    page.keyboard.press("f")
+    assert page.get_by_role("button", name="Fly").get_attribute("aria-pressed") == "true"
+    page.keyboard.press("ArrowLeft")
+    turned, _ = state(page)
+    assert np.array_equal(turned[:, 3], after[:, 3])
+    assert not np.allclose(turned[:, :3], after[:, :3])
+    page.keyboard.press("f")
+
+
+def test_a_copy_comes_and_goes_and_materials_are_those_of_the_scene(page: "Page") -> None:
+    page.get_by_role("button", name="metal").click()
+    assert page.get_by_label("Material of").locator("option").all_inner_texts() == [
+        "matt", "clear glass", "glass", "drink", "pane", "metal", "plastic", "ice",
+    ]  # fmt: skip
+    page.get_by_label("Material of").select_option("plastic")
+    page.get_by_role("button", name="Copy", exact=True).click()
+    copy = state(page)[1][7]
+    assert (copy["name"], copy["event"], copy["of"]) == ("metal_copy1", "coated", 4)
+    page.get_by_role("button", name="Take away").click()
+    assert len(state(page)[1]) == 7
+
+
+def test_a_link_brings_back_camera_and_edits(page: "Page") -> None:
+    page.focus("#view")
+    page.keyboard.press("ArrowLeft")
+    page.keyboard.press("+")
+    page.get_by_label("Show glass").uncheck()
+    page.get_by_role("button", name="metal").click()
+    page.get_by_role("button", name="Copy", exact=True).click()
+    page.get_by_label("Material of").select_option("ice")
+    page.get_by_label("Turn x").fill("30")
+    page.get_by_role("button", name="drink").click()
+    page.get_by_label("Refractive index").fill("1.7")
+    link = page.url
+    camera, objects = state(page)
+    assert not objects[1]["shown"]
+    assert objects[2]["mediumIor"] == 1.7
+    assert (objects[7]["event"], objects[7]["turn"]) == ("refracts", [30, 0, 0])
+    page.get_by_role("button", name="Reset").click()
+    assert len(state(page)[1]) == 7
+    page.goto(link)
+    page.wait_for_function("async () => !(await hyaline).objects.all[1].shown")
+    restored = state(page)
+    for one, other in zip(restored[1], objects, strict=True):
+        assert one["offset"] == pytest.approx(other["offset"], abs=1e-5)
+        assert {**one, "offset": 0} == {**other, "offset": 0}
+    assert np.allclose(restored[0], camera, atol=1e-4)
+
+
+def test_a_click_tells_the_layers_that_python_peels_and_the_branches_of_light(page: "Page") -> None:
+    page.check("#follow")
+    x, y = center(page, "#view")
+    page.mouse.click(x, y)
+    told = page.locator("#met li").all_inner_texts()
+    direction = np.float32(page.evaluate("async () => (await hyaline).camera.through(1, 1, 2, 2)"))
+    place = state(page)[0][:, 3].astype(np.float32)
+    names = [item.name for item in every_surface().objects]
+    hits = Peeler(tuple(item.mesh for item in every_surface().objects)).trace(place, direction[None], 32)
+    peeled = [(names[shape], t) for shape, t in zip(hits.shape[:, 0], hits.t[:, 0], strict=True) if shape >= 0]
+    layers = [re.fullmatch(r"Layer \d+: (\w+), ([\d.]+) m", line) for line in told if line.startswith("Layer")]
+    assert [match[1] for match in layers if match] == [name for name, _ in peeled]
+    assert [float(match[2]) for match in layers if match] == pytest.approx([t for _, t in peeled], abs=2e-3)
+    branches = [line for line in told if line.startswith("Branch")]
+    assert branches[0].startswith(f"Branch 1: {peeled[0][0]} → ")
+    assert len(branches) > 1
+    assert page.locator("#rays path").count() >= len(branches)
+    assert page.locator("#rays circle").count() == len(peeled)
+
+
+def test_a_turn_is_filmed_as_webm_and_the_camera_comes_back(page: "Page") -> None:
+    before, _ = state(page)
+    head, size = page.evaluate(
+        """async () => {
+            const page = await hyaline;
+            page.frames.sizeFor = () => [24, 16];
+            const film = await page.film.turntable(3, 1);
+            page.frames.held = true;
+            return [[...new Uint8Array(await film.slice(0, 4).arrayBuffer())], film.size];
+        }"""
+    )
+    assert head == [0x1A, 0x45, 0xDF, 0xA3]  # EBML, of which WebM is a kind.
+    assert size > 500
+    assert np.array_equal(state(page)[0], before)
