@@ -201,7 +201,7 @@ def verify(dataset: str | None = None) -> None:
 
 
 def look(dataset: str | None = None, out: Path | None = None, overwrite: bool = False) -> None:
-    """Show a dataset on one page: images, masks, depth, normals, layers, proxies, cameras, noise and objects.
+    """Show a dataset on one page: images, masks, depth, normals, layers, proxies, cameras, light paths, noise, objects.
 
     Takes seconds, needs no training, and lists what is missing. Open the page in any browser.
 

@@ -18,10 +18,11 @@ from datagen.data.variants import evenly, list_variants
 from datagen.disk.errors import HyalineError
 from datagen.disk.homes import mend_command
 from datagen.disk.records import Json, to_json
+from datagen.look.light_paths import draw_light_paths
 from datagen.look.scene_drawing import draw_cameras
 from datagen.look.view_pictures import Picture, stored_pictures
 from datagen.pages.charts import Line, line_chart
-from datagen.pages.document import anchor, command, definitions, document, section
+from datagen.pages.document import anchor, command, definitions, document, read_part, section
 from datagen.pages.html import Markup, Part, join, tag
 from datagen.pages.pictures import Gallery
 from datagen.quantities.surfaces import surfaces_of
@@ -43,10 +44,11 @@ def look_page(dataset: Dataset) -> bytes:
         section("What is missing", _missing(dataset), id_="missing"),
         *splits,
         section("Cameras", _told(lambda: draw_cameras(dataset)), id_="cameras"),
+        section("Light paths", _told(lambda: draw_light_paths(dataset)), id_="light-paths"),
         section("Noise of the truth", _told(lambda: _noise_chart(dataset)), id_="noise"),
         section("Objects", _told(lambda: _objects(dataset)), id_="objects"),
     ]
-    return document(dataset.name, gallery.store(), *parts)
+    return document(dataset.name, gallery.store(), *parts, more_script=read_part("turn.js"))
 
 
 def look_sheet(dataset: Dataset) -> bytes:

@@ -1,32 +1,66 @@
-"""Cameras around the scene as inline SVG: seen from above and from the side."""
+"""Cameras around the scene as inline SVG: in space, from above and from the side."""
+
+import math
 
 import numpy as np
 from jaxtyping import Float
 
-from datagen.data.cameras import Cameras
+from datagen.data.cameras import Camera, Cameras
 from datagen.data.config import Split
 from datagen.data.dataset import Dataset
 from datagen.data.geometries import read_meshes
+from datagen.data.meshes import Mesh
 from datagen.data.paths import TRUTH
+from datagen.look.turnable import Stroke, draw_turnable
 from datagen.pages.html import Markup, Part, tag
 
 SIDE = 420
 """Units of the drawing's longer side."""
+FRAME_SHARE = 0.04
+"""Depth of a camera's pyramid in space, as a share of how far the cameras are apart."""
 MOST_POINTS = 1500
-"""Vertices drawn of all meshes together."""
+"""Vertices drawn of all meshes together, about."""
 SPLIT_STYLES: dict[str, str] = {"train": "s0", "interpolating": "s2"}
 """Other splits test how a renderer extrapolates, and are red."""
 
 
 def draw_cameras(dataset: Dataset) -> Markup:
-    """Both views of all cameras, and of a selection of the scene's vertices."""
+    """All cameras around a selection of the scene's vertices: in space, and from two sides."""
     cameras: dict[Split, Cameras] = {split: dataset.cameras(split) for split in dataset.splits}
-    vertices = np.concatenate([mesh.vertices for mesh in read_meshes(dataset, TRUTH)]).astype(np.float64)
-    vertices = vertices[:: -(-len(vertices) // MOST_POINTS)]
+    vertices = surface_points(read_meshes(dataset, TRUTH))
     views = [("from above", (0, 1)), ("from the side", (0, 2))]
     drawings = [_draw(cameras, vertices, axes, name) for name, axes in views]
     names = [tag("li", f"{split} ({len(item)})", class_=_style(split)) for split, item in cameras.items()]
-    return tag("figure", tag("div", *drawings, class_="views"), tag("ul", *names, class_="legend"))
+    in_space = tag("figure", tag("figcaption", "Cameras in space"), _draw_in_space(cameras, vertices))
+    return tag("figure", tag("div", in_space, *drawings, class_="views"), tag("ul", *names, class_="legend"))
+
+
+def surface_points(meshes: tuple[Mesh, ...]) -> Float[np.ndarray, "vertex 3"]:
+    """A selection of vertices, of each mesh about as many: a small object is to be seen as well as a large one."""
+    share = -(-MOST_POINTS // max(1, len(meshes)))
+    return np.concatenate([mesh.vertices[:: max(1, len(mesh.vertices) // share)] for mesh in meshes]).astype(np.float64)
+
+
+def _draw_in_space(cameras: dict[Split, Cameras], vertices: Float[np.ndarray, "vertex 3"]) -> Markup:
+    places = np.concatenate([item.world_from_camera[:, :3, 3] for item in cameras.values()])
+    size = FRAME_SHARE * float(np.linalg.norm(places.max(axis=0) - places.min(axis=0)))
+    strokes = [Stroke(points=vertices, are_dots=True)]
+    for split, item in cameras.items():
+        for view in range(len(item)):
+            strokes.append(
+                Stroke(points=_frame(item[view], size), says=f"{split} view {view}, in space", style=_style(split))
+            )
+    return draw_turnable(strokes, "Cameras in space", places)
+
+
+def _frame(camera: Camera, size: float) -> Float[np.ndarray, "point 3"]:
+    """The edges of the pyramid that a camera sees, in one stroke."""
+    across = math.tan(camera.fov_x / 2) * size
+    along = across * camera.height / camera.width
+    corners = [np.array([x * across, y * along, -size]) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+    a, b, c, d = (camera.world_from_camera[:3, :3] @ corner + camera.world_from_camera[:3, 3] for corner in corners)
+    apex = camera.world_from_camera[:3, 3]
+    return np.array([apex, a, b, apex, c, d, apex, b, c, d, a])
 
 
 def _draw(

@@ -1,5 +1,6 @@
 """Tests of pages in a real browser: they sort, slide and switch, fit a phone, and ask for nothing."""
 
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -115,6 +116,44 @@ def test_a_look_shows_one_picture_alone_when_asked(browser: "Browser", dataset: 
         assert group.locator("figure:visible").count() > 4
         group.get_by_role("button", name="depth").click()
         assert group.locator("figure:visible figcaption").all_inner_texts() == ["train view 0: depth"]
+        assert watched.complaints == []
+
+
+def test_cameras_in_space_turn_by_dragging_and_with_arrow_keys_and_start_as_without_scripts(
+    browser: "Browser", dataset: Dataset
+) -> None:
+    path = dataset.root.parents[1] / "turn.html"
+    path.write_bytes(look_page(dataset))
+    with watched_page(browser, width=1100, height=800) as watched:
+        watched.page.goto(path.as_uri())
+        drawing = watched.page.locator("svg.turnable").first
+        line = drawing.locator(".stroke path").first
+
+        def places() -> np.ndarray:
+            return np.array(re.findall(r"-?[0-9.]+", line.get_attribute("d") or ""), float)
+
+        def moves_away(*, least: float, most: float = np.inf) -> bool:
+            """It lies so far from where it stood without scripts, at the latest after a few seconds."""
+            for _ in range(100):
+                if least <= np.abs(places() - still).max() <= most:
+                    return True
+                watched.page.wait_for_timeout(50)
+            return False
+
+        still = places()
+        drawing.press("ArrowRight")
+        assert moves_away(least=1)
+        drawing.press("ArrowLeft")
+        assert moves_away(least=0, most=0.11), "a script draws what Python has drawn"
+        drawing.scroll_into_view_if_needed()
+        frame = drawing.bounding_box()
+        assert frame is not None
+        middle = frame["x"] + frame["width"] / 2, frame["y"] + frame["height"] / 2
+        watched.page.mouse.move(*middle)
+        watched.page.mouse.down()
+        watched.page.mouse.move(middle[0] + 40, middle[1], steps=2)
+        watched.page.mouse.up()
+        assert moves_away(least=1)
         assert watched.complaints == []
 
 
