@@ -16,6 +16,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from datagen.data.resolution import Resolution
 from datagen.disk.private import is_intact, make_private, write_hashed
 from model.batches.rays import Pixels
 from model.methods.paper import renderer as renderer_module
@@ -117,7 +118,7 @@ def made_up_pixels(rows: int, layers: int, rng: np.random.Generator, *, share_em
         object_id=torch.from_numpy((rng.integers(1, 4, (rows, layers)) * there).astype(np.uint8)),
         rgb=torch.zeros(rows, 3, dtype=torch.uint8),
         p_camera=torch.from_numpy(rng.normal(size=(2, 3)).astype(np.float32)),
-        pixels_per_view=rows // 2,
+        resolution=Resolution(width=rows // 2, height=1),
     )
 
 
