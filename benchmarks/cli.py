@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Literal
 
 from benchmarks.networks.choices import BenchChoices
+from datagen.scene.procedural.names import Family
 from datagen.terminal.command import run, unwrap_help
 
 DESCRIPTION = (
@@ -20,6 +21,8 @@ def main() -> None:
         "peel": peel,
         "truth": truth,
         "scale": scale,
+        "random-scenes": random_scenes,
+        "random-sheet": random_sheet,
         "ceilings": ceilings,
         "step": step,
         "infer": infer,
@@ -87,7 +90,7 @@ def truth(
     from benchmarks.harness import show
     from datagen.data.config import DatasetConfig, SplitConfig
     from datagen.data.resolution import square
-    from datagen.scene.builtin import find_scene
+    from datagen.scene.importers.finding import find_scene
     from datagen.scene.rig import make_cameras
 
     description = find_scene(scene)
@@ -138,6 +141,62 @@ def scale(
         choose("quantity", name, QUANTITIES)
     chosen: tuple[Quantity, ...] = tuple(name for name in QUANTITIES if not quantities or name in quantities)
     show_scale(bench_scale(factors, chosen, rounds=rounds), out, as_json=json)
+
+
+def random_scenes(seeds: int = 100, first: int = 0, family: Family | None = None, json: bool = False) -> None:
+    """Draw and check random scenes without rendering them: how many draws were refused, and why.
+
+    Exit status 1 where a seed gives no scene.
+
+    Args:
+        seeds: How many.
+        first: The first of them.
+        family: Only object, table or nested. Default: the seeds take turns.
+        json: Print JSON instead of a table.
+    """
+    from json import dumps
+
+    from benchmarks.generator.random_scenes import survey_json, survey_seeds, survey_table
+    from datagen.terminal.command import fail
+
+    surveys = survey_seeds(first, seeds, family)
+    print(dumps(survey_json(surveys)) if json else survey_table(surveys))
+    if failed := sum(len(survey.failed) for survey in surveys):
+        fail(f"{failed} of {seeds} seeds give no scene")
+
+
+def random_sheet(
+    seeds: tuple[int, ...] = tuple(range(9)),
+    out: Path = Path("random.webp"),
+    *,
+    view: int = 1,
+    size: int = 192,
+    spp: int = 256,
+    quality: int = 88,
+    overwrite: bool = False,
+) -> None:
+    """A picture of random scenes, path-traced: a row for each family.
+
+    Args:
+        seeds: Those shown; seed 0 is an object, 1 a table, 2 nested media, and so on.
+        out: The picture, a WebP; a file that stands there is kept.
+        view: Which of six training cameras.
+        size: Width and height of each in pixels.
+        spp: Samples per pixel.
+        quality: Of the WebP, 1 to 100.
+        overwrite: Replace a file that stands at --out.
+    """
+    from datagen.disk.ownership import refuse_file
+
+    if not overwrite:
+        refuse_file(out)
+    from datagen.machine.mitsuba_variant import use_mitsuba
+
+    use_mitsuba()
+    from benchmarks.pictures.random_sheet import draw_random_sheet
+
+    out.write_bytes(draw_random_sheet(seeds, view=view, size=size, spp=spp, quality=quality))
+    print(out)
 
 
 def ceilings(*, json: bool = False) -> None:

@@ -9,10 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from support.commands import call
 from support.meshes import mesh_of
 from support.rigs import config
 from support.synthetic import synthetic_scene
 
+from benchmarks.generator.random_scenes import survey_seeds, survey_table
 from benchmarks.generator.scale import Point, ScaleReport, Task, bench_scale, fit_growth, measure_task, show_scale
 from benchmarks.generator.shells import make_shells, random_cameras
 from datagen.data.meshes import check_mesh
@@ -28,6 +30,26 @@ use_mitsuba(quiet=True)
 from benchmarks.generator.peel import ENGINES, bench_peel, compare_objects  # noqa: E402
 from benchmarks.generator.truth import bench_truth, fit_noise  # noqa: E402
 from datagen.trace.peel import Peeler  # noqa: E402
+
+
+def test_a_survey_of_seeds_says_which_draws_were_refused_and_fails_with_those_that_give_no_scene(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def refuse_the_first_ever(things: list, *, where: str) -> None:
+        if not asked:
+            asked.append(where)
+            raise HyalineError(f"{where}: ice reaches into glass")
+
+    asked: list[str] = []
+    monkeypatch.setattr("datagen.scene.procedural.drawing.check_inside", refuse_the_first_ever)
+    surveys = survey_seeds(6, 1, "object")
+    assert [(survey.family, survey.scenes, survey.refused) for survey in surveys] == [
+        ("object", 1, {"ice reaches into glass": 1})
+    ]
+    assert survey_table(surveys).splitlines()[-1] == "object: refused 1 times: ice reaches into glass"
+    monkeypatch.setattr("datagen.scene.procedural.drawing.MAX_DRAWS", 0)
+    answer = call("benchmarks random-scenes --seeds 2 --first 3 --family nested")
+    assert (answer.status, answer.error) == (1, "error: 2 of 2 seeds give no scene")
 
 
 def test_the_shells_are_closed_and_as_many_as_asked_for() -> None:

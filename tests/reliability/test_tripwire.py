@@ -38,6 +38,7 @@ TRIPS = (
     Trip(line=f"{BUILD} --angle-splits"),
     Trip(line=f"{BUILD} --super-resolution 2 --super-resolution-views 1"),
     Trip(line=f"{BUILD} --shard 1/2", start="scene"),
+    Trip(line=BUILD.replace("scene --out data/one", "random --family object --count 1 --out many"), start="scene"),
     Trip(line="datagen build --scene scene --out data/one --edit remove:pane"),
     Trip(line="datagen build --scene scene --out data/one --edit remove:pane --overwrite"),
     Trip(line="datagen build --dataset data/one --angle-splits --super-resolution 2"),
@@ -111,12 +112,14 @@ TRIPS = (
     ),
     Trip(line="benchmarks turntable --runs runs/one/paper --frames 2 --out film.gif", start="run", taken=("film.gif",)),
     Trip(line="benchmarks turntable --runs runs/one/paper --frames 2 --out film.gif --overwrite", start="run"),
+    Trip(line="benchmarks random-sheet --seeds 0 --out figure.png", taken=("figure.png",)),
     Trip(line="benchmarks sky --runs runs/one/paper --out figure.png", start="run", taken=("figure.png",)),
 )
 
 WRITES_NOTHING = {
     "datagen scenes", "datagen doctor", "model check-method", "model view", "benchmarks peel", "benchmarks truth",
     "benchmarks ceilings", "benchmarks step", "benchmarks infer", "benchmarks gpu", "benchmarks browser",
+    "benchmarks random-scenes",
 }  # fmt: skip
 """Commands that have no file to write."""
 
@@ -132,6 +135,7 @@ ELSEWHERE = {
     "benchmarks scale": {"factors", "quantities", "rounds", "json", "overwrite"},
     "benchmarks sky": {"names", "overwrite"},
     "benchmarks errors": {"views"},
+    "benchmarks random-sheet": {"view", "size", "spp", "quality", "overwrite"},
     "benchmarks screenshot": {"width", "height", "dark", "rays", "link", "overwrite"},
     "benchmarks turntable": {"names", "path", "size", "spp", "fps"},
     "proxies make": {"amount", "layers", "num_layers", "rays", "workers"},

@@ -140,7 +140,7 @@ def _radius(
 ) -> tuple[float, float]:
     """How far the cameras are from the things, and the share of the pixels that is glass from there."""
     wanted = between(0.15, 0.32, rng=rng)
-    nearest = 2.0 * max(extent, target[2])
+    nearest = 2.5 * max(extent, target[2])  # Less than that, and the outermost things would be cut off.
     radius = nearest * 1.3
     for _ in range(3):
         share = _glass_share(objects, target, radius, views=4)
@@ -192,7 +192,7 @@ def _rig(target: Vector, radius: float, azimuth_deg: tuple[float, float], rng: n
         elevation_deg=(8.0, 65.0),
         azimuth_deg=azimuth_deg,
         fov_deg=FOV_DEG,
-        target_jitter=0.12,
+        target_jitter=0.08,
         walk=tuple(walk),
     )
 
