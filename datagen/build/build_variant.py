@@ -13,6 +13,7 @@ from datagen.data.meshes import Mesh, is_there, no_mesh, write_ply
 from datagen.data.paths import TRUTH, geometry_root, layers_root
 from datagen.data.variants import list_variants, open_variant, variant_root
 from datagen.disk.errors import HyalineError
+from datagen.disk.heads import keep_head
 from datagen.disk.ownership import DATASET, PROXIES, holding, is_ours, refuse_taken
 from datagen.disk.storage import load_sealed, sha256
 from datagen.scene.edits import moved_mesh
@@ -125,6 +126,7 @@ def _write_proxies(base: Dataset, variant: Dataset, edit: SceneEdit, geometry: s
     except HyalineError:
         found = None  # Not made yet, or damaged.
     if found is not None and _hashes(found) == _hashes(wanted):
+        keep_head(variant.root, geometry_root(variant.root, geometry) / "proxies.json")
         return
     statistics = tuple(records[edited.copies.get(name, name)].statistics for name in names)
     assignment = read_assignment(base, geometry)

@@ -7,6 +7,7 @@ written, unless it is empty. Below a folder's head no links are followed: they l
 """
 
 import contextlib
+import errno
 import itertools
 import os
 import re
@@ -204,6 +205,10 @@ def refuse_links(root: Path, relative: Path) -> None:
             )
 
 
+_NOT_TO_REMOVE = (errno.ENOENT, errno.ENOTEMPTY, errno.EEXIST, errno.ENOTDIR)
+"""Why a folder stays: it is not there, or something else lies in it, which POSIX lets a system say in two ways."""
+
+
 def remove_files(root: Path, files: Iterable[str]) -> None:
     """Deletes files of ours below `root`, then the folders that are empty without them; the caller holds the folder.
 
@@ -221,8 +226,11 @@ def remove_files(root: Path, files: Iterable[str]) -> None:
         emptied.update((root / relative).parents)
     below = [folder for folder in emptied if root in folder.parents]
     for folder in sorted(below, key=lambda path: len(path.parts), reverse=True):
-        with contextlib.suppress(OSError):  # Not there, or not empty: something else lies in it.
+        try:
             folder.rmdir()
+        except OSError as error:
+            if error.errno not in _NOT_TO_REMOVE:
+                raise
 
 
 def _is_regular(path: Path) -> bool:

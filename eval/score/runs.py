@@ -7,8 +7,8 @@
                                                      choices), layers_seal; what else `model train` writes is not
                                                      read here, and any other key is refused
 
-    .../predictions.json                             optional, beside each folder `predictions`; sealed: SHA-256 of each
-                                                     picture, which are verified then
+    .../predictions.json                             beside each folder `predictions`; sealed: SHA-256 of each picture,
+                                                     which are verified then; optional where run.json is not sealed
 
 A PNG's own checksums are verified in any case (eval/score/png.py).
 Test splits are scored; pictures of the training split may lie there, too.
@@ -69,6 +69,8 @@ class Run:
     """Everything that was chosen; runs that agree in it and differ in their seed are averaged."""
     layers_seal: str | None
     """Hash that names the layers it was trained on."""
+    is_sealed: bool
+    """True of a run of `model train`, whose pictures count only with the list that it writes after them."""
     promised: dict[str, str] | None
     """SHA-256 of each picture by path relative to the folder; None: nobody has told."""
 
@@ -119,7 +121,7 @@ def open_run(folder: Path, data_root: Path, given: Dataset | None = None) -> Run
     """
     path = folder / "run.json"
     record = load_json(path) if os.path.lexists(path) else {}
-    if SEAL in record:
+    if is_sealed := SEAL in record:
         record = load_sealed(path)
     if unknown := sorted(set(record) - RUN_KEYS):
         raise HyalineError(f"{path}: unknown key {shown(unknown[0])}; known are {', '.join(sorted(RUN_KEYS))}")
@@ -140,6 +142,7 @@ def open_run(folder: Path, data_root: Path, given: Dataset | None = None) -> Run
         num_layers=_optional(record, "num_layers", int, path),
         config=_config(record, path),
         layers_seal=_optional(record, "layers_seal", str, path),
+        is_sealed=is_sealed,
         promised=_read_promised(folder),
     )
 
@@ -207,6 +210,11 @@ def _read_bytes(run: Run, split: Split, view: int) -> bytes:
     path = prediction_path(run, split, view)
     data = read_regular(path, at_most=MAX_PNG_BYTES)
     relative = path.relative_to(run.folder).as_posix()
+    if run.promised is None and run.is_sealed:
+        raise HyalineError(
+            f"{run.folder / 'predictions.json'}: not there, so nothing says that the pictures are whole; "
+            f"render them with `{_render_command(run)}`"
+        )
     if run.promised is not None and run.promised.get(relative) != sha256(data):
         what = "damaged (checksum differs)" if relative in run.promised else "not among those that were written"
         raise HyalineError(
