@@ -92,7 +92,7 @@ def _parse_union(choices: tuple[object, ...], data: Json, where: str) -> object:
     records = {
         choice.__name__: choice for choice in choices if isinstance(choice, type) and dataclasses.is_dataclass(choice)
     }
-    if isinstance(data, dict):
+    if isinstance(data, dict) and records:
         name = data.get("type")
         _checked(name, isinstance(name, str) and name in records, f"{where}.type", f"one of {sorted(records)}")
         return _parse_record(records[typing.cast(str, name)], data, where)
