@@ -127,7 +127,7 @@ ELSEWHERE = {
     "datagen build": {"scene", "preset", "num_layers", "workers", "ceiling", "resolution", "test_views", "spp",
                       "test_spp", "max_depth", "rays", "seed", "shards", "slurm_partition", "slurm_time", "slurm_cpus",
                       "slurm_gpus"},
-    "datagen import": {"scale", "up", "material", "thin", "cameras", "ground", "repair", "merge", "strict",
+    "datagen import": {"scale", "up", "material", "thin", "cameras", "ground", "repair", "merge", "strict", "lights",
                        "max_triangles", "resolution"},
     "datagen import-dataset": {"mesh", "material", "ior", "scale", "up", "downscale", "background"},
     "datagen peel": {"geometry", "rays", "workers"},

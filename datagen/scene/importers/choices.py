@@ -25,6 +25,8 @@ class ImportChoices:
     cameras: str = "around"
     """Cameras all around the glass (around), those that the file brings (file), or those of a transforms.json or of a
     folder of COLMAP's, in the file's own axes and units."""
+    lights: Literal["soft", "file"] = "soft"
+    """Soft light from all around, or the lamps that a glTF file brings, with a little of it."""
     ground: Literal["auto", "always", "never"] = "auto"
     """Add a checkered ground: where nothing lies below the glass, always or never."""
     repair: bool = False

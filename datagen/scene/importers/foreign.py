@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float, Int
 
+from datagen.disk.errors import HyalineError
 from datagen.scene.camera_list import Intrinsics
 from datagen.scene.materials import Material
 from datagen.scene.substances import SUBSTANCES
@@ -121,6 +122,21 @@ class ForeignCamera:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class ForeignLamp:
+    """A lamp without a size."""
+
+    name: str
+    kind: Literal["directional", "point", "spot"]
+    position: Float[np.ndarray, "3"]
+    direction: Float[np.ndarray, "3"]
+    """In which it shines, of unit length; of a point lamp without meaning."""
+    intensity: Color
+    """Irradiance of a directional lamp; else its irradiance at a distance of 1."""
+    cone: float = 2 * math.pi
+    """Radians between its direction and the edge of its light."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class ForeignScene:
     """All surfaces of a file."""
 
@@ -130,11 +146,26 @@ class ForeignScene:
     metres: float = 1.0
     """Metres a unit, by the format's rule; 1 where it has none."""
     lights: tuple[ForeignLight, ...] = ()
+    lamps: tuple[ForeignLamp, ...] = ()
     sky: Color | ForeignMap | None = None
     """Radiance from all around, or a map of it; None where the file says nothing of it."""
     cameras: tuple[ForeignCamera, ...] = ()
     is_complete: bool = False
     """It was made to be rendered as it is: no ground is added, and it stays where it is."""
+
+
+def lens_of(focal: float, width: float, height: float, *, where: str) -> tuple[float, Intrinsics | None]:
+    """The horizontal angle in degrees of a lens whose axis is in the middle; the lens where pictures are not square.
+
+    Raises:
+        HyalineError: no such lens can be.
+    """
+    wide, high = round(width), round(height)
+    try:
+        lens = Intrinsics(fl_x=focal, fl_y=focal, cx=wide / 2, cy=high / 2, w=wide, h=high)
+    except HyalineError as error:
+        raise HyalineError(f"{where}: {error}") from None
+    return math.degrees(lens.fov_x), None if wide == high else lens
 
 
 def elementwise(points: np.ndarray, linear: np.ndarray, offset: np.ndarray) -> np.ndarray:

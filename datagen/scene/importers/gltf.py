@@ -11,7 +11,6 @@ from datagen.scene.importers.fields import Fields
 from datagen.scene.importers.foreign import (
     MAX_SURFACES,
     MAX_TRIANGLES,
-    ForeignCamera,
     ForeignMaterial,
     ForeignObject,
     ForeignScene,
@@ -21,7 +20,7 @@ from datagen.scene.importers.gltf_arrays import GltfArrays
 from datagen.scene.importers.gltf_draco import read_draco
 from datagen.scene.importers.gltf_file import GltfFile
 from datagen.scene.importers.gltf_materials import TextureUse, read_material
-from datagen.scene.importers.gltf_nodes import instances
+from datagen.scene.importers.gltf_nodes import Standing, instances
 from datagen.scene.importers.remarks import Remarks
 
 TRIANGLES, STRIP, FAN = 4, 5, 6
@@ -37,8 +36,8 @@ def read_gltf(path: Path, remarks: Remarks) -> ForeignScene:
     file = GltfFile(path)
     arrays = GltfArrays(file)
     _check_lists(file)
-    cameras: list[ForeignCamera] = []
-    placed = list(instances(arrays, cameras, remarks))
+    standing = Standing()
+    placed = list(instances(arrays, standing, remarks))
     if "animations" in file.root:
         remarks.note(path.name, "has animations; each object stands where its node puts it")
     uses: dict[int, int] = {}
@@ -59,7 +58,7 @@ def read_gltf(path: Path, remarks: Remarks) -> ForeignScene:
             objects.append(_placed(part, own, instance.world_from_mesh))
     if not objects:
         raise HyalineError(f"{path}: holds no triangles; expected a scene with a mesh")
-    return ForeignScene(objects=tuple(objects), up="y", cameras=tuple(cameras))
+    return ForeignScene(objects=tuple(objects), up="y", cameras=tuple(standing.cameras), lamps=tuple(standing.lamps))
 
 
 def _check_lists(file: GltfFile) -> None:

@@ -1,11 +1,12 @@
 """Where the meshes of a glTF file stand: its tree of nodes, and the instances that they make.
 
-Source: glTF 2.0 section 3.5, EXT_mesh_gpu_instancing.
+Source: glTF 2.0 sections 3.5 and 3.10, EXT_mesh_gpu_instancing, KHR_lights_punctual.
 """
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -13,12 +14,16 @@ from jaxtyping import Float
 from datagen.disk.errors import HyalineError
 from datagen.scene.camera_list import MAX_SKEW
 from datagen.scene.importers.fields import Fields
-from datagen.scene.importers.foreign import MAX_SURFACES, ForeignCamera
+from datagen.scene.importers.foreign import MAX_SURFACES, ForeignCamera, ForeignLamp, lens_of
 from datagen.scene.importers.gltf_arrays import GltfArrays
+from datagen.scene.importers.gltf_file import GltfFile
 from datagen.scene.importers.remarks import Remarks
 
+LAMPS = "KHR_lights_punctual"
 MAX_NODES = 20_000
 MAX_COORDINATE = 1e18
+FILM = 1000.0
+"""Pixels by which the height of a camera's pictures is described: glTF knows none."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -30,11 +35,19 @@ class Instance:
     world_from_mesh: Float[np.ndarray, "4 4"]
 
 
-def instances(arrays: GltfArrays, cameras: list[ForeignCamera], remarks: Remarks) -> Iterator[Instance]:
+@dataclass(frozen=True, kw_only=True)
+class Standing:
+    """What stands in a scene besides meshes."""
+
+    cameras: list[ForeignCamera] = field(default_factory=list)
+    lamps: list[ForeignLamp] = field(default_factory=list)
+
+
+def instances(arrays: GltfArrays, standing: Standing, remarks: Remarks) -> Iterator[Instance]:
     """Every mesh of the file's scene, once for each place at which it stands; parents come before children.
 
     Args:
-        cameras: takes those of the scene.
+        standing: takes cameras and lamps.
 
     Raises:
         HyalineError: nodes in a circle, or one that has two parents.
@@ -66,8 +79,9 @@ def instances(arrays: GltfArrays, cameras: list[ForeignCamera], remarks: Remarks
                 yield Instance(node=node, mesh=mesh, world_from_mesh=world_from_mesh)
         if "camera" in node:
             camera = file.item("cameras", node.integer("camera"), where=node.where)
-            cameras += _camera(camera, world_from_node, remarks)
-        _remark_on(node, remarks)
+            standing.cameras.extend(_camera(camera, world_from_node, remarks))
+        if (lamp := node.extension(LAMPS)) is not None:
+            standing.lamps.append(_lamp(file, lamp, _name(node), world_from_node))
         children = node.indices("children", count=len(nodes))
         waiting += [(child, world_from_node) for child in reversed(children)]
 
@@ -76,9 +90,34 @@ def _name(node: Fields) -> str:
     return node.text("name") or node.where.rsplit(".", 1)[-1]
 
 
-def _remark_on(node: Fields, remarks: Remarks) -> None:
-    if node.extension("KHR_lights_punctual") is not None:
-        remarks.approximate(_name(node), "is a lamp, which is left out; the scene gets soft light from all around")
+def _lamp(file: GltfFile, lamp: Fields, name: str, world: Float[np.ndarray, "4 4"]) -> ForeignLamp:
+    """A lamp where it stands; it shines along its -z."""
+    listed = file.root.extension(LAMPS)
+    lights = [] if listed is None else listed.listed("lights")
+    index = lamp.integer("light")
+    if index >= len(lights):
+        raise HyalineError(f"{lamp.where}: names lights[{index}]; the file has {len(lights)}")
+    light = lights[index]
+    kinds: dict[str, Literal["directional", "point", "spot"]] = {
+        "directional": "directional", "point": "point", "spot": "spot"
+    }  # fmt: skip
+    if (kind := light.text("type")) not in kinds:
+        raise HyalineError(f"{light.where}.type: is {kind[:40]!r}; expected one of {', '.join(kinds)}")
+    strength, cone = light.number("intensity", 1.0), 2 * math.pi
+    if kind == "spot":
+        cone = light.fields("spot").number("outerConeAngle", math.pi / 4)
+    if not 0 <= strength < 1e12 or cone <= 0:
+        raise HyalineError(f"{light.where}: has an intensity of {strength:g} and a cone of {cone:g}; expected above 0")
+    red, green, blue = (strength * c for c in light.color("color", (1.0, 1.0, 1.0)))
+    ahead = -world[:3, 2]
+    return ForeignLamp(
+        name=name,
+        kind=kinds[kind],
+        position=world[:3, 3],
+        direction=ahead / max(float(np.linalg.norm(ahead)), 1e-30),
+        intensity=(red, green, blue),
+        cone=cone,
+    )
 
 
 def _camera(camera: Fields, world: Float[np.ndarray, "4 4"], remarks: Remarks) -> list[ForeignCamera]:
@@ -99,7 +138,9 @@ def _camera(camera: Fields, world: Float[np.ndarray, "4 4"], remarks: Remarks) -
     if np.abs(axes.T @ axes - np.eye(3)).max() > MAX_SKEW or np.linalg.det(axes) < 0:
         remarks.approximate(_name(camera), "is a camera that its node skews or mirrors, which is left out")
         return []
-    return [ForeignCamera(world_from_camera=matrix, fov_deg=math.degrees(2 * math.atan(math.tan(high / 2) * aspect)))]
+    width, height = aspect * FILM, FILM
+    fov_deg, lens = lens_of(0.5 * height / math.tan(high / 2), width, height, where=camera.where)
+    return [ForeignCamera(world_from_camera=matrix, fov_deg=fov_deg, intrinsics=lens)]
 
 
 def _roots(arrays: GltfArrays) -> list[int]:

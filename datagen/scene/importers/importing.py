@@ -12,13 +12,14 @@ from datagen.disk.errors import HyalineError
 from datagen.disk.names import file_name
 from datagen.disk.records import Json, shown
 from datagen.disk.storage import sha256_file
-from datagen.scene.description import MAX_OBJECTS, OBJECT_NAME, Scene, SceneObject
+from datagen.scene.description import MAX_OBJECTS, OBJECT_NAME, CameraList, CameraRig, Scene, SceneObject
 from datagen.scene.importers.apart import apart, parted
 from datagen.scene.importers.camera_files import read_camera_file
 from datagen.scene.importers.choices import ImportChoices
 from datagen.scene.importers.decimating import check_decimation, decimated
 from datagen.scene.importers.foreign import Axis, ForeignMap, ForeignMaterial, ForeignObject, ForeignScene, elementwise
 from datagen.scene.importers.gltf import read_gltf
+from datagen.scene.importers.lamps import lit
 from datagen.scene.importers.mapping import Mapper, lets_light_through
 from datagen.scene.importers.merging import merged_by_material
 from datagen.scene.importers.mitsuba_xml import read_mitsuba
@@ -37,11 +38,13 @@ from datagen.scene.importers.staging import (
     make_rig,
     placed_light,
     placed_map,
+    subject_box,
     z_up_from,
 )
 from datagen.scene.importers.stl import read_stl
 from datagen.scene.importers.surfaces import made_sound, mesh_of, shape_of
 from datagen.scene.importers.threemf import read_3mf
+from datagen.scene.lights import Environment, EnvironmentMap, RectangleLight
 from datagen.scene.materials import Material
 from datagen.scene.mending import mend_scene, mend_surface
 from datagen.scene.soundness import check_scene
@@ -122,13 +125,7 @@ def import_scene(path: Path, choices: ImportChoices) -> Imported:
         if part.uv is None or not item.mesh.uv.any():
             without_uv.add(name)
     objects = apart(objects, remarks)
-    if choices.cameras == "around":
-        rig = make_rig(objects, remarks)
-        if foreign.cameras:
-            remarks.note("cameras", f"the file brings {len(foreign.cameras)}, which --cameras file takes")
-    else:
-        given = foreign.cameras if choices.cameras == "file" else read_camera_file(Path(choices.cameras), remarks)
-        rig = listed_cameras(given, linear, offset, remarks)
+    rig = _cameras(foreign, choices, objects, linear, offset, remarks)
     wants_ground = choices.ground == "auto" and not foreign.is_complete and not has_ground(objects)
     if choices.ground == "always" or wants_ground:
         ground = make_ground(objects, resolution=choices.resolution, remarks=remarks)
@@ -136,18 +133,15 @@ def import_scene(path: Path, choices: ImportChoices) -> Imported:
         objects.append(ground)
     used = {image.path for item in objects for image in item.material.images().values()}
     baked = {image: data for image, data in mapper.images.items() if image in used}
-    environment = LIGHT
-    if isinstance(foreign.sky, ForeignMap):
-        environment = placed_map(foreign.sky, linear, remarks)
+    environment, lights = _light(foreign, choices, objects, linear, offset, remarks)
+    if isinstance(environment, EnvironmentMap) and isinstance(foreign.sky, ForeignMap):
         baked[environment.path] = foreign.sky.data
-    elif foreign.sky is not None:
-        environment = even_sky(foreign.sky)
     scene = Scene(
         name=scene_name(path),
         description=f"Imported from {path.name}"[:200],
         objects=tuple(objects),
         environment=environment,
-        lights=tuple(placed_light(light, linear, offset) for light in foreign.lights),
+        lights=lights,
         cameras=rig,
         baked=baked,
     )
@@ -163,6 +157,46 @@ def import_scene(path: Path, choices: ImportChoices) -> Imported:
         **remarks.to_json(),
     }
     return Imported(scene=scene, record=record, remarks=tuple(remarks.lines))
+
+
+def _cameras(
+    foreign: ForeignScene,
+    choices: ImportChoices,
+    objects: list[SceneObject],
+    linear: np.ndarray,
+    offset: np.ndarray,
+    remarks: Remarks,
+) -> CameraRig | CameraList:
+    """Cameras all around, or those that are listed."""
+    if choices.cameras == "around":
+        if foreign.cameras:
+            remarks.note("cameras", f"the file brings {len(foreign.cameras)}, which --cameras file takes")
+        return make_rig(objects, remarks)
+    given = foreign.cameras if choices.cameras == "file" else read_camera_file(Path(choices.cameras), remarks)
+    return listed_cameras(given, linear, offset, remarks)
+
+
+def _light(
+    foreign: ForeignScene,
+    choices: ImportChoices,
+    objects: list[SceneObject],
+    linear: np.ndarray,
+    offset: np.ndarray,
+    remarks: Remarks,
+) -> tuple[Environment, tuple[RectangleLight, ...]]:
+    """What shines on the scene: from infinitely far, and from near."""
+    environment: Environment = LIGHT
+    if isinstance(foreign.sky, ForeignMap):
+        environment = placed_map(foreign.sky, linear, remarks)
+    elif foreign.sky is not None:
+        environment = even_sky(foreign.sky)
+    lights = tuple(placed_light(light, linear, offset) for light in foreign.lights)
+    if choices.lights == "file":
+        environment, squares = lit(foreign.lamps, LIGHT, linear, offset, subject_box(objects).mean(axis=0), remarks)
+        lights = (*lights, *squares)
+    elif foreign.lamps:
+        remarks.approximate("lamps", f"{len(foreign.lamps)} are left out for soft light; --lights file takes them")
+    return environment, lights
 
 
 def scene_object(

@@ -22,6 +22,7 @@ from datagen.scene.importers.foreign import (
     ForeignMap,
     ForeignObject,
     ForeignScene,
+    lens_of,
 )
 from datagen.scene.importers.mitsuba_materials import FoundMaterial, absorption_of, read_bsdf
 from datagen.scene.importers.mitsuba_nodes import Node, NodeList
@@ -136,8 +137,6 @@ def _camera(node: Node, remarks: Remarks) -> ForeignCamera:
     width, height = (768.0, 576.0) if film is None else (film.number("width", 768), film.number("height", 576))
     if not (width >= 1 and height >= 1):
         raise HyalineError(f"{node.where}: makes pictures of {width:g} x {height:g} pixels; expected at least 1 x 1")
-    if width != height:
-        remarks.approximate(node.name, f"makes pictures of {width:g} x {height:g} pixels; drawn square, as wide")
     if "focal_length" in node:
         raise HyalineError(f"{node.where}: gives a focal length; expected fov, in degrees")
     tangent = math.tan(math.radians(min(max(node.number("fov", 39.6), 1e-3), 179.0)) / 2)
@@ -151,7 +150,9 @@ def _camera(node: Node, remarks: Remarks) -> ForeignCamera:
     rotation = world[:3, :3] / np.linalg.norm(world[:3, :3], axis=0) * [-1, 1, -1]
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = rotation, world[:3, 3]
-    return ForeignCamera(world_from_camera=matrix, fov_deg=math.degrees(2 * math.atan(tangent * width / sizes[axis])))
+    focal = 0.5 * sizes[axis] / tangent
+    fov_deg, lens = lens_of(focal, width, height, where=node.where)
+    return ForeignCamera(world_from_camera=matrix, fov_deg=fov_deg, intrinsics=lens)
 
 
 def _up(cameras: list[ForeignCamera]) -> Axis:

@@ -18,12 +18,15 @@ from datagen.data.meshes import write_ply
 from datagen.disk.errors import HyalineError
 from datagen.export.formats import export_dataset
 from datagen.scene.camera_list import CameraList, Intrinsics
+from datagen.scene.description import Scene, SoftEnvironment
 from datagen.scene.importers.camera_files import read_camera_file
 from datagen.scene.importers.choices import ImportChoices
 from datagen.scene.importers.foreign import MAX_TRIANGLES
 from datagen.scene.importers.importing import import_scene
+from datagen.scene.importers.lamps import IRRADIANCE
 from datagen.scene.importers.mitsuba_serialized import read_serialized
 from datagen.scene.importers.remarks import Remarks
+from datagen.scene.importers.staging import subject_box
 
 
 @pytest.fixture(scope="module")
@@ -184,7 +187,9 @@ def test_gltfs_own_cameras_are_taken_when_asked_for(tmp_path: Path) -> None:
     assert any("the file brings 1, which --cameras file takes" in line for line in around.told())
     scene = import_scene(path, ImportChoices(cameras="file")).scene
     assert isinstance(scene.cameras, CameraList)
-    assert scene.cameras.fov_deg == pytest.approx(math.degrees(2 * math.atan(2 * math.tan(0.25))))
+    lens = scene.cameras.intrinsics
+    assert lens is not None and (lens.w, lens.h) == (2000, 1000)
+    assert lens.fov_x == pytest.approx(2 * math.atan(2 * math.tan(0.25)))
     pose = scene.cameras.poses()["train"][0]
     # glTF's +z is our -y, and the scene's box stands on the ground.
     height = float(BOX.vertices[:, 1].max())
@@ -214,6 +219,78 @@ def test_a_camera_that_is_not_there_is_refused(tmp_path: Path, index: object) ->
     builder.node(camera=index)
     with pytest.raises(HyalineError, match=r"cameras\[1\]; the file has 0|expected an integer from 0"):
         import_scene(builder.written(tmp_path), ImportChoices())
+
+
+def with_lamps(tmp_path: Path, *lamps: dict, **node: object) -> Path:
+    builder = GltfBuilder()
+    builder.node(mesh=builder.mesh())
+    builder.content["extensions"] = {"KHR_lights_punctual": {"lights": list(lamps)}}
+    for index in range(len(lamps)):
+        builder.node(extensions={"KHR_lights_punctual": {"light": index}}, **node)
+    return builder.written(tmp_path)
+
+
+UP = [2**-0.5, 0, 0, -(2**-0.5)]
+"""Turns a lamp that shines along -z so that it shines along -y: downwards."""
+
+
+def irradiance(scene: Scene, at: np.ndarray) -> np.ndarray:
+    """What squares give at a place, on what faces each of them."""
+    total = np.zeros(3)
+    for light in scene.lights:
+        corner, u, v = (np.array(part) for part in (light.corner, light.edge_u, light.edge_v))
+        middle, normal = corner + (u + v) / 2, np.cross(u, v)
+        way = at - middle
+        total += np.array(light.radiance) * float(normal @ way) / np.linalg.norm(way) ** 3
+    return total
+
+
+def test_lamps_of_gltf_shine_on_the_scene_when_asked_for(tmp_path: Path) -> None:
+    lamps = (
+        {"type": "point", "color": [1, 0.5, 0.25], "intensity": 90},
+        {"type": "spot", "intensity": 90, "spot": {"outerConeAngle": 0.5}},
+    )
+    path = with_lamps(tmp_path, *lamps, translation=[0, 3, 0], rotation=UP)
+    soft = import_scene(path, ImportChoices())
+    assert soft.scene.lights == () and any("2 are left out for soft light" in line for line in soft.told())
+    scene = import_scene(path, ImportChoices(lights="file")).scene
+    assert len(scene.lights) == 2
+    found = irradiance(scene, subject_box(scene.objects[:1]).mean(axis=0))
+    assert found.mean() == pytest.approx(IRRADIANCE, rel=0.01)
+    np.testing.assert_allclose(found / found[0], (1, 1.5 / 2, 1.25 / 2), rtol=1e-6)
+    assert all(light.corner[2] == pytest.approx(3 + BOX.vertices[:, 1].max(), abs=0.01) for light in scene.lights)
+
+
+def test_a_directional_lamp_is_a_sun(tmp_path: Path) -> None:
+    path = with_lamps(tmp_path, {"type": "directional", "intensity": 7.0}, rotation=UP)
+    sky = import_scene(path, ImportChoices(lights="file")).scene.environment
+    assert isinstance(sky, SoftEnvironment)
+    (sun,) = sky.lobes
+    np.testing.assert_allclose(sun.direction, (0, 0, 1), atol=1e-9)
+    cosines = np.linspace(0, 1, 200_001)
+    flux = 2 * np.pi * np.trapezoid(sun.radiance[0] * np.exp(sun.sharpness * (cosines - 1)) * cosines, cosines)
+    assert flux == pytest.approx(IRRADIANCE, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("lamp", "message"),
+    [
+        ({"type": "tube"}, "type: is 'tube'; expected one of directional, point, spot"),
+        ({"type": "point", "intensity": -1}, "an intensity of -1"),
+        ({"type": "spot", "spot": {"outerConeAngle": 0}}, "a cone of 0"),
+        ({"type": "spot", "intensity": 9}, "brings no lamp that shines on the scene"),
+        ({"type": "point", "intensity": 0}, "brings no lamp that shines on the scene"),
+    ],
+)
+def test_broken_lamps_are_refused(tmp_path: Path, lamp: dict, message: str) -> None:
+    path = with_lamps(tmp_path, lamp, translation=[0, -3, 0], rotation=UP)
+    with pytest.raises(HyalineError, match=message):
+        import_scene(path, ImportChoices(lights="file"))
+
+
+def test_a_file_without_lamps_has_none_to_take(tmp_path: Path) -> None:
+    with pytest.raises(HyalineError, match="--lights file: the file brings no lamp"):
+        import_scene(with_lamps(tmp_path), ImportChoices(lights="file"))
 
 
 # Mitsuba's serialized meshes
