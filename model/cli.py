@@ -65,7 +65,9 @@ def train_method(words: list[str]) -> None:
         device=choose_device(asked.run.device),
         anew=asked.run.overwrite,
         memory=asked.run.memory,
-        logs=LogChoices(snapshots=asked.run.snapshots == "on", tensorboard=asked.run.tensorboard),
+        logs=LogChoices(
+            snapshots=asked.run.snapshots == "on", tensorboard=asked.run.tensorboard, preview=asked.run.preview
+        ),
     )
 
 

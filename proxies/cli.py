@@ -40,6 +40,7 @@ def make(
     num_layers: int = 8,
     workers: int = 1,
     overwrite: bool = False,
+    preview: bool = False,
 ) -> None:
     """Fit a proxy to every object and peel the proxies for every view; images are not rendered again.
 
@@ -58,6 +59,7 @@ def make(
         num_layers: Layers kept per ray.
         workers: Processes that peel in parallel.
         overwrite: Replace existing proxies and layers.
+        preview: Show thumbnails of the proxies over the first view of each split, in a terminal with true colour.
     """
     from proxies.make import make_proxies, read_reports
 
@@ -81,7 +83,18 @@ def make(
         _print_table(opened, spec.geometry, read_reports(opened, spec.geometry))
         peel_dataset(opened, spec.geometry, num_layers=num_layers, overwrite=overwrite, workers=workers)
         peel_variants(opened, workers=workers)
+        if preview:
+            _preview(opened, spec.geometry)
     next_command(after_layers(datasets[0], specs[0].geometry))
+
+
+def _preview(dataset: Dataset, geometry: str) -> None:
+    from datagen.look.view_pictures import stored_pictures
+    from datagen.terminal.preview import preview
+
+    views = [dataset.view(split, 0) for split in dataset.splits]
+    drawn = [stored_pictures(view, has_layers=True, proxies=(geometry,))[geometry] for view in views]
+    preview(drawn, f"{geometry} proxies over the first of {', '.join(dataset.splits)}")
 
 
 def check(

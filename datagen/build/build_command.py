@@ -30,6 +30,7 @@ from datagen.scene.importers.importing import scene_name
 from datagen.scene.procedural.names import RANDOM, RandomName
 from datagen.scene.rig import with_listed_shape, with_listed_views
 from datagen.terminal.command import choose, next_command, say, say_all, tell
+from datagen.terminal.preview import preview
 
 DEFAULTS = BuildChoices()
 SETTINGS = ("num_layers", "seed", "ceiling", "views", "resolution", "test_views", "spp", "test_spp", "max_depth")
@@ -112,6 +113,7 @@ def _build_new(choices: BuildChoices, launch: LaunchChoices) -> None:
     )
     if part is None:
         say_all(summary(made, TRUTH))
+        _preview(made, choices)
     _build_more(made, choices, part)
     peel_variants(made, workers=choices.workers, shard=part)
     tell(str(root))
@@ -125,6 +127,11 @@ def _build_new(choices: BuildChoices, launch: LaunchChoices) -> None:
         say(f"{root}: part {part} is done, and with it the dataset")
         say_all(summary(made, TRUTH))
     next_command(after_build(made))
+
+
+def _preview(dataset: Dataset, choices: BuildChoices) -> None:
+    if choices.preview:
+        preview([dataset.view(split, 0).image for split in dataset.splits], f"first of {', '.join(dataset.splits)}")
 
 
 def _configure(choices: BuildChoices) -> DatasetConfig:
@@ -156,6 +163,7 @@ def _add_edit(base: Dataset, choices: BuildChoices) -> None:
     plan = plan_edit(base, tuple(map(parse_edit, choices.edit)))
     edited = build_variant(base, plan, workers=choices.workers, overwrite=choices.overwrite)
     say_all(summary(edited, TRUTH))
+    _preview(edited, choices)
     tell(str(edited.root))
     next_command(after_edit(base, edited))
 

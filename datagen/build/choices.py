@@ -33,6 +33,8 @@ class BuildChoices:
     """Parallel processes; the bytes do not depend on their number."""
     overwrite: bool = False
     """Replace an existing dataset that has other settings."""
+    preview: bool = False
+    """Show thumbnails of what was built, in a terminal with true colour."""
     ceiling: float | None = None
     """Render each test view until its noise ceiling reaches this many dB, instead of a fixed number of samples."""
     resolution: str | None = None

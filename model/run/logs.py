@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import UInt8
 
+from datagen.terminal.preview import preview
 from model.run.events import Events
 from model.run.snapshots import snapshot, write_snapshot
 
@@ -18,6 +19,8 @@ class LogChoices:
     """A picture of the held-out views at each evaluation."""
     tensorboard: bool = False
     """Event files for TensorBoard."""
+    preview: bool = False
+    """Thumbnails of the held-out views in the terminal, at each evaluation."""
 
 
 class Logs:
@@ -42,6 +45,10 @@ class Logs:
         picture = snapshot(truth, predicted) if len(truth) else None
         if picture is not None and self._choices.snapshots:
             write_snapshot(self._run, step, picture)
+        if self._choices.preview:
+            told = "" if score is None else f", {score:.2f} dB"
+            shown = [np.concatenate(pair) for pair in zip(truth, predicted, strict=True)]
+            preview(shown, f"held-out views after step {step:,}{told}: truth above prediction")
         if self._events is not None:
             self._events.add_evaluation(step, score, picture)
 

@@ -37,6 +37,8 @@ class RunFlags:
     tensorboard: bool = choice(False)
     """Leave event files for TensorBoard in the run's folder tensorboard: loss, held-out PSNR and pictures. Needs the
     extra tensorboard."""
+    preview: bool = choice(False)
+    """Show thumbnails of the held-out views, above the truth, at each evaluation, in a terminal with true colour."""
     overwrite: bool = choice(False)
     """Delete the existing run and start over."""
 

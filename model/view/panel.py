@@ -37,14 +37,15 @@ class Panel:
             on_cameras: called with a split, and whether its cameras are to be seen.
             on_meshes: called with the geometry whose meshes are to be seen.
         """
-        gui, geometries = server.gui, list_geometries(dataset)
+        gui, geometries = server.gui, list_geometries(dataset) if dataset.objects else []
         self._status, self._trouble = gui.add_markdown(dataset.name), gui.add_markdown("", visible=False)
-        sights: tuple[Sight, ...] = ("prediction", "layer", "nothing") if has_run else ("layer", "nothing")
+        layer: list[Sight] = ["layer"] if geometries else []
+        sights: list[Sight] = [*(["prediction"] if has_run else []), *layer, "nothing"]
         first: Sight = "prediction" if has_run else "nothing"
         self._sight = gui.add_dropdown("the camera sees", sights, initial_value=first)
         self._layer = gui.add_slider("layer", 0, _num_layers(dataset) - 1, 1, 0, visible=False)
-        self._geometry = gui.add_dropdown("layers of", geometries, initial_value=TRUTH, visible=False)
-        shown = NO_MESHES if has_run else TRUTH
+        self._geometry = gui.add_dropdown("layers of", geometries or (TRUTH,), initial_value=TRUTH, visible=False)
+        shown = NO_MESHES if has_run or not geometries else TRUTH
         meshes = gui.add_dropdown("meshes", (NO_MESHES, *geometries), initial_value=shown)
         self._pause = gui.add_checkbox("pause", False, hint="Draw nothing, and leave the machine alone.")
         for split in dataset.splits:
@@ -63,7 +64,7 @@ class Panel:
         for control in (self._layer, self._geometry, self._pause):
             control.on_update(lambda _: on_sight())
         meshes.on_update(lambda event: on_meshes(None if event.target.value == NO_MESHES else event.target.value))
-        on_meshes(None if has_run else TRUTH)
+        on_meshes(None if shown == NO_MESHES else shown)
 
     @property
     def sight(self) -> Sight:

@@ -35,8 +35,10 @@ class Stage:
             on_click: called, in a thread of viser's, when somebody has clicked a camera and looks through it.
         """
         self._server, self._dataset, self._on_click = server, dataset, on_click
-        corners = np.concatenate([mesh.vertices for mesh in read_meshes(dataset, TRUTH) if is_there(mesh)])
-        self.middle = (corners.min(axis=0) + corners.max(axis=0)).astype(np.float64) / 2
+        meshes = read_meshes(dataset, TRUTH) if dataset.objects else ()  # Imported pictures may have none.
+        corners = [mesh.vertices for mesh in meshes if is_there(mesh)] or [_places(dataset)]
+        low, high = np.concatenate(corners).min(axis=0), np.concatenate(corners).max(axis=0)
+        self.middle = (low + high).astype(np.float64) / 2
         self._frames: dict[Split, list[viser.CameraFrustumHandle]] = {
             split: [self._add_frame(view) for view in dataset.views(split)] for split in dataset.splits
         }
@@ -125,6 +127,11 @@ class Stage:
         """The point on a camera's axis around which to turn: as far away as the scene's middle."""
         position, forward = camera.world_from_camera[:3, 3], -camera.world_from_camera[:3, 2]
         return position + forward * max(float(np.linalg.norm(self.middle - position)), 1e-3)
+
+
+def _places(dataset: Dataset) -> np.ndarray:
+    """Where the cameras stand."""
+    return np.concatenate([dataset.cameras(split).world_from_camera[:, :3, 3] for split in dataset.splits])
 
 
 def _triple(point: np.ndarray) -> tuple[float, float, float]:

@@ -124,7 +124,8 @@ WRITES_NOTHING = {
 """Commands that have no file to write."""
 
 ELSEWHERE = {
-    "datagen build": {"scene", "preset", "num_layers", "workers", "ceiling", "resolution", "test_views", "spp",
+    "datagen build": {"preview", "scene", "preset",
+                      "num_layers", "workers", "ceiling", "resolution", "test_views", "spp",
                       "test_spp", "max_depth", "rays", "seed", "shards", "slurm_partition", "slurm_time", "slurm_cpus",
                       "slurm_gpus"},
     "datagen import": {"scale", "up", "material", "thin", "cameras", "ground", "repair", "merge", "strict", "lights",
@@ -138,7 +139,7 @@ ELSEWHERE = {
     "benchmarks random-sheet": {"view", "size", "spp", "quality", "overwrite"},
     "benchmarks screenshot": {"width", "height", "dark", "rays", "link", "overwrite"},
     "benchmarks turntable": {"names", "path", "size", "spp", "fps"},
-    "proxies make": {"amount", "layers", "num_layers", "rays", "workers"},
+    "proxies make": {"preview", "amount", "layers", "num_layers", "rays", "workers"},
     "proxies check": {"amount", "name"},
     "datagen render": {"fps", "width", "height"},
     "model render": {"dataset", "fps", "width", "height"},
