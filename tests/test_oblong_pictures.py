@@ -71,7 +71,9 @@ def test_what_the_truth_shows_is_where_the_layers_are(home: Path) -> None:
     assert np.array_equal(is_dark[~near_an_edge], shows_floor[~near_an_edge])
 
 
-@pytest.mark.parametrize("method", ["paper --batch 64", "light-path --batch 64", "dnr --crop 16 --unet-width 4"])
+@pytest.mark.parametrize(
+    "method", ["paper --batch 32 --width 8 --texture-size 8", "light-path --batch 32", "dnr --crop 16 --unet-width 4"]
+)
 def test_methods_train_on_it_and_predict_pictures_of_its_shape(home: Path, method: str) -> None:
     out = home / "runs/oblong" / method.split()[0]
     run(f"model train {method} --dataset '{home}/data/oblong' --out '{out}' --steps 2 --device cpu")

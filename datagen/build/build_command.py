@@ -91,7 +91,7 @@ def _build_new(choices: BuildChoices, launch: LaunchChoices) -> None:
         place = choices.out or DATA_ROOT / choices.scene
         refuse_strangers(place, DATASET, {DATASET.head, *TRANSFORMS_FILES.values()})
     built = None if choices.overwrite else choices.out or DATA_ROOT / choices.scene
-    scene = find_scene(choices.scene, built=built, resolution=config.resolution.mean_side)
+    scene = find_scene(choices.scene, built=built, resolution=config.resolution)
     root = choices.out or DATA_ROOT / scene.name
     config = dataclasses.replace(config, scene=scene.name)
     if choices.resolution is None:

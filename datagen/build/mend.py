@@ -147,4 +147,4 @@ def _find_scene(dataset: Dataset, given: str | None, lost: list[str]) -> Scene:
             f"{dataset.root / lost[0]}: is lost or damaged, and comes from a scene of yours; name the folder or file "
             "that the dataset was built from with --scene"
         )
-    return find_scene(given or dataset.config.scene, resolution=dataset.config.resolution.mean_side)
+    return find_scene(given or dataset.config.scene, resolution=dataset.config.resolution)

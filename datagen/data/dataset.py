@@ -11,7 +11,8 @@ the camera looks along -z). Pixel (column i, row j) has its centre at (i + 0.5, 
       dataset.json                       sealed, written first: version, configuration, objects, SHA-256 of the
                                          files of the next two lines
       scene/                             the scene as rendered: scene.json, meshes/*.ply; `--scene FOLDER` reads it
-      transforms_{train,test,extrapolating}.json   cameras as NeRF tools read them; `test` is the interpolating split
+      transforms_{train,test,extrapolating}.json   cameras as NeRF tools read them, with near and far (metres along the
+                                         ray, data/depth_range.py); `test` is the interpolating split
       images/SPLIT/0000.png              8-bit sRGB: what metrics compare
       images/SPLIT/0000.exr              linear R G B, half floats, and `noise.*`: half the difference of two
                                          independent halves A and B (so A = RGB + noise, B = RGB - noise)

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from typing import Literal
 
+from datagen.data.resolution import parse_resolution
 from datagen.disk.errors import HyalineError
 
 Thin = Literal["open", "file", "all"]
@@ -38,11 +39,11 @@ class ImportChoices:
     Surfaces with images keep theirs. A solid may change its volume by 5 %."""
     strict: bool = False
     """Refuse a file of which anything would be drawn other than it asks for."""
-    resolution: int = 128
-    """Pixels a side of the pictures that the ground's pattern is made for."""
+    resolution: str = "128"
+    """Pictures that the ground's pattern is made for, in pixels: one number for squares, or such as 320x240."""
 
     def __post_init__(self) -> None:
         if self.scale is not None and not 1e-9 < self.scale < 1e9:
             raise HyalineError(f"--scale: is {self.scale:g}; expected metres a unit, such as 0.001 for millimetres")
-        if self.resolution < 16:
-            raise HyalineError(f"--resolution: is {self.resolution}; expected at least 16 pixels")
+        if parse_resolution(self.resolution).mean_side < 16:
+            raise HyalineError(f"--resolution: is {self.resolution}; expected at least 16 x 16 pixels")

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from datagen.data.resolution import Resolution
 from datagen.disk.errors import HyalineError
 from datagen.scene.builtin import SCENES, find_builtin
 from datagen.scene.description import Scene
@@ -22,19 +23,20 @@ def is_made_by_code(name: str) -> bool:
     return name in SCENES or parse_random(name) is not None
 
 
-def find_scene(given: str, *, built: Path | None = None, resolution: int = 128) -> Scene:
+def find_scene(given: str, *, built: Path | None = None, resolution: Resolution | None = None) -> Scene:
     """The scene of a folder with a scene.json, of a file that is imported, or a built-in or random one by its name.
 
     Args:
         built: a dataset that may hold the same built-in scene, unwrapped.
-        resolution: of the pictures, which the ground of an imported scene is made for.
+        resolution: of the pictures, which the ground of an imported scene is made for; its default unless given.
 
     Raises:
         HyalineError: none of these, or the scene is bad.
     """
     if is_foreign(given):
         say(f"scene {given}: imports it")
-        imported = import_scene(Path(given), ImportChoices(resolution=resolution))
+        choices = ImportChoices() if resolution is None else ImportChoices(resolution=str(resolution))
+        imported = import_scene(Path(given), choices)
         for line in imported.told():
             say(line)
         return imported.scene

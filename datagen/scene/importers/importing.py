@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from datagen.data.resolution import parse_resolution
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import file_name
 from datagen.disk.records import Json, shown
@@ -128,7 +129,7 @@ def import_scene(path: Path, choices: ImportChoices) -> Imported:
     rig = _cameras(foreign, choices, objects, linear, offset, remarks)
     wants_ground = choices.ground == "auto" and not foreign.is_complete and not has_ground(objects)
     if choices.ground == "always" or wants_ground:
-        ground = make_ground(objects, resolution=choices.resolution, remarks=remarks)
+        ground = make_ground(objects, resolution=parse_resolution(choices.resolution), remarks=remarks)
         without_uv.add(ground.name)
         objects.append(ground)
     used = {image.path for item in objects for image in item.material.images().values()}

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from datagen.data.meshes import face_corners
+from datagen.data.resolution import Resolution
 from datagen.disk.errors import HyalineError
 from datagen.scene.camera_list import DEFAULT_FOV_DEG, CameraList, matrix_rows
 from datagen.scene.description import CameraRig, Lobe, RectangleLight, SceneObject, SoftEnvironment, WalkPoint
@@ -175,11 +176,11 @@ def has_ground(objects: Sequence[SceneObject]) -> bool:
     return int(np.isfinite(_distances(_opaque(objects), origins, downwards)).sum()) >= 3
 
 
-def make_ground(objects: Sequence[SceneObject], *, resolution: int, remarks: Remarks) -> SceneObject:
+def make_ground(objects: Sequence[SceneObject], *, resolution: Resolution, remarks: Remarks) -> SceneObject:
     """A checkered ground just below everything, whose pattern the textures of a method can hold.
 
     Args:
-        resolution: of the pictures; an object's texture is half as wide.
+        resolution: of the pictures; an object's texture is half as wide as square ones.
     """
     vertices = np.concatenate([item.mesh.vertices for item in objects]).astype(np.float64)
     low, high = vertices.min(axis=0), vertices.max(axis=0)
@@ -188,12 +189,12 @@ def make_ground(objects: Sequence[SceneObject], *, resolution: int, remarks: Rem
     middle = (box[0] + box[1])[:2] / 2
     half = max(GROUND_RADII * reach, 1.05 * float(np.abs(np.stack([low[:2], high[:2]]) - middle).max()))
     gap = min(max(0.005 * reach, MIN_GAP), MAX_GAP)
-    texels = resolution // 2
+    texels = resolution.mean_side // 2
     period = 2 * half * TEXELS_A_PERIOD / texels
     remarks.note(
         "ground",
         f"added, {2 * half:.3g} m wide; a period of its pattern, {period:.3g} m, is {TEXELS_A_PERIOD} texels "
-        f"in pictures {resolution} pixels wide",
+        f"in pictures of {resolution} pixels",
     )
     height = float(low[2]) - gap
     mesh = sheet((middle[0] - half, middle[1] - half, height), (2 * half, 0, 0), (0, 2 * half, 0), cells=(8, 8))

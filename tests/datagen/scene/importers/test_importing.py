@@ -12,6 +12,7 @@ from support.gltf import BOX, GltfBuilder, clear, glass
 from support.rigs import config
 
 from datagen.data.meshes import signed_volume
+from datagen.data.resolution import square
 from datagen.data.windings import check_closed
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import load_sealed
@@ -90,7 +91,7 @@ def test_a_period_of_the_grounds_pattern_is_four_texels(imported: Imported, reso
     from datagen.scene.importers.remarks import Remarks
     from datagen.scene.importers.staging import make_ground
 
-    ground = make_ground(imported.scene.objects[:2], resolution=resolution, remarks=Remarks())
+    ground = make_ground(imported.scene.objects[:2], resolution=square(resolution), remarks=Remarks())
     assert isinstance(ground.material, Diffuse) and isinstance(ground.material.color, SolidTexture)
     # An object's texture is half as wide as the picture.
     assert extent(ground)[0] / ground.material.color.scale == pytest.approx(resolution / 2 / 4, rel=1e-5)
