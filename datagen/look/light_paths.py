@@ -1,6 +1,5 @@
 """Light paths drawn through the scene: a few rays of training views that meet glass, coloured by what they end on."""
 
-import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,7 +20,7 @@ from datagen.terminal.distribution import naming_parts
 VIEWS, RAYS = 3, 12
 """Views whose rays are followed, and rays of each at most."""
 ASKED = 24
-"""Rays across a picture, among which those that meet glass are sought."""
+"""Rays along the longer side of a picture, at most, among which those that meet glass are sought."""
 MOST_VERTICES = 24
 SURROUNDINGS = 1.6
 """How much more than the glass the drawing shows."""
@@ -89,9 +88,9 @@ def find_light_paths(dataset: Dataset) -> list[DrawnPath]:
     count = dataset.num_views[split]
     found = []
     for view in evenly(min(VIEWS, count), count):
-        camera = dataclasses.replace(dataset.view(split, view).camera, width=ASKED, height=ASKED)
-        origin, directions = camera.rays()
-        rays = directions.reshape(-1, 3)
+        origin, directions = dataset.view(split, view).camera.rays()
+        step = -(-max(directions.shape[:2]) // ASKED)
+        rays = np.ascontiguousarray(directions[step // 2 :: step, step // 2 :: step]).reshape(-1, 3)
         traced = tracer.trace(np.tile(origin, (len(rays), 1)), rays, max_branches=2, max_vertices=MOST_VERTICES)
         meets = np.flatnonzero(surfaces.is_glass[traced.object_id[0, 0]])
         for ray in meets[evenly(min(RAYS, len(meets)), len(meets))] if len(meets) else ():
