@@ -48,7 +48,9 @@ def web_scene(renderer: Renderer, config: MethodConfig, dataset: Dataset, geomet
     packed = Packed()
     _add_meshes(packed, meshes, quality, with_normals=bool(drawn.defines["NORMALS"]))
     with torch.inference_mode():
-        places = add_texels(packed, drawn.textures, quality)
+        # A learned relief shifts look-ups to anywhere.
+        charted = None if drawn.relief else [mesh for mesh in meshes for _ in range(drawn.shells)]
+        places = add_texels(packed, drawn.textures, quality, charted)
     packed.add("weights", np.concatenate(drawn.weights))
     views: dict[str, Json] = {}
     for split in dataset.splits:
