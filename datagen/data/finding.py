@@ -10,7 +10,7 @@ from datagen.disk.homes import HEADS, home_of, mend_command
 DATA_ROOT = Path("data")
 """Where commands put and look for datasets, relative to the working directory."""
 
-BUILT_IN_SCENES = ("glass_table", "vitrine", "plant_shelf", "drinks")
+BUILT_IN_SCENES = ("glass_table", "vitrine", "plant_shelf", "drinks", "prism_bench", "pool")
 """Names that `datagen build --scene` takes; `datagen.scene.builtin` has their makers."""
 
 

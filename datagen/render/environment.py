@@ -8,7 +8,7 @@ from jaxtyping import Float, Float32
 
 from datagen.scene.description import Scene, image_bytes
 from datagen.scene.environment_maps import look_up, read_map
-from datagen.scene.lights import Environment, EnvironmentMap, SoftEnvironment
+from datagen.scene.lights import Card, Environment, EnvironmentMap, SoftEnvironment
 from datagen.scene.materials.optics import Plugin
 
 if TYPE_CHECKING:
@@ -18,18 +18,24 @@ SMALL_LIGHT = 32.0
 """Sharpness of a lobe from which on it is aimed at. Measured on the glass table, its lobes made sharper at equal power:
 to 45 dB it takes 0.8, 1.0 and 1.2 times as long without aiming at 16, 32 and 64. Shipped scenes have 4 to 8."""
 
+SMALL_CARD_DEG = 24.0
+"""Narrow side of a bright card below which it is aimed at: such a lobe is as wide at half height."""
+
 MIN_HEIGHT, MAX_HEIGHT = 256, 2048
 """Rows of the latitude-longitude map of a soft sky, which is half as high as wide. Where it is smooth, more than 256
 add nothing."""
 ROWS_PER_LOBE = 4
 """Across the width at half height of the sharpest lobe."""
+ROWS_PER_EDGE = 2
+"""Across the edge of the sharpest card."""
 
 
 def has_small_light(environment: Environment) -> bool:
     """Whether a part of the sky is so small and bright that it is worth a ray to aim at it."""
     if isinstance(environment, EnvironmentMap):
         return True  # Nearly all maps show the sun, a window or a lamp.
-    return any(lobe.sharpness > SMALL_LIGHT for lobe in environment.lobes)
+    is_bright = (min(card.size_deg) < SMALL_CARD_DEG and any(card.radiance) for card in environment.cards)
+    return any(lobe.sharpness > SMALL_LIGHT for lobe in environment.lobes) or any(is_bright)
 
 
 def radiance_of_sky(scene: Scene, directions: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "... 3"]:
@@ -51,7 +57,26 @@ def radiance_of_environment(environment: SoftEnvironment, directions: Float[np.n
         axis = np.array(lobe.direction) / np.linalg.norm(lobe.direction)
         falloff = np.exp(lobe.sharpness * (directions @ axis - 1))[..., None]
         radiance = radiance + falloff * np.array(lobe.radiance)
+    for card in environment.cards:
+        cover = _cover(card, directions)[..., None]
+        radiance = (1 - cover) * radiance + cover * np.array(card.radiance)
     return radiance
+
+
+def _cover(card: Card, directions: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "..."]:
+    """How much of the sky a card hides in each direction, 0 to 1."""
+    axis = np.array(card.direction) / np.linalg.norm(card.direction)
+    level = np.cross(axis, (0.0, 1.0, 0.0) if abs(axis[2]) > 0.999 else (0.0, 0.0, 1.0))
+    level /= np.linalg.norm(level)
+    cosine, sine = math.cos(math.radians(card.roll_deg)), math.sin(math.radians(card.roll_deg))
+    upright = np.cross(level, axis)
+    sides = cosine * level + sine * upright, cosine * upright - sine * level
+    ahead, cover = directions @ axis, 1.0
+    for side, size_deg in zip(sides, card.size_deg):
+        angle_deg = np.degrees(np.abs(np.arctan2(directions @ side, ahead)))
+        t = np.clip((size_deg / 2 - angle_deg) / card.softness_deg + 0.5, 0, 1)
+        cover = cover * t * t * (3 - 2 * t)
+    return np.asarray(cover)
 
 
 def environment_plugin(scene: Scene) -> Plugin:
@@ -103,10 +128,13 @@ def painted(environment: SoftEnvironment) -> Float32[np.ndarray, "h w 3"]:
 
 
 def _painted_height(environment: SoftEnvironment) -> int:
-    """Rows of the map: a power of two, so many that the sharpest lobe has a few."""
+    """Rows of the map: a power of two, so many that the sharpest lobe, or edge of a card, has a few."""
     height = MIN_HEIGHT
     for lobe in environment.lobes:
         width = 2 * math.acos(max(-1.0, 1 - math.log(2) / lobe.sharpness))
         while height < MAX_HEIGHT and height * width < ROWS_PER_LOBE * math.pi:
+            height *= 2
+    for card in environment.cards:
+        while height < MAX_HEIGHT and height * card.softness_deg < ROWS_PER_EDGE * 180:
             height *= 2
     return height

@@ -9,7 +9,7 @@ from datagen.disk.errors import HyalineError
 from datagen.disk.names import find_file
 from datagen.disk.reading import read_regular
 from datagen.scene.camera_list import CameraList
-from datagen.scene.lights import Environment, EnvironmentMap, Lobe, RectangleLight, SoftEnvironment
+from datagen.scene.lights import Card, Environment, EnvironmentMap, Lobe, RectangleLight, SoftEnvironment
 from datagen.scene.materials import Material, check_material
 from datagen.scene.textures import ImageTexture
 from datagen.scene.values import Vector, check_positive
@@ -19,6 +19,7 @@ __all__ = [
     "OBJECT_NAME",
     "CameraList",
     "CameraRig",
+    "Card",
     "EnvironmentMap",
     "Lobe",
     "RectangleLight",

@@ -30,8 +30,38 @@ class Lobe:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Card:
+    """A rectangle in the sky that covers what is behind it: bright, a photographer's softbox, or black, a flag.
+
+    Glass shows itself by what it mirrors and bends: bright cards draw highlights on it, dark ones its outline.
+    """
+
+    direction: Vector
+    """Towards its middle; any length."""
+    size_deg: tuple[float, float]
+    """Width and height as seen from the scene, each below 180."""
+    radiance: Color
+    roll_deg: float = 0.0
+    """Turns it about its middle, anticlockwise as seen from the scene; at 0 its width is level."""
+    softness_deg: float = 2.0
+    """Width of its edge, over which it fades."""
+
+    def __post_init__(self) -> None:
+        check_positive("card direction", math.hypot(*self.direction))
+        check_range("card radiance", self.radiance, 0, math.inf)
+        if not all(0 < size < 180 for size in self.size_deg):
+            raise HyalineError(f"card size_deg: is {self.size_deg}; expected two angles of more than 0 and below 180")
+        if not math.isfinite(self.roll_deg):
+            raise HyalineError(f"card roll_deg: is {self.roll_deg}; expected degrees")
+        if not 0.2 <= self.softness_deg <= min(self.size_deg):
+            raise HyalineError(
+                f"card softness_deg: is {self.softness_deg}; expected 0.2 to {min(self.size_deg):g}, its narrow side"
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
 class SoftEnvironment:
-    """Light from infinitely far: a smooth gradient over height and some lobes."""
+    """Light from infinitely far: a smooth gradient over height, some lobes, and cards before these."""
 
     zenith: Color
     """Radiance from straight above (+z)."""
@@ -39,6 +69,8 @@ class SoftEnvironment:
     ground: Color
     """Radiance from straight below."""
     lobes: tuple[Lobe, ...] = ()
+    cards: tuple[Card, ...] = ()
+    """Each covers those before it."""
 
     def __post_init__(self) -> None:
         for color in (self.zenith, self.horizon, self.ground):

@@ -12,7 +12,7 @@ from datagen.disk.errors import HyalineError
 from datagen.disk.promises import check_files
 from datagen.disk.storage import sha256
 from datagen.scene.atlas import unwrap_all
-from datagen.scene.builtin import drinks, glass_table, plant_shelf, vitrine
+from datagen.scene.builtin import drinks, glass_table, plant_shelf, pool, prism_bench, vitrine
 from datagen.scene.description import Scene
 from datagen.scene.folder import load_scene, scene_files
 from datagen.scene.soundness import check_scene
@@ -23,6 +23,8 @@ SCENES: dict[str, Callable[[], Scene]] = {
     "vitrine": vitrine.make,
     "plant_shelf": plant_shelf.make,
     "drinks": drinks.make,
+    "prism_bench": prism_bench.make,
+    "pool": pool.make,
 }
 """Makers of the scenes, whose objects have no uv yet."""
 

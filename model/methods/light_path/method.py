@@ -1,6 +1,7 @@
 """How `light-path` is made: what the dataset decides, the renderer, and the pixels."""
 
 import dataclasses
+import math
 from collections.abc import Sequence
 
 from datagen.data.cameras import Cameras
@@ -29,12 +30,13 @@ def complete(config: LightPathConfig, inputs: Inputs) -> LightPathConfig:
 
 
 def _sky_height(dataset: Dataset) -> int:
-    """Texels of the learned sky's finest map: as fine as the environment map that it has to show."""
+    """Rows of the learned sky's finest map: as fine as the environment map, or the edges of cards, that it shows."""
     scene = load_scene(dataset.root / "scene", is_sealed=True)
-    if not isinstance(scene.environment, EnvironmentMap):
-        return SKY_HEIGHT
-    height = len(read_map(image_bytes(scene, scene.environment), where=scene.environment.path))
-    return max(SKY_HEIGHT, min(MAX_SKY_HEIGHT, 1 << (height.bit_length() - 1)))
+    if isinstance(scene.environment, EnvironmentMap):
+        height = len(read_map(image_bytes(scene, scene.environment), where=scene.environment.path))
+    else:
+        height = max((math.ceil(180 / card.softness_deg) for card in scene.environment.cards), default=0)
+    return max(SKY_HEIGHT, min(MAX_SKY_HEIGHT, 1 << max(height.bit_length() - 1, 0)))
 
 
 def build(config: LightPathConfig, inputs: Inputs) -> LightPathRenderer:
