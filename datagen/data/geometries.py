@@ -224,6 +224,15 @@ def read_meshes(dataset: Dataset, geometry: str) -> tuple[Mesh, ...]:
     return tuple(meshes.get(item.name) or no_mesh() for item in dataset.objects)
 
 
+def true_meshes(dataset: Dataset) -> tuple[Mesh, ...]:
+    """The scene's own meshes, in object order; none where pictures were imported without any.
+
+    Raises:
+        HyalineError: missing or damaged.
+    """
+    return read_meshes(dataset, TRUTH) if dataset.objects else ()
+
+
 def geometry_hash(dataset: Dataset, geometry: str) -> str:
     """Hash over a geometry's meshes, which layers hold of those that they were made of."""
     return sha256(b"".join(write_ply(mesh) for mesh in read_meshes(dataset, geometry) if is_there(mesh)))

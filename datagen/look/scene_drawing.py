@@ -8,9 +8,8 @@ from jaxtyping import Float
 from datagen.data.cameras import Camera, Cameras
 from datagen.data.config import Split
 from datagen.data.dataset import Dataset
-from datagen.data.geometries import read_meshes
+from datagen.data.geometries import true_meshes
 from datagen.data.meshes import Mesh
-from datagen.data.paths import TRUTH
 from datagen.look.turnable import Stroke, draw_turnable
 from datagen.pages.html import Markup, Part, tag
 
@@ -27,7 +26,7 @@ SPLIT_STYLES: dict[str, str] = {"train": "s0", "interpolating": "s2"}
 def draw_cameras(dataset: Dataset) -> Markup:
     """All cameras around a selection of the scene's vertices: in space, and from two sides."""
     cameras: dict[Split, Cameras] = {split: dataset.cameras(split) for split in dataset.splits}
-    vertices = surface_points(read_meshes(dataset, TRUTH))
+    vertices = surface_points(true_meshes(dataset))
     views = [("from above", (0, 1)), ("from the side", (0, 2))]
     drawings = [_draw(cameras, vertices, axes, name) for name, axes in views]
     names = [tag("li", f"{split} ({len(item)})", class_=_style(split)) for split, item in cameras.items()]
@@ -38,13 +37,14 @@ def draw_cameras(dataset: Dataset) -> Markup:
 def surface_points(meshes: tuple[Mesh, ...]) -> Float[np.ndarray, "vertex 3"]:
     """A selection of vertices, of each mesh about as many: a small object is to be seen as well as a large one."""
     share = -(-MOST_POINTS // max(1, len(meshes)))
-    return np.concatenate([mesh.vertices[:: max(1, len(mesh.vertices) // share)] for mesh in meshes]).astype(np.float64)
+    points = [mesh.vertices[:: max(1, len(mesh.vertices) // share)].astype(np.float64) for mesh in meshes]
+    return np.concatenate([np.zeros((0, 3)), *points])
 
 
 def _draw_in_space(cameras: dict[Split, Cameras], vertices: Float[np.ndarray, "vertex 3"]) -> Markup:
     places = np.concatenate([item.world_from_camera[:, :3, 3] for item in cameras.values()])
     size = FRAME_SHARE * float(np.linalg.norm(places.max(axis=0) - places.min(axis=0)))
-    strokes = [Stroke(points=vertices, are_dots=True)]
+    strokes = [Stroke(points=vertices, are_dots=True)] if len(vertices) else []
     for split, item in cameras.items():
         for view in range(len(item)):
             strokes.append(

@@ -13,9 +13,8 @@ from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 from datagen.data.cameras import Cameras
 from datagen.data.config import SPLITS, TEST_SPLITS, Split
 from datagen.data.dataset import Dataset
-from datagen.data.geometries import read_meshes
+from datagen.data.geometries import true_meshes
 from datagen.data.meshes import face_corners
-from datagen.data.paths import TRUTH
 from eval.figures.sheets import DPI, figure_png
 
 SPLIT_COLORS: dict[Split, str] = {"train": "#2f6fdb", "interpolating": "#1a9e3c", "extrapolating": "#d62728"}
@@ -29,7 +28,8 @@ MAX_FACES = 20_000
 def cameras_figure(dataset: Dataset, title: str) -> bytes:
     """The PNG of all cameras around the scene's meshes: in space, and seen from above."""
     cameras = {split: dataset.cameras(split) for split in SPLITS}
-    corners = _thinned(np.concatenate([face_corners(mesh) for mesh in read_meshes(dataset, TRUTH)]).astype(np.float64))
+    faces = [face_corners(mesh).astype(np.float64) for mesh in true_meshes(dataset)]
+    corners = _thinned(np.concatenate([np.zeros((0, 3, 3)), *faces]))
     places = np.concatenate([item.world_from_camera[:, :3, 3] for item in cameras.values()])
     points = np.concatenate([places, corners.reshape(-1, 3)])
     low, high = points.min(axis=0), points.max(axis=0)
@@ -38,10 +38,12 @@ def cameras_figure(dataset: Dataset, title: str) -> bytes:
     figure = Figure(figsize=(1500 / DPI, 760 / DPI), dpi=DPI, facecolor="white")
     space = cast(Axes3D, figure.add_axes((-0.03, -0.07, 0.62, 1.1), projection="3d"))
     above = figure.add_axes((0.63, 0.09, 0.35, 0.76))
-    _draw_meshes(space, above, corners)
+    if len(corners):
+        _draw_meshes(space, above, corners)
     for split in SPLITS:
         _draw_cameras(space, above, split, cameras[split], size)
-    margin = 0.04 * (high - low)
+    # Cameras may all be level, and without meshes there is nothing else.
+    margin = np.maximum(0.04 * (high - low), 0.01 * float((high - low).max()))
     _frame_space(space, low - margin, high + margin)
     above.set_title("from above", fontsize=11)
     above.set(aspect="equal", xlabel="x (m)", ylabel="y (m)")

@@ -31,6 +31,8 @@ def complete(config: LightPathConfig, inputs: Inputs) -> LightPathConfig:
 
 def _sky_height(dataset: Dataset) -> int:
     """Rows of the learned sky's finest map: as fine as the environment map, or the edges of cards, that it shows."""
+    if not dataset.objects:
+        return SKY_HEIGHT  # Imported without meshes: whoever reads those says so.
     scene = load_scene(dataset.root / "scene", is_sealed=True)
     if isinstance(scene.environment, EnvironmentMap):
         height = len(read_map(image_bytes(scene, scene.environment), where=scene.environment.path))

@@ -28,6 +28,7 @@ from datagen.quantities.surfaces import surfaces_of
 from datagen.quantities.view_quantities import quantities
 from datagen.scene.camera_list import list_cameras
 from datagen.scene.rig import make_cameras
+from eval.figures.cameras import cameras_figure
 
 SIDE = 8
 
@@ -179,7 +180,9 @@ def test_blenders_scenes_lie_on_white_and_train_what_needs_no_meshes(blender: Pa
     away = {split: np.linalg.norm(place[split][:, None] - place["train"], axis=2).min(axis=1) for split in TEST_SPLITS}
     assert away["extrapolating"].min() > away["interpolating"].max()
     assert verify_dataset(dataset.root).problems == []
-    assert "No meshes were imported" in look_page(dataset).decode()
+    page = look_page(dataset).decode()
+    assert "No meshes were imported" in page and "has no meshes" not in page and "Cameras in space" in page
+    assert cameras_figure(dataset, "lego").startswith(b"\x89PNG")
 
 
 def test_pictures_are_made_smaller_by_averaging_light_and_the_world_is_scaled_and_turned(
