@@ -17,6 +17,8 @@ Import this module after `use_mitsuba`; vectorised variants only.
 # Dr.Jit's stubs do not know that a registry array can be reinterpreted, nor what `@dr.syntax` makes of a loop.
 # pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
 
+from typing import Any
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -25,6 +27,9 @@ from jaxtyping import Float32
 from datagen.render.facets import lobe_of_glass, sample_facet, unshadowed
 from datagen.render.sobol import SobolPoints
 from datagen.scene.media import Media, medium_of, no_solids, with_solid, without_solid
+
+Lanes = Any
+"""A Dr.Jit array, one lane a path. Named, for pyright takes minutes to find out such types in the loop of `_trace`."""
 
 MAX_VANISHED = 64
 """Surfaces that are none, since a solid of higher priority fills both sides, on one path: they are no bounces, but no
@@ -109,7 +114,7 @@ class _Tables:
         self.absorption = mi.Float(media.absorption.ravel())
 
 
-def _share_out_channels(index, spp, scramble):
+def _share_out_channels(index, spp, scramble) -> tuple[Lanes, Lanes]:
     """The colour channel of each sample's path, once glass parts colours, and the weight of all that is 1 on average.
 
     A pixel's samples are cut into three runs; which channel gets which is drawn for each pixel.
@@ -203,14 +208,14 @@ def _trace(scene, ray, points, scramble, index, colors, tables):
     return radiance + dr.select(escaped, throughput * _sky(scene, ray, escaped), 0)
 
 
-def _sky(scene, ray, escaped):
+def _sky(scene, ray, escaped) -> Lanes:
     """The radiance of the sky where rays have run into it."""
     sky = dr.zeros(mi.SurfaceInteraction3f)
     sky.wi = -ray.d
     return scene.environment().eval(sky, escaped)
 
 
-def _solids_around(tables, solids, shape, hit):
+def _solids_around(tables, solids, shape, hit) -> tuple[Lanes, Lanes, Lanes]:
     """Whether a shape is glass, and the solids on its inner and outer side, where `hit`."""
     rank = dr.gather(mi.Int32, tables.rank, dr.reinterpret_array(mi.UInt32, shape), hit)
     is_glass = hit & (rank >= 0)
@@ -218,7 +223,7 @@ def _solids_around(tables, solids, shape, hit):
     return is_glass, with_solid(tables.media, solids, rank), without_solid(tables.media, solids, rank)
 
 
-def _part_colors(tables, sides, colors, meets_glass, throughput, has_all):
+def _part_colors(tables, sides, colors, meets_glass, throughput, has_all) -> tuple[Lanes, Lanes]:
     """The throughput of one channel where a path that has all meets glass that parts them, and which still has all."""
     if not tables.disperses:
         return throughput, has_all
@@ -229,21 +234,21 @@ def _part_colors(tables, sides, colors, meets_glass, throughput, has_all):
     return throughput * dr.select(parts, one, 1), has_all & ~parts
 
 
-def _ratio_of_indices(tables, sides, colors, is_glass):
+def _ratio_of_indices(tables, sides, colors, is_glass) -> Lanes:
     """Index of refraction inside over that outside; of the path's own colour where glass parts colours."""
     places = [3 * side + colors[0] for side in sides] if tables.disperses else sides
     inner, outer = (dr.gather(mi.Float, tables.ior, place, is_glass) for place in places)
     return inner / outer
 
 
-def _roughness_of_glass(tables, si, is_solid):
+def _roughness_of_glass(tables, si, is_solid) -> Lanes:
     """GGX alpha of rough glass; 0 where there is none."""
     if not tables.has_rough_glass:
         return mi.Float(0)
     return dr.gather(mi.Float, tables.alpha, dr.reinterpret_array(mi.UInt32, si.shape), is_solid)
 
 
-def _scattered_by_glass(tables, si, eta, wo, alpha, otherwise):
+def _scattered_by_glass(tables, si, eta, wo, alpha, otherwise) -> tuple[Lanes, Lanes]:
     """What the surface scatters towards the ray from `wo`, and with which density it sends rays there.
 
     Args:
@@ -255,14 +260,14 @@ def _scattered_by_glass(tables, si, eta, wo, alpha, otherwise):
     return dr.select(alpha > 0, mi.Spectrum(value), otherwise[0]), dr.select(alpha > 0, pdf, otherwise[1])
 
 
-def _meet_glass(tables, si, eta, alpha, vanishes, samples):
+def _meet_glass(tables, si, eta, alpha, vanishes, samples) -> tuple[Lanes, Lanes, Lanes]:
     """Whether glass reflects, where to in the surface's frame, and the factor of radiance."""
     if not tables.has_rough_glass:
         return _reflect_or_refract(si.wi, eta, samples[0], vanishes)
     return _bounce_off_facet(si.wi, eta, alpha, *samples, vanishes)
 
 
-def _reflect_or_refract(wi, eta, sample, vanishes):
+def _reflect_or_refract(wi, eta, sample, vanishes) -> tuple[Lanes, Lanes, Lanes]:
     """`_meet_glass` of smooth glass."""
     reflectance, cos_t, _, eta_ti = mi.fresnel(mi.Frame3f.cos_theta(wi), eta)
     is_reflected = (sample <= reflectance) & ~vanishes
@@ -270,7 +275,7 @@ def _reflect_or_refract(wi, eta, sample, vanishes):
     return is_reflected, wo, dr.select(is_reflected, 1, dr.square(eta_ti))
 
 
-def _bounce_off_facet(wi, eta, alpha, sample1, sample2, vanishes):
+def _bounce_off_facet(wi, eta, alpha, sample1, sample2, vanishes) -> tuple[Lanes, Lanes, Lanes]:
     """`_meet_glass` of rough glass, by one of its facets; alpha = 0 is smooth."""
     side = dr.sign(mi.Frame3f.cos_theta(wi))
     facet = sample_facet(wi * side, alpha, sample2.x, sample2.y)
@@ -283,6 +288,6 @@ def _bounce_off_facet(wi, eta, alpha, sample1, sample2, vanishes):
     return is_reflected, wo, dr.select(is_lost, 0, share)
 
 
-def _balance(pdf, other):
+def _balance(pdf, other) -> Lanes:
     """The power heuristic; 0 where the technique cannot have made the sample."""
     return dr.select(pdf > 0, (pdf * pdf) / dr.fma(pdf, pdf, other * other), 0)

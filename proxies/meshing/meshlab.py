@@ -1,23 +1,21 @@
-"""All calls of pymeshlab: no other file names it, and only its child process imports it.
+"""What proxies ask of pymeshlab, which only a child process imports.
 
 pymeshlab ends its process on some inputs (a hull of collinear points) and never returns from others, so its filters get
-validated arrays, never files, in a child with a time limit: `python -m proxies.meshing.meshlab TASK IN.npz OUT.npz`.
+validated arrays, never files, in a child with a time limit: `python -m proxies.meshing.meshlab IN.npz OUT.npz TASK`.
 """
 
 # pymeshlab fills its namespace when it is imported; pyright sees none of it.
 # pyright: reportAttributeAccessIssue=false
 
 import functools
-import os
-import subprocess
 import sys
-import tempfile
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 from jaxtyping import Float, Float64, Int64
 
+from datagen.machine.child_python import ChildError, arrays_from_child
 from datagen.terminal.distribution import install_command
 
 TIMEOUT_S = 120.0
@@ -119,45 +117,17 @@ def alpha_wraps(
     return wraps
 
 
-def _command(task: Task, source: Path, target: Path) -> list[str]:
-    return [sys.executable, "-m", "proxies.meshing.meshlab", task, str(source), str(target)]
-
-
-def _run(task: Task, arrays: dict[str, np.ndarray], *, timeout_s: float | None = None) -> dict[str, np.ndarray]:
-    timeout_s = TIMEOUT_S if timeout_s is None else timeout_s
-    with tempfile.TemporaryDirectory(prefix="hyaline-meshlab-") as folder:
-        source, target = Path(folder) / "in.npz", Path(folder) / "out.npz"
-        np.savez(source, allow_pickle=False, **arrays)
-        # The child must find this very package wherever the command was started, without other files shadowing it.
-        paths = [str(Path(__file__).resolve().parents[2]), *filter(None, [os.environ.get("PYTHONPATH")])]
-        try:
-            answer = subprocess.run(
-                _command(task, source, target),
-                env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
-                cwd=folder,
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.PIPE,
-                text=True,
-                errors="replace",
-                timeout=timeout_s,
-                check=False,
-            )
-        except subprocess.TimeoutExpired:
-            raise MeshlabError(f"it took more than {timeout_s:g} s") from None
-        if answer.returncode < 0:
-            raise MeshlabError(f"its process was ended by signal {-answer.returncode}")
-        if answer.returncode != 0 or not target.is_file():
-            last = (answer.stderr.strip().splitlines() or ["no message"])[-1]
-            raise MeshlabError(f"its process ended with status {answer.returncode}: {last}")
-        with np.load(target) as data:
-            return dict(data)
+def _run(task: Task, arrays: dict[str, np.ndarray], *, timeout_s: float = TIMEOUT_S) -> dict[str, np.ndarray]:
+    try:
+        return arrays_from_child("proxies.meshing.meshlab", arrays, timeout_s=timeout_s, words=(task,))
+    except ChildError as error:
+        raise MeshlabError(str(error)) from None
 
 
 # In the child
 
 
-def _child(task: str, source: Path, target: Path) -> None:
+def _child(source: Path, target: Path, task: str) -> None:
     import pymeshlab
 
     with np.load(source) as data:
@@ -209,4 +179,4 @@ def _wrapped(arrays: dict[str, np.ndarray], index: int) -> dict[str, np.ndarray]
 
 
 if __name__ == "__main__":
-    _child(sys.argv[1], Path(sys.argv[2]), Path(sys.argv[3]))
+    _child(Path(sys.argv[1]), Path(sys.argv[2]), sys.argv[3])

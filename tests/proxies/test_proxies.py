@@ -1,8 +1,5 @@
 """Tests of proxies: what they enclose, how tight they are, their atlas, and what happens without pymeshlab."""
 
-import signal
-import sys
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -19,6 +16,7 @@ from datagen.data.meshes import (
 )
 from datagen.data.windings import check_closed
 from datagen.disk.errors import HyalineError
+from datagen.machine.child_python import ChildError
 from proxies.kinds import box, ellipsoid, hull
 from proxies.kinds.table import FITTERS, ProxyKind
 from proxies.make import paddings
@@ -483,8 +481,8 @@ def test_without_pymeshlab_a_wrap_is_one_line_that_says_why(kind: ProxyKind) -> 
 
 def test_a_wrap_that_fails_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(meshlab, "meshlab_problem", lambda: None)
-    monkeypatch.setattr(meshlab, "_command", lambda *_: [sys.executable, "-S", "-c", "import sys; sys.exit('no luck')"])
-    with pytest.raises(HyalineError, match=r"which failed \(its process ended with status 1: no luck\); make"):
+    fail_child(monkeypatch, "it ended with status 1: no luck")
+    with pytest.raises(HyalineError, match=r"which failed \(it ended with status 1: no luck\); make"):
         fit("wrap", scipy_solid(cup()), padding=1e-6)
 
 
@@ -624,16 +622,23 @@ def test_pymeshlab_and_its_fallback_give_the_same_proxies_and_distances(monkeypa
         assert one.max_distance == pytest.approx(other.max_distance, rel=1e-4)
 
 
-@pytest.mark.parametrize("way", ["dies", "hangs", "says nothing"])
-def test_a_child_that_dies_hangs_or_says_nothing_leaves_the_result_as_it_is(
-    way: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def fail_child(monkeypatch: pytest.MonkeyPatch, reason: str) -> None:
+    """Lets pymeshlab's process give no answer."""
+
+    def no_answer(*_: object, **__: object) -> None:
+        raise ChildError(reason)
+
+    monkeypatch.setattr(meshlab, "arrays_from_child", no_answer)
+
+
+@pytest.mark.parametrize("reason", ["it was ended by signal 11", "it took more than 120 s"])
+def test_a_child_that_gives_no_answer_leaves_the_result_as_it_is(
+    reason: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     truths = (shapes(1)[0], shapes(1)[4])
     expected = [scipy_solid(truth) for truth in truths]
-    code = {"dies": f"import os; os.kill(os.getpid(), {int(signal.SIGSEGV)})", "hangs": "import time; time.sleep(60)"}
-    monkeypatch.setattr(meshlab, "_command", lambda *_: [sys.executable, "-S", "-c", code.get(way, "")])
+    fail_child(monkeypatch, reason)
     monkeypatch.setattr(meshlab, "meshlab_problem", lambda: None)
-    monkeypatch.setattr(meshlab, "TIMEOUT_S", 1.0)
     solids = make_solids(truths)
     for one, other in zip(solids, expected, strict=True):
         np.testing.assert_allclose(one.hull_points, other.hull_points, rtol=1e-12)
@@ -641,15 +646,13 @@ def test_a_child_that_dies_hangs_or_says_nothing_leaves_the_result_as_it_is(
     proxy = box.fit_box(solids[0], padding=1e-5)
     assert measure.proxy_statistics((proxy,), truths[:1], solids[:1])[0].mean_distance > 0
     said = capsys.readouterr().err
-    reason = {"dies": "ended by signal 11", "hangs": "more than 1 s", "says nothing": "status 0"}[way]
     assert reason in said
     assert "SciPy makes them" in said
     assert "NumPy measures them" in said
 
 
 def test_a_missing_library_is_one_line_with_the_package_that_mends_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    code = "import sys; sys.exit('ImportError: libGL.so.1: cannot open shared object file')"
-    monkeypatch.setattr(meshlab, "_command", lambda *_: [sys.executable, "-S", "-c", code])
+    fail_child(monkeypatch, "it ended with status 1: ImportError: libGL.so.1: cannot open shared object file")
     problem = meshlab.meshlab_problem.__wrapped__()
     assert problem is not None
     assert "libGL.so.1" in problem
