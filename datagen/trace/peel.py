@@ -33,8 +33,8 @@ else:
 ADVANCE = 1 + 2.4e-7
 """Factor by which t passes a hit: two float32 steps."""
 
-SPARE_STEPS = 4
-"""Trace steps beyond the layers, for hits of the same primitive that do not count."""
+SPARE_STEPS = 64
+"""Trace steps beyond the layers, for hits of the same primitive that do not count; grazing rays take a dozen."""
 
 RECORDINGS = 64
 """Kernels that a peeler keeps, one for each number of rays and layers: recording one takes longer than running it."""
