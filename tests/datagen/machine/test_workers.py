@@ -73,5 +73,7 @@ def test_an_unwrapping_child_that_is_killed_is_one_line(tmp_path: Path, monkeypa
         return really_run([sys.executable, "-c", "import os; os.kill(os.getpid(), 9)"], **options)
 
     monkeypatch.setattr(subprocess, "run", run_and_die)
-    with pytest.raises(HyalineError, match=r"^floor: unwrapping failed \(it was ended by signal 9 .*; run the same command again"):
+    with pytest.raises(
+        HyalineError, match=r"^floor: unwrapping failed \(it was ended by signal 9 .*; run the same command"
+    ):
         unwrap(quad(0.0), where="floor")
