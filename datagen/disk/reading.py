@@ -11,6 +11,7 @@ import math
 import os
 import stat
 import tomllib
+from collections.abc import Iterable
 from pathlib import Path
 from typing import BinaryIO
 
@@ -92,7 +93,9 @@ def parse_json(text: bytes, *, where: str) -> dict[str, Json]:
         raise DamagedError(f"{where}: {error}") from None
     if not isinstance(data, dict):
         raise DamagedError(f"{where}: holds a {type(data).__name__}; expected a JSON object")
-    _check_values(data, where=where, is_text_checked=b"\\u" in text)
+    containers = _containers(data, where=where)  # Numbers and keys were checked as they were read.
+    if b"\\u" in text:
+        _check_texts(containers, where)
     return data
 
 
@@ -113,7 +116,11 @@ def load_toml(path: Path) -> dict[str, object]:
         raise DamagedError(f"{path}: nested too deeply; expected at most {MAX_NESTING} levels") from None
     except ValueError as error:  # Of tomllib, of UTF-8, or of int(), which takes 4,300 digits.
         raise DamagedError(f"{path}: not TOML ({error})") from error
-    _check_values(data, where=str(path), is_text_checked=True)
+    containers = _containers(data, where=str(path))
+    _check_texts(containers, str(path))
+    for container in containers:
+        for value in _values(container):
+            _check_number(value, str(path))
     return data
 
 
@@ -159,26 +166,35 @@ def _object(pairs: list[tuple[str, Json]]) -> dict[str, Json]:
     return content
 
 
-def _check_values(data: object, *, where: str, is_text_checked: bool) -> None:
-    """Refuses nesting that recursion might not survive, and values that are no plain ones."""
-    level, depth = [data], 0
-    while level:
-        depth += 1
-        if depth > MAX_NESTING:
-            raise DamagedError(f"{where}: nested too deeply; expected at most {MAX_NESTING} levels")
-        inner: list[object] = []
-        for container in level:
-            values = (*container, *container.values()) if isinstance(container, dict) else container
-            for value in values:  # pyright: ignore[reportGeneralTypeIssues]
-                if isinstance(value, (dict, list)):
-                    inner.append(value)
-                elif is_text_checked and isinstance(value, str):
-                    _check_text(value, where)
-                elif isinstance(value, float) and not math.isfinite(value):
-                    raise DamagedError(f"{where}: holds the number {value}; expected finite ones")
-                elif isinstance(value, int) and not -(2**63) <= value < 2**63:
-                    raise DamagedError(f"{where}: holds a number of {value.bit_length()} bits; expected at most 64")
-        level = inner
+def _containers(data: object, *, where: str) -> list[dict | list]:
+    """Every dict and list in `data`, itself among them; refuses nesting that recursion might not survive."""
+    found: list[dict | list] = []
+    level = [data]
+    for _ in range(MAX_NESTING + 1):
+        level = [value for value in level if type(value) is dict or type(value) is list]
+        if not level:
+            return found
+        found += level
+        level = [value for container in level for value in _values(container)]
+    raise DamagedError(f"{where}: nested too deeply; expected at most {MAX_NESTING} levels")
+
+
+def _values(container: dict | list) -> Iterable[object]:
+    return container.values() if type(container) is dict else container
+
+
+def _check_number(value: object, where: str) -> None:
+    if isinstance(value, float) and not math.isfinite(value):
+        raise DamagedError(f"{where}: holds the number {value}; expected finite ones")
+    if isinstance(value, int) and not -(2**63) <= value < 2**63:
+        raise DamagedError(f"{where}: holds a number of {value.bit_length()} bits; expected at most 64")
+
+
+def _check_texts(containers: list[dict | list], where: str) -> None:
+    for container in containers:
+        for value in (*container, *_values(container)):
+            if isinstance(value, str):
+                _check_text(value, where)
 
 
 def _check_text(text: str, where: str) -> None:

@@ -10,7 +10,6 @@ import re
 import shutil
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -377,12 +376,10 @@ def command(*words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
     ids=["report", "eval-report", "eval", "python-m", "bash"],
 )
 def test_every_form_answers_help(form: list[str], tmp_path: Path) -> None:
-    start = time.monotonic()
     done = command(*form, "--help", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "usage: eval report" in done.stdout
     assert "--format" in done.stdout
-    assert time.monotonic() - start < 5  # 0.2 s on an idle machine: no heavy import.
 
 
 def test_typed_in_bash_it_prints_only_the_table_on_stdout(made: Path, tmp_path: Path) -> None:

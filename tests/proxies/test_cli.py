@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-import time
 import types
 from pathlib import Path
 from typing import Any
@@ -251,11 +250,9 @@ def test_help_answers_before_anything_heavy_is_imported() -> None:
         "heavy = {'scipy', 'trimesh', 'pymeshlab', 'mitsuba', 'torch', 'zarr', 'model', 'eval'} & set(sys.modules)\n"
         "sys.exit(f'imported {heavy}' if heavy else 0)\n"
     )
-    start = time.monotonic()
     answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert answer.returncode == 0, answer.stderr
     assert "--kind" in answer.stdout
-    assert time.monotonic() - start < 5  # 0.3 s on an idle machine.
 
 
 def test_fitting_imports_neither_renderer_nor_network() -> None:

@@ -1,13 +1,13 @@
 """Every place of every file that a user may write, with every hostile value: one short line, soon, or it is fine."""
 
 import json
-import time
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from support.checked import unchecked
 from support.hostile_values import JSON_TEXTS, PLACEHOLDER, places, replaced, without
+from support.soon import soon
 from support.synthetic import synthetic_scene, write_synthetic_dataset
 
 from datagen.data.config import SPLITS
@@ -21,8 +21,6 @@ from eval.score.runs import open_run
 from model.run.experiment import read_experiment
 
 pytestmark = pytest.mark.promise("R6")
-
-LIMIT_S = 2.0
 
 
 def variants(data: dict) -> dict[str, str]:
@@ -45,16 +43,14 @@ def try_all(texts: dict[str, str], place: Callable[[str], None], read: Callable[
     answers = {}
     for name, text in texts.items():
         place(text)
-        start = time.process_time()
         try:
-            with unchecked():  # Checks of each value would be most of the time.
+            with soon(), unchecked():  # Checks of each value would be most of the time.
                 read()
             answers[name] = ""
         except HyalineError as error:
             answers[name] = str(error)
         except Exception as error:
             raise AssertionError(f"{name}: {type(error).__name__}: {error}") from error
-        assert time.process_time() - start < LIMIT_S, name
         line = " ".join(answers[name].split())
         assert len(line) < 1000, f"{name}: {line}"
     return answers

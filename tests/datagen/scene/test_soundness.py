@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from support.soon import soon
 from support.synthetic import synthetic_scene
 
 from datagen.data.meshes import Mesh, face_corners, signed_volume
@@ -203,19 +204,13 @@ def test_windings_are_those_of_the_solid_angle() -> None:
 
 
 def test_solids_of_two_hundred_thousand_faces_are_checked_in_seconds() -> None:
-    import time
-
     big = merged([ball(0.2, subdivisions=6), moved(ball(0.2, subdivisions=6), (0.15, 0, 0))])
-    start = time.process_time()
-    with pytest.raises(HyalineError, match="lies inside of the rest"):
+    with soon(5), pytest.raises(HyalineError, match="lies inside of the rest"):
         check_solid(big, where="big")
-    assert time.process_time() - start < 10  # Half a second on a quiet machine.
 
 
 def test_ten_thousand_bubbles_are_checked_in_seconds() -> None:
     """One winding number of all faces for each of them took minutes."""
-    import time
-
     dot = np.float32([[1, 1, 1], [-1, -1, 1], [-1, 1, -1], [1, -1, -1]])
     places = np.stack(np.meshgrid(*[np.linspace(-0.4, 0.4, 22)] * 3), axis=-1).reshape(-1, 1, 3)[:10_000]
     bubbles = Mesh(
@@ -227,11 +222,10 @@ def test_ten_thousand_bubbles_are_checked_in_seconds() -> None:
         uv=np.zeros((40_000, 2), np.float32),
     )
     block = rounded_box((1, 1, 1), bevel=0.01)
-    start = time.process_time()
-    bubbles = bubbles if signed_volume(bubbles) < 0 else inward(bubbles)
-    check_closed(merged([block, bubbles]), where="soda")
-    with pytest.raises(
-        HyalineError, match=r"soda: part \d+ of 10001 encloses -.* so it is inside out; reverse its faces"
-    ):
-        check_closed(merged([moved(block, (0.3, 0, 0)), bubbles]), where="soda")
-    assert time.process_time() - start < 20  # Two seconds on a quiet machine.
+    with soon(10):
+        bubbles = bubbles if signed_volume(bubbles) < 0 else inward(bubbles)
+        check_closed(merged([block, bubbles]), where="soda")
+        with pytest.raises(
+            HyalineError, match=r"soda: part \d+ of 10001 encloses -.* so it is inside out; reverse its faces"
+        ):
+            check_closed(merged([moved(block, (0.3, 0, 0)), bubbles]), where="soda")

@@ -4,13 +4,13 @@ import copy
 import json
 import os
 import struct
-import time
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 from support.gltf import GltfBuilder, clear, glass
+from support.soon import soon
 
 from datagen.disk.errors import HyalineError
 from datagen.scene.importers.gltf import read_gltf
@@ -171,10 +171,8 @@ CHANGES: dict[str, Change] = {
 
 
 def refusal(path: Path) -> str:
-    began = time.process_time()
-    with pytest.raises(HyalineError) as refused:
+    with soon(), pytest.raises(HyalineError) as refused:
         read_gltf(path, Remarks())
-    assert time.process_time() - began < 2
     text = str(refused.value)
     assert "\n" not in text and len(text) < 1000 and text.count(": ") >= 1
     return text

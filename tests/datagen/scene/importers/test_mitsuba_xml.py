@@ -4,7 +4,6 @@ import io
 import math
 import os
 import struct
-import time
 import zlib
 from pathlib import Path
 
@@ -12,6 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 from support.gltf import BOX
+from support.soon import soon
 
 from datagen.data.exr import encode_float_exr
 from datagen.data.meshes import signed_volume, write_ply
@@ -294,10 +294,8 @@ def test_a_hostile_scene_is_refused_in_one_line_and_nothing_outside_is_told(name
     os.mkfifo(root / "pipe")
     data = WHOLE[name] if name in WHOLE else f'<scene version="3.0.0">{HOSTILE[name]}</scene>'.encode()
     (root / "a.xml").write_bytes(data)
-    read_ready = time.process_time()
-    with pytest.raises(HyalineError) as refused:
+    with soon(2.5), pytest.raises(HyalineError) as refused:
         read_mitsuba(root / "a.xml", Remarks())
-    assert time.process_time() - read_ready < 2.5
     text = str(refused.value)
     assert "\n" not in text and "root:" not in text and len(text) < 1000
 

@@ -3,7 +3,6 @@
 import io
 import math
 import struct
-import time
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -12,6 +11,7 @@ import numpy as np
 import pytest
 import trimesh
 from support.gltf import BOX
+from support.soon import soon
 
 from datagen.data.meshes import open_edges, signed_volume, write_ply
 from datagen.disk.errors import HyalineError
@@ -293,10 +293,8 @@ def test_a_broken_file_is_refused_in_one_line(name: str, tmp_path: Path) -> None
     (tmp_path / "m.mtl").write_text("newmtl m\n")
     (root / "link.mtl").symlink_to(tmp_path / "m.mtl")
     file, data = BROKEN[name]
-    began = time.process_time()
-    with pytest.raises(HyalineError) as refused:
+    with soon(), pytest.raises(HyalineError) as refused:
         read(root / file, data() if callable(data) else data)
-    assert time.process_time() - began < 2
     assert "\n" not in str(refused.value) and "root:" not in str(refused.value)
 
 

@@ -1,0 +1,41 @@
+"""Refusals that come soon: CPU seconds under a mark, on processors of any speed."""
+
+import gc
+import json
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+YARDSTICK_S = 0.06
+"""CPU seconds that `_yardstick_s` takes on one core of a server of 2023."""
+
+
+@contextmanager
+def soon(limit_s: float = 2.0) -> Iterator[None]:
+    """Fails where the block takes more CPU seconds than `limit_s`, stretched on processors that are slower.
+
+    The stretch is measured only where the mark was passed: what fails takes many times as long, not a little longer.
+    """
+    gc.freeze()  # What earlier tests left in memory is walked by no collection while the block runs.
+    start = _cpu_s()
+    try:
+        yield
+    finally:
+        took = _cpu_s() - start
+        gc.unfreeze()
+    if took > limit_s:
+        limit_s *= 2 * max(1.0, _yardstick_s() / YARDSTICK_S)
+        assert took <= limit_s, f"took {took:.1f} CPU s; expected at most {limit_s:.1f}"
+
+
+def _yardstick_s() -> float:
+    text = json.dumps([{"key": [1.5, "text", None]} for _ in range(40_000)])
+    start = _cpu_s()
+    json.dumps(json.loads(text))
+    return _cpu_s() - start
+
+
+def _cpu_s() -> float:
+    """CPU seconds of this process and of its children that have ended."""
+    times = os.times()
+    return times.user + times.system + times.children_user + times.children_system
