@@ -23,6 +23,8 @@ BLIND_METHODS = ("deepvoxels",)
 def after_build(dataset: Dataset) -> str:
     """What comes after a dataset."""
     if not dataset.objects:
+        if not dataset.config.resolution.is_power_of_two_square:
+            return shlex.join(["datagen", "look", str(dataset.root)])
         return shlex.join(["model", "train", "deepvoxels", "--dataset", str(dataset.root)])
     if not has_layers(dataset):
         return shlex.join(["datagen", "peel", "--dataset", str(dataset.root)])

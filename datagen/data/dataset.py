@@ -28,6 +28,7 @@ the camera looks along -z). Pixel (column i, row j) has its centre at (i + 0.5, 
                                          the same cameras
 """
 
+import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -178,8 +179,9 @@ class Dataset:
         """The layers of a geometry, opened.
 
         Raises:
-            HyalineError: they were not made, or their head is damaged.
+            HyalineError: they were not made, their head is damaged, or there are no meshes to make them of.
         """
+        check_has_meshes(self)
         head = layers_root(self.root, geometry) / LAYERS.head
         return self._opened.get(head, lambda: open_layers(self.root, geometry))
 
@@ -333,6 +335,16 @@ class View:
 def has_layers(dataset: Dataset) -> bool:
     """True when the true geometry has straight layers."""
     return (layers_root(dataset.root, TRUTH) / LAYERS.head).is_file()
+
+
+def check_has_meshes(dataset: Dataset) -> None:
+    """Raises a HyalineError for a dataset whose pictures were imported without any mesh."""
+    if not dataset.objects:
+        again = shlex.join(["datagen", "import-dataset", "FOLDER", "--mesh", "FILE", "--out", str(dataset.root)])
+        raise HyalineError(
+            f"{dataset.root}: has no meshes, since none were imported with its pictures; make it again with "
+            f"`{again} --overwrite`"
+        )
 
 
 def has_glass_mask(dataset: Dataset) -> bool:

@@ -13,7 +13,7 @@ import shlex
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from datagen.data.dataset import Dataset, head_files
+from datagen.data.dataset import Dataset, check_has_meshes, head_files
 from datagen.data.meshes import Mesh, check_mesh, is_there, no_mesh, read_ply, write_ply
 from datagen.data.paths import TRUTH, geometry_root
 from datagen.disk.errors import HyalineError
@@ -209,12 +209,7 @@ def read_meshes(dataset: Dataset, geometry: str) -> tuple[Mesh, ...]:
         HyalineError: not made, missing or damaged.
     """
     dataset = dataset.home
-    if not dataset.objects:
-        command = shlex.join(["model", "train", "deepvoxels", "--dataset", str(dataset.root)])
-        raise HyalineError(
-            f"{dataset.root}: has no meshes, since none were imported with its pictures; import it again with --mesh, "
-            f"or train what needs none: `{command}`"
-        )
+    check_has_meshes(dataset)
     root = geometry_root(dataset.root, geometry)
     files = _mesh_files(dataset, geometry)
     check_files(root, dict(files.values()))

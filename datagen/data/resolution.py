@@ -47,6 +47,11 @@ class Resolution:
         """Side of the square with as many pixels, rounded down: what textures are as fine as."""
         return math.isqrt(self.pixels)
 
+    @property
+    def is_power_of_two_square(self) -> bool:
+        """True for 64 x 64 and its likes, which `deepvoxels` asks for."""
+        return self.width == self.height and self.width & (self.width - 1) == 0
+
     def times(self, scale: int) -> Self:
         """So many times as wide and high."""
         return type(self)(width=scale * self.width, height=scale * self.height)

@@ -90,7 +90,7 @@ class DeepVoxelsConfig(MethodConfig):
             HyalineError: they are not square, or their width is no power of two.
         """
         side = resolution.mean_side
-        if resolution.width != resolution.height or side & (side - 1):
+        if not resolution.is_power_of_two_square:
             raise HyalineError(
                 f"resolution: is {resolution}; deepvoxels needs square pictures whose width is a power of two, "
                 f"so build the dataset with --resolution {2 ** round(math.log2(side))}"
