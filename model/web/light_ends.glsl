@@ -99,6 +99,10 @@ vec3 sky(vec3 d) {
 #if STACK_HIDDEN > 0
 vec4 stacked[STACK_GROUPS];  // The sums of the stack network's first layer, of what the ray has met so far.
 
+void begin_stack() {
+    for (int g = 0; g < STACK_GROUPS; g++) stacked[g] = fetch(weights, S_FIRST_BIAS + g);
+}
+
 // What the stack network is told of one vertex.
 void stack_slot(int slot, Features features, float through, float cosine) {
     for (int g = 0; g < STACK_GROUPS; g++) {

@@ -1,12 +1,17 @@
 // The light paths of a ray, and what physics says that they bring. Source: datagen/trace/branches.py.
 
 const float MIN_THROUGHPUT = 1.0 / 512.0, FIRST_MIRROR = 16.0;
-const int SPARE_STEPS = 16;
+const int SPARE_STEPS = 16, QUEUE = BRANCHES > 2 ? BRANCHES - 1 : 1;
 
 int asked;    // Of the task PATH: which end of which segment,
 vec4 answer;  // and where that is.
 
-bool parted;  // Glass that parts colours is on the way.
+bool parted;      // Glass that parts colours is on the way.
+int most, depth;  // Branches that are followed, and surfaces after which each is given up.
+
+// The stack network is told of few branches, which are given up early. Where the first one went farther, the second one
+// may be another than it would have been: by the queue, or by the dice of a rough surface.
+bool stacks, is_stack_wrong;
 
 // A branch that waits to be followed.
 struct Start {
@@ -19,12 +24,15 @@ struct Start {
 // Linear radiance of a ray; the stack network's first layer sums up what it meets.
 vec3 trace(vec3 o, vec3 d, vec2 row, uint ray) {
     vec3 radiance = vec3(0.0), beta = vec3(1.0);
-    Start queue[BRANCHES > 1 ? BRANCHES - 1 : 1];
-    for (int i = 0; i < BRANCHES - 1; i++) queue[i].weight = 0.0;
+    Start queue[QUEUE];
+    for (int i = 0; i < QUEUE; i++) queue[i].weight = 0.0;
+    bool went_far = false;
+    is_stack_wrong = most < STACK_BRANCHES;
     uint solids = NO_SOLIDS;
     int left_face = NO_FACE, left_object = 0, branch = 0, vertex = 0;
 
-    for (int step = 0; step < BRANCHES * MAX_DEPTH + SPARE_STEPS; step++) {
+    for (int step = 0; step < most * depth + SPARE_STEPS; step++) {
+        if (branch == 0 && vertex == STACK_DEPTH) went_far = true;
         Hit hit = find(OBJECTS_ROOT, o, d, left_face, left_object);
         bool missed = hit.face == NO_FACE, is_over = missed;
         if (task == PATH && step == asked / 2 && asked % 2 == 0) {
@@ -65,7 +73,7 @@ vec3 trace(vec3 o, vec3 d, vec2 row, uint ray) {
             if (is_stacked || is_end && COMPOSITE == 1) {
                 Features features = look_up(hit.object, place.uv);
 #if STACK_HIDDEN > 0
-                if (is_stacked && channel == 1) stack_slot(branch == 0 ? vertex : 4 + vertex, features, (beta.r + beta.g + beta.b) / 3.0, cos_i);
+                if (is_stacked && stacks) stack_slot(branch == 0 ? vertex : 4 + vertex, features, (beta.r + beta.g + beta.b) / 3.0, cos_i);
 #endif
 #if RELIEF == 1
                 if (is_end) features = look_up(hit.object, relieved(hit.object, place));
@@ -104,10 +112,10 @@ vec3 trace(vec3 o, vec3 d, vec2 row, uint ray) {
 
             // A further branch, where light also comes by reflection. Of a full queue the weakest one falls out.
             float weight = max(m_beta.r, max(m_beta.g, m_beta.b));
-            if (BRANCHES > 1 && !is_void && kind != OPAQUE && !total && weight > MIN_THROUGHPUT) {
+            if (most > 1 && !is_void && kind != OPAQUE && !total && weight > MIN_THROUGHPUT) {
                 if (branch == 0 && vertex == 0) weight = FIRST_MIRROR;
                 int weakest = 0;
-                for (int i = 1; i < BRANCHES - 1; i++) if (queue[i].weight < queue[weakest].weight) weakest = i;
+                for (int i = 1; i < QUEUE; i++) if (queue[i].weight < queue[weakest].weight) weakest = i;
                 if (weight > queue[weakest].weight)
                     queue[weakest] = Start(weight, p + outward * offset, mirrored, m_beta, hit.face, hit.object, solids);
             }
@@ -121,18 +129,20 @@ vec3 trace(vec3 o, vec3 d, vec2 row, uint ray) {
             }
             if (goes_through) solids = beyond;
             left_face = hit.face, left_object = hit.object;
+            if (went_far && branch == 1 && vertex == 0 && is_rough) is_stack_wrong = true;
             if (!is_void) vertex++;
-            is_over = !passes || !is_void && vertex == MAX_DEPTH;
+            is_over = !passes || !is_void && vertex == depth;
             // A facet's refracted ray that does not come out on the other side is lost.
             if (ROUGH_GLASS == 1 && !is_void && beta == vec3(0.0)) is_over = true;
         }
 
         // The end of this branch: the next one, or none.
         if (is_over) {
-            if (branch + 1 >= BRANCHES) break;
+            if (branch + 1 >= most) break;
             int best = 0;
-            for (int i = 1; i < BRANCHES - 1; i++) if (queue[i].weight > queue[best].weight) best = i;
+            for (int i = 1; i < QUEUE; i++) if (queue[i].weight > queue[best].weight) best = i;
             if (queue[best].weight <= 0.0) break;
+            if (branch == 0 && went_far && queue[best].weight != FIRST_MIRROR) is_stack_wrong = true;
             o = queue[best].o, d = queue[best].d, beta = queue[best].beta;
             left_face = queue[best].face, left_object = queue[best].object, solids = queue[best].solids;
             queue[best].weight = 0.0;
@@ -144,13 +154,22 @@ vec3 trace(vec3 o, vec3 d, vec2 row, uint ray) {
 
 // The same of all colours, which go ways of their own through glass that parts them.
 vec3 trace_colors(vec3 o, vec3 d, vec2 row, uint ray) {
-    vec3 radiance = vec3(0.0);
-    parted = false;
-    for (int turn = 0; turn < 1 + 2 * DISPERSES; turn++) {
-        channel = turn == 0 ? 1 : turn == 1 ? 0 : 2;
+    vec3 radiance;
+    // Green, or all colours at once; what the stack network is told, where that is wrong; red; blue. The call stands
+    // here once, for it takes long to compile.
+    for (int turn = 0; turn < (DISPERSES == 1 ? 4 : COMPOSITE == 1 && STACK_HIDDEN > 0 ? 2 : 1); turn++) {
+        if (turn == 1 && (STACK_HIDDEN == 0 || COMPOSITE == 0 || !is_stack_wrong) || turn > 1 && !parted) continue;
+        channel = turn == 2 ? 0 : turn == 3 ? 2 : 1;
+        most = turn == 1 ? STACK_BRANCHES : BRANCHES, depth = turn == 1 ? STACK_DEPTH : MAX_DEPTH;
+        stacks = turn < 2;
+        if (turn == 0) parted = false;
+#if STACK_HIDDEN > 0
+        if (stacks) begin_stack();
+#endif
         vec3 found = trace(o, d, row, ray);
-        if (!parted) return found;
-        radiance[channel] = found[channel];
+        if (turn == 0) radiance = found;
+        if (turn > 1) radiance[channel] = found[channel];
+        if (task == PATH) break;
     }
     channel = 1;
     return radiance;

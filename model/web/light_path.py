@@ -27,6 +27,9 @@ SHADERS = (
 MAX_DEPTH = 24
 """Surfaces after which a branch is given up: what `LightPathTracer.trace` does unless told."""
 
+STACK_BRANCHES, STACK_DEPTH = len(STACKED_VERTICES), max(STACKED_VERTICES)
+"""Of the paths that the stack network is told of."""
+
 
 def draw_light_path(renderer: LightPathRenderer, surfaces: list[Surface], media: list[Medium]) -> Drawn:
     """The renderer of a scene with these surfaces and media."""
@@ -43,8 +46,11 @@ def draw_light_path(renderer: LightPathRenderer, surfaces: list[Surface], media:
         defines={
             "LIGHT_PATH": 1,
             "NORMALS": 1,
-            "BRANCHES": config.branches,
-            "MAX_DEPTH": MAX_DEPTH,
+            # Where the stack network alone makes the colour, no other paths count.
+            "BRANCHES": config.branches if config.composite else STACK_BRANCHES,
+            "MAX_DEPTH": MAX_DEPTH if config.composite else STACK_DEPTH,
+            "STACK_BRANCHES": STACK_BRANCHES,
+            "STACK_DEPTH": STACK_DEPTH,
             "HIDDEN": fours(config.hidden),
             "STACK_HIDDEN": fours(config.stack_hidden),
             "SEES_DIRECTIONS": int(config.sees_directions),

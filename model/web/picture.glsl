@@ -24,13 +24,14 @@ void main() {
     // The R2 sequence in whole numbers: its step is 2^32 over the plastic number, and over its square.
     vec2 row = vec2(float(ray * 3242174889u), float(ray * 2447445414u)) * 2.3283064365386963e-10;
 #if LIGHT_PATH == 1
+    asked = task == PATH ? int(gl_FragCoord.x) : -1, answer = vec4(-1.0);
+#endif
+    vec3 radiance = shade(camera_place, d, row, ray);
+#if LIGHT_PATH == 1
     if (task == PATH) {
-        asked = int(gl_FragCoord.x), answer = vec4(-1.0);
-        trace(camera_place, d, row, ray);
         result = answer;
         return;
     }
 #endif
-    vec3 radiance = shade(camera_place, d, row, ray);
     result = vec4(radiance, 1.0) + keep * texelFetch(before, ivec2(gl_FragCoord.xy), 0);
 }

@@ -67,9 +67,6 @@ vec3 lay_over(vec3 d, vec4 logits[STACK_OUTPUTS]) {
 
 // Linear radiance of a ray.
 vec3 shade(vec3 o, vec3 d, vec2 row, uint ray) {
-#if STACK_HIDDEN > 0
-    for (int g = 0; g < STACK_GROUPS; g++) stacked[g] = fetch(weights, S_FIRST_BIAS + g);
-#endif
     vec3 radiance = trace_colors(o, d, row, ray);
 #if STACK_HIDDEN > 0
 #if STRAIGHT > 0

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, get_args
 
 import numpy as np
 import pytest
-from support.web_scenes import SHAPE, STILL, VIEW, drawn_by_python, every_surface, psnr, write_scene
+from support.web_scenes import SHAPE, STILL, VIEW, drawn_by_python, every_surface, noisy_light_path, psnr, write_scene
 
 from benchmarks.pages.browser import Watched, open_file, watched_page
 from datagen.data.dataset import Dataset
@@ -84,6 +84,18 @@ def test_glass_that_parts_colours_is_drawn_as_by_python(
         flat = page.picture(VIEW, SHAPE, 1, {name: {"spread": [0, 0, 0]} for name in ("metal", "ice")})
     assert psnr(drawn, drawn_by_python(renderer, dataset)) >= 45
     assert psnr(drawn, flat) < 42  # Colours that went one way would not be found out above 45.
+
+
+def test_the_stack_network_of_a_page_that_follows_one_branch_is_told_of_two_as_in_python(
+    browser: "Browser", dataset: Dataset, tmp_path: Path
+) -> None:
+    renderer = noisy_light_path(branches=1)
+    (tmp_path / "page.html").write_bytes(
+        scene_page(renderer, renderer.config, dataset, TRUTH, "exact", label="noise", still=STILL)
+    )
+    with watched_page(browser) as page:
+        open_file(page, tmp_path / "page.html")
+        assert psnr(page.picture(VIEW, SHAPE, 1), drawn_by_python(renderer, dataset)) >= 45
 
 
 def test_a_small_page_is_close_to_python(

@@ -27,7 +27,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     [
         (PROXY, "exact", 45),
         (PROXY, "small", 42),
-        ({**PROXY, "compositing": "stack", "position_octaves": 1}, "exact", 42),
+        ({**PROXY, "compositing": "stack", "position_octaves": 1}, "exact", 45),
     ],
     ids=["exact", "small", "stacked alone"],
 )
