@@ -361,7 +361,7 @@ def environment() -> dict[str, str]:
 
 
 def command(*words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(words, cwd=cwd, env=environment(), capture_output=True, text=True, timeout=60)
+    return subprocess.run(words, cwd=cwd, env=environment(), capture_output=True, text=True, timeout=180)
 
 
 @pytest.mark.parametrize(

@@ -70,7 +70,7 @@ def test_a_killed_part_and_a_build_without_parts_end_in_the_same_bytes(
     first = command(scene_folder, out, "--shard", "1/2")
     process = subprocess.Popen(first, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
     start = time.monotonic()
-    while not list(out.glob("records/*/*.json")) and time.monotonic() - start < 60:
+    while not list(out.glob("records/*/*.json")) and time.monotonic() - start < 300:
         time.sleep(0.02)
     os.killpg(process.pid, signal.SIGKILL)
     process.wait()

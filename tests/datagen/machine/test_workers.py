@@ -37,7 +37,7 @@ def test_a_killed_worker_is_one_line_that_names_the_missing_views_and_the_comman
     words = ["build", "--scene", str(tmp_path / "scene"), "--out", str(out), *FLAGS, "--workers", "2"]
     command = subprocess.Popen([sys.executable, "-m", "datagen", *words], stderr=subprocess.PIPE, text=True)
     start = time.monotonic()
-    while len(list(out.glob("records/*/*.json"))) < 2 and time.monotonic() - start < 120:
+    while len(list(out.glob("records/*/*.json"))) < 2 and time.monotonic() - start < 300:
         time.sleep(0.02)
     os.kill(children(command.pid)[0], signal.SIGKILL)
     said = command.communicate()[1]

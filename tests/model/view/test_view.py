@@ -25,7 +25,7 @@ from model.run.train import train
 from model.view.cameras import camera_in_window, window_pose
 from model.view.schedule import Pose
 
-PATIENCE_S = 60
+PATIENCE_S = 180
 
 
 @pytest.fixture(scope="module")
