@@ -150,7 +150,8 @@ def check_camera(camera: Camera) -> None:
     if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
         raise HyalineError(f"camera: world_from_camera is of shape {matrix.shape}; expected (4, 4) finite numbers")
     rotation = matrix[:3, :3]
-    is_rotation = np.abs(rotation.T @ rotation - np.eye(3)).max() < 1e-4 and np.linalg.det(rotation) > 0
+    with np.errstate(over="ignore", invalid="ignore"):
+        is_rotation = np.abs(rotation.T @ rotation - np.eye(3)).max() < 1e-4 and np.linalg.det(rotation) > 0
     if not is_rotation or not np.allclose(matrix[3], (0, 0, 0, 1)):
         raise HyalineError(
             f"camera: world_from_camera is {shown(matrix.tolist())}; expected a rotation and a place, without scale or "

@@ -14,6 +14,8 @@ from datagen.disk.errors import DamagedError, HyalineError
 NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.+,-]*")
 MAX_NAME = 220
 """Characters; a file system takes 255 bytes, and endings follow."""
+MAX_PART_BYTES, MAX_PATH_BYTES = 255, 1024
+"""Of what lies between two slashes of a path, and of all of it: what every usual file system takes."""
 
 _UNFIT_FOR_FILES = re.compile(r"[^\w.+,-]")
 
@@ -49,6 +51,9 @@ def check_relative(text: str, *, where: str) -> str:
         HyalineError: it is absolute, has a part that is `..` or empty, or holds control characters or a backslash.
     """
     parts = text.split("/")
+    sizes = [len(part.encode(errors="replace")) for part in (text, *parts)]
+    if sizes[0] > MAX_PATH_BYTES or max(sizes[1:]) > MAX_PART_BYTES:
+        raise HyalineError(f"{where}: names {_shortened(text)!r}, which is too long; expected a file inside the folder")
     if "\\" in text or not text.isprintable() or any(part in ("", ".", "..") for part in parts):
         raise HyalineError(
             f"{where}: names {_shortened(text)!r}; expected a file inside the folder, by its path from there"

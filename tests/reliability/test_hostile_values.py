@@ -10,12 +10,15 @@ from support.hostile_values import JSON_TEXTS, PLACEHOLDER, places, replaced, wi
 from support.soon import soon
 from support.synthetic import synthetic_scene, write_synthetic_dataset
 
+from datagen.data.cameras import look_at
 from datagen.data.config import SPLITS
 from datagen.data.dataset import open_dataset
 from datagen.data.geometries import read_meshes
 from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import SEAL, dump_json, sha256
+from datagen.import_dataset.choices import DatasetImportChoices
+from datagen.import_dataset.import_dataset import plan_import
 from datagen.scene.folder import load_scene, save_scene
 from eval.score.runs import open_run
 from model.run.experiment import read_experiment
@@ -124,6 +127,21 @@ def test_every_hostile_value_in_a_sealed_head_is_one_line(head: str, tmp_path: P
 
     answers = try_all(every(2, variants(data)), place, read)
     assert len(answers) > 50
+    refused_everywhere(answers, *NOWHERE)
+
+
+def test_every_hostile_value_in_another_projects_cameras_is_one_line(tmp_path: Path) -> None:
+    from PIL import Image
+
+    for view in range(4):
+        Image.new("RGB", (12, 8)).save(tmp_path / f"{view}.png")
+    frames = [
+        {"file_path": f"{view}.png", "transform_matrix": look_at((2, view, 1), (0, 0, 0)).tolist()} for view in range(4)
+    ]
+    data = {"fl_x": 10.0, "fl_y": 10.0, "cx": 6.5, "cy": 4.0, "w": 12, "h": 8, "k1": 0.0, "frames": frames}
+    path = tmp_path / "transforms.json"
+    answers = try_all(every(2, variants(data)), path.write_text, lambda: plan_import(tmp_path, DatasetImportChoices()))
+    assert len(answers) > 150
     refused_everywhere(answers, *NOWHERE)
 
 

@@ -69,8 +69,9 @@ class TransformsFile:
                 f"{frame.where}: its lens is distorted ({', '.join(bent) or 'fisheye'}); expected straight lines, "
                 "undistort the pictures first (`colmap image_undistorter`)"
             )
-        width, height = (round(number(key, 0.0)) for key in ("w", "h"))
-        if not (width and height):
+        if any(key in fields for key in ("w", "h") for fields in (frame, self.fields)):
+            width, height = (round(number(key, 0.0)) for key in ("w", "h"))
+        else:
             width, height = picture_size(self.find(frame, "file_path"))
         try:
             size = Resolution(width=width, height=height)
@@ -86,6 +87,11 @@ class TransformsFile:
                 "equal ones"
             )
         center = number("cx", width / 2), number("cy", height / 2)
+        pixels = 0.5 * width / math.tan(0.5 * angle)
+        try:
+            Intrinsics(fl_x=pixels, fl_y=pixels, cx=center[0], cy=center[1], w=width, h=height)
+        except HyalineError as error:
+            raise HyalineError(f"{frame.where}: {error}") from None
         return Lens(fov_x=angle, size=size, center=None if center == (width / 2, height / 2) else center)
 
     def angle(self, frame: Fields) -> tuple[float, Intrinsics | None, list[str]]:

@@ -175,7 +175,7 @@ def test_blenders_scenes_lie_on_white_and_train_what_needs_no_meshes(blender: Pa
     assert (image[:, : SIDE // 2] == 255).all() and (image[:, SIDE // 2 :] == (30, 100, 200)).all()
     assert dataset.objects == () and dataset.cameras("train").fov_x == 0.7
     answer = call(f"datagen peel {dataset.root}")
-    assert answer.status == 1 and "has no meshes" in answer.error and "model train deepvoxels" in answer.error
+    assert answer.status == 1 and "has no meshes" in answer.error and "--mesh FILE" in answer.error
     place = {split: dataset.cameras(split).world_from_camera[:, :3, 3] for split in SPLITS}
     away = {split: np.linalg.norm(place[split][:, None] - place["train"], axis=2).min(axis=1) for split in TEST_SPLITS}
     assert away["extrapolating"].min() > away["interpolating"].max()
