@@ -29,6 +29,7 @@ HOMES = {
     "skimage": {"eval"},
     "colour": {"eval"},
     "xatlas": {"datagen/scene/atlas.py"},
+    "manifold3d": {"datagen/scene/cutouts.py", "datagen/scene/importers/repair.py"},
     "zarr": {"datagen/data/layer_writing.py"},
     "OpenEXR": {"datagen/data/exr.py"},
     "submitit": {"datagen/build/launch.py"},
@@ -169,6 +170,7 @@ def loaded_after(statement: str) -> set[str]:
 )
 def test_the_contract_imports_without_heavy_packages(module: str) -> None:
     heavy = {"mitsuba", "drjit", "torch", "trimesh", "pymeshlab", "xatlas", "zarr", "scipy", "skimage", "numba"}
+    heavy |= {"manifold3d"}
     assert not loaded_after(f"import {module}") & heavy
 
 

@@ -6,12 +6,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeVar, cast
 
-from datagen.data.meshes import is_there, no_mesh, read_ply, write_ply
+from datagen.data.meshes import Mesh, check_numbers, is_there, no_mesh, read_ply, write_ply
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import find_file
-from datagen.disk.reading import load_json
+from datagen.disk.reading import load_json, read_regular
 from datagen.disk.records import Json, from_json, shown, to_json
 from datagen.disk.storage import commit, dump_json
+from datagen.scene.cutouts import Cut, Cutout, corner_uv_of, opacity_of, with_cuts
 from datagen.scene.description import (
     MAX_OBJECTS,
     OBJECT_NAME,
@@ -24,9 +25,10 @@ from datagen.scene.description import (
 from datagen.scene.environment_maps import read_map
 from datagen.scene.lights import Environment, EnvironmentMap, RectangleLight, SoftEnvironment
 from datagen.scene.materials import Material
-from datagen.scene.mending import mend_scene
+from datagen.scene.mending import mend_scene, mend_surface
 from datagen.scene.soundness import check_names, check_scene
 from datagen.scene.transforms import Transform, transformed, transformed_material
+from datagen.terminal.command import say
 
 Record = TypeVar("Record")
 SCENE_VERSION = 1
@@ -42,6 +44,8 @@ class _ObjectFile:
     material: Material
     transform: Transform = field(default_factory=Transform)
     """Applied when the scene is read; a scene that is written has it in its meshes."""
+    cutout: Cutout | None = None
+    """Cuts the mesh when the scene is read, as leaves on cards are; a scene that is written has a mesh with holes."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,7 +97,7 @@ def scene_files(scene: Scene) -> dict[str, bytes]:
     canonical = from_json(_SceneFile, to_json(file), where=f"scene {scene.name}")
     data = cast(dict[str, Json], to_json(canonical))
     for described in cast(list[dict[str, Json]], data["objects"]):
-        del described["transform"]  # It is in the mesh.
+        del described["transform"], described["cutout"]  # They are in the mesh.
     return {**files, "scene.json": dump_json(data)}
 
 
@@ -114,7 +118,7 @@ def load_scene(folder: Path, *, is_sealed: bool = False) -> Scene:
     if isinstance(listed, list) and len(listed) > MAX_OBJECTS:
         raise HyalineError(f"{path}: has {len(listed):,} objects; expected at most {MAX_OBJECTS}")
     file = _parse_scene(data, path)
-    objects, without_uv = [], set()
+    objects, without_uv, cuts = [], set(), {}
     for item in file.objects:
         mesh, has_uv = no_mesh(), True
         if item.mesh is not None:
@@ -128,6 +132,8 @@ def load_scene(folder: Path, *, is_sealed: bool = False) -> Scene:
             texture = find_file(folder, image.path, where=f"{path}: object {item.name}")
             if not texture.is_file():
                 raise HyalineError(f"{texture}: the texture of object {item.name} is missing")
+        if item.cutout is not None and item.mesh is not None:
+            mesh, cuts[item.name] = _cut_of(item, item.cutout, mesh, folder, has_uv=has_uv)
         objects.append(SceneObject(name=item.name, mesh=mesh, material=material))
     scene = Scene(
         name=file.name,
@@ -143,8 +149,25 @@ def load_scene(folder: Path, *, is_sealed: bool = False) -> Scene:
             read_map(image_bytes(scene, scene.environment), where=f"{path}: {scene.environment.path}")
         check_names(scene)
         scene = mend_scene(scene, without_uv=without_uv)
+    scene = with_cuts(scene, cuts)
+    for item in scene.objects:
+        if item.name in cuts and not is_there(item.mesh):
+            raise HyalineError(f"{path}: object {item.name}: its cutout leaves nothing of it; expected opaque texels")
     check_scene(scene, is_sealed=is_sealed)
     return scene
+
+
+def _cut_of(item: _ObjectFile, cutout: Cutout, mesh: Mesh, folder: Path, *, has_uv: bool) -> tuple[Mesh, Cut]:
+    """A mended mesh, whose faces stay as they are in whatever atlas it gets, and how it is to be cut."""
+    where = f"{folder / 'scene.json'}: object {item.name}"
+    if not has_uv:
+        raise HyalineError(f"{where}: has no uv for {cutout.image}; export its mesh with uv, or leave out its cutout")
+    check_numbers(mesh, where=where)
+    mesh, remarks = mend_surface(mesh, is_solid=False)
+    for remark in remarks:
+        say(f"{where}: {remark}")
+    opacity = opacity_of(read_regular(find_file(folder, cutout.image, where=where)), where=f"{where}: {cutout.image}")
+    return mesh, Cut(opacity=opacity, cutoff=cutout.cutoff, corner_uv=corner_uv_of(mesh))
 
 
 def _parse_scene(data: dict[str, Json], path: Path) -> _SceneFile:

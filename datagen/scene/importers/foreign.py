@@ -49,7 +49,12 @@ class ForeignMaterial:
     """Linear; times the image."""
     image: ForeignImage | None = None
     alpha: float = 1.0
+    """Times that of the image."""
     alpha_mode: Literal["opaque", "mask", "blend"] = "opaque"
+    alpha_cutoff: float = 0.5
+    """Of a mask: there is no surface where alpha is less."""
+    opacity: ForeignImage | None = None
+    """An image of alpha, where that is not the alpha of `image`; in the same uv."""
     metallic: float = 0.0
     roughness: float = 0.5
     """Perceptual: the square root of the microfacet alpha."""

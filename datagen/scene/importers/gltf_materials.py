@@ -68,6 +68,7 @@ def read_material(file: GltfFile, index: int | None, remarks: Remarks) -> tuple[
         image=image,
         alpha=min(max(alpha, 0.0), 1.0),
         alpha_mode=_alpha_mode(fields),
+        alpha_cutoff=max(fields.number("alphaCutoff", 0.5), 0.0),
         metallic=metallic,
         roughness=roughness,
         transmission=0.0 if transmission is None else transmission.share("transmissionFactor", 0.0),

@@ -1,5 +1,6 @@
 """From a foreign file to a scene: read, mend, map, stage, check."""
 
+import dataclasses
 import math
 import re
 from collections.abc import Callable, Mapping
@@ -8,15 +9,18 @@ from pathlib import Path
 
 import numpy as np
 
+from datagen.data.meshes import is_there
 from datagen.data.resolution import parse_resolution
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import file_name
 from datagen.disk.records import Json, shown
 from datagen.disk.storage import sha256_file
+from datagen.scene.cutouts import Cut, with_cuts
 from datagen.scene.description import MAX_OBJECTS, OBJECT_NAME, CameraList, CameraRig, Scene, SceneObject
 from datagen.scene.importers.apart import apart, parted
 from datagen.scene.importers.camera_files import read_camera_file
 from datagen.scene.importers.choices import ImportChoices
+from datagen.scene.importers.cutting import cut_of
 from datagen.scene.importers.decimating import check_decimation, decimated
 from datagen.scene.importers.foreign import Axis, ForeignMap, ForeignMaterial, ForeignObject, ForeignScene, elementwise
 from datagen.scene.importers.gltf import read_gltf
@@ -115,6 +119,7 @@ def import_scene(path: Path, choices: ImportChoices) -> Imported:
     if foreign.is_complete:
         offset = np.zeros(3)
     objects: list[SceneObject] = []
+    cuts: dict[str, Cut] = {}
     without_uv: set[str] = set()
     kept = min(1.0, (choices.max_triangles or math.inf) / sum(len(part.faces) for part in parts))
     for name, part in zip(names, parts, strict=True):
@@ -123,8 +128,12 @@ def import_scene(path: Path, choices: ImportChoices) -> Imported:
             name, part, linear, offset, mapper, chosen, remarks, repairs=choices.repair, kept_share=kept
         )
         objects += parted(item, remarks)
-        if part.uv is None or not item.mesh.uv.any():
+        has_uv = part.uv is not None and bool(item.mesh.uv.any())
+        if not has_uv:
             without_uv.add(name)
+        if isinstance(part.material, ForeignMaterial) and item.material.medium is None:
+            cut = cut_of(part.material, item.mesh, remarks, has_uv=has_uv, where=name)
+            cuts |= {} if cut is None else {name: cut}
     objects = apart(objects, remarks)
     rig = _cameras(foreign, choices, objects, linear, offset, remarks)
     wants_ground = choices.ground == "auto" and not foreign.is_complete and not has_ground(objects)
@@ -147,6 +156,7 @@ def import_scene(path: Path, choices: ImportChoices) -> Imported:
         baked=baked,
     )
     scene = mend_scene(scene, without_uv={item.name for item in objects if item.name in without_uv})
+    scene = _without_gone(with_cuts(scene, cuts), remarks)
     check_scene(scene)
     record: dict[str, Json] = {
         "version": RECORD_VERSION,
@@ -158,6 +168,15 @@ def import_scene(path: Path, choices: ImportChoices) -> Imported:
         **remarks.to_json(),
     }
     return Imported(scene=scene, record=record, remarks=tuple(remarks.lines))
+
+
+def _without_gone(scene: Scene, remarks: Remarks) -> Scene:
+    """The scene without objects of which their opacity leaves nothing."""
+    there = tuple(item for item in scene.objects if is_there(item.mesh))
+    for item in scene.objects:
+        if not is_there(item.mesh):
+            remarks.note(item.name, "is cut away whole by its opacity; left out")
+    return dataclasses.replace(scene, objects=there)
 
 
 def _cameras(
@@ -229,7 +248,7 @@ def scene_object(
     if repairs and _is_solid(material):
         mesh = made_sound(closed(mesh, remarks, where=name), remarks, where=name)
     if kept_share < 1:
-        if isinstance(material, ForeignMaterial) and material.image is not None and part.uv is not None:
+        if isinstance(material, ForeignMaterial) and (material.image or material.opacity) and part.uv is not None:
             remarks.note(name, f"keeps its {len(mesh.faces):,} triangles, on which its image lies")
         else:
             mesh = decimated(mesh, int(kept_share * len(mesh.faces)), remarks, where=name)

@@ -59,8 +59,6 @@ class Mapper:
         if foreign.transmission > 0:
             what = "is metal, which" if foreign.metallic >= 0.5 else "is drawn opaque, and"
             self.remarks.approximate(where, f"{what} lets no light through (transmission {foreign.transmission:.2g})")
-        if foreign.alpha_mode == "mask":
-            self.remarks.approximate(where, "is cut out by alpha; drawn whole")
         return self._opaque(foreign, shape, where=where)
 
     def _glass(self, foreign: ForeignMaterial, shape: Shape, *, where: str) -> Material:

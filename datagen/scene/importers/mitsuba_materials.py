@@ -56,6 +56,8 @@ def read_bsdf(node: Node, remarks: Remarks) -> FoundMaterial:
         inner = node.inner("BSDF")
         if inner is None:
             raise HyalineError(f"{node.where}: holds no BSDF; expected one")
+        if node.plugin == "mask":
+            return _masked(node, read_bsdf(inner, remarks), remarks)
         if node.plugin != "twosided":
             remarks.approximate(node.name, f"is a {node.plugin}, of which only the material itself is drawn")
         return read_bsdf(inner, remarks)
@@ -63,6 +65,26 @@ def read_bsdf(node: Node, remarks: Remarks) -> FoundMaterial:
         known = ", ".join(sorted([*READERS, "twosided"]))
         raise HyalineError(f"{node.where}: is of a kind that is not read; known are {known}")
     return READERS[node.plugin](node, remarks)
+
+
+def _masked(node: Node, found: FoundMaterial, remarks: Remarks) -> FoundMaterial:
+    """The material with the opacity of a `mask` around it."""
+    texture = node.child("opacity")
+    if texture is None:
+        opacity = sum(node.color("opacity", 0.5)) / 3
+        return replace(found, material=replace(found.material, alpha=min(max(opacity, 0.0), 1.0), alpha_mode="blend"))
+    if texture.plugin != "bitmap":
+        raise HyalineError(f"{texture.where}: is opacity of a kind that is not read; known is bitmap")
+    image_from_uv = texture.matrix("to_uv")
+    if found.material.image is not None and not np.allclose(image_from_uv, found.image_from_uv):
+        remarks.approximate(
+            node.name, "is cut out by an image that lies otherwise than that of its colour; drawn whole"
+        )
+        return found
+    data = read_regular(texture.file("filename"), at_most=MAX_FILE_BYTES)
+    opacity = ForeignImage(name=node.name, data=data)
+    material = replace(found.material, alpha_mode="blend", opacity=opacity)
+    return FoundMaterial(material=material, image_from_uv=image_from_uv)
 
 
 def _plain(material: ForeignMaterial) -> FoundMaterial:

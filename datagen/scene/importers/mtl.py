@@ -37,7 +37,6 @@ IGNORED = {
     "bump": "a bump map",
     "norm": "a normal map",
     "disp": "a displacement map",
-    "map_d": "a map of opacity",
     "map_ks": "a map of highlights",
     "map_ke": "a map of glow",
 }
@@ -84,10 +83,13 @@ def _material(name: str, entry: Entry, path: Path, remarks: Remarks) -> ForeignM
     # Phong's exponent as a microfacet alpha, whose square root is the roughness.
     glossy = math.sqrt(math.sqrt(2 / (max(number("ns", 10.0), 0.0) + 2)))
     key, default = ("tf", (1.0, 1.0, 1.0)) if is_glass else ("kd", (0.7, 0.7, 0.7))
+    opacity = None if is_glass else _image(name, entry, path, remarks, key="map_d")
     return ForeignMaterial(
         name=name,
         base_color=_color(entry, key, default, where=where),
-        image=None if is_glass else _image(name, entry, path, remarks),
+        image=None if is_glass else _image(name, entry, path, remarks, key="map_kd"),
+        alpha_mode="opaque" if opacity is None else "blend",
+        opacity=opacity,
         metallic=min(max(number("pm", 0.0), 0.0), 1.0),
         roughness=min(max(number("pr", 0.0 if is_glass else glossy), 0.0), 1.0),
         transmission=1.0 if is_glass else 0.0,
@@ -106,8 +108,8 @@ def _color(entry: Entry, key: str, default: tuple[float, float, float], *, where
     return red, green, blue
 
 
-def _image(name: str, entry: Entry, path: Path, remarks: Remarks) -> ForeignImage | None:
-    words = list(entry.get("map_kd", []))
+def _image(name: str, entry: Entry, path: Path, remarks: Remarks, *, key: str) -> ForeignImage | None:
+    words = list(entry.get(key, []))
     if not words:
         return None
     while words and words[0] in OPTION_VALUES:

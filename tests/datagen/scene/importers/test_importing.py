@@ -11,7 +11,7 @@ from support.commands import call
 from support.gltf import BOX, GltfBuilder, clear, glass
 from support.rigs import config
 
-from datagen.data.meshes import signed_volume
+from datagen.data.meshes import face_areas, signed_volume
 from datagen.data.resolution import square
 from datagen.data.windings import check_closed
 from datagen.disk.errors import HyalineError
@@ -21,6 +21,7 @@ from datagen.scene.folder import load_scene, scene_files
 from datagen.scene.importers.choices import ImportChoices
 from datagen.scene.importers.importing import Imported, import_scene
 from datagen.scene.materials import Conductor, Dielectric, Diffuse
+from datagen.scene.modelling import sheet
 from datagen.scene.rig import make_cameras
 from datagen.scene.textures import ImageTexture, SolidTexture
 
@@ -218,3 +219,62 @@ def test_the_command_writes_a_folder_that_holds_the_scene_and_a_line_for_each_ap
     strict = call("datagen import 'my things.glb' --strict --out other")
     assert strict.status == 1 and "leave out --strict" in strict.error
     assert not (tmp_path / "other").exists()
+
+
+def leaf_png() -> bytes:
+    """A brown picture of which a disk over a quarter of the side is opaque, in a corner."""
+    y, x = np.mgrid[:64, :64]
+    alpha = np.where(np.hypot(x - 15.5, y - 15.5) < 16, 255, 0).astype(np.uint8)
+    data = io.BytesIO()
+    Image.merge("RGBA", [Image.new("L", (64, 64), value) for value in (120, 80, 40)] + [Image.fromarray(alpha)]).save(
+        data, format="PNG"
+    )
+    return data.getvalue()
+
+
+CARD = sheet((0, 0, 0), (0.2, 0, 0), (0, 0.2, 0), cells=(2, 2))
+DISK = np.pi * (0.2 * 16 / 64) ** 2
+
+
+@pytest.mark.parametrize(
+    ("entry", "area", "is_approximation"),
+    [
+        ({"alphaMode": "MASK"}, DISK, False),
+        ({"alphaMode": "BLEND"}, DISK, False),
+        ({"alphaMode": "OPAQUE"}, 0.04, None),
+        ({"alphaMode": "MASK", "alphaCutoff": 0.0}, 0.04, None),
+    ],
+)
+def test_a_surface_is_cut_as_its_alpha_mode_asks(
+    entry: dict, area: float, is_approximation: bool | None, tmp_path: Path
+) -> None:
+    builder = scene_with_glass()
+    image = builder.add("images", {"bufferView": builder.view(leaf_png()), "mimeType": "image/png"})
+    use = {"index": builder.add("textures", {"source": image})}
+    leaf = builder.material("Leaf", pbrMetallicRoughness=clear(roughnessFactor=1.0, baseColorTexture=use), **entry)
+    uv = (CARD.vertices[:, :2] / 0.2).astype(np.float32)
+    builder.node(mesh=builder.mesh(dataclasses.replace(CARD, uv=uv), material=leaf, has_uv=True), name="leaf")
+    found = import_scene(builder.written(tmp_path), ImportChoices())
+    mesh = next(item for item in found.scene.objects if item.name == "leaf").mesh
+    assert face_areas(mesh).sum() == pytest.approx(area, rel=0.01)
+    # glTF's first row is where its v is 0, far from +y; y points up there, and z here.
+    if is_approximation is not None:
+        assert np.ptp(mesh.vertices, axis=0).max() == pytest.approx(0.1, abs=0.002)
+    told = [line.is_approximation for line in found.remarks if line.where == "leaf" and "is cut out" in line.what]
+    assert told == ([] if is_approximation is None else [is_approximation])
+
+
+def test_an_opacity_map_of_an_mtl_file_and_a_mask_of_mitsuba_cut_alike(tmp_path: Path) -> None:
+    (tmp_path / "leaf.png").write_bytes(leaf_png())
+    (tmp_path / "m.mtl").write_text("newmtl leaf\nKd 0.2 0.5 0.1\nmap_d leaf.png\n")
+    corners = "v 0 0 0\nv 0.2 0 0\nv 0.2 0.2 0\nv 0 0.2 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n"
+    (tmp_path / "a.obj").write_text(f"mtllib m.mtl\n{corners}usemtl leaf\nf 1/1 2/2 3/3 4/4\n")
+    mask = (
+        '<bsdf type="mask"><texture type="bitmap" name="opacity"><string name="filename" value="leaf.png"/></texture>'
+    )
+    size = '<transform name="to_world"><scale value="0.1"/></transform>'
+    shape = f'<shape type="rectangle" id="leaf">{size}{mask}<bsdf type="diffuse"/></bsdf></shape>'
+    (tmp_path / "a.xml").write_text(f'<scene version="3.0.0">{shape}<emitter type="constant"/></scene>')
+    for name in ("a.obj", "a.xml"):
+        scene = import_scene(tmp_path / name, ImportChoices(ground="never")).scene
+        assert face_areas(scene.objects[0].mesh).sum() == pytest.approx(DISK, rel=0.01), name

@@ -1,0 +1,310 @@
+"""Surfaces cut out by an image, such as leaves on cards: the parts where it is transparent become no surface at all.
+
+The mesh itself is cut, along the line where the image's opacity, interpolated bilinearly between the centres of its
+texels, reaches the cutoff. So path tracer, layers, light paths, proxies and every program that reads the mesh agree.
+"""
+
+import dataclasses
+import io
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float, Float32, Int64
+
+from datagen.data.meshes import MIN_AREA, Mesh, no_mesh
+from datagen.disk.errors import HyalineError
+from datagen.disk.names import check_relative
+from datagen.scene.description import Scene
+from datagen.scene.outlines import count_crossings, outlines
+
+if TYPE_CHECKING:
+    import manifold3d
+
+Opacity = Float32[np.ndarray, "tex_h tex_w"]
+CornerUv = Float32[np.ndarray, "face 3 2"]
+
+MAX_POINTS = 40_000
+"""Of an image's outlines; those of a finer image are taken from one with half as many texels a side."""
+MAX_NEW_FACES = 100_000
+"""Faces that cutting may add to an object before its outlines are made coarser."""
+MIN_SIDE = 32
+"""Texels a side below which an image is not made coarser."""
+MAX_PIXELS = 1 << 26
+MAX_SIDE = 2048
+"""Texels a side of an image from which outlines are taken; a larger one is made coarser first."""
+MAX_TILES = 4096
+"""Repeats of the image on one face."""
+DEVIATION = 0.1
+"""Texels by which an outline may be straightened."""
+SNAP = 1e-6
+"""Share of a face within which a point is its corner."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cutout:
+    """What cuts a surface: an image in the uv of its mesh, repeated beyond [0, 1]."""
+
+    image: str
+    """A PNG, relative to the scene's folder. Its alpha counts; of an image without alpha, its brightness."""
+    cutoff: float = 0.5
+    """Share of opacity, interpolated between texels, below which there is no surface."""
+
+    def __post_init__(self) -> None:
+        check_relative(self.image, where="cutout image")
+        if not self.image.endswith((".png", ".PNG")):
+            raise HyalineError(f"cutout image: is {self.image!r}; expected a PNG inside the scene's folder")
+        if not 0 < self.cutoff <= 1:
+            raise HyalineError(f"cutout cutoff: is {self.cutoff}; expected above 0, up to 1")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Cut:
+    """A cut that waits for its object's atlas: the image lies in the uv that the mesh came with."""
+
+    opacity: Opacity
+    """Row 0 on top, as in the image."""
+    cutoff: float
+    corner_uv: CornerUv
+    """Of the faces, v up."""
+
+
+def opacity_of(data: bytes, *, where: str) -> Opacity:
+    """The opacity in an image file: its alpha, or where it has none its brightness.
+
+    Raises:
+        HyalineError: it is no image.
+    """
+    from PIL import Image, UnidentifiedImageError
+
+    try:
+        with Image.open(io.BytesIO(data)) as image:
+            if image.width * image.height > MAX_PIXELS:
+                raise HyalineError(
+                    f"{where}: is {image.width} x {image.height} pixels; expected at most {MAX_PIXELS:,}"
+                )
+            has_alpha = image.has_transparency_data
+            values = np.asarray(image.convert("RGBA").getchannel("A") if has_alpha else image.convert("L"))
+    except (UnidentifiedImageError, OSError, SyntaxError, ValueError) as error:
+        raise HyalineError(f"{where}: not an image that can be read ({error})") from error
+    return values.astype(np.float32) / 255
+
+
+def corner_uv_of(mesh: Mesh) -> CornerUv:
+    """uv of each corner of each face."""
+    return mesh.uv[mesh.faces]
+
+
+def with_cuts(scene: Scene, cuts: Mapping[str, Cut]) -> Scene:
+    """The scene with the objects of these names cut; one of which nothing is left has no mesh.
+
+    Raises:
+        HyalineError: an object is solid.
+    """
+    objects = []
+    for item in scene.objects:
+        if (cut := cuts.get(item.name)) is not None:
+            where = f"scene {scene.name}: object {item.name}"
+            if item.material.medium is not None:
+                raise HyalineError(f"{where}: is a solid, which a cutout would open; expected a material of surfaces")
+            objects.append(dataclasses.replace(item, mesh=cut_out(item.mesh, cut, where=where)))
+        else:
+            objects.append(item)
+    return dataclasses.replace(scene, objects=tuple(objects))
+
+
+def cut_out(mesh: Mesh, cut: Cut, *, where: str) -> Mesh:
+    """The mesh without what the image cuts away; no mesh where that is all.
+
+    Faces that are opaque all over stay as they are; those at the outlines become several, flat in the old ones' planes
+    with normals and uv interpolated.
+
+    Raises:
+        HyalineError: an image repeats too often on a face.
+    """
+    assert len(cut.corner_uv) == len(mesh.faces), "an atlas keeps the faces in their order"
+    opacity = cut.opacity
+    repeats = bool(cut.corner_uv.min() < 0 or cut.corner_uv.max() > 1)
+    while max(opacity.shape) > MAX_SIDE:
+        opacity = _halved(opacity)
+    while True:
+        is_coarsest = min(opacity.shape) < 2 * MIN_SIDE
+        stencil = Stencil(opacity, cut.cutoff, repeats=repeats)
+        if is_coarsest or stencil.num_points <= MAX_POINTS:
+            pieces = _Pieces(mesh, stencil, cut.corner_uv, where=where)
+            if pieces.cut_all(at_most=None if is_coarsest else len(mesh.faces) + MAX_NEW_FACES):
+                return pieces.mesh()
+        opacity = _halved(opacity)
+
+
+def _halved(opacity: Opacity) -> Opacity:
+    """Means of two by two texels; a last odd row or column is left out."""
+    height, width = (size // 2 * 2 for size in opacity.shape)
+    quarters = opacity[:height, :width].reshape(height // 2, 2, width // 2, 2)
+    return quarters.mean(axis=(1, 3), dtype=np.float64).astype(np.float32)
+
+
+class Stencil:
+    """The opaque part of an image as polygons, in units of its sides: (0, 0) is its lower left corner, (1, 1) the upper
+    right one.
+
+    A part of it is found by a tree of tiles, each cut from one twice as large: a face asks only those around it.
+    """
+
+    def __init__(self, opacity: Opacity, cutoff: float, *, repeats: bool) -> None:
+        upright = np.flipud(opacity).astype(np.float64)
+        # Half a texel lies outside of the outermost centres; beyond it, everything is cut away.
+        around = np.pad(upright, 1, mode="wrap" if repeats else "edge")
+        self._values = np.pad(around, 1, constant_values=cutoff - 1)
+        self._cutoff = cutoff
+        self._size = np.array(opacity.shape[::-1], np.float64)
+        self.repeats = repeats
+        self.num_points = count_crossings(around, cutoff)
+        self._tiles: dict[tuple[int, int, int], manifold3d.CrossSection] = {}
+
+    @cached_property
+    def whole(self) -> "manifold3d.CrossSection":
+        import manifold3d
+
+        loops = outlines(self._values, self._cutoff)
+        # The padding shifts by two texels, and the first centre lies half a texel in.
+        texels = manifold3d.CrossSection([loop - 1.5 for loop in loops], manifold3d.FillRule.EvenOdd)
+        image = manifold3d.CrossSection.square(tuple(self._size))
+        return (texels.simplify(DEVIATION) ^ image).scale(tuple(1 / self._size))
+
+    def around(self, low: np.ndarray, high: np.ndarray) -> "manifold3d.CrossSection":
+        """A part of the stencil that has all of it between two corners."""
+        size = max(float((high - low).max()), 2.0**-12)
+        level = int(np.floor(-np.log2(size)))
+        if level <= 0:
+            return self.whole
+        column, row = (int(np.floor(value * 2**level)) for value in low)
+        return self._tile(level, column, row)
+
+    def _tile(self, level: int, column: int, row: int) -> "manifold3d.CrossSection":
+        """Two tiles of 2**-level a side in each direction, so that whatever is no larger than one lies in some."""
+        import manifold3d
+
+        if level == 0:
+            return self.whole
+        if (key := (level, column, row)) not in self._tiles:
+            side = 2.0**-level
+            square = manifold3d.CrossSection.square((2 * side, 2 * side)).translate((column * side, row * side))
+            self._tiles[key] = self._tile(level - 1, column // 2, row // 2) ^ square
+        return self._tiles[key]
+
+
+@dataclass(kw_only=False)
+class _Pieces:
+    """What is left of a mesh's faces, one after the other."""
+
+    source: Mesh
+    stencil: Stencil
+    corner_uv: CornerUv
+    _: dataclasses.KW_ONLY
+    where: str
+    kept: list[int] = field(default_factory=list)
+    """Faces that stay whole."""
+    face: list[Int64[np.ndarray, " point"]] = field(default_factory=list)
+    """Of each new point, the face that it is on ..."""
+    shares: list[Float[np.ndarray, "point 3"]] = field(default_factory=list)
+    """... and its barycentric coordinates there."""
+    triangles: list[Int64[np.ndarray, "triangle 3"]] = field(default_factory=list)
+    """Indices of new points."""
+    num_points: int = 0
+
+    def cut_all(self, *, at_most: int | None) -> bool:
+        """Cuts every face; False, and unfinished, where there would be more than so many faces."""
+        num_faces = 0
+        for index, corners in enumerate(self.corner_uv.astype(np.float64)):
+            num_faces += self._cut(index, corners)
+            if at_most is not None and num_faces > at_most:
+                return False
+        return True
+
+    def _cut(self, index: int, corners: Float[np.ndarray, "3 2"]) -> int:
+        """Cuts one face; the number of faces that are left of it."""
+        import manifold3d
+
+        if not np.isfinite(corners).all():
+            raise HyalineError(f"{self.where}: some of its uv are no numbers; a cutout needs them, export it again")
+        turn = np.linalg.det([corners[1] - corners[0], corners[2] - corners[0]])
+        if turn == 0:  # A face on one line of the image: what is in its middle decides.
+            corners, turn = corners.mean(axis=0) + 1e-6 * np.array([[-1, -1], [1, -1], [0, 1]]), 1.0
+        loop = corners if turn > 0 else corners[::-1]
+        area, polygons = 0.0, []
+        for offset in self._tiles(loop):
+            moved = loop - offset
+            face = manifold3d.CrossSection([moved])
+            left = self.stencil.around(moved.min(axis=0), moved.max(axis=0)) ^ face
+            area += left.area() / max(face.area(), 1e-300)
+            polygons.append([polygon + offset for polygon in left.to_polygons()])
+        if area > 1 - SNAP:
+            self.kept.append(index)
+            return 1
+        if area < SNAP:
+            return 0
+        return sum(self._add(index, corners, parts, is_turned=turn < 0) for parts in polygons if parts)
+
+    def _tiles(self, loop: Float[np.ndarray, "3 2"]) -> Iterator[Float[np.ndarray, "2"]]:
+        """Lower left corners of the repeats of the image that a face lies on."""
+        if not self.stencil.repeats:
+            yield np.zeros(2)
+            return
+        first, last = np.floor(loop.min(axis=0)), np.ceil(loop.max(axis=0))
+        columns, rows = np.maximum(last - first, 1)
+        if columns * rows > MAX_TILES:
+            raise HyalineError(
+                f"{self.where}: its cutout repeats {columns * rows:.3g} times on a face; expected at most {MAX_TILES}"
+            )
+        for row in range(int(rows)):
+            for column in range(int(columns)):
+                yield first + np.array([column, row])
+
+    def _add(self, index: int, corners: np.ndarray, polygons: list[np.ndarray], *, is_turned: bool) -> int:
+        """Adds the triangles of polygons on a face."""
+        import manifold3d
+
+        triangles = np.asarray(manifold3d.triangulate(polygons), np.int64).reshape(-1, 3)
+        shares = _barycentric(np.concatenate(polygons), corners)
+        flat = shares @ self.source.vertices[self.source.faces[index]].astype(np.float64)
+        a, b, c = np.moveaxis(flat.astype(np.float32)[triangles].astype(np.float64), 1, 0)
+        has_area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=-1) > 10 * MIN_AREA
+        triangles = triangles[has_area]
+        if is_turned:
+            triangles = triangles[:, ::-1]
+        self.face.append(np.full(len(shares), index))
+        self.shares.append(shares)
+        self.triangles.append(triangles + self.num_points)
+        self.num_points += len(shares)
+        return len(triangles)
+
+    def mesh(self) -> Mesh:
+        """Faces that stayed whole, then the pieces of the others, without vertices that nobody uses."""
+        source = self.source
+        faces = [source.faces[self.kept].astype(np.int64).reshape(-1, 3)]
+        arrays = {name: [getattr(source, name)] for name in ("vertices", "normals", "uv")}
+        if self.num_points:
+            corners = source.faces[np.concatenate(self.face)]
+            shares = np.concatenate(self.shares)
+            for name, parts in arrays.items():
+                parts.append(np.einsum("pk,pkc->pc", shares, getattr(source, name)[corners].astype(np.float64)))
+            lengths = np.linalg.norm(arrays["normals"][1], axis=-1, keepdims=True)
+            arrays["normals"][1] = arrays["normals"][1] / np.maximum(lengths, 1e-30)
+            faces.append(np.concatenate(self.triangles) + len(source.vertices))
+        used, faces = np.unique(np.concatenate(faces), return_inverse=True)
+        if not len(used):
+            return no_mesh()
+        joined = {name: np.concatenate(parts)[used].astype(np.float32) for name, parts in arrays.items()}
+        return Mesh(faces=faces.reshape(-1, 3).astype(np.int32), **joined)
+
+
+def _barycentric(points: Float[np.ndarray, "point 2"], corners: Float[np.ndarray, "3 2"]) -> Float[np.ndarray, "p 3"]:
+    """Shares of a triangle's corners in points on it; exactly 1 at a corner, exactly 0 on a side."""
+    edges = np.stack([corners[1] - corners[0], corners[2] - corners[0]], axis=-1)
+    second, third = np.linalg.solve(edges, (points - corners[0]).T)
+    shares = np.stack([1 - second - third, second, third], axis=-1)
+    shares[shares < SNAP] = 0
+    return shares / shares.sum(axis=-1, keepdims=True)
