@@ -286,7 +286,7 @@ def sweep(
 
     Args:
         experiment: A TOML file (format: model/run/experiment.py), or one of table1, table2, square, zero-layer, claims,
-            headline, proxies, ablation, variants and budget.
+            headline, proxies, ablation, variants, budget and random.
         dataset: Datasets to train on, instead of the file's.
         seed: Seeds to train with, instead of the file's.
         jobs: Parallel processes: on the CPU, which divide its cores equally, or on each GPU. On a CPU, as many as

@@ -17,6 +17,7 @@ from datagen.data.windings import windings
 from datagen.disk.errors import HyalineError
 from datagen.scene.atlas import unwrap_all
 from datagen.scene.description import CameraRig, Scene, SceneObject, WalkPoint
+from datagen.scene.materials import ThinDielectric
 from datagen.scene.procedural.backdrop import draw_backdrop
 from datagen.scene.procedural.chance import between
 from datagen.scene.procedural.coverage import glass_shares
@@ -118,9 +119,10 @@ def _draw(name: RandomName, refused: tuple[str, ...], rng: np.random.Generator) 
 
 
 def check_inside(things: list[Thing], *, where: str) -> None:
-    """Refuses ice, stones and cores that reach into their vessel or into each other.
+    """Refuses ice, stones, cores and panes that reach into what they are in, or into each other.
 
-    Drinks reach into their glass on purpose, and cores and shells are wholly inside of what they are in.
+    Drinks reach into their glass on purpose, and cores and shells are wholly inside of what they are in. Of thin glass,
+    which may be open and bounds no solid, the question is whether some of it is in the other.
 
     Raises:
         HyalineError: naming both objects.
@@ -128,6 +130,10 @@ def check_inside(things: list[Thing], *, where: str) -> None:
     for thing in things:
         loose = [item for item in thing.objects[1:] if not item.name.endswith("_drink")]
         for one, other in combinations([thing.objects[0], *loose], 2):
+            if isinstance(one.material, ThinDielectric):
+                one, other = other, one
+            if isinstance(one.material, ThinDielectric):
+                continue
             inside = windings(one.mesh.vertices[one.mesh.faces], other.mesh.vertices[::3]) > 0
             if inside.any() and not inside.all():
                 raise HyalineError(

@@ -7,6 +7,7 @@ import numpy as np
 from datagen.scene.procedural.chance import between, pick, weigh
 from datagen.scene.procedural.names import Family
 from datagen.scene.procedural.nesting import empty_vessel, filled_vessel, onion, paperweight, solid
+from datagen.scene.procedural.panes import PANES, enclosed
 from datagen.scene.procedural.solids import CONVEX, NOT_CONVEX
 from datagen.scene.procedural.thing import Thing, enlarged
 from datagen.scene.procedural.things import THINGS
@@ -19,14 +20,16 @@ def draw_things(family: Family, *, rng: np.random.Generator) -> list[Thing]:
 
 
 def _object(rng: np.random.Generator) -> list[Thing]:
-    """One object, as large as a melon: a convex body, one that is not, or several media."""
-    kind = weigh({"convex": 0.33, "not convex": 0.33, "media": 0.34}, rng=rng)
+    """One object, as large as a melon: a convex body, one that is not, several media, or one in thin glass."""
+    kind = weigh({"convex": 0.3, "not convex": 0.3, "media": 0.3, "thin": 0.1}, rng=rng)
     if kind == "convex":
         thing = solid(pick(tuple(CONVEX), rng=rng), rng=rng)
     elif kind == "not convex":
         names = (*NOT_CONVEX, "tumbler", "cut tumbler", "wine glass", "bottle", "jar")
         name = pick(names, rng=rng)
         thing = empty_vessel(name, rng=rng) if name in VESSELS else solid(name, rng=rng)
+    elif kind == "thin":
+        thing = enclosed(rng=rng)
     else:
         thing = _several_media(rng)
     return [enlarged(thing, between(1.6, 2.0, rng=rng))]
@@ -36,11 +39,13 @@ def _table(rng: np.random.Generator) -> list[Thing]:
     """Three to six glass things and two to four opaque ones."""
     things = []
     for _ in range(int(rng.integers(3, 7))):
-        match weigh({"vessel": 0.3, "drink": 0.3, "solid": 0.4}, rng=rng):
+        match weigh({"vessel": 0.26, "drink": 0.26, "solid": 0.34, "thin": 0.14}, rng=rng):
             case "vessel":
                 thing = empty_vessel(pick([name for name in VESSELS if name != "tank"], rng=rng), rng=rng)
             case "drink":
                 thing = filled_vessel(pick([name for name in VESSELS if name != "tank"], rng=rng), rng=rng)
+            case "thin":
+                thing = PANES[pick(tuple(PANES), rng=rng)](rng)
             case _:
                 thing = solid(pick((*CONVEX, *NOT_CONVEX), rng=rng), rng=rng)
         things.append(enlarged(thing, between(1.3, 1.5, rng=rng)))
@@ -54,11 +59,13 @@ def _nested(rng: np.random.Generator) -> list[Thing]:
 
 
 def _several_media(rng: np.random.Generator) -> Thing:
-    match weigh({"drink": 0.55, "paperweight": 0.3, "onion": 0.15}, rng=rng):
+    match weigh({"drink": 0.5, "paperweight": 0.26, "onion": 0.12, "enclosed": 0.12}, rng=rng):
         case "drink":
             return filled_vessel(pick(tuple(VESSELS), rng=rng), rng=rng)
         case "paperweight":
             return paperweight(rng=rng)
+        case "enclosed":
+            return enclosed(rng=rng)
         case _:
             return onion(rng=rng)
 

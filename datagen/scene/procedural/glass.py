@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from datagen.scene.materials import Dielectric, RoughDielectric
+from datagen.scene.materials import Dielectric, RoughDielectric, ThinDielectric
 from datagen.scene.procedural.chance import between, happens, hue_color, pick, weigh
 from datagen.scene.substances import Ior
 from datagen.scene.values import Color
@@ -52,6 +52,18 @@ def vessel_glass(wall: float, *, rng: np.random.Generator) -> Dielectric:
     """Glass of a vessel: smooth, so that one sees what is in it; now and then tinted."""
     absorption = tint(4 * wall, rng=rng) if happens(0.25, rng=rng) else (0.0, 0.0, 0.0)
     return Dielectric(ior=pick(("soda-lime", "pyrex", "bk7"), rng=rng), absorption=absorption)
+
+
+def pane_glass(tinted: float, *, rng: np.random.Generator) -> ThinDielectric:
+    """Glass of a thin pane, clear or of any hue.
+
+    Args:
+        tinted: share of all draws that have a colour.
+    """
+    if not happens(tinted, rng=rng):
+        return ThinDielectric(ior=pick(("soda-lime", "acrylic"), rng=rng))
+    red, green, blue = (round(share, 3) for share in hue_color((0.35, 0.85), (0.8, 0.95), rng=rng))
+    return ThinDielectric(ior=pick(("soda-lime", "acrylic"), rng=rng), tint=(red, green, blue))
 
 
 def tint(thickness: float, *, rng: np.random.Generator) -> Color:

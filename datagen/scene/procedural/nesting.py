@@ -25,7 +25,7 @@ STONES = ("ball", "soft cube", "gem", "pebble", "ring", "ribbed ball", "drilled 
 def empty_vessel(kind: str, *, rng: np.random.Generator) -> Thing:
     """A glass without a drink."""
     vessel = VESSELS[kind](rng)
-    return Thing(words=_a(kind), objects=(_glass(kind, vessel, rng),))
+    return Thing(words=with_article(kind), objects=(_glass(kind, vessel, rng),))
 
 
 def filled_vessel(kind: str, *, rng: np.random.Generator) -> Thing:
@@ -38,7 +38,7 @@ def filled_vessel(kind: str, *, rng: np.random.Generator) -> Thing:
         _glass(kind, vessel, rng),
         SceneObject(name=f"{name}_drink", mesh=vessel.drink(level), material=medium),
     ]
-    words = f"{_a(kind)} of {liquid}"
+    words = f"{with_article(kind)} of {liquid}"
     if vessel.is_open:
         inside = weigh({"ice": 0.45, "stones": 0.35, "nothing": 0.2}, rng=rng)
         if kind == "tank" or (kind == "jar" and inside == "ice"):
@@ -56,7 +56,7 @@ def filled_vessel(kind: str, *, rng: np.random.Generator) -> Thing:
 def solid(kind: str, *, rng: np.random.Generator) -> Thing:
     """A body of one glass, now and then with bubbles."""
     mesh = make_solid(kind, rng=rng)
-    words = _a(kind)
+    words = with_article(kind)
     if kind in HOSTS and happens(0.2, rng=rng):
         mesh, words = with_bubbles(mesh, rng=rng), f"{words} with bubbles"
     material = solid_glass(0.05, rng=rng, is_cut=kind in CUT)
@@ -70,12 +70,12 @@ def paperweight(*, rng: np.random.Generator) -> Thing:
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     room = 0.62 * float((high - low).min()) / 2
     kind = pick(("ball", "soft cube", "pebble", "knot", "ring", "star", "ribbed ball"), rng=rng)
-    core = _fitted(make_solid(kind, rng=rng), room)
+    core = fitted(make_solid(kind, rng=rng), room)
     core = moved(core, (low + high) / 2)
     material, what = _core(rng)
     name = host.replace(" ", "_")
     return Thing(
-        words=f"{_a(host)} around {_a(kind)} of {what}",
+        words=f"{with_article(host)} around {with_article(kind)} of {what}",
         objects=(
             SceneObject(name=name, mesh=mesh, material=Dielectric(ior=clear_ior(rng=rng))),
             SceneObject(name=f"{name}_core", mesh=core, material=material),
@@ -137,7 +137,7 @@ def _stones(name: str, vessel: Vessel, level: float, rng: np.random.Generator) -
     room = 0.94 * (vessel.outer[-1][0] - vessel.wall) if vessel.is_box else vessel.inner_radius(level)
     size = {1: 0.42, 2: 0.46, 3: 0.42, 4: 0.38}[count] * room
     kinds = [pick(STONES, rng=rng) for _ in range(count)]
-    meshes = [standing(_fitted(make_solid(kind, rng=rng), size)) for kind in kinds]
+    meshes = [standing(fitted(make_solid(kind, rng=rng), size)) for kind in kinds]
     places = [(0.0, 0.0)]
     if count > 1:
         places = _places_in_circle([size] * count, room, rng)
@@ -147,7 +147,7 @@ def _stones(name: str, vessel: Vessel, level: float, rng: np.random.Generator) -
         objects.append(
             SceneObject(name=f"{name}_stone_{number}", mesh=moved(mesh, (x, y, vessel.floor + GAP)), material=material)
         )
-    return objects, _a(kinds[0]) if count == 1 else f"{count} stones"
+    return objects, with_article(kinds[0]) if count == 1 else f"{count} stones"
 
 
 def _places_in_circle(reaches: list[float], room: float, rng: np.random.Generator) -> list[tuple[float, float]]:
@@ -173,12 +173,12 @@ def _core(rng: np.random.Generator) -> tuple[Material, str]:
     return Dielectric(ior=heavy, absorption=tint(0.03, rng=rng), priority=ICE_PRIORITY), "heavier glass"
 
 
-def _fitted(mesh: Mesh, radius: float) -> Mesh:
+def fitted(mesh: Mesh, radius: float) -> Mesh:
     """The mesh around the origin, just as large as a ball of this radius."""
     middle = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2
     around = moved(mesh, (-float(middle[0]), -float(middle[1]), -float(middle[2])))
     return transformed(around, radius / float(np.linalg.norm(around.vertices, axis=-1).max()) * np.eye(3), (0, 0, 0))
 
 
-def _a(name: str) -> str:
+def with_article(name: str) -> str:
     return f"{'an' if name[0] in 'aeiou' else 'a'} {name}"

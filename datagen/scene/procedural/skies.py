@@ -29,7 +29,7 @@ def draw_sky(shows: str, *, rng: np.random.Generator) -> bytes:
 
 def draw_cards(*, rng: np.random.Generator) -> bytes:
     """The EXR of what lights a room through its open top: bright cards in a dim dome."""
-    return _exr(_cards, between(1.3, 1.6, rng=rng), rng)
+    return _exr(_cards_overhead, between(1.3, 1.6, rng=rng), rng)
 
 
 def map_directions(height: int) -> Directions:
@@ -64,19 +64,24 @@ def _studio(d: Directions, rng: np.random.Generator) -> Radiance:
 def _cards(d: Directions, rng: np.random.Generator) -> Radiance:
     """Bright rectangles, warm and cool, and one overhead; a dim dome behind them."""
     azimuth, elevation = _angles(d)
-    radiance = np.full(d.shape, 0.2)
+    radiance = np.full(d.shape, 0.5)
     count = int(rng.integers(3, 6))
     start = between(0, 2 * np.pi, rng=rng)
     for number in range(count):
         warm = between(-0.14, 0.14, rng=rng)
         middle = start + 2 * np.pi * (number + between(-0.3, 0.3, rng=rng)) / count
-        half, tall = np.radians(between(14, 30, rng=rng)), np.radians(between(24, 44, rng=rng))
-        bottom = np.radians(between(26, 40, rng=rng))
+        half, tall = np.radians(between(18, 34, rng=rng)), np.radians(between(30, 48, rng=rng))
+        bottom = np.radians(between(24, 36, rng=rng))
         across = half - np.abs((azimuth - middle + np.pi) % (2 * np.pi) - np.pi)
         card = _step(across, 0.015) * _step(elevation - bottom, 0.015) * _step(bottom + tall - elevation, 0.015)
-        radiance = radiance + card[..., None] * between(4, 9, rng=rng) * np.array([1 + warm, 1, 1 - warm])
+        radiance = radiance + card[..., None] * between(3, 7, rng=rng) * np.array([1 + warm, 1, 1 - warm])
     overhead = _step(d[..., 2] - between(0.94, 0.98, rng=rng), 0.01)[..., None]
     return radiance + overhead * between(3, 6, rng=rng)
+
+
+def _cards_overhead(d: Directions, rng: np.random.Generator) -> Radiance:
+    """Cards, and nothing where the floor of a room would hide it: the path tracer aims at no light in vain."""
+    return _cards(d, rng) * _step(d[..., 2] + 0.45, 0.1)[..., None]
 
 
 def _hall(d: Directions, rng: np.random.Generator) -> Radiance:
@@ -90,13 +95,13 @@ def _hall(d: Directions, rng: np.random.Generator) -> Radiance:
     start, bars = between(0, 2 * np.pi, rng=rng), int(rng.integers(3, 6))
     for side in range(2):
         turned = (azimuth - start - side * between(1.7, 2.6, rng=rng) + np.pi) % (2 * np.pi) - np.pi
-        u, v = turned / np.radians(between(28, 42, rng=rng)), (elevation - np.radians(14)) / np.radians(38)
+        u, v = turned / np.radians(between(32, 46, rng=rng)), (elevation - np.radians(14)) / np.radians(42)
         inside = _step(1 - np.abs(u), 0.02) * _step(v, 0.02) * _step(1 - v, 0.02)
         panes = _step(np.abs(np.sin(np.pi * bars * (u + 1) / 2)) - 0.12, 0.04) * _step(
             np.abs(np.sin(np.pi * 2 * v)) - 0.1, 0.04
         )
         outside = np.array([0.75, 0.9, 1.1]) * (0.6 + 0.6 * v[..., None])
-        radiance = radiance * (1 - inside[..., None]) + (inside * panes)[..., None] * between(5, 10, rng=rng) * outside
+        radiance = radiance * (1 - inside[..., None]) + (inside * panes)[..., None] * between(4, 8, rng=rng) * outside
     ceiling = _step(elevation - np.radians(62), 0.03)[..., None]
     return (1 - ceiling) * radiance + ceiling * 0.8
 
@@ -111,7 +116,7 @@ def _landscape(d: Directions, rng: np.random.Generator) -> Radiance:
     sun_height, sun_azimuth = np.radians(between(25, 60, rng=rng)), between(0, 2 * np.pi, rng=rng)
     across = np.cos(sun_height)
     sun = np.array([across * np.cos(sun_azimuth), across * np.sin(sun_azimuth), np.sin(sun_height)])
-    radiance = radiance + (np.exp(220 * (d @ sun - 1)) * 35)[..., None] * np.array([1.0, 0.92, 0.78])
+    radiance = radiance + (np.exp(100 * (d @ sun - 1)) * 16)[..., None] * np.array([1.0, 0.92, 0.78])
     around = np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros_like(azimuth)], axis=-1)
     for steep, color in ((0.20, (0.30, 0.42, 0.52)), (0.09, (0.16, 0.34, 0.10))):
         crest = steep * _noise(around, 3.0, rng) - 0.02

@@ -23,6 +23,7 @@ from datagen.scene.procedural.coverage import glass_shares
 from datagen.scene.procedural.drawing import Drawn, check_inside, draw_scene
 from datagen.scene.procedural.names import FAMILIES, RandomName, parse_random
 from datagen.scene.procedural.nesting import filled_vessel
+from datagen.scene.procedural.panes import PANES
 from datagen.scene.rig import make_cameras
 from datagen.scene.soundness import check_scene
 
@@ -144,6 +145,15 @@ def test_ice_that_reaches_into_its_glass_is_refused() -> None:
     shifted = dataclasses.replace(ice, mesh=moved(ice.mesh, (radius, 0, 0)))
     with pytest.raises(HyalineError, match=re.escape(f"here: {ice.name} reaches into tumbler")):
         check_inside([dataclasses.replace(thing, objects=(*thing.objects[:-1], shifted))], where="here")
+
+
+def test_a_pane_that_reaches_into_its_stand_is_refused() -> None:
+    thing = PANES["panes"](np.random.default_rng(0))
+    check_inside([thing], where="here")
+    stand, pane, *others = thing.objects
+    lowered = dataclasses.replace(pane, mesh=moved(pane.mesh, (0, 0, -0.01)))
+    with pytest.raises(HyalineError, match=f"here: {pane.name} reaches into {stand.name};"):
+        check_inside([dataclasses.replace(thing, objects=(stand, lowered, *others))], where="here")
 
 
 @pytest.mark.parametrize("name", ["random-0000", "random-0007", "random-table-0012", "random-nested-12345"])

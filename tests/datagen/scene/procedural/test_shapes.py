@@ -2,15 +2,22 @@
 
 import numpy as np
 import pytest
-from scipy.spatial import ConvexHull
+from scipy.spatial import ConvexHull, KDTree
 
 from datagen.data.meshes import Mesh, signed_volume
+from datagen.data.surface_points import points_on
 from datagen.data.windings import check_closed, check_solid, windings
+from datagen.scene.description import SceneObject
+from datagen.scene.materials import ThinDielectric
 from datagen.scene.modelling import ball, lathe
+from datagen.scene.procedural.families import draw_things
+from datagen.scene.procedural.names import FAMILIES, Family
 from datagen.scene.procedural.nesting import onion, paperweight
+from datagen.scene.procedural.panes import PANES, bauble, enclosed, glass_case
 from datagen.scene.procedural.placement import free_places
 from datagen.scene.procedural.sections import corners_of, polygon
 from datagen.scene.procedural.solids import CONVEX, NOT_CONVEX, hull, make_solid, with_bubbles
+from datagen.scene.procedural.thing import Thing, enlarged
 from datagen.scene.procedural.vessels import REACH, VESSELS
 
 
@@ -93,3 +100,62 @@ def test_places_keep_clear_of_each_other_and_close_together(seed: int) -> None:
             apart = np.linalg.norm(places[one] - places[other]) - reaches[one] - reaches[other]
             assert apart > 0.0118  # Places are rounded to a tenth of a millimetre.
     assert np.linalg.norm(places, axis=-1).max() < 4 * np.linalg.norm(reaches)
+
+
+def thin(thing: Thing) -> list[SceneObject]:
+    return [item for item in thing.objects if isinstance(item.material, ThinDielectric)]
+
+
+@pytest.mark.parametrize("kind", PANES)
+def test_a_thing_of_thin_glass_stands_and_its_panes_touch_nothing(kind: str) -> None:
+    for seed in range(4):
+        thing = PANES[kind](np.random.default_rng(seed))
+        assert thin(thing)
+        assert min(item.mesh.vertices[:, 2].min() for item in thing.objects) == pytest.approx(0, abs=1e-6)
+        for pane in thin(thing):
+            cloud = KDTree(points_on(pane.mesh, 4000).position)
+            for item in thing.objects:
+                if item is not pane:
+                    assert cloud.query(points_on(item.mesh, 4000).position)[0].min() > 0.0007
+
+
+def test_the_glass_of_a_frame_covers_its_opening_from_behind() -> None:
+    for seed in range(4):
+        frame, pane = PANES["frame"](np.random.default_rng(seed)).objects
+        bars = frame.mesh.vertices[frame.mesh.faces]
+        # Rays from the front through the plane of the glass: none passes between it and the bars.
+        low, high = pane.mesh.vertices.min(axis=0), pane.mesh.vertices.max(axis=0)
+        assert pane.mesh.vertices[:, 1].min() > frame.mesh.vertices[:, 1].max()
+        middle, depth = frame.mesh.vertices.mean(axis=0), frame.mesh.vertices[:, 1].mean()
+        border = np.array(
+            [[low[0], depth, middle[2]], [high[0], depth, middle[2]], [0, depth, low[2]], [0, depth, high[2]]]
+        )
+        assert windings(bars, border).tolist() == [1, 1, 1, 1]
+        assert windings(bars, np.array([[0, depth, middle[2]]])).tolist() == [0]
+
+
+def test_what_thin_glass_is_around_is_wholly_inside() -> None:
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        case, *inside = glass_case(of_glass=True, rng=rng).objects
+        high = case.mesh.vertices.max(axis=0)
+        for item in inside:
+            assert (np.abs(item.mesh.vertices[:, :2]) < high[:2] - 0.004).all()
+            assert (item.mesh.vertices[:, 2] < high[2] - 0.004).all()
+        shell, core = bauble(is_empty=False, rng=rng).objects
+        assert (windings(shell.mesh.vertices[shell.mesh.faces], core.mesh.vertices) == 1).all()
+
+
+def test_panes_are_clear_or_of_any_hue_and_keep_their_tint_in_any_size() -> None:
+    panes = [pane for seed in range(12) for pane in thin(PANES["panes"](np.random.default_rng(seed)))]
+    tints = [pane.material.tint for pane in panes if isinstance(pane.material, ThinDielectric)]
+    assert (1.0, 1.0, 1.0) in tints
+    assert {max(range(3), key=lambda channel: tint[channel]) for tint in tints if min(tint) < 1} == {0, 1, 2}
+    thing = enclosed(rng=np.random.default_rng(0))
+    assert [item.material for item in thin(enlarged(thing, 2.0))] == [item.material for item in thin(thing)]
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_every_family_draws_thin_glass(family: Family) -> None:
+    seeds = (draw_things(family, rng=np.random.default_rng(seed)) for seed in range(60))
+    assert any(thin(thing) for things in seeds for thing in things)
