@@ -86,12 +86,13 @@ class Surfaces:
     def tracer(self) -> "LightPathTracer":
         """What follows light through the scene, rough glass as if it were smooth. Call `use_mitsuba` first."""
         from datagen.trace.light_path import LightPathTracer
+        from datagen.trace.tints import tints_of
 
         smooth = (
             dataclasses.replace(material, roughness=0.0) if isinstance(material, RoughDielectric) else material
             for material in self.materials
         )
-        return LightPathTracer(self.meshes, tuple(smooth))
+        return LightPathTracer(self.meshes, tuple(smooth), tints_of(self.scene, own_uv=True))
 
     def _reflectance(
         self, color: Reflectance, uv: Float[np.ndarray, "hit 2"], position: Float[np.ndarray, "hit 3"]

@@ -172,14 +172,21 @@ def _absorbing_medium(medium: Medium) -> Plugin:
     return {"type": "homogeneous", "albedo": 0.0, "sigma_t": rgb(medium.absorption), "scale": 1.0}
 
 
+def linear_texels(
+    scene: Scene, mesh: Mesh, texture: SolidTexture | ImageTexture
+) -> Float32[np.ndarray, "tex_h tex_w 3"]:
+    """The linear reflectance of a texture in the mesh's uv, as it is rendered; row 0 is on top."""
+    if isinstance(texture, ImageTexture):
+        return linear_pixels(image_bytes(scene, texture), where=texture.path)
+    from datagen.scene.solid_textures import bake_texture
+
+    return bake_texture(texture, mesh, _texture_size(mesh))
+
+
 def _texture(scene: Scene, mesh: Mesh, color: Reflectance) -> Plugin:
     match color:
-        case SolidTexture():
-            from datagen.scene.solid_textures import bake_texture
-
-            return _bitmap(bake_texture(color, mesh, _texture_size(mesh)))
-        case ImageTexture():
-            return _bitmap(linear_pixels(image_bytes(scene, color), where=color.path))
+        case SolidTexture() | ImageTexture():
+            return _bitmap(linear_texels(scene, mesh, color))
         case _:
             return rgb(color)
 

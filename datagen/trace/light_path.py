@@ -30,6 +30,7 @@ from datagen.scene.materials import Material, check_material
 from datagen.scene.media import find_media
 from datagen.trace.branches import follow_branches
 from datagen.trace.surface_tables import make_tables
+from datagen.trace.tints import Tints
 
 RECORDINGS = 64
 """Kernels that a tracer keeps, one for each number of rays and limits."""
@@ -87,8 +88,14 @@ RED, GREEN, BLUE = range(3)
 class LightPathTracer:
     """A loaded geometry with the materials of its surfaces; follows any number of rays."""
 
-    def __init__(self, meshes: tuple[Mesh, ...], materials: tuple[Material | None, ...]) -> None:
-        """A surface whose material is None lets every ray through as it comes: its paths are straight layers."""
+    def __init__(
+        self, meshes: tuple[Mesh, ...], materials: tuple[Material | None, ...], tints: Tints | None = None
+    ) -> None:
+        """A surface whose material is None lets every ray through as it comes: its paths are straight layers.
+
+        Args:
+            tints: of metals with a texture, in the uv of `meshes`; without one, a metal mirrors all light.
+        """
         import drjit as dr
         import mitsuba as mi
 
@@ -107,7 +114,8 @@ class LightPathTracer:
         kept_materials = tuple(materials[index] for index in kept)
         self._scene = load_geometry_mitsuba(meshes)
         self._media = find_media(kept_materials, meshes)
-        self._tables = make_tables(meshes, kept_materials, self._media)
+        kept_tints = tuple(None if tints is None else tints[index] for index in kept)
+        self._tables = make_tables(meshes, kept_materials, self._media, kept_tints)
         self._iors = [mi.Float(np.ascontiguousarray(self._media.iors[:, channel])) for channel in range(3)]
         self._spread: dict[int, list[mi.Float]] = {}
         # Recording a kernel takes as long as running it for 8,192 rays: it is done once for each number of rays and

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from datagen.render.facets import facet_towards, mirrored_by, refracted_by
 from datagen.scene.media import Media, medium_of, with_solid, without_solid
 from datagen.trace.surface_tables import COATED, DIELECTRIC, METAL, THIN, SurfaceTables
+from datagen.trace.tints import TintTables, look_up_tint
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -208,6 +209,8 @@ def bounce_of(kernel: Kernel, hit: Hit, sides: Sides, d, step) -> Bounce:
 
     color = mi.Color3f(*(dr.gather(mi.Float, table, hit.shape, hit.counts) for table in tables.color))
     is_metal = sides.kind == METAL
+    if tables.tints is not None:
+        color *= look_up_tint(TintTables(*tables.tints), hit.shape, hit.uv, hit.counts)
     coated = hit.counts & ((sides.kind == COATED) | is_metal)
     has_facets = coated | borders if tables.has_rough_glass else coated
     alpha = dr.gather(mi.Float, tables.roughness, hit.shape, has_facets)

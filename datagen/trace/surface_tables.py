@@ -11,6 +11,7 @@ from datagen.data.meshes import Mesh
 from datagen.scene.materials import Material
 from datagen.scene.materials.optics import Event, Surface
 from datagen.scene.media import Media
+from datagen.trace.tints import Tints, make_tint_tables
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -50,9 +51,13 @@ class SurfaceTables(NamedTuple):
     has_rough_glass: bool
     disperses: bool
     """Some medium parts colours."""
+    tints: tuple | None
+    """Those of `TintTables`, a plain tuple: a frozen function of Dr.Jit looks into no other."""
 
 
-def make_tables(meshes: tuple[Mesh, ...], materials: tuple[Material | None, ...], media: Media) -> SurfaceTables:
+def make_tables(
+    meshes: tuple[Mesh, ...], materials: tuple[Material | None, ...], media: Media, tints: Tints
+) -> SurfaceTables:
     """The tables of a scene's objects; a surface without material is a pane of air."""
     import mitsuba as mi
 
@@ -62,6 +67,7 @@ def make_tables(meshes: tuple[Mesh, ...], materials: tuple[Material | None, ...]
     def corners(values: list[np.ndarray]) -> "mi.Float":
         return mi.Float(np.concatenate(values).ravel())
 
+    tint_tables = make_tint_tables(tints)
     surfaces = [NO_SURFACE if material is None else material.surface() for material in materials]
     first_face = np.cumsum([0, *(len(mesh.faces) for mesh in meshes)])[:-1]
     return SurfaceTables(
@@ -79,4 +85,5 @@ def make_tables(meshes: tuple[Mesh, ...], materials: tuple[Material | None, ...]
         uv=corners([mesh.uv[mesh.faces] for mesh in meshes]),
         has_rough_glass=any(surface.event == "refracts" and surface.roughness > 0 for surface in surfaces),
         disperses=bool(media.parts_colors.any()),
+        tints=None if tint_tables is None else tuple(tint_tables),
     )

@@ -83,6 +83,7 @@ def web_scene(renderer: Renderer, config: MethodConfig, dataset: Dataset, geomet
 def _draw(renderer: Renderer, config: MethodConfig, scene: Scene) -> Drawn:
     if isinstance(renderer, LightPathRenderer):
         surfaces = [item.material.surface() for item in scene.objects]
+        check_metals(scene)
         media = [item.material.medium for item in scene.objects if item.material.medium is not None]
         return draw_light_path(renderer, surfaces, media)
     if isinstance(renderer, PaperRenderer) and isinstance(config, PaperConfig):
@@ -91,6 +92,20 @@ def _draw(renderer: Renderer, config: MethodConfig, scene: Scene) -> Drawn:
         f"export: the run is one of {type(renderer).__name__}; expected light-path, paper or mlp-first, which a page "
         "can draw"
     )
+
+
+def check_metals(scene: Scene) -> None:
+    """Refuses metal with a texture, whose mirror images a page would draw in a wrong colour.
+
+    Raises:
+        HyalineError: naming the object.
+    """
+    for item in scene.objects:
+        if item.material.surface().texture is not None:
+            raise HyalineError(
+                f"export: object {item.name} is metal with a texture, and a page draws metal of one colour; "
+                "`model render` draws both"
+            )
 
 
 def _lens(dataset: Dataset) -> dict[str, Json]:

@@ -126,7 +126,7 @@ class Mapper:
             self.remarks.approximate(where, f"is {100 * foreign.metallic:.0f} % metal; drawn as {kind}")
         if foreign.metallic >= 0.5:
             roughness = 0.0 if foreign.roughness**2 < MIN_ALPHA else alpha
-            return Conductor(color=self._flat_color(foreign, where=where), roughness=roughness)
+            return Conductor(color=self._reflectance(foreign, shape, where=where), roughness=roughness)
         color = self._reflectance(foreign, shape, where=where)
         if foreign.roughness < MATT:
             return Plastic(color=color, ior=foreign.ior, roughness=alpha)

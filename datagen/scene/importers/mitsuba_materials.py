@@ -173,9 +173,11 @@ def _conductor(node: Node, remarks: Remarks) -> FoundMaterial:
     scale = node.color("specular_reflectance", 1.0) if node.child("specular_reflectance") is None else (1.0, 1.0, 1.0)
     red, green, blue = (a * b for a, b in zip(color, scale, strict=True))
     roughness = _facets(node, remarks) if node.plugin == "roughconductor" else 0.0
-    return _plain(
-        ForeignMaterial(name=node.name, base_color=_clipped((red, green, blue)), metallic=1.0, roughness=roughness)
-    )
+    metal = ForeignMaterial(name=node.name, base_color=_clipped((red, green, blue)), metallic=1.0, roughness=roughness)
+    if node.child("specular_reflectance") is None:
+        return _plain(metal)
+    found = _colored(metal, node, "specular_reflectance", 1.0, remarks)
+    return replace(found, material=replace(found.material, base_color=metal.base_color))
 
 
 def _principled(node: Node, remarks: Remarks) -> FoundMaterial:

@@ -40,6 +40,8 @@ class Surface:
     """Microfacet (GGX) alpha of a coat, a metal, or of solid glass; 0 is smooth."""
     color: Color = (1.0, 1.0, 1.0)
     """Share that a metal mirrors, or that a pane lets through of what it does not mirror."""
+    texture: SolidTexture | ImageTexture | None = None
+    """Where that share of a metal differs from place to place: times `color`."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -286,12 +286,15 @@ def _load_surfaces(key: GeometryKey, shells: int) -> _Surfaces:
     # The tracer's module can be imported only when Mitsuba has its variant.
     use_mitsuba()
     from datagen.trace.light_path import LightPathTracer
+    from datagen.trace.tints import tints_of
 
-    materials = tuple(item.material for item in load_scene(key.dataset.root / "scene", is_sealed=True).objects)
+    scene = load_scene(key.dataset.root / "scene", is_sealed=True)
+    materials = tuple(item.material for item in scene.objects)
+    tints = tints_of(scene, own_uv=key.geometry == TRUTH)
     meshes = read_meshes(key.dataset, key.geometry)
     nested = nest_shells(meshes, shells)
     return _Surfaces(
-        tracer=LightPathTracer(meshes, materials),
+        tracer=LightPathTracer(meshes, materials, tints),
         straight_tracer=LightPathTracer(nested, (None,) * len(nested)) if nested else None,
         is_opaque=np.array([False, *(not material.is_glass for material in materials)]),
     )

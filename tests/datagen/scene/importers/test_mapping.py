@@ -19,6 +19,7 @@ from datagen.scene.importers.mapping import Mapper
 from datagen.scene.importers.remarks import Remarks
 from datagen.scene.importers.surfaces import Shape
 from datagen.scene.materials import Conductor, Dielectric, Diffuse, Material, Plastic, RoughDielectric, ThinDielectric
+from datagen.scene.textures import ImageTexture
 
 CLOSED = Shape(is_closed=True, has_uv=True, chord=0.02)
 OPEN = Shape(is_closed=False, has_uv=True, chord=0.0)
@@ -190,7 +191,7 @@ def test_each_thing_that_is_not_drawn_is_a_line(tmp_path: Path) -> None:
         read_gltf(builder.written(tmp_path), Remarks(is_strict=True))
 
 
-def test_an_image_is_multiplied_by_its_factor_and_metal_gets_its_mean(tmp_path: Path) -> None:
+def test_an_image_is_multiplied_by_its_factor_on_plastic_and_metal_and_glass_gets_its_mean(tmp_path: Path) -> None:
     picture = Image.new("RGB", (4, 4), (255, 255, 255))
     picture.paste((0, 0, 0), (0, 0, 4, 2))
     buffer = io.BytesIO()
@@ -198,21 +199,24 @@ def test_an_image_is_multiplied_by_its_factor_and_metal_gets_its_mean(tmp_path: 
     builder = GltfBuilder()
     image = builder.add("images", {"bufferView": builder.view(buffer.getvalue()), "mimeType": "image/png"})
     use = {"index": builder.add("textures", {"source": image})}
-    for metallic in (0.0, 1.0):
+    for metallic, extensions in ((0.0, {}), (1.0, {}), (0.0, THIN)):
         pbr = clear(metallicFactor=metallic, baseColorTexture=use, baseColorFactor=[1.0, 0.5, 0.0, 1.0])
-        builder.node(mesh=builder.mesh(material=builder.material(pbrMetallicRoughness=pbr), has_uv=True))
+        material = builder.material(pbrMetallicRoughness=pbr, extensions=extensions)
+        builder.node(mesh=builder.mesh(material=material, has_uv=True))
     mapper = Mapper(metres=1.0, thin="open", remarks=Remarks())
-    matt, metal = (
-        mapper.material(item.material, CLOSED, where="thing")
+    matt, metal, pane = (
+        mapper.material(item.material, OPEN, where="thing")
         for item in read_gltf(builder.written(tmp_path), Remarks()).objects
         if isinstance(item.material, ForeignMaterial)
     )
     assert isinstance(matt, Plastic) and isinstance(metal, Conductor)
-    (png,) = mapper.images.values()
-    pixels = np.asarray(Image.open(io.BytesIO(png)))
-    # Half of linear white is 188 in sRGB.
-    assert pixels[0, 0].tolist() == [0, 0, 0] and pixels[3, 0].tolist() == [255, 188, 0]
-    np.testing.assert_allclose(metal.color, [0.5, 0.25, 0.0], atol=1e-6)
+    for color in (matt.color, metal.color):
+        assert isinstance(color, ImageTexture)
+        pixels = np.asarray(Image.open(io.BytesIO(mapper.images[color.path])))
+        # Half of linear white is 188 in sRGB.
+        assert pixels[0, 0].tolist() == [0, 0, 0] and pixels[3, 0].tolist() == [255, 188, 0]
+    assert isinstance(pane, ThinDielectric)
+    np.testing.assert_allclose(pane.tint, [0.5, 0.25, 0.0], atol=1e-6)
 
 
 def test_the_mean_way_through_a_solid_is_four_volumes_over_its_surface() -> None:
