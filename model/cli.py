@@ -209,6 +209,7 @@ def export(
     run: Path,
     out: Path = Path("scene.html"),
     quality: Literal["small", "exact"] = "small",
+    truths: Literal["all", "test", "none"] = "all",
     dataset: str | None = None,
     overwrite: bool = False,
 ) -> None:
@@ -217,7 +218,9 @@ def export(
     Args:
         run: Folder of a trained run of light-path, paper or mlp-first.
         out: The page; a file that stands there is kept.
-        quality: small keeps a texel in 8 bits; exact keeps every number as it is, in about three times the bytes.
+        quality: small keeps numbers in few bits; exact keeps each as it is, in about five times the bytes.
+        truths: Which views' pictures by the path tracer the page can fade over its own: those of test and training
+            views, of test views alone, or none.
         dataset: Dataset folder, or its name under data/. Default: where the run found it.
         overwrite: Replace a file that stands at --out.
     """
@@ -228,7 +231,7 @@ def export(
     if not overwrite:
         refuse_file(out)
     record, opened = open_trained(run, dataset)
-    export_run(run, record, opened, out, quality)
+    export_run(run, record, opened, out, quality, truths)
     tell(str(out))
 
 

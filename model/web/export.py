@@ -13,8 +13,10 @@ import re
 from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
-from typing import cast
+from typing import Literal, cast
 
+import numpy as np
+from jaxtyping import UInt8
 from PIL import Image
 
 from datagen.data.dataset import Dataset
@@ -34,6 +36,7 @@ from model.web.scene import web_scene
 SCRIPTS = (
     "vectors.js",
     "unpack.js",
+    "floats.js",
     "bvh.js",
     "camera.js",
     "objects.js",
@@ -50,14 +53,16 @@ SCRIPTS = (
 METHODS = ("light-path", "paper", "mlp-first")
 """Whose runs a page can draw."""
 
-TRUTH_QUALITY = 92
-"""Of JPEG: the eye sees no difference, and a test view of the demo takes 9 kB."""
+Truths = Literal["all", "test", "none"]
+"""Of which views the page has the path tracer's picture."""
 
 MAX_PICTURE = 1 << 26
 """Bytes of the still picture."""
 
 
-def export_run(run: Path, record: RunRecord, dataset: Dataset, out: Path, quality: Quality) -> None:
+def export_run(
+    run: Path, record: RunRecord, dataset: Dataset, out: Path, quality: Quality, truths: Truths = "all"
+) -> None:
     """Writes the page of a trained run.
 
     Raises:
@@ -79,6 +84,7 @@ def export_run(run: Path, record: RunRecord, dataset: Dataset, out: Path, qualit
         quality,
         label=record.label,
         still=read_regular(still, at_most=MAX_PICTURE),
+        truths=truths,
     )
     commit(out, page)
 
@@ -92,15 +98,17 @@ def scene_page(
     *,
     label: str,
     still: bytes,
+    truths: Truths = "all",
 ) -> bytes:
     """The page of a renderer.
 
     Args:
         label: of the run.
         still: a PNG, shown until the first picture is drawn, and where none can be.
+        truths: which of the path tracer's pictures may be faded over the page's own.
     """
     scene = web_scene(renderer, config, dataset, geometry, quality)
-    manifest = {**scene.manifest, "arrays": scene.packed.entries, "truth": cast(Json, _truths(dataset))}
+    manifest = {**scene.manifest, "arrays": scene.packed.entries, "truth": cast(Json, _truths(dataset, truths))}
     script = '"use strict";\n(() => {\n' + "\n".join(_part(name) for name in SCRIPTS) + "})();\n"
     style = _part("page.css")
     title = f"{dataset.name}: {label}"
@@ -127,18 +135,31 @@ def scene_page(
     ).encode()
 
 
-def _truths(dataset: Dataset) -> dict[str, str]:
-    """The path tracer's picture of each test view that is built, to be faded over the page's; by split/view."""
-    found = {}
-    for split in dataset.splits:
-        for view in [] if split == "train" else dataset.views(split):
-            if view.is_built:
-                buffer = io.BytesIO()
-                Image.fromarray(view.image).save(buffer, format="JPEG", quality=TRUTH_QUALITY, subsampling=0)
-                found[f"{split}/{view.index}"] = (
-                    "data:image/jpeg;base64," + base64.b64encode(buffer.getvalue()).decode()
-                )
-    return found
+def _truths(dataset: Dataset, truths: Truths) -> dict[str, str]:
+    """The path tracer's picture of each view that is built, by split/view."""
+    splits = {"all": dataset.splits, "test": [split for split in dataset.splits if split != "train"], "none": []}
+    return {
+        f"{split}/{view.index}": _training_picture(view.image) if split == "train" else _test_picture(view.image)
+        for split in splits[truths]
+        for view in dataset.views(split)
+        if view.is_built
+    }
+
+
+def _test_picture(image: UInt8[np.ndarray, "h w 3"]) -> str:
+    """The eye sees no difference; a view of the demo takes 9 kB."""
+    return _address(image, "jpeg", quality=92, subsampling=0)
+
+
+def _training_picture(image: UInt8[np.ndarray, "h w 3"]) -> str:
+    """Of these there are many: a quarter of the bytes, at 31 dB."""
+    return _address(image, "webp", quality=75, method=6)
+
+
+def _address(image: UInt8[np.ndarray, "h w 3"], kind: str, **how: int) -> str:
+    buffer = io.BytesIO()
+    Image.fromarray(image).save(buffer, format=kind, **how)
+    return f"data:image/{kind};base64," + base64.b64encode(buffer.getvalue()).decode()
 
 
 def fill(template: str, parts: Mapping[str, str]) -> str:

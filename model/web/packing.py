@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float32, Shaped, UInt32
+from jaxtyping import Float32, Shaped, UInt16, UInt32
 
 from datagen.disk.records import Json
 
@@ -15,6 +15,12 @@ Quality = Literal["small", "exact"]
 
 DTYPES = ("uint8", "uint16", "uint32", "float32", "float64")
 """What unpack.js reads."""
+
+MEMORY = 6
+"""Of zlib: few numbers share a table of codes, which fits them better than one for more."""
+
+POSITION_STEPS = 0xFFFF
+"""Of a vertex, along each side of its object's box."""
 
 NORMAL_STEPS = 0xFFFFFE
 """Of a coordinate of an octahedral normal in 24 bits: an even number, so that 0 is one of them."""
@@ -32,14 +38,17 @@ class Packed:
         """One more array.
 
         Args:
-            differences: store how each row differs from the one before it, of whole numbers that grow together.
+            differences: store how each row differs from the one before it, of whole numbers that change little.
         """
         assert values.dtype.name in DTYPES
         self.entries.append(
             {"name": name, "dtype": values.dtype.name, "shape": list(values.shape), "differences": differences}
         )
         if differences:
-            values = np.diff(values, axis=0, prepend=np.zeros_like(values[:1]))
+            # In as many bits as the numbers have: a difference that does not fit wraps around, there and back.
+            signed = np.dtype(f"i{values.itemsize}")
+            steps = np.diff(values, axis=0, prepend=np.zeros_like(values[:1])).view(signed)
+            values = ((steps << 1) ^ (steps >> (8 * values.itemsize - 1))).view(values.dtype)
         rows = values.reshape(-1, values.shape[-1] if values.ndim > 1 else 1)
         # Equal bytes of numbers that belong together lie side by side: they deflate well.
         raw = np.ascontiguousarray(rows).view(np.uint8).reshape(len(rows), rows.shape[1], values.itemsize)
@@ -47,7 +56,8 @@ class Packed:
 
     def text(self) -> str:
         """All arrays, as unpack.js reads them; equal arrays give equal text."""
-        return base64.b64encode(zlib.compress(b"".join(self.parts), 9)).decode()
+        packer = zlib.compressobj(9, zlib.DEFLATED, zlib.MAX_WBITS, MEMORY, zlib.Z_FILTERED)
+        return base64.b64encode(packer.compress(b"".join(self.parts)) + packer.flush()).decode()
 
 
 def fold_normals(normals: Float32[np.ndarray, "vertex 3"]) -> Float32[np.ndarray, "vertex 2"]:
@@ -61,3 +71,16 @@ def fold_normals(normals: Float32[np.ndarray, "vertex 3"]) -> Float32[np.ndarray
 def quantize_normals(normals: Float32[np.ndarray, "vertex 3"]) -> UInt32[np.ndarray, "vertex 2"]:
     """The same in 24 bits each way: in 16, refraction through curved glass would lose 4 dB."""
     return np.rint((fold_normals(normals).astype(np.float64) + 1) / 2 * NORMAL_STEPS).astype(np.uint32)
+
+
+def quantize_positions(
+    vertices: Float32[np.ndarray, "vertex 3"],
+) -> tuple[UInt16[np.ndarray, "vertex 3"], list[float], list[float]]:
+    """Positions as whole numbers, the corner of their box, and how long a step is; where a side is flat it is 0."""
+    if not len(vertices):
+        return np.zeros((0, 3), np.uint16), [0.0] * 3, [0.0] * 3
+    wide = vertices.astype(np.float64)
+    low = wide.min(axis=0)
+    step = np.ptp(wide, axis=0) / POSITION_STEPS
+    codes = np.rint((wide - low) / np.where(step > 0, step, 1)).astype(np.uint16)
+    return codes, low.tolist(), step.tolist()

@@ -267,6 +267,7 @@ async function open() {
   if (typeof DecompressionStream === "undefined") throw new Error("This browser is too old to unpack the scene (no DecompressionStream).");
   const manifest = JSON.parse(element("manifest").textContent), data = element("data");
   const scene = { manifest, arrays: await unpack(manifest.arrays, data.textContent) };
+  scene.arrays.vertices = vertexFloats(scene.arrays, manifest);
   data.remove();
   element("status").textContent = "Sorting the surfaces …";
   const page = new Page(scene, await buildTrees(scene), element("shader").textContent);

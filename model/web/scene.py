@@ -10,7 +10,7 @@ import torch
 from datagen.data.dataset import Dataset
 from datagen.data.geometries import read_meshes
 from datagen.data.meshes import Mesh, is_there, open_edges
-from datagen.data.number_formats import quantize_uv
+from datagen.data.number_formats import quantize_uv, round_mantissa
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import Json
 from datagen.scene.description import CameraRig, Scene
@@ -22,7 +22,7 @@ from model.methods.protocol import MethodConfig
 from model.methods.renderer import Renderer
 from model.web.drawn import Drawn
 from model.web.light_path import draw_light_path
-from model.web.packing import Packed, Quality, fold_normals, quantize_normals
+from model.web.packing import Packed, Quality, fold_normals, quantize_normals, quantize_positions
 from model.web.paper import draw_paper
 from model.web.texels import Places, add_texels
 
@@ -46,12 +46,13 @@ def web_scene(renderer: Renderer, config: MethodConfig, dataset: Dataset, geomet
     meshes = read_meshes(dataset, geometry)
     drawn = _draw(renderer, config, scene)
     packed = Packed()
-    _add_meshes(packed, meshes, quality, with_normals=bool(drawn.defines["NORMALS"]))
+    boxes = _add_meshes(packed, meshes, quality, with_normals=bool(drawn.defines["NORMALS"]))
     with torch.inference_mode():
         # A learned relief shifts look-ups to anywhere.
         charted = None if drawn.relief else [mesh for mesh in meshes for _ in range(drawn.shells)]
         places = add_texels(packed, drawn.textures, quality, charted)
-    packed.add("weights", np.concatenate(drawn.weights))
+    weights = np.concatenate(drawn.weights)
+    packed.add("weights", round_mantissa(weights) if quality == "small" else weights)
     views: dict[str, Json] = {}
     for split in dataset.splits:
         cameras = dataset.cameras(split)
@@ -59,7 +60,7 @@ def web_scene(renderer: Renderer, config: MethodConfig, dataset: Dataset, geomet
         views[split] = len(cameras)
     target, reach = _orbit(scene, dataset)
     manifest: dict[str, Json] = {
-        "schema": 2,
+        "schema": 3,
         "name": dataset.name,
         "quality": quality,
         "samples": drawn.samples,
@@ -75,7 +76,7 @@ def web_scene(renderer: Renderer, config: MethodConfig, dataset: Dataset, geomet
             "LEVELS": len(places[0]),
             "FEATURE_TEXELS": drawn.features // 4,
         },
-        "objects": _objects(scene, meshes, drawn, places),
+        "objects": [{**item, **box} for item, box in zip(_objects(scene, meshes, drawn, places), boxes)],
     }
     return WebScene(manifest=manifest, packed=packed, shaders=drawn.shaders)
 
@@ -128,9 +129,9 @@ def _orbit(scene: Scene, dataset: Dataset) -> tuple[list[Json], float]:
     return [float(value) for value in target], float(np.linalg.norm(places - target, axis=1).mean() / 2)
 
 
-def _objects(scene: Scene, meshes: tuple[Mesh, ...], drawn: Drawn, places: Places) -> list[Json]:
+def _objects(scene: Scene, meshes: tuple[Mesh, ...], drawn: Drawn, places: Places) -> list[dict[str, Json]]:
     """What the page is told of each object, in the order of their ids."""
-    listed: list[Json] = []
+    listed: list[dict[str, Json]] = []
     first_vertex = first_face = 0
     for index, (item, mesh) in enumerate(zip(scene.objects, meshes, strict=True)):
         surface, medium = item.material.surface(), item.material.medium
@@ -159,13 +160,24 @@ def _objects(scene: Scene, meshes: tuple[Mesh, ...], drawn: Drawn, places: Place
     return listed
 
 
-def _add_meshes(packed: Packed, meshes: tuple[Mesh, ...], quality: Quality, *, with_normals: bool) -> None:
+def _add_meshes(
+    packed: Packed, meshes: tuple[Mesh, ...], quality: Quality, *, with_normals: bool
+) -> list[dict[str, Json]]:
+    """Adds all meshes, one behind the other; what the page has to know of each to place its vertices."""
+
     def joined(name: str) -> np.ndarray:
         return np.concatenate([getattr(mesh, name) for mesh in meshes])
 
-    packed.add("vertices", joined("vertices"))
+    is_small, boxes = quality == "small", [{} for _ in meshes]
+    if is_small:
+        codes, lows, steps = zip(*(quantize_positions(mesh.vertices) for mesh in meshes), strict=True)
+        packed.add("vertices", np.concatenate(codes), differences=True)
+        boxes = [{"low": cast(Json, low), "step": cast(Json, step)} for low, step in zip(lows, steps)]
+    else:
+        packed.add("vertices", joined("vertices"))
     packed.add("faces", joined("faces").astype(np.uint32), differences=True)
     normals, uv = joined("normals"), joined("uv")
     if with_normals:
-        packed.add("normals", quantize_normals(normals) if quality == "small" else fold_normals(normals))
-    packed.add("uv", quantize_uv(uv) if quality == "small" else uv)
+        packed.add("normals", quantize_normals(normals) if is_small else fold_normals(normals), differences=is_small)
+    packed.add("uv", quantize_uv(uv) if is_small else uv, differences=is_small)
+    return boxes

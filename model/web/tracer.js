@@ -279,29 +279,3 @@ class Tracer {
     return above;
   }
 }
-
-// Normals, where the shader wants them, and uv.
-function vertexTable(arrays) {
-  const count = arrays.uv.length / 2, table = new Float32Array(4 * count), { normals } = arrays;
-  const normalScale = normals instanceof Uint32Array ? 2 / 0xfffffe : 0, uvScale = arrays.uv instanceof Float32Array ? 1 : 1 / 65535;
-  for (let i = 0; i < count; i++)
-    for (let axis = 0; axis < 2; axis++) {
-      const code = normals ? normals[2 * i + axis] : 0;
-      table[4 * i + axis] = normalScale ? code * normalScale - 1 : code;
-      table[4 * i + 2 + axis] = arrays.uv[2 * i + axis] * uvScale;
-    }
-  return table;
-}
-
-// Texels as floats: they are so already, or bytes with a scale for each channel of each texture.
-function texelTable(arrays, manifest) {
-  if (arrays.texels instanceof Float32Array) return arrays.texels;
-  const channels = 4 * manifest.defines.FEATURE_TEXELS, table = new Float32Array(arrays.texels.length);
-  manifest.objects.flatMap((object) => object.texels).forEach(([[base, size]], texture) => {
-    for (let i = channels * base; i < channels * (base + size * size); i++) {
-      const at = texture * channels + (i % channels);
-      table[i] = arrays.texelLow[at] + arrays.texelStep[at] * arrays.texels[i];
-    }
-  });
-  return table;
-}

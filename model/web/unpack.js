@@ -24,8 +24,13 @@ function sortBack(bytes, offset, entry) {
     for (let b = 0; b < width; b++, offset += rows)
       for (let r = 0, to = c * width + b; r < rows; r++, to += last * width) raw[to] = bytes[offset + r];
   const values = new kind(raw.buffer);
-  if (entry.differences) for (let i = last; i < count; i++) values[i] += values[i - last];
+  if (entry.differences) for (let i = 0; i < count; i++) values[i] = unfolded(values[i]) + (i < last ? 0 : values[i - last]);
   return values;
+}
+
+// 0, 1, 2, 3, 4, ... as 0, -1, 1, -2, 2, ...
+function unfolded(code) {
+  return (code >>> 1) ^ -(code & 1);
 }
 
 async function unpack(entries, text) {

@@ -37,6 +37,9 @@ LIGHT_PATH = TrainConfig(
 )
 
 
+ALL_VIEWS = [f"{split}/{view}" for split in ("extrapolating", "interpolating", "train") for view in (0, 1)]
+
+
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     return write_synthetic_dataset(tmp_path_factory.mktemp("export") / "data" / "synthetic", train_views=2)
@@ -51,6 +54,13 @@ def trained(config: TrainConfig, dataset: Dataset, out: Path) -> Path:
     return out
 
 
+def truths_of(page: bytes) -> list[str]:
+    """The views whose pictures a page has."""
+    listed = re.search(rb'id="manifest">(.*?)</script>', page)
+    assert listed is not None
+    return sorted(json.loads(listed[1])["truth"])
+
+
 def test_a_run_becomes_one_page_of_the_same_bytes_each_time_and_replaces_no_file_unasked(
     dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -62,11 +72,7 @@ def test_a_run_becomes_one_page_of_the_same_bytes_each_time_and_replaces_no_file
     data = pages[0].read_bytes()
     assert data == pages[1].read_bytes()
     assert data.startswith(b"<!doctype html>")
-    listed = re.search(rb'id="manifest">(.*?)</script>', data)
-    assert listed is not None
-    assert sorted(json.loads(listed[1])["truth"]) == [
-        f"{split}/{view}" for split in ("extrapolating", "interpolating") for view in (0, 1)
-    ]
+    assert truths_of(data) == ALL_VIEWS
     assert b"http://" not in data
     assert b"https://" not in data
     assert call(monkeypatch, "export", "--run", str(run), "--out", str(pages[0])) == 1
@@ -74,6 +80,15 @@ def test_a_run_becomes_one_page_of_the_same_bytes_each_time_and_replaces_no_file
     (run / "predictions" / "interpolating" / "0000.png").unlink()
     assert call(monkeypatch, "export", "--run", str(run), "--out", str(pages[0]), "--overwrite") == 1
     assert "render it with `model render" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("truths", "views"), [("test", ALL_VIEWS[:4]), ("none", [])])
+def test_a_page_has_the_truths_that_are_asked_for(
+    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, truths: str, views: list[str]
+) -> None:
+    run, page = trained(LIGHT_PATH, dataset, tmp_path / "run"), tmp_path / "page.html"
+    assert call(monkeypatch, "export", "--run", str(run), "--out", str(page), "--truths", truths) == 0
+    assert truths_of(page.read_bytes()) == views
 
 
 def test_a_run_of_another_method_is_refused(

@@ -1,4 +1,4 @@
-"""Tests which texels a page may leave out."""
+"""Tests which texels a page may leave out, and how it stores the others."""
 
 import numpy as np
 import pytest
@@ -6,6 +6,7 @@ import torch
 
 from datagen.data.meshes import Mesh, no_mesh
 from model.nets.texture import bilinear_taps, object_layout
+from model.web.prediction import residuals, zigzag
 from model.web.texels import touched_texels
 
 
@@ -36,3 +37,38 @@ def test_every_texel_that_a_look_up_reads_counts_and_most_others_do_not(size: in
 
 def test_of_a_mesh_without_faces_no_texel_counts() -> None:
     assert not touched_texels(no_mesh(), 9).any()
+
+
+def guess(known: np.ndarray, y: int, x: int, c: int) -> int:
+    """From the neighbours of a texel that are read before it."""
+    if y == 0 or x == 0:
+        return int(known[y, x - 1, c] if x else known[y - 1, x, c] if y else 0)
+    left, above, corner = (int(known[at][c]) for at in ((y, x - 1), (y - 1, x), (y - 1, x - 1)))
+    return min(max(left + above - corner, min(left, above)), max(left, above))
+
+
+@pytest.mark.parametrize("shape", [(1, 1, 2), (1, 5, 1), (6, 1, 1), (5, 9, 3), (9, 5, 2)])
+def test_texels_are_read_back_from_what_their_guesses_leave_and_of_others_nothing_is_left(
+    shape: tuple[int, int, int],
+) -> None:
+    rng = np.random.default_rng(sum(shape))
+    codes = rng.integers(-8191, 8192, shape).astype(np.int32)
+    counts = rng.random(shape[:2]) < 0.7
+    left_over = residuals(codes, counts)
+    read = np.zeros_like(codes)
+    for y, x, c in np.ndindex(shape):
+        read[y, x, c] = guess(read, y, x, c) + left_over[y, x, c]
+    assert np.array_equal(read[counts], codes[counts])
+    assert not left_over[~counts].any()
+    assert zigzag(left_over).max() < 1 << 16
+
+
+def test_of_upright_stripes_nothing_is_left_but_their_first_row() -> None:
+    codes = np.tile(np.random.default_rng(1).integers(-90, 90, 7), (6, 1))[..., None].astype(np.int32)
+    left_over = residuals(codes, np.ones((6, 7), bool))
+    assert left_over[0].any()
+    assert not left_over[1:].any()
+
+
+def test_little_numbers_of_both_signs_become_little_numbers() -> None:
+    assert zigzag(np.array([0, -1, 1, -2, 2], np.int32)).tolist() == [0, 1, 2, 3, 4]
