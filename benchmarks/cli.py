@@ -10,7 +10,7 @@ from datagen.terminal.command import run, unwrap_help
 
 DESCRIPTION = (
     "Measure speed: rivals by turns in one process, checked first; exit status 1 where a ratio is missed. "
-    "Draw what runs have learned."
+    "Draw what runs have learned. Open exports with other tools' loaders."
 )
 
 
@@ -23,6 +23,7 @@ def main() -> None:
         "scale": scale,
         "random-scenes": random_scenes,
         "random-sheet": random_sheet,
+        "peers": peers,
         "ceilings": ceilings,
         "step": step,
         "infer": infer,
@@ -163,6 +164,42 @@ def random_scenes(seeds: int = 100, first: int = 0, family: Family | None = None
     print(dumps(survey_json(surveys)) if json else survey_table(surveys))
     if failed := sum(len(survey.failed) for survey in surveys):
         fail(f"{failed} of {seeds} seeds give no scene")
+
+
+def peers(
+    dataset: str,
+    python: Path,
+    *,
+    only: tuple[str, ...] = (),
+    points: int = 2000,
+    json: bool = False,
+) -> None:
+    """Open exports of a dataset with the tools' own loaders, and compare what they read with the dataset.
+
+    Exit status 1 where something differs, or where no tool is installed.
+
+    Args:
+        dataset: A name in data/, or a folder.
+        python: Python interpreter of the environment in which the tools are installed; it needs no hyaline.
+        only: Only these loaders: nerfstudio-data, nerfstudio-blender, nerfstudio-colmap, nerfbaselines, pycolmap,
+            webdataset.
+        points: Points of the surfaces in each export.
+        json: Print JSON instead of a table.
+    """
+    from benchmarks.peers.comparison import PEERS
+    from benchmarks.peers.survey import peers_json, peers_table, survey_peers
+    from datagen.terminal.command import choose, fail
+    from hyaline import open_dataset
+
+    reports = survey_peers(
+        open_dataset(dataset), python, [choose("only", name, PEERS) for name in only or PEERS], num_points=points
+    )
+    print(peers_json(reports) if json else peers_table(reports))
+    if all(report.missing for report in reports):
+        fail(f"{python}: has none of the tools; install some of nerfstudio, nerfbaselines, pycolmap, webdataset there")
+    wrong = sum(not one.passed for report in reports for one in report.findings)
+    if wrong:
+        fail(f"{wrong} of what the tools read differ from the dataset")
 
 
 def random_sheet(

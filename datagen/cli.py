@@ -168,11 +168,11 @@ def export(
     Args:
         dataset: Dataset folder, or its name under data/. Default: the only one there. The flag may be left out if the
             dataset comes first.
-        format: nerfstudio, blender, 3dgs, colmap, nerfbaselines, refref, cleargrasp or webdataset.
+        format: nerfstudio, blender, 3dgs, colmap, nerfbaselines, refref, cleargrasp, webdataset or quantities.
         out: Folder to write. Default: exports/NAME-FORMAT.
         points: Number of points sampled on the true surfaces, coloured from the training images, for formats that need
             a point cloud.
-        flow: With webdataset: also trace refractive flow and attenuation through the glass.
+        flow: With webdataset and quantities: also trace refractive flow and attenuation through the glass.
         overwrite: Replace an existing export.
     """
     from datagen.export.formats import export_dataset

@@ -4,8 +4,7 @@
     sparse/0/cameras.{txt,bin}                   one PINHOLE camera
     sparse/0/images.{txt,bin}                    world-to-camera quaternion (w, x, y, z) and translation, OpenCV axes
     sparse/0/points3D.{txt,bin}                  points, their colours, and in which pictures they are seen
-    train_list.txt, test_list.txt                names of pictures by split, as nerfbaselines reads them; validation
-                                                 views are in neither
+    train_list.txt, val_list.txt, test_list.txt  names of pictures by split, as nerfbaselines and nerfstudio read them
     sparse/0/test.txt                            the same of the test splits, as Gaussian splatting can be told to read
 
 A model has no splits: a tool that does not read the lists takes every eighth picture for its test, and trains on the
@@ -22,7 +21,7 @@ from jaxtyping import Float, Int
 
 from datagen.export.pictures import rgb_png
 from datagen.export.plan import Part, Plan
-from datagen.export.source import ExportView, PointCloud, Source
+from datagen.export.source import ROLES, ExportView, PointCloud, Source
 
 PINHOLE = 1
 """COLMAP's number of the camera model; its parameters are fx, fy, cx, cy."""
@@ -51,7 +50,7 @@ def plan_colmap(source: Source) -> Plan:
 
 def colmap_parts(source: Source) -> tuple[Part, ...]:
     """Pictures, model and lists."""
-    lists = Part(name="lists", files=("train_list.txt", "test_list.txt"), make=lambda: _lists(source))
+    lists = Part(name="lists", files=tuple(_lists(source)), make=lambda: _lists(source))
     return (*(_view_part(item) for item in source.pictures), _model_part(source), lists)
 
 
@@ -75,8 +74,7 @@ def _view_part(item: ExportView) -> Part:
 
 def _lists(source: Source) -> dict[str, bytes]:
     return {
-        "train_list.txt": "".join(f"{item.name}.png\n" for item in source.of_role("train")).encode(),
-        "test_list.txt": "".join(f"{item.name}.png\n" for item in source.of_role("test")).encode(),
+        f"{role}_list.txt": "".join(f"{item.name}.png\n" for item in source.of_role(role)).encode() for role in ROLES
     }
 
 

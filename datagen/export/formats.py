@@ -12,6 +12,7 @@ from datagen.export.folder import write_export
 from datagen.export.nerfbaselines import plan_nerfbaselines
 from datagen.export.nerfstudio import plan_nerfstudio
 from datagen.export.plan import Plan
+from datagen.export.quantities import plan_quantities
 from datagen.export.refref import plan_refref
 from datagen.export.source import Source
 from datagen.export.webdataset import plan_webdataset
@@ -26,7 +27,11 @@ FORMATS: dict[str, Callable[[Source], Plan]] = {
     "refref": plan_refref,
     "cleargrasp": plan_cleargrasp,
     "webdataset": plan_webdataset,
+    "quantities": plan_quantities,
 }
+
+WITH_FLOW = ("quantities", "webdataset")
+"""Formats that have a place for refractive flow."""
 
 EXPORTS = Path("exports")
 """Where exports go unless told."""
@@ -41,8 +46,10 @@ def export_dataset(
         HyalineError: no such format, a dataset that is not finished, or something else stands in the folder.
     """
     make_plan = FORMATS[choose("format", form, FORMATS)]
-    if flow and form != "webdataset":
-        raise HyalineError(f"--flow: has no place in the format {form}; leave it out, or take --format webdataset")
+    if flow and form not in WITH_FLOW:
+        raise HyalineError(
+            f"--flow: has no place in the format {form}; leave it out, or take --format {' or '.join(WITH_FLOW)}"
+        )
     source = Source(dataset=dataset, num_points=num_points, flow=flow)
     out = out or EXPORTS / f"{dataset.name}-{form}"
     if out.resolve().is_relative_to(dataset.root.resolve()):

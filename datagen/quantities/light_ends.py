@@ -32,6 +32,9 @@ class LightEnds:
     """Where it ends, in metres, in world axes; 0 where it left."""
     depth_along_axis: Float32[np.ndarray, "h w"]
     """Metres that `position` lies ahead of the camera, along the axis; less than 0 behind it, 0 where it left."""
+    distance: Float32[np.ndarray, "h w"]
+    """Metres from the camera's centre straight to `position`, which is not on the pixel's ray where glass refracts it;
+    0 where it left."""
     direction: Float32[np.ndarray, "h w 3"]
     """Unit direction in world axes in which it arrives there, or in which it left."""
     attenuation: Float32[np.ndarray, "h w 3"]
@@ -76,6 +79,7 @@ def find_light_ends(camera: Camera, tracer: "LightPathTracer", is_glass: Bool[np
         has_left=has_left,
         position=position.astype(np.float32),
         depth_along_axis=np.where(has_ended, ahead, 0).astype(np.float32),
+        distance=np.where(has_ended, np.linalg.norm(seen, axis=-1), 0).astype(np.float32),
         direction=direction.astype(np.float32),
         attenuation=attenuation.astype(np.float32),
         flow=np.where(has_flow[..., None], flow, 0).astype(np.float32),

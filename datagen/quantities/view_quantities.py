@@ -85,6 +85,17 @@ class ViewQuantities:
         kinds = [1 + self.material_names.index(type(material).__name__) for material in self.surfaces.materials]
         return np.array([0, *kinds], np.uint8)[self.object_id]
 
+    def material_mask(self, name: str) -> Bool[np.ndarray, "h w"]:
+        """The ray meets a material of this kind first, such as Dielectric.
+
+        Raises:
+            HyalineError: the scene has none of that kind.
+        """
+        if name not in self.material_names:
+            names = ", ".join(self.material_names)
+            raise HyalineError(f"{self.view.dataset.root}: has no material {name!r}; its kinds are {names}")
+        return self.material_id == 1 + self.material_names.index(name)
+
     # Where they are
 
     @property

@@ -27,7 +27,7 @@ from datagen.disk.errors import HyalineError
 from datagen.export.formats import FORMATS, export_dataset
 from datagen.export.source import Source
 from datagen.quantities.surfaces import surfaces_of
-from datagen.quantities.view_quantities import quantities
+from datagen.quantities.view_quantities import ViewQuantities, quantities
 
 POINTS = 600
 
@@ -165,10 +165,10 @@ def test_colmap_reads_cameras_points_and_tracks(form: str, read, dataset: Datase
             assert int(seen[names[image - 1]][place][2]) == number
             tracked += 1
     assert tracked == observations > 4 * POINTS
-    lists = {name: (root / f"{name}_list.txt").read_text().split() for name in ("train", "test")}
-    assert {name: len(listed) for name, listed in lists.items()} == {"train": 8, "test": 4}
-    assert set(lists["train"] + lists["test"]) <= {f"{name}.png" for name in views}
-    assert not set(lists["train"]) & set(lists["test"])
+    lists = {name: (root / f"{name}_list.txt").read_text().split() for name in ("train", "val", "test")}
+    assert {name: len(listed) for name, listed in lists.items()} == {"train": 8, "val": 2, "test": 4}
+    # Each picture is in one list: nerfstudio refuses a split whose list is missing while another's is there.
+    assert sorted(name for listed in lists.values() for name in listed) == sorted(f"{name}.png" for name in views)
     if form == "nerfbaselines":
         info = json.loads((root / "nb-info.json").read_text())
         assert (info["loader"], info["scene"]) == ("colmap", "glasses")
@@ -238,31 +238,64 @@ def read_exr(path: Path) -> dict[str, np.ndarray]:
     return {name: np.asarray(channel.pixels) for name, channel in channels.items()}
 
 
-def test_webdataset_samples_hold_every_quantity(dataset: Dataset, exports: dict[str, Path], tmp_path: Path) -> None:
+def check_quantities(found: ViewQuantities, files: dict[str, bytes]) -> None:
+    """Every file of a view says what is known of it, by ending."""
+    assert np.array_equal(np.asarray(Image.open(io.BytesIO(files["png"]))), found.view.image)
+    for key, values in {
+        "depth": found.depth_along_axis,
+        "opaque_depth": found.opaque_depth_along_axis,
+        "position": found.position,
+        "normal": found.normal(),
+        "geometric_normal": found.normal("geometric"),
+        "thickness": found.glass_thickness,
+        "albedo": found.albedo,
+        "ior": found.ior,
+    }.items():
+        assert np.array_equal(np.load(io.BytesIO(files[f"{key}.npy"])), values, equal_nan=True)
+    for key, values in {
+        "object_id": found.object_id,
+        "opaque_object_id": found.opaque_object_id,
+        "material_id": found.material_id,
+        "glass": np.where(found.glass, 255, 0),
+    }.items():
+        assert np.array_equal(np.asarray(Image.open(io.BytesIO(files[f"{key}.png"]))), values)
+    camera = json.loads(files["camera.json"])
+    assert np.array_equal(camera["transform_matrix"], found.view.camera.world_from_camera)
+
+
+def test_webdataset_samples_hold_every_quantity(dataset: Dataset, exports: dict[str, Path]) -> None:
     root = exports["webdataset"]
     shards = sorted(path.name for path in root.glob("*.tar"))
     assert shards == [f"{name}-000000.tar" for name in ("extrapolating", "interpolating", "train", "val")]
     samples = read_samples(root / "train-000000.tar")
     assert len(samples) == 8
-    for name, sample in samples.items():
-        found = quantities(view_of(dataset, name))
-        assert np.array_equal(np.asarray(Image.open(io.BytesIO(sample["png"]))), found.view.image)
-        for key, values in {
-            "depth": found.depth_along_axis,
-            "opaque_depth": found.opaque_depth_along_axis,
-            "position": found.position,
-            "normal": found.normal(),
-            "thickness": found.glass_thickness,
-            "albedo": found.albedo,
-            "ior": found.ior,
-        }.items():
-            assert np.array_equal(np.load(io.BytesIO(sample[f"{key}.npy"])), values, equal_nan=True)
-        for key, values in {"object_id": found.object_id, "material_id": found.material_id}.items():
-            assert np.array_equal(np.asarray(Image.open(io.BytesIO(sample[f"{key}.png"]))), values)
-        camera = json.loads(sample["camera.json"])
-        assert np.array_equal(camera["transform_matrix"], found.view.camera.world_from_camera)
     about = json.loads((root / "dataset.json").read_text())
+    for name, sample in samples.items():
+        assert sample.keys() == about["files"].keys()
+        check_quantities(quantities(view_of(dataset, name)), sample)
     assert [item["name"] for item in about["objects"]] == [item.name for item in dataset.objects]
+
+
+def test_quantities_are_files_beside_the_pictures_and_say_what_they_are(dataset: Dataset, tmp_path: Path) -> None:
+    export_dataset(dataset, "quantities", tmp_path / "out", num_points=1, flow=True, overwrite=False)
+    about = json.loads((tmp_path / "out" / "dataset.json").read_text())
+    pictures = sorted((tmp_path / "out").glob("*/*[0-9].png"))
+    folders = [path.parent.name for path in pictures]
+    counts = {name: folders.count(name) for name in set(folders)}
+    assert counts == {"train": 8, "val": 2, "interpolating": 2, "extrapolating": 2}
+    for picture in pictures:
+        files = {path.name.partition(".")[2]: path.read_bytes() for path in picture.parent.glob(f"{picture.stem}.*")}
+        assert files.keys() == about["files"].keys() and all(about["files"].values())
+        found = quantities(view_of(dataset, picture.stem))
+        check_quantities(found, files)
+        if picture.parent.name == "val":
+            ends = found.light_ends
+            arrays = {"flow": ends.flow, "attenuation": ends.attenuation, "end_depth": ends.depth_along_axis}
+            for key, values in {**arrays, "end_position": ends.position}.items():
+                assert np.array_equal(np.load(io.BytesIO(files[f"{key}.npy"])), values) and values.any()
+            masks = {"has_flow": 255 * ends.has_flow, "has_left": 255 * ends.has_left, "end_object_id": ends.object_id}
+            for key, values in masks.items():
+                assert np.array_equal(np.asarray(Image.open(io.BytesIO(files[f"{key}.png"]))), values)
 
 
 def read_samples(shard: Path) -> dict[str, dict[str, bytes]]:

@@ -76,6 +76,7 @@ def test_flow_is_snells_displacement_behind_a_slab(ends: tuple[Camera, LightEnds
     expected = np.stack([column - columns, row - rows], axis=-1)
     assert np.abs(expected[inside]).max() > 1 and np.abs(found.flow - expected)[inside].max() < 0.01
     assert np.abs(-p_camera[..., 2] - found.depth_along_axis)[inside].max() < 1e-4
+    assert np.abs(np.linalg.norm(p_camera, axis=-1) - found.distance)[inside].max() < 1e-4
     assert np.abs(found.attenuation - share)[inside].max() < 1e-4
 
 
