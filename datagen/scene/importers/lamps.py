@@ -23,8 +23,8 @@ SIDE = 0.15
 """Of a square over its distance from the scene's middle: as wide as 9 degrees."""
 SHARPNESS = 400.0
 """Of a sun: as wide as 7 degrees at half of its height."""
-FILL = 0.25
-"""Share of the soft light that stays."""
+FILL = 0.4
+"""Share of the soft light between the cards that stays."""
 
 
 def lit(
@@ -38,7 +38,7 @@ def lit(
     """The sky and the squares that stand for lamps.
 
     Args:
-        soft: the light of which a share stays.
+        soft: the light of which a share stays, but for its cards.
         linear: with `offset`, from the file's world to ours.
         middle: of the scene, in our world.
 
@@ -73,6 +73,7 @@ def lit(
         horizon=_times(soft.horizon, FILL),
         ground=_times(soft.ground, FILL),
         lobes=tuple(lobes),
+        cards=(),
     )
     return sky, tuple(squares)
 

@@ -10,14 +10,14 @@ from datagen.data.meshes import face_corners
 from datagen.data.resolution import Resolution
 from datagen.disk.errors import HyalineError
 from datagen.scene.camera_list import DEFAULT_FOV_DEG, CameraList, matrix_rows
-from datagen.scene.description import CameraRig, Lobe, RectangleLight, SceneObject, SoftEnvironment, WalkPoint
+from datagen.scene.description import CameraRig, Card, RectangleLight, SceneObject, SoftEnvironment, WalkPoint
 from datagen.scene.importers.foreign import Axis, ForeignCamera, ForeignLight, ForeignMap
 from datagen.scene.importers.remarks import Remarks
 from datagen.scene.lights import EnvironmentMap
 from datagen.scene.materials import Diffuse
 from datagen.scene.modelling import sheet
 from datagen.scene.textures import SolidTexture
-from datagen.scene.values import Color
+from datagen.scene.values import Color, Vector
 
 USUAL_SIZE = (0.02, 5.0)
 """Metres: what is smaller or larger was not modelled in metres."""
@@ -41,15 +41,32 @@ UPRIGHT = 0.9999
 FRONT_DEG = -90.0
 """Azimuth from which files are meant to be seen: glTF's +z, ours -y."""
 
+
+def _towards(azimuth_deg: float, elevation_deg: float) -> Vector:
+    """The unit direction."""
+    azimuth, elevation = math.radians(azimuth_deg), math.radians(elevation_deg)
+    across = math.cos(elevation)
+    return across * math.cos(azimuth), across * math.sin(azimuth), math.sin(elevation)
+
+
 LIGHT = SoftEnvironment(
-    zenith=(0.62, 0.68, 0.78),
-    horizon=(0.60, 0.57, 0.54),
-    ground=(0.24, 0.22, 0.20),
-    lobes=(
-        Lobe(direction=(0.8, -0.35, 0.85), radiance=(3.4, 2.8, 2.1), sharpness=8.0),
-        Lobe(direction=(-0.6, -1.0, 0.5), radiance=(0.55, 0.75, 1.05), sharpness=5.0),
+    zenith=(0.34, 0.38, 0.45),
+    horizon=(0.50, 0.47, 0.44),
+    ground=(0.20, 0.18, 0.17),
+    cards=(
+        # Flags stand low between the softboxes: they draw the dark outline of glass from wherever one looks.
+        Card(direction=_towards(-55, 12), size_deg=(26.0, 64.0), radiance=(0.06, 0.06, 0.07), softness_deg=10.0),
+        Card(direction=_towards(65, 12), size_deg=(26.0, 64.0), radiance=(0.06, 0.06, 0.07), softness_deg=10.0),
+        Card(direction=_towards(185, 12), size_deg=(26.0, 64.0), radiance=(0.06, 0.06, 0.07), softness_deg=10.0),
+        # The key, warm; a cool one across, and one behind that looks like a window.
+        Card(direction=_towards(-20, 42), size_deg=(23.0, 64.0), radiance=(6.0, 5.3, 4.4), softness_deg=3.0),
+        Card(direction=_towards(-140, 26), size_deg=(26.0, 52.0), radiance=(1.7, 2.1, 2.7), softness_deg=3.0),
+        Card(direction=_towards(110, 30), size_deg=(40.0, 40.0), radiance=(2.5, 2.5, 2.5), softness_deg=3.0),
+        Card(direction=_towards(0, 90), size_deg=(50.0, 30.0), radiance=(2.2, 2.2, 2.2), softness_deg=6.0),
     ),
 )
+"""Softboxes and flags all around, as photographers show glass: bright cards draw highlights on it and caustics below
+it, dark ones its outline. All are wide enough to be found by chance, so that pictures need few samples."""
 
 
 def find_scale(size: float, *, metres: float, remarks: Remarks, where: str) -> float:

@@ -16,10 +16,12 @@ from datagen.data.resolution import square
 from datagen.data.windings import check_closed
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import load_sealed
+from datagen.render.environment import radiance_of_environment
 from datagen.scene.description import Scene, SceneObject
 from datagen.scene.folder import load_scene, scene_files
 from datagen.scene.importers.choices import ImportChoices
 from datagen.scene.importers.importing import Imported, import_scene
+from datagen.scene.importers.staging import LIGHT
 from datagen.scene.materials import Conductor, Dielectric, Diffuse
 from datagen.scene.modelling import sheet
 from datagen.scene.rig import make_cameras
@@ -278,3 +280,21 @@ def test_an_opacity_map_of_an_mtl_file_and_a_mask_of_mitsuba_cut_alike(tmp_path:
     for name in ("a.obj", "a.xml"):
         scene = import_scene(tmp_path / name, ImportChoices(ground="never")).scene
         assert face_areas(scene.objects[0].mesh).sum() == pytest.approx(DISK, rel=0.01), name
+
+
+def test_the_light_of_files_without_any_has_highlights_and_dark_outlines_for_glass_on_every_side() -> None:
+    azimuth, elevation = np.meshgrid(np.radians(np.arange(0, 360, 3)), np.radians(np.arange(0, 80, 3)))
+    across = np.cos(elevation)
+    directions = np.stack([across * np.cos(azimuth), across * np.sin(azimuth), np.sin(elevation)], axis=-1)
+    radiance = radiance_of_environment(LIGHT, directions).mean(axis=-1)
+    usual = np.median(radiance)
+    for start in range(0, 120, 10):
+        third = radiance[:, (start + np.arange(40)) % 120]  # 120 degrees.
+        assert third.max() > 4 * usual
+        assert third.min() < 0.25 * usual
+    # A perfectly white sheet that lies below it is about as bright as white on a screen.
+    directions = np.random.default_rng(0).normal(size=(200_000, 3))
+    directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
+    light = radiance_of_environment(LIGHT, directions)
+    sheet_radiance = 4 * (light.mean(axis=-1) * np.maximum(directions[:, 2], 0)).mean()
+    assert 0.8 < sheet_radiance < 1.3
