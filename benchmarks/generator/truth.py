@@ -21,7 +21,8 @@ from datagen.data.tonemap import srgb_from_linear
 from datagen.disk.errors import HyalineError
 from datagen.render.mitsuba_scene import is_scalar, load_scene_mitsuba, load_sensor
 from datagen.render.truth import Renderer, derive_seed
-from datagen.scene.description import Scene, SceneObject, SoftEnvironment
+from datagen.scene.description import EnvironmentMap, Scene, SceneObject, SoftEnvironment, image_bytes
+from datagen.scene.environment_maps import read_map
 from datagen.scene.materials import Dielectric
 from datagen.terminal.command import say
 
@@ -81,7 +82,7 @@ def bench_truth(
     """
     if is_scalar():
         raise HyalineError("bench truth: Mitsuba runs as scalar_rgb; `datagen doctor` names the libLLVM to install")
-    scene = without_absorption(scene)
+    scene = with_clear_glass(scene)
     ours = Renderer(scene, max_depth=max_depth)
     default = DefaultRenderer(scene, cameras, view, max_depth=max_depth)
 
@@ -139,21 +140,32 @@ class DefaultRenderer:
         return np.array(image, np.float32), spp
 
 
-def without_absorption(scene: Scene) -> Scene:
-    """The scene with clear glass: Mitsuba's `path` knows no absorption, and both rivals must estimate one picture."""
+def with_clear_glass(scene: Scene) -> Scene:
+    """The scene with clear glass of one index: Mitsuba's `path` knows neither absorption nor dispersion.
+
+    Both rivals must estimate one picture.
+    """
 
     def clear(item: SceneObject) -> SceneObject:
         if isinstance(item.material, Dielectric):
-            return dataclasses.replace(item, material=dataclasses.replace(item.material, absorption=(0.0, 0.0, 0.0)))
+            clear_glass = dataclasses.replace(item.material, absorption=(0.0, 0.0, 0.0), dispersion=0.0)
+            return dataclasses.replace(item, material=clear_glass)
         return item
 
     return dataclasses.replace(scene, objects=tuple(map(clear, scene.objects)))
 
 
 def under_soft_light(scene: Scene) -> Scene:
-    """The scene in an even sky as bright as its horizon, without lamps."""
-    assert isinstance(scene.environment, SoftEnvironment), "as all built-in scenes have it"
-    sky = scene.environment.horizon
+    """The scene without lamps in an even sky, as bright as its horizon, or as its map is on average."""
+    environment = scene.environment
+    if isinstance(environment, EnvironmentMap):
+        rows = read_map(image_bytes(scene, environment), where=environment.path).mean(axis=1)
+        # Rows near the poles cover less of the sphere.
+        weight = np.sin(np.pi * (np.arange(len(rows)) + 0.5) / len(rows))
+        red, green, blue = (environment.scale * weight @ rows / weight.sum()).tolist()
+        sky = red, green, blue
+    else:
+        sky = environment.horizon
     return dataclasses.replace(scene, environment=SoftEnvironment(zenith=sky, horizon=sky, ground=sky), lights=())
 
 

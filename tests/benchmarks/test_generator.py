@@ -17,18 +17,19 @@ from support.synthetic import synthetic_scene
 from benchmarks.generator.random_scenes import survey_seeds, survey_table
 from benchmarks.generator.scale import Point, ScaleReport, Task, bench_scale, fit_growth, measure_task, show_scale
 from benchmarks.generator.shells import make_shells, random_cameras
+from datagen.data.exr import encode_exr
 from datagen.data.meshes import check_mesh
 from datagen.data.windings import check_closed
 from datagen.disk.errors import HyalineError
 from datagen.machine.mitsuba_variant import use_mitsuba
-from datagen.scene.description import SceneObject
+from datagen.scene.description import EnvironmentMap, SceneObject, SoftEnvironment
 from datagen.scene.materials import Dielectric
 from datagen.scene.rig import make_cameras
 
 use_mitsuba(quiet=True)
 
 from benchmarks.generator.peel import ENGINES, bench_peel, compare_objects  # noqa: E402
-from benchmarks.generator.truth import bench_truth, fit_noise  # noqa: E402
+from benchmarks.generator.truth import bench_truth, fit_noise, under_soft_light  # noqa: E402
 from datagen.trace.peel import Peeler  # noqa: E402
 
 
@@ -95,6 +96,20 @@ def test_truth_is_checked_and_its_noise_extrapolated() -> None:
     assert isinstance(ours, float) and isinstance(default, float)
     assert 1 < ours < default
     assert report.gates[0].ratio is not None
+
+
+def test_a_sky_of_a_map_is_as_bright_all_over_as_the_map_is_on_average() -> None:
+    radiance = np.zeros((64, 128, 3), np.float32)
+    radiance[:32] = (2, 1, 0.5)  # The upper half of the sphere.
+    radiance[:16, :64] += 1  # In one half of its azimuths, above 45 degrees: 1 - sin(45 degrees) of that half.
+    sky = EnvironmentMap(path="sky.exr", scale=3)
+    scene = dataclasses.replace(
+        synthetic_scene(), environment=sky, baked={"sky.exr": encode_exr(radiance, np.zeros_like(radiance))}
+    )
+    soft = under_soft_light(scene).environment
+    assert isinstance(soft, SoftEnvironment) and soft.zenith == soft.horizon == soft.ground
+    cap = (1 - np.sin(np.pi / 4)) / 4
+    assert soft.zenith == pytest.approx([3 * (half / 2 + cap) for half in (2, 1, 0.5)], rel=1e-3)
 
 
 def test_noise_of_a_known_law_is_extrapolated_exactly() -> None:

@@ -108,6 +108,14 @@ def _color(entry: Entry, key: str, default: tuple[float, float, float], *, where
     return red, green, blue
 
 
+def file_named(words: list[str]) -> str:
+    """The path that the words of a line name: with or without quotes around it, with either kind of slash."""
+    name = " ".join(words)
+    if len(name) > 1 and name[0] == name[-1] == '"':
+        name = name[1:-1]
+    return name.replace("\\", "/").removeprefix("./")
+
+
 def _image(name: str, entry: Entry, path: Path, remarks: Remarks, *, key: str) -> ForeignImage | None:
     words = list(entry.get(key, []))
     if not words:
@@ -115,8 +123,7 @@ def _image(name: str, entry: Entry, path: Path, remarks: Remarks, *, key: str) -
     while words and words[0] in OPTION_VALUES:
         remarks.approximate(name, f"has an image with the option {words[0]}, which is left out")
         words = words[1 + OPTION_VALUES[words[0]] :]
-    relative = " ".join(words).replace("\\", "/").removeprefix("./")
-    found = find_file(path.parent, relative, where=f"{path}: material {name}")
+    found = find_file(path.parent, file_named(words), where=f"{path}: material {name}")
     if not found.exists():
         remarks.approximate(name, f"has an image that is not there ({found.name}); drawn without it")
         return None

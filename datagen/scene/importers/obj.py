@@ -17,7 +17,7 @@ from datagen.scene.importers.foreign import (
     ForeignObject,
     ForeignScene,
 )
-from datagen.scene.importers.mtl import read_mtl
+from datagen.scene.importers.mtl import file_named, read_mtl
 from datagen.scene.importers.remarks import Remarks
 from datagen.scene.importers.text_numbers import floats, lines_of
 
@@ -73,7 +73,7 @@ def read_obj(path: Path, remarks: Remarks, *, has_materials: bool = True) -> For
         elif key == "usemtl":
             material = " ".join(rest)
         elif key == "mtllib" and has_materials:
-            _add_materials(text, path, " ".join(rest), remarks, where=where)
+            _add_materials(text, path, file_named(rest), remarks, where=where)
         elif key in ("l", "p", "curv", "surf"):
             remarks.approximate(path.name, "has points, lines or curves, which are left out")
     if not text.faces:
@@ -82,7 +82,7 @@ def read_obj(path: Path, remarks: Remarks, *, has_materials: bool = True) -> For
 
 
 def _add_materials(text: _Text, path: Path, name: str, remarks: Remarks, *, where: str) -> None:
-    found = find_file(path.parent, name.removeprefix("./"), where=where)
+    found = find_file(path.parent, name, where=where)
     if not found.exists():
         remarks.approximate(path.name, f"names {shown(name)}, which is not there; drawn without its materials")
         return

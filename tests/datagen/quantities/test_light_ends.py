@@ -9,12 +9,14 @@ import numpy as np
 import pytest
 from support.traced_dataset import SLAB, glass_scene, write_traced_dataset
 
-from datagen.data.cameras import Camera, look_at
+from datagen.data.cameras import Camera, Cameras, look_at
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.quantities.light_ends import LightEnds, find_light_ends
 from datagen.quantities.surfaces import Surfaces, surfaces_of
 from datagen.quantities.view_quantities import quantities
+from datagen.scene.materials import Diffuse
+from datagen.scene.textures import SolidTexture
 
 IOR = 1.6
 
@@ -100,6 +102,45 @@ def test_a_picture_without_glass_warped_by_the_flow_shows_what_is_seen_through_i
     on_floor = found.object_id == 1
     assert np.abs(warped - found.position)[on_floor].max() < 1e-3
     assert np.abs(floor_color(warped[on_floor]) - floor_color(found.position[on_floor].astype(np.float64))).max() < 0.05
+
+
+def at(image: np.ndarray, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A picture at places (column, row) between the centres of its pixels, and which of them it has."""
+    height, width = image.shape[:2]
+    low = np.floor(place - 0.5).astype(int)
+    has = (low >= 0).all(axis=-1) & (low[..., 0] < width - 1) & (low[..., 1] < height - 1)
+    column, row = np.moveaxis(np.where(has[..., None], low, 0), -1, 0)
+    x, y = np.moveaxis(place - 0.5 - low, -1, 0)[..., None]
+    top = image[row, column] * (1 - x) + image[row, column + 1] * x
+    bottom = image[row + 1, column] * (1 - x) + image[row + 1, column + 1] * x
+    return top * (1 - y) + bottom * y, has
+
+
+def test_the_rendered_twin_without_glass_warped_by_the_flow_and_dimmed_is_the_rendered_truth() -> None:
+    use_mitsuba(quiet=True)
+    from datagen.render.truth import Renderer
+
+    sky, scene = 0.5, glass_scene()
+    stripes = SolidTexture(pattern="stripes", colors=((0.8, 0.2, 0.1), (0.1, 0.2, 0.8)), scale=0.2)
+    floor = dataclasses.replace(scene.objects[0], material=Diffuse(color=stripes))
+    glass = dataclasses.replace(scene, objects=(floor, scene.objects[2]))  # A clear slab: it tints no shadow.
+    pose = look_at(np.array([0.2, -0.9, 1.5]), np.array([0.9, 0.05, 0.5]))
+    cameras = Cameras(world_from_camera=pose[None], fov_x=0.45, width=48, height=36)
+    truth, twin = (
+        Renderer(dataclasses.replace(glass, objects=objects), max_depth=12).radiance(cameras, 0, spp=64, seed=seed)[0]
+        for seed, objects in enumerate((glass.objects, (floor,)))
+    )
+    surfaces = Surfaces(scene=glass, meshes=tuple(item.mesh for item in glass.objects))
+    ends = find_light_ends(cameras[0], surfaces.tracer, surfaces.is_glass)
+    rows, columns = np.indices(ends.object_id.shape) + 0.5
+    background, has = at(twin, np.stack([columns, rows], axis=-1) + ends.flow)
+    behind = has & (np.abs(ends.flow).max(axis=-1) > 0.05) & (ends.object_id == 1)
+    assert behind.sum() > 1000
+    # What does not come through mirrors the sky, which is equal all over.
+    mirrored = (1 - ends.attenuation) * sky
+    warped, straight = (np.abs(seen * ends.attenuation + mirrored - truth)[behind] for seen in (background, twin))
+    # The floor is lit through the slab, too, a few per cent less; what is left is noise.
+    assert warped.mean(axis=0).max() < 0.02 < 0.08 < straight.mean(axis=0).max()
 
 
 def test_where_there_is_no_glass_there_is_no_flow(dataset: Dataset) -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from PIL import Image
 from support.gltf import BOX
 from support.soon import soon
 
@@ -72,6 +73,16 @@ def test_an_obj_is_parted_by_objects_and_materials_and_keeps_uv_and_normals(tmp_
     assert clear.uv is None and clear.normals is not None and second.normals is None
     assert isinstance(clear.material, ForeignMaterial)
     assert (clear.material.transmission, clear.material.ior) == (1.0, 1.33)
+
+
+@pytest.mark.parametrize("line", ["my lib.mtl", '"my lib.mtl"', "./my lib.mtl", '"./my lib.mtl"', '".\\my lib.mtl"'])
+def test_names_of_libraries_and_images_may_stand_in_quotes(line: str, tmp_path: Path) -> None:
+    (tmp_path / "my lib.mtl").write_text('newmtl m\nKd 1 0 0\nmap_Kd "my wood.png"\n')
+    Image.new("RGB", (2, 2), (9, 8, 7)).save(tmp_path / "my wood.png")
+    remarks = Remarks()
+    material = read(tmp_path / "a.obj", f"mtllib {line}\nusemtl m\n{CUBE}", remarks).objects[0].material
+    assert isinstance(material, ForeignMaterial) and material.base_color == (1, 0, 0) and remarks.lines == []
+    assert material.image is not None and material.image.data == (tmp_path / "my wood.png").read_bytes()
 
 
 def material_of(folder: Path, text: str, remarks: Remarks | None = None) -> ForeignMaterial:
@@ -230,6 +241,7 @@ BROKEN: dict[str, tuple[str, Bytes]] = {
     "uv of words": ("a.obj", "vt x\n"),
     "normal of one number": ("a.obj", "vn 1\n"),
     "a library outside": ("a.obj", "mtllib ../m.mtl\n" + FACE + "f 1 2 3\n"),
+    "a library outside, in quotes": ("a.obj", 'mtllib "../m.mtl"\n' + FACE + "f 1 2 3\n"),
     "a library from the root": ("a.obj", "mtllib /etc/passwd\n" + FACE + "f 1 2 3\n"),
     "a library that is a folder": ("a.obj", "mtllib folder\n" + FACE + "f 1 2 3\n"),
     "a library that is a link out": ("a.obj", "mtllib link.mtl\n" + FACE + "f 1 2 3\n"),
@@ -237,6 +249,7 @@ BROKEN: dict[str, tuple[str, Bytes]] = {
     "a colour of nan": ("bad2/a.obj", MTL),
     "a spectral colour": ("bad3/a.obj", MTL),
     "an image from the root": ("bad4/a.obj", MTL),
+    "an empty name of a library in quotes": ("a.obj", 'mtllib ""\n' + FACE + "f 1 2 3\n"),
     "an empty name of a library": ("a.obj", "mtllib \n" + FACE + "f 1 2 3\n"),
     "empty stl": ("a.stl", b""),
     "stl of few bytes": ("a.stl", b"x" * 83),
