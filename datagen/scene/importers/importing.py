@@ -24,6 +24,7 @@ from datagen.scene.importers.cutting import cut_of
 from datagen.scene.importers.decimating import check_decimation, decimated
 from datagen.scene.importers.foreign import Axis, ForeignMap, ForeignMaterial, ForeignObject, ForeignScene, elementwise
 from datagen.scene.importers.gltf import read_gltf
+from datagen.scene.importers.joining import joined
 from datagen.scene.importers.lamps import lit
 from datagen.scene.importers.mapping import Mapper, lets_light_through
 from datagen.scene.importers.merging import merged_by_material
@@ -247,6 +248,7 @@ def scene_object(
         remarks.note(name, "has no material in the file; drawn grey and matt, --material names another")
     if repairs and _is_solid(material):
         mesh = made_sound(closed(mesh, remarks, where=name), remarks, where=name)
+        mesh = joined(mesh, remarks, where=name)
     if kept_share < 1:
         if isinstance(material, ForeignMaterial) and (material.image or material.opacity) and part.uv is not None:
             remarks.note(name, f"keeps its {len(mesh.faces):,} triangles, on which its image lies")
