@@ -27,11 +27,12 @@ class ImportChoices:
     """Cameras all around the glass (around), those that the file brings (file), or those of a transforms.json or of a
     folder of COLMAP's, in the file's own axes and units."""
     lights: Literal["soft", "file"] = "soft"
-    """Soft light from all around, or the lamps that a glTF file brings, with a little of it."""
+    """Softboxes and dark flags all around in soft light, or the lamps that a glTF file brings, with a little of it."""
     ground: Literal["auto", "always", "never"] = "auto"
     """Add a checkered ground: where nothing lies below the glass, always or never."""
     repair: bool = False
-    """Close the holes of glass that is open, where that changes its volume by 5 % at most; else it becomes thin."""
+    """Close the holes of glass that is open, which else becomes thin, and join overlapping parts of glass into one
+    solid; import.json says the volume before and after, and a change of more than 5 % is refused."""
     merge: bool = False
     """Make one object of all surfaces of a material: a scene has at most 255 objects."""
     max_triangles: int | None = None
