@@ -46,6 +46,7 @@ def train_method(words: list[str]) -> None:
         run("model train", inspect.getdoc(train) or "", {name: _listed(about(name)) for name in methods}, ["--help"])
     method = choose("method", words[0], methods)
 
+    from model.run.costs import Meter, costs_are_wanted
     from model.run.events import require_tensorboard
     from model.run.logs import LogChoices
     from model.run.train_flags import configure, folder_name, parse_train
@@ -66,7 +67,10 @@ def train_method(words: list[str]) -> None:
         anew=asked.run.overwrite,
         memory=asked.run.memory,
         logs=LogChoices(
-            snapshots=asked.run.snapshots == "on", tensorboard=asked.run.tensorboard, preview=asked.run.preview
+            snapshots=asked.run.snapshots == "on",
+            tensorboard=asked.run.tensorboard,
+            costs=Meter() if costs_are_wanted() else None,
+            preview=asked.run.preview,
         ),
     )
 

@@ -14,6 +14,7 @@ EVERY_S = 5
 WATCHED = (
     "run.json",
     "metrics.jsonl",
+    "costs.json",
     "predictions.json",
     "predictions/*/*.png",
     "variants/*/predictions.json",

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from datagen.terminal.preview import preview
+from model.run.costs import Meter
 from model.run.events import Events
 from model.run.snapshots import snapshot, write_snapshot
 
@@ -19,6 +20,8 @@ class LogChoices:
     """A picture of the held-out views at each evaluation."""
     tensorboard: bool = False
     """Event files for TensorBoard."""
+    costs: Meter | None = None
+    """Time and memory that it took since then; None: no file says so."""
     preview: bool = False
     """Thumbnails of the held-out views in the terminal, at each evaluation."""
 
@@ -53,5 +56,7 @@ class Logs:
             self._events.add_evaluation(step, score, picture)
 
     def close(self) -> None:
+        if self._choices.costs is not None:
+            self._choices.costs.add_to(self._run)
         if self._events is not None:
             self._events.close()

@@ -5,6 +5,7 @@
     RUN/metrics.jsonl               a line per evaluation: step, loss (mean since the line before), held_out_psnr
     RUN/snapshots/000500.png        a picture per evaluation: held-out views and what is predicted (run/snapshots.py)
     RUN/tensorboard/...             with --tensorboard: event files (run/events.py)
+    RUN/costs.json                  the time and memory that training took (run/costs.py)
     RUN/checkpoint.pt               while training: everything that a resumed run needs (format: run/checkpoint.py)
     RUN/checkpoint.previous.pt      the one before
     RUN/weights.pt                  after training: the renderer alone; the checkpoints are deleted then
@@ -12,8 +13,8 @@
     RUN/predictions.json            sealed, written last: SHA-256 of each prediction; a run that has it is finished
     RUN/variants/NAME/...           predictions of variants of the dataset (format: model/run/predict.py)
 
-No time, host or thread count is in any of them but TensorBoard's: the same command gives the same bytes (on the same
-machine).
+No time, host or thread count is in any of them but TensorBoard's and costs.json: the same command gives the same bytes
+(on the same machine).
 """
 
 import dataclasses
@@ -38,6 +39,7 @@ from datagen.disk.records import Json, from_json, shown, to_json
 from datagen.disk.storage import commit, commit_sealed, load_sealed, seal_bytes
 from model.methods.protocol import Inputs, MethodConfig
 from model.methods.table import find_method, open_inputs
+from model.run.costs import COSTS
 from model.run.events import FOLDER as EVENTS
 from model.run.events import list_events
 from model.run.snapshots import FOLDER as SNAPSHOTS
@@ -248,7 +250,7 @@ def read_prediction_hashes(out: Path) -> dict[str, str]:
 
 def clear_run(out: Path) -> None:
     """Deletes what a run has made, and nothing else; its record stays until the next one takes its place."""
-    remove_files(out, [PREDICTIONS, WEIGHTS, CHECKPOINT, PREVIOUS_CHECKPOINT, METRICS, *_pictures(out)])
+    remove_files(out, [PREDICTIONS, WEIGHTS, CHECKPOINT, PREVIOUS_CHECKPOINT, METRICS, COSTS, *_pictures(out)])
     config = read_run(out).config
     remove_files(out, list_snapshots(out, evaluate_every=config.evaluate_every, steps=config.steps))
     remove_files(out, list_events(out))

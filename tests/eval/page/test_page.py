@@ -16,7 +16,7 @@ from datagen.disk.errors import HyalineError
 from eval.page.page import report_page
 from eval.page.report import make_report
 from eval.page.run_page import flattened
-from eval.page.training import read_training
+from eval.page.training import describe_costs, read_training, training_charts
 from eval.page.views import ranked_views
 from eval.score.scores import SplitScores
 
@@ -129,6 +129,25 @@ def test_training_curves_are_thinned_and_other_lines_passed_over(tmp_path: Path)
     assert len(training.curves["loss"]) == 334
     shutil.rmtree(tmp_path)
     assert read_training(tmp_path).curves == {}
+
+
+def test_the_page_of_a_run_says_what_training_took(tmp_path: Path) -> None:
+    assert "processor time" not in str(training_charts(read_training(tmp_path)))
+    path = tmp_path / "costs.json"
+    path.write_text('{"seconds": 75.4, "cpu_seconds": 8000, "peak_memory_bytes": 1234567890, "colour": "red"}')
+    training = read_training(tmp_path)
+    assert describe_costs(training) == [
+        ("time", "1 min 15 s"),
+        ("processor time", "2 h 13 min"),
+        ("memory, at most", "1,235 MB"),
+    ]
+    assert "1,235 MB" in str(training_charts(training))
+    path.write_text('{"seconds": 76}')
+    assert describe_costs(read_training(tmp_path)) == [("time", "1 min 16 s")]
+    assert read_training(tmp_path).digest != training.digest
+    for damaged in ("{", "[1]", '{"seconds": -1}', '{"seconds": NaN}', '{"seconds": true}'):
+        path.write_text(damaged)
+        assert describe_costs(read_training(tmp_path)) == []
 
 
 def test_parameters_are_named_by_their_path() -> None:

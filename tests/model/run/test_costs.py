@@ -1,0 +1,74 @@
+"""Tests of the file that says what a training took."""
+
+import dataclasses
+import json
+from pathlib import Path
+
+import pytest
+import torch
+from support.synthetic import write_synthetic_dataset
+from support.training import SMALL, call, run_bytes
+
+from datagen.data.dataset import Dataset
+from model.run.costs import COSTS, Meter, read_costs
+from model.run.logs import LogChoices
+from model.run.train import train
+
+SHORT = dataclasses.replace(SMALL, steps=6, checkpoint_every=2)
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    return write_synthetic_dataset(tmp_path_factory.mktemp("costs") / "data" / "synthetic", resolution=16)
+
+
+def trained(dataset: Dataset, out: Path, *, costs: bool = True, anew: bool = False) -> Path:
+    logs = LogChoices(costs=Meter() if costs else None)
+    train(SHORT, dataset, out, label="run", device=torch.device("cpu"), logs=logs, anew=anew)
+    return out
+
+
+def test_a_training_says_what_it_took_and_every_other_byte_is_the_same(dataset: Dataset, tmp_path: Path) -> None:
+    out = trained(dataset, tmp_path / "run")
+    costs = read_costs(out)
+    assert costs.keys() == {"seconds", "cpu_seconds", "peak_memory_bytes"}
+    assert costs["seconds"] > 0
+    assert costs["cpu_seconds"] > 0
+    assert costs["peak_memory_bytes"] > 50e6  # PyTorch alone takes more.
+    without = run_bytes(trained(dataset, tmp_path / "without", costs=False))
+    assert {path: data for path, data in run_bytes(out).items() if path != COSTS} == without
+
+
+def test_what_a_session_took_is_added_to_those_before_it_and_a_new_run_begins_anew(
+    dataset: Dataset, tmp_path: Path
+) -> None:
+    out = tmp_path / "run"
+    before = {"seconds": 1000.0, "cpu_seconds": 2000.0, "peak_memory_bytes": 1e15}
+    trained(dataset, out, costs=False)
+    (out / "weights.pt").unlink()  # As one that was stopped.
+    (out / COSTS).write_text(json.dumps(before))
+    trained(dataset, out)
+    costs = read_costs(out)
+    assert 1000 < costs["seconds"]
+    assert 2000 < costs["cpu_seconds"]
+    assert costs["peak_memory_bytes"] == 1e15
+    trained(dataset, out, anew=True)
+    assert read_costs(out)["peak_memory_bytes"] < 1e15
+    assert read_costs(out)["seconds"] < costs["seconds"]
+
+
+def test_the_file_is_left_by_the_command_unless_the_environment_says_no(
+    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    flags = ["paper", "--steps", "1", "--batch", "8", "--width", "8", "--texture-size", "8", "--device", "cpu"]
+    for value, is_left in (("off", False), ("on", True)):
+        monkeypatch.setenv("HYALINE_COSTS", value)
+        out = tmp_path / value
+        assert call(monkeypatch, "train", *flags, "--dataset", str(dataset.root), "--out", str(out)) == 0
+        assert (out / COSTS).is_file() == is_left
+
+
+@pytest.mark.parametrize("content", ["", "{", "[]", '{"seconds": "long"}'])
+def test_a_damaged_file_counts_as_none(tmp_path: Path, content: str) -> None:
+    (tmp_path / COSTS).write_text(content)
+    assert read_costs(tmp_path) == {}
