@@ -16,6 +16,7 @@ from datagen.data.meshes import Mesh
 from datagen.disk.errors import HyalineError
 from datagen.render.mitsuba_scene import is_scalar
 from datagen.trace.light_path import LightPaths, LightPathTracer
+from datagen.trace.limits import Limits
 from datagen.trace.peel import Peeler
 
 Engine = Literal["mitsuba-eager", "mitsuba-fused", "trimesh", "exr", "light-path-loop", "light-path"]
@@ -33,7 +34,7 @@ NUM_CAMERAS = 10
 SAME_OBJECTS = 0.98
 """Share of the pixels for which both must list the same objects: `spawn_ray` loses surfaces that lie close together."""
 
-LIGHT_LIMITS = {"max_branches": 2, "max_vertices": 8, "max_depth": 16}
+LIGHT_LIMITS = Limits(max_branches=2, max_vertices=8, max_depth=16)
 
 
 def bench_peel(
@@ -71,10 +72,10 @@ def bench_peel(
             "trimesh": (lambda: embree and embree.peel(cameras, 0, num_layers), "embreex, all hits, no uv"),
             "exr": (lambda: stored and stored.read(), "decodes stored layers, no depth"),
             "light-path-loop": (
-                lambda: trace_eagerly(tracer, origins, directions, **LIGHT_LIMITS),
+                lambda: trace_eagerly(tracer, origins, directions, LIGHT_LIMITS),
                 "an evaluation a bounce",
             ),
-            "light-path": (lambda: tracer.trace(origins, directions, **LIGHT_LIMITS), "datagen/trace/light_path.py"),
+            "light-path": (lambda: tracer.trace(origins, directions, LIGHT_LIMITS), "datagen/trace/light_path.py"),
         }
         agreement: dict[str, object] = {"triangles": sum(len(mesh.faces) for mesh in meshes)}
         agreement["hits kept"] = int((first.object_id > 0).sum())
@@ -118,7 +119,7 @@ def _is_stored(layers: Layers, stored: StoredLayers | None) -> tuple[bool, str]:
 
 
 def _compare_paths(tracer: LightPathTracer, origins: np.ndarray, directions: np.ndarray) -> tuple[bool, str]:
-    one: LightPaths = tracer.trace(origins, directions, **LIGHT_LIMITS)
-    other = trace_eagerly(tracer, origins, directions, **LIGHT_LIMITS)
+    one: LightPaths = tracer.trace(origins, directions, LIGHT_LIMITS)
+    other = trace_eagerly(tracer, origins, directions, LIGHT_LIMITS)
     same = (one.object_id == other.object_id).all(axis=(0, 1))
     return bool(same.all()), f"{int((~same).sum())} of {len(same)} rays meet other objects"

@@ -16,6 +16,7 @@ from datagen.data.meshes import Mesh
 from datagen.data.number_formats import UV_SCALE, quantize_uv
 from datagen.render.mitsuba_scene import load_geometry_mitsuba
 from datagen.trace.light_path import LightPaths, LightPathTracer
+from datagen.trace.limits import Limits
 
 
 class EagerPeeler:
@@ -102,10 +103,10 @@ class StoredLayers:
         )
 
 
-def trace_eagerly(tracer: LightPathTracer, origins: np.ndarray, directions: np.ndarray, **limits: int) -> LightPaths:
+def trace_eagerly(tracer: LightPathTracer, origins: np.ndarray, directions: np.ndarray, limits: Limits) -> LightPaths:
     """The product's light paths, but with the loop in Python and an evaluation after every bounce."""
     import drjit as dr
 
     plain = dr.scoped_set_flag(dr.JitFlag.KernelFreezing, False), dr.scoped_set_flag(dr.JitFlag.SymbolicLoops, False)
     with plain[0], plain[1]:
-        return tracer.trace(origins, directions, **limits)
+        return tracer.trace(origins, directions, limits)

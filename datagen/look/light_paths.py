@@ -16,12 +16,13 @@ from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.pages.html import Markup, tag
 from datagen.quantities.surfaces import surfaces_of
 from datagen.terminal.distribution import naming_parts
+from datagen.trace.limits import Limits
 
 VIEWS, RAYS = 3, 12
 """Views whose rays are followed, and rays of each at most."""
 ASKED = 24
 """Rays along the longer side of a picture, at most, among which those that meet glass are sought."""
-MOST_VERTICES = 24
+LIMITS = Limits(max_branches=2, max_vertices=24)
 SURROUNDINGS = 1.6
 """How much more than the glass the drawing shows."""
 SKY = "sky"
@@ -91,7 +92,7 @@ def find_light_paths(dataset: Dataset) -> list[DrawnPath]:
         origin, directions = dataset.view(split, view).camera.rays()
         step = -(-max(directions.shape[:2]) // ASKED)
         rays = np.ascontiguousarray(directions[step // 2 :: step, step // 2 :: step]).reshape(-1, 3)
-        traced = tracer.trace(np.tile(origin, (len(rays), 1)), rays, max_branches=2, max_vertices=MOST_VERTICES)
+        traced = tracer.trace(np.tile(origin, (len(rays), 1)), rays, LIMITS)
         meets = np.flatnonzero(surfaces.is_glass[traced.object_id[0, 0]])
         for ray in meets[evenly(min(RAYS, len(meets)), len(meets))] if len(meets) else ():
             first = traced.position[0, 0, ray]

@@ -12,12 +12,13 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, UInt8
 
 from datagen.data.cameras import Camera
+from datagen.trace.limits import Limits
 
 if TYPE_CHECKING:
     from datagen.trace.light_path import LightPathTracer
 
-MAX_DEPTH = 24
-"""Surfaces after which a path is given up."""
+LIMITS = Limits(max_branches=1, max_vertices=1)
+"""Of one vertex, the place holds the path's last one."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -56,8 +57,7 @@ def find_light_ends(camera: Camera, tracer: "LightPathTracer", is_glass: Bool[np
     shape = (camera.height, camera.width)
     origin, directions = camera.rays()
     rays = directions.reshape(-1, 3)
-    # Of one vertex, the place holds the path's last one.
-    paths = tracer.trace(np.tile(origin, (len(rays), 1)), rays, max_branches=1, max_vertices=1, max_depth=MAX_DEPTH)
+    paths = tracer.trace(np.tile(origin, (len(rays), 1)), rays, LIMITS)
     object_id, has_left = paths.object_id[0, 0].reshape(shape), paths.has_left[0].reshape(shape)
     has_ended = (object_id > 0) & ~is_glass[object_id] & ~has_left
     is_known = has_ended | has_left

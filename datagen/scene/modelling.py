@@ -245,6 +245,13 @@ def filled(outer: Profile, *, wall: float, floor: float, level: float, reach: fl
     return [(0.0, level), _pair(edge), *map(_pair, inner[above + 1 :])]
 
 
+def knot(radius: float, swing: float, *, lobes: int = 3, count: int) -> Points:
+    """A closed path for `tube`: twice around the z axis, and in each lobe out, in, up and down by `swing`."""
+    loop = np.linspace(0, 2 * np.pi, count, endpoint=False)
+    ring = radius + swing * np.cos(lobes * loop)
+    return np.stack([ring * np.cos(2 * loop), ring * np.sin(2 * loop), swing * np.sin(lobes * loop)], axis=-1)
+
+
 def _pair(point: np.ndarray) -> tuple[float, float]:
     return float(point[0]), float(point[1])
 
@@ -266,6 +273,12 @@ def merged(parts: Sequence[Mesh]) -> Mesh:
 def moved(mesh: Mesh, offset: Sequence[float]) -> Mesh:
     """The mesh translated."""
     return transformed(mesh, np.eye(3), offset)
+
+
+def resting(mesh: Mesh, place: Point) -> Mesh:
+    """The mesh moved to a place, its lowest point at that height."""
+    x, y, height = place
+    return moved(mesh, (x, y, height - float(mesh.vertices[:, 2].min())))
 
 
 def turned(mesh: Mesh, axis: Point, angle_deg: float) -> Mesh:

@@ -12,7 +12,8 @@ branch ends, the first start in the queue comes next.
 from typing import TYPE_CHECKING, NamedTuple
 
 from datagen.scene.media import medium_of, no_solids
-from datagen.trace.surface_hits import Bounce, Hit, Kernel, Limits, Sides, bounce_of, meet, sides_of, uv_slope
+from datagen.trace.limits import Limits
+from datagen.trace.surface_hits import Bounce, Hit, Kernel, Sides, bounce_of, meet, sides_of, uv_slope
 from datagen.trace.surface_tables import OPAQUE, SurfaceTables
 
 if TYPE_CHECKING:

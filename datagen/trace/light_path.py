@@ -29,6 +29,7 @@ from datagen.render.mitsuba_scene import is_scalar, load_geometry_mitsuba, to_co
 from datagen.scene.materials import Material, check_material
 from datagen.scene.media import find_media
 from datagen.trace.branches import follow_branches
+from datagen.trace.limits import LIMITS, Limits
 from datagen.trace.surface_tables import make_tables
 from datagen.trace.tints import Tints
 
@@ -126,10 +127,8 @@ class LightPathTracer:
         self,
         origins: Float32[np.ndarray, "ray 3"],
         directions: Float32[np.ndarray, "ray 3"],
+        limits: Limits = LIMITS,
         *,
-        max_branches: int = 4,
-        max_vertices: int = 8,
-        max_depth: int = 24,
         seed: int = 0,
         facets: Float32[np.ndarray, "ray 2"] | None = None,
         channel: int = GREEN,
@@ -138,9 +137,6 @@ class LightPathTracer:
 
         Args:
             directions: of unit length.
-            max_branches: followed for each ray; 1 is the refracted one alone.
-            max_vertices: kept of each branch. The last place holds the last vertex, however many come before it.
-            max_depth: surfaces after which a branch is given up.
             seed: of the facets of rough surfaces that mirror.
             facets: where among these facets each ray starts to choose, in [0, 1)^2. None: consecutive rays share them
                 out evenly.
@@ -167,16 +163,15 @@ class LightPathTracer:
             tuple(rows),
             dr.opaque(mi.UInt32, seed),
             count,
-            max_branches,
-            max_vertices,
-            max_depth,
+            *limits,
         )
         dr.eval(outputs)
 
         def array(name: str, *shape: int) -> np.ndarray:
             return outputs[name].numpy().reshape(shape)
 
-        places, ends = (max_branches, max_vertices, count), (max_branches, count)
+        ends = limits.max_branches, count
+        places = limits.max_branches, limits.max_vertices, count
         return TracedPaths(
             object_id=self._object_id[array("object_id", *places)],
             uv=array("uv", *places, 2),
@@ -196,10 +191,8 @@ class LightPathTracer:
         self,
         origins: Float32[np.ndarray, "ray 3"],
         directions: Float32[np.ndarray, "ray 3"],
+        limits: Limits = LIMITS,
         *,
-        max_branches: int = 4,
-        max_vertices: int = 8,
-        max_depth: int = 24,
         seed: int = 0,
         facets: Float32[np.ndarray, "ray 2"] | None = None,
     ) -> TracedPaths:
@@ -211,16 +204,8 @@ class LightPathTracer:
         """
 
         def trace(index: np.ndarray | slice, facets: np.ndarray | None, channel: int) -> TracedPaths:
-            return self.trace(
-                origins[index],
-                directions[index],
-                max_branches=max_branches,
-                max_vertices=max_vertices,
-                max_depth=max_depth,
-                seed=seed,
-                facets=facets,
-                channel=channel,
-            )
+            rays = origins[index], directions[index]
+            return self.trace(*rays, limits, seed=seed, facets=facets, channel=channel)
 
         count = len(directions)
         paths = trace(slice(None), facets, GREEN)

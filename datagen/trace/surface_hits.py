@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from datagen.render.facets import facet_towards, mirrored_by, refracted_by
 from datagen.scene.media import Media, medium_of, with_solid, without_solid
+from datagen.trace.limits import Limits
 from datagen.trace.surface_tables import COATED, DIELECTRIC, METAL, THIN, SurfaceTables
 from datagen.trace.tints import TintTables, look_up_tint
 
@@ -19,14 +20,6 @@ OFFSET = 2e-6
 
 MIN_COSINE = 0.2
 """Where a ray grazes a surface, the slope of its uv is that at this cosine."""
-
-
-class Limits(NamedTuple):
-    """What bounds a ray's paths."""
-
-    max_branches: int
-    max_vertices: int
-    max_depth: int
 
 
 class Kernel(NamedTuple):

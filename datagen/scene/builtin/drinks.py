@@ -18,6 +18,7 @@ from datagen.scene.modelling import (
     lathe,
     merged,
     moved,
+    resting,
     rotation,
     rounded_box,
     transformed,
@@ -182,11 +183,11 @@ def _things() -> list[SceneObject]:
     return [
         _on_table("napkin", moved(napkin, (0, 0, 0.002)), Diffuse(color=cloth), -0.20, -0.20),
         _on_table("board", moved(slab, (0, 0, height / 2)), Plastic(color=board, roughness=0.3), 0.33, 0.17),
-        _on_table("lemon", _standing(lemon, height + GAP), Plastic(color=peel, roughness=0.2), 0.37, 0.15),
-        _on_table("orange", _standing(ball(0.036), height + GAP), Plastic(color=zest, roughness=0.2), 0.28, 0.19),
+        _on_table("lemon", resting(lemon, (0, 0, height + GAP)), Plastic(color=peel, roughness=0.2), 0.37, 0.15),
+        _on_table("orange", resting(ball(0.036), (0, 0, height + GAP)), Plastic(color=zest, roughness=0.2), 0.28, 0.19),
         _on_table(
             "lime",
-            _standing(turned(deformed(ball(0.024), _lemon), (0, 0, 1), 110), 0.005),
+            resting(turned(deformed(ball(0.024), _lemon), (0, 0, 1), 110), (0, 0, 0.005)),
             Plastic(color=(0.16, 0.36, 0.06), roughness=0.2),
             -0.21,
             -0.19,
@@ -209,10 +210,6 @@ def _lemon(p: np.ndarray) -> np.ndarray:
     """A ball drawn out along x, with a nipple at each end."""
     t = p[:, :1] / np.abs(p[:, 0]).max()
     return np.concatenate([p[:, :1] * (1.22 + 0.22 * t**8), p[:, 1:] * (1 - 0.10 * t**2)], axis=-1)
-
-
-def _standing(mesh: Mesh, height: float) -> Mesh:
-    return moved(mesh, (0, 0, height - float(mesh.vertices[:, 2].min())))
 
 
 def _on_table(name: str, mesh: Mesh, material: Material, x: float, y: float) -> SceneObject:

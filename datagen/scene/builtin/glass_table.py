@@ -11,6 +11,7 @@ from datagen.scene.modelling import (
     cylinder,
     deformed,
     filleted,
+    knot,
     lathe,
     merged,
     moved,
@@ -154,9 +155,7 @@ def _things() -> list[SceneObject]:
         [(0.030, 0.0), (0.052, 0.035), (0.060, 0.085), (0.040, 0.150), (0.020, 0.195), (0.027, 0.225)], count=32
     )
     vase = lathe(walled([(0.0, 0.0), *map(tuple, outline.tolist())], wall=0.004, floor=0.006), crease_deg=30)
-    loop = np.linspace(0, 2 * np.pi, 180, endpoint=False)
-    ring = 0.036 + 0.015 * np.cos(3 * loop)
-    knot = np.stack([ring * np.cos(2 * loop), ring * np.sin(2 * loop), 0.015 * np.sin(3 * loop) + 0.0236], axis=-1)
+    trefoil = np.add(knot(0.036, 0.015, count=180), (0, 0, 0.0236))
     books = [
         ("book_blue", (0.21, 0.150, 0.030), 12.0, Diffuse(color=cloth)),
         ("book_red", (0.19, 0.135, 0.024), -7.0, Diffuse(color=(0.55, 0.09, 0.07))),
@@ -175,7 +174,7 @@ def _things() -> list[SceneObject]:
         _on_table("vase", vase, Plastic(color=marble, roughness=0.08), 0.14, 0.20),
         _on_table(
             "knot",
-            tube(knot, 0.0085, segments=20, is_loop=True),
+            tube(trefoil, 0.0085, segments=20, is_loop=True),
             Conductor(color=(0.90, 0.66, 0.33), roughness=0.18),
             0.36,
             -0.19,

@@ -17,6 +17,7 @@ from datagen.scene.modelling import (
     leaf,
     merged,
     moved,
+    resting,
     rotation,
     rounded_box,
     transformed,
@@ -282,5 +283,4 @@ def _watering_can() -> Mesh:
 
 def _on_board(name: str, mesh: Mesh, material: Material, x: float, y: float, level: int) -> SceneObject:
     """A thing put on one of the boards, its lowest point a gap above it."""
-    lowest = float(mesh.vertices[:, 2].min())
-    return SceneObject(name=name, mesh=moved(mesh, (x, y, LEVELS[level] + GAP - lowest)), material=material)
+    return SceneObject(name=name, mesh=resting(mesh, (x, y, LEVELS[level] + GAP)), material=material)

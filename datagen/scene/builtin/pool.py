@@ -12,6 +12,7 @@ from datagen.scene.modelling import (
     lathe,
     merged,
     moved,
+    resting,
     rounded_box,
     shaded,
     tube,
@@ -149,5 +150,4 @@ def _ripples(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 def _in_basin(name: str, mesh: Mesh, material: Material, x: float, y: float) -> SceneObject:
     """An object whose lowest point comes to lie on the basin's bottom at (x, y)."""
-    lowest = float(mesh.vertices[:, 2].min())
-    return SceneObject(name=name, mesh=moved(mesh, (x, y, BOTTOM + GAP - lowest)), material=material)
+    return SceneObject(name=name, mesh=resting(mesh, (x, y, BOTTOM + GAP)), material=material)

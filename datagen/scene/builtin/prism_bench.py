@@ -9,9 +9,11 @@ from datagen.scene.modelling import (
     ball,
     cylinder,
     filleted,
+    knot,
     lathe,
     merged,
     moved,
+    resting,
     rounded_box,
     shaded,
     transformed,
@@ -107,15 +109,13 @@ DIAMOND = Dielectric(ior="diamond", dispersion="measured")
 
 def _things() -> list[SceneObject]:
     stripes = SolidTexture(pattern="stripes", colors=((0.85, 0.82, 0.74), (0.08, 0.09, 0.12)), scale=0.022, axis="z")
-    loop = np.linspace(0, 2 * np.pi, 320, endpoint=False)
-    ring = 0.040 + 0.016 * np.cos(3 * loop)
-    knot = np.stack([ring * np.cos(2 * loop), ring * np.sin(2 * loop), 0.016 * np.sin(3 * loop)], axis=-1)
+    path = knot(0.040, 0.016, count=320)
     block = turned(rounded_box((0.05, 0.05, 0.11), bevel=0.004), (0, 0, 1), 30)
     red = Plastic(color=(0.62, 0.05, 0.04), roughness=0.08)
     return [
         _on_bench("screen", _screen(), Diffuse(color=(0.03, 0.03, 0.035)), -0.23, 0.20),
         _on_bench(
-            "knot", tube(knot, 0.009, segments=32, is_loop=True), Conductor(color=(0.92, 0.68, 0.36), roughness=0.15),
+            "knot", tube(path, 0.009, segments=32, is_loop=True), Conductor(color=(0.92, 0.68, 0.36), roughness=0.15),
             0.33, -0.13,
         ),
         _on_bench("striped_block", block, Plastic(color=stripes, roughness=0.1), -0.34, 0.00),
@@ -191,5 +191,4 @@ def _hull(points: list[tuple[float, float, float]]) -> Mesh:
 
 def _on_bench(name: str, mesh: Mesh, material: Material, x: float, y: float) -> SceneObject:
     """An object whose lowest point comes to lie on the bench at (x, y)."""
-    lowest = float(mesh.vertices[:, 2].min())
-    return SceneObject(name=name, mesh=moved(mesh, (x, y, BENCH_TOP + SHEET + GAP - lowest)), material=material)
+    return SceneObject(name=name, mesh=resting(mesh, (x, y, BENCH_TOP + SHEET + GAP)), material=material)

@@ -10,9 +10,11 @@ from datagen.scene.modelling import (
     curved,
     deformed,
     filleted,
+    knot,
     lathe,
     merged,
     moved,
+    resting,
     rounded_box,
     sheet,
     tube,
@@ -135,10 +137,8 @@ def _sculptures() -> list[SceneObject]:
     chess = SolidTexture(pattern="checker", colors=((0.80, 0.74, 0.60), (0.10, 0.10, 0.14)), scale=0.048)
     veined = SolidTexture(pattern="marble", colors=((0.10, 0.30, 0.22), (0.75, 0.80, 0.70)), scale=0.16)
     spots = SolidTexture(pattern="speckle", colors=((0.86, 0.62, 0.10), (0.30, 0.08, 0.20)), scale=0.030)
-    loop = np.linspace(0, 2 * np.pi, 220, endpoint=False)
-    ring = 0.068 + 0.028 * np.cos(5 * loop)
-    knot = np.stack([ring * np.cos(2 * loop), ring * np.sin(2 * loop), 0.028 * np.sin(5 * loop)], axis=-1)
-    upright = turned(tube(knot, 0.0125, segments=20, is_loop=True), (1, 0, 0), 78)
+    path = knot(0.068, 0.028, lobes=5, count=220)
+    upright = turned(tube(path, 0.0125, segments=20, is_loop=True), (1, 0, 0), 78)
     heights = [(0.048, float(z)) for z in np.linspace(0, 0.34, 48)]
     pillar = deformed(lathe([(0.0, 0.0), *heights, (0.0, 0.34)], segments=64), _twist)
     bowl_side = filleted([(0, 0, 0), (0.040, 0, 0.004), (0.046, 0.012, 0.02), (0.105, 0.075, 0.03), (0.112, 0.10, 0)])
@@ -181,5 +181,4 @@ def _twist(p: np.ndarray) -> np.ndarray:
 
 def _inside(name: str, mesh: Mesh, material: Plastic | Conductor, x: float, y: float) -> SceneObject:
     """A sculpture put on the plinth at (x, y), its lowest point a gap above it."""
-    lowest = float(mesh.vertices[:, 2].min())
-    return SceneObject(name=name, mesh=moved(mesh, (x, y, PLINTH_TOP + GAP - lowest)), material=material)
+    return SceneObject(name=name, mesh=resting(mesh, (x, y, PLINTH_TOP + GAP)), material=material)

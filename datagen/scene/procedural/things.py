@@ -7,7 +7,19 @@ import numpy as np
 from datagen.data.meshes import Mesh
 from datagen.scene.description import SceneObject
 from datagen.scene.materials import Conductor, Diffuse, Material, Plastic
-from datagen.scene.modelling import ball, curved, cylinder, deformed, lathe, moved, rounded_box, tube, turned, walled
+from datagen.scene.modelling import (
+    ball,
+    curved,
+    cylinder,
+    deformed,
+    knot,
+    lathe,
+    moved,
+    rounded_box,
+    tube,
+    turned,
+    walled,
+)
 from datagen.scene.procedural.chance import between, happens, pick, weigh
 from datagen.scene.procedural.patterns import color_pair, pattern
 from datagen.scene.procedural.thing import Thing, standing
@@ -78,10 +90,7 @@ def _can(rng: np.random.Generator) -> Thing:
 
 
 def _wire(rng: np.random.Generator) -> Thing:
-    loop = np.linspace(0, 2 * np.pi, 160, endpoint=False)
-    ring = 0.034 + 0.014 * np.cos(3 * loop)
-    path = np.stack([ring * np.cos(2 * loop), ring * np.sin(2 * loop), 0.014 * np.sin(3 * loop)], axis=-1)
-    mesh = tube(path, between(0.006, 0.008, rng=rng), segments=18, is_loop=True)
+    mesh = tube(knot(0.034, 0.014, count=160), between(0.006, 0.008, rng=rng), segments=18, is_loop=True)
     return _one("knot", turned(mesh, (1, 0, 0), pick((0.0, 90.0), rng=rng)), rng)
 
 

@@ -19,6 +19,7 @@ from datagen.data.meshes import Mesh
 from datagen.data.paths import TRUTH
 from datagen.data.resolution import Resolution
 from datagen.machine.mitsuba_variant import short_lived_workers, use_mitsuba
+from datagen.trace.limits import Limits
 from model.batches.rays import black, read_colors
 from model.batches.traced_layers import SubpixelRays, cameras_of, in_pairs
 from model.methods.light_path.config import LightPathConfig, default_light_path
@@ -83,14 +84,8 @@ class LightPathPixels:
             facets = self._facets(len(pixels), samples, rng)
         # Of most branches the end is all that counts: one place holds the last vertex.
         with short_lived_workers():
-            paths = self.tracer.trace_colors(
-                origins,
-                directions,
-                max_branches=config.branches,
-                max_vertices=1,
-                seed=seed,
-                facets=facets,
-            )
+            limits = Limits(max_branches=config.branches, max_vertices=1)
+            paths = self.tracer.trace_colors(origins, directions, limits, seed=seed, facets=facets)
             stack = self._stack(origins, directions, seed, facets) if config.stack_hidden else None
         return LightPathBatch(
             num_pixels=index.numel(), samples=samples, ends=self._ends(paths), sky=self._sky(paths), stack=stack
@@ -135,15 +130,8 @@ class LightPathPixels:
     def _stack(self, origins: np.ndarray, directions: np.ndarray, seed: int, facets: np.ndarray | None) -> Stack:
         # By the facets of the paths: were those of a pixel's rays always spread evenly, pairs of rays would know of
         # each other, and with `--debias` the network would be paid for contrasts that cancel between them.
-        paths = self.tracer.trace(
-            origins,
-            directions,
-            max_branches=len(STACKED_VERTICES),
-            max_vertices=max(STACKED_VERTICES),
-            max_depth=max(STACKED_VERTICES),
-            seed=seed,
-            facets=facets,
-        )
+        limits = Limits(len(STACKED_VERTICES), max_vertices=max(STACKED_VERTICES), max_depth=max(STACKED_VERTICES))
+        paths = self.tracer.trace(origins, directions, limits, seed=seed, facets=facets)
         places = [(branch, vertex) for branch, count in enumerate(STACKED_VERTICES) for vertex in range(count)]
         slots = [_slot(paths, *place) for place in places]
         for slot in slots:
@@ -265,7 +253,7 @@ def _mirrored(
 
 
 def _straight(tracer: "LightPathTracer", origins: np.ndarray, directions: np.ndarray, num_layers: int) -> "TracedPaths":
-    return tracer.trace(origins, directions, max_branches=1, max_vertices=num_layers, max_depth=num_layers)
+    return tracer.trace(origins, directions, Limits(1, max_vertices=num_layers, max_depth=num_layers))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

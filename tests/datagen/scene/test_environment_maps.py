@@ -19,6 +19,7 @@ from datagen.scene.description import EnvironmentMap, Lobe, Scene, SceneObject, 
 from datagen.scene.environment_maps import look_up, read_map
 from datagen.scene.folder import load_scene, save_scene, scene_files
 from datagen.scene.materials import Dielectric
+from datagen.trace.limits import Limits
 
 use_mitsuba(quiet=True)
 
@@ -192,7 +193,7 @@ def test_truth_and_light_paths_see_one_map_through_glass(tmp_path: Path) -> None
         x, y = (column + jitter[..., 0] - 8) / focal, (8 - row - jitter[..., 1]) / focal
         d = np.stack([x, y, -np.ones_like(x)], axis=-1).reshape(-1, 3) @ pose[0, :3, :3].T
         d = (d / np.linalg.norm(d, axis=1, keepdims=True)).astype(np.float32)
-        paths = tracer.trace(np.tile(pose[0, :3, 3].astype(np.float32), (256, 1)), d, max_branches=8, max_vertices=1)
+        paths = tracer.trace(np.tile(pose[0, :3, 3].astype(np.float32), (256, 1)), d, Limits(8, max_vertices=1))
         sky = radiance_of_sky(scene, paths.end_direction.astype(np.float64))
         seen += (paths.end_throughput * sky).sum(axis=0) / 16
     error = np.abs(seen.reshape(16, 16, 3) - truth)

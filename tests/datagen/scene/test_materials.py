@@ -21,6 +21,7 @@ use_mitsuba()
 
 from datagen.render.mitsuba_scene import load_scene_mitsuba  # noqa: E402
 from datagen.trace.light_path import LightPathTracer  # noqa: E402
+from datagen.trace.limits import Limits  # noqa: E402
 from datagen.trace.surface_tables import EVENTS  # noqa: E402
 
 SAMPLES: dict[type[Material], Material] = {
@@ -64,7 +65,7 @@ def test_the_tracer_splits_light_as_mitsuba_does(material: Material, cosine: flo
 
     d = np.array([[np.sqrt(1 - cosine**2), 0, -cosine]], np.float32)
     tracer = LightPathTracer((quad(0.0),), (material,))
-    paths = tracer.trace(-d.copy(), d, max_branches=2)
+    paths = tracer.trace(-d.copy(), d, Limits(max_branches=2))
     passed, mirrored = paths.end_throughput[0, 0], paths.end_throughput[1, 0]
 
     scene = dataclasses.replace(synthetic_scene(), environment=FURNACE)

@@ -22,6 +22,7 @@ if use_mitsuba(quiet=True).startswith("scalar"):
 
 from datagen.render.environment import radiance_of_environment
 from datagen.trace.light_path import LightPathTracer, TracedPaths
+from datagen.trace.limits import Limits
 
 FLINT = Dielectric(ior="sf11", dispersion="measured")
 BLACK = SoftEnvironment(zenith=(0, 0, 0), horizon=(0, 0, 0), ground=(0, 0, 0))
@@ -49,7 +50,7 @@ def through_the_prism(ior: float, angle: float) -> tuple[np.ndarray, float]:
 
 def traced(mesh: Mesh, material: Material, direction: tuple[float, float, float], **limits: int) -> TracedPaths:
     d = np.tile(np.array(direction) / np.linalg.norm(direction), (256, 1)).astype(np.float32)
-    return LightPathTracer((mesh,), (material,)).trace_colors(-3 * d, d, **limits)
+    return LightPathTracer((mesh,), (material,)).trace_colors(-3 * d, d, Limits(**limits))
 
 
 def seen(
@@ -146,10 +147,10 @@ def test_rays_that_meet_no_dispersing_glass_keep_all_colours_and_are_traced_once
     directions = np.array([(0, 0, -1.0), (0, 0, -1.0), (0, 0, 1.0), (0, 0, -1.0)], np.float32)
     plain = Dielectric(ior=1.5)
     single = LightPathTracer((left, right), (plain, plain))
-    expected = single.trace(origins, directions, max_branches=3)
+    expected = single.trace(origins, directions, Limits(max_branches=3))
     assert not expected.disperses.any()
     tracer = LightPathTracer((left, right), (plain, dataclasses.replace(plain, dispersion=1.0)))
-    found = tracer.trace_colors(origins, directions, max_branches=3)
+    found = tracer.trace_colors(origins, directions, Limits(max_branches=3))
     assert found.disperses.tolist() == [False, True, True, False]
     for field in dataclasses.fields(found):
         if field.name != "disperses":
@@ -159,6 +160,6 @@ def test_rays_that_meet_no_dispersing_glass_keep_all_colours_and_are_traced_once
             assert np.array_equal(*kept), field.name
             assert not np.take(values[3:], [0, 3], axis=axis).any(), field.name
     # Without dispersion nothing is traced again.
-    same = single.trace_colors(origins, directions, max_branches=3)
+    same = single.trace_colors(origins, directions, Limits(max_branches=3))
     assert same.end_throughput.shape == expected.end_throughput.shape
     assert np.array_equal(same.end_throughput, expected.end_throughput)

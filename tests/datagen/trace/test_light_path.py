@@ -24,6 +24,7 @@ if use_mitsuba(quiet=True).startswith("scalar"):
 from datagen.render.environment import radiance_of_environment
 from datagen.render.mitsuba_scene import load_scene_mitsuba, load_sensor
 from datagen.trace.light_path import LightPathTracer, TracedPaths
+from datagen.trace.limits import Limits
 
 GREY = Diffuse(color=(0.5, 0.5, 0.5))
 
@@ -35,14 +36,19 @@ def wide(z: float) -> Mesh:
 
 
 def traced(
-    *objects: tuple[Mesh, Material], origins: object, directions: object, max_branches: int = 2, **limits: int
+    *objects: tuple[Mesh, Material],
+    origins: object,
+    directions: object,
+    max_branches: int = 2,
+    seed: int = 0,
+    **limits: int,
 ) -> TracedPaths:
     directions = np.atleast_2d(np.asarray(directions, np.float64))
     directions = directions / np.linalg.norm(directions, axis=1, keepdims=True)
     origins = np.broadcast_to(np.asarray(origins, np.float64), directions.shape)
     meshes, materials = zip(*objects, strict=True)
     return LightPathTracer(meshes, materials).trace(
-        origins.astype(np.float32), directions.astype(np.float32), max_branches=max_branches, **limits
+        origins.astype(np.float32), directions.astype(np.float32), Limits(max_branches, **limits), seed=seed
     )
 
 
@@ -257,9 +263,7 @@ def test_decoding_branches_by_formula_gives_mitsubas_own_image(
         x, y = (column + dx - size / 2) / focal, (size / 2 - row - dy) / focal
         d = np.stack([x, y, -np.ones_like(x)], axis=-1).reshape(-1, 3) @ cameras.world_from_camera[0, :3, :3].T
         d /= np.linalg.norm(d, axis=1, keepdims=True)
-        paths = tracer.trace(
-            np.broadcast_to(origin, d.shape), d.astype(np.float32), max_branches=2 if branch == 1 else 8
-        )
+        paths = tracer.trace(np.broadcast_to(origin, d.shape), d.astype(np.float32), Limits(2 if branch == 1 else 8))
         environment = radiance_of_environment(DUSK, paths.end_direction.astype(np.float64))
         light = paths.end_throughput * environment
         # Rays that meet no glass belong to branch 0; Mitsuba shows them in both images.

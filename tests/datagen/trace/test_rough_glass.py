@@ -24,6 +24,7 @@ from datagen.render.facets import lobe_of_glass
 from datagen.render.mitsuba_scene import load_scene_mitsuba, load_sensor
 from datagen.render.truth import Renderer
 from datagen.trace.light_path import LightPathTracer, TracedPaths
+from datagen.trace.limits import Limits
 
 SPARK = dataclasses.replace(DUSK, lobes=(Lobe(direction=(1, 1, 1), radiance=(9, 7, 5), sharpness=60),))
 BALL = mesh_of(trimesh.creation.icosphere(4, 0.5))
@@ -36,7 +37,7 @@ def rays_along(direction: tuple[float, float, float], count: int) -> tuple[np.nd
 
 
 def traced(mesh: Mesh, material: Material, direction: tuple[float, float, float], **limits: int) -> TracedPaths:
-    return LightPathTracer((mesh,), (material,)).trace(*rays_along(direction, 4096), **limits)
+    return LightPathTracer((mesh,), (material,)).trace(*rays_along(direction, 4096), Limits(**limits))
 
 
 def seen(direction: tuple[float, float, float], *objects: SceneObject, spp: int) -> np.ndarray:

@@ -24,6 +24,7 @@ use_mitsuba(quiet=True)
 from datagen.render.environment import environment_plugin  # noqa: E402
 from datagen.render.mitsuba_scene import load_sensor  # noqa: E402
 from datagen.trace.light_path import LightPathTracer  # noqa: E402
+from datagen.trace.limits import Limits  # noqa: E402
 from datagen.trace.tints import tints_of  # noqa: E402
 
 FLAT = sheet((-1, -1, 0), (2, 0, 0), (0, 2, 0), cells=(2, 2))
@@ -47,7 +48,7 @@ def mirrored(scene: Scene, *, own_uv: bool = True) -> tuple[np.ndarray, np.ndarr
     directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
     materials = tuple(item.material for item in scene.objects)
     tracer = LightPathTracer((PLATE,), materials, tints_of(scene, own_uv=own_uv))
-    paths = tracer.trace(origins.astype(np.float32), directions.astype(np.float32), max_branches=2)
+    paths = tracer.trace(origins.astype(np.float32), directions.astype(np.float32), Limits(max_branches=2))
     return places, paths.end_throughput[1]
 
 

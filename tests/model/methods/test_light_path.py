@@ -138,9 +138,9 @@ def test_the_stack_meets_the_facets_that_the_paths_meet(
     pixels = pixels_of(dataset, debias=float(paired))
     traced, given = pixels.tracer.trace, []
 
-    def trace(*rays: np.ndarray, seed: int, facets: np.ndarray, **limits: int) -> object:
+    def trace(*rays: object, seed: int, facets: np.ndarray, **channel: int) -> object:
         given.append((seed, facets))
-        return traced(*rays, seed=seed, facets=facets, **limits)
+        return traced(*rays, seed=seed, facets=facets, **channel)
 
     monkeypatch.setattr(pixels.tracer, "trace", trace)
     pixels.take(torch.arange(100, 600), np.random.default_rng(2))
