@@ -5,6 +5,7 @@ from jaxtyping import Float, Float32, UInt8
 
 from datagen.data.exr import decode_radiance
 from datagen.disk.errors import HyalineError
+from datagen.scene.bilinear import bilinear
 
 MAX_HEIGHT = 8192
 MAX_BYTES = 1 << 30
@@ -36,17 +37,10 @@ def look_up(
     radiance: RadianceMap, directions: Float[np.ndarray, "... 3"], rotation_deg: float
 ) -> Float[np.ndarray, "... 3"]:
     """Bilinear radiance from unit directions (world space, +z up) in a map that is turned by so many degrees."""
-    height, width = radiance.shape[:2]
     azimuth = np.arctan2(directions[..., 1], directions[..., 0]) - np.radians(rotation_deg)
-    column = (0.5 - azimuth / (2 * np.pi)) * width - 0.5
-    row = np.arccos(np.clip(directions[..., 2], -1, 1)) / np.pi * height - 0.5
-    left, top = np.floor(column).astype(np.int64), np.floor(row).astype(np.int64)
-    right_share, low_share = (column - left)[..., None], (row - top)[..., None]
-    upper, lower = (
-        radiance[rows, left % width] * (1 - right_share) + radiance[rows, (left + 1) % width] * right_share
-        for rows in (np.clip(top + side, 0, height - 1) for side in (0, 1))
-    )
-    return upper * (1 - low_share) + lower * low_share
+    across = 0.5 - azimuth / (2 * np.pi)
+    down = np.arccos(np.clip(directions[..., 2], -1, 1)) / np.pi
+    return bilinear(radiance, across, down, wraps=(True, False))
 
 
 def _check_size(width: int, height: int, where: str) -> None:

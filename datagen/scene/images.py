@@ -10,6 +10,7 @@ from datagen.data.png import png_bytes
 from datagen.data.tonemap import linear_from_srgb, srgb_from_linear, to_8bit
 from datagen.disk.errors import HyalineError
 from datagen.scene.atlas import bake_corners
+from datagen.scene.bilinear import bilinear
 
 MIN_SIZE, MAX_SIZE = 128, 2048
 """Texels a side of an image that is baked anew."""
@@ -48,17 +49,4 @@ def look_up(
     image: Float32[np.ndarray, "tex_h tex_w 3"], uv: Float[np.ndarray, "h w 2"], *, repeats: bool
 ) -> Float[np.ndarray, "h w 3"]:
     """Bilinear, as Mitsuba looks it up; v = 1 is the first row."""
-    height, width = image.shape[:2]
-    column, row = uv[..., 0] * width - 0.5, (1 - uv[..., 1]) * height - 0.5
-    left, top = np.floor(column).astype(np.int64), np.floor(row).astype(np.int64)
-    right_share, low_share = (column - left)[..., None], (row - top)[..., None]
-
-    def place(index: np.ndarray, size: int) -> np.ndarray:
-        return index % size if repeats else np.clip(index, 0, size - 1)
-
-    lefts, rights = (place(left + side, width) for side in (0, 1))
-    upper, lower = (
-        image[rows, lefts] * (1 - right_share) + image[rows, rights] * right_share
-        for rows in (place(top + side, height) for side in (0, 1))
-    )
-    return upper * (1 - low_share) + lower * low_share
+    return bilinear(image, uv[..., 0], 1 - uv[..., 1], wraps=(repeats, repeats))
