@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from support.commands import call
 from support.synthetic import write_synthetic_dataset
 
 from datagen.data.config import TEST_SPLITS, Split
@@ -391,19 +392,19 @@ def test_typed_in_bash_it_prints_only_the_table_on_stdout(made: Path, tmp_path: 
     assert "wrote out/results.json" in done.stderr
 
 
-def test_an_unknown_format_is_one_line_with_a_suggestion(tmp_path: Path) -> None:
-    done = command("report", "--format", "markdwn", cwd=tmp_path)
-    assert (done.returncode, done.stdout) == (1, "")
-    assert done.stderr == (
+def test_an_unknown_format_is_one_line_with_a_suggestion() -> None:
+    done = call("report --format markdwn")
+    assert (done.status, done.out) == (1, "")
+    assert done.err == (
         "error: format 'markdwn': there is none of that name; did you mean 'markdown'? "
         "known are csv, json, latex, markdown, table\n"
     )
 
 
-def test_a_mistyped_flag_points_to_help_that_a_shell_can_reach(tmp_path: Path) -> None:
-    done = command("report", "--rnus", "x", cwd=tmp_path)
-    assert done.returncode == 2
-    assert done.stderr.endswith("help: `eval report --help`\n")
+def test_a_mistyped_flag_points_to_help_that_a_shell_can_reach() -> None:
+    done = call("report --rnus x")
+    assert done.status == 2
+    assert done.err.endswith("help: `eval report --help`\n")
 
 
 def test_the_package_imports_neither_torch_nor_mitsuba_and_its_help_nothing_heavy(tmp_path: Path) -> None:

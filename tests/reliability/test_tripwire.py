@@ -119,7 +119,7 @@ TRIPS = (
 WRITES_NOTHING = {
     "datagen scenes", "datagen doctor", "model check-method", "model view", "benchmarks peel", "benchmarks truth",
     "benchmarks ceilings", "benchmarks step", "benchmarks infer", "benchmarks gpu", "benchmarks browser",
-    "benchmarks random-scenes",
+    "benchmarks random-scenes", "benchmarks peers",
 }  # fmt: skip
 """Commands that have no file to write."""
 
@@ -143,7 +143,7 @@ ELSEWHERE = {
     "proxies check": {"amount", "name"},
     "datagen render": {"fps", "width", "height"},
     "model render": {"dataset", "fps", "width", "height"},
-    "model export": {"dataset", "quality"},
+    "model export": {"dataset", "quality", "truths"},
     "model sweep": {"dataset", "seed", "jobs", "dry_run"},
     "report report": {"format", "order", "dataset", "full", "published", "results", "views", "watch"},
 }  # fmt: skip

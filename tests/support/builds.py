@@ -1,7 +1,10 @@
 """Building by the command, and what it leaves."""
 
+import shlex
 import sys
 from pathlib import Path
+
+from support.commands import Answer, call
 
 FLAGS = (
     *("--preset", "tiny", "--resolution", "16", "--num-layers", "4"),
@@ -14,4 +17,20 @@ def tree(root: Path) -> dict[str, bytes]:
 
 
 def command(folder: Path, out: Path, *more: str) -> list[str]:
-    return [sys.executable, "-m", "datagen", "build", "--scene", str(folder), "--out", str(out), *FLAGS, *more]
+    """What starts a build in a process of its own."""
+    return [sys.executable, "-m", *_words(folder, out, *more)]
+
+
+def build(folder: Path, out: Path, *more: str) -> Answer:
+    """Builds in this process, which spares the second that a new one takes to start."""
+    return call(shlex.join(_words(folder, out, *more)))
+
+
+def build_whole(folder: Path, out: Path, *more: str) -> None:
+    """Builds in this process, which must succeed."""
+    answer = build(folder, out, *more)
+    assert answer.status == 0, answer.err
+
+
+def _words(folder: Path, out: Path, *more: str) -> list[str]:
+    return ["datagen", "build", "--scene", str(folder), "--out", str(out), *FLAGS, *more]

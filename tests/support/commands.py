@@ -33,7 +33,7 @@ class Answer:
 def call(line: str) -> Answer:
     """Runs a command line, such as `datagen verify data/one`, to its end."""
     words = shlex.split(line)
-    main = importlib.import_module(MAINS[words[0]]).main
+    main = importlib.import_module(MAINS["report" if words[0] == "eval" else words[0]]).main
     before, sys.argv = sys.argv, words
     out, err = io.StringIO(), io.StringIO()
     status = 0

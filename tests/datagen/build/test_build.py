@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.builds import command, tree
+from support.builds import build, build_whole, command, tree
 from support.synthetic import synthetic_scene, write_synthetic_dataset
 
 from datagen.build.build import build_dataset, peel_dataset
@@ -54,10 +54,10 @@ def test_a_built_dataset_holds_what_its_readers_promise(built: Path) -> None:
 
 @pytest.mark.parametrize(("name", "more"), [("workers", ("--workers", "2")), ("again", ())])
 @pytest.mark.promise("R8")
-def test_workers_do_not_change_a_byte(
+def test_neither_workers_nor_another_process_change_a_byte(
     built: Path, scene_folder: Path, tmp_path: Path, name: str, more: tuple[str, ...]
 ) -> None:
-    subprocess.run(command(scene_folder, tmp_path / name, *more), check=True, capture_output=True)
+    build_whole(scene_folder, tmp_path / name, *more)
     assert tree(tmp_path / name) == tree(built)
 
 
@@ -71,30 +71,30 @@ def test_one_thread_does_not_change_a_byte(built: Path, scene_folder: Path, tmp_
 
 def test_a_finished_build_is_left_alone(built: Path, scene_folder: Path) -> None:
     before = {path: path.stat().st_mtime_ns for path in built.rglob("*") if path.is_file()}
-    answer = subprocess.run(command(scene_folder, built), check=True, capture_output=True, text=True)
+    answer = build(scene_folder, built)
+    assert answer.status == 0
     assert {path: path.stat().st_mtime_ns for path in built.rglob("*") if path.is_file()} == before
-    assert answer.stdout.strip() == str(built)
-    assert answer.stderr.splitlines()[-1].startswith("next: proxies make")
+    assert answer.out.strip() == str(built)
+    assert answer.err.splitlines()[-1].startswith("next: proxies make")
 
 
 def test_other_settings_need_overwrite_and_name_the_difference(built: Path, scene_folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "copy"
     shutil.copytree(built, out)
-    answer = subprocess.run(command(scene_folder, out, "--seed", "3"), capture_output=True, text=True, check=False)
-    assert answer.returncode == 1
-    assert "(seed: 0 -> 3); pass --overwrite" in answer.stderr
-    assert "Traceback" not in answer.stderr
+    answer = build(scene_folder, out, "--seed", "3")
+    assert answer.status == 1
+    assert "(seed: 0 -> 3); pass --overwrite" in answer.error
     assert tree(out) == tree(built)
-    subprocess.run(command(scene_folder, out, "--seed", "3", "--overwrite"), check=True, capture_output=True)
+    build_whole(scene_folder, out, "--seed", "3", "--overwrite")
     assert open_dataset(out).config.seed == 3
     assert verify_dataset(out)[1] == []
 
 
 def test_a_folder_with_something_else_in_it_is_not_touched(scene_folder: Path, tmp_path: Path) -> None:
     (tmp_path / "thesis.tex").write_text("precious")
-    answer = subprocess.run(command(scene_folder, tmp_path), capture_output=True, text=True, check=False)
-    assert answer.returncode == 1
-    assert "is not empty (thesis.tex) and no dataset" in answer.stderr
+    answer = build(scene_folder, tmp_path)
+    assert answer.status == 1
+    assert "is not empty (thesis.tex) and no dataset" in answer.error
     assert tree(tmp_path) == {"thesis.tex": b"precious"}
 
 
@@ -146,7 +146,7 @@ def test_a_damaged_view_is_made_again(built: Path, scene_folder: Path, tmp_path:
     image_path(out, "train", 1).write_bytes(b"garbage")
     shards = layers_root(out, TRUTH) / "peels.zarr" / "train" / "uv" / "c" / "2"
     next(path for path in shards.rglob("0") if path.is_file()).unlink()
-    subprocess.run(command(scene_folder, out), check=True, capture_output=True)
+    build_whole(scene_folder, out)
     assert tree(out) == tree(built)
 
 
@@ -165,7 +165,7 @@ def test_a_full_disk_is_one_line_and_loses_nothing(built: Path, scene_folder: Pa
     assert f"{out}/" in answer.stderr.splitlines()[-1]
     assert "the file would be larger than allowed" in answer.stderr
     assert "Traceback" not in answer.stderr
-    subprocess.run(command(scene_folder, out), check=True, capture_output=True)
+    build_whole(scene_folder, out)
     assert tree(out) == tree(built)
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.builds import command, tree
+from support.builds import build, build_whole, command, tree
 from support.synthetic import synthetic_scene
 
 import datagen.cli
@@ -44,13 +44,13 @@ def scene_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def built(scene_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("data") / "built"
-    subprocess.run(command(scene_folder, out), check=True, capture_output=True)
+    build_whole(scene_folder, out)
     return out
 
 
 @pytest.mark.slow
 def test_parts_made_at_once_are_the_whole_byte_for_byte(scene_folder: Path, tmp_path: Path) -> None:
-    subprocess.run(command(scene_folder, tmp_path / "whole", *ALL), check=True, capture_output=True)
+    build_whole(scene_folder, tmp_path / "whole", *ALL)
     out = tmp_path / "parts"
     parts = [
         subprocess.Popen(command(scene_folder, out, *ALL, *words), stderr=subprocess.PIPE, text=True)
@@ -67,8 +67,10 @@ def test_a_killed_part_and_a_build_without_parts_end_in_the_same_bytes(
     built: Path, scene_folder: Path, tmp_path: Path
 ) -> None:
     out = tmp_path / "killed"
-    first = command(scene_folder, out, "--shard", "1/2")
-    process = subprocess.Popen(first, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
+    part = ("--shard", "1/2")
+    process = subprocess.Popen(
+        command(scene_folder, out, *part), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
+    )
     start = time.monotonic()
     while not list(out.glob("records/*/*.json")) and time.monotonic() - start < 300:
         time.sleep(0.02)
@@ -76,10 +78,11 @@ def test_a_killed_part_and_a_build_without_parts_end_in_the_same_bytes(
     process.wait()
     # What a part that was killed in a commit leaves.
     (out / "records/train/0000.json.0123456789abcdef.hyaline-tmp").write_bytes(b"half a rec")
-    answer = subprocess.run(first, check=True, capture_output=True, text=True)
-    assert "part 1/2 is done; " in answer.stderr and "for the other parts to make" in answer.stderr
+    answer = build(scene_folder, out, *part)
+    assert answer.status == 0, answer.err
+    assert "part 1/2 is done; " in answer.err and "for the other parts to make" in answer.err
     assert (out / "records/train/0000.json.0123456789abcdef.hyaline-tmp").is_file(), "a part deletes nothing"
-    subprocess.run(command(scene_folder, out), check=True, capture_output=True)
+    build_whole(scene_folder, out)
     assert tree(out) == tree(built)
 
 
@@ -256,10 +259,9 @@ def test_flags_that_do_not_go_together_are_one_line(
 def test_a_part_is_not_put_beside_what_is_no_dataset(scene_folder: Path, tmp_path: Path) -> None:
     (tmp_path / "images").mkdir()
     (tmp_path / "images" / "thesis.png").write_text("precious")
-    part = command(scene_folder, tmp_path, "--shard", "1/2")
-    answer = subprocess.run(part, capture_output=True, text=True, check=False)
-    assert answer.returncode == 1
-    assert "is not empty (images/thesis.png) and no dataset; choose another --out" in answer.stderr
+    answer = build(scene_folder, tmp_path, "--shard", "1/2")
+    assert answer.status == 1
+    assert "is not empty (images/thesis.png) and no dataset; choose another --out" in answer.error
     assert tree(tmp_path) == {"images/thesis.png": b"precious"}
 
 

@@ -1,6 +1,7 @@
 """Tests that a killed child process ends in one line: what is missing, what goes on, and nothing lost."""
 
 import os
+import shlex
 import shutil
 import signal
 import subprocess
@@ -9,6 +10,7 @@ import time
 from pathlib import Path
 
 import pytest
+from support.commands import run
 from support.synthetic import quad, synthetic_scene
 
 from datagen.build.build import render_dataset
@@ -49,7 +51,7 @@ def test_a_killed_worker_is_one_line_that_names_the_missing_views_and_the_comman
     assert error.startswith(f"error: {out}: render: a worker process was killed (")
     assert describe_views(("train", view) for view in missing) in error
     assert error.endswith(f"; go on with `datagen {' '.join(words)}`")
-    subprocess.run([sys.executable, "-m", "datagen", *words], check=True, capture_output=True)
+    run(shlex.join(["datagen", *words]))
     dataset = open_dataset(out)
     assert all(image_path(dataset.root, "train", view).is_file() for view in range(40))
     assert {name: (out / "records/train" / name).read_bytes() for name in kept} == kept

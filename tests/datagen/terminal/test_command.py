@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from support.commands import Answer, call
 
 from datagen.disk.errors import HyalineError
 from datagen.disk.os_errors import REASONS, describe_os_error, naming
@@ -21,8 +22,30 @@ from datagen.terminal.distribution import VERSION
 from datagen.terminal.signals import Stopped
 
 
-def run(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([sys.executable, "-m", *arguments], capture_output=True, text=True, check=False, cwd=cwd)
+@pytest.fixture(autouse=True)
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty working folder."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        *("datagen build --scene glas_table", "proxies make --kind elipsoid", "model train papr"),
+        *("eval report --runs nowhere", "datagen verify", "model --version"),
+    ],
+)
+def test_a_process_of_its_own_answers_as_a_call_in_this_one(line: str) -> None:
+    alone = subprocess.run([sys.executable, "-m", *line.split()], capture_output=True, text=True, check=False)
+    assert Answer(status=alone.returncode, out=alone.stdout, err=alone.stderr) == call(line)
+
+
+def test_a_mistyped_flag_ends_a_process_with_2() -> None:
+    line = [sys.executable, "-m", "datagen", "build", "--sceen", "x"]
+    answer = subprocess.run(line, capture_output=True, text=True, check=False)
+    assert (answer.returncode, answer.stdout) == (2, "")
+    assert "--scene" in answer.stderr and "Traceback" not in answer.stderr
 
 
 @pytest.mark.parametrize(
@@ -51,35 +74,33 @@ def run(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
         ("eval report --runs nowhere", 1, "nowhere"),
     ],
 )
-def test_wrong_input_is_answered_with_the_way_out(line: str, status: int, message: str, tmp_path: Path) -> None:
-    answer = run(*line.split(), cwd=tmp_path)
-    assert answer.returncode == status
-    assert message in answer.stderr
-    assert "Traceback" not in answer.stderr
+def test_wrong_input_is_answered_with_the_way_out(line: str, status: int, message: str) -> None:
+    answer = call(line)
+    assert answer.status == status
+    assert message in answer.err
     if status == 1:
-        assert len(answer.stderr.splitlines()) == 1
-    assert answer.stdout == ""
+        assert len(answer.err.splitlines()) == 1
+    assert answer.out == ""
 
 
 @pytest.mark.parametrize(
     "line",
     ["datagen", "datagen build", "proxies", "proxies make", "model", "model train", "eval", "eval report"],
 )
-def test_every_command_tells_its_version(line: str, tmp_path: Path) -> None:
-    answer = run(*line.split(), "--version", cwd=tmp_path)
-    assert (answer.returncode, answer.stdout, answer.stderr) == (0, f"hyaline {VERSION}\n", "")
+def test_every_command_tells_its_version(line: str) -> None:
+    assert call(f"{line} --version") == Answer(status=0, out=f"hyaline {VERSION}\n", err="")
     assert re.fullmatch(r"\d+\.\d+\.\d+", VERSION)
 
 
 @pytest.mark.parametrize("line", ["datagen verify", "datagen peel", "proxies make", "proxies check"])
-def test_a_dataset_may_stand_first_or_behind_its_flag(line: str, tmp_path: Path) -> None:
-    first, flag = (run(*line.split(), *words, cwd=tmp_path) for words in (["here"], ["--dataset", "here"]))
+def test_a_dataset_may_stand_first_or_behind_its_flag(line: str) -> None:
+    first, flag = (call(f"{line} {words}") for words in ("here", "--dataset here"))
     assert (
-        first.stderr
-        == flag.stderr
+        first.err
+        == flag.err
         == "error: data/here: no dataset; make one with `datagen build --scene glass_table --out data/here`\n"
     )
-    assert first.returncode == flag.returncode == 1
+    assert first.status == flag.status == 1
 
 
 @pytest.mark.parametrize("line", ["datagen verify", "datagen peel", "model train paper"])
@@ -87,8 +108,7 @@ def test_of_several_datasets_the_flag_chooses_one(line: str, tmp_path: Path) -> 
     for name in "ab":
         (tmp_path / "data" / name).mkdir(parents=True)
         (tmp_path / "data" / name / "dataset.json").write_text("{}")
-    answer = run(*line.split(), cwd=tmp_path)
-    assert answer.stderr == "error: data: holds 2 datasets; choose one with --dataset: data/a, data/b\n"
+    assert call(line).err == "error: data: holds 2 datasets; choose one with --dataset: data/a, data/b\n"
 
 
 def test_a_choice_far_from_all_gets_no_suggestion() -> None:

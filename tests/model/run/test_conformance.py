@@ -6,10 +6,12 @@ import shutil
 import subprocess
 import sys
 import tomllib
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
+from support.commands import call
 from support.synthetic import write_synthetic_dataset
 from support.training import SMALL
 
@@ -18,7 +20,7 @@ from datagen.data.paths import TRUTH
 from model.batches.rays import PixelSource
 from model.methods.paper.config import PaperConfig
 from model.methods.protocol import Inputs
-from model.methods.table import open_inputs
+from model.methods.table import find_method, list_methods, open_inputs
 from model.run.conformance import CHECKS, Broken, Subject
 
 ROOT = Path(__file__).parents[3]
@@ -52,6 +54,18 @@ def model(installed: Path, *words: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run([sys.executable, "-m", "model", *words], capture_output=True, text=True, env=environment)
 
 
+@pytest.fixture
+def found(installed: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """The example where this process finds it, too."""
+    monkeypatch.syspath_prepend(installed)
+    for known in (list_methods, find_method):
+        known.cache_clear()
+    yield installed
+    sys.modules.pop("nearest_view", None)
+    for known in (list_methods, find_method):
+        known.cache_clear()
+
+
 def test_a_method_of_another_distribution_is_listed_checked_and_short(installed: Path) -> None:
     assert len((EXAMPLE / "nearest_view.py").read_text().splitlines()) < 60
     listed = model(installed, "train", "--help")
@@ -66,23 +80,24 @@ def test_a_method_of_another_distribution_is_listed_checked_and_short(installed:
     assert lines[8] in ("ok    it runs on a GPU", "skip  it runs on a GPU: torch finds no GPU")
 
 
+@pytest.mark.usefixtures("one_thread")
 @pytest.mark.parametrize("check", BROKEN)
-def test_a_method_that_breaks_a_promise_is_told_which(installed: Path, check: str) -> None:
-    source = (installed / "nearest_view.py").read_text()
+def test_a_method_that_breaks_a_promise_is_told_which(found: Path, check: str) -> None:
+    source = (found / "nearest_view.py").read_text()
     before, after = BROKEN[check]
     assert before in source
-    (installed / "nearest_view.py").write_text(source.replace(before, after))
-    answer = model(installed, "check-method", "nearest-view")
-    assert answer.returncode == 1
-    assert any(line.startswith(f"FAIL  {check}: ") for line in answer.stdout.splitlines()), answer.stdout
+    (found / "nearest_view.py").write_text(source.replace(before, after))
+    answer = call("model check-method nearest-view")
+    assert answer.status == 1
+    assert any(line.startswith(f"FAIL  {check}: ") for line in answer.out.splitlines()), answer.out
 
 
-def test_a_method_that_cannot_be_imported_is_one_line_and_disturbs_no_other(installed: Path) -> None:
-    (installed / "nearest_view.py").write_text("import no_such_module")
-    answer = model(installed, "check-method", "nearest-view")
-    assert answer.returncode == 1 and answer.stderr.count("\n") == 1
-    assert "nearest_view:NearestViewConfig, which nearest-view brings, cannot be imported" in answer.stderr
-    assert model(installed, "train", "paper", "--help").returncode == 0
+def test_a_method_that_cannot_be_imported_is_one_line_and_disturbs_no_other(found: Path) -> None:
+    (found / "nearest_view.py").write_text("import no_such_module")
+    answer = call("model check-method nearest-view")
+    assert answer.status == 1 and answer.err.count("\n") == 1
+    assert "nearest_view:NearestViewConfig, which nearest-view brings, cannot be imported" in answer.err
+    assert call("model train paper --help").status == 0
 
 
 def test_a_method_that_draws_another_camera_than_asked_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,14 +3,13 @@
 import dataclasses
 import json
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 import trimesh
+from support.commands import call
 from support.meshes import mesh_of
 from support.synthetic import quad, synthetic_scene
 
@@ -147,23 +146,20 @@ def test_predictions_of_another_version_of_an_edit_count_as_none(made: Path) -> 
     assert not is_drawn(made / "runs" / "edit", after)
 
 
-def command(root: Path, *words: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([sys.executable, "-m", *words], cwd=root, capture_output=True, text=True)
-
-
-def test_the_commands_edit_and_draw_what_is_there(made: Path) -> None:
-    data = command(made, "datagen", "build", "--scene", "edit", "--edit", "remove:ball")
-    assert data.stdout == "data/edit/variants/remove-ball\n"
-    assert data.stderr.splitlines()[-1] == "next: eval report"
-    run = ("model", "render", "--run", "runs/edit/paper", "--dataset", "edit", "--variant")
+def test_the_commands_edit_and_draw_what_is_there(made: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(made)
+    data = call("datagen build --scene edit --edit remove:ball")
+    assert data.out == "data/edit/variants/remove-ball\n"
+    assert data.err.splitlines()[-1] == "next: eval report"
+    run = "model render --run runs/edit/paper --dataset edit --variant"
     picture = made / "runs" / "edit" / "paper" / "variants" / "remove-ball" / "predictions" / SPLIT / "0001.png"
     drawn = picture.read_bytes()
     picture.unlink()
-    assert command(made, *run, "remove:ball").stdout == "runs/edit/paper/variants/remove-ball\n"
+    assert call(f"{run} remove:ball").out == "runs/edit/paper/variants/remove-ball\n"
     assert picture.read_bytes() == drawn
-    refused = command(made, "datagen", "build", "--scene", "edit", "--edit", "remove:ball", "--spp", "8")
-    assert (refused.returncode, refused.stdout) == (1, "")
-    assert "error: --spp: does not go with --edit" in refused.stderr
+    refused = call("datagen build --scene edit --edit remove:ball --spp 8")
+    assert (refused.status, refused.out) == (1, "")
+    assert "error: --spp: does not go with --edit" in refused.error
 
 
 def test_the_report_scores_edits_by_region_and_pixels_by_order(
