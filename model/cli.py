@@ -46,7 +46,7 @@ def train_method(words: list[str]) -> None:
         run("model train", inspect.getdoc(train) or "", {name: _listed(about(name)) for name in methods}, ["--help"])
     method = choose("method", words[0], methods)
 
-    from model.run.costs import Meter, costs_are_wanted
+    from model.run.costs import Meter
     from model.run.events import require_tensorboard
     from model.run.logs import LogChoices
     from model.run.train_flags import configure, folder_name, parse_train
@@ -69,7 +69,7 @@ def train_method(words: list[str]) -> None:
         logs=LogChoices(
             snapshots=asked.run.snapshots == "on",
             tensorboard=asked.run.tensorboard,
-            costs=Meter() if costs_are_wanted() else None,
+            costs=Meter() if asked.run.costs else None,
             preview=asked.run.preview,
         ),
     )

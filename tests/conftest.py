@@ -1,6 +1,5 @@
 """What all tests share: checked annotations, the promises of docs/reliability.md and the counting of their cases."""
 
-import os
 import signal
 
 from support.checked import check_annotations
@@ -12,6 +11,3 @@ pytest_plugins = ["support.promises"]
 
 # A shell starts what it runs in the background with SIGINT ignored, which children inherit: tests send it.
 signal.signal(signal.SIGINT, signal.default_int_handler)
-
-# Times differ: where all bytes of a training are compared, it leaves none.
-os.environ["HYALINE_COSTS"] = "off"

@@ -2,12 +2,11 @@
 
 RUN/costs.json   when `model train` ends or is stopped: sums over its sessions, and the most memory of any of them
 
-Two equal trainings take different times, so this file has no hash and is left out where equal bytes are promised, and
-no command relies on it. Sessions that were killed are not in it. With HYALINE_COSTS=off there is none.
+Written with --costs alone: two equal trainings take different times, and leave equal bytes otherwise. The file has no
+hash, and no command relies on it. Sessions that were killed are not in it.
 """
 
 import json
-import os
 import resource
 import sys
 import time
@@ -23,11 +22,6 @@ from datagen.disk.storage import commit
 
 COSTS = "costs.json"
 MAX_BYTES = 1 << 16
-
-
-def costs_are_wanted() -> bool:
-    """What the environment says."""
-    return os.environ.get("HYALINE_COSTS") != "off"
 
 
 def _cpu_seconds() -> float:

@@ -21,7 +21,7 @@ class LogChoices:
     tensorboard: bool = False
     """Event files for TensorBoard."""
     costs: Meter | None = None
-    """Time and memory that it took since then; None: no file says so."""
+    """Time and memory that it took since then; None: it is not told."""
     preview: bool = False
     """Thumbnails of the held-out views in the terminal, at each evaluation."""
 

@@ -5,7 +5,7 @@
     RUN/metrics.jsonl               a line per evaluation: step, loss (mean since the line before), held_out_psnr
     RUN/snapshots/000500.png        a picture per evaluation: held-out views and what is predicted (run/snapshots.py)
     RUN/tensorboard/...             with --tensorboard: event files (run/events.py)
-    RUN/costs.json                  the time and memory that training took (run/costs.py)
+    RUN/costs.json                  with --costs: the time and memory that training took (run/costs.py)
     RUN/checkpoint.pt               while training: everything that a resumed run needs (format: run/checkpoint.py)
     RUN/checkpoint.previous.pt      the one before
     RUN/weights.pt                  after training: the renderer alone; the checkpoints are deleted then

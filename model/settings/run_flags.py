@@ -37,6 +37,9 @@ class RunFlags:
     tensorboard: bool = choice(False)
     """Leave event files for TensorBoard in the run's folder tensorboard: loss, held-out PSNR and pictures. Needs the
     extra tensorboard."""
+    costs: bool = choice(False)
+    """Leave a file costs.json in the run's folder: time, processor time and memory that training takes, which the
+    report's page of the run shows. The only numbers that differ from one training to an equal one."""
     preview: bool = choice(False)
     """Show thumbnails of the held-out views, above the truth, at each evaluation, in a terminal with true colour."""
     overwrite: bool = choice(False)

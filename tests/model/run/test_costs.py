@@ -57,14 +57,13 @@ def test_what_a_session_took_is_added_to_those_before_it_and_a_new_run_begins_an
     assert read_costs(out)["seconds"] < costs["seconds"]
 
 
-def test_the_file_is_left_by_the_command_unless_the_environment_says_no(
+def test_the_command_leaves_the_file_when_it_is_asked_to(
     dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     flags = ["paper", "--steps", "1", "--batch", "8", "--width", "8", "--texture-size", "8", "--device", "cpu"]
-    for value, is_left in (("off", False), ("on", True)):
-        monkeypatch.setenv("HYALINE_COSTS", value)
-        out = tmp_path / value
-        assert call(monkeypatch, "train", *flags, "--dataset", str(dataset.root), "--out", str(out)) == 0
+    for asked, is_left in (((), False), (("--costs",), True)):
+        out = tmp_path / str(is_left)
+        assert call(monkeypatch, "train", *flags, *asked, "--dataset", str(dataset.root), "--out", str(out)) == 0
         assert (out / COSTS).is_file() == is_left
 
 
