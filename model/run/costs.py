@@ -13,8 +13,6 @@ import time
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import torch
-
 from datagen.disk.errors import HyalineError
 from datagen.disk.reading import parse_json, read_regular
 from datagen.disk.records import from_json
@@ -39,6 +37,8 @@ class Meter:
 
     def add_to(self, run: Path) -> None:
         """Adds the session that ends now to those of the run before it."""
+        import torch  # Only here: whoever scores pictures reads this file without it.
+
         before = read_costs(run)
         spent = {
             "seconds": before.get("seconds", 0.0) + time.monotonic() - self.seconds,
