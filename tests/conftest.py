@@ -1,13 +1,35 @@
-"""What all tests share: checked annotations, the promises of docs/reliability.md and the counting of their cases."""
+"""What all tests share: checked annotations, the promises of docs/reliability.md and the counting of their cases, what
+keeps them quick, and their order."""
 
+import os
 import signal
+import sys
+from pathlib import Path
 
-from support.checked import check_annotations
+import pytest
+
+# Idle threads sleep: by default those of NumPy spin for milliseconds, and eat up the cores of the tests beside them.
+os.environ.setdefault("OPENBLAS_THREAD_TIMEOUT", "4")
+# Compiled modules are kept whatever the shell says: every process of the tests would compile hundreds of them anew.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
+
+from support.checked import check_annotations  # noqa: E402
+from support.longest import LONGEST  # noqa: E402
 
 check_annotations()  # Before anything imports one of the packages.
 
-pytest_plugins = ["support.promises"]
+from model.settings.runtime import wait_briefly  # noqa: E402
 
+wait_briefly()  # Before anything imports torch.
+
+pytest_plugins = ["support.promises"]
 
 # A shell starts what it runs in the background with SIGINT ignored, which children inherit: tests send it.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The longest files come first: begun last, one of them would keep one process busy while the others are done."""
+    place = {Path(__file__).parent / file: index for index, file in enumerate(LONGEST)}
+    items.sort(key=lambda item: place.get(item.path, len(place)))
