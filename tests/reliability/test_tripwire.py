@@ -15,6 +15,7 @@ from support.disk import State, read_state
 from support.gltf import GltfBuilder
 from support.scenarios import BUILD, EXPORT, GRID, TRAIN
 
+from datagen.machine.mitsuba_variant import use_mitsuba
 from model.run.sweep import Failure
 
 RENDER = "model render --run runs/one/paper --device cpu"
@@ -186,6 +187,12 @@ def write_theirs(root: Path) -> None:
     frame = {"file_path": "view.png", "transform_matrix": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 3], [0, 0, 0, 1]]}
     for role in ("train", "test"):
         (root / f"transforms_{role}.json").write_text(json.dumps({"camera_angle_x": 0.7, "frames": [frame]}))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def mitsuba() -> None:
+    """Light paths and slits are really traced: Mitsuba is ready before `here` keeps commands from starting it."""
+    use_mitsuba(quiet=True)
 
 
 @pytest.fixture
