@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float32, Int32
+from jaxtyping import Float, Float32, Int32
 
 from datagen.disk.errors import HyalineError
 from datagen.disk.reading import read_regular
@@ -71,10 +71,11 @@ def welded(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
 
 def signed_volume(mesh: Mesh) -> float:
     """Enclosed volume in cubic metres by the divergence theorem; negative when the mesh is inside out."""
-    return _signed_volume(face_corners(mesh))
+    return volume_within(face_corners(mesh))
 
 
-def _signed_volume(corners: np.ndarray) -> float:
+def volume_within(corners: Float[np.ndarray, "face 3 3"]) -> float:
+    """`signed_volume` of faces by their corners."""
     centered = corners.astype(np.float64) - corners.mean(axis=(0, 1), dtype=np.float64)
     a, b, c = np.moveaxis(centered, 1, 0)
     return float(np.einsum("fi,fi->", a, np.cross(b, c)) / 6)

@@ -52,7 +52,7 @@ def read_training(folder: Path) -> Training:
         step = record.pop("step", None)
         if isinstance(step, (int, float)):
             for key, value in record.items():
-                if is_number(value):
+                if _is_number(value):
                     curves.setdefault(key, []).append((float(step), float(value)))
     return Training(
         curves={key: _thinned(points) for key, points in curves.items()},
@@ -70,10 +70,10 @@ def _read_costs(path: Path) -> dict[str, float]:
         found = parse_json(read_regular(path, at_most=MAX_JSON_BYTES), where=str(path))
     except HyalineError:
         return {}
-    return {key: float(value) for key, value in found.items() if is_number(value) and float(value) >= 0}
+    return {key: float(value) for key, value in found.items() if _is_number(value) and float(value) >= 0}
 
 
-def is_number(value: object) -> TypeGuard[float]:
+def _is_number(value: object) -> TypeGuard[float]:
     return isinstance(value, (int, float)) and not isinstance(value, bool)
 
 

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
-from datagen.data.meshes import Mesh, component_of_faces, face_corners, open_edges, signed_volume, welded
+from datagen.data.meshes import Mesh, component_of_faces, face_corners, open_edges, signed_volume, volume_within, welded
 from datagen.data.windings import check_solid, windings
 from datagen.disk.errors import HyalineError
 from datagen.scene.importers.remarks import Remarks
@@ -90,7 +90,7 @@ def _union(mesh: Mesh) -> tuple[Mesh, int]:
     for index in range(int(part.max()) + 1):
         own = faces[part == index]
         corners = positions[own].astype(np.float64)
-        if _signed(corners) < 0:
+        if volume_within(corners) < 0:
             cavities.append((corners, _manifold(positions, own[:, ::-1], size)))
         else:
             solids.append(_manifold(positions, own, size))
@@ -131,8 +131,3 @@ def _manifold(positions: np.ndarray, faces: np.ndarray, size: float) -> "manifol
     if solid.status() != manifold3d.Error.NoError:
         raise ValueError(f"a part is no manifold: {solid.status().name}")
     return solid
-
-
-def _signed(corners: Float[np.ndarray, "face 3 3"]) -> float:
-    a, b, c = np.moveaxis(corners - corners.mean(axis=(0, 1)), 1, 0)
-    return float(np.einsum("fi,fi->", a, np.cross(b, c)) / 6)

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -60,9 +61,7 @@ class TransformsFile:
         return found
 
     def _lens(self, frame: Fields) -> Lens:
-        def number(key: str, default: float) -> float:
-            return frame.number(key, self.fields.number(key, default))
-
+        number = partial(self._number, frame)
         bent = [key for key in DISTORTION if abs(number(key, 0.0)) > 1e-9]
         if bent or "fisheye" in self.fields.text("camera_model").lower():
             raise HyalineError(
@@ -86,12 +85,8 @@ class TransformsFile:
                 f"{frame.where}: has focal lengths {focal:g} and {number('fl_y', focal):g}; expected square pixels, of "
                 "equal ones"
             )
-        center = number("cx", width / 2), number("cy", height / 2)
-        pixels = 0.5 * width / math.tan(0.5 * angle)
-        try:
-            Intrinsics(fl_x=pixels, fl_y=pixels, cx=center[0], cy=center[1], w=width, h=height)
-        except HyalineError as error:
-            raise HyalineError(f"{frame.where}: {error}") from None
+        lens = self._intrinsics(frame, angle, width, height)
+        center = lens.cx, lens.cy
         return Lens(fov_x=angle, size=size, center=None if center == (width / 2, height / 2) else center)
 
     def angle(self, frame: Fields) -> tuple[float, Intrinsics | None, list[str]]:
@@ -100,27 +95,29 @@ class TransformsFile:
         Raises:
             HyalineError: nothing says it.
         """
-
-        def number(key: str, default: float) -> float:
-            return frame.number(key, self.fields.number(key, default))
-
+        number = partial(self._number, frame)
         width, height, focal = number("w", 2 * number("cx", 0.0)), number("h", 0.0), number("fl_x", 0.0)
         angle = 2 * math.atan(0.5 * width / focal) if focal > 0 and width > 0 else number("camera_angle_x", 0.0)
         if not 0 < angle < math.pi:
             raise HyalineError(
                 f"{frame.where}: has no lens; expected camera_angle_x in radians, or fl_x and w in pixels"
             )
-        lens = None
-        if width >= 1 and height >= 1:
-            pixels = 0.5 * width / math.tan(0.5 * angle)
-            column, row = number("cx", width / 2), number("cy", height / 2)
-            try:
-                lens = Intrinsics(fl_x=pixels, fl_y=pixels, cx=column, cy=row, w=round(width), h=round(height))
-            except HyalineError as error:
-                raise HyalineError(f"{frame.where}: {error}") from None
+        lens = self._intrinsics(frame, angle, width, height) if width >= 1 and height >= 1 else None
         is_bent = any(abs(number(key, 0.0)) > 1e-9 for key in DISTORTION)
         is_square = focal <= 0 or abs(number("fl_y", focal) / focal - 1) <= TOLERANCE
         return angle, lens, [DISTORTED] * is_bent + [NOT_SQUARE] * (not is_square)
+
+    def _number(self, frame: Fields, key: str, default: float) -> float:
+        """What a frame says, or else what the file says of all frames."""
+        return frame.number(key, self.fields.number(key, default))
+
+    def _intrinsics(self, frame: Fields, angle: float, width: float, height: float) -> Intrinsics:
+        pixels = 0.5 * width / math.tan(0.5 * angle)
+        cx, cy = self._number(frame, "cx", width / 2), self._number(frame, "cy", height / 2)
+        try:
+            return Intrinsics(fl_x=pixels, fl_y=pixels, cx=cx, cy=cy, w=round(width), h=round(height))
+        except HyalineError as error:
+            raise HyalineError(f"{frame.where}: {error}") from None
 
     def pose(self, frame: Fields) -> np.ndarray:
         """world_from_camera of a frame, in the file's units.

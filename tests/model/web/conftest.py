@@ -1,6 +1,7 @@
 """What tests of pages share: a browser, the scene of every surface, and its page."""
 
 from collections.abc import Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
@@ -40,6 +41,14 @@ def browser() -> Iterator["Browser"]:
     require_browser()
     with running_browser() as browser:
         yield browser
+
+
+@pytest.fixture(scope="module")
+def small_page(renderer: LightPathRenderer, dataset: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The file of the page that keeps few bits of each number."""
+    file = tmp_path_factory.mktemp("page") / "small.html"
+    file.write_bytes(scene_page(renderer, renderer.config, dataset, TRUTH, "small", label="noise", still=STILL))
+    return file
 
 
 @pytest.fixture(scope="module")

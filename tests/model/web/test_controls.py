@@ -2,18 +2,15 @@
 
 import re
 from collections.abc import Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from support.web_scenes import STILL, every_surface
+from support.web_scenes import every_surface
 
 from benchmarks.pages.browser import Watched, open_file, watched_page
-from datagen.data.dataset import Dataset
-from datagen.data.paths import TRUTH
 from datagen.trace.peel import Peeler
-from model.methods.light_path.net import LightPathRenderer
-from model.web.export import scene_page
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -22,13 +19,9 @@ STATE = "async () => { const { camera, objects } = await hyaline; return [camera
 
 
 @pytest.fixture(scope="module")
-def opened(
-    browser: "Browser", renderer: LightPathRenderer, dataset: Dataset, tmp_path_factory: pytest.TempPathFactory
-) -> Iterator[Watched]:
-    file = tmp_path_factory.mktemp("page") / "small.html"
-    file.write_bytes(scene_page(renderer, renderer.config, dataset, TRUTH, "small", label="noise", still=STILL))
+def opened(browser: "Browser", small_page: Path) -> Iterator[Watched]:
     with watched_page(browser, width=700, height=500) as page:
-        open_file(page, file)
+        open_file(page, small_page)
         yield page
 
 

@@ -1,17 +1,13 @@
 """Tests of what fingers do on the page of a trained scene: touches as the browser itself makes them, not events."""
 
 from collections.abc import Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from support.web_scenes import STILL
 
 from benchmarks.pages.browser import Watched, open_file, watched_page
-from datagen.data.dataset import Dataset
-from datagen.data.paths import TRUTH
-from model.methods.light_path.net import LightPathRenderer
-from model.web.export import scene_page
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, CDPSession
@@ -25,14 +21,10 @@ BESIDE = [(right, down) for right in (-40, 40, -25, 25) for down in (-40, -20, 2
 
 
 @pytest.fixture(scope="module")
-def opened(
-    browser: "Browser", renderer: LightPathRenderer, dataset: Dataset, tmp_path_factory: pytest.TempPathFactory
-) -> Iterator[Watched]:
+def opened(browser: "Browser", small_page: Path) -> Iterator[Watched]:
     """A page on a screen that is touched, in which nothing is drawn."""
-    file = tmp_path_factory.mktemp("page") / "small.html"
-    file.write_bytes(scene_page(renderer, renderer.config, dataset, TRUTH, "small", label="noise", still=STILL))
     with watched_page(browser, width=390, height=700) as page:
-        open_file(page, file)
+        open_file(page, small_page)
         page.evaluate("async () => { (await hyaline).frames.held = true; }")
         yield page
 
