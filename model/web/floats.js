@@ -37,3 +37,11 @@ function texelTable(arrays, manifest) {
   for (let i = 0; i < table.length; i++) table[i] *= arrays.texelStep[0];
   return table;
 }
+
+// What metals mirror over their surface: linear, or in 8 bits of sRGB (model/web/tints.py).
+function tintTable(tints) {
+  const table = new Float32Array((4 * tints.length) / 3), isLinear = tints instanceof Float32Array;
+  const linear = (code) => (code <= 0.04045 ? code / 12.92 : ((code + 0.055) / 1.055) ** 2.4);
+  for (let i = 0; i < tints.length; i++) table[4 * Math.floor(i / 3) + (i % 3)] = isLinear ? tints[i] : linear(tints[i] / 255);
+  return table;
+}

@@ -101,7 +101,7 @@ vec3 trace(vec3 o, vec3 d, vec2 row, uint ray) {
                 vec2 at_facet = fresnel(facet.cosine, eta);
                 float shadowing, passed;
                 mirrored = mirrored_by(facet, shadowing);
-                m_beta = beta * shadowing * (kind == METAL ? color.rgb : vec3(at_facet.x));
+                m_beta = beta * shadowing * (kind == METAL ? metal_color(hit.object, place.uv) : vec3(at_facet.x));
                 if (is_rough) {
                     total = at_facet.x >= 1.0;
                     vec3 refracted = refracted_by(facet, at_facet.y, eta, passed);

@@ -1,11 +1,11 @@
 // The objects as they stand now: which are shown, where, and of which material; copies of them; and all that as text.
 
 const MAX_COPIES = 32, MAX_NESTED = 32;
-const OPTICS = ["event", "ior", "roughness", "color", "priority", "mediumIor", "spread", "absorption"];
+const OPTICS = ["event", "ior", "roughness", "color", "tint", "priority", "mediumIor", "spread", "absorption"];
 
 // What `datagen build --edit glass:OBJECT` makes of opaque objects, and of glass.
-const CLEAR_GLASS = { event: "refracts", ior: 1, roughness: 0, color: [1, 1, 1], priority: 0, mediumIor: 1.5, spread: [0, 0, 0], absorption: [0, 0, 0] };
-const MATT = { event: "ends", ior: 1, roughness: 0, color: [1, 1, 1], priority: null, mediumIor: 1, spread: [0, 0, 0], absorption: [0, 0, 0] };
+const CLEAR_GLASS = { event: "refracts", ior: 1, roughness: 0, color: [1, 1, 1], tint: null, priority: 0, mediumIor: 1.5, spread: [0, 0, 0], absorption: [0, 0, 0] };
+const MATT = { event: "ends", ior: 1, roughness: 0, color: [1, 1, 1], tint: null, priority: null, mediumIor: 1, spread: [0, 0, 0], absorption: [0, 0, 0] };
 
 class Objects {
   constructor(manifest) {
@@ -59,11 +59,13 @@ class Objects {
     return optics.priority === null || !this.isNested || this.all.filter((item) => item.priority !== null).length < MAX_NESTED;
   }
 
-  // The places, among those that are known, of the materials that an object may be made of.
+  // The places, among those that are known, of the materials that an object may be made of. The texture of a metal lies
+  // in the uv of its own shape, and fits no other.
   materialsFor(index) {
-    const item = this.all[index], isSolid = this.listed[item.of].isClosed;
+    const item = this.all[index], { isClosed: isSolid, tint } = this.listed[item.of];
     return this.materials.map((_, place) => place).filter((place) => {
       const known = this.materials[place];
+      if (known.tint && String(known.tint) !== String(tint)) return false;
       return place === item.material || known.priority === null || (isSolid && (item.priority !== null || this.hasRoomFor(known)));
     });
   }

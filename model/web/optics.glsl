@@ -22,6 +22,27 @@ float index_of(int rank) { return rank < 0 ? 1.0 : of_object(rank, MEDIUM)[chann
 bool parts_colors(int rank) { return rank >= 0 && of_object(rank, MEDIUM).w > 0.0; }
 vec3 absorption_of(int rank) { return rank < 0 ? vec3(0.0) : of_object(rank, MEDIUM + 1).xyz; }
 
+// ---- What metal mirrors
+
+uniform highp sampler2D tints;
+
+// Texels count, where it has any: bilinear between their centres, the outermost ones beyond. Source: datagen/trace/tints.py.
+vec3 metal_color(int object, vec2 uv) {
+    vec4 color = of_object(object, COLOR);
+#if TINTS == 1
+    ivec2 size = ivec2(of_object(object, TREE).zw);
+    if (size.x > 0) {
+        vec2 at = clamp(vec2(uv.x, 1.0 - uv.y) * vec2(size) - 0.5, vec2(0.0), vec2(size - 1));
+        ivec2 low = ivec2(at), high = min(low + 1, size - 1);
+        at -= vec2(low);
+        int upper = int(color.w) + low.y * size.x, lower = int(color.w) + high.y * size.x;
+        vec4 above = mix(fetch(tints, upper + low.x), fetch(tints, upper + high.x), at.x);
+        color *= mix(above, mix(fetch(tints, lower + low.x), fetch(tints, lower + high.x), at.x), at.y);
+    }
+#endif
+    return color.rgb;
+}
+
 // ---- Random numbers, as Mitsuba makes them
 
 uvec2 tea(uint v0, uint v1) {

@@ -33,9 +33,10 @@ vec4 fetch(highp sampler2D table, int index) {
 
 vec4 of_object(int object, int column) { return texelFetch(objects, ivec2(column, object), 0); }
 
-// Columns of `objects`: rows of world_from_object and its shift, what the surface does, the root of the object's tree
-// and how many times as large as its mesh it is; by rank the medium's indices, whether they differ, and its absorption;
-// then the places of the object's texels.
+// Columns of `objects`: rows of world_from_object and its shift, what the surface does, its colour and where its texels
+// of metal begin, the root of the object's tree, how many times as large as its mesh it is, columns and rows of the
+// texels of metal; by rank the medium's indices, whether they differ, and its absorption; then the places of the
+// object's texels.
 const int TURN = 0, OPTICS = 3, COLOR = 4, TREE = 5, MEDIUM = 6, TEXTURE = 8;
 
 struct Hit {

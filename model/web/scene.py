@@ -11,10 +11,12 @@ from datagen.data.dataset import Dataset
 from datagen.data.geometries import read_meshes
 from datagen.data.meshes import Mesh, is_there, open_edges
 from datagen.data.number_formats import quantize_uv, round_mantissa
+from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import Json
 from datagen.scene.description import CameraRig, Scene
 from datagen.scene.folder import load_scene
+from datagen.trace.tints import tints_of
 from model.methods.light_path.net import LightPathRenderer
 from model.methods.paper.config import PaperConfig
 from model.methods.paper.renderer import PaperRenderer
@@ -25,6 +27,7 @@ from model.web.light_path import draw_light_path
 from model.web.packing import Packed, Quality, fold_normals, quantize_normals, quantize_positions
 from model.web.paper import draw_paper
 from model.web.texels import Places, add_texels
+from model.web.tints import TintPlaces, add_tints
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -51,6 +54,9 @@ def web_scene(renderer: Renderer, config: MethodConfig, dataset: Dataset, geomet
         # A learned relief shifts look-ups to anywhere.
         charted = None if drawn.relief else [mesh for mesh in meshes for _ in range(drawn.shells)]
         places = add_texels(packed, drawn.textures, quality, charted)
+    tints: TintPlaces = [None] * len(meshes)
+    if drawn.knows_materials:
+        tints = add_tints(packed, tints_of(scene, own_uv=geometry == TRUTH), quality)
     weights = np.concatenate(drawn.weights)
     packed.add("weights", round_mantissa(weights) if quality == "small" else weights)
     views: dict[str, Json] = {}
@@ -75,8 +81,9 @@ def web_scene(renderer: Renderer, config: MethodConfig, dataset: Dataset, geomet
             **drawn.defines,
             "LEVELS": len(places[0]),
             "FEATURE_TEXELS": drawn.features // 4,
+            "TINTS": int(any(tints)),
         },
-        "objects": [{**item, **box} for item, box in zip(_objects(scene, meshes, drawn, places), boxes)],
+        "objects": [{**item, **box} for item, box in zip(_objects(scene, meshes, drawn, places, tints), boxes)],
     }
     return WebScene(manifest=manifest, packed=packed, shaders=drawn.shaders)
 
@@ -84,7 +91,6 @@ def web_scene(renderer: Renderer, config: MethodConfig, dataset: Dataset, geomet
 def _draw(renderer: Renderer, config: MethodConfig, scene: Scene) -> Drawn:
     if isinstance(renderer, LightPathRenderer):
         surfaces = [item.material.surface() for item in scene.objects]
-        check_metals(scene)
         media = [item.material.medium for item in scene.objects if item.material.medium is not None]
         return draw_light_path(renderer, surfaces, media)
     if isinstance(renderer, PaperRenderer) and isinstance(config, PaperConfig):
@@ -93,20 +99,6 @@ def _draw(renderer: Renderer, config: MethodConfig, scene: Scene) -> Drawn:
         f"export: the run is one of {type(renderer).__name__}; expected light-path, paper or mlp-first, which a page "
         "can draw"
     )
-
-
-def check_metals(scene: Scene) -> None:
-    """Refuses metal with a texture, whose mirror images a page would draw in a wrong colour.
-
-    Raises:
-        HyalineError: naming the object.
-    """
-    for item in scene.objects:
-        if item.material.surface().texture is not None:
-            raise HyalineError(
-                f"export: object {item.name} is metal with a texture, and a page draws metal of one colour; "
-                "`model render` draws both"
-            )
 
 
 def _lens(dataset: Dataset) -> dict[str, Json]:
@@ -129,7 +121,9 @@ def _orbit(scene: Scene, dataset: Dataset) -> tuple[list[Json], float]:
     return [float(value) for value in target], float(np.linalg.norm(places - target, axis=1).mean() / 2)
 
 
-def _objects(scene: Scene, meshes: tuple[Mesh, ...], drawn: Drawn, places: Places) -> list[dict[str, Json]]:
+def _objects(
+    scene: Scene, meshes: tuple[Mesh, ...], drawn: Drawn, places: Places, tints: TintPlaces
+) -> list[dict[str, Json]]:
     """What the page is told of each object, in the order of their ids."""
     listed: list[dict[str, Json]] = []
     first_vertex = first_face = 0
@@ -148,6 +142,7 @@ def _objects(scene: Scene, meshes: tuple[Mesh, ...], drawn: Drawn, places: Place
                 "ior": surface.ior,
                 "roughness": surface.roughness,
                 "color": list(surface.color),
+                "tint": cast(Json, tints[index]),
                 "priority": None if medium is None else medium.priority,
                 "mediumIor": 1.0 if medium is None else medium.ior,
                 "spread": [0.0, 0.0, 0.0] if medium is None else [ior - medium.ior for ior in medium.iors],

@@ -2,6 +2,7 @@
 
 const TEXTURE_WIDTH = 2048, EVENTS = { ends: 0, refracts: 1, passes: 2, coated: 3, mirrors: 4 };
 const TASKS = { picture: 0, layers: 1, path: 2 };
+const TINTS_UNIT = 8;  // What is drawn into is bound to 7.
 
 const CORNERS = `#version 300 es
 void main() { gl_Position = vec4(gl_VertexID == 1 ? 3.0 : -1.0, gl_VertexID == 2 ? 3.0 : -1.0, 0.0, 1.0); }`;
@@ -114,6 +115,7 @@ class Tracer {
     this.objects = makeTexture(gl, 3, gl.RGBA32F, this.objectWidth, this.objectRows, this.objectTable);
     this.table(4, manifest.quality === "exact" ? gl.RGBA32F : gl.RGBA16F, texelTable(arrays, manifest));
     this.table(5, gl.RGBA32F, arrays.weights);
+    if (manifest.defines.TINTS) this.table(TINTS_UNIT, gl.RGBA32F, tintTable(arrays.tints));
   }
 
   // A texture of as many rows as it takes.
@@ -142,8 +144,9 @@ class Tracer {
         const at = (shell * this.capacity + index) * row;
         for (let axis = 0; axis < 3; axis++) table.set([...turn[axis], shift[axis]], at + 4 * axis);
         table.set([EVENTS[object.event], object.ior, object.roughness, ranks[index]], at + 12);
-        table.set([...object.color, 0], at + 16);
-        table.set([trees.roots[object.of], scale, 0, 0], at + 20);
+        const [firstTint, ...tintSize] = object.tint || [0, 0, 0];
+        table.set([...object.color, firstTint], at + 16);
+        table.set([trees.roots[object.of], scale, ...tintSize], at + 20);
         [...texels[shell], ...(relief ? [relief[shell]] : [])].forEach((place, level) => table.set(place, at + 32 + 4 * level));
       }
       if (ranks[index] < 0) return;
@@ -232,6 +235,7 @@ class Tracer {
     const { gl } = this, { program, places } = this.tracing;
     gl.useProgram(program);
     ["nodes", "triangles", "vertices", "objects", "texels", "weights", "before"].forEach((name, unit) => gl.uniform1i(places[name], unit));
+    gl.uniform1i(places.tints, TINTS_UNIT);
     gl.uniform3fv(places.camera_place, camera.place);
     gl.uniformMatrix3fv(places.camera_turn, false, camera.turn);
     gl.uniform1f(places.focal, focal);

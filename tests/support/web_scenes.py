@@ -22,14 +22,19 @@ from datagen.data.resolution import Resolution
 from datagen.scene.description import Scene, SceneObject
 from datagen.scene.folder import scene_files
 from datagen.scene.materials import Conductor, Dielectric, Diffuse, Plastic, RoughDielectric, ThinDielectric
+from datagen.scene.textures import ImageTexture
 from datagen.trace.light_path import LightPathTracer
+from datagen.trace.tints import tints_of
 from model.methods.light_path.config import LightPathConfig
 from model.methods.light_path.net import LightPathRenderer
 from model.methods.light_path.pixels import LightPathPixels, load_light_path_pixels
+from model.nets.texture import TexturePyramid
 from model.run.predict import predict_pixels
 
 SHAPE = (44, 36)
 VIEW = "interpolating/0"
+METAL = 4
+"""Its place among the objects."""
 POSE = look_at(np.array([0.5, -2.2, 1.7]), np.array([-0.1, 0, 0.4]))
 STILL = png_bytes(np.full((4, 4, 3), 90, np.uint8))
 
@@ -66,7 +71,7 @@ def every_surface() -> Scene:
         SceneObject(
             name="metal",
             mesh=placed(trimesh.creation.icosphere(3, 0.3), -0.6, 0.3, 0.35),
-            material=Conductor(color=(0.9, 0.7, 0.4), roughness=0.2),
+            material=Conductor(color=ImageTexture(path="metal.png"), roughness=0.2),
         ),
         SceneObject(
             name="plastic",
@@ -79,7 +84,8 @@ def every_surface() -> Scene:
             material=RoughDielectric(ior=1.31, roughness=0.15),
         ),
     )
-    return dataclasses.replace(synthetic_scene(), objects=objects)
+    picture = np.random.default_rng(1).choice(np.array([0, 255], np.uint8), (5, 7, 3))
+    return dataclasses.replace(synthetic_scene(), objects=objects, baked={"metal.png": png_bytes(picture)})
 
 
 def write_scene(root: Path, scene: Scene) -> Dataset:
@@ -120,6 +126,13 @@ def solid_surfaces() -> Scene:
     return dataclasses.replace(every_surface(), objects=objects)
 
 
+def darken(net: LightPathRenderer, texture: int) -> None:
+    """Makes an object shine little by itself, so that one sees what it mirrors."""
+    finest = net.textures.levels()[0] if isinstance(net.textures, TexturePyramid) else net.textures
+    first, size = finest.layout.bases[texture], finest.layout.sizes[texture]
+    finest.table[first : first + size * size, :3] -= 4
+
+
 def noisy_light_path(**change: Any) -> LightPathRenderer:
     torch.manual_seed(3)
     parts = {
@@ -136,6 +149,7 @@ def noisy_light_path(**change: Any) -> LightPathRenderer:
     net = LightPathRenderer(LightPathConfig(**{**parts, **change}))
     noisy(net, {"relief.table": 4.0})
     with torch.no_grad():
+        darken(net, METAL * net.config.shells)
         if net.config.composite:
             net.environment.maps[-1].fill_(-2.0)  # Else all would be white,
             if net.stack_net is not None:
@@ -153,7 +167,9 @@ def drawn_by_python(
     config = dataclasses.replace(renderer.config, render_samples=samples)
     pixels = load_light_path_pixels(config, dataset, TRUTH, "interpolating", [0], False)
     if objects is not None:
-        tracer = LightPathTracer(tuple(item.mesh for item in objects), tuple(item.material for item in objects))
+        tints = tints_of(dataclasses.replace(every_surface(), objects=objects), own_uv=True)
+        meshes, materials = (tuple(getattr(item, part) for item in objects) for part in ("mesh", "material"))
+        tracer = LightPathTracer(meshes, materials, tints)
         opaque = np.array([False, *(not item.material.is_glass for item in objects)])
         pixels = dataclasses.replace(pixels, tracer=tracer, is_opaque=opaque)
     assert isinstance(pixels, LightPathPixels)

@@ -8,15 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from support.synthetic import synthetic_scene, write_synthetic_dataset
+from support.synthetic import write_synthetic_dataset
 from support.training import SMALL, call
 
 from datagen.data.dataset import Dataset
 from datagen.data.png import png_bytes
-from datagen.disk.errors import HyalineError
 from datagen.machine.mitsuba_variant import use_mitsuba
-from datagen.scene.materials import Conductor
-from datagen.scene.textures import SolidTexture
 
 if use_mitsuba(quiet=True).startswith("scalar"):
     pytest.skip("light paths need a vectorised variant of Mitsuba", allow_module_level=True)
@@ -25,7 +22,6 @@ from model.methods.authors_code.config import AuthorsConfig
 from model.methods.light_path.config import LightPathConfig
 from model.run.run_folder import TrainConfig
 from model.run.train import train
-from model.web.scene import check_metals
 
 LIGHT_PATH = TrainConfig(
     method="light-path",
@@ -99,15 +95,3 @@ def test_a_run_of_another_method_is_refused(
     assert call(monkeypatch, "export", "--run", str(run), "--out", str(tmp_path / "page.html")) == 1
     assert "is a run of authors-code; expected one of light-path, paper, mlp-first" in capsys.readouterr().err
     assert not (tmp_path / "page.html").exists()
-
-
-def test_metal_with_a_texture_is_refused_by_name_and_metal_of_one_colour_is_not() -> None:
-    texture = SolidTexture(pattern="stripes", colors=((0, 0, 0), (1, 1, 1)), scale=0.1)
-    scene = synthetic_scene()
-    metals = [Conductor(color=(0.9, 0.6, 0.3)), Conductor(color=texture)]
-    plain, striped = (
-        dataclasses.replace(scene, objects=(dataclasses.replace(scene.objects[1], material=metal),)) for metal in metals
-    )
-    check_metals(plain)
-    with pytest.raises(HyalineError, match="export: object floor is metal with a texture, and a page draws metal of"):
-        check_metals(striped)

@@ -141,6 +141,17 @@ def test_a_copy_comes_and_goes_and_materials_are_those_of_the_scene(page: "Page"
     assert len(state(page)[1]) == 7
 
 
+def test_textured_metal_is_a_material_of_its_own_shape_alone(page: "Page") -> None:
+    page.get_by_role("button", name="metal").click()
+    page.get_by_label("Material of").select_option("plastic")
+    page.get_by_role("button", name="Copy", exact=True).click()
+    page.get_by_label("Material of").select_option("metal")
+    _, objects = state(page)
+    assert [objects[index]["tint"] for index in (3, 4, 7)] == [None, None, [0, 7, 5]]
+    page.get_by_role("button", name="plastic").click()
+    assert "metal" not in page.get_by_label("Material of").locator("option").all_inner_texts()
+
+
 def test_a_link_brings_back_camera_and_edits(page: "Page") -> None:
     page.focus("#view")
     page.keyboard.press("ArrowLeft")

@@ -14,7 +14,7 @@ from datagen.data.dataset import Dataset
 from datagen.data.meshes import Mesh, no_mesh
 from datagen.scene.description import SceneObject
 from datagen.scene.edits import CLEAR_GLASS, GREY, edit_scene, moved_mesh, parse_edit
-from datagen.scene.materials import Dielectric
+from datagen.scene.materials import Conductor, Dielectric
 from model.methods.light_path.net import LightPathRenderer
 from model.nets.texture import NeuralTextures
 from model.run.edits import with_copies
@@ -77,9 +77,24 @@ def with_a_copy() -> LightPathRenderer:
             after("metal", material=next(item.material for item in every_surface().objects if item.name == "ice")),
         ),
         ({"metal": {"material": "clear glass"}}, after("metal", material=CLEAR_GLASS)),
+        (
+            {"metal": {"tint": None, "color": [0.9, 0.7, 0.4]}},
+            after("metal", material=Conductor(color=(0.9, 0.7, 0.4), roughness=0.2)),
+        ),
         ({"glass": {"material": "matt"}}, after("glass", material=GREY)),
     ],
-    ids=["removed", "moved", "turned", "turned all ways", "index", "absorption", "material", "to glass", "opaque"],
+    ids=[
+        "removed",
+        "moved",
+        "turned",
+        "turned all ways",
+        "index",
+        "absorption",
+        "material",
+        "to glass",
+        "of one colour",
+        "opaque",
+    ],
 )
 def test_an_edited_scene_is_that_of_python(
     page: Watched,

@@ -131,7 +131,7 @@ def test_the_page_knows_all_that_a_surface_may_do_to_light() -> None:
     known = dict(re.findall(r"(\w+): (\d)", listed[1]))
     assert {name: int(number) for name, number in known.items()} == EVENTS
     assert EVENTS.keys() == set(get_args(Event))
-    # What a surface is told of beside this needs a line in the shader; `model export` refuses textures of metal.
+    # What a surface is told of beside this needs a line in the shader.
     assert {field.name for field in dataclasses.fields(Surface)} == {"event", "ior", "roughness", "color", "texture"}
     assert {field.name for field in dataclasses.fields(Medium)} == {"iors", "absorption", "priority"}
 
