@@ -78,7 +78,8 @@ def truth(
     """Rendering until noise allows 45 dB: the sampling of `datagen build` against Mitsuba's defaults.
 
     Args:
-        scene: A name that `datagen scenes` lists, or a folder with a scene.json; its glass is made clear.
+        scene: A name that `datagen scenes` lists, or a folder with a scene.json; its glass is made clear,
+            and drinks and what else has a priority are left out.
         light: An even sky, or the scene's own lights.
         size: Width and height in pixels.
         rounds: Turns of each.

@@ -5,7 +5,6 @@ texels, reaches the cutoff. So path tracer, layers, light paths, proxies and eve
 """
 
 import dataclasses
-import io
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -18,6 +17,7 @@ from datagen.data.meshes import MIN_AREA, Mesh, no_mesh
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import check_relative
 from datagen.scene.description import Scene
+from datagen.scene.images import opened_image
 from datagen.scene.outlines import count_crossings, outlines
 
 if TYPE_CHECKING:
@@ -32,7 +32,6 @@ MAX_NEW_FACES = 100_000
 """Faces that cutting may add to an object before its outlines are made coarser."""
 MIN_SIDE = 32
 """Texels a side below which an image is not made coarser."""
-MAX_PIXELS = 1 << 26
 MAX_SIDE = 2048
 """Texels a side of an image from which outlines are taken; a larger one is made coarser first."""
 MAX_TILES = 4096
@@ -77,18 +76,9 @@ def opacity_of(data: bytes, *, where: str) -> Opacity:
     Raises:
         HyalineError: it is no image.
     """
-    from PIL import Image, UnidentifiedImageError
-
-    try:
-        with Image.open(io.BytesIO(data)) as image:
-            if image.width * image.height > MAX_PIXELS:
-                raise HyalineError(
-                    f"{where}: is {image.width} x {image.height} pixels; expected at most {MAX_PIXELS:,}"
-                )
-            has_alpha = image.has_transparency_data
-            values = np.asarray(image.convert("RGBA").getchannel("A") if has_alpha else image.convert("L"))
-    except (UnidentifiedImageError, OSError, SyntaxError, ValueError) as error:
-        raise HyalineError(f"{where}: not an image that can be read ({error})") from error
+    with opened_image(data, where=where) as image:
+        has_alpha = image.has_transparency_data
+        values = np.asarray(image.convert("RGBA").getchannel("A") if has_alpha else image.convert("L"))
     return values.astype(np.float32) / 255
 
 
@@ -231,8 +221,9 @@ class _Pieces:
         if not np.isfinite(corners).all():
             raise HyalineError(f"{self.where}: some of its uv are no numbers; a cutout needs them, export it again")
         turn = np.linalg.det([corners[1] - corners[0], corners[2] - corners[0]])
-        if turn == 0:  # A face on one line of the image: what is in its middle decides.
-            corners, turn = corners.mean(axis=0) + 1e-6 * np.array([[-1, -1], [1, -1], [0, 1]]), 1.0
+        if is_line := bool(turn == 0):  # On one line of the image, or in one point: what is in its middle decides.
+            middle = corners.mean(axis=0) if self.stencil.repeats else np.clip(corners.mean(axis=0), 1e-5, 1 - 1e-5)
+            corners, turn = middle + 1e-6 * np.array([[-1, -1], [1, -1], [0, 1]]), 1.0
         loop = corners if turn > 0 else corners[::-1]
         area, polygons = 0.0, []
         for offset in self._tiles(loop):
@@ -241,10 +232,10 @@ class _Pieces:
             left = self.stencil.around(moved.min(axis=0), moved.max(axis=0)) ^ face
             area += left.area() / max(face.area(), 1e-300)
             polygons.append([polygon + offset for polygon in left.to_polygons()])
-        if area > 1 - SNAP:
+        if area > (0.5 if is_line else 1 - SNAP):
             self.kept.append(index)
             return 1
-        if area < SNAP:
+        if area < SNAP or is_line:
             return 0
         return sum(self._add(index, corners, parts, is_turned=turn < 0) for parts in polygons if parts)
 

@@ -1,6 +1,9 @@
 """Images that colour surfaces: read, looked up, and baked into another uv."""
 
 import io
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float, Float32
@@ -12,8 +15,41 @@ from datagen.disk.errors import HyalineError
 from datagen.scene.atlas import bake_corners
 from datagen.scene.bilinear import bilinear
 
+if TYPE_CHECKING:
+    from PIL import Image
+
 MIN_SIZE, MAX_SIZE = 128, 2048
 """Texels a side of an image that is baked anew."""
+MAX_PIXELS = 1 << 26
+"""Of an image that somebody brings."""
+FORMATS = ["PNG", "JPEG", "WEBP", "BMP", "TGA", "GIF"]
+"""Of images that are opened, whatever their names end in: Pillow would start other programs for some others."""
+
+
+@contextmanager
+def opened_image(data: bytes, *, where: str) -> Iterator["Image.Image"]:
+    """An image file that anybody may have written, while its pixels are read.
+
+    Raises:
+        HyalineError: it is no image, or too large a one; it breaks off, in which case the block has failed.
+    """
+    from PIL import Image, UnidentifiedImageError
+
+    Image.init()
+    try:
+        with Image.open(io.BytesIO(data), formats=FORMATS) as image:
+            if image.width * image.height > MAX_PIXELS:
+                raise HyalineError(
+                    f"{where}: is {image.width} x {image.height} pixels; expected at most {MAX_PIXELS:,} pixels"
+                )
+            yield image
+    except HyalineError:
+        raise
+    except UnidentifiedImageError as error:  # Its text has the address of the buffer.
+        raise HyalineError(f"{where}: not an image that can be read; expected one of {', '.join(FORMATS)}") from error
+    # Pillow answers a broken file with many kinds of exception (OSError, SyntaxError, ValueError, struct.error, ...).
+    except Exception as error:
+        raise HyalineError(f"{where}: not an image that can be read ({type(error).__name__}: {error})") from error
 
 
 def linear_pixels(data: bytes, *, where: str) -> Float32[np.ndarray, "tex_h tex_w 3"]:
@@ -22,13 +58,8 @@ def linear_pixels(data: bytes, *, where: str) -> Float32[np.ndarray, "tex_h tex_
     Raises:
         HyalineError: it is no image.
     """
-    from PIL import Image, UnidentifiedImageError
-
-    try:
-        with Image.open(io.BytesIO(data)) as image:
-            encoded = np.asarray(image.convert("RGB"))
-    except (UnidentifiedImageError, OSError, SyntaxError, ValueError) as error:
-        raise HyalineError(f"{where}: not an image that can be read ({error})") from error
+    with opened_image(data, where=where) as image:
+        encoded = np.asarray(image.convert("RGB"))
     return linear_from_srgb(encoded / 255.0).astype(np.float32)
 
 

@@ -22,6 +22,8 @@ MAX_SHARED = 0.005
 """Share of the covered texels that several faces may share; an atlas whose charts overlap has many times as many."""
 MIN_COVERED = 0.005
 """Share of the atlas that a surface must cover: else all of it has a few texels, or none."""
+MAX_UV = 1e5
+"""Repeats of an image beyond which 32 bits cannot tell its texels apart."""
 
 
 def mend_scene(scene: Scene, *, without_uv: set[str]) -> Scene:
@@ -67,8 +69,10 @@ def _with_atlases(scene: Scene, faults: dict[str, str]) -> Scene:
             continue
         mesh, material, what = meshes[wheres[item.name]], item.material, "unwrapped anew"
         for field, image in material.images().items():
-            if not np.ptp(item.mesh.uv, axis=0).all():
-                raise HyalineError(f"{wheres[item.name]}: {fault}; {image.path} needs uv, export its mesh with them")
+            if not item.mesh.uv.any() or not np.abs(item.mesh.uv).max() < MAX_UV:
+                raise HyalineError(
+                    f"{wheres[item.name]}: {fault}; {image.path} needs uv in or near [0, 1], export its mesh with them"
+                )
             path, what = f"baked/{item.name}_{field}.png", f"unwrapped anew, and {image.path} baked into its new uv"
             baked[path] = baked_image(linear_pixels(image_bytes(scene, image), where=image.path), item.mesh, mesh)
             material = material.with_fields({field: ImageTexture(path=path)})

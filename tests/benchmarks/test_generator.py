@@ -87,10 +87,13 @@ def test_truth_is_checked_and_its_noise_extrapolated() -> None:
     ball = mesh_of(trimesh.creation.icosphere(2, 0.4))
     scene = synthetic_scene()
     glass = SceneObject(name="ball", mesh=ball, material=Dielectric(ior=1.5, absorption=(3.0, 1.0, 2.0)))
-    scene = dataclasses.replace(scene, objects=(*scene.objects[1:], glass))
+    drop = mesh_of(trimesh.creation.icosphere(2, 0.2).apply_translation((0.3, 0, 0)))
+    water = SceneObject(name="drop", mesh=drop, material=Dielectric(ior=1.33, priority=-1))
+    scene = dataclasses.replace(scene, objects=(*scene.objects[1:], glass, water))
     cameras = make_cameras(scene.cameras, config(views=2))["train"]
     report = bench_truth(scene, cameras, low_spp=4, high_spp=16, mean_spp=256, rounds=3)
     assert [check.passed for check in report.checks] == [True], report.checks
+    assert report.facts["solids left out, which reach into others"] == 1
     ours = report.facts["datagen build: samples per pixel for 45 dB"]
     default = report.facts["mitsuba's defaults: samples per pixel for 45 dB"]
     assert isinstance(ours, float) and isinstance(default, float)

@@ -20,7 +20,7 @@ from datagen.scene.description import MAX_OBJECTS, OBJECT_NAME, CameraList, Came
 from datagen.scene.importers.apart import apart, parted
 from datagen.scene.importers.camera_files import read_camera_file
 from datagen.scene.importers.choices import ImportChoices
-from datagen.scene.importers.cutting import cut_of
+from datagen.scene.importers.cutting import cut_of, veiled
 from datagen.scene.importers.decimating import check_decimation, decimated
 from datagen.scene.importers.foreign import Axis, ForeignMap, ForeignMaterial, ForeignObject, ForeignScene, elementwise
 from datagen.scene.importers.gltf import read_gltf
@@ -129,11 +129,12 @@ def import_scene(path: Path, choices: ImportChoices) -> Imported:
             name, part, linear, offset, mapper, chosen, remarks, repairs=choices.repair, kept_share=kept
         )
         objects += parted(item, remarks)
-        has_uv = part.uv is not None and bool(item.mesh.uv.any())
-        if not has_uv:
+        if not (has_uv := _has_uv(part)):
             without_uv.add(name)
-        if isinstance(part.material, ForeignMaterial) and item.material.medium is None:
-            cut = cut_of(part.material, item.mesh, remarks, has_uv=has_uv, where=name)
+        if isinstance(part.material, ForeignMaterial):
+            material = veiled(part.material, item.mesh, has_uv=has_uv)
+            is_solid = item.material.medium is not None
+            cut = cut_of(material, item.mesh, remarks, has_uv=has_uv, is_solid=is_solid, where=name)
             cuts |= {} if cut is None else {name: cut}
     objects = apart(objects, remarks)
     rig = _cameras(foreign, choices, objects, linear, offset, remarks)
@@ -157,7 +158,7 @@ def import_scene(path: Path, choices: ImportChoices) -> Imported:
         baked=baked,
     )
     scene = mend_scene(scene, without_uv={item.name for item in objects if item.name in without_uv})
-    scene = _without_gone(with_cuts(scene, cuts), remarks)
+    scene = _without_gone(with_cuts(scene, cuts), remarks, where=path.name)
     check_scene(scene)
     record: dict[str, Json] = {
         "version": RECORD_VERSION,
@@ -171,9 +172,15 @@ def import_scene(path: Path, choices: ImportChoices) -> Imported:
     return Imported(scene=scene, record=record, remarks=tuple(remarks.lines))
 
 
-def _without_gone(scene: Scene, remarks: Remarks) -> Scene:
-    """The scene without objects of which their opacity leaves nothing."""
+def _without_gone(scene: Scene, remarks: Remarks, *, where: str) -> Scene:
+    """The scene without objects of which their opacity leaves nothing.
+
+    Raises:
+        HyalineError: those are all.
+    """
     there = tuple(item for item in scene.objects if is_there(item.mesh))
+    if not there:
+        raise HyalineError(f"{where}: all of it is cut away by its opacity; expected a surface that is seen")
     for item in scene.objects:
         if not is_there(item.mesh):
             remarks.note(item.name, "is cut away whole by its opacity; left out")
@@ -255,8 +262,14 @@ def scene_object(
         else:
             mesh = decimated(mesh, int(kept_share * len(mesh.faces)), remarks, where=name)
     if not isinstance(material, Material):
-        material = mapper.material(material, shape_of(mesh, has_uv=part.uv is not None), where=name)
+        material = veiled(material, mesh, has_uv=_has_uv(part))
+        material = mapper.material(material, shape_of(mesh, has_uv=_has_uv(part)), where=name)
     return SceneObject(name=name, mesh=mesh, material=material)
+
+
+def _has_uv(part: ForeignObject) -> bool:
+    """Exporters write zeros where a mesh has none."""
+    return part.uv is not None and bool(part.uv.any())
 
 
 def _is_solid(material: Material | ForeignMaterial) -> bool:

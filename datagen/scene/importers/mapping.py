@@ -27,6 +27,8 @@ MIN_TRANSMITTANCE = 1e-4
 """Of a channel after the attenuation distance: a black one would absorb without end."""
 SOLID_BLEND = 0.9
 """Alpha from which on a blended surface counts as opaque."""
+INVISIBLE = 1 / 512
+"""Alpha below which nothing of a blended surface is seen, since it is none in 8 bits."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,14 +45,21 @@ class Mapper:
 
     def material(self, foreign: ForeignMaterial, shape: Shape, *, where: str) -> Material:
         """The material of ours that comes nearest, on a surface of this shape."""
-        is_blended = foreign.alpha_mode == "blend" and foreign.alpha < SOLID_BLEND
+        is_blended = foreign.alpha_mode == "blend" and INVISIBLE <= foreign.alpha < 1
         if lets_light_through(foreign):
+            if is_blended:
+                self.remarks.approximate(
+                    where, f"is glass and blended (alpha {foreign.alpha:.2g}); drawn as glass alone"
+                )
             if foreign.transmission < 1:
                 self.remarks.approximate(
                     where, f"lets {100 * foreign.transmission:.0f} % of the light through; drawn as clear glass"
                 )
             return self._glass(foreign, shape, where=where)
-        if is_blended and foreign.metallic < 0.5:
+        if is_blended and (foreign.alpha >= SOLID_BLEND or foreign.metallic >= 0.5):
+            what = "metal and " if foreign.metallic >= 0.5 else ""
+            self.remarks.approximate(where, f"is {what}blended with alpha {foreign.alpha:.2g}; drawn opaque")
+        elif is_blended:
             self.remarks.approximate(
                 where, f"is blended with alpha {foreign.alpha:.2g}; drawn as a thin pane of that colour"
             )

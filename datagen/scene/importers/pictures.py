@@ -1,20 +1,16 @@
 """Images of foreign materials: decoded with care, and written as the PNG that a scene of ours holds."""
 
-import io
-
 import numpy as np
 from jaxtyping import Float32
 
 from datagen.data.png import png_bytes
 from datagen.data.tonemap import linear_from_srgb, srgb_from_linear, to_8bit
-from datagen.disk.errors import HyalineError
+from datagen.scene.images import opened_image
 from datagen.scene.importers.foreign import ForeignImage
 from datagen.scene.values import Color
 
-MAX_PIXELS = 1 << 26
 MAX_SIDE = 2048
 """Texels a side that are kept."""
-FORMATS = ["PNG", "JPEG", "WEBP", "BMP", "TGA", "GIF"]
 
 
 def decoded(image: ForeignImage) -> Float32[np.ndarray, "tex_h tex_w 4"]:
@@ -25,22 +21,10 @@ def decoded(image: ForeignImage) -> Float32[np.ndarray, "tex_h tex_w 4"]:
     """
     from PIL import Image
 
-    where = f"image of {image.name}"
-    Image.init()
-    try:
-        with Image.open(io.BytesIO(image.data), formats=FORMATS) as picture:
-            if picture.width * picture.height > MAX_PIXELS:
-                raise HyalineError(
-                    f"{where}: is {picture.width} x {picture.height} pixels; expected at most {MAX_PIXELS:,} pixels"
-                )
-            if max(picture.size) > MAX_SIDE:
-                picture.draft("RGB", (MAX_SIDE, MAX_SIDE))
-            rgba = picture.convert("RGBA")
-    except HyalineError:
-        raise
-    # Pillow answers a broken file with many kinds of exception (OSError, SyntaxError, ValueError, struct.error, ...).
-    except Exception as error:
-        raise HyalineError(f"{where}: not an image that can be read ({type(error).__name__}: {error})") from error
+    with opened_image(image.data, where=f"image of {image.name}") as picture:
+        if max(picture.size) > MAX_SIDE:
+            picture.draft("RGB", (MAX_SIDE, MAX_SIDE))
+        rgba = picture.convert("RGBA")
     if max(rgba.size) > MAX_SIDE:
         rgba.thumbnail((MAX_SIDE, MAX_SIDE), Image.Resampling.BOX)
     values = np.asarray(rgba).astype(np.float64) / 255

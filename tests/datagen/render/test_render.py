@@ -315,16 +315,21 @@ def skip_scalar() -> None:
 
 def test_the_noise_estimate_is_the_real_error() -> None:
     ball = SceneObject(name="ball", mesh=mesh_of(trimesh.creation.icosphere(3, 0.4)), material=Dielectric(ior=1.5))
+    drop = mesh_of(trimesh.creation.icosphere(3, 0.3).apply_translation((0.3, 0, 0)))
+    water = SceneObject(name="water", mesh=drop, material=Dielectric(ior=1.33, absorption=(3, 1, 0), priority=-1))
     floor = SceneObject(name="floor", mesh=quad(-0.5), material=Diffuse(color=(0.7, 0.3, 0.2)))
-    scene = scene_of(ball, floor, environment=DUSK)
+    scene = scene_of(ball, water, floor, environment=DUSK)
     cameras = camera((2, 1, 1), fov=0.7, size=32)
     renderer = Renderer(scene, max_depth=24)
     from datagen.data.tonemap import srgb_from_linear
 
-    reference = srgb_from_linear(render_view(renderer, cameras, 0, spp=16384, view_seed=99, ceiling_db=None).radiance)
+    radiance = render_view(renderer, cameras, 0, spp=16384, view_seed=99, ceiling_db=None).radiance
+    reference = srgb_from_linear(radiance)
     few = [render_view(renderer, cameras, 0, spp=32, view_seed=seed, ceiling_db=None) for seed in range(8)]
     real = np.mean([np.mean((srgb_from_linear(truth.radiance) - reference) ** 2) for truth in few])
     assert np.mean([truth.noise_mse for truth in few]) == pytest.approx(real, rel=0.15)
+    real = np.mean([(truth.radiance - radiance) ** 2 for truth in few])
+    assert np.mean([truth.half_difference**2 for truth in few]) == pytest.approx(real, rel=0.15)
 
 
 def test_a_ceiling_is_reached_and_costs_more_samples() -> None:

@@ -158,7 +158,7 @@ REFUSED: dict[str, tuple[Mesh, object, str]] = {
     "an image and uv that are all 0": (
         with_other_uv(BALL, np.zeros_like),
         PHOTO,
-        r"object thing: its uv cover 0 % of the atlas; photo\.png needs uv, export its mesh with them",
+        r"object thing: its uv cover 0 % of the atlas; photo\.png needs uv in or near \[0, 1\], export its mesh",
     ),
 }
 
