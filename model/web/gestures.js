@@ -40,7 +40,9 @@ class Gestures {
     this.pointers.set(event.pointerId, [event.clientX, event.clientY]);
     this.travelled = 0;
     this.held = null;
-    if (this.pointers.size > 1 || event.button !== 0 || event.shiftKey) return;
+    // Of several fingers none clicks, whichever is lifted last.
+    this.mayClick = this.pointers.size === 1 && event.button === 0 && !event.shiftKey;
+    if (!this.mayClick) return;
     const found = page.tracer.pick(this.camera, ...this.at(event));
     this.under = found ? found.object : -1;
     if (found && found.object === page.chosen)
@@ -78,7 +80,7 @@ class Gestures {
   }
 
   up(event) {
-    if (this.pointers.delete(event.pointerId) && this.travelled < STILL_PIXELS && event.button === 0 && event.type === "pointerup")
+    if (this.pointers.delete(event.pointerId) && this.mayClick && this.travelled < STILL_PIXELS && event.type === "pointerup")
       this.page.clicked(this.under, ...this.at(event));
   }
 

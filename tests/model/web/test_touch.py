@@ -121,6 +121,19 @@ def test_a_tap_chooses_what_is_under_it_and_turns_nothing(opened: Watched, scree
     assert np.allclose(camera(opened)[0], before[0])
 
 
+def test_a_tap_of_two_fingers_chooses_nothing_and_asks_for_nothing(opened: Watched, screen: "CDPSession") -> None:
+    opened.evaluate(
+        "async () => { const page = await hyaline; page.heard = []; page.clicked = (at) => page.heard.push(at); }"
+    )
+    try:
+        touch(opened, screen, [(-20, 0), (20, 0)], [(-20, 0), (20, 0)])
+        assert opened.evaluate("async () => (await hyaline).heard") == []
+        touch(opened, screen, [(0, 0)], [(0, 0)])
+        assert opened.evaluate("async () => (await hyaline).heard") == [under(opened, (0, 0))]
+    finally:
+        opened.evaluate("async () => { delete (await hyaline).clicked; }")
+
+
 def test_one_finger_drags_the_chosen_object_over_the_ground(opened: Watched, screen: "CDPSession") -> None:
     chosen = under(opened, (0, 0))
     touch(opened, screen, [(0, 0)], [(0, 0)])
