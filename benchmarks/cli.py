@@ -356,19 +356,21 @@ def browser(
     quality: Literal["small", "exact"] = "small",
     samples: int = 1,
     views: int = 0,
+    edit: tuple[str, ...] = (),
 ) -> None:
     """A run's page in a headless browser beside Python: decibels between them, and of each to the truth, by view.
 
     Args:
-        run: A run folder of light-path.
+        run: A run folder of light-path, paper or mlp-first.
         dataset: Its dataset's folder. Default: where the run found it.
         quality: Of the page, as `model export` takes it.
         samples: Rays a pixel, a square number.
         views: How many of each test split; 0 for all.
+        edit: Edits of the scene, as `datagen build --edit` takes them: both draw what they make of it.
     """
     from benchmarks.pages.compare import compare_page, page_table
 
-    print(page_table(compare_page(run, dataset, quality, samples=samples, views=views)))
+    print(page_table(compare_page(run, dataset, quality, samples=samples, views=views, edits=edit)))
 
 
 def screenshot(

@@ -1,6 +1,7 @@
 """A run's page beside Python: how close the pictures are, view by view, and how far each is from the truth."""
 
 import dataclasses
+import math
 import tempfile
 import time
 from dataclasses import dataclass
@@ -10,15 +11,18 @@ import numpy as np
 from jaxtyping import UInt8
 
 from benchmarks.pages.browser import open_file, running_browser, watched_page
+from benchmarks.pages.edited import edited_dataset, page_edits
 from datagen.data.config import TEST_SPLITS, Split
 from datagen.data.dataset import Dataset, open_dataset
+from datagen.scene.edits import parse_edit
 from datagen.terminal.command import track
 from eval.score.metrics import psnr
 from model.methods.light_path.config import LightPathConfig
 from model.methods.paper.config import PaperConfig
 from model.methods.renderer import Renderer
 from model.methods.table import open_inputs
-from model.run.predict import load_renderer, predict_pixels
+from model.run.edits import show_edited_scene
+from model.run.predict import check_can_draw, load_renderer, predict_pixels
 from model.run.run_folder import RunRecord, read_run
 from model.web.export import export_run
 from model.web.packing import Quality
@@ -33,6 +37,7 @@ class Compared:
     to_python: float
     page_to_truth: float
     python_to_truth: float
+    """Of an edited scene no truth is known: NaN."""
     seconds: float
     """That the page took for the picture."""
 
@@ -45,16 +50,20 @@ class PageReport:
     size: int
     """Bytes."""
     samples: int
+    edits: tuple[str, ...]
     views: list[Compared]
     complaints: list[str]
 
 
-def compare_page(run: Path, dataset: Path | None, quality: Quality, *, samples: int, views: int) -> PageReport:
+def compare_page(
+    run: Path, dataset: Path | None, quality: Quality, *, samples: int, views: int, edits: tuple[str, ...] = ()
+) -> PageReport:
     """Draws a run's test views by Python and by its page in a headless browser, each with `samples` rays a pixel.
 
     Args:
         dataset: where the run's dataset lies now; None: where the run found it.
         views: of each split; 0: all.
+        edits: of the scene, which both draw, as `datagen build --edit` takes them.
     """
     record = read_run(run)
     opened = open_dataset(dataset or Path(record.dataset))
@@ -69,24 +78,31 @@ def compare_page(run: Path, dataset: Path | None, quality: Quality, *, samples: 
         file = Path(folder) / "scene.html"
         export_run(run, record, opened, file, quality)
         open_file(page, file)
+        asked, changes, is_light_path = opened, {}, isinstance(record.config.net, LightPathConfig)
+        if edits:
+            parsed = tuple(map(parse_edit, edits))
+            asked = edited_dataset(opened, parsed, Path(folder), with_layers=not is_light_path)
+            check_can_draw(record.config, opened, asked)
+            show_edited_scene(renderer, opened, asked, record.geometry)
+            changes = page_edits(opened, parsed, knows_materials=is_light_path)
         for split, view in track(chosen, label="compare", total=len(chosen)):
-            mine = python_picture(renderer, record, opened, split, view, samples)
-            truth = opened.view(split, view).image
+            mine = python_picture(renderer, record, asked, split, view, samples)
+            truth = None if edits else opened.view(split, view).image
             before = time.perf_counter()
-            drawn = page.picture(f"{split}/{view}", truth.shape[:2], samples)
+            drawn = page.picture(f"{split}/{view}", mine.shape[:2], samples, changes)
             seconds = time.perf_counter() - before
             compared.append(
                 Compared(
                     split=split,
                     view=view,
                     to_python=psnr(drawn, mine),
-                    page_to_truth=psnr(drawn, truth),
-                    python_to_truth=psnr(mine, truth),
+                    page_to_truth=math.nan if truth is None else psnr(drawn, truth),
+                    python_to_truth=math.nan if truth is None else psnr(mine, truth),
                     seconds=seconds,
                 )
             )
         size, complaints = file.stat().st_size, page.complaints
-    return PageReport(quality=quality, size=size, samples=samples, views=compared, complaints=complaints)
+    return PageReport(quality=quality, size=size, samples=samples, edits=edits, views=compared, complaints=complaints)
 
 
 def python_picture(
@@ -109,7 +125,7 @@ def page_table(report: PageReport) -> str:
         rows.append((f"{split}, mean", [item for item in report.views if item.split == split]))
     lines = [
         f"{report.quality}: {report.size:,} bytes, {report.samples} rays a pixel, "
-        f"{len(report.complaints)} complaints of the browser",
+        f"{len(report.complaints)} complaints of the browser" + "".join(f", {edit}" for edit in report.edits),
         "",
         "| view | page to Python | page to truth | Python to truth | seconds |",
         "|---|---:|---:|---:|---:|",
@@ -119,6 +135,10 @@ def page_table(report: PageReport) -> str:
             [getattr(item, key) for item in items]
             for key in ("to_python", "page_to_truth", "python_to_truth", "seconds")
         ]
-        lines.append(f"| {name} | " + " | ".join(f"{np.mean(column):.2f}" for column in columns) + " |")
+        lines.append(
+            f"| {name} | "
+            + " | ".join("" if np.isnan(column).any() else f"{np.mean(column):.2f}" for column in columns)
+            + " |"
+        )
     worst = min(item.to_python for item in report.views)
     return "\n".join([*lines, "", f"worst view: {worst:.2f} dB to Python"])

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from support.web_scenes import SHAPE, VIEW, drawn_by_python, every_surface, noisy_light_path, psnr
 
 from benchmarks.pages.browser import Watched
+from benchmarks.pages.edited import page_edits
 from datagen.data.dataset import Dataset
 from datagen.data.meshes import Mesh, no_mesh
 from datagen.scene.description import SceneObject
@@ -109,9 +110,9 @@ def test_an_edited_scene_is_that_of_python(
 
 
 def test_a_copy_is_that_of_python(page: Watched, renderer: LightPathRenderer, dataset: Dataset) -> None:
-    copied = after_command("duplicate:metal:0.7,-0.6,0.1", "move:metal:0,0,0.2")()
-    edits = {"metal_copy1": {"copyOf": "metal", "offset": [0.7, -0.6, 0.1]}, "metal": {"offset": [0, 0, 0.2]}}
-    drawn = page.picture(VIEW, SHAPE, 1, edits)
+    edits = ("duplicate:metal:0.7,-0.6,0.1", "move:metal:0,0,0.2", "remove:pane", "glass:plastic")
+    copied = after_command(*edits)()
+    drawn = page.picture(VIEW, SHAPE, 1, page_edits(dataset, tuple(map(parse_edit, edits)), knows_materials=True))
     assert psnr(drawn, drawn_by_python(with_a_copy(), dataset, objects=copied)) >= 45
     assert psnr(drawn, drawn_by_python(renderer, dataset)) < 35
 
@@ -120,12 +121,7 @@ def test_two_objects_that_trade_places_are_those_of_python(
     page: Watched, renderer: LightPathRenderer, dataset: Dataset
 ) -> None:
     swapped = after_command("swap:metal:ice")()
-    places = {item.name: item.mesh.vertices.mean(axis=0) for item in every_surface().objects}
-    edits = {
-        item.name: {"offset": (item.mesh.vertices.mean(axis=0) - places[item.name]).tolist()}
-        for item in swapped
-        if item.name in ("metal", "ice")
-    }
+    edits = page_edits(dataset, (parse_edit("swap:metal:ice"),), knows_materials=True)
     drawn = page.picture(VIEW, SHAPE, 1, edits)
     assert psnr(drawn, drawn_by_python(renderer, dataset, objects=swapped)) >= 45
     assert psnr(drawn, drawn_by_python(renderer, dataset)) < 35
