@@ -2,6 +2,7 @@
 
 import contextlib
 import functools
+import shlex
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -29,6 +30,9 @@ from datagen.scene.description import Scene
 from datagen.scene.folder import scene_files
 from datagen.scene.rig import make_cameras
 from datagen.terminal.command import say, this_command, track
+
+MANY_PERCENT = 1.0
+"""Of rays that meet more surfaces than are kept: from there on it is said how to keep more."""
 
 
 def build_dataset(
@@ -155,11 +159,16 @@ def summary(dataset: Dataset, geometry: str) -> list[str]:
     """What was made, in a few lines: noise ceilings, rays that were cut off."""
     splits: list[Split] = [split for split in dataset.splits if dataset.config.split(split).views]
     lines = [f"noise ceiling {split}: {_decibels(dataset.noise_ceiling_db(split))}" for split in splits]
-    store = dataset.layer_store(geometry)
+    store, most = dataset.layer_store(geometry), 0.0
     for split in splits:
         shares = [store.record(split, view).overflow_share for view in range(dataset.config.split(split).views)]
         share = 100 * float(np.mean(shares))
         lines.append(f"rays with more than {store.head.num_layers} hits {split}: {share:.2f} %")
+        most = max(most, share)
+    if most > MANY_PERCENT:
+        words = ["datagen", "peel", str(dataset.root), *(["--geometry", geometry] if geometry != TRUTH else [])]
+        more = shlex.join([*words, "--num-layers", str(2 * store.head.num_layers), "--overwrite"])
+        lines.append(f"what lies behind is left out of straight layers; `{more}` keeps more")
     return lines
 
 

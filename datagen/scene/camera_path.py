@@ -1,6 +1,7 @@
 """Camera paths for films: a turn around a scene, a curve through its test views, or another program's key frames."""
 
 import math
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from datagen.data.config import SPLITS
 from datagen.data.dataset import Dataset
 from datagen.disk.errors import HyalineError
 from datagen.disk.reading import load_json
+from datagen.disk.records import Json
 from datagen.scene.camera_list import CameraList, list_cameras
 from datagen.scene.description import CameraRig
 from datagen.scene.folder import load_scene
@@ -28,7 +30,8 @@ def make_path(dataset: Dataset, path: str, frames: int, *, width: int | None, he
         path: `orbit` turns around the scene at its cameras' middle elevation, or swings to and fro where walls leave
             less than a circle; `spline` runs through the interpolating test views; else a JSON file of key frames
             (`frames`, each with a `transform_matrix`: world_from_camera in the OpenGL convention, as NeRF tools write
-            it), through which it runs, too.
+            it), through which it runs, too. A spline has the dataset's lens, principal point included, or that which
+            the file tells; what an orbit turns around is in the middle of its pictures.
         frames: how many cameras; those of an orbit repeat without a jump.
         width: of the pictures, in pixels; the dataset's unless given. The lens's horizontal angle stays.
         height: of the pictures, in pixels; the width's share of the dataset's aspect unless given.
@@ -44,15 +47,23 @@ def make_path(dataset: Dataset, path: str, frames: int, *, width: int | None, he
     for name, value in (("width", wide), ("height", high)):
         if not 1 <= value <= 8192:
             raise HyalineError(f"{name}: is {value}; expected 1 to 8192 pixels")
-    fov_x = lens.fov_x
+    fov_x, middle = lens.fov_x, _middle_of(lens)
     if path == "orbit":
-        poses = _orbit(_rig_of(dataset), frames)
+        poses, middle = _orbit(_rig_of(dataset), frames), None
     elif path == "spline":
         poses = _curve(lens.world_from_camera, frames)
     else:
-        keys, angle = _read_keys(Path(path))
-        poses, fov_x = _curve(keys, frames), fov_x if angle is None else angle
-    return Cameras(world_from_camera=poses, fov_x=fov_x, width=wide, height=high)
+        keys = _read_keys(Path(path))
+        poses = _curve(keys.poses, frames)
+        if keys.fov_x is not None:
+            fov_x, middle = keys.fov_x, keys.middle
+    center = None if middle is None else (middle[0] * wide, middle[1] * high)
+    return Cameras(world_from_camera=poses, fov_x=fov_x, width=wide, height=high, center=center)
+
+
+def _middle_of(lens: Cameras) -> tuple[float, float] | None:
+    """The principal point as shares of the picture's width and height; None for its middle."""
+    return None if lens.center is None else (lens.center[0] / lens.width, lens.center[1] / lens.height)
 
 
 def _rig_of(dataset: Dataset) -> CameraRig | CameraList:
@@ -90,15 +101,26 @@ def _curve(keys: Float[np.ndarray, "key 4 4"], frames: int) -> Float[np.ndarray,
     return poses
 
 
-def _read_keys(file: Path) -> tuple[Float[np.ndarray, "key 4 4"], float | None]:
-    """The key cameras of a file, and its lens's horizontal angle in radians where it says one."""
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Keys:
+    """Key cameras, and their lens as far as the file tells it."""
+
+    poses: Float[np.ndarray, "key 4 4"]
+    fov_x: float | None
+    """Radians."""
+    middle: tuple[float, float] | None
+    """The principal point as shares of the picture's width and height; None for its middle."""
+
+
+def _read_keys(file: Path) -> _Keys:
+    """The key cameras of a file."""
     if not file.is_file():
         raise HyalineError(f"{file}: no such file; --path takes {', '.join(NAMES)} or a JSON file of key frames")
     data = load_json(file)
-    frames, angle = data.get("frames"), data.get("camera_angle_x")
+    frames = data.get("frames")
     if not isinstance(frames, list) or not frames or len(frames) > MAX_FRAMES:
         raise HyalineError(f"{file}: has no frames; expected an object with a list of 1 to {MAX_FRAMES} of them")
-    fov_x = float(angle) if isinstance(angle, int | float) and not isinstance(angle, bool) else None
+    fov_x, middle = _number(data, "camera_angle_x"), _middle_in(data, file)
     keys = []
     for number, frame in enumerate(frames):
         matrix = frame.get("transform_matrix") if isinstance(frame, dict) else None
@@ -108,4 +130,23 @@ def _read_keys(file: Path) -> tuple[Float[np.ndarray, "key 4 4"], float | None]:
         except (TypeError, ValueError, HyalineError) as error:
             raise HyalineError(f"{file}: frames[{number}].transform_matrix: {error}") from None
         keys.append(pose)
-    return np.stack(keys), fov_x
+    return _Keys(poses=np.stack(keys), fov_x=fov_x, middle=middle)
+
+
+def _middle_in(data: dict[str, Json], file: Path) -> tuple[float, float] | None:
+    """Where a file's principal point is, `cx` and `cy` in pictures of `w` by `h` pixels; None where it says nothing."""
+    values = [_number(data, key) for key in ("cx", "cy", "w", "h")]
+    if None in values:
+        return None
+    column, row, width, height = (float(value) for value in values if value is not None)
+    if width < 1 or height < 1 or not 0 <= column <= width or not 0 <= row <= height:
+        raise HyalineError(
+            f"{file}: cx, cy is {column:g}, {row:g} in pictures of {width:g} x {height:g} pixels; expected it inside"
+        )
+    return column / width, row / height
+
+
+def _number(data: dict[str, Json], key: str) -> float | None:
+    """A value that is a number; None for any other."""
+    value = data.get(key)
+    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None

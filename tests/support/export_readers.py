@@ -89,6 +89,37 @@ def read_refref(root: Path, split: str) -> dict[str, ReadView]:
     return views
 
 
+def read_cleargrasp(root: Path, split: str) -> dict[str, ReadView]:
+    """A split as ClearGrasp's loader lists it: pictures sorted by name, all else by the number in front of its ending.
+
+    Its own data has no cameras; cameras.json says which is whose.
+    """
+    folder = root / split
+    files = sorted((folder / "rgb-imgs").glob("*-rgb.jpg"))
+    meta = json.loads((folder / "cameras.json").read_text())
+    frames = {frame["file_path"]: frame for frame in meta["frames"]}
+    assert sorted(frames) == [f"rgb-imgs/{file.name}" for file in files]
+    views = {}
+    for file in files:
+        number = file.name.removesuffix("-rgb.jpg")
+        assert len(number) == 9 and number.isdigit()
+        paths = {
+            "depth": f"depth-imgs-rectified/{number}-depth-rectified.exr",
+            "normals": f"camera-normals/{number}-cameraNormals.exr",
+            "mask": f"segmentation-masks/{number}-segmentation-mask.png",
+        }
+        for kind, path in paths.items():
+            suffix = Path(path).name.removeprefix(number)
+            assert [item.name for item in sorted((folder / path).parent.glob(f"*{suffix}"))] == [
+                other.name.replace("-rgb.jpg", suffix) for other in files
+            ], kind
+        matrix = frames[f"rgb-imgs/{file.name}"]["transform_matrix"]
+        views[number] = ReadView(
+            file=file, project=_opengl(matrix, meta), frame={key: folder / path for key, path in paths.items()}
+        )
+    return views
+
+
 def read_colmap_text(root: Path) -> tuple[dict[str, ReadView], dict[int, tuple], dict[str, list]]:
     """sparse/0/*.txt: views, points (position, colour, track) by id, and the observations of each picture."""
     model = root / "sparse" / "0"

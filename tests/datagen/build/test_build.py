@@ -1,6 +1,7 @@
 """Tests the making of a dataset end to end: same bytes whatever happens, and every flipped bit found."""
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -9,9 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.builds import build, build_whole, command, tree
+from support.commands import run
 from support.synthetic import synthetic_scene, write_synthetic_dataset
 
-from datagen.build.build import build_dataset, peel_dataset
+from datagen.build.build import build_dataset, peel_dataset, summary
 from datagen.build.verify import verify_dataset
 from datagen.data.config import SPLITS, DatasetConfig, SplitConfig
 from datagen.data.dataset import open_dataset
@@ -186,6 +188,19 @@ def test_layers_with_another_number_need_overwrite(tmp_path: Path) -> None:
         _peel(dataset, 6, overwrite=False, geometry_hash_of_files=True)
     _peel(dataset, 6, overwrite=True)
     assert dataset.view("train", 0).layers().uv.shape[0] == 6
+
+
+def test_where_many_rays_meet_more_than_is_kept_the_command_that_keeps_more_is_named(tmp_path: Path) -> None:
+    dataset = write_synthetic_dataset(tmp_path / "a b", resolution=8, train_views=2)
+    _peel(dataset, 1, overwrite=True)
+    cut = summary(dataset, TRUTH)
+    assert cut[3].startswith("rays with more than 1 hits train: ")
+    found = re.fullmatch(r"what lies behind is left out of straight layers; `datagen (.*)` keeps more", cut[-1])
+    assert found is not None
+    run(f"datagen {found[1]}")
+    again = open_dataset(dataset.root)
+    assert again.view("train", 0).layers().uv.shape[0] == 2
+    assert [line.rpartition(": ")[2] for line in summary(again, TRUTH)[3:]] == ["0.00 %"] * 3
 
 
 def _peel(dataset, num_layers: int, *, overwrite: bool, geometry_hash_of_files: bool = False) -> None:

@@ -13,6 +13,7 @@ from PIL import Image
 from support.export_readers import (
     ReadView,
     read_blender,
+    read_cleargrasp,
     read_colmap_binary,
     read_colmap_text,
     read_nerfstudio,
@@ -202,7 +203,7 @@ def test_refref_reads_masks_depth_and_glass(dataset: Dataset, exports: dict[str,
             found = quantities(view_of(dataset, name))
             assert np.array_equal(np.load(root / read.frame["depth_file_path"]), found.depth_along_axis)
             assert np.array_equal(read_picture(root / read.frame["mask_file_path"]) == 255, found.glass)
-    check_vertices(dataset, read_refref(root, "train"))
+        check_vertices(dataset, views)
     objects = json.loads((root / "objects.json").read_text())
     assert {name: (item["ior"], item["is_thin"]) for name, item in objects.items()} == {
         "ball": (1.5, False),
@@ -216,21 +217,26 @@ def test_refref_reads_masks_depth_and_glass(dataset: Dataset, exports: dict[str,
 
 def test_cleargrasp_reads_depth_normals_and_masks(dataset: Dataset, exports: dict[str, Path]) -> None:
     root = exports["cleargrasp"]
-    for folder, split in (("train", "train"), ("val", "train"), ("extrapolating", "extrapolating")):
-        files = sorted((root / folder / "rgb-imgs").glob("*-rgb.jpg"))
-        assert len(files) == {"train": 8, "val": 2, "extrapolating": 2}[folder]
-        for file in files:
-            number = file.name.removesuffix("-rgb.jpg")
-            assert len(number) == 9
-            found = quantities(view_of(dataset, f"{split}_{int(number):04d}"))
-            depth = read_exr(root / folder / "depth-imgs-rectified" / f"{number}-depth-rectified.exr")
-            assert np.array_equal(depth["R"], found.depth_along_axis)
-            normals = read_exr(root / folder / "camera-normals" / f"{number}-cameraNormals.exr")
+    counts = {"train": 8, "val": 2, "interpolating": 2, "extrapolating": 2}
+    assert sorted(path.parent.name for path in root.glob("*/rgb-imgs")) == sorted(counts)
+    for folder, count in counts.items():
+        split = "train" if folder == "val" else folder
+        views = {f"{split}_{int(number):04d}": read for number, read in read_cleargrasp(root, folder).items()}
+        assert len(views) == count
+        check_vertices(dataset, views)
+        for name, read in views.items():
+            found = quantities(view_of(dataset, name))
+            depth = read_exr(read.frame["depth"])["R"]
+            assert np.array_equal(depth, found.depth_along_axis)
+            normals = read_exr(read.frame["normals"])
             assert np.array_equal(np.stack([normals[name] for name in "RGB"], axis=-1), found.normal(axes="camera"))
-            mask = read_picture(root / folder / "segmentation-masks" / f"{number}-segmentation-mask.png")
-            assert np.array_equal(mask >= 100, found.glass)
-            picture = read_picture(file).astype(int)
+            assert np.array_equal(read_picture(read.frame["mask"]) >= 100, found.glass)
+            picture = read_picture(read.file).astype(int)
             assert np.abs(picture - found.view.image).mean() < 6
+            # Depth and camera say where each pixel's surface is, and that is where the dataset has it.
+            rows, columns = np.nonzero(depth > 0)
+            pixels = read.project(found.position[rows, columns].astype(np.float64))
+            assert np.abs(pixels - np.stack([columns, rows], axis=-1) - 0.5).max() < 0.01
 
 
 def read_exr(path: Path) -> dict[str, np.ndarray]:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from support.synthetic import write_synthetic_dataset
 
+from datagen.data.cameras import Cameras
 from datagen.data.dataset import Dataset
 from datagen.disk.errors import HyalineError
 from datagen.scene.camera_path import _orbit, make_path
@@ -64,6 +65,31 @@ def test_key_frames_come_from_a_file_with_their_lens(dataset: Dataset, tmp_path:
     assert (cameras.fov_x, cameras.width, cameras.height) == (0.7, 30, 10)
 
 
+def test_a_principal_point_stays_where_it_is_in_the_picture(dataset: Dataset, tmp_path: Path) -> None:
+    lens = dataset.cameras("interpolating")
+    file = tmp_path / "keys.json"
+    told = {"camera_angle_x": 0.7, "cx": 12, "cy": 3, "w": 40, "h": 20}
+    frames = [{"transform_matrix": pose.tolist()} for pose in lens.world_from_camera]
+    file.write_text(json.dumps({**told, "frames": frames}))
+    assert make_path(dataset, str(file), 3, width=80, height=20).center == (24, 3)
+    file.write_text(json.dumps({"camera_angle_x": 0.7, "frames": frames}))
+    assert make_path(dataset, str(file), 3, width=80, height=20).center is None
+    for name, center in (("spline", (2, 6)), ("orbit", None)):
+        aside = dataclasses.replace(lens, center=(lens.width / 4, 3 * lens.height / 4))
+        moved = Aside(dataset, aside)
+        assert make_path(moved, name, 3, width=8, height=8).center == center  # type: ignore[arg-type]
+
+
+class Aside:
+    """A dataset whose lens has its principal point aside."""
+
+    def __init__(self, dataset: Dataset, lens: Cameras) -> None:
+        self.objects, self.root, self._lens = dataset.objects, dataset.root, lens
+
+    def cameras(self, split: str) -> Cameras:
+        return self._lens
+
+
 @pytest.mark.parametrize(
     ("content", "problem"),
     [
@@ -72,6 +98,8 @@ def test_key_frames_come_from_a_file_with_their_lens(dataset: Dataset, tmp_path:
         ('{"frames": [{"transform_matrix": [["1", 0, 0, 0]]}]}', r"frames\[0\]\.transform_matrix: "),
         ('{"frames": [{"transform_matrix": [[2,0,0,0],[0,2,0,0],[0,0,2,0],[0,0,0,1]]}]}', "expected a rotation"),
         ('{"camera_angle_x": 9, "frames": [{"transform_matrix": [[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]}]}', "fov_x"),
+        ('{"cx": 9, "cy": 1, "w": 8, "h": 8, "frames": [{}]}', "cx, cy is 9, 1 in pictures of 8 x 8 pixels; expected"),
+        ('{"cx": 0, "cy": 0, "w": 0, "h": 8, "frames": [{}]}', "in pictures of 0 x 8 pixels; expected it inside"),
         ("[", "not a JSON file"),
     ],
 )
