@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from datagen.build.verify import verify_dataset
 from datagen.data.config import Split
 from datagen.data.dataset import Dataset
 from datagen.data.geometries import list_geometries
@@ -20,6 +21,7 @@ from datagen.disk.homes import mend_command
 from datagen.disk.records import Json, to_json
 from datagen.look.light_paths import draw_light_paths
 from datagen.look.scene_drawing import draw_cameras
+from datagen.look.training_time import probe, training_time
 from datagen.look.view_pictures import Picture, stored_pictures
 from datagen.pages.charts import Line, line_chart
 from datagen.pages.document import anchor, command, definitions, document, read_part, section
@@ -32,6 +34,8 @@ SHOWN_VIEWS = 6
 """Pictures of each split in the page."""
 SHEET_COLUMNS = 6
 UNKNOWN = "unknown"
+MOST_VERIFIED_BYTES = 250_000_000
+"""A dataset of at most so many is compared with its checksums, which takes some seconds."""
 
 
 def look_page(dataset: Dataset) -> bytes:
@@ -41,7 +45,7 @@ def look_page(dataset: Dataset) -> bytes:
     parts: list[Part] = [
         tag("h1", dataset.name),
         section("What it is", definitions(_facts(dataset)), id_="facts"),
-        section("What is missing", _missing(dataset), id_="missing"),
+        section("What is missing or damaged", _missing(dataset), id_="missing"),
         *splits,
         section("Cameras", _told(lambda: draw_cameras(dataset)), id_="cameras"),
         section("Light paths", _told(lambda: draw_light_paths(dataset)), id_="light-paths"),
@@ -98,6 +102,7 @@ def _facts(dataset: Dataset) -> list[tuple[str, Part]]:
         ("geometries", ", ".join(list_geometries(dataset))),
         ("variants", ", ".join(list_variants(dataset.root)) or "none"),
         ("on disk", sizes),
+        *([("training here", training_time(probe()))] if dataset.objects else []),
         ("seal", dataset.seal[:12]),
     ]
 
@@ -134,16 +139,37 @@ def _has_view(dataset: Dataset, split: Split, view: int) -> bool:
 
 
 def _missing(dataset: Dataset) -> Markup:
-    lines = missing_lines(dataset)
-    found = tag("ul", *(tag("li", line, class_="bad") for line in lines)) if lines else tag("p", "No file is missing.")
-    check = command(shlex.join(["datagen", "verify", str(dataset.root)]))
-    return join([found, tag("p", "This looks at names alone; to compare every byte with its checksum:"), check])
+    verify = command(shlex.join(["datagen", "verify", str(dataset.root)]))
+    if sum(folder_sizes(dataset.root).values()) > MOST_VERIFIED_BYTES:
+        lines, good = missing_lines(dataset), "No file is missing."
+        how = join([tag("p", "This looks at names alone; to compare every byte with its checksum:"), verify])
+    else:
+        found = verify_dataset(dataset.root)
+        lines, good = found.problems, f"Nothing: {found.verified:,} files are what they should be, byte by byte."
+        how = join([command(line) for line in found.commands])
+    listed = tag("ul", *(tag("li", line, class_="bad") for line in lines)) if lines else tag("p", good)
+    return join([listed, how])
 
 
 def _shown(dataset: Dataset, split: Split) -> list[int]:
     """Views of a split that are there, evenly chosen."""
     there = [view for view in range(dataset.num_views[split]) if _has_view(dataset, split, view)]
     return [there[place] for place in evenly(min(SHOWN_VIEWS, len(there)), len(there))] if there else []
+
+
+def _first_whole(dataset: Dataset, split: Split, views: Sequence[int]) -> tuple[int, dict[str, Picture]]:
+    """The first of some views of which everything can be read, and its pictures.
+
+    Raises:
+        HyalineError: there is none; what is wrong with the first.
+    """
+    errors = []
+    for view in views:
+        try:
+            return view, _stored(dataset, split, view)
+        except HyalineError as error:
+            errors.append(error)
+    raise errors[0]
 
 
 def _stored(dataset: Dataset, split: Split, view: int) -> dict[str, Picture]:
@@ -158,34 +184,35 @@ def _stored(dataset: Dataset, split: Split, view: int) -> dict[str, Picture]:
 
 
 def _split_section(dataset: Dataset, split: Split, gallery: Gallery) -> Markup:
+    """What is stored of one view that is whole, and the pictures of some; each that is damaged says so in its place."""
     views = _shown(dataset, split)
     parts: list[Part] = []
     if views:
-        parts.append(_told(lambda: _first_view(dataset, split, views[0], gallery)))
-        parts.append(_told(lambda: _more_views(dataset, split, views, gallery)))
+        parts.append(_told(lambda: _one_view(dataset, split, views, gallery)))
+        pictures = [_told(lambda view=view: _picture(dataset, split, view, gallery)) for view in views]
+        parts.append(tag("div", *pictures, class_="sheet"))
     else:
         parts.append(tag("p", "No view is built yet.", class_="bad"))
     return section(split, *parts, id_=anchor("split", split))
 
 
-def _first_view(dataset: Dataset, split: Split, view: int, gallery: Gallery) -> Markup:
-    """Everything that is stored of one view; a script shows one picture at a time."""
+def _one_view(dataset: Dataset, split: Split, views: Sequence[int], gallery: Gallery) -> Markup:
+    """Everything that is stored of the first whole view; a script shows one picture at a time."""
     figures = []
-    for name, picture in _stored(dataset, split, view).items():
+    view, stored = _first_whole(dataset, split, views)
+    for name, picture in stored.items():
         key, label = anchor(split, str(view), name), f"{split} view {view}: {name}"
-        if gallery.add(key, picture):
+        if gallery.add(key, lambda picture=picture: picture):
             shown = gallery.show(key, label=label)
             figures.append(tag("figure", shown, tag("figcaption", label), data_name=name))
     return tag("div", *figures, class_="choice sheet")
 
 
-def _more_views(dataset: Dataset, split: Split, views: Sequence[int], gallery: Gallery) -> Markup:
-    figures = []
-    for view in views:
-        key, label = anchor(split, str(view), "picture"), f"{split} view {view}"
-        if gallery.add(key, dataset.view(split, view).image):
-            figures.append(tag("figure", gallery.show(key, label=label), tag("figcaption", label)))
-    return tag("div", *figures, class_="sheet")
+def _picture(dataset: Dataset, split: Split, view: int, gallery: Gallery) -> Markup:
+    key, label = anchor(split, str(view), "picture"), f"{split} view {view}"
+    if not gallery.add(key, lambda: dataset.view(split, view).image):
+        return Markup("")
+    return tag("figure", gallery.show(key, label=label), tag("figcaption", label))
 
 
 def _noise_chart(dataset: Dataset) -> Markup:
@@ -223,7 +250,16 @@ def _objects(dataset: Dataset) -> Markup:
 
 
 def _settings(told: dict[str, Json]) -> str:
-    return ", ".join(f"{key} {value}" for key, value in told.items() if key != "type" and not isinstance(value, dict))
+    return ", ".join(f"{key} {_setting(value)}" for key, value in told.items() if key != "type")
+
+
+def _setting(value: Json) -> str:
+    """A number, a color, or the name of a texture's kind."""
+    if isinstance(value, dict):
+        return str(value.get("type", "of several parts"))
+    if isinstance(value, list):
+        return f"({', '.join(map(_setting, value))})"
+    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def _told(draw: Callable[[], Markup]) -> Markup:

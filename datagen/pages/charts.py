@@ -8,8 +8,8 @@ from datagen.pages.html import Markup, Part, join, tag
 
 WIDTH, HEIGHT = 640, 300
 LEFT, RIGHT, TOP, BOTTOM = 56, 12, 12, 44
-COLORS = 8
-"""Classes s0 to s7 of the style."""
+COLORS, DASHES = 8, 4
+"""Classes s0 to s7 of the style, and d1 to d3: what comes after eight lines is dashed."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,10 +38,15 @@ def line_chart(lines: Sequence[Line], *, title: str, x_title: str, y_title: str,
     y_axis = _Axis([y for _, y in points], HEIGHT - BOTTOM, TOP)
     parts: list[Part] = [tag("title", title), *_grid(x_axis, y_axis, x_title, y_title)]
     for place, line in drawn:
-        parts.append(_line(line, f"s{place % COLORS}", x_axis, y_axis))
+        parts.append(_line(line, _style(place), x_axis, y_axis))
     chart = tag("svg", *parts, class_="chart", viewBox=f"0 0 {WIDTH} {HEIGHT}", role="img", aria_label=title)
-    legend = tag("ul", *(tag("li", line.name, class_=f"s{place % COLORS}") for place, line in drawn), class_="legend")
+    legend = tag("ul", *(tag("li", line.name, class_=_style(place)) for place, line in drawn), class_="legend")
     return tag("figure", tag("figcaption", title), chart, legend)
+
+
+def _style(place: int) -> str:
+    dash = place // COLORS % DASHES
+    return f"s{place % COLORS}" + (f" d{dash}" if dash else "")
 
 
 class _Axis:

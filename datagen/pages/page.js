@@ -46,8 +46,10 @@ function turnTo() {
   const page = pages.find((candidate) => candidate.contains(wanted)) ?? pages[0];
   for (const other of pages) other.hidden = other !== page;
   for (const link of links) {
-    if (link.hash === `#${page.id}`) link.setAttribute("aria-current", "page");
-    else link.removeAttribute("aria-current");
+    if (link.hash === `#${page.id}`) {
+      link.setAttribute("aria-current", "page");
+      link.scrollIntoView({ block: "nearest", inline: "nearest" }); // There may be more links than fit.
+    } else link.removeAttribute("aria-current");
   }
   if (wanted && wanted !== page) wanted.scrollIntoView();
   else window.scrollTo(0, 0);

@@ -7,6 +7,8 @@ from eval.tables.grids import Column, Grid
 
 CONTINUED = "±"
 """Begins a row that belongs to the one above: such a table is not sorted."""
+LONGEST_LINE = 32
+"""A row's name of so many characters stays on one line."""
 
 
 def html_table(grid: Grid, links: Mapping[str, str] | None = None) -> Markup:
@@ -43,7 +45,7 @@ def _row(grid: Grid, number: int, row: tuple[str, ...], links: Mapping[str, str]
     for place, (column, text) in enumerate(zip(grid.columns, row, strict=True)):
         content: Part = tag("a", text, href=f"#{links[text]}") if not place and text in links else text
         if place == 0:
-            cells.append(tag("th", content, scope="row"))
+            cells.append(tag("th", content, scope="row", class_="short" if len(text) <= LONGEST_LINE else None))
         elif (number, place) in grid.best:
             cells.append(tag("td", content, class_=f"{_class(column) or ''} best".strip(), title="best of its column"))
         else:

@@ -10,7 +10,7 @@ from datagen.disk.records import Json, to_json
 from datagen.pages.charts import Line, line_chart
 from datagen.pages.document import anchor, document, section
 from datagen.pages.html import Markup, Part, join, tag
-from datagen.pages.pictures import Gallery
+from datagen.pages.pictures import Encoded, Gallery
 from eval.analyses.curve import MIN_PIXELS, Bin, Curve
 from eval.page.edit_page import draw_edit
 from eval.page.figures import shown_of_run, shown_of_scene
@@ -25,8 +25,8 @@ from eval.score.seeds import group_seeds
 from eval.tables.grids import Column, Grid, format_number, scene_grids
 
 PAGE = "index.html"
-MOST_PICTURE_BYTES = 18_500_000
-"""Of all pictures together, as text: with tables and curves a page then stays below 20 MB."""
+MOST_BYTES = 20_000_000
+"""Of a whole page. Tables and curves come first, and pictures fill what they leave."""
 USUAL_VIEWS = 3
 """Of each split and run: the worst, the median and the best."""
 
@@ -40,6 +40,7 @@ class _ScenePart:
     views: dict[str, dict[Compared, list[ShownView]]]
     """By `run_anchor`."""
     side_by_side: Markup
+    edits: list[Markup]
 
 
 def report_page(
@@ -47,45 +48,65 @@ def report_page(
     further: Sequence[Further],
     *,
     most_views: int = USUAL_VIEWS,
-    most_bytes: int = MOST_PICTURE_BYTES,
+    most_bytes: int = MOST_BYTES,
     refresh_s: int | None = None,
 ) -> bytes:
-    """The bytes of the page.
+    """The bytes of the page, at most so many where its tables and curves alone leave room.
 
     Args:
         further: of each scene.
         most_views: shown of each split and run.
-        most_bytes: of all pictures; those that find no room are left out, and the page says so.
+        most_bytes: of the page; pictures that find no room in it are left out, and the page says so.
         refresh_s: seconds after which a browser reads it again.
     """
-    gallery = Gallery(most_bytes)
+    encoded: Encoded = {}
+    room = most_bytes
+    while True:
+        gallery = Gallery(room, encoded)
+        page = _draw_page(scenes, further, gallery, most_views=most_views, refresh_s=refresh_s)
+        if len(page) <= most_bytes or not gallery.used:
+            return page
+        room = max(0, gallery.used - (len(page) - most_bytes))  # What else is in the page has to fit as well.
+
+
+def _draw_page(
+    scenes: Sequence[SceneScores],
+    further: Sequence[Further],
+    gallery: Gallery,
+    *,
+    most_views: int,
+    refresh_s: int | None,
+) -> bytes:
+    """The page with the pictures for which a gallery has room: the most telling ones go first."""
     pairs = list(zip(scenes, further, strict=True))
     compared = {
         scene.title: {run_anchor(scene, scores.run): _compared(scores, more) for scores in scene.runs}
         for scene, more in pairs
     }
+    every = [item for of_scene in compared.values() for items in of_scene.values() for item in items]
     overviews = {scene.title: _side_by_side(scene, compared[scene.title], gallery) for scene in scenes}
-    stored = store_views(
-        gallery, [item for of_scene in compared.values() for items in of_scene.values() for item in items], most_views
-    )
+    store_views(gallery, every, min(most_views, USUAL_VIEWS))
+    edits = {scene.title: [draw_edit(gallery, scene, edit) for edit in more.edits] for scene, more in pairs}
+    stored = store_views(gallery, every, most_views)
     parts = [
         _ScenePart(
             scene=scene,
             further=more,
             views={run: {item: stored[item] for item in items} for run, items in compared[scene.title].items()},
             side_by_side=overviews[scene.title],
+            edits=edits[scene.title],
         )
         for scene, more in pairs
     ]
     overview = _overview(parts)
-    analyses = [_scene_page(part, gallery) for part in parts]
+    analyses = [_scene_page(part) for part in parts]
     runs = [
         run_page(part.scene, s, part.views[run_anchor(part.scene, s.run)], gallery)
         for part in parts
         for s in part.scene.runs
     ]
     left_out = (
-        tag("p", f"{gallery.left_out} pictures found no room: a page holds at most 20 MB.", class_="note")
+        tag("p", f"{gallery.left_out:,} pictures found no room: a page holds at most 20 MB.", class_="note")
         if gallery.left_out
         else None
     )
@@ -202,7 +223,7 @@ def _side_by_side(scene: SceneScores, compared: dict[str, list[Compared]], galle
     return join(rows)
 
 
-def _scene_page(part: _ScenePart, gallery: Gallery) -> Markup:
+def _scene_page(part: _ScenePart) -> Markup:
     scene, place, links = part.scene, _scene_anchor(part.scene), _links(part.scene)
     _, *rest = scene_grids(scene)
     config = scene.dataset.config
@@ -211,7 +232,7 @@ def _scene_page(part: _ScenePart, gallery: Gallery) -> Markup:
     if part.further.curves:
         content += [tag("h3", "Error against what training saw"), *curve_charts(part.further.curves)]
     content += [html_table(grid, links) for grid in (*rest, *part.further.grids)]
-    content += [draw_edit(gallery, scene, edit) for edit in part.further.edits]
+    content += part.edits
     return tag("div", section(scene.title, *content, id_=place), class_="page", id=f"{place}-page")
 
 

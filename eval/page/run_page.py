@@ -31,7 +31,14 @@ def run_page(
     """
     run, place = scores.run, run_anchor(scene, scores.run)
     pictures: list[Part] = [
-        join([tag("h3", item.title, _mean_psnr(item)), draw_views(gallery, item, shown), _every_picture(item)])
+        join(
+            [
+                tag("h3", item.title, _mean_psnr(item)),
+                draw_views(gallery, item, shown),
+                _how_many(item, len(shown)),
+                _every_picture(item),
+            ]
+        )
         for item, shown in views.items()
     ]
     parts: list[Part] = [
@@ -45,6 +52,15 @@ def run_page(
         _how_to_make(run),
     ]
     return tag("div", section(run.name, *parts, id_=place), class_="page", id=f"{place}-page")
+
+
+def _how_many(item: Compared, shown: int) -> Markup | None:
+    count = len(item.scores.images["psnr_db"])
+    if shown == count:
+        return None
+    return tag(
+        "p", f"{shown} of {count} views; `eval report --views {count}` shows as many as find room.", class_="note"
+    )
 
 
 def _every_picture(item: Compared) -> Markup:

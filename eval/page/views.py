@@ -72,13 +72,13 @@ def store_views(gallery: Gallery, compared: Sequence[Compared], most: int) -> di
 def store_view(gallery: Gallery, item: Compared, view: int) -> bool:
     """Puts truth and prediction of a view into the gallery; False where there is no room for both."""
     return store_truth(gallery, item.dataset, item.split, view) and gallery.add(
-        _prediction_name(item, view), read_prediction(item.run, item.split, view)
+        _prediction_name(item, view), lambda: read_prediction(item.run, item.split, view)
     )
 
 
 def store_truth(gallery: Gallery, dataset: Dataset, split: Split, view: int) -> bool:
     """Puts a true picture into the gallery; False where there is no room."""
-    return gallery.add(truth_name(dataset, split, view), dataset.view(split, view).image)
+    return gallery.add(truth_name(dataset, split, view), lambda: dataset.view(split, view).image)
 
 
 def truth_name(dataset: Dataset, split: Split, view: int) -> str:

@@ -11,8 +11,10 @@ from support.pages import read_page
 from support.synthetic import write_synthetic_dataset
 
 from datagen.data.dataset import Dataset, open_dataset
-from datagen.look.look import folder_sizes, look_page, look_sheet, missing_lines
+from datagen.look.look import _settings, folder_sizes, look_page, look_sheet, missing_lines
+from datagen.look.training_time import PROBE_S, STEPS, training_time
 from datagen.look.view_pictures import depth_picture, object_colors, stored_pictures
+from model.settings.optimisation import PixelOptimisation
 
 
 @pytest.fixture
@@ -22,7 +24,7 @@ def dataset(tmp_path: Path) -> Dataset:
 
 def test_the_page_shows_every_split_every_object_and_all_that_is_stored(dataset: Dataset) -> None:
     page = read_page(look_page(dataset))
-    assert "No file is missing." in [paragraph.text for paragraph in page.all("p")]
+    assert any(paragraph.text.endswith("files are what they should be, byte by byte.") for paragraph in page.all("p"))
     captions = {caption.text for caption in page.all("figcaption")}
     for split in dataset.splits:
         for name in ("picture", "glass", "depth", "normals", "layer 0", "layer 1"):
@@ -47,10 +49,12 @@ def test_what_is_missing_or_damaged_is_said_and_the_rest_is_shown(dataset: Datas
         f"interpolating: 1 of {dataset.num_views['interpolating']} views lack layers of truth",
     ]
     page = read_page(look_page(open_dataset(dataset.root)))
+    captions = [caption.text for caption in page.all("figcaption")]
+    assert "extrapolating view 1: depth" in captions and "extrapolating view 1" in captions  # The other one is whole.
     bad = [element.text for element in page.elements if element.attributes.get("class") == "bad"]
     assert any("extrapolating/0000.png: damaged" in text for text in bad)
-    assert any("1 of" in text for text in bad)
-    assert any("datagen verify" in code.text for code in page.all("code"))
+    assert any("train/0001.exr: the file is missing" in text for text in bad)
+    assert any("datagen mend" in code.text for code in page.all("code"))
     assert any("train view 0: picture" == caption.text for caption in page.all("figcaption"))
 
 
@@ -81,3 +85,28 @@ def test_sizes_are_those_of_the_files(dataset: Dataset) -> None:
     paths = [Path(place) / name for place, _, names in os.walk(dataset.root) for name in names]
     assert sum(sizes.values()) == sum(path.stat().st_size for path in paths)
     assert sizes["images"] == sum(path.stat().st_size for path in (dataset.root / "images").rglob("*.*"))
+
+
+def test_of_a_large_dataset_the_names_alone_are_looked_at(dataset: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
+    picture = dataset.root / "images" / "train" / "0000.exr"
+    picture.write_bytes(picture.read_bytes()[:-9])
+    monkeypatch.setattr("datagen.look.look.MOST_VERIFIED_BYTES", 1000)
+    page = read_page(look_page(open_dataset(dataset.root)))
+    assert "No file is missing." in [paragraph.text for paragraph in page.all("p")]
+    assert any("datagen verify" in code.text for code in page.all("code"))
+
+
+def test_training_is_said_to_take_longer_on_a_slower_machine_and_on_fewer_cores(dataset: Dataset) -> None:
+    usual = training_time(PROBE_S, cores=2)
+    assert usual.startswith("about light-path 13 and paper 3 processor minutes for 2,500 steps; on 2 cores")
+    assert "do nothing else 7 and 1.7 minutes" in usual
+    assert training_time(3 * PROBE_S, cores=1).startswith("about light-path 40 and paper 10 processor minutes")
+    assert training_time(PROBE_S, cores=64) == training_time(PROBE_S, cores=4)
+    facts = [term.text for term in read_page(look_page(dataset)).all("dt")]
+    assert "training here" in facts
+    assert PixelOptimisation().steps == STEPS
+
+
+def test_the_settings_of_a_material_are_words_and_numbers() -> None:
+    told = {"type": "Plastic", "color": [0.5, 0.25, 1.0], "ior": "bk7", "roughness": 0.0, "map": {"type": "Checker"}}
+    assert _settings(told) == "color (0.5, 0.25, 1), ior bk7, roughness 0, map Checker"

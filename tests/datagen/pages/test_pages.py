@@ -59,18 +59,28 @@ def test_a_gallery_keeps_each_picture_once_and_below_its_room() -> None:
     noise = np.random.default_rng(0).integers(0, 256, (3, 32, 32, 3), np.uint8)
     room = len(data_uri(noise[0])) + len(data_uri(noise[1]))
     gallery = Gallery(room)
-    assert [gallery.add(name, noise[place]) for name, place in (("a", 0), ("b", 1), ("a", 0), ("c", 2))] == [
-        True,
-        True,
-        True,
-        False,
-    ]
-    assert gallery.left_out == 1
+    asked = []
+
+    def add(name: str, place: int) -> bool:
+        return gallery.add(name, lambda: asked.append(name) or noise[place])
+
+    assert [add("a", 0), add("b", 1), add("a", 0), add("c", 2), add("d", 2), add("c", 2)] == [True] * 3 + [False] * 3
+    assert asked == ["a", "b", "c"]  # Where one found no room, later ones are not even read.
+    assert gallery.left_out == 2
     store, shown = gallery.store(), gallery.show("a", "b", label="a over b", class_="error")
     assert store.count("data:image/webp") == 2
     assert len(store) < room + 500
     page = read_page(document("pictures", store, shown))
     assert [use.attributes["href"] for use in page.all("use")] == ["#a", "#b"]
+
+
+def test_of_many_lines_in_a_chart_no_two_look_alike() -> None:
+    lines = [Line(name=str(place), points=((0, place), (1, place))) for place in range(30)]
+    page = read_page(document("chart", line_chart(lines, title="t", x_title="x", y_title="y")))
+    styles = [item.attributes["class"] for item in page.all("li")]
+    assert len(set(styles)) == 30
+    groups = [group.attributes.get("class") or "" for group in page.all("g")]
+    assert [group.removeprefix("line ") for group in groups if group.startswith("line ")] == styles
 
 
 def test_a_chart_stands_within_its_frame_and_every_point_says_what_it_is() -> None:
