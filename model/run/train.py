@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from datagen.data.dataset import Dataset
 from datagen.disk.errors import HyalineError, NumericsError
 from datagen.disk.records import Json, to_json
-from datagen.terminal.command import say, track
+from datagen.terminal.command import say, say_all, track
 from datagen.terminal.signals import Held, Stopped, hold_signals
 from model.batches.distributed import ALONE, Processes
 from model.batches.rays import PixelSource
@@ -27,6 +27,7 @@ from model.methods.protocol import Inputs
 from model.methods.renderer import ParameterGroup, Renderer
 from model.methods.table import open_inputs
 from model.run.checkpoint import check_numbers, delete_checkpoints, load_checkpoint, save_checkpoint, save_state
+from model.run.fine_patterns import told_fine_patterns
 from model.run.logs import LogChoices, Logs
 from model.run.optimizer import make_optimizer
 from model.run.predict import predict_pixels
@@ -123,6 +124,7 @@ def train(
         f"{inputs.num_layers or ('traced' if config.net.uses_geometry else 'no')} layers, "
         f"{sizes['network']:,} parameters in the network and {sizes['textures']:,} in textures"
     )
+    say_all(told_fine_patterns(dataset, config.geometry, renderer))
     take_steps(run, progress, anew=anew)
 
 

@@ -1,0 +1,55 @@
+"""Tests that white light from everywhere stays white: no material adds any, and what facets lose is little."""
+
+import dataclasses
+import io
+
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+from support.meshes import mesh_of
+from support.scenes import scene_of
+
+from datagen.data.cameras import Cameras, look_at
+from datagen.machine.mitsuba_variant import use_mitsuba
+from datagen.render.truth import Renderer, render_view
+from datagen.scene.description import SceneObject
+from datagen.scene.materials import Conductor, Dielectric, Material, RoughDielectric, ThinDielectric
+from datagen.scene.textures import ImageTexture
+from datagen.trace.light_path import LightPathTracer
+from datagen.trace.limits import Limits
+
+BALL = mesh_of(trimesh.creation.icosphere(3, 0.5))
+WHITE_PNG = io.BytesIO()
+Image.new("RGB", (4, 4), (255, 255, 255)).save(WHITE_PNG, format="PNG")
+CAMERAS = Cameras(
+    world_from_camera=look_at(np.array((0.3, -3.0, 0.4)), np.zeros(3))[None], fov_x=0.4, width=12, height=12
+)
+MATERIALS: dict[str, tuple[Material, float]] = {
+    "an index of 1": (Dielectric(ior=1.0), 0.9999),
+    "an index of 1, with dispersion": (Dielectric(ior=1.0, dispersion=1.0), 0.9999),
+    "a thin pane of index 1": (ThinDielectric(ior=1.0), 0.9999),
+    "a thin pane": (ThinDielectric(ior=1.5), 0.999),
+    "a thin pane of white tint": (ThinDielectric(ior=1.9, tint=(1, 1, 1)), 0.998),
+    "diamond that parts colours": (Dielectric(ior="diamond", dispersion="measured"), 0.99),
+    "frosted flint that parts colours": (RoughDielectric(ior="sf11", dispersion="measured", roughness=0.05), 0.97),
+    "a mirror with an image": (Conductor(color=ImageTexture(path="white.png"), roughness=0.0), 0.999),
+    "metal with an image": (Conductor(color=ImageTexture(path="white.png"), roughness=0.05), 0.985),
+}
+"""What it is made of, and the least share of the light that is left."""
+
+
+@pytest.mark.parametrize("name", MATERIALS)
+def test_white_light_stays_white_in_truth_and_in_light_paths(name: str) -> None:
+    if use_mitsuba(quiet=True).startswith("scalar"):
+        pytest.skip("light paths need a vectorised variant of Mitsuba")
+    material, least = MATERIALS[name]
+    item = SceneObject(name="ball", mesh=BALL, material=material)
+    scene = dataclasses.replace(scene_of(item), baked={"white.png": WHITE_PNG.getvalue()})
+    truth = render_view(Renderer(scene, max_depth=64), CAMERAS, 0, spp=64, view_seed=0, ceiling_db=None).radiance
+    origin, directions = CAMERAS[0].rays()
+    rays = directions.reshape(-1, 3)
+    tracer = LightPathTracer((BALL,), (material,))
+    paths = tracer.trace_colors(np.tile(origin, (len(rays), 1)), rays, Limits(max_branches=16, max_depth=32))
+    for light in (truth.reshape(-1, 3).mean(axis=0), paths.end_throughput.sum(axis=0).mean(axis=0)):
+        assert (least < light).all() and (light < 1.002).all(), light
