@@ -51,6 +51,10 @@ class Renderer(nn.Module, Generic[SourceT]):
         """
         return pixel_loss(self, training, batch, rng, softness=softness, patch_terms=patch_terms)
 
+    def finish(self, training: SourceT, *, batch: int, updates: int, rng: np.random.Generator) -> None:  # noqa: ARG002
+        """What is left to do after the last of `updates` weight updates, each from `batch` pixels: mostly nothing."""
+        return
+
     def render(self, pixels: SourceT) -> Float32[Tensor, "pixel 3"]:
         """sRGB colours of all pixels, neither clipped nor rounded; called at evaluation, without gradients."""
         index = torch.arange(len(pixels.rgb), device=pixels.rgb.device)

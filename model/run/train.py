@@ -244,8 +244,11 @@ def take_steps(run: Run, progress: Progress, *, anew: bool) -> None:
                     held.number or signal.SIGTERM,
                     f"{run.out}: stopped after step {progress.step:,} of {config.steps:,}; {way_on} goes on from there",
                 )
-        if processes.is_first:
-            save_weights(run)
+    if processes.is_first:
+        rng = processes.generator(config.seed, config.steps, 0)
+        batch, updates = config.batch // config.updates, config.steps * config.updates
+        run.renderer.finish(run.training, batch=batch, updates=updates, rng=rng)
+        save_weights(run)
 
 
 def take_step(run: Run, progress: Progress, step: int, held: Held) -> bool:

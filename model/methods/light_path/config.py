@@ -75,6 +75,9 @@ class LightPathConfig(MethodConfig):
     debias: float = choice(1.0, "debias{}", limits=SHARE)
     """Fraction, 0 to 1, of the noise of training rays to subtract from the loss; above 0, rays come in independent
     pairs. At 0 lamps are learned too dim. On proxies 0: not tried there."""
+    fill_in: Literal["on", "off"] = choice("on", {"on": "filled", "off": "unfilled"})
+    """When all is learned, let texels that hardly any training ray met take what those around them show. On proxies
+    off: not tried there."""
     position_octaves: int = choice(0, "{}-octaves", limits=(0, 16))
     """Octaves of positional encoding (sines and cosines) of a path's end that the decoder is given."""
     texture_levels: int = choice(5, "{}-levels", limits=(1, 8))
@@ -127,7 +130,15 @@ class LightPathConfig(MethodConfig):
         """
         if geometry == TRUTH:
             return type(self)()
-        return type(self)(stack_hidden=96, straight_layers=24, shells=4, relief="on", directions="on", debias=0.0)
+        return type(self)(
+            stack_hidden=96,
+            straight_layers=24,
+            shells=4,
+            relief="on",
+            directions="on",
+            debias=0.0,
+            fill_in="off",
+        )
 
     def hurried(self) -> Self:
         return dataclasses.replace(self, render_samples=1, refined_samples=1)

@@ -10,15 +10,17 @@ from torch.nn import functional
 
 from datagen.data.dataset import Dataset
 from datagen.disk.errors import HyalineError
+from datagen.terminal.command import track
 from model.batches.samples import mean_color
 from model.losses.pixel_losses import PatchTerms, pixel_loss
 from model.methods.light_path.config import LightPathConfig
 from model.methods.light_path.paths import STACKED_VERTICES, Ends, LightPathBatch, Stack
-from model.methods.light_path.pixels import LightPathPixels
+from model.methods.light_path.pixels import MANY_RAYS, LightPathPixels
 from model.methods.light_path.refined_pixels import draw_refined
 from model.methods.renderer import ParameterGroup, Renderer
 from model.nets.cpu.fused_mlp import ChainLayer, can_fuse, run_chain
 from model.nets.extrinsics import spherical_harmonics
+from model.nets.filling import add_visits, fill_in, filled_layout
 from model.nets.learned_sky import LearnedSky
 from model.nets.pixel_mlp import LEAKY_SLOPE
 from model.nets.texture import FINER_COUNTS, NeuralTextures, TexturePyramid, object_layout
@@ -29,6 +31,10 @@ RELIEF_DEPTH = 0.01
 
 RELIEF_COARSER = 4
 """How many times wider a texel of the relief is than the finest one of colour."""
+
+
+COUNTED_AGAIN = 16
+"""Of so many training pixels the rays of one are traced again to count which texels they met."""
 
 
 class LightPathRenderer(Renderer[LightPathPixels]):
@@ -99,6 +105,26 @@ class LightPathRenderer(Renderer[LightPathPixels]):
             debias=self.config.debias,
             patch_terms=patch_terms,
         )
+
+    @torch.no_grad()
+    def finish(self, training: LightPathPixels, *, batch: int, updates: int, rng: np.random.Generator) -> None:
+        """Fills in the texels that hardly any ray met; a share of the rays is traced again to see which these are."""
+        if self.config.fill_in == "off":
+            return
+        layout = filled_layout(self.textures)
+        met = torch.zeros(layout.num_texels, device=self.textures.tables()[0].device)
+        # Few large parts, as in a rendering, take a third of the time; a tracer records a kernel for each size.
+        seen = updates * batch
+        large = MANY_RAYS // self.config.train_samples
+        part = large if seen // COUNTED_AGAIN >= large else batch
+        parts = -(-seen // COUNTED_AGAIN // part)
+        for _ in track(range(parts), label="fill in", total=parts):
+            paths = training.take(torch.from_numpy(rng.integers(len(training.rgb), size=part)), rng)
+            ends, stack = paths.ends, paths.stack
+            add_visits(met, layout, ends.uv, ends.surface, ends.throughput.mean(dim=1))
+            if stack is not None:
+                add_visits(met, layout, stack.uv.flatten(0, 1), stack.surface.flatten(), stack.throughput.flatten())
+        fill_in(self.textures, met * (seen / (parts * part * self.config.train_samples)))
 
     def groups(self, optimisation: Optimisation) -> list[ParameterGroup]:
         """As of any renderer, but the sky learns at a rate of its own."""

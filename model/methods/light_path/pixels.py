@@ -34,6 +34,9 @@ COUNTED_PIXELS = 4096
 
 MAX_TEXTURE_SIZE = 2048
 
+MANY_RAYS = 65_536
+"""Rays that are traced at once where memory is the limit."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LightPathPixels:
@@ -60,7 +63,7 @@ class LightPathPixels:
     @property
     def chunk(self) -> int:
         """Pixels that a rendering takes at once."""
-        return max(1, 65_536 // self.config.render_samples)
+        return max(1, MANY_RAYS // self.config.render_samples)
 
     def refined(self) -> "LightPathPixels":
         """The same pixels with as many rays as those get whose rays differ."""

@@ -448,6 +448,19 @@ def test_a_relief_shifts_look_ups_by_its_depth_and_learns(dataset: Dataset) -> N
     assert renderer.relief.table.grad is not None and renderer.relief.table.grad.any()
 
 
+def test_training_ends_with_filling_in_what_hardly_any_ray_met(
+    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    filled: list[torch.Tensor] = []
+    monkeypatch.setattr("model.methods.light_path.net.fill_in", lambda _, met: filled.append(met))
+    for name, net in (("plain", dataclasses.replace(NET, fill_in="off")), ("filled", NET)):
+        train(dataclasses.replace(SMALL, net=net, steps=8), dataset, tmp_path / name, label=name, device=CPU)
+    (met,) = filled
+    # 8 steps of 128 pixels, of which glass, which absorbs and reflects, and the sky take their parts.
+    assert 0.3 * 8 * 128 < float(met.sum()) < 2 * 8 * 128
+    assert bool((met == 0).any())
+
+
 def test_finer_textures_are_added_to_coarser_ones(dataset: Dataset) -> None:
     pixels = pixels_of(dataset, render_samples=1, texture_levels=3)
     renderer = LightPathRenderer(LightPathConfig(texture_sizes=(16, 12), texture_levels=3))

@@ -1,0 +1,120 @@
+"""Texels that hardly any training ray met: they take what those around them show.
+
+A pyramid's levels are learned together, so that its coarse levels alone, which is all that an unmet texel has, show
+colours that nobody learned: whatever its neighbours' fine levels take back. Measured on the glass table (`light-path`,
+seed 0, a sixteenth of the pixels with four rays): filling such texels in changes cameras 10, 20 and 40 degrees outside
+of the training views, which see them on the floor, by -0.04, +0.28 and +1.06 dB, and the test splits by +0.01 dB.
+"""
+
+import torch
+from jaxtyping import Float32, UInt8
+from torch import Tensor
+from torch.nn import functional
+
+from model.nets.texture import TextureLayout, TexturePyramid, bilinear_taps, level_scales, sample
+
+FILLED_LEVEL = 1
+"""The level, from the finest, that is changed. In the finest, surfaces seen from afar have texels that few rays met
+though what they show is right: filling that one in costs 0.5 dB at 10 degrees (seed 1)."""
+
+NOISE = 0.03
+"""Variance of a feature that a single pixel has taught. From half to three times as much, 40 degrees gain 0.5 dB and 10
+lose 0.2 (as above)."""
+
+USUAL_DETAIL, USUAL_TEXELS = 0.05, 10.0
+"""Where a surface has few texels that are well met, its detail is as if so many more had this one."""
+
+
+def filled_layout(textures: TexturePyramid) -> TextureLayout:
+    """The texels that `fill_in` changes."""
+    return textures.levels()[_level(textures)].layout
+
+
+def add_visits(
+    met: Float32[Tensor, " texel"],
+    layout: TextureLayout,
+    uv: Float32[Tensor, "slot 2"],
+    object_id: UInt8[Tensor, " slot"],
+    share: Float32[Tensor, " slot"],
+) -> None:
+    """Adds to `met` how well some rays have seen each texel: the square of what it counts in their pixels' colour.
+
+    Squares, as in least squares: a texel that a faint reflection has met a hundred times is hardly known.
+    """
+    hits = (object_id != 0).nonzero().squeeze(1)
+    texels, weights = bilinear_taps(uv[hits], object_id[hits], layout)
+    met.index_add_(0, texels.flatten(), (weights * share[hits, None].square()).flatten())
+
+
+@torch.no_grad()
+def fill_in(textures: TexturePyramid, met: Float32[Tensor, " texel"]) -> None:
+    """Changes texels in the measure in which they are unknown, into what is known around them on their surface.
+
+    A texel's features are the mean of its own and of those around it, weighted as if its own had an error of `NOISE`
+    over the number of its visits, and those around it one of the surface's detail: what differs from texel to texel
+    where all are well known. A patterned vase is so left alone with few visits, and a plain floor is not. What is
+    around a texel is found coarse to fine. Source: pull-push (Gortler et al. 1996, The Lumigraph, section 3.4).
+
+    Args:
+        met: by texel of `filled_layout`, in pixels that show nothing else (`add_visits`).
+    """
+    level = _level(textures)
+    tables, layouts = textures.tables()[level:], [part.layout for part in textures.levels()[level:]]
+    scales = level_scales(len(textures), textures.finer_counts)[level:]
+    layout = layouts[0]
+    for place, (base, size, stride) in enumerate(zip(layout.bases, layout.sizes, layout.strides, strict=True)):
+        rows = base + torch.arange(size)[:, None] * stride + torch.arange(size)
+        rows = rows.flatten().to(met.device)
+        object_id = torch.full((len(rows), 1), place + 1, dtype=torch.uint8, device=met.device)
+        shown = sample(tables, _centers(size).to(met.device)[:, None], object_id, layouts, scales)
+        own, visits = (_image(values, size) for values in (shown[:, 0], met[rows][:, None]))
+        known = visits / (visits + NOISE / _detail(own, visits))
+        change = _pulled_and_pushed(own, known) - own
+        tables[0][rows] += change[0].flatten(1).T / scales[0]
+
+
+def _level(textures: TexturePyramid) -> int:
+    return min(FILLED_LEVEL, len(textures) - 1)
+
+
+def _centers(size: int) -> Float32[Tensor, "texel 2"]:
+    """uv of the centres of a square image's texels, row by row from the top."""
+    place = (torch.arange(size) + 0.5) / size
+    v, u = torch.meshgrid(1 - place, place, indexing="ij")
+    return torch.stack([u, v], dim=-1).flatten(0, 1)
+
+
+def _image(values: Float32[Tensor, "texel c"], size: int) -> Float32[Tensor, "1 c row column"]:
+    return values.T.reshape(1, -1, size, size)
+
+
+def _detail(features: Float32[Tensor, "1 c size size"], visits: Float32[Tensor, "1 1 size size"]) -> float:
+    """Mean square of what a texel differs by from the mean of its eight neighbours, where all of them are known."""
+    known = visits / (visits + 1)
+    box = torch.ones(1, 1, 3, 3, device=features.device)
+
+    def around(values: Tensor) -> Tensor:
+        """The sum over the eight neighbours, channel by channel."""
+        return functional.conv2d(values.transpose(0, 1), box, padding=1).transpose(0, 1) - values
+
+    neighbours = around(known)
+    mean = around(features * known) / neighbours.clamp_min(1e-6)
+    counts = known * (known > 0.9) * (neighbours > 2)
+    squares = (features - mean).square().mean(dim=1, keepdim=True)
+    total = (squares * counts).sum() + USUAL_DETAIL * USUAL_TEXELS
+    return float(total / (counts.sum() + USUAL_TEXELS))
+
+
+def _pulled_and_pushed(
+    features: Float32[Tensor, "1 c size size"], known: Float32[Tensor, "1 1 size size"]
+) -> Float32[Tensor, "1 c size size"]:
+    """Features where they are known, of a share from 0 to 1, and what is around them for the rest."""
+    size = features.shape[-1]
+    if size == 1:
+        return features
+    half = (size + 1) // 2
+    known_below = functional.adaptive_avg_pool2d(known, half)
+    below = functional.adaptive_avg_pool2d(features * known, half) / known_below.clamp_min(1e-9)
+    around = _pulled_and_pushed(below, known_below)
+    around = functional.interpolate(around, size=(size, size), mode="bilinear", align_corners=False)
+    return known * features + (1 - known) * around
