@@ -20,7 +20,7 @@ from datagen.scene.importers.gltf_arrays import GltfArrays
 from datagen.scene.importers.gltf_draco import read_draco
 from datagen.scene.importers.gltf_file import GltfFile
 from datagen.scene.importers.gltf_materials import TextureUse, read_material
-from datagen.scene.importers.gltf_nodes import Standing, instances
+from datagen.scene.importers.gltf_nodes import Instance, Standing, instances
 from datagen.scene.importers.remarks import Remarks
 
 TRIANGLES, STRIP, FAN = 4, 5, 6
@@ -42,6 +42,7 @@ def read_gltf(path: Path, remarks: Remarks) -> ForeignScene:
         remarks.note(path.name, "has animations; each object stands where its node puts it")
     uses: dict[int, int] = {}
     for instance in placed:
+        _remark_on_morphs(file, instance, remarks)
         uses[instance.mesh] = uses.get(instance.mesh, 0) + 1
     _check_size(arrays, uses)
     materials: dict[int | None, tuple[ForeignMaterial, TextureUse | None]] = {}
@@ -85,6 +86,21 @@ def _check_size(arrays: GltfArrays, uses: dict[int, int]) -> None:
         )
 
 
+def _remark_on_morphs(file: GltfFile, instance: Instance, remarks: Remarks) -> None:
+    """A line for a mesh with morph targets: its own shape is what is read. Weights of its node count before its own."""
+    mesh = file.lists["meshes"][instance.mesh]
+    if not any("targets" in primitive for primitive in mesh.listed("primitives")):
+        return
+    where = instance.node.text("name") or mesh.text("name") or mesh.where
+    weights = instance.node.data.get("weights", mesh.data.get("weights"))
+    if isinstance(weights, list) and any(weights):
+        remarks.approximate(
+            where, "is in part one of its morph targets, which are not read; it keeps the shape without"
+        )
+    else:
+        remarks.note(where, "has morph targets; it keeps the shape without them")
+
+
 def _surfaces(
     arrays: GltfArrays,
     mesh: int,
@@ -99,8 +115,6 @@ def _surfaces(
         if mode < TRIANGLES:
             remarks.approximate(name or described.where, "has points or lines, which are left out")
             continue
-        if "targets" in primitive:
-            remarks.note(name or described.where, "has morph targets; it keeps the shape without them")
         chosen = primitive.integer("material") if "material" in primitive else None
         if chosen not in materials:
             materials[chosen] = read_material(arrays.file, chosen, remarks)

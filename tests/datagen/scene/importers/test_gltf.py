@@ -215,3 +215,28 @@ def test_a_name_that_leads_out_of_the_folder_is_refused_and_not_read(tmp_path: P
         with pytest.raises(HyalineError, match=r"expected a file in|is a link out of its folder") as refused:
             read_gltf(tmp_path / "in" / "a.gltf", Remarks())
         assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("of_mesh", "of_node", "is_approximation"),
+    [
+        (None, None, False),
+        ([0, 0], None, False),
+        ([0, 0.5], None, True),
+        ([0, 0.5], [0, 0], False),
+        (None, [1, 0], True),
+    ],
+)
+def test_a_shape_that_its_morph_targets_change_is_an_approximation(
+    of_mesh: list | None, of_node: list | None, is_approximation: bool, tmp_path: Path
+) -> None:
+    builder = GltfBuilder()
+    node = builder.node(mesh=builder.mesh(), name="face")
+    mesh = builder.content["meshes"][0]
+    mesh["primitives"][0]["targets"] = [dict(mesh["primitives"][0]["attributes"])] * 2
+    for entry, weights in ((mesh, of_mesh), (builder.content["nodes"][node], of_node)):
+        if weights is not None:
+            entry["weights"] = weights
+    remarks = Remarks()
+    read_gltf(builder.written(tmp_path), remarks)
+    assert [(line.where, line.is_approximation) for line in remarks.lines] == [("face", is_approximation)]
