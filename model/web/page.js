@@ -45,14 +45,15 @@ class Page {
     this.frames.held = false;
   }
 
-  show(text) {
-    element("status").textContent = text;
+  // The figures of frames, which change all the time, are not read aloud.
+  show(text, live = "polite") {
+    Object.assign(element("status"), { ariaLive: live, textContent: text });
   }
 
   drew({ width, height, rays, ms }) {
     this.canvas.classList.add("drawn");
     const time = ms === undefined ? "" : `, ${ms < 10 ? ms.toFixed(1) : Math.round(ms)} ms a frame`;
-    this.show(`${width} × ${height}, ${rays} ${rays === 1 ? "ray" : "rays"} a pixel${time}`);
+    this.show(`${width} × ${height}, ${rays} ${rays === 1 ? "ray" : "rays"} a pixel${time}`, "off");
   }
 
   // The canvas has as many pixels as are shown.

@@ -53,7 +53,7 @@ class Panel {
   }
 
   slider(label, low, high, step, get, set) {
-    const input = made("input", { type: "range", min: low, max: high, step }), output = made("output", {});
+    const input = made("input", { type: "range", min: low, max: high, step }), output = made("output", { ariaHidden: "true" });  // The slider itself says it.
     input.refresh = () => ((input.value = get()), (output.textContent = Number(get().toFixed(3)).toString()));
     input.addEventListener("input", () => (set(Number(input.value)), this.page.update(), input.refresh()));
     return made("label", {}, label, input, output);

@@ -109,6 +109,9 @@ def test_a_small_page_is_close_to_python(
         assert psnr(page.picture(VIEW, SHAPE, 1), drawn_by_python(renderer, dataset)) >= 42
         page.evaluate("async () => (await hyaline).frames.still(2)")
         assert re.match(r"120 .+, 2 rays a pixel", page.page.inner_text("#status"))
+        assert page.page.get_attribute("#status", "aria-live") == "off"  # Else each frame would be read aloud.
+        page.evaluate("async () => (await hyaline).show('A message.')")
+        assert page.page.get_attribute("#status", "aria-live") == "polite"
 
 
 def test_a_browser_without_webgl_says_so_and_shows_a_still_picture(
