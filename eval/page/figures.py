@@ -26,7 +26,7 @@ def shown_of_run(scores: RunScores) -> Json:
     """What a picture of a run depends on, beside the truth."""
     run = scores.run
     about = {"name": run.name, "method": run.method, "geometry": run.geometry, "label": run.label, "seed": run.seed}
-    return to_json({**about, "config": run.config, "pictures": scores.digests})
+    return to_json({**about, "config": run.config, "flags": run.flags, "pictures": scores.digests})
 
 
 def shown_of_scene(scene: SceneScores) -> Json:

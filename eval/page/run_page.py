@@ -106,16 +106,15 @@ def _how_to_make(run: Run) -> Markup:
     if run.method is None or run.config is None:
         return tag("p", "A foreign method's pictures: its folder does not tell how they were made.", class_="note")
     words = ["model", "train", run.method, "--dataset", f"data/{run.dataset.name}"]
-    words += [] if run.geometry in (None, "truth") else ["--geometry", run.geometry]
-    words += [] if not run.seed else ["--seed", str(run.seed)]
     choices = definitions([(key, value) for key, value in flattened(run.config)])
-    return join(
-        [
-            command(shlex.join(words)),
-            tag("p", "With the parameters below, where they are not the method's defaults.", class_="note"),
-            tag("details", tag("summary", "All parameters"), choices),
-        ]
-    )
+    if run.flags is None:
+        words += [] if run.geometry in (None, "truth") else ["--geometry", run.geometry]
+        words += [] if not run.seed else ["--seed", str(run.seed)]
+        note = tag("p", "With the parameters below, where they are not the method's defaults.", class_="note")
+    else:
+        words += run.flags
+        note = None
+    return join([command(shlex.join(words)), note, tag("details", tag("summary", "All parameters"), choices)])
 
 
 def flattened(config: Mapping[str, Json], above: str = "") -> list[tuple[str, str]]:

@@ -4,8 +4,9 @@
     RUNS/SCENE/NAME/variants/VARIANT/predictions/... the same of a variant of the dataset (datagen/data/variants.py)
     RUNS/SCENE/NAME/run.json                         optional: method, geometry, knowledge, dataset, dataset_seal,
                                                      seed, num_parameters, num_layers, label, config (an object of
-                                                     choices), layers_seal; what else `model train` writes is not
-                                                     read here, and any other key is refused
+                                                     choices), flags (a list of words), layers_seal; what
+                                                     else `model train` writes is not read here, and any other
+                                                     key is refused
 
     .../predictions.json                             beside each folder `predictions`; sealed: SHA-256 of each picture,
                                                      which are verified then; optional where run.json is not sealed
@@ -42,8 +43,8 @@ from eval.score.png import check_png
 Value = TypeVar("Value", int, str)
 
 RUN_KEYS = frozenset({
-    "config", "dataset", "dataset_seal", "geometry", "knowledge", "label", "layers_seal", "method", "num_layers",
-    "num_parameters", "num_texture_parameters", "seed", "torch", "type", "version",
+    "config", "dataset", "dataset_seal", "flags", "geometry", "knowledge", "label", "layers_seal", "method",
+    "num_layers", "num_parameters", "num_texture_parameters", "seed", "torch", "type", "version",
 })  # fmt: skip
 """What run.json may hold: what `model train` writes, of which a foreign method may leave out any."""
 
@@ -67,6 +68,8 @@ class Run:
     """Straight layers that it was given."""
     config: dict[str, Json] | None
     """Everything that was chosen; runs that agree in it and differ in their seed are averaged."""
+    flags: tuple[str, ...] | None
+    """What `model train METHOD` has to be told to train it again."""
     layers_seal: str | None
     """Hash that names the layers it was trained on."""
     is_sealed: bool
@@ -141,6 +144,7 @@ def open_run(folder: Path, data_root: Path, given: Dataset | None = None) -> Run
         label=_optional(record, "label", str, path),
         num_layers=_optional(record, "num_layers", int, path),
         config=_config(record, path),
+        flags=_flags(record, path),
         layers_seal=_optional(record, "layers_seal", str, path),
         is_sealed=is_sealed,
         promised=_read_promised(folder),
@@ -269,6 +273,12 @@ def _config(record: dict[str, Json], path: Path) -> dict[str, Json] | None:
     if config is not None and not isinstance(config, dict):
         raise HyalineError(f"{path}: config is {shown(config)}; expected an object")
     return config
+
+
+def _flags(record: dict[str, Json], path: Path) -> tuple[str, ...] | None:
+    if "flags" not in record:
+        return None
+    return from_json(tuple[str, ...], record["flags"], where=f"{path}: flags")
 
 
 def _optional(record: dict[str, Json], key: str, kind: type[Value], path: Path) -> Value | None:

@@ -9,6 +9,7 @@ from model.batches.pixel_cache import choose_memory
 from model.batches.rays import PixelSource
 from model.methods.protocol import Inputs
 from model.methods.renderer import ParameterGroup, Renderer
+from model.run.again import words_again
 from model.run.run_folder import RUN_VERSION, RunRecord, TrainConfig, describe_knowledge
 from model.settings.run_flags import Memory
 
@@ -58,6 +59,7 @@ def describe_run(config: TrainConfig, inputs: Inputs, *, label: str, num_paramet
         num_layers=inputs.num_layers or None,
         label=label,
         config=config,
+        flags=words_again(config, inputs),
         torch=torch.__version__,
     )
 

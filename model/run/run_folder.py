@@ -116,6 +116,8 @@ class RunRecord:
     label: str
     """How tables and figures call the run."""
     config: TrainConfig
+    flags: tuple[str, ...] = ()
+    """What has to stand behind `model train METHOD --dataset DATASET` to ask for it again."""
     torch: str
     """Version of torch."""
 

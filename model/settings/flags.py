@@ -84,6 +84,21 @@ def suffixes(record: object, usual: object) -> list[str]:
     return words
 
 
+def words_of(record: object, usual: object) -> list[str]:
+    """The words on a command line that ask for a record: a flag for each field of `usual` that is not as there."""
+    words: list[str] = []
+    for item in dataclasses.fields(usual):  # pyright: ignore[reportArgumentType]
+        value, expected = getattr(record, item.name), getattr(usual, item.name)
+        if _record_in(item) is not None:
+            words += words_of(value, expected)
+        elif not item.metadata.get("is_hidden") and value != (
+            item.default if item.metadata.get("is_preset") else expected
+        ):
+            flag = f"--{item.metadata.get('flag') or item.name.replace('_', '-')}"
+            words += [flag] if value is True and item.default is False else [flag, str(value)]
+    return words
+
+
 @functools.cache
 def name_flags(record: type) -> None:
     """Tells tyro the flags of a record: names, help from the docstrings below its fields, and which fields are none.

@@ -86,6 +86,20 @@ def test_every_run_has_its_pictures_its_training_and_a_way_to_make_it_again(page
     assert "PSNR by the angle to the nearest training ray" in captions
 
 
+def test_a_run_that_tells_its_flags_is_made_again_by_them_alone(
+    root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copytree(root, tmp_path / "copy")
+    path = tmp_path / "copy" / "runs" / "synthetic" / "plain" / "run.json"
+    record = json.loads(path.read_text()) | {"method": "paper", "flags": ["--preset", "best", "--seed", "3"]}
+    path.write_text(json.dumps(record))
+    codes = [code.text for code in read_page(write_page(tmp_path / "copy", tmp_path / "out", monkeypatch)).all("code")]
+    assert "model train paper --dataset data/synthetic --preset best --seed 3" in codes
+    path.write_text(json.dumps(record | {"flags": "--preset best"}))
+    with pytest.raises(HyalineError, match=r"run\.json: flags: is '--preset best'; expected a list"):
+        write_page(tmp_path / "copy", tmp_path / "out", monkeypatch)
+
+
 def test_the_same_runs_give_the_same_page(root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pages = [write_page(root, tmp_path / name, monkeypatch, most_views=1) for name in ("a", "b")]
     assert pages[0] == pages[1]
