@@ -33,7 +33,9 @@ MIN_GAP, MAX_GAP = 3e-4, 1e-3
 """Metres between the ground and what stands on it: coincident faces lose layers."""
 MIN_BACKDROP_DEG, MIN_ARC_DEG = 60, 80
 """Degrees around the glass that a backdrop hides, and that are left for cameras."""
-GRAZING_DEG = 15.0
+WATCHED_POINTS = 8
+"""Points of the glass from which one looks for cameras."""
+GRAZING_DEG = 25.0
 """Degrees that cameras keep from the edge of a backdrop."""
 DUST = 1e-9
 UPRIGHT = 0.9999
@@ -230,7 +232,7 @@ def make_rig(objects: Sequence[SceneObject], remarks: Remarks) -> CameraRig:
     target = (low + high) / 2
     reach = float(np.linalg.norm(high - low)) / 2
     radius = MARGIN * reach / math.sin(math.radians(FOV_DEG / 2))
-    first, last = _open_arc(_opaque(objects), target, reach, radius, remarks)
+    first, last = _open_arc(objects, target, reach, radius, remarks)
     middle, half = (first + last) / 2, min((last - first) / 2, 100.0)
 
     def walk_point(turn: float, elevation_deg: float, distance: float) -> WalkPoint:
@@ -273,19 +275,25 @@ def _direction(azimuth_deg: float, elevation_deg: float) -> np.ndarray:
 
 
 def _open_arc(
-    corners: Float[np.ndarray, "face 3 3"],
+    objects: Sequence[SceneObject],
     target: Float[np.ndarray, "3"],
     reach: float,
     radius: float,
     remarks: Remarks,
 ) -> tuple[float, float]:
     """First and last azimuth of the widest arc on which no backdrop stands between cameras and glass."""
+    glass = [item.mesh.vertices for item in objects if item.material.is_glass]
+    # A backdrop may stand close behind a wide row of glass, so rays begin at the glass itself.
+    points = _far_apart(np.concatenate(glass).astype(np.float64), WATCHED_POINTS) if glass else target[None]
+    begin = (0.02 if glass else 1.05) * reach
     step = 10
     azimuths = FRONT_DEG + np.arange(0, 360, step)
-    directions = np.stack([_direction(a, e) for a in azimuths for e in (8.0, 30.0, 55.0)])
-    origins = target + 1.05 * reach * directions
-    is_seen = (_distances(corners, origins, directions) > radius - 1.05 * reach).reshape(-1, 3)
-    is_open = is_seen.sum(axis=-1) >= 2
+    directions = np.stack([_direction(a, e) for a in azimuths for e in (8.0, 45.0)])
+    origins = (points + begin * directions[:, None]).reshape(-1, 3)
+    distances = _distances(_opaque(objects), origins, directions.repeat(len(points), axis=0))
+    is_seen = (distances > radius - begin).reshape(len(azimuths), -1)
+    # Some of the points are on the back of the glass, and may be in the wall behind it.
+    is_open = is_seen.mean(axis=-1) >= 0.5
     # Things among the glass hide it only here and there.
     if (~is_open).sum() * step < MIN_BACKDROP_DEG:
         return FRONT_DEG - 180.0, FRONT_DEG + 180.0
@@ -303,6 +311,17 @@ def _open_arc(
     first, last = first + GRAZING_DEG, first + step * (runs[best] - 1) - GRAZING_DEG
     remarks.note("cameras", f"stand at azimuths from {first:.0f} to {last:.0f} degrees, in front of a backdrop")
     return first, last
+
+
+def _far_apart(points: Float[np.ndarray, "point 3"], count: int) -> Float[np.ndarray, "chosen 3"]:
+    """At most `count` of the points, each as far as can be from those before it."""
+    points = points[:: max(1, len(points) // 4096)]
+    chosen = [int(points[:, 2].argmax())]
+    distances = np.linalg.norm(points - points[chosen[0]], axis=-1)
+    while len(chosen) < count and distances.max() > 0:
+        chosen.append(int(distances.argmax()))
+        distances = np.minimum(distances, np.linalg.norm(points - points[chosen[-1]], axis=-1))
+    return points[chosen]
 
 
 def _opaque(objects: Sequence[SceneObject]) -> Float[np.ndarray, "face 3 3"]:

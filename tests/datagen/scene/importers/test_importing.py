@@ -126,6 +126,24 @@ def test_a_backdrop_keeps_the_cameras_on_its_front_side(tmp_path: Path) -> None:
     assert scene.cameras.azimuth_deg[1] - scene.cameras.azimuth_deg[0] > 120
 
 
+def test_a_panel_behind_a_wide_row_of_glass_is_a_backdrop_too(tmp_path: Path) -> None:
+    builder = GltfBuilder()
+    matt = builder.material("Panel", pbrMetallicRoughness=clear(roughnessFactor=1.0))
+    clear_glass = builder.material("Glass", pbrMetallicRoughness=clear(), extensions=glass())
+    for place in range(5):
+        builder.node(
+            mesh=builder.mesh(material=clear_glass),
+            scale=[0.1] * 3,
+            translation=[0.3 * place, 0.5, 0],
+            name=f"b{place}",
+        )
+    builder.node(mesh=builder.mesh(material=matt), scale=[1.6, 1.2, 0.01], translation=[0.6, 0.5, -0.08], name="panel")
+    scene = import_scene(builder.written(tmp_path), ImportChoices()).scene
+    front = of_name(scene, "panel").mesh.vertices[:, 1].min()
+    for cameras in make_cameras(scene.cameras, config(views=32)).values():
+        assert (cameras.world_from_camera[:, 1, 3] < front).all()
+
+
 @pytest.mark.parametrize(
     ("scale", "up", "expected"),
     [
