@@ -86,7 +86,8 @@ struct Facet {
 };
 
 Facet facet_towards(vec3 d, vec3 n, float alpha, vec2 u) {
-    float turn = n.z < 0.0 ? -1.0 : 1.0, a = -1.0 / (turn + n.z), b = n.x * n.y * a;
+    // Upright walls have the frame of 0 also where rounding made their normals lean down.
+    float turn = n.z < -1e-6 ? -1.0 : 1.0, a = -1.0 / (turn + n.z), b = n.x * n.y * a;
     mat3 frame = mat3(turn * n.x * n.x * a + 1.0, turn * b, -turn * n.x, b, turn + n.y * n.y * a, -n.y, n);
     vec3 wi = -d * frame;
     vec3 stretched = normalize(vec3(alpha * wi.xy, max(wi.z, 1e-6)));

@@ -48,6 +48,15 @@ def placed(shape: trimesh.Trimesh, *place: float) -> Mesh:
     return dataclasses.replace(mesh, uv=((mesh.vertices - low) / (high - low))[:, [0, 2]].copy())
 
 
+def post(radius: float, height: float, *place: float) -> Mesh:
+    """An upright cylinder whose wall is smooth: its normals are exactly level."""
+    mesh = placed(trimesh.creation.cylinder(radius, height, sections=24), *place)
+    is_wall = np.abs(mesh.normals[:, 2]) < 0.5
+    level = (mesh.vertices - np.float32(place)) * np.float32([1, 1, 0])
+    level /= np.maximum(np.linalg.norm(level, axis=-1, keepdims=True), np.float32(1e-6))
+    return dataclasses.replace(mesh, normals=np.where(is_wall[:, None], level, mesh.normals).astype(np.float32))
+
+
 def standing_pane() -> Mesh:
     flat = quad(0)
     vertices = flat.vertices[:, [0, 2, 1]] * np.float32(0.6) + np.float32([0, -0.7, 0.7])

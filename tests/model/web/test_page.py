@@ -8,7 +8,17 @@ from typing import TYPE_CHECKING, get_args
 
 import numpy as np
 import pytest
-from support.web_scenes import SHAPE, STILL, VIEW, drawn_by_python, every_surface, noisy_light_path, psnr, write_scene
+from support.web_scenes import (
+    SHAPE,
+    STILL,
+    VIEW,
+    drawn_by_python,
+    every_surface,
+    noisy_light_path,
+    post,
+    psnr,
+    write_scene,
+)
 
 from benchmarks.pages.browser import Watched, open_file, watched_page
 from datagen.data.dataset import Dataset
@@ -35,6 +45,22 @@ def test_a_page_draws_what_python_draws_with_sixteen_rays_a_pixel(
     page: Watched, renderer: LightPathRenderer, dataset: Dataset
 ) -> None:
     assert psnr(page.picture(VIEW, SHAPE, 16), drawn_by_python(renderer, dataset, 16)) >= 50
+
+
+def test_upright_rough_walls_choose_the_facets_that_they_choose_in_python(
+    browser: "Browser", renderer: LightPathRenderer, tmp_path: Path
+) -> None:
+    # Rounding gives level normals, which a page keeps as directions on an octahedron, a slight lean up or down.
+    wall = post(0.28, 0.6, -0.6, 0.3, 0.35)
+    objects = (
+        dataclasses.replace(item, mesh=wall) if item.name == "metal" else item for item in every_surface().objects
+    )
+    dataset = write_scene(tmp_path / "data" / "web", dataclasses.replace(every_surface(), objects=tuple(objects)))
+    file = tmp_path / "post.html"
+    file.write_bytes(scene_page(renderer, renderer.config, dataset, TRUTH, "exact", label="noise", still=STILL))
+    with watched_page(browser) as page:
+        open_file(page, file)
+        assert psnr(page.picture(VIEW, SHAPE, 1), drawn_by_python(renderer, dataset)) >= 45
 
 
 def test_a_page_asks_for_nothing_and_complains_of_nothing(page: Watched) -> None:
