@@ -11,7 +11,7 @@ from jaxtyping import Float32, UInt8
 from torch import Tensor
 from torch.nn import functional
 
-from model.nets.texture import TextureLayout, TexturePyramid, bilinear_taps, level_scales, sample
+from model.nets.texture import TextureLayout, TexturePyramid, bilinear_taps, level_scales, sample, texel_centers
 
 FILLED_LEVEL = 1
 """The level, from the finest, that is changed. In the finest, surfaces seen from afar have texels that few rays met
@@ -66,7 +66,7 @@ def fill_in(textures: TexturePyramid, met: Float32[Tensor, " texel"]) -> None:
         rows = base + torch.arange(size)[:, None] * stride + torch.arange(size)
         rows = rows.flatten().to(met.device)
         object_id = torch.full((len(rows), 1), place + 1, dtype=torch.uint8, device=met.device)
-        shown = sample(tables, _centers(size).to(met.device)[:, None], object_id, layouts, scales)
+        shown = sample(tables, texel_centers(size).to(met.device)[:, None], object_id, layouts, scales)
         own, visits = (_image(values, size) for values in (shown[:, 0], met[rows][:, None]))
         known = visits / (visits + NOISE / _detail(own, visits))
         change = _pulled_and_pushed(own, known) - own
@@ -75,13 +75,6 @@ def fill_in(textures: TexturePyramid, met: Float32[Tensor, " texel"]) -> None:
 
 def _level(textures: TexturePyramid) -> int:
     return min(FILLED_LEVEL, len(textures) - 1)
-
-
-def _centers(size: int) -> Float32[Tensor, "texel 2"]:
-    """uv of the centres of a square image's texels, row by row from the top."""
-    place = (torch.arange(size) + 0.5) / size
-    v, u = torch.meshgrid(1 - place, place, indexing="ij")
-    return torch.stack([u, v], dim=-1).flatten(0, 1)
 
 
 def _image(values: Float32[Tensor, "texel c"], size: int) -> Float32[Tensor, "1 c row column"]:

@@ -85,6 +85,13 @@ def bilinear_taps(
     return texels, weights
 
 
+def texel_centers(size: int) -> Float32[Tensor, "texel 2"]:
+    """uv of the centres of a square image's texels, row by row from the top."""
+    place = (torch.arange(size) + 0.5) / size
+    v, u = torch.meshgrid(1 - place, place, indexing="ij")
+    return torch.stack([u, v], dim=-1).flatten(0, 1)
+
+
 def sample(
     tables: Sequence[Float32[Tensor, "_ c"]],
     uv: Float32[Tensor, "ray layer 2"],

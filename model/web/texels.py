@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float32
 from torch import Tensor
 
 from datagen.data.meshes import Mesh
-from model.nets.texture import NeuralTextures, TexturePyramid, level_scales
+from model.nets.texture import NeuralTextures, TexturePyramid, level_scales, texel_centers
 from model.web.packing import Packed, Quality
 from model.web.prediction import residuals, zigzag
 
@@ -94,9 +94,8 @@ def touched_texels(mesh: Mesh, size: int) -> Bool[np.ndarray, " texel"]:
 
 def _summed(textures: NeuralTextures | TexturePyramid, texture: int, size: int) -> Tensor:
     """The features of a texture (counted from 0) at the centres of its finest texels."""
-    row, column = torch.meshgrid(torch.arange(size), torch.arange(size), indexing="ij")
-    uv = torch.stack([(column + 0.5) / size, 1 - (row + 0.5) / size], dim=-1).reshape(-1, 1, 2)
-    return textures(uv, torch.full((size * size, 1), texture + 1, dtype=torch.uint8))[:, 0]
+    object_id = torch.full((size * size, 1), texture + 1, dtype=torch.uint8)
+    return textures(texel_centers(size)[:, None], object_id)[:, 0]
 
 
 def fours(count: int) -> int:
