@@ -15,13 +15,17 @@ def mean_color(radiance: Float32[Tensor, "pixel sample 3"]) -> Float32[Tensor, "
     return srgb_curve(radiance.mean(dim=1))
 
 
+LEAST_PAIRED = 4
+"""Rays of a pixel, in pairs, from which on they tell how noisy their mean is."""
+
+
 def variance_of_mean(radiance: Float32[Tensor, "pixel sample 3"]) -> Float32[Tensor, "pixel 3"]:
     """Estimated variance of `mean_color` over the choice of rays, of which 2k and 2k + 1 are independent pairs.
 
     By the slope of the sRGB curve at the mean, through which no gradient flows. 0 where there is but one pair.
     """
     samples = radiance.shape[1]
-    if samples < 4:
+    if samples < LEAST_PAIRED:
         return torch.zeros_like(radiance[:, 0])
     pairs = radiance[:, : samples // 2 * 2].unflatten(1, (-1, 2)).mean(dim=2)
     mean = radiance.detach().mean(dim=1)

@@ -11,10 +11,10 @@ from torch.nn import functional
 from datagen.data.dataset import Dataset
 from datagen.disk.errors import HyalineError
 from datagen.terminal.command import track
-from model.batches.samples import mean_color
+from model.batches.samples import LEAST_PAIRED, mean_color
 from model.losses.pixel_losses import PatchTerms, pixel_loss
 from model.methods.light_path.config import LightPathConfig
-from model.methods.light_path.paths import STACKED_VERTICES, Ends, LightPathBatch, Stack
+from model.methods.light_path.paths import STACKED_VERTICES, LightPathBatch, Stack
 from model.methods.light_path.pixels import MANY_RAYS, LightPathPixels
 from model.methods.light_path.refined_pixels import draw_refined
 from model.methods.renderer import ParameterGroup, Renderer
@@ -94,14 +94,14 @@ class LightPathRenderer(Renderer[LightPathPixels]):
         softness: float = 0.0,
         patch_terms: PatchTerms | None = None,
     ) -> Tensor:
-        """As of any renderer, less what the noise of few rays a pixel adds to it."""
+        """As of any renderer, less what the noise of few rays a pixel adds to it; the sky learns by squares."""
         return pixel_loss(
             self,
             training,
             batch,
             rng,
             softness=softness,
-            radiance=self.radiance,
+            radiance=self._radiance_apart,
             debias=self.config.debias,
             patch_terms=patch_terms,
         )
@@ -140,27 +140,72 @@ class LightPathRenderer(Renderer[LightPathPixels]):
 
     def radiance(self, paths: LightPathBatch) -> Float32[Tensor, "pixel sample 3"]:
         """Linear radiance of every ray."""
+        others, sky = self._light(paths)
+        return (others if sky is None else others + sky).view(-1, paths.samples, 3)
+
+    def _radiance_apart(
+        self, paths: LightPathBatch
+    ) -> tuple[Float32[Tensor, "pixel sample 3"], Float32[Tensor, "pixel sample 3"] | None]:
+        """`radiance` twice: without gradients of the sky, and with those alone. Where the sky is mixed in, or a pixel's
+        rays are too few to tell their noise, once with all gradients, and None."""
+        others, sky = self._light(paths)
+        if sky is None or paths.samples < LEAST_PAIRED:
+            return (others if sky is None else others + sky).view(-1, paths.samples, 3), None
+        first, second = others + sky.detach(), others.detach() + sky
+        return first.view(-1, paths.samples, 3), second.view(-1, paths.samples, 3)
+
+    def _light(self, paths: LightPathBatch) -> tuple[Float32[Tensor, "ray 3"], Float32[Tensor, "ray 3"] | None]:
+        """Linear radiance that reaches the rays from surfaces and out of the stack network, and from the sky; None for
+        the sky where there is none, or where straight layers have mixed it in."""
         num_rays = paths.num_pixels * paths.samples
-        radiance = torch.zeros(num_rays, 3, device=paths.ends.uv.device)
-        if self.config.composite:
-            radiance = radiance.index_add(0, paths.ends.ray, self._shine(paths.ends) * paths.ends.throughput)
-            radiance = radiance.index_add(
-                0, paths.sky.ray, self.environment(paths.sky.direction) * paths.sky.throughput
-            )
-        if self.stack_net is not None:
+        at_ends, at_stack = self._features(paths)
+        others = torch.zeros(num_rays, 3, device=paths.ends.uv.device)
+        sky = None
+        if at_ends is not None:
+            ends = paths.ends
+            shine = self._decode(at_ends, ends.cosine, ends.reflected, ends.position)
+            others = others.index_add(0, ends.ray, shine * ends.throughput)
+            arrived = self.environment(paths.sky.direction) * paths.sky.throughput
+            sky = torch.zeros_like(others).index_add(0, paths.sky.ray, arrived)
+        if at_stack is not None:
             assert paths.stack is not None
+            assert self.stack_net is not None
             stack = paths.stack
-            uv = self._relieved(stack)
-            features = self.textures(uv, stack.surface)
-            inputs = torch.cat([features, stack.throughput[..., None], stack.cosine[..., None]], dim=-1).flatten(1)
+            inputs = torch.cat([at_stack, stack.throughput[..., None], stack.cosine[..., None]], dim=-1).flatten(1)
             if self.config.straight_layers:
                 inputs = torch.cat([inputs, stack.direction], dim=-1)
             out = self.stack_net(inputs)
-            if self.config.straight_layers and self.config.composite:
+            if self.config.straight_layers and sky is not None:
                 share = torch.sigmoid(out[:, 3:4])
-                radiance = share * radiance + (1 - share) * self._over(stack, features, out[:, 4:])
-            radiance = radiance + functional.softplus(out[:, :3] - (4 if self.config.composite else 1))
-        return radiance.view(-1, paths.samples, 3)
+                others = share * (others + sky) + (1 - share) * self._over(stack, at_stack, out[:, 4:])
+                sky = None
+            others = others + functional.softplus(out[:, :3] - (4 if self.config.composite else 1))
+        return others, sky
+
+    def _features(
+        self, paths: LightPathBatch
+    ) -> tuple[Float32[Tensor, "end c"] | None, Float32[Tensor, "ray slot c"] | None]:
+        """Of the ends and of the stack, where the configuration has them.
+
+        They are looked up together: a gradient of the textures is as large as these are, and each look-up makes one.
+        """
+        uv: list[Tensor] = []
+        surface: list[Tensor] = []
+        if self.config.composite:
+            ends = paths.ends
+            uv.append(self._shifted(ends.uv[:, None], ends.surface[:, None], ends.uv_slope[:, None])[:, 0])
+            surface.append(ends.surface)
+        if self.stack_net is not None:
+            assert paths.stack is not None
+            uv.append(self._relieved(paths.stack).flatten(0, 1))
+            surface.append(paths.stack.surface.flatten())
+        features = self.textures(torch.cat(uv)[:, None], torch.cat(surface)[:, None])[:, 0]
+        num_ends = len(surface[0]) if self.config.composite else 0
+        at_ends = features[:num_ends] if self.config.composite else None
+        if self.stack_net is None:
+            return at_ends, None
+        assert paths.stack is not None
+        return at_ends, features[num_ends:].view(*paths.stack.surface.shape, -1)
 
     def _relieved(self, stack: Stack) -> Float32[Tensor, "ray slot 2"]:
         """Where the stack looks up its textures: only its straight layers, which pass on, are shifted."""
@@ -199,12 +244,6 @@ class LightPathRenderer(Renderer[LightPathPixels]):
         before = torch.cat([torch.ones_like(passed[:, :1]), passed[:, :-1]], dim=1)
         sky = self.environment(stack.direction) * passed[:, -1:]
         return sky.index_add(0, hits[0], shine * (opacity * before)[hits][:, None])
-
-    def _shine(self, ends: Ends) -> Float32[Tensor, "end 3"]:
-        """Linear radiance that leaves the ends towards their rays."""
-        uv = self._shifted(ends.uv[:, None], ends.surface[:, None], ends.uv_slope[:, None])
-        features = self.textures(uv, ends.surface[:, None])[:, 0]
-        return self._decode(features, ends.cosine, ends.reflected, ends.position)
 
     def _decode(
         self, features: Tensor, cosine: Tensor, reflected: Tensor, position: Tensor

@@ -48,20 +48,30 @@ class LampAndGround(torch.nn.Module):
     def radiance(self, hits: Bool[Tensor, "pixel sample"]) -> Float32[Tensor, "pixel sample 3"]:
         return (self.ground + self.lamp * hits)[..., None].expand(-1, -1, 3)
 
+    def whole(self, hits: Bool[Tensor, "pixel sample"]) -> tuple[Tensor, None]:
+        return self.radiance(hits), None
+
+    def apart(self, hits: Bool[Tensor, "pixel sample"]) -> tuple[Tensor, Tensor]:
+        first, second = self.ground + self.lamp.detach() * hits, self.ground.detach() + self.lamp * hits
+        return first[..., None].expand(-1, -1, 3), second[..., None].expand(-1, -1, 3)
+
     def forward(self, hits: Bool[Tensor, "pixel sample"], *, rng: np.random.Generator) -> Tensor:
         return mean_color(self.radiance(hits))
 
 
-def learned_lamp(debias: float) -> float:
-    """What is learned of a lamp whose radiance is LAMP."""
-    chance = torch.linspace(0.1, 0.9, 200)
-    truth = (255 * srgb_curve(GROUND + LAMP * chance)).round().to(torch.uint8)
+def learned_lamp(
+    debias: float, *, apart: bool = False, lamp: float = LAMP, chances: tuple[float, float] = (0.1, 0.9), softness: float
+) -> float:
+    """What is learned of a lamp."""
+    chance = torch.linspace(*chances, 200).clamp_min(0)
+    truth = (255 * srgb_curve(GROUND + lamp * chance)).round().to(torch.uint8)
     pixels, renderer = Glints(chance, truth[:, None].expand(-1, 3).contiguous()), LampAndGround()
+    radiance = renderer.apart if apart else renderer.whole
     optimizer = torch.optim.Adam(renderer.parameters(), lr=0.01)
     means = []
     for step in range(600):
         rng = np.random.default_rng([4, step])
-        loss = pixel_loss(renderer, pixels, 512, rng, softness=1.0, radiance=renderer.radiance, debias=debias)
+        loss = pixel_loss(renderer, pixels, 512, rng, softness=softness, radiance=radiance, debias=debias)
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
@@ -70,8 +80,18 @@ def learned_lamp(debias: float) -> float:
 
 
 def test_a_lamp_that_few_rays_meet_is_learned_as_bright_as_it_is() -> None:
-    assert learned_lamp(1.0) == pytest.approx(LAMP, rel=0.1)
-    assert learned_lamp(0.0) < 0.6 * LAMP  # The noise that a bright lamp makes costs more than what it explains.
+    assert learned_lamp(1.0, softness=1.0) == pytest.approx(LAMP, rel=0.1)
+    # The noise that a bright lamp makes costs more than what it explains.
+    assert learned_lamp(0.0, softness=1.0) < 0.6 * LAMP
+
+
+def test_so_is_one_much_brighter_than_the_penalty_is_soft_where_it_learns_by_squares() -> None:
+    # Half of the pixels see the ground alone, which so is known.
+    by_penalty, by_squares = (
+        learned_lamp(1.0, apart=apart, lamp=2.0, chances=(-0.3, 0.3), softness=0.05) for apart in (False, True)
+    )
+    assert by_penalty < 0.6 * 2
+    assert by_squares == pytest.approx(2.0, rel=0.15)  # Brighter: colours average in linear light, squares in sRGB.
 
 
 @pytest.mark.parametrize("opposed", [0.0, 0.5, 1.0])
