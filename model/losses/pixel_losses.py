@@ -46,7 +46,8 @@ def pixel_loss(
 
     Args:
         softness: differences well below it count by their squares (Charbonnier's penalty); 0: none.
-        radiance: linear radiance of every ray of a batch, of renderers that draw several rays a pixel.
+        radiance: linear radiance of every ray of a batch, of renderers that draw several rays a pixel. A sky apart
+            learns from the random pixels alone, not from patch terms.
         debias: share of `noise_penalty` that is taken off the loss then.
     """
     index = torch.from_numpy(rng.integers(len(training.rgb), size=batch)).to(training.rgb.device)

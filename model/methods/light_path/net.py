@@ -189,23 +189,19 @@ class LightPathRenderer(Renderer[LightPathPixels]):
 
         They are looked up together: a gradient of the textures is as large as these are, and each look-up makes one.
         """
-        uv: list[Tensor] = []
-        surface: list[Tensor] = []
+        slots: list[tuple[Tensor, Tensor]] = []
         if self.config.composite:
             ends = paths.ends
-            uv.append(self._shifted(ends.uv[:, None], ends.surface[:, None], ends.uv_slope[:, None])[:, 0])
-            surface.append(ends.surface)
-        if self.stack_net is not None:
-            assert paths.stack is not None
-            uv.append(self._relieved(paths.stack).flatten(0, 1))
-            surface.append(paths.stack.surface.flatten())
-        features = self.textures(torch.cat(uv)[:, None], torch.cat(surface)[:, None])[:, 0]
-        num_ends = len(surface[0]) if self.config.composite else 0
-        at_ends = features[:num_ends] if self.config.composite else None
-        if self.stack_net is None:
-            return at_ends, None
-        assert paths.stack is not None
-        return at_ends, features[num_ends:].view(*paths.stack.surface.shape, -1)
+            uv = self._shifted(ends.uv[:, None], ends.surface[:, None], ends.uv_slope[:, None])
+            slots.append((uv[:, 0], ends.surface))
+        stack = paths.stack if self.stack_net is not None else None
+        if stack is not None:
+            slots.append((self._relieved(stack).flatten(0, 1), stack.surface.flatten()))
+        uv, surface = (torch.cat(parts)[:, None] for parts in zip(*slots, strict=True))
+        parts = list(self.textures(uv, surface)[:, 0].split([len(surface) for _, surface in slots]))
+        at_ends = parts.pop(0) if self.config.composite else None
+        at_stack = None if stack is None else parts.pop().unflatten(0, stack.surface.shape)
+        return at_ends, at_stack
 
     def _relieved(self, stack: Stack) -> Float32[Tensor, "ray slot 2"]:
         """Where the stack looks up its textures: only its straight layers, which pass on, are shifted."""

@@ -60,7 +60,12 @@ class LampAndGround(torch.nn.Module):
 
 
 def learned_lamp(
-    debias: float, *, apart: bool = False, lamp: float = LAMP, chances: tuple[float, float] = (0.1, 0.9), softness: float
+    debias: float,
+    *,
+    softness: float,
+    apart: bool = False,
+    lamp: float = LAMP,
+    chances: tuple[float, float] = (0.1, 0.9),
 ) -> float:
     """What is learned of a lamp."""
     chance = torch.linspace(*chances, 200).clamp_min(0)
