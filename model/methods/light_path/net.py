@@ -141,32 +141,34 @@ class LightPathRenderer(Renderer[LightPathPixels]):
     def radiance(self, paths: LightPathBatch) -> Float32[Tensor, "pixel sample 3"]:
         """Linear radiance of every ray."""
         others, sky = self._light(paths)
-        return (others if sky is None else others + sky).view(-1, paths.samples, 3)
+        return others + sky
 
     def _radiance_apart(
         self, paths: LightPathBatch
     ) -> tuple[Float32[Tensor, "pixel sample 3"], Float32[Tensor, "pixel sample 3"] | None]:
-        """`radiance` twice: without gradients of the sky, and with those alone. Where the sky is mixed in, or a pixel's
-        rays are too few to tell their noise, once with all gradients, and None."""
+        """`radiance` twice: without gradients of the sky, and with those alone. Where a pixel's rays are too few to tell
+        their noise, once with all gradients, and None."""
+        if paths.samples < LEAST_PAIRED:
+            return self.radiance(paths), None
         others, sky = self._light(paths)
-        if sky is None or paths.samples < LEAST_PAIRED:
-            return (others if sky is None else others + sky).view(-1, paths.samples, 3), None
-        first, second = others + sky.detach(), others.detach() + sky
-        return first.view(-1, paths.samples, 3), second.view(-1, paths.samples, 3)
+        return others + sky.detach(), others.detach() + sky
 
-    def _light(self, paths: LightPathBatch) -> tuple[Float32[Tensor, "ray 3"], Float32[Tensor, "ray 3"] | None]:
-        """Linear radiance that reaches the rays from surfaces and out of the stack network, and from the sky; None for
-        the sky where there is none, or where straight layers have mixed it in."""
+    def _light(
+        self, paths: LightPathBatch
+    ) -> tuple[Float32[Tensor, "pixel sample 3"], Float32[Tensor, "pixel sample 3"]]:
+        """Linear radiance of every ray in two parts: from surfaces and out of the stack network, and from the sky.
+
+        Straight layers mix the sky into the first part, with its gradients; the second is then zero.
+        """
         num_rays = paths.num_pixels * paths.samples
         at_ends, at_stack = self._features(paths)
         others = torch.zeros(num_rays, 3, device=paths.ends.uv.device)
-        sky = None
+        sky = torch.zeros_like(others)
         if at_ends is not None:
             ends = paths.ends
             shine = self._decode(at_ends, ends.cosine, ends.reflected, ends.position)
             others = others.index_add(0, ends.ray, shine * ends.throughput)
-            arrived = self.environment(paths.sky.direction) * paths.sky.throughput
-            sky = torch.zeros_like(others).index_add(0, paths.sky.ray, arrived)
+            sky = sky.index_add(0, paths.sky.ray, self.environment(paths.sky.direction) * paths.sky.throughput)
         if at_stack is not None:
             assert paths.stack is not None
             assert self.stack_net is not None
@@ -175,12 +177,12 @@ class LightPathRenderer(Renderer[LightPathPixels]):
             if self.config.straight_layers:
                 inputs = torch.cat([inputs, stack.direction], dim=-1)
             out = self.stack_net(inputs)
-            if self.config.straight_layers and sky is not None:
+            if self.config.straight_layers and self.config.composite:
                 share = torch.sigmoid(out[:, 3:4])
                 others = share * (others + sky) + (1 - share) * self._over(stack, at_stack, out[:, 4:])
-                sky = None
+                sky = torch.zeros_like(others)
             others = others + functional.softplus(out[:, :3] - (4 if self.config.composite else 1))
-        return others, sky
+        return others.view(-1, paths.samples, 3), sky.view(-1, paths.samples, 3)
 
     def _features(
         self, paths: LightPathBatch
