@@ -46,6 +46,7 @@ def train_method(words: list[str]) -> None:
         run("model train", inspect.getdoc(train) or "", {name: _listed(about(name)) for name in methods}, ["--help"])
     method = choose("method", words[0], methods)
 
+    from model.batches.distributed import see_own_gpu
     from model.run.costs import Meter
     from model.run.events import require_tensorboard
     from model.run.logs import LogChoices
@@ -56,6 +57,8 @@ def train_method(words: list[str]) -> None:
         require_tensorboard()
     if int(os.environ.get("RANK", "0")) > 0:
         mute()
+    if asked.run.device != "cpu":
+        see_own_gpu()
     config, opened = configure(method, asked)
     out = asked.run.out or Path("runs") / opened.name / folder_name(method, asked)
     _train(
@@ -96,14 +99,13 @@ def _train(
     logs: "LogChoices",
 ) -> None:
     from datagen.disk.ownership import holding, is_ours, refuse_others
-    from model.batches.distributed import join, own_device
+    from model.batches.distributed import join
     from model.run.checkpoint import delete_checkpoints, has_checkpoint
     from model.run.predict import is_all_drawn, render_predictions
     from model.run.run_folder import FOLDER, WEIGHTS, check_trained_on, finish_clearing
     from model.run.train import check_processes
     from model.run.train import train as train_run
 
-    device = own_device(device)
     with join(device) as processes:
         check_processes(config, processes)
         train = functools.partial(

@@ -3,11 +3,10 @@
 import importlib.metadata
 import os
 import platform
-import shutil
-import subprocess
 from dataclasses import dataclass
 from pathlib import Path
 
+from datagen.machine.gpu import cuda_problem, describe_gpus, has_gpu
 from datagen.machine.llvm import advice
 from datagen.machine.mitsuba_variant import choose_variant
 from datagen.machine.processor import describe_processor
@@ -38,11 +37,11 @@ def examine() -> list[Finding]:
 
 
 def _gpu() -> str:
-    if shutil.which("nvidia-smi") is None:
-        return "none"
-    query = ["nvidia-smi", "--query-gpu=name,driver_version", "--format=csv,noheader"]
-    answer = subprocess.run(query, capture_output=True, text=True, timeout=30, check=False)
-    return answer.stdout.strip().replace("\n", "; ") or "none"
+    """The GPUs, and why Mitsuba leaves them alone where it does."""
+    found = describe_gpus()
+    if has_gpu() and _version("mitsuba") is not None and (problem := cuda_problem(anew=True)) is not None:
+        return f"{found}; Mitsuba cannot render on it: {problem}"
+    return found
 
 
 def _mitsuba() -> list[Finding]:

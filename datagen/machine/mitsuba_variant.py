@@ -6,8 +6,6 @@
 import contextlib
 import functools
 import os
-import subprocess
-import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +13,7 @@ from pathlib import Path
 from datagen.disk.errors import HyalineError
 from datagen.disk.private import make_private
 from datagen.disk.storage import user_cache
+from datagen.machine.gpu import cuda_problem, has_gpu
 from datagen.machine.llvm import VARIABLE, LlvmLibrary, advice, choose_llvm
 from datagen.terminal.command import say
 from datagen.terminal.signals import hold_signals
@@ -47,7 +46,7 @@ def choose_variant() -> VariantChoice:
         if named not in VARIANTS:
             raise HyalineError(f"{OVERRIDE}={named}: no such variant; expected one of {', '.join(VARIANTS)}")
         return VariantChoice(variant=named, reason=f"{OVERRIDE} says so", llvm=library)
-    if Path("/proc/driver/nvidia/version").exists() and cuda_problem() is None:
+    if has_gpu() and cuda_problem() is None:
         return VariantChoice(variant="cuda_ad_rgb", reason="the GPU renders a test scene", llvm=library)
     if library is not None:
         version = ".".join(map(str, library.version))
@@ -55,26 +54,6 @@ def choose_variant() -> VariantChoice:
             variant="llvm_ad_rgb", reason=f"LLVM {version} from {library.source} {library.path}", llvm=library
         )
     return VariantChoice(variant="scalar_rgb", reason=f"no libLLVM >= 17; `{advice()}` makes it fast", llvm=None)
-
-
-@functools.cache
-def cuda_problem() -> str | None:
-    """Why the GPU can't render, found out by a child process that may die; None when it can."""
-    answer = subprocess.run(
-        [sys.executable, "-P", "-c", _CUDA_PROBE], capture_output=True, text=True, timeout=120, check=False
-    )
-    if answer.returncode == 0:
-        return None
-    lines = answer.stderr.strip().splitlines()
-    return lines[-1] if lines else f"the test render ended with status {answer.returncode}"
-
-
-_CUDA_PROBE = """
-import mitsuba as mi
-mi.set_variant("cuda_ad_rgb")
-image = mi.render(mi.load_dict(mi.cornell_box()), spp=1)
-assert float(image.array[0]) >= 0
-"""
 
 
 def num_cores() -> int:

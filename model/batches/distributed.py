@@ -103,21 +103,25 @@ def is_one_of_several() -> bool:
     return int(os.environ.get("WORLD_SIZE", "1")) > 1
 
 
-def own_device(device: torch.device) -> torch.device:
-    """The GPU of this process, where several share a machine; other devices as they are.
+def see_own_gpu() -> None:
+    """Hides all GPUs but its own from a process that `torchrun` has started, so torch and Dr.Jit both use that one.
+
+    Dr.Jit 1.5 always takes the first GPU that it sees. Call this before anything asks CUDA; machines without a GPU
+    stay as they are.
 
     Raises:
         HyalineError: the machine has fewer GPUs than processes.
     """
-    if device.type != "cuda" or not is_one_of_several():
-        return device
+    if not is_one_of_several() or (count := torch.cuda.device_count()) == 0:
+        return
     index = int(os.environ["LOCAL_RANK"])
-    if index >= torch.cuda.device_count():
+    if index >= count:
         raise HyalineError(
-            f"device: process {index + 1} of this machine finds {torch.cuda.device_count()} GPUs; expected one each, "
+            f"device: process {index + 1} of this machine finds {count} GPUs; expected one each, "
             "so give torchrun a lower --nproc-per-node, or train with --device cpu"
         )
-    return torch.device("cuda", index)
+    visible = os.environ.get("CUDA_VISIBLE_DEVICES", "").split(",")
+    os.environ["CUDA_VISIBLE_DEVICES"] = visible[index] if visible != [""] else str(index)
 
 
 @contextlib.contextmanager
@@ -126,8 +130,6 @@ def join(device: torch.device) -> Iterator[Processes]:
     if not is_one_of_several():
         yield ALONE
         return
-    if device.type == "cuda":
-        torch.cuda.set_device(device)
     # Tensors on the CPU travel by gloo, whatever is trained on.
     backend = "cpu:gloo,cuda:nccl" if device.type == "cuda" else "gloo"
     distributed.init_process_group(backend, timeout=PATIENCE)

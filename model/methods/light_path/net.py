@@ -146,8 +146,10 @@ class LightPathRenderer(Renderer[LightPathPixels]):
     def _radiance_apart(
         self, paths: LightPathBatch
     ) -> tuple[Float32[Tensor, "pixel sample 3"], Float32[Tensor, "pixel sample 3"] | None]:
-        """`radiance` twice: without gradients of the sky, and with those alone. Where a pixel's rays are too few to tell
-        their noise, once with all gradients, and None."""
+        """`radiance` twice: without gradients of the sky, and with those alone.
+
+        Where a pixel's rays are too few to tell their noise, once with all gradients, and None.
+        """
         if paths.samples < LEAST_PAIRED:
             return self.radiance(paths), None
         others, sky = self._light(paths)

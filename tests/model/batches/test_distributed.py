@@ -3,6 +3,7 @@
 import dataclasses
 import inspect
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -10,12 +11,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from support import commands
 from support.synthetic import write_synthetic_dataset
 from support.training import SMALL, call, run_bytes
 
 from datagen.data.dataset import Dataset
 from datagen.disk.errors import HyalineError
-from model.batches.distributed import Processes, join, own_device
+from model.batches.distributed import Processes, join, see_own_gpu
 from model.losses.patch_losses import Losses
 from model.methods.deepvoxels.config import DeepVoxelsConfig
 from model.methods.dnr.config import DnrConfig
@@ -183,4 +185,29 @@ def test_without_torchrun_a_process_is_alone() -> None:
     with join(torch.device("cpu")) as processes:
         assert processes == Processes() and processes.is_first
         assert processes.broadcast(True) and not processes.broadcast(False)
-    assert own_device(torch.device("cuda")) == torch.device("cuda")
+
+
+@pytest.mark.parametrize(
+    ("visible", "rank", "seen"), [(None, 1, "1"), ("3,5", 0, "3"), ("3,5", 1, "5"), ("GPU-a,GPU-b", 1, "GPU-b")]
+)
+def test_each_process_sees_a_gpu_of_its_own(
+    monkeypatch: pytest.MonkeyPatch, visible: str | None, rank: int, seen: str
+) -> None:
+    """Dr.Jit always takes the first GPU that it sees, torch the one that it is told."""
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: 2)
+    monkeypatch.setenv("WORLD_SIZE", "2")
+    monkeypatch.setenv("LOCAL_RANK", str(rank))
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", visible or "")
+    if visible is None:
+        monkeypatch.delenv("CUDA_VISIBLE_DEVICES")
+    see_own_gpu()
+    assert os.environ["CUDA_VISIBLE_DEVICES"] == seen
+
+
+def test_more_processes_than_gpus_are_refused_by_the_command(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: 2)
+    monkeypatch.setenv("WORLD_SIZE", "3")
+    monkeypatch.setenv("LOCAL_RANK", "2")
+    answer = commands.call(f"model train paper --dataset {tmp_path}")
+    assert answer.status == 1
+    assert "process 3 of this machine finds 2 GPUs; expected one each" in answer.error

@@ -1,0 +1,74 @@
+"""Tests what is said of a GPU, on machines that only pretend to have one."""
+
+import os
+from pathlib import Path
+
+import pytest
+from support.commands import call
+
+from datagen.machine import gpu
+
+
+@pytest.fixture(autouse=True)
+def pretend(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """A driver, as WSL has it, and a cache that is empty."""
+    driver = tmp_path / "libcuda.so.1"
+    driver.write_bytes(b"")
+    monkeypatch.setattr(gpu, "DRIVERS", (tmp_path / "missing", driver))
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    gpu.cuda_problem.cache_clear()
+
+
+def nvidia_smi(folder: Path, script: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    program = folder / "bin/nvidia-smi"
+    program.parent.mkdir()
+    program.write_text(f"#!/bin/sh\n{script}\n")
+    program.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{program.parent}{os.pathsep}{os.environ['PATH']}")
+
+
+@pytest.mark.parametrize(
+    ("script", "said"),
+    [
+        ("sleep 60", "nvidia-smi gave no answer within 0.5 s"),
+        ("echo 'NVIDIA H200, 570.1'", "NVIDIA H200, 570.1"),
+        ("exit 9", "none"),
+    ],
+)
+def test_doctor_waits_briefly_for_nvidia_smi(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, script: str, said: str
+) -> None:
+    nvidia_smi(tmp_path, script, monkeypatch)
+    monkeypatch.setattr(gpu, "LIST_LIMIT_S", 0.5)
+    monkeypatch.setattr(gpu, "_PROBE", "raise SystemExit('no OptiX here')")
+    answer = call("datagen doctor")
+    assert answer.status == 0
+    assert f"GPU        {said}; Mitsuba cannot render on it: no OptiX here" in answer.out
+
+
+def test_a_probe_that_hangs_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gpu, "_PROBE", "import time; time.sleep(60)")
+    monkeypatch.setattr(gpu, "PROBE_LIMIT_S", 0.5)
+    assert gpu.cuda_problem() == "the test render took more than 0.5 s"
+
+
+def test_the_gpu_is_tried_once_for_all_processes(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    tried = tmp_path / "tried"
+    monkeypatch.setattr(gpu, "_PROBE", f"open({str(tried)!r}, 'a').write('once '); raise SystemExit('no OptiX')")
+    for _ in range(3):
+        gpu.cuda_problem.cache_clear()  # As another process would find it.
+        assert gpu.cuda_problem() == "no OptiX"
+    assert tried.read_text() == "once "
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "1")
+    gpu.cuda_problem.cache_clear()
+    assert gpu.cuda_problem() == "no OptiX"
+    assert gpu.cuda_problem(anew=True) == "no OptiX"
+    assert tried.read_text() == "once once once "
+
+
+def test_a_gpu_that_renders_is_remembered_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gpu, "_PROBE", "pass")
+    assert gpu.cuda_problem() is None
+    monkeypatch.setattr(gpu, "_render_test_scene", lambda: "asked again")
+    gpu.cuda_problem.cache_clear()
+    assert gpu.cuda_problem() is None
