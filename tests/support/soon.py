@@ -1,13 +1,34 @@
-"""Refusals that come soon: CPU seconds under a mark, on processors of any speed."""
+"""What must end: refusals within some CPU seconds on processors of any speed, anything at all within some seconds."""
 
 import gc
 import json
 import os
+import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
 
 YARDSTICK_S = 0.06
 """CPU seconds that `_yardstick_s` takes on one core of a server of 2023."""
+
+
+class TookTooLong(BaseException):
+    """Passes whatever catches errors."""
+
+
+@contextmanager
+def ending_within(seconds: float) -> Iterator[None]:
+    """Raises `TookTooLong` in a block that runs for longer, unless a native library keeps the thread."""
+
+    def stop(*_: object) -> None:
+        raise TookTooLong(f"more than {seconds:g} s")
+
+    before = signal.signal(signal.SIGALRM, stop)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
 
 
 @contextmanager

@@ -7,7 +7,6 @@ is where code that should never run would leave its mark.
 import json
 import os
 import shutil
-import signal
 import sys
 import tempfile
 import traceback
@@ -17,14 +16,12 @@ from typing import Any
 # The folder tests/datagen would hide the package, were the package not found first.
 sys.path[:0] = [str(Path(__file__).resolve().parents[place]) for place in (3, 2)]
 
+from support.soon import TookTooLong, ending_within  # noqa: E402
+
 SECONDS = 10
 """A file may take so long."""
 
 MARK = "CODE RAN"
-
-
-class TookTooLong(BaseException):
-    """Not to be caught by what reads the file."""
 
 
 def main() -> None:
@@ -77,13 +74,9 @@ def _read(read: Any, world: Path) -> str:
     """What came of reading a file, in one line that is the same on every machine."""
     from datagen.disk.errors import HyalineError
 
-    def too_long(*_: object) -> None:
-        raise TookTooLong
-
-    signal.signal(signal.SIGALRM, too_long)
-    signal.setitimer(signal.ITIMER_REAL, SECONDS)
     try:
-        return "accepted: " + read(world)
+        with ending_within(SECONDS):
+            return "accepted: " + read(world)
     except HyalineError as error:
         return "refused: " + _plain(str(error), world)
     except TookTooLong:
@@ -91,8 +84,6 @@ def _read(read: Any, world: Path) -> str:
     except Exception as error:
         last = traceback.extract_tb(error.__traceback__)[-1]
         return f"TRACEBACK: {type(error).__name__} in {Path(last.filename).name} {last.name}"
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0)
 
 
 def _plain(text: str, world: Path) -> str:
