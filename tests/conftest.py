@@ -1,9 +1,10 @@
-"""What all tests share: checked annotations, the promises of docs/reliability.md and the counting of their cases, what
-keeps them quick, and their order."""
+"""What all tests share: a folder of its own for each, checked annotations, the promises of docs/reliability.md and the
+counting of their cases, what keeps them quick, and their order."""
 
 import os
 import signal
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -27,6 +28,22 @@ pytest_plugins = ["support.promises"]
 
 # A shell starts what it runs in the background with SIGINT ignored, which children inherit: tests send it.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def away_from_the_checkout(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """What lies in the checkout's `data/` and `runs/` is no test's business: fixtures that tests share work in a folder
+    of the session."""
+    before = Path.cwd()
+    os.chdir(tmp_path_factory.mktemp("session"))
+    yield
+    os.chdir(before)
+
+
+@pytest.fixture(autouse=True)
+def own_folder(away_from_the_checkout: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every test works in a folder of its own."""
+    monkeypatch.chdir(tmp_path)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

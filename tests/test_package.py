@@ -1,4 +1,5 @@
-"""Tests what `pip wheel` and a source distribution hold: every file of the packages, and all that the tests need."""
+"""Tests what `pip wheel` and a source distribution hold (every file of the packages, and all that the tests need), and
+that `make test` runs every test in a folder of its own."""
 
 import shutil
 import subprocess
@@ -50,3 +51,42 @@ def test_the_source_distribution_has_the_tests_and_what_they_need(built: Path) -
     needed = files_of(ROOT, *PACKAGES, *BESIDE) | {path.name for path in ROOT.glob("*.md")}
     needed |= {"Makefile", "constraints.txt", "pyproject.toml", "mkdocs.yml"}
     assert needed - names == set()
+
+
+SHOW_COLLECTED = """
+import pytest
+
+class Seen(pytest.File):
+    def collect(self):
+        return []
+
+class Names:
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_pycollect_makemodule(self, module_path, parent):
+        print("collects", module_path.relative_to(parent.config.rootpath).as_posix())
+        return Seen.from_parent(parent, path=module_path)
+
+pytest.main(["--collect-only"], plugins=[Names()])
+"""
+
+
+def test_every_tracked_file_with_tests_is_collected() -> None:
+    tracked = ["git", "grep", "--name-only", "--extended-regexp", r"^ *(async )?def test_", "--", "tests/*.py"]
+    found = subprocess.run(tracked, cwd=ROOT, capture_output=True, text=True, check=False)
+    if found.returncode:
+        pytest.skip("not a git checkout")
+    collected = subprocess.run(
+        [sys.executable, "-c", SHOW_COLLECTED], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    names = {line.removeprefix("collects ") for line in collected.stdout.splitlines() if line.startswith("collects ")}
+    assert not sorted(set(found.stdout.splitlines()) - names)
+
+
+@pytest.fixture(scope="module")
+def shared_folder() -> Path:
+    return Path.cwd()
+
+
+def test_tests_and_what_they_share_work_away_from_the_checkout(shared_folder: Path, tmp_path: Path) -> None:
+    assert Path.cwd() == tmp_path
+    assert ROOT not in (shared_folder, *shared_folder.parents)

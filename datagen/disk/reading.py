@@ -5,13 +5,14 @@ file: no pipe or device is ever opened, numbers are finite and fit into 64 bits,
 twice.
 """
 
+import contextlib
 import errno
 import json
 import math
 import os
 import stat
 import tomllib
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import BinaryIO
 
@@ -38,11 +39,10 @@ def open_regular(path: Path) -> BinaryIO:
         OSError: this process is out of memory or file handles.
     """
     try:
-        # A pipe would wait for its writer, and a device may do anything: they are never opened.
-        _check_regular(path, path.stat().st_mode)
-        file = os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb")
-    except OSError as error:
-        raise _refusal(path, error) from error
+        with _refusing(path):
+            # A pipe would wait for its writer, and a device may do anything: they are never opened.
+            _check_regular(path, path.stat().st_mode)
+            file = os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb")
     except ValueError as error:  # A NUL, or half of a surrogate pair.
         raise HyalineError(f"{shown(str(path))}: cannot be the path of a file ({error})") from error
     try:
@@ -63,10 +63,8 @@ def read_regular(path: Path, *, at_most: int | None = None) -> bytes:
         size = os.fstat(file.fileno()).st_size
         if at_most is not None and size > at_most:
             raise HyalineError(f"{path}: holds {size:,} bytes; expected at most {at_most:,}")
-        try:
+        with _refusing(path):
             return file.read()
-        except OSError as error:
-            raise _refusal(path, error) from error
 
 
 def load_json(path: Path) -> dict[str, Json]:
@@ -136,12 +134,17 @@ def _check_regular(path: Path, mode: int) -> None:
         raise HyalineError(f"{path}: is {kinds.get(stat.S_IFMT(mode), 'no regular file')}; expected a file")
 
 
-def _refusal(path: Path, error: OSError) -> Exception:
-    if error.errno in _OUT_OF_RESOURCES:
-        return error
-    if error.errno == errno.ENOENT:
-        return DamagedError(f"{path}: the file is missing")
-    return HyalineError(describe_os_error(error, path))
+@contextlib.contextmanager
+def _refusing(path: Path) -> Iterator[None]:
+    """Turns errors of the system into a HyalineError, except those that say nothing about the file."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno in _OUT_OF_RESOURCES:
+            raise
+        if error.errno == errno.ENOENT:
+            raise DamagedError(f"{path}: the file is missing") from error
+        raise HyalineError(describe_os_error(error, path)) from error
 
 
 def _integer(digits: str) -> int:

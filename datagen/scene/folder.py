@@ -190,7 +190,9 @@ def _parse_in(kind: type[Record], data: Json, *, where: str) -> Record:
     try:
         return from_json(kind, data, where=where)
     except HyalineError as error:
-        raise error if str(error).startswith(where) else HyalineError(f"{where}: {error}") from error
+        if str(error).startswith(where):
+            raise
+        raise HyalineError(f"{where}: {error}") from error
 
 
 def _name_in_errors(entry: Json, index: int) -> str:

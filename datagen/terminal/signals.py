@@ -30,11 +30,13 @@ class Stopped(BaseException):
 def signal_within(error: BaseException) -> Stopped | None:
     """The signal that a library has turned into an error of its own; None: no signal was the cause."""
     cause: BaseException | None = error
-    while cause is not None:
+    seen: set[int] = set()
+    while cause is not None and id(cause) not in seen:  # An error may be its own cause.
         if isinstance(cause, Stopped):
             return cause
         if isinstance(cause, KeyboardInterrupt):
             return Stopped(signal.SIGINT)
+        seen.add(id(cause))
         cause = cause.__cause__ or cause.__context__
     return None
 

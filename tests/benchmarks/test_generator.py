@@ -26,6 +26,8 @@ from datagen.scene.description import EnvironmentMap, SceneObject, SoftEnvironme
 from datagen.scene.materials import Dielectric
 from datagen.scene.rig import make_cameras
 
+ROOT = Path(__file__).resolve().parents[2]
+
 use_mitsuba(quiet=True)
 
 from benchmarks.generator.peel import ENGINES, bench_peel, compare_objects  # noqa: E402
@@ -168,7 +170,8 @@ def test_factors_that_lead_nowhere_are_refused() -> None:
         bench_scale((1, 100), ("objects",))
 
 
-def test_the_command_lists_its_benches_and_prints_json_alone() -> None:
+def test_the_command_lists_its_benches_and_prints_json_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(ROOT)  # Benchmarks are not installed.
     command = [sys.executable, "-m", "benchmarks"]
     answer = subprocess.run([*command, "--help"], capture_output=True, text=True, check=True)
     assert all(name in answer.stdout for name in ("peel", "truth", "scale"))

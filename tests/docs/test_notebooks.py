@@ -23,7 +23,6 @@ NOTEBOOKS = sorted(EXAMPLES.glob("*.ipynb"))
 def examples(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """The folder in which Jupyter would start them, beside the data of a small dataset."""
     write_synthetic_dataset(tmp_path / "data" / "one")
-    monkeypatch.chdir(tmp_path)
     run("datagen peel data/one --num-layers 4 --overwrite")
     (tmp_path / "examples").mkdir()
     monkeypatch.chdir(tmp_path / "examples")

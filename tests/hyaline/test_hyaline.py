@@ -16,8 +16,7 @@ import hyaline
 
 
 @pytest.fixture
-def dataset(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> hyaline.Dataset:
-    monkeypatch.chdir(tmp_path)
+def dataset(tmp_path: Path) -> hyaline.Dataset:
     write_synthetic_dataset(tmp_path / "data" / "glass_table")
     return hyaline.open_dataset("glass_table")
 

@@ -38,9 +38,8 @@ def peeled(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
 
 
 @pytest.fixture
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def here(tmp_path: Path) -> Path:
     write_synthetic_dataset(tmp_path / "data" / "one", resolution=8, train_views=1)
-    monkeypatch.chdir(tmp_path)
     return tmp_path
 
 

@@ -38,7 +38,6 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     make = inspect.unwrap(TrainConfig.__init__)
     often = (make.__kwdefaults__ or {}) | {"checkpoint_every": 2}
     monkeypatch.setattr(make, "__kwdefaults__", often)
-    monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(os, "fsync", lambda handle: None)
     monkeypatch.setenv("HYALINE_KERNELS", "off")
     # It would need a process for each call.

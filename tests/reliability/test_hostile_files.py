@@ -5,9 +5,11 @@ What is expected of each stands in outcomes.tsv. After a change of what is refus
 """
 
 import json
+import os
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
@@ -19,28 +21,43 @@ MOST_BYTES = 2 << 30
 DIED = "DIED"
 
 
+@dataclass(frozen=True, kw_only=True)
+class Tried:
+    """What came of each file, by its name."""
+
+    outcomes: dict[str, str]
+    ended: dict[str, str]
+    """How commands ended that were given a tenth of the files."""
+    peak: int
+    """Most bytes of memory that were held."""
+
+
 @pytest.fixture(scope="module")
-def tried(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, str], int]:
-    """What came of each file, by its name, and the most memory that was held; a child that dies is started again."""
+def tried(tmp_path_factory: pytest.TempPathFactory) -> Tried:
+    """A child that dies is started again. Its cache is nowhere near its home."""
     out = tmp_path_factory.mktemp("hostile") / "out.jsonl"
+    environment = os.environ | {"XDG_CACHE_HOME": str(tmp_path_factory.mktemp("cache"))}
     outcomes: dict[str, str] = {}
-    first, peak = 0, 0
+    ended: dict[str, str] = {}
+    first = 0
     for _ in range(10):
         child = subprocess.Popen(
-            [sys.executable, str(CHILD), str(out), str(first)], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
+            [sys.executable, str(CHILD), str(out), str(first)],
+            env=environment,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
         )
         said = _wait(child, out)
         lines = [json.loads(line) for line in out.read_text().splitlines()] if out.exists() else []
         assert lines, said
         outcomes |= {line["name"]: line["outcome"] for line in lines if "outcome" in line}
+        ended |= {line["name"]: line["ended"] for line in lines if "ended" in line}
         if "peak" in lines[-1]:
-            return outcomes, lines[-1]["peak"]
+            return Tried(outcomes=outcomes, ended=ended, peak=lines[-1]["peak"])
         begun = [line for line in lines if "begin" in line][-1]
         outcomes[begun["name"]] = f"{DIED}: status {child.returncode}"
         first = begun["begin"] + 1
-    pytest.fail(
-        f"the reader died ten times: {[name for name, outcome in outcomes.items() if outcome[:4] == DIED]}, {peak}"
-    )
+    pytest.fail(f"the reader died ten times: {[name for name, outcome in outcomes.items() if outcome[:4] == DIED]}")
 
 
 def _wait(child: subprocess.Popen[bytes], out: Path) -> str:
@@ -59,9 +76,9 @@ def _wait(child: subprocess.Popen[bytes], out: Path) -> str:
 
 @pytest.mark.promise("R6", "R7")
 def test_every_hostile_file_ends_as_the_table_says(
-    tried: tuple[dict[str, str], int], cases: Callable[[int, str], None], request: pytest.FixtureRequest
+    tried: Tried, cases: Callable[[int, str], None], request: pytest.FixtureRequest
 ) -> None:
-    outcomes, peak = tried
+    outcomes = tried.outcomes
     if request.config.getoption("--rewrite-outcomes"):
         OUTCOMES.write_text("".join(f"{name}\t{outcome}\n" for name, outcome in outcomes.items()))
     wrong = [
@@ -76,5 +93,19 @@ def test_every_hostile_file_ends_as_the_table_says(
         if outcomes.get(name) != expected.get(name)
     ]
     assert not different, f"{len(different)}:\n" + "\n".join(different[:40])
-    assert peak < MOST_BYTES, f"{peak >> 20} MB were held"
+    assert tried.peak < MOST_BYTES, f"{tried.peak >> 20} MB were held"
     cases(len(outcomes), "hostile files")
+
+
+@pytest.mark.promise("R6", "R7")
+def test_commands_end_as_the_readers_do(tried: Tried, cases: Callable[[int, str], None]) -> None:
+    assert len(tried.ended) > 150
+    wrong = {name: end for name, end in tried.ended.items() if not end.startswith(("refused: error: ", "accepted: "))}
+    assert not wrong
+    silent = {
+        name: tried.outcomes[name]
+        for name, end in tried.ended.items()
+        if end.startswith("accepted: ") and not tried.outcomes[name].startswith("accepted: ")
+    }
+    assert not silent
+    cases(len(tried.ended), "hostile files given to commands")

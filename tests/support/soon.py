@@ -1,13 +1,43 @@
-"""Refusals that come soon: CPU seconds under a mark, on processors of any speed."""
+"""What must end: refusals within some CPU seconds on processors of any speed, anything at all within some seconds."""
 
 import gc
 import json
 import os
+import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
 
 YARDSTICK_S = 0.06
 """CPU seconds that `_yardstick_s` takes on one core of a server of 2023."""
+
+
+class TookTooLong(BaseException):
+    """Passes whatever catches errors."""
+
+
+@contextmanager
+def ending_within(seconds: float) -> Iterator[None]:
+    """Raises `TookTooLong` in a block that computes for longer, or waits for five times as long.
+
+    Not while a native library keeps the thread.
+    """
+
+    def stop(*_: object) -> None:
+        raise TookTooLong(f"more than {seconds:g} s")
+
+    timers = (
+        (signal.ITIMER_PROF, signal.SIGPROF, seconds),
+        (signal.ITIMER_REAL, signal.SIGALRM, 5 * seconds),
+    )
+    before = {number: signal.signal(number, stop) for _, number, _ in timers}
+    for timer, _, limit in timers:
+        signal.setitimer(timer, limit)
+    try:
+        yield
+    finally:
+        for timer, number, _ in timers:
+            signal.setitimer(timer, 0)
+            signal.signal(number, before[number])
 
 
 @contextmanager

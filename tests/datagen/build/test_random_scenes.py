@@ -21,7 +21,6 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     def as_they_are(meshes: dict[str, Mesh]) -> dict[str, Mesh]:
         return meshes
 
-    monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("datagen.scene.procedural.drawing.unwrap_all", as_they_are)
     monkeypatch.setattr("datagen.build.build._say_slits", lambda scene, cameras: None)
     fake_renderer.install(monkeypatch)

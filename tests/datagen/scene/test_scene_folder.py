@@ -2,11 +2,16 @@
 
 import dataclasses
 import json
+import re
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
+from support.commands import call
+from support.soon import ending_within
 from support.synthetic import synthetic_scene
 
 from datagen.data.meshes import Mesh, write_ply
@@ -125,8 +130,39 @@ def test_a_mesh_without_uv_is_unwrapped(tmp_path: Path) -> None:
 def test_a_bad_scene_gets_one_line_that_names_place_and_value(tmp_path: Path, change: object, message: str) -> None:
     save_scene(synthetic_scene(), tmp_path)
     edit(tmp_path, change)
-    with pytest.raises(HyalineError, match=message):
-        load_scene(tmp_path)
+    with ending_within(60):
+        answer = call("datagen build --scene .")
+    assert answer.status == 1
+    assert re.search(message, answer.error), answer.err
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong", "message"),
+    [
+        ('"Diffuse"', '"Difuse"', "object floor.material.type: is 'Difuse'"),
+        ('"ior": 1.5', '"ior": "1.5"', "object pane: ior: is '1.5'; expected a number"),
+        ('"ior": 1.5', '"ior": 0', "object pane: ior: is 0.0; expected"),
+        ('"ior": 1.5', '"iro": 1.5', "object pane.material: unknown key 'iro'"),
+        ('"mesh": "meshes/pane.ply",', "", "object pane: key 'mesh' is missing"),
+        ("meshes/pane.ply", "meshes/pain.ply", "typo/meshes/pain.ply: the file is missing"),
+        ('"version": 1', '"version": 1,', "typo/scene.json: not a JSON file"),
+    ],
+    ids=["type", "text for a number", "range", "unknown key", "missing key", "missing file", "syntax"],
+)
+def test_a_typing_error_in_a_scene_ends_the_process_in_one_line(
+    tmp_path: Path, right: str, wrong: str, message: str
+) -> None:
+    save_scene(synthetic_scene(), tmp_path / "typo")
+    path = tmp_path / "typo" / "scene.json"
+    text = path.read_text()
+    assert right in text
+    path.write_text(text.replace(right, wrong, 1))
+    line = [sys.executable, "-m", "datagen", "build", "--scene", "typo/"]
+    answer = subprocess.run(line, capture_output=True, text=True, check=False, timeout=60)
+    assert answer.returncode == 1
+    progress, error = answer.stderr.splitlines()
+    assert progress == "scene typo/: reads and checks it"
+    assert error.startswith("error: typo/") and message in error
 
 
 @pytest.mark.parametrize("data", [b"", b"\xff\xfe", b"[1, 2]", b"{" * 100_000, b'{"version": 1'])

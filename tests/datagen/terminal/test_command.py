@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 from support.commands import Answer, call
+from support.soon import ending_within
 
 from datagen.disk.errors import HyalineError
 from datagen.disk.os_errors import REASONS, describe_os_error, naming
@@ -20,13 +21,6 @@ from datagen.terminal.command import choose, track
 from datagen.terminal.command import run as command_run
 from datagen.terminal.distribution import VERSION
 from datagen.terminal.signals import Stopped
-
-
-@pytest.fixture(autouse=True)
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """An empty working folder."""
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
 
 
 @pytest.mark.parametrize(
@@ -198,3 +192,34 @@ def test_a_signal_that_a_library_turned_into_its_own_error_still_ends_the_comman
         command_run("program", "Tests a stop.", {"work": work, "rest": lambda: None}, ["work"])
     assert ended.value.code == status
     assert capsys.readouterr().err == "error: stopped; run the same command again to go on\n"
+
+
+def test_a_process_that_is_out_of_file_handles_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def open_nothing(path: Path, flags: int) -> int:
+        raise OSError(errno.EMFILE, os.strerror(errno.EMFILE), str(path))
+
+    (tmp_path / "scene.json").touch()
+    monkeypatch.setattr("datagen.disk.reading.os.open", open_nothing)
+    with ending_within(20):
+        answer = call("datagen build --scene .")
+    assert answer.status == 1
+    assert "scene.json: too many files are open in this process; raise the limit" in answer.error
+
+
+def test_an_error_that_is_its_own_cause_ends_the_command_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    def work() -> None:
+        try:
+            raise HyalineError("place: is wrong")
+        except HyalineError as error:
+            raise error from error
+
+    def work_in_a_circle() -> None:
+        one, other = HyalineError("place: is wrong"), ValueError("inside")
+        one.__cause__, other.__cause__ = other, one
+        raise one
+
+    for run in (work, work_in_a_circle):
+        with pytest.raises(SystemExit) as ended, ending_within(20):
+            command_run("program", "Tests a circle.", {"work": run, "rest": lambda: None}, ["work"])
+        assert ended.value.code == 1
+        assert capsys.readouterr().err == "error: place: is wrong\n"

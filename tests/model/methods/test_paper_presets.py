@@ -97,7 +97,6 @@ def test_finer_levels_cannot_count_more_than_coarser_ones_or_nothing(share: floa
 def test_a_run_of_the_best_preset_is_called_so_and_records_every_choice(
     dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.chdir(tmp_path)
     flags = "--preset best --steps 3 --batch 64 --device cpu"
     monkeypatch.setattr("sys.argv", ["model", "train", "paper", "--dataset", str(dataset.root), *flags.split()])
     cli.main()

@@ -171,7 +171,6 @@ def test_a_sweep_that_was_stopped_and_then_killed_goes_on_to_the_bytes_of_train_
     assert lines[-1].startswith("error: sweep grid: 1 of 3 runs failed")
     assert {path: path.stat().st_mtime_ns for path in first} == first
 
-    monkeypatch.chdir(tmp_path)
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     flags = [word for key, value in size.items() for word in (f"--{key}", str(value))]

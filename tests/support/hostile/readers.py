@@ -1,4 +1,5 @@
-"""Who reads a hostile file, and what it says of it: accepted with these counts, or a HyalineError."""
+"""Who reads a hostile file, and what it says of it: accepted with these counts, or a HyalineError; and the command that
+reads it for a person."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -122,3 +123,17 @@ READERS: dict[str, Callable[[Path], str]] = {
     "weights": _weights,
     "exr": _exr,
 }
+
+_VERIFY = f"datagen verify {{world}}/{DATASET}"
+_REPORT = "report --runs {world}/runs --data {world}/data --out {out} --views 1"
+_EXPORT = "model export --run {world}/runs/one/paper --out {out}"
+
+COMMANDS: dict[str, str] = {
+    "scene": "datagen build --scene {world}/scene --out {out} --preset tiny --resolution 8 --views 1 --test-views 1"
+    " --spp 2 --test-spp 2 --num-layers 2",
+    **dict.fromkeys(("dataset", "record", "layers", "layers record", "metadata", "proxies", "cameras"), _VERIFY),
+    "experiment": "model sweep {world}/grid.toml --dry-run",
+    **dict.fromkeys(("run", "weights"), _EXPORT),
+    **dict.fromkeys(("prediction", "predictions"), _REPORT),
+}
+"""No command reads a lone EXR."""

@@ -1,30 +1,35 @@
 """A process that reads hostile files one after the other and writes down what came of each.
 
+A tenth of them are read by a real command, too, which calls a renderer that takes no time.
+
 `python try_all.py OUT [FIRST]` appends a JSON line a case to OUT, from the case of that number on. The working folder
 is where code that should never run would leave its mark.
 """
 
+import functools
 import json
 import os
 import shutil
-import signal
 import sys
 import tempfile
 import traceback
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 # The folder tests/datagen would hide the package, were the package not found first.
 sys.path[:0] = [str(Path(__file__).resolve().parents[place]) for place in (3, 2)]
 
+import pytest  # noqa: E402
+from support.soon import TookTooLong, ending_within  # noqa: E402
+
 SECONDS = 10
 """A file may take so long."""
 
+TENTH = 10
+"""Every file of so many is read by a command, too."""
+
 MARK = "CODE RAN"
-
-
-class TookTooLong(BaseException):
-    """Not to be caught by what reads the file."""
 
 
 def main() -> None:
@@ -37,15 +42,24 @@ def main() -> None:
         place = base / "work"
         place.mkdir()
         os.chdir(place)
-        _try(base / "world", place, out, first)
+        (base / "temporary").mkdir()
+        tempfile.tempdir = str(base / "temporary")
+        with pytest.MonkeyPatch.context() as patch:
+            _try(base / "world", place, out, first, patch)
 
 
-def _try(world: Path, place: Path, out: Path, first: int) -> None:
+def _try(world: Path, place: Path, out: Path, first: int, patch: pytest.MonkeyPatch) -> None:
+    from support import fake_renderer
     from support.disk import read_state
     from support.hostile.corpus import cases_of, write_world
-    from support.hostile.readers import READERS
+    from support.hostile.readers import COMMANDS, READERS
 
     write_world(world)
+    fake_renderer.install(patch)
+    built = world.with_name("built")
+    commands = {reader: functools.partial(_end_of, line, world, built) for reader, line in COMMANDS.items()}
+    for command in commands.values():
+        command()  # What it imports, and which files that opens, is neither timed nor heard.
     opened = _listen(world, place)
     cases = cases_of(world)
     good = read_state(world)
@@ -54,36 +68,60 @@ def _try(world: Path, place: Path, out: Path, first: int) -> None:
             lines.write(json.dumps({"begin": number, "name": case.name}) + "\n")
             lines.flush()
             case.place(world)
-            opened.clear()
-            outcome = _read(READERS[case.reader], world)
-            if opened:
-                outcome = f"READ OUTSIDE: {opened[0]}"
-            if any(place.iterdir()):
-                outcome = MARK
-                shutil.rmtree(place)
-                place.mkdir()
+            found = {"outcome": _try_one(functools.partial(READERS[case.reader], world), world, place, opened)}
+            if number % TENTH == 0 and case.reader in commands:
+                found["ended"] = _try_one(commands[case.reader], world, place, opened)
             # The pipe goes, too.
             path = world / case.path
             shutil.rmtree(path) if path.is_dir() and not path.is_symlink() else path.unlink(missing_ok=True)
             path.write_bytes(good.files[case.path])
-            lines.write(json.dumps({"name": case.name, "outcome": outcome}) + "\n")
+            lines.write(json.dumps({"name": case.name, **found}) + "\n")
         # Not `ru_maxrss`: a process inherits that of the one that started it, from before it became another program.
         status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
         peak = int(status["VmHWM"].split()[0]) * 1024
         lines.write(json.dumps({"peak": peak, "cases": len(cases)}) + "\n")
 
 
-def _read(read: Any, world: Path) -> str:
+def _try_one(read: Callable[[], str], world: Path, place: Path, opened: list[str]) -> str:
+    """What came of reading a file, in one line; or what else was read, or ran."""
+    opened.clear()
+    outcome = _read(read, world)
+    if opened:
+        outcome = f"READ OUTSIDE: {opened[0]}"
+    if any(place.iterdir()):
+        outcome = MARK
+        shutil.rmtree(place)
+        place.mkdir()
+    return outcome
+
+
+def _end_of(line: str, world: Path, out: Path) -> str:
+    """How a command ended that reads the world; what it wrote is deleted.
+
+    Raises:
+        HyalineError: it failed, and said why in its last line.
+    """
+    from support.commands import call
+
+    from datagen.disk.errors import HyalineError
+
+    try:
+        answer = call(line.format(world=world, out=out))
+    finally:
+        shutil.rmtree(out) if out.is_dir() else out.unlink(missing_ok=True)
+    if answer.status == 0:
+        return "the command ended"
+    assert answer.status == 1 and answer.error.startswith("error: "), answer
+    raise HyalineError(answer.error)
+
+
+def _read(read: Callable[[], str], world: Path) -> str:
     """What came of reading a file, in one line that is the same on every machine."""
     from datagen.disk.errors import HyalineError
 
-    def too_long(*_: object) -> None:
-        raise TookTooLong
-
-    signal.signal(signal.SIGALRM, too_long)
-    signal.setitimer(signal.ITIMER_REAL, SECONDS)
     try:
-        return "accepted: " + read(world)
+        with ending_within(SECONDS):
+            return "accepted: " + read()
     except HyalineError as error:
         return "refused: " + _plain(str(error), world)
     except TookTooLong:
@@ -91,8 +129,6 @@ def _read(read: Any, world: Path) -> str:
     except Exception as error:
         last = traceback.extract_tb(error.__traceback__)[-1]
         return f"TRACEBACK: {type(error).__name__} in {Path(last.filename).name} {last.name}"
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0)
 
 
 def _plain(text: str, world: Path) -> str:
@@ -108,18 +144,12 @@ def _listen(world: Path, place: Path) -> list[str]:
     import mitsuba
     import torch
 
-    roots = [world, place, Path(sys.prefix), Path(sys.base_prefix), Path(__file__).resolve().parents[3]]
+    from datagen.disk.storage import user_cache
+
+    roots = [world, place, world.with_name("built"), Path(tempfile.gettempdir()), user_cache("atlases")]
+    roots += [Path(sys.prefix), Path(sys.base_prefix), Path(__file__).resolve().parents[3]]
     roots += [Path(module.__file__).resolve().parents[1] for module in (torch, mitsuba)]  # pyright: ignore
-    roots += [
-        Path("/proc"),
-        Path("/sys"),
-        Path("/usr"),
-        Path("/etc/localtime"),
-        Path("/dev/null"),
-        Path.home() / ".cache",
-    ]
-    # Folders of this package's own child processes.
-    roots.append(Path(tempfile.gettempdir()) / "hyaline-")
+    roots += [Path("/proc"), Path("/sys"), Path("/usr"), Path("/etc/localtime"), Path("/dev/null")]
     allowed = tuple(str(root.resolve()) for root in roots)
     opened: list[str] = []
 
