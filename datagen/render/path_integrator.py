@@ -229,7 +229,7 @@ def _start_off(si, offset, d) -> Lanes:
 
 
 def _is_occluded(scene, tables, si, offset, ds, active) -> Lanes:
-    """Whether anything is between a surface and the point of a light; the ray ends just short of the light's surface."""
+    """Whether anything is between a surface and the point of a light; the ray ends just short of the light."""
     o = _start_off(si, offset, ds.d)
     way = ds.p + ds.n * tables.lamp_offset - o
     length = dr.norm(way)
