@@ -169,7 +169,10 @@ def _bsdf(scene: Scene, item: SceneObject) -> Plugin:
 
 def _absorbing_medium(medium: Medium) -> Plugin:
     # Only the scalar variant needs it: the vectorised ones attenuate in closed form (render/path_integrator.py).
-    return {"type": "homogeneous", "albedo": 0.0, "sigma_t": rgb(medium.absorption), "scale": 1.0}
+    # Its colours go up to 1, absorption goes beyond.
+    scale = max(medium.absorption)
+    share = (medium.absorption[0] / scale, medium.absorption[1] / scale, medium.absorption[2] / scale)
+    return {"type": "homogeneous", "albedo": 0.0, "sigma_t": rgb(share), "scale": scale}
 
 
 def linear_texels(

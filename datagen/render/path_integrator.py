@@ -27,6 +27,7 @@ from jaxtyping import Float32
 from datagen.render.facets import lobe_of_glass, sample_facet, unshadowed
 from datagen.render.sobol import SobolPoints
 from datagen.scene.media import Media, medium_of, no_solids, with_solid, without_solid
+from datagen.scene.thin_walls import LAST_PLACE, RAY_OFFSET, largest_coordinate, skipped_length
 
 Lanes = Any
 """A Dr.Jit array, one lane a path. Named, for pyright takes minutes to find out such types in the loop of `_trace`."""
@@ -103,6 +104,10 @@ class _Tables:
         rank[ids[: len(media.rank)]] = media.rank
         alpha = np.zeros(ids.max() + 1, np.float32)
         alpha[ids[: len(roughness)]] = roughness
+        offsets = [_ray_offset(shape) for shape in scene.shapes()]
+        offset = np.zeros(ids.max() + 1, np.float32)
+        offset[ids] = offsets
+        self.offset, self.lamp_offset = mi.Float(offset), max(offsets[len(media.rank) :], default=0.0)
         self.media = media
         self.has_rough_glass = bool(roughness.any())
         self.alpha = mi.Float(alpha)
@@ -125,6 +130,11 @@ def _share_out_channels(index, spp, scramble) -> tuple[Lanes, Lanes]:
     return (run + scramble % 3) % 3, weight
 
 
+def _ray_offset(shape: "mi.Shape") -> float:
+    box = shape.bbox()
+    return RAY_OFFSET * largest_coordinate(np.array([box.min, box.max]))
+
+
 @dr.syntax
 def _trace(scene, ray, points, scramble, index, colors, tables):
     """Radiance along camera rays; `colors` are those of `_share_out_channels`, None where glass parts none."""
@@ -145,7 +155,10 @@ def _trace(scene, ray, points, scramble, index, colors, tables):
 
         # The medium between the last vertex and this one. A ray in glass always hits; the guard is for leaky meshes.
         sigma_a = dr.gather(mi.Spectrum, tables.absorption, medium_of(tables.media, solids), active)
-        throughput *= dr.select(hit, dr.exp(-sigma_a * dr.select(hit, si.t, 0)), 1)
+        # Between the faces of a thin wall, what the ray skipped as it started off the last one counts.
+        offset = dr.gather(mi.Float, tables.offset, dr.reinterpret_array(mi.UInt32, si.shape), active & hit)
+        length = si.t + skipped_length(offset, dr.dot(ray.d, si.n))
+        throughput *= dr.select(hit, dr.exp(-sigma_a * dr.select(hit, length, 0)), 1)
 
         # The media on both sides of glass.
         is_glass, with_it, without_it = _solids_around(tables, solids, si.shape, active & hit)
@@ -178,8 +191,9 @@ def _trace(scene, ray, points, scramble, index, colors, tables):
             active_light = active & ((mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth) & ~is_glass) | (alpha > 0))
             place = points.sample_2d(scramble, index, dimension, active_light)
             dimension += 2
-            ds, light = scene.sample_emitter_direction(si, place, True, active_light)
+            ds, light = scene.sample_emitter_direction(si, place, False, active_light)
             active_light &= ds.pdf != 0
+            active_light &= ~_is_occluded(scene, tables, si, offset, ds, active_light)
             wo = si.to_local(ds.d)
             value, pdf, bsdf_sample, bsdf_weight = bsdf.eval_pdf_sample(context, si, wo, sample1, sample2, is_rough)
             value, pdf = _scattered_by_glass(tables, si, eta, wo, alpha, (value, pdf))
@@ -197,7 +211,8 @@ def _trace(scene, ray, points, scramble, index, colors, tables):
         # The next segment; a path that has ended keeps its last. Radiance is scaled as its solid angle is squeezed.
         throughput *= dr.select(active, dr.select(is_glass, glass_share, bsdf_weight), 1)
         to_world = si.to_world(dr.select(is_glass, glass_wo, bsdf_sample.wo))
-        ray = dr.select(active, si.spawn_ray(dr.select(vanishes, ray.d, to_world)), ray)
+        d = dr.select(vanishes, ray.d, to_world)
+        ray = dr.select(active, mi.Ray3f(_start_off(si, offset, d), d), ray)
         previous = mi.Interaction3f(si)
         _, previous_pdf = _scattered_by_glass(tables, si, eta, glass_wo, alpha, (bsdf_weight, bsdf_sample.pdf))
         previous_is_delta = (is_glass & (alpha == 0)) | mi.has_flag(bsdf_sample.sampled_type, mi.BSDFFlags.Delta)
@@ -206,6 +221,21 @@ def _trace(scene, ray, points, scramble, index, colors, tables):
         vanished += dr.select(vanishes, 1, 0)
 
     return radiance + dr.select(escaped, throughput * _sky(scene, ray, escaped), 0)
+
+
+def _start_off(si, offset, d) -> Lanes:
+    """Where a ray along `d` starts that leaves a surface; Mitsuba's `spawn_ray` starts 0.1 mm off."""
+    return si.p + si.n * dr.mulsign(offset, dr.dot(si.n, d))
+
+
+def _is_occluded(scene, tables, si, offset, ds, active) -> Lanes:
+    """Whether anything is between a surface and the point of a light; the ray ends just short of the light."""
+    o = _start_off(si, offset, ds.d)
+    way = ds.p + ds.n * tables.lamp_offset - o
+    length = dr.norm(way)
+    ray = mi.Ray3f(o, way / length)
+    ray.maxt = length * (1 - 8 * LAST_PLACE)
+    return scene.ray_test(ray, active)
 
 
 def _sky(scene, ray, escaped) -> Lanes:

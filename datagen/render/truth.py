@@ -20,15 +20,22 @@ from datagen.data.tonemap import srgb_from_linear, to_8bit
 from datagen.disk.errors import HyalineError
 from datagen.render.environment import has_small_light
 from datagen.render.mitsuba_scene import is_scalar, load_scene_mitsuba, load_sensor
+from datagen.scene.contact import thin_share
 from datagen.scene.description import Scene
 from datagen.scene.materials import Dielectric
 from datagen.scene.media import find_media
+from datagen.scene.soundness import MAX_THIN
+from datagen.scene.thin_walls import largest_coordinate
 
 MAX_PATHS_PER_PASS = 1 << 23
 """Samples of one film pass; more would not be faster and cost memory."""
 
 MAX_SPP_PER_PASS = 1 << 12
 """Of small pictures: the table of Sobol's points should stay in a cache."""
+
+SCALAR_OFFSET = 1e-4
+"""Metres off its surface, relative to 1 + its largest coordinate, where Mitsuba's `spawn_ray` starts a ray; a little
+more than that."""
 
 MAX_SPP = 1 << 17
 """Where `--ceiling` gives up."""
@@ -68,6 +75,7 @@ class Renderer:
             )
         media = find_media(materials, meshes)
         if is_scalar():
+            _check_walls_scalar(scene)
             # Mitsuba's glass bends all colours alike: where ours does not, each channel is a picture of its own.
             channels = range(3) if media.parts_colors.any() else [None]
             self._scenes = [load_scene_mitsuba(_in_channel(scene, channel)) for channel in channels]
@@ -105,6 +113,20 @@ class Renderer:
         if len(images) == 1:
             return images[0], spp
         return np.stack([image[..., channel] for channel, image in enumerate(images)], axis=-1), spp
+
+
+def _check_walls_scalar(scene: Scene) -> None:
+    """Refuses solids with walls that Mitsuba's own path tracer skips."""
+    for item in scene.objects:
+        if item.material.medium is None:
+            continue
+        limit = SCALAR_OFFSET * (1 + largest_coordinate(item.mesh.vertices))
+        share, thickness = thin_share(item.mesh, limit)
+        if share > MAX_THIN:
+            raise HyalineError(
+                f"scene {scene.name}: object {item.name}: its walls are {thickness:.2g} m thick, and Mitsuba as "
+                f"scalar_rgb needs {limit:.2g} m or more; `datagen doctor` names the libLLVM to install"
+            )
 
 
 def _in_channel(scene: Scene, channel: int | None) -> Scene:

@@ -1,4 +1,4 @@
-"""Where surfaces of two meshes coincide: there layers get lost, and glass vanishes."""
+"""Where surfaces coincide, of two meshes or of one: there layers get lost, and glass vanishes."""
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -7,7 +7,7 @@ from datagen.data.meshes import Mesh, face_corners
 from datagen.data.surface_points import points_on
 
 TOLERANCE = 1e-4
-"""Metres from plane to plane that count as none: a path tracer's rays start about so far from their surface."""
+"""Metres from plane to plane that count as none: nobody models a gap of a tenth of a millimetre on purpose."""
 
 EDGE = 1e-7
 """Metres by which two faces of one plane must overlap: those that share an edge do not."""
@@ -20,36 +20,57 @@ _PAIRS_AT_ONCE = 1 << 22
 
 def touching_share(mesh: Mesh, other: Mesh) -> float:
     """The share of a mesh's surface that lies in faces of the other, measured at `SAMPLES` points."""
+    return float(np.isfinite(_distances(mesh, other, TOLERANCE)).mean())
+
+
+def thin_share(mesh: Mesh, limit: float) -> tuple[float, float]:
+    """The share of a solid's surface behind which its other face is no farther than `limit`, and how far (median).
+
+    Both are measured at `SAMPLES` points; where the share is 0, so is the distance.
+    """
+    distance = _distances(mesh, mesh, limit, are_opposed=True)
+    found = distance[np.isfinite(distance)]
+    return len(found) / len(distance), float(np.median(found)) if len(found) else 0.0
+
+
+def _distances(mesh: Mesh, other: Mesh, limit: float, *, are_opposed: bool = False) -> Float[np.ndarray, " sample"]:
+    """From each of `SAMPLES` points to the plane of a parallel face of the other that it is over; inf beyond `limit`.
+
+    Args:
+        are_opposed: the face must look the opposite way.
+    """
     (low, high), (other_low, other_high) = ((m.vertices.min(axis=0), m.vertices.max(axis=0)) for m in (mesh, other))
-    if (low > other_high + TOLERANCE).any() or (other_low > high + TOLERANCE).any():
-        return 0.0
+    if (low > other_high + limit).any() or (other_low > high + limit).any():
+        return np.full(SAMPLES, np.inf)
     from scipy.spatial import KDTree
 
     sampled = points_on(mesh, SAMPLES)
     corners = face_corners(other).astype(np.float64)
     corners = corners[_meets(corners, sampled.position)]
+    distance = np.full(len(sampled.position), np.inf)
     if not len(corners):
-        return 0.0
+        return distance
     normals, mine = _unit_normals(corners), _unit_normals(face_corners(mesh)[sampled.face].astype(np.float64))
     middle = (corners.max(axis=1) + corners.min(axis=1)) / 2
-    radius = np.linalg.norm(corners - middle[:, None], axis=-1).max(axis=1) + TOLERANCE
+    radius = np.linalg.norm(corners - middle[:, None], axis=-1).max(axis=1) + limit
     tree = KDTree(sampled.position)
     counts = np.asarray(tree.query_ball_point(middle, radius, return_length=True))
     near = np.flatnonzero(counts)
-    touching = np.zeros(len(sampled.position), bool)
     for piece in np.array_split(near, max(1, int(counts.sum()) >> 20)):
         if len(piece):
             found = tree.query_ball_point(middle[piece], radius[piece])
             point = np.concatenate([np.asarray(places, np.int64) for places in found])
             face = np.repeat(piece, counts[piece])
             # Faces that look the same way, or the opposite one, and whose plane the point is in.
-            height = np.einsum("pc,pc->p", sampled.position[point] - corners[face, 0], normals[face])
-            near = np.abs(height) <= TOLERANCE
-            point, face = point[near], face[near]
-            parallel = np.abs(np.einsum("pc,pc->p", mine[point], normals[face])) > 0.9
-            point, face = point[parallel], face[parallel]
-            touching[point[_is_over(sampled.position[point], corners[face], normals[face])]] = True
-    return float(touching.mean())
+            height = np.abs(np.einsum("pc,pc->p", sampled.position[point] - corners[face, 0], normals[face]))
+            near = height <= limit
+            point, face, height = point[near], face[near], height[near]
+            cosine = np.einsum("pc,pc->p", mine[point], normals[face])
+            parallel = (-cosine if are_opposed else np.abs(cosine)) > 0.9
+            point, face, height = point[parallel], face[parallel], height[parallel]
+            is_over = _is_over(sampled.position[point], corners[face], normals[face])
+            np.minimum.at(distance, point[is_over], height[is_over])
+    return distance
 
 
 def count_touching_faces(mesh: Mesh, other: Mesh) -> int:

@@ -13,18 +13,22 @@ from datagen.data.meshes import Mesh, check_mesh, count_shared_faces, face_areas
 from datagen.data.windings import check_closed, check_solid, windings
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import check_name
-from datagen.scene.contact import touching_share
+from datagen.scene.contact import thin_share, touching_share
 from datagen.scene.description import MAX_OBJECTS, OBJECT_NAME, CameraList, CameraRig, Scene, SceneObject
 from datagen.scene.media import MAX_NESTED
 from datagen.scene.shading_normals import MAX_OPPOSING, count_without_normal, opposing_share
+from datagen.scene.thin_walls import largest_coordinate, thinnest_wall
 
 MAX_TOUCHING = 0.005
 """Share of the smaller of two surfaces that may lie in the other, where one of them is glass. A ball that stands on a
 floor has 0.1 %, a tumbler 4 %."""
 
+MAX_THIN = 0.005
+"""Share of a solid's surface whose wall may be too thin: rims taper off."""
+
 MIN_DISTANCE, MAX_DISTANCE = 0.02, 1000.0
-"""Metres from the cameras to what they look at. Rays start about 0.1 mm from their surface, and no camera sees further
-than ten kilometres."""
+"""Metres from the cameras to what they look at. No camera sees nearer than a millimetre or further than ten
+kilometres."""
 
 SMALLEST = 1 / 400
 """Size of an object over its distance from the nearest camera: two pixels of a picture of 1,024."""
@@ -84,6 +88,7 @@ def check_sound(scene: Scene) -> None:
         if item.material.medium is not None:
             check_solid(item.mesh, where=_where(scene, item))
             _check_cameras_outside(item.mesh, cameras, where=_where(scene, item))
+            _check_walls(item.mesh, cameras, where=_where(scene, item))
     _check_contact(scene, there)
 
 
@@ -150,6 +155,21 @@ def _check_cameras_outside(mesh: Mesh, cameras: Float[np.ndarray, "place 3"], *,
         raise HyalineError(
             f"{where}: cameras come inside of this glass, near ({place}), and rays start in air; "
             "move it or the cameras, or scale it if it was not modelled in metres"
+        )
+
+
+def _check_walls(mesh: Mesh, cameras: Float[np.ndarray, "place 3"], *, where: str) -> None:
+    """Refuses solids with walls that rays in float32 cannot tell from none."""
+    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    distance = float(np.linalg.norm(np.maximum(np.abs(cameras - low), np.abs(cameras - high)), axis=-1).max())
+    reach = largest_coordinate(mesh.vertices)
+    limit = thinnest_wall(reach, distance)
+    share, thickness = thin_share(mesh, limit)
+    if share > MAX_THIN:
+        raise HyalineError(
+            f"{where}: its walls are {thickness:.2g} m thick over {100 * share:.0f} % of the surface; expected "
+            f"{limit:.2g} m or more, {reach:.3g} m from the origin and up to {distance:.3g} m from the cameras; "
+            "move the scene to the origin, make them thicker, or make it thin glass"
         )
 
 

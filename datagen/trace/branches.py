@@ -12,6 +12,7 @@ branch ends, the first start in the queue comes next.
 from typing import TYPE_CHECKING, NamedTuple
 
 from datagen.scene.media import medium_of, no_solids
+from datagen.scene.thin_walls import skipped_length
 from datagen.trace.limits import Limits
 from datagen.trace.surface_hits import Bounce, Hit, Kernel, Sides, bounce_of, meet, sides_of, uv_slope
 from datagen.trace.surface_tables import OPAQUE, SurfaceTables
@@ -145,7 +146,8 @@ def _absorb(kernel: Kernel, hit: Hit, state: _State) -> _State:
     medium = medium_of(kernel.media, state.solids)
     in_glass = hit.found & (medium < mi.UInt32(len(kernel.media.ior) - 1))
     sigma = mi.Color3f(*(dr.gather(mi.Float, table, medium, in_glass) for table in kernel.tables.absorption))
-    length = dr.select(in_glass & hit.counts, dr.norm(hit.p - state.o), 0)
+    length = dr.norm(hit.p - state.o) + skipped_length(hit.offset, dr.dot(state.d, hit.n_face))
+    length = dr.select(in_glass & hit.counts, length, 0)
     beta = dr.select(in_glass, state.beta * dr.exp(-sigma * length), state.beta)
     return state._replace(beta=beta, way=state.way + length)
 

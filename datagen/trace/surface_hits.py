@@ -15,9 +15,6 @@ from datagen.trace.tints import TintTables, look_up_tint
 if TYPE_CHECKING:
     import mitsuba as mi
 
-OFFSET = 2e-6
-"""How far, relative to 1 + its largest coordinate, a new ray starts from its surface: neighbouring faces round."""
-
 MIN_COSINE = 0.2
 """Where a ray grazes a surface, the slope of its uv is that at this cosine."""
 
@@ -60,7 +57,7 @@ class Hit(NamedTuple):
     outward: "mi.Vector3f"
     """Unit normal of the face on the side from which the ray comes."""
     offset: "mi.Float"
-    """How far from here a new ray starts."""
+    """How far off the surface a new ray starts (datagen/scene/thin_walls.py)."""
 
 
 class Sides(NamedTuple):
@@ -125,7 +122,7 @@ def meet(kernel: Kernel, o, d, last_face, active) -> Hit:
         facing=dr.select(is_outside, n, -n),
         is_outside=is_outside,
         outward=dr.select(is_outside, n_face, -n_face),
-        offset=OFFSET * (1 + dr.max(dr.abs(p))),
+        offset=dr.gather(mi.Float, tables.offset, shape, counts),
     )
 
 

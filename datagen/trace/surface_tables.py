@@ -11,6 +11,7 @@ from datagen.data.meshes import Mesh
 from datagen.scene.materials import Material
 from datagen.scene.materials.optics import Event, Surface
 from datagen.scene.media import Media
+from datagen.scene.thin_walls import RAY_OFFSET, largest_coordinate
 from datagen.trace.tints import Tints, make_tint_tables
 
 if TYPE_CHECKING:
@@ -38,6 +39,8 @@ class SurfaceTables(NamedTuple):
     coat_ior: "mi.Float"
     roughness: "mi.Float"
     color: "list[mi.Float]"
+    offset: "mi.Float"
+    """How far off its surface a ray starts."""
     rank: "mi.Int32"
     medium_ior: "mi.Float"
     """Of the colour channel whose paths are followed."""
@@ -75,6 +78,7 @@ def make_tables(
         coat_ior=array([surface.ior for surface in surfaces]),
         roughness=array([surface.roughness for surface in surfaces]),
         color=[array([surface.color[c] for surface in surfaces]) for c in range(3)],
+        offset=array([RAY_OFFSET * largest_coordinate(mesh.vertices) for mesh in meshes]),
         rank=mi.Int32(media.rank),
         medium_ior=mi.Float(media.ior),
         parts_colors=mi.Bool(media.parts_colors),

@@ -65,7 +65,7 @@ vec3 trace(vec3 o, vec3 d, vec2 row, uint ray) {
             }
             // Where a solid of higher priority fills both sides, there is no surface.
             bool is_void = is_glass && medium_of(here) == medium_of(beyond);
-            if (medium_here >= 0) beta *= exp(-absorption_of(medium_here) * length(p - o));
+            if (medium_here >= 0) beta *= exp(-absorption_of(medium_here) * (length(p - o) + skipped_length(place, d)));
 
             float cos_i = place.cosine, offset = place.offset;
             bool is_end = kind == OPAQUE || kind == COATED || kind == METAL;

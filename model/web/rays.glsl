@@ -24,7 +24,7 @@ uniform int task;          // PICTURE; or of one ray, for each pixel one answer:
 out vec4 result;
 
 const int PICTURE = 0, LAYERS = 1, PATH = 2;  // Tasks.
-const float FAR = 1e30, OFFSET = 2e-6, MIN_COSINE = 0.2;
+const float FAR = 1e30, MIN_COSINE = 0.2;
 const int NO_FACE = -1;
 
 vec4 fetch(highp sampler2D table, int index) {
@@ -161,7 +161,8 @@ Place place_of(Hit hit, vec3 d) {
     place.facing = place.outward;
 #endif
     place.cosine = clamp(-dot(d, place.facing), 0.0, 1.0);
-    place.offset = OFFSET * (1.0 + max(abs(place.p.x), max(abs(place.p.y), abs(place.p.z))));
+    vec3 reach = max(abs(c0.xyz), max(abs(c1.xyz), abs(c2.xyz))) + abs(vec3(x.w, y.w, z.w));
+    place.offset = RAY_OFFSET * max(reach.x, max(reach.y, reach.z));
 #if RELIEF == 1
     // The ray goes on in the plane of the face, whose edges are e1 and e2: d = a e1 + b e2 + c n.
     vec3 e1 = turn * (c1.xyz - c0.xyz), e2 = turn * (c2.xyz - c0.xyz), n_wide = cross(e1, e2);
@@ -171,6 +172,9 @@ Place place_of(Hit hit, vec3 d) {
 #endif
     return place;
 }
+
+// The way through a wall that a ray skips which starts off its other face. Source: datagen/scene/thin_walls.py.
+float skipped_length(Place place, vec3 d) { return place.offset / max(abs(dot(d, place.outward)), 0.01); }
 
 // A ray that goes straight on through all that it meets.
 struct Walk {

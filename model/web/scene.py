@@ -16,6 +16,7 @@ from datagen.disk.errors import HyalineError
 from datagen.disk.records import Json
 from datagen.scene.description import CameraRig, Scene
 from datagen.scene.folder import load_scene
+from datagen.scene.thin_walls import RAY_OFFSET
 from datagen.trace.tints import tints_of
 from model.methods.light_path.net import LightPathRenderer
 from model.methods.paper.config import PaperConfig
@@ -80,6 +81,7 @@ def web_scene(renderer: Renderer, config: MethodConfig, dataset: Dataset, geomet
         "defines": {
             **drawn.defines,
             "LEVELS": len(places[0]),
+            "RAY_OFFSET": RAY_OFFSET,
             "FEATURE_TEXELS": drawn.features // 4,
             "TINTS": int(any(tints)),
         },

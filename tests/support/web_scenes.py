@@ -97,7 +97,7 @@ def every_surface() -> Scene:
     return dataclasses.replace(synthetic_scene(), objects=objects, baked={"metal.png": png_bytes(picture)})
 
 
-def write_scene(root: Path, scene: Scene) -> Dataset:
+def write_scene(root: Path, scene: Scene, pose: np.ndarray = POSE) -> Dataset:
     """A scene with one camera in each split, without any picture."""
     few = SplitConfig(views=1, spp=4)
     height, width = SHAPE
@@ -110,7 +110,7 @@ def write_scene(root: Path, scene: Scene) -> Dataset:
         extrapolating=few,
     )
     cameras = Cameras(
-        world_from_camera=POSE[None], fov_x=np.radians(45), width=width, height=height, center=(19.5, 20.0)
+        world_from_camera=pose[None], fov_x=np.radians(45), width=width, height=height, center=(19.5, 20.0)
     )
     objects = tuple(DatasetObject(name=item.name, is_glass=item.material.is_glass) for item in scene.objects)
     return write_head(root, config, objects, dict.fromkeys(SPLITS, cameras), scene_files(scene))

@@ -8,6 +8,10 @@ from typing import TYPE_CHECKING, get_args
 
 import numpy as np
 import pytest
+import trimesh
+from support.meshes import box
+from support.reference import fresnel_reflectance
+from support.synthetic import look_at
 from support.web_scenes import (
     SHAPE,
     STILL,
@@ -23,8 +27,10 @@ from support.web_scenes import (
 from benchmarks.pages.browser import Watched, open_file, watched_page
 from datagen.data.dataset import Dataset
 from datagen.data.paths import TRUTH
+from datagen.scene.description import SceneObject
 from datagen.scene.materials import Dielectric
 from datagen.scene.materials.optics import Event, Medium, Surface
+from datagen.scene.modelling import transformed
 from datagen.trace.surface_tables import EVENTS
 from model.methods.light_path.net import LightPathRenderer
 from model.web.export import fill, scene_page
@@ -61,6 +67,44 @@ def test_upright_rough_walls_choose_the_facets_that_they_choose_in_python(
     with watched_page(browser) as page:
         open_file(page, file)
         assert psnr(page.picture(VIEW, SHAPE, 1), drawn_by_python(renderer, dataset)) >= 45
+
+
+@pytest.mark.parametrize(
+    ("thickness", "place"),
+    [
+        *((thickness, (0.0, 0.0, 0.0)) for thickness in (1e-2, 1e-3, 1e-4, 1e-5, 1e-6)),
+        *((thickness, (100.0, -50.0, 30.0)) for thickness in (1e-2, 1e-3, 1e-4)),
+    ],
+)
+def test_the_page_follows_light_through_a_thin_plate_as_the_closed_form_says(
+    browser: "Browser", tmp_path: Path, thickness: float, place: tuple[float, float, float]
+) -> None:
+    turn = trimesh.transformations.rotation_matrix(0.4, (1, 2, 0.5))[:3, :3]
+    mesh = transformed(box((1, 1, thickness)), turn, place)
+    plate = SceneObject(name="plate", mesh=mesh, material=Dielectric(ior=1.5, absorption=(0.5 / thickness,) * 3))
+    scene = dataclasses.replace(every_surface(), objects=(plate,), baked={})
+    pose = look_at(np.add(place, (0.3, -0.5, 1.2)), np.array(place))
+    dataset = write_scene(tmp_path / "data" / "web", scene, pose)
+    renderer = noisy_light_path(stack_hidden=0)
+    file = tmp_path / "plate.html"
+    file.write_bytes(scene_page(renderer, renderer.config, dataset, TRUTH, "exact", label="noise", still=STILL))
+    with watched_page(browser) as page:
+        open_file(page, file)
+        script = (
+            "async (at) => { const { tracer, camera } = await hyaline; return tracer.lightPath(camera, 32, ...at); }"
+        )
+        for at in ([20, 20, 40, 40], [15, 22, 40, 40], [24, 17, 40, 40]):
+            segments = page.evaluate(script, at)
+            ends = [segment for segment in segments if segment["object"] < 0]
+            d = np.array(segments[0]["to"]) - segments[0]["from"]
+            cosine = abs(d @ turn[:, 2]) / np.linalg.norm(d)
+            r, inner = fresnel_reflectance(cosine, 1.5), np.sqrt(1 - (1 - cosine**2) / 1.5**2)
+            height = mesh.vertices.astype(np.float64) @ turn[:, 2]
+            middle = np.median(height)
+            tau = np.exp(-0.5 / thickness * (height[height > middle].mean() - height[height < middle].mean()) / inner)
+            # Straight through; off the first face; off the second.
+            shares = [(1 - r) ** 2 * tau, r, (1 - r) ** 2 * r * tau**2]
+            assert [segment["share"] for segment in ends[:3]] == pytest.approx(shares, rel=0.06)
 
 
 def test_a_page_asks_for_nothing_and_complains_of_nothing(page: Watched) -> None:

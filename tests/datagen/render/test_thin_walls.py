@@ -1,0 +1,198 @@
+"""Tests solid plates from 10 mm to 1 um, at the origin and 100 m away, against the closed form of a plate."""
+
+import dataclasses
+import os
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from support.builds import build, build_whole, command
+from support.meshes import box, mesh_of
+from support.reference import fresnel_reflectance
+from support.scenes import rendered, scene_of
+
+from datagen.data.cameras import Camera, Cameras
+from datagen.data.dataset import open_dataset
+from datagen.data.meshes import Mesh
+from datagen.machine.mitsuba_variant import use_mitsuba
+from datagen.scene.description import CameraRig, RectangleLight, Scene, SceneObject, SoftEnvironment, WalkPoint
+from datagen.scene.folder import save_scene
+from datagen.scene.materials import Dielectric, Diffuse, RoughDielectric
+from datagen.scene.modelling import moved, transformed
+
+if use_mitsuba(quiet=True).startswith("scalar"):
+    pytest.skip("what is drawn without a libLLVM has walls of 0.2 mm at least", allow_module_level=True)
+
+from datagen.render.mitsuba_scene import load_geometry_mitsuba, to_columns
+from datagen.render.path_integrator import _start_off
+from datagen.scene.thin_walls import RAY_OFFSET, largest_coordinate
+from datagen.trace.light_path import LightPathTracer
+
+AT_ORIGIN, FAR = (0.0, 0.0, 0.0), (100.0, -50.0, 30.0)
+DRAWN = [*((thickness, AT_ORIGIN) for thickness in (1e-2, 1e-3, 1e-4, 1e-5, 1e-6))]
+DRAWN += [(thickness, FAR) for thickness in (1e-2, 1e-3, 1e-4)]
+TOO_THIN = [(1e-5, FAR), (1e-6, FAR), (1e-7, AT_ORIGIN)]
+TURN = trimesh.transformations.rotation_matrix(0.4, (1, 2, 0.5))[:3, :3]
+IOR, DEPTH = 1.5, np.array([0.0, 0.25, 0.5])
+"""Optical depth of the plate by channel, straight through."""
+
+
+def plate(thickness: float, place: tuple[float, float, float], turn: np.ndarray = TURN) -> SceneObject:
+    absorption = tuple((DEPTH / thickness).tolist())
+    mesh = transformed(box((1, 1, thickness)), turn, place)
+    return SceneObject(name="plate", mesh=mesh, material=Dielectric(ior=IOR, absorption=absorption))
+
+
+def plate_scene(thickness: float, place: tuple[float, float, float]) -> Scene:
+    """A white sky, and cameras that see nothing but the plate."""
+    rig = CameraRig(
+        target=place,
+        radius=1.2,
+        elevation_deg=(60, 80),
+        fov_deg=5.0,
+        target_jitter=0.01,
+        walk=tuple(WalkPoint(position=(place[0] + x, place[1], place[2] + 1.1), target=place) for x in (0.2, 0.3)),
+    )
+    return dataclasses.replace(scene_of(plate(thickness, place)), cameras=rig)
+
+
+def once(item: SceneObject, cosine: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What one face reflects, (..., 1), and one way through the plate transmits, (..., 3), of light at a cosine."""
+    assert isinstance(item.material, Dielectric)
+    # Far away, float32 makes the plate another thickness.
+    height = item.mesh.vertices.astype(np.float64) @ TURN[:, 2]
+    middle = np.median(height)
+    thickness = height[height > middle].mean() - height[height < middle].mean()
+    r = np.vectorize(fresnel_reflectance)(cosine, IOR)[..., None]
+    inner = np.sqrt(1 - (1 - cosine**2) / IOR**2)[..., None]
+    return r, np.exp(-np.array(item.material.absorption) * thickness / inner)
+
+
+def cosines(camera: Camera) -> np.ndarray:
+    return np.abs(camera.rays()[1].astype(np.float64) @ TURN[:, 2])
+
+
+@pytest.mark.parametrize(("thickness", "place"), DRAWN)
+def test_the_command_draws_a_plate_as_the_closed_form_says_and_peels_both_faces(
+    tmp_path: Path, thickness: float, place: tuple[float, float, float]
+) -> None:
+    save_scene(plate_scene(thickness, place), tmp_path / "scene")
+    build_whole(tmp_path / "scene", tmp_path / "out", "--spp", "64", "--test-spp", "64")
+    dataset = open_dataset(tmp_path / "out")
+    for split in dataset.splits:
+        view = dataset.view(split, 0)
+        r, tau = once(plate(thickness, place), cosines(view.camera))
+        through = (1 - r) ** 2 * tau / (1 - (r * tau) ** 2)  # All reflections between the faces.
+        expected = (through + r + r * tau * through).mean(axis=(0, 1))
+        assert view.radiance.mean(axis=(0, 1)) == pytest.approx(expected, rel=0.01)
+        assert (view.object_ids()[:2] == 1).all() and not view.object_ids()[2:].any()
+
+
+@pytest.mark.parametrize(("thickness", "place"), DRAWN)
+def test_light_paths_carry_what_the_closed_form_says(thickness: float, place: tuple[float, float, float]) -> None:
+    item = plate(thickness, place)
+    along = TURN @ [0.5, 0.3, -1.0] / np.linalg.norm([0.5, 0.3, -1.0])
+    directions = along + np.random.default_rng(0).normal(size=(512, 3)) * 0.02
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    origins = np.tile(np.array(place) - 1.5 * along, (512, 1))
+    tracer = LightPathTracer((item.mesh,), (item.material,))
+    paths = tracer.trace(origins.astype(np.float32), directions.astype(np.float32))
+    r, tau = once(item, np.abs(directions @ TURN[:, 2]))
+    # Straight through; off the first face; off the second. More reflections are too weak to be followed.
+    shares = (1 - r) ** 2 * tau, r * np.ones(3), (1 - r) ** 2 * r * tau**2
+    assert paths.has_left[:3].all()
+    for found, share in zip(paths.end_throughput, shares):
+        # In the thinnest walls a ray's length is rounded by several per cent; that of many is right.
+        np.testing.assert_allclose(found, share, rtol=0.12)
+        np.testing.assert_allclose(found.mean(axis=0), share.mean(axis=0), rtol=0.01)
+    through = np.abs(np.einsum("rk,rk->r", paths.end_direction[0], directions))
+    assert (through > 1 - 1e-5).all(), "a plate bends nothing"
+
+
+@pytest.mark.parametrize(("thickness", "place"), TOO_THIN)
+def test_the_command_refuses_walls_that_float32_cannot_draw(
+    tmp_path: Path, thickness: float, place: tuple[float, float, float]
+) -> None:
+    save_scene(plate_scene(thickness, place), tmp_path / "scene")
+    answer = build(tmp_path / "scene", tmp_path / "out")
+    assert answer.status == 1
+    limit = "9.6e-05" if place == FAR else "8.9e-07"
+    assert "object plate: its walls are " in answer.error
+    assert f"expected {limit} m or more" in answer.error and "thin glass" in answer.error
+    assert not (tmp_path / "out").exists()
+
+
+def test_without_llvm_the_command_refuses_walls_that_mitsubas_own_path_tracer_skips(tmp_path: Path) -> None:
+    for thickness, status in ((1e-4, 1), (1e-2, 0)):
+        scene = plate_scene(thickness, AT_ORIGIN)
+        grey = dataclasses.replace(scene.objects[0], material=Dielectric(absorption=(50.0,) * 3))
+        save_scene(dataclasses.replace(scene, objects=(grey,)), tmp_path / f"{thickness}")
+        words = command(tmp_path / f"{thickness}", tmp_path / f"out {thickness}", "--resolution", "4", "--spp", "4")
+        environment = os.environ | {"HYALINE_VARIANT": "scalar_rgb"}
+        done = subprocess.run(words, env=environment, capture_output=True, text=True, timeout=120)
+        assert done.returncode == status, done.stderr
+        if status:
+            assert "object plate: its walls are 0.0001 m thick, and Mitsuba as scalar_rgb needs" in done.stderr
+
+
+def skewer() -> Mesh:
+    return mesh_of(trimesh.creation.cylinder(0.02, 1, sections=1000))
+
+
+@pytest.mark.parametrize("place", [AT_ORIGIN, FAR])
+@pytest.mark.parametrize(
+    "mesh",
+    [
+        box((1, 1, 1)),
+        box((200, 200, 1)),
+        mesh_of(trimesh.creation.icosphere(5, 0.5)),
+        mesh_of(trimesh.creation.icosphere(5, 0.02)),
+        skewer(),
+    ],
+    ids=["cube", "ground", "ball", "small ball", "skewer"],
+)
+def test_no_ray_meets_the_face_that_it_leaves(mesh: Mesh, place: tuple[float, float, float]) -> None:
+    """65,536 rays reflected and as many let through; half the offset still suffices."""
+    import drjit as dr
+    import mitsuba as mi
+
+    mesh = transformed(mesh, TURN, place)
+    scene = load_geometry_mitsuba((mesh,))
+    rng = np.random.default_rng(0)
+    corners = mesh.vertices[mesh.faces].astype(np.float64)
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=-1)
+    weights = rng.dirichlet((1, 1, 1), 1 << 16)
+    targets = np.einsum("pk,pkc->pc", weights, corners[rng.choice(len(corners), 1 << 16, p=area / area.sum())])
+    away = rng.normal(size=targets.shape)
+    away /= np.linalg.norm(away, axis=1, keepdims=True)
+    distance = rng.uniform(0.5, 3, (len(away), 1)) * float(np.ptp(mesh.vertices, axis=0).max())
+    d = mi.Vector3f(*to_columns(-away))
+    si = scene.ray_intersect(mi.Ray3f(mi.Point3f(*to_columns(targets + distance * away)), d))
+    offset = RAY_OFFSET / 2 * largest_coordinate(mesh.vertices)
+    mirrored = d - 2 * dr.dot(d, si.n) * si.n
+    for way in (d, mirrored):
+        following = scene.ray_intersect(mi.Ray3f(_start_off(si, offset, way), way))
+        again = si.is_valid() & following.is_valid() & (following.prim_index == si.prim_index)
+        assert not np.array(again).any()
+
+
+@pytest.mark.parametrize("thickness", [1e-3, 1e-5])
+def test_rough_glass_and_lamps_see_thin_walls(thickness: float) -> None:
+    """A lamp above a thin rough pane, and a floor in its light: as with a pane of 10 mm, since nothing is absorbed."""
+
+    def picture(thickness: float) -> np.ndarray:
+        pane = moved(box((1, 1, thickness)), (0, 0, 0.5))
+        objects = (
+            SceneObject(name="pane", mesh=pane, material=RoughDielectric(ior=1.5, roughness=0.3)),
+            SceneObject(name="floor", mesh=box((2, 2, 0.1)), material=Diffuse(color=(0.5, 0.5, 0.5))),
+        )
+        lamp = RectangleLight(corner=(-0.2, -0.2, 1.5), edge_u=(0, 0.4, 0), edge_v=(0.4, 0, 0), radiance=(5, 5, 5))
+        dark = SoftEnvironment(zenith=(0.01,) * 3, horizon=(0.01,) * 3, ground=(0.01,) * 3)
+        scene = dataclasses.replace(scene_of(*objects, environment=dark), lights=(lamp,))
+        pose = np.eye(4)
+        pose[:3, 3] = (0, 0, 1.4)
+        return rendered(scene, Cameras(world_from_camera=pose[None], fov_x=0.3, width=8, height=8), spp=2048)
+
+    assert picture(thickness).mean() == pytest.approx(picture(1e-2).mean(), rel=0.02)
