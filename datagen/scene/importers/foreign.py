@@ -15,6 +15,7 @@ from datagen.scene.substances import SUBSTANCES
 from datagen.scene.values import Color
 
 Axis = Literal["x", "y", "z"]
+Factor = Literal["metallic", "roughness", "transmission"]
 
 MAX_FILE_BYTES = 1 << 29
 """Of a file that is imported, and of each file that it names."""
@@ -35,6 +36,20 @@ class ForeignImage:
 
     name: str
     data: bytes
+
+
+@dataclass(frozen=True, kw_only=True)
+class FactorImage:
+    """A channel of an image, as it is stored, that multiplies one of a material's factors."""
+
+    factor: Factor
+    image: ForeignImage
+    channel: int
+    """0 is red, 3 alpha."""
+    lies_as_color: bool = True
+    """It is looked up in the uv of the surface; else only its mean is known."""
+    is_glossiness: bool = False
+    """It multiplies 1 - factor."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,6 +74,8 @@ class ForeignMaterial:
     roughness: float = 0.5
     """Perceptual: the square root of the microfacet alpha."""
     transmission: float = 0.0
+    factor_images: tuple[FactorImage, ...] = ()
+    """Of `metallic`, `roughness` and `transmission`."""
     ior: float = 1.5
     is_volume: bool = False
     """It fills its mesh; else the file calls it thin-walled."""

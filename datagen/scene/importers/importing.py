@@ -253,6 +253,8 @@ def scene_object(
     material = chosen or part.material
     if material is PLAIN:
         remarks.note(name, "has no material in the file; drawn grey and matt, --material names another")
+    if isinstance(material, ForeignMaterial):
+        material = mapper.averaged(material, mesh, has_uv=_has_uv(part), where=name)
     if repairs and _is_solid(material):
         mesh = made_sound(closed(mesh, remarks, where=name), remarks, where=name)
         mesh = joined(mesh, remarks, where=name)

@@ -3,13 +3,17 @@
 Formulas: glTF's extensions KHR_materials_transmission, _volume, _ior and _dispersion.
 """
 
+import dataclasses
 import math
 from dataclasses import dataclass, field
 
+import numpy as np
+
+from datagen.data.meshes import Mesh
 from datagen.disk.names import file_name
 from datagen.scene.importers.choices import Thin
 from datagen.scene.importers.foreign import ForeignMaterial
-from datagen.scene.importers.pictures import decoded, mean_color, tinted_png
+from datagen.scene.importers.pictures import decoded, mean_color, stored, tinted_png, values_on
 from datagen.scene.importers.remarks import Remarks
 from datagen.scene.importers.surfaces import Shape
 from datagen.scene.materials import Conductor, Dielectric, Diffuse, Material, Plastic, RoughDielectric, ThinDielectric
@@ -27,6 +31,9 @@ MIN_TRANSMITTANCE = 1e-4
 """Of a channel after the attenuation distance: a black one would absorb without end."""
 SOLID_BLEND = 0.9
 """Alpha from which on a blended surface counts as opaque."""
+UNIFORM = 0.05
+"""Standard deviation of an image's values over a surface up to which they are one value."""
+FACTOR_NAMES = {"metallic": "metalness", "roughness": "roughness", "transmission": "transmission"}
 INVISIBLE = 1 / 512
 """Alpha below which nothing of a blended surface is seen, since it is none in 8 bits."""
 
@@ -42,6 +49,29 @@ class Mapper:
     images: dict[str, bytes] = field(default_factory=dict)
     _paths: dict[ForeignMaterial, str] = field(default_factory=dict)
     _means: dict[ForeignMaterial, Color] = field(default_factory=dict)
+
+    def averaged(self, foreign: ForeignMaterial, mesh: Mesh, *, has_uv: bool, where: str) -> ForeignMaterial:
+        """The material with each factor times the mean of its image over the surface: ours have one value each."""
+        if not foreign.factor_images:
+            return foreign
+        factors: dict[str, float] = {}
+        spread = 0.0
+        for use in foreign.factor_images:
+            values = stored(use.image)[..., use.channel].astype(np.float32) / 255
+            seen, areas = values.reshape(-1), np.ones(values.size)
+            if has_uv and use.lies_as_color:
+                seen, areas = values_on(mesh, values)
+            mean = float(np.average(seen, weights=areas))
+            spread = max(spread, float(np.average((seen - mean) ** 2, weights=areas)) ** 0.5)
+            given = {"metallic": foreign.metallic, "roughness": foreign.roughness, "transmission": foreign.transmission}
+            factor = given[use.factor]
+            factors[use.factor] = 1 - (1 - factor) * mean if use.is_glossiness else factor * mean
+        told = " and ".join(f"{FACTOR_NAMES[name]} {value:.2f}" for name, value in factors.items())
+        if spread > UNIFORM:
+            self.remarks.approximate(where, f"its image varies over the surface; drawn with the mean: {told}")
+        else:
+            self.remarks.note(where, f"from its image: {told}")
+        return dataclasses.replace(foreign, factor_images=(), **factors)
 
     def material(self, foreign: ForeignMaterial, shape: Shape, *, where: str) -> Material:
         """The material of ours that comes nearest, on a surface of this shape."""

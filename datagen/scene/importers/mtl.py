@@ -6,7 +6,7 @@ from pathlib import Path
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import find_file
 from datagen.disk.reading import read_regular
-from datagen.scene.importers.foreign import MAX_FILE_BYTES, ForeignImage, ForeignMaterial, is_drink
+from datagen.scene.importers.foreign import MAX_FILE_BYTES, Factor, FactorImage, ForeignImage, ForeignMaterial, is_drink
 from datagen.scene.importers.remarks import Remarks
 from datagen.scene.importers.text_numbers import floats, lines_of
 from datagen.scene.values import Color
@@ -40,6 +40,8 @@ IGNORED = {
     "map_ks": "a map of highlights",
     "map_ke": "a map of glow",
 }
+
+FACTOR_MAPS: dict[str, Factor] = {"map_pm": "metallic", "map_pr": "roughness"}
 
 Entry = dict[str, list[str]]
 
@@ -84,15 +86,25 @@ def _material(name: str, entry: Entry, path: Path, remarks: Remarks) -> ForeignM
     glossy = math.sqrt(math.sqrt(2 / (max(number("ns", 10.0), 0.0) + 2)))
     key, default = ("tf", (1.0, 1.0, 1.0)) if is_glass else ("kd", (0.7, 0.7, 0.7))
     opacity = None if is_glass else _image(name, entry, path, remarks, key="map_d")
+    factor_maps = {factor: _image(name, entry, path, remarks, key=key) for key, factor in FACTOR_MAPS.items()}
+    factor_images = tuple(
+        FactorImage(factor=factor, image=image, channel=0) for factor, image in factor_maps.items() if image is not None
+    )
+    # An image stands in place of its number.
+    metallic, roughness = (
+        1.0 if factor_maps[factor] is not None else min(max(number(key, default), 0.0), 1.0)
+        for factor, key, default in (("metallic", "pm", 0.0), ("roughness", "pr", 0.0 if is_glass else glossy))
+    )
     return ForeignMaterial(
         name=name,
         base_color=_color(entry, key, default, where=where),
         image=None if is_glass else _image(name, entry, path, remarks, key="map_kd"),
         alpha_mode="opaque" if opacity is None else "blend",
         opacity=opacity,
-        metallic=min(max(number("pm", 0.0), 0.0), 1.0),
-        roughness=min(max(number("pr", 0.0 if is_glass else glossy), 0.0), 1.0),
+        metallic=metallic,
+        roughness=roughness,
         transmission=1.0 if is_glass else 0.0,
+        factor_images=factor_images,
         ior=ior if 1.001 < ior < 10 else USUAL_IOR,
         is_drink=is_drink(name),
     )
