@@ -90,7 +90,10 @@ class Imported:
             for what, places in wheres.items()
         ]
         shown = lines if len(lines) <= MAX_TOLD else [*lines[:MAX_TOLD], f"... and {len(lines) - MAX_TOLD} lines more"]
-        return [*shown, f"scene {self.scene.name}: {len(self.scene.objects)} objects, {glass} of them glass"]
+        count = f"scene {self.scene.name}: {len(self.scene.objects)} objects"
+        if not glass:
+            return [*shown, f"{count}, none of them glass; --material glass or 'OBJECT=glass' names what is"]
+        return [*shown, f"{count}, {glass} of them glass"]
 
 
 def import_scene(path: Path, choices: ImportChoices) -> Imported:

@@ -31,6 +31,8 @@ MIN_TRANSMITTANCE = 1e-4
 """Of a channel after the attenuation distance: a black one would absorb without end."""
 SOLID_BLEND = 0.9
 """Alpha from which on a blended surface counts as opaque."""
+MAX_MIRRORED = 0.8
+"""By a pane of glass, whose index stays below 10."""
 UNIFORM = 0.05
 """Standard deviation of an image's values over a surface up to which they are one value."""
 FACTOR_NAMES = {"metallic": "metalness", "roughness": "roughness", "transmission": "transmission"}
@@ -57,11 +59,11 @@ class Mapper:
         factors: dict[str, float] = {}
         spread = 0.0
         for use in foreign.factor_images:
-            values = stored(use.image)[..., use.channel].astype(np.float32) / 255
+            values = stored(use.image)[..., use.channel] / 255
             seen, areas = values.reshape(-1), np.ones(values.size)
             if has_uv and use.lies_as_color:
                 seen, areas = values_on(mesh, values)
-            mean = float(np.average(seen, weights=areas))
+            mean = round(float(np.average(seen, weights=areas)), 4)
             spread = max(spread, float(np.average((seen - mean) ** 2, weights=areas)) ** 0.5)
             given = {"metallic": foreign.metallic, "roughness": foreign.roughness, "transmission": foreign.transmission}
             factor = given[use.factor]
@@ -86,9 +88,15 @@ class Mapper:
                     where, f"lets {100 * foreign.transmission:.0f} % of the light through; drawn as clear glass"
                 )
             return self._glass(foreign, shape, where=where)
-        if is_blended and (foreign.alpha >= SOLID_BLEND or foreign.metallic >= 0.5):
-            what = "metal and " if foreign.metallic >= 0.5 else ""
-            self.remarks.approximate(where, f"is {what}blended with alpha {foreign.alpha:.2g}; drawn opaque")
+        if is_blended and foreign.alpha >= SOLID_BLEND:
+            self.remarks.approximate(where, f"is blended with alpha {foreign.alpha:.2g}; drawn opaque")
+        elif is_blended and foreign.metallic >= 0.5:
+            self.remarks.approximate(
+                where,
+                f"is metal and blended with alpha {foreign.alpha:.2g}; drawn as a thin pane that mirrors where the metal "
+                "is, and lets the rest through",
+            )
+            return _metal_veil(self._flat_color(foreign, where=where), foreign.alpha)
         elif is_blended:
             self.remarks.approximate(
                 where, f"is blended with alpha {foreign.alpha:.2g}; drawn as a thin pane of that colour"
@@ -199,6 +207,15 @@ class Mapper:
 def lets_light_through(foreign: ForeignMaterial) -> bool:
     """True for glass: metal lets nothing through, whatever its transmission."""
     return foreign.transmission * (1 - foreign.metallic) >= 0.5
+
+
+def _metal_veil(color: Color, alpha: float) -> ThinDielectric:
+    """A pane that at normal incidence mirrors and lets through as much as metal that covers this share of it."""
+    mirrored = min(alpha * sum(color) / 3, MAX_MIRRORED)
+    # With reflections to and fro inside of it, a pane mirrors 2 r / (1 + r), where one surface mirrors r.
+    root = math.sqrt(mirrored / (2 - mirrored))
+    share = (1 - alpha) / (1 - mirrored)
+    return ThinDielectric(ior=(1 + root) / (1 - root), tint=(share, share, share))
 
 
 def _mixed(color: Color, share: float) -> Color:

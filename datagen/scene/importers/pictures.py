@@ -49,7 +49,7 @@ def stored(image: ForeignImage) -> UInt8[np.ndarray, "tex_h tex_w 4"]:
 
 
 def values_on(
-    mesh: Mesh, values: Float32[np.ndarray, "tex_h tex_w"]
+    mesh: Mesh, values: Float[np.ndarray, "tex_h tex_w"]
 ) -> tuple[Float[np.ndarray, " point"], Float[np.ndarray, " point"]]:
     """An image's values at three points of each face, and the area that each of them stands for."""
     points = np.einsum("pk,fkc->fpc", INSIDE, corner_uv_of(mesh).astype(np.float64)).reshape(-1, 2)

@@ -142,6 +142,20 @@ def test_a_blended_surface_becomes_a_pane_that_lets_through_what_it_does_not_cov
     assert len(lines) == 1
 
 
+@pytest.mark.parametrize(("color", "alpha"), [((0.0, 0.0, 0.0), 0.25), ((0.9, 0.6, 0.3), 0.5), ((1, 1, 1), 0.85)])
+def test_blended_metal_mirrors_where_it_is_and_lets_through_the_rest(
+    color: tuple[float, float, float], alpha: float, tmp_path: Path
+) -> None:
+    pbr = {"baseColorFactor": [*color, alpha]}
+    found, lines = mapped(foreign(tmp_path, pbrMetallicRoughness=pbr, alphaMode="BLEND"))
+    assert isinstance(found, ThinDielectric) and isinstance(found.ior, float)
+    one_side = ((found.ior - 1) / (found.ior + 1)) ** 2
+    mirrored = 2 * one_side / (1 + one_side)
+    assert mirrored == pytest.approx(min(alpha * np.mean(color), 0.8))
+    np.testing.assert_allclose((1 - mirrored) * np.array(found.tint), 1 - alpha)
+    assert len(lines) == 1 and "is metal and blended" in lines[0]
+
+
 def test_rough_glass_has_facets_of_its_roughness_squared_and_a_rough_pane_is_drawn_smooth(tmp_path: Path) -> None:
     entry = foreign(tmp_path, pbrMetallicRoughness=clear(roughnessFactor=0.5), extensions=glass())
     assert mapped(entry) == (RoughDielectric(ior=1.5, roughness=0.25), [])
@@ -167,7 +181,7 @@ def test_each_thing_that_is_not_drawn_is_a_line(tmp_path: Path) -> None:
     extensions = {**glass(), "KHR_materials_sheen": {}}
     texture = {"index": 0}
     material = builder.material(
-        pbrMetallicRoughness=clear(roughnessFactor=0.5, metallicRoughnessTexture=texture),
+        pbrMetallicRoughness=clear(roughnessFactor=0.5),
         extensions=extensions,
         normalTexture=texture,
         emissiveFactor=[1, 0, 0],
@@ -183,7 +197,6 @@ def test_each_thing_that_is_not_drawn_is_a_line(tmp_path: Path) -> None:
         "sheen",
         "normal map",
         "occlusion",
-        "metalness",
         "glows",
     ):
         assert word in lines
