@@ -77,6 +77,9 @@ class ForeignMaterial:
     factor_images: tuple[FactorImage, ...] = ()
     """Of `metallic`, `roughness` and `transmission`."""
     ior: float = 1.5
+    """1 for an opaque surface that mirrors nothing."""
+    is_base: bool = False
+    """The colour is that of a base below a clear coat, as `Plastic` has it; else that which is seen."""
     is_volume: bool = False
     """It fills its mesh; else the file calls it thin-walled."""
     attenuation_color: Color = (1.0, 1.0, 1.0)

@@ -71,7 +71,7 @@ def read_material(file: GltfFile, index: int | None, remarks: Remarks) -> tuple[
         is_shiny = "specularGlossinessTexture" in gloss
         others = [("roughness", gloss.fields("specularGlossinessTexture"), 3)] if is_shiny else []
         remarks.approximate(name, "is of the specular-glossiness model; drawn as plastic of its diffuse colour")
-    if fields.extension("KHR_materials_unlit") is not None:
+    if is_unlit := fields.extension("KHR_materials_unlit") is not None:
         metallic, roughness, others = 0.0, 1.0, []
         remarks.approximate(name, "is unlit; drawn as a matt surface that light falls on")
     image, use = (None, None) if texture is None else _texture(file, texture, name, remarks)
@@ -109,7 +109,7 @@ def read_material(file: GltfFile, index: int | None, remarks: Remarks) -> tuple[
         roughness=roughness,
         transmission=0.0 if transmission is None else transmission.share("transmissionFactor", 0.0),
         factor_images=tuple(factor_images),
-        ior=_ior(fields, name, remarks),
+        ior=1.0 if is_unlit else _ior(fields, name, remarks),
         is_volume=volume is not None and volume.number("thicknessFactor", 0.0) > 0,
         attenuation_color=(1.0, 1.0, 1.0) if volume is None else volume.color("attenuationColor", (1.0, 1.0, 1.0)),
         attenuation_distance=_distance(volume),

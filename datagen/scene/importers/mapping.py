@@ -5,6 +5,7 @@ Formulas: glTF's extensions KHR_materials_transmission, _volume, _ior and _dispe
 
 import dataclasses
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -12,8 +13,9 @@ import numpy as np
 from datagen.data.meshes import Mesh
 from datagen.disk.names import file_name
 from datagen.scene.importers.choices import Thin
-from datagen.scene.importers.foreign import ForeignMaterial
-from datagen.scene.importers.pictures import decoded, mean_color, stored, tinted_png, values_on
+from datagen.scene.importers.coats import coat_of
+from datagen.scene.importers.foreign import ForeignImage, ForeignMaterial
+from datagen.scene.importers.pictures import decoded, linear_png, mean_color, stored, values_on
 from datagen.scene.importers.remarks import Remarks
 from datagen.scene.importers.surfaces import Shape
 from datagen.scene.materials import Conductor, Dielectric, Diffuse, Material, Plastic, RoughDielectric, ThinDielectric
@@ -27,6 +29,8 @@ SMOOTH_ALPHA = 0.0025
 """Facets that nobody sees in glass."""
 MATT = 0.6
 """Perceptual roughness from which on no highlight is seen."""
+BRIGHT_ENOUGH = 0.9
+"""Share of its light that a base must be able to show through its coat; else it is drawn without one."""
 MIN_TRANSMITTANCE = 1e-4
 """Of a channel after the attenuation distance: a black one would absorb without end."""
 SOLID_BLEND = 0.9
@@ -49,7 +53,7 @@ class Mapper:
     thin: Thin
     remarks: Remarks
     images: dict[str, bytes] = field(default_factory=dict)
-    _paths: dict[ForeignMaterial, str] = field(default_factory=dict)
+    _paths: dict[tuple[ForeignImage, Color, Callable], str] = field(default_factory=dict)
     _means: dict[ForeignMaterial, Color] = field(default_factory=dict)
 
     def averaged(self, foreign: ForeignMaterial, mesh: Mesh, *, has_uv: bool, where: str) -> ForeignMaterial:
@@ -63,7 +67,8 @@ class Mapper:
             seen, areas = values.reshape(-1), np.ones(values.size)
             if has_uv and use.lies_as_color:
                 seen, areas = values_on(mesh, values)
-            mean = round(float(np.average(seen, weights=areas)), 4)
+            # Rounded, so that objects that differ by nothing that one sees share their images.
+            mean = round(float(np.average(seen, weights=areas)), 2)
             spread = max(spread, float(np.average((seen - mean) ** 2, weights=areas)) ** 0.5)
             given = {"metallic": foreign.metallic, "roughness": foreign.roughness, "transmission": foreign.transmission}
             factor = given[use.factor]
@@ -93,8 +98,8 @@ class Mapper:
         elif is_blended and foreign.metallic >= 0.5:
             self.remarks.approximate(
                 where,
-                f"is metal and blended with alpha {foreign.alpha:.2g}; drawn as a thin pane that mirrors where the metal "
-                "is, and lets the rest through",
+                f"is metal and blended with alpha {foreign.alpha:.2g}; drawn as a thin pane that mirrors where the "
+                "metal is, and lets the rest through",
             )
             return _metal_veil(self._flat_color(foreign, where=where), foreign.alpha)
         elif is_blended:
@@ -174,23 +179,46 @@ class Mapper:
         if foreign.metallic >= 0.5:
             roughness = 0.0 if foreign.roughness**2 < MIN_ALPHA else alpha
             return Conductor(color=self._reflectance(foreign, shape, where=where), roughness=roughness)
-        color = self._reflectance(foreign, shape, where=where)
-        if foreign.roughness < MATT:
+        if foreign.is_base:
+            color = self._reflectance(foreign, shape, where=where)
             return Plastic(color=color, ior=foreign.ior, roughness=alpha)
-        return Diffuse(color=color)
+        coat = coat_of(foreign.ior, alpha)
+        if foreign.roughness < MATT:
+            color = np.array(self._flat_color(foreign, where=where, is_told=False))
+            wanted, shown = (1 - coat.mirrored) * color, coat.seen(np.minimum(coat.base_of(color), 1))
+            if shown.sum() >= BRIGHT_ENOUGH * wanted.sum():
+                color = self._reflectance(foreign, shape, coat.base_of, where=where)
+                return Plastic(color=color, ior=foreign.ior, roughness=alpha)
+            self.remarks.approximate(
+                where,
+                "is brighter than a base below so rough a coat can be; drawn matt, as bright as with its highlight",
+            )
+        elif coat.mirrored > 0 and foreign.roughness < 1:
+            self.remarks.note(where, "its sheen, of a roughness of 0.6 or more, is drawn as matt light")
+        return Diffuse(color=self._reflectance(foreign, shape, coat.with_mirrored, where=where))
 
-    def _reflectance(self, foreign: ForeignMaterial, shape: Shape, *, where: str) -> Reflectance:
-        if foreign.image is None:
-            return foreign.base_color
-        if not shape.has_uv:
-            self.remarks.approximate(where, "has an image and no uv; drawn in the image's mean colour")
-            return self._flat_color(foreign, where=where, is_told=False)
-        if foreign not in self._paths:
+    def _reflectance(
+        self,
+        foreign: ForeignMaterial,
+        shape: Shape,
+        shaded: Callable[[np.ndarray], np.ndarray] = np.asarray,
+        *,
+        where: str,
+    ) -> Reflectance:
+        """The base colour, or the image of it; as `shaded` makes of it."""
+        if foreign.image is None or not shape.has_uv:
+            if foreign.image is not None:
+                self.remarks.approximate(where, "has an image and no uv; drawn in the image's mean colour")
+            color = shaded(np.array(self._flat_color(foreign, where=where, is_told=False)))
+            red, green, blue = (min(float(value), 1.0) for value in color)
+            return red, green, blue
+        key = foreign.image, foreign.base_color, shaded
+        if key not in self._paths:
             # Two materials may have one name.
-            path = f"textures/{len(self._paths)}_{file_name(foreign.name)[:60]}.png"
-            self._paths[foreign] = path
-            self.images[path] = tinted_png(decoded(foreign.image), foreign.base_color)
-        return ImageTexture(path=self._paths[foreign])
+            self._paths[key] = f"textures/{len(self._paths)}_{file_name(foreign.name)[:60]}.png"
+            pixels = shaded(decoded(foreign.image)[..., :3].astype(np.float64) * np.array(foreign.base_color))
+            self.images[self._paths[key]] = linear_png(np.minimum(pixels, 1))
+        return ImageTexture(path=self._paths[key])
 
     def _flat_color(self, foreign: ForeignMaterial, *, where: str, is_told: bool = True) -> Color:
         """The base colour, times the mean of its image."""

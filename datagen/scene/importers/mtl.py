@@ -92,7 +92,9 @@ def _material(name: str, entry: Entry, path: Path, remarks: Remarks) -> ForeignM
     if is_glass and not 1.001 < ior < 10:
         remarks.approximate(name, f"is glass with an index of refraction of {ior:g}; drawn with {USUAL_IOR:g}")
     # Phong's exponent as a microfacet alpha, whose square root is the roughness.
-    glossy = math.sqrt(math.sqrt(2 / (max(number("ns", 10.0), 0.0) + 2)))
+    glossy = math.sqrt(math.sqrt(2 / (max(number("ns", 0.0), 0.0) + 2)))
+    highlight = max(_color(entry, "ks", (1.0, 1.0, 1.0), where=where)) if number("ns", 0.0) > 0 and model > 1 else 0.0
+    is_matt = not is_glass and highlight == 0 and not any(key in entry for key in PBR_KEYS)
     base_color = filtered if is_glass and not is_blenders else _color(entry, "kd", (0.7, 0.7, 0.7), where=where)
     opacity = None if is_glass else _image(name, entry, path, remarks, key="map_d")
     factor_images = tuple(
@@ -113,10 +115,10 @@ def _material(name: str, entry: Entry, path: Path, remarks: Remarks) -> ForeignM
         alpha_mode="opaque" if opacity is None else "blend",
         opacity=opacity,
         metallic=min(max(numbers["metallic"], 0.0), 1.0),
-        roughness=min(max(numbers["roughness"], 0.0), 1.0),
+        roughness=1.0 if is_matt else min(max(numbers["roughness"], 0.0), 1.0),
         transmission=transmission,
         factor_images=factor_images,
-        ior=ior if 1.001 < ior < 10 else USUAL_IOR,
+        ior=1.0 if is_matt else ior if 1.001 < ior < 10 else USUAL_IOR,
         is_drink=is_drink(name),
     )
 

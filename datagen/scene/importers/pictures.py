@@ -61,9 +61,9 @@ def values_on(
     return seen, np.repeat(face_areas(mesh), len(INSIDE))
 
 
-def tinted_png(pixels: Float32[np.ndarray, "tex_h tex_w 4"], color: Color) -> bytes:
-    """The sRGB PNG of an image times a colour, its alpha left out."""
-    return png_bytes(to_8bit(srgb_from_linear(pixels[..., :3].astype(np.float64) * np.array(color))))
+def linear_png(pixels: Float[np.ndarray, "tex_h tex_w 3"]) -> bytes:
+    """The sRGB PNG of linear colours."""
+    return png_bytes(to_8bit(srgb_from_linear(pixels)))
 
 
 def mean_color(pixels: Float32[np.ndarray, "tex_h tex_w 4"]) -> Color:

@@ -86,7 +86,8 @@ def test_an_image_comes_along_as_a_png(imported: Imported) -> None:
     assert isinstance(material, Diffuse) and isinstance(material.color, ImageTexture)
     with Image.open(io.BytesIO(imported.scene.baked[material.color.path])) as picture:
         assert picture.format == "PNG"
-        np.testing.assert_allclose(np.asarray(picture.convert("RGB"))[64, 64], [200, 100, 50], atol=2)
+        # (200, 100, 50), and the light that a surface of roughness 1 mirrors: 0.019.
+        np.testing.assert_allclose(np.asarray(picture.convert("RGB"))[64, 64], [200, 104, 62], atol=2)
 
 
 @pytest.mark.parametrize("resolution", [32, 128])
@@ -386,14 +387,16 @@ def test_an_image_of_transmission_and_one_of_glossiness_count_too(tmp_path: Path
     black, half = (image_use(builder, np.full((4, 4, 4), (0, 0, 0, value))) for value in (255, 128))
     opaque = {"KHR_materials_transmission": {"transmissionFactor": 1.0, "transmissionTexture": black}}
     frame = builder.material("frame", pbrMetallicRoughness=clear(roughnessFactor=1.0), extensions=opaque)
-    shiny = {"KHR_materials_pbrSpecularGlossiness": {"specularGlossinessTexture": half}}
+    shiny = {
+        "KHR_materials_pbrSpecularGlossiness": {"specularGlossinessTexture": half, "diffuseFactor": [0.5, 0.5, 0.5, 1]}
+    }
     glossy = builder.material("glossy", extensions=shiny)
     for place, material in enumerate((frame, glossy)):
         builder.node(mesh=builder.mesh(material=material), name=f"box{place}", translation=[place * 2, 0, 0])
     scene = import_scene(builder.written(tmp_path), ImportChoices(scale=0.1)).scene
     assert isinstance(of_name(scene, "box0").material, Diffuse)
     material = of_name(scene, "box1").material
-    assert isinstance(material, Plastic) and material.roughness == pytest.approx((127 / 255) ** 2)
+    assert isinstance(material, Plastic) and material.roughness == 0.25
 
 
 def test_metal_without_its_image_is_no_metal_unless_a_factor_says_so(tmp_path: Path) -> None:
@@ -432,7 +435,7 @@ def test_a_table_of_blended_metal_is_seen_through_and_a_file_without_glass_says_
         # As Blender 4.5 writes Principled BSDFs with its PBR extensions: Tf is the weight of transmission.
         ("Kd 1 1 1\nNi 1.45\nd 1\nillum 2\nPr 0\nPm 0\nTf 1 1 1", Dielectric(ior=1.45), ""),
         ("Kd 1 1 1\nNi 1.5\nd 1\nillum 2\nPr 0.2\nPm 0\nTf 1 1 1", RoughDielectric(ior=1.5, roughness=0.2**2), ""),
-        ("Kd 0.8 0.8 0.8\nNi 1.5\nd 1\nillum 2\nPr 1\nPm 0", Diffuse(color=(0.8, 0.8, 0.8)), "none of them glass"),
+        ("Kd 1 1 1\nNi 1.5\nd 1\nillum 2\nPr 1\nPm 0", Diffuse(color=(1, 1, 1)), "none of them glass"),
         # As 3ds Max writes what is opaque.
         ("Kd 0.8 0.8 0.8\nNs 0\nNi 1.5\nd 1\nTr 0\nTf 1 1 1\nillum 2", Diffuse(color=(0.8, 0.8, 0.8)), "(Tf)"),
         ("Kd 0.8 0.8 0.8\nNi 1.5\nd 1\nillum 4\nTf 1 1 1", Dielectric(ior=1.5), ""),
