@@ -47,6 +47,7 @@ class PathTracer:
         scene: "mi.Scene",
         media: Media,
         roughness: Float32[np.ndarray, "object"],
+        tint: Float32[np.ndarray, "object 3"],
         *,
         max_depth: int,
         has_lamps: bool,
@@ -54,11 +55,12 @@ class PathTracer:
     ) -> None:
         """Args:
         roughness: GGX alpha of the surface of each object that is a solid of glass; 0 is smooth.
+        tint: share that this surface lets through of what it does not mirror.
         has_lamps: there are emitters besides the environment.
         aims: light is sampled at each rough vertex, too.
         """
         self._scene = scene
-        self._tables = _Tables(scene, media, roughness, max_depth=max_depth, has_lamps=has_lamps, aims=aims)
+        self._tables = _Tables(scene, media, roughness, tint, max_depth=max_depth, has_lamps=has_lamps, aims=aims)
 
     def render(
         self, sensor: "mi.Sensor", *, width: int, height: int, spp: int, seed: int
@@ -92,6 +94,7 @@ class _Tables:
         scene: "mi.Scene",
         media: Media,
         roughness: Float32[np.ndarray, "object"],
+        tint: Float32[np.ndarray, "object 3"],
         *,
         max_depth: int,
         has_lamps: bool,
@@ -103,9 +106,13 @@ class _Tables:
         rank[ids[: len(media.rank)]] = media.rank
         alpha = np.zeros(ids.max() + 1, np.float32)
         alpha[ids[: len(roughness)]] = roughness
+        tints = np.ones((ids.max() + 1, 3), np.float32)
+        tints[ids[: len(tint)]] = tint
         self.media = media
         self.has_rough_glass = bool(roughness.any())
         self.alpha = mi.Float(alpha)
+        self.has_tint = bool((tint != 1).any())
+        self.tint = mi.Float(tints.ravel())
         self.max_depth, self.has_lamps, self.aims = max_depth, has_lamps, aims
         self.rank = mi.Int32(rank)
         self.disperses = bool(media.parts_colors.any())
@@ -173,6 +180,7 @@ def _trace(scene, ray, points, scramble, index, colors, tables):
         bsdf = si.bsdf(ray)
         is_rough = active & ~is_glass
         alpha = _roughness_of_glass(tables, si, active & is_glass & ~vanishes)
+        tint = _tint_of_glass(tables, si, active & is_glass & ~vanishes)
         if dr.hint(tables.aims, mode="scalar"):
             # Light aimed at from here; smooth glass has no such term.
             active_light = active & ((mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth) & ~is_glass) | (alpha > 0))
@@ -182,7 +190,7 @@ def _trace(scene, ray, points, scramble, index, colors, tables):
             active_light &= ds.pdf != 0
             wo = si.to_local(ds.d)
             value, pdf, bsdf_sample, bsdf_weight = bsdf.eval_pdf_sample(context, si, wo, sample1, sample2, is_rough)
-            value, pdf = _scattered_by_glass(tables, si, eta, wo, alpha, (value, pdf))
+            value, pdf = _scattered_by_glass(tables, si, eta, wo, alpha, tint, (value, pdf))
             weight = dr.select(ds.delta, 1, _balance(ds.pdf, pdf))
             radiance += dr.select(active_light, throughput * value * light * weight, 0)
         else:
@@ -195,11 +203,12 @@ def _trace(scene, ray, points, scramble, index, colors, tables):
         solids = dr.select(is_glass & ~is_reflected, dr.select(goes_in, with_it, without_it), solids)
 
         # The next segment; a path that has ended keeps its last. Radiance is scaled as its solid angle is squeezed.
-        throughput *= dr.select(active, dr.select(is_glass, glass_share, bsdf_weight), 1)
+        glass_weight = dr.select(is_reflected | vanishes, 1, tint) * glass_share
+        throughput *= dr.select(active, dr.select(is_glass, glass_weight, bsdf_weight), 1)
         to_world = si.to_world(dr.select(is_glass, glass_wo, bsdf_sample.wo))
         ray = dr.select(active, si.spawn_ray(dr.select(vanishes, ray.d, to_world)), ray)
         previous = mi.Interaction3f(si)
-        _, previous_pdf = _scattered_by_glass(tables, si, eta, glass_wo, alpha, (bsdf_weight, bsdf_sample.pdf))
+        _, previous_pdf = _scattered_by_glass(tables, si, eta, glass_wo, alpha, tint, (bsdf_weight, bsdf_sample.pdf))
         previous_is_delta = (is_glass & (alpha == 0)) | mi.has_flag(bsdf_sample.sampled_type, mi.BSDFFlags.Delta)
         active &= dr.max(throughput) > 0
         depth += dr.select(vanishes, 0, 1)
@@ -248,7 +257,14 @@ def _roughness_of_glass(tables, si, is_solid) -> Lanes:
     return dr.gather(mi.Float, tables.alpha, dr.reinterpret_array(mi.UInt32, si.shape), is_solid)
 
 
-def _scattered_by_glass(tables, si, eta, wo, alpha, otherwise) -> tuple[Lanes, Lanes]:
+def _tint_of_glass(tables, si, is_solid) -> Lanes:
+    """Share of the refracted light that comes through the surface of glass."""
+    if not tables.has_tint:
+        return mi.Spectrum(1)
+    return dr.gather(mi.Spectrum, tables.tint, dr.reinterpret_array(mi.UInt32, si.shape), is_solid)
+
+
+def _scattered_by_glass(tables, si, eta, wo, alpha, tint, otherwise) -> tuple[Lanes, Lanes]:
     """What the surface scatters towards the ray from `wo`, and with which density it sends rays there.
 
     Args:
@@ -257,7 +273,8 @@ def _scattered_by_glass(tables, si, eta, wo, alpha, otherwise) -> tuple[Lanes, L
     if not tables.has_rough_glass:
         return otherwise
     value, pdf = lobe_of_glass(si.wi, wo, eta, alpha)
-    return dr.select(alpha > 0, mi.Spectrum(value), otherwise[0]), dr.select(alpha > 0, pdf, otherwise[1])
+    value = dr.select(si.wi.z * wo.z < 0, tint, 1) * value
+    return dr.select(alpha > 0, value, otherwise[0]), dr.select(alpha > 0, pdf, otherwise[1])
 
 
 def _meet_glass(tables, si, eta, alpha, vanishes, samples) -> tuple[Lanes, Lanes, Lanes]:

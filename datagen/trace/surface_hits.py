@@ -218,7 +218,7 @@ def bounce_of(kernel: Kernel, hit: Hit, sides: Sides, d, step) -> Bounce:
         mirrored=mirrored,
         mirror_share=dr.select(coated, facet_share, mi.Color3f(reflectance)),
         next_d=dr.select(total, mirrored, dr.select(borders, refracted, d)),
-        next_share=dr.select(sides.is_thin, share * color, mi.Color3f(share)),
+        next_share=dr.select(sides.is_thin | (borders & ~total), share * color, mi.Color3f(share)),
         total=total,
     )
     if not tables.has_rough_glass:
@@ -229,7 +229,9 @@ def bounce_of(kernel: Kernel, hit: Hit, sides: Sides, d, step) -> Bounce:
         mirrored=facet_d,
         mirror_share=facet_share,
         next_d=dr.select(total, facet_d, refracted),
-        next_share=mi.Color3f(dr.select(total, shadowing, (1 - facet_reflectance) * passed * dr.square(eta_ti))),
+        next_share=dr.select(
+            total, mi.Color3f(shadowing), color * ((1 - facet_reflectance) * passed * dr.square(eta_ti))
+        ),
         total=total,
     )
     is_rough = borders & (alpha > 0)

@@ -130,6 +130,17 @@ def test_a_weak_lens_focuses_where_the_lens_maker_says() -> None:
     assert crossing == pytest.approx([focal] * 3, rel=0.02)
 
 
+def test_glass_tints_light_at_each_crossing_of_its_surface_and_none_that_it_mirrors() -> None:
+    tint = (1.0, 0.5, 0.25)
+    paths = traced((box((4, 4, 0.5)), Dielectric(ior=1.5, tint=tint)), origins=(0, 0, 2), directions=(0.2, 0.1, -1))
+    r = fresnel_reflectance(1 / math.hypot(0.2, 0.1, 1), 1.5)
+    assert paths.end_throughput[0, 0] == pytest.approx((1 - r) ** 2 * np.array(tint) ** 2, rel=1e-3)
+    assert paths.end_throughput[1, 0] == pytest.approx([r] * 3, rel=1e-3)
+    # From inside, beyond the critical angle, all of it is mirrored.
+    inside = traced((quad(0.0), Dielectric(ior=1.5, tint=tint)), origins=(0, 0, -1), directions=(1.2, 0, 1))
+    assert inside.end_throughput[0, 0] == pytest.approx([1.0] * 3)
+
+
 def test_thin_panes_tint_and_do_not_bend_and_metals_mirror_with_their_colour() -> None:
     gold = Conductor(color=(1.0, 0.8, 0.3), roughness=0.0)
     pane = ThinDielectric(ior=1.5, tint=(1.0, 0.5, 0.25))
