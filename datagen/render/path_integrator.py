@@ -26,7 +26,7 @@ from jaxtyping import Float32
 
 from datagen.render.facets import lobe_of_glass, sample_facet, unshadowed
 from datagen.render.sobol import SobolPoints
-from datagen.scene.media import Media, medium_of, no_solids, with_solid, without_solid
+from datagen.scene.media import SAME_INDEX, Media, medium_of, no_solids, with_solid, without_solid
 
 Lanes = Any
 """A Dr.Jit array, one lane a path. Named, for pyright takes minutes to find out such types in the loop of `_trace`."""
@@ -180,7 +180,7 @@ def _trace(scene, ray, points, scramble, index, colors, tables):
         bsdf = si.bsdf(ray)
         is_rough = active & ~is_glass
         alpha = _roughness_of_glass(tables, si, active & is_glass & ~vanishes)
-        tint = _tint_of_glass(tables, si, active & is_glass & ~vanishes)
+        tint = _tint_of_glass(tables, si, eta, active & is_glass & ~vanishes)
         if dr.hint(tables.aims, mode="scalar"):
             # Light aimed at from here; smooth glass has no such term.
             active_light = active & ((mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth) & ~is_glass) | (alpha > 0))
@@ -257,11 +257,12 @@ def _roughness_of_glass(tables, si, is_solid) -> Lanes:
     return dr.gather(mi.Float, tables.alpha, dr.reinterpret_array(mi.UInt32, si.shape), is_solid)
 
 
-def _tint_of_glass(tables, si, is_solid) -> Lanes:
-    """Share of the refracted light that comes through the surface of glass."""
+def _tint_of_glass(tables, si, eta, is_solid) -> Lanes:
+    """Share of the refracted light that comes through the surface of glass; all of it where both sides are alike."""
     if not tables.has_tint:
         return mi.Spectrum(1)
-    return dr.gather(mi.Spectrum, tables.tint, dr.reinterpret_array(mi.UInt32, si.shape), is_solid)
+    tint = dr.gather(mi.Spectrum, tables.tint, dr.reinterpret_array(mi.UInt32, si.shape), is_solid)
+    return dr.select(dr.abs(eta - 1) < SAME_INDEX, 1, tint)
 
 
 def _scattered_by_glass(tables, si, eta, wo, alpha, tint, otherwise) -> tuple[Lanes, Lanes]:

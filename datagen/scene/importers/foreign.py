@@ -25,7 +25,6 @@ MAX_SURFACES = 20_000
 """Instances of surfaces in a file; a scene has 255 objects, or so many after --merge."""
 
 
-DRINKS = ("water", "drink", "liquid", "wine", "juice", "beer", "milk", "tea", "coffee")
 PLAIN_WORDS = ("material", "mat", "shader")
 """In names of materials: words that say nothing."""
 
@@ -93,8 +92,6 @@ class ForeignMaterial:
     dispersion: float = 0.0
     """20 over the Abbe number."""
     priority: int = 0
-    is_drink: bool = False
-    """Its name says that it is a liquid in a glass."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -197,11 +194,6 @@ def elementwise(points: np.ndarray, linear: np.ndarray, offset: np.ndarray) -> n
     """linear p + offset; equal points stay equal to the last bit, as they may not in a matrix product."""
     x, y, z = points[:, 0], points[:, 1], points[:, 2]
     return np.stack([x * row[0] + y * row[1] + z * row[2] + at for row, at in zip(linear, offset)], axis=-1)
-
-
-def is_drink(name: str) -> bool:
-    """True for the name of a liquid."""
-    return any(word in name.lower() for word in DRINKS)
 
 
 def substance_of(name: str) -> str | None:

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from datagen.disk.errors import HyalineError
 from datagen.scene.importers.fields import Fields
-from datagen.scene.importers.foreign import Factor, FactorImage, ForeignImage, ForeignMaterial, is_drink, substance_of
+from datagen.scene.importers.foreign import Factor, FactorImage, ForeignImage, ForeignMaterial, substance_of
 from datagen.scene.importers.gltf_file import GltfFile
 from datagen.scene.importers.remarks import Remarks
 from datagen.scene.substances import SUBSTANCES
@@ -115,7 +115,6 @@ def read_material(file: GltfFile, index: int | None, remarks: Remarks) -> tuple[
         attenuation_distance=_distance(volume),
         dispersion=0.0 if dispersion is None else max(dispersion.number("dispersion", 0.0), 0.0),
         priority=_priority(fields),
-        is_drink=is_drink(name),
     )
     return material, use
 

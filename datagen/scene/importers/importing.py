@@ -17,7 +17,7 @@ from datagen.disk.records import Json, shown
 from datagen.disk.storage import sha256_file
 from datagen.scene.cutouts import Cut, with_cuts
 from datagen.scene.description import MAX_OBJECTS, OBJECT_NAME, CameraList, CameraRig, Scene, SceneObject
-from datagen.scene.importers.apart import apart, parted
+from datagen.scene.importers.apart import apart, nested, parted
 from datagen.scene.importers.camera_files import read_camera_file
 from datagen.scene.importers.choices import ImportChoices
 from datagen.scene.importers.cutting import cut_of, veiled
@@ -139,7 +139,7 @@ def import_scene(path: Path, choices: ImportChoices) -> Imported:
             is_solid = item.material.medium is not None
             cut = cut_of(material, item.mesh, remarks, has_uv=has_uv, is_solid=is_solid, where=name)
             cuts |= {} if cut is None else {name: cut}
-    objects = apart(objects, remarks)
+    objects = nested(apart(objects, remarks), remarks)
     rig = _cameras(foreign, choices, objects, linear, offset, remarks)
     wants_ground = choices.ground == "auto" and not foreign.is_complete and not has_ground(objects)
     if choices.ground == "always" or wants_ground:

@@ -138,29 +138,18 @@ class Mapper:
             self.remarks.note(
                 where, "the file gives it no volume, and its mesh is closed: drawn as solid glass; --thin file differs"
             )
-        absorption = self._absorption(foreign)
-        if color != (1, 1, 1) and shape.chord > 0:
-            red, green, blue = (
-                a - 2 * math.log(max(c, MIN_TRANSMITTANCE)) / shape.chord
-                for a, c in zip(absorption, color, strict=True)
-            )
-            absorption = red, green, blue
-            self.remarks.approximate(
-                where,
-                "its base colour tints each surface; drawn as absorption that does the same over the mean way through "
-                f"it, {1000 * shape.chord:.3g} mm",
-            )
-        if foreign.is_drink and foreign.priority == 0:
-            self.remarks.note(where, "is a liquid by its name; where it reaches into glass, the glass is what counts")
-        priority = foreign.priority or (-1 if foreign.is_drink else 0)
+        red, green, blue = (math.sqrt(c) for c in color)  # Light crosses two surfaces, and then is of that colour.
         if (dispersion := foreign.dispersion) > MAX_DISPERSION:
             self.remarks.approximate(where, f"has a dispersion of {dispersion:g}; drawn with {MAX_DISPERSION:g}")
             dispersion = MAX_DISPERSION
-        if alpha > SMOOTH_ALPHA:
-            return RoughDielectric(
-                ior=ior, absorption=absorption, priority=priority, dispersion=dispersion, roughness=alpha
-            )
-        return Dielectric(ior=ior, absorption=absorption, priority=priority, dispersion=dispersion)
+        solid = Dielectric(
+            ior=ior,
+            absorption=self._absorption(foreign),
+            tint=(red, green, blue),
+            priority=foreign.priority,
+            dispersion=dispersion,
+        )
+        return RoughDielectric(**vars(solid), roughness=alpha) if alpha > SMOOTH_ALPHA else solid
 
     def _absorption(self, foreign: ForeignMaterial) -> Color:
         """1/m: after the attenuation distance, light is the attenuation colour. Source: KHR_materials_volume."""

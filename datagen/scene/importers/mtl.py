@@ -6,7 +6,7 @@ from pathlib import Path
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import find_file
 from datagen.disk.reading import read_regular
-from datagen.scene.importers.foreign import MAX_FILE_BYTES, Factor, FactorImage, ForeignImage, ForeignMaterial, is_drink
+from datagen.scene.importers.foreign import MAX_FILE_BYTES, Factor, FactorImage, ForeignImage, ForeignMaterial
 from datagen.scene.importers.remarks import Remarks
 from datagen.scene.importers.text_numbers import floats, lines_of
 from datagen.scene.values import Color
@@ -119,7 +119,6 @@ def _material(name: str, entry: Entry, path: Path, remarks: Remarks) -> ForeignM
         transmission=transmission,
         factor_images=factor_images,
         ior=1.0 if is_matt else ior if 1.001 < ior < 10 else USUAL_IOR,
-        is_drink=is_drink(name),
     )
 
 

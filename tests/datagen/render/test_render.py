@@ -59,6 +59,18 @@ def test_a_slab_tints_what_crosses_its_surface_twice_and_nothing_that_it_mirrors
     assert image.mean(axis=(0, 1)) == pytest.approx(through + r + r * through, rel=0.01)
 
 
+def test_overlapping_parts_of_one_tinted_glass_look_as_one() -> None:
+    skip_scalar()
+    glass = Dielectric(ior=1.5, tint=(1.0, 0.7, 0.4))
+    parts = [
+        SceneObject(name=name, mesh=moved(box((0.3, size, size)), (x, 0, 0)), material=glass)
+        for name, size, x in (("left", 8, -0.1), ("right", 7, 0.1))
+    ]
+    whole = SceneObject(name="whole", mesh=box((0.5, 8, 8)), material=glass)
+    two, one = (rendered(scene_of(*items), camera((9, 0, 0.0), fov=0.02), spp=1024) for items in (parts, [whole]))
+    assert two.mean(axis=(0, 1)) == pytest.approx(one.mean(axis=(0, 1)), rel=0.01)
+
+
 @pytest.mark.parametrize("tint", [(1.0, 1.0, 1.0), (0.9, 0.5, 0.1)])
 def test_light_goes_straight_through_a_thin_pane_and_takes_its_tint(tint: tuple[float, float, float]) -> None:
     pane = SceneObject(name="pane", mesh=quad(0.0), material=ThinDielectric(ior=1.5, tint=tint))

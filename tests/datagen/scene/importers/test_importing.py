@@ -2,6 +2,7 @@
 
 import dataclasses
 import io
+import json
 from pathlib import Path
 
 import numpy as np
@@ -452,3 +453,51 @@ def test_an_obj_of_blenders_with_a_weight_of_transmission_is_glass(
     answer = call("datagen import a.obj --strict")
     assert answer.status == 0 and told in answer.err, answer.err
     assert of_name(load_scene(tmp_path / "scenes/a"), "box").material == expected
+
+
+def solid_of(name: str, size: float, height: float, **more: object) -> tuple[str, float, float, dict]:
+    return name, size, height, more
+
+
+@pytest.mark.parametrize(
+    ("solids", "expected", "notes"),
+    [
+        # Names say nothing: ice wins over whiskey, listed before it or behind.
+        (
+            (solid_of("Whiskey", 0.1, 0.0), solid_of("Cube", 0.04, 0.02)),
+            (0, 1),
+            ("Whiskey: overlaps Cube, which wins",),
+        ),
+        ((solid_of("Water", 0.04, 0.04), solid_of("Block", 0.1, 0.0)), (1, 0), ("Block: overlaps Water, which wins",)),
+        (
+            (solid_of("a", 0.1, 0.0), solid_of("b", 0.06, 0.0), solid_of("c", 0.02, 0.0)),
+            (0, 1, 2),
+            ("a: overlaps b, which wins", "a: overlaps c, which wins", "b: overlaps c, which wins"),
+        ),
+        ((solid_of("a", 0.04, 0.0), solid_of("b", 0.1, 0.1)), (0, 0), ()),
+        (
+            (solid_of("a", 0.1, 0.0, priority=3), solid_of("b", 0.04, 0.0)),
+            (3, 0),
+            ("b: overlaps a, which wins",),
+        ),
+    ],
+)
+def test_of_solids_that_overlap_the_inner_one_wins_unless_the_file_gives_priorities(
+    solids: tuple, expected: tuple[int, ...], notes: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    builder = GltfBuilder()
+    for index, (name, size, height, extras) in enumerate(solids):
+        extensions = {**glass(), "KHR_materials_ior": {"ior": 1.3 + 0.1 * index}}
+        material = builder.material(name, pbrMetallicRoughness=clear(), extensions=extensions, extras=extras)
+        builder.node(mesh=builder.mesh(material=material), name=name, scale=[size] * 3, translation=[0, height, 0])
+    builder.written(tmp_path, "a.glb")
+    answer = call("datagen import a.glb --scale 1 --strict")
+    assert answer.status == 0, answer.err
+    record = json.loads((tmp_path / "scenes/a/import.json").read_text())
+    told = [line for line in record["notes"] if "overlaps" in line]
+    assert told == [f"{line}: it fills the space that they share" for line in notes]
+    assert len(notes) == 0 or notes[0] in answer.err
+    scene = load_scene(tmp_path / "scenes/a")
+    found = [of_name(scene, solid[0]).material for solid in solids]
+    assert [glass.priority for glass in found if isinstance(glass, Dielectric)] == list(expected)
