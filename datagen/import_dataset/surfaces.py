@@ -12,7 +12,7 @@ from datagen.import_dataset.choices import DatasetImportChoices
 from datagen.import_dataset.foreign_dataset import ForeignSurface
 from datagen.scene.camera_list import list_cameras
 from datagen.scene.description import MAX_OBJECTS, Scene, SceneObject
-from datagen.scene.importers.apart import apart, parted
+from datagen.scene.importers.apart import apart, nested, parted
 from datagen.scene.importers.foreign import ForeignObject
 from datagen.scene.importers.importing import READERS, scene_object, unique_names
 from datagen.scene.importers.mapping import Mapper
@@ -57,7 +57,7 @@ def make_scene(
         objects += parted(_thin_where_open(item, remarks), remarks)
         if part.uv is None:
             without_uv.add(object_name)
-    objects = apart(objects, remarks)
+    objects = nested(apart(objects, remarks), remarks)
     used = {image.path for item in objects for image in item.material.images().values()}
     scene = Scene(
         name=name,

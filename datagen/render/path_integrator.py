@@ -26,7 +26,7 @@ from jaxtyping import Float32
 
 from datagen.render.facets import lobe_of_glass, sample_facet, unshadowed
 from datagen.render.sobol import SobolPoints
-from datagen.scene.media import Media, medium_of, no_solids, with_solid, without_solid
+from datagen.scene.media import SAME_INDEX, Media, medium_of, no_solids, with_solid, without_solid
 from datagen.scene.thin_walls import LAST_PLACE, RAY_OFFSET, largest_coordinate, skipped_length
 
 Lanes = Any
@@ -48,6 +48,7 @@ class PathTracer:
         scene: "mi.Scene",
         media: Media,
         roughness: Float32[np.ndarray, "object"],
+        tint: Float32[np.ndarray, "object 3"],
         *,
         max_depth: int,
         has_lamps: bool,
@@ -55,11 +56,12 @@ class PathTracer:
     ) -> None:
         """Args:
         roughness: GGX alpha of the surface of each object that is a solid of glass; 0 is smooth.
+        tint: share that this surface lets through of what it does not mirror.
         has_lamps: there are emitters besides the environment.
         aims: light is sampled at each rough vertex, too.
         """
         self._scene = scene
-        self._tables = _Tables(scene, media, roughness, max_depth=max_depth, has_lamps=has_lamps, aims=aims)
+        self._tables = _Tables(scene, media, roughness, tint, max_depth=max_depth, has_lamps=has_lamps, aims=aims)
 
     def render(
         self, sensor: "mi.Sensor", *, width: int, height: int, spp: int, seed: int
@@ -93,6 +95,7 @@ class _Tables:
         scene: "mi.Scene",
         media: Media,
         roughness: Float32[np.ndarray, "object"],
+        tint: Float32[np.ndarray, "object 3"],
         *,
         max_depth: int,
         has_lamps: bool,
@@ -108,9 +111,13 @@ class _Tables:
         offset = np.zeros(ids.max() + 1, np.float32)
         offset[ids] = offsets
         self.offset, self.lamp_offset = mi.Float(offset), max(offsets[len(media.rank) :], default=0.0)
+        tints = np.ones((ids.max() + 1, 3), np.float32)
+        tints[ids[: len(tint)]] = tint
         self.media = media
         self.has_rough_glass = bool(roughness.any())
         self.alpha = mi.Float(alpha)
+        self.has_tint = bool((tint != 1).any())
+        self.tint = mi.Float(tints.ravel())
         self.max_depth, self.has_lamps, self.aims = max_depth, has_lamps, aims
         self.rank = mi.Int32(rank)
         self.disperses = bool(media.parts_colors.any())
@@ -186,6 +193,7 @@ def _trace(scene, ray, points, scramble, index, colors, tables):
         bsdf = si.bsdf(ray)
         is_rough = active & ~is_glass
         alpha = _roughness_of_glass(tables, si, active & is_glass & ~vanishes)
+        tint = _tint_of_glass(tables, si, eta, active & is_glass & ~vanishes)
         if dr.hint(tables.aims, mode="scalar"):
             # Light aimed at from here; smooth glass has no such term.
             active_light = active & ((mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth) & ~is_glass) | (alpha > 0))
@@ -196,7 +204,7 @@ def _trace(scene, ray, points, scramble, index, colors, tables):
             active_light &= ~_is_occluded(scene, tables, si, offset, ds, active_light)
             wo = si.to_local(ds.d)
             value, pdf, bsdf_sample, bsdf_weight = bsdf.eval_pdf_sample(context, si, wo, sample1, sample2, is_rough)
-            value, pdf = _scattered_by_glass(tables, si, eta, wo, alpha, (value, pdf))
+            value, pdf = _scattered_by_glass(tables, si, eta, wo, alpha, tint, (value, pdf))
             weight = dr.select(ds.delta, 1, _balance(ds.pdf, pdf))
             radiance += dr.select(active_light, throughput * value * light * weight, 0)
         else:
@@ -209,12 +217,13 @@ def _trace(scene, ray, points, scramble, index, colors, tables):
         solids = dr.select(is_glass & ~is_reflected, dr.select(goes_in, with_it, without_it), solids)
 
         # The next segment; a path that has ended keeps its last. Radiance is scaled as its solid angle is squeezed.
-        throughput *= dr.select(active, dr.select(is_glass, glass_share, bsdf_weight), 1)
+        glass_weight = dr.select(is_reflected | vanishes, 1, tint) * glass_share
+        throughput *= dr.select(active, dr.select(is_glass, glass_weight, bsdf_weight), 1)
         to_world = si.to_world(dr.select(is_glass, glass_wo, bsdf_sample.wo))
         d = dr.select(vanishes, ray.d, to_world)
         ray = dr.select(active, mi.Ray3f(_start_off(si, offset, d), d), ray)
         previous = mi.Interaction3f(si)
-        _, previous_pdf = _scattered_by_glass(tables, si, eta, glass_wo, alpha, (bsdf_weight, bsdf_sample.pdf))
+        _, previous_pdf = _scattered_by_glass(tables, si, eta, glass_wo, alpha, tint, (bsdf_weight, bsdf_sample.pdf))
         previous_is_delta = (is_glass & (alpha == 0)) | mi.has_flag(bsdf_sample.sampled_type, mi.BSDFFlags.Delta)
         active &= dr.max(throughput) > 0
         depth += dr.select(vanishes, 0, 1)
@@ -278,7 +287,15 @@ def _roughness_of_glass(tables, si, is_solid) -> Lanes:
     return dr.gather(mi.Float, tables.alpha, dr.reinterpret_array(mi.UInt32, si.shape), is_solid)
 
 
-def _scattered_by_glass(tables, si, eta, wo, alpha, otherwise) -> tuple[Lanes, Lanes]:
+def _tint_of_glass(tables, si, eta, is_solid) -> Lanes:
+    """Share of the refracted light that comes through the surface of glass; all of it where both sides are alike."""
+    if not tables.has_tint:
+        return mi.Spectrum(1)
+    tint = dr.gather(mi.Spectrum, tables.tint, dr.reinterpret_array(mi.UInt32, si.shape), is_solid)
+    return dr.select(dr.abs(eta - 1) < SAME_INDEX, 1, tint)
+
+
+def _scattered_by_glass(tables, si, eta, wo, alpha, tint, otherwise) -> tuple[Lanes, Lanes]:
     """What the surface scatters towards the ray from `wo`, and with which density it sends rays there.
 
     Args:
@@ -287,7 +304,8 @@ def _scattered_by_glass(tables, si, eta, wo, alpha, otherwise) -> tuple[Lanes, L
     if not tables.has_rough_glass:
         return otherwise
     value, pdf = lobe_of_glass(si.wi, wo, eta, alpha)
-    return dr.select(alpha > 0, mi.Spectrum(value), otherwise[0]), dr.select(alpha > 0, pdf, otherwise[1])
+    value = dr.select(si.wi.z * wo.z < 0, tint, 1) * value
+    return dr.select(alpha > 0, value, otherwise[0]), dr.select(alpha > 0, pdf, otherwise[1])
 
 
 def _meet_glass(tables, si, eta, alpha, vanishes, samples) -> tuple[Lanes, Lanes, Lanes]:

@@ -23,6 +23,7 @@ from datagen.render.mitsuba_scene import is_scalar, load_scene_mitsuba, load_sen
 from datagen.scene.contact import thin_share
 from datagen.scene.description import Scene
 from datagen.scene.materials import Dielectric
+from datagen.scene.materials.optics import Surface
 from datagen.scene.media import find_media
 from datagen.scene.soundness import MAX_THIN
 from datagen.scene.thin_walls import largest_coordinate
@@ -36,6 +37,7 @@ MAX_SPP_PER_PASS = 1 << 12
 SCALAR_OFFSET = 1e-4
 """Metres off its surface, relative to 1 + its largest coordinate, where Mitsuba's `spawn_ray` starts a ray; a little
 more than that."""
+NO_GLASS = Surface(event="ends")
 
 MAX_SPP = 1 << 17
 """Where `--ceiling` gives up."""
@@ -86,11 +88,12 @@ class Renderer:
 
             has_lamps, aims_at_sky = bool(scene.lights), has_small_light(scene.environment)
             self._scene = load_scene_mitsuba(scene, aims_at_sky=aims_at_sky)
-            roughness = [material.surface().roughness if material.medium else 0 for material in materials]
+            surfaces = [material.surface() if material.medium else NO_GLASS for material in materials]
             self._tracer = PathTracer(
                 self._scene,
                 media,
-                np.array(roughness, np.float32),
+                np.array([surface.roughness for surface in surfaces], np.float32),
+                np.array([surface.color for surface in surfaces], np.float32),
                 max_depth=max_depth,
                 has_lamps=has_lamps,
                 aims=has_lamps or aims_at_sky,

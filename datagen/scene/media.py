@@ -29,6 +29,9 @@ from datagen.scene.materials import Material
 if TYPE_CHECKING:
     import mitsuba as mi
 
+SAME_INDEX = 1e-6
+"""How far the ratio of two indices may be from 1 for there to be no surface that tints: overlapping parts of one glass
+have none between them."""
 MAX_NESTED = 32
 """How many dielectrics a scene with priorities may have: a ray keeps one bit for each."""
 

@@ -7,7 +7,7 @@
 from typing import TYPE_CHECKING, NamedTuple
 
 from datagen.render.facets import facet_towards, mirrored_by, refracted_by
-from datagen.scene.media import Media, medium_of, with_solid, without_solid
+from datagen.scene.media import SAME_INDEX, Media, medium_of, with_solid, without_solid
 from datagen.trace.limits import Limits
 from datagen.trace.surface_tables import COATED, DIELECTRIC, METAL, THIN, SurfaceTables
 from datagen.trace.tints import TintTables, look_up_tint
@@ -188,6 +188,7 @@ def bounce_of(kernel: Kernel, hit: Hit, sides: Sides, d, step) -> Bounce:
     ]
     borders = sides.is_glass & ~sides.is_void
     eta = dr.select(borders, iors[0] / iors[1], dr.gather(mi.Float, tables.coat_ior, hit.shape, hit.counts))
+    tints = borders & (dr.abs(eta - 1) > SAME_INDEX)
     cos_i = dr.clip(-dr.dot(d, facing), 0, 1)
     # The ratio is that of the two sides as the ray comes, so that it always comes from the first of them.
     reflectance, cos_t, _, eta_ti = mi.fresnel(cos_i, eta)
@@ -215,7 +216,7 @@ def bounce_of(kernel: Kernel, hit: Hit, sides: Sides, d, step) -> Bounce:
         mirrored=mirrored,
         mirror_share=dr.select(coated, facet_share, mi.Color3f(reflectance)),
         next_d=dr.select(total, mirrored, dr.select(borders, refracted, d)),
-        next_share=dr.select(sides.is_thin, share * color, mi.Color3f(share)),
+        next_share=dr.select(sides.is_thin | (tints & ~total), share * color, mi.Color3f(share)),
         total=total,
     )
     if not tables.has_rough_glass:
@@ -226,7 +227,8 @@ def bounce_of(kernel: Kernel, hit: Hit, sides: Sides, d, step) -> Bounce:
         mirrored=facet_d,
         mirror_share=facet_share,
         next_d=dr.select(total, facet_d, refracted),
-        next_share=mi.Color3f(dr.select(total, shadowing, (1 - facet_reflectance) * passed * dr.square(eta_ti))),
+        next_share=dr.select(tints & ~total, color, 1)
+        * dr.select(total, shadowing, (1 - facet_reflectance) * passed * dr.square(eta_ti)),
         total=total,
     )
     is_rough = borders & (alpha > 0)

@@ -94,7 +94,9 @@ vec3 trace(vec3 o, vec3 d, vec2 row, uint ray) {
             if (total) next_d = mirrored;
             else if (borders) next_d = normalize(d / eta + facing * (cos_i / eta - f.y));
             vec3 next_share = vec3(total ? 1.0 : (1.0 - reflectance) * (is_glass ? 1.0 / (eta * eta) : 1.0));
-            if (is_thin) next_share *= color.rgb;
+            // Between overlapping parts of one glass there is no surface that could tint (SAME_INDEX in scene/media.py).
+            vec3 tint = is_thin || borders && abs(eta - 1.0) > 1e-6 ? color.rgb : vec3(1.0);
+            if (!total) next_share *= tint;
             bool is_rough = ROUGH_GLASS == 1 && borders && optics.z > 0.0;
             if (kind == COATED || kind == METAL || is_rough) {
                 Facet facet = facet_towards(d, facing, optics.z, random_point(row, ray, step));
@@ -106,7 +108,7 @@ vec3 trace(vec3 o, vec3 d, vec2 row, uint ray) {
                     total = at_facet.x >= 1.0;
                     vec3 refracted = refracted_by(facet, at_facet.y, eta, passed);
                     next_d = total ? mirrored : refracted;
-                    next_share = vec3(total ? shadowing : (1.0 - at_facet.x) * passed / (eta * eta));
+                    next_share = total ? vec3(shadowing) : tint * ((1.0 - at_facet.x) * passed / (eta * eta));
                 }
             }
 

@@ -74,7 +74,9 @@ def every_surface() -> Scene:
     drink = Dielectric(ior=1.33, absorption=(0.3, 2, 3), priority=1)
     objects = (
         SceneObject(name="floor", mesh=quad(0), material=Diffuse(color=grey)),
-        SceneObject(name="glass", mesh=cups["glass"], material=Dielectric(ior=1.5, absorption=(0.2, 0.1, 0.3))),
+        SceneObject(
+            name="glass", mesh=cups["glass"], material=Dielectric(absorption=(0.2, 0.1, 0.3), tint=(0.9, 1, 0.8))
+        ),
         SceneObject(name="drink", mesh=cups["drink"], material=drink),
         SceneObject(name="pane", mesh=standing_pane(), material=ThinDielectric(ior=1.5, tint=(0.9, 0.8, 0.7))),
         SceneObject(
@@ -90,7 +92,7 @@ def every_surface() -> Scene:
         SceneObject(
             name="ice",
             mesh=placed(trimesh.creation.icosphere(3, 0.2), 0.4, -0.9, 0.25),
-            material=RoughDielectric(ior=1.31, roughness=0.15),
+            material=RoughDielectric(ior=1.31, roughness=0.15, tint=(0.8, 0.9, 1)),
         ),
     )
     picture = np.random.default_rng(1).choice(np.array([0, 255], np.uint8), (5, 7, 3))

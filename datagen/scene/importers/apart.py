@@ -1,16 +1,29 @@
-"""Glass that touches or overlaps: coincident surfaces are parted, overlapping solids become objects of their own."""
+"""Glass that touches or overlaps: coincident surfaces are parted, overlapping parts become objects of their own, and
+where two solids overlap, the smaller one fills the space that they share."""
 
 import dataclasses
 from itertools import combinations
 
 import numpy as np
 
-from datagen.data.meshes import Mesh, component_of_faces, face_areas, vertex_normals, welded
-from datagen.data.windings import check_solid
+from datagen.data.meshes import (
+    Mesh,
+    component_of_faces,
+    face_areas,
+    face_corners,
+    signed_volume,
+    vertex_normals,
+    welded,
+)
+from datagen.data.surface_points import points_on
+from datagen.data.windings import SAMPLES, check_solid, windings
 from datagen.disk.errors import HyalineError
 from datagen.scene.contact import TOLERANCE, touching_share
 from datagen.scene.description import SceneObject
 from datagen.scene.importers.remarks import Remarks
+from datagen.scene.materials import Dielectric
+from datagen.scene.materials.optics import MAX_PRIORITY
+from datagen.scene.media import MAX_NESTED
 from datagen.scene.soundness import MAX_TOUCHING
 
 STEP = 2 * TOLERANCE
@@ -56,6 +69,52 @@ def apart(objects: list[SceneObject], remarks: Remarks) -> list[SceneObject]:
             )
             found[small] = dataclasses.replace(found[small], mesh=_moved_in(found[small].mesh, STEP))
     return list(found.values())
+
+
+def nested(objects: list[SceneObject], remarks: Remarks) -> list[SceneObject]:
+    """The objects with priorities by which the smaller one of two solids that overlap fills the space that they share.
+
+    It is the one that lies in the other with more of its volume: ice in whiskey, a bubble in glass. Where a file gives
+    priorities, these stay.
+    """
+    solids = [(item, item.material) for item in objects if isinstance(item.material, Dielectric)]
+    solids.sort(key=lambda solid: -signed_volume(solid[0].mesh))
+    priorities = {item.name: glass.priority for item, glass in solids}
+    pairs = []
+    for index, (small, glass) in enumerate(solids):
+        for large, around in solids[:index]:
+            if glass == around or not _overlap(small.mesh, large.mesh):
+                continue
+            pairs.append((small.name, large.name))
+            if not glass.priority and not around.priority:
+                priorities[small.name] = min(max(priorities[small.name], priorities[large.name] + 1), MAX_PRIORITY)
+    if len(solids) > MAX_NESTED:
+        for small, large in pairs:
+            remarks.approximate(
+                small, f"overlaps {large}; of more than {MAX_NESTED} solids, these two are drawn as if they were apart"
+            )
+        return objects
+    places = {item.name: index for index, item in enumerate(objects)}
+    for pair in pairs:
+        loser, winner = sorted(pair, key=lambda name: (priorities[name], -places[name]))
+        remarks.note(loser, f"overlaps {winner}, which wins: it fills the space that they share")
+    return [
+        dataclasses.replace(item, material=dataclasses.replace(item.material, priority=priorities[item.name]))
+        if isinstance(item.material, Dielectric)
+        else item
+        for item in objects
+    ]
+
+
+def _overlap(one: Mesh, other: Mesh) -> bool:
+    """True where some of the surface of one solid lies in the other."""
+    (low, high), (other_low, other_high) = ((m.vertices.min(axis=0), m.vertices.max(axis=0)) for m in (one, other))
+    if (low > other_high).any() or (other_low > high).any():
+        return False
+    return any(
+        (windings(face_corners(around), points_on(mesh, SAMPLES).position) > 0).mean() > MAX_TOUCHING
+        for mesh, around in ((one, other), (other, one))
+    )
 
 
 def _moved_in(mesh: Mesh, distance: float) -> Mesh:

@@ -4,12 +4,12 @@ import dataclasses
 
 import numpy as np
 
-from datagen.data.meshes import Mesh, face_areas
+from datagen.data.meshes import Mesh
 from datagen.data.tonemap import srgb_from_linear
 from datagen.scene.cutouts import Cut, Opacity, corner_uv_of
 from datagen.scene.importers.foreign import ForeignMaterial
 from datagen.scene.importers.mapping import INVISIBLE, SOLID_BLEND
-from datagen.scene.importers.pictures import decoded
+from datagen.scene.importers.pictures import decoded, values_on
 from datagen.scene.importers.remarks import Remarks
 
 BLEND_CUTOFF = 0.5
@@ -20,8 +20,6 @@ MAX_PARTLY = 0.02
 """Share of an image's texels that may be partly opaque, as its edges are."""
 MOSTLY = 0.5
 """Share of a surface from which on it is a pane if its image is partly opaque there."""
-INSIDE = (np.ones((3, 3)) + 3 * np.eye(3)) / 6
-"""Barycentric coordinates of the points of a face where an image is asked."""
 
 
 def veiled(material: ForeignMaterial, mesh: Mesh, *, has_uv: bool) -> ForeignMaterial:
@@ -31,13 +29,7 @@ def veiled(material: ForeignMaterial, mesh: Mesh, *, has_uv: bool) -> ForeignMat
     """
     if material.alpha_mode != "blend" or not has_uv or (material.image is None and material.opacity is None):
         return material
-    opacity, areas = _opacity(material), np.repeat(face_areas(mesh), len(INSIDE))
-    points = np.einsum("pk,fkc->fpc", INSIDE, corner_uv_of(mesh).astype(np.float64)).reshape(-1, 2)
-    height, width = opacity.shape
-    column, row = (
-        np.floor(place % 1 * size).astype(int) for place, size in ((points[:, 0], width), (-points[:, 1], height))
-    )
-    seen = opacity[np.minimum(row, height - 1), np.minimum(column, width - 1)].astype(np.float64)
+    seen, areas = values_on(mesh, _opacity(material))
     partly = areas[(seen > PARTLY[0]) & (seen < PARTLY[1])].sum() / max(areas.sum(), 1e-300)
     if partly < MOSTLY:
         return material

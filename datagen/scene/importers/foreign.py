@@ -15,6 +15,7 @@ from datagen.scene.substances import SUBSTANCES
 from datagen.scene.values import Color
 
 Axis = Literal["x", "y", "z"]
+Factor = Literal["metallic", "roughness", "transmission"]
 
 MAX_FILE_BYTES = 1 << 29
 """Of a file that is imported, and of each file that it names."""
@@ -24,7 +25,6 @@ MAX_SURFACES = 20_000
 """Instances of surfaces in a file; a scene has 255 objects, or so many after --merge."""
 
 
-DRINKS = ("water", "drink", "liquid", "wine", "juice", "beer", "milk", "tea", "coffee")
 PLAIN_WORDS = ("material", "mat", "shader")
 """In names of materials: words that say nothing."""
 
@@ -35,6 +35,20 @@ class ForeignImage:
 
     name: str
     data: bytes
+
+
+@dataclass(frozen=True, kw_only=True)
+class FactorImage:
+    """A channel of an image, as it is stored, that multiplies one of a material's factors."""
+
+    factor: Factor
+    image: ForeignImage
+    channel: int
+    """0 is red, 3 alpha."""
+    lies_as_color: bool = True
+    """It is looked up in the uv of the surface; else only its mean is known."""
+    is_glossiness: bool = False
+    """It multiplies 1 - factor."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,7 +73,12 @@ class ForeignMaterial:
     roughness: float = 0.5
     """Perceptual: the square root of the microfacet alpha."""
     transmission: float = 0.0
+    factor_images: tuple[FactorImage, ...] = ()
+    """Of `metallic`, `roughness` and `transmission`."""
     ior: float = 1.5
+    """1 for an opaque surface that mirrors nothing."""
+    is_base: bool = False
+    """The colour is that of a base below a clear coat, as `Plastic` has it; else that which is seen."""
     is_volume: bool = False
     """It fills its mesh; else the file calls it thin-walled."""
     attenuation_color: Color = (1.0, 1.0, 1.0)
@@ -73,8 +92,6 @@ class ForeignMaterial:
     dispersion: float = 0.0
     """20 over the Abbe number."""
     priority: int = 0
-    is_drink: bool = False
-    """Its name says that it is a liquid in a glass."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -177,11 +194,6 @@ def elementwise(points: np.ndarray, linear: np.ndarray, offset: np.ndarray) -> n
     """linear p + offset; equal points stay equal to the last bit, as they may not in a matrix product."""
     x, y, z = points[:, 0], points[:, 1], points[:, 2]
     return np.stack([x * row[0] + y * row[1] + z * row[2] + at for row, at in zip(linear, offset)], axis=-1)
-
-
-def is_drink(name: str) -> bool:
-    """True for the name of a liquid."""
-    return any(word in name.lower() for word in DRINKS)
 
 
 def substance_of(name: str) -> str | None:

@@ -4,7 +4,6 @@ Source: glTF 2.0 section 3.9 and the READMEs of the extensions in KhronosGroup/g
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, cast
 
@@ -13,7 +12,7 @@ from jaxtyping import Float
 
 from datagen.disk.errors import HyalineError
 from datagen.scene.importers.fields import Fields
-from datagen.scene.importers.foreign import ForeignImage, ForeignMaterial, is_drink, substance_of
+from datagen.scene.importers.foreign import Factor, FactorImage, ForeignImage, ForeignMaterial, substance_of
 from datagen.scene.importers.gltf_file import GltfFile
 from datagen.scene.importers.remarks import Remarks
 from datagen.scene.substances import SUBSTANCES
@@ -27,6 +26,7 @@ IGNORED = {
     "KHR_materials_specular": "a specular weight or tint",
 }
 MAX_PRIORITY = 9
+REPEAT, CLAMP_TO_EDGE = 10497, 33071
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,12 +35,23 @@ class TextureUse:
 
     channel: int
     """Which TEXCOORD of the mesh."""
-    uv_from_file: Callable[[Float[np.ndarray, "vertex 2"]], Float[np.ndarray, "vertex 2"]]
-    """To uv whose v points up."""
+    offset: tuple[float, ...]
+    scale: tuple[float, ...]
+    rotation: float
+    clamps: tuple[bool, bool]
+    """Along u and v it ends at the image's edges instead of repeating."""
+
+    def uv_from_file(self, uv: Float[np.ndarray, "vertex 2"]) -> Float[np.ndarray, "vertex 2"]:
+        """From uv of the file, v down, to uv of its image, v up. Source: KHR_texture_transform's README."""
+        cos, sin = math.cos(self.rotation), math.sin(self.rotation)
+        u, v = uv[:, 0] * self.scale[0], uv[:, 1] * self.scale[1]
+        sides = [cos * u + sin * v + self.offset[0], -sin * u + cos * v + self.offset[1]]
+        sides = [np.clip(side, 0, 1) if clamp else side for side, clamp in zip(sides, self.clamps)]
+        return np.stack([sides[0], 1 - sides[1]], axis=-1)
 
 
 def read_material(file: GltfFile, index: int | None, remarks: Remarks) -> tuple[ForeignMaterial, TextureUse | None]:
-    """A material of the file, and how its base colour's image lies; glTF's default one for None."""
+    """A material of the file, and how its image lies (its base colour's, if any); glTF's default one for None."""
     if index is None:
         return ForeignMaterial(name="default", metallic=1.0, roughness=1.0), None
     fields = file.item("materials", index, where=str(file.path))
@@ -49,17 +60,42 @@ def read_material(file: GltfFile, index: int | None, remarks: Remarks) -> tuple[
     red, green, blue, alpha = pbr.numbers("baseColorFactor", (1.0, 1.0, 1.0, 1.0))
     metallic, roughness = pbr.share("metallicFactor", 1.0), pbr.share("roughnessFactor", 1.0)
     texture = pbr.fields("baseColorTexture") if "baseColorTexture" in pbr else None
+    others: list[tuple[Factor, Fields, int]] = []
+    if "metallicRoughnessTexture" in pbr:
+        shared = pbr.fields("metallicRoughnessTexture")
+        others = [("metallic", shared, 2), ("roughness", shared, 1)]
     if (gloss := fields.extension("KHR_materials_pbrSpecularGlossiness")) is not None:
         red, green, blue, alpha = gloss.numbers("diffuseFactor", (1.0, 1.0, 1.0, 1.0))
         metallic, roughness = 0.0, 1 - gloss.share("glossinessFactor", 1.0)
         texture = gloss.fields("diffuseTexture") if "diffuseTexture" in gloss else None
+        is_shiny = "specularGlossinessTexture" in gloss
+        others = [("roughness", gloss.fields("specularGlossinessTexture"), 3)] if is_shiny else []
         remarks.approximate(name, "is of the specular-glossiness model; drawn as plastic of its diffuse colour")
-    if fields.extension("KHR_materials_unlit") is not None:
-        metallic, roughness = 0.0, 1.0
+    if is_unlit := fields.extension("KHR_materials_unlit") is not None:
+        metallic, roughness, others = 0.0, 1.0, []
         remarks.approximate(name, "is unlit; drawn as a matt surface that light falls on")
     image, use = (None, None) if texture is None else _texture(file, texture, name, remarks)
-    _remark_on(fields, pbr, name, remarks)
+    _remark_on(fields, name, remarks)
     transmission = fields.extension("KHR_materials_transmission")
+    if transmission is not None and "transmissionTexture" in transmission:
+        others.append(("transmission", transmission.fields("transmissionTexture"), 0))
+    factor_images = []
+    for factor, entry, channel in others:
+        found, own_use = _texture(file, entry, name, remarks)
+        if found is None:
+            # The factor's default of 1 would make metal of a surface that the image says is none.
+            metallic = pbr.share("metallicFactor", 0.0) if factor == "metallic" else metallic
+            continue
+        use = use or own_use
+        factor_images.append(
+            FactorImage(
+                factor=factor,
+                image=found,
+                channel=channel,
+                lies_as_color=own_use == use,
+                is_glossiness=gloss is not None and factor == "roughness",
+            )
+        )
     volume = fields.extension("KHR_materials_volume")
     dispersion = fields.extension("KHR_materials_dispersion")
     material = ForeignMaterial(
@@ -72,13 +108,13 @@ def read_material(file: GltfFile, index: int | None, remarks: Remarks) -> tuple[
         metallic=metallic,
         roughness=roughness,
         transmission=0.0 if transmission is None else transmission.share("transmissionFactor", 0.0),
-        ior=_ior(fields, name, remarks),
+        factor_images=tuple(factor_images),
+        ior=1.0 if is_unlit else _ior(fields, name, remarks),
         is_volume=volume is not None and volume.number("thicknessFactor", 0.0) > 0,
         attenuation_color=(1.0, 1.0, 1.0) if volume is None else volume.color("attenuationColor", (1.0, 1.0, 1.0)),
         attenuation_distance=_distance(volume),
         dispersion=0.0 if dispersion is None else max(dispersion.number("dispersion", 0.0), 0.0),
         priority=_priority(fields),
-        is_drink=is_drink(name),
     )
     return material, use
 
@@ -122,7 +158,7 @@ def _priority(fields: Fields) -> int:
     return Fields(extras, f"{fields.where}.extras").integer("priority", low=-MAX_PRIORITY, high=MAX_PRIORITY)
 
 
-def _remark_on(fields: Fields, pbr: Fields, name: str, remarks: Remarks) -> None:
+def _remark_on(fields: Fields, name: str, remarks: Remarks) -> None:
     """A line for each thing that the file says about a material and that is not drawn."""
     for extension in fields.extensions():
         if extension in IGNORED:
@@ -130,11 +166,7 @@ def _remark_on(fields: Fields, pbr: Fields, name: str, remarks: Remarks) -> None
     for key, what in (("normalTexture", "a normal map"), ("occlusionTexture", "an occlusion map")):
         if key in fields:
             remarks.approximate(name, f"has {what}, which is left out")
-    if "metallicRoughnessTexture" in pbr:
-        remarks.approximate(name, "has an image of metalness and roughness; its factors alone are used")
-    transmission, volume = (fields.extension(f"KHR_materials_{kind}") for kind in ("transmission", "volume"))
-    if transmission is not None and "transmissionTexture" in transmission:
-        remarks.approximate(name, "has an image of transmission; its factor alone is used")
+    volume = fields.extension("KHR_materials_volume")
     if volume is not None and "thicknessTexture" in volume:
         remarks.note(name, "has an image of thickness, which path tracers do not need: light crosses the mesh itself")
     emissive = fields.color("emissiveFactor", (0.0, 0.0, 0.0))
@@ -169,28 +201,15 @@ def _texture(
     channel = texture.integer("texCoord", 0, high=31)
     if transform is not None:
         channel = transform.integer("texCoord", channel, high=31)
-    wraps = {"wrapS": 10497, "wrapT": 10497}
+    wraps = {"wrapS": REPEAT, "wrapT": REPEAT}
     if "sampler" in entry:
         sampler = file.item("samplers", entry.integer("sampler"), where=entry.where)
-        wraps = {key: sampler.integer(key, 10497) for key in wraps}
-    return ForeignImage(name=name, data=data), TextureUse(channel=channel, uv_from_file=_uv(transform, wraps))
-
-
-def _uv(
-    transform: Fields | None, wraps: dict[str, int]
-) -> Callable[[Float[np.ndarray, "vertex 2"]], Float[np.ndarray, "vertex 2"]]:
-    """From uv of the file, v down, to uv of its image, v up. Source: KHR_texture_transform's README."""
-    shift, factor, turn = (0.0, 0.0), (1.0, 1.0), 0.0
-    if transform is not None:
-        shift, factor = transform.numbers("offset", (0.0, 0.0)), transform.numbers("scale", (1.0, 1.0))
-        turn = transform.number("rotation", 0.0)
-    cos, sin = math.cos(turn), math.sin(turn)
-    clamps = [wraps[key] == 33071 for key in ("wrapS", "wrapT")]
-
-    def uv_from_file(uv: Float[np.ndarray, "vertex 2"]) -> Float[np.ndarray, "vertex 2"]:
-        u, v = uv[:, 0] * factor[0], uv[:, 1] * factor[1]
-        sides = [cos * u + sin * v + shift[0], -sin * u + cos * v + shift[1]]
-        sides = [np.clip(side, 0, 1) if clamp else side for side, clamp in zip(sides, clamps)]
-        return np.stack([sides[0], 1 - sides[1]], axis=-1)
-
-    return uv_from_file
+        wraps = {key: sampler.integer(key, REPEAT) for key in wraps}
+    use = TextureUse(
+        channel=channel,
+        offset=(0.0, 0.0) if transform is None else transform.numbers("offset", (0.0, 0.0)),
+        scale=(1.0, 1.0) if transform is None else transform.numbers("scale", (1.0, 1.0)),
+        rotation=0.0 if transform is None else transform.number("rotation", 0.0),
+        clamps=(wraps["wrapS"] == CLAMP_TO_EDGE, wraps["wrapT"] == CLAMP_TO_EDGE),
+    )
+    return ForeignImage(name=name, data=data), use

@@ -17,7 +17,7 @@ from datagen.disk.records import Json, shown
 from datagen.disk.storage import sha256_file
 from datagen.scene.cutouts import Cut, with_cuts
 from datagen.scene.description import MAX_OBJECTS, OBJECT_NAME, CameraList, CameraRig, Scene, SceneObject
-from datagen.scene.importers.apart import apart, parted
+from datagen.scene.importers.apart import apart, nested, parted
 from datagen.scene.importers.camera_files import read_camera_file
 from datagen.scene.importers.choices import ImportChoices
 from datagen.scene.importers.cutting import cut_of, veiled
@@ -90,7 +90,10 @@ class Imported:
             for what, places in wheres.items()
         ]
         shown = lines if len(lines) <= MAX_TOLD else [*lines[:MAX_TOLD], f"... and {len(lines) - MAX_TOLD} lines more"]
-        return [*shown, f"scene {self.scene.name}: {len(self.scene.objects)} objects, {glass} of them glass"]
+        count = f"scene {self.scene.name}: {len(self.scene.objects)} objects"
+        if not glass:
+            return [*shown, f"{count}, none of them glass; --material glass or 'OBJECT=glass' names what is"]
+        return [*shown, f"{count}, {glass} of them glass"]
 
 
 def import_scene(path: Path, choices: ImportChoices) -> Imported:
@@ -136,7 +139,7 @@ def import_scene(path: Path, choices: ImportChoices) -> Imported:
             is_solid = item.material.medium is not None
             cut = cut_of(material, item.mesh, remarks, has_uv=has_uv, is_solid=is_solid, where=name)
             cuts |= {} if cut is None else {name: cut}
-    objects = apart(objects, remarks)
+    objects = nested(apart(objects, remarks), remarks)
     rig = _cameras(foreign, choices, objects, linear, offset, remarks)
     wants_ground = choices.ground == "auto" and not foreign.is_complete and not has_ground(objects)
     if choices.ground == "always" or wants_ground:
@@ -253,6 +256,8 @@ def scene_object(
     material = chosen or part.material
     if material is PLAIN:
         remarks.note(name, "has no material in the file; drawn grey and matt, --material names another")
+    if isinstance(material, ForeignMaterial):
+        material = mapper.averaged(material, mesh, has_uv=_has_uv(part), where=name)
     if repairs and _is_solid(material):
         mesh = made_sound(closed(mesh, remarks, where=name), remarks, where=name)
         mesh = joined(mesh, remarks, where=name)

@@ -3,13 +3,19 @@
 Formulas: glTF's extensions KHR_materials_transmission, _volume, _ior and _dispersion.
 """
 
+import dataclasses
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
+import numpy as np
+
+from datagen.data.meshes import Mesh
 from datagen.disk.names import file_name
 from datagen.scene.importers.choices import Thin
-from datagen.scene.importers.foreign import ForeignMaterial
-from datagen.scene.importers.pictures import decoded, mean_color, tinted_png
+from datagen.scene.importers.coats import coat_of
+from datagen.scene.importers.foreign import ForeignImage, ForeignMaterial
+from datagen.scene.importers.pictures import decoded, linear_png, mean_color, stored, values_on
 from datagen.scene.importers.remarks import Remarks
 from datagen.scene.importers.surfaces import Shape
 from datagen.scene.materials import Conductor, Dielectric, Diffuse, Material, Plastic, RoughDielectric, ThinDielectric
@@ -23,10 +29,17 @@ SMOOTH_ALPHA = 0.0025
 """Facets that nobody sees in glass."""
 MATT = 0.6
 """Perceptual roughness from which on no highlight is seen."""
+BRIGHT_ENOUGH = 0.9
+"""Share of its light that a base must be able to show through its coat; else it is drawn without one."""
 MIN_TRANSMITTANCE = 1e-4
 """Of a channel after the attenuation distance: a black one would absorb without end."""
 SOLID_BLEND = 0.9
 """Alpha from which on a blended surface counts as opaque."""
+MAX_MIRRORED = 0.8
+"""By a pane of glass, whose index stays below 10."""
+UNIFORM = 0.05
+"""Standard deviation of an image's values over a surface up to which they are one value."""
+FACTOR_NAMES = {"metallic": "metalness", "roughness": "roughness", "transmission": "transmission"}
 INVISIBLE = 1 / 512
 """Alpha below which nothing of a blended surface is seen, since it is none in 8 bits."""
 
@@ -40,8 +53,32 @@ class Mapper:
     thin: Thin
     remarks: Remarks
     images: dict[str, bytes] = field(default_factory=dict)
-    _paths: dict[ForeignMaterial, str] = field(default_factory=dict)
+    _paths: dict[tuple[ForeignImage, Color, Callable], str] = field(default_factory=dict)
     _means: dict[ForeignMaterial, Color] = field(default_factory=dict)
+
+    def averaged(self, foreign: ForeignMaterial, mesh: Mesh, *, has_uv: bool, where: str) -> ForeignMaterial:
+        """The material with each factor times the mean of its image over the surface: ours have one value each."""
+        if not foreign.factor_images:
+            return foreign
+        factors: dict[str, float] = {}
+        spread = 0.0
+        for use in foreign.factor_images:
+            values = stored(use.image)[..., use.channel] / 255
+            seen, areas = values.reshape(-1), np.ones(values.size)
+            if has_uv and use.lies_as_color:
+                seen, areas = values_on(mesh, values)
+            # Rounded, so that objects that differ by nothing that one sees share their images.
+            mean = round(float(np.average(seen, weights=areas)), 2)
+            spread = max(spread, float(np.average((seen - mean) ** 2, weights=areas)) ** 0.5)
+            given = {"metallic": foreign.metallic, "roughness": foreign.roughness, "transmission": foreign.transmission}
+            factor = given[use.factor]
+            factors[use.factor] = 1 - (1 - factor) * mean if use.is_glossiness else factor * mean
+        told = " and ".join(f"{FACTOR_NAMES[name]} {value:.2f}" for name, value in factors.items())
+        if spread > UNIFORM:
+            self.remarks.approximate(where, f"its image varies over the surface; drawn with the mean: {told}")
+        else:
+            self.remarks.note(where, f"from its image: {told}")
+        return dataclasses.replace(foreign, factor_images=(), **factors)
 
     def material(self, foreign: ForeignMaterial, shape: Shape, *, where: str) -> Material:
         """The material of ours that comes nearest, on a surface of this shape."""
@@ -56,9 +93,15 @@ class Mapper:
                     where, f"lets {100 * foreign.transmission:.0f} % of the light through; drawn as clear glass"
                 )
             return self._glass(foreign, shape, where=where)
-        if is_blended and (foreign.alpha >= SOLID_BLEND or foreign.metallic >= 0.5):
-            what = "metal and " if foreign.metallic >= 0.5 else ""
-            self.remarks.approximate(where, f"is {what}blended with alpha {foreign.alpha:.2g}; drawn opaque")
+        if is_blended and foreign.alpha >= SOLID_BLEND:
+            self.remarks.approximate(where, f"is blended with alpha {foreign.alpha:.2g}; drawn opaque")
+        elif is_blended and foreign.metallic >= 0.5:
+            self.remarks.approximate(
+                where,
+                f"is metal and blended with alpha {foreign.alpha:.2g}; drawn as a thin pane that mirrors where the "
+                "metal is, and lets the rest through",
+            )
+            return _metal_veil(self._flat_color(foreign, where=where), foreign.alpha)
         elif is_blended:
             self.remarks.approximate(
                 where, f"is blended with alpha {foreign.alpha:.2g}; drawn as a thin pane of that colour"
@@ -95,29 +138,18 @@ class Mapper:
             self.remarks.note(
                 where, "the file gives it no volume, and its mesh is closed: drawn as solid glass; --thin file differs"
             )
-        absorption = self._absorption(foreign)
-        if color != (1, 1, 1) and shape.chord > 0:
-            red, green, blue = (
-                a - 2 * math.log(max(c, MIN_TRANSMITTANCE)) / shape.chord
-                for a, c in zip(absorption, color, strict=True)
-            )
-            absorption = red, green, blue
-            self.remarks.approximate(
-                where,
-                "its base colour tints each surface; drawn as absorption that does the same over the mean way through "
-                f"it, {1000 * shape.chord:.3g} mm",
-            )
-        if foreign.is_drink and foreign.priority == 0:
-            self.remarks.note(where, "is a liquid by its name; where it reaches into glass, the glass is what counts")
-        priority = foreign.priority or (-1 if foreign.is_drink else 0)
+        red, green, blue = (math.sqrt(c) for c in color)  # Light crosses two surfaces, and then is of that colour.
         if (dispersion := foreign.dispersion) > MAX_DISPERSION:
             self.remarks.approximate(where, f"has a dispersion of {dispersion:g}; drawn with {MAX_DISPERSION:g}")
             dispersion = MAX_DISPERSION
-        if alpha > SMOOTH_ALPHA:
-            return RoughDielectric(
-                ior=ior, absorption=absorption, priority=priority, dispersion=dispersion, roughness=alpha
-            )
-        return Dielectric(ior=ior, absorption=absorption, priority=priority, dispersion=dispersion)
+        solid = Dielectric(
+            ior=ior,
+            absorption=self._absorption(foreign),
+            tint=(red, green, blue),
+            priority=foreign.priority,
+            dispersion=dispersion,
+        )
+        return RoughDielectric(**vars(solid), roughness=alpha) if alpha > SMOOTH_ALPHA else solid
 
     def _absorption(self, foreign: ForeignMaterial) -> Color:
         """1/m: after the attenuation distance, light is the attenuation colour. Source: KHR_materials_volume."""
@@ -136,23 +168,46 @@ class Mapper:
         if foreign.metallic >= 0.5:
             roughness = 0.0 if foreign.roughness**2 < MIN_ALPHA else alpha
             return Conductor(color=self._reflectance(foreign, shape, where=where), roughness=roughness)
-        color = self._reflectance(foreign, shape, where=where)
-        if foreign.roughness < MATT:
+        if foreign.is_base:
+            color = self._reflectance(foreign, shape, where=where)
             return Plastic(color=color, ior=foreign.ior, roughness=alpha)
-        return Diffuse(color=color)
+        coat = coat_of(foreign.ior, alpha)
+        if foreign.roughness < MATT:
+            color = np.array(self._flat_color(foreign, where=where, is_told=False))
+            wanted, shown = (1 - coat.mirrored) * color, coat.seen(np.minimum(coat.base_of(color), 1))
+            if shown.sum() >= BRIGHT_ENOUGH * wanted.sum():
+                color = self._reflectance(foreign, shape, coat.base_of, where=where)
+                return Plastic(color=color, ior=foreign.ior, roughness=alpha)
+            self.remarks.approximate(
+                where,
+                "is brighter than a base below so rough a coat can be; drawn matt, as bright as with its highlight",
+            )
+        elif coat.mirrored > 0 and foreign.roughness < 1:
+            self.remarks.note(where, "its sheen, of a roughness of 0.6 or more, is drawn as matt light")
+        return Diffuse(color=self._reflectance(foreign, shape, coat.with_mirrored, where=where))
 
-    def _reflectance(self, foreign: ForeignMaterial, shape: Shape, *, where: str) -> Reflectance:
-        if foreign.image is None:
-            return foreign.base_color
-        if not shape.has_uv:
-            self.remarks.approximate(where, "has an image and no uv; drawn in the image's mean colour")
-            return self._flat_color(foreign, where=where, is_told=False)
-        if foreign not in self._paths:
+    def _reflectance(
+        self,
+        foreign: ForeignMaterial,
+        shape: Shape,
+        shaded: Callable[[np.ndarray], np.ndarray] = np.asarray,
+        *,
+        where: str,
+    ) -> Reflectance:
+        """The base colour, or the image of it; as `shaded` makes of it."""
+        if foreign.image is None or not shape.has_uv:
+            if foreign.image is not None:
+                self.remarks.approximate(where, "has an image and no uv; drawn in the image's mean colour")
+            color = shaded(np.array(self._flat_color(foreign, where=where, is_told=False)))
+            red, green, blue = (min(float(value), 1.0) for value in color)
+            return red, green, blue
+        key = foreign.image, foreign.base_color, shaded
+        if key not in self._paths:
             # Two materials may have one name.
-            path = f"textures/{len(self._paths)}_{file_name(foreign.name)[:60]}.png"
-            self._paths[foreign] = path
-            self.images[path] = tinted_png(decoded(foreign.image), foreign.base_color)
-        return ImageTexture(path=self._paths[foreign])
+            self._paths[key] = f"textures/{len(self._paths)}_{file_name(foreign.name)[:60]}.png"
+            pixels = shaded(decoded(foreign.image)[..., :3].astype(np.float64) * np.array(foreign.base_color))
+            self.images[self._paths[key]] = linear_png(np.minimum(pixels, 1))
+        return ImageTexture(path=self._paths[key])
 
     def _flat_color(self, foreign: ForeignMaterial, *, where: str, is_told: bool = True) -> Color:
         """The base colour, times the mean of its image."""
@@ -169,6 +224,15 @@ class Mapper:
 def lets_light_through(foreign: ForeignMaterial) -> bool:
     """True for glass: metal lets nothing through, whatever its transmission."""
     return foreign.transmission * (1 - foreign.metallic) >= 0.5
+
+
+def _metal_veil(color: Color, alpha: float) -> ThinDielectric:
+    """A pane that at normal incidence mirrors and lets through as much as metal that covers this share of it."""
+    mirrored = min(alpha * sum(color) / 3, MAX_MIRRORED)
+    # With reflections to and fro inside of it, a pane mirrors 2 r / (1 + r), where one surface mirrors r.
+    root = math.sqrt(mirrored / (2 - mirrored))
+    share = (1 - alpha) / (1 - mirrored)
+    return ThinDielectric(ior=(1 + root) / (1 - root), tint=(share, share, share))
 
 
 def _mixed(color: Color, share: float) -> Color:

@@ -146,14 +146,14 @@ def _glass(node: Node, remarks: Remarks) -> FoundMaterial:
 
 
 def _diffuse(node: Node, remarks: Remarks) -> FoundMaterial:
-    return _colored(ForeignMaterial(name=node.name, roughness=1.0), node, "reflectance", 0.5, remarks)
+    return _colored(ForeignMaterial(name=node.name, roughness=1.0, ior=1.0), node, "reflectance", 0.5, remarks)
 
 
 def _plastic(node: Node, remarks: Remarks) -> FoundMaterial:
     if not node.flag("nonlinear"):
         remarks.approximate(node.name, "has a base without colour shifts from light below its coat; drawn with them")
     roughness = _facets(node, remarks) if node.plugin == "roughplastic" else 0.0
-    material = ForeignMaterial(name=node.name, roughness=min(roughness, 0.59), ior=max(_ratio(node), 1.0001))
+    material = ForeignMaterial(name=node.name, roughness=roughness, ior=max(_ratio(node), 1.0001), is_base=True)
     return _colored(material, node, "diffuse_reflectance", 0.5, remarks)
 
 

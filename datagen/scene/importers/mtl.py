@@ -6,12 +6,14 @@ from pathlib import Path
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import find_file
 from datagen.disk.reading import read_regular
-from datagen.scene.importers.foreign import MAX_FILE_BYTES, ForeignImage, ForeignMaterial, is_drink
+from datagen.scene.importers.foreign import MAX_FILE_BYTES, Factor, FactorImage, ForeignImage, ForeignMaterial
 from datagen.scene.importers.remarks import Remarks
 from datagen.scene.importers.text_numbers import floats, lines_of
 from datagen.scene.values import Color
 
 MAX_BYTES = 1 << 24
+PBR_KEYS = ("pr", "pm", "ps", "pc")
+"""Of the physically based extension. Where Blender writes them, it writes the weight of transmission as Tf."""
 GLASS_MODELS = (4, 6, 7, 9)
 """Illumination models whose transparency is glass, by their names in the specification."""
 MAX_OPAQUE = 0.9
@@ -40,6 +42,8 @@ IGNORED = {
     "map_ks": "a map of highlights",
     "map_ke": "a map of glow",
 }
+
+FACTOR_MAPS: dict[str, Factor] = {"map_pm": "metallic", "map_pr": "roughness"}
 
 Entry = dict[str, list[str]]
 
@@ -76,25 +80,45 @@ def _material(name: str, entry: Entry, path: Path, remarks: Remarks) -> ForeignM
         remarks.approximate(name, "glows, which is left out")
     dissolve = number("d", 1.0 - number("tr", 0.0))
     model = number("illum", 2.0)
-    is_glass = model in GLASS_MODELS or dissolve < MAX_OPAQUE
+    filtered = _color(entry, "tf", (1.0, 1.0, 1.0), where=where)
+    is_blenders = "tf" in entry and len(set(filtered)) == 1 and any(key in entry for key in PBR_KEYS)
+    transmission = 1.0 if model in GLASS_MODELS or dissolve < MAX_OPAQUE else 0.0
+    if is_blenders and transmission == 0:
+        transmission = max(filtered)
+    elif "tf" in entry and transmission == 0:
+        remarks.note(name, "has a transmission filter (Tf), and is opaque by d and illum; --material makes it glass")
+    is_glass = transmission >= 0.5
     ior = number("ni", USUAL_IOR)
     if is_glass and not 1.001 < ior < 10:
         remarks.approximate(name, f"is glass with an index of refraction of {ior:g}; drawn with {USUAL_IOR:g}")
     # Phong's exponent as a microfacet alpha, whose square root is the roughness.
-    glossy = math.sqrt(math.sqrt(2 / (max(number("ns", 10.0), 0.0) + 2)))
-    key, default = ("tf", (1.0, 1.0, 1.0)) if is_glass else ("kd", (0.7, 0.7, 0.7))
+    glossy = math.sqrt(math.sqrt(2 / (max(number("ns", 0.0), 0.0) + 2)))
+    highlight = max(_color(entry, "ks", (1.0, 1.0, 1.0), where=where)) if number("ns", 0.0) > 0 and model > 1 else 0.0
+    is_matt = not is_glass and highlight == 0 and not any(key in entry for key in PBR_KEYS)
+    base_color = filtered if is_glass and not is_blenders else _color(entry, "kd", (0.7, 0.7, 0.7), where=where)
     opacity = None if is_glass else _image(name, entry, path, remarks, key="map_d")
+    factor_images = tuple(
+        FactorImage(factor=factor, image=image, channel=0)
+        for key, factor in FACTOR_MAPS.items()
+        if (image := _image(name, entry, path, remarks, key=key)) is not None
+    )
+    # An image stands in place of its number.
+    numbers: dict[Factor, float] = {
+        "metallic": number("pm", 0.0),
+        "roughness": number("pr", 0.0 if is_glass else glossy),
+        **{use.factor: 1.0 for use in factor_images},
+    }
     return ForeignMaterial(
         name=name,
-        base_color=_color(entry, key, default, where=where),
-        image=None if is_glass else _image(name, entry, path, remarks, key="map_kd"),
+        base_color=base_color,
+        image=None if is_glass and not is_blenders else _image(name, entry, path, remarks, key="map_kd"),
         alpha_mode="opaque" if opacity is None else "blend",
         opacity=opacity,
-        metallic=min(max(number("pm", 0.0), 0.0), 1.0),
-        roughness=min(max(number("pr", 0.0 if is_glass else glossy), 0.0), 1.0),
-        transmission=1.0 if is_glass else 0.0,
-        ior=ior if 1.001 < ior < 10 else USUAL_IOR,
-        is_drink=is_drink(name),
+        metallic=min(max(numbers["metallic"], 0.0), 1.0),
+        roughness=1.0 if is_matt else min(max(numbers["roughness"], 0.0), 1.0),
+        transmission=transmission,
+        factor_images=factor_images,
+        ior=1.0 if is_matt else ior if 1.001 < ior < 10 else USUAL_IOR,
     )
 
 

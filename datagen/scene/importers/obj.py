@@ -24,7 +24,7 @@ from datagen.scene.importers.text_numbers import floats, lines_of
 MAX_BYTES = 1 << 28
 MAX_CORNERS = 10_000
 """Of one polygon."""
-PLAIN = ForeignMaterial(name="default", base_color=(0.7, 0.7, 0.7), roughness=0.8)
+PLAIN = ForeignMaterial(name="default", base_color=(0.7, 0.7, 0.7), roughness=1.0, ior=1.0)
 """Of a surface that names no material."""
 
 Corner = tuple[int, int, int]

@@ -26,8 +26,6 @@ class Shape:
 
     is_closed: bool
     has_uv: bool
-    chord: float
-    """Mean length in metres of a straight line through the solid, 4 volume / area; 0 where it is open."""
 
 
 def mesh_of(
@@ -77,11 +75,7 @@ def made_sound(mesh: Mesh, remarks: Remarks, *, where: str) -> Mesh:
 
 def shape_of(mesh: Mesh, *, has_uv: bool) -> Shape:
     """What a material has to know of a mesh."""
-    is_closed = open_edges(mesh) == 0
-    a, b, c = np.moveaxis(face_corners(mesh).astype(np.float64), 1, 0)
-    area = 0.5 * float(np.linalg.norm(np.cross(b - a, c - a), axis=-1).sum())
-    chord = 4 * abs(signed_volume(mesh)) / area if is_closed and area > 0 else 0.0
-    return Shape(is_closed=is_closed, has_uv=has_uv, chord=chord)
+    return Shape(is_closed=open_edges(mesh) == 0, has_uv=has_uv)
 
 
 def _unit(normals: np.ndarray) -> np.ndarray:

@@ -5,7 +5,7 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar, Self
 
-from datagen.scene.materials.optics import Medium, Optics, Plugin, Surface, TexturePlugin
+from datagen.scene.materials.optics import Medium, Optics, Plugin, Surface, TexturePlugin, rgb
 from datagen.scene.substances import Dispersion, Ior, check_dispersion, check_ior, index_of, indices_of
 from datagen.scene.values import Color, check_range
 
@@ -20,6 +20,9 @@ class Dielectric(Optics):
     """Absolute index of refraction (air has 1), or the name of a substance such as bk7, water or diamond."""
     absorption: Color = (0.0, 0.0, 0.0)
     """Absorption coefficient per channel, 1/m: transmittance over d metres is exp(-absorption d)."""
+    tint: Color = (1.0, 1.0, 1.0)
+    """Share of the light that comes through each time it crosses the surface, at every angle; each in [0, 1]. A slab
+    shows its square."""
     priority: int = 0
     """-9 to 9. Where dielectrics overlap, the one of the highest priority fills the space, of equal ones the one that
     the scene lists first: give a drink, whose mesh reaches a little into the wall of its glass, -1."""
@@ -31,6 +34,7 @@ class Dielectric(Optics):
         check_ior(self.ior)
         check_dispersion(self.ior, self.dispersion)
         check_range("absorption", self.absorption, 0, math.inf)
+        check_range("tint", self.tint, 0, 1)
         assert self.medium is not None  # It checks the priority.
 
     @property
@@ -45,8 +49,9 @@ class Dielectric(Optics):
 
     def bsdf(self, texture: TexturePlugin) -> Plugin:  # noqa: ARG002
         """The surface between glass and air; our own integrator asks the media for what lies on its two sides."""
-        return {"type": "dielectric", "int_ior": index_of(self.ior), "ext_ior": 1.0}
+        glass: Plugin = {"type": "dielectric", "int_ior": index_of(self.ior), "ext_ior": 1.0}
+        return glass if self.tint == (1, 1, 1) else {**glass, "specular_transmittance": rgb(self.tint)}
 
     def surface(self) -> Surface:
         """Refracts; which media meet there is known by the solids that the ray is in."""
-        return Surface(event="refracts", ior=index_of(self.ior))
+        return Surface(event="refracts", ior=index_of(self.ior), color=self.tint)

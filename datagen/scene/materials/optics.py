@@ -25,7 +25,8 @@ Event = Literal["ends", "coated", "mirrors", "passes", "refracts"]
 - ends, and a clear coat of index `ior` and GGX roughness `roughness` mirrors a share by Fresnel's equations;
 - ends, and metal of GGX roughness `roughness` mirrors the share `color`;
 - passes straight through a thin pane of index `ior` and tint `color`, which also mirrors, or
-- is refracted or mirrored where the medium of a solid begins or ends, by facets of GGX roughness `roughness`.
+- is refracted, with tint `color`, or mirrored where the medium of a solid begins or ends, by facets of GGX roughness
+  `roughness`.
 """
 
 
@@ -39,7 +40,7 @@ class Surface:
     roughness: float = 0.0
     """Microfacet (GGX) alpha of a coat, a metal, or of solid glass; 0 is smooth."""
     color: Color = (1.0, 1.0, 1.0)
-    """Share that a metal mirrors, or that a pane lets through of what it does not mirror."""
+    """Share that a metal mirrors, or that a pane or the surface of glass lets through of what it does not mirror."""
     texture: SolidTexture | ImageTexture | None = None
     """Where that share of a metal differs from place to place: times `color`."""
 

@@ -1,5 +1,6 @@
 """Frosted solid glass."""
 
+import dataclasses
 from dataclasses import dataclass
 
 from datagen.scene.materials.dielectric import Dielectric
@@ -29,4 +30,4 @@ class RoughDielectric(Dielectric):
 
     def surface(self) -> Surface:
         """Refracts by one of its facets."""
-        return Surface(event="refracts", ior=index_of(self.ior), roughness=self.roughness)
+        return dataclasses.replace(super().surface(), roughness=self.roughness)

@@ -20,6 +20,7 @@ from datagen.scene.materials import Dielectric, Diffuse, Plastic, ThinDielectric
 from datagen.scene.media import Media, find_media
 from datagen.scene.modelling import ball, merged, moved
 from datagen.scene.soundness import check_scene
+from datagen.scene.values import as_vector
 
 use_mitsuba(quiet=True)
 
@@ -47,6 +48,27 @@ def test_a_slab_transmits_and_reflects_what_fresnel_and_beer_say(absorption: flo
     through = (1 - r) ** 2 * tau / (1 - (r * tau) ** 2)
     back = r + r * (1 - r) ** 2 * tau**2 / (1 - (r * tau) ** 2)
     assert image.mean() == pytest.approx(through + back, rel=0.01)
+
+
+def test_a_slab_tints_what_crosses_its_surface_twice_and_nothing_that_it_mirrors() -> None:
+    tint = np.array((1.0, 0.7, 0.4))
+    slab = SceneObject(name="slab", mesh=box((0.2, 8, 8)), material=Dielectric(ior=1.5, tint=as_vector(tint)))
+    image = rendered(scene_of(slab), camera((9, 0, 0.0), fov=0.02), spp=2048)
+    r = fresnel_reflectance(1.0, 1.5)
+    through = tint**2 * (1 - r) ** 2 / (1 - r * r)
+    assert image.mean(axis=(0, 1)) == pytest.approx(through + r + r * through, rel=0.01)
+
+
+def test_overlapping_parts_of_one_tinted_glass_look_as_one() -> None:
+    skip_scalar()
+    glass = Dielectric(ior=1.5, tint=(1.0, 0.7, 0.4))
+    parts = [
+        SceneObject(name=name, mesh=moved(box((0.3, size, size)), (x, 0, 0)), material=glass)
+        for name, size, x in (("left", 8, -0.1), ("right", 7, 0.1))
+    ]
+    whole = SceneObject(name="whole", mesh=box((0.5, 8, 8)), material=glass)
+    two, one = (rendered(scene_of(*items), camera((9, 0, 0.0), fov=0.02), spp=1024) for items in (parts, [whole]))
+    assert two.mean(axis=(0, 1)) == pytest.approx(one.mean(axis=(0, 1)), rel=0.01)
 
 
 @pytest.mark.parametrize("tint", [(1.0, 1.0, 1.0), (0.9, 0.5, 0.1)])
@@ -89,7 +111,9 @@ def test_the_path_tracer_is_unbiased_against_mitsubas_own(
     """Whether light is aimed at or only run into."""
     skip_scalar()
     objects = (
-        SceneObject(name="ball", mesh=mesh_of(trimesh.creation.icosphere(4, 0.4)), material=Dielectric(ior=1.5)),
+        SceneObject(
+            name="ball", mesh=mesh_of(trimesh.creation.icosphere(4, 0.4)), material=Dielectric(tint=(1, 0.8, 0.5))
+        ),
         SceneObject(name="floor", mesh=quad(-0.5), material=Diffuse(color=(0.7, 0.3, 0.2))),
         SceneObject(
             name="pot", mesh=moved(ball(0.3), (0, 0.9, 0)), material=Plastic(color=(0.2, 0.4, 0.6), roughness=0.2)
@@ -183,7 +207,13 @@ def test_glass_in_air_is_mitsubas_own_to_the_last_bit() -> None:
     pictures = []
     for given in (media, dataclasses.replace(media, rank=np.full_like(media.rank, -1))):
         renderer._tracer = PathTracer(
-            renderer._scene, given, np.zeros(3, np.float32), max_depth=16, has_lamps=False, aims=False
+            renderer._scene,
+            given,
+            np.zeros(3, np.float32),
+            np.ones((3, 3), np.float32),
+            max_depth=16,
+            has_lamps=False,
+            aims=False,
         )
         pictures.append(renderer.radiance(cameras, 0, spp=64, seed=5)[0])
     assert np.array_equal(*pictures)

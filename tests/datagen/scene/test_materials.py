@@ -25,8 +25,10 @@ from datagen.trace.limits import Limits  # noqa: E402
 from datagen.trace.surface_tables import EVENTS  # noqa: E402
 
 SAMPLES: dict[type[Material], Material] = {
-    Dielectric: Dielectric(ior=1.4, absorption=(1.0, 2.0, 3.0), priority=-2, dispersion=0.3),
-    RoughDielectric: RoughDielectric(ior=1.4, absorption=(1.0, 2.0, 3.0), priority=-2, dispersion=0.3, roughness=0.001),
+    Dielectric: Dielectric(ior=1.4, absorption=(1.0, 2.0, 3.0), tint=(0.9, 0.7, 0.2), priority=-2, dispersion=0.3),
+    RoughDielectric: RoughDielectric(
+        ior=1.4, absorption=(1.0, 2.0, 3.0), tint=(0.9, 0.7, 0.2), priority=-2, dispersion=0.3, roughness=0.001
+    ),
     ThinDielectric: ThinDielectric(ior=1.4, tint=(0.9, 0.5, 0.2)),
     Diffuse: Diffuse(color=(0.2, 0.4, 0.6)),
     Plastic: Plastic(color=(0.2, 0.4, 0.6), ior=1.6, roughness=0.001),

@@ -1,5 +1,6 @@
 """Tests light paths against closed formulas and against Mitsuba's own path tracer."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -16,7 +17,7 @@ from datagen.disk.errors import HyalineError
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.render import mitsuba_scene
 from datagen.scene.description import SceneObject
-from datagen.scene.materials import Conductor, Dielectric, Diffuse, Material, Plastic, ThinDielectric
+from datagen.scene.materials import Conductor, Dielectric, Diffuse, Material, Plastic, RoughDielectric, ThinDielectric
 
 if use_mitsuba(quiet=True).startswith("scalar"):
     pytest.skip("light paths need a vectorised variant of Mitsuba", allow_module_level=True)
@@ -128,6 +129,26 @@ def test_a_weak_lens_focuses_where_the_lens_maker_says() -> None:
     t = -(p[:, 0] * d[:, 0] + p[:, 1] * d[:, 1]) / (d[:, 0] ** 2 + d[:, 1] ** 2)
     crossing = -(p[:, 2] + t * d[:, 2])
     assert crossing == pytest.approx([focal] * 3, rel=0.02)
+
+
+def test_glass_tints_light_at_each_crossing_of_its_surface_and_none_that_it_mirrors() -> None:
+    tint = (1.0, 0.5, 0.25)
+    paths = traced((box((4, 4, 0.5)), Dielectric(ior=1.5, tint=tint)), origins=(0, 0, 2), directions=(0.2, 0.1, -1))
+    r = fresnel_reflectance(1 / math.hypot(0.2, 0.1, 1), 1.5)
+    assert paths.end_throughput[0, 0] == pytest.approx((1 - r) ** 2 * np.array(tint) ** 2, rel=1e-3)
+    assert paths.end_throughput[1, 0] == pytest.approx([r] * 3, rel=1e-3)
+    # From inside, beyond the critical angle, all of it is mirrored.
+    inside = traced((quad(0.0), Dielectric(ior=1.5, tint=tint)), origins=(0, 0, -1), directions=(1.2, 0, 1))
+    assert inside.end_throughput[0, 0] == pytest.approx([1.0] * 3)
+
+
+def test_nothing_is_tinted_between_overlapping_parts_of_one_glass() -> None:
+    above = box((3, 3, 0.5))
+    slabs = (box((4, 4, 0.5)), dataclasses.replace(above, vertices=above.vertices + np.float32([0, 0, 0.3])))
+    glass = Dielectric(ior=1.5, tint=(1.0, 0.5, 0.25))
+    for material in (glass, RoughDielectric(**vars(glass), roughness=0.001)):
+        paths = traced(*((slab, material) for slab in slabs), origins=(0, 0, 2), directions=(0, 0, -1))
+        assert paths.end_throughput[0, 0] == pytest.approx(0.96**2 * np.array(glass.tint) ** 2, rel=2e-3)
 
 
 def test_thin_panes_tint_and_do_not_bend_and_metals_mirror_with_their_colour() -> None:

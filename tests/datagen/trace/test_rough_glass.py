@@ -112,7 +112,7 @@ def test_truth_of_rough_glass_is_that_of_mitsubas_own_path_tracer(environment: S
     import mitsuba as mi
 
     floor = SceneObject(name="floor", mesh=quad(-0.6), material=Diffuse(color=(0.7, 0.3, 0.2)))
-    ball = SceneObject(name="ball", mesh=BALL, material=RoughDielectric(ior=1.5, roughness=0.25))
+    ball = SceneObject(name="ball", mesh=BALL, material=RoughDielectric(roughness=0.25, tint=(0.9, 0.6, 0.3)))
     scene = scene_of(ball, floor, environment=environment)
     pose = look_at(np.array((2.0, 1.0, 1.0)), np.zeros(3))[None]
     cameras = Cameras(world_from_camera=pose, fov_x=0.6, width=24, height=24)
@@ -132,7 +132,7 @@ def test_truth_of_rough_glass_is_that_of_mitsubas_own_path_tracer(environment: S
 @pytest.mark.parametrize("roughness", [0.1, 0.5])
 def test_light_paths_through_rough_glass_see_what_the_truth_sees(roughness: float) -> None:
     """Two facets in a row, and what absorbs between them: the second must not follow from the first."""
-    glass = RoughDielectric(ior=1.5, roughness=roughness, absorption=(0.2, 1.0, 3.0))
+    glass = RoughDielectric(ior=1.5, roughness=roughness, absorption=(0.2, 1.0, 3.0), tint=(0.5, 0.8, 1.0))
     slab, direction = box((4.0, 4.0, 0.4)), (0.4, 0.1, -1.0)
     truth = seen(direction, SceneObject(name="slab", mesh=slab, material=glass), spp=1 << 15)
     paths = traced(slab, glass, direction, max_branches=12, max_vertices=1)

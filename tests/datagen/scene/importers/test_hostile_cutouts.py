@@ -168,7 +168,7 @@ IMPORTED_GLTF: dict[str, tuple[dict, float, str, str]] = {
     "blending of metal": (
         {**BLEND, "image": None, "alpha": 0.3, "metallic": 1.0},
         1,
-        "Conductor",
+        "ThinDielectric",
         "is metal and blended with alpha 0.3",
     ),
     "blending of glass": (

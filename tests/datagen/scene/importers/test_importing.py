@@ -2,6 +2,7 @@
 
 import dataclasses
 import io
+import json
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +23,7 @@ from datagen.scene.folder import load_scene, scene_files
 from datagen.scene.importers.choices import ImportChoices
 from datagen.scene.importers.importing import Imported, import_scene
 from datagen.scene.importers.staging import LIGHT
-from datagen.scene.materials import Conductor, Dielectric, Diffuse
+from datagen.scene.materials import Conductor, Dielectric, Diffuse, Plastic, RoughDielectric, ThinDielectric
 from datagen.scene.modelling import sheet
 from datagen.scene.rig import make_cameras
 from datagen.scene.textures import ImageTexture, SolidTexture
@@ -86,7 +87,8 @@ def test_an_image_comes_along_as_a_png(imported: Imported) -> None:
     assert isinstance(material, Diffuse) and isinstance(material.color, ImageTexture)
     with Image.open(io.BytesIO(imported.scene.baked[material.color.path])) as picture:
         assert picture.format == "PNG"
-        np.testing.assert_allclose(np.asarray(picture.convert("RGB"))[64, 64], [200, 100, 50], atol=2)
+        # (200, 100, 50), and the light that a surface of roughness 1 mirrors: 0.019.
+        np.testing.assert_allclose(np.asarray(picture.convert("RGB"))[64, 64], [200, 104, 62], atol=2)
 
 
 @pytest.mark.parametrize("resolution", [32, 128])
@@ -316,3 +318,186 @@ def test_the_light_of_files_without_any_has_highlights_and_dark_outlines_for_gla
     light = radiance_of_environment(LIGHT, directions)
     sheet_radiance = 4 * (light.mean(axis=-1) * np.maximum(directions[:, 2], 0)).mean()
     assert 0.8 < sheet_radiance < 1.3
+
+
+def image_use(builder: GltfBuilder, pixels: np.ndarray) -> dict:
+    """A texture of these (h, w, 3) values."""
+    data = io.BytesIO()
+    Image.fromarray(pixels.astype(np.uint8)).save(data, format="PNG")
+    image = builder.add("images", {"bufferView": builder.view(data.getvalue()), "mimeType": "image/png"})
+    return {"index": builder.add("textures", {"source": image})}
+
+
+def halves(left: tuple[int, int, int], right: tuple[int, int, int]) -> np.ndarray:
+    """An image whose halves along u have these colours."""
+    return np.tile(np.repeat(np.array([left, right]), 4, axis=0)[None], (8, 1, 1))
+
+
+@pytest.mark.parametrize(
+    ("pixels", "expected", "line"),
+    [
+        (halves((0, 0, 0), (0, 0, 0)), Dielectric(ior=1.5), "stuff: from its image: metalness 0.00 and roughness 0.00"),
+        (
+            halves((0, 153, 0), (255, 153, 255)),  # The mesh lies in the left half.
+            RoughDielectric(ior=1.5, roughness=0.6**2),
+            "stuff: from its image: metalness 0.00 and roughness 0.60",
+        ),
+    ],
+)
+def test_glass_with_an_image_of_metalness_is_the_glass_that_the_image_says(
+    pixels: np.ndarray, expected: Dielectric, line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    builder = GltfBuilder()
+    # Exporters leave the factors out, which then are 1.
+    pbr = {"metallicRoughnessTexture": image_use(builder, pixels)}
+    material = builder.material(pbrMetallicRoughness=pbr, extensions=glass())
+    uv = np.full((len(BOX.vertices), 2), (0.2, 0.5), np.float32)
+    mesh = builder.mesh(dataclasses.replace(BOX, uv=uv), material=material, has_uv=True)
+    builder.node(mesh=mesh, name="stuff", scale=[0.1] * 3)
+    builder.written(tmp_path, "a.glb")
+    answer = call("datagen import a.glb --strict")
+    assert answer.status == 0 and line in answer.err, answer.err
+    assert of_name(load_scene(tmp_path / "scenes" / "a"), "stuff").material == expected
+
+
+def test_an_image_that_makes_a_part_of_a_surface_metal_is_averaged_and_told(tmp_path: Path) -> None:
+    builder = GltfBuilder()
+    use = image_use(builder, halves((0, 51, 0), (0, 255, 255)))
+    for name, extent, texture in (
+        ("most", (0.25, 1.0), use),
+        ("some", (0.0, 0.55), use),
+        # Its own lies otherwise than the colour's, in whose uv the mesh is: all of it counts.
+        ("apart", (0.0, 0.1), {**use, "extensions": {"KHR_texture_transform": {"scale": [0.5, 1.0]}}}),
+    ):
+        pbr = {"metallicRoughnessTexture": texture, "baseColorTexture": use}
+        material = builder.material(name, pbrMetallicRoughness=pbr)
+        uv = (CARD.vertices[:, :2] / 0.2 * (extent[1] - extent[0], 1) + (extent[0], 0)).astype(np.float32)
+        mesh = builder.mesh(dataclasses.replace(CARD, uv=uv), material=material, has_uv=True)
+        builder.node(mesh=mesh, name=name)
+    found = import_scene(builder.written(tmp_path), ImportChoices())
+    kinds = {item.name: type(item.material) for item in found.scene.objects}
+    assert kinds == {"most": Conductor, "some": Plastic, "apart": Conductor, "ground": Diffuse}
+    told = {line.where: line.what for line in found.remarks if "varies" in line.what and line.is_approximation}
+    assert told["apart"].endswith("drawn with the mean: metalness 0.50 and roughness 0.60")
+    assert set(told) == {"most", "some", "apart"}
+
+
+def test_an_image_of_transmission_and_one_of_glossiness_count_too(tmp_path: Path) -> None:
+    builder = GltfBuilder()
+    black, half = (image_use(builder, np.full((4, 4, 4), (0, 0, 0, value))) for value in (255, 128))
+    opaque = {"KHR_materials_transmission": {"transmissionFactor": 1.0, "transmissionTexture": black}}
+    frame = builder.material("frame", pbrMetallicRoughness=clear(roughnessFactor=1.0), extensions=opaque)
+    shiny = {
+        "KHR_materials_pbrSpecularGlossiness": {"specularGlossinessTexture": half, "diffuseFactor": [0.5, 0.5, 0.5, 1]}
+    }
+    glossy = builder.material("glossy", extensions=shiny)
+    for place, material in enumerate((frame, glossy)):
+        builder.node(mesh=builder.mesh(material=material), name=f"box{place}", translation=[place * 2, 0, 0])
+    scene = import_scene(builder.written(tmp_path), ImportChoices(scale=0.1)).scene
+    assert isinstance(of_name(scene, "box0").material, Diffuse)
+    material = of_name(scene, "box1").material
+    assert isinstance(material, Plastic) and material.roughness == 0.25
+
+
+def test_metal_without_its_image_is_no_metal_unless_a_factor_says_so(tmp_path: Path) -> None:
+    builder = GltfBuilder()
+    use = {"index": builder.add("textures", {"extensions": {"KHR_texture_basisu": {"source": 0}}})}
+    for factor in ({}, {"metallicFactor": 1.0}):
+        pbr = {"metallicRoughnessTexture": use, "roughnessFactor": 0.2, **factor}
+        builder.node(mesh=builder.mesh(material=builder.material(pbrMetallicRoughness=pbr)), scale=[0.1] * 3)
+    scene = import_scene(builder.written(tmp_path), ImportChoices(ground="never")).scene
+    assert [type(item.material) for item in scene.objects] == [Plastic, Conductor]
+
+
+def test_a_table_of_blended_metal_is_seen_through_and_a_file_without_glass_says_how_to_get_some(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name, mode in (("blended", "BLEND"), ("opaque", "OPAQUE")):
+        builder = GltfBuilder()
+        pbr = {"baseColorFactor": [0, 0, 0, 0.25]}
+        material = builder.material(pbrMetallicRoughness=pbr, alphaMode=mode)
+        builder.node(mesh=builder.mesh(material=material), name="top", scale=[0.1] * 3)
+        builder.written(tmp_path, f"{name}.glb")
+    answer = call("datagen import blended.glb")
+    assert answer.status == 0 and "1 of them glass" in answer.err
+    assert of_name(load_scene(tmp_path / "scenes/blended"), "top").material == ThinDielectric(
+        ior=1.0, tint=(0.75, 0.75, 0.75)
+    )
+    answer = call("datagen import opaque.glb")
+    line = "scene opaque: 2 objects, none of them glass; --material glass or 'OBJECT=glass' names what is"
+    assert answer.status == 0 and line in answer.err
+
+
+@pytest.mark.parametrize(
+    ("lines", "expected", "told"),
+    [
+        # As Blender 4.5 writes Principled BSDFs with its PBR extensions: Tf is the weight of transmission.
+        ("Kd 1 1 1\nNi 1.45\nd 1\nillum 2\nPr 0\nPm 0\nTf 1 1 1", Dielectric(ior=1.45), ""),
+        ("Kd 1 1 1\nNi 1.5\nd 1\nillum 2\nPr 0.2\nPm 0\nTf 1 1 1", RoughDielectric(ior=1.5, roughness=0.2**2), ""),
+        ("Kd 1 1 1\nNi 1.5\nd 1\nillum 2\nPr 1\nPm 0", Diffuse(color=(1, 1, 1)), "none of them glass"),
+        # As 3ds Max writes what is opaque.
+        ("Kd 0.8 0.8 0.8\nNs 0\nNi 1.5\nd 1\nTr 0\nTf 1 1 1\nillum 2", Diffuse(color=(0.8, 0.8, 0.8)), "(Tf)"),
+        ("Kd 0.8 0.8 0.8\nNi 1.5\nd 1\nillum 4\nTf 1 1 1", Dielectric(ior=1.5), ""),
+    ],
+)
+def test_an_obj_of_blenders_with_a_weight_of_transmission_is_glass(
+    lines: str, expected: Dielectric | Diffuse, told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "m.mtl").write_text(f"newmtl m\n{lines}\n")
+    corners = "\n".join(f"v {' '.join(map(str, vertex))}" for vertex in 0.1 * BOX.vertices)
+    faces = "\n".join(f"f {' '.join(map(str, face + 1))}" for face in BOX.faces)
+    (tmp_path / "a.obj").write_text(f"mtllib m.mtl\n{corners}\no box\nusemtl m\n{faces}\n")
+    answer = call("datagen import a.obj --strict")
+    assert answer.status == 0 and told in answer.err, answer.err
+    assert of_name(load_scene(tmp_path / "scenes/a"), "box").material == expected
+
+
+def solid_of(name: str, size: float, height: float, **more: object) -> tuple[str, float, float, dict]:
+    return name, size, height, more
+
+
+@pytest.mark.parametrize(
+    ("solids", "expected", "notes"),
+    [
+        # Names say nothing: ice wins over whiskey, listed before it or behind.
+        (
+            (solid_of("Whiskey", 0.1, 0.0), solid_of("Cube", 0.04, 0.02)),
+            (0, 1),
+            ("Whiskey: overlaps Cube, which wins",),
+        ),
+        ((solid_of("Water", 0.04, 0.04), solid_of("Block", 0.1, 0.0)), (1, 0), ("Block: overlaps Water, which wins",)),
+        (
+            (solid_of("a", 0.1, 0.0), solid_of("b", 0.06, 0.0), solid_of("c", 0.02, 0.0)),
+            (0, 1, 2),
+            ("a: overlaps b, which wins", "a: overlaps c, which wins", "b: overlaps c, which wins"),
+        ),
+        ((solid_of("a", 0.04, 0.0), solid_of("b", 0.1, 0.1)), (0, 0), ()),
+        (
+            (solid_of("a", 0.1, 0.0, priority=3), solid_of("b", 0.04, 0.0)),
+            (3, 0),
+            ("b: overlaps a, which wins",),
+        ),
+    ],
+)
+def test_of_solids_that_overlap_the_inner_one_wins_unless_the_file_gives_priorities(
+    solids: tuple, expected: tuple[int, ...], notes: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    builder = GltfBuilder()
+    for index, (name, size, height, extras) in enumerate(solids):
+        extensions = {**glass(), "KHR_materials_ior": {"ior": 1.3 + 0.1 * index}}
+        material = builder.material(name, pbrMetallicRoughness=clear(), extensions=extensions, extras=extras)
+        builder.node(mesh=builder.mesh(material=material), name=name, scale=[size] * 3, translation=[0, height, 0])
+    builder.written(tmp_path, "a.glb")
+    answer = call("datagen import a.glb --scale 1 --strict")
+    assert answer.status == 0, answer.err
+    record = json.loads((tmp_path / "scenes/a/import.json").read_text())
+    told = [line for line in record["notes"] if "overlaps" in line]
+    assert told == [f"{line}: it fills the space that they share" for line in notes]
+    assert len(notes) == 0 or notes[0] in answer.err
+    scene = load_scene(tmp_path / "scenes/a")
+    found = [of_name(scene, solid[0]).material for solid in solids]
+    assert [glass.priority for glass in found if isinstance(glass, Dielectric)] == list(expected)
