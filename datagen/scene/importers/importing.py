@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from datagen.data.meshes import is_there
-from datagen.data.resolution import parse_resolution
+from datagen.data.meshes import is_there, open_edges
+from datagen.data.resolution import Resolution, square
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import file_name
 from datagen.disk.records import Json, shown
@@ -30,7 +30,7 @@ from datagen.scene.importers.mapping import Mapper, lets_light_through
 from datagen.scene.importers.merging import merged_by_material
 from datagen.scene.importers.mitsuba_xml import read_mitsuba
 from datagen.scene.importers.obj import PLAIN, read_obj
-from datagen.scene.importers.overrides import override, parse_overrides
+from datagen.scene.importers.overrides import check_overrides, override, parse_overrides
 from datagen.scene.importers.ply import read_ply_file
 from datagen.scene.importers.remarks import Remark, Remarks
 from datagen.scene.importers.repair import closed
@@ -53,6 +53,7 @@ from datagen.scene.importers.threemf import read_3mf
 from datagen.scene.lights import Environment, EnvironmentMap, RectangleLight
 from datagen.scene.materials import Material
 from datagen.scene.mending import mend_scene, mend_surface
+from datagen.scene.shading_normals import edge_tilt_deg, shaded_anew
 from datagen.scene.soundness import check_scene
 
 READERS: dict[str, Callable[[Path, Remarks], ForeignScene]] = {
@@ -65,6 +66,12 @@ READERS: dict[str, Callable[[Path, Remarks], ForeignScene]] = {
     ".xml": read_mitsuba,
 }
 """Readers of files by their ending."""
+
+EXPORT_ADVICE = "open it in Blender, or in what it was made with, and export it as glTF 2.0 (.glb)"
+
+DEFAULT_RESOLUTION = square(128)
+MIN_SIDE = 16
+"""Pixels of the pictures that a ground can be made for."""
 
 RECORD_VERSION = 1
 MAX_TOLD = 40
@@ -93,14 +100,18 @@ class Imported:
         return [*shown, f"scene {self.scene.name}: {len(self.scene.objects)} objects, {glass} of them glass"]
 
 
-def import_scene(path: Path, choices: ImportChoices) -> Imported:
+def import_scene(path: Path, choices: ImportChoices, *, resolution: Resolution = DEFAULT_RESOLUTION) -> Imported:
     """The scene in a foreign file, with an atlas for each object, checked.
+
+    Args:
+        resolution: of the pictures, which the ground's pattern is made for.
 
     Raises:
         HyalineError: a file that cannot be read or that hides what it needs, or a scene that would render wrong.
     """
-    if path.suffix.lower() not in READERS:
-        raise HyalineError(f"{path}: ends in {shown(path.suffix)}; expected one of {', '.join(sorted(READERS))}")
+    check_ending(path)
+    if resolution.mean_side < MIN_SIDE:
+        raise HyalineError(f"--resolution: is {resolution}; expected at least {MIN_SIDE} x {MIN_SIDE} pixels")
     check_decimation(choices.max_triangles)
     remarks, overrides = Remarks(is_strict=choices.strict), parse_overrides(choices.material)
     foreign = READERS[path.suffix.lower()](path, remarks)
@@ -115,6 +126,7 @@ def import_scene(path: Path, choices: ImportChoices) -> Imported:
         parts = merged_by_material(parts, remarks, where=path.name)
     scale = _find_scale(parts, foreign, choices, remarks, where=path.name)
     names = unique_names([part.name for part in parts])
+    check_overrides(overrides, names)
     mapper = Mapper(metres=scale, thin=choices.thin, remarks=remarks)
     linear, offset = _world(parts, scale, up)
     if foreign.is_complete:
@@ -126,8 +138,22 @@ def import_scene(path: Path, choices: ImportChoices) -> Imported:
     for name, part in zip(names, parts, strict=True):
         chosen = override(name, overrides)
         item = scene_object(
-            name, part, linear, offset, mapper, chosen, remarks, repairs=choices.repair, kept_share=kept
+            name,
+            part,
+            linear,
+            offset,
+            mapper,
+            chosen,
+            remarks,
+            repairs=choices.repair,
+            kept_share=kept,
+            crease_deg=choices.crease,
         )
+        if item.material.medium is not None and (count := open_edges(item.mesh)):
+            raise HyalineError(
+                f"{name}: has {count} open edges, and glass must be closed; --repair closes holes, and --material "
+                f"'{name}=thin-glass' draws it as a thin pane"
+            )
         objects += parted(item, remarks)
         if not (has_uv := _has_uv(part)):
             without_uv.add(name)
@@ -140,7 +166,7 @@ def import_scene(path: Path, choices: ImportChoices) -> Imported:
     rig = _cameras(foreign, choices, objects, linear, offset, remarks)
     wants_ground = choices.ground == "auto" and not foreign.is_complete and not has_ground(objects)
     if choices.ground == "always" or wants_ground:
-        ground = make_ground(objects, resolution=parse_resolution(choices.resolution), remarks=remarks)
+        ground = make_ground(objects, resolution=resolution, remarks=remarks)
         without_uv.add(ground.name)
         objects.append(ground)
     used = {image.path for item in objects for image in item.material.images().values()}
@@ -238,11 +264,13 @@ def scene_object(
     *,
     repairs: bool,
     kept_share: float = 1.0,
+    crease_deg: float | None = None,
 ) -> SceneObject:
     """One object in metres, z up, with a material that suits its mesh.
 
     Args:
         kept_share: of its triangles; it is reduced to so many.
+        crease_deg: faces that meet at a sharper angle get an edge; None: as the file shades it.
     """
     normals = None if part.normals is None else elementwise(part.normals, linear, np.zeros(3))
     mesh = mesh_of(elementwise(part.positions, linear, offset), part.faces, normals, part.uv, where=name)
@@ -264,7 +292,27 @@ def scene_object(
     if not isinstance(material, Material):
         material = veiled(material, mesh, has_uv=_has_uv(part))
         material = mapper.material(material, shape_of(mesh, has_uv=_has_uv(part)), where=name)
+    if crease_deg is not None:
+        mesh = shaded_anew(mesh, crease_deg=crease_deg)
+    elif material.medium is not None and (tilt_deg := edge_tilt_deg(mesh)) > 0:
+        remarks.note(
+            name,
+            f"its normals lie up to {tilt_deg:.0f} degrees off its faces, so that light bends at its edges as in a "
+            "lens; --crease 30 shades them as edges",
+        )
     return SceneObject(name=name, mesh=mesh, material=material)
+
+
+def check_ending(path: Path) -> None:
+    """Refuses a file of a format that is not read.
+
+    Raises:
+        HyalineError: naming those that are, and how to get there.
+    """
+    if path.suffix.lower() not in READERS:
+        raise HyalineError(
+            f"{path}: ends in {shown(path.suffix)}, and {', '.join(READERS)} can be imported; {EXPORT_ADVICE}"
+        )
 
 
 def _has_uv(part: ForeignObject) -> bool:
