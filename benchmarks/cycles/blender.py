@@ -4,12 +4,13 @@
 
 The job names the file, the files of sky, ground and the two pictures to write, and holds the camera, the size of the
 scene in metres and its place. The file's lamps and cameras are removed; its meshes and materials stay as Blender reads
-them.
+them, but for absorption.
 """
 
 # pyright: reportMissingImports=false
 
 import json
+import math
 import sys
 from pathlib import Path
 
@@ -32,6 +33,7 @@ def main(job: dict, answer: Path) -> None:
         if item.type in ("LIGHT", "CAMERA"):
             bpy.data.objects.remove(item)
     size = place(bpy, job)
+    set_absorption(bpy, job["scale"])
     add_ground(bpy, job)
     add_sky(bpy, job)
     add_camera(bpy, job)
@@ -85,15 +87,29 @@ def place(bpy, job: dict) -> list[float]:
     return [b - a for a, b in zip(low, high)]
 
 
+def set_absorption(bpy, scale: float) -> None:
+    """Absorbs in metres, and by glTF's formula: Blender 5.0 keeps the file's unit, and absorbs (1 - colour) / distance.
+
+    Source: KHR_materials_volume, -ln(colour) / distance.
+    """
+    for material in bpy.data.materials:
+        for node in material.node_tree.nodes if material.use_nodes else ():
+            if node.type == "VOLUME_ABSORPTION":
+                color, density = node.inputs["Color"], node.inputs["Density"]
+                lost = [-math.log(max(value, 1e-4)) for value in color.default_value[:3]]
+                most = max(*lost, 1e-9)
+                color.default_value = (*(1 - value / most for value in lost), 1)
+                density.default_value *= most / scale
+
+
 def add_ground(bpy, job: dict) -> None:
     if job["ground"] is None:
         return
-    corners = job["ground"]["corners"]
     mesh = bpy.data.meshes.new("ground")
-    mesh.from_pydata(corners, [], [(0, 1, 2, 3)])
-    uv = mesh.uv_layers.new()
-    for loop, pair in zip(uv.data, ((0, 0), (1, 0), (1, 1), (0, 1))):
-        loop.uv = pair
+    mesh.from_pydata(job["ground"]["vertices"], [], job["ground"]["faces"])
+    layer = mesh.uv_layers.new()
+    for loop, corner in zip(mesh.loops, layer.data):
+        corner.uv = job["ground"]["uv"][loop.vertex_index]
     material = bpy.data.materials.new("ground")
     material.use_nodes = True
     nodes, links = material.node_tree.nodes, material.node_tree.links

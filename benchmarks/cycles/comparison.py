@@ -10,6 +10,7 @@ import subprocess
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 from jaxtyping import Float
@@ -23,21 +24,21 @@ from datagen.data.resolution import Resolution
 from datagen.data.tonemap import srgb_from_linear, to_8bit
 from datagen.disk.errors import HyalineError
 from datagen.render.environment import radiance_of_sky
+from datagen.render.mitsuba_scene import linear_texels
 from datagen.render.truth import Renderer, render_view
 from datagen.scene.description import Scene, SceneObject
 from datagen.scene.importers.choices import ImportChoices
+from datagen.scene.importers.foreign import Axis
 from datagen.scene.importers.importing import Imported, import_scene
 from datagen.scene.importers.staging import z_up_from
 from datagen.scene.rig import make_cameras
-from datagen.scene.solid_textures import evaluate_texture
 from datagen.scene.textures import SolidTexture
 from datagen.terminal.command import say
 
 CHILD = Path(__file__).with_name("blender.py")
-READ_BY_BLENDER = {".glb": "y", ".gltf": "y", ".obj": "z", ".ply": "z", ".stl": "z"}
+READ_BY_BLENDER: dict[str, Axis] = {".glb": "y", ".gltf": "y", ".obj": "z", ".ply": "z", ".stl": "z"}
 """Endings, and the axis that `blender.py` leaves pointing up where the file's y (its own z) does."""
 SKY_ROWS = 1024
-GROUND_TEXELS = 1024
 MAX_DEPTH = 32
 VIEWS = 8
 """Cameras that are placed; one of them looks."""
@@ -127,10 +128,12 @@ def _drawn_by_cycles(
     with tempfile.TemporaryDirectory(prefix="hyaline-cycles-") as folder:
         root = Path(folder)
         pictures = [root / f"{half}.npy" for half in "ab"]
-        turned = z_up_from(imported.record["up"]) @ z_up_from(READ_BY_BLENDER[file.suffix.lower()]).T
+        scale = cast(float, imported.record["scale"])
+        turned = z_up_from(cast(Axis, imported.record["up"])) @ z_up_from(READ_BY_BLENDER[file.suffix.lower()]).T
         job = {
             "file": str(file.resolve()),
-            "linear": (imported.record["scale"] * turned).tolist(),
+            "scale": scale,
+            "linear": (scale * turned).tolist(),
             "base": [*((low + high) / 2)[:2], low[2]],
             "ground": _write_ground(imported.scene, root),
             "sky": str(_write_sky(imported.scene, root)),
@@ -164,20 +167,16 @@ def _is_added_ground(item: SceneObject) -> bool:
 
 
 def _write_ground(scene: Scene, root: Path) -> dict | None:
-    """The corners of the ground that hyaline added, and its pattern as an image."""
+    """The ground that hyaline added, and its pattern as the image that hyaline draws."""
     added = next((item for item in scene.objects if _is_added_ground(item)), None)
     if added is None:
         return None
     (pattern,) = added.material.textures().values()
     assert isinstance(pattern, SolidTexture)
-    low, high = added.mesh.vertices.min(axis=0).astype(float), added.mesh.vertices.max(axis=0).astype(float)
-    step = (np.arange(GROUND_TEXELS) + 0.5) / GROUND_TEXELS
-    x, y = np.meshgrid(low[0] + step * (high[0] - low[0]), high[1] - step * (high[1] - low[1]))
     image = root / "ground.exr"
-    colors = evaluate_texture(pattern, np.stack([x, y, np.full_like(x, low[2])], axis=-1))
-    image.write_bytes(_exr(colors))
-    corners = [[x, y, low[2]] for x, y in ((low[0], low[1]), (high[0], low[1]), (high[0], high[1]), (low[0], high[1]))]
-    return {"corners": corners, "image": str(image)}
+    image.write_bytes(_exr(linear_texels(scene, added.mesh, pattern)))
+    arrays = {"vertices": added.mesh.vertices, "faces": added.mesh.faces, "uv": added.mesh.uv}
+    return {"image": str(image), **{name: values.tolist() for name, values in arrays.items()}}
 
 
 def _write_sky(scene: Scene, root: Path) -> Path:

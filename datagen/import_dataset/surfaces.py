@@ -13,6 +13,7 @@ from datagen.import_dataset.foreign_dataset import ForeignSurface
 from datagen.scene.camera_list import list_cameras
 from datagen.scene.description import MAX_OBJECTS, Scene, SceneObject
 from datagen.scene.importers.apart import apart, parted
+from datagen.scene.importers.choices import ImportChoices
 from datagen.scene.importers.foreign import ForeignObject
 from datagen.scene.importers.importing import EXPORT_ADVICE, READERS, scene_object, unique_names
 from datagen.scene.importers.mapping import Mapper
@@ -54,7 +55,7 @@ def make_scene(
         chosen = override(object_name, overrides)
         if chosen is None and (part.material is PLAIN or surface.ior is not None):
             chosen = _glass(surface, choices, remarks)
-        item = scene_object(object_name, part, linear, np.zeros(3), mapper, chosen, remarks, repairs=False)
+        item = scene_object(object_name, part, linear, np.zeros(3), mapper, chosen, remarks, ImportChoices())
         objects += parted(_thin_where_open(item, remarks), remarks)
         if part.uv is None:
             without_uv.add(object_name)

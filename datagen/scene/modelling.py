@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from datagen.data.meshes import Mesh
+from datagen.scene.shading_normals import corner_normals
 
 Point = tuple[float, float, float]
 Points = Float[np.ndarray, "p 3"]
@@ -326,42 +327,6 @@ def shaded(positions: Points, faces: np.ndarray, *, crease_deg: float) -> Mesh:
     keys = np.concatenate([at[:, None], np.rint(normals * 4096).astype(np.int64)], axis=-1)
     _, first, index = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     return _mesh(positions[at[first]], index.reshape(-1, 3), normals[first])
-
-
-def corner_normals(positions: Points, faces: np.ndarray, *, crease_deg: float) -> Float[np.ndarray, "corner 3"]:
-    """Unit normals of all corners, face by face; 0 where no face around a corner has an area.
-
-    A corner's normal is the mean of the faces around its point that are within the angle of its own face, weighted
-    by area and by the angle at the point; of all of them where its own face has no area.
-    """
-    corners = positions[faces]
-    edges = np.roll(corners, -1, axis=1) - corners
-    normals = np.cross(edges[:, 0], edges[:, 1])
-    areas = np.linalg.norm(normals, axis=-1)
-    normals, forth = _unit(normals), _unit(edges)
-    angles = np.arccos(np.clip(-np.einsum("fki,fki->fk", forth, np.roll(forth, 1, axis=1)), -1, 1))
-    weights = (angles * areas[:, None]).reshape(-1)
-
-    # All pairs of corners at the same point.
-    at = faces.reshape(-1)
-    order = np.argsort(at, kind="stable")
-    starts = np.searchsorted(at[order], at)
-    counts = np.bincount(at, minlength=len(positions))[at]
-    one = np.repeat(np.arange(len(at)), counts)
-    other = order[np.repeat(starts, counts) + np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)]
-    is_smooth = np.einsum("pi,pi->p", normals[one // 3], normals[other // 3]) >= np.cos(np.radians(crease_deg))
-    is_smooth |= areas[one // 3] == 0
-    sums = np.zeros((len(at), 3))
-    for axis in range(3):
-        values = np.where(is_smooth, weights[other] * normals[other // 3, axis], 0.0)
-        sums[:, axis] = np.bincount(one, values, minlength=len(at))
-    return _unit(sums)
-
-
-def _unit(vectors: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "... 3"]:
-    """The vectors at length 1; those of length 0 stay."""
-    lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return vectors / np.where(lengths > 0, lengths, 1)
 
 
 def _mesh(positions: np.ndarray, faces: np.ndarray, normals: np.ndarray) -> Mesh:

@@ -65,8 +65,6 @@ def mended_normals(mesh: Mesh, *, crease_deg: float) -> tuple[Mesh, str | None]:
 
 def shaded_anew(mesh: Mesh, *, crease_deg: float) -> Mesh:
     """The mesh with smooth normals, its vertices split where faces meet at more than the crease angle; uv are kept."""
-    from datagen.scene.modelling import corner_normals
-
     positions, faces = welded(mesh)
     normals = corner_normals(positions.astype(np.float64), faces, crease_deg=crease_deg)
     at = mesh.faces.reshape(-1)
@@ -79,6 +77,44 @@ def shaded_anew(mesh: Mesh, *, crease_deg: float) -> Mesh:
         normals=normals[first].astype(np.float32),
         uv=mesh.uv[at[first]],
     )
+
+
+def corner_normals(
+    positions: Float[np.ndarray, "p 3"], faces: np.ndarray, *, crease_deg: float
+) -> Float[np.ndarray, "corner 3"]:
+    """Unit normals of all corners, face by face; 0 where no face around a corner has an area.
+
+    A corner's normal is the mean of the faces around its point that are within the angle of its own face, weighted
+    by area and by the angle at the point; of all of them where its own face has no area.
+    """
+    corners = positions[faces]
+    edges = np.roll(corners, -1, axis=1) - corners
+    normals = np.cross(edges[:, 0], edges[:, 1])
+    areas = np.linalg.norm(normals, axis=-1)
+    normals, forth = _unit(normals), _unit(edges)
+    angles = np.arccos(np.clip(-np.einsum("fki,fki->fk", forth, np.roll(forth, 1, axis=1)), -1, 1))
+    weights = (angles * areas[:, None]).reshape(-1)
+
+    # All pairs of corners at the same point.
+    at = faces.reshape(-1)
+    order = np.argsort(at, kind="stable")
+    starts = np.searchsorted(at[order], at)
+    counts = np.bincount(at, minlength=len(positions))[at]
+    one = np.repeat(np.arange(len(at)), counts)
+    other = order[np.repeat(starts, counts) + np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)]
+    is_smooth = np.einsum("pi,pi->p", normals[one // 3], normals[other // 3]) >= np.cos(np.radians(crease_deg))
+    is_smooth |= areas[one // 3] == 0
+    sums = np.zeros((len(at), 3))
+    for axis in range(3):
+        values = np.where(is_smooth, weights[other] * normals[other // 3, axis], 0.0)
+        sums[:, axis] = np.bincount(one, values, minlength=len(at))
+    return _unit(sums)
+
+
+def _unit(vectors: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "... 3"]:
+    """The vectors at length 1; those of length 0 stay."""
+    lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return vectors / np.where(lengths > 0, lengths, 1)
 
 
 def _is_without(mesh: Mesh) -> Bool[np.ndarray, " vertex"]:

@@ -116,14 +116,7 @@ def import_scene(path: Path, choices: ImportChoices, *, resolution: Resolution =
     remarks, overrides = Remarks(is_strict=choices.strict), parse_overrides(choices.material)
     foreign = READERS[path.suffix.lower()](path, remarks)
     up: Axis = foreign.up if choices.up == "auto" else choices.up
-    parts = tuple(foreign.objects)
-    if len(parts) > MAX_OBJECTS - 1:
-        if not choices.merge:
-            raise HyalineError(
-                f"{path}: has {len(parts):,} objects, and a scene has at most {MAX_OBJECTS - 1} besides its ground; "
-                "pass --merge to make one of those of a material"
-            )
-        parts = merged_by_material(parts, remarks, where=path.name)
+    parts = _few_enough(foreign.objects, choices, remarks, path)
     scale = _find_scale(parts, foreign, choices, remarks, where=path.name)
     names = unique_names([part.name for part in parts])
     check_overrides(overrides, names)
@@ -137,18 +130,7 @@ def import_scene(path: Path, choices: ImportChoices, *, resolution: Resolution =
     kept = min(1.0, (choices.max_triangles or math.inf) / sum(len(part.faces) for part in parts))
     for name, part in zip(names, parts, strict=True):
         chosen = override(name, overrides)
-        item = scene_object(
-            name,
-            part,
-            linear,
-            offset,
-            mapper,
-            chosen,
-            remarks,
-            repairs=choices.repair,
-            kept_share=kept,
-            crease_deg=choices.crease,
-        )
+        item = scene_object(name, part, linear, offset, mapper, chosen, remarks, choices, kept_share=kept)
         if item.material.medium is not None and (count := open_edges(item.mesh)):
             raise HyalineError(
                 f"{name}: has {count} open edges, and glass must be closed; --repair closes holes, and --material "
@@ -196,6 +178,20 @@ def import_scene(path: Path, choices: ImportChoices, *, resolution: Resolution =
         **remarks.to_json(),
     }
     return Imported(scene=scene, record=record, remarks=tuple(remarks.lines))
+
+
+def _few_enough(
+    parts: tuple[ForeignObject, ...], choices: ImportChoices, remarks: Remarks, path: Path
+) -> tuple[ForeignObject, ...]:
+    """The objects of a file, made fewer where that is asked for and needed."""
+    if len(parts) <= MAX_OBJECTS - 1:
+        return parts
+    if not choices.merge:
+        raise HyalineError(
+            f"{path}: has {len(parts):,} objects, and a scene has at most {MAX_OBJECTS - 1} besides its ground; "
+            "pass --merge to make one of those of a material"
+        )
+    return merged_by_material(parts, remarks, where=path.name)
 
 
 def _without_gone(scene: Scene, remarks: Remarks, *, where: str) -> Scene:
@@ -261,16 +257,14 @@ def scene_object(
     mapper: Mapper,
     chosen: Material | None,
     remarks: Remarks,
+    choices: ImportChoices,
     *,
-    repairs: bool,
     kept_share: float = 1.0,
-    crease_deg: float | None = None,
 ) -> SceneObject:
     """One object in metres, z up, with a material that suits its mesh.
 
     Args:
         kept_share: of its triangles; it is reduced to so many.
-        crease_deg: faces that meet at a sharper angle get an edge; None: as the file shades it.
     """
     normals = None if part.normals is None else elementwise(part.normals, linear, np.zeros(3))
     mesh = mesh_of(elementwise(part.positions, linear, offset), part.faces, normals, part.uv, where=name)
@@ -281,7 +275,7 @@ def scene_object(
     material = chosen or part.material
     if material is PLAIN:
         remarks.note(name, "has no material in the file; drawn grey and matt, --material names another")
-    if repairs and _is_solid(material):
+    if choices.repair and _is_solid(material):
         mesh = made_sound(closed(mesh, remarks, where=name), remarks, where=name)
         mesh = joined(mesh, remarks, where=name)
     if kept_share < 1:
@@ -292,8 +286,8 @@ def scene_object(
     if not isinstance(material, Material):
         material = veiled(material, mesh, has_uv=_has_uv(part))
         material = mapper.material(material, shape_of(mesh, has_uv=_has_uv(part)), where=name)
-    if crease_deg is not None:
-        mesh = shaded_anew(mesh, crease_deg=crease_deg)
+    if choices.crease is not None:
+        mesh = shaded_anew(mesh, crease_deg=choices.crease)
     elif material.medium is not None and (tilt_deg := edge_tilt_deg(mesh)) > 0:
         remarks.note(
             name,
