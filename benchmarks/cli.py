@@ -4,7 +4,10 @@ import sys
 from pathlib import Path
 from typing import Literal
 
+import tyro
+
 from benchmarks.networks.choices import BenchChoices
+from datagen.scene.importers.choices import ImportChoices
 from datagen.scene.procedural.names import Family
 from datagen.terminal.command import run, unwrap_help
 
@@ -17,6 +20,7 @@ DESCRIPTION = (
 def main() -> None:
     """`python -m benchmarks NAME ...`."""
     unwrap_help(BenchChoices)
+    unwrap_help(ImportChoices)
     commands = {
         "peel": peel,
         "truth": truth,
@@ -24,6 +28,7 @@ def main() -> None:
         "random-scenes": random_scenes,
         "random-sheet": random_sheet,
         "peers": peers,
+        "cycles": cycles,
         "ceilings": ceilings,
         "step": step,
         "infer": infer,
@@ -201,6 +206,61 @@ def peers(
     wrong = sum(not one.passed for report in reports for one in report.findings)
     if wrong:
         fail(f"{wrong} of what the tools read differ from the dataset")
+
+
+def cycles(
+    files: tyro.conf.Positional[tuple[Path, ...]],
+    *,
+    python: Path = Path(sys.executable),
+    out: Path = Path("cycles"),
+    view: int = 0,
+    size: str = "192x144",
+    spp: int = 1024,
+    overwrite: bool = False,
+    choices: ImportChoices = ImportChoices(),  # noqa: B008
+) -> None:
+    """Import files with hyaline and with Blender, draw both under one camera and sky, and compare the pictures.
+
+    Prints decibels between them, what noise alone would leave, and the ratio of mean radiance by channel. Writes
+    hyaline's picture, that of Cycles, and their difference four times as strong, side by side.
+
+    Args:
+        files: glTF, GLB, OBJ, PLY or STL.
+        python: Python interpreter of an environment with bpy; it needs no hyaline.
+        out: Folder for NAME.png of each file; files that stand there are kept.
+        view: Which of eight cameras around the scene.
+        size: Of the pictures in pixels, such as 192x144.
+        spp: Samples per pixel of each picture; Cycles does not denoise.
+        overwrite: Replace pictures that stand in --out.
+        choices: What hyaline is told about the files.
+    """
+    from datagen.data.resolution import parse_resolution
+    from datagen.disk.errors import HyalineError
+    from datagen.disk.ownership import refuse_file
+    from datagen.machine.mitsuba_variant import use_mitsuba
+    from datagen.terminal.command import say_all
+
+    use_mitsuba()
+    from benchmarks.cycles.comparison import Compared, compare_with_cycles, cycles_table, sheet_bytes
+
+    pictures = {file: out / f"{file.name}.png" for file in files}
+    for picture in pictures.values():
+        if not overwrite:
+            refuse_file(picture)
+    rows: dict[str, Compared | str] = {}
+    for file, picture in pictures.items():
+        try:
+            found = compare_with_cycles(file, choices, python=python, view=view, size=parse_resolution(size), spp=spp)
+        except HyalineError as error:
+            if len(files) == 1:
+                raise
+            rows[file.name] = str(error)
+            continue
+        say_all(found.told)
+        out.mkdir(parents=True, exist_ok=True)
+        picture.write_bytes(sheet_bytes(found))
+        rows[file.name] = found
+    print(cycles_table(rows))
 
 
 def random_sheet(

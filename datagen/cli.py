@@ -16,6 +16,7 @@ from datagen.data.finding import DATA_ROOT, build_command, find_dataset
 from datagen.data.geometries import check_geometry
 from datagen.data.layer_writing import check_settings
 from datagen.data.paths import TRUTH
+from datagen.data.resolution import parse_resolution
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import refuse_file
 from datagen.disk.storage import commit
@@ -56,22 +57,25 @@ def main() -> None:
 def build(
     choices: Annotated[BuildChoices, tyro.conf.arg(name="")] = BuildChoices(),  # noqa: B008
     launch: LaunchChoices = LaunchChoices(),  # noqa: B008
+    imports: ImportChoices = ImportChoices(),  # noqa: B008
 ) -> None:
     """Render a scene and peel its layers; if interrupted, the same command resumes.
 
     Args:
         choices: The dataset.
         launch: Build the parts as jobs.
+        imports: With --scene FILE: what the file does not say, as `datagen import` takes it.
     """
     from datagen.build.build_command import build_or_add
 
-    build_or_add(choices, launch)
+    build_or_add(choices, launch, imports)
 
 
 def import_file(
     file: tyro.conf.Positional[Path],
     out: Path | None = None,
     overwrite: bool = False,
+    resolution: str = "128",
     choices: ImportChoices = ImportChoices(),  # noqa: B008
 ) -> None:
     """Import a file from another program as a scene: glTF, GLB, OBJ with MTL, PLY, STL, 3MF or Mitsuba XML.
@@ -83,6 +87,8 @@ def import_file(
         file: A file that ends in .glb, .gltf, .obj, .ply, .stl, .3mf or .xml.
         out: Folder to write. Default: scenes/NAME.
         overwrite: Replace an existing imported scene.
+        resolution: Pictures that the ground's pattern is made for, in pixels: one number for squares, or such as
+            320x240.
         choices: What the file does not say.
     """
     from datagen.scene.importers.imported_folder import check_free, write_imported
@@ -90,7 +96,7 @@ def import_file(
 
     root = out or SCENES_ROOT / scene_name(file)
     check_free(root, overwrite=overwrite)
-    imported = import_scene(file, choices)
+    imported = import_scene(file, choices, resolution=parse_resolution(resolution))
     write_imported(imported.scene, imported.record, root, overwrite=overwrite)
     say_all(imported.told())
     tell(str(root))

@@ -29,7 +29,7 @@ HOMES = {
     "skimage": {"eval"},
     "colour": {"eval"},
     "xatlas": {"datagen/scene/atlas.py"},
-    "manifold3d": {"datagen/scene/cutouts.py", "datagen/scene/importers/joining.py"},
+    "manifold3d": {"datagen/scene/cutouts.py", "datagen/scene/importers/joining.py", "datagen/scene/mending.py"},
     "zarr": {"datagen/data/layer_writing.py"},
     "OpenEXR": {"datagen/data/exr.py"},
     "submitit": {"datagen/build/launch.py"},

@@ -25,6 +25,7 @@ from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import DATASET, refuse_strangers
 from datagen.scene.edits import parse_edit
 from datagen.scene.folder import load_scene
+from datagen.scene.importers.choices import ImportChoices
 from datagen.scene.importers.finding import find_scene, is_foreign
 from datagen.scene.importers.importing import scene_name
 from datagen.scene.procedural.names import RANDOM, RandomName
@@ -37,7 +38,7 @@ SETTINGS = ("num_layers", "seed", "ceiling", "views", "resolution", "test_views"
 """What a dataset that is added to has decided."""
 
 
-def build_or_add(choices: BuildChoices, launch: LaunchChoices) -> None:
+def build_or_add(choices: BuildChoices, launch: LaunchChoices, imports: ImportChoices) -> None:
     """Carries out one command line of `datagen build`.
 
     Raises:
@@ -47,8 +48,10 @@ def build_or_add(choices: BuildChoices, launch: LaunchChoices) -> None:
     _check_random(choices, launch)
     if not choices.edit and choices.dataset is None:
         for one in _each(choices):
-            _build_new(one, launch)
+            _build_new(one, launch, imports)
         return
+    if flags := imports.given():
+        raise HyalineError(f"{flags[0]}: does not go with {'--edit' if choices.edit else '--dataset'}; leave it out")
     _refuse(choices, "--edit" if choices.edit else "--dataset", *SETTINGS)
     base = _open_base(choices)
     if choices.edit:
@@ -84,14 +87,14 @@ def _check_random(choices: BuildChoices, launch: LaunchChoices) -> None:
         raise HyalineError("--count: does not go with --launcher; send off one random scene at a time, by its --seed")
 
 
-def _build_new(choices: BuildChoices, launch: LaunchChoices) -> None:
+def _build_new(choices: BuildChoices, launch: LaunchChoices, imports: ImportChoices) -> None:
     config = _configure(choices)
     if choices.out is not None or ("/" not in choices.scene and not is_foreign(choices.scene)):
         # Before anything is modelled; what may be a dataset's is judged when it is known what should stand there.
         place = choices.out or DATA_ROOT / choices.scene
         refuse_strangers(place, DATASET, {DATASET.head, *TRANSFORMS_FILES.values()})
     built = None if choices.overwrite else choices.out or DATA_ROOT / choices.scene
-    scene = find_scene(choices.scene, built=built, resolution=config.resolution)
+    scene = find_scene(choices.scene, built=built, resolution=config.resolution, imports=imports)
     root = choices.out or DATA_ROOT / scene.name
     config = dataclasses.replace(config, scene=scene.name)
     if choices.resolution is None:

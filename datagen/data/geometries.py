@@ -122,6 +122,7 @@ def read_proxy_records(dataset: Dataset, kind: str) -> tuple[ProxyRecord, ...]:
     dataset = dataset.home
     path = geometry_root(dataset.root, kind) / "proxies.json"
     if not path.is_file():
+        check_has_meshes(dataset)
         raise HyalineError(f"{path}: no {kind} proxies; make them with `{_make_command(dataset, kind)}`")
     content = load_sealed(path)
     if content.get("version") != PROXIES_VERSION:

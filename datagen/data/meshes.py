@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Float32, Int32
 
+from datagen.data.ply_polygons import triangulated
 from datagen.disk.errors import HyalineError
 from datagen.disk.reading import read_regular
 from datagen.disk.records import shown
@@ -258,6 +259,7 @@ def read_ply(path: Path) -> tuple[Mesh, bool]:
         _check_indices(ours.faces, len(ours.vertices), where=path)
         return ours, True
     _check_header(data, where=path)
+    data = triangulated(data)
     # Slow to import, and not needed for what was written here.
     import trimesh
 

@@ -13,11 +13,12 @@ from datagen.import_dataset.foreign_dataset import ForeignSurface
 from datagen.scene.camera_list import list_cameras
 from datagen.scene.description import MAX_OBJECTS, Scene, SceneObject
 from datagen.scene.importers.apart import apart, nested, parted
+from datagen.scene.importers.choices import ImportChoices
 from datagen.scene.importers.foreign import ForeignObject
-from datagen.scene.importers.importing import READERS, scene_object, unique_names
+from datagen.scene.importers.importing import EXPORT_ADVICE, READERS, scene_object, unique_names
 from datagen.scene.importers.mapping import Mapper
 from datagen.scene.importers.obj import PLAIN
-from datagen.scene.importers.overrides import override, parse_overrides
+from datagen.scene.importers.overrides import check_overrides, override, parse_overrides
 from datagen.scene.importers.remarks import Remarks
 from datagen.scene.importers.staging import even_sky, z_up_from
 from datagen.scene.materials import Dielectric, Material, ThinDielectric
@@ -49,11 +50,12 @@ def make_scene(
     if len(parts) > MAX_OBJECTS:
         raise HyalineError(f"{name}: its meshes have {len(parts):,} objects; expected at most {MAX_OBJECTS}")
     names = unique_names([surface.name for surface, _ in parts])
+    check_overrides(overrides, names)
     for object_name, (surface, part) in zip(names, parts, strict=True):
         chosen = override(object_name, overrides)
         if chosen is None and (part.material is PLAIN or surface.ior is not None):
             chosen = _glass(surface, choices, remarks)
-        item = scene_object(object_name, part, linear, np.zeros(3), mapper, chosen, remarks, repairs=False)
+        item = scene_object(object_name, part, linear, np.zeros(3), mapper, chosen, remarks, ImportChoices())
         objects += parted(_thin_where_open(item, remarks), remarks)
         if part.uv is None:
             without_uv.add(object_name)
@@ -76,7 +78,7 @@ def _read(surface: ForeignSurface, remarks: Remarks) -> tuple[ForeignObject, ...
     ending = surface.file.suffix.lower()
     if ending not in READERS or ending == ".xml":
         known = ", ".join(sorted(set(READERS) - {".xml"}))
-        raise HyalineError(f"{surface.file}: is no mesh by its ending; expected one of {known}")
+        raise HyalineError(f"{surface.file}: is no mesh by its ending; expected one of {known}: {EXPORT_ADVICE}")
     return READERS[ending](surface.file, remarks).objects
 
 

@@ -69,7 +69,10 @@ def baked_image(image: Float32[np.ndarray, "tex_h tex_w 3"], before: Mesh, after
     Args:
         after: the same faces in the same order, with another uv.
     """
-    wanted = 2 ** np.ceil(np.log2(max(image.shape[:2])))
+    a, b, c = np.moveaxis(before.uv[before.faces].astype(np.float64), 1, 0)
+    # Texels that the surface shows: more than the image has, where it repeats.
+    shown = 0.5 * np.abs(np.linalg.det(np.stack([b - a, c - a], axis=-1))).sum() * image.shape[0] * image.shape[1]
+    wanted = 2 ** np.ceil(np.log2(max(*image.shape[:2], shown**0.5)))
     size = int(np.clip(wanted, MIN_SIZE, MAX_SIZE))
     uv = bake_corners(after, before.uv[before.faces].astype(np.float64), size)
     repeats = bool(before.uv.min() < 0 or before.uv.max() > 1)

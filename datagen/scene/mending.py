@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 from jaxtyping import Bool
 
-from datagen.data.meshes import MIN_AREA, Mesh, check_areas, check_numbers, face_areas, is_there, welded
+from datagen.data.meshes import MIN_AREA, Mesh, check_areas, check_numbers, face_areas, is_there, open_edges, welded
 from datagen.disk.errors import HyalineError
 from datagen.scene.atlas import coverage, unwrap_all
 from datagen.scene.description import Scene, image_bytes
@@ -22,6 +22,8 @@ MAX_SHARED = 0.005
 """Share of the covered texels that several faces may share; an atlas whose charts overlap has many times as many."""
 MIN_COVERED = 0.005
 """Share of the atlas that a surface must cover: else all of it has a few texels, or none."""
+SHORT_EDGE = 2e-7
+"""Metres below which an edge may be merged into a point; a face without area has one, or a height that is less."""
 MAX_UV = 1e5
 """Repeats of an image beyond which 32 bits cannot tell its texels apart."""
 
@@ -92,6 +94,11 @@ def mend_surface(mesh: Mesh, *, is_solid: bool) -> tuple[Mesh, list[str]]:
         The mesh (the same one where nothing was wrong), and a remark for each change.
     """
     remarks = []
+    if not open_edges(mesh) and (slivers := int(_without_area(mesh).sum())):
+        collapsed = _without_slivers(mesh)
+        if collapsed is not None:
+            mesh = collapsed
+            remarks.append(f"{slivers} of its faces have no area; they were collapsed")
     for what, useless in (("have no area", _without_area), ("are there twice", partial(_twice, is_solid=is_solid))):
         left_out = useless(mesh)
         if left_out.any() and not left_out.all():
@@ -124,6 +131,39 @@ def atlas_fault(mesh: Mesh) -> str | None:
 def _without_area(mesh: Mesh) -> Bool[np.ndarray, " face"]:
     # Of a vertex that is no number the area is none either: that is refused, not left out.
     return face_areas(mesh) < MIN_AREA
+
+
+def _without_slivers(mesh: Mesh) -> Mesh | None:
+    """The closed mesh with faces without area merged into their neighbours, so that it stays closed; None if it fails.
+
+    Leaving them out would open it: a sliver joins a long edge to the shorter ones on the edge's other side.
+    """
+    import manifold3d
+
+    _, first, place = np.unique(mesh.vertices, axis=0, return_index=True, return_inverse=True)
+    one, index = first[place.reshape(-1)], np.arange(len(mesh.vertices))
+    is_seam = one != index
+    # A manifold is made without slivers; unlike its `simplify`, that leaves flat areas as they are.
+    solid = manifold3d.Manifold(
+        manifold3d.Mesh(
+            vert_properties=np.ascontiguousarray(np.hstack([mesh.vertices, mesh.normals, mesh.uv]), np.float32),
+            tri_verts=np.ascontiguousarray(mesh.faces, np.uint32),
+            merge_from_vert=np.ascontiguousarray(index[is_seam], np.uint32),
+            merge_to_vert=np.ascontiguousarray(one[is_seam], np.uint32),
+            tolerance=SHORT_EDGE,
+        )
+    )
+    if solid.status() != manifold3d.Error.NoError or solid.is_empty():
+        return None
+    out = solid.to_mesh()
+    values = np.asarray(out.vert_properties, np.float32)
+    collapsed = Mesh(
+        vertices=np.ascontiguousarray(values[:, :3]),
+        faces=np.asarray(out.tri_verts).astype(np.int32),
+        normals=np.ascontiguousarray(values[:, 3:6]),
+        uv=np.ascontiguousarray(values[:, 6:8]),
+    )
+    return None if open_edges(collapsed) or _without_area(collapsed).any() else collapsed
 
 
 def _twice(mesh: Mesh, *, is_solid: bool) -> Bool[np.ndarray, " face"]:

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from datagen.data.meshes import Mesh
+from datagen.scene.shading_normals import corner_normals
 
 Point = tuple[float, float, float]
 Points = Float[np.ndarray, "p 3"]
@@ -326,36 +327,6 @@ def shaded(positions: Points, faces: np.ndarray, *, crease_deg: float) -> Mesh:
     keys = np.concatenate([at[:, None], np.rint(normals * 4096).astype(np.int64)], axis=-1)
     _, first, index = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     return _mesh(positions[at[first]], index.reshape(-1, 3), normals[first])
-
-
-def corner_normals(positions: Points, faces: np.ndarray, *, crease_deg: float) -> Float[np.ndarray, "corner 3"]:
-    """Unit normals of all corners of faces with area, face by face.
-
-    A corner's normal is the mean of the faces around its point that are within the angle of its own face, weighted
-    by area and by the angle at the point.
-    """
-    corners = positions[faces]
-    edges = np.roll(corners, -1, axis=1) - corners
-    normals = np.cross(edges[:, 0], edges[:, 1])
-    areas = np.linalg.norm(normals, axis=-1)
-    normals = normals / areas[:, None]
-    forth = edges / np.linalg.norm(edges, axis=-1, keepdims=True)
-    angles = np.arccos(np.clip(-np.einsum("fki,fki->fk", forth, np.roll(forth, 1, axis=1)), -1, 1))
-    weights = (angles * areas[:, None]).reshape(-1)
-
-    # All pairs of corners at the same point.
-    at = faces.reshape(-1)
-    order = np.argsort(at, kind="stable")
-    starts = np.searchsorted(at[order], at)
-    counts = np.bincount(at, minlength=len(positions))[at]
-    one = np.repeat(np.arange(len(at)), counts)
-    other = order[np.repeat(starts, counts) + np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)]
-    is_smooth = np.einsum("pi,pi->p", normals[one // 3], normals[other // 3]) >= np.cos(np.radians(crease_deg))
-    sums = np.zeros((len(at), 3))
-    for axis in range(3):
-        values = np.where(is_smooth, weights[other] * normals[other // 3, axis], 0.0)
-        sums[:, axis] = np.bincount(one, values, minlength=len(at))
-    return sums / np.linalg.norm(sums, axis=-1, keepdims=True)
 
 
 def _mesh(positions: np.ndarray, faces: np.ndarray, normals: np.ndarray) -> Mesh:

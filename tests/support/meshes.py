@@ -35,3 +35,26 @@ def random_meshes(rng: np.random.Generator, count: int) -> tuple[Mesh, ...]:
         shape.apply_translation(rng.uniform(-0.8, 0.8, 3))
         meshes.append(mesh_of(shape, seed=index))
     return tuple(meshes)
+
+
+def polygon_ply(corners: int, order: str, extra: bool) -> bytes:
+    """A standing prism in binary as Blender writes one: its sides are quads, its ends polygons or triangle fans."""
+    angles = np.arange(corners) * 2 * np.pi / corners
+    ring = np.stack([np.cos(angles), np.zeros(corners), -np.sin(angles)], axis=-1)
+    points = np.concatenate([ring, ring + np.array([0, 2, 0]), np.zeros((1, 3))])
+    here, after = np.arange(corners), np.roll(np.arange(corners), -1)
+    lists = [[a, b, corners + b, corners + a] for a, b in zip(here, after, strict=True)]
+    lists += [(corners + here).tolist(), *([2 * corners, b, a] for a, b in zip(here, after, strict=True))]
+    letter = "<" if order == "little" else ">"
+    body = points.astype(f"{letter}f4").tobytes()
+    for face in lists:
+        body += bytes([7, len(face)]) if extra else bytes([len(face)])
+        body += np.array(face, f"{letter}u4").tobytes() + (np.array([0.5], f"{letter}f4").tobytes() if extra else b"")
+    header = (
+        f"ply\nformat binary_{order}_endian 1.0\ncomment Created in Blender\nelement vertex {len(points)}\n"
+        f"property float x\nproperty float y\nproperty float z\nelement face {len(lists)}\n"
+    )
+    header += "property uchar flags\n" if extra else ""
+    header += "property list uchar uint vertex_indices\n"
+    header += "property float quality\n" if extra else ""
+    return header.encode() + b"end_header\n" + body

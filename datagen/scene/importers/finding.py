@@ -8,9 +8,12 @@ from datagen.scene.builtin import SCENES, find_builtin
 from datagen.scene.description import Scene
 from datagen.scene.folder import load_scene
 from datagen.scene.importers.choices import ImportChoices
-from datagen.scene.importers.importing import READERS, import_scene
+from datagen.scene.importers.importing import DEFAULT_RESOLUTION, READERS, check_ending, import_scene
 from datagen.scene.procedural.names import RANDOM, parse_random
 from datagen.terminal.command import say
+
+OTHER_ENDINGS = (".blend", ".fbx", ".dae", ".usd", ".usda", ".usdc", ".usdz", ".abc", ".3ds", ".max", ".c4d", ".skp")
+"""Of files that many have, and that are not read."""
 
 
 def is_foreign(given: str) -> bool:
@@ -23,23 +26,33 @@ def is_made_by_code(name: str) -> bool:
     return name in SCENES or parse_random(name) is not None
 
 
-def find_scene(given: str, *, built: Path | None = None, resolution: Resolution | None = None) -> Scene:
+def find_scene(
+    given: str,
+    *,
+    built: Path | None = None,
+    resolution: Resolution = DEFAULT_RESOLUTION,
+    imports: ImportChoices = ImportChoices(),  # noqa: B008
+) -> Scene:
     """The scene of a folder with a scene.json, of a file that is imported, or a built-in or random one by its name.
 
     Args:
         built: a dataset that may hold the same built-in scene, unwrapped.
-        resolution: of the pictures, which the ground of an imported scene is made for; its default unless given.
+        resolution: of the pictures, which the ground of an imported scene is made for.
+        imports: how a file is imported.
 
     Raises:
         HyalineError: none of these, or the scene is bad.
     """
     if is_foreign(given):
         say(f"scene {given}: imports it")
-        choices = ImportChoices() if resolution is None else ImportChoices(resolution=str(resolution))
-        imported = import_scene(Path(given), choices)
+        imported = import_scene(Path(given), imports, resolution=resolution)
         for line in imported.told():
             say(line)
         return imported.scene
+    if flags := imports.given():
+        raise HyalineError(f"{flags[0]}: goes with a file that is imported, such as --scene vase.glb; leave it out")
+    if Path(given).suffix.lower() in OTHER_ENDINGS:
+        check_ending(Path(given))
     if (Path(given) / "scene.json").is_file():
         say(f"scene {given}: reads and checks it")
         return load_scene(Path(given))

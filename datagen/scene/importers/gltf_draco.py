@@ -29,7 +29,7 @@ def read_draco(arrays: GltfArrays, draco: Fields, wanted: dict[str, str]) -> tup
     """
     if importlib.util.find_spec("DracoPy") is None:
         raise HyalineError(
-            f"{draco.where}: is compressed by Draco; `{install_command('import')}` brings what reads it, "
+            f"{draco.where}: is compressed by Draco; `{install_command('generate')}` brings what reads it, "
             "or export the file without compression"
         )
     ids = draco.fields("attributes")

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from datagen.data.meshes import is_there
-from datagen.data.resolution import parse_resolution
+from datagen.data.meshes import is_there, open_edges
+from datagen.data.resolution import Resolution, square
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import file_name
 from datagen.disk.records import Json, shown
@@ -30,7 +30,7 @@ from datagen.scene.importers.mapping import Mapper, lets_light_through
 from datagen.scene.importers.merging import merged_by_material
 from datagen.scene.importers.mitsuba_xml import read_mitsuba
 from datagen.scene.importers.obj import PLAIN, read_obj
-from datagen.scene.importers.overrides import override, parse_overrides
+from datagen.scene.importers.overrides import check_overrides, override, parse_overrides
 from datagen.scene.importers.ply import read_ply_file
 from datagen.scene.importers.remarks import Remark, Remarks
 from datagen.scene.importers.repair import closed
@@ -53,6 +53,7 @@ from datagen.scene.importers.threemf import read_3mf
 from datagen.scene.lights import Environment, EnvironmentMap, RectangleLight
 from datagen.scene.materials import Material
 from datagen.scene.mending import mend_scene, mend_surface
+from datagen.scene.shading_normals import edge_tilt_deg, shaded_anew
 from datagen.scene.soundness import check_scene
 
 READERS: dict[str, Callable[[Path, Remarks], ForeignScene]] = {
@@ -65,6 +66,12 @@ READERS: dict[str, Callable[[Path, Remarks], ForeignScene]] = {
     ".xml": read_mitsuba,
 }
 """Readers of files by their ending."""
+
+EXPORT_ADVICE = "open it in Blender, or in what it was made with, and export it as glTF 2.0 (.glb)"
+
+DEFAULT_RESOLUTION = square(128)
+MIN_SIDE = 16
+"""Pixels of the pictures that a ground can be made for."""
 
 RECORD_VERSION = 1
 MAX_TOLD = 40
@@ -96,28 +103,26 @@ class Imported:
         return [*shown, f"{count}, {glass} of them glass"]
 
 
-def import_scene(path: Path, choices: ImportChoices) -> Imported:
+def import_scene(path: Path, choices: ImportChoices, *, resolution: Resolution = DEFAULT_RESOLUTION) -> Imported:
     """The scene in a foreign file, with an atlas for each object, checked.
+
+    Args:
+        resolution: of the pictures, which the ground's pattern is made for.
 
     Raises:
         HyalineError: a file that cannot be read or that hides what it needs, or a scene that would render wrong.
     """
-    if path.suffix.lower() not in READERS:
-        raise HyalineError(f"{path}: ends in {shown(path.suffix)}; expected one of {', '.join(sorted(READERS))}")
+    check_ending(path)
+    if resolution.mean_side < MIN_SIDE:
+        raise HyalineError(f"--resolution: is {resolution}; expected at least {MIN_SIDE} x {MIN_SIDE} pixels")
     check_decimation(choices.max_triangles)
     remarks, overrides = Remarks(is_strict=choices.strict), parse_overrides(choices.material)
     foreign = READERS[path.suffix.lower()](path, remarks)
     up: Axis = foreign.up if choices.up == "auto" else choices.up
-    parts = tuple(foreign.objects)
-    if len(parts) > MAX_OBJECTS - 1:
-        if not choices.merge:
-            raise HyalineError(
-                f"{path}: has {len(parts):,} objects, and a scene has at most {MAX_OBJECTS - 1} besides its ground; "
-                "pass --merge to make one of those of a material"
-            )
-        parts = merged_by_material(parts, remarks, where=path.name)
+    parts = _few_enough(foreign.objects, choices, remarks, path)
     scale = _find_scale(parts, foreign, choices, remarks, where=path.name)
     names = unique_names([part.name for part in parts])
+    check_overrides(overrides, names)
     mapper = Mapper(metres=scale, thin=choices.thin, remarks=remarks)
     linear, offset = _world(parts, scale, up)
     if foreign.is_complete:
@@ -128,9 +133,12 @@ def import_scene(path: Path, choices: ImportChoices) -> Imported:
     kept = min(1.0, (choices.max_triangles or math.inf) / sum(len(part.faces) for part in parts))
     for name, part in zip(names, parts, strict=True):
         chosen = override(name, overrides)
-        item = scene_object(
-            name, part, linear, offset, mapper, chosen, remarks, repairs=choices.repair, kept_share=kept
-        )
+        item = scene_object(name, part, linear, offset, mapper, chosen, remarks, choices, kept_share=kept)
+        if item.material.medium is not None and (count := open_edges(item.mesh)):
+            raise HyalineError(
+                f"{name}: has {count} open edges, and glass must be closed; --repair closes holes, and --material "
+                f"'{name}=thin-glass' draws it as a thin pane"
+            )
         objects += parted(item, remarks)
         if not (has_uv := _has_uv(part)):
             without_uv.add(name)
@@ -143,7 +151,7 @@ def import_scene(path: Path, choices: ImportChoices) -> Imported:
     rig = _cameras(foreign, choices, objects, linear, offset, remarks)
     wants_ground = choices.ground == "auto" and not foreign.is_complete and not has_ground(objects)
     if choices.ground == "always" or wants_ground:
-        ground = make_ground(objects, resolution=parse_resolution(choices.resolution), remarks=remarks)
+        ground = make_ground(objects, resolution=resolution, remarks=remarks)
         without_uv.add(ground.name)
         objects.append(ground)
     used = {image.path for item in objects for image in item.material.images().values()}
@@ -173,6 +181,20 @@ def import_scene(path: Path, choices: ImportChoices) -> Imported:
         **remarks.to_json(),
     }
     return Imported(scene=scene, record=record, remarks=tuple(remarks.lines))
+
+
+def _few_enough(
+    parts: tuple[ForeignObject, ...], choices: ImportChoices, remarks: Remarks, path: Path
+) -> tuple[ForeignObject, ...]:
+    """The objects of a file, made fewer where that is asked for and needed."""
+    if len(parts) <= MAX_OBJECTS - 1:
+        return parts
+    if not choices.merge:
+        raise HyalineError(
+            f"{path}: has {len(parts):,} objects, and a scene has at most {MAX_OBJECTS - 1} besides its ground; "
+            "pass --merge to make one of those of a material"
+        )
+    return merged_by_material(parts, remarks, where=path.name)
 
 
 def _without_gone(scene: Scene, remarks: Remarks, *, where: str) -> Scene:
@@ -238,8 +260,8 @@ def scene_object(
     mapper: Mapper,
     chosen: Material | None,
     remarks: Remarks,
+    choices: ImportChoices,
     *,
-    repairs: bool,
     kept_share: float = 1.0,
 ) -> SceneObject:
     """One object in metres, z up, with a material that suits its mesh.
@@ -258,7 +280,7 @@ def scene_object(
         remarks.note(name, "has no material in the file; drawn grey and matt, --material names another")
     if isinstance(material, ForeignMaterial):
         material = mapper.averaged(material, mesh, has_uv=_has_uv(part), where=name)
-    if repairs and _is_solid(material):
+    if choices.repair and _is_solid(material):
         mesh = made_sound(closed(mesh, remarks, where=name), remarks, where=name)
         mesh = joined(mesh, remarks, where=name)
     if kept_share < 1:
@@ -269,7 +291,27 @@ def scene_object(
     if not isinstance(material, Material):
         material = veiled(material, mesh, has_uv=_has_uv(part))
         material = mapper.material(material, shape_of(mesh, has_uv=_has_uv(part)), where=name)
+    if choices.crease is not None:
+        mesh = shaded_anew(mesh, crease_deg=choices.crease)
+    elif material.medium is not None and (tilt_deg := edge_tilt_deg(mesh)) > 0:
+        remarks.note(
+            name,
+            f"its normals lie up to {tilt_deg:.0f} degrees off its faces, so that light bends at its edges as in a "
+            "lens; --crease 30 shades them as edges",
+        )
     return SceneObject(name=name, mesh=mesh, material=material)
+
+
+def check_ending(path: Path) -> None:
+    """Refuses a file of a format that is not read.
+
+    Raises:
+        HyalineError: naming those that are, and how to get there.
+    """
+    if path.suffix.lower() not in READERS:
+        raise HyalineError(
+            f"{path}: ends in {shown(path.suffix)}, and {', '.join(READERS)} can be imported; {EXPORT_ADVICE}"
+        )
 
 
 def _has_uv(part: ForeignObject) -> bool:

@@ -39,11 +39,9 @@ def joined(mesh: Mesh, remarks: Remarks, *, where: str) -> Mesh:
     try:
         whole, count = _union(mesh)
     except ValueError as error:
-        raise HyalineError(f"{where}: {what} ({error}); join them in a modeller, or leave out --repair") from None
+        raise HyalineError(f"{where}: {what} ({error}); {_way_out(where)}") from None
     if count == 1 or open_edges(whole) or _overlaps(whole, where=where):
-        raise HyalineError(
-            f"{where}: {what}, since its surface crosses itself; join it in a modeller, or leave out --repair"
-        )
+        raise HyalineError(f"{where}: {what}, since its surface crosses itself; {_way_out(where)}")
     before, after = filled_volume(mesh), signed_volume(whole)
     told = (
         f"{count} overlapping parts joined: the space that they fill was {1e6 * before:.4g} cm^3, "
@@ -54,6 +52,10 @@ def joined(mesh: Mesh, remarks: Remarks, *, where: str) -> Mesh:
         raise HyalineError(f"{where}: {told}, {share:.1f} % off; expected at most {100 * MAX_CHANGE:g} %")
     remarks.approximate(where, told)
     return shaded_anew(whole, crease_deg=CREASE_DEG)
+
+
+def _way_out(where: str) -> str:
+    return f"join them in a modeller, or draw it as thin glass with --material '{where}=thin-glass'"
 
 
 def filled_volume(mesh: Mesh) -> float:

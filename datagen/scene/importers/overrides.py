@@ -1,11 +1,15 @@
 """Materials by name, for files that have none or the wrong one: `--material glass`, `--material 'leg*=gold'`."""
 
+import difflib
 import fnmatch
 
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import shown
 from datagen.scene.materials import Conductor, Dielectric, Diffuse, Material, Plastic, ThinDielectric
-from datagen.terminal.command import choose
+from datagen.terminal.command import MAX_SUGGESTED, choose
+
+MAX_NAMED = 20
+"""Objects that an error lists."""
 
 NAMED: dict[str, Material] = {
     "glass": Dielectric(ior=1.5),
@@ -37,6 +41,23 @@ def parse_overrides(given: tuple[str, ...]) -> list[tuple[str, Material]]:
             raise HyalineError(f"--material: is {shown(text)}; expected NAME, or OBJECT=NAME")
         found.append((pattern if is_for_some else "*", NAMED[choose("material", name, NAMED)]))
     return found
+
+
+def check_overrides(overrides: list[tuple[str, Material]], names: list[str]) -> None:
+    """Refuses a pattern that matches no object, since it is a slip.
+
+    Raises:
+        HyalineError: naming the objects.
+    """
+    for pattern, _ in overrides:
+        if not any(fnmatch.fnmatchcase(name, pattern) for name in names):
+            near = difflib.get_close_matches(pattern[:MAX_SUGGESTED], names, n=1, cutoff=0.5)
+            hint = f"did you mean {near[0]!r}? " if near else ""
+            more = f" and {len(names) - MAX_NAMED} more" if len(names) > MAX_NAMED else ""
+            raise HyalineError(
+                f"--material: no object is called {shown(pattern)}; {hint}the objects are "
+                f"{', '.join(names[:MAX_NAMED])}{more}"
+            )
 
 
 def override(name: str, overrides: list[tuple[str, Material]]) -> Material | None:

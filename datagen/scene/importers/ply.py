@@ -6,30 +6,12 @@ from pathlib import Path
 import numpy as np
 
 from datagen.data.meshes import MAX_PLY_BYTES, read_ply
+from datagen.data.ply_polygons import PLY_TYPES
 from datagen.disk.errors import HyalineError
 from datagen.disk.reading import read_regular
 from datagen.scene.importers.foreign import MAX_TRIANGLES, ForeignObject, ForeignScene
 from datagen.scene.importers.obj import PLAIN
 from datagen.scene.importers.remarks import Remarks
-
-TYPES = {
-    "char": "i1",
-    "int8": "i1",
-    "uchar": "u1",
-    "uint8": "u1",
-    "short": "i2",
-    "int16": "i2",
-    "ushort": "u2",
-    "uint16": "u2",
-    "int": "i4",
-    "int32": "i4",
-    "uint": "u4",
-    "uint32": "u4",
-    "float": "f4",
-    "float32": "f4",
-    "double": "f8",
-    "float64": "f8",
-}
 
 
 def read_ply_file(path: Path, remarks: Remarks) -> ForeignScene:
@@ -85,9 +67,9 @@ def _strips(data: bytes, path: Path) -> tuple[np.ndarray, np.ndarray]:
         positions, strip = vertex[:, places], rest[1:]
         promised = int(rest[0]) if len(rest) else -1
     else:
-        dtype = np.dtype([(name, order + TYPES.get(kind, "")) for name, kind in properties["vertex"]])
+        dtype = np.dtype([(name, order + PLY_TYPES.get(kind, "")) for name, kind in properties["vertex"]])
         lists = [word for word in words if word[:2] == ["property", "list"]]
-        size_type, index_type = (np.dtype(order + TYPES.get(kind, "")) for kind in lists[-1][2:4])
+        size_type, index_type = (np.dtype(order + PLY_TYPES.get(kind, "")) for kind in lists[-1][2:4])
         if count * dtype.itemsize + size_type.itemsize > len(body):
             raise HyalineError(f"{path}: its header says {count:,} vertices; it is cut off, export it again")
         vertex = np.frombuffer(body, dtype, count)

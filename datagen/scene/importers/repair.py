@@ -1,4 +1,4 @@
-"""Closing the holes of glass: each gets a lid of triangles around its middle."""
+"""Closing the holes of glass: each gets a lid of triangles around its middle, or one triangle."""
 
 import numpy as np
 
@@ -25,22 +25,28 @@ def closed(mesh: Mesh, remarks: Remarks, *, where: str) -> Mesh:
     place = np.unique(mesh.vertices, axis=0, return_index=True)[1]
     vertices, uv, lids = [mesh.vertices], [mesh.uv], [mesh.faces]
     for loop in loops:
-        middle = len(mesh.vertices) + len(vertices) - 1
-        vertices.append(positions[loop].mean(axis=0, keepdims=True))
-        uv.append(mesh.uv[place[loop]].mean(axis=0, keepdims=True))
-        rim = place[loop]
+        middle = positions[loop].mean(axis=0)
+        # A crack along an edge has its middle on its rim, where a second point would be welded to the first.
+        at = int(np.linalg.norm(positions[loop] - middle, axis=-1).argmin())
+        rim = place[np.roll(loop, -at)]
+        if len(loop) == 3 or (positions[loop[at]] == middle).all():
+            lids.append(np.stack([rim[2:], rim[1:-1], np.full(len(rim) - 2, rim[0])], axis=-1))
+            continue
         # The faces at the hole run along its rim forwards, the lid's backwards.
-        lids.append(np.stack([np.roll(rim, -1), rim, np.full(len(rim), middle)], axis=-1))
+        center = len(mesh.vertices) + len(vertices) - 1
+        lids.append(np.stack([np.roll(rim, -1), rim, np.full(len(rim), center)], axis=-1))
+        vertices.append(middle[None])
+        uv.append(mesh.uv[place[loop]].mean(axis=0, keepdims=True))
     whole = Mesh(
         vertices=np.concatenate(vertices).astype(np.float32),
         faces=np.concatenate(lids).astype(np.int32),
-        normals=np.concatenate([mesh.normals, np.zeros((len(loops), 3), np.float32)]),
+        normals=np.concatenate([mesh.normals, np.zeros((len(vertices) - 1, 3), np.float32)]),
         uv=np.concatenate(uv).astype(np.float32),
     )
     if count := open_edges(whole):
         raise HyalineError(
             f"{where}: {count} edges stay open, where faces cross or more than two meet; close it in a modeller, "
-            "or leave out --repair and have it drawn as thin glass"
+            f"or draw it as thin glass with --material '{where}=thin-glass'"
         )
     before, after = signed_volume(mesh), signed_volume(whole)
     change = abs(after - before) / max(abs(after), 1e-30)

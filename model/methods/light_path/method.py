@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from datagen.data.cameras import Cameras
 from datagen.data.config import Split
-from datagen.data.dataset import Dataset
+from datagen.data.dataset import Dataset, check_has_meshes
 from datagen.scene.description import EnvironmentMap, image_bytes
 from datagen.scene.environment_maps import read_map
 from datagen.scene.folder import load_scene
@@ -22,7 +22,12 @@ from model.methods.protocol import Inputs
 
 
 def complete(config: LightPathConfig, inputs: Inputs) -> LightPathConfig:
-    """The same with the objects' textures; paths are traced to see how texels are shared."""
+    """The same with the objects' textures; paths are traced to see how texels are shared.
+
+    Raises:
+        HyalineError: there are no meshes to trace.
+    """
+    check_has_meshes(inputs.dataset)
     size = config.texture_size or inputs.dataset.config.resolution.mean_side
     if config.environment_size == SKY_HEIGHT:
         config = dataclasses.replace(config, environment_size=_sky_height(inputs.dataset))
@@ -31,8 +36,6 @@ def complete(config: LightPathConfig, inputs: Inputs) -> LightPathConfig:
 
 def _sky_height(dataset: Dataset) -> int:
     """Rows of the learned sky's finest map: as fine as the environment map, or the edges of cards, that it shows."""
-    if not dataset.objects:
-        return SKY_HEIGHT  # Imported without meshes: whoever reads those says so.
     scene = load_scene(dataset.root / "scene", is_sealed=True)
     if isinstance(scene.environment, EnvironmentMap):
         height = len(read_map(image_bytes(scene, scene.environment), where=scene.environment.path))

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image
 from support.commands import call
+from support.meshes import polygon_ply
 from support.traced_dataset import write_traced_dataset
 
 from datagen.build.build import peel_dataset, summary
@@ -17,6 +18,7 @@ from datagen.build.mend import mend_dataset
 from datagen.build.verify import verify_dataset
 from datagen.data.config import SPLITS, TEST_SPLITS
 from datagen.data.dataset import Dataset, open_dataset
+from datagen.data.meshes import signed_volume
 from datagen.data.paths import TRUTH
 from datagen.data.resolution import square
 from datagen.disk.errors import HyalineError
@@ -27,6 +29,7 @@ from datagen.look.look import look_page
 from datagen.quantities.surfaces import surfaces_of
 from datagen.quantities.view_quantities import quantities
 from datagen.scene.camera_list import list_cameras
+from datagen.scene.folder import load_scene
 from datagen.scene.rig import make_cameras
 from eval.figures.cameras import cameras_figure
 
@@ -183,6 +186,34 @@ def test_blenders_scenes_lie_on_white_and_train_what_needs_no_meshes(blender: Pa
     page = look_page(dataset).decode()
     assert "No meshes were imported" in page and "has no meshes" not in page and "Cameras in space" in page
     assert cameras_figure(dataset, "lego").startswith(b"\x89PNG")
+
+
+def test_a_mesh_for_pictures_may_have_quads_beside_triangles(blender: Path, tmp_path: Path) -> None:
+    (tmp_path / "prism.ply").write_bytes(polygon_ply(8, "little", False))
+    answer = call(f"datagen import-dataset {blender} --mesh {tmp_path / 'prism.ply'} --up y --out {tmp_path / 'out'}")
+    assert answer.status == 0, answer.err
+    (item,) = load_scene(tmp_path / "out" / "scene", is_sealed=True).objects
+    assert signed_volume(item.mesh) == pytest.approx(8 * math.sin(2 * math.pi / 8), rel=1e-5)
+
+
+def test_a_mesh_that_is_not_read_and_a_material_for_nothing_say_what_to_do(blender: Path, tmp_path: Path) -> None:
+    (tmp_path / "prism.fbx").write_bytes(b"something")
+    command = f"datagen import-dataset {blender} --out {tmp_path / 'out'} --mesh {tmp_path}"
+    answer = call(f"{command}/prism.fbx")
+    assert answer.status == 1 and "open it in Blender" in answer.error and "glTF 2.0" in answer.error
+    (tmp_path / "prism.ply").write_bytes(polygon_ply(8, "little", False))
+    answer = call(f"{command}/prism.ply --material prsm=gold")
+    assert "no object is called 'prsm'; did you mean 'prism'? the objects are prism" in answer.error
+
+
+@pytest.mark.parametrize("geometry", ["", "--geometry ellipsoid"])
+@pytest.mark.parametrize("method", ["light-path", "paper"])
+def test_training_without_meshes_says_that_there_are_none(
+    method: str, geometry: str, blender: Path, tmp_path: Path
+) -> None:
+    dataset = take_over(blender, tmp_path / "out")
+    answer = call(f"model train {method} --dataset {dataset.root} --out {tmp_path / 'run'} {geometry}")
+    assert answer.status == 1 and "has no meshes" in answer.error and "--mesh FILE" in answer.error
 
 
 def test_pictures_are_made_smaller_by_averaging_light_and_the_world_is_scaled_and_turned(

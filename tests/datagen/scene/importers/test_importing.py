@@ -12,7 +12,7 @@ from support.commands import call
 from support.gltf import BOX, GltfBuilder, clear, glass
 from support.rigs import config
 
-from datagen.data.meshes import face_areas, signed_volume
+from datagen.data.meshes import Mesh, face_areas, face_corners, signed_volume
 from datagen.data.resolution import square
 from datagen.data.windings import check_closed
 from datagen.disk.errors import HyalineError
@@ -24,8 +24,9 @@ from datagen.scene.importers.choices import ImportChoices
 from datagen.scene.importers.importing import Imported, import_scene
 from datagen.scene.importers.staging import LIGHT
 from datagen.scene.materials import Conductor, Dielectric, Diffuse, Plastic, RoughDielectric, ThinDielectric
-from datagen.scene.modelling import sheet
+from datagen.scene.modelling import ball, lathe, sheet
 from datagen.scene.rig import make_cameras
+from datagen.scene.shading_normals import edge_tilt_deg
 from datagen.scene.textures import ImageTexture, SolidTexture
 
 
@@ -501,3 +502,99 @@ def test_of_solids_that_overlap_the_inner_one_wins_unless_the_file_gives_priorit
     scene = load_scene(tmp_path / "scenes/a")
     found = [of_name(scene, solid[0]).material for solid in solids]
     assert [glass.priority for glass in found if isinstance(glass, Dielectric)] == list(expected)
+
+
+def test_a_material_for_an_object_that_is_not_there_names_those_that_are(tmp_path: Path) -> None:
+    path, out = scene_with_glass().written(tmp_path), tmp_path / "out"
+    answer = call(f"datagen import {path} --out {out} --material vose=water")
+    assert answer.status == 1 and not out.exists()
+    assert answer.error == (
+        "error: --material: no object is called 'vose'; did you mean 'vase'? the objects are vase, box"
+    )
+    answer = call(f"datagen import {path} --out {out} --material nothing=water")
+    assert answer.error == "error: --material: no object is called 'nothing'; the objects are vase, box"
+
+
+def test_material_may_be_repeated(tmp_path: Path) -> None:
+    path, out = scene_with_glass().written(tmp_path), tmp_path / "out"
+    assert call(f"datagen import {path} --out {out} --material 'v*=diamond' --material box=gold").status == 0
+    scene = load_scene(out)
+    assert of_name(scene, "vase").material == Dielectric(ior=2.417)
+    assert isinstance(of_name(scene, "box").material, Conductor)
+
+
+@pytest.mark.parametrize("command", ["import", "build --scene"])
+@pytest.mark.parametrize("name", ["vase.fbx", "vase.blend", "vase.usdz", "vase.FBX"])
+def test_a_format_that_is_not_read_says_how_to_export(command: str, name: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_bytes(b"something")
+    answer = call(f"datagen {command} {tmp_path / name}")
+    assert answer.status == 1 and len(answer.err.strip().splitlines()) == 1
+    assert ".glb" in answer.error and "open it in Blender" in answer.error and "glTF 2.0" in answer.error
+
+
+def smooth_cylinder() -> Mesh:
+    """A cylinder whose rims are shaded as if they were round."""
+    return lathe([(0, 0), (0.04, 0), (0.04, 0.09), (0, 0.09)], segments=48, crease_deg=180)
+
+
+def test_smooth_normals_over_edges_are_told_and_crease_shades_them_as_edges(tmp_path: Path) -> None:
+    builder = GltfBuilder()
+    material = builder.material(pbrMetallicRoughness=clear(), extensions=glass())
+    builder.node(mesh=builder.mesh(smooth_cylinder(), material=material), name="tumbler")
+    path, out = builder.written(tmp_path), tmp_path / "out"
+    answer = call(f"datagen import {path} --out {out}")
+    (line,) = [line for line in answer.err.splitlines() if line.startswith("tumbler: ")]
+    assert "its normals lie up to 67 degrees off its faces" in line and "--crease 30" in line
+    assert edge_tilt_deg(of_name(load_scene(out), "tumbler").mesh) > 40
+    answer = call(f"datagen import {path} --out {out} --overwrite --crease 30")
+    assert answer.status == 0 and "tumbler: " not in answer.err
+    tumbler = of_name(load_scene(out), "tumbler").mesh
+    corners = face_corners(tumbler).astype(np.float64)
+    flat = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    flat /= np.linalg.norm(flat, axis=-1, keepdims=True)
+    cosine = np.einsum("fc,fkc->fk", flat, tumbler.normals[tumbler.faces])
+    assert np.degrees(np.arccos(cosine.min())) < 5
+    assert call(f"datagen import {path} --out {out} --crease 181").error.startswith("error: --crease: is 181; expected")
+
+
+@pytest.mark.parametrize("mesh", [BOX, ball(0.05, subdivisions=1)], ids=["bevelled box", "coarse ball"])
+def test_normals_of_round_surfaces_and_bevels_are_no_matter(mesh: Mesh, tmp_path: Path) -> None:
+    builder = GltfBuilder()
+    material = builder.material(pbrMetallicRoughness=clear(), extensions=glass())
+    builder.node(mesh=builder.mesh(mesh, material=material), name="thing")
+    assert "--crease" not in call(f"datagen import {builder.written(tmp_path)} --out {tmp_path / 'out'}").err
+
+
+def test_build_takes_what_import_takes(tmp_path: Path) -> None:
+    builder = GltfBuilder()
+    builder.node(mesh=builder.mesh(dataclasses.replace(BOX, faces=np.delete(BOX.faces, 3, axis=0))), name="vase")
+    builder.node(mesh=builder.mesh(), translation=[2, 0, 0], name="foot")
+    path, out = builder.written(tmp_path), tmp_path / "data"
+    tiny = "--resolution 16 --views 1 --test-views 1 --spp 2 --test-spp 2"
+    words = "--material glass --material foot=gold --repair --crease 30 --scale 0.1 --ground never"
+    assert call(f"datagen build --scene {path} --out {out} {tiny} {words}").status == 0
+    found = load_scene(out / "scene", is_sealed=True)
+    assert [type(item.material) for item in found.objects] == [Dielectric, Conductor]
+    assert found.objects[0].mesh.vertices[:, 2].max() == pytest.approx(0.06, abs=1e-6)
+    assert call(f"datagen import {path} --out {tmp_path / 'same'} --resolution 16 {words}").status == 0
+    assert scene_files(load_scene(tmp_path / "same")) == scene_files(found)
+    again = call(f"datagen build --scene {path} --out {out} {tiny} {words}")
+    assert again.status == 0, "the same command finds the dataset as it left it"
+    other = call(f"datagen build --scene {path} --out {out} {tiny} --material water --repair")
+    assert other.status == 1 and "--overwrite" in other.error
+
+
+@pytest.mark.parametrize(
+    ("line", "told"),
+    [
+        ("--scene glass_table --material gold", "--material: goes with a file that is imported, such as --scene vase"),
+        ("--scene {folder} --repair", "--repair: goes with a file that is imported"),
+        ("--dataset one --twins --crease 30", "--crease: does not go with --dataset; leave it out"),
+        ("--scene glass_table --edit no-glass --max-triangles 100", "--max-triangles: does not go with --edit"),
+    ],
+)
+def test_flags_of_an_import_without_one_are_refused(line: str, told: str, tmp_path: Path) -> None:
+    path = scene_with_glass().written(tmp_path)
+    call(f"datagen import {path} --out {tmp_path / 'scene'}")
+    answer = call(f"datagen build --out {tmp_path / 'data'} " + line.format(folder=tmp_path / "scene"))
+    assert answer.status == 1 and told in answer.error

@@ -11,11 +11,14 @@ import numpy as np
 import pytest
 import trimesh
 from PIL import Image
+from support.commands import call
 from support.gltf import BOX
+from support.meshes import polygon_ply
 from support.soon import soon
 
 from datagen.data.meshes import open_edges, signed_volume, write_ply
 from datagen.disk.errors import HyalineError
+from datagen.scene.folder import load_scene
 from datagen.scene.importers.foreign import ForeignMaterial, ForeignObject, ForeignScene
 from datagen.scene.importers.importing import READERS
 from datagen.scene.importers.remarks import Remarks
@@ -330,3 +333,23 @@ def test_no_byte_that_is_changed_makes_a_reader_fail_otherwise(tmp_path: Path) -
                 read(tmp_path / name, bytes(changed))
             except HyalineError as error:
                 assert "\n" not in str(error)
+
+
+@pytest.mark.parametrize(("order", "extra"), [("little", False), ("big", False), ("little", True)])
+def test_a_ply_of_triangles_quads_and_polygons_is_one_solid(order: str, extra: bool, tmp_path: Path) -> None:
+    path = tmp_path / "prism.ply"
+    path.write_bytes(polygon_ply(12, order, extra))
+    volume = 12 / 2 * math.sin(2 * math.pi / 12) * 2
+    answer = call(f"datagen import {path} --out {tmp_path / 'out'} --material glass --scale 0.1")
+    assert answer.status == 0, answer.err
+    mesh = load_scene(tmp_path / "out").objects[0].mesh
+    assert len(mesh.faces) == 24 + 10 + 12
+    assert signed_volume(mesh) == pytest.approx(volume * 0.1**3, rel=1e-5)
+
+
+@pytest.mark.parametrize("cut", [1, 60, 300])
+def test_a_ply_of_polygons_that_is_cut_off_is_refused_in_one_line(cut: int, tmp_path: Path) -> None:
+    path = tmp_path / "prism.ply"
+    path.write_bytes(polygon_ply(12, "little", False)[:-cut])
+    answer = call(f"datagen import {path} --out {tmp_path / 'out'}")
+    assert answer.status == 1 and len(answer.err.splitlines()) == 1 and "prism.ply" in answer.error

@@ -1,15 +1,19 @@
 """Tests that holes in glass are closed, that the volume is kept or the file refused, and that both are said."""
 
 import dataclasses
+import warnings
 from pathlib import Path
 
 import numpy as np
 import pytest
+from support.commands import call
 from support.gltf import BOX, GltfBuilder, clear, glass
 
-from datagen.data.meshes import Mesh, open_edges, signed_volume
+from datagen.data.meshes import MIN_AREA, Mesh, face_areas, open_edges, signed_volume, vertex_normals, welded
 from datagen.data.windings import check_closed
 from datagen.disk.errors import HyalineError
+from datagen.disk.reading import load_json
+from datagen.scene.folder import load_scene
 from datagen.scene.importers.choices import ImportChoices
 from datagen.scene.importers.importing import import_scene
 from datagen.scene.importers.remarks import Remarks
@@ -80,3 +84,76 @@ def test_open_glass_of_a_file_is_thin_and_solid_when_repaired(tmp_path: Path) ->
     assert "1 holes closed" in done.record["approximations"][0]
     with pytest.raises(HyalineError, match="leave out --strict"):
         import_scene(path, ImportChoices(repair=True, strict=True))
+
+
+def with_split_edges(mesh: Mesh, *, bridged: bool) -> Mesh:
+    """The mesh with every eighth face halved, so that a point lies on its neighbour's edge.
+
+    Args:
+        bridged: a face without area closes each of these cracks.
+    """
+    positions, triangles = welded(mesh)
+    points, faces, split = list(positions), triangles.tolist(), set()
+    for index in range(0, len(triangles), 8):
+        a, b, c = faces[index]
+        if {a, b} in split:
+            continue
+        split.add(frozenset((a, b)))
+        middle = len(points)
+        points.append((points[a] + points[b]) / 2)
+        faces[index] = [a, middle, c]
+        faces += [[middle, b, c], *([[a, b, middle]] if bridged else [])]
+    vertices, corners = np.array(points, np.float32), np.array(faces, np.int32)
+    normals = vertex_normals(vertices, corners).astype(np.float32)
+    return Mesh(vertices=vertices, faces=corners, normals=normals, uv=np.zeros((len(vertices), 2), np.float32))
+
+
+@pytest.mark.parametrize("bridged", [True, False])
+@pytest.mark.parametrize("repair", ["", "--repair"])
+def test_slivers_are_collapsed_so_that_closed_glass_stays_closed(bridged: bool, repair: str, tmp_path: Path) -> None:
+    builder = GltfBuilder()
+    mesh = with_split_edges(BOX, bridged=bridged)
+    assert (face_areas(mesh).min() < MIN_AREA) == bridged and (open_edges(mesh) == 0) == bridged
+    material = builder.material(pbrMetallicRoughness=clear(), extensions=glass())
+    builder.node(mesh=builder.mesh(mesh, material=material), name="block")
+    path = builder.written(tmp_path)
+    with warnings.catch_warnings(record=True) as raised:
+        warnings.simplefilter("always")
+        answer = call(f"datagen import {path} --out {tmp_path / 'out'} {repair}")
+    assert answer.status == 0 and raised == [], answer.err
+    block = load_scene(tmp_path / "out").objects[0]
+    if repair or bridged:
+        assert block.material == Dielectric(ior=1.5) and open_edges(block.mesh) == 0
+        assert signed_volume(block.mesh) == pytest.approx(signed_volume(BOX), rel=1e-5)
+        assert len(block.mesh.faces) <= len(mesh.faces) + (0 if bridged else len(BOX.faces) // 8 + 1)
+    else:
+        assert isinstance(block.material, ThinDielectric)
+
+
+def test_what_cannot_be_closed_is_drawn_thin_as_the_error_says(tmp_path: Path) -> None:
+    builder = GltfBuilder()
+    material = builder.material(pbrMetallicRoughness=clear(), extensions=glass())
+    fin = np.array([[*BOX.faces[0, :2], 50]], np.int32)
+    finned = dataclasses.replace(BOX, faces=np.concatenate([BOX.faces, fin]))
+    builder.node(mesh=builder.mesh(finned, material=material), name="block")
+    path, out = builder.written(tmp_path), tmp_path / "out"
+    for more in ("--repair", "--repair --material glass"):
+        answer = call(f"datagen import {path} --out {out} --overwrite {more}")
+        assert answer.status == 1 and "or draw it as thin glass with --material 'block=thin-glass'" in answer.error
+        answer = call(f"datagen import {path} --out {out} --overwrite {more} --material 'block=thin-glass'")
+        assert answer.status == 0, answer.err
+        assert load_json(out / "scene.json")["objects"][0]["material"]["type"] == "ThinDielectric"  # pyright: ignore
+
+
+def test_open_glass_that_was_chosen_says_what_closes_it_and_that_works(tmp_path: Path) -> None:
+    builder = GltfBuilder()
+    builder.node(mesh=builder.mesh(without(BOX, [3])), name="block")
+    path = builder.written(tmp_path)
+    answer = call(f"datagen import {path} --out {tmp_path / 'out'} --material glass")
+    assert answer.status == 1
+    assert answer.error == (
+        "error: block: has 3 open edges, and glass must be closed; --repair closes holes, and --material "
+        "'block=thin-glass' draws it as a thin pane"
+    )
+    for more in ("--repair", "--material 'block=thin-glass'"):
+        assert call(f"datagen import {path} --out {tmp_path / 'out'} --overwrite --material glass {more}").status == 0
