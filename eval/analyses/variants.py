@@ -1,6 +1,5 @@
 """The scores of variants: what runs drew of other cameras, another size or an edited scene, against its own truth."""
 
-import shlex
 from dataclasses import dataclass
 
 from datagen.data.config import Split
@@ -8,7 +7,6 @@ from datagen.data.dataset import Dataset
 from datagen.data.variants import list_variants, open_variant, variant_root
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import Json
-from datagen.disk.storage import load_sealed
 from datagen.terminal.command import track
 from eval.score.kept import Kept
 from eval.score.metrics import mean_of
@@ -51,19 +49,11 @@ def run_of_variant(run: Run, variant: Dataset) -> Run | None:
     They lie at RUN/variants/NAME/predictions/SPLIT/0000.png, whoever made them.
 
     Raises:
-        HyalineError: a picture is missing or too many, or they were made for another version of the variant.
+        HyalineError: a picture is missing or too many, or they are of another version of the variant or of another run.
     """
     folder = variant_root(run.folder, variant.name)
     found = within(run, folder, variant)
-    if not any(has_split(found, split) for split in variant.splits):
-        return None
-    record = folder / "predictions.json"
-    if record.is_file() and load_sealed(record).get("dataset_seal") != variant.seal:
-        raise HyalineError(
-            f"{folder}: made for another version of {variant.root}; "
-            f"render again with `model render --run {shlex.quote(str(run.folder))} --variant {variant.name}`"
-        )
-    return found
+    return found if any(has_split(found, split) for split in variant.splits) else None
 
 
 def variant_json(scored: VariantScores) -> dict[str, Json]:

@@ -9,7 +9,9 @@
                                                      key is refused
 
     .../predictions.json                             beside each folder `predictions`; sealed: SHA-256 of each picture,
-                                                     which are verified then; optional where run.json is not sealed
+                                                     which are verified then, and dataset_seal and run_seal (of
+                                                     run.json), where they belong; optional where run.json is not
+                                                     sealed
 
 A PNG's own checksums are verified in any case (eval/score/png.py).
 Test splits are scored; pictures of the training split may lie there, too.
@@ -36,7 +38,7 @@ from datagen.disk.errors import HyalineError
 from datagen.disk.names import printable
 from datagen.disk.reading import load_json, read_regular
 from datagen.disk.records import Json, from_json, shown
-from datagen.disk.storage import SEAL, load_sealed, sha256
+from datagen.disk.storage import SEAL, load_sealed, seal_of, sha256
 from datagen.terminal.command import choose
 from eval.score.png import check_png
 
@@ -72,8 +74,9 @@ class Run:
     """What `model train METHOD` has to be told to train it again."""
     layers_seal: str | None
     """Hash that names the layers it was trained on."""
-    is_sealed: bool
-    """True of a run of `model train`, whose pictures count only with the list that it writes after them."""
+    seal: str | None
+    """Of the run.json of `model train`, whose pictures count only with the list that it writes after them; None: of
+    another method."""
     promised: dict[str, str] | None
     """SHA-256 of each picture by path relative to the folder; None: nobody has told."""
 
@@ -120,22 +123,25 @@ def open_run(folder: Path, data_root: Path, given: Dataset | None = None) -> Run
     The dataset is the given one, or the one that run.json names, or else `data_root`/SCENE.
 
     Raises:
-        HyalineError: a damaged record, no dataset, or one that differs from the data the run was made for.
+        HyalineError: a damaged record, no dataset, one that differs from the data the run was made for, or pictures of
+            another run.
     """
     path = folder / "run.json"
     record = load_json(path) if os.path.lexists(path) else {}
-    if is_sealed := SEAL in record:
+    seal = None
+    if SEAL in record:
         record = load_sealed(path)
+        seal = seal_of(record)
     if unknown := sorted(set(record) - RUN_KEYS):
         raise HyalineError(f"{path}: unknown key {shown(unknown[0])}; known are {', '.join(sorted(RUN_KEYS))}")
     named = _optional(record, "dataset", str, path)
     places = [*([] if given is None else [given.root]), *([] if named is None else [Path(named)])]
+    places.append(data_root / folder.parent.name)
+    dataset = _find_dataset(folder, places, _optional(record, "dataset_seal", str, path))
     return Run(
         folder=folder,
         name=printable(folder.name),
-        dataset=_find_dataset(
-            folder, [*places, data_root / folder.parent.name], _optional(record, "dataset_seal", str, path)
-        ),
+        dataset=dataset,
         method=_optional(record, "method", str, path),
         geometry=_optional(record, "geometry", str, path),
         knowledge=_optional(record, "knowledge", str, path),
@@ -146,8 +152,8 @@ def open_run(folder: Path, data_root: Path, given: Dataset | None = None) -> Run
         config=_config(record, path),
         flags=_flags(record, path),
         layers_seal=_optional(record, "layers_seal", str, path),
-        is_sealed=is_sealed,
-        promised=_read_promised(folder),
+        seal=seal,
+        promised=_read_promised(folder, dataset, seal),
     )
 
 
@@ -155,16 +161,29 @@ def within(run: Run, folder: Path, dataset: Dataset) -> Run:
     """A run's predictions of other truth, in a folder of its own inside the run's, as a run.
 
     Raises:
-        HyalineError: the list of its pictures is damaged.
+        HyalineError: the list of its pictures is damaged, or is of other truth or of another run.
     """
-    return dataclasses.replace(run, folder=folder, dataset=dataset, promised=_read_promised(folder))
+    promised = _read_promised(folder, dataset, run.seal)
+    return dataclasses.replace(run, folder=folder, dataset=dataset, promised=promised)
 
 
-def _read_promised(folder: Path) -> dict[str, str] | None:
+def _read_promised(folder: Path, dataset: Dataset, run_seal: str | None) -> dict[str, str] | None:
+    """The pictures that a folder's list names; it is refused where it says that it belongs elsewhere."""
     path = folder / "predictions.json"
     if not path.is_file():
         return None
-    return from_json(dict[str, str], load_sealed(path).get("files"), where=f"{path}: files")
+    content = load_sealed(path)
+    for key, what, mine, own in (
+        ("dataset_seal", "of other data", dataset.root, dataset.seal),
+        ("run_seal", "by another run", "run.json here", run_seal),
+    ):
+        found = content.get(key)
+        if found not in (None, own) and own is not None:
+            raise HyalineError(
+                f"{path}: its pictures are {what} ({key} {str(found)[:12]}...) than {mine} ({own[:12]}...); "
+                f"draw them again with `{_render_command(folder)}`"
+            )
+    return from_json(dict[str, str], content.get("files"), where=f"{path}: files")
 
 
 def prediction_path(run: Run, split: Split, view: int) -> Path:
@@ -214,22 +233,22 @@ def _read_bytes(run: Run, split: Split, view: int) -> bytes:
     path = prediction_path(run, split, view)
     data = read_regular(path, at_most=MAX_PNG_BYTES)
     relative = path.relative_to(run.folder).as_posix()
-    if run.promised is None and run.is_sealed:
+    if run.promised is None and run.seal is not None:
         raise HyalineError(
             f"{run.folder / 'predictions.json'}: not there, so nothing says that the pictures are whole; "
-            f"render them with `{_render_command(run)}`"
+            f"render them with `{_render_command(run.folder)}`"
         )
     if run.promised is not None and run.promised.get(relative) != sha256(data):
         what = "damaged (checksum differs)" if relative in run.promised else "not among those that were written"
         raise HyalineError(
-            f"{path}: {what}, says {run.folder / 'predictions.json'}; render it again with `{_render_command(run)}`"
+            f"{path}: {what}, says {run.folder / 'predictions.json'}; "
+            f"render it again with `{_render_command(run.folder)}`"
         )
     return data
 
 
-def _render_command(run: Run) -> str:
+def _render_command(folder: Path) -> str:
     """The command that writes a run's pictures; of a variant, that inside the run."""
-    folder = run.folder
     if folder.parent.name == VARIANTS:
         return shlex.join(["model", "render", "--run", str(folder.parent.parent), "--variant", folder.name])
     return shlex.join(["model", "render", "--run", str(folder)])

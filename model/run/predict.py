@@ -1,8 +1,8 @@
 """Prediction: from a run's weights to 8-bit pictures of the test splits, of the dataset and of its variants.
 
 RUN/predictions/SPLIT/0000.png     8-bit sRGB
-RUN/predictions.json               sealed, written last: SHA-256 of each picture
-RUN/variants/NAME/...              the same of a variant, whose seal its predictions.json says
+RUN/predictions.json               sealed, written last: SHA-256 of each picture, seals of the dataset and of run.json
+RUN/variants/NAME/...              the same of a variant
 """
 
 import dataclasses
@@ -25,14 +25,22 @@ from datagen.data.paths import view_name
 from datagen.data.png import png_bytes
 from datagen.data.variants import ANGLES, has_variant, open_variant, variant_root
 from datagen.disk.errors import HyalineError, NumericsError
-from datagen.disk.storage import commit, load_sealed, sha256
+from datagen.disk.storage import commit, sha256
 from datagen.terminal.command import say, track
 from model.batches.rays import PixelSource
 from model.methods.renderer import Renderer
 from model.methods.table import open_inputs
 from model.run.checkpoint import load_state
 from model.run.edits import show_edited_scene
-from model.run.run_folder import PREDICTIONS, WEIGHTS, TrainConfig, is_config, is_finished, write_prediction_hashes
+from model.run.run_folder import (
+    PREDICTIONS,
+    WEIGHTS,
+    TrainConfig,
+    check_state_of,
+    is_finished,
+    prediction_seals,
+    write_prediction_hashes,
+)
 from model.settings.runtime import keep_freed_memory
 
 
@@ -69,7 +77,7 @@ def load_renderer(out: Path, config: TrainConfig, dataset: Dataset) -> Renderer:
     """The trained renderer of a run, on the CPU.
 
     Raises:
-        HyalineError: the weights are missing, damaged, or of another configuration.
+        HyalineError: the weights are missing, damaged, or of another configuration or other data.
     """
     if not (out / WEIGHTS).is_file():
         raise HyalineError(
@@ -79,9 +87,9 @@ def load_renderer(out: Path, config: TrainConfig, dataset: Dataset) -> Renderer:
         state = load_state(out / WEIGHTS)
     except HyalineError as error:
         raise HyalineError(f"{error}; train anew with --overwrite") from error
-    if not is_config(state.get("config"), config):
-        raise HyalineError(f"{out / WEIGHTS}: made by another configuration than run.json; train with --overwrite")
-    renderer = config.net.build(open_inputs(config.net, dataset, config.geometry))
+    inputs = open_inputs(config.net, dataset, config.geometry)
+    check_state_of(state, config, inputs, path=out / WEIGHTS)
+    renderer = config.net.build(inputs)
     check_parameters(renderer.state_dict(), state.get("renderer"), where=str(out / WEIGHTS))
     renderer.load_state_dict(cast(dict[str, Tensor], state["renderer"]))
     return renderer
@@ -106,13 +114,14 @@ def check_parameters(expected: Mapping[str, Tensor], found: object, *, where: st
 
 def is_drawn(run: Path, variant: Dataset) -> bool:
     """True when all of a run's pictures of this variant are there and verify."""
-    folder = variant_root(run, variant.name)
-    return is_finished(folder) and load_sealed(folder / PREDICTIONS).get("dataset_seal") == variant.seal
+    return is_finished(variant_root(run, variant.name), **prediction_seals(run, variant))
 
 
 def is_all_drawn(run: Path, dataset: Dataset) -> bool:
     """True when a run is finished, with all variants that `render_predictions` draws along."""
-    return is_finished(run) and all(is_drawn(run, variant) for variant in _drawn_along(dataset))
+    return is_finished(run, **prediction_seals(run, dataset)) and all(
+        is_drawn(run, variant) for variant in _drawn_along(dataset)
+    )
 
 
 def render_predictions(run: Path, config: TrainConfig, dataset: Dataset, *, device: torch.device) -> None:
@@ -123,7 +132,7 @@ def render_predictions(run: Path, config: TrainConfig, dataset: Dataset, *, devi
         if not is_drawn(run, variant):
             _draw(renderer, run, config, variant)
     files = render_views(renderer, config, dataset, run)
-    write_prediction_hashes(run, files)
+    write_prediction_hashes(run, files, **prediction_seals(run, dataset))
     say(f"{run}: rendered {len(files)} views")
 
 
@@ -203,7 +212,7 @@ def _draw(renderer: Renderer, run: Path, config: TrainConfig, variant: Dataset) 
     folder = variant_root(run, variant.name)
     (folder / PREDICTIONS).unlink(missing_ok=True)
     files = render_views(renderer, config, variant, folder)
-    write_prediction_hashes(folder, files, variant=variant.seal)
+    write_prediction_hashes(folder, files, **prediction_seals(run, variant))
     say(f"{folder}: rendered {len(files)} views")
 
 

@@ -8,9 +8,11 @@
     RUN/costs.json                  with --costs: the time and memory that training took (run/costs.py)
     RUN/checkpoint.pt               while training: everything that a resumed run needs (format: run/checkpoint.py)
     RUN/checkpoint.previous.pt      the one before
-    RUN/weights.pt                  after training: the renderer alone; the checkpoints are deleted then
+    RUN/weights.pt                  after training: the renderer alone, with the configuration and the seals of the
+                                    data that made it; the checkpoints are deleted then
     RUN/predictions/SPLIT/0000.png  8-bit sRGB
-    RUN/predictions.json            sealed, written last: SHA-256 of each prediction; a run that has it is finished
+    RUN/predictions.json            sealed, written last: SHA-256 of each prediction, and the seals of the dataset and
+                                    of run.json; a run that has it is finished
     RUN/variants/NAME/...           predictions of variants of the dataset (format: model/run/predict.py)
 
 No time, host or thread count is in any of them but TensorBoard's and costs.json: the same command gives the same bytes
@@ -21,6 +23,7 @@ import dataclasses
 import itertools
 import json
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
@@ -36,7 +39,7 @@ from datagen.disk.ownership import FolderKind, begin, is_ours, refuse_taken, rem
 from datagen.disk.promises import check_files
 from datagen.disk.reading import parse_json, read_regular
 from datagen.disk.records import Json, from_json, shown, to_json
-from datagen.disk.storage import commit, commit_sealed, load_sealed, seal_bytes
+from datagen.disk.storage import commit, commit_sealed, load_sealed, seal_bytes, seal_of
 from model.methods.protocol import Inputs, MethodConfig
 from model.methods.table import find_method, open_inputs
 from model.run.costs import COSTS
@@ -213,28 +216,54 @@ def check_trained_on(out: Path, config: TrainConfig, dataset: Dataset) -> Inputs
     return inputs
 
 
-def is_config(stored: object, config: TrainConfig) -> bool:
-    """True when a configuration stored as JSON is this one.
+def data_seals(inputs: Inputs) -> dict[str, str]:
+    """What weights and checkpoints say of the data that they were trained on, beside their configuration."""
+    return {"dataset_seal": inputs.dataset.seal, "layers_seal": inputs.layers_seal}
+
+
+def check_state_of(state: Mapping[str, object], config: TrainConfig, inputs: Inputs, *, path: Path) -> None:
+    """Refuses weights or a checkpoint of another run, that somebody has copied here.
 
     Raises:
-        HyalineError: an unknown key.
+        HyalineError: another configuration, an unknown key in it, or other data, where the file says on which (those of
+            older programs do not).
     """
-    return parse_config(cast(Json, stored), where="config") == config
+    if parse_config(cast(Json, state.get("config")), where=f"{path}: config") != config:
+        raise HyalineError(f"{path}: made by another configuration than run.json; train with --overwrite")
+    for key, own in data_seals(inputs).items():
+        if (found := state.get(key, own)) != own:
+            raise HyalineError(
+                f"{path}: of a run on other data ({key} {str(found)[:12]}...) than this one ({str(own)[:12]}...); "
+                "bring its own back, or train anew with --overwrite"
+            )
 
 
-def is_finished(out: Path) -> bool:
-    """True when all predictions are there and verify."""
+def is_finished(out: Path, **seals: str) -> bool:
+    """True when all predictions are there and verify, and their list says these seals, or none (as older ones do).
+
+    Args:
+        seals: as `prediction_seals` gives them.
+    """
     try:
         check_files(out, read_prediction_hashes(out))
+        said = load_sealed(out / PREDICTIONS)
     except HyalineError:
         return False
-    return True
+    return all(said.get(key, seal) == seal for key, seal in seals.items())
 
 
-def write_prediction_hashes(out: Path, files: dict[str, str], *, variant: str | None = None) -> None:
-    """Commits the list of pictures in a run's folder, or in one of a variant, whose seal it then says."""
-    said: dict[str, Json] = {} if variant is None else {"dataset_seal": variant}
-    commit_sealed(out / PREDICTIONS, {"version": RUN_VERSION, **said, "files": dict(files)})
+def prediction_seals(run: Path, home: Dataset) -> dict[str, str]:
+    """What the list of pictures of a dataset, or of a variant, says of where they belong."""
+    return {"dataset_seal": home.seal, "run_seal": seal_of(load_sealed(run / RUN))}
+
+
+def write_prediction_hashes(out: Path, files: dict[str, str], **seals: str) -> None:
+    """Commits the list of pictures in a run's folder, or in one of a variant.
+
+    Args:
+        seals: as `prediction_seals` gives them.
+    """
+    commit_sealed(out / PREDICTIONS, {"version": RUN_VERSION, **seals, "files": dict(files)})
 
 
 def read_prediction_hashes(out: Path) -> dict[str, str]:

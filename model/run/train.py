@@ -39,7 +39,7 @@ from model.run.preparation import (
     describe_run,
     load_training,
 )
-from model.run.run_folder import CHECKPOINT, WEIGHTS, TrainConfig, begin_run, is_config, write_metrics
+from model.run.run_folder import CHECKPOINT, WEIGHTS, TrainConfig, begin_run, check_state_of, data_seals, write_metrics
 from model.settings.optimisation import LrDecay
 from model.settings.run_flags import Memory
 from model.settings.runtime import keep_freed_memory
@@ -107,6 +107,7 @@ def train(
     optimizer = make_optimizer(groups, beta1=config.beta1)
     run = Run(
         config=config,
+        inputs=inputs,
         out=out,
         processes=processes,
         renderer=renderer,
@@ -133,6 +134,7 @@ class Run:
     """What every step of a run works with."""
 
     config: TrainConfig
+    inputs: Inputs
     out: Path
     processes: Processes
     renderer: Renderer
@@ -191,14 +193,15 @@ def resume(run: Run) -> Progress:
     """Loads the newest intact checkpoint, if there is one, into the run; says how far it had come.
 
     Raises:
-        HyalineError: another configuration made it.
+        HyalineError: another configuration or other data made it.
     """
     progress = Progress()
     with run.processes.in_turn():
         checkpoint = load_checkpoint(run.out)
     if checkpoint is not None:
-        if "metrics" not in checkpoint or not is_config(checkpoint["config"], run.config):
-            raise HyalineError(f"{run.out / CHECKPOINT}: made by another configuration; start anew with --overwrite")
+        if "metrics" not in checkpoint:
+            raise HyalineError(f"{run.out / CHECKPOINT}: is not a checkpoint; start anew with --overwrite")
+        check_state_of(checkpoint, run.config, run.inputs, path=run.out / CHECKPOINT)
         run.renderer.load_state_dict(cast(dict[str, Tensor], checkpoint["renderer"]))
         run.optimizer.load_state_dict(cast(dict[str, Tensor], checkpoint["optimizer"]))
         run.losses.load_state(checkpoint.get("losses"))
@@ -295,6 +298,7 @@ def save_progress(run: Run, progress: Progress) -> None:
     """A checkpoint, from which `resume` goes on."""
     state: dict[str, State] = {
         "config": cast(State, to_json(run.config)),
+        **data_seals(run.inputs),
         "step": progress.step,
         "renderer": cast(State, dict(run.renderer.state_dict())),
         "optimizer": cast(State, run.optimizer.state_dict()),
@@ -310,6 +314,7 @@ def save_weights(run: Run) -> None:
     """The result; the checkpoints go."""
     weights: dict[str, State] = {
         "config": cast(State, to_json(run.config)),
+        **data_seals(run.inputs),
         "step": run.config.steps,
         "renderer": cast(State, dict(run.renderer.state_dict())),
     }

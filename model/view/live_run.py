@@ -12,7 +12,6 @@ from torch import Tensor
 
 from datagen.data.cameras import Camera, Cameras
 from datagen.data.dataset import Dataset
-from datagen.disk.errors import HyalineError
 from model.methods.renderer import Renderer
 from model.run.checkpoint import load_state
 from model.run.predict import check_draws_cameras, check_parameters, load_renderer, predict_pixels
@@ -21,8 +20,8 @@ from model.run.run_folder import (
     PREVIOUS_CHECKPOINT,
     WEIGHTS,
     TrainConfig,
+    check_state_of,
     check_trained_on,
-    is_config,
     read_metrics,
 )
 
@@ -114,8 +113,7 @@ class LiveRun:
         if path.name == WEIGHTS:
             return load_renderer(self.folder, self.config, self.dataset), self.config.steps
         state = load_state(path)
-        if not is_config(state.get("config"), self.config):
-            raise HyalineError(f"{path}: made by another configuration than run.json was; start `model view` again")
+        check_state_of(state, self.config, self.inputs, path=path)
         renderer = self.config.net.build(self.inputs)
         check_parameters(renderer.state_dict(), state.get("renderer"), where=str(path))
         renderer.load_state_dict(cast(dict[str, Tensor], state["renderer"]))

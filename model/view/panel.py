@@ -1,5 +1,6 @@
 """The viewer's panel: what the free camera sees, which cameras and meshes stand around, how far the run is."""
 
+import threading
 from collections.abc import Callable
 from typing import Literal
 
@@ -35,7 +36,7 @@ class Panel:
         Args:
             on_sight: called when the free camera is to see something else.
             on_cameras: called with a split, and whether its cameras are to be seen.
-            on_meshes: called with the geometry whose meshes are to be seen.
+            on_meshes: called with the geometry whose meshes are to be seen; it may raise a HyalineError.
         """
         gui, geometries = server.gui, list_geometries(dataset) if dataset.objects else []
         self._status, self._trouble = gui.add_markdown(dataset.name), gui.add_markdown("", visible=False)
@@ -63,7 +64,16 @@ class Panel:
         self._sight.on_update(show_sight)
         for control in (self._layer, self._geometry, self._pause):
             control.on_update(lambda _: on_sight())
-        meshes.on_update(lambda event: on_meshes(None if event.target.value == NO_MESHES else event.target.value))
+        choosing = threading.Lock()
+
+        def show_meshes(_: object) -> None:
+            with choosing:  # Two threads would remove the same meshes, and the last choice might not be the last shown.
+                try:
+                    on_meshes(None if meshes.value == NO_MESHES else meshes.value)
+                except HyalineError as error:
+                    self.tell_trouble(str(error))
+
+        meshes.on_update(show_meshes)
         on_meshes(None if shown == NO_MESHES else shown)
 
     @property

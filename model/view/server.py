@@ -9,13 +9,34 @@ from collections.abc import Iterator
 import viser
 
 from datagen.disk.errors import HyalineError
+from model.view.visitors import Value, Visitors
 
 
 class Server(viser.ViserServer):
-    """A viser server that nobody can make share itself with the world: viser lets any browser ask for that."""
+    """A viser server that answers browsers of this machine's user alone, and only once there is something to see."""
 
-    def request_share_url(self, verbose: bool = True) -> str | None:  # noqa: ARG002
-        return None
+    def __init__(self, host: str, port: int, label: str) -> None:
+        self._visitors = Visitors(host, protocol=f"viser-v{viser.__version__}", takes=self._takes)
+        with self._visitors.guarding():
+            super().__init__(host=host, port=port, label=label, verbose=False)
+
+    @property
+    def is_guarded(self) -> bool:
+        """False where viser starts its web server in another way than version 1.1 did."""
+        return self._visitors.is_guarding
+
+    def open(self) -> None:
+        """Lets browsers in. viser's page keeps for good where its camera first stood, so all must be there by then."""
+        self._visitors.is_open = True
+
+    def _takes(self, control: str, value: Value) -> bool:
+        """True when a control of the panel can have such a value."""
+        handle = self.gui._gui_input_handle_from_uuid.get(control)
+        if isinstance(handle, viser.GuiDropdownHandle):
+            return value in handle.options
+        if isinstance(handle, viser.GuiSliderHandle):
+            return type(value) is int and handle.min <= value <= handle.max
+        return isinstance(handle, viser.GuiCheckboxHandle) and isinstance(value, bool)
 
 
 @contextlib.contextmanager
@@ -30,8 +51,12 @@ def serving(host: str, port: int, label: str) -> Iterator[Server]:
     """
     _check_free(host, port)
     with contextlib.redirect_stdout(io.StringIO()):  # viser prints a box.
-        server = Server(host=host, port=port, label=label, verbose=False)
+        server = Server(host, port, label)
     try:
+        if not server.is_guarded:
+            raise HyalineError(
+                f"model view: viser {viser.__version__} cannot be guarded against other web sites; install 1.1.1"
+            )
         # viser goes on to the next port when somebody has just taken this one.
         if port and server.get_port() != port:
             raise _taken(host, port)

@@ -15,6 +15,8 @@ from datagen.disk.errors import HyalineError
 from datagen.look.view_pictures import object_colors
 from model.view.cameras import window_pose
 
+Triple = tuple[float, float, float]
+
 COLORS: dict[str, tuple[int, int, int]] = {"train": (90, 140, 230), "interpolating": (70, 180, 110)}
 """Of the frames of cameras by split; other splits test how a renderer extrapolates, and are red."""
 OTHERS = (220, 90, 80)
@@ -28,30 +30,35 @@ GLASS_OPACITY = 0.35
 class Stage:
     """Puts a dataset into a viewer's space."""
 
-    def __init__(self, server: viser.ViserServer, dataset: Dataset, on_click: Callable[[View], None]) -> None:
+    def __init__(
+        self, server: viser.ViserServer, dataset: Dataset, on_click: Callable[[View], None], *, back: float
+    ) -> None:
         """Cameras stand there at once, without pictures; meshes are shown when asked for.
 
         Args:
             on_click: called, in a thread of viser's, when somebody has clicked a camera and looks through it.
+            back: how much farther away than the first test view one starts, as a share of the distance.
         """
         self._server, self._dataset, self._on_click = server, dataset, on_click
         meshes = read_meshes(dataset, TRUTH) if dataset.objects else ()  # Imported pictures may have none.
         corners = [mesh.vertices for mesh in meshes if is_there(mesh)] or [_places(dataset)]
         low, high = np.concatenate(corners).min(axis=0), np.concatenate(corners).max(axis=0)
         self.middle = (low + high).astype(np.float64) / 2
+        first: Split = "interpolating" if "interpolating" in dataset.splits else dataset.splits[0]
+        self._start = self._find_start(dataset.view(first, 0).camera, back)
+        # Before the frames: viser 1.1 sends at most 128 messages together, and its page places its camera once, as soon
+        # as any of these has come. Those behind a cut are lost, and it looks at the world's origin instead.
+        self._place(server.initial_camera)
+        server.initial_camera.up = (0.0, 0.0, 1.0)
         self._frames: dict[Split, list[viser.CameraFrustumHandle]] = {
             split: [self._add_frame(view) for view in dataset.views(split)] for split in dataset.splits
         }
         self._meshes: list[viser.MeshHandle] = []
 
-    def start_at(self, camera: Camera, *, back: float) -> None:
-        """Where browsers begin: at a camera, or farther back from what it looks at, by a share of the distance."""
-        position, _, fov_y = window_pose(camera)
-        ahead = self._ahead(camera)
-        start = self._server.initial_camera
-        start.position, start.look_at = _triple(position + back * (position - ahead)), _triple(ahead)
-        start.up = (0.0, 0.0, 1.0)
-        start.fov = fov_y
+    def restart(self, client: viser.ClientHandle) -> None:
+        """Moves a browser's camera to where browsers begin."""
+        with client.atomic():
+            self._place(client.camera)
 
     def show_cameras(self, split: Split, *, visible: bool) -> None:
         for frame in self._frames[split]:
@@ -115,6 +122,15 @@ class Stage:
 
         return frame
 
+    def _find_start(self, camera: Camera, back: float) -> tuple[Triple, Triple, float]:
+        """Where one begins, what one looks at, and the vertical field of view in radians."""
+        position, _, fov_y = window_pose(camera)
+        ahead = self._ahead(camera)
+        return _triple(position + back * (position - ahead)), _triple(ahead), fov_y
+
+    def _place(self, camera: viser.CameraHandle | viser.InitialCameraConfig) -> None:
+        camera.position, camera.look_at, camera.fov = self._start
+
     def _look_through(self, client: viser.ClientHandle, camera: Camera) -> None:
         position, wxyz, fov_y = window_pose(camera)
         with client.atomic():
@@ -134,6 +150,6 @@ def _places(dataset: Dataset) -> np.ndarray:
     return np.concatenate([dataset.cameras(split).world_from_camera[:, :3, 3] for split in dataset.splits])
 
 
-def _triple(point: np.ndarray) -> tuple[float, float, float]:
+def _triple(point: np.ndarray) -> Triple:
     x, y, z = map(float, point)
     return x, y, z

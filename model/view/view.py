@@ -65,8 +65,8 @@ class Viewer:
         self._budget = Budget(TRAINING_SHARE)
         self._looked_at = -math.inf
         self._news = threading.Event()
-        self._stage = Stage(server, dataset, self._show_view)
-        self._panel = Panel(
+        self._stage = Stage(server, dataset, self._show_view, back=BACK if run is None else 0.0)
+        self.panel = Panel(
             server,
             dataset,
             has_run=run is not None,
@@ -75,10 +75,10 @@ class Viewer:
             on_meshes=self._stage.show_meshes,
         )
         self._pictures: Iterator[None] = self._stage.pictures()
-        first: Split = "interpolating" if "interpolating" in dataset.splits else dataset.splits[0]
-        self._stage.start_at(dataset.view(first, 0).camera, back=BACK if run is None else 0.0)
+        self._was_visited = False
         server.on_client_connect(self._connect)
         server.on_client_disconnect(lambda client: self._schedule.forget(client.client_id))
+        server.open()
 
     def step(self, held: Held) -> None:
         """Does the most urgent thing there is, or waits a moment for one."""
@@ -86,7 +86,7 @@ class Viewer:
             self._wait(IDLE_S)
             return
         started, processor = time.monotonic(), time.process_time()
-        if self._panel.is_paused or not self._budget.is_ready(started):
+        if self.panel.is_paused or not self._budget.is_ready(started):
             self._wait(WAIT_S)
             return
         if started - self._looked_at >= LOOK_EVERY_S:
@@ -108,9 +108,9 @@ class Viewer:
         try:
             if self._run.refresh():
                 self._schedule.redraw()
-            self._panel.tell_run(f"{self._run.folder}: {self._run.status}")
+            self.panel.tell_run(f"{self._run.folder}: {self._run.status}")
         except HyalineError as error:
-            self._panel.tell_run(str(error))
+            self.panel.tell_run(str(error))
 
     def _draw(self, job: Job, is_wanted: Callable[[], bool]) -> None:
         started = time.monotonic()
@@ -118,16 +118,18 @@ class Viewer:
             picture, trouble = self._picture(job, is_wanted), ""
         except HyalineError as error:
             picture, trouble = None, str(error)
-        self._panel.tell_trouble(trouble)
+        self.panel.tell_trouble(trouble)
         client = self._server.get_clients().get(job.client)
-        if client is not None:
+        if client is None:  # It went before its last move was heard of.
+            self._schedule.forget(job.client)
+        else:
             kind = "jpeg" if job.is_quick else "png"
             client.scene.set_background_image(picture, format=kind, jpeg_quality=JPEG_QUALITY)
             client.flush()
         self._schedule.finish(job, time.monotonic() - started)
 
     def _picture(self, job: Job, is_wanted: Callable[[], bool]) -> Picture | None:
-        panel = self._panel
+        panel = self.panel
         if panel.sight == "prediction" and self._run is not None:
             return self._run.draw(job.camera, is_quick=job.is_quick, is_wanted=is_wanted)
         if panel.sight == "layer":
@@ -147,6 +149,9 @@ class Viewer:
             self._schedule.move(client.client_id, pose, time.monotonic())
             self._news.set()
 
+        if not self._was_visited:  # Perhaps by a page that an earlier viewer left open, which keeps that one's camera.
+            self._was_visited = True
+            self._stage.restart(client)
         client.camera.on_update(moved)
         moved(client.camera)
 
@@ -158,7 +163,7 @@ class Viewer:
         self._stage.show_cameras(split, visible=visible)
 
     def _show_view(self, view: View) -> None:
-        self._panel.show_view(view)
+        self.panel.show_view(view)
 
     def _wait(self, seconds: float) -> None:
         self._news.wait(seconds)

@@ -3,6 +3,9 @@
 import importlib.util
 import io
 import os
+import signal
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -12,7 +15,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from datagen.data.dataset import Dataset
+from model.view.cameras import window_pose
 from model.view.schedule import Pose
+
+PATIENCE_S = 180
 
 
 def require_viewer() -> None:
@@ -21,7 +28,52 @@ def require_viewer() -> None:
         missing = 'viser: not installed; `pip install -c constraints.txt -e ".[view]"` brings it'
         if os.environ.get("HYALINE_DEMAND_BROWSER"):
             pytest.fail(missing)
-        pytest.skip(missing)
+        pytest.skip(missing, allow_module_level=True)
+
+
+@contextmanager
+def viewer(*words: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """A viewer of its own, and its address."""
+
+    def take_signals() -> None:
+        signal.signal(signal.SIGINT, signal.default_int_handler)  # A shell's job in the background ignores it.
+
+    process = subprocess.Popen(
+        [sys.executable, "-m", "model", "view", *words, "--port", "0", "--device", "cpu"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=take_signals,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
+    )
+    with process:  # Which closes its pipes, and waits for it.
+        try:
+            assert process.stdout is not None
+            yield process, process.stdout.readline().strip()
+        finally:
+            process.kill()
+
+
+def pose_of(dataset: Dataset, window: tuple[int, int]) -> Pose:
+    position, wxyz, fov_y = window_pose(dataset.view("interpolating", 0).camera)
+    return Pose(position=position, wxyz=wxyz, fov_y=fov_y, window=window)
+
+
+def camera_message(pose: Pose) -> dict[str, Any]:
+    """What viser's page says when its camera has moved."""
+    width, height = pose.window
+    return {
+        "type": "ViewerCameraMessage",
+        "wxyz": [float(value) for value in pose.wxyz],
+        "position": [float(value) for value in pose.position],
+        "fov": pose.fov_y,
+        "near": 0.01,
+        "far": 1000.0,
+        "image_height": height,
+        "image_width": width,
+        "look_at": [0.0, 0.0, 0.0],
+        "up_direction": [0.0, 0.0, 1.0],
+    }
 
 
 class Window:
@@ -32,25 +84,20 @@ class Window:
 
     def stand_at(self, pose: Pose) -> None:
         """The camera is here now."""
+        self.send(camera_message(pose))
+
+    def send(self, message: object) -> None:
+        """Says anything."""
         import msgspec
 
-        width, height = pose.window
-        said = {
-            "type": "ViewerCameraMessage",
-            "wxyz": [float(value) for value in pose.wxyz],
-            "position": [float(value) for value in pose.position],
-            "fov": pose.fov_y,
-            "near": 0.01,
-            "far": 1000.0,
-            "image_height": height,
-            "image_width": width,
-            "look_at": [0.0, 0.0, 0.0],
-            "up_direction": [0.0, 0.0, 1.0],
-        }
-        self._connection.send(msgspec.msgpack.encode(said))
+        self.send_bytes(msgspec.msgpack.encode(message))
 
-    def messages(self, patience_s: float) -> Iterator[tuple[dict[str, Any], list[bytes]]]:
-        """What the viewer says for so long, with the binary parts of each message's window."""
+    def send_bytes(self, data: bytes | str) -> None:
+        """Says what need not be a message."""
+        self._connection.send(data)
+
+    def windows(self, patience_s: float) -> Iterator[tuple[list[dict[str, Any]], list[bytes]]]:
+        """What the viewer says for so long, as many messages at once as it says, with their binary parts."""
         import msgspec
         import zstandard
 
@@ -68,7 +115,12 @@ class Window:
                 place += -place % 8
                 parts.append(data[place : place + length])
                 place += length
-            for message in content["messages"]:
+            yield content["messages"], parts
+
+    def messages(self, patience_s: float) -> Iterator[tuple[dict[str, Any], list[bytes]]]:
+        """What the viewer says for so long, with the binary parts of each message's window."""
+        for messages, parts in self.windows(patience_s):
+            for message in messages:
                 yield message, parts
 
     def pictures(self, patience_s: float) -> Iterator[tuple[str, np.ndarray]]:
@@ -81,13 +133,13 @@ class Window:
 
 
 @contextmanager
-def open_window(address: str) -> Iterator[Window]:
-    """Connects to a viewer at http://HOST:PORT."""
+def open_window(address: str, **headers: str) -> Iterator[Window]:
+    """Connects to a viewer at http://HOST:PORT, with headers of a browser's."""
     import viser
     from websockets.sync.client import connect
     from websockets.typing import Subprotocol
 
     place = address.replace("http://", "ws://")
     spoken = [Subprotocol(f"viser-v{viser.__version__}")]
-    with connect(place, subprotocols=spoken, max_size=None, compression=None) as connection:
+    with connect(place, subprotocols=spoken, max_size=None, compression=None, additional_headers=headers) as connection:
         yield Window(connection)

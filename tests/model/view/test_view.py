@@ -1,75 +1,22 @@
 """Tests `model view` from outside: a run and a dataset in a browser, the end by Ctrl-C, and what is refused."""
 
-import contextlib
 import dataclasses
-import os
 import signal
 import socket
-import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 from support.commands import call
-from support.synthetic import write_synthetic_dataset
-from support.training import SMALL
-from support.viewer import open_window, require_viewer
+from support.viewer import PATIENCE_S, open_window, pose_of, require_viewer, viewer
 
 import hyaline
-from datagen.data.dataset import Dataset
 from datagen.terminal.signals import Held
-from model.run.train import train
-from model.view.cameras import camera_in_window, window_pose
-from model.view.schedule import Pose
+from model.view.cameras import camera_in_window
 
-PATIENCE_S = 180
-
-
-@pytest.fixture(scope="module")
-def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with data/one and a trained run of it."""
-    home = tmp_path_factory.mktemp("home")
-    dataset = write_synthetic_dataset(home / "data" / "one", train_views=2)
-    config = dataclasses.replace(SMALL, steps=2, held_out_views=0)
-    train(config, dataset, home / "runs" / "one" / "paper", label="paper", device=torch.device("cpu"))
-    return home
-
-
-@pytest.fixture(autouse=True)
-def at_home(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(home)
-    monkeypatch.setenv("OMP_NUM_THREADS", "1")
-
-
-@contextlib.contextmanager
-def viewer(*words: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
-    """A viewer of its own, and its address."""
-
-    def take_signals() -> None:
-        signal.signal(signal.SIGINT, signal.default_int_handler)  # A shell's job in the background ignores it.
-
-    process = subprocess.Popen(
-        [sys.executable, "-m", "model", "view", *words, "--port", "0", "--device", "cpu"],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        preexec_fn=take_signals,
-        env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
-    )
-    with process:  # Which closes its pipes, and waits for it.
-        try:
-            assert process.stdout is not None
-            yield process, process.stdout.readline().strip()
-        finally:
-            process.kill()
-
-
-def pose_of(dataset: Dataset, window: tuple[int, int]) -> Pose:
-    position, wxyz, fov_y = window_pose(dataset.view("interpolating", 0).camera)
-    return Pose(position=position, wxyz=wxyz, fov_y=fov_y, window=window)
+pytestmark = pytest.mark.usefixtures("at_home")
 
 
 def test_a_browser_gets_what_the_run_predicts_from_its_own_camera_and_ctrl_c_ends_the_viewer_quietly() -> None:
@@ -103,7 +50,6 @@ def test_a_dataset_without_runs_shows_its_cameras_with_their_pictures_and_its_me
     pictures = 0
     with serving("127.0.0.1", 0, "one") as server:
         shown = Viewer(server, dataset, None)
-        assert server.request_share_url() is None
         with open_window(f"http://127.0.0.1:{server.get_port()}") as window:
             window.stand_at(pose_of(dataset, (48, 32)))
             for _ in range(100):
