@@ -42,6 +42,10 @@ ASIDE_DEG, ELEVATION_DEG, FRUSTUM_SHARE = 65.0, 18.0, 0.12
 """From where the scene is seen: that far to the side of the camera, where one sees a ray bend."""
 
 
+Candidates = tuple[Int[np.ndarray, " candidate"], Float[np.ndarray, " candidate"]]
+"""Rays that meet one object first, and how far from its pixel a camera would see a ray's end."""
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DrawnPath:
     """One branch of a camera's ray."""
@@ -147,7 +151,7 @@ def _rays(camera: Camera) -> tuple[Int[np.ndarray, "ray 2"], Float[np.ndarray, "
 
 def _candidates(
     camera: Camera, pixels: Int[np.ndarray, "ray 2"], traced: TracedPaths, surfaces: Surfaces
-) -> list[tuple[Int[np.ndarray, " ray"], Float[np.ndarray, " ray"]]]:
+) -> list[Candidates]:
     """For each glass object the rays that meet it first, and how far from its pixel a camera would see a ray's end.
 
     The shift is a share of the picture's width; 0 where the end is outside the picture or in the sky.
@@ -167,9 +171,7 @@ def _candidates(
     return sorted(found, key=lambda item: -float(item[1].max()))
 
 
-def _choose(
-    pixels: Int[np.ndarray, "ray 2"], candidates: list[tuple[Int[np.ndarray, " ray"], Float[np.ndarray, " ray"]]]
-) -> list[int]:
+def _choose(pixels: Int[np.ndarray, "ray 2"], candidates: list[Candidates]) -> list[int]:
     """The objects take turns; of each the ray that is shifted most, away from those chosen before."""
     chosen: list[int] = []
     apart = float(np.ptp(pixels)) / 8
@@ -236,7 +238,7 @@ def _draw_over_picture(found: FoundPaths, picture: str | None) -> Markup:
     return tag("svg", *parts, class_="drawing over-picture", viewBox=frame, role="img", aria_label=name)
 
 
-def _projected(camera: Camera, p_world: Points) -> tuple[Float[np.ndarray, "point 2"], bool]:
+def _projected(camera: Camera, p_world: Points) -> tuple[Float[np.ndarray, "place 2"], bool]:
     """A path in the picture until it leaves it, and whether it stays inside to its end."""
     margin = 0.02 * camera.width
     low, high = np.full(2, margin), np.array([camera.width, camera.height]) - margin
