@@ -77,6 +77,10 @@ class FoundPaths:
     camera: Camera
     paths: tuple[DrawnPath, ...]
 
+    def drawn_in_order(self) -> list[DrawnPath]:
+        """Refracted paths last, so that they lie over reflected ones."""
+        return sorted(self.paths, key=lambda path: not path.is_reflected)
+
 
 def draw_light_paths(dataset: Dataset, gallery: Gallery) -> Markup:
     """The paths over the view's picture and in the scene, a legend, and a table of what each meets.
@@ -225,14 +229,15 @@ def _draw_over_picture(found: FoundPaths, picture: str | None) -> Markup:
     camera = found.camera
     unit = camera.width / 100
     parts: list[Part] = [] if picture is None else [tag("use", href=f"#{picture}")]
-    for path in found.paths:
+    for path in found.drawn_in_order():
         places, is_inside = _projected(camera, path.points[1:])
         line = join(tag("path", d=path_of(places), class_=kind) for kind in ("halo", None))
         parts.append(_path(path, line, places, unit, is_arrow=not (path.end and is_inside)))
     for ray, (column, row) in {path.ray: path.pixel for path in found.paths}.items():
         x, y = column + 0.5, row + 0.5
         ring = [tag("circle", cx=x, cy=y, r=round(2.4 * unit, 2), class_=kind) for kind in ("ring halo", "ring")]
-        parts.append(tag("g", *ring, _number(ray, x + 2.8 * unit, y - 1.6 * unit, unit)))
+        beside = 2.8 if x < 0.93 * camera.width else -5
+        parts.append(tag("g", *ring, _number(ray, x + beside * unit, max(y - 1.6 * unit, 4 * unit), unit)))
     frame = f"0 0 {camera.width} {camera.height}"
     name = f"Light paths over {found.split} view {found.view}"
     return tag("svg", *parts, class_="drawing over-picture", viewBox=frame, role="img", aria_label=name)
@@ -251,7 +256,8 @@ def _projected(camera: Camera, p_world: Points) -> tuple[Float[np.ndarray, "plac
         at, to = places[-1], camera.project(end[None])[0][0]
         if (to < low).any() or (to > high).any() or end_depth < near:
             way = np.where(to == at, 1e-12, to - at)
-            places.append(at + min(1.0, float(np.maximum((low - at) / way, (high - at) / way).min())) * (to - at))
+            share = np.maximum((low - at) / way, (high - at) / way).min()
+            places.append(at + np.clip(share, 0, 1) * (to - at))
             return np.array(places), False
         places.append(to)
     return np.array(places), True
@@ -272,15 +278,14 @@ def _draw_in_scene(found: FoundPaths, dataset: Dataset) -> Markup:
     sketch = draw_sketch(surfaces.meshes, surfaces.is_glass[1:], place)
     unit = WIDTH / 100
     parts: list[Part] = [sketch.stroke(shape, says=f"{found.split} view {found.view}", class_="camera")]
-    for path in found.paths:
+    for path in found.drawn_in_order():
         if not path.is_reflected:
             parts.append(sketch.stroke(path.points[:2], says=f"ray {path.ray} from the camera", class_="camera"))
         line = sketch.stroke(path.points[1:], says=_says(path, dataset), class_="")
         parts.append(_path(path, line, place.place(path.points)[1:, :2], unit, is_arrow=not path.end))
     x, y, _ = place.place(places[:1])[0]
-    looks_right = place.place(shape)[:, 0].mean() > x
-    side, anchored = (-1, "end") if looks_right else (1, "start")
-    label = {"x": round(x + 2 * side * unit, 1), "y": round(y + unit, 1), "text_anchor": anchored}
+    above = y - 2 * unit if y > 6 * unit else y + 4 * unit
+    label = {"x": round(min(max(x, 6 * unit), WIDTH - 6 * unit), 1), "y": round(above, 1), "text_anchor": "middle"}
     parts.append(tag("text", "camera", font_size=3 * unit, **label))
     return sketch.svg(*parts, name=f"Light paths of {found.split} view {found.view} in the scene")
 

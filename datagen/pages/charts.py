@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from datagen.pages.html import Markup, Part, join, tag
 
 WIDTH, HEIGHT = 640, 300
-LEFT, RIGHT, TOP, BOTTOM = 64, 32, 12, 44
+LEFT, RIGHT, TOP, BOTTOM = 64, 36, 12, 44
 COLORS, DASHES = 8, 4
 """Classes s0 to s7 of the style, and d1 to d3: what comes after eight lines is dashed."""
 

@@ -101,7 +101,7 @@ def test_masks_depth_and_layers_are_what_the_dataset_stores(dataset: Dataset) ->
     assert (pictures["glass"][~glass] <= view.image[~glass] // 5).all()
     np.testing.assert_array_equal(pictures["layer 1"], object_colors(2)[layers.object_id[1]])
     assert len(np.unique(object_colors(200), axis=0)) == 201
-    depth = depth_picture(np.float32([[1, 2], [3, 9]]), np.array([[True, True], [True, False]]))
+    depth = depth_picture(np.array([[1, 2], [3, 9]], np.float32), np.array([[True, True], [True, False]]))
     assert depth.pixels[..., 0].tolist() == [[255, 147], [40, 0]]
     assert depth.metres == (1, 3)
     assert stored["layer 1"].object_ids == tuple(np.unique(layers.object_id[1][layers.object_id[1] > 0]))
