@@ -13,11 +13,12 @@ from datagen.data.cameras import Camera
 from datagen.data.config import Split
 from datagen.data.dataset import Dataset
 from datagen.data.variants import evenly
+from datagen.disk.errors import HyalineError
 from datagen.look.scene_drawing import frustum, open_azimuth_deg
 from datagen.look.sketch import HEIGHT, WIDTH, Points, draw_sketch, path_of, stand
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.pages.document import anchor
-from datagen.pages.html import Markup, Part, join, tag
+from datagen.pages.html import Markup, Part, join, prose, tag
 from datagen.pages.pictures import Gallery
 from datagen.quantities.surfaces import Surfaces, surfaces_of
 from datagen.terminal.distribution import naming_parts
@@ -93,12 +94,16 @@ def draw_light_paths(dataset: Dataset, gallery: Gallery) -> Markup:
         return tag("p", "No ray of the training views meets glass.")
     name = f"{found.split} view {found.view}"
     picture = anchor(found.split, str(found.view), "picture")
-    has_picture = gallery.add(picture, lambda: dataset.view(found.split, found.view).image)
-    over = tag(
-        "figure",
-        _draw_over_picture(found, picture if has_picture else None),
-        tag("figcaption", f"In the picture of {name}: the pixel in the ring shows what lies at the large mark"),
-    )
+    try:
+        has_picture = gallery.add(picture, lambda: dataset.view(found.split, found.view).image)
+    except HyalineError as error:
+        over = tag("p", prose(str(error)), class_="bad")
+    else:
+        over = tag(
+            "figure",
+            _draw_over_picture(found, picture if has_picture else None),
+            tag("figcaption", f"In the picture of {name}: the pixel in the ring shows what lies at the large mark"),
+        )
     in_scene = tag(
         "figure",
         _draw_in_scene(found, dataset),

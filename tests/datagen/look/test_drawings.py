@@ -147,6 +147,21 @@ def test_the_page_draws_light_paths_over_the_picture_and_in_the_scene(page: Read
         assert any(row.startswith(f"{path.ray}{path.pixel[0]}, {path.pixel[1]}pane → ") for row in rows)
 
 
+@pytest.mark.skipif(IS_SCALAR, reason="light paths need a vectorised variant of Mitsuba")
+def test_without_its_picture_a_view_s_paths_are_drawn_in_the_scene(tmp_path: Path) -> None:
+    dataset = write_synthetic_dataset(tmp_path / "data" / "synthetic")
+    found = find_light_paths(dataset)
+    assert found is not None
+    (dataset.root / "images" / "train" / f"{found.view:04d}.png").unlink()
+    run(f"datagen look '{dataset.root}' --out '{tmp_path}/look.html'")
+    page = read_page((tmp_path / "look.html").read_bytes())
+    labels = [item.attributes.get("aria-label") for item in page.all("svg")]
+    assert f"Light paths of train view {found.view} in the scene" in labels
+    assert f"Light paths over train view {found.view}" not in labels
+    bad = [item.text for item in page.all("p") if item.attributes.get("class") == "bad"]
+    assert any(f"train/{found.view:04d}.png" in text for text in bad)
+
+
 def test_the_page_draws_every_camera_and_tells_splits_apart(page: ReadPage, dataset: Dataset) -> None:
     titles = [title.text for title in page.all("title")]
     for split, count in dataset.num_views.items():
