@@ -1,118 +1,371 @@
-"""Light paths drawn through the scene: a few rays of training views that meet glass, coloured by what they end on."""
+"""Light paths: what a few pixels that show glass really see, over the view's picture and in the scene.
+
+A ray from the camera splits where it meets glass. One part is refracted through it, the other reflected; each is
+followed until it ends on something opaque or leaves for the sky.
+"""
 
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
+from datagen.data.cameras import Camera
 from datagen.data.config import Split
 from datagen.data.dataset import Dataset
-from datagen.data.meshes import is_there
 from datagen.data.variants import evenly
-from datagen.look.scene_drawing import surface_points
-from datagen.look.turnable import Stroke, draw_turnable
-from datagen.look.view_pictures import object_colors
+from datagen.disk.errors import HyalineError
+from datagen.look.scene_drawing import frustum, open_azimuth_deg
+from datagen.look.sketch import HEIGHT, WIDTH, Points, draw_sketch, path_of, stand
 from datagen.machine.mitsuba_variant import use_mitsuba
-from datagen.pages.html import Markup, tag
-from datagen.quantities.surfaces import surfaces_of
+from datagen.pages.document import anchor
+from datagen.pages.html import Markup, Part, join, prose, tag
+from datagen.pages.pictures import Gallery
+from datagen.quantities.surfaces import Surfaces, surfaces_of
 from datagen.terminal.distribution import naming_parts
+from datagen.trace.light_path import TracedPaths
 from datagen.trace.limits import Limits
 
-VIEWS, RAYS = 3, 12
-"""Views whose rays are followed, and rays of each at most."""
-ASKED = 24
-"""Rays along the longer side of a picture, at most, among which those that meet glass are sought."""
+RAYS = 5
+"""Whose paths are drawn; of each glass object as many, in turn."""
+MOST_VIEWS = 8
+"""Training views among which the one with the most glass objects is sought."""
+ASKED = 40
+"""Rays along the longer side of a picture, at most, that are traced to choose from."""
+MOST_SURFACES = 10
+"""A path that meets more is no good example."""
+MOST_SHIFT = 0.4
+"""Share of the picture's width beyond which a longer way from a pixel to what it shows is no better example."""
 LIMITS = Limits(max_branches=2, max_vertices=24)
-SURROUNDINGS = 1.6
-"""How much more than the glass the drawing shows."""
 SKY = "sky"
-SKY_COLOR = "#8fb7e8"
+SKY_REACH = 0.3
+"""Length of the arrow to the sky, as a share of the way from the camera to the glass."""
+ASIDE_DEG, ELEVATION_DEG, FRUSTUM_SHARE = 65.0, 18.0, 0.12
+"""From where the scene is seen: that far to the side of the camera, where one sees a ray bend."""
+
+
+Candidates = tuple[Int[np.ndarray, " candidate"], Float[np.ndarray, " candidate"]]
+"""Rays that meet one object first, and how far from its pixel a camera would see a ray's end."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DrawnPath:
-    """One branch of a ray."""
+    """One branch of a camera's ray."""
 
-    points: Float[np.ndarray, "point 3"]
-    """Metres, from before the first surface to the end."""
+    ray: int
+    """Number in the drawing, from 1."""
+    pixel: tuple[int, int]
+    """Column and row."""
+    points: Points
+    """Metres: the camera, the surfaces that it meets, and where it ends, or the tip of an arrow to the sky."""
+    through: str
+    """Objects that it meets before its end, by name."""
     end: int
     """Id of the object on which it ends; 0: the sky."""
-    is_mirrored: bool
-    """Reflected at the first surface; else refracted there."""
-    says: str
+    is_reflected: bool
+    """At the first surface; else refracted there."""
+
+    @property
+    def kind(self) -> str:
+        return "reflected" if self.is_reflected else "refracted"
 
 
-def draw_light_paths(dataset: Dataset) -> Markup:
-    """The paths among the scene's vertices, and a legend of what they end on.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FoundPaths:
+    """The paths of one view."""
+
+    split: Split
+    view: int
+    camera: Camera
+    paths: tuple[DrawnPath, ...]
+
+    def drawn_in_order(self) -> list[DrawnPath]:
+        """Refracted paths last, so that they lie over reflected ones."""
+        return sorted(self.paths, key=lambda path: not path.is_reflected)
+
+
+def draw_light_paths(dataset: Dataset, gallery: Gallery) -> Markup:
+    """The paths over the view's picture and in the scene, a legend, and a table of what each meets.
 
     Raises:
         HyalineError: what traces them is not installed, or knows no such material.
     """
-    paths = find_light_paths(dataset)
-    if not paths:
+    found = find_light_paths(dataset)
+    if found is None:
         return tag("p", "No ray of the training views meets glass.")
-    colors = [SKY_COLOR, *("#" + bytes(map(int, color)).hex() for color in object_colors(len(dataset.objects))[1:])]
-    names = [SKY, *(item.name for item in dataset.objects)]
-    meshes = surfaces_of(dataset).meshes
-    strokes = [
-        Stroke(points=surface_points(meshes), are_dots=True),
-        *(
-            Stroke(points=path.points, says=path.says, color=colors[path.end], is_faint=path.is_mirrored)
-            for path in paths
-        ),
-    ]
-    ends = np.bincount([path.end for path in paths], minlength=len(names))
-    legend = [tag("li", _swatch(colors[end]), f"{names[end]} ({ends[end]})") for end in np.argsort(-ends) if ends[end]]
-    caption = tag("figcaption", "Light paths of training rays through glass, coloured by what they end on")
-    glass = [mesh for mesh, item in zip(meshes, dataset.objects, strict=True) if item.is_glass and is_there(mesh)]
-    around = SURROUNDINGS * (corners := np.concatenate([mesh.vertices for mesh in glass]).astype(np.float64))
-    around += (1 - SURROUNDINGS) * (corners.min(axis=0) + corners.max(axis=0)) / 2
-    drawing = draw_turnable(strokes, "Light paths", around)
-    return tag("figure", caption, drawing, tag("ul", *legend, class_="legend swatches"))
+    name = f"{found.split} view {found.view}"
+    picture = anchor(found.split, str(found.view), "picture")
+    try:
+        has_picture = gallery.add(picture, lambda: dataset.view(found.split, found.view).image)
+    except HyalineError as error:
+        over = tag("p", prose(str(error)), class_="bad")
+    else:
+        over = tag(
+            "figure",
+            _draw_over_picture(found, picture if has_picture else None),
+            tag("figcaption", f"In the picture of {name}: the pixel in the ring shows what lies at the large mark"),
+        )
+    in_scene = tag(
+        "figure",
+        _draw_in_scene(found, dataset),
+        tag("figcaption", "In the scene, from the side: the same rays, from the camera through the glass"),
+    )
+    explained = (
+        "A ray from the camera splits where it meets glass: one part is refracted through it, the other is reflected. "
+        "Each is followed until it ends on something opaque or in the sky, and that is what the pixel shows."
+    )
+    drawings = tag("div", over, in_scene, class_="drawings even")
+    return join([tag("p", explained), drawings, _legend(), _table(found, dataset)])
 
 
-def find_light_paths(dataset: Dataset) -> list[DrawnPath]:
-    """Paths of rays of a few training views that meet glass, at most `VIEWS` x `RAYS` rays.
+def find_light_paths(dataset: Dataset) -> FoundPaths | None:
+    """Paths of up to `RAYS` rays of the training view, among a few, that shows the most glass objects.
 
     Raises:
         HyalineError: as `draw_light_paths`.
     """
     if not any(item.is_glass for item in dataset.objects):
-        return []
+        return None
     surfaces = surfaces_of(dataset)
     with naming_parts("datagen look"):
         use_mitsuba(quiet=True)
         tracer = surfaces.tracer
-    corners = np.concatenate([mesh.vertices for mesh in surfaces.meshes])
-    reach = 0.25 * float(np.linalg.norm(corners.max(axis=0) - corners.min(axis=0)))
     split: Split = "train" if "train" in dataset.splits else dataset.splits[0]
-    count = dataset.num_views[split]
-    found = []
-    for view in evenly(min(VIEWS, count), count):
-        origin, directions = dataset.view(split, view).camera.rays()
-        step = -(-max(directions.shape[:2]) // ASKED)
-        rays = np.ascontiguousarray(directions[step // 2 :: step, step // 2 :: step]).reshape(-1, 3)
+    cameras = dataset.cameras(split)
+    best: tuple[float, int, list[int], TracedPaths] | None = None
+    for view in evenly(min(MOST_VIEWS, len(cameras)), len(cameras)):
+        pixels, rays, origin = _rays(cameras[view])
         traced = tracer.trace(np.tile(origin, (len(rays), 1)), rays, LIMITS)
-        meets = np.flatnonzero(surfaces.is_glass[traced.object_id[0, 0]])
-        for ray in meets[evenly(min(RAYS, len(meets)), len(meets))] if len(meets) else ():
-            first = traced.position[0, 0, ray]
-            start = first - rays[ray] * min(reach, float(np.linalg.norm(first - origin)))
-            for branch in (0, 1):
-                ids = traced.object_id[branch, :, ray]
-                vertices = traced.position[branch, ids > 0, ray]
-                has_left = bool(traced.has_left[branch, ray])
-                if branch == 1 and not len(vertices) and not has_left:
-                    continue  # Nothing is mirrored there.
-                leaving = vertices[-1] if len(vertices) else first
-                tail = [leaving + reach * traced.end_direction[branch, ray]] if has_left else []
-                points = np.array([start, first, *vertices, *tail], np.float64)
-                end = 0 if has_left else int(ids[ids > 0][-1])
-                name = SKY if end == 0 else dataset.objects[end - 1].name
-                way = "mirrored" if branch else "refracted"
-                says = f"{split} view {view}: {way}, {len(vertices)} surfaces, ends on {name}"
-                found.append(DrawnPath(points=points, end=end, is_mirrored=branch == 1, says=says))
+        candidates = _candidates(cameras[view], pixels, traced, surfaces)
+        score = sum(float(shifts.max()) for _, shifts in candidates)
+        if candidates and (best is None or score > best[0]):
+            best = score, view, _choose(pixels, candidates), traced
+    if best is None:
+        return None
+    _, view, chosen, traced = best
+    pixels, _, origin = _rays(cameras[view])
+    paths = []
+    for number, ray in enumerate(chosen, 1):
+        paths += _paths_of(number, ray, (int(pixels[ray, 0]), int(pixels[ray, 1])), origin, traced, dataset)
+    return FoundPaths(split=split, view=view, camera=cameras[view], paths=tuple(paths))
+
+
+def _rays(camera: Camera) -> tuple[Int[np.ndarray, "ray 2"], Float[np.ndarray, "ray 3"], Float[np.ndarray, "3"]]:
+    """Pixels (column, row) spread over a picture, the rays through them, and where these begin."""
+    origin, directions = camera.rays()
+    step = -(-max(directions.shape[:2]) // ASKED)
+    rows, columns = (np.arange(step // 2, count, step) for count in directions.shape[:2])
+    pixels = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
+    return pixels, np.ascontiguousarray(directions[pixels[:, 1], pixels[:, 0]]), origin
+
+
+def _candidates(
+    camera: Camera, pixels: Int[np.ndarray, "ray 2"], traced: TracedPaths, surfaces: Surfaces
+) -> list[Candidates]:
+    """For each glass object the rays that meet it first, and how far from its pixel a camera would see a ray's end.
+
+    The shift is a share of the picture's width; 0 where the end is outside the picture or in the sky.
+    """
+    ids = traced.object_id[0]
+    count = (ids > 0).sum(axis=0)
+    last = traced.position[0, np.maximum(count - 1, 0), np.arange(len(pixels))].astype(np.float64)
+    seen, depth = camera.project(last)
+    is_inside = (depth > 0) & (seen > 0).all(axis=1) & (seen < (camera.width, camera.height)).all(axis=1)
+    shift = np.linalg.norm(seen - pixels - 0.5, axis=1) / camera.width
+    shift = np.where(is_inside & ~traced.has_left[0] & (count <= MOST_SURFACES), shift, 0)
+    found = []
+    for item in np.unique(ids[0]):
+        rays = np.flatnonzero((ids[0] == item) & (count > 1) | ((ids[0] == item) & traced.has_left[0]))
+        if surfaces.is_glass[item] and len(rays):
+            found.append((rays, np.minimum(shift[rays], MOST_SHIFT)))
+    return sorted(found, key=lambda item: -float(item[1].max()))
+
+
+def _choose(pixels: Int[np.ndarray, "ray 2"], candidates: list[Candidates]) -> list[int]:
+    """The objects take turns; of each the ray that is shifted most, away from those chosen before."""
+    chosen: list[int] = []
+    apart = float(np.ptp(pixels)) / 8
+    for _ in range(RAYS):
+        for rays, shifts in candidates:
+            near = np.linalg.norm(pixels[rays][:, None] - pixels[chosen][None], axis=2).min(axis=1, initial=apart)
+            score = np.where(near >= apart, shifts + 1e-3, 0) * (near > 0)
+            if len(chosen) < RAYS and score.max() > 0:
+                chosen.append(int(rays[score.argmax()]))
+    return chosen
+
+
+def _paths_of(
+    number: int,
+    ray: int,
+    pixel: tuple[int, int],
+    origin: Float[np.ndarray, "3"],
+    traced: TracedPaths,
+    dataset: Dataset,
+) -> list[DrawnPath]:
+    """The refracted and the reflected branch of one ray."""
+    first = traced.position[0, 0, ray]
+    reach = SKY_REACH * float(np.linalg.norm(first - origin))
+    found = []
+    for branch in (0, 1):
+        ids = traced.object_id[branch, :, ray]
+        vertices = [*([first] if branch else []), *traced.position[branch, ids > 0, ray]]
+        has_left = bool(traced.has_left[branch, ray])
+        if branch and len(vertices) == 1 and not has_left:
+            continue  # Nothing is reflected there.
+        if has_left:
+            vertices.append(vertices[-1] + reach * traced.end_direction[branch, ray])
+        met = [*([traced.object_id[0, 0, ray]] if branch else []), *ids[ids > 0]]
+        end = 0 if has_left else int(met.pop())
+        names = dict.fromkeys(dataset.objects[item - 1].name for item in met)
+        found.append(
+            DrawnPath(
+                ray=number,
+                pixel=pixel,
+                points=np.array([origin, *vertices], np.float64),
+                through=", ".join(names),
+                end=end,
+                is_reflected=branch == 1,
+            )
+        )
     return found
 
 
-def _swatch(color: str) -> Markup:
-    return tag("svg", tag("rect", width=10, height=10, fill=color), viewBox="0 0 10 10", class_="swatch")
+def _draw_over_picture(found: FoundPaths, picture: str | None) -> Markup:
+    """The paths as the camera would see them if nothing bent or hid them."""
+    camera = found.camera
+    unit = camera.width / 100
+    parts: list[Part] = [] if picture is None else [tag("use", href=f"#{picture}")]
+    for path in found.drawn_in_order():
+        places, is_inside = _projected(camera, path.points[1:])
+        line = join(tag("path", d=path_of(places), class_=kind) for kind in ("halo", None))
+        parts.append(_path(path, line, places, unit, is_arrow=not (path.end and is_inside)))
+    for ray, (column, row) in {path.ray: path.pixel for path in found.paths}.items():
+        x, y = column + 0.5, row + 0.5
+        ring = [tag("circle", cx=x, cy=y, r=round(2.4 * unit, 2), class_=kind) for kind in ("ring halo", "ring")]
+        beside = 2.8 if x < 0.93 * camera.width else -5
+        parts.append(tag("g", *ring, _number(ray, x + beside * unit, max(y - 1.6 * unit, 4 * unit), unit)))
+    frame = f"0 0 {camera.width} {camera.height}"
+    name = f"Light paths over {found.split} view {found.view}"
+    return tag("svg", *parts, class_="drawing over-picture", viewBox=frame, role="img", aria_label=name)
+
+
+def _projected(camera: Camera, p_world: Points) -> tuple[Float[np.ndarray, "place 2"], bool]:
+    """A path in the picture until it leaves it, and whether it stays inside to its end."""
+    margin = 0.02 * camera.width
+    low, high = np.full(2, margin), np.array([camera.width, camera.height]) - margin
+    _, depths = camera.project(p_world)
+    near = 1e-3 * depths[0]
+    places = [camera.project(p_world[:1])[0][0]]
+    for start, end, start_depth, end_depth in zip(p_world[:-1], p_world[1:], depths[:-1], depths[1:], strict=True):
+        if end_depth < near:
+            end = start + (start_depth - near) / (start_depth - end_depth) * (end - start)
+        at, to = places[-1], camera.project(end[None])[0][0]
+        if (to < low).any() or (to > high).any() or end_depth < near:
+            way = np.where(to == at, 1e-12, to - at)
+            share = np.maximum((low - at) / way, (high - at) / way).min()
+            places.append(at + np.clip(share, 0, 1) * (to - at))
+            return np.array(places), False
+        places.append(to)
+    return np.array(places), True
+
+
+def _draw_in_scene(found: FoundPaths, dataset: Dataset) -> Markup:
+    """The scene from the side, with the camera and its rays from end to end."""
+    surfaces = surfaces_of(dataset)
+    camera, places = found.camera, np.concatenate([path.points for path in found.paths])
+    first = np.array([path.points[1] for path in found.paths]).mean(axis=0)
+    shape = frustum(camera, FRUSTUM_SHARE * float(np.linalg.norm(first - places[0])))
+    away = places[0] - first
+    azimuth_deg = float(np.degrees(np.arctan2(away[1], away[0])))
+    # The side on which the other cameras are, too: no wall stands there.
+    turn = (open_azimuth_deg(dataset) - azimuth_deg + 180) % 360 - 180
+    side_deg = azimuth_deg + (ASIDE_DEG if turn >= 0 else -ASIDE_DEG)
+    place = stand(np.concatenate([places, shape]), side_deg, ELEVATION_DEG, width=WIDTH, height=HEIGHT)
+    sketch = draw_sketch(surfaces.meshes, surfaces.is_glass[1:], place)
+    unit = WIDTH / 100
+    parts: list[Part] = [sketch.stroke(shape, says=f"{found.split} view {found.view}", class_="camera")]
+    for path in found.drawn_in_order():
+        if not path.is_reflected:
+            parts.append(sketch.stroke(path.points[:2], says=f"ray {path.ray} from the camera", class_="camera"))
+        line = sketch.stroke(path.points[1:], says=_says(path, dataset), class_="")
+        parts.append(_path(path, line, place.place(path.points)[1:, :2], unit, is_arrow=not path.end))
+    x, y, _ = place.place(places[:1])[0]
+    above = y - 2 * unit if y > 6 * unit else y + 4 * unit
+    label = {"x": round(min(max(x, 6 * unit), WIDTH - 6 * unit), 1), "y": round(above, 1), "text_anchor": "middle"}
+    parts.append(tag("text", "camera", font_size=3 * unit, **label))
+    return sketch.svg(*parts, name=f"Light paths of {found.split} view {found.view} in the scene")
+
+
+def _path(
+    path: DrawnPath, line: Markup, places: Float[np.ndarray, "point 2"], unit: float, *, is_arrow: bool
+) -> Markup:
+    """A path's line with a dot where it meets a surface, a mark where it ends, and its number there."""
+    dots = [tag("circle", cx=round(x, 2), cy=round(y, 2), r=round(0.8 * unit, 2), class_="end") for x, y in places[:-1]]
+    at, before = places[-1], places[-2] if len(places) > 1 else places[-1] - [0, 1]
+    mark = _arrow(before, at, unit) if is_arrow else _end_mark(at, 1.5 * unit, is_reflected=path.is_reflected)
+    is_far = np.linalg.norm(at - places[0]) > 8 * unit  # Else its number would cover that of the pixel.
+    number = None if path.is_reflected or not is_far else _number(path.ray, at[0] + 2 * unit, at[1] + 1.2 * unit, unit)
+    return tag("g", line, *dots, mark, number, class_=path.kind)
+
+
+def _number(ray: int, x: float, y: float, unit: float) -> Markup:
+    return tag("text", ray, x=round(x, 2), y=round(y, 2), font_size=round(3.2 * unit, 2))
+
+
+def _end_mark(at: Float[np.ndarray, "2"], size: float, *, is_reflected: bool) -> Markup:
+    x, y = at
+    if not is_reflected:
+        return tag("circle", cx=round(x, 2), cy=round(y, 2), r=round(size, 2), class_="end")
+    corners = [(x, y - 1.3 * size), (x + 1.3 * size, y), (x, y + 1.3 * size), (x - 1.3 * size, y)]
+    return _polygon(corners)
+
+
+def _arrow(before: Float[np.ndarray, "2"], at: Float[np.ndarray, "2"], unit: float) -> Markup:
+    along = (at - before) / max(float(np.linalg.norm(at - before)), 1e-9) * 2.6 * unit
+    across = 0.4 * np.array([-along[1], along[0]])
+    return _polygon([at + 0.3 * along, at - along + across, at - along - across])
+
+
+def _polygon(corners: list) -> Markup:
+    return tag("polygon", points=" ".join(f"{x:.2f},{y:.2f}" for x, y in corners), class_="end")
+
+
+def _says(path: DrawnPath, dataset: Dataset) -> str:
+    end = "leaves for the sky" if path.end == 0 else f"ends on {dataset.objects[path.end - 1].name}"
+    return f"ray {path.ray}, {path.kind}: meets {path.through}, {end}"
+
+
+def _legend() -> Markup:
+    def key(class_: str, *parts: Part) -> Markup:
+        return tag("svg", *parts, class_=f"key {class_}", viewBox="0 0 36 20", aria_hidden="true")
+
+    ray = tag("li", key("camera", tag("path", d="M1 10L34 10")), "from the camera")
+    line, end = tag("path", d="M1 10L26 10"), np.array([29.0, 10.0])
+    kinds = [
+        tag("li", key(kind, line, _end_mark(end, 4.5, is_reflected=is_reflected)), f"{kind}: {how}")
+        for kind, is_reflected, how in (
+            ("refracted", False, "solid line, ends at a disc"),
+            ("reflected", True, "dashed line, ends at a diamond"),
+        )
+    ]
+    arrow = tag(
+        "li",
+        key("", line, _arrow(np.array([1.0, 10.0]), np.array([32.0, 10.0]), 3.6)),
+        "to the sky, or out of the picture",
+    )
+    dot = tag("li", key("", line, tag("circle", cx=13, cy=10, r=3)), "meets a surface")
+    ring = tag("li", key("", tag("circle", cx=14, cy=10, r=7, class_="ring")), "the ray's pixel")
+    return tag("ul", ring, ray, *kinds, arrow, dot, class_="legend keys", aria_label="Light paths")
+
+
+def _table(found: FoundPaths, dataset: Dataset) -> Markup:
+    """What each ray meets and where it ends, in words."""
+    names = [SKY, *(item.name for item in dataset.objects)]
+    head = tag("tr", *(tag("th", name, scope="col") for name in ("ray", "pixel", "refracted", "reflected")))
+    rows = []
+    for ray, (column, row) in {path.ray: path.pixel for path in found.paths}.items():
+        ways = {path.kind: f"{path.through} → {names[path.end]}" for path in found.paths if path.ray == ray}
+        cells = (f"{column}, {row}", ways["refracted"], ways.get("reflected", "nothing"))
+        rows.append(tag("tr", tag("th", ray, scope="row"), *(tag("td", cell) for cell in cells)))
+    caption = tag("caption", "What each ray meets → where it ends; pixels are column, row")
+    table = tag("table", caption, tag("thead", head), tag("tbody", *rows))
+    return tag("div", table, class_="scroll", tabindex=0, role="region", aria_label="Light paths as a table")

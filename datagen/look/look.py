@@ -22,10 +22,10 @@ from datagen.disk.records import Json, to_json
 from datagen.look.light_paths import draw_light_paths
 from datagen.look.scene_drawing import draw_cameras
 from datagen.look.training_time import probe, training_time
-from datagen.look.view_pictures import Picture, stored_pictures
+from datagen.look.view_pictures import FARTHEST, NEAREST, Picture, StoredPicture, object_colors, stored_pictures
 from datagen.pages.charts import Line, line_chart
-from datagen.pages.document import anchor, command, definitions, document, read_part, section
-from datagen.pages.html import Markup, Part, join, tag
+from datagen.pages.document import anchor, command, definitions, document, section
+from datagen.pages.html import Markup, Part, join, prose, tag
 from datagen.pages.pictures import Gallery
 from datagen.quantities.surfaces import surfaces_of
 
@@ -34,6 +34,13 @@ SHOWN_VIEWS = 6
 """Pictures of each split in the page."""
 SHEET_COLUMNS = 6
 UNKNOWN = "unknown"
+STORED = (
+    "Glass: what is not glass is dark. Depth: of the first surface, in metres along the ray. Normals: red, green and "
+    "blue are x, y and z of the world. Layer 0 is the first surface on a straight ray, layer 1 the one behind it, "
+    "and so on. A proxy is laid over the picture."
+)
+SHADES = 24
+"""Of the bar beside a picture of depth."""
 MOST_VERIFIED_BYTES = 250_000_000
 """A dataset of at most so many is compared with its checksums, which takes some seconds."""
 
@@ -41,18 +48,24 @@ MOST_VERIFIED_BYTES = 250_000_000
 def look_page(dataset: Dataset) -> bytes:
     """The page of a dataset, of which something may be missing or damaged: the page then says so."""
     gallery = Gallery(MOST_BYTES)
-    splits = [_split_section(dataset, split, gallery) for split in dataset.splits]
+    problems, how = _problems(dataset)
+    pictures = [_pictures(dataset, split, gallery) for split in dataset.splits]
+    paths = _told(lambda: draw_light_paths(dataset, gallery))
+    stored = [_one_view(dataset, split, gallery, is_open=place == 0) for place, split in enumerate(dataset.splits)]
     parts: list[Part] = [
         tag("h1", dataset.name),
-        section("What it is", definitions(_facts(dataset)), id_="facts"),
-        section("What is missing or damaged", _missing(dataset), id_="missing"),
-        *splits,
+        tag("p", _summary(dataset), class_="note"),
+        tag("p", tag("a", _number_of(problems), href="#missing"), class_="bad") if problems else None,
+        section("Pictures", *pictures, id_="pictures"),
+        section("Light paths", paths, id_="light-paths"),
         section("Cameras", _told(lambda: draw_cameras(dataset)), id_="cameras"),
-        section("Light paths", _told(lambda: draw_light_paths(dataset)), id_="light-paths"),
+        section("What is stored with a view", tag("p", STORED, class_="note"), *stored, id_="stored"),
         section("Noise of the truth", _told(lambda: _noise_chart(dataset)), id_="noise"),
         section("Objects", _told(lambda: _objects(dataset)), id_="objects"),
+        section("What it is", definitions(_facts(dataset)), id_="facts"),
+        section("What is missing or damaged", _missing(problems, how), id_="missing"),
     ]
-    return document(dataset.name, gallery.store(), *parts, more_script=read_part("turn.js"))
+    return document(dataset.name, gallery.store(), *parts)
 
 
 def look_sheet(dataset: Dataset) -> bytes:
@@ -62,7 +75,8 @@ def look_sheet(dataset: Dataset) -> bytes:
         views = _shown(dataset, split)
         rows.append([dataset.view(split, view).image for view in views[:SHEET_COLUMNS]])
         if views:
-            rows.append(list(_stored(dataset, split, views[0]).values())[:SHEET_COLUMNS])
+            stored = list(_stored(dataset, split, views[0]).values())
+            rows.append([item.pixels for item in stored[:SHEET_COLUMNS]])
     rows = [row for row in rows if row]
     if not rows:
         raise HyalineError(
@@ -77,6 +91,12 @@ def look_sheet(dataset: Dataset) -> bytes:
     buffer = io.BytesIO()
     Image.fromarray(sheet).save(buffer, format="PNG")
     return buffer.getvalue()
+
+
+def _summary(dataset: Dataset) -> str:
+    views = ", ".join(f"{count:,} {split}" for split, count in dataset.num_views.items())
+    glass = sum(item.is_glass for item in dataset.objects)
+    return f"{views} views of {dataset.config.resolution} pixels; {len(dataset.objects)} objects, {glass} of glass"
 
 
 def _facts(dataset: Dataset) -> list[tuple[str, Part]]:
@@ -138,17 +158,29 @@ def _has_view(dataset: Dataset, split: Split, view: int) -> bool:
     return all(file.is_file() and file.stat().st_size > 0 for file in files)
 
 
-def _missing(dataset: Dataset) -> Markup:
-    verify = command(shlex.join(["datagen", "verify", str(dataset.root)]))
+def _problems(dataset: Dataset) -> tuple[list[str], Part]:
+    """What is wrong, a line each, and how that was found or how to mend it."""
     if sum(folder_sizes(dataset.root).values()) > MOST_VERIFIED_BYTES:
-        lines, good = missing_lines(dataset), "No file is missing."
-        how = join([tag("p", "This looks at names alone; to compare every byte with its checksum:"), verify])
-    else:
-        found = verify_dataset(dataset.root)
-        lines, good = found.problems, f"Nothing: {found.verified:,} files are what they should be, byte by byte."
-        how = join([command(line) for line in found.commands])
-    listed = tag("ul", *(tag("li", line, class_="bad") for line in lines)) if lines else tag("p", good)
+        verify = command(shlex.join(["datagen", "verify", str(dataset.root)]))
+        lines = missing_lines(dataset)
+        how = join([None if lines else tag("p", "No file is missing."),
+            tag("p", "This looks at names alone; to compare every byte with its checksum:"), verify])  # fmt: skip
+        return lines, how
+    found = verify_dataset(dataset.root)
+    if found.problems:
+        return found.problems, join(command(line) for line in found.commands)
+    return [], tag("p", f"Nothing: {found.verified:,} files are what they should be, byte by byte.")
+
+
+def _missing(problems: list[str], how: Part) -> Markup:
+    listed = tag("ul", *(tag("li", prose(line), class_="bad") for line in problems)) if problems else None
     return join([listed, how])
+
+
+def _number_of(problems: list[str]) -> str:
+    return (
+        "One thing is missing or damaged." if len(problems) == 1 else f"{len(problems)} things are missing or damaged."
+    )
 
 
 def _shown(dataset: Dataset, split: Split) -> list[int]:
@@ -157,7 +189,7 @@ def _shown(dataset: Dataset, split: Split) -> list[int]:
     return [there[place] for place in evenly(min(SHOWN_VIEWS, len(there)), len(there))] if there else []
 
 
-def _first_whole(dataset: Dataset, split: Split, views: Sequence[int]) -> tuple[int, dict[str, Picture]]:
+def _first_whole(dataset: Dataset, split: Split, views: Sequence[int]) -> tuple[int, dict[str, StoredPicture]]:
     """The first of some views of which everything can be read, and its pictures.
 
     Raises:
@@ -172,7 +204,7 @@ def _first_whole(dataset: Dataset, split: Split, views: Sequence[int]) -> tuple[
     raise errors[0]
 
 
-def _stored(dataset: Dataset, split: Split, view: int) -> dict[str, Picture]:
+def _stored(dataset: Dataset, split: Split, view: int) -> dict[str, StoredPicture]:
     """The pictures of one view; of those that cannot be read, none."""
 
     def has_layers(geometry: str) -> bool:
@@ -183,36 +215,67 @@ def _stored(dataset: Dataset, split: Split, view: int) -> dict[str, Picture]:
     return stored_pictures(dataset.view(split, view), has_layers=has_layers(TRUTH), proxies=proxies)
 
 
-def _split_section(dataset: Dataset, split: Split, gallery: Gallery) -> Markup:
-    """What is stored of one view that is whole, and the pictures of some; each that is damaged says so in its place."""
-    views = _shown(dataset, split)
-    parts: list[Part] = []
-    if views:
-        parts.append(_told(lambda: _one_view(dataset, split, views, gallery)))
-        pictures = [_told(lambda view=view: _picture(dataset, split, view, gallery)) for view in views]
-        parts.append(tag("div", *pictures, class_="sheet"))
-    else:
-        parts.append(tag("p", "No view is built yet.", class_="bad"))
-    return section(split, *parts, id_=anchor("split", split))
-
-
-def _one_view(dataset: Dataset, split: Split, views: Sequence[int], gallery: Gallery) -> Markup:
-    """Everything that is stored of the first whole view; a script shows one picture at a time."""
-    figures = []
-    view, stored = _first_whole(dataset, split, views)
-    for name, picture in stored.items():
-        key, label = anchor(split, str(view), name), f"{split} view {view}: {name}"
-        if gallery.add(key, lambda picture=picture: picture):
-            shown = gallery.show(key, label=label)
-            figures.append(tag("figure", shown, tag("figcaption", label), data_name=name))
-    return tag("div", *figures, class_="choice sheet")
+def _pictures(dataset: Dataset, split: Split, gallery: Gallery) -> Markup:
+    """Pictures of some views of a split; each that is damaged says so in its place."""
+    views, count = _shown(dataset, split), dataset.num_views[split]
+    shown = [_told(lambda view=view: _picture(dataset, split, view, gallery)) for view in views]
+    sheet = tag("div", *shown, class_="sheet") if views else tag("p", "No view is built yet.", class_="bad")
+    title = f"{split}: {count:,} views" if count != 1 else f"{split}: 1 view"
+    return section(title, sheet, id_=anchor("split", split), level=3)
 
 
 def _picture(dataset: Dataset, split: Split, view: int, gallery: Gallery) -> Markup:
-    key, label = anchor(split, str(view), "picture"), f"{split} view {view}"
+    key = anchor(split, str(view), "picture")
     if not gallery.add(key, lambda: dataset.view(split, view).image):
         return Markup("")
-    return tag("figure", gallery.show(key, label=label), tag("figcaption", label))
+    return tag("figure", gallery.show(key, label=f"{split} view {view}"), tag("figcaption", f"view {view}"))
+
+
+def _one_view(dataset: Dataset, split: Split, gallery: Gallery, *, is_open: bool) -> Markup | None:
+    """Everything that is stored of the first whole view; a script shows one picture at a time."""
+    views = _shown(dataset, split)
+    if not views:
+        return None
+    try:
+        view, stored = _first_whole(dataset, split, views)
+    except HyalineError as error:
+        return tag("p", prose(str(error)), class_="bad")
+    figures = []
+    for name, picture in stored.items():
+        key = anchor(split, str(view), name)
+        if gallery.add(key, lambda picture=picture: picture.pixels):
+            shown = gallery.show(key, label=f"{split} view {view}: {name}")
+            bar = None if picture.metres is None else _depth_bar(*picture.metres)
+            figures.append(tag("figure", shown, tag("figcaption", name), bar, data_name=name))
+    summary = tag("summary", f"{split} view {view}: {len(stored)} pictures")
+    ids = sorted({object_id for picture in stored.values() for object_id in picture.object_ids})
+    legend = _objects_legend(dataset, ids) if ids else None
+    return tag("details", summary, tag("div", *figures, class_="choice sheet"), legend, open=is_open)
+
+
+def _depth_bar(near: float, far: float) -> Markup:
+    """From the nearest to the farthest pixel in metres, in the greys of the picture."""
+    greys = (NEAREST - (NEAREST - FARTHEST) * np.arange(SHADES) / (SHADES - 1)).astype(np.uint8)
+    bars = [tag("rect", x=place, width=1.1, height=1, fill=_hex([grey] * 3)) for place, grey in enumerate(greys)]
+    label = f"depth from {near:.2f} m, bright, to {far:.2f} m, dark"
+    bar = tag(
+        "svg", *bars, viewBox=f"0 0 {SHADES} 1", preserveAspectRatio="none", role="img", aria_label=label, class_="bar"
+    )
+    return tag("div", tag("span", f"{near:.2f} m"), bar, tag("span", f"{far:.2f} m"), class_="depth")
+
+
+def _objects_legend(dataset: Dataset, ids: list[int]) -> Markup:
+    colors = object_colors(len(dataset.objects))
+    lines = []
+    for object_id in ids:
+        square = tag("rect", x=1, y=1, width=18, height=18, fill=_hex(colors[object_id]), class_="swatch")
+        key = tag("svg", square, class_="key square", viewBox="0 0 20 20", aria_hidden="true")
+        lines.append(tag("li", key, dataset.objects[object_id - 1].name))
+    return tag("ul", *lines, class_="legend keys", aria_label="Objects by colour")
+
+
+def _hex(color: Sequence[int]) -> str:
+    return "#" + bytes(map(int, color)).hex()
 
 
 def _noise_chart(dataset: Dataset) -> Markup:
@@ -267,4 +330,4 @@ def _told(draw: Callable[[], Markup]) -> Markup:
     try:
         return draw()
     except HyalineError as error:
-        return tag("p", str(error), class_="bad")
+        return tag("p", prose(str(error)), class_="bad")

@@ -1,96 +1,107 @@
-"""Cameras around the scene as inline SVG: in space, from above and from the side."""
+"""All cameras around the scene, drawn from in front, from above and from the side."""
 
 import math
 
 import numpy as np
-from jaxtyping import Float
 
 from datagen.data.cameras import Camera, Cameras
 from datagen.data.config import Split
 from datagen.data.dataset import Dataset
 from datagen.data.geometries import true_meshes
-from datagen.data.meshes import Mesh
-from datagen.look.turnable import Stroke, draw_turnable
-from datagen.pages.html import Markup, Part, tag
+from datagen.data.meshes import Mesh, is_there
+from datagen.data.variants import evenly
+from datagen.look.sketch import HEIGHT, WIDTH, Points, Sketch, draw_sketch, stand
+from datagen.pages.html import Markup, tag
 
-SIDE = 420
-"""Units of the drawing's longer side."""
-FRAME_SHARE = 0.04
-"""Depth of a camera's pyramid in space, as a share of how far the cameras are apart."""
-MOST_POINTS = 1500
-"""Vertices drawn of all meshes together, about."""
-SPLIT_STYLES: dict[str, str] = {"train": "s0", "interpolating": "s2"}
-"""Other splits test how a renderer extrapolates, and are red."""
+MOST_CAMERAS = 120
+"""Drawn of each split; an even selection of more."""
+FRUSTUM_SHARE = 0.045
+"""Depth of a drawn camera's frustum, as a share of how far the cameras are apart."""
+MARKS = ("", "disc", "square")
+"""On the centres of the cameras of the first split, of the second, and of all others."""
+MARK = 5
+"""Pixels from the middle of such a mark to its edge."""
+VIEWS = (("from in front", 35.0, 28.0, 1), ("from above", 0.0, 90.0, 2), ("from the side", 90.0, 0.0, 2))
+"""A name, degrees to the right of where the cameras are and above them, and by how much the drawing is smaller."""
 
 
 def draw_cameras(dataset: Dataset) -> Markup:
-    """All cameras around a selection of the scene's vertices: in space, and from two sides."""
+    """The cameras of every split as frustums around the scene, and a legend of the splits."""
     cameras: dict[Split, Cameras] = {split: dataset.cameras(split) for split in dataset.splits}
-    vertices = surface_points(true_meshes(dataset))
-    views = [("from above", (0, 1)), ("from the side", (0, 2))]
-    drawings = [_draw(cameras, vertices, axes, name) for name, axes in views]
-    names = [tag("li", f"{split} ({len(item)})", class_=_style(split)) for split, item in cameras.items()]
-    in_space = tag("figure", tag("figcaption", "Cameras in space"), _draw_in_space(cameras, vertices))
-    return tag("figure", tag("div", in_space, *drawings, class_="views"), tag("ul", *names, class_="legend"))
+    meshes = true_meshes(dataset)
+    around = np.concatenate([item.world_from_camera[:, :3, 3] for item in cameras.values()])
+    size = FRUSTUM_SHARE * max(float(np.linalg.norm(around.max(axis=0) - around.min(axis=0))), 1e-6)
+    frustums: dict[Split, dict[int, Points]] = {
+        split: {view: frustum(item[view], size) for view in evenly(min(MOST_CAMERAS, len(item)), len(item))}
+        for split, item in cameras.items()
+    }
+    seen = np.concatenate(
+        [around, *(points for drawn in frustums.values() for points in drawn.values()), looked_at(dataset)]
+    )
+    azimuth_deg = open_azimuth_deg(dataset)
+    drawings = []
+    for name, turn_deg, elevation_deg, smaller in VIEWS:
+        place = stand(seen, azimuth_deg + turn_deg, elevation_deg, width=WIDTH // smaller, height=HEIGHT // smaller)
+        sketch = draw_sketch(meshes, np.array([item.is_glass for item in dataset.objects], bool), place)
+        drawings.append(tag("figure", _draw(sketch, frustums, name), tag("figcaption", f"Cameras {name}")))
+    legend = [
+        _legend_line(place, split, len(frustums[split]), len(item))
+        for place, (split, item) in enumerate(cameras.items())
+    ]
+    large, *small = drawings
+    return tag(
+        "div", large, tag("div", *small), tag("ul", *legend, class_="legend keys", aria_label="Cameras by split"),
+        class_="drawings",
+    )  # fmt: skip
 
 
-def surface_points(meshes: tuple[Mesh, ...]) -> Float[np.ndarray, "vertex 3"]:
-    """A selection of vertices, of each mesh about as many: a small object is to be seen as well as a large one."""
-    share = -(-MOST_POINTS // max(1, len(meshes)))
-    points = [mesh.vertices[:: max(1, len(mesh.vertices) // share)].astype(np.float64) for mesh in meshes]
-    return np.concatenate([np.zeros((0, 3)), *points])
+def open_azimuth_deg(dataset: Dataset) -> float:
+    """The side of the scene on which its training cameras are: no wall hides what they see."""
+    towards = np.zeros(3)
+    for split in dataset.splits:
+        towards += dataset.cameras(split).world_from_camera[:, :3, 2].mean(axis=0)  # A camera looks along its -z.
+    return math.degrees(math.atan2(towards[1], towards[0]))
 
 
-def _draw_in_space(cameras: dict[Split, Cameras], vertices: Float[np.ndarray, "vertex 3"]) -> Markup:
-    places = np.concatenate([item.world_from_camera[:, :3, 3] for item in cameras.values()])
-    size = FRAME_SHARE * float(np.linalg.norm(places.max(axis=0) - places.min(axis=0)))
-    strokes = [Stroke(points=vertices, are_dots=True)] if len(vertices) else []
-    for split, item in cameras.items():
-        for view in range(len(item)):
-            strokes.append(
-                Stroke(points=_frame(item[view], size), says=f"{split} view {view}, in space", style=_style(split))
-            )
-    return draw_turnable(strokes, "Cameras in space", places)
+def looked_at(dataset: Dataset) -> Points:
+    """The corners of the glass, which the cameras are there for; of all meshes where nothing is glass."""
+    pairs = zip(true_meshes(dataset), dataset.objects, strict=True)
+    there: list[tuple[Mesh, bool]] = [(mesh, item.is_glass) for mesh, item in pairs if is_there(mesh)]
+    chosen = [mesh for mesh, is_glass in there if is_glass] or [mesh for mesh, _ in there]
+    corners = [np.stack([mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)]).astype(np.float64) for mesh in chosen]
+    return np.concatenate([np.zeros((0, 3)), *corners])
 
 
-def _frame(camera: Camera, size: float) -> Float[np.ndarray, "point 3"]:
-    """The edges of the pyramid that a camera sees, in one stroke."""
-    across = math.tan(camera.fov_x / 2) * size
+def frustum(camera: Camera, depth: float) -> Points:
+    """The edges of the pyramid that a camera sees, in one stroke, that many metres deep."""
+    across = math.tan(camera.fov_x / 2) * depth
     along = across * camera.height / camera.width
-    corners = [np.array([x * across, y * along, -size]) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+    corners = [np.array([x * across, y * along, -depth]) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
     a, b, c, d = (camera.world_from_camera[:3, :3] @ corner + camera.world_from_camera[:3, 3] for corner in corners)
     apex = camera.world_from_camera[:3, 3]
     return np.array([apex, a, b, apex, c, d, apex, b, c, d, a])
 
 
-def _draw(
-    cameras: dict[Split, Cameras], vertices: Float[np.ndarray, "vertex 3"], axes: tuple[int, int], name: str
-) -> Markup:
-    places = np.concatenate([item.world_from_camera[:, :3, 3] for item in cameras.values()])
-    points = np.concatenate([places, vertices])[:, axes]
-    low, high = points.min(axis=0), points.max(axis=0)
-    scale = SIDE / max(float((high - low).max()), 1e-9)
-    width, height = (high - low) * scale + 20
-
-    def place(p_world: Float[np.ndarray, "point 3"]) -> Float[np.ndarray, "point 2"]:
-        x, y = ((p_world[:, axes] - low) * scale + 10).T
-        return np.stack([x, height - y], axis=1).round(1)
-
-    dots = [tag("circle", cx=x, cy=y, r=1) for x, y in place(vertices)]
-    parts: list[Part] = [tag("title", f"Cameras {name}"), tag("g", *dots, class_="grid dots")]
-    for split, item in cameras.items():
-        centers = item.world_from_camera[:, :3, 3]
-        ends = centers - item.world_from_camera[:, :3, 2] * (18 / scale)  # A camera looks along its -z.
-        marks: list[Part] = []
-        for view, ((x, y), (to_x, to_y)) in enumerate(zip(place(centers), place(ends), strict=True)):
-            said = tag("title", f"{split} view {view}")
-            marks.append(tag("g", said, tag("circle", cx=x, cy=y, r=2.5), tag("path", d=f"M{x} {y}L{to_x} {to_y}")))
-        parts.append(tag("g", *marks, class_=f"line {_style(split)}"))
-    drawing = tag(
-        "svg", *parts, class_="chart", viewBox=f"0 0 {width:.0f} {height:.0f}", role="img", aria_label=f"Cameras {name}"
-    )
-    return tag("figure", tag("figcaption", f"Cameras {name}"), drawing)
+def _draw(sketch: Sketch, frustums: dict[Split, dict[int, Points]], name: str) -> Markup:
+    parts = []
+    for place, (split, drawn) in enumerate(frustums.items()):
+        color, mark = f"s{place}", MARKS[min(place, len(MARKS) - 1)]
+        for view, points in drawn.items():
+            line = sketch.stroke(points, says=f"{split} view {view}", class_=color)
+            column, row, _ = sketch.standpoint.place(points[:1])[0]
+            parts.append(tag("g", line, _mark(mark, round(column, 1), round(row, 1)), class_=color))
+    return sketch.svg(*parts, name=f"Cameras {name}")
 
 
-def _style(split: str) -> str:
-    return SPLIT_STYLES.get(split, "s3")
+def _legend_line(place: int, split: str, drawn: int, count: int) -> Markup:
+    color, mark = f"s{place}", MARKS[min(place, len(MARKS) - 1)]
+    frustum = tag("path", d="M6 10L26 2V18ZM6 10L32 6V14Z")
+    key = tag("svg", frustum, _mark(mark, 6, 10), class_=f"key stroke {color}", viewBox="0 0 36 20", aria_hidden="true")
+    said = f"{count:,} cameras" if drawn == count else f"{drawn:,} of {count:,} cameras"
+    return tag("li", key, f"{split}: {said}")
+
+
+def _mark(kind: str, x: float, y: float) -> Markup | None:
+    if kind == "disc":
+        return tag("circle", cx=x, cy=y, r=MARK)
+    return tag("rect", x=x - MARK, y=y - MARK, width=2 * MARK, height=2 * MARK) if kind else None

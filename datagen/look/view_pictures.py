@@ -1,6 +1,7 @@
 """What a dataset stores of a view, as pictures that a person can read: masks, depth, normals, layers, proxies."""
 
 import colorsys
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float32, UInt8
@@ -12,9 +13,24 @@ Picture = UInt8[np.ndarray, "h w 3"]
 
 NOTHING = (24, 24, 24)
 """The colour of pixels that show no surface."""
+TONES = ((0.55, 0.95), (0.85, 0.75), (0.35, 0.8))
+"""Saturations and values that objects take in turn, so that not hue alone tells them apart."""
+NEAREST, FARTHEST = 255, 40
+"""Grey of the nearest and of the farthest pixel of a picture of depth."""
 
 
-def stored_pictures(view: View, *, has_layers: bool, proxies: tuple[str, ...] = ()) -> dict[str, Picture]:
+@dataclass(frozen=True, kw_only=True, eq=False)
+class StoredPicture:
+    """A picture, and what its colours mean where they mean something."""
+
+    pixels: Picture
+    metres: tuple[float, float] | None = None
+    """Depth of its brightest and of its darkest pixel."""
+    object_ids: tuple[int, ...] = ()
+    """Objects that it shows by their colours."""
+
+
+def stored_pictures(view: View, *, has_layers: bool, proxies: tuple[str, ...] = ()) -> dict[str, StoredPicture]:
     """Pictures of a view by what they show, its own first.
 
     Args:
@@ -24,31 +40,33 @@ def stored_pictures(view: View, *, has_layers: bool, proxies: tuple[str, ...] = 
     Raises:
         HyalineError: the view is not built, not peeled, or damaged.
     """
-    pictures = {"picture": view.image}
+    pictures = {"picture": StoredPicture(pixels=view.image)}
     if not has_layers:
         return {**pictures, **_imported_pictures(view)}
     layers = view.layers()
     colors = object_colors(len(view.dataset.objects))
     found = quantities(view)
-    pictures["glass"] = np.where(found.glass[..., None], view.image, view.image // 5)
+    pictures["glass"] = StoredPicture(pixels=np.where(found.glass[..., None], view.image, view.image // 5))
     pictures["depth"] = depth_picture(layers.depth[0], layers.object_id[0] > 0)
     normals = (127.5 * (found.normal() + 1)).clip(0, 255).astype(np.uint8)
-    pictures["normals"] = np.where((layers.object_id[0] > 0)[..., None], normals, np.array(NOTHING, np.uint8))
+    is_there = (layers.object_id[0] > 0)[..., None]
+    pictures["normals"] = StoredPicture(pixels=np.where(is_there, normals, np.array(NOTHING, np.uint8)))
     for number, ids in enumerate(layers.object_id):
         if ids.any():
-            pictures[f"layer {number}"] = colors[ids]
+            pictures[f"layer {number}"] = StoredPicture(pixels=colors[ids], object_ids=_ids(ids))
     for geometry in proxies:
         ids = view.object_ids(geometry)[0]
         laid = (0.55 * view.image + 0.45 * colors[ids]).astype(np.uint8)
-        pictures[geometry] = np.where(_outline(ids)[..., None], colors[ids], laid)
+        outlined = np.where(_outline(ids)[..., None], colors[ids], laid)
+        pictures[geometry] = StoredPicture(pixels=outlined, object_ids=_ids(ids))
     return pictures
 
 
-def _imported_pictures(view: View) -> dict[str, Picture]:
+def _imported_pictures(view: View) -> dict[str, StoredPicture]:
     """What came with an imported picture."""
     found = {}
     if (mask := view.imported_mask) is not None:
-        found["glass"] = np.where(mask[..., None], view.image, view.image // 5)
+        found["glass"] = StoredPicture(pixels=np.where(mask[..., None], view.image, view.image // 5))
     if (depth := view.imported_depth) is not None:
         found["depth"] = depth_picture(depth, depth > 0)
     return found
@@ -56,18 +74,19 @@ def _imported_pictures(view: View) -> dict[str, Picture]:
 
 def object_colors(count: int) -> UInt8[np.ndarray, "id 3"]:
     """A colour for each object id, neighbours far apart; nothing for 0."""
-    hues = [colorsys.hsv_to_rgb((0.61803 * place) % 1, 0.55, 0.95) for place in range(count)]
+    hues = [colorsys.hsv_to_rgb((0.61803 * place) % 1, *TONES[place % len(TONES)]) for place in range(count)]
     return np.concatenate([[NOTHING], 255 * np.array(hues).reshape(-1, 3)]).astype(np.uint8)
 
 
-def depth_picture(depth: Float32[np.ndarray, "h w"], is_there: Bool[np.ndarray, "h w"]) -> Picture:
+def depth_picture(depth: Float32[np.ndarray, "h w"], is_there: Bool[np.ndarray, "h w"]) -> StoredPicture:
     """Near is bright; black where there is nothing. The nearest and the farthest pixel span the scale."""
     picture = np.zeros((*depth.shape, 3), np.uint8)
-    if is_there.any():
-        near, far = float(depth[is_there].min()), float(depth[is_there].max())
-        share = (depth[is_there] - near) / max(far - near, 1e-9)
-        picture[is_there] = (255 - 215 * share).astype(np.uint8)[:, None]
-    return picture
+    if not is_there.any():
+        return StoredPicture(pixels=picture)
+    near, far = float(depth[is_there].min()), float(depth[is_there].max())
+    share = (depth[is_there] - near) / max(far - near, 1e-9)
+    picture[is_there] = (NEAREST - (NEAREST - FARTHEST) * share).astype(np.uint8)[:, None]
+    return StoredPicture(pixels=picture, metres=(near, far))
 
 
 def _outline(ids: UInt8[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
@@ -76,3 +95,7 @@ def _outline(ids: UInt8[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
     edge[1:] |= ids[1:] != ids[:-1]
     edge[:, 1:] |= ids[:, 1:] != ids[:, :-1]
     return edge
+
+
+def _ids(ids: UInt8[np.ndarray, "h w"]) -> tuple[int, ...]:
+    return tuple(int(item) for item in np.unique(ids) if item)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from datagen.pages.html import Markup, Part, join, tag
 
 WIDTH, HEIGHT = 640, 300
-LEFT, RIGHT, TOP, BOTTOM = 56, 12, 12, 44
+LEFT, RIGHT, TOP, BOTTOM = 64, 36, 12, 44
 COLORS, DASHES = 8, 4
 """Classes s0 to s7 of the style, and d1 to d3: what comes after eight lines is dashed."""
 
@@ -40,7 +40,9 @@ def line_chart(lines: Sequence[Line], *, title: str, x_title: str, y_title: str,
     for place, line in drawn:
         parts.append(_line(line, _style(place), x_axis, y_axis))
     chart = tag("svg", *parts, class_="chart", viewBox=f"0 0 {WIDTH} {HEIGHT}", role="img", aria_label=title)
-    legend = tag("ul", *(tag("li", line.name, class_=_style(place)) for place, line in drawn), class_="legend")
+    legend = tag(
+        "ul", *(tag("li", tag("span", line.name), class_=_style(place)) for place, line in drawn), class_="legend"
+    )
     return tag("figure", tag("figcaption", title), chart, legend)
 
 
@@ -119,7 +121,7 @@ def _log_ticks(high: float) -> list[float]:
 
 
 def _number(value: float) -> str:
-    return f"{value:.4g}"
+    return f"{value:,.0f}" if 1000 <= abs(value) < 1e7 else f"{value:.4g}"
 
 
 def _is_finite(point: tuple[float, float]) -> bool:

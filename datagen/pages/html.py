@@ -48,6 +48,14 @@ def join(parts: Iterable[Part]) -> Markup:
     )
 
 
+def prose(text: str) -> Markup:
+    """Text in which what stands between backticks is code, as in messages for a terminal."""
+    pieces = text.split("`")
+    if len(pieces) % 2 == 0:  # One is left over.
+        return join([text])
+    return join(tag("code", piece) if place % 2 else piece for place, piece in enumerate(pieces))
+
+
 def escaped(text: str) -> str:
     """Text that neither an element nor a quoted attribute takes for markup; control characters are spelled out."""
     return html.escape(printable(text), quote=True)

@@ -71,7 +71,24 @@ for (const figure of document.querySelectorAll(".compare")) {
   slider.max = 100;
   slider.value = 50;
   slider.setAttribute("aria-label", "Where the truth ends and the prediction begins, in percent");
-  slider.addEventListener("input", () => prediction.style.setProperty("--cut", `${slider.value}%`));
+  const panels = figure.querySelector(".panels");
+  const edge = document.createElement("div");
+  edge.className = "edge";
+  panels.append(edge);
+  const part = () => panels.style.setProperty("--cut", `${slider.value}%`);
+  slider.addEventListener("input", part);
+  // The edge follows whoever drags on the picture.
+  const follow = (event) => {
+    if (slider.hidden || !panels.hasPointerCapture(event.pointerId)) return;
+    const frame = panels.getBoundingClientRect();
+    slider.value = (100 * (event.clientX - frame.left)) / frame.width;
+    part();
+  };
+  panels.addEventListener("pointerdown", (event) => {
+    panels.setPointerCapture(event.pointerId);
+    follow(event);
+  });
+  panels.addEventListener("pointermove", follow);
   const buttons = ["Slider", "Error", "Side by side"].map((words) => {
     const button = document.createElement("button");
     button.type = "button";
@@ -84,6 +101,7 @@ for (const figure of document.querySelectorAll(".compare")) {
   const choose = (words) => {
     buttons.forEach((button) => button.setAttribute("aria-pressed", String(button.textContent === words)));
     figure.classList.toggle("sliding", words !== "Side by side");
+    figure.classList.toggle("parting", words === "Slider");
     truth.classList.toggle("away", words === "Error");
     prediction.classList.toggle("away", words === "Error");
     error.classList.toggle("away", words === "Slider");

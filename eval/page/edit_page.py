@@ -29,7 +29,7 @@ def draw_edit(gallery: Gallery, scene: SceneScores, edit: EditScores) -> Markup:
             if (values := scores.splits[split]) is not None:
                 item = Compared(run=scores.run, split=split, scores=values, digests=scores.digests[split])
                 panels.append(prediction_panel(gallery, item, view) if store_view(gallery, item, view) else None)
-        rows.append(tag("div", *panels, class_="sheet"))
+        rows.append(tag("div", *panels, class_="sheet wide"))
     place = anchor("edit", scene.title, edit.edited.name)
     return section(f"After {' then '.join(record.edits)}", *rows, id_=place, level=3)
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 
-from datagen.pages.html import Markup, Part, join, tag
+from datagen.pages.html import Markup, Part, join, prose, tag
 from eval.tables.grids import Column, Grid
 
 CONTINUED = "±"
@@ -30,7 +30,7 @@ def html_table(grid: Grid, links: Mapping[str, str] | None = None) -> Markup:
         tag("tfoot", *(_row(grid, len(body), row, {}) for row in foot)) if foot else None,
         class_="sortable" if is_sortable else None,
     )
-    notes = [tag("p", note, class_="note") for note in grid.notes]
+    notes = [tag("p", prose(note), class_="note") for note in grid.notes]
     # One may scroll a wide table by keyboard only where it can be reached.
     return join([tag("div", table, class_="scroll", tabindex=0, role="region", aria_label=grid.title), *notes])
 

@@ -9,7 +9,7 @@ from datagen.data.paths import view_name
 from datagen.disk.records import Json, to_json
 from datagen.pages.charts import Line, line_chart
 from datagen.pages.document import anchor, document, section
-from datagen.pages.html import Markup, Part, join, tag
+from datagen.pages.html import Markup, Part, join, prose, tag
 from datagen.pages.pictures import Encoded, Gallery
 from eval.analyses.curve import MIN_PIXELS, Bin, Curve
 from eval.page.edit_page import draw_edit
@@ -177,12 +177,15 @@ def _compared(scores: RunScores, further: Further) -> list[Compared]:
 
 
 def _navigation(parts: Sequence[_ScenePart]) -> Markup:
-    places = [("overview-page", "Overview")]
-    places += [(f"{_scene_anchor(part.scene)}-page", part.scene.title) for part in parts]
+    """The overview, then each scene with its runs below it."""
+
+    def item(place: str, name: str, *below: Markup) -> Markup:
+        return tag("li", tag("a", name, href=f"#{place}-page"), tag("ul", *below) if below else None)
+
+    items = [item("overview", "Overview")]
     for part in parts:
-        several = f"{part.scene.title}: " if len(parts) > 1 else ""
-        places += [(f"{run_anchor(part.scene, s.run)}-page", several + s.run.name) for s in part.scene.runs]
-    items = [tag("li", tag("a", name, href=f"#{place}")) for place, name in places]
+        runs = [item(run_anchor(part.scene, scores.run), scores.run.name) for scores in part.scene.runs]
+        items.append(item(_scene_anchor(part.scene), part.scene.title, *runs))
     return tag("nav", tag("ul", *items), aria_label="Parts of the report")
 
 
@@ -202,7 +205,7 @@ def _overview(parts: Sequence[_ScenePart]) -> Markup:
     for part in parts:
         scores, *_ = scene_grids(part.scene)
         content += [tag("h2", part.scene.title), html_table(scores, _links(part.scene)), part.side_by_side]
-    content += [tag("p", note, class_="note") for note in metric_notes(is_wrapped=False)]
+    content += [tag("p", prose(note), class_="note") for note in metric_notes(is_wrapped=False)]
     return tag("div", *content, class_="page", id="overview-page")
 
 
@@ -219,7 +222,7 @@ def _side_by_side(scene: SceneScores, compared: dict[str, list[Compared]], galle
         for item in (item for items in compared.values() for item in items):
             if item.split == split and item.dataset.variant is None and store_view(gallery, item, view):
                 panels.append(prediction_panel(gallery, item, view))
-        rows.append(tag("div", *panels, class_="sheet"))
+        rows.append(tag("div", *panels, class_="sheet wide"))
     return join(rows)
 
 
@@ -230,7 +233,10 @@ def _scene_page(part: _ScenePart) -> Markup:
     about = f"{config.resolution} pixels, dataset {scene.dataset.seal[:12]}"
     content: list[Part] = [tag("p", about, class_="note")]
     if part.further.curves:
-        content += [tag("h3", "Error against what training saw"), *curve_charts(part.further.curves)]
+        content += [
+            tag("h3", "Error against what training saw"),
+            tag("div", *curve_charts(part.further.curves), class_="charts"),
+        ]
     content += [html_table(grid, links) for grid in (*rest, *part.further.grids)]
     content += part.edits
     return tag("div", section(scene.title, *content, id_=place), class_="page", id=f"{place}-page")

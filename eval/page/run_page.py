@@ -4,9 +4,10 @@ import json
 import shlex
 from collections.abc import Mapping, Sequence
 
+from datagen.disk.errors import HyalineError
 from datagen.disk.records import Json
 from datagen.pages.document import anchor, command, definitions, section
-from datagen.pages.html import Markup, Part, join, tag
+from datagen.pages.html import Markup, Part, join, prose, tag
 from datagen.pages.pictures import Gallery
 from eval.page.html_tables import html_table
 from eval.page.training import read_training, training_charts
@@ -45,7 +46,7 @@ def run_page(
         tag("p", "On ", scene.title, class_="note"),
         *pictures,
         tag("h3", "Training"),
-        training_charts(read_training(run.folder)),
+        training_charts(read_training(run.folder), _training_ceiling_db(run)),
         tag("h3", "What it was told"),
         definitions(_facts(scores)),
         tag("h3", "Make it again"),
@@ -58,9 +59,16 @@ def _how_many(item: Compared, shown: int) -> Markup | None:
     count = len(item.scores.images["psnr_db"])
     if shown == count:
         return None
-    return tag(
-        "p", f"{shown} of {count} views; `eval report --views {count}` shows as many as find room.", class_="note"
-    )
+    more = prose(f"{shown} of {count} views; `eval report --views {count}` shows as many as find room.")
+    return tag("p", more, class_="note")
+
+
+def _training_ceiling_db(run: Run) -> float | None:
+    """None where nobody knows, or training views are not there any more."""
+    try:
+        return run.dataset.noise_ceiling_db("train")
+    except HyalineError:
+        return None
 
 
 def _every_picture(item: Compared) -> Markup:

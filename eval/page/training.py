@@ -13,15 +13,21 @@ from datagen.pages.charts import Line, line_chart
 from datagen.pages.document import definitions
 from datagen.pages.html import Markup, join, tag
 
+HELD_OUT = "held_out_psnr"
+TITLES = {"loss": ("Training loss", "loss"), HELD_OUT: ("PSNR on held-out views", "PSNR (dB)")}
+"""Of a curve and of its axis. Other methods' curves keep their names."""
 MOST_POINTS = 400
 """Points of a curve in a page; of more, an even selection."""
+
+
+Points = tuple[tuple[float, float], ...]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Training:
     """Curves by their name in the file: steps and values."""
 
-    curves: dict[str, tuple[tuple[float, float], ...]]
+    curves: dict[str, Points]
     costs: Mapping[str, float] = field(default_factory=dict)
     """Seconds and bytes by their name in the file."""
     digest: str = ""
@@ -99,19 +105,40 @@ def _duration(seconds: float) -> str:
     return f"{hours} h {minutes} min" if hours else f"{minutes} min {rest} s" if minutes else f"{rest} s"
 
 
-def training_charts(training: Training) -> Markup:
-    """What it took, and a chart a curve."""
+def training_charts(training: Training, held_out_ceiling_db: float | None = None) -> Markup:
+    """What it took, and a chart a curve.
+
+    Args:
+        held_out_ceiling_db: PSNR at which the noise of the training views stops a perfect method, where that is known.
+    """
     costs = definitions([*describe_costs(training)]) if training.costs else None
-    charts = [
-        line_chart([Line(name=name, points=points)], title=f"{name} by training step", x_title="step", y_title=name)
-        for name, points in training.curves.items()
-    ]
+    charts = [_chart(key, points, held_out_ceiling_db) for key, points in training.curves.items()]
     damaged = tag("p", "A part of metrics.jsonl cannot be read.", class_="bad") if training.is_damaged else None
     if not charts:
         return join([costs, damaged, tag("p", "The run's folder holds no training curves.", class_="note")])
-    return join([costs, damaged, tag("div", *charts, class_="views")])
+    return join([costs, damaged, tag("div", *charts, class_="charts")])
 
 
-def _thinned(points: list[tuple[float, float]]) -> tuple[tuple[float, float], ...]:
+def _chart(key: str, points: Points, ceiling_db: float | None) -> Markup:
+    title, y_title = TITLES.get(key, (key.replace("_", " "), key.replace("_", " ")))
+    lines, note = [Line(name=title, points=points)], None
+    if key == HELD_OUT:
+        why = "than test views"
+        if ceiling_db is not None:
+            why += f": their noise alone stops a perfect method at {ceiling_db:.1f} dB"
+            lines.append(
+                Line(name="noise of training views", points=((points[0][0], ceiling_db), (points[-1][0], ceiling_db)))
+            )
+        note = tag(
+            "p",
+            "Held-out views are training views that are not trained on. They measure progress, and do not compare with "
+            f"the scores on test views: they are drawn with one ray a pixel, and are noisier {why}.",
+            class_="note",
+        )
+    chart = line_chart(lines, title=f"{title} by training step", x_title="step", y_title=y_title)
+    return tag("div", chart, note)
+
+
+def _thinned(points: list[tuple[float, float]]) -> Points:
     every = -(-len(points) // MOST_POINTS)
     return tuple(points[::every])

@@ -1,12 +1,14 @@
 """Tests of pages and their parts: nothing in them breaks out, asks for anything, or grows beyond its room."""
 
+import re
+
 import numpy as np
 import pytest
 from support.pages import read_page
 
 from datagen.pages.charts import HEIGHT, WIDTH, Line, line_chart
-from datagen.pages.document import document, section
-from datagen.pages.html import Markup, join, tag
+from datagen.pages.document import document, read_part, section
+from datagen.pages.html import Markup, join, prose, tag
 from datagen.pages.pictures import Gallery, data_uri
 
 HOSTILE = (
@@ -81,6 +83,53 @@ def test_of_many_lines_in_a_chart_no_two_look_alike() -> None:
     assert len(set(styles)) == 30
     groups = [group.attributes.get("class") or "" for group in page.all("g")]
     assert [group.removeprefix("line ") for group in groups if group.startswith("line ")] == styles
+
+
+def test_no_tick_of_a_chart_is_cut_off_at_any_size_of_its_text() -> None:
+    line = Line(name="loss", points=((0, 0.00012), (250_000, 0.0005)))
+    page = read_page(document("chart", line_chart([line], title="t", x_title="step", y_title="loss")))
+    (phone,) = map(int, re.findall(r"\.chart text { font-size: (\d+)px; }", page.source))
+    ticks = [text for text in page.all("text") if re.fullmatch(r"[-0-9.,e]+", text.text)]
+    assert "250,000" in [text.text for text in ticks]
+    for text in ticks:
+        x, width = float(text.attributes["x"] or ""), 0.6 * phone * len(text.text)
+        before = width if text.attributes["text-anchor"] == "end" else width / 2
+        after = 0 if text.attributes["text-anchor"] == "end" else width / 2
+        assert x - before >= 0 and x + after <= WIDTH
+
+
+def test_colours_meet_wcag_aa_in_both_themes() -> None:
+    """4.5 : 1 for text and 3 : 1 for marks; marks are never the colour of text."""
+    style = read_part("page.css")
+    assert re.search(r"\.legend span { color: var\(--ink\); }", style)
+    light, dark = (
+        {**dict(re.findall(r"--(\w+): (#\w+)", block))} for block in re.findall(r":root {(.*?)}", style, re.S)
+    )
+    assert light.keys() - dark.keys() == set() and len(light) == 16
+    for colors in (light, dark):
+        for text in ("ink", "soft", "accent", "best", "bad"):
+            for below in ("paper", "panel"):
+                assert contrast(colors[text], colors[below]) >= 4.5, (text, below)
+        for mark in (f"s{place}" for place in range(8)):
+            assert contrast(colors[mark], colors["paper"]) >= 3, mark
+
+
+def contrast(one: str, other: str) -> float:
+    """Source: WCAG 2.2, relative luminance and contrast ratio."""
+
+    def luminance(color: str) -> float:
+        digits = color[1:] if len(color) == 7 else "".join(2 * digit for digit in color[1:])
+        channels = np.frombuffer(bytes.fromhex(digits), np.uint8) / 255
+        linear = np.where(channels <= 0.04045, channels / 12.92, ((channels + 0.055) / 1.055) ** 2.4)
+        return float(linear @ [0.2126, 0.7152, 0.0722])
+
+    low, high = sorted((luminance(one), luminance(other)))
+    return (high + 0.05) / (low + 0.05)
+
+
+def test_what_stands_between_backticks_is_code_and_a_lone_one_stays() -> None:
+    assert prose("run `a < b` now") == "run <code>a &lt; b</code> now"
+    assert prose("a ` alone") == "a ` alone"
 
 
 def test_a_chart_stands_within_its_frame_and_every_point_says_what_it_is() -> None:

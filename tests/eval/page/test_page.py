@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 import shutil
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from support.pages import ReadPage, read_page
 from support.synthetic import write_synthetic_dataset
 
 from datagen.data.config import TEST_SPLITS
+from datagen.data.dataset import open_dataset
 from datagen.data.png import png_bytes
 from datagen.disk.errors import HyalineError
 from eval.page.page import report_page
@@ -76,7 +78,7 @@ def test_every_run_has_its_pictures_its_training_and_a_way_to_make_it_again(page
     for split in TEST_SPLITS:
         assert any(f"{split} view 0001 (worst)" in caption for caption in captions)
         assert any(f"{split} view 0000 (best)" in caption for caption in captions)
-    assert "held_out_psnr by training step" in captions
+    assert {"PSNR on held-out views by training step", "Training loss by training step"} <= set(captions)
     assert "A part of metrics.jsonl cannot be read." in [paragraph.text for paragraph in page.all("p")]
     assert any("model train" in code.text and "--seed 3" in code.text for code in page.all("code"))
     assert "net.width" in [term.text for term in page.all("dt")]
@@ -84,6 +86,28 @@ def test_every_run_has_its_pictures_its_training_and_a_way_to_make_it_again(page
     pictures = [svg for svg in page.all("svg") if "picture" in (svg.attributes.get("class") or "")]
     assert pictures and all(svg.attributes["aria-label"] and svg.attributes["role"] == "img" for svg in pictures)
     assert "PSNR by the angle to the nearest training ray" in captions
+
+
+def test_the_page_shows_no_key_and_no_backtick(page: ReadPage) -> None:
+    (main,) = page.all("main")
+    assert "`" not in main.text and "held_out" not in main.text
+
+
+def test_held_out_scores_are_told_from_those_of_test_views(page: ReadPage, root: Path) -> None:
+    ceiling = open_dataset(root / "data" / "synthetic").noise_ceiling_db("train")
+    (note,) = (paragraph.text for paragraph in page.all("p") if paragraph.text.startswith("Held-out views"))
+    assert "training views that are not trained on" in note and "do not compare with the scores on test views" in note
+    assert f"their noise alone stops a perfect method at {ceiling:.1f} dB" in note
+    assert "noise of training views" in [line.text for line in page.all("li")]
+    unknown = str(training_charts(read_training(root / "runs" / "synthetic" / "plain")))
+    assert "noisier than test views." in unknown and "noise of training views" not in unknown
+
+
+def test_the_navigation_lists_runs_below_their_scene(page: ReadPage) -> None:
+    (nav,) = re.findall(r"<nav.*?</nav>", page.source)
+    overview, scene = re.findall(r"<li><a [^>]*>(.*?)</a>(<ul>.*?</ul>)?</li>", nav.replace("<ul>", "<ul>", 1))[:2]
+    assert overview == ("Overview", "")
+    assert scene[0] == "synthetic" and scene[1].count("<li>") == 2 and ">plain</a>" in scene[1]
 
 
 def test_a_run_that_tells_its_flags_is_made_again_by_them_alone(

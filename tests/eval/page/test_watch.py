@@ -54,7 +54,7 @@ def test_a_watched_report_follows_its_runs_and_survives_those_that_are_not_compl
     err = capsys.readouterr().err
     assert "error: " in err and "no predictions there" in err and "0001.png: missing" in err
     page = read_page((out / "index.html").read_bytes())
-    assert "loss by training step" in [caption.text for caption in page.all("figcaption")]
+    assert "Training loss by training step" in [caption.text for caption in page.all("figcaption")]
     refresh = [
         meta.attributes["content"] for meta in page.all("meta") if meta.attributes.get("http-equiv") == "refresh"
     ]

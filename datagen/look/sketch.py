@@ -1,0 +1,281 @@
+"""The scene as a pen would draw it: faces lightly shaded, outlines and creases in ink, hidden ones paler, glass clear.
+
+Seen along parallel rays. Lines drawn into it (cameras, light paths) become paler where something opaque hides them.
+"""
+
+import itertools
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32, Int64, UInt8
+
+from datagen.data.meshes import Mesh, face_corners, is_there
+from datagen.pages.html import Markup, Part, tag
+from datagen.pages.pictures import data_uri
+
+WIDTH, HEIGHT = 1200, 900
+"""Pixels of a sketch, which pages show at half that size: lines stay fine on any screen."""
+MARGIN = 50
+"""Pixels around what a sketch has to show."""
+LIGHT = np.array([-0.4, 0.75, 0.55])
+"""Where light comes from, as (right, up, towards the eye)."""
+CREASE = math.cos(math.radians(30))
+"""Normals of neighbouring pixels that differ more are parted by a line."""
+INK, PALE_INK, GLASS_INK = (44, 52, 60), (178, 186, 194), (23, 96, 150)
+GLASS_TINT = np.array([0.80, 0.90, 0.97])
+MOST_PIXELS = 1 << 24
+"""Covered by the faces that are drawn together, at most."""
+
+Points = Float[np.ndarray, "point 3"]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Standpoint:
+    """From where a sketch is seen, and what of the scene it shows."""
+
+    middle: Float[np.ndarray, "3"]
+    """The world's point in the middle, in metres."""
+    axes: Float[np.ndarray, "3 3"]
+    """Unit vectors to the right, up and towards the eye, as rows."""
+    scale: float
+    """Pixels a metre."""
+    near: float
+    """Metres from the middle towards the eye beyond which the scene is cut away."""
+    width: int
+    height: int
+
+    def place(self, p_world: Points) -> Points:
+        """Column and row in pixels, and depth in pixels away from the eye."""
+        right, up, towards = ((p_world - self.middle) @ self.axes.T * self.scale).T
+        return np.stack([self.width / 2 + right, self.height / 2 - up, -towards], axis=1)
+
+
+def stand(around: Points, azimuth_deg: float, elevation_deg: float, *, width: int, height: int) -> Standpoint:
+    """The standpoint that shows some points as large as the frame allows."""
+    a, e = math.radians(azimuth_deg), math.radians(elevation_deg)
+    axes = np.array(
+        [
+            [-math.sin(a), math.cos(a), 0],
+            [-math.cos(a) * math.sin(e), -math.sin(a) * math.sin(e), math.cos(e)],
+            [math.cos(a) * math.cos(e), math.sin(a) * math.cos(e), math.sin(e)],
+        ]
+    )
+    seen = around @ axes.T
+    low, high = seen.min(axis=0), seen.max(axis=0)
+    room = np.array([width, height]) - 2 * MARGIN
+    scale = float((room / np.maximum(high - low, 1e-9)[:2]).min())
+    near = 0.5 * float(high[2] - low[2]) + MARGIN / scale
+    return Standpoint(middle=(low + high) / 2 @ axes, axes=axes, scale=scale, near=near, width=width, height=height)
+
+
+def path_of(places: Float[np.ndarray, "point 2"]) -> str:
+    """A line through places of a drawing, as SVG writes it."""
+    return "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in places)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Sketch:
+    """A drawn scene."""
+
+    standpoint: Standpoint
+    depth: Float32[np.ndarray, "h w"]
+    """Of the nearest opaque surface; infinite where there is none."""
+    picture: UInt8[np.ndarray, "h w 4"]
+
+    def svg(self, *parts: Part, name: str) -> Markup:
+        """The sketch as a picture that screen readers call by a name, with parts over it."""
+        height, width = self.depth.shape
+        scene = tag("image", href=data_uri(self.picture), width=width, height=height)
+        frame = f"0 0 {width} {height}"
+        return tag("svg", scene, *parts, class_="drawing sketch", viewBox=frame, role="img", aria_label=name)
+
+    def stroke(self, p_world: Points, *, says: str, class_: str) -> Markup:
+        """A line through points in the world, paler where something opaque hides it.
+
+        Args:
+            says: what appears when one points at it.
+        """
+        placed = self.standpoint.place(p_world)
+        seen, hidden = [], []
+        for start, end in itertools.pairwise(placed):
+            line = np.linspace(start, end, int(np.linalg.norm((end - start)[:2]) / 4) + 2)
+            is_hidden = self.is_hidden(line)
+            breaks = [0, *(np.flatnonzero(is_hidden[1:] != is_hidden[:-1]) + 1), len(line) - 1]
+            for first, last in itertools.pairwise(breaks):
+                if last > first:
+                    (hidden if is_hidden[first] else seen).append(path_of(line[[first, last], :2]))
+        drawn = "".join(seen)
+        paths = [("hidden", "".join(hidden)), ("halo", drawn), (None, drawn)]
+        parts = [tag("path", d=path, class_=kind) for kind, path in paths if path]
+        return tag("g", tag("title", says), *parts, class_=f"stroke {class_}")
+
+    def is_hidden(self, placed: Points) -> Bool[np.ndarray, " point"]:
+        """Where something opaque is nearer to the eye; what lies on a surface is seen."""
+        height, width = self.depth.shape
+        column, row = np.floor(placed[:, :2]).astype(int).T
+        is_inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+        nearest = self.depth[row.clip(0, height - 1), column.clip(0, width - 1)]
+        return is_inside & (placed[:, 2] > nearest + 6)
+
+
+def draw_sketch(meshes: tuple[Mesh, ...], is_glass: Bool[np.ndarray, " mesh"], standpoint: Standpoint) -> Sketch:
+    """The sketch of meshes, of which some are glass: one sees through it to what is behind."""
+    opaque, clear = (
+        [mesh for mesh, glass in zip(meshes, is_glass, strict=True) if is_there(mesh) and bool(glass) is which]
+        for which in (False, True)
+    )
+    solid = _Seen(opaque, standpoint)
+    behind = _Seen(opaque, standpoint, behind=solid.depth)
+    glass = _Seen(clear, standpoint)
+    is_seen = glass.is_there & (glass.depth < solid.depth)
+
+    tone = np.where(solid.is_there, 214 + 36 * solid.brightness(), 255)[..., None] * np.ones(3)
+    tone = np.where(is_seen[..., None], tone * (GLASS_TINT + 0.1 * (glass.brightness()[..., None] - 0.5)), tone)
+    alpha = np.where(solid.is_there | is_seen, 255, 0)
+    lines = (
+        (behind.lines() & (behind.mesh != solid.mesh), PALE_INK),
+        (solid.lines(), INK),
+        (glass.lines() & (glass.depth <= solid.depth), GLASS_INK),
+    )
+    for drawn, ink in lines:
+        tone[drawn] = ink
+        alpha[drawn] = 255
+    picture = np.concatenate([tone, alpha[..., None]], axis=-1).clip(0, 255).astype(np.uint8)
+    return Sketch(standpoint=standpoint, depth=solid.depth, picture=picture)
+
+
+class _Seen:
+    """What is nearest to the eye in each pixel, of some meshes."""
+
+    def __init__(
+        self, meshes: list[Mesh], standpoint: Standpoint, behind: Float32[np.ndarray, "h w"] | None = None
+    ) -> None:
+        """
+        Args:
+            behind: only what is farther than this counts.
+        """
+        corners = np.concatenate([np.zeros((0, 3, 3)), *map(face_corners, meshes)])
+        placed = standpoint.place(corners.reshape(-1, 3)).reshape(-1, 3, 3)
+        least = np.float32(-standpoint.near * standpoint.scale)
+        shape = standpoint.height, standpoint.width
+        self._is_thick = standpoint.width == WIDTH
+        floor = np.full(shape, least) if behind is None else behind + np.float32(6)
+        self.depth, face, weights = rasterise(placed, floor)
+        self.is_there = face >= 0
+        self.mesh = np.concatenate([[-1], np.repeat(np.arange(len(meshes)), [len(mesh.faces) for mesh in meshes])])[
+            face + 1
+        ]
+        normals = np.concatenate([np.zeros((1, 3, 3)), *(mesh.normals[mesh.faces] for mesh in meshes)])
+        self._normal = (np.einsum("hwc,hwcx->hwx", weights, normals[face + 1]) @ standpoint.axes.T).astype(np.float32)
+        self._normal /= np.maximum(np.linalg.norm(self._normal, axis=-1, keepdims=True), 1e-9)
+        self._normal *= np.where(self._normal[..., 2:] < 0, -1, 1)
+
+    def brightness(self) -> Float32[np.ndarray, "h w"]:
+        """0 to 1."""
+        return (self._normal @ (LIGHT / np.linalg.norm(LIGHT)).astype(np.float32)).clip(0, 1)
+
+    def lines(self) -> Bool[np.ndarray, "h w"]:
+        """Outlines of objects, and creases and steps within them: two pixels wide in a large sketch, else one."""
+        found = np.zeros(self.depth.shape, bool)
+        depth = np.where(self.is_there, self.depth, 1e6)
+        for axis in (0, 1):
+            mesh, z = np.moveaxis(self.mesh, axis, 0), np.moveaxis(depth, axis, 0)
+            normal, out = np.moveaxis(self._normal, axis, 0), np.moveaxis(found, axis, 0)
+            other = mesh[1:] != mesh[:-1]
+            crease = (normal[1:] * normal[:-1]).sum(axis=-1) < CREASE
+            # Where the depth is no straight line through three pixels, a nearer part covers a farther one.
+            bend = np.abs(z[2:] - 2 * z[1:-1] + z[:-2])
+            step = np.zeros_like(other)
+            step[1:] = bend > 8
+            line = other | ((crease | step) & (mesh[1:] >= 0))
+            out[1:] |= line
+            if self._is_thick:
+                out[:-1] |= line
+        return found
+
+
+def rasterise(
+    placed: Float[np.ndarray, "face 3 3"], least: Float32[np.ndarray, "h w"]
+) -> tuple[Float32[np.ndarray, "h w"], Int64[np.ndarray, "h w"], Float32[np.ndarray, "h w 3"]]:
+    """Depth of the nearest face at each pixel's centre, its number (-1: none) and the weights of its corners.
+
+    Args:
+        placed: column and row in pixels, and depth, of the corners of each face.
+        least: depth that a face must exceed at a pixel to count there.
+    """
+    (height, width), least = least.shape, least.ravel()
+    depth, face = np.full(height * width, np.inf, np.float32), np.full(height * width, -1)
+    steps = _steps_of_weights(placed)
+
+    top, bottom = _centres_between(placed[:, :, 1].min(axis=1), placed[:, :, 1].max(axis=1), height)
+    of_row, row = _spread(top, bottom)  # A face and a row of pixels that it may cover.
+    for part in np.array_split(np.arange(len(row)), len(row) * width // MOST_PIXELS + 1):
+        which, y = of_row[part], row[part] + 0.5
+        of_pixel, column = _spread(*_centres_between(*_crossings(placed[which], y), width))
+        # Along a row, depth changes by the same amount from pixel to pixel.
+        corner_z = placed[which, :, 2]
+        at_0, at_1 = ((_weights(steps[which], x, y) * corner_z).sum(axis=1) for x in (0.5, 1.5))
+        z = (at_0[of_pixel] + (at_1 - at_0)[of_pixel] * column).astype(np.float32)
+        pixel, which = (row[part] * width)[of_pixel] + column, which[of_pixel]
+        counts = z > least[pixel]
+        np.minimum.at(depth, pixel[counts], z[counts])
+        won = counts & (z == depth[pixel])
+        face[pixel[won]] = which[won]
+
+    weights = np.zeros((height * width, 3), np.float32)
+    covered = np.flatnonzero(face >= 0)
+    weights[covered] = _weights(steps[face[covered]], covered % width + 0.5, covered // width + 0.5)
+    shape = height, width
+    return depth.reshape(shape), face.reshape(shape), weights.reshape(*shape, 3)
+
+
+def _steps_of_weights(placed: Float[np.ndarray, "face 3 3"]) -> Float[np.ndarray, "face 3 2"]:
+    """Weights of a face's second and third corner: at (0, 0), and what a column and a row add."""
+    a, b, c = placed[:, :, :2].swapaxes(0, 1)
+    (bx, by), (cx, cy) = (b - a).T, (c - a).T
+    area = bx * cy - by * cx
+    area = np.where(area == 0, np.inf, area)  # Seen from its edge: no pixel sees it.
+    columns, rows = np.stack([cy, -by], axis=1), np.stack([-cx, bx], axis=1)
+    first = -(a[:, :1] * columns + a[:, 1:] * rows)
+    return np.stack([first, columns, rows], axis=1) / area[:, None, None]
+
+
+def _weights(
+    steps: Float[np.ndarray, "pixel 3 2"], x: Float[np.ndarray, " pixel"] | float, y: Float[np.ndarray, " pixel"]
+) -> Float[np.ndarray, "pixel 3"]:
+    others = steps[:, 0] + steps[:, 1] * np.reshape(x, (-1, 1)) + steps[:, 2] * y[:, None]
+    return np.concatenate([1 - others.sum(axis=1, keepdims=True), others], axis=1)
+
+
+def _crossings(
+    placed: Float[np.ndarray, "row 3 3"], y: Float[np.ndarray, " row"]
+) -> tuple[Float[np.ndarray, " row"], Float[np.ndarray, " row"]]:
+    """Where faces begin and end along a line of pixels."""
+    left, right = np.full(len(y), np.inf), np.full(len(y), -np.inf)
+    for corner in range(3):
+        start, end = placed[:, corner], placed[:, (corner + 1) % 3]
+        drop = end[:, 1] - start[:, 1]
+        share = (y - start[:, 1]) / np.where(drop == 0, np.inf, drop)
+        x = start[:, 0] + share * (end[:, 0] - start[:, 0])
+        crosses = (share >= 0) & (share <= 1) & (drop != 0)
+        left, right = np.where(crosses, np.minimum(left, x), left), np.where(crosses, np.maximum(right, x), right)
+    return left, right
+
+
+def _centres_between(
+    low: Float[np.ndarray, " span"], high: Float[np.ndarray, " span"], count: int
+) -> tuple[Int64[np.ndarray, " span"], Int64[np.ndarray, " span"]]:
+    """The first and the last of so many pixels whose centres lie between two places."""
+    first = np.ceil(np.clip(low, 0, count + 1) - 0.5).astype(int)
+    return first, np.floor(np.clip(high, -1, count) - 0.5).astype(int)
+
+
+def _spread(
+    first: Int64[np.ndarray, " span"], last: Int64[np.ndarray, " span"]
+) -> tuple[Int64[np.ndarray, " item"], Int64[np.ndarray, " item"]]:
+    """Every number from the first to the last of each span: the span, and the number."""
+    counts = np.maximum(last - first + 1, 0)
+    span = np.repeat(np.arange(len(first)), counts)
+    begins = np.concatenate([[0], np.cumsum(counts)[:-1]]) if len(counts) else counts
+    return span, first[span] + np.arange(len(span)) - begins[span]
