@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from datagen.data.license import unknown
 from datagen.data.meshes import is_there
 from datagen.data.resolution import parse_resolution
 from datagen.disk.errors import HyalineError
@@ -151,6 +152,7 @@ def import_scene(path: Path, choices: ImportChoices) -> Imported:
     scene = Scene(
         name=scene_name(path),
         description=f"Imported from {path.name}"[:200],
+        license=foreign.license or unknown(path.name),
         objects=tuple(objects),
         environment=environment,
         lights=lights,
