@@ -188,7 +188,7 @@ def peers(
         dataset: A name in data/, or a folder.
         python: Python interpreter of the environment in which the tools are installed; it needs no hyaline.
         only: Only these loaders: nerfstudio-data, nerfstudio-blender, nerfstudio-colmap, nerfbaselines, pycolmap,
-            webdataset.
+            webdataset, datasets.
         points: Points of the surfaces in each export.
         json: Print JSON instead of a table.
     """
@@ -202,7 +202,8 @@ def peers(
     )
     print(peers_json(reports) if json else peers_table(reports))
     if all(report.missing for report in reports):
-        fail(f"{python}: has none of the tools; install some of nerfstudio, nerfbaselines, pycolmap, webdataset there")
+        tools = "nerfstudio, nerfbaselines, pycolmap, webdataset, datasets"
+        fail(f"{python}: has none of the tools; install some of {tools} there")
     wrong = sum(not one.passed for report in reports for one in report.findings)
     if wrong:
         fail(f"{wrong} of what the tools read differ from the dataset")

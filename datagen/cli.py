@@ -174,7 +174,8 @@ def export(
     Args:
         dataset: Dataset folder, or its name under data/. Default: the only one there. The flag may be left out if the
             dataset comes first.
-        format: nerfstudio, blender, 3dgs, colmap, nerfbaselines, refref, cleargrasp, webdataset or quantities.
+        format: nerfstudio, blender, 3dgs, colmap, nerfbaselines, refref, cleargrasp, webdataset, quantities or
+            huggingface.
         out: Folder to write. Default: exports/NAME-FORMAT.
         points: Number of points sampled on the true surfaces, coloured from the training images, for formats that need
             a point cloud.

@@ -28,6 +28,7 @@ PEERS: dict[str, tuple[str, ...]] = {
     "nerfbaselines": ("nerfbaselines",),
     "pycolmap": ("colmap",),
     "webdataset": ("webdataset",),
+    "datasets": ("huggingface",),
 }
 """Loaders, and the formats that each opens."""
 

@@ -13,7 +13,9 @@ while it loads (centring, scaling, turning) is undone by the transform that the 
 import hashlib
 import importlib.metadata
 import json
+import os
 import sys
+import tempfile
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -182,20 +184,42 @@ def read_webdataset(root: Path, questions: Questions) -> Answer:
         samples: Iterable[dict] = webdataset.WebDataset(str(shard), shardshuffle=False).decode("rgb8")
         for sample in samples:
             name, lens = sample["__key__"], sample["camera.json"]
-            places, matrix = questions[name], np.array(lens["transform_matrix"])
-            x = (places[:, 0] - lens["cx"]) / lens["fl_x"]
-            y = (places[:, 1] - lens["cy"]) / lens["fl_y"]
-            answer.pictures[name] = Picture(
-                size=(lens["w"], lens["h"]),
-                colors=sample["png"],
-                origins=np.tile(matrix[:3, 3], (len(places), 1)),
-                directions=np.stack([x, -y, -np.ones_like(x)], axis=-1) @ matrix[:3, :3].T,
-                depth=_at(sample["depth.npy"], places),
-            )
+            answer.pictures[name] = _by_convention(lens, questions[name], sample["png"], sample["depth.npy"])
             answer.splits.setdefault(lens["role"], []).append(name)
     about = json.loads((root / "dataset.json").read_text())
     answer.near_far = about["near"], about["far"]
     return answer
+
+
+def read_datasets(root: Path, questions: Questions) -> Answer:
+    """Hugging Face's `load_dataset` of the folder; cameras by their convention, for it has none of its own."""
+    os.environ["HF_HUB_OFFLINE"] = "1"
+    import datasets
+
+    answer = Answer(packages=("datasets",))
+    with tempfile.TemporaryDirectory() as cache:
+        for split, rows in datasets.load_dataset(str(root), cache_dir=cache).items():
+            role = {"train": "train", "validation": "val"}.get(split, "test")
+            for row in rows:
+                name, depth = row["name"], np.asarray(row["depth"]) / 1000
+                answer.pictures[name] = _by_convention(row, questions[name], np.asarray(row["image"]), depth)
+                answer.splits.setdefault(role, []).append(name)
+                answer.near_far = row["near"], row["far"]
+    return answer
+
+
+def _by_convention(lens: dict, places: np.ndarray, colors: np.ndarray, depth: np.ndarray) -> Picture:
+    """A picture whose camera is told by the keys of transforms.json."""
+    matrix = np.array(lens["transform_matrix"])
+    x = (places[:, 0] - lens["cx"]) / lens["fl_x"]
+    y = (places[:, 1] - lens["cy"]) / lens["fl_y"]
+    return Picture(
+        size=(lens["w"], lens["h"]),
+        colors=colors,
+        origins=np.tile(matrix[:3, 3], (len(places), 1)),
+        directions=np.stack([x, -y, -np.ones_like(x)], axis=-1) @ matrix[:3, :3].T,
+        depth=_at(depth, places),
+    )
 
 
 LOADERS: dict[str, Callable[[Path, Questions], Answer]] = {
@@ -205,6 +229,7 @@ LOADERS: dict[str, Callable[[Path, Questions], Answer]] = {
     "nerfbaselines": read_nerfbaselines,
     "pycolmap": read_pycolmap,
     "webdataset": read_webdataset,
+    "datasets": read_datasets,
 }
 
 

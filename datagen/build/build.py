@@ -1,6 +1,7 @@
 """Making a dataset: for every view render, commit, peel, commit; goes on where it was stopped."""
 
 import contextlib
+import dataclasses
 import functools
 import shlex
 from collections.abc import Callable, Iterator
@@ -20,6 +21,7 @@ from datagen.data.geometries import geometry_hash
 from datagen.data.imported import RENDERED, Imported
 from datagen.data.layer_store import record_path_of_layers
 from datagen.data.layer_writing import check_settings, create_layers
+from datagen.data.license import unknown
 from datagen.data.paths import TRUTH, layers_root
 from datagen.disk.errors import DamagedError, HyalineError, WorkerKilledError
 from datagen.disk.ownership import DATASET, LAYERS, holding, is_ours, refuse_taken, remove_files
@@ -200,17 +202,21 @@ def open_or_start(
     *,
     overwrite: bool,
     imported: Imported | None = None,
+    stated_license: str | None = None,
 ) -> Dataset:
     """The dataset at `root`, its head complete, or a new one without views; the caller holds the folder.
 
     Args:
         scene: None where pictures were imported without any mesh.
         imported: where the pictures come from, unless they are rendered here.
+        stated_license: of imported pictures; that of the scene unless given.
 
     Raises:
         HyalineError: another dataset, or something else, stands there.
     """
     files = {} if scene is None else scene_files(scene)
+    if stated_license is None:
+        stated_license = (None if scene is None else scene.license) or unknown(f"scene {config.scene}")
     listed = () if scene is None else scene.objects
     objects = tuple(DatasetObject(name=item.name, is_glass=item.material.is_glass) for item in listed)
     if overwrite and is_ours(root, DATASET):
@@ -219,7 +225,11 @@ def open_or_start(
         refuse_taken(root, DATASET, wanted, dataset_files(root))
         clear_dataset(root)
     # Another process may have been there first, with other settings.
-    dataset = write_head(root, config, objects, cameras, files, imported=imported, replace=overwrite)
+    dataset = write_head(
+        root, config, objects, cameras, files, imported=imported, stated_license=stated_license, replace=overwrite
+    )
+    if scene is not None:
+        files = files_in(dataset, scene)
     if dataset.imported != imported:
         raise HyalineError(
             f"{root}: holds {_origin(dataset.imported)}; pass --overwrite to replace it, or --out for another place"
@@ -238,6 +248,11 @@ def open_or_start(
             "pass --overwrite to replace it, or --out for another place"
         )
     return dataset
+
+
+def files_in(dataset: Dataset, scene: Scene) -> dict[str, bytes]:
+    """The files of a scene's folder as a dataset has them: without a licence where it is older than licences are."""
+    return scene_files(dataclasses.replace(scene, license=None) if dataset.stated_license is None else scene)
 
 
 def _origin(imported: Imported | None) -> str:

@@ -9,7 +9,7 @@ import contextlib
 from collections.abc import Iterator
 from pathlib import Path
 
-from datagen.build.build import peel_dataset, render_dataset
+from datagen.build.build import files_in, peel_dataset, render_dataset
 from datagen.build.build_variant import build_variant
 from datagen.build.plan_variant import plan_again
 from datagen.build.verify import check_is_there, import_command, is_good, list_obstacles
@@ -26,7 +26,7 @@ from datagen.disk.homes import HEADS, home_of
 from datagen.disk.ownership import DATASET, holding
 from datagen.disk.storage import commit, commit_same, one_writer, sha256
 from datagen.scene.description import Scene
-from datagen.scene.folder import load_scene, scene_files
+from datagen.scene.folder import load_scene
 from datagen.scene.rig import make_cameras
 from datagen.terminal.command import say
 
@@ -125,7 +125,7 @@ def _restore_scene(dataset: Dataset, given: str | None) -> None:
     # Datasets of format version 1 have cameras without near and far.
     bare = make_cameras(scene.cameras, dataset.config)
     for cameras in (bare, with_depth_range(bare, [item.mesh for item in scene.objects])):
-        contents = head_contents(scene_files(scene), cameras)
+        contents = head_contents(files_in(dataset, scene), cameras)
         if all(sha256(contents[file]) == promised[file] for file in lost if file in TRANSFORMS_FILES.values()):
             break
     for file in lost:

@@ -8,8 +8,8 @@ the camera looks along -z). Pixel (column i, row j) has its centre at (i + 0.5, 
 1 + the object's place in the scene, 0 where a layer is empty. uv is in [0, 1], v up: texel row `(1 - v) tex_h - 0.5`.
 
     data/SCENE/
-      dataset.json                       sealed, written first: version, configuration, objects, SHA-256 of the
-                                         files of the next two lines
+      dataset.json                       sealed, written first: version, configuration, objects, licence, SHA-256 of
+                                         the files of the next two lines
       scene/                             the scene as rendered: scene.json, meshes/*.ply; `--scene FOLDER` reads it
       transforms_{train,test,extrapolating}.json   cameras as NeRF tools read them, with near and far (metres along the
                                          ray, data/depth_range.py); `test` is the interpolating split
@@ -44,9 +44,11 @@ from datagen.data.finding import where_datasets_are
 from datagen.data.imported import RENDERED, Imported, imported_of
 from datagen.data.layer_store import LayerStore, open_layers
 from datagen.data.layers import Layers, glass_mask, read_layers
+from datagen.data.license import unknown
 from datagen.data.npy import read_npy
 from datagen.data.paths import TRUTH, image_path, layers_root, record_path
 from datagen.data.png import decode_png
+from datagen.data.variant_record import SceneEdit, Variant, variant_of
 from datagen.data.view_record import ViewRecord
 from datagen.disk.errors import DamagedError, HyalineError
 from datagen.disk.homes import mend_command
@@ -69,34 +71,6 @@ class DatasetObject:
         check_name(self.name, where="object name")
 
 
-@dataclass(frozen=True, kw_only=True)
-class SceneEdit:
-    """How the scene of a variant differs from that of the dataset around it."""
-
-    edits: tuple[str, ...]
-    """As `datagen.scene.edits.parse_edit` reads them, in the order in which they were made."""
-    changed: tuple[str, ...]
-    """Names of the objects that are not what they were: removed, moved, copied, of another material."""
-    copies: dict[str, str]
-    """The original's name by the name of each copy: objects that no renderer was trained on look like these."""
-
-    def __post_init__(self) -> None:
-        for name in (*self.changed, *self.copies, *self.copies.values()):
-            check_name(name, where="object name")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Variant:
-    """What a dataset inside another one says of itself."""
-
-    of: str
-    """Seal of the dataset around it."""
-    splits: tuple[Split, ...]
-    """The splits that it has."""
-    edit: SceneEdit | None = None
-    """None: scene, meshes and proxies are those of the dataset around it. Otherwise its test cameras are."""
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Dataset:
     """An opened dataset: its immutable head. What lies below it is opened when it is first asked for, and once.
@@ -117,11 +91,20 @@ class Dataset:
     """The dataset that this one is a variant of."""
     imported: Imported | None = None
     """None unless its pictures were rendered elsewhere."""
+    stated_license: str | None = None
+    """None in a variant, which has that of the dataset around it, and in datasets from before heads said it."""
     _opened: Opened = field(default_factory=Opened, repr=False)
 
     @property
     def name(self) -> str:
         return self.root.resolve().name
+
+    @property
+    def license(self) -> str:
+        """An SPDX name such as CC0-1.0, what a foreign file said, or whom to ask."""
+        if self.parent is not None:
+            return self.parent.license
+        return self.stated_license or unknown(f"dataset {self.name}")
 
     @property
     def home(self) -> "Dataset":
@@ -376,16 +359,8 @@ def open_dataset(root: Path) -> Dataset:
         variant=variant,
         parent=parent,
         imported=imported_of(head, path),
+        stated_license=from_json(str, head["license"], where=f"{path}: license") if "license" in head else None,
     )
-
-
-def variant_of(head: Mapping[str, Json], path: Path) -> Variant | None:
-    """What a variant's head says of it; None in the head of another dataset."""
-    if old := sorted({"edit", "annex_of"} & head.keys()):
-        raise HyalineError(
-            f"{path}: says {old[0]!r}, as the format before `variants/` did; delete {path.parent} and build it again"
-        )
-    return from_json(Variant, head["variant"], where=f"{path}: variant") if "variant" in head else None
 
 
 def head_files(root: Path) -> dict[str, str]:

@@ -6,16 +6,10 @@ from typing import cast
 
 from datagen.data.cameras import TRANSFORMS_FILES, Cameras, transforms_bytes
 from datagen.data.config import DATASET_VERSION, SPLITS, DatasetConfig, Split, config_of
-from datagen.data.dataset import (
-    Dataset,
-    DatasetObject,
-    Variant,
-    head_files,
-    open_dataset,
-    variant_of,
-)
+from datagen.data.dataset import Dataset, DatasetObject, head_files, open_dataset
 from datagen.data.imported import RENDERED, Imported, imported_of
 from datagen.data.paths import image_path, record_path
+from datagen.data.variant_record import Variant, variant_of
 from datagen.data.view_record import ViewRecord
 from datagen.disk.errors import HyalineError
 from datagen.disk.heads import keep_head
@@ -33,6 +27,7 @@ def write_head(
     *,
     variant: Variant | None = None,
     imported: Imported | None = None,
+    stated_license: str | None = None,
     replace: bool = False,
 ) -> Dataset:
     """Commits the head of a dataset, then the scene and the cameras that it promises; the caller holds the folder.
@@ -44,6 +39,7 @@ def write_head(
         scene: the files of the scene's folder, by path relative to it; none in a variant of the same scene.
         variant: what a variant says of itself.
         imported: where the pictures come from, unless they are rendered here.
+        stated_license: of the data; a variant has that of the dataset around it.
         replace: take the place of a head of ours, whose views and further files the caller has removed.
 
     Raises:
@@ -57,6 +53,7 @@ def write_head(
         "files": {path: sha256(data) for path, data in sorted(files.items())},
         **({} if variant is None else {"variant": to_json(variant)}),
         **({} if imported is None else {"imported": to_json(imported)}),
+        **({} if stated_license is None else {"license": stated_license}),
     }
     if replace and is_ours(root, DATASET):
         commit(root / DATASET.head, seal_bytes(head))

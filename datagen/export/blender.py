@@ -14,7 +14,7 @@ from datagen.disk.storage import dump_json
 from datagen.export.pictures import ply_points, rgba_png
 from datagen.export.plan import Part, Plan
 from datagen.export.source import ROLES, ExportView, Source
-from datagen.export.transforms import CONVENTION, bounds_keys, check_centered, frame, lens_keys
+from datagen.export.transforms import CONVENTION, check_centered, frame, lens_keys, world_keys
 
 
 def plan_blender(source: Source) -> Plan:
@@ -52,6 +52,6 @@ def _transforms(source: Source, views: tuple[ExportView, ...]) -> dict[str, Json
     return {
         "convention": CONVENTION,
         **lens_keys(source.pictures[0].view.camera),
-        **bounds_keys(source.bounds),
+        **world_keys(source),
         "frames": [frame(item, f"./{item.role}/{item.name}") for item in views],
     }

@@ -70,6 +70,7 @@ def _cameras_part(source: Source) -> Part:
         return {
             f"{folder}/cameras.json": dump_json(
                 {
+                    "license": source.dataset.license,
                     "convention": CONVENTION,
                     **lens_keys(items[0].view.camera),
                     "frames": [frame(item, f"rgb-imgs/{item.view.index:09d}-rgb.jpg") for item in items],

@@ -31,7 +31,8 @@ from datagen.terminal.command import track
 
 EXPORT = FolderKind(what="export", head="hyaline-export.json")
 RECORDS = "hyaline-export"
-EXPORT_VERSION = 1
+EXPORT_VERSION = 2
+"""Exports of version 1 say no licence; they are made again with --overwrite."""
 
 
 def write_export(out: Path, plan: Plan, settings: dict[str, Json], *, overwrite: bool) -> None:

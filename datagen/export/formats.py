@@ -1,17 +1,20 @@
 """The formats in which datasets are exported, and the export of one."""
 
+import dataclasses
 from collections.abc import Callable
 from pathlib import Path
 
 from datagen.data.dataset import Dataset
+from datagen.data.license import OWN, OWN_ADDRESS
 from datagen.disk.errors import HyalineError
 from datagen.export.blender import plan_3dgs, plan_blender
 from datagen.export.cleargrasp import plan_cleargrasp
 from datagen.export.colmap import plan_colmap
 from datagen.export.folder import write_export
+from datagen.export.huggingface import plan_huggingface
 from datagen.export.nerfbaselines import plan_nerfbaselines
 from datagen.export.nerfstudio import plan_nerfstudio
-from datagen.export.plan import Plan
+from datagen.export.plan import Part, Plan
 from datagen.export.quantities import plan_quantities
 from datagen.export.refref import plan_refref
 from datagen.export.source import Source
@@ -28,6 +31,7 @@ FORMATS: dict[str, Callable[[Source], Plan]] = {
     "cleargrasp": plan_cleargrasp,
     "webdataset": plan_webdataset,
     "quantities": plan_quantities,
+    "huggingface": plan_huggingface,
 }
 
 WITH_FLOW = ("quantities", "webdataset")
@@ -55,10 +59,19 @@ def export_dataset(
     if out.resolve().is_relative_to(dataset.root.resolve()):
         raise HyalineError(f"--out: {out} lies in the dataset, which keeps to its own files; choose a folder outside")
     plan = make_plan(source)
+    plan = dataclasses.replace(plan, parts=(*plan.parts, _license_part(dataset)))
     settings = {"format": form, "dataset": dataset.seal, "points": num_points, "flow": flow}
     write_export(out, plan, {**settings}, overwrite=overwrite)
-    say(f"{out}: {len(source.pictures)} views; {_roles(source)}")
+    say(f"{out}: {len(source.pictures)} views; {_roles(source)}; licence: {dataset.license}")
     return out, plan.hint.replace("OUT", str(out))
+
+
+def _license_part(dataset: Dataset) -> Part:
+    """LICENSE.txt, where people look for it whatever the format."""
+    text = f"The data in this folder: {dataset.license}\n"
+    if dataset.license == OWN:
+        text += f"Nobody has to ask, or to name a source. {OWN_ADDRESS}\n"
+    return Part(name="license", files=("LICENSE.txt",), make=lambda: {"LICENSE.txt": text.encode()})
 
 
 def _roles(source: Source) -> str:

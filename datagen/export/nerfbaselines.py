@@ -25,6 +25,7 @@ def _info(source: Source) -> bytes:
             "loader": "colmap",
             "id": f"hyaline-{source.dataset.name}",
             "scene": source.dataset.name,
+            "license": source.dataset.license,
             "evaluation_protocol": "default",
             "depth_range": [source.bounds.near, source.bounds.far],
         }

@@ -17,7 +17,7 @@ from datagen.disk.storage import dump_json
 from datagen.export.pictures import depth_png, mask_png, ply_points, rgb_png
 from datagen.export.plan import Part, Plan
 from datagen.export.source import ROLES, ExportView, Source
-from datagen.export.transforms import CONVENTION, bounds_keys, frame, lens_keys
+from datagen.export.transforms import CONVENTION, frame, lens_keys, world_keys
 
 
 def plan_nerfstudio(source: Source) -> Plan:
@@ -64,7 +64,7 @@ def _transforms(source: Source) -> dict[str, Json]:
         "orientation_override": "none",
         "ply_file_path": "sparse_pc.ply",
         **lens_keys(source.pictures[0].view.camera),
-        **bounds_keys(source.bounds),
+        **world_keys(source),
         **splits,
         "frames": frames,
     }

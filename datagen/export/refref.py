@@ -18,7 +18,7 @@ from datagen.disk.storage import dump_json
 from datagen.export.pictures import mask_png, ply_points, rgba_png
 from datagen.export.plan import Part, Plan
 from datagen.export.source import ROLES, ExportView, Role, Source
-from datagen.export.transforms import CONVENTION, bounds_keys, frame, lens_keys
+from datagen.export.transforms import CONVENTION, frame, lens_keys, world_keys
 from datagen.quantities.surfaces import surfaces_of
 
 
@@ -57,7 +57,7 @@ def _transforms(source: Source, role: Role) -> dict[str, Json]:
         image, mask, depth = (f"./{file}" for file in _files(item))
         frames.append(frame(item, image, mask_file_path=mask, depth_file_path=depth))
     lens = lens_keys(source.pictures[0].view.camera)
-    return {"convention": CONVENTION, **lens, **bounds_keys(source.bounds), "frames": frames}
+    return {"convention": CONVENTION, **lens, **world_keys(source), "frames": frames}
 
 
 def _objects_part(source: Source) -> Part:

@@ -89,7 +89,7 @@ def sample_groups(source: Source) -> dict[str, list[ExportView]]:
 
 
 def about_samples(source: Source) -> bytes:
-    """dataset.json: objects, kinds of material, near, far, box, and the convention of every file."""
+    """dataset.json: licence, objects, kinds of material, near, far, box, and the convention of every file."""
     surfaces = surfaces_of(source.dataset)
     objects: list[Json] = [
         {"object_id": index + 1, "name": item.name, "material": type(item.material).__name__}
@@ -98,6 +98,7 @@ def about_samples(source: Source) -> bytes:
     kinds: list[Json] = [*source.pictures[0].quantities.material_names]
     return dump_json(
         {
+            "license": source.dataset.license,
             "convention": CONVENTION,
             **bounds_keys(source.bounds),
             "objects": objects,

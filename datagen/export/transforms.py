@@ -7,10 +7,14 @@ import numpy as np
 from datagen.data.cameras import CONVENTION, Camera
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import Json
-from datagen.export.source import Bounds, ExportView
+from datagen.export.source import Bounds, ExportView, Source
 
 MAX_SHIFT = 0.05
 """Pixels by which a principal point may miss the picture's middle and still be taken for it."""
+
+
+MAX_NGP_SIDE = 128
+"""The largest `aabb_scale`, which must be a power of two."""
 
 
 def lens_keys(camera: Camera) -> dict[str, Json]:
@@ -41,6 +45,26 @@ def check_centered(camera: Camera, form: str) -> None:
         )
 
 
+def world_keys(source: Source) -> dict[str, Json]:
+    """What a transforms file says of the world that its views show, and its licence."""
+    return {"license": source.dataset.license, **bounds_keys(source.bounds), **_ngp_keys(source)}
+
+
+def _ngp_keys(source: Source) -> dict[str, Json]:
+    """Where instant-ngp puts a point p: at scale p + offset, in a cube of side `aabb_scale` around (0.5, 0.5, 0.5).
+
+    The box of all surfaces fills the cube of side 1. So instant-ngp itself places what it finds as `aabb`, and takes
+    these two where a version does not read that. A camera outside the largest cube stays there, which it allows.
+    """
+    low, high = np.array(source.bounds.low), np.array(source.bounds.high)
+    scale = 1 / max(float((high - low).max()), 1e-6)
+    offset = 0.5 - scale * (low + high) / 2
+    places = np.array([item.view.camera.world_from_camera[:3, 3] for item in source.pictures])
+    reach = 2 * float(np.abs(scale * places + offset - 0.5).max())
+    side = min(2 ** math.ceil(math.log2(max(reach, 1))), MAX_NGP_SIDE)
+    return {"aabb_scale": side, "scale": scale, "offset": offset.tolist()}
+
+
 def bounds_keys(bounds: Bounds) -> dict[str, Json]:
     """What a tool has to be told so that it cuts nothing off: metres along the ray, and a box in world axes."""
     return {"near": bounds.near, "far": bounds.far, "aabb": [list(bounds.low), list(bounds.high)]}
@@ -52,4 +76,4 @@ def frame(item: ExportView, file_path: str, **more: Json) -> dict[str, Json]:
     return {"file_path": file_path, "transform_matrix": matrix.tolist(), **more}
 
 
-__all__ = ["CONVENTION", "bounds_keys", "check_centered", "frame", "lens_keys"]
+__all__ = ["CONVENTION", "bounds_keys", "check_centered", "frame", "lens_keys", "world_keys"]

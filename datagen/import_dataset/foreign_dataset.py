@@ -50,6 +50,8 @@ class ForeignDataset:
     surfaces: tuple[ForeignSurface, ...]
     remarks: tuple[str, ...]
     """What is left out."""
+    license: str | None = None
+    """What its transforms file says of it, as exports of ours do."""
 
     @property
     def files(self) -> list[Path]:

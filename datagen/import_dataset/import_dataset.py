@@ -14,6 +14,7 @@ from datagen.data.dataset import Dataset, View
 from datagen.data.dataset_head import commit_imported_view
 from datagen.data.depth_range import with_depth_range
 from datagen.data.imported import Imported
+from datagen.data.license import unknown
 from datagen.data.resolution import Resolution
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import DATASET, holding
@@ -107,7 +108,13 @@ def write_import(plan: Plan, root: Path, choices: DatasetImportChoices, *, overw
     """
     with holding(root, DATASET):
         dataset = open_or_start(
-            plan.scene, root, plan.config, plan.cameras, overwrite=overwrite, imported=plan.imported
+            plan.scene,
+            root,
+            plan.config,
+            plan.cameras,
+            overwrite=overwrite,
+            imported=plan.imported,
+            stated_license=plan.foreign.license or unknown(plan.imported.source),
         )
         missing = [view for view in _views(dataset) if not view.is_built]
         total = sum(plan.config.split(split).views for split in SPLITS)

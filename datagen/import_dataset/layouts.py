@@ -12,6 +12,7 @@ Source: RefRef's data parser, OpenMaterial's loader for instant-nsr-pl, nerf-pyt
 import re
 from pathlib import Path
 
+from datagen.data.license import license_line
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import check_regular, find_file
 from datagen.disk.ownership import DATASET
@@ -71,6 +72,7 @@ def read_layout(root: Path) -> ForeignDataset:
         views=views,
         surfaces=_surfaces(root),
         remarks=_left_out(found["train"], layout, views),
+        license=license_line(found["train"].fields.data.get("license")),
     )
 
 

@@ -98,6 +98,8 @@ class Scene:
 
     name: str
     description: str = ""
+    license: str | None = None
+    """Of meshes and images, and so of what is rendered from them; None where nobody states it."""
     objects: tuple[SceneObject, ...]
     environment: Environment
     lights: tuple[RectangleLight, ...] = ()

@@ -55,6 +55,8 @@ class _SceneFile:
     version: int
     name: str
     description: str = ""
+    license: str | None = None
+    """Of meshes and images, and of datasets made from them: an SPDX name such as CC-BY-4.0, or a line of text."""
     objects: tuple[_ObjectFile, ...]
     environment: Environment
     lights: tuple[RectangleLight, ...] = ()
@@ -88,6 +90,7 @@ def scene_files(scene: Scene) -> dict[str, bytes]:
         version=SCENE_VERSION,
         name=scene.name,
         description=scene.description,
+        license=scene.license,
         objects=tuple(listed),
         environment=scene.environment,
         lights=scene.lights,
@@ -98,6 +101,8 @@ def scene_files(scene: Scene) -> dict[str, bytes]:
     data = cast(dict[str, Json], to_json(canonical))
     for described in cast(list[dict[str, Json]], data["objects"]):
         del described["transform"], described["cutout"]  # They are in the mesh.
+    if scene.license is None:
+        del data["license"]  # Scenes that do not say it keep the bytes that they had before there was such a key.
     return {**files, "scene.json": dump_json(data)}
 
 
@@ -138,6 +143,7 @@ def load_scene(folder: Path, *, is_sealed: bool = False) -> Scene:
     scene = Scene(
         name=file.name,
         description=file.description,
+        license=file.license,
         objects=tuple(objects),
         environment=file.environment,
         lights=file.lights,

@@ -125,7 +125,8 @@ def scene_page(
             "heading": html.escape(title),
             "about": html.escape(
                 f"Drawn by the networks that hyaline's {label} learned from pictures of {dataset.name} "
-                f"(quality {quality}; dataset {dataset.seal[:12]}). The page's program is under the MIT licence."
+                f"(quality {quality}; dataset {dataset.seal[:12]}). The page's program is under the MIT licence. "
+                f"The scene: {dataset.license}."
             ),
             "manifest": json.dumps(manifest, sort_keys=True).replace("<", "\\u003c"),
             "shader": "\n".join(_part(name) for name in scene.shaders),

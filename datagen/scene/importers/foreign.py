@@ -172,6 +172,8 @@ class ForeignScene:
     sky: Color | ForeignMap | None = None
     """Radiance from all around, or a map of it; None where the file says nothing of it."""
     cameras: tuple[ForeignCamera, ...] = ()
+    license: str | None = None
+    """What the file says of it, in a line; None where it says nothing."""
     is_complete: bool = False
     """It was made to be rendered as it is: no ground is added, and it stays where it is."""
 

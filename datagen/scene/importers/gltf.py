@@ -6,7 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
+from datagen.data.license import license_line
 from datagen.disk.errors import HyalineError
+from datagen.disk.records import Json
 from datagen.scene.importers.fields import Fields
 from datagen.scene.importers.foreign import (
     MAX_SURFACES,
@@ -24,6 +26,9 @@ from datagen.scene.importers.gltf_nodes import Instance, Standing, instances
 from datagen.scene.importers.remarks import Remarks
 
 TRIANGLES, STRIP, FAN = 4, 5, 6
+XMP_RIGHTS = ("dc:rights", "xmpRights:UsageTerms", "xmpRights:WebStatement")
+XMP_PLACES = ((), ("@value",), ("@id",), ("rdf:_1",), ("rdf:_1", "@value"))
+"""Where the text of an XMP property may be: plain, in a node, or in the first of several languages."""
 Attributes = dict[str, np.ndarray]
 
 
@@ -59,7 +64,44 @@ def read_gltf(path: Path, remarks: Remarks) -> ForeignScene:
             objects.append(_placed(part, own, instance.world_from_mesh))
     if not objects:
         raise HyalineError(f"{path}: holds no triangles; expected a scene with a mesh")
-    return ForeignScene(objects=tuple(objects), up="y", cameras=tuple(standing.cameras), lamps=tuple(standing.lamps))
+    return ForeignScene(
+        objects=tuple(objects),
+        up="y",
+        cameras=tuple(standing.cameras),
+        lamps=tuple(standing.lamps),
+        license=_license_of(file.root),
+    )
+
+
+def _license_of(root: Fields) -> str | None:
+    """What the metadata says of rights, wherever glTF, its XMP extensions and Sketchfab put it; bad metadata is none.
+
+    Source: glTF 2.0 section 5.9, KHR_xmp_json_ld.
+    """
+    asset = root.fields("asset").data
+    said = []
+    for data in (asset, root.data):
+        stated, author = (_within(data, "extras", key) for key in ("license", "author"))
+        said += [stated, f"by {author}" if stated and isinstance(author, str) else None]
+    said.append(asset.get("copyright"))
+    for extension in ("KHR_xmp_json_ld", "KHR_xmp"):
+        used = _within(asset, "extensions", extension, "packet")
+        for key in XMP_RIGHTS:
+            value = _within(root.data, "extensions", extension, "packets", used, key)
+            said += [_within(value, *path) for path in XMP_PLACES]
+    return license_line(*said)
+
+
+def _within(data: Json, *path: Json) -> Json:
+    """What lies at a path of keys and places; None where nothing does."""
+    for step in path:
+        if isinstance(data, dict) and isinstance(step, str):
+            data = data.get(step)
+        elif isinstance(data, list) and isinstance(step, int) and 0 <= step < len(data):
+            data = data[step]
+        else:
+            return None
+    return data
 
 
 def _check_lists(file: GltfFile) -> None:

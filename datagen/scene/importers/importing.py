@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from datagen.data.license import unknown
 from datagen.data.meshes import is_there, open_edges
 from datagen.data.resolution import Resolution, square
 from datagen.disk.errors import HyalineError
@@ -162,6 +163,7 @@ def import_scene(path: Path, choices: ImportChoices, *, resolution: Resolution =
     scene = Scene(
         name=scene_name(path),
         description=f"Imported from {path.name}"[:200],
+        license=foreign.license or unknown(path.name),
         objects=tuple(objects),
         environment=environment,
         lights=lights,

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from datagen.data.license import MAX_LENGTH, license_line
 from datagen.disk.errors import HyalineError
 from datagen.disk.reading import read_regular
 from datagen.disk.records import shown
@@ -24,6 +25,7 @@ from datagen.scene.importers.obj import PLAIN
 from datagen.scene.importers.remarks import Remarks
 from datagen.scene.importers.text_numbers import floats
 
+RIGHTS = ("LicenseTerms", "Copyright")
 METRES = {"micron": 1e-6, "millimeter": 1e-3, "centimeter": 1e-2, "inch": 0.0254, "foot": 0.3048, "meter": 1.0}
 MAX_XML_BYTES = 1 << 28
 MAX_DEPTH = 16
@@ -44,6 +46,8 @@ class _Object:
 @dataclass
 class _Model:
     metres: float = 1e-3
+    rights: list[str] = field(default_factory=list)
+    """What its metadata says of licence and copyright."""
     objects: dict[str, _Object] = field(default_factory=dict)
     items: list[tuple[str, np.ndarray]] = field(default_factory=list)
     colors: dict[str, list[ForeignMaterial]] = field(default_factory=dict)
@@ -74,7 +78,7 @@ def read_3mf(path: Path, remarks: Remarks) -> ForeignScene:
         raise HyalineError(f"{path}: builds no object; expected a 3MF file with a mesh")
     if any(name.startswith("texture") for name in model.colors):
         remarks.approximate(path.name, "has textures, which are left out")
-    return ForeignScene(objects=tuple(objects), up="z", metres=model.metres)
+    return ForeignScene(objects=tuple(objects), up="z", metres=model.metres, license=license_line(*model.rights))
 
 
 def _model_text(path: Path) -> bytes:
@@ -103,11 +107,15 @@ def _parse(text: bytes, path: Path) -> _Model:
     model = _Model()
     current: list[_Object] = []
     group = [""]
+    is_rights = [False]
 
     def begin(tag: str, attributes: Attributes) -> None:
         tag = tag.rpartition(":")[2]
         where = f"{path}: {tag}"
-        if tag == "model":
+        is_rights[0] = tag == "metadata" and attributes.get("name") in RIGHTS
+        if is_rights[0]:
+            model.rights.append("")
+        elif tag == "model":
             model.metres = METRES.get(attributes.get("unit", "millimeter"), 1e-3)
         elif tag == "basematerials":
             group[0] = attributes.get("id", "")
@@ -130,7 +138,12 @@ def _parse(text: bytes, path: Path) -> _Model:
             placed = (attributes.get("objectid", ""), _matrix(attributes.get("transform"), where))
             (current[0].components if tag == "component" and current else model.items).append(placed)
 
+    def read(text: str) -> None:
+        if is_rights[0] and len(model.rights[-1]) < MAX_LENGTH:
+            model.rights[-1] += text
+
     def end(tag: str) -> None:
+        is_rights[0] = False
         if tag.rpartition(":")[2] == "object":
             current.clear()
 
@@ -138,7 +151,7 @@ def _parse(text: bytes, path: Path) -> _Model:
         raise HyalineError(f"{path}: declares a document type; expected none in a 3MF file")
 
     parser = xml.parsers.expat.ParserCreate()
-    parser.StartElementHandler, parser.EndElementHandler = begin, end
+    parser.StartElementHandler, parser.EndElementHandler, parser.CharacterDataHandler = begin, end, read
     parser.StartDoctypeDeclHandler = refuse
     try:
         parser.Parse(text, True)

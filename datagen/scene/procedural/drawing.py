@@ -12,6 +12,7 @@ from itertools import combinations
 import numpy as np
 
 from datagen.data.config import DatasetConfig, SplitConfig
+from datagen.data.license import OWN
 from datagen.data.resolution import Resolution
 from datagen.data.windings import windings
 from datagen.disk.errors import HyalineError
@@ -65,7 +66,7 @@ def make_random(name: RandomName) -> Scene:
         say(f"scene {name}: a draw was refused: {reason}")
     meshes = unwrap_all({item.name: item.mesh for item in drawn.scene.objects})
     objects = tuple(dataclasses.replace(item, mesh=meshes[item.name]) for item in drawn.scene.objects)
-    scene = dataclasses.replace(drawn.scene, objects=objects)
+    scene = dataclasses.replace(drawn.scene, objects=objects, license=OWN)
     check_scene(scene)
     return scene
 

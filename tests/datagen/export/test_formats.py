@@ -3,6 +3,7 @@
 import importlib
 import io
 import json
+import re
 import tarfile
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import numpy as np
 import OpenEXR
 import pytest
 from PIL import Image
+from support.commands import run
 from support.export_readers import (
     ReadView,
     read_blender,
@@ -337,3 +339,59 @@ def test_what_cannot_be_exported_is_said(dataset: Dataset, tmp_path: Path) -> No
     with pytest.raises(HyalineError, match="points: is 0; expected 1 to"):
         Source(dataset=dataset, num_points=0, flow=False)
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("form", ["nerfstudio", "blender", "3dgs", "refref"])
+def test_instant_ngp_finds_glass_and_cameras_in_its_cube(form: str, dataset: Dataset, tmp_path: Path) -> None:
+    run(f"datagen export {dataset.root} --format {form} --points 20 --out {tmp_path}")
+    glass = np.concatenate([found.position[found.glass] for found in map(quantities, _all_views(dataset))])
+    everywhere = np.array([view.camera.world_from_camera[:3, 3] for view in _all_views(dataset)])
+    files = sorted(tmp_path.glob("transforms*.json"))
+    assert files
+    for file in files:
+        meta = json.loads(file.read_text())
+        scale, offset, side = meta["scale"], np.array(meta["offset"]), meta["aabb_scale"]
+        # What its loader makes of `aabb`, where it reads that (src/nerf_loader.cu).
+        low, high = np.array(meta["aabb"])
+        assert scale == pytest.approx(1 / max(high - low))
+        assert offset == pytest.approx(0.5 - (low + high) / 2 * scale)
+        assert side in {2**power for power in range(8)}
+        places = np.array([frame["transform_matrix"] for frame in meta["frames"]])[:, :3, 3]
+        assert np.abs(glass * scale + offset - 0.5).max() < 0.5
+        assert np.abs(places * scale + offset - 0.5).max() <= side / 2
+        assert side == 1 or np.abs(everywhere * scale + offset - 0.5).max() > side / 4  # No larger than needed.
+
+
+def _all_views(dataset: Dataset) -> list[View]:
+    return [view for split in dataset.splits for view in dataset.views(split)]
+
+
+def test_hugging_face_finds_every_split_with_its_cameras(dataset: Dataset, tmp_path: Path) -> None:
+    run(f"datagen export {dataset.root} --format huggingface --out {tmp_path}")
+    _, head, text = (tmp_path / "README.md").read_text().split("---\n", 2)
+    listed = re.findall(r"- split: (\w+)\n    path: (\w+)/\*\*\n", head)
+    columns = dict(re.findall(r"- name: (\w+)\n    (.+)", head))
+    names = []
+    for split, folder in listed:
+        rows = [json.loads(line) for line in (tmp_path / folder / "metadata.jsonl").read_text().splitlines()]
+        pictures = {path.relative_to(tmp_path / folder).as_posix() for path in (tmp_path / folder).rglob("*.png")}
+        assert {row[key] for row in rows for key in row if key.endswith("file_name")} == pictures
+        for row in rows:
+            view = view_of(dataset, row["name"])
+            found = quantities(view)
+            assert split in (view.split, {"train": "validation"}.get(view.split))
+            assert np.array_equal(read_picture(tmp_path / folder / row["file_name"]), view.image)
+            depth = read_picture(tmp_path / folder / row["depth_file_name"]) / 1000
+            assert np.abs(depth - found.depth_along_axis).max() <= 0.0005 + 1e-6
+            assert np.array_equal(read_picture(tmp_path / folder / row["glass_file_name"]) == 255, found.glass)
+            assert np.array_equal(row["transform_matrix"], view.camera.world_from_camera)
+            kinds = {str: "string", int: "int64", float: "float64"}
+            plain = {key: kinds[type(value)] for key, value in row.items() if type(value) in kinds}
+            told = {key: f"dtype: {kind}" for key, kind in plain.items() if not key.endswith("file_name")}
+            assert {**told, **dict.fromkeys(("image", "depth", "glass"), "dtype: image")}.items() <= columns.items()
+        names += [row["name"] for row in rows]
+    assert [split for split, _ in listed] == ["train", "validation", "interpolating", "extrapolating"]
+    assert len(names) == len(set(names)) == 14
+    # What `imagefolder` goes by when it is not given the card.
+    assert all(re.search(r"(?<![a-z])(train|validation|test)(?![a-z])", folder) for _, folder in listed)
+    assert "`interpolating` 2" in text and "OpenGL" in text
