@@ -360,12 +360,12 @@ def _legend() -> Markup:
 def _table(found: FoundPaths, dataset: Dataset) -> Markup:
     """What each ray meets and where it ends, in words."""
     names = [SKY, *(item.name for item in dataset.objects)]
-    head = tag("tr", *(tag("th", name, scope="col") for name in ("ray", "pixel", "refracted", "reflected")))
+    head = tag("tr", *(tag("th", name, scope="col") for name in ("ray", "column, row", "refracted", "reflected")))
     rows = []
     for ray, (column, row) in {path.ray: path.pixel for path in found.paths}.items():
         ways = {path.kind: f"{path.through} → {names[path.end]}" for path in found.paths if path.ray == ray}
         cells = (f"{column}, {row}", ways["refracted"], ways.get("reflected", "nothing"))
         rows.append(tag("tr", tag("th", ray, scope="row"), *(tag("td", cell) for cell in cells)))
-    caption = tag("caption", "What each ray meets → where it ends; pixels are column, row")
+    caption = tag("caption", "What each ray meets → where it ends")
     table = tag("table", caption, tag("thead", head), tag("tbody", *rows))
     return tag("div", table, class_="scroll", tabindex=0, role="region", aria_label="Light paths as a table")

@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+from jaxtyping import Bool
 
 from datagen.data.cameras import Camera, Cameras
 from datagen.data.config import Split
@@ -11,6 +12,7 @@ from datagen.data.geometries import true_meshes
 from datagen.data.meshes import Mesh, is_there
 from datagen.data.variants import evenly
 from datagen.look.sketch import HEIGHT, WIDTH, Points, Sketch, draw_sketch, stand
+from datagen.pages.charts import COLORS
 from datagen.pages.html import Markup, tag
 
 MOST_CAMERAS = 120
@@ -28,7 +30,7 @@ VIEWS = (("from in front", 35.0, 28.0, 1), ("from above", 0.0, 90.0, 2), ("from 
 def draw_cameras(dataset: Dataset) -> Markup:
     """The cameras of every split as frustums around the scene, and a legend of the splits."""
     cameras: dict[Split, Cameras] = {split: dataset.cameras(split) for split in dataset.splits}
-    meshes = true_meshes(dataset)
+    meshes, is_glass = true_meshes(dataset), np.array([item.is_glass for item in dataset.objects], bool)
     around = np.concatenate([item.world_from_camera[:, :3, 3] for item in cameras.values()])
     size = FRUSTUM_SHARE * max(float(np.linalg.norm(around.max(axis=0) - around.min(axis=0))), 1e-6)
     frustums: dict[Split, dict[int, Points]] = {
@@ -36,23 +38,21 @@ def draw_cameras(dataset: Dataset) -> Markup:
         for split, item in cameras.items()
     }
     seen = np.concatenate(
-        [around, *(points for drawn in frustums.values() for points in drawn.values()), looked_at(dataset)]
+        [around, *(points for drawn in frustums.values() for points in drawn.values()), _looked_at(meshes, is_glass)]
     )
     azimuth_deg = open_azimuth_deg(dataset)
     drawings = []
     for name, turn_deg, elevation_deg, smaller in VIEWS:
         place = stand(seen, azimuth_deg + turn_deg, elevation_deg, width=WIDTH // smaller, height=HEIGHT // smaller)
-        sketch = draw_sketch(meshes, np.array([item.is_glass for item in dataset.objects], bool), place)
+        sketch = draw_sketch(meshes, is_glass, place)
         drawings.append(tag("figure", _draw(sketch, frustums, name), tag("figcaption", f"Cameras {name}")))
     legend = [
         _legend_line(place, split, len(frustums[split]), len(item))
         for place, (split, item) in enumerate(cameras.items())
     ]
     large, *small = drawings
-    return tag(
-        "div", large, tag("div", *small), tag("ul", *legend, class_="legend keys", aria_label="Cameras by split"),
-        class_="drawings",
-    )  # fmt: skip
+    keys = tag("ul", *legend, class_="legend keys", aria_label="Cameras by split")
+    return tag("div", large, tag("div", *small, class_="small"), keys, class_="drawings")
 
 
 def open_azimuth_deg(dataset: Dataset) -> float:
@@ -63,11 +63,10 @@ def open_azimuth_deg(dataset: Dataset) -> float:
     return math.degrees(math.atan2(towards[1], towards[0]))
 
 
-def looked_at(dataset: Dataset) -> Points:
+def _looked_at(meshes: tuple[Mesh, ...], is_glass: Bool[np.ndarray, " mesh"]) -> Points:
     """The corners of the glass, which the cameras are there for; of all meshes where nothing is glass."""
-    pairs = zip(true_meshes(dataset), dataset.objects, strict=True)
-    there: list[tuple[Mesh, bool]] = [(mesh, item.is_glass) for mesh, item in pairs if is_there(mesh)]
-    chosen = [mesh for mesh, is_glass in there if is_glass] or [mesh for mesh, _ in there]
+    there = [(mesh, glass) for mesh, glass in zip(meshes, is_glass, strict=True) if is_there(mesh)]
+    chosen = [mesh for mesh, glass in there if glass] or [mesh for mesh, _ in there]
     corners = [np.stack([mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)]).astype(np.float64) for mesh in chosen]
     return np.concatenate([np.zeros((0, 3)), *corners])
 
@@ -85,7 +84,7 @@ def frustum(camera: Camera, depth: float) -> Points:
 def _draw(sketch: Sketch, frustums: dict[Split, dict[int, Points]], name: str) -> Markup:
     parts = []
     for place, (split, drawn) in enumerate(frustums.items()):
-        color, mark = f"s{place}", MARKS[min(place, len(MARKS) - 1)]
+        color, mark = _style(place)
         for view, points in drawn.items():
             line = sketch.stroke(points, says=f"{split} view {view}", class_=color)
             column, row, _ = sketch.standpoint.place(points[:1])[0]
@@ -94,7 +93,7 @@ def _draw(sketch: Sketch, frustums: dict[Split, dict[int, Points]], name: str) -
 
 
 def _legend_line(place: int, split: str, drawn: int, count: int) -> Markup:
-    color, mark = f"s{place}", MARKS[min(place, len(MARKS) - 1)]
+    color, mark = _style(place)
     frustum = tag("path", d="M6 10L26 2V18ZM6 10L32 6V14Z")
     key = tag("svg", frustum, _mark(mark, 6, 10), class_=f"key stroke {color}", viewBox="0 0 36 20", aria_hidden="true")
     said = f"{count:,} cameras" if drawn == count else f"{drawn:,} of {count:,} cameras"
@@ -105,3 +104,8 @@ def _mark(kind: str, x: float, y: float) -> Markup | None:
     if kind == "disc":
         return tag("circle", cx=x, cy=y, r=MARK)
     return tag("rect", x=x - MARK, y=y - MARK, width=2 * MARK, height=2 * MARK) if kind else None
+
+
+def _style(place: int) -> tuple[str, str]:
+    """The colour and the mark of a split."""
+    return f"s{place % COLORS}", MARKS[min(place, len(MARKS) - 1)]

@@ -24,6 +24,8 @@ CREASE = math.cos(math.radians(30))
 """Normals of neighbouring pixels that differ more are parted by a line."""
 INK, PALE_INK, GLASS_INK = (44, 52, 60), (178, 186, 194), (23, 96, 150)
 GLASS_TINT = np.array([0.80, 0.90, 0.97])
+LEAST_GAP = 6
+"""Pixels of depth by which one thing must be nearer than another to hide it: what lies on a surface is seen."""
 MOST_PIXELS = 1 << 24
 """Covered by the faces that are drawn together, at most."""
 
@@ -111,12 +113,12 @@ class Sketch:
         return tag("g", tag("title", says), *parts, class_=f"stroke {class_}")
 
     def is_hidden(self, placed: Points) -> Bool[np.ndarray, " point"]:
-        """Where something opaque is nearer to the eye; what lies on a surface is seen."""
+        """Where something opaque is nearer to the eye."""
         height, width = self.depth.shape
         column, row = np.floor(placed[:, :2]).astype(int).T
         is_inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
         nearest = self.depth[row.clip(0, height - 1), column.clip(0, width - 1)]
-        return is_inside & (placed[:, 2] > nearest + 6)
+        return is_inside & (placed[:, 2] > nearest + LEAST_GAP)
 
 
 def draw_sketch(meshes: tuple[Mesh, ...], is_glass: Bool[np.ndarray, " mesh"], standpoint: Standpoint) -> Sketch:
@@ -160,12 +162,11 @@ class _Seen:
         least = np.float32(-standpoint.near * standpoint.scale)
         shape = standpoint.height, standpoint.width
         self._is_thick = standpoint.width == WIDTH
-        floor = np.full(shape, least) if behind is None else behind + np.float32(6)
+        floor = np.full(shape, least) if behind is None else behind + np.float32(LEAST_GAP)
         self.depth, face, weights = rasterise(placed, floor)
         self.is_there = face >= 0
-        self.mesh = np.concatenate([[-1], np.repeat(np.arange(len(meshes)), [len(mesh.faces) for mesh in meshes])])[
-            face + 1
-        ]
+        mesh_of_face = np.repeat(np.arange(len(meshes)), [len(mesh.faces) for mesh in meshes])
+        self.mesh = np.concatenate([[-1], mesh_of_face])[face + 1]
         normals = np.concatenate([np.zeros((1, 3, 3)), *(mesh.normals[mesh.faces] for mesh in meshes)])
         self._normal = (np.einsum("hwc,hwcx->hwx", weights, normals[face + 1]) @ standpoint.axes.T).astype(np.float32)
         self._normal /= np.maximum(np.linalg.norm(self._normal, axis=-1, keepdims=True), 1e-9)
@@ -187,7 +188,7 @@ class _Seen:
             # Where the depth is no straight line through three pixels, a nearer part covers a farther one.
             bend = np.abs(z[2:] - 2 * z[1:-1] + z[:-2])
             step = np.zeros_like(other)
-            step[1:] = bend > 8
+            step[1:] = bend > LEAST_GAP
             line = other | ((crease | step) & (mesh[1:] >= 0))
             out[1:] |= line
             if self._is_thick:
@@ -216,7 +217,9 @@ def rasterise(
         # Along a row, depth changes by the same amount from pixel to pixel.
         corner_z = placed[which, :, 2]
         at_0, at_1 = ((_weights(steps[which], x, y) * corner_z).sum(axis=1) for x in (0.5, 1.5))
-        z = (at_0[of_pixel] + (at_1 - at_0)[of_pixel] * column).astype(np.float32)
+        z = at_0[of_pixel] + (at_1 - at_0)[of_pixel] * column
+        # Of faces seen nearly from their edge, rounding would put some pixels far in front or behind.
+        z = np.clip(z, corner_z.min(axis=1)[of_pixel], corner_z.max(axis=1)[of_pixel]).astype(np.float32)
         pixel, which = (row[part] * width)[of_pixel] + column, which[of_pixel]
         counts = z > least[pixel]
         np.minimum.at(depth, pixel[counts], z[counts])

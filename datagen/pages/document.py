@@ -9,19 +9,16 @@ from datagen.pages.html import Markup, Part, join, tag
 HERE = Path(__file__).parent
 
 
-def document(
-    title: str, *content: Part, navigation: Part = None, more_script: str = "", refresh_s: int | None = None
-) -> bytes:
+def document(title: str, *content: Part, navigation: Part = None, refresh_s: int | None = None) -> bytes:
     """The bytes of a page.
 
     Its content security policy lets it load nothing but pictures inside it, and run nothing but its own script: what a
     hostile name might smuggle in would not run.
 
     Args:
-        more_script: beside the one that every page has.
         refresh_s: seconds after which a browser reads the file again.
     """
-    style, script = read_part("page.css"), read_part("page.js") + more_script
+    style, script = read_part("page.css"), read_part("page.js")
     if "</" in style or "</script" in script:
         raise ValueError("a style or script holds an end tag, which would end it inside the page")
     policy = (
