@@ -18,7 +18,7 @@ from datagen.data.layer_writing import check_settings
 from datagen.data.paths import TRUTH
 from datagen.data.resolution import parse_resolution
 from datagen.disk.errors import HyalineError
-from datagen.disk.ownership import refuse_file
+from datagen.disk.ownership import DATASET, refuse_file, refuse_owned
 from datagen.disk.storage import commit
 from datagen.import_dataset.choices import DatasetImportChoices
 from datagen.scene.importers.choices import ImportChoices
@@ -226,6 +226,7 @@ def look(dataset: str | None = None, out: Path | None = None, overwrite: bool = 
         raise HyalineError(f"--out {path}: ends in {path.suffix!r}; expected .html for a page, or .png for a picture")
     if not overwrite:
         refuse_file(path)
+    refuse_owned(path, DATASET)
     commit(path, look_sheet(opened) if path.suffix == ".png" else look_page(opened))
     tell(str(path))
 

@@ -14,7 +14,7 @@ from datagen.data.cameras import Camera, Cameras, check_camera
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.finding import find_dataset
 from datagen.disk.errors import HyalineError, NumericsError
-from datagen.disk.reading import load_json
+from datagen.disk.names import real_path
 from datagen.terminal.distribution import naming_parts
 from model.methods.protocol import Inputs
 from model.run.run_folder import RUN, WEIGHTS, RunRecord, TrainConfig, check_trained_on, read_metrics, read_run
@@ -180,18 +180,11 @@ def open_run(
 
 
 def _find_run(name: str, root: Path) -> Path:
-    """The folder of a run; one without a record of `model train` is refused."""
+    """The folder of a run."""
     folder = next((place for place in (Path(name), root / name) if place.is_dir()), None)
     if folder is None:
         known = f"known are {', '.join(list_runs(root))}" if list_runs(root) else "make one with `model train paper`"
         raise HyalineError(f"{name}: no run there, nor in {root}; {known}")
-    head = folder / RUN
-    is_foreign = "version" not in load_json(head) if head.is_file() else (folder / "predictions").is_dir()
-    if is_foreign:
-        raise HyalineError(
-            f"{folder}: holds pictures of a method that hyaline does not run; expected the folder of a "
-            "run of `model train`"
-        )
     return folder
 
 
@@ -200,7 +193,7 @@ def _place_of(record: RunRecord, folder: Path, given: Path | str | None) -> Path
     if given is not None:
         return find_dataset(str(given))
     named = Path(record.dataset)
-    places = (named, Path(os.path.normpath(folder.resolve() / "../../..")) / named)
+    places = (named, Path(os.path.normpath(real_path(folder) / "../../..")) / named)
     found = next((place for place in places if place.is_dir()), None)
     if found is None:
         raise HyalineError(f"{folder}: its dataset {named} is not there; say where it is with dataset=")

@@ -230,12 +230,15 @@ def export(
         dataset: Dataset folder, or its name under data/. Default: where the run found it.
         overwrite: Replace a file that stands at --out.
     """
-    from datagen.disk.ownership import refuse_file
+    from datagen.disk.ownership import DATASET, refuse_file, refuse_owned
     from model.run.opening import open_trained
+    from model.run.run_folder import FOLDER, OWN_ENDINGS
     from model.web.export import export_run
 
     if not overwrite:
         refuse_file(out)
+    refuse_owned(out, DATASET)
+    refuse_owned(out, FOLDER, endings=OWN_ENDINGS)
     record, opened = open_trained(run, dataset)
     export_run(run, record, opened, out, quality, truths)
     tell(str(out))
@@ -270,10 +273,13 @@ def _render_film(
 ) -> None:
     from datagen.build.film import plan_film
     from datagen.data.film import write_film
+    from datagen.disk.ownership import refuse_owned
     from model.run.opening import open_trained
+    from model.run.run_folder import FOLDER, OWN_ENDINGS
 
     record, opened = open_trained(run, dataset)
     out = film.video or Path(f"{opened.name}-{run.name}.webp")
+    refuse_owned(out, FOLDER, endings=OWN_ENDINGS)
     cameras = plan_film(opened, path, film, out, overwrite=overwrite)
     from model.run.predict import film_pictures
 

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from datagen.disk.errors import HyalineError
+from datagen.disk.names import real_path
 from datagen.disk.ownership import FolderKind, begin, holding, is_ours
 from datagen.disk.storage import seal_bytes
 from datagen.terminal.command import say
@@ -84,7 +85,7 @@ def launch(arguments: Sequence[str], root: Path, choices: LaunchChoices, *, work
     import submitit
     from submitit.core.utils import FailedJobError, FailedSubmissionError
 
-    folder = (root.parent / f"{root.name}-jobs").resolve()
+    folder = real_path(root.parent / f"{root.name}-jobs")
     try:
         executor = submitit.AutoExecutor(folder=folder, cluster=choices.launcher)
     except RuntimeError as error:

@@ -78,9 +78,20 @@ def _search(home: Path, root: Path) -> "_Search":
 
 
 def list_obstacles(home: Path) -> list[Path]:
-    """What stands where files of a dataset belong, or folders of them, and is none."""
+    """What stands where files of a dataset belong, or folders of them, and is none.
+
+    Raises:
+        HyalineError: a link leads to a folder with such files, which somebody has moved there.
+    """
     search = _search(home, home)
-    return [home / place for place in search.lines if place in search.obstacles]
+    found = [home / place for place in search.lines if place in search.obstacles]
+    for path in found:
+        if path.is_symlink() and any((home / file).is_file() for file in search.known if path in (home / file).parents):
+            raise HyalineError(
+                f"{path}: is a link to a folder with files of the dataset, which nothing is written through; "
+                "move that folder back here, or remove the link to have them made again"
+            )
+    return found
 
 
 def is_good(path: Path, promised: str) -> bool:

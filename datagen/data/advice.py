@@ -11,6 +11,7 @@ from datagen.data.geometries import list_geometries
 from datagen.data.paths import TRUTH
 from datagen.data.variants import variant_root
 from datagen.disk.errors import HyalineError
+from datagen.disk.names import real_path
 from datagen.disk.records import Json
 from datagen.disk.storage import load_sealed
 
@@ -62,7 +63,7 @@ def after_edit(base: Dataset, edited: Dataset) -> str:
         return report_command(runs[0][0])
     run, record = min(undrawn, key=lambda item: (item[1].get("method") != "light-path", item[0]))
     command = ["model", "render", "--run", str(run), "--variant", edited.name]
-    found = Path(str(record.get("dataset"))).resolve() == base.root.resolve()
+    found = real_path(Path(str(record.get("dataset")))) == real_path(base.root)
     return shlex.join(command if found else [*command, "--dataset", str(base.root)])
 
 

@@ -52,7 +52,7 @@ from datagen.data.variant_record import SceneEdit, Variant, variant_of
 from datagen.data.view_record import ViewRecord
 from datagen.disk.errors import DamagedError, HyalineError
 from datagen.disk.homes import mend_command
-from datagen.disk.names import check_name, check_relative
+from datagen.disk.names import check_name, check_relative, real_path
 from datagen.disk.opened import Opened
 from datagen.disk.ownership import DATASET, LAYERS
 from datagen.disk.promises import check_files, read_promised
@@ -97,7 +97,7 @@ class Dataset:
 
     @property
     def name(self) -> str:
-        return self.root.resolve().name
+        return real_path(self.root).name
 
     @property
     def license(self) -> str:

@@ -13,7 +13,18 @@ from PIL import Image
 from datagen.data.paths import view_name
 from datagen.data.png import png_bytes
 from datagen.disk.errors import HyalineError
-from datagen.disk.ownership import FolderKind, begin, holding, is_ours, refuse_file, refuse_others, remove_files
+from datagen.disk.ownership import (
+    DATASET,
+    FolderKind,
+    begin,
+    holding,
+    is_ours,
+    refuse_file,
+    refuse_others,
+    refuse_owned,
+    refuse_taken,
+    remove_files,
+)
 from datagen.disk.reading import read_regular
 from datagen.disk.records import Json
 from datagen.disk.storage import commit, load_sealed, seal_bytes
@@ -37,6 +48,7 @@ def check_film(out: Path, fps: float, *, frames: int, overwrite: bool) -> None:
         raise HyalineError(f"fps: is {fps}; expected more than 0, at most {MAX_FPS:g} frames a second")
     if out.suffix == "":
         refuse_others(out, FRAMES)
+        _refuse_foreign_frames(out, frames)
         if is_ours(out, FRAMES) and not overwrite and load_sealed(out / FRAMES.head) != _head(frames):
             raise HyalineError(f"{out}: holds another film; pass --overwrite to replace it, or choose another --video")
         return
@@ -44,6 +56,7 @@ def check_film(out: Path, fps: float, *, frames: int, overwrite: bool) -> None:
         raise HyalineError(f"{out}: {out.suffix!r} is no kind of film; expected {KINDS}")
     if not overwrite:
         refuse_file(out)
+    refuse_owned(out, DATASET)
     if out.suffix == MOVIE:
         _find_ffmpeg()
 
@@ -71,12 +84,22 @@ def _head(frames: int) -> dict[str, Json]:
     return {"version": 1, "frames": [f"{view_name(number)}.png" for number in range(frames)]}
 
 
+def _own_frames(out: Path) -> list[str]:
+    """The frames that a folder's head lists; none where it has no head."""
+    listed = load_sealed(out / FRAMES.head).get("frames") if is_ours(out, FRAMES) else None
+    return [name for name in listed if isinstance(name, str)] if isinstance(listed, list) else []
+
+
+def _refuse_foreign_frames(out: Path, frames: int) -> None:
+    refuse_taken(out, FRAMES, [f"{view_name(number)}.png" for number in range(frames)], _own_frames(out))
+
+
 def _write_frames(out: Path, pictures: Iterable[UInt8[np.ndarray, "h w 3"]], frames: int) -> None:
     head = _head(frames)
     with holding(out, FRAMES):
         if is_ours(out, FRAMES):
-            before = load_sealed(out / FRAMES.head).get("frames")
-            remove_files(out, [name for name in before if isinstance(name, str)] if isinstance(before, list) else [])
+            _refuse_foreign_frames(out, frames)
+            remove_files(out, _own_frames(out))
             commit(out / FRAMES.head, seal_bytes(head))
         else:
             begin(out, FRAMES, seal_bytes(head))

@@ -93,6 +93,11 @@ def check_regular(path: Path, root: Path, *, where: str) -> None:
         raise DamagedError(f"{where}: {path.name} is no regular file; expected one inside {root}")
 
 
+def real_path(path: Path) -> Path:
+    """The absolute path behind all links; where links go round in a circle it ends, and opening the path says so."""
+    return Path(os.path.realpath(path))  # Path.resolve raises a RuntimeError at a circle before Python 3.13.
+
+
 def printable(text: str) -> str:
     """`text` in one line that a terminal only shows: control characters, line breaks and the like are spelled out."""
     if text.isprintable():

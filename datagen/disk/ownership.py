@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from datagen.disk.errors import HyalineError
-from datagen.disk.names import check_relative, printable
+from datagen.disk.names import check_relative, printable, real_path
 from datagen.disk.storage import TEMPORARY, commit, commit_first, load_sealed, one_writer, shared_writers
 
 ZARR_TEMPORARY = re.compile(r".+\.[0-9a-f]{32}\.partial")
@@ -183,6 +183,25 @@ def refuse_file(path: Path) -> None:
     """
     if os.path.lexists(path):
         raise HyalineError(f"{path}: is there already; pass --overwrite to replace it, or choose another --out")
+
+
+def refuse_owned(path: Path, kind: FolderKind, *, endings: tuple[str, ...] = (".json",)) -> None:
+    """Refuses an output file, with --overwrite too, that would replace one of a folder of ours.
+
+    Args:
+        endings: of the files that such a folder holds beside its own folders.
+
+    Raises:
+        HyalineError: naming the folder.
+    """
+    if not path.exists():
+        return
+    real = real_path(path)
+    tops = {folder.split("/")[0] for folder in (*kind.folders, *kind.nested)}
+    for root in real.parents:
+        is_own = real.suffix in endings if root == real.parent else real.relative_to(root).parts[0] in tops
+        if is_own and is_ours(root, kind):
+            raise HyalineError(f"{path}: is a file of the {kind.what} {root}, which keeps it; choose another file")
 
 
 def refusal(root: Path, kind: FolderKind, foreign: str) -> HyalineError:

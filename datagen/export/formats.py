@@ -7,6 +7,7 @@ from pathlib import Path
 from datagen.data.dataset import Dataset
 from datagen.data.license import OWN, OWN_ADDRESS
 from datagen.disk.errors import HyalineError
+from datagen.disk.names import real_path
 from datagen.export.blender import plan_3dgs, plan_blender
 from datagen.export.cleargrasp import plan_cleargrasp
 from datagen.export.colmap import plan_colmap
@@ -56,7 +57,7 @@ def export_dataset(
         )
     source = Source(dataset=dataset, num_points=num_points, flow=flow)
     out = out or EXPORTS / f"{dataset.name}-{form}"
-    if out.resolve().is_relative_to(dataset.root.resolve()):
+    if real_path(out).is_relative_to(real_path(dataset.root)):
         raise HyalineError(f"--out: {out} lies in the dataset, which keeps to its own files; choose a folder outside")
     plan = make_plan(source)
     plan = dataclasses.replace(plan, parts=(*plan.parts, _license_part(dataset)))

@@ -35,7 +35,7 @@ from datagen.data.png import MAX_PNG_BYTES, decode_png
 from datagen.data.variants import ANGLES, variant_root
 from datagen.data.variants import FOLDER as VARIANTS
 from datagen.disk.errors import HyalineError
-from datagen.disk.names import printable
+from datagen.disk.names import check_regular, printable, real_path
 from datagen.disk.reading import load_json, read_regular
 from datagen.disk.records import Json, from_json, shown
 from datagen.disk.storage import SEAL, load_sealed, seal_of, sha256
@@ -88,12 +88,12 @@ def list_run_folders(root: Path, *, besides: Path) -> list[Path]:
         besides: the report's own folder.
     """
     folders = [path for path in root.glob("*/*") if path.is_dir() and not path.name.startswith(".")]
-    own = besides.resolve()
+    own = real_path(besides)
     return sorted(
         path
         for path in folders
-        if own not in (path.resolve(), *path.resolve().parents)
-        and not (path.is_symlink() and path.resolve().parent == path.parent.resolve())
+        if own not in (real_path(path), *real_path(path).parents)
+        and not (path.is_symlink() and real_path(path).parent == real_path(path.parent))
     )
 
 
@@ -231,6 +231,8 @@ def read_prediction(run: Run, split: Split, view: int) -> UInt8[np.ndarray, "h w
 def _read_bytes(run: Run, split: Split, view: int) -> bytes:
     """The bytes of a prediction, those that were promised where somebody did."""
     path = prediction_path(run, split, view)
+    if os.path.lexists(path):
+        check_regular(path, run.folder, where=str(path.parent))
     data = read_regular(path, at_most=MAX_PNG_BYTES)
     relative = path.relative_to(run.folder).as_posix()
     if run.promised is None and run.seal is not None:

@@ -61,7 +61,7 @@ def find_method(name: str) -> type[MethodConfig]:
     where = f"method {name!r}: {point.value}, which {_sources(name)[0]} brings,"
     try:
         found = point.load()
-    except (ImportError, AttributeError) as error:
+    except Exception as error:  # A stranger's module may raise anything.
         raise HyalineError(f"{where} cannot be imported ({error}); mend or uninstall it") from error
     if not (isinstance(found, type) and issubclass(found, MethodConfig)):
         raise HyalineError(f"{where} is no MethodConfig; see docs/adding-a-method.md")
@@ -69,10 +69,15 @@ def find_method(name: str) -> type[MethodConfig]:
 
 
 def about(name: str) -> str:
-    """One line about a method, without importing another distribution's."""
-    if name in BUILT_IN:
-        return " ".join((find_method(name).__doc__ or "").partition("\n\n")[0].split())
-    return f"Brought by {_sources(name)[0]}."
+    """One line about a method: its docstring's first paragraph, and who brings it if it is not built in."""
+    source = "" if name in BUILT_IN else f"Brought by {_sources(name)[0]}."
+    try:
+        kind = find_method(name)
+        line = " ".join((kind.__doc__ or "").partition("\n\n")[0].split())
+        line = "" if line.startswith(f"{kind.__name__}(") else line  # What dataclass makes where there is none.
+    except HyalineError:
+        line = ""  # Training it says why; the others are listed all the same.
+    return f"{line} {source}".strip()
 
 
 def open_inputs(config: MethodConfig, dataset: Dataset, geometry: str) -> Inputs:

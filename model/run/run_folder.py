@@ -22,6 +22,7 @@ No time, host or thread count is in any of them but TensorBoard's and costs.json
 import dataclasses
 import itertools
 import json
+import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -37,9 +38,9 @@ from datagen.data.variants import FOLDER as VARIANTS
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import FolderKind, begin, is_ours, refuse_taken, remove_files
 from datagen.disk.promises import check_files
-from datagen.disk.reading import parse_json, read_regular
+from datagen.disk.reading import load_json, parse_json, read_regular
 from datagen.disk.records import Json, from_json, shown, to_json
-from datagen.disk.storage import commit, commit_sealed, load_sealed, seal_bytes, seal_of
+from datagen.disk.storage import SEAL, commit, commit_sealed, load_sealed, seal_bytes, seal_of
 from model.methods.protocol import Inputs, MethodConfig
 from model.methods.table import find_method, open_inputs
 from model.run.costs import COSTS
@@ -137,6 +138,8 @@ FOLDER = FolderKind(
     what="run", head=RUN, folders=("predictions", "variants/*/predictions", SNAPSHOTS, EVENTS), holds_head=_is_run
 )
 """A folder in which a method from elsewhere keeps its pictures, and says so in a run.json of its own, is none."""
+OWN_ENDINGS = (".json", ".jsonl", ".pt")
+"""Of the files of a run beside its folders."""
 
 
 def describe_knowledge(dataset: Dataset, geometry: str, *more: str) -> str:
@@ -174,11 +177,29 @@ def read_run(out: Path) -> RunRecord:
     """The record of a run.
 
     Raises:
-        HyalineError: no run there, a damaged one, of another version, or with an unknown key.
+        HyalineError: no run there, another method's pictures, a damaged run, one of another version, or with an unknown
+            key.
     """
+    if _is_foreign(out):
+        raise HyalineError(
+            f"{out}: holds pictures of a method that hyaline does not run, and no weights; expected the folder of a run "
+            "of `model train` (`eval report` scores pictures of any method)"
+        )
     if not (out / RUN).is_file():
         raise HyalineError(f"{out}: no run there; make one with `{train_command(out)}`")
     return _read_record(out / RUN)
+
+
+def _is_foreign(out: Path) -> bool:
+    """True of a folder in which a method from elsewhere keeps its pictures, with a record of its own or without."""
+    if any((out / name).exists() for name in (WEIGHTS, CHECKPOINT, PREVIOUS_CHECKPOINT)):
+        return False
+    if not os.path.lexists(out / RUN):
+        return (out / "predictions").is_dir() or any(out.glob("*.png"))
+    try:
+        return SEAL not in load_json(out / RUN)
+    except HyalineError:
+        return False
 
 
 def _read_record(path: Path) -> RunRecord:

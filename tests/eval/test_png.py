@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from support.commands import call
 from support.synthetic import write_synthetic_dataset
 
 from datagen.data.dataset import Dataset
@@ -115,6 +116,78 @@ def odd(name: str) -> bytes:
             return buffer.getvalue()
         case _:
             return b""
+
+
+def profile(name: str) -> bytes:
+    """An iCCP chunk whose profile names itself."""
+    return chunk(b"iCCP", b"a profile\0\0" + zlib.compress(b"desc" + name.encode("utf-16-be") + bytes(100)))
+
+
+PRIMARIES = struct.pack(">8I", 31270, 32900, 64000, 33000, 30000, 60000, 15000, 6000)
+EXIF = b"MM\0*\0\0\0\x08\0\x02" + struct.pack(">HHIIHHIHH", 0x10F, 2, 1, 0, 0x112, 3, 1, 6, 0)
+SAID = {
+    "nothing": b"",
+    "sRGB": chunk(b"sRGB", b"\0"),
+    "gamma": chunk(b"gAMA", struct.pack(">I", 45455)) + chunk(b"cHRM", PRIMARIES),
+    "sRGB before a gamma": chunk(b"sRGB", b"\0") + chunk(b"gAMA", struct.pack(">I", 100_000)),
+    "profile": profile("sRGB IEC61966-2.1"),
+    "cicp": chunk(b"cICP", b"\x01\x0d\0\x01") + chunk(b"gAMA", struct.pack(">I", 100_000)),
+    "upright": chunk(b"eXIf", EXIF.replace(b"\0\x06", b"\0\x01")),
+    "no EXIF": chunk(b"eXIf", b"MM\0*\xff\xff\xff\xff"),
+}
+OTHER = {
+    "linear": (chunk(b"gAMA", struct.pack(">I", 100_000)), "not sRGB (its gAMA chunk is 100000, not 45455); convert"),
+    "wide": (
+        chunk(b"cHRM", struct.pack(">8I", 31270, 32900, 68000, 32000, 26500, 69000, 15000, 6000)),
+        "its cHRM chunk",
+    ),
+    "PQ": (chunk(b"cICP", b"\x09\x10\0\x01") + chunk(b"sRGB", b"\0"), "its cICP chunk is [9, 16, 0, 1]"),
+    "P3": (profile("Display P3"), "its iCCP chunk holds another ICC profile"),
+    "linear sRGB": (profile("GIMP built-in Linear sRGB"), "its iCCP chunk holds another ICC profile"),
+    "no profile": (chunk(b"iCCP", b"sRGB\0\0sRGB"), "its iCCP chunk holds another ICC profile"),
+    "turned": (chunk(b"eXIf", EXIF), "to be shown turned or mirrored (EXIF orientation 6); write its pixels as they"),
+    "turned, little-endian": (
+        chunk(b"eXIf", b"II*\0\x08\0\0\0\x01\0" + struct.pack("<HHIHH", 0x112, 3, 1, 3, 0)),
+        "(EXIF orientation 3)",
+    ),
+}
+
+
+def test_only_pictures_that_are_srgb_and_upright_are_scored_by_the_report(
+    dataset: Dataset, tmp_path: Path, picture: np.ndarray
+) -> None:
+    plain, runs = png_bytes(picture), tmp_path / "runs"
+    cases = {**SAID, **{name: content for name, (content, _) in OTHER.items()}}
+    for name, content in cases.items():
+        folder = runs / "synthetic" / name / "predictions" / "interpolating"
+        folder.mkdir(parents=True)
+        for view in range(dataset.num_views["interpolating"]):
+            (folder / f"{view:04d}.png").write_bytes(plain[:33] + content + plain[33:])
+    answer = call(f"eval report --runs {runs} --data {dataset.root.parent} --out {tmp_path / 'report'}")
+    assert answer.status == 1
+    refused = {name: [line for line in answer.err.splitlines() if f"/{name}/" in line] for name in cases}
+    assert {name for name, lines in refused.items() if not lines} == set(SAID)
+    for name, (_, message) in OTHER.items():
+        (line,) = refused[name]
+        assert message in line and "0000.png: " in line
+
+
+def test_a_picture_that_is_a_link_to_elsewhere_is_refused(
+    dataset: Dataset, tmp_path: Path, picture: np.ndarray
+) -> None:
+    folder = tmp_path / "runs/synthetic/linked/predictions/interpolating"
+    folder.mkdir(parents=True)
+    for view in range(dataset.num_views["interpolating"]):
+        (tmp_path / f"{view}.png").write_bytes(png_bytes(picture))
+        (folder / f"{view:04d}.png").symlink_to(tmp_path / f"{view}.png")
+    line = f"eval report --runs {tmp_path / 'runs'} --data {dataset.root.parent} --out {tmp_path / 'report'}"
+    answer = call(line)
+    assert answer.status == 1
+    assert "interpolating: 0000.png is a link out of its folder; expected a file inside" in answer.error
+    for path in folder.iterdir():
+        path.unlink()
+        path.write_bytes(png_bytes(picture))
+    assert call(line).status == 0
 
 
 @pytest.mark.parametrize(

@@ -184,6 +184,17 @@ def test_every_lost_folder_is_named_and_mended_to_the_same_bytes(
     cases(count, "lost folders")
 
 
+@pytest.mark.parametrize("moved", ["images", "images/train", "records", "layers"])
+def test_a_link_to_a_folder_that_was_moved_elsewhere_is_kept_and_nothing_is_made_again(here: Path, moved: str) -> None:
+    (ROOT / moved).rename(here / "large disk")
+    (ROOT / moved).symlink_to(here / "large disk")
+    before, elsewhere = tree(ROOT), tree(here / "large disk")
+    answer = call("datagen mend data/one")
+    assert answer.status == 1 and answer.err.count("\n") == 1
+    assert f"data/one/{moved}: is a link to a folder with files of the dataset, which nothing is" in answer.error
+    assert (tree(ROOT), tree(here / "large disk")) == (before, elsewhere)
+
+
 def test_lost_copies_of_heads_are_a_remark_since_older_datasets_have_none(here: Path) -> None:
     whole = tree(ROOT)
     shutil.rmtree(ROOT / "heads")

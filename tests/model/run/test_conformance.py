@@ -54,6 +54,12 @@ def model(installed: Path, *words: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run([sys.executable, "-m", "model", *words], capture_output=True, text=True, env=environment)
 
 
+def words_of(answer: subprocess.CompletedProcess[str]) -> str:
+    """What a help page says, without its frame."""
+    assert answer.returncode == 0, answer.stderr
+    return " ".join(answer.stdout.replace("│", " ").split())
+
+
 @pytest.fixture
 def found(installed: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """The example where this process finds it, too."""
@@ -69,7 +75,9 @@ def found(installed: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 def test_a_method_of_another_distribution_is_listed_checked_and_short(installed: Path) -> None:
     assert len((EXAMPLE / "nearest_view.py").read_text().splitlines()) < 60
     listed = model(installed, "train", "--help")
-    assert "nearest-view" in listed.stdout and "Brought by nearest-view." in listed.stdout
+    assert "nearest-view The training pictures with the nearest cameras, blended. Brought by nearest-view." in words_of(
+        listed
+    )
     answer = model(installed, "check-method", "nearest-view")
     lines = answer.stdout.splitlines()
     assert answer.returncode == 0, answer.stdout + answer.stderr
@@ -97,6 +105,9 @@ def test_a_method_that_cannot_be_imported_is_one_line_and_disturbs_no_other(foun
     answer = call("model check-method nearest-view")
     assert answer.status == 1 and answer.err.count("\n") == 1
     assert "nearest_view:NearestViewConfig, which nearest-view brings, cannot be imported" in answer.err
+    for broken in ("import no_such_module", "raise RuntimeError('no GPU')", "class NearestViewConfig: ..."):
+        (found / "nearest_view.py").write_text(broken)
+        assert "nearest-view Brought by nearest-view." in words_of(model(found, "train", "--help"))
     assert call("model train paper --help").status == 0
 
 

@@ -1,4 +1,4 @@
-"""Tests that files of one run are refused in another: weights, checkpoints and predictions say where they belong."""
+"""Tests that files stay where they belong: a run's are refused in another, and no output replaces any of them."""
 
 import dataclasses
 import shutil
@@ -119,3 +119,103 @@ def test_files_of_older_programs_which_do_not_say_where_they_belong_are_read() -
     run("model render --run runs/d1/one --overwrite --device cpu")
     assert load_sealed(predictions) == listed
     run("eval report --out report")
+
+
+RENDER = "model render --run runs/d1/one --path orbit --width 8 --device cpu"
+
+
+@pytest.mark.usefixtures("home")
+def test_a_film_replaces_its_own_frames_and_none_that_somebody_has_put_beside_them() -> None:
+    run(f"{RENDER} --frames 3 --video film")
+    Path("film/0003.png").write_text("mine")
+    answer = call(f"{RENDER} --frames 4 --video film --overwrite")
+    assert (answer.status, answer.error) == (
+        1,
+        "error: film/0003.png: is in the way, and no file of this film; move it elsewhere, or choose another --video",
+    )
+    assert Path("film/0003.png").read_text() == "mine"
+    assert sorted(path.name for path in Path("film").iterdir()) == [
+        "0000.png",
+        "0001.png",
+        "0002.png",
+        "0003.png",
+        "film.json",
+    ]
+    run(f"{RENDER} --frames 2 --video film --overwrite")
+    assert sorted(path.name for path in Path("film").iterdir()) == ["0000.png", "0001.png", "0003.png", "film.json"]
+
+
+@pytest.mark.usefixtures("home")
+@pytest.mark.parametrize(
+    ("line", "owner"),
+    [
+        ("datagen look d1 --out data/d1/images/train/0000.png", "dataset"),
+        ("datagen look d1 --out data/d2/images/train/0000.png", "dataset"),
+        ("datagen look d1 --out link.png", "dataset"),
+        ("model export --run runs/d1/one --out data/d1/dataset.json", "dataset"),
+        ("model export --run runs/d1/one --out runs/d2/one/weights.pt", "run"),
+        ("model export --run runs/d1/one --out runs/d1/one/predictions.json", "run"),
+        (f"{RENDER} --video data/d1/images/train/0000.png", "dataset"),
+        (f"{RENDER} --video runs/d1/one/predictions/interpolating/0000.png", "run"),
+    ],
+)
+def test_no_output_replaces_a_file_of_a_dataset_or_a_run(line: str, owner: str) -> None:
+    Path("link.png").symlink_to("data/d1/images/train/0000.png")
+    place = Path(line.split()[-1])
+    before = place.read_bytes()
+    answer = call(f"{line} --overwrite")
+    assert answer.status == 1
+    assert answer.error.startswith(f"error: {place}: is a file of the {owner} {Path.cwd()}/")
+    assert place.read_bytes() == before
+
+
+@pytest.mark.usefixtures("home")
+def test_an_output_beside_a_datasets_own_files_is_written_and_replaced() -> None:
+    for _ in range(2):
+        run("datagen look d1 --out data/d1/look.html --overwrite")
+        run("model export --run runs/d1/one --out runs/d1/one/scene.html --overwrite")
+
+
+@pytest.mark.usefixtures("home")
+@pytest.mark.parametrize(
+    "line",
+    [
+        "datagen build --scene glass_table --preset tiny --out circle",
+        "datagen build --scene glass_table --preset tiny --out circle/below",
+        "datagen look d1 --out circle/look.html",
+        "datagen export d1 --format nerfstudio --out circle",
+        "datagen import-dataset circle --out other",
+        "datagen render d1 --path orbit --frames 2 --spp 2 --video circle --overwrite",
+        f"{RENDER} --frames 2 --video circle --overwrite",
+        "model train paper --dataset d1 --out circle --steps 2 --device cpu",
+        "model export --run runs/d1/one --out circle/page.html",
+        "proxies make --dataset circle",
+        "eval report --out circle",
+        "eval report --runs circle",
+    ],
+)
+def test_a_link_to_itself_is_one_line(line: str) -> None:
+    Path("circle").symlink_to("circle")
+    answer = call(line)
+    assert answer.status == 1
+    assert answer.error.startswith("error: ") and "circle" in answer.error
+    assert Path("circle").is_symlink()
+
+
+@pytest.mark.usefixtures("home")
+@pytest.mark.parametrize(
+    "line", ["model export --run {}", "model render --run {}", "model render --run {} --path orbit"]
+)
+@pytest.mark.parametrize("record", [None, '{"method": "splats"}'])
+@pytest.mark.parametrize("below", ["predictions/interpolating", "."])
+def test_pictures_of_another_method_are_no_place_to_train_in(line: str, record: str | None, below: str) -> None:
+    folder = Path("runs/d1/splats")
+    shutil.copytree("runs/d1/one/predictions/interpolating", folder / below)
+    if record is not None:
+        (folder / "run.json").write_text(record)
+    answer = call(line.format(folder))
+    assert (answer.status, answer.error) == (
+        1,
+        f"error: {folder}: holds pictures of a method that hyaline does not run, and no weights; expected the folder "
+        "of a run of `model train` (`eval report` scores pictures of any method)",
+    )
