@@ -192,8 +192,7 @@ def _trace(scene, ray, points, scramble, index, colors, tables):
         dimension += 3
         bsdf = si.bsdf(ray)
         is_rough = active & ~is_glass
-        alpha = _roughness_of_glass(tables, si, active & is_glass & ~vanishes)
-        tint = _tint_of_glass(tables, si, eta, active & is_glass & ~vanishes)
+        alpha, tint = _surface_of_glass(tables, si, eta, active & is_glass & ~vanishes)
         if dr.hint(tables.aims, mode="scalar"):
             # Light aimed at from here; smooth glass has no such term.
             active_light = active & ((mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth) & ~is_glass) | (alpha > 0))
@@ -212,13 +211,12 @@ def _trace(scene, ray, points, scramble, index, colors, tables):
 
         # Glass reflects or refracts. Where its surface is none, both media are one: nothing is reflected.
         samples = sample1, sample2
-        is_reflected, glass_wo, glass_share = _meet_glass(tables, si, eta, alpha, vanishes, samples)
+        is_reflected, glass_wo, glass_share = _meet_glass(tables, si, eta, alpha, tint, vanishes, samples)
         goes_in = dr.select(vanishes, dr.dot(ray.d, si.n) < 0, glass_wo.z < 0)
         solids = dr.select(is_glass & ~is_reflected, dr.select(goes_in, with_it, without_it), solids)
 
         # The next segment; a path that has ended keeps its last. Radiance is scaled as its solid angle is squeezed.
-        glass_weight = dr.select(is_reflected | vanishes, 1, tint) * glass_share
-        throughput *= dr.select(active, dr.select(is_glass, glass_weight, bsdf_weight), 1)
+        throughput *= dr.select(active, dr.select(is_glass, glass_share, bsdf_weight), 1)
         to_world = si.to_world(dr.select(is_glass, glass_wo, bsdf_sample.wo))
         d = dr.select(vanishes, ray.d, to_world)
         ray = dr.select(active, mi.Ray3f(_start_off(si, offset, d), d), ray)
@@ -280,19 +278,17 @@ def _ratio_of_indices(tables, sides, colors, is_glass) -> Lanes:
     return inner / outer
 
 
-def _roughness_of_glass(tables, si, is_solid) -> Lanes:
-    """GGX alpha of rough glass; 0 where there is none."""
-    if not tables.has_rough_glass:
-        return mi.Float(0)
-    return dr.gather(mi.Float, tables.alpha, dr.reinterpret_array(mi.UInt32, si.shape), is_solid)
-
-
-def _tint_of_glass(tables, si, eta, is_solid) -> Lanes:
-    """Share of the refracted light that comes through the surface of glass; all of it where both sides are alike."""
-    if not tables.has_tint:
-        return mi.Spectrum(1)
-    tint = dr.gather(mi.Spectrum, tables.tint, dr.reinterpret_array(mi.UInt32, si.shape), is_solid)
-    return dr.select(dr.abs(eta - 1) < SAME_INDEX, 1, tint)
+def _surface_of_glass(tables, si, eta, is_solid) -> tuple[Lanes, Lanes]:
+    """GGX alpha of rough glass, 0 where there is none, and the share of refracted light that comes through."""
+    shape = dr.reinterpret_array(mi.UInt32, si.shape)
+    alpha, tint = mi.Float(0), mi.Spectrum(1)
+    if tables.has_rough_glass:
+        alpha = dr.gather(mi.Float, tables.alpha, shape, is_solid)
+    if tables.has_tint:
+        # Between overlapping parts of one glass there is no surface that could tint.
+        is_one = (dr.abs(eta - 1) < SAME_INDEX) | ~is_solid
+        tint = dr.select(is_one, 1, dr.gather(mi.Spectrum, tables.tint, shape, is_solid))
+    return alpha, tint
 
 
 def _scattered_by_glass(tables, si, eta, wo, alpha, tint, otherwise) -> tuple[Lanes, Lanes]:
@@ -308,11 +304,13 @@ def _scattered_by_glass(tables, si, eta, wo, alpha, tint, otherwise) -> tuple[La
     return dr.select(alpha > 0, value, otherwise[0]), dr.select(alpha > 0, pdf, otherwise[1])
 
 
-def _meet_glass(tables, si, eta, alpha, vanishes, samples) -> tuple[Lanes, Lanes, Lanes]:
+def _meet_glass(tables, si, eta, alpha, tint, vanishes, samples) -> tuple[Lanes, Lanes, Lanes]:
     """Whether glass reflects, where to in the surface's frame, and the factor of radiance."""
-    if not tables.has_rough_glass:
-        return _reflect_or_refract(si.wi, eta, samples[0], vanishes)
-    return _bounce_off_facet(si.wi, eta, alpha, *samples, vanishes)
+    if tables.has_rough_glass:
+        is_reflected, wo, share = _bounce_off_facet(si.wi, eta, alpha, *samples, vanishes)
+    else:
+        is_reflected, wo, share = _reflect_or_refract(si.wi, eta, samples[0], vanishes)
+    return is_reflected, wo, dr.select(is_reflected, 1, tint) * share if tables.has_tint else share
 
 
 def _reflect_or_refract(wi, eta, sample, vanishes) -> tuple[Lanes, Lanes, Lanes]:

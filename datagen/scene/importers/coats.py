@@ -1,7 +1,7 @@
 """What a clear coat of `Plastic` takes of its base's colour, and the base that looks as a file's base colour should.
 
 Other renderers give the colour of a surface as it is seen, but for what its highlight mirrors. Ours is that of a base
-below a coat, out of which only some of the light finds its way: as it is, grey of 0.5 came out as 0.28.
+below a coat, out of which only some of the light finds its way: a base of 0.5 shows 0.28.
 """
 
 import functools

@@ -30,7 +30,7 @@ def veiled(material: ForeignMaterial, mesh: Mesh, *, has_uv: bool) -> ForeignMat
     if material.alpha_mode != "blend" or not has_uv or (material.image is None and material.opacity is None):
         return material
     seen, areas = values_on(mesh, _opacity(material))
-    partly = areas[(seen > PARTLY[0]) & (seen < PARTLY[1])].sum() / max(areas.sum(), 1e-300)
+    partly = areas[(seen > PARTLY[0]) & (seen < PARTLY[1])].sum() / areas.sum()
     if partly < MOSTLY:
         return material
     return dataclasses.replace(material, alpha=float(seen @ areas / areas.sum()), opacity=None)

@@ -79,23 +79,10 @@ def read_material(file: GltfFile, index: int | None, remarks: Remarks) -> tuple[
     transmission = fields.extension("KHR_materials_transmission")
     if transmission is not None and "transmissionTexture" in transmission:
         others.append(("transmission", transmission.fields("transmissionTexture"), 0))
-    factor_images = []
-    for factor, entry, channel in others:
-        found, own_use = _texture(file, entry, name, remarks)
-        if found is None:
-            # The factor's default of 1 would make metal of a surface that the image says is none.
-            metallic = pbr.share("metallicFactor", 0.0) if factor == "metallic" else metallic
-            continue
-        use = use or own_use
-        factor_images.append(
-            FactorImage(
-                factor=factor,
-                image=found,
-                channel=channel,
-                lies_as_color=own_use == use,
-                is_glossiness=gloss is not None and factor == "roughness",
-            )
-        )
+    factor_images, use = _factor_images(file, others, use, name, remarks, is_glossiness=gloss is not None)
+    if others and others[0][0] == "metallic" and not any(found.factor == "metallic" for found in factor_images):
+        # Its image is not there. The factor's default of 1 would make metal of what the image may say is none.
+        metallic = pbr.share("metallicFactor", 0.0)
     volume = fields.extension("KHR_materials_volume")
     dispersion = fields.extension("KHR_materials_dispersion")
     material = ForeignMaterial(
@@ -108,8 +95,8 @@ def read_material(file: GltfFile, index: int | None, remarks: Remarks) -> tuple[
         metallic=metallic,
         roughness=roughness,
         transmission=0.0 if transmission is None else transmission.share("transmissionFactor", 0.0),
-        factor_images=tuple(factor_images),
-        ior=1.0 if is_unlit else _ior(fields, name, remarks),
+        factor_images=factor_images,
+        ior=1.0 if is_unlit and transmission is None else _ior(fields, name, remarks),
         is_volume=volume is not None and volume.number("thicknessFactor", 0.0) > 0,
         attenuation_color=(1.0, 1.0, 1.0) if volume is None else volume.color("attenuationColor", (1.0, 1.0, 1.0)),
         attenuation_distance=_distance(volume),
@@ -175,6 +162,36 @@ def _remark_on(fields: Fields, name: str, remarks: Remarks) -> None:
 
 
 # Images
+
+
+def _factor_images(
+    file: GltfFile,
+    entries: list[tuple[Factor, Fields, int]],
+    use: TextureUse | None,
+    name: str,
+    remarks: Remarks,
+    *,
+    is_glossiness: bool,
+) -> tuple[tuple[FactorImage, ...], TextureUse | None]:
+    """The images that multiply factors, and how the material's image lies: as `use`, or as the first of these.
+
+    Args:
+        entries: factor, texture and channel of each.
+        is_glossiness: of what is given for roughness.
+    """
+    images = []
+    for factor, entry, channel in entries:
+        image, own_use = _texture(file, entry, name, remarks)
+        if image is None:
+            continue
+        use = use or own_use
+        is_inverted = is_glossiness and factor == "roughness"
+        images.append(
+            FactorImage(
+                factor=factor, image=image, channel=channel, lies_as_color=own_use == use, is_glossiness=is_inverted
+            )
+        )
+    return tuple(images), use
 
 
 def _texture(

@@ -54,7 +54,7 @@ class Mapper:
     remarks: Remarks
     images: dict[str, bytes] = field(default_factory=dict)
     _paths: dict[tuple[ForeignImage, Color, Callable], str] = field(default_factory=dict)
-    _means: dict[ForeignMaterial, Color] = field(default_factory=dict)
+    _means: dict[ForeignImage, Color] = field(default_factory=dict)
 
     def averaged(self, foreign: ForeignMaterial, mesh: Mesh, *, has_uv: bool, where: str) -> ForeignMaterial:
         """The material with each factor times the mean of its image over the surface: ours have one value each."""
@@ -215,9 +215,9 @@ class Mapper:
             return foreign.base_color
         if is_told:
             self.remarks.approximate(where, "has an image where only one colour can be; drawn in its mean colour")
-        if foreign not in self._means:
-            self._means[foreign] = mean_color(decoded(foreign.image))
-        red, green, blue = (a * b for a, b in zip(foreign.base_color, self._means[foreign], strict=True))
+        if foreign.image not in self._means:
+            self._means[foreign.image] = mean_color(decoded(foreign.image))
+        red, green, blue = (a * b for a, b in zip(foreign.base_color, self._means[foreign.image], strict=True))
         return red, green, blue
 
 

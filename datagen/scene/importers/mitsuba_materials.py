@@ -127,15 +127,17 @@ def _facets(node: Node, remarks: Remarks) -> float:
 def _glass(node: Node, remarks: Remarks) -> FoundMaterial:
     for key in ("specular_reflectance", "specular_transmittance"):
         if key in node and (node.child(key) is not None or node.color(key, 1.0) != (1, 1, 1)):
-            if node.plugin == "thindielectric" and key == "specular_transmittance" and node.child(key) is None:
+            if key == "specular_transmittance" and node.child(key) is None:
                 continue
             remarks.approximate(node.name, f"scales its {key.removeprefix('specular_')}, which is left out")
     rough = node.plugin == "roughdielectric"
     is_thin = node.plugin == "thindielectric"
-    tint = node.color("specular_transmittance", 1.0) if is_thin else (1.0, 1.0, 1.0)
+    key = "specular_transmittance"
+    red, green, blue = _clipped(node.color(key, 1.0)) if node.child(key) is None else (1.0, 1.0, 1.0)
     material = ForeignMaterial(
         name=node.name,
-        base_color=_clipped(tint),
+        # What passes both surfaces of a solid is its colour.
+        base_color=(red, green, blue) if is_thin else (red**2, green**2, blue**2),
         transmission=1.0,
         ior=_ratio(node),
         is_volume=not is_thin,

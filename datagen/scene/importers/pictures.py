@@ -58,7 +58,7 @@ def values_on(
         np.floor(place % 1 * size).astype(int) for place, size in ((points[:, 0], width), (-points[:, 1], height))
     )
     seen = values[np.minimum(row, height - 1), np.minimum(column, width - 1)].astype(np.float64)
-    return seen, np.repeat(face_areas(mesh), len(INSIDE))
+    return seen, np.repeat(face_areas(mesh), len(INSIDE)) + np.finfo(np.float32).tiny  # So that some of them count.
 
 
 def linear_png(pixels: Float[np.ndarray, "tex_h tex_w 3"]) -> bytes:

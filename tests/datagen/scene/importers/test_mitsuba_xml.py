@@ -98,6 +98,10 @@ INDICES = '<float name="int_ior" value="1.5"/><float name="ext_ior" value="1"/>'
     [
         (f'<bsdf type="dielectric">{INDICES}</bsdf>', Dielectric(ior=1.5)),
         (f'<bsdf type="roughdielectric">{INDICES}{FACETS}</bsdf>', RoughDielectric(ior=1.5, roughness=0.2)),
+        (
+            f'<bsdf type="dielectric">{INDICES}<rgb name="specular_transmittance" value="0.5 1 0.25"/></bsdf>',
+            Dielectric(ior=1.5, tint=(0.5, 1.0, 0.25)),
+        ),
         (f'<bsdf type="twosided"><bsdf type="roughplastic">{INDICES}{FACETS}<boolean name="nonlinear" value="true"/>'
          '<rgb name="diffuse_reflectance" value="0.1,0.2,0.3"/></bsdf></bsdf>',
          Plastic(color=(0.1, 0.2, 0.3), ior=1.5, roughness=0.2)),
