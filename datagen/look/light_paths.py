@@ -288,11 +288,19 @@ def _draw_in_scene(found: FoundPaths, dataset: Dataset) -> Markup:
             parts.append(sketch.stroke(path.points[:2], says=f"ray {path.ray} from the camera", class_="camera"))
         line = sketch.stroke(path.points[1:], says=_says(path, dataset), class_="")
         parts.append(_path(path, line, place.place(path.points)[1:, :2], unit, is_arrow=not path.end))
-    x, y, _ = place.place(places[:1])[0]
-    above = y - 2 * unit if y > 6 * unit else y + 4 * unit
-    label = {"x": round(min(max(x, 6 * unit), WIDTH - 6 * unit), 1), "y": round(above, 1), "text_anchor": "middle"}
-    parts.append(tag("text", "camera", font_size=3 * unit, **label))
+    parts.append(_camera_label(place.place(shape)[:, :2], unit))
     return sketch.svg(*parts, name=f"Light paths of {found.split} view {found.view} in the scene")
+
+
+def _camera_label(shape: Float[np.ndarray, "point 2"], unit: float) -> Markup:
+    """The word beside a frustum's apex, which is the first of its points, on the side to which it does not look."""
+    x, y = shape[0]
+    side, anchored = (-1, "end") if shape[:, 0].mean() > x else (1, "start")
+    y += unit
+    if not 14 * unit < x + 2 * side * unit < WIDTH - 14 * unit:  # There is no room aside.
+        x, y, side, anchored = min(max(x, 6 * unit), WIDTH - 6 * unit), y - 3 * unit, 0, "middle"
+    label = {"x": round(x + 2 * side * unit, 1), "y": round(y, 1), "text_anchor": anchored}
+    return tag("text", "camera", font_size=3 * unit, **label)
 
 
 def _path(

@@ -18,7 +18,8 @@ from datagen.pages.html import Markup, tag
 MOST_CAMERAS = 120
 """Drawn of each split; an even selection of more."""
 FRUSTUM_SHARE = 0.045
-"""Depth of a drawn camera's frustum, as a share of how far the cameras are apart."""
+"""Depth of a drawn camera's frustum, as a share of how far the cameras are apart; smaller for more than `MANY`."""
+MANY = 40
 MARKS = ("", "disc", "square")
 """On the centres of the cameras of the first split, of the second, and of all others."""
 MARK = 5
@@ -32,7 +33,9 @@ def draw_cameras(dataset: Dataset) -> Markup:
     cameras: dict[Split, Cameras] = {split: dataset.cameras(split) for split in dataset.splits}
     meshes, is_glass = true_meshes(dataset), np.array([item.is_glass for item in dataset.objects], bool)
     around = np.concatenate([item.world_from_camera[:, :3, 3] for item in cameras.values()])
-    size = FRUSTUM_SHARE * max(float(np.linalg.norm(around.max(axis=0) - around.min(axis=0))), 1e-6)
+    crowding = math.sqrt(max(1.0, sum(min(MOST_CAMERAS, len(item)) for item in cameras.values()) / MANY))
+    apart = float(np.linalg.norm(around.max(axis=0) - around.min(axis=0)))
+    size = FRUSTUM_SHARE / crowding * max(apart, 1e-6)
     frustums: dict[Split, dict[int, Points]] = {
         split: {view: frustum(item[view], size) for view in evenly(min(MOST_CAMERAS, len(item)), len(item))}
         for split, item in cameras.items()
