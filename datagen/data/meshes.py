@@ -259,7 +259,7 @@ def read_ply(path: Path) -> tuple[Mesh, bool]:
         _check_indices(ours.faces, len(ours.vertices), where=path)
         return ours, True
     _check_header(data, where=path)
-    data = triangulated(data)
+    data = triangulated(data, where=path)
     # Slow to import, and not needed for what was written here.
     import trimesh
 

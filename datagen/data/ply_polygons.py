@@ -1,8 +1,14 @@
 """Binary PLY files of polygons, rewritten as files of triangles."""
 
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
+
+from datagen.disk.errors import HyalineError
+
+MAX_TRIANGLES = 4_000_000
+"""Of polygons, which take more memory than a file of triangles."""
 
 PLY_TYPES = {
     "char": "i1",
@@ -25,10 +31,13 @@ PLY_TYPES = {
 """NumPy's names for PLY's types of numbers."""
 
 
-def triangulated(data: bytes) -> bytes:
+def triangulated(data: bytes, *, where: Path) -> bytes:
     """A binary PLY whose polygons have become triangles around their first corners; any other file as it is.
 
     trimesh 5.2 reads binary faces only where all have as many corners; Blender writes triangles beside quads.
+
+    Raises:
+        HyalineError: they would be more than `MAX_TRIANGLES`.
     """
     end = data.index(b"end_header")
     begin = data.find(b"\n", end) + 1
@@ -54,11 +63,15 @@ def triangulated(data: bytes) -> bytes:
     stride, before, after = (sum(np.dtype(PLY_TYPES[word[1]]).itemsize for word in part) for part in numbers)
     num_vertices, num_faces = (int(words[line][2]) for line in starts[:2])
     first_face = begin + num_vertices * stride
+    if _are_triangles(data, first_face, num_faces, size_type, before, 3 * index_type.itemsize + after):
+        return data
+    _check_number(num_faces, where=where)
     found = _list_places(data, first_face, num_faces, size_type, index_type.itemsize, before, after)
     if found is None:
         return data
     places, sizes = found
     fans = np.maximum(sizes - 2, 0)
+    _check_number(int(fans.sum()), where=where)
     corner = np.arange(fans.sum()) - np.repeat(np.cumsum(fans) - fans, fans) + 1
     corners = np.stack([np.zeros_like(corner), corner, corner + 1], axis=-1)
     at = np.repeat(places, fans)[:, None] + index_type.itemsize * corners
@@ -74,10 +87,23 @@ def triangulated(data: bytes) -> bytes:
     return header.encode("latin-1") + data[begin:first_face] + triangles.tobytes()
 
 
+def _are_triangles(data: bytes, at: int, count: int, size_type: np.dtype, before: int, after: int) -> bool:
+    stride = before + size_type.itemsize + after
+    if at + count * stride > len(data):
+        return False
+    faces = np.frombuffer(data, np.uint8, count * stride, at).reshape(count, stride)
+    return bool((faces[:, before : before + size_type.itemsize] == np.array([3], size_type).view(np.uint8)).all())
+
+
+def _check_number(count: int, *, where: Path) -> None:
+    if count > MAX_TRIANGLES:
+        raise HyalineError(f"{where}: holds {count:,} polygons or triangles; expected at most {MAX_TRIANGLES:,}")
+
+
 def _list_places(
     data: bytes, at: int, count: int, size_type: np.dtype, index_bytes: int, before: int, after: int
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """Where the list of each face begins, and how long it is; None if all are triangles, or the file is cut off."""
+    """Where the list of each face begins, and how long it is; None where the file is cut off."""
     order = "big" if size_type.byteorder == ">" else "little"
     places, sizes = np.zeros(count, np.int64), np.zeros(count, np.int64)
     for face in range(count):
@@ -87,4 +113,4 @@ def _list_places(
         if at > len(data):
             return None
         places[face], sizes[face] = place, size
-    return None if (sizes == 3).all() else (places, sizes)
+    return places, sizes

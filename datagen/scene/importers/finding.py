@@ -51,7 +51,8 @@ def find_scene(
         return imported.scene
     if flags := imports.given():
         raise HyalineError(f"{flags[0]}: goes with a file that is imported, such as --scene vase.glb; leave it out")
-    if Path(given).suffix.lower() in OTHER_ENDINGS:
+    ending = Path(given).suffix.lower()
+    if ending in OTHER_ENDINGS or (ending not in ("", ".json") and Path(given).is_file()):
         check_ending(Path(given))
     if (Path(given) / "scene.json").is_file():
         say(f"scene {given}: reads and checks it")

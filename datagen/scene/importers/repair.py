@@ -26,13 +26,13 @@ def closed(mesh: Mesh, remarks: Remarks, *, where: str) -> Mesh:
     vertices, uv, lids = [mesh.vertices], [mesh.uv], [mesh.faces]
     for loop in loops:
         middle = positions[loop].mean(axis=0)
-        # A crack along an edge has its middle on its rim, where a second point would be welded to the first.
+        # The faces at the hole run along its rim forwards, the lid's backwards. A crack along an edge has its middle on
+        # its rim, where a second point would be welded to the first.
         at = int(np.linalg.norm(positions[loop] - middle, axis=-1).argmin())
         rim = place[np.roll(loop, -at)]
         if len(loop) == 3 or (positions[loop[at]] == middle).all():
             lids.append(np.stack([rim[2:], rim[1:-1], np.full(len(rim) - 2, rim[0])], axis=-1))
             continue
-        # The faces at the hole run along its rim forwards, the lid's backwards.
         center = len(mesh.vertices) + len(vertices) - 1
         lids.append(np.stack([np.roll(rim, -1), rim, np.full(len(rim), center)], axis=-1))
         vertices.append(middle[None])

@@ -1,14 +1,17 @@
 """Tests that a glTF file is read as viewers read it: arrays, nodes, instances, images."""
 
+import importlib.util
 import math
 from pathlib import Path
 
 import numpy as np
 import pytest
+from support.commands import call
 from support.gltf import BOX, GltfBuilder, clear
 
-from datagen.data.meshes import signed_volume
+from datagen.data.meshes import signed_volume, welded
 from datagen.disk.errors import HyalineError
+from datagen.scene.folder import load_scene
 from datagen.scene.importers.foreign import ForeignObject, ForeignScene
 from datagen.scene.importers.gltf import read_gltf
 from datagen.scene.importers.remarks import Remarks
@@ -240,3 +243,33 @@ def test_a_shape_that_its_morph_targets_change_is_an_approximation(
     remarks = Remarks()
     read_gltf(builder.written(tmp_path), remarks)
     assert [(line.where, line.is_approximation) for line in remarks.lines] == [("face", is_approximation)]
+
+
+def with_draco(folder: Path, data: bytes) -> Path:
+    """A file whose one mesh is these bytes, compressed by Draco."""
+    builder = GltfBuilder()
+    vertices = builder.accessor({"componentType": 5126, "count": 8, "type": "VEC3"})
+    extension = {"KHR_draco_mesh_compression": {"bufferView": builder.view(data), "attributes": {"POSITION": 0}}}
+    primitive = {"attributes": {"POSITION": vertices}, "extensions": extension}
+    builder.content["meshes"].append({"primitives": [primitive]})
+    builder.node(mesh=0, name="block")
+    return builder.written(folder)
+
+
+def test_a_mesh_that_draco_has_compressed_is_imported(tmp_path: Path) -> None:
+    draco = pytest.importorskip("DracoPy")
+    positions, faces = welded(BOX)
+    path = with_draco(tmp_path, draco.encode(positions, faces.astype(np.uint32), quantization_bits=16))
+    answer = call(f"datagen import {path} --material glass --ground never --out {tmp_path / 'out'}")
+    assert answer.status == 0, answer.err
+    (item,) = load_scene(tmp_path / "out").objects
+    assert signed_volume(item.mesh) == pytest.approx(signed_volume(BOX), rel=1e-3)
+
+
+def test_without_what_reads_draco_the_error_names_the_part_that_make_setup_installs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = importlib.util.find_spec
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None if name == "DracoPy" else found(name))
+    answer = call(f"datagen import {with_draco(tmp_path, b'DRACO')} --out {tmp_path / 'out'}")
+    assert answer.status == 1 and '`pip install "hyaline-glass[generate]"` brings what reads it' in answer.error

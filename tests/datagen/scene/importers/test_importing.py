@@ -524,7 +524,7 @@ def test_material_may_be_repeated(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("command", ["import", "build --scene"])
-@pytest.mark.parametrize("name", ["vase.fbx", "vase.blend", "vase.usdz", "vase.FBX"])
+@pytest.mark.parametrize("name", ["vase.fbx", "vase.blend", "vase.FBX", "vase.xyz"])
 def test_a_format_that_is_not_read_says_how_to_export(command: str, name: str, tmp_path: Path) -> None:
     (tmp_path / name).write_bytes(b"something")
     answer = call(f"datagen {command} {tmp_path / name}")

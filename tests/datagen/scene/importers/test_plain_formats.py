@@ -353,3 +353,18 @@ def test_a_ply_of_polygons_that_is_cut_off_is_refused_in_one_line(cut: int, tmp_
     path.write_bytes(polygon_ply(12, "little", False)[:-cut])
     answer = call(f"datagen import {path} --out {tmp_path / 'out'}")
     assert answer.status == 1 and len(answer.err.splitlines()) == 1 and "prism.ply" in answer.error
+
+
+@pytest.mark.parametrize("corners", [1, 30_000_000])
+def test_a_ply_of_too_many_polygons_or_corners_is_refused_before_it_takes_memory(corners: int, tmp_path: Path) -> None:
+    path = tmp_path / "bomb.ply"
+    faces = np.array([corners], "<u4").tobytes() + bytes(corners)
+    count = 1 if corners > 1 else 6_000_000
+    header = (
+        "ply\nformat binary_little_endian 1.0\nelement vertex 1\nproperty float x\nproperty float y\n"
+        f"property float z\nelement face {count}\nproperty list uint uchar vertex_indices\nend_header\n"
+    )
+    path.write_bytes(header.encode() + bytes(12) + count * faces)
+    with soon(10):
+        answer = call(f"datagen import {path} --out {tmp_path / 'out'}")
+    assert answer.status == 1 and "polygons or triangles; expected at most 4,000,000" in answer.error
