@@ -1,4 +1,5 @@
-// Which frames are drawn when: coarse while something moves, finer and averaged over many rays when all is still.
+// Which frames are drawn when: coarse while something moves; when all is still, finer and finer, then averaged over many
+// rays.
 
 const MOVING_MS = 50, STILL_MS = 4000, BAND_MS = 40, SETTLED_MS = 180, MAX_PASSES = 16;
 
@@ -49,9 +50,14 @@ class Frames {
 
   // Width and height that can be drawn in some time.
   sizeFor(milliseconds) {
-    const { width, height } = this.tracer.gl.canvas, least = Math.min(1, 48 / Math.min(width, height));
-    const scale = Math.max(least, Math.min(1, Math.sqrt((this.speed * milliseconds) / (width * height))));
-    return [Math.max(1, Math.round(width * scale)), Math.max(1, Math.round(height * scale))];
+    const { width, height } = this.tracer.gl.canvas;
+    return this.scaled(Math.max(48 / Math.min(width, height), Math.sqrt((this.speed * milliseconds) / (width * height))));
+  }
+
+  // Width and height of a share of the canvas.
+  scaled(share) {
+    const { width, height } = this.tracer.gl.canvas;
+    return [width, height].map((side) => Math.max(1, Math.round(side * Math.min(1, share))));
   }
 
   async run() {
@@ -65,6 +71,9 @@ class Frames {
         this.tracer.resize(...this.sizeFor(isMoving || drawn < 0 ? MOVING_MS : STILL_MS));
         frame = 0;
         isCoarse = isMoving || drawn < 0;
+      } else if (!isCoarse && frame === 1 && this.tracer.width < this.tracer.gl.canvas.width) {
+        this.tracer.resize(...this.scaled((2 * this.tracer.width) / this.tracer.gl.canvas.width));
+        frame = 0;
       }
       if (frame >= samples * MAX_PASSES || (isCoarse && frame > 0)) continue;
       const start = performance.now(), ray = isCoarse ? { ...rayOf(0, samples), place: [0.5, 0.5] } : rayOf(frame, samples);

@@ -51,9 +51,17 @@ class Page {
   }
 
   drew({ width, height, rays, ms }) {
-    this.canvas.classList.add("drawn");
+    if (this.beatsStill(width)) this.canvas.classList.add("drawn");
     const time = ms === undefined ? "" : `, ${ms < 10 ? ms.toFixed(1) : Math.round(ms)} ms a frame`;
     this.show(`${width} × ${height}, ${rays} ${rays === 1 ? "ray" : "rays"} a pixel${time}`, "off");
+  }
+
+  // Whether a frame so wide shows more than the still picture: at least as many pixels of the same view, or another one.
+  beatsStill(width) {
+    const { naturalWidth, naturalHeight } = element("still"), { clientWidth, clientHeight } = this.canvas;
+    const isOther = location.hash.slice(1) !== `${new URLSearchParams({ view: this.scene.manifest.start })}`;
+    const stillWidth = clientWidth * Math.max(naturalWidth / clientWidth, naturalHeight / clientHeight);
+    return isOther || width >= Math.min(stillWidth, this.canvas.width);
   }
 
   // The canvas has as many pixels as are shown.
@@ -233,7 +241,6 @@ class Page {
   }
 
   savePicture() {
-    this.tracer.show();
     save(`${this.scene.manifest.name}.png`, this.canvas.toDataURL("image/png"));
   }
 

@@ -1,5 +1,6 @@
 """Tests that the page of a trained scene draws in a browser what Python draws, and keeps to itself."""
 
+import base64
 import dataclasses
 import re
 from importlib import resources
@@ -27,6 +28,7 @@ from support.web_scenes import (
 from benchmarks.pages.browser import Watched, open_file, watched_page
 from datagen.data.dataset import Dataset
 from datagen.data.paths import TRUTH
+from datagen.data.png import png_bytes
 from datagen.scene.description import SceneObject
 from datagen.scene.materials import Dielectric
 from datagen.scene.materials.optics import Event, Medium, Surface
@@ -182,6 +184,47 @@ def test_a_small_page_is_close_to_python(
         assert page.page.get_attribute("#status", "aria-live") == "off"  # Else each frame would be read aloud.
         page.evaluate("async () => (await hyaline).show('A message.')")
         assert page.page.get_attribute("#status", "aria-live") == "polite"
+
+
+SLOW = """async () => {
+    const { frames, canvas } = await hyaline, tell = frames.tell;
+    frames.held = true;
+    await frames.busy;
+    canvas.classList.remove("drawn");
+    frames.sizeFor = (milliseconds) => frames.scaled(milliseconds > 1000 ? 0.25 : 0.125);
+    window.told = [];
+    frames.tell = (drawn) => {
+        tell(drawn);
+        window.told.push([drawn.width, drawn.rays, canvas.classList.contains("drawn")]);
+    };
+    frames.held = false;
+    frames.changed();
+}"""
+"""A page that opens anew on a machine that can draw a quarter of the width in the time of a still frame."""
+
+
+def test_a_slow_machine_refines_to_the_whole_size_before_it_averages(
+    browser: "Browser", small_page: Path, tmp_path: Path
+) -> None:
+    still = png_bytes(np.full((42, 56, 3), 90, np.uint8))
+    data = small_page.read_bytes().replace(base64.b64encode(STILL), base64.b64encode(still))
+    assert data != small_page.read_bytes()
+    file = tmp_path / "page.html"
+    file.write_bytes(data)
+    with watched_page(browser, width=160, height=130) as page:
+        open_file(page, file)
+        page.evaluate(SLOW)
+        page.page.wait_for_function("() => told.some(([width, rays]) => width === 160 && rays === 3)")
+        told = [(width, rays, is_shown) for width, rays, is_shown in page.evaluate("() => told")]
+        sizes = list(dict.fromkeys((width, rays) for width, rays, _ in told))
+        assert sizes[:6] == [(20, 1), (40, 1), (80, 1), (160, 1), (160, 2), (160, 3)]
+        # On this stage the still picture is worth 93 pixels of width; nothing coarser takes its place.
+        assert all(is_shown == (width == 160) for width, _, is_shown in told)
+    with watched_page(browser, width=160, height=130) as page:
+        open_file(page, file, link="view=extrapolating/0")
+        page.evaluate(SLOW)
+        page.page.wait_for_function("() => told.length > 0")
+        assert page.evaluate("() => told[0]") == [20, 1, True]  # The still picture is of another view.
 
 
 def test_a_browser_without_webgl_says_so_and_shows_a_still_picture(
