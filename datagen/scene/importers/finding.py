@@ -8,9 +8,10 @@ from datagen.scene.builtin import SCENES, find_builtin
 from datagen.scene.description import Scene
 from datagen.scene.folder import load_scene
 from datagen.scene.importers.choices import ImportChoices
-from datagen.scene.importers.importing import READERS, import_scene
+from datagen.scene.importers.confined_import import imported_scene
+from datagen.scene.importers.importing import READERS
 from datagen.scene.procedural.names import RANDOM, parse_random
-from datagen.terminal.command import say
+from datagen.terminal.command import say, say_all
 
 
 def is_foreign(given: str) -> bool:
@@ -36,10 +37,9 @@ def find_scene(given: str, *, built: Path | None = None, resolution: Resolution 
     if is_foreign(given):
         say(f"scene {given}: imports it")
         choices = ImportChoices() if resolution is None else ImportChoices(resolution=str(resolution))
-        imported = import_scene(Path(given), choices)
-        for line in imported.told():
-            say(line)
-        return imported.scene
+        scene, told = imported_scene(Path(given), choices)
+        say_all(told)
+        return scene
     if (Path(given) / "scene.json").is_file():
         say(f"scene {given}: reads and checks it")
         return load_scene(Path(given))
