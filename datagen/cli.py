@@ -91,14 +91,15 @@ def import_file(
             320x240.
         choices: What the file does not say.
     """
+    from datagen.scene.importers.confined_import import import_files
     from datagen.scene.importers.imported_folder import check_free, write_imported
-    from datagen.scene.importers.importing import import_scene, scene_name
+    from datagen.scene.importers.importing import scene_name
 
     root = out or SCENES_ROOT / scene_name(file)
     check_free(root, overwrite=overwrite)
-    imported = import_scene(file, choices, resolution=parse_resolution(resolution))
-    write_imported(imported.scene, imported.record, root, overwrite=overwrite)
-    say_all(imported.told())
+    imported = import_files(file, choices, resolution=parse_resolution(resolution))
+    write_imported(imported.files, imported.record, root, overwrite=overwrite)
+    say_all(imported.told)
     tell(str(root))
     next_command(shlex.join(["datagen", "build", "--scene", str(root)]))
 

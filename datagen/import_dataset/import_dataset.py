@@ -24,10 +24,9 @@ from datagen.import_dataset.foreign_dataset import ForeignDataset, ForeignSurfac
 from datagen.import_dataset.layouts import read_layout, surface_name
 from datagen.import_dataset.pictures import view_files
 from datagen.import_dataset.splits import split_views
-from datagen.import_dataset.surfaces import make_scene
+from datagen.import_dataset.surfaces import find_scene
 from datagen.scene.description import Scene
 from datagen.scene.importers.importing import scene_name
-from datagen.scene.importers.remarks import Remarks
 from datagen.scene.importers.staging import z_up_from
 from datagen.terminal.command import track
 
@@ -74,8 +73,7 @@ def plan_import(folder: Path, choices: DatasetImportChoices) -> Plan:
     name = scene_name(folder.resolve())
     given = tuple(ForeignSurface(name=surface_name(file), file=file) for file in choices.mesh)
     surfaces = (*foreign.surfaces, *given)
-    remarks = Remarks()
-    scene = make_scene(name, surfaces, cameras, choices, remarks) if surfaces else None
+    scene, about_scene = find_scene(name, surfaces, cameras, choices) if surfaces else (None, [])
     if scene is not None:
         cameras = with_depth_range(cameras, [item.mesh for item in scene.objects])
     few = {split: SplitConfig(views=len(views[split]), spp=None) for split in SPLITS}
@@ -88,7 +86,7 @@ def plan_import(folder: Path, choices: DatasetImportChoices) -> Plan:
         extrapolating=few["extrapolating"],
     )
     used = [view for split in SPLITS for view in views[split]]
-    told = (*foreign.remarks, *lines, *(f"{line.where}: {line.what}" for line in remarks.lines))
+    told = (*foreign.remarks, *lines, *about_scene)
     imported = Imported(
         layout=foreign.layout,
         source=folder.resolve().name,

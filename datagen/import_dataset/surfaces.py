@@ -1,6 +1,8 @@
 """The scene of an imported dataset: its meshes, with materials as far as anybody says them, and its cameras."""
 
 from collections.abc import Sequence
+from pathlib import Path
+from typing import cast
 
 import numpy as np
 
@@ -8,12 +10,18 @@ from datagen.data.cameras import Cameras
 from datagen.data.config import Split
 from datagen.data.meshes import open_edges
 from datagen.disk.errors import HyalineError
+from datagen.disk.reading import load_json
+from datagen.disk.records import Json
+from datagen.disk.storage import dump_json
 from datagen.import_dataset.choices import DatasetImportChoices
 from datagen.import_dataset.foreign_dataset import ForeignSurface
+from datagen.machine.confined import allow_triangles
 from datagen.scene.camera_list import list_cameras
 from datagen.scene.description import MAX_OBJECTS, Scene, SceneObject
+from datagen.scene.folder import save_scene
 from datagen.scene.importers.apart import apart, nested, parted
 from datagen.scene.importers.choices import ImportChoices
+from datagen.scene.importers.confined_import import scene_from
 from datagen.scene.importers.foreign import ForeignObject
 from datagen.scene.importers.importing import EXPORT_ADVICE, READERS, scene_object, unique_names
 from datagen.scene.importers.mapping import Mapper
@@ -29,24 +37,46 @@ UNKNOWN_LIGHT = (0.5, 0.5, 0.5)
 """Of a scene whose light nobody knows: it is never rendered."""
 
 
-def make_scene(
+def find_scene(
+    name: str, surfaces: Sequence[ForeignSurface], cameras: dict[Split, Cameras], choices: DatasetImportChoices
+) -> tuple[Scene, list[str]]:
+    """The scene of some meshes, as far as a dataset without light needs one, and remarks on it.
+
+    Raises:
+        HyalineError: a mesh that cannot be read, or that no ray could be followed through.
+    """
+    where = ", ".join(str(surface.file) for surface in surfaces)
+    with scene_from(_save_scene, name, surfaces, cameras, choices, where=where) as (scene, folder):
+        return scene, cast(list[str], load_json(folder / "told.json")["told"])
+
+
+def _save_scene(
+    folder: Path,
+    name: str,
+    surfaces: Sequence[ForeignSurface],
+    cameras: dict[Split, Cameras],
+    choices: DatasetImportChoices,
+) -> None:
+    remarks = Remarks()
+    save_scene(_make_scene(name, surfaces, cameras, choices, remarks), folder / "scene")
+    told: list[Json] = [f"{line.where}: {line.what}" for line in remarks.lines]
+    (folder / "told.json").write_bytes(dump_json({"told": told}))
+
+
+def _make_scene(
     name: str,
     surfaces: Sequence[ForeignSurface],
     cameras: dict[Split, Cameras],
     choices: DatasetImportChoices,
     remarks: Remarks,
 ) -> Scene:
-    """The scene of some meshes, as far as a dataset without light needs one.
-
-    Raises:
-        HyalineError: a mesh that cannot be read, or that no ray could be followed through.
-    """
     overrides = parse_overrides(choices.material)
     linear = choices.scale * z_up_from(choices.up)
     mapper = Mapper(metres=choices.scale, thin="open", remarks=remarks)
     objects: list[SceneObject] = []
     without_uv: set[str] = set()
     parts = [(surface, part) for surface in surfaces for part in _read(surface, remarks)]
+    allow_triangles(sum(len(part.faces) for _, part in parts))
     if len(parts) > MAX_OBJECTS:
         raise HyalineError(f"{name}: its meshes have {len(parts):,} objects; expected at most {MAX_OBJECTS}")
     names = unique_names([surface.name for surface, _ in parts])

@@ -15,8 +15,26 @@ ROOT = Path(__file__).resolve().parents[2]
 """Where these packages are found."""
 
 
+_START = """
+import resource, runpy, sys
+_, hard = resource.getrlimit(resource.RLIMIT_CPU)
+resource.setrlimit(resource.RLIMIT_CPU, (hard, hard))
+del sys.argv[0]
+runpy.run_module(sys.argv[0], run_name="__main__", alter_sys=True)
+"""
+"""A child has a time limit of its own, and not what is left of a parent's that is limited itself (`confined`)."""
+
+
 class ChildError(Exception):
     """The process gave no answer; it says why in a few words."""
+
+
+def child_environment() -> dict[str, str]:
+    """The environment in which a child finds these packages where the parent found them; start it with -P, which keeps
+    the working directory out of its path."""
+    given = os.environ.get("PYTHONPATH", "").split(os.pathsep)
+    paths = [str(ROOT), *(str(Path(path).resolve()) for path in given if path)]
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}
 
 
 def arrays_from_child(
@@ -34,13 +52,10 @@ def arrays_from_child(
         source, target = Path(folder) / "in.npz", Path(folder) / "out.npz"
         with naming(source):
             np.savez(source, allow_pickle=False, **arrays)
-        # The child finds these packages where the parent found them; -P keeps the working directory out of its path.
-        given = os.environ.get("PYTHONPATH", "").split(os.pathsep)
-        paths = [str(ROOT), *(str(Path(path).resolve()) for path in given if path)]
         try:
             answer = subprocess.run(
-                [sys.executable, "-P", "-m", module, str(source), str(target), *words],
-                env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
+                [sys.executable, "-P", "-c", _START, module, str(source), str(target), *words],
+                env=child_environment(),
                 cwd=folder,
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,

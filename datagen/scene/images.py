@@ -43,7 +43,7 @@ def opened_image(data: bytes, *, where: str) -> Iterator["Image.Image"]:
                     f"{where}: is {image.width} x {image.height} pixels; expected at most {MAX_PIXELS:,} pixels"
                 )
             yield image
-    except HyalineError:
+    except (HyalineError, MemoryError):
         raise
     except UnidentifiedImageError as error:  # Its text has the address of the buffer.
         raise HyalineError(f"{where}: not an image that can be read; expected one of {', '.join(FORMATS)}") from error

@@ -13,10 +13,9 @@ import numpy as np
 from datagen.data.config import MAX_VIEWS
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import find_file
-from datagen.disk.reading import read_regular
 from datagen.disk.records import shown
 from datagen.scene.camera_list import Intrinsics
-from datagen.scene.importers.foreign import MAX_FILE_BYTES, ForeignCamera
+from datagen.scene.importers.foreign import ForeignCamera, read_foreign
 from datagen.scene.importers.remarks import Remarks
 from datagen.scene.importers.transforms import DISTORTED, NOT_SQUARE, TOLERANCE
 
@@ -150,7 +149,7 @@ def _read_binary(cameras: Path, images: Path) -> tuple[dict[int, _Lens], list[_I
 
 
 def _binary_lenses(path: Path) -> dict[int, _Lens]:
-    data = read_regular(path, at_most=MAX_FILE_BYTES)
+    data = read_foreign(path)
     lenses, at = {}, 8
     for _ in range(_count(data, path)):
         camera, number, width, height = CAMERA.unpack_from(data, at)
@@ -162,7 +161,7 @@ def _binary_lenses(path: Path) -> dict[int, _Lens]:
 
 
 def _binary_images(path: Path) -> list[_Image]:
-    data = read_regular(path, at_most=MAX_FILE_BYTES)
+    data = read_foreign(path)
     images, at = [], 8
     for _ in range(_count(data, path)):
         _, *pose, camera = IMAGE.unpack_from(data, at)
@@ -213,7 +212,7 @@ def _read_text(cameras: Path, images: Path) -> tuple[dict[int, _Lens], list[_Ima
 
 def _lines(path: Path) -> list[list[str]]:
     """The words of each line but comments, empty lines included."""
-    text = read_regular(path, at_most=MAX_FILE_BYTES).decode(errors="replace")
+    text = read_foreign(path).decode(errors="replace")
     return [line.split() for line in text.splitlines() if not line.startswith("#")]
 
 

@@ -8,9 +8,10 @@ from datagen.scene.builtin import SCENES, find_builtin
 from datagen.scene.description import Scene
 from datagen.scene.folder import load_scene
 from datagen.scene.importers.choices import ImportChoices
-from datagen.scene.importers.importing import DEFAULT_RESOLUTION, READERS, check_ending, import_scene
+from datagen.scene.importers.confined_import import imported_scene
+from datagen.scene.importers.importing import DEFAULT_RESOLUTION, READERS, check_ending
 from datagen.scene.procedural.names import RANDOM, parse_random
-from datagen.terminal.command import say
+from datagen.terminal.command import say, say_all
 
 OTHER_ENDINGS = (".blend", ".fbx", ".dae", ".usd", ".usda", ".usdc", ".usdz", ".abc", ".3ds", ".max", ".c4d", ".skp")
 """Of files that many have, and that are not read."""
@@ -45,10 +46,9 @@ def find_scene(
     """
     if is_foreign(given):
         say(f"scene {given}: imports it")
-        imported = import_scene(Path(given), imports, resolution=resolution)
-        for line in imported.told():
-            say(line)
-        return imported.scene
+        scene, told = imported_scene(Path(given), imports, resolution=resolution)
+        say_all(told)
+        return scene
     if flags := imports.given():
         raise HyalineError(f"{flags[0]}: goes with a file that is imported, such as --scene vase.glb; leave it out")
     ending = Path(given).suffix.lower()

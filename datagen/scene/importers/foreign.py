@@ -3,12 +3,15 @@
 import math
 import re
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from datagen.disk.errors import HyalineError
+from datagen.disk.reading import read_regular
+from datagen.machine.confined import allow_file
 from datagen.scene.camera_list import Intrinsics
 from datagen.scene.materials import Material
 from datagen.scene.substances import SUBSTANCES
@@ -176,6 +179,17 @@ class ForeignScene:
     """What the file says of it, in a line; None where it says nothing."""
     is_complete: bool = False
     """It was made to be rendered as it is: no ground is added, and it stays where it is."""
+
+
+def read_foreign(path: Path, *, at_most: int = MAX_FILE_BYTES) -> bytes:
+    """The bytes of a file that is imported, or that such a file names.
+
+    Raises:
+        HyalineError: see `read_regular`.
+    """
+    data = read_regular(path, at_most=at_most)
+    allow_file(path, len(data))
+    return data
 
 
 def lens_of(focal: float, width: float, height: float, *, where: str) -> tuple[float, Intrinsics | None]:

@@ -11,10 +11,10 @@ from urllib.parse import unquote
 
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import find_file
-from datagen.disk.reading import parse_json, read_regular
+from datagen.disk.reading import parse_json
 from datagen.disk.records import shown
 from datagen.scene.importers.fields import Fields
-from datagen.scene.importers.foreign import MAX_FILE_BYTES
+from datagen.scene.importers.foreign import read_foreign
 
 _JSON, _BIN = 0x4E4F534A, 0x004E4942
 MAX_JSON_BYTES = 1 << 28
@@ -50,7 +50,7 @@ class GltfFile:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        data = read_regular(path, at_most=MAX_FILE_BYTES)
+        data = read_foreign(path)
         text, self._binary = _split_glb(data, path) if data[:4] == b"glTF" else (data, None)
         if len(text) > MAX_JSON_BYTES:
             raise HyalineError(f"{path}: its JSON has {len(text):,} bytes; expected at most {MAX_JSON_BYTES:,}")
@@ -109,7 +109,7 @@ class GltfFile:
                 return base64.b64decode(body, validate=True)
             except (binascii.Error, ValueError) as error:
                 raise HyalineError(f"{where}: holds no base64 ({error}); export the file again") from None
-        return read_regular(self.beside(uri, where=where), at_most=MAX_FILE_BYTES)
+        return read_foreign(self.beside(uri, where=where))
 
     def beside(self, uri: str, *, where: str) -> Path:
         """The file in the folder of this one that a URI names; it may not be there.

@@ -9,8 +9,6 @@ from datagen.disk.names import check_relative
 from datagen.disk.ownership import FolderKind, begin, holding, is_ours, refuse_others, refuse_taken, remove_files
 from datagen.disk.records import Json
 from datagen.disk.storage import commit, commit_sealed, load_sealed, seal_bytes
-from datagen.scene.description import Scene
-from datagen.scene.folder import scene_files
 
 RECORD = "import.json"
 IMPORTED = FolderKind(what="imported scene", head=RECORD, folders=("meshes", "textures", "baked"))
@@ -29,13 +27,12 @@ def check_free(root: Path, *, overwrite: bool) -> None:
     refuse_others(root, IMPORTED)
 
 
-def write_imported(scene: Scene, record: Mapping[str, Json], root: Path, *, overwrite: bool) -> None:
-    """Writes a scene and the record of its import; what an earlier import wrote there is removed.
+def write_imported(files: Mapping[str, bytes], record: Mapping[str, Json], root: Path, *, overwrite: bool) -> None:
+    """Writes a scene's files and the record of its import; what an earlier import wrote there is removed.
 
     Raises:
         HyalineError: something else stands there.
     """
-    files = scene_files(scene)
     content: dict[str, Json] = {**record, "files": cast(list[Json], sorted(files))}
     with holding(root, IMPORTED):
         check_free(root, overwrite=overwrite)

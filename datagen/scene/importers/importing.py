@@ -16,6 +16,7 @@ from datagen.disk.errors import HyalineError
 from datagen.disk.names import file_name
 from datagen.disk.records import Json, shown
 from datagen.disk.storage import sha256_file
+from datagen.machine.confined import allow_triangles
 from datagen.scene.cutouts import Cut, with_cuts
 from datagen.scene.description import MAX_OBJECTS, OBJECT_NAME, CameraList, CameraRig, Scene, SceneObject
 from datagen.scene.importers.apart import apart, nested, parted
@@ -119,6 +120,7 @@ def import_scene(path: Path, choices: ImportChoices, *, resolution: Resolution =
     check_decimation(choices.max_triangles)
     remarks, overrides = Remarks(is_strict=choices.strict), parse_overrides(choices.material)
     foreign = READERS[path.suffix.lower()](path, remarks)
+    allow_triangles(sum(len(part.faces) for part in foreign.objects))
     up: Axis = foreign.up if choices.up == "auto" else choices.up
     parts = _few_enough(foreign.objects, choices, remarks, path)
     scale = _find_scale(parts, foreign, choices, remarks, where=path.name)

@@ -8,9 +8,8 @@ import numpy as np
 from datagen.data.png import png_bytes
 from datagen.data.tonemap import srgb_from_linear, to_8bit
 from datagen.disk.errors import HyalineError
-from datagen.disk.reading import read_regular
 from datagen.disk.records import shown
-from datagen.scene.importers.foreign import MAX_FILE_BYTES, ForeignImage, ForeignMaterial
+from datagen.scene.importers.foreign import ForeignImage, ForeignMaterial, read_foreign
 from datagen.scene.importers.mitsuba_nodes import Node
 from datagen.scene.importers.remarks import Remarks
 from datagen.scene.values import Color
@@ -34,6 +33,8 @@ METALS: dict[str, Color] = {
 }
 """Reflectance at normal incidence."""
 
+MAX_DEPTH = 8
+"""BSDFs within BSDFs."""
 CELLS = 256
 """Texels a side of a checkerboard's two by two fields."""
 
@@ -46,7 +47,7 @@ class FoundMaterial:
     image_from_uv: np.ndarray
 
 
-def read_bsdf(node: Node, remarks: Remarks) -> FoundMaterial:
+def read_bsdf(node: Node, remarks: Remarks, *, depth: int = 0) -> FoundMaterial:
     """The material of a BSDF.
 
     Raises:
@@ -56,11 +57,14 @@ def read_bsdf(node: Node, remarks: Remarks) -> FoundMaterial:
         inner = node.inner("BSDF")
         if inner is None:
             raise HyalineError(f"{node.where}: holds no BSDF; expected one")
+        if depth > MAX_DEPTH:
+            raise HyalineError(f"{node.where}: holds itself, or more than {MAX_DEPTH} others; expected a BSDF")
+        inside = read_bsdf(inner, remarks, depth=depth + 1)
         if node.plugin == "mask":
-            return _masked(node, read_bsdf(inner, remarks), remarks)
+            return _masked(node, inside, remarks)
         if node.plugin != "twosided":
             remarks.approximate(node.name, f"is a {node.plugin}, of which only the material itself is drawn")
-        return read_bsdf(inner, remarks)
+        return inside
     if node.plugin not in READERS:
         known = ", ".join(sorted([*READERS, "twosided"]))
         raise HyalineError(f"{node.where}: is of a kind that is not read; known are {known}")
@@ -81,7 +85,7 @@ def _masked(node: Node, found: FoundMaterial, remarks: Remarks) -> FoundMaterial
             node.name, "is cut out by an image that lies otherwise than that of its colour; drawn whole"
         )
         return found
-    data = read_regular(texture.file("filename"), at_most=MAX_FILE_BYTES)
+    data = read_foreign(texture.file("filename"))
     opacity = ForeignImage(name=node.name, data=data)
     material = replace(found.material, alpha_mode="blend", opacity=opacity)
     return FoundMaterial(material=material, image_from_uv=image_from_uv)
@@ -235,7 +239,7 @@ def _colored(material: ForeignMaterial, node: Node, key: str, default: float, re
     if texture.plugin == "bitmap":
         if texture.flag("raw"):
             remarks.approximate(node.name, "has an image of linear values; drawn as sRGB")
-        data = read_regular(texture.file("filename"), at_most=MAX_FILE_BYTES)
+        data = read_foreign(texture.file("filename"))
         image = ForeignImage(name=node.name, data=data)
     elif texture.plugin == "checkerboard":
         fields = np.array([texture.color("color0", 0.4), texture.color("color1", 0.2)])

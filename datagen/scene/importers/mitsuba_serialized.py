@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from datagen.disk.errors import HyalineError
-from datagen.disk.reading import read_regular
-from datagen.scene.importers.foreign import MAX_FILE_BYTES, MAX_TRIANGLES, ForeignObject
+from datagen.scene.importers.foreign import MAX_TRIANGLES, ForeignObject, read_foreign
 from datagen.scene.importers.obj import PLAIN
 
 MAGIC = 0x041C
@@ -26,7 +25,7 @@ def read_serialized(path: Path, index: int) -> ForeignObject:
     Raises:
         HyalineError: no such file, no such mesh in it, or one that is too large.
     """
-    data = read_regular(path, at_most=MAX_FILE_BYTES)
+    data = read_foreign(path)
     try:
         stream, version = _stream(data, index, path)
         return _mesh(stream, version, path)
@@ -45,6 +44,8 @@ def _stream(data: bytes, index: int, path: Path) -> tuple[bytes, int]:
         raise HyalineError(f"{path}: has {count:,} meshes; expected 1 to {MAX_MESHES:,}, and shape_index {index} in it")
     offsets = struct.unpack_from(f"<{count}{width}", data, len(data) - 4 - count * struct.calcsize(f"<{width}"))
     ends = [*offsets[1:], len(data)]
+    if offsets[index] >= len(data):
+        raise ValueError(f"mesh {index} is said to begin at byte {offsets[index]:,} of {len(data):,}")
     magic, version = struct.unpack_from("<HH", data, offsets[index])
     if magic != MAGIC or version not in (3, 4):
         raise ValueError(f"mesh {index} is not where the file says")

@@ -9,8 +9,8 @@ from pathlib import Path
 
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import find_file
-from datagen.disk.reading import read_regular
 from datagen.disk.records import shown
+from datagen.scene.importers.foreign import read_foreign
 
 MAX_BYTES = 1 << 25
 MAX_DEPTH = 32
@@ -72,7 +72,7 @@ def _includes(path: Path, root: Path) -> list[Path]:
     parser = xml.parsers.expat.ParserCreate()
     parser.StartElementHandler, parser.EndElementHandler, parser.StartDoctypeDeclHandler = begin, end, refuse
     try:
-        parser.Parse(read_regular(path, at_most=MAX_BYTES), True)
+        parser.Parse(read_foreign(path, at_most=MAX_BYTES), True)
     except (xml.parsers.expat.ExpatError, ValueError, LookupError) as error:
         raise HyalineError(f"{path}: not XML that can be read ({error})") from None
     return included

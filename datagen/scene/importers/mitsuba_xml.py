@@ -10,10 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from datagen.disk.errors import HyalineError
-from datagen.disk.reading import read_regular
 from datagen.scene.environment_maps import read_map
 from datagen.scene.importers.foreign import (
-    MAX_FILE_BYTES,
     MAX_SURFACES,
     MAX_TRIANGLES,
     Axis,
@@ -23,6 +21,7 @@ from datagen.scene.importers.foreign import (
     ForeignObject,
     ForeignScene,
     lens_of,
+    read_foreign,
 )
 from datagen.scene.importers.mitsuba_materials import FoundMaterial, absorption_of, read_bsdf
 from datagen.scene.importers.mitsuba_nodes import Node, NodeList
@@ -120,7 +119,7 @@ def _map(node: Node) -> ForeignMap:
     world = node.matrix("to_world")[:3, :3]
     if np.linalg.det(world) < 0:
         raise HyalineError(f"{node.where}: is mirrored by its to_world; expected a turn, mirror the picture instead")
-    data, scale = read_regular(path, at_most=MAX_FILE_BYTES), node.number("scale", 1.0)
+    data, scale = read_foreign(path), node.number("scale", 1.0)
     read_map(data, where=str(path))
     if scale <= 0:
         raise HyalineError(f"{node.where}: scale is {scale:g}; expected more than 0")

@@ -5,8 +5,7 @@ from pathlib import Path
 
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import find_file
-from datagen.disk.reading import read_regular
-from datagen.scene.importers.foreign import MAX_FILE_BYTES, Factor, FactorImage, ForeignImage, ForeignMaterial
+from datagen.scene.importers.foreign import Factor, FactorImage, ForeignImage, ForeignMaterial, read_foreign
 from datagen.scene.importers.remarks import Remarks
 from datagen.scene.importers.text_numbers import floats, lines_of
 from datagen.scene.values import Color
@@ -56,7 +55,7 @@ def read_mtl(path: Path, remarks: Remarks) -> dict[str, ForeignMaterial]:
     """
     entries: dict[str, Entry] = {}
     entry: Entry = {}
-    for line in lines_of(read_regular(path, at_most=MAX_BYTES), where=str(path)):
+    for line in lines_of(read_foreign(path, at_most=MAX_BYTES), where=str(path)):
         words = line.split()
         if not words or words[0].startswith("#"):
             continue
@@ -151,4 +150,4 @@ def _image(name: str, entry: Entry, path: Path, remarks: Remarks, *, key: str) -
     if not found.exists():
         remarks.approximate(name, f"has an image that is not there ({found.name}); drawn without it")
         return None
-    return ForeignImage(name=name, data=read_regular(found, at_most=MAX_FILE_BYTES))
+    return ForeignImage(name=name, data=read_foreign(found))

@@ -8,7 +8,6 @@ import numpy as np
 
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import find_file
-from datagen.disk.reading import read_regular
 from datagen.disk.records import shown
 from datagen.scene.importers.foreign import (
     MAX_SURFACES,
@@ -16,6 +15,7 @@ from datagen.scene.importers.foreign import (
     ForeignMaterial,
     ForeignObject,
     ForeignScene,
+    read_foreign,
 )
 from datagen.scene.importers.mtl import file_named, read_mtl
 from datagen.scene.importers.remarks import Remarks
@@ -52,7 +52,7 @@ def read_obj(path: Path, remarks: Remarks, *, has_materials: bool = True) -> For
     """
     text = _Text()
     name, group, material = "", "", ""
-    data = read_regular(path, at_most=MAX_BYTES)
+    data = read_foreign(path, at_most=MAX_BYTES)
     for number, line in enumerate(lines_of(data, where=str(path)), start=1):
         words = line.split()
         if not words or words[0].startswith("#"):

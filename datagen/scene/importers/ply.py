@@ -8,8 +8,7 @@ import numpy as np
 from datagen.data.meshes import MAX_PLY_BYTES, read_ply
 from datagen.data.ply_polygons import PLY_TYPES
 from datagen.disk.errors import HyalineError
-from datagen.disk.reading import read_regular
-from datagen.scene.importers.foreign import MAX_TRIANGLES, ForeignObject, ForeignScene
+from datagen.scene.importers.foreign import MAX_TRIANGLES, ForeignObject, ForeignScene, read_foreign
 from datagen.scene.importers.obj import PLAIN
 from datagen.scene.importers.remarks import Remarks
 
@@ -20,7 +19,7 @@ def read_ply_file(path: Path, remarks: Remarks) -> ForeignScene:
     Raises:
         HyalineError: it is no such file, or damaged.
     """
-    data = read_regular(path, at_most=MAX_PLY_BYTES)
+    data = read_foreign(path, at_most=MAX_PLY_BYTES)
     header = data[: data.find(b"end_header")]
     if re.search(rb"property\s+\w+\s+(red|diffuse_red)\b", header):
         remarks.approximate(path.name, "has colours at its vertices, which are left out")

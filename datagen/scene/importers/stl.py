@@ -6,13 +6,12 @@ from pathlib import Path
 import numpy as np
 
 from datagen.disk.errors import HyalineError
-from datagen.disk.reading import read_regular
-from datagen.scene.importers.foreign import MAX_FILE_BYTES, MAX_TRIANGLES, ForeignObject, ForeignScene
+from datagen.scene.importers.foreign import MAX_TRIANGLES, ForeignObject, ForeignScene, read_foreign
 from datagen.scene.importers.obj import PLAIN
 from datagen.scene.importers.remarks import Remarks
 
 _TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
-_VERTEX = re.compile(rb"^\s*vertex\s+(\S+)\s+(\S+)\s+(\S+)\s*$", re.MULTILINE)
+_VERTEX = re.compile(rb"^[ \t]*vertex[ \t]+(\S+)[ \t]+(\S+)[ \t]+(\S+)[ \t\r]*$", re.MULTILINE)
 
 
 def read_stl(path: Path, remarks: Remarks) -> ForeignScene:  # noqa: ARG001
@@ -21,7 +20,7 @@ def read_stl(path: Path, remarks: Remarks) -> ForeignScene:  # noqa: ARG001
     Raises:
         HyalineError: it is no such file, or cut off.
     """
-    data = read_regular(path, at_most=MAX_FILE_BYTES)
+    data = read_foreign(path)
     count = int.from_bytes(data[80:84], "little")
     if len(data) >= 84 and len(data) == 84 + _TRIANGLE.itemsize * count:
         corners = np.frombuffer(data, _TRIANGLE, count, 84)["corners"].astype(np.float64)

@@ -10,16 +10,15 @@ import numpy as np
 
 from datagen.data.license import MAX_LENGTH, license_line
 from datagen.disk.errors import HyalineError
-from datagen.disk.reading import read_regular
 from datagen.disk.records import shown
 from datagen.scene.importers.foreign import (
-    MAX_FILE_BYTES,
     MAX_SURFACES,
     MAX_TRIANGLES,
     ForeignMaterial,
     ForeignObject,
     ForeignScene,
     elementwise,
+    read_foreign,
 )
 from datagen.scene.importers.obj import PLAIN
 from datagen.scene.importers.remarks import Remarks
@@ -27,7 +26,6 @@ from datagen.scene.importers.text_numbers import floats
 
 RIGHTS = ("LicenseTerms", "Copyright")
 METRES = {"micron": 1e-6, "millimeter": 1e-3, "centimeter": 1e-2, "inch": 0.0254, "foot": 0.3048, "meter": 1.0}
-MAX_XML_BYTES = 1 << 28
 MAX_DEPTH = 16
 """Components within components."""
 
@@ -61,7 +59,7 @@ def read_3mf(path: Path, remarks: Remarks) -> ForeignScene:
     """
     model = _parse(_model_text(path), path)
     objects: list[ForeignObject] = []
-    triangles = 0
+    triangles = visits = 0
     waiting = [(name, matrix, 0) for name, matrix in reversed(model.items)]
     while waiting:
         name, matrix, depth = waiting.pop()
@@ -69,9 +67,11 @@ def read_3mf(path: Path, remarks: Remarks) -> ForeignScene:
             raise HyalineError(f"{path}: places object {shown(name)}, which is not there or holds itself")
         item = model.objects[name]
         waiting += [(part, matrix @ local, depth + 1) for part, local in reversed(item.components)]
-        triangles += len(item.faces)
-        if triangles > MAX_TRIANGLES or len(waiting) + len(objects) > MAX_SURFACES:
-            raise HyalineError(f"{path}: places more than {MAX_TRIANGLES:,} triangles; expected fewer")
+        triangles, visits = triangles + len(item.faces), visits + 1
+        if triangles > MAX_TRIANGLES or visits > MAX_SURFACES:
+            raise HyalineError(
+                f"{path}: places more than {MAX_TRIANGLES:,} triangles or {MAX_SURFACES:,} objects; expected fewer"
+            )
         if item.faces:
             objects.append(_placed(item, matrix, model, path))
     if not objects:
@@ -84,23 +84,17 @@ def read_3mf(path: Path, remarks: Remarks) -> ForeignScene:
 def _model_text(path: Path) -> bytes:
     """The XML of the model in the archive."""
     try:
-        with zipfile.ZipFile(io.BytesIO(read_regular(path, at_most=MAX_FILE_BYTES))) as archive:
+        with zipfile.ZipFile(io.BytesIO(read_foreign(path))) as archive:
             names = [info for info in archive.infolist() if info.filename.lower().endswith(".model")]
             names.sort(key=lambda info: (info.filename != "3D/3dmodel.model", info.filename))
             if not names:
                 raise HyalineError(f"{path}: holds no model; expected a 3MF file")
-            if names[0].file_size > MAX_XML_BYTES:
-                raise HyalineError(f"{path}: its model has {names[0].file_size:,} bytes; expected {MAX_XML_BYTES:,}")
-            with archive.open(names[0]) as file:
-                text = file.read(MAX_XML_BYTES + 1)
+            return archive.read(names[0])
     # zipfile answers a broken archive with many kinds of exception (BadZipFile, zlib.error, NotImplementedError, ...).
-    except HyalineError:
+    except (HyalineError, MemoryError):
         raise
     except Exception as error:
         raise HyalineError(f"{path}: not a 3MF file that can be read ({type(error).__name__}: {error})") from error
-    if len(text) > MAX_XML_BYTES:
-        raise HyalineError(f"{path}: its model has more than {MAX_XML_BYTES:,} bytes; expected fewer")
-    return text
 
 
 def _parse(text: bytes, path: Path) -> _Model:
@@ -120,7 +114,7 @@ def _parse(text: bytes, path: Path) -> _Model:
         elif tag == "basematerials":
             group[0] = attributes.get("id", "")
             model.colors[group[0]] = []
-        elif tag == "base":
+        elif tag == "base" and group[0] in model.colors:
             model.colors[group[0]].append(_material(attributes, where))
         elif tag == "object":
             material = (attributes.get("pid", ""), attributes.get("pindex", "0"))
@@ -155,17 +149,21 @@ def _parse(text: bytes, path: Path) -> _Model:
     parser.StartDoctypeDeclHandler = refuse
     try:
         parser.Parse(text, True)
-    except xml.parsers.expat.ExpatError as error:
+    except (xml.parsers.expat.ExpatError, ValueError, LookupError) as error:  # The latter two of its encoding.
         raise HyalineError(f"{path}: not XML that can be read ({error}); export it again") from None
     return model
 
 
 def _triangle(attributes: Attributes, count: int, where: str) -> tuple[int, int, int]:
     words = [attributes.get(key, "") for key in ("v1", "v2", "v3")]
-    if not all(word.isdigit() and len(word) < 10 and int(word) < count for word in words):
+    if not all(_is_index(word) and int(word) < count for word in words):
         raise HyalineError(f"{where}: names vertices {shown(words)}; expected 0 to {count - 1}")
     a, b, c = map(int, words)
     return a, b, c
+
+
+def _is_index(word: str) -> bool:
+    return word.isascii() and word.isdigit() and len(word) < 10
 
 
 def _matrix(text: str | None, where: str) -> np.ndarray:
@@ -193,7 +191,7 @@ def _material(attributes: Attributes, where: str) -> ForeignMaterial:
 def _placed(item: _Object, matrix: np.ndarray, model: _Model, path: Path) -> ForeignObject:
     group, index = item.material
     listed = model.colors.get(group, [])
-    material = listed[int(index)] if index.isdigit() and len(index) < 6 and int(index) < len(listed) else PLAIN
+    material = listed[int(index)] if _is_index(index) and int(index) < len(listed) else PLAIN
     determinant = float(np.linalg.det(matrix[:3, :3]))
     if not 1e-30 < abs(determinant) < 1e30:
         raise HyalineError(f"{path}: flattens {item.name} to nothing; export it again")
