@@ -1,5 +1,6 @@
 """Finding datasets: by name, by folder, or the only one there; and what to type where there is none."""
 
+import difflib
 import os
 import shlex
 from pathlib import Path
@@ -54,9 +55,15 @@ def where_datasets_are(root: Path) -> str:
     """The way out for somebody who named a folder without a dataset."""
     if (root / HEADS / "dataset.json").is_file():
         return f"mend it with `{mend_command(root / 'dataset.json')}`"
-    known = ", ".join(shlex.quote(str(place)) for place in list_datasets())
+    places = list_datasets()
+    known = ", ".join(shlex.quote(str(place)) for place in places)
     there = f"there is {known}" if known else ""
     is_free = not os.path.lexists(root) or (root.is_dir() and not any(root.iterdir()))
     if not is_free or home_of(root) != root:
         return there or f"make one elsewhere with `{build_command()}`"
-    return "; or ".join(filter(None, [f"make one with `{build_command(root)}`", there]))
+    make = "; or ".join(filter(None, [f"make one with `{build_command(root)}`", there]))
+    if near := difflib.get_close_matches(root.name, [place.name for place in places], n=1):
+        return f"did you mean {shlex.quote(near[0])}? Else {make}"
+    if root.name not in BUILT_IN_SCENES and (near := difflib.get_close_matches(root.name, BUILT_IN_SCENES, n=1)):
+        return f"did you mean {near[0]}? Make that with `{build_command(root.with_name(near[0]))}`; else {make}"
+    return make

@@ -38,6 +38,10 @@ def run(program: str, description: str, commands: dict[str, Callable[..., None]]
     finite, 130 and 143 stopped by SIGINT and SIGTERM.
     """
     arguments = _dataset_first(commands, arguments)
+    chosen = arguments[1:2] if len(commands) == 1 else arguments[:1]
+    if chosen and not chosen[0].startswith("-") and chosen[0] not in commands:
+        # Asked for help, tyro 1.0 would show the program's, with status 0, and not say that there is no such command.
+        arguments = [word for word in arguments if word not in ("-h", "--help")]
 
     def call() -> None:
         import tyro

@@ -166,10 +166,13 @@ def test_intrinsics_give_the_camera_that_has_them_or_are_refused() -> None:
             hyaline.camera_from_intrinsics(camera.world_from_camera, wrong, 40, 30)
 
 
-def test_the_examples_of_the_documentation_print_what_they_say(home: Path, tmp_path: Path) -> None:
+def test_the_examples_of_the_documentation_print_what_they_say(
+    home: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     (tmp_path / "runs" / "glass_table").mkdir(parents=True)
     (tmp_path / "runs" / "glass_table" / "paper").symlink_to(home / "runs" / "glass_table" / "paper")
     (tmp_path / "data").symlink_to(home / "data")
+    monkeypatch.chdir(tmp_path)
     for module in (hyaline.cameras, hyaline.runs):
         results = doctest.testmod(module)
         assert results.attempted > 5 and results.failed == 0

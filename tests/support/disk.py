@@ -148,7 +148,7 @@ _lock = threading.RLock()
 _active: "tuple[str, Callable[[Change], None]] | None" = None
 _is_reading = threading.local()
 _is_hooked = False
-_true_open, _true_fsync = io.open, os.fsync
+_true_open = io.open
 
 _CHANGING: dict[str, tuple[int, int | None]] = {
     "os.mkdir": (0, 2),
@@ -172,11 +172,11 @@ def watch(root: Path, before: Callable[[Change], None], result: Any = None) -> I
         _is_hooked = True
     _active = (os.path.realpath(root) + os.sep, before)
     io.open = builtins.open = _open  # pyright: ignore
-    os.fsync = _fsync
+    fsync, os.fsync = os.fsync, _fsync
     try:
         yield result
     finally:
-        os.fsync = _true_fsync
+        os.fsync = fsync
         io.open = builtins.open = _true_open
         _active = None
 

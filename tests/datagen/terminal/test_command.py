@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 from support.commands import Answer, call
 from support.soon import ending_within
+from support.synthetic import write_synthetic_dataset
 
 from datagen.disk.errors import HyalineError
 from datagen.disk.os_errors import REASONS, describe_os_error, naming
@@ -33,6 +34,29 @@ from datagen.terminal.signals import Stopped
 def test_a_process_of_its_own_answers_as_a_call_in_this_one(line: str) -> None:
     alone = subprocess.run([sys.executable, "-m", *line.split()], capture_output=True, text=True, check=False)
     assert Answer(status=alone.returncode, out=alone.stdout, err=alone.stderr) == call(line)
+
+
+@pytest.mark.parametrize("program", ["datagen", "proxies", "model", "report"])
+@pytest.mark.parametrize("words", ["nonsense --help", "nonsense -h"])
+def test_help_on_a_command_that_does_not_exist_says_so(program: str, words: str) -> None:
+    answer, plain = call(f"{program} {words}"), call(f"{program} nonsense")
+    assert answer.status == plain.status == 2
+    assert answer.err == plain.err and "nonsense" in answer.err
+    assert answer.out == ""
+
+
+def test_a_dataset_with_a_slip_in_its_name_is_asked_about_before_it_is_built(tmp_path: Path) -> None:
+    build = "`datagen build --scene glass_table --out data/glass_tabel`"
+    make = "Make that with `datagen build --scene glass_table`; else make one with"
+    answers = {call(f"datagen {command} glass_tabel").error for command in ("look", "verify", "mend", "peel", "export")}
+    assert f"error: data/glass_tabel: no dataset; did you mean glass_table? {make} {build}" in answers
+    write_synthetic_dataset(tmp_path / "data" / "glass_table", resolution=8, train_views=1)
+    for line in ("datagen look glass_tabel", "proxies make glass_tabel", "model train paper --dataset glass_tabel"):
+        answer = call(line)
+        assert answer.status == 1
+        assert answer.error.startswith(
+            "error: data/glass_tabel: no dataset; did you mean glass_table? Else make one with"
+        )
 
 
 def test_a_mistyped_flag_ends_a_process_with_2() -> None:
