@@ -182,8 +182,8 @@ def read_run(out: Path) -> RunRecord:
     """
     if _is_foreign(out):
         raise HyalineError(
-            f"{out}: holds pictures of a method that hyaline does not run, and no weights; expected the folder of a run "
-            "of `model train` (`eval report` scores pictures of any method)"
+            f"{out}: holds pictures of a method that hyaline does not run, and no weights; expected the folder "
+            "of a run of `model train` (`eval report` scores pictures of any method)"
         )
     if not (out / RUN).is_file():
         raise HyalineError(f"{out}: no run there; make one with `{train_command(out)}`")
