@@ -161,11 +161,10 @@ def _has_view(dataset: Dataset, split: Split, view: int) -> bool:
 def _problems(dataset: Dataset) -> tuple[list[str], Part]:
     """What is wrong, a line each, and how that was found or how to mend it."""
     if sum(folder_sizes(dataset.root).values()) > MOST_VERIFIED_BYTES:
-        verify = command(shlex.join(["datagen", "verify", str(dataset.root)]))
         lines = missing_lines(dataset)
-        how = join([None if lines else tag("p", "No file is missing."),
-            tag("p", "This looks at names alone; to compare every byte with its checksum:"), verify])  # fmt: skip
-        return lines, how
+        good = None if lines else tag("p", "No file is missing.")
+        more = tag("p", "This looks at names alone; to compare every byte with its checksum:")
+        return lines, join([good, more, command(shlex.join(["datagen", "verify", str(dataset.root)]))])
     found = verify_dataset(dataset.root)
     if found.problems:
         return found.problems, join(command(line) for line in found.commands)
@@ -178,9 +177,7 @@ def _missing(problems: list[str], how: Part) -> Markup:
 
 
 def _number_of(problems: list[str]) -> str:
-    return (
-        "One thing is missing or damaged." if len(problems) == 1 else f"{len(problems)} things are missing or damaged."
-    )
+    return f"{len(problems)} things are missing or damaged." if len(problems) > 1 else "1 thing is missing or damaged."
 
 
 def _shown(dataset: Dataset, split: Split) -> list[int]:
