@@ -69,7 +69,9 @@ def triangulated(data: bytes, *, where: Path) -> bytes:
     found = _list_places(data, first_face, num_faces, size_type, index_type.itemsize, before, after)
     if found is None:
         return data
-    places, sizes = found
+    places, sizes, rest = found
+    if rest and len(starts) == 2:
+        return data  # Its counts are wrong, which trimesh says.
     fans = np.maximum(sizes - 2, 0)
     _check_number(int(fans.sum()), where=where)
     corner = np.arange(fans.sum()) - np.repeat(np.cumsum(fans) - fans, fans) + 1
@@ -102,8 +104,8 @@ def _check_number(count: int, *, where: Path) -> None:
 
 def _list_places(
     data: bytes, at: int, count: int, size_type: np.dtype, index_bytes: int, before: int, after: int
-) -> tuple[np.ndarray, np.ndarray] | None:
-    """Where the list of each face begins, and how long it is; None where the file is cut off."""
+) -> tuple[np.ndarray, np.ndarray, int] | None:
+    """Where the list of each face begins, how long it is, and bytes after the last; None where the file is cut off."""
     order = "big" if size_type.byteorder == ">" else "little"
     places, sizes = np.zeros(count, np.int64), np.zeros(count, np.int64)
     for face in range(count):
@@ -113,4 +115,4 @@ def _list_places(
         if at > len(data):
             return None
         places[face], sizes[face] = place, size
-    return places, sizes
+    return places, sizes, len(data) - at
