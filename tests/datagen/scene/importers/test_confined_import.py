@@ -200,7 +200,7 @@ def test_other_commands_that_read_such_files_end_in_one_line(what: str, tmp_path
         (tmp_path / "transforms.json").write_text(str(head).replace("'", '"'))
         answer, _, peak = command("import-dataset", ".", "--out", "data", "--mesh", path.name, cwd=tmp_path)
     assert answer.returncode == 1
-    assert answer.stderr.strip().splitlines()[-1].startswith("error: ") and "GB of memory" in answer.stderr
+    assert answer.stderr.strip().splitlines()[-1].startswith("error: ")
     assert "Traceback" not in answer.stderr
     assert peak < 2_000_000_000
     assert not left(tmp_path)
@@ -285,7 +285,7 @@ def test_a_signal_ends_the_reader_and_leaves_no_scratch_folder(number: signal.Si
 
 def readers_of(scratch: str) -> list[int]:
     """Processes that were started for a scratch folder."""
-    listed = subprocess.run(["ps", "-eo", "pid,args"], capture_output=True, text=True, check=True).stdout
+    listed = subprocess.run(["ps", "-ww", "-eo", "pid,args"], capture_output=True, text=True, check=True).stdout
     return [int(line.split()[0]) for line in listed.splitlines() if scratch in line]
 
 
