@@ -81,7 +81,8 @@ def import_file(
     """Import a file from another program as a scene: glTF, GLB, OBJ with MTL, PLY, STL, 3MF or Mitsuba XML.
 
     Writes a scene folder for `datagen build --scene`. Its import.json lists everything that is rendered differently
-    from what the file asks for.
+    from what the file asks for. The file is read in a process of its own, with 8 s of CPU time, 2 GB of memory and
+    more for large files: 30 s and 24 MB for each MB.
 
     Args:
         file: A file that ends in .glb, .gltf, .obj, .ply, .stl, .3mf or .xml.

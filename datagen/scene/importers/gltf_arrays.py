@@ -58,7 +58,8 @@ class GltfArrays:
         if "sparse" in accessor:
             raw = self._with_sparse(raw.copy(), accessor.fields("sparse"), dtype)
         if dtype.kind == "f":
-            values = raw.astype(np.float64)
+            with np.errstate(invalid="ignore"):  # Some kinds of NaN warn when they are cast.
+                values = raw.astype(np.float64)
             if not np.isfinite(values).all():
                 raise HyalineError(f"{accessor.where}: holds numbers that are not finite; export the file again")
             return values
