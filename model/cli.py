@@ -46,7 +46,6 @@ def train_method(words: list[str]) -> None:
         run("model train", inspect.getdoc(train) or "", {name: _listed(about(name)) for name in methods}, ["--help"])
     method = choose("method", words[0], methods)
 
-    from model.batches.distributed import see_own_gpu
     from model.run.costs import Meter
     from model.run.events import require_tensorboard
     from model.run.logs import LogChoices
@@ -58,6 +57,8 @@ def train_method(words: list[str]) -> None:
     if int(os.environ.get("RANK", "0")) > 0:
         mute()
     if asked.run.device != "cpu":
+        from model.batches.distributed import see_own_gpu
+
         see_own_gpu()
     config, opened = configure(method, asked)
     out = asked.run.out or Path("runs") / opened.name / folder_name(method, asked)

@@ -43,7 +43,7 @@ ASIDE_DEG, ELEVATION_DEG, FRUSTUM_SHARE = 65.0, 18.0, 0.12
 """From where the scene is seen: that far to the side of the camera, where one sees a ray bend."""
 
 
-Candidates = tuple[Int[np.ndarray, " candidate"], Float[np.ndarray, " candidate"]]
+Candidates = tuple[Int[np.ndarray, " _"], Float[np.ndarray, " _"]]
 """Rays that meet one object first, and how far from its pixel a camera would see a ray's end."""
 
 

@@ -160,12 +160,8 @@ def _trace(scene, ray, points, scramble, index, colors, tables):
         si = scene.ray_intersect(ray, mi.RayFlags.All, depth == 0, active)
         hit = si.is_valid()
 
-        # The medium between the last vertex and this one. A ray in glass always hits; the guard is for leaky meshes.
-        sigma_a = dr.gather(mi.Spectrum, tables.absorption, medium_of(tables.media, solids), active)
-        # Between the faces of a thin wall, what the ray skipped as it started off the last one counts.
-        offset = dr.gather(mi.Float, tables.offset, dr.reinterpret_array(mi.UInt32, si.shape), active & hit)
-        length = si.t + skipped_length(offset, dr.dot(ray.d, si.n))
-        throughput *= dr.select(hit, dr.exp(-sigma_a * dr.select(hit, length, 0)), 1)
+        offset, transmitted = _pass_medium(tables, solids, ray, si, active & hit)
+        throughput *= transmitted
 
         # The media on both sides of glass.
         is_glass, with_it, without_it = _solids_around(tables, solids, si.shape, active & hit)
@@ -199,8 +195,7 @@ def _trace(scene, ray, points, scramble, index, colors, tables):
             place = points.sample_2d(scramble, index, dimension, active_light)
             dimension += 2
             ds, light = scene.sample_emitter_direction(si, place, False, active_light)
-            active_light &= ds.pdf != 0
-            active_light &= ~_is_occluded(scene, tables, si, offset, ds, active_light)
+            active_light &= _is_lit(scene, tables, si, offset, ds, active_light)
             wo = si.to_local(ds.d)
             value, pdf, bsdf_sample, bsdf_weight = bsdf.eval_pdf_sample(context, si, wo, sample1, sample2, is_rough)
             value, pdf = _scattered_by_glass(tables, si, eta, wo, alpha, tint, (value, pdf))
@@ -230,19 +225,32 @@ def _trace(scene, ray, points, scramble, index, colors, tables):
     return radiance + dr.select(escaped, throughput * _sky(scene, ray, escaped), 0)
 
 
+def _pass_medium(tables, solids, ray, si, hit) -> tuple[Lanes, Lanes]:
+    """How far off the surface ahead rays start, and the share of light that the medium on the way to it lets through.
+
+    Between the faces of a thin wall, what the ray skipped as it started off the last one counts. A ray in glass always
+    hits; the guard is for leaky meshes.
+    """
+    offset = dr.gather(mi.Float, tables.offset, dr.reinterpret_array(mi.UInt32, si.shape), hit)
+    sigma_a = dr.gather(mi.Spectrum, tables.absorption, medium_of(tables.media, solids), hit)
+    length = si.t + skipped_length(offset, dr.dot(ray.d, si.n))
+    return offset, dr.select(hit, dr.exp(-sigma_a * dr.select(hit, length, 0)), 1)
+
+
 def _start_off(si, offset, d) -> Lanes:
     """Where a ray along `d` starts that leaves a surface; Mitsuba's `spawn_ray` starts 0.1 mm off."""
     return si.p + si.n * dr.mulsign(offset, dr.dot(si.n, d))
 
 
-def _is_occluded(scene, tables, si, offset, ds, active) -> Lanes:
-    """Whether anything is between a surface and the point of a light; the ray ends just short of the light."""
+def _is_lit(scene, tables, si, offset, ds, active) -> Lanes:
+    """Whether nothing is between a surface and the point of a light; the ray ends just short of the light."""
     o = _start_off(si, offset, ds.d)
     way = ds.p + ds.n * tables.lamp_offset - o
     length = dr.norm(way)
     ray = mi.Ray3f(o, way / length)
     ray.maxt = length * (1 - 8 * LAST_PLACE)
-    return scene.ray_test(ray, active)
+    is_sampled = ds.pdf != 0
+    return is_sampled & ~scene.ray_test(ray, active & is_sampled)
 
 
 def _sky(scene, ray, escaped) -> Lanes:

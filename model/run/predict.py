@@ -34,6 +34,7 @@ from model.run.checkpoint import load_state
 from model.run.edits import show_edited_scene
 from model.run.run_folder import (
     PREDICTIONS,
+    RUN,
     WEIGHTS,
     TrainConfig,
     check_state_of,
@@ -114,7 +115,7 @@ def check_parameters(expected: Mapping[str, Tensor], found: object, *, where: st
 
 def is_drawn(run: Path, variant: Dataset) -> bool:
     """True when all of a run's pictures of this variant are there and verify."""
-    return is_finished(variant_root(run, variant.name), **prediction_seals(run, variant))
+    return (run / RUN).is_file() and is_finished(variant_root(run, variant.name), **prediction_seals(run, variant))
 
 
 def is_all_drawn(run: Path, dataset: Dataset) -> bool:

@@ -4,6 +4,7 @@ import contextlib
 import errno
 import io
 import socket
+import warnings
 from collections.abc import Iterator
 
 import viser
@@ -17,6 +18,8 @@ class Server(viser.ViserServer):
 
     def __init__(self, host: str, port: int, label: str) -> None:
         self._visitors = Visitors(host, protocol=f"viser-v{viser.__version__}", takes=self._takes)
+        # A browser may go between two messages to it; viser then warns of the second.
+        warnings.filterwarnings("ignore", message="Queued a .* on a closed connection")
         with self._visitors.guarding():
             super().__init__(host=host, port=port, label=label, verbose=False)
 

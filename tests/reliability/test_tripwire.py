@@ -120,17 +120,18 @@ TRIPS = (
 WRITES_NOTHING = {
     "datagen scenes", "datagen doctor", "model check-method", "model view", "benchmarks peel", "benchmarks truth",
     "benchmarks ceilings", "benchmarks step", "benchmarks infer", "benchmarks gpu", "benchmarks browser",
-    "benchmarks random-scenes", "benchmarks peers",
+    "benchmarks random-scenes", "benchmarks peers", "benchmarks cycles",
 }  # fmt: skip
-"""Commands that have no file to write."""
+"""Commands that have no file to write; `benchmarks cycles` needs Blender: tests/benchmarks/test_cycles.py."""
 
 ELSEWHERE = {
     "datagen build": {"preview", "scene", "preset",
                       "num_layers", "workers", "ceiling", "resolution", "test_views", "spp",
                       "test_spp", "max_depth", "rays", "seed", "shards", "slurm_partition", "slurm_time", "slurm_cpus",
-                      "slurm_gpus"},
+                      "slurm_gpus", "scale", "up", "material", "thin", "cameras", "ground", "repair", "merge", "crease",
+                      "strict", "lights", "max_triangles"},
     "datagen import": {"scale", "up", "material", "thin", "cameras", "ground", "repair", "merge", "strict", "lights",
-                       "max_triangles", "resolution"},
+                       "max_triangles", "resolution", "crease"},
     "datagen import-dataset": {"mesh", "material", "ior", "scale", "up", "downscale", "background"},
     "datagen peel": {"geometry", "rays", "workers"},
     "datagen export": {"flow"},

@@ -106,7 +106,7 @@ def test_light_paths_carry_what_the_closed_form_says(thickness: float, place: tu
     for found, share in zip(paths.end_throughput, shares):
         # In the thinnest walls a ray's length is rounded by several per cent; that of many is right.
         np.testing.assert_allclose(found, share, rtol=0.12)
-        np.testing.assert_allclose(found.mean(axis=0), share.mean(axis=0), rtol=0.01)
+        np.testing.assert_allclose(found.mean(axis=0), share.mean(axis=0), rtol=0.015)
     through = np.abs(np.einsum("rk,rk->r", paths.end_direction[0], directions))
     assert (through > 1 - 1e-5).all(), "a plate bends nothing"
 

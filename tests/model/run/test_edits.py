@@ -23,7 +23,7 @@ from datagen.data.paths import TRUTH
 from datagen.data.png import png_bytes, read_png
 from datagen.data.resolution import square
 from datagen.data.variants import open_variant
-from datagen.disk.storage import SEAL, commit_sealed, load_sealed, sha256
+from datagen.disk.storage import SEAL, commit_sealed, load_sealed, seal_of, sha256
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.description import Scene, SceneObject, SoftEnvironment
 from datagen.scene.edits import parse_edit
@@ -232,6 +232,7 @@ def test_seeds_share_a_row_in_the_tables_of_edits_and_orders_and_the_first_stand
     commit_sealed(black / "run.json", record)
     for path in black.rglob("predictions.json"):
         listed = load_sealed(path)
+        listed["run_seal"] = seal_of(record)
         for picture in listed["files"]:
             black_png = png_bytes(np.zeros_like(read_png(path.parent / picture)))
             (path.parent / picture).write_bytes(black_png)
