@@ -50,6 +50,12 @@ def coat_of(ior: float, alpha: float) -> Coat:
     return Coat(mirrored=mirrored, passed=(through / ior) ** 2, returned=returned)
 
 
+@functools.lru_cache(maxsize=256)
+def metal_share(alpha: float) -> float:
+    """The share of even light that facets of white metal mirror; they lose what they throw onto each other."""
+    return _shares(1e6, alpha)[0]
+
+
 def _shares(eta: float, alpha: float) -> tuple[float, float]:
     """How much of even light facets mirror, and let through to the side of relative index `eta`.
 

@@ -14,6 +14,7 @@ from datagen.disk.errors import HyalineError
 from datagen.scene.importers.fields import Fields
 from datagen.scene.importers.foreign import Factor, FactorImage, ForeignImage, ForeignMaterial, substance_of
 from datagen.scene.importers.gltf_file import GltfFile
+from datagen.scene.importers.obj import PLAIN
 from datagen.scene.importers.remarks import Remarks
 from datagen.scene.substances import SUBSTANCES
 
@@ -51,9 +52,9 @@ class TextureUse:
 
 
 def read_material(file: GltfFile, index: int | None, remarks: Remarks) -> tuple[ForeignMaterial, TextureUse | None]:
-    """A material of the file, and how its image lies (its base colour's, if any); glTF's default one for None."""
+    """A material of the file, and how its image lies (its base colour's, if any); `PLAIN` for None."""
     if index is None:
-        return ForeignMaterial(name="default", metallic=1.0, roughness=1.0), None
+        return PLAIN, None
     fields = file.item("materials", index, where=str(file.path))
     name = fields.text("name") or f"material_{index}"
     pbr = fields.fields("pbrMetallicRoughness")

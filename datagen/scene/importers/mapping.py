@@ -13,7 +13,7 @@ import numpy as np
 from datagen.data.meshes import Mesh
 from datagen.disk.names import file_name
 from datagen.scene.importers.choices import Thin
-from datagen.scene.importers.coats import coat_of
+from datagen.scene.importers.coats import coat_of, metal_share
 from datagen.scene.importers.foreign import ForeignImage, ForeignMaterial
 from datagen.scene.importers.pictures import decoded, linear_png, mean_color, stored, values_on
 from datagen.scene.importers.remarks import Remarks
@@ -31,6 +31,8 @@ MATT = 0.6
 """Perceptual roughness from which on no highlight is seen."""
 BRIGHT_ENOUGH = 0.9
 """Share of its light that a base must be able to show through its coat; else it is drawn without one."""
+METAL_ENOUGH = 0.5
+"""Share of its light that rough metal must be able to mirror; other renderers give back what ours loses."""
 MIN_TRANSMITTANCE = 1e-4
 """Of a channel after the attenuation distance: a black one would absorb without end."""
 SOLID_BLEND = 0.9
@@ -165,6 +167,9 @@ class Mapper:
         if 0.1 < foreign.metallic < 0.9:
             kind = "metal" if foreign.metallic >= 0.5 else "no metal"
             self.remarks.approximate(where, f"is {100 * foreign.metallic:.0f} % metal; drawn as {kind}")
+        if foreign.metallic >= 0.5 and metal_share(alpha) < METAL_ENOUGH:
+            self.remarks.approximate(where, "is brighter than metal so rough is drawn; drawn matt, of its colour")
+            return Diffuse(color=self._reflectance(foreign, shape, where=where))
         if foreign.metallic >= 0.5:
             roughness = 0.0 if foreign.roughness**2 < MIN_ALPHA else alpha
             return Conductor(color=self._reflectance(foreign, shape, where=where), roughness=roughness)

@@ -24,8 +24,8 @@ from datagen.scene.importers.text_numbers import floats, lines_of
 MAX_BYTES = 1 << 28
 MAX_CORNERS = 10_000
 """Of one polygon."""
-PLAIN = ForeignMaterial(name="default", base_color=(0.7, 0.7, 0.7), roughness=1.0, ior=1.0)
-"""Of a surface that names no material."""
+PLAIN = ForeignMaterial(name="default", base_color=(0.8, 0.8, 0.8), roughness=1.0, ior=1.0)
+"""Of a surface that names no material: Blender's grey. (glTF would have it rough metal, which nobody means.)"""
 
 Corner = tuple[int, int, int]
 """Places of position, uv and normal; -1 for none."""

@@ -11,10 +11,11 @@ from PIL import Image
 from support.gltf import GltfBuilder, clear, glass
 
 from datagen.disk.errors import HyalineError
-from datagen.scene.importers.choices import Thin
+from datagen.scene.importers.choices import ImportChoices, Thin
 from datagen.scene.importers.coats import coat_of
 from datagen.scene.importers.foreign import ForeignMaterial
 from datagen.scene.importers.gltf import read_gltf
+from datagen.scene.importers.importing import import_scene
 from datagen.scene.importers.mapping import MIN_ALPHA, Mapper
 from datagen.scene.importers.remarks import Remarks
 from datagen.scene.importers.surfaces import Shape
@@ -111,7 +112,7 @@ def test_the_base_colour_tints_a_pane_once_and_a_solid_at_both_of_its_surfaces(t
 @pytest.mark.parametrize(
     ("pbr", "expected"),
     [
-        ({}, Conductor(color=(1, 1, 1), roughness=1.0)),
+        ({"roughnessFactor": 0.8}, Conductor(color=(1, 1, 1), roughness=0.8**2)),
         (
             {"metallicFactor": 1.0, "roughnessFactor": 0.5, "baseColorFactor": [0.9, 0.6, 0.3, 1]},
             Conductor(color=(0.9, 0.6, 0.3), roughness=0.25),
@@ -153,9 +154,19 @@ def test_matt_things_keep_the_light_of_their_sheen_and_say_so(tmp_path: Path) ->
 
 
 def test_metal_lets_no_light_through_whatever_its_transmission(tmp_path: Path) -> None:
-    found, lines = mapped(foreign(tmp_path, pbrMetallicRoughness={}, extensions=glass()))
+    found, lines = mapped(foreign(tmp_path, pbrMetallicRoughness={"roughnessFactor": 0.5}, extensions=glass()))
     assert isinstance(found, Conductor)
     assert len(lines) == 1 and "is metal" in lines[0]
+
+
+def test_metal_too_rough_to_be_bright_is_matt_and_a_surface_without_a_material_grey(tmp_path: Path) -> None:
+    found, lines = mapped(foreign(tmp_path, pbrMetallicRoughness={}))
+    assert found == Diffuse(color=(1, 1, 1)) and len(lines) == 1 and "metal so rough" in lines[0]
+    builder = GltfBuilder()
+    builder.node(mesh=builder.mesh(), name="thing")
+    found = import_scene(builder.written(tmp_path), ImportChoices(ground="never"))
+    assert found.scene.objects[0].material == Diffuse(color=(0.8, 0.8, 0.8))
+    assert any("has no material in the file" in line for line in found.told())
 
 
 def test_a_blended_surface_becomes_a_pane_that_lets_through_what_it_does_not_cover(tmp_path: Path) -> None:
