@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
+from jaxtyping import Float
 
 from datagen.data.meshes import Mesh
 from datagen.disk.names import file_name
@@ -178,8 +179,8 @@ class Mapper:
             return Plastic(color=color, ior=foreign.ior, roughness=alpha)
         coat = coat_of(foreign.ior, alpha)
         if foreign.roughness < MATT:
-            color = np.array(self._flat_color(foreign, where=where, is_told=False))
-            wanted, shown = (1 - coat.mirrored) * color, coat.seen(np.minimum(coat.base_of(color), 1))
+            colors = self._colors(foreign, shape, where=where)
+            wanted, shown = (1 - coat.mirrored) * colors, coat.seen(np.minimum(coat.base_of(colors), 1))
             if shown.sum() >= BRIGHT_ENOUGH * wanted.sum():
                 color = self._reflectance(foreign, shape, coat.base_of, where=where)
                 return Plastic(color=color, ior=foreign.ior, roughness=alpha)
@@ -203,16 +204,22 @@ class Mapper:
         if foreign.image is None or not shape.has_uv:
             if foreign.image is not None:
                 self.remarks.approximate(where, "has an image and no uv; drawn in the image's mean colour")
-            color = shaded(np.array(self._flat_color(foreign, where=where, is_told=False)))
+            color = shaded(self._colors(foreign, shape, where=where))
             red, green, blue = (min(float(value), 1.0) for value in color)
             return red, green, blue
         key = foreign.image, foreign.base_color, shaded
         if key not in self._paths:
             # Two materials may have one name.
             self._paths[key] = f"textures/{len(self._paths)}_{file_name(foreign.name)[:60]}.png"
-            pixels = shaded(decoded(foreign.image)[..., :3].astype(np.float64) * np.array(foreign.base_color))
+            pixels = shaded(self._colors(foreign, shape, where=where))
             self.images[self._paths[key]] = linear_png(np.minimum(pixels, 1))
         return ImageTexture(path=self._paths[key])
+
+    def _colors(self, foreign: ForeignMaterial, shape: Shape, *, where: str) -> Float[np.ndarray, "*texels 3"]:
+        """The base colour, or those of its image's texels."""
+        if foreign.image is None or not shape.has_uv:
+            return np.array(self._flat_color(foreign, where=where, is_told=False))
+        return decoded(foreign.image)[..., :3].astype(np.float64) * np.array(foreign.base_color)
 
     def _flat_color(self, foreign: ForeignMaterial, *, where: str, is_told: bool = True) -> Color:
         """The base colour, times the mean of its image."""

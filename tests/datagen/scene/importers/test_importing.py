@@ -456,6 +456,16 @@ def test_an_obj_of_blenders_with_a_weight_of_transmission_is_glass(
     assert of_name(load_scene(tmp_path / "scenes/a"), "box").material == expected
 
 
+def test_white_texels_that_no_base_below_a_coat_shows_are_drawn_matt_though_the_mean_could_be(tmp_path: Path) -> None:
+    builder = GltfBuilder()
+    for name, colors in (("checker", ((0, 0, 0), (255, 255, 255))), ("grey", ((188, 188, 188), (188, 188, 188)))):
+        pbr = clear(roughnessFactor=0.5, baseColorTexture=image_use(builder, halves(*colors)))
+        mesh = builder.mesh(CARD, material=builder.material(name, pbrMetallicRoughness=pbr), has_uv=True)
+        builder.node(mesh=mesh, name=name)
+    scene = import_scene(builder.written(tmp_path), ImportChoices(ground="never")).scene
+    assert [type(item.material) for item in scene.objects] == [Diffuse, Plastic]
+
+
 def solid_of(name: str, size: float, height: float, **more: object) -> tuple[str, float, float, dict]:
     return name, size, height, more
 
