@@ -127,15 +127,15 @@ def _start_layers(
     dataset: Dataset, geometry: str, meshes_hash: str, *, num_layers: int, overwrite: bool, shard: Shard | None
 ) -> None:
     """Sees to it that a store of these settings stands there, without views or with some; the caller holds it."""
+    if shard is not None:
+        _start_beside_others(dataset, geometry, meshes_hash, num_layers=num_layers)
+        return
     root = layers_root(dataset.root, geometry)
     is_started = not overwrite and _is_started(dataset, geometry, meshes_hash, num_layers=num_layers)
-    if shard is None:
-        if overwrite and is_ours(root, LAYERS):
-            # Views that verify under the new head are kept, unless all are asked for anew.
-            remove_files(root, [record_path_of_layers(Path(), *task).as_posix() for task in _tasks(dataset)])
-        create_layers(dataset, geometry, num_layers=num_layers, geometry_hash=meshes_hash, replace=not is_started)
-    elif not is_started:
-        _start_beside_others(dataset, geometry, meshes_hash, num_layers=num_layers)
+    if overwrite and is_ours(root, LAYERS):
+        # Views that verify under the new head are kept, unless all are asked for anew.
+        remove_files(root, [record_path_of_layers(Path(), *task).as_posix() for task in _tasks(dataset)])
+    create_layers(dataset, geometry, num_layers=num_layers, geometry_hash=meshes_hash, replace=not is_started)
 
 
 def _is_peeled(dataset: Dataset, geometry: str, task: Task) -> bool:
@@ -283,6 +283,8 @@ def _is_started(dataset: Dataset, geometry: str, meshes_hash: str, *, num_layers
 
 def _start_beside_others(dataset: Dataset, geometry: str, meshes_hash: str, *, num_layers: int) -> None:
     """Starts a store that other processes may be starting too; what stands there is never deleted.
+
+    Where another has written the head alone so far, this one writes the rest, too.
 
     Raises:
         HyalineError: a store of another geometry stands there, or another process has started one of other settings.

@@ -170,7 +170,8 @@ def write_layers(
     }
     store = dataset.layer_store(geometry)
     root = store.root
-    group = zarr.open_group(root / STORE / split, mode="r+")
+    with naming(root / STORE / split):
+        group = zarr.open_group(root / STORE / split, mode="r+")
     record_path = record_path_of_layers(root, split, view)
     record_path.unlink(missing_ok=True)  # A view that is made again stops to exist first.
     files = {}

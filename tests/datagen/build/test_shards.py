@@ -57,7 +57,8 @@ def test_parts_made_at_once_are_the_whole_byte_for_byte(scene_folder: Path, tmp_
         for words in (("--shard", "1/2"), ("--shard", "2/2"))
     ]
     said = [part.communicate()[1] for part in parts]
-    assert [part.returncode for part in parts] == [0, 0], said
+    print("".join(said))
+    assert [part.returncode for part in parts] == [0, 0]
     assert tree(out) == tree(tmp_path / "whole")
     assert verify_dataset(out)[1] == []
     assert any("and with it the dataset\nnoise ceiling train: " in text for text in said)
