@@ -69,15 +69,15 @@ def read_state(root: Path, before: str = "the end") -> State:
 
 
 def differing(found: State, expected: State) -> str:
-    """The first file or folder that is not what it should be; empty when there is none."""
-    for path in sorted(found.files.keys() | expected.files.keys()):
-        if path not in expected.files:
-            return f"{path} is left over"
-        if path not in found.files:
-            return f"{path} is missing"
-        if found.files[path] != expected.files[path]:
-            return f"{path} differs"
-    return ", ".join(sorted(found.folders ^ expected.folders))
+    """Every file or folder that is not what it should be; empty when there is none."""
+    wrong = [f"{path} is left over" for path in sorted(found.files.keys() - expected.files.keys())]
+    wrong += [f"{path} is missing" for path in sorted(expected.files.keys() - found.files.keys())]
+    for path in sorted(found.files.keys() & expected.files.keys()):
+        one, other = found.files[path], expected.files[path]
+        if one != other:
+            count = sum(a != b for a, b in zip(one, other, strict=False))
+            wrong.append(f"{path} differs (in {count} of {len(one)} bytes; should have {len(other)})")
+    return ", ".join([*wrong, *sorted(found.folders ^ expected.folders)])
 
 
 def empty(folder: Path) -> None:

@@ -2,6 +2,7 @@
 
 import dataclasses
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -24,6 +25,7 @@ from datagen.data.geometries import geometry_hash
 from datagen.data.paths import TRUTH, layers_root
 from datagen.data.resolution import square
 from datagen.disk.errors import HyalineError
+from datagen.disk.ownership import DATASET, LAYERS
 from datagen.disk.storage import commit, commit_first, one_writer, shared_writers
 from datagen.scene.folder import save_scene
 from datagen.scene.rig import make_cameras
@@ -62,6 +64,19 @@ def test_parts_made_at_once_are_the_whole_byte_for_byte(scene_folder: Path, tmp_
     assert tree(out) == tree(tmp_path / "whole")
     assert verify_dataset(out)[1] == []
     assert any("and with it the dataset\nnoise ceiling train: " in text for text in said)
+
+
+def test_a_part_that_finds_only_the_head_of_what_another_has_just_begun_writes_the_rest(
+    built: Path, scene_folder: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "begun"
+    for head in (DATASET.head, layers_root(Path(), TRUTH) / LAYERS.head):
+        (out / head).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(built / head, out / head)
+    for part in ("1/2", "2/2"):
+        answer = build(scene_folder, out, "--shard", part)
+        assert answer.status == 0, answer.err
+    assert tree(out) == tree(built)
 
 
 def test_a_killed_part_and_a_build_without_parts_end_in_the_same_bytes(
