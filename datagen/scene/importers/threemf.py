@@ -14,15 +14,15 @@ from datagen.disk.records import shown
 from datagen.scene.importers.foreign import (
     MAX_SURFACES,
     MAX_TRIANGLES,
+    PLAIN,
     ForeignMaterial,
     ForeignObject,
     ForeignScene,
     elementwise,
     read_foreign,
 )
-from datagen.scene.importers.obj import PLAIN
+from datagen.scene.importers.meshes.obj import floats
 from datagen.scene.importers.remarks import Remarks
-from datagen.scene.importers.text_numbers import floats
 
 RIGHTS = ("LicenseTerms", "Copyright")
 METRES = {"micron": 1e-6, "millimeter": 1e-3, "centimeter": 1e-2, "inch": 0.0254, "foot": 0.3048, "meter": 1.0}
