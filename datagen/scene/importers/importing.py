@@ -34,7 +34,7 @@ from datagen.scene.importers.foreign import (
 from datagen.scene.importers.gltf.scene import read_gltf
 from datagen.scene.importers.lights import LIGHT, even_sky, lit, placed_light, placed_map
 from datagen.scene.importers.mapping import Mapper, lets_light_through
-from datagen.scene.importers.meshes.bare import read_ply_file, read_stl
+from datagen.scene.importers.meshes.bare import read_3mf, read_ply_file, read_stl
 from datagen.scene.importers.meshes.obj import read_obj
 from datagen.scene.importers.mitsuba.scene import read_mitsuba
 from datagen.scene.importers.overlaps import apart, joined, nested, parted
@@ -42,7 +42,6 @@ from datagen.scene.importers.pictures import cut_of, veiled
 from datagen.scene.importers.remarks import Remark, Remarks
 from datagen.scene.importers.staging import find_scale, has_ground, make_ground, make_rig, subject_box, z_up_from
 from datagen.scene.importers.surfaces import check_decimation, closed, decimated, made_sound, mesh_of, shape_of
-from datagen.scene.importers.threemf import read_3mf
 from datagen.scene.lights import Environment, EnvironmentMap, RectangleLight
 from datagen.scene.materials import Material
 from datagen.scene.mending import mend_scene, mend_surface
