@@ -206,6 +206,8 @@ def read_3mf(path: Path, remarks: Remarks) -> ForeignScene:
     for node in scene.graph.nodes_geometry:
         matrix, geometry = scene.graph[node]
         name = str(geometry)
+        if name not in scene.geometry or not len(scene.geometry[name].faces):
+            continue
         triangles += len(scene.geometry[name].faces)
         if triangles > MAX_TRIANGLES:
             raise HyalineError(f"{path}: places more than {MAX_TRIANGLES:,} triangles; expected fewer")
@@ -235,7 +237,7 @@ def _checked_model(data: bytes, path: Path, remarks: Remarks) -> list[str]:
     if not (placed := [item.get("objectid") for item in root.iter("{*}item")]):
         raise HyalineError(f"{path}: builds no object; expected a 3MF file with a mesh")
     if missing := {name for names in (placed, *parts.values()) for name in names} - parts.keys():
-        raise HyalineError(f"{path}: places object {shown(missing.pop())}, which is not there")
+        raise HyalineError(f"{path}: places object {shown(min(map(str, missing)))}, which is not there")
     copies: dict[str, int] = {}
     for name in graphlib.TopologicalSorter(parts).static_order():  # Raises a CycleError.
         copies[name] = 1 + sum(copies[part] for part in parts[name])
@@ -251,7 +253,7 @@ def _placed(mesh: "trimesh.Trimesh", name: str, matrix: np.ndarray, path: Path) 
     positions, faces = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
     if faces.min(initial=0) < 0 or faces.max(initial=-1) >= len(positions) or not np.isfinite(positions).all():
         raise HyalineError(f"{path}: {name} has vertices that are not there or not finite; export it again")
-    determinant = float(np.linalg.det(matrix[:3, :3]))
+    determinant = float(np.linalg.det(matrix[:3, :3])) if np.isfinite(matrix).all() else 0.0
     if not 1e-30 < abs(determinant) < 1e30:
         raise HyalineError(f"{path}: flattens {name} to nothing; export it again")
     return ForeignObject(

@@ -81,6 +81,7 @@ MANY = MODEL.replace("</resources>", CHAIN + '<object id="160"/></resources>').r
     'm objectid="2"', 'm objectid="100"'
 )
 """Sixty objects, each of two of the next one."""
+HOLLOW = MODEL.replace("</resources>", '<object id="9"/></resources>').replace('m objectid="2"', 'm objectid="9"')
 
 BROKEN: dict[str, tuple[bytes, str]] = {
     "empty 3mf": (b"", "not a 3MF file that can be read"),
@@ -104,6 +105,16 @@ BROKEN: dict[str, tuple[bytes, str]] = {
         changed_3mf("<item ", '<item p:path="/3D/b.model" xmlns:p="p" '),
         "in several parts",
     ),
+    "3mf of an object without triangles": (changed_3mf(TRIANGLES, ""), "builds no object"),
+    "3mf of an object without a mesh": (model_3mf(HOLLOW), "builds no object"),
+    "3mf of an object without an id": (changed_3mf('id="1" name', "name"), "places object '1', which"),
+    "3mf that is placed nowhere": (
+        changed_3mf("2 0 0 0 2 0 0 0 2 0 0 5", "nan 0 0 0 2 0 0 0 2 0 0 5"),
+        "flattens part",
+    ),
+    "3mf of huge numbers": (changed_3mf('x="9"', 'x="1e400"'), "not finite"),
+    "3mf of two numbers for x": (changed_3mf('x="9"', 'x="9 9"'), "not a 3MF file"),
+    "3mf of a fraction for an index": (changed_3mf('v1="0"', 'v1="1.5"'), "not a 3MF file"),
     "3mf of 2^60 objects": (model_3mf(MANY), "places 2,305,843,009,213,693,951 objects"),
 }
 
