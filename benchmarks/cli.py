@@ -97,7 +97,7 @@ def truth(
     from benchmarks.harness import show
     from datagen.data.config import DatasetConfig, SplitConfig
     from datagen.data.resolution import square
-    from datagen.scene.importers.finding import find_scene
+    from datagen.scene.finding import find_scene
     from datagen.scene.rig import make_cameras
 
     description = find_scene(scene)

@@ -92,8 +92,7 @@ def import_file(
             320x240.
         choices: What the file does not say.
     """
-    from datagen.scene.importers.confined_import import import_files
-    from datagen.scene.importers.imported_folder import check_free, write_imported
+    from datagen.scene.importers.confined_import import check_free, import_files, write_imported
     from datagen.scene.importers.importing import scene_name
 
     root = out or SCENES_ROOT / scene_name(file)

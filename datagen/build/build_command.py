@@ -24,9 +24,9 @@ from datagen.data.variants import TWINS
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import DATASET, refuse_strangers
 from datagen.scene.edits import parse_edit
+from datagen.scene.finding import find_scene, is_foreign
 from datagen.scene.folder import load_scene
 from datagen.scene.importers.choices import ImportChoices
-from datagen.scene.importers.finding import find_scene, is_foreign
 from datagen.scene.importers.importing import scene_name
 from datagen.scene.procedural.names import RANDOM, RandomName
 from datagen.scene.rig import with_listed_shape, with_listed_views

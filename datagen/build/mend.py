@@ -138,7 +138,7 @@ def _restore_scene(dataset: Dataset, given: str | None) -> None:
 
 
 def _find_scene(dataset: Dataset, given: str | None, lost: list[str]) -> Scene:
-    from datagen.scene.importers.finding import find_scene, is_made_by_code
+    from datagen.scene.finding import find_scene, is_made_by_code
 
     if not any(file.startswith("scene/") for file in lost):
         return load_scene(dataset.root / "scene")

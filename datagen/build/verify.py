@@ -206,7 +206,7 @@ class _Search:
                     self.wrong(index, _reason(error, self.home / index))
 
     def _scene_command(self, dataset: Dataset, file: str) -> str | None:
-        from datagen.scene.importers.finding import is_made_by_code
+        from datagen.scene.finding import is_made_by_code
 
         if dataset.imported is not None:
             return import_command(dataset)

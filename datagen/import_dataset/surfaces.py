@@ -19,16 +19,15 @@ from datagen.machine.confined import allow_triangles
 from datagen.scene.camera_list import list_cameras
 from datagen.scene.description import MAX_OBJECTS, Scene, SceneObject
 from datagen.scene.folder import save_scene
-from datagen.scene.importers.apart import apart, nested, parted
-from datagen.scene.importers.choices import ImportChoices
+from datagen.scene.importers.choices import ImportChoices, check_overrides, override, parse_overrides
 from datagen.scene.importers.confined_import import scene_from
-from datagen.scene.importers.foreign import ForeignObject
+from datagen.scene.importers.foreign import PLAIN, ForeignObject
 from datagen.scene.importers.importing import EXPORT_ADVICE, READERS, scene_object, unique_names
+from datagen.scene.importers.lights import even_sky
 from datagen.scene.importers.mapping import Mapper
-from datagen.scene.importers.obj import PLAIN
-from datagen.scene.importers.overrides import check_overrides, override, parse_overrides
+from datagen.scene.importers.overlaps import apart, nested, parted
 from datagen.scene.importers.remarks import Remarks
-from datagen.scene.importers.staging import even_sky, z_up_from
+from datagen.scene.importers.staging import z_up_from
 from datagen.scene.materials import Dielectric, Material, ThinDielectric
 from datagen.scene.mending import mend_scene
 from datagen.scene.soundness import check_scene

@@ -1,13 +1,37 @@
-"""What a user may say about an import."""
+"""What a user may say about an import: the flags, and materials by name (`--material 'leg*=gold'`)."""
 
+import difflib
+import fnmatch
 from dataclasses import dataclass, fields
 from typing import Annotated, Literal
 
 import tyro
 
 from datagen.disk.errors import HyalineError
+from datagen.disk.records import shown
+from datagen.scene.materials import Conductor, Dielectric, Diffuse, Material, Plastic, ThinDielectric
+from datagen.terminal.command import MAX_SUGGESTED, choose
 
 Thin = Literal["open", "file", "all"]
+
+MAX_NAMED = 20
+"""Objects that an error lists."""
+
+NAMED: dict[str, Material] = {
+    "glass": Dielectric(ior=1.5),
+    "green-glass": Dielectric(ior=1.52, absorption=(40.0, 8.0, 25.0)),
+    "blue-glass": Dielectric(ior=1.52, absorption=(45.0, 20.0, 5.0)),
+    "amber": Dielectric(ior=1.54, absorption=(3.0, 25.0, 90.0)),
+    "water": Dielectric(ior=1.333),
+    "diamond": Dielectric(ior=2.417),
+    "thin-glass": ThinDielectric(ior=1.5),
+    "plaster": Diffuse(color=(0.75, 0.74, 0.72)),
+    "plastic": Plastic(color=(0.55, 0.09, 0.07), roughness=0.1),
+    "mirror": Conductor(color=(0.95, 0.95, 0.95), roughness=0.0),
+    # Reflectance at normal incidence, as most renderers list it.
+    "gold": Conductor(color=(1.0, 0.78, 0.34), roughness=0.15),
+    "copper": Conductor(color=(0.96, 0.64, 0.54), roughness=0.15),
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,3 +79,40 @@ class ImportChoices:
         """The flags that differ from their defaults."""
         names = (item.name for item in fields(self) if getattr(self, item.name) != item.default)
         return [f"--{name.replace('_', '-')}" for name in names]
+
+
+def parse_overrides(given: tuple[str, ...]) -> list[tuple[str, Material]]:
+    """Pairs of a pattern of object names and the material for them; later ones win.
+
+    Raises:
+        HyalineError: a material of that name is not known.
+    """
+    found = []
+    for text in given:
+        pattern, is_for_some, name = text.rpartition("=")
+        if is_for_some and not pattern:
+            raise HyalineError(f"--material: is {shown(text)}; expected NAME, or OBJECT=NAME")
+        found.append((pattern if is_for_some else "*", NAMED[choose("material", name, NAMED)]))
+    return found
+
+
+def check_overrides(overrides: list[tuple[str, Material]], names: list[str]) -> None:
+    """Refuses a pattern that matches no object, since it is a slip.
+
+    Raises:
+        HyalineError: naming the objects.
+    """
+    for pattern, _ in overrides:
+        if not any(fnmatch.fnmatchcase(name, pattern) for name in names):
+            near = difflib.get_close_matches(pattern[:MAX_SUGGESTED], names, n=1, cutoff=0.5)
+            hint = f"did you mean {near[0]!r}? " if near else ""
+            more = f" and {len(names) - MAX_NAMED} more" if len(names) > MAX_NAMED else ""
+            raise HyalineError(
+                f"--material: no object is called {shown(pattern)}; {hint}the objects are "
+                f"{', '.join(names[:MAX_NAMED])}{more}"
+            )
+
+
+def override(name: str, overrides: list[tuple[str, Material]]) -> Material | None:
+    """The material that somebody chose for an object."""
+    return next((material for pattern, material in reversed(overrides) if fnmatch.fnmatchcase(name, pattern)), None)

@@ -13,6 +13,7 @@ from datagen.disk.errors import HyalineError
 from datagen.disk.reading import read_regular
 from datagen.machine.confined import allow_file
 from datagen.scene.camera_list import Intrinsics
+from datagen.scene.importers.remarks import Remarks
 from datagen.scene.materials import Material
 from datagen.scene.substances import SUBSTANCES
 from datagen.scene.values import Color
@@ -26,8 +27,6 @@ MAX_TRIANGLES = 4_000_000
 """Of a whole scene, each instance counted."""
 MAX_SURFACES = 20_000
 """Instances of surfaces in a file; a scene has 255 objects, or so many after --merge."""
-
-
 PLAIN_WORDS = ("material", "mat", "shader")
 """In names of materials: words that say nothing."""
 
@@ -95,6 +94,10 @@ class ForeignMaterial:
     dispersion: float = 0.0
     """20 over the Abbe number."""
     priority: int = 0
+
+
+PLAIN = ForeignMaterial(name="default", base_color=(0.8, 0.8, 0.8), roughness=1.0, ior=1.0)
+"""Of a surface that names no material: Blender's grey. (glTF would have it rough metal, which nobody means.)"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -220,3 +223,30 @@ def substance_of(name: str) -> str | None:
     words = [word for word in re.split(r"[^a-z0-9]+", name.lower()) if word and word not in PLAIN_WORDS]
     named = "-".join(word for word in words if not word.isdecimal())
     return named if named in SUBSTANCES and named != "air" else None
+
+
+def merged_by_material(parts: tuple[ForeignObject, ...], remarks: Remarks, *, where: str) -> tuple[ForeignObject, ...]:
+    """One object for each material, and for whether it brings normals and uv."""
+    groups: dict[tuple[ForeignMaterial | Material, bool, bool], list[ForeignObject]] = {}
+    for part in parts:
+        groups.setdefault((part.material, part.normals is None, part.uv is None), []).append(part)
+    remarks.note(where, f"its {len(parts):,} objects became {len(groups)}, one a material")
+    return tuple(_merged(group) for group in groups.values())
+
+
+def _merged(group: list[ForeignObject]) -> ForeignObject:
+    first = group[0]
+    if len(group) == 1:
+        return first
+    starts = np.cumsum([0, *(len(part.positions) for part in group)])
+    normals = [part.normals for part in group if part.normals is not None]
+    uv = [part.uv for part in group if part.uv is not None]
+    name = first.material.name if isinstance(first.material, ForeignMaterial) else first.name
+    return ForeignObject(
+        name=name,
+        positions=np.concatenate([part.positions for part in group]),
+        faces=np.concatenate([part.faces + start for part, start in zip(group, starts)]),
+        normals=np.concatenate(normals) if normals else None,
+        uv=np.concatenate(uv) if uv else None,
+        material=first.material,
+    )

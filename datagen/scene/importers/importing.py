@@ -19,39 +19,29 @@ from datagen.disk.storage import sha256_file
 from datagen.machine.confined import allow_triangles
 from datagen.scene.cutouts import Cut, with_cuts
 from datagen.scene.description import MAX_OBJECTS, OBJECT_NAME, CameraList, CameraRig, Scene, SceneObject
-from datagen.scene.importers.apart import apart, nested, parted
-from datagen.scene.importers.camera_files import read_camera_file
-from datagen.scene.importers.choices import ImportChoices
-from datagen.scene.importers.cutting import cut_of, veiled
-from datagen.scene.importers.decimating import check_decimation, decimated
-from datagen.scene.importers.foreign import Axis, ForeignMap, ForeignMaterial, ForeignObject, ForeignScene, elementwise
-from datagen.scene.importers.gltf import read_gltf
-from datagen.scene.importers.joining import joined
-from datagen.scene.importers.lamps import lit
-from datagen.scene.importers.mapping import Mapper, lets_light_through
-from datagen.scene.importers.merging import merged_by_material
-from datagen.scene.importers.mitsuba_xml import read_mitsuba
-from datagen.scene.importers.obj import PLAIN, read_obj
-from datagen.scene.importers.overrides import check_overrides, override, parse_overrides
-from datagen.scene.importers.ply import read_ply_file
-from datagen.scene.importers.remarks import Remark, Remarks
-from datagen.scene.importers.repair import closed
-from datagen.scene.importers.staging import (
-    LIGHT,
-    even_sky,
-    find_scale,
-    has_ground,
-    listed_cameras,
-    make_ground,
-    make_rig,
-    placed_light,
-    placed_map,
-    subject_box,
-    z_up_from,
+from datagen.scene.importers.cameras import listed_cameras, read_camera_file
+from datagen.scene.importers.choices import ImportChoices, check_overrides, override, parse_overrides
+from datagen.scene.importers.foreign import (
+    PLAIN,
+    Axis,
+    ForeignMap,
+    ForeignMaterial,
+    ForeignObject,
+    ForeignScene,
+    elementwise,
+    merged_by_material,
 )
-from datagen.scene.importers.stl import read_stl
-from datagen.scene.importers.surfaces import made_sound, mesh_of, shape_of
-from datagen.scene.importers.threemf import read_3mf
+from datagen.scene.importers.gltf.scene import read_gltf
+from datagen.scene.importers.lights import LIGHT, even_sky, lit, placed_light, placed_map
+from datagen.scene.importers.mapping import Mapper, lets_light_through
+from datagen.scene.importers.meshes.bare import read_3mf, read_ply_file, read_stl
+from datagen.scene.importers.meshes.obj import read_obj
+from datagen.scene.importers.mitsuba.scene import read_mitsuba
+from datagen.scene.importers.overlaps import apart, joined, nested, parted
+from datagen.scene.importers.pictures import cut_of, veiled
+from datagen.scene.importers.remarks import Remark, Remarks
+from datagen.scene.importers.staging import find_scale, has_ground, make_ground, make_rig, subject_box, z_up_from
+from datagen.scene.importers.surfaces import check_decimation, closed, decimated, made_sound, mesh_of, shape_of
 from datagen.scene.lights import Environment, EnvironmentMap, RectangleLight
 from datagen.scene.materials import Material
 from datagen.scene.mending import mend_scene, mend_surface

@@ -4,6 +4,7 @@ Formulas: glTF's extensions KHR_materials_transmission, _volume, _ior and _dispe
 """
 
 import dataclasses
+import functools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -14,9 +15,8 @@ from jaxtyping import Float
 from datagen.data.meshes import Mesh
 from datagen.disk.names import file_name
 from datagen.scene.importers.choices import Thin
-from datagen.scene.importers.coats import coat_of, metal_share
 from datagen.scene.importers.foreign import ForeignImage, ForeignMaterial
-from datagen.scene.importers.pictures import decoded, linear_png, mean_color, stored, values_on
+from datagen.scene.importers.pictures import INVISIBLE, SOLID_BLEND, decoded, linear_png, mean_color, stored, values_on
 from datagen.scene.importers.remarks import Remarks
 from datagen.scene.importers.surfaces import Shape
 from datagen.scene.materials import Conductor, Dielectric, Diffuse, Material, Plastic, RoughDielectric, ThinDielectric
@@ -36,15 +36,13 @@ METAL_ENOUGH = 0.5
 """Share of its light that rough metal must be able to mirror; other renderers give back what ours loses."""
 MIN_TRANSMITTANCE = 1e-4
 """Of a channel after the attenuation distance: a black one would absorb without end."""
-SOLID_BLEND = 0.9
-"""Alpha from which on a blended surface counts as opaque."""
 MAX_MIRRORED = 0.8
 """By a pane of glass, whose index stays below 10."""
 UNIFORM = 0.05
 """Standard deviation of an image's values over a surface up to which they are one value."""
+ANGLES, POINTS = 64, 32
+"""Directions that light comes from, and facets a side of the square that each of them meets."""
 FACTOR_NAMES = {"metallic": "metalness", "roughness": "roughness", "transmission": "transmission"}
-INVISIBLE = 1 / 512
-"""Alpha below which nothing of a blended surface is seen, since it is none in 8 bits."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -251,3 +249,98 @@ def _mixed(color: Color, share: float) -> Color:
     """White, as far as a blended surface is not there, and else its colour."""
     red, green, blue = (share + (1 - share) * c for c in color)
     return red, green, blue
+
+
+# Clear coats
+
+
+@dataclass(frozen=True, kw_only=True)
+class Coat:
+    """The clear coat of `Plastic`: shares of light, averaged over all directions from which it comes evenly.
+
+    Other renderers give the colour of a surface as it is seen, but for what its highlight mirrors. Ours is that of a
+    base below a coat, out of which only some of the light finds its way: a base of 0.5 shows 0.28.
+    """
+
+    mirrored: float
+    """By the coat, from outside."""
+    passed: float
+    """Through the coat, in and out again, were the base white and nothing thrown back onto it."""
+    returned: float
+    """Of what the base scatters, back onto it."""
+
+    def seen(self, base: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
+        """What light from everywhere shows of a base, without what the coat mirrors."""
+        return self.passed * base / (1 - self.returned * base)
+
+    def base_of(self, color: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
+        """The base that is seen in a colour where the coat mirrors nothing; above 1 where there is none."""
+        wanted = (1 - self.mirrored) * color
+        return wanted / (self.passed + self.returned * wanted)
+
+    def with_mirrored(self, color: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
+        """A matt colour that is as bright as this one with what the coat mirrors."""
+        return self.mirrored + (1 - self.mirrored) * color
+
+
+@functools.lru_cache(maxsize=256)
+def coat_of(ior: float, alpha: float) -> Coat:
+    """The coat of index `ior` and GGX roughness `alpha`, as Mitsuba's `roughplastic` tabulates it.
+
+    Facets that throw light onto others lose it there: white below a coat of alpha 0.35 shows 0.61 of the light.
+    """
+    mirrored, through = _shares(ior, alpha)
+    returned, _ = _shares(1 / ior, alpha)
+    return Coat(mirrored=mirrored, passed=(through / ior) ** 2, returned=returned)
+
+
+@functools.lru_cache(maxsize=256)
+def metal_share(alpha: float) -> float:
+    """The share of even light that facets of white metal mirror; they lose what they throw onto each other."""
+    return _shares(1e6, alpha)[0]
+
+
+def _shares(eta: float, alpha: float) -> tuple[float, float]:
+    """How much of even light facets mirror, and let through to the side of relative index `eta`.
+
+    Source: visible facets as in Heitz 2018, "Sampling the GGX Distribution of Visible Normals"; Smith's shadowing.
+    """
+    cosine = (np.arange(ANGLES) + 0.5)[:, None, None] / ANGLES
+    u, v = np.meshgrid((np.arange(POINTS) + 0.5) / POINTS, (np.arange(POINTS) + 0.5) / POINTS)
+    wi = np.stack(np.broadcast_arrays(np.sqrt(1 - cosine**2), 0.0, cosine), axis=-1)
+    stretched = _unit(wi * (alpha, alpha, 1))
+    # A point of the disk that is seen along the stretched direction.
+    radius, angle = np.sqrt(u), 2 * np.pi * v
+    x, y = radius * np.cos(angle), radius * np.sin(angle)
+    lean = (1 + stretched[..., 2]) / 2
+    y = (1 - lean) * np.sqrt(1 - x**2) + lean * y
+    across = np.zeros_like(stretched)
+    across[..., 1] = 1.0
+    facet = (
+        x[..., None] * across
+        + y[..., None] * np.cross(stretched, across)
+        + np.sqrt(np.maximum(1 - x**2 - y**2, 0))[..., None] * stretched
+    )
+    m = _unit(np.concatenate([alpha * facet[..., :2], np.maximum(facet[..., 2:], 1e-6)], axis=-1))
+    cos_i = np.clip((wi * m).sum(axis=-1), 0, 1)
+    cos_t = np.sqrt(np.maximum(1 - (1 - cos_i**2) / eta**2, 0))
+    with np.errstate(invalid="ignore"):
+        s, p = (cos_i - eta * cos_t) / (cos_i + eta * cos_t), (cos_t - eta * cos_i) / (cos_t + eta * cos_i)
+    fresnel = np.where(cos_t > 0, (s**2 + p**2) / 2, 1.0)
+    mirrored = 2 * cos_i * m[..., 2] - wi[..., 2]
+    refracted = wi[..., 2] / eta - m[..., 2] * (cos_i / eta - cos_t)
+    weights = 2 * cosine / ANGLES / POINTS**2
+    return (
+        float((weights * fresnel * _unshadowed(mirrored, alpha)).sum()),
+        float((weights * (1 - fresnel) * _unshadowed(refracted, alpha)).sum()),
+    )
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+
+
+def _unshadowed(cosine: np.ndarray, alpha: float) -> np.ndarray:
+    """Share that other facets do not hide from a direction; none below the surface."""
+    tangent2 = 1 / np.maximum(cosine, 1e-6) ** 2 - 1
+    return np.where(cosine > 0, 2 / (1 + np.sqrt(1 + alpha**2 * np.maximum(tangent2, 0))), 0.0)

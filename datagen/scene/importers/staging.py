@@ -1,4 +1,4 @@
-"""What a foreign scene lacks to be rendered: its size in metres, a ground, soft light, and cameras all around."""
+"""What a foreign scene lacks to be rendered: its size in metres, a ground, and cameras all around."""
 
 import math
 from collections.abc import Sequence
@@ -8,16 +8,14 @@ from jaxtyping import Float
 
 from datagen.data.meshes import face_corners
 from datagen.data.resolution import Resolution
-from datagen.disk.errors import HyalineError
-from datagen.scene.camera_list import DEFAULT_FOV_DEG, CameraList, matrix_rows
-from datagen.scene.description import CameraRig, Card, RectangleLight, SceneObject, SoftEnvironment, WalkPoint
-from datagen.scene.importers.foreign import Axis, ForeignCamera, ForeignLight, ForeignMap
+from datagen.scene.description import CameraRig, SceneObject, WalkPoint
+from datagen.scene.importers.foreign import Axis
+from datagen.scene.importers.lights import towards
 from datagen.scene.importers.remarks import Remarks
-from datagen.scene.lights import EnvironmentMap
 from datagen.scene.materials import Diffuse
 from datagen.scene.modelling import sheet
 from datagen.scene.textures import SolidTexture
-from datagen.scene.values import Color, Vector
+from datagen.scene.values import as_vector
 
 USUAL_SIZE = (0.02, 5.0)
 """Metres: what is smaller or larger was not modelled in metres."""
@@ -37,38 +35,8 @@ WATCHED_POINTS = 8
 """Points of the glass from which one looks for cameras."""
 GRAZING_DEG = 25.0
 """Degrees that cameras keep from the edge of a backdrop."""
-DUST = 1e-9
-UPRIGHT = 0.9999
-"""Cosine of the angle by which a map of the environment may lean."""
 FRONT_DEG = -90.0
 """Azimuth from which files are meant to be seen: glTF's +z, ours -y."""
-
-
-def _towards(azimuth_deg: float, elevation_deg: float) -> Vector:
-    """The unit direction."""
-    azimuth, elevation = math.radians(azimuth_deg), math.radians(elevation_deg)
-    across = math.cos(elevation)
-    return across * math.cos(azimuth), across * math.sin(azimuth), math.sin(elevation)
-
-
-LIGHT = SoftEnvironment(
-    zenith=(0.34, 0.38, 0.45),
-    horizon=(0.50, 0.47, 0.44),
-    ground=(0.20, 0.18, 0.17),
-    cards=(
-        # Flags stand low between the softboxes: they draw the dark outline of glass from wherever one looks.
-        Card(direction=_towards(-55, 12), size_deg=(26.0, 64.0), radiance=(0.06, 0.06, 0.07), softness_deg=10.0),
-        Card(direction=_towards(65, 12), size_deg=(26.0, 64.0), radiance=(0.06, 0.06, 0.07), softness_deg=10.0),
-        Card(direction=_towards(185, 12), size_deg=(26.0, 64.0), radiance=(0.06, 0.06, 0.07), softness_deg=10.0),
-        # The key, warm; a cool one across, and one behind that looks like a window.
-        Card(direction=_towards(-20, 42), size_deg=(23.0, 64.0), radiance=(6.0, 5.3, 4.4), softness_deg=3.0),
-        Card(direction=_towards(-140, 26), size_deg=(26.0, 52.0), radiance=(1.7, 2.1, 2.7), softness_deg=3.0),
-        Card(direction=_towards(110, 30), size_deg=(40.0, 40.0), radiance=(2.5, 2.5, 2.5), softness_deg=3.0),
-        Card(direction=_towards(0, 90), size_deg=(50.0, 30.0), radiance=(2.2, 2.2, 2.2), softness_deg=6.0),
-    ),
-)
-"""Softboxes and flags all around, as photographers show glass: bright cards draw highlights on it and caustics below
-it, dark ones its outline. All are wide enough to be found by chance, so that pictures need few samples."""
 
 
 def find_scale(size: float, *, metres: float, remarks: Remarks, where: str) -> float:
@@ -95,87 +63,6 @@ def z_up_from(up: Axis) -> Float[np.ndarray, "3 3"]:
         "z": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
     }
     return np.array(rows[up], np.float64)
-
-
-def even_sky(radiance: Color) -> SoftEnvironment:
-    """The same light from all around."""
-    return SoftEnvironment(zenith=radiance, horizon=radiance, ground=radiance)
-
-
-def placed_light(
-    light: ForeignLight, linear: Float[np.ndarray, "3 3"], offset: Float[np.ndarray, "3"]
-) -> RectangleLight:
-    """A light of the file in our world."""
-    return RectangleLight(
-        corner=_vector(linear @ light.corner + offset),
-        edge_u=_vector(_without_dust(linear @ light.edge_u)),
-        edge_v=_vector(_without_dust(linear @ light.edge_v)),
-        radiance=light.radiance,
-    )
-
-
-def _without_dust(edge: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
-    """The edge without what rounding left of a turn: Mitsuba 3.9 makes radiance of 2e-16 m that is no number."""
-    return np.where(np.abs(edge) < DUST * np.abs(edge).max(), 0.0, edge)
-
-
-def placed_map(sky: ForeignMap, linear: Float[np.ndarray, "3 3"], remarks: Remarks) -> EnvironmentMap:
-    """A map of the environment in our world; one that does not stand upright there is set up."""
-    middle, up = (linear @ sky.middle, linear @ sky.up)
-    if up[2] < UPRIGHT * np.linalg.norm(up):
-        remarks.approximate("environment", "is tilted; drawn upright, turned about the vertical alone")
-    return EnvironmentMap(
-        path=f"textures/environment{sky.ending}",
-        scale=sky.scale,
-        rotation_deg=math.degrees(math.atan2(middle[1], middle[0])),
-    )
-
-
-def listed_cameras(
-    cameras: Sequence[ForeignCamera], linear: Float[np.ndarray, "3 3"], offset: Float[np.ndarray, "3"], remarks: Remarks
-) -> CameraList:
-    """Cameras of a file in our world: the outermost for extrapolation, every eighth other one for interpolation.
-
-    Of fewer than three, each split has all.
-
-    Raises:
-        HyalineError: the file has none.
-    """
-    if not cameras:
-        raise HyalineError("--cameras file: the file brings no cameras; leave it out")
-    fov_deg, intrinsics = cameras[0].fov_deg, cameras[0].intrinsics
-    if any(abs(camera.fov_deg - fov_deg) > 1e-3 or camera.intrinsics != intrinsics for camera in cameras):
-        remarks.approximate(
-            "cameras", f"have several lenses; all of them get the first one's, which sees {fov_deg:.3g} degrees"
-        )
-    if intrinsics is not None:
-        fov_deg = DEFAULT_FOV_DEG
-    rotation = linear / abs(np.linalg.det(linear)) ** (1 / 3)
-    matrices = []
-    for camera in cameras:
-        matrix = np.eye(4)
-        matrix[:3, :3] = rotation @ camera.world_from_camera[:3, :3]
-        matrix[:3, 3] = linear @ camera.world_from_camera[:3, 3] + offset
-        matrices.append(matrix)
-    listed = [matrix_rows(matrix) for matrix in matrices]
-    if len(listed) < 3:
-        return CameraList(
-            train=tuple(listed),
-            interpolating=tuple(listed),
-            extrapolating=tuple(listed),
-            fov_deg=fov_deg,
-            intrinsics=intrinsics,
-        )
-    places = np.array([matrix[:3, 3] for matrix in matrices])
-    outermost = int(np.linalg.norm(places - places.mean(axis=0), axis=-1).argmax())
-    others = [rows for index, rows in enumerate(listed) if index != outermost]
-    return CameraList(
-        train=tuple(rows for index, rows in enumerate(others) if index % 8),
-        interpolating=tuple(others[::8]),
-        extrapolating=(listed[outermost],),
-        fov_deg=fov_deg,
-        intrinsics=intrinsics,
-    )
 
 
 def subject_box(objects: Sequence[SceneObject]) -> Float[np.ndarray, "2 3"]:
@@ -236,11 +123,11 @@ def make_rig(objects: Sequence[SceneObject], remarks: Remarks) -> CameraRig:
     middle, half = (first + last) / 2, min((last - first) / 2, 100.0)
 
     def walk_point(turn: float, elevation_deg: float, distance: float) -> WalkPoint:
-        place = target + distance * radius * _direction(middle + turn * half, elevation_deg)
-        return WalkPoint(position=_vector(place), target=_vector(target))
+        place = target + distance * radius * np.array(towards(middle + turn * half, elevation_deg))
+        return WalkPoint(position=as_vector(place), target=as_vector(target))
 
     return CameraRig(
-        target=_vector(target),
+        target=as_vector(target),
         radius=radius,
         elevation_deg=(5.0, 65.0),
         azimuth_deg=(first, last),
@@ -257,21 +144,10 @@ def make_rig(objects: Sequence[SceneObject], remarks: Remarks) -> CameraRig:
     )
 
 
-def _vector(values: np.ndarray) -> tuple[float, float, float]:
-    x, y, z = (float(value) for value in values)
-    return x, y, z
-
-
 def _free_name(name: str, objects: Sequence[SceneObject]) -> str:
     taken = {item.name for item in objects}
     choices = (name, *(f"{name}_{index}" for index in range(len(taken) + 1)))
     return next(choice for choice in choices if choice not in taken)
-
-
-def _direction(azimuth_deg: float, elevation_deg: float) -> np.ndarray:
-    azimuth, elevation = math.radians(azimuth_deg), math.radians(elevation_deg)
-    across = math.cos(elevation)
-    return np.array([across * math.cos(azimuth), across * math.sin(azimuth), math.sin(elevation)])
 
 
 def _open_arc(
@@ -288,7 +164,7 @@ def _open_arc(
     begin = (0.02 if glass else 1.05) * reach
     step = 10
     azimuths = FRONT_DEG + np.arange(0, 360, step)
-    directions = np.stack([_direction(a, e) for a in azimuths for e in (8.0, 45.0)])
+    directions = np.array([towards(a, e) for a in azimuths for e in (8.0, 45.0)])
     origins = (points + begin * directions[:, None]).reshape(-1, 3)
     distances = _distances(_opaque(objects), origins, directions.repeat(len(points), axis=0))
     is_seen = (distances > radius - begin).reshape(len(azimuths), -1)

@@ -1,10 +1,14 @@
 """A foreign surface as a mesh of ours: in metres, joined along its seams, wound outward, with normals.
 
-Vertices that lie apart by rounding alone are moved onto each other; faces that look the wrong way are turned.
+Vertices that lie apart by rounding alone are moved onto each other; faces that look the wrong way are turned. On
+request, holes are closed and triangles are reduced.
 """
 
 import dataclasses
+import importlib.util
+import sys
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -12,12 +16,20 @@ from jaxtyping import Float, Int
 from datagen.data.meshes import Mesh, component_of_faces, face_corners, open_edges, signed_volume, welded
 from datagen.data.windings import windings
 from datagen.disk.errors import HyalineError
+from datagen.machine.child_python import ChildError, arrays_from_child
 from datagen.scene.importers.remarks import Remarks
 from datagen.scene.modelling import CREASE_DEG
 from datagen.scene.shading_normals import shaded_anew
+from datagen.terminal.distribution import install_command
 
 WELD = 1e-5
 """Of a surface's size: vertices that are nearer may be one."""
+MAX_CHANGE = 0.05
+"""Share of its volume by which a solid may change when it is mended or reduced: else it is another shape."""
+LEAST = 64
+"""Triangles that every surface keeps."""
+TIMEOUT_S, FACES_A_SECOND = 60.0, 2000.0
+"""Of the child process that reduces triangles."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -161,3 +173,180 @@ def _outward(mesh: Mesh, remarks: Remarks, *, where: str) -> Mesh:
         return mesh
     remarks.note(where, f"{len(inside_out)} of its {len(volumes)} parts were inside out; their faces were turned round")
     return _turned(mesh, np.isin(part, inside_out))
+
+
+# Closing holes
+
+
+def closed(mesh: Mesh, remarks: Remarks, *, where: str) -> Mesh:
+    """The mesh with its holes closed by lids, shaded anew; the same one where it has none.
+
+    A lid is triangles around the hole's middle, or one triangle.
+
+    Raises:
+        HyalineError: it stays open, as where three faces meet at an edge, or its volume changes too much.
+    """
+    if not open_edges(mesh):
+        return mesh
+    positions, faces = welded(mesh)
+    loops = _loops(faces)
+    place = np.unique(mesh.vertices, axis=0, return_index=True)[1]
+    vertices, uv, lids = [mesh.vertices], [mesh.uv], [mesh.faces]
+    for loop in loops:
+        middle = positions[loop].mean(axis=0)
+        # The faces at the hole run along its rim forwards, the lid's backwards. A crack along an edge has its middle on
+        # its rim, where a second point would be welded to the first.
+        at = int(np.linalg.norm(positions[loop] - middle, axis=-1).argmin())
+        rim = place[np.roll(loop, -at)]
+        if len(loop) == 3 or (positions[loop[at]] == middle).all():
+            lids.append(np.stack([rim[2:], rim[1:-1], np.full(len(rim) - 2, rim[0])], axis=-1))
+            continue
+        center = len(mesh.vertices) + len(vertices) - 1
+        lids.append(np.stack([np.roll(rim, -1), rim, np.full(len(rim), center)], axis=-1))
+        vertices.append(middle[None])
+        uv.append(mesh.uv[place[loop]].mean(axis=0, keepdims=True))
+    whole = Mesh(
+        vertices=np.concatenate(vertices).astype(np.float32),
+        faces=np.concatenate(lids).astype(np.int32),
+        normals=np.concatenate([mesh.normals, np.zeros((len(vertices) - 1, 3), np.float32)]),
+        uv=np.concatenate(uv).astype(np.float32),
+    )
+    if count := open_edges(whole):
+        raise HyalineError(
+            f"{where}: {count} edges stay open, where faces cross or more than two meet; close it in a modeller, "
+            f"or draw it as thin glass with --material '{where}=thin-glass'"
+        )
+    before, after = signed_volume(mesh), signed_volume(whole)
+    change = abs(after - before) / max(abs(after), 1e-30)
+    what = f"{len(loops)} holes closed: its volume was {1e6 * abs(before):.4g} cm^3, and is {1e6 * abs(after):.4g} cm^3"
+    if change > MAX_CHANGE:
+        raise HyalineError(
+            f"{where}: {what}, {100 * change:.1f} % off; expected at most {100 * MAX_CHANGE:g} %, model its walls"
+        )
+    remarks.approximate(where, what)
+    return shaded_anew(whole, crease_deg=CREASE_DEG)
+
+
+def _loops(faces: np.ndarray) -> list[np.ndarray]:
+    """The rims of holes as points in order, each once around."""
+    start, end = faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)
+    edges = set(zip(start.tolist(), end.tolist(), strict=True))
+    following: dict[int, list[int]] = {}
+    for a, b in sorted(edges):
+        if (b, a) not in edges:
+            following.setdefault(a, []).append(b)
+    loops = []
+    while following:
+        first = next(iter(following))
+        walk, places = [first], {first: 0}
+        while True:
+            choices = following.get(walk[-1])
+            if not choices:  # The rim ends: whoever counts open edges afterwards tells.
+                following.pop(walk[-1], None)
+                break
+            point = choices.pop()
+            if not choices:
+                del following[walk[-1]]
+            if point in places:
+                # Where rims touch in a point, each is closed on its own.
+                at = places[point]
+                loops.append(np.array(walk[at:]))
+                for gone in walk[at + 1 :]:
+                    del places[gone]
+                walk = walk[: at + 1]
+                if len(walk) == 1:
+                    break
+                continue
+            places[point] = len(walk)
+            walk.append(point)
+    return [loop for loop in loops if len(loop) > 2]
+
+
+# Reducing triangles
+
+
+def check_decimation(max_triangles: int | None) -> None:
+    """Refuses a number that cannot be, and a machine that cannot do it.
+
+    Raises:
+        HyalineError: naming which.
+    """
+    if max_triangles is None:
+        return
+    if max_triangles < LEAST:
+        raise HyalineError(f"--max-triangles: is {max_triangles}; expected at least {LEAST}")
+    if importlib.util.find_spec("pymeshlab") is None:
+        raise HyalineError(f"--max-triangles: needs pymeshlab; `{install_command('proxies')}` brings it")
+
+
+def decimated(mesh: Mesh, target: int, remarks: Remarks, *, where: str) -> Mesh:
+    """The mesh with about `target` triangles by quadric edge collapse, shaded anew; the same one where it has no more.
+
+    Its uv are lost: they stay 0.
+
+    Raises:
+        HyalineError: what comes out is another shape, or nothing does.
+    """
+    target = max(target, LEAST)
+    count = len(mesh.faces)
+    if count <= target:
+        return mesh
+    positions, faces = welded(mesh)
+    try:
+        found = arrays_from_child(
+            "datagen.scene.importers.surfaces",
+            {"vertices": positions.astype(np.float64), "faces": faces.astype(np.int64), "target": np.array(target)},
+            timeout_s=TIMEOUT_S + count / FACES_A_SECOND,
+        )
+    except ChildError as error:
+        raise HyalineError(f"{where}: pymeshlab cannot reduce it ({error}); reduce it in a modeller") from None
+    vertices, corners = found["vertices"].astype(np.float32), found["faces"].astype(np.int32)
+    if len(corners) < 4 or not np.isfinite(vertices).all() or corners.min() < 0 or corners.max() >= len(vertices):
+        raise HyalineError(f"{where}: nothing is left of it with {target:,} triangles; pass more --max-triangles")
+    bare = Mesh(
+        vertices=vertices, faces=corners, normals=np.zeros_like(vertices), uv=np.zeros((len(vertices), 2), "f4")
+    )
+    what = f"reduced from {count:,} to {len(corners):,} triangles"
+    if not open_edges(mesh):
+        what += _compared(mesh, bare, what, where=where)
+    remarks.approximate(where, what)
+    return shaded_anew(bare, crease_deg=CREASE_DEG)
+
+
+def _compared(before: Mesh, after: Mesh, what: str, *, where: str) -> str:
+    """The volumes of a solid, in words.
+
+    Raises:
+        HyalineError: it is no longer closed, or has become another shape.
+    """
+    if count := open_edges(after):
+        raise HyalineError(f"{where}: {what}, and {count} edges are open then; pass more --max-triangles")
+    volumes = abs(signed_volume(before)), abs(signed_volume(after))
+    change = abs(volumes[1] - volumes[0]) / max(volumes[0], 1e-30)
+    told = f"; its volume was {1e6 * volumes[0]:.4g} cm^3, and is {1e6 * volumes[1]:.4g} cm^3"
+    if change > MAX_CHANGE:
+        raise HyalineError(
+            f"{where}: {what}{told}, {100 * change:.1f} % off; expected at most {100 * MAX_CHANGE:g} %, pass more "
+            "--max-triangles"
+        )
+    return told
+
+
+def _child(source: Path, target: Path) -> None:
+    """Reduces validated arrays in a process of its own, which pymeshlab ends on some inputs."""
+    import pymeshlab  # It fills its namespace when it is imported; pyright sees none of it.
+
+    with np.load(source) as arrays:
+        vertices, faces, count = (arrays[name] for name in ("vertices", "faces", "target"))
+    meshes = pymeshlab.MeshSet()  # pyright: ignore[reportAttributeAccessIssue]
+    mesh = pymeshlab.Mesh(vertex_matrix=vertices, face_matrix=faces)  # pyright: ignore[reportAttributeAccessIssue]
+    meshes.add_mesh(mesh)
+    meshes.meshing_decimation_quadric_edge_collapse(
+        targetfacenum=int(count), preservetopology=True, preservenormal=True
+    )
+    mesh = meshes.current_mesh()
+    np.savez(target, allow_pickle=False, vertices=mesh.vertex_matrix(), faces=mesh.face_matrix())
+
+
+if __name__ == "__main__":
+    _child(Path(sys.argv[1]), Path(sys.argv[2]))

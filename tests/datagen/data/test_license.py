@@ -100,6 +100,7 @@ def test_a_foreign_file_brings_its_licence(kind: str, tmp_path: Path) -> None:
 
 
 def test_a_3mf_file_brings_its_licence(tmp_path: Path) -> None:
+    pytest.importorskip("lxml")
     corners = "".join(f'<vertex x="{x}" y="{y}" z="{z}"/>' for x, y, z in ((0, 0, 0), (9, 0, 0), (0, 9, 0), (0, 0, 9)))
     faces = "".join(
         f'<triangle v1="{a}" v2="{b}" v3="{c}"/>' for a, b, c in ((0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3))

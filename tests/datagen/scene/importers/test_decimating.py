@@ -8,12 +8,12 @@ from support.gltf import GltfBuilder, clear, glass
 
 from datagen.data.meshes import open_edges, signed_volume, write_ply
 from datagen.disk.errors import HyalineError
-from datagen.scene.importers import decimating
+from datagen.scene.importers import surfaces
 from datagen.scene.importers.choices import ImportChoices
-from datagen.scene.importers.decimating import check_decimation, decimated
 from datagen.scene.importers.foreign import substance_of
 from datagen.scene.importers.importing import import_scene
 from datagen.scene.importers.remarks import Remarks
+from datagen.scene.importers.surfaces import check_decimation, decimated
 from datagen.scene.modelling import ball
 
 BALL = ball(0.1, subdivisions=4)
@@ -40,7 +40,7 @@ def test_a_surface_that_has_no_more_triangles_stays_as_it_is() -> None:
 def test_what_comes_out_open_or_of_another_size_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     def answer(scale: float, left_out: int) -> None:
         arrays = {"vertices": scale * BALL.vertices, "faces": BALL.faces[left_out:]}
-        monkeypatch.setattr(decimating, "arrays_from_child", lambda *_, **__: arrays)
+        monkeypatch.setattr(surfaces, "arrays_from_child", lambda *_, **__: arrays)
 
     answer(0.9, 0)
     with pytest.raises(HyalineError, match=r"ball: reduced .*cm\^3, 27.1 % off; expected at most 5 %"):

@@ -14,8 +14,8 @@ from datagen.data.meshes import Mesh, open_edges, signed_volume
 from datagen.data.windings import check_closed, check_solid
 from datagen.disk.errors import HyalineError
 from datagen.disk.reading import load_json
-from datagen.scene.importers import joining
-from datagen.scene.importers.joining import filled_volume, joined
+from datagen.scene.importers import overlaps
+from datagen.scene.importers.overlaps import filled_volume, joined
 from datagen.scene.importers.remarks import Remarks
 from datagen.scene.modelling import ball, merged, moved
 
@@ -96,7 +96,7 @@ def test_a_surface_that_crosses_itself_is_refused() -> None:
 
 
 def test_a_change_of_the_volume_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(joining, "filled_volume", lambda mesh: 1.07 * signed_volume(mesh) / 2)
+    monkeypatch.setattr(overlaps, "filled_volume", lambda mesh: 1.07 * signed_volume(mesh) / 2)
     pair = merged([BALL, moved(BALL, (0.05, 0.0, 0.0))])
     with pytest.raises(HyalineError, match=r"2 overlapping parts joined: .* % off; expected at most 5 %"):
         joined(pair, Remarks(), where="pair")

@@ -12,11 +12,10 @@ from support.gltf import GltfBuilder, clear, glass
 
 from datagen.disk.errors import HyalineError
 from datagen.scene.importers.choices import ImportChoices, Thin
-from datagen.scene.importers.coats import coat_of
 from datagen.scene.importers.foreign import ForeignMaterial
-from datagen.scene.importers.gltf import read_gltf
+from datagen.scene.importers.gltf.scene import read_gltf
 from datagen.scene.importers.importing import import_scene
-from datagen.scene.importers.mapping import MIN_ALPHA, Mapper
+from datagen.scene.importers.mapping import MIN_ALPHA, Mapper, coat_of
 from datagen.scene.importers.remarks import Remarks
 from datagen.scene.importers.surfaces import Shape
 from datagen.scene.materials import Conductor, Dielectric, Diffuse, Material, Plastic, RoughDielectric, ThinDielectric

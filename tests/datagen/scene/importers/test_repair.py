@@ -17,7 +17,7 @@ from datagen.scene.folder import load_scene
 from datagen.scene.importers.choices import ImportChoices
 from datagen.scene.importers.importing import import_scene
 from datagen.scene.importers.remarks import Remarks
-from datagen.scene.importers.repair import closed
+from datagen.scene.importers.surfaces import closed
 from datagen.scene.materials import Dielectric, ThinDielectric
 from datagen.scene.modelling import ball
 

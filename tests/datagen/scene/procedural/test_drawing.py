@@ -15,8 +15,8 @@ from datagen.data.meshes import Mesh
 from datagen.data.resolution import Resolution
 from datagen.data.surface_points import points_on
 from datagen.disk.errors import HyalineError
+from datagen.scene.finding import find_scene, is_made_by_code
 from datagen.scene.folder import load_scene, save_scene, scene_files
-from datagen.scene.importers.finding import find_scene, is_made_by_code
 from datagen.scene.modelling import moved
 from datagen.scene.procedural import drawing
 from datagen.scene.procedural.coverage import glass_shares

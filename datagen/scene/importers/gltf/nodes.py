@@ -15,8 +15,7 @@ from datagen.disk.errors import HyalineError
 from datagen.scene.camera_list import MAX_SKEW
 from datagen.scene.importers.fields import Fields
 from datagen.scene.importers.foreign import MAX_SURFACES, ForeignCamera, ForeignLamp, lens_of
-from datagen.scene.importers.gltf_arrays import GltfArrays
-from datagen.scene.importers.gltf_file import GltfFile
+from datagen.scene.importers.gltf.file import GltfArrays, GltfFile
 from datagen.scene.importers.remarks import Remarks
 
 LAMPS = "KHR_lights_punctual"

@@ -13,7 +13,7 @@ from support.gltf import GltfBuilder, clear, glass
 from support.soon import soon
 
 from datagen.disk.errors import HyalineError
-from datagen.scene.importers.gltf import read_gltf
+from datagen.scene.importers.gltf.scene import read_gltf
 from datagen.scene.importers.remarks import Remarks
 
 Change = Callable[[dict], object]

@@ -18,14 +18,13 @@ from datagen.scene.importers.foreign import (
     ForeignScene,
     elementwise,
 )
-from datagen.scene.importers.gltf_arrays import GltfArrays
-from datagen.scene.importers.gltf_draco import read_draco
-from datagen.scene.importers.gltf_file import GltfFile
-from datagen.scene.importers.gltf_materials import TextureUse, read_material
-from datagen.scene.importers.gltf_nodes import Instance, Standing, instances
+from datagen.scene.importers.gltf.file import GltfArrays, GltfFile, read_draco
+from datagen.scene.importers.gltf.materials import TextureUse, read_material
+from datagen.scene.importers.gltf.nodes import Instance, Standing, instances
 from datagen.scene.importers.remarks import Remarks
 
-TRIANGLES, STRIP, FAN = 4, 5, 6
+TRIANGLES, FAN = 4, 6
+"""Modes of a primitive; 5 is a strip."""
 XMP_RIGHTS = ("dc:rights", "xmpRights:UsageTerms", "xmpRights:WebStatement")
 XMP_PLACES = ((), ("@value",), ("@id",), ("rdf:_1",), ("rdf:_1", "@value"))
 """Where the text of an XMP property may be: plain, in a node, or in the first of several languages."""

@@ -22,7 +22,7 @@ from datagen.scene.environment_maps import look_up, read_map
 from datagen.scene.importers.choices import ImportChoices
 from datagen.scene.importers.foreign import ForeignMaterial, ForeignObject, ForeignScene
 from datagen.scene.importers.importing import import_scene
-from datagen.scene.importers.mitsuba_xml import read_mitsuba
+from datagen.scene.importers.mitsuba.scene import read_mitsuba
 from datagen.scene.importers.remarks import Remarks
 from datagen.scene.importers.surfaces import mesh_of
 from datagen.scene.materials import Conductor, Dielectric, Plastic, RoughDielectric

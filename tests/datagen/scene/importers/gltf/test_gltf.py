@@ -13,7 +13,7 @@ from datagen.data.meshes import signed_volume, welded
 from datagen.disk.errors import HyalineError
 from datagen.scene.folder import load_scene
 from datagen.scene.importers.foreign import ForeignObject, ForeignScene
-from datagen.scene.importers.gltf import read_gltf
+from datagen.scene.importers.gltf.scene import read_gltf
 from datagen.scene.importers.remarks import Remarks
 from datagen.scene.importers.surfaces import mesh_of
 

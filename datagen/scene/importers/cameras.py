@@ -1,23 +1,106 @@
-"""Cameras of a COLMAP reconstruction: cameras and images, as text or binary.
+"""Cameras of a foreign scene: those of COLMAP or of a transforms file beside the model, and their splits.
 
 Source: COLMAP's documentation of its output format, and the list of its camera models.
 """
 
 import math
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float
 
 from datagen.data.config import MAX_VIEWS
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import find_file
 from datagen.disk.records import shown
-from datagen.scene.camera_list import Intrinsics
+from datagen.scene.camera_list import DEFAULT_FOV_DEG, CameraList, Intrinsics, matrix_rows
 from datagen.scene.importers.foreign import ForeignCamera, read_foreign
 from datagen.scene.importers.remarks import Remarks
-from datagen.scene.importers.transforms import DISTORTED, NOT_SQUARE, TOLERANCE
+from datagen.scene.importers.transforms import DISTORTED, NOT_SQUARE, TOLERANCE, TransformsFile
+
+NAMES = ("transforms.json", "transforms_train.json")
+
+
+def read_camera_file(given: Path, remarks: Remarks) -> tuple[ForeignCamera, ...]:
+    """The cameras in a folder or a file, in the axes and units of the model beside which they stand.
+
+    Raises:
+        HyalineError: there are none that can be read.
+    """
+    if given.is_dir() and has_colmap(given):
+        return read_colmap(given, remarks)
+    if given.is_dir():
+        found = next((given / name for name in NAMES if (given / name).is_file()), None)
+        if found is None:
+            raise HyalineError(
+                f"{given}: holds no cameras; expected {' or '.join(NAMES)}, or cameras.bin and images.bin of COLMAP"
+            )
+        given = found
+    if given.suffix.lower() != ".json" or not given.is_file():
+        raise HyalineError(
+            f"--cameras {given}: is no such file; expected around, file, a transforms.json, or a folder of COLMAP's"
+        )
+    file = TransformsFile(given.parent, given.name)
+    cameras = []
+    for frame in file.frames:
+        angle, lens, left_out = file.angle(frame)
+        for line in left_out:
+            remarks.approximate("cameras", line)
+        cameras.append(ForeignCamera(world_from_camera=file.pose(frame), fov_deg=math.degrees(angle), intrinsics=lens))
+    return tuple(cameras)
+
+
+def listed_cameras(
+    cameras: Sequence[ForeignCamera], linear: Float[np.ndarray, "3 3"], offset: Float[np.ndarray, "3"], remarks: Remarks
+) -> CameraList:
+    """Cameras of a file in our world: the outermost for extrapolation, every eighth other one for interpolation.
+
+    Of fewer than three, each split has all.
+
+    Raises:
+        HyalineError: the file has none.
+    """
+    if not cameras:
+        raise HyalineError("--cameras file: the file brings no cameras; leave it out")
+    fov_deg, intrinsics = cameras[0].fov_deg, cameras[0].intrinsics
+    if any(abs(camera.fov_deg - fov_deg) > 1e-3 or camera.intrinsics != intrinsics for camera in cameras):
+        remarks.approximate(
+            "cameras", f"have several lenses; all of them get the first one's, which sees {fov_deg:.3g} degrees"
+        )
+    if intrinsics is not None:
+        fov_deg = DEFAULT_FOV_DEG
+    rotation = linear / abs(np.linalg.det(linear)) ** (1 / 3)
+    matrices = []
+    for camera in cameras:
+        matrix = np.eye(4)
+        matrix[:3, :3] = rotation @ camera.world_from_camera[:3, :3]
+        matrix[:3, 3] = linear @ camera.world_from_camera[:3, 3] + offset
+        matrices.append(matrix)
+    listed = [matrix_rows(matrix) for matrix in matrices]
+    if len(listed) < 3:
+        return CameraList(
+            train=tuple(listed),
+            interpolating=tuple(listed),
+            extrapolating=tuple(listed),
+            fov_deg=fov_deg,
+            intrinsics=intrinsics,
+        )
+    places = np.array([matrix[:3, 3] for matrix in matrices])
+    outermost = int(np.linalg.norm(places - places.mean(axis=0), axis=-1).argmax())
+    others = [rows for index, rows in enumerate(listed) if index != outermost]
+    return CameraList(
+        train=tuple(rows for index, rows in enumerate(others) if index % 8),
+        interpolating=tuple(others[::8]),
+        extrapolating=(listed[outermost],),
+        fov_deg=fov_deg,
+        intrinsics=intrinsics,
+    )
+
+
+# COLMAP
 
 
 @dataclass(frozen=True, kw_only=True)

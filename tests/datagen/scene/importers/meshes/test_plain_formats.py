@@ -1,9 +1,7 @@
-"""Tests that OBJ with MTL, STL, PLY and 3MF files are read, and that broken ones are refused in one line."""
+"""Tests that OBJ with MTL, STL and PLY files are read, and that broken ones are refused in one line."""
 
-import io
 import math
 import struct
-import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -168,37 +166,6 @@ def test_a_ply_is_read_with_its_uv(tmp_path: Path) -> None:
     assert item.uv is not None
 
 
-def model_3mf(model: str, name: str = "3D/3dmodel.model") -> bytes:
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w") as archive:
-        archive.writestr(name, model)
-    return buffer.getvalue()
-
-
-VERTICES = "".join(f'<vertex x="{x}" y="{y}" z="{z}"/>' for x, y, z in ((0, 0, 0), (9, 0, 0), (0, 9, 0), (0, 0, 9)))
-TRIANGLES = "".join(
-    f'<triangle v1="{a}" v2="{b}" v3="{c}"/>' for a, b, c in ((0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2))
-)
-MODEL = f"""<?xml version="1.0"?>
-<model unit="centimeter" xmlns="http://schemas.microsoft.com/3dmanufacturing/core/2015/02">
-<resources><basematerials id="5"><base name="red" displaycolor="#FF000080"/></basematerials>
-<object id="1" name="part" pid="5" pindex="0"><mesh>
-<vertices>{VERTICES}</vertices><triangles>{TRIANGLES}</triangles></mesh>
-</object><object id="2"><components><component objectid="1"/>
-<component objectid="1" transform="-1 0 0 0 1 0 0 0 1 20 0 0"/></components></object></resources>
-<build><item objectid="2" transform="2 0 0 0 2 0 0 0 2 0 0 5"/></build></model>"""
-
-
-def test_a_3mf_places_components_and_keeps_unit_and_colour(tmp_path: Path) -> None:
-    scene = read(tmp_path / "job.3mf", model_3mf(MODEL))
-    assert (scene.metres, scene.up, [item.name for item in scene.objects]) == (0.01, "z", ["part", "part"])
-    for item, corner in zip(scene.objects, ([0, 0, 5], [40, 0, 5]), strict=True):
-        np.testing.assert_allclose(item.positions[0], corner)
-        assert solid_volume(item) == pytest.approx(8 * 9**3 / 6)
-        assert isinstance(item.material, ForeignMaterial)
-        assert item.material.base_color == (1, 0, 0) and item.material.alpha == pytest.approx(128 / 255)
-
-
 # Broken files
 
 
@@ -211,13 +178,7 @@ FACE = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"
 MTL = f"mtllib m.mtl\nusemtl m\n{FACE}f 1 2 3\n"
 PLY = b"ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
 LIST = b"property list uchar int vertex_indices\nend_header\n"
-BOMB = '<!DOCTYPE m [<!ENTITY a "' + "x" * 999 + '">]><model>&a;</model>'
 Bytes = bytes | str | Callable[[], bytes]
-
-
-def changed_3mf(before: str, after: str) -> bytes:
-    assert before in MODEL
-    return model_3mf(MODEL.replace(before, after))
 
 
 BROKEN: dict[str, tuple[str, Bytes]] = {
@@ -273,22 +234,6 @@ BROKEN: dict[str, tuple[str, Bytes]] = {
     "strips of many vertices": ("a.ply", lambda: strips_ply("<").replace(b"vertex 6", b"vertex 999999999")),
     "strips of unknown numbers": ("a.ply", lambda: strips_ply("<").replace(b"float x", b"quark x")),
     "strips of words": ("a.ply", lambda: strips_ply("").replace(b" -1", b" no")),
-    "empty 3mf": ("a.3mf", b""),
-    "3mf of no archive": ("a.3mf", b"PK\3\4 and then nothing"),
-    "3mf without a model": ("a.3mf", lambda: model_3mf(MODEL, "thumbnail.png")),
-    "3mf that is cut off": ("a.3mf", lambda: model_3mf(MODEL)[:-40]),
-    "3mf of half an XML": ("a.3mf", lambda: model_3mf(MODEL[:-30])),
-    "3mf with a document type": ("a.3mf", lambda: model_3mf(BOMB)),
-    "3mf that builds nothing": ("a.3mf", changed_3mf("<item", "<nothing")),
-    "3mf of an object in itself": ("a.3mf", changed_3mf('t objectid="1"/', 't objectid="2"/')),
-    "3mf of an object that is not there": ("a.3mf", changed_3mf('m objectid="2"', 'm objectid="7"')),
-    "3mf of eleven numbers": ("a.3mf", changed_3mf("2 0 0 0 2 0 0 0 2 0 0 5", "2 0 0 0 2 0 0 0 2 0 0")),
-    "3mf that is flat": ("a.3mf", changed_3mf("2 0 0 0 2 0 0 0 2 0 0 5", "2 0 0 0 2 0 0 0 0 0 0 5")),
-    "3mf beyond its vertices": ("a.3mf", changed_3mf('v1="0"', 'v1="4"')),
-    "3mf of a vertex below 0": ("a.3mf", changed_3mf('v1="0"', 'v1="-1"')),
-    "3mf of a word for x": ("a.3mf", changed_3mf('x="9"', 'x="nine"')),
-    "3mf of a colour that is none": ("a.3mf", changed_3mf("#FF000080", "#red")),
-    "3mf of several parts": ("a.3mf", changed_3mf("<item ", '<item p:path="/3D/b.model" xmlns:p="p" ')),
 }
 
 LIBRARIES = {
@@ -321,7 +266,6 @@ def test_no_byte_that_is_changed_makes_a_reader_fail_otherwise(tmp_path: Path) -
         "b.stl": BALL.export(file_type="stl_ascii"),
         "a.ply": strips_ply("<"),
         "b.ply": strips_ply(""),
-        "a.3mf": model_3mf(MODEL),
     }
     random = np.random.default_rng(0)
     for name, data in seeds.items():

@@ -10,7 +10,7 @@ from datagen.data.tonemap import srgb_from_linear, to_8bit
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import shown
 from datagen.scene.importers.foreign import ForeignImage, ForeignMaterial, read_foreign
-from datagen.scene.importers.mitsuba_nodes import Node
+from datagen.scene.importers.mitsuba.nodes import Node
 from datagen.scene.importers.remarks import Remarks
 from datagen.scene.values import Color
 

@@ -12,9 +12,8 @@ from jaxtyping import Float
 
 from datagen.disk.errors import HyalineError
 from datagen.scene.importers.fields import Fields
-from datagen.scene.importers.foreign import Factor, FactorImage, ForeignImage, ForeignMaterial, substance_of
-from datagen.scene.importers.gltf_file import GltfFile
-from datagen.scene.importers.obj import PLAIN
+from datagen.scene.importers.foreign import PLAIN, Factor, FactorImage, ForeignImage, ForeignMaterial, substance_of
+from datagen.scene.importers.gltf.file import GltfFile
 from datagen.scene.importers.remarks import Remarks
 from datagen.scene.substances import SUBSTANCES
 

@@ -1,0 +1,320 @@
+"""Wavefront OBJ files with their MTL files: one surface for each object (or group) and material.
+
+Source: the OBJ and MTL specifications of 1995, and MTL's physically based extension of 2013.
+"""
+
+import math
+from dataclasses import dataclass, field
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from datagen.disk.errors import HyalineError
+from datagen.disk.names import find_file
+from datagen.disk.records import shown
+from datagen.scene.importers.foreign import (
+    MAX_SURFACES,
+    MAX_TRIANGLES,
+    PLAIN,
+    Factor,
+    FactorImage,
+    ForeignImage,
+    ForeignMaterial,
+    ForeignObject,
+    ForeignScene,
+    read_foreign,
+)
+from datagen.scene.importers.remarks import Remarks
+from datagen.scene.values import Color
+
+MAX_BYTES = 1 << 28
+WIDTHS = {"v": 3, "vt": 2, "vn": 3}
+"""Numbers of a position, of uv and of a normal; a corner names them in this order."""
+MAX_MTL_BYTES = 1 << 24
+MAX_CORNERS = 10_000
+"""Of one polygon."""
+PBR_KEYS = ("pr", "pm", "ps", "pc")
+"""Of the physically based extension. Where Blender writes them, it writes the weight of transmission as Tf."""
+GLASS_MODELS = (4, 6, 7, 9)
+"""Illumination models whose transparency is glass, by their names in the specification."""
+MAX_OPAQUE = 0.9
+"""Dissolve from which on a surface is opaque."""
+USUAL_IOR = 1.5
+OPTION_VALUES = {
+    "-blendu": 1,
+    "-blendv": 1,
+    "-boost": 1,
+    "-mm": 2,
+    "-o": 3,
+    "-s": 3,
+    "-t": 3,
+    "-texres": 1,
+    "-clamp": 1,
+    "-bm": 1,
+    "-imfchan": 1,
+    "-cc": 1,
+}
+"""How many words follow each option of an image."""
+IGNORED = {
+    "map_bump": "a bump map",
+    "bump": "a bump map",
+    "norm": "a normal map",
+    "disp": "a displacement map",
+    "map_ks": "a map of highlights",
+    "map_ke": "a map of glow",
+}
+FACTOR_MAPS: dict[str, Factor] = {"map_pm": "metallic", "map_pr": "roughness"}
+Entry = dict[str, list[str]]
+"""The words of a material of an MTL by their key."""
+Corner = tuple[int, int, int]
+"""Places of position, uv and normal in an OBJ; -1 for none."""
+
+
+@dataclass
+class _Text:
+    """What was read of a file so far."""
+
+    numbers: dict[str, list[tuple[float, ...]]] = field(default_factory=lambda: {key: [] for key in WIDTHS})
+    """Positions, uv and normals."""
+    names: dict[str, str] = field(default_factory=lambda: {"o": "", "g": "", "usemtl": ""})
+    """Of the object, group and material to which the next faces belong."""
+    faces: dict[tuple[str, str], list[tuple[Corner, Corner, Corner]]] = field(default_factory=dict)
+    """Triangles by the names of their object and of their material."""
+    materials: dict[str, ForeignMaterial] = field(default_factory=dict)
+    num_faces: int = 0
+
+
+def read_obj(path: Path, remarks: Remarks, *, has_materials: bool = True) -> ForeignScene:
+    """The surfaces of an OBJ file, with the materials of the MTL files that it names.
+
+    Raises:
+        HyalineError: it is no such file, or names vertices that are not there.
+    """
+    text = _Text()
+    data = read_foreign(path, at_most=MAX_BYTES)
+    for number, line in enumerate(lines_of(data, where=str(path)), start=1):
+        words = line.split()
+        if not words or words[0].startswith("#"):
+            continue
+        key, rest, where = words[0], words[1:], f"{path}: line {number}"
+        if key in WIDTHS:
+            # The v of a texture may be left out.
+            words = [*rest[:2], "0"] if key == "vt" else rest
+            text.numbers[key].append(floats(words, WIDTHS[key], where=where))
+        elif key == "f":
+            _add_face(text, rest, where=where)
+        elif key in text.names:
+            text.names[key] = " ".join(rest)
+        elif key == "mtllib" and has_materials:
+            _add_materials(text, path, file_named(rest), remarks, where=where)
+        elif key in ("l", "p", "curv", "surf"):
+            remarks.approximate(path.name, "has points, lines or curves, which are left out")
+    if not text.faces:
+        raise HyalineError(f"{path}: holds no faces; expected an OBJ file with a mesh")
+    return ForeignScene(objects=tuple(_objects(text, path, remarks)), up="y")
+
+
+def _add_materials(text: _Text, path: Path, name: str, remarks: Remarks, *, where: str) -> None:
+    found = find_file(path.parent, name, where=where)
+    if not found.exists():
+        remarks.approximate(path.name, f"names {shown(name)}, which is not there; drawn without its materials")
+        return
+    text.materials |= read_mtl(found, remarks)
+
+
+def _add_face(text: _Text, words: list[str], *, where: str) -> None:
+    """A polygon as triangles around its first corner."""
+    place = text.names["o"] or text.names["g"], text.names["usemtl"]
+    if not 3 <= len(words) <= MAX_CORNERS:
+        raise HyalineError(f"{where}: is a face of {len(words)} corners; expected 3 to {MAX_CORNERS}")
+    corners = [_corner(text, word, where=where) for word in words]
+    if place not in text.faces and len(text.faces) >= MAX_SURFACES:
+        raise HyalineError(f"{where}: begins surface {MAX_SURFACES + 1:,}; expected at most {MAX_SURFACES:,}")
+    text.num_faces += len(corners) - 2
+    if text.num_faces > MAX_TRIANGLES:
+        raise HyalineError(f"{where}: is triangle {text.num_faces:,}; expected at most {MAX_TRIANGLES:,}")
+    triangles = pairwise(corners[1:])
+    text.faces.setdefault(place, []).extend((corners[0], second, third) for second, third in triangles)
+
+
+def _corner(text: _Text, word: str, *, where: str) -> Corner:
+    parts = word.split("/")
+    if len(parts) > 3 or not parts[0]:
+        raise HyalineError(f"{where}: has the corner {shown(word)}; expected v, v/vt, v//vn or v/vt/vn")
+    parts += [""] * (3 - len(parts))
+    place, uv, normal = (
+        _index(part, len(listed), where=where) for part, listed in zip(parts, text.numbers.values(), strict=True)
+    )
+    return place, uv, normal
+
+
+def _index(word: str, count: int, *, where: str) -> int:
+    """A place counted from 0; in the file they count from 1, or backwards from the last."""
+    if not word:
+        return -1
+    try:
+        index = int(word) if len(word) < 12 else 0
+    except ValueError:
+        index = 0
+    if index == 0 or not -count <= index <= count:
+        raise HyalineError(f"{where}: names {shown(word)} of {count}; expected 1 to {count}, or -{count} to -1")
+    return index - 1 if index > 0 else count + index
+
+
+def _objects(text: _Text, path: Path, remarks: Remarks) -> list[ForeignObject]:
+    objects = []
+    arrays = [np.array(listed, np.float64) for listed in text.numbers.values()]
+    for (name, material), faces in text.faces.items():
+        if material and material not in text.materials:
+            remarks.approximate(path.name, f"names the material {shown(material)}, which is not there; drawn grey")
+        corners = np.array(faces, np.int64).reshape(-1, 3)
+        used, index = np.unique(corners, axis=0, return_inverse=True)
+        has_uv, has_normals = (used[:, 1] >= 0).all(), (used[:, 2] >= 0).all()
+        objects.append(
+            ForeignObject(
+                name=name or material or path.stem,
+                positions=arrays[0][used[:, 0]],
+                faces=index.reshape(-1, 3),
+                normals=arrays[2][used[:, 2]] if has_normals else None,
+                uv=arrays[1][used[:, 1]] if has_uv else None,
+                material=text.materials.get(material, PLAIN),
+            )
+        )
+    return objects
+
+
+def read_mtl(path: Path, remarks: Remarks) -> dict[str, ForeignMaterial]:
+    """The materials of a file by name.
+
+    Raises:
+        HyalineError: a number is none, or an image leads out of the folder.
+    """
+    entries: dict[str, Entry] = {}
+    entry: Entry = {}
+    for line in lines_of(read_foreign(path, at_most=MAX_MTL_BYTES), where=str(path)):
+        words = line.split()
+        if not words or words[0].startswith("#"):
+            continue
+        if words[0] == "newmtl":
+            entry = entries.setdefault(" ".join(words[1:]), {})
+        else:
+            entry[words[0].lower()] = words[1:]
+    return {name: _material(name, entry, path, remarks) for name, entry in entries.items()}
+
+
+def _material(name: str, entry: Entry, path: Path, remarks: Remarks) -> ForeignMaterial:
+    where = f"{path}: material {name}"
+
+    def number(key: str, default: float) -> float:
+        return floats(entry[key], 1, where=f"{where}: {key}")[0] if key in entry else default
+
+    for key, what in IGNORED.items():
+        if key in entry:
+            remarks.approximate(name, f"has {what}, which is left out")
+    if "ke" in entry and max(_color(entry, "ke", (0, 0, 0), where=where)) > 0:
+        remarks.approximate(name, "glows, which is left out")
+    dissolve = number("d", 1.0 - number("tr", 0.0))
+    model = number("illum", 2.0)
+    filtered = _color(entry, "tf", (1.0, 1.0, 1.0), where=where)
+    is_blenders = "tf" in entry and len(set(filtered)) == 1 and any(key in entry for key in PBR_KEYS)
+    transmission = 1.0 if model in GLASS_MODELS or dissolve < MAX_OPAQUE else 0.0
+    if is_blenders and transmission == 0:
+        transmission = max(filtered)
+    elif "tf" in entry and transmission == 0:
+        remarks.note(name, "has a transmission filter (Tf), and is opaque by d and illum; --material makes it glass")
+    is_glass = transmission >= 0.5
+    ior = number("ni", USUAL_IOR)
+    if is_glass and not 1.001 < ior < 10:
+        remarks.approximate(name, f"is glass with an index of refraction of {ior:g}; drawn with {USUAL_IOR:g}")
+    # Phong's exponent as a microfacet alpha, whose square root is the roughness.
+    glossy = math.sqrt(math.sqrt(2 / (max(number("ns", 0.0), 0.0) + 2)))
+    highlight = max(_color(entry, "ks", (1.0, 1.0, 1.0), where=where)) if number("ns", 0.0) > 0 and model > 1 else 0.0
+    is_matt = not is_glass and highlight == 0 and not any(key in entry for key in PBR_KEYS)
+    base_color = filtered if is_glass and not is_blenders else _color(entry, "kd", (0.7, 0.7, 0.7), where=where)
+    opacity = None if is_glass else _image(name, entry, path, remarks, key="map_d")
+    factor_images = tuple(
+        FactorImage(factor=factor, image=image, channel=0)
+        for key, factor in FACTOR_MAPS.items()
+        if (image := _image(name, entry, path, remarks, key=key)) is not None
+    )
+    # An image stands in place of its number.
+    numbers: dict[Factor, float] = {
+        "metallic": number("pm", 0.0),
+        "roughness": number("pr", 0.0 if is_glass else glossy),
+        **{use.factor: 1.0 for use in factor_images},
+    }
+    return ForeignMaterial(
+        name=name,
+        base_color=base_color,
+        image=None if is_glass and not is_blenders else _image(name, entry, path, remarks, key="map_kd"),
+        alpha_mode="opaque" if opacity is None else "blend",
+        opacity=opacity,
+        metallic=min(max(numbers["metallic"], 0.0), 1.0),
+        roughness=1.0 if is_matt else min(max(numbers["roughness"], 0.0), 1.0),
+        transmission=transmission,
+        factor_images=factor_images,
+        ior=1.0 if is_matt else ior if 1.001 < ior < 10 else USUAL_IOR,
+    )
+
+
+def _color(entry: Entry, key: str, default: tuple[float, float, float], *, where: str) -> Color:
+    if key not in entry:
+        return default
+    if entry[key][:1] in (["spectral"], ["xyz"]):
+        raise HyalineError(f"{where}: {key} is {entry[key][0]}; expected three numbers, export it with RGB colours")
+    words = entry[key] if len(entry[key]) > 1 else entry[key] * 3
+    red, green, blue = (min(max(value, 0.0), 1.0) for value in floats(words, 3, where=f"{where}: {key}"))
+    return red, green, blue
+
+
+def file_named(words: list[str]) -> str:
+    """The path that the words of a line name: with or without quotes around it, with either kind of slash."""
+    name = " ".join(words)
+    if len(name) > 1 and name[0] == name[-1] == '"':
+        name = name[1:-1]
+    return name.replace("\\", "/").removeprefix("./")
+
+
+def _image(name: str, entry: Entry, path: Path, remarks: Remarks, *, key: str) -> ForeignImage | None:
+    words = list(entry.get(key, []))
+    if not words:
+        return None
+    while words and words[0] in OPTION_VALUES:
+        remarks.approximate(name, f"has an image with the option {words[0]}, which is left out")
+        words = words[1 + OPTION_VALUES[words[0]] :]
+    found = find_file(path.parent, file_named(words), where=f"{path}: material {name}")
+    if not found.exists():
+        remarks.approximate(name, f"has an image that is not there ({found.name}); drawn without it")
+        return None
+    return ForeignImage(name=name, data=read_foreign(found))
+
+
+def floats(words: list[str], count: int, *, where: str) -> tuple[float, ...]:
+    """The first `count` words as finite numbers.
+
+    Raises:
+        HyalineError: there are fewer, or one is no finite number.
+    """
+    try:
+        values = tuple(map(float, words[:count]))
+    except ValueError:
+        values = ()
+    if len(values) < count or not all(map(math.isfinite, values)):
+        raise HyalineError(f"{where}: is {shown(' '.join(words))}; expected {count} finite numbers")
+    return values
+
+
+def lines_of(data: bytes, *, where: str) -> list[str]:
+    """The lines of a text in UTF-8 or Latin-1; those that end in a backslash go on in the next.
+
+    Raises:
+        HyalineError: it holds bytes that no text has.
+    """
+    if b"\0" in data:
+        raise HyalineError(f"{where}: holds zero bytes; expected text")
+    try:
+        text = data.decode()
+    except UnicodeDecodeError:
+        text = data.decode("latin-1")
+    return text.replace("\\\r\n", " ").replace("\\\n", " ").splitlines()
