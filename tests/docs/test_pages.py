@@ -2,12 +2,16 @@
 
 import json
 import re
+import sys
+import tomllib
 from pathlib import Path
 
 import pytest
 import trimesh
+from support.commands import call
 
 from datagen.scene.folder import load_scene
+from model.methods import table
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
@@ -41,3 +45,25 @@ def test_the_example_of_a_scene_is_a_scene(tmp_path: Path) -> None:
     scene = load_scene(tmp_path)
     assert [item.name for item in scene.objects] == ["floor", "vase"]
     assert scene.objects[1].material.is_glass
+
+
+def test_the_complete_method_passes_the_checks_that_its_page_lists(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    page = (ROOT / "docs" / "adding-a-method.md").read_text()
+    source, entry = (re.search(rf"```{kind}\n(.*?)```", page, flags=re.DOTALL) for kind in ("python", "toml"))
+    assert source is not None and entry is not None
+    (tmp_path / "alpha_blend.py").write_text(source[1])
+    monkeypatch.syspath_prepend(tmp_path)
+    ((name, record),) = tomllib.loads(entry[1])["project"]["entry-points"]["hyaline.methods"].items()
+    monkeypatch.setitem(table.BUILT_IN, name, record)
+    table.list_methods.cache_clear()
+    answer = call(f"model check-method {name}")
+    for known in (table.list_methods, table.find_method):
+        known.cache_clear()
+    sys.modules.pop("alpha_blend", None)
+    lines = answer.out.splitlines()
+    listed = re.findall(r"^\| ([^|]+) \|", page.partition("## The check")[2], flags=re.MULTILINE)[1:]
+    assert answer.status == 0, answer.out + answer.err
+    assert [re.sub(r"^(ok|skip) +|: .*", "", line) for line in lines] == listed
+    assert [line.split()[0] for line in lines[:8]] == ["ok"] * 8
