@@ -2,9 +2,12 @@
 
 import json
 import re
+import subprocess
 import sys
 import tomllib
+from html.parser import HTMLParser
 from pathlib import Path
+from urllib.parse import unquote
 
 import pytest
 import trimesh
@@ -17,19 +20,66 @@ ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
 
 
+def prose_of(page: Path) -> str:
+    return re.sub(r"```.*?```", "", page.read_text(), flags=re.DOTALL)
+
+
+def anchors_of(page: Path) -> set[str]:
+    """What the headings of a page are called in addresses, on GitHub and on the site."""
+    headings = re.findall(r"^#+ (.+)$", prose_of(page), flags=re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
-def test_every_link_within_the_repository_leads_to_a_file(page: Path) -> None:
-    prose = re.sub(r"```.*?```", "", page.read_text(), flags=re.DOTALL)
-    links = re.findall(r"\]\(([^)#\s]+)(?:#[^)]*)?\)", prose)
-    missing = [link for link in links if "://" not in link and not (page.parent / link).exists()]
+def test_every_link_within_the_repository_leads_to_a_file_or_heading(page: Path) -> None:
+    links = re.findall(r"\]\(([^)\s]+)\)", prose_of(page))
+    missing = []
+    for link in (link for link in links if "://" not in link):
+        name, _, anchor = link.partition("#")
+        target = page.parent / name if name else page
+        if not target.exists() or (anchor and anchor not in anchors_of(target)):
+            missing.append(link)
     assert not missing
 
 
 def test_the_site_lists_every_page() -> None:
     listed = re.findall(r"[\w/-]+\.md", (ROOT / "mkdocs.yml").read_text())
-    assert sorted(listed) == sorted(
-        path.relative_to(ROOT / "docs").as_posix() for path in (ROOT / "docs").rglob("*.md")
-    )
+    pages = [path.relative_to(ROOT / "docs").as_posix() for path in (ROOT / "docs").rglob("*.md")]
+    assert sorted(listed) == sorted(["RESULTS.md", *pages])
+
+
+class Links(HTMLParser):
+    """What a page of the site refers to, and the places in it that others may refer to."""
+
+    def __init__(self, page: Path) -> None:
+        super().__init__()
+        self.followed: list[str] = []
+        self.loaded: list[str] = []
+        self.ids: set[str] = set()
+        self.feed(page.read_text())
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        values = {name: value or "" for name, value in attrs}
+        self.ids.add(values.get("id", ""))
+        self.followed += [values["href"]] if tag == "a" and "href" in values else []
+        self.loaded += [values[name] for name in ("src", "href") if name in values and tag != "a"]
+
+
+def test_the_site_has_no_broken_link_and_loads_nothing_from_elsewhere(tmp_path: Path) -> None:
+    pytest.importorskip("mkdocs", reason='mkdocs: not installed; `pip install -e ".[docs]"` brings it')
+    command = [sys.executable, "-W", "ignore", "-m", "mkdocs", "build", "--quiet", "--site-dir", str(tmp_path)]
+    subprocess.run(command, cwd=ROOT, check=True)
+    pages = {page: Links(page) for page in tmp_path.rglob("*.html") if page.name != "404.html"}
+    assert len(pages) == len(list((ROOT / "docs").rglob("*.md"))) + 1
+    broken = []
+    for page, links in pages.items():
+        for link in [*links.loaded, *(link for link in links.followed if not link.startswith("https://"))]:
+            name, _, anchor = unquote(link).partition("#")
+            target = (page.parent / name).resolve() if name else page
+            if not target.is_file() or (anchor and anchor not in pages[target].ids):
+                broken.append(f"{page.name}: {link}")
+    assert not broken
+    assert (tmp_path / "search" / "search_index.js").read_text().startswith("const searchIndex = {")
 
 
 def test_the_example_of_a_scene_is_a_scene(tmp_path: Path) -> None:
