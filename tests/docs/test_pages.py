@@ -11,8 +11,10 @@ from urllib.parse import unquote
 
 import pytest
 import trimesh
+from support.browser import require_browser
 from support.commands import call
 
+from benchmarks.pages.browser import running_browser, watched_page
 from datagen.scene.folder import load_scene
 from model.methods import table
 
@@ -65,11 +67,17 @@ class Links(HTMLParser):
         self.loaded += [values[name] for name in ("src", "href") if name in values and tag != "a"]
 
 
-def test_the_site_has_no_broken_link_and_loads_nothing_from_elsewhere(tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     pytest.importorskip("mkdocs", reason='mkdocs: not installed; `pip install -e ".[docs]"` brings it')
-    command = [sys.executable, "-W", "ignore", "-m", "mkdocs", "build", "--quiet", "--site-dir", str(tmp_path)]
+    folder = tmp_path_factory.mktemp("site")
+    command = [sys.executable, "-W", "ignore", "-m", "mkdocs", "build", "--quiet", "--site-dir", str(folder)]
     subprocess.run(command, cwd=ROOT, check=True)
-    pages = {page: Links(page) for page in tmp_path.rglob("*.html") if page.name != "404.html"}
+    return folder
+
+
+def test_the_site_has_no_broken_link_and_loads_nothing_from_elsewhere(site: Path) -> None:
+    pages = {page: Links(page) for page in site.rglob("*.html") if page.name != "404.html"}
     assert len(pages) == len(list((ROOT / "docs").rglob("*.md"))) + 1
     broken = []
     for page, links in pages.items():
@@ -79,7 +87,19 @@ def test_the_site_has_no_broken_link_and_loads_nothing_from_elsewhere(tmp_path: 
             if not target.is_file() or (anchor and anchor not in pages[target].ids):
                 broken.append(f"{page.name}: {link}")
     assert not broken
-    assert (tmp_path / "search" / "search_index.js").read_text().startswith("const searchIndex = {")
+
+
+def test_the_site_is_dark_where_asked_and_searched_from_disk_without_a_request(site: Path) -> None:
+    require_browser()
+    with running_browser() as browser, watched_page(browser, width=390, dark=True) as watched:
+        watched.page.goto((site / "notes" / "speed.html").as_uri())
+        watched.page.wait_for_function("searchWorker.index")
+        watched.page.evaluate("document.getElementById('mkdocs-search-query').value = 'refractive flow'; doSearch()")
+        first = watched.page.locator("#mkdocs-search-results a").first
+        assert str(first.get_attribute("href")).endswith("datasets.html#quantities-of-a-view")
+        assert watched.page.evaluate("document.documentElement.dataset.bsTheme") == "dark"
+        assert watched.page.evaluate("document.documentElement.scrollWidth") == 390
+    assert not watched.complaints and all(address.startswith("file:") for address in watched.requests)
 
 
 def test_the_example_of_a_scene_is_a_scene(tmp_path: Path) -> None:
