@@ -4,15 +4,20 @@ import json
 import re
 import subprocess
 import sys
+import textwrap
 import tomllib
 from html.parser import HTMLParser
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 from urllib.parse import unquote
 
+import numpy as np
 import pytest
 import trimesh
 from support.browser import require_browser
-from support.commands import call
+from support.commands import call, run
+from support.synthetic import write_synthetic_dataset
 
 from benchmarks.pages.browser import running_browser, watched_page
 from datagen.scene.folder import load_scene
@@ -115,6 +120,58 @@ def test_the_example_of_a_scene_is_a_scene(tmp_path: Path) -> None:
     scene = load_scene(tmp_path)
     assert [item.name for item in scene.objects] == ["floor", "vase"]
     assert scene.objects[1].material.is_glass
+
+
+@pytest.fixture
+def demo(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A small dataset and a short run by the names that the pages use, below the working folder."""
+    write_synthetic_dataset(tmp_path / "data" / "glass_table")
+    monkeypatch.chdir(tmp_path)
+    small = "--steps 2 --batch 64 --texture-size 16 --width 32"
+    run(f"model train paper --dataset glass_table --out runs/glass_table/light-path {small}")
+
+
+def python_of(page: str) -> str:
+    """All code of a page in Python, also where it is part of a list."""
+    blocks = re.findall(r"^ *```python\n(.*?)```", (ROOT / page).read_text(), flags=re.DOTALL | re.MULTILINE)
+    return "\n".join(map(textwrap.dedent, blocks))
+
+
+@pytest.mark.usefixtures("demo")
+@pytest.mark.parametrize("page", ["README.md", "docs/python.md", "docs/datasets.md"])
+def test_the_python_of_a_page_runs_from_top_to_bottom(page: str) -> None:
+    source = python_of(page)
+    for usual, small in {
+        "width=320, height=180": "width=32, height=18",
+        "=24": "=2",
+        "=48": "=2",
+        ", 3)": ", 0)",
+    }.items():
+        source = source.replace(usual, small)
+    names: dict[str, Any] = {"my_method": lambda camera: np.zeros((camera.height, camera.width, 3), np.uint8)}
+    with np.errstate(all="ignore"):  # The dataset's glass has no thickness, by which one page divides.
+        exec(compile(source, page, "exec"), names)
+    assert names["view"].image.shape == (32, 32, 3)
+
+
+def test_the_material_of_its_page_is_one() -> None:
+    names: dict[str, Any] = {}
+    exec(python_of("docs/adding-a-material.md").partition("from datagen.scene.materials.air_gap")[0], names)
+    material = names["AirGap"]()
+    assert material.is_glass and material.surface().ior == 1
+    assert material.bsdf(lambda reflectance: {}) == {"type": "null"}
+
+
+def test_the_proxy_of_its_page_encloses_the_object_with_its_padding() -> None:
+    names: dict[str, Any] = {}
+    exec(python_of("docs/adding-a-proxy-kind.md"), names)
+    box = trimesh.creation.box((0.1, 0.2, 0.6))
+    solid = SimpleNamespace(hull_points=np.array(box.vertices))
+    ball = names["fit_ball"](solid, padding=0.01)
+    mesh = trimesh.Trimesh(ball.vertices, ball.faces)
+    assert mesh.is_watertight and mesh.volume > 0
+    ahead = np.einsum("fvi,fi->fv", mesh.triangles_center[:, None] - box.vertices, mesh.face_normals)
+    assert 0.01 - 1e-6 <= ahead.min() < 0.02
 
 
 def test_the_complete_method_passes_the_checks_that_its_page_lists(
