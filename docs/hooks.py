@@ -1,0 +1,47 @@
+"""Hooks of mkdocs: RESULTS.md becomes a page, links to other files become their paths, search works from disk."""
+
+import posixpath
+import re
+from pathlib import Path
+from typing import Any
+
+RESULTS = "RESULTS.md"
+LINK = re.compile(r"(?<!!)\[([^\]]*)\]\((\.\./[^)#\s]*)(#[^)\s]*)?\)")
+
+
+def on_files(files: Any, config: Any) -> None:
+    from mkdocs.structure.files import File  # pyright: ignore[reportMissingImports]
+
+    text = (Path(config.docs_dir).parent / RESULTS).read_text()
+    text = text.replace("[docs/results](docs/results)", "`docs/results`").replace("](docs/", "](")
+    files.append(File.generated(config, RESULTS, content=text))
+
+
+def on_page_markdown(markdown: str, page: Any, **_: object) -> str:
+    return inside(markdown, page.file.src_uri)
+
+
+def inside(markdown: str, page: str) -> str:
+    """A page of docs/ without links to files outside it, which the site does not have."""
+    folder = posixpath.dirname(posixpath.join("docs", page))
+
+    def link(found: re.Match[str]) -> str:
+        text, target, anchor = found[1], posixpath.normpath(posixpath.join(folder, found[2])), found[3] or ""
+        if target.startswith("docs/"):
+            return found[0]
+        if target == RESULTS:
+            return f"[{text}]({posixpath.relpath(posixpath.join('docs', RESULTS), folder)}{anchor})"
+        return f"`{target}`" if target.endswith(text.strip("`/")) else f"{text} (`{target}`)"
+
+    return LINK.sub(link, markdown)
+
+
+def on_post_page(output: str, **_: object) -> str:
+    # Without the highlighter's style sheets, the theme's script for dark mode (mkdocs 1.6) fails.
+    return output.replace("</head>", '<link id="hljs-light"><link id="hljs-dark"></head>')
+
+
+def on_post_build(config: Any) -> None:
+    search = Path(config.site_dir) / "search"
+    index = (search / "search_index.json").read_text()
+    (search / "search_index.js").write_text(f"const searchIndex = {index};\n")
