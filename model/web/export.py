@@ -50,9 +50,6 @@ SCRIPTS = (
     "page.js",
 )
 
-METHODS = ("light-path", "paper", "mlp-first")
-"""Whose runs a page can draw."""
-
 Truths = Literal["all", "test", "none"]
 """Of which views the page has the path tracer's picture."""
 
@@ -66,12 +63,10 @@ def export_run(
     """Writes the page of a trained run.
 
     Raises:
-        HyalineError: the run's method or geometry is one that the page cannot draw, or its weights are not there.
+        HyalineError: the run's method has no page, or its weights are not there.
     """
-    if record.method not in METHODS:
-        raise HyalineError(
-            f"{run}: is a run of {record.method}; expected one of {', '.join(METHODS)}, which a page can draw"
-        )
+    if not record.config.net.page:
+        raise HyalineError(f"{run}: its method, {record.method}, has no web page; docs/browser.md lists those that do")
     renderer = load_renderer(run, record.config, dataset)
     still = run / "predictions" / "interpolating" / f"{view_name(0)}.png"
     if not still.is_file():
@@ -129,7 +124,7 @@ def scene_page(
                 f"The scene: {dataset.license}."
             ),
             "manifest": json.dumps(manifest, sort_keys=True).replace("<", "\\u003c"),
-            "shader": "\n".join(_part(name) for name in scene.shaders),
+            "shader": scene.shader,
             "data": scene.packed.text(),
             "script": script,
         },
