@@ -41,8 +41,8 @@ class MethodPage:
     """Light is followed as the materials say: edits may change materials, and the shader answers the task PATH."""
 
 
-def read_shader(package: str, *names: str) -> str:
-    """The text of shader files that lie in a package, one after the other."""
+def package_text(package: str, *names: str) -> str:
+    """The text of files in a package, one after the other."""
     return "\n".join(resources.files(package).joinpath(name).read_text(encoding="utf-8") for name in names)
 
 

@@ -11,7 +11,6 @@ import io
 import json
 import re
 from collections.abc import Mapping
-from importlib import resources
 from pathlib import Path
 from typing import Literal, cast
 
@@ -26,6 +25,7 @@ from datagen.disk.reading import read_regular
 from datagen.disk.records import Json
 from datagen.disk.storage import commit
 from datagen.terminal.distribution import VERSION
+from model.methods.page import package_text
 from model.methods.protocol import MethodConfig
 from model.methods.renderer import Renderer
 from model.run.predict import load_renderer
@@ -104,11 +104,11 @@ def scene_page(
     """
     scene = web_scene(renderer, config, dataset, geometry, quality)
     manifest = {**scene.manifest, "arrays": scene.packed.entries, "truth": cast(Json, _truths(dataset, truths))}
-    script = '"use strict";\n(() => {\n' + "\n".join(_part(name) for name in SCRIPTS) + "})();\n"
-    style = _part("page.css")
+    script = f'"use strict";\n(() => {{\n{package_text("model.web", *SCRIPTS)}}})();\n'
+    style = package_text("model.web", "page.css")
     title = f"{dataset.name}: {label}"
     return fill(
-        _part("page.html"),
+        package_text("model.web", "page.html"),
         {
             "policy": _policy(script, style),
             "generator": f"hyaline {VERSION}",
@@ -163,10 +163,6 @@ def fill(template: str, parts: Mapping[str, str]) -> str:
     places = re.findall(r"\{\{(\w+)\}\}", template)
     assert sorted(places) == sorted(parts), "every place of the page has its part, and every part its place"
     return re.sub(r"\{\{(\w+)\}\}", lambda place: parts[place[1]], template)
-
-
-def _part(name: str) -> str:
-    return resources.files("model.web").joinpath(name).read_text(encoding="utf-8")
 
 
 def _policy(script: str, style: str) -> str:

@@ -23,7 +23,7 @@ from datagen.trace.light_path import PLASTIC
 from datagen.trace.surface_hits import MIN_COSINE
 from datagen.trace.surface_tables import EVENTS
 from datagen.trace.tints import tints_of
-from model.methods.page import MethodPage, fours, read_shader
+from model.methods.page import MethodPage, fours, package_text
 from model.methods.protocol import MethodConfig
 from model.methods.renderer import Renderer
 from model.nets.pixel_mlp import LEAKY_SLOPE
@@ -78,16 +78,15 @@ def web_scene(renderer: Renderer, config: MethodConfig, dataset: Dataset, geomet
         "followsLight": page.follows_light,
         "normalSteps": NORMAL_STEPS,
         "uvSteps": UV_SCALE,
-        "events": cast(Json, EVENTS),
         "defines": cast(Json, defines),
         "edits": [{"name": "matt", **_optics(GREY)}, {"name": "clear glass", **_optics(CLEAR_GLASS)}],
         "objects": [{**item, **box} for item, box in zip(_objects(scene, meshes, page, places, tints), boxes)],
     }
     parts = (
         *(f"#define {name} {value}{'u' * (value > 0x7FFFFFFF)}" for name, value in defines.items()),
-        read_shader("model.web", "rays.glsl", "networks.glsl"),
+        package_text("model.web", "rays.glsl", "networks.glsl"),
         page.shader,
-        read_shader("model.web", "picture.glsl"),
+        package_text("model.web", "picture.glsl"),
     )
     return WebScene(manifest=manifest, packed=packed, shader="\n".join(parts))
 

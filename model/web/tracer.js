@@ -143,7 +143,7 @@ class Tracer {
         const scale = 1 - shell / this.shells, { turn, shift } = worldFromObject(object, bounds, scale);
         const at = (shell * this.capacity + index) * row;
         for (let axis = 0; axis < 3; axis++) table.set([...turn[axis], shift[axis]], at + 4 * axis);
-        table.set([manifest.events[object.event], object.ior, object.roughness, ranks[index]], at + 12);
+        table.set([manifest.defines[object.event.toUpperCase()], object.ior, object.roughness, ranks[index]], at + 12);
         const [firstTint, ...tintSize] = object.tint || [0, 0, 0];
         table.set([...object.color, firstTint], at + 16);
         table.set([trees.roots[object.of], scale, ...tintSize], at + 20);

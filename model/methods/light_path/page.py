@@ -11,7 +11,7 @@ from model.methods.light_path.config import LightPathConfig
 from model.methods.light_path.net import RELIEF_DEPTH, STACK_SHIFT, LightPathRenderer
 from model.methods.light_path.paths import STACKED_VERTICES
 from model.methods.light_path.pixels import MANY_RAYS
-from model.methods.page import MethodPage, Rows, feature_columns, fours, mlp_rows, read_shader
+from model.methods.page import MethodPage, Rows, feature_columns, fours, mlp_rows, package_text
 from model.nets.learned_sky import LOBE_RATE, LOBE_SHARPNESS, LearnedSky
 from model.nets.texture import FINER_COUNTS, NeuralTextures, level_scales
 
@@ -27,7 +27,7 @@ def draw_page(config: LightPathConfig, renderer: LightPathRenderer, scene: Scene
         depths = renderer.relief.table.detach().cpu().numpy().astype(np.float32).ravel()
         weights.append(np.pad(depths, (0, fours(len(depths)) - len(depths))).reshape(-1, 4))
     return MethodPage(
-        shader=read_shader("model.methods.light_path", *SHADERS),
+        shader=package_text("model.methods.light_path", *SHADERS),
         defines=_defines(config, scene),
         textures=renderer.textures,
         weights=weights,

@@ -1,7 +1,7 @@
 """The web page of `paper` and `mlp-first`: what paper.glsl reads."""
 
 from datagen.scene.description import Scene
-from model.methods.page import MethodPage, feature_columns, layer_rows, read_shader
+from model.methods.page import MethodPage, feature_columns, layer_rows, package_text
 from model.methods.paper.config import PaperConfig
 from model.methods.paper.renderer import PaperRenderer
 from model.nets.cpu.fused_mlp import fold
@@ -15,7 +15,7 @@ def draw_page(config: PaperConfig, renderer: PaperRenderer, scene: Scene) -> Met
     num_layers = first.weight.shape[1] // (features + told) - config.zero_layer
     columns = [at for layer in range(num_layers) for at in feature_columns(features, told, layer * (features + told))]
     return MethodPage(
-        shader=read_shader("model.methods.paper", "paper.glsl"),
+        shader=package_text("model.methods.paper", "paper.glsl"),
         defines={"LAYERS_SEEN": num_layers, "EXTRINSICS": told, "WIDTH": config.width, "BLOCKS": config.blocks},
         textures=renderer.textures,
         weights=[

@@ -38,7 +38,7 @@ from datagen.trace import branches, light_path, limits, surface_hits, surface_ta
 from model.methods.light_path import net, paths, pixels
 from model.methods.light_path import page as page_of_light_path
 from model.methods.light_path.net import LightPathRenderer
-from model.methods.page import read_shader
+from model.methods.page import package_text
 from model.nets import pixel_mlp
 from model.web import scene
 from model.web.export import fill, scene_page
@@ -248,7 +248,7 @@ def test_a_browser_without_webgl_says_so_and_shows_a_still_picture(
 
 
 def test_the_page_knows_all_that_a_surface_may_do_to_light() -> None:
-    followed = read_shader("model.methods.light_path", "light_path.glsl")
+    followed = package_text("model.methods.light_path", "light_path.glsl")
     assert all(re.search(rf"\b{event.upper()}\b", followed) for event in get_args(Event))
     # What a surface is told of beside this needs a line in the shader.
     assert {field.name for field in dataclasses.fields(Surface)} == {"event", "ior", "roughness", "color", "texture"}
