@@ -223,7 +223,7 @@ def export(
     """Write a trained scene as one HTML file, which draws it live in a browser, from disk and without a server.
 
     Args:
-        run: Folder of a trained run of light-path, paper or mlp-first.
+        run: Folder of a trained run, of light-path, paper, mlp-first or another method that brings a web page.
         out: The page; a file that stands there is kept.
         quality: small keeps numbers in few bits; exact keeps each as it is, in about five times the bytes.
         truths: Which views' pictures by the path tracer the page can fade over its own: those of test and training

@@ -17,7 +17,9 @@ from model.settings.flags import check_limits
 from model.settings.optimisation import Optimisation, PixelOptimisation
 
 if TYPE_CHECKING:
+    import datagen.scene.description
     import model.batches.rays
+    import model.methods.page
     import model.methods.renderer
 
 
@@ -54,6 +56,9 @@ class MethodConfig:
     gradient, and what torch's batch norm remembers."""
     draws_cameras: ClassVar[bool] = False
     """True when `load_cameras` gives the pixels of cameras that no view of the dataset has."""
+    page: ClassVar[str] = ""
+    """A module that may import torch, whose function `draw_page` takes the record first. Empty: `model export` makes no
+    page of its runs."""
     has_radiance: ClassVar[bool] = False
     """True when it predicts linear radiance, of which its colours are the sRGB curve, unclipped."""
 
@@ -116,3 +121,9 @@ class MethodConfig:
             HyalineError: it cannot draw pictures of this size.
         """
         return importlib.import_module(self.room).load_cameras(self, inputs, cameras)
+
+    def draw_page(
+        self, renderer: "model.methods.renderer.Renderer", scene: "datagen.scene.description.Scene"
+    ) -> "model.methods.page.MethodPage":
+        """What a page in a browser needs to draw a trained renderer as Python does; a method with a `page` has it."""
+        return importlib.import_module(self.page).draw_page(self, renderer, scene)

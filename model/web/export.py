@@ -11,7 +11,6 @@ import io
 import json
 import re
 from collections.abc import Mapping
-from importlib import resources
 from pathlib import Path
 from typing import Literal, cast
 
@@ -26,6 +25,7 @@ from datagen.disk.reading import read_regular
 from datagen.disk.records import Json
 from datagen.disk.storage import commit
 from datagen.terminal.distribution import VERSION
+from model.methods.page import package_text
 from model.methods.protocol import MethodConfig
 from model.methods.renderer import Renderer
 from model.run.predict import load_renderer
@@ -50,9 +50,6 @@ SCRIPTS = (
     "page.js",
 )
 
-METHODS = ("light-path", "paper", "mlp-first")
-"""Whose runs a page can draw."""
-
 Truths = Literal["all", "test", "none"]
 """Of which views the page has the path tracer's picture."""
 
@@ -66,12 +63,10 @@ def export_run(
     """Writes the page of a trained run.
 
     Raises:
-        HyalineError: the run's method or geometry is one that the page cannot draw, or its weights are not there.
+        HyalineError: the run's method has no page, or its weights are not there.
     """
-    if record.method not in METHODS:
-        raise HyalineError(
-            f"{run}: is a run of {record.method}; expected one of {', '.join(METHODS)}, which a page can draw"
-        )
+    if not record.config.net.page:
+        raise HyalineError(f"{run}: its method, {record.method}, has no web page; docs/browser.md lists those that do")
     renderer = load_renderer(run, record.config, dataset)
     still = run / "predictions" / "interpolating" / f"{view_name(0)}.png"
     if not still.is_file():
@@ -109,11 +104,11 @@ def scene_page(
     """
     scene = web_scene(renderer, config, dataset, geometry, quality)
     manifest = {**scene.manifest, "arrays": scene.packed.entries, "truth": cast(Json, _truths(dataset, truths))}
-    script = '"use strict";\n(() => {\n' + "\n".join(_part(name) for name in SCRIPTS) + "})();\n"
-    style = _part("page.css")
+    script = f'"use strict";\n(() => {{\n{package_text("model.web", *SCRIPTS)}}})();\n'
+    style = package_text("model.web", "page.css")
     title = f"{dataset.name}: {label}"
     return fill(
-        _part("page.html"),
+        package_text("model.web", "page.html"),
         {
             "policy": _policy(script, style),
             "generator": f"hyaline {VERSION}",
@@ -129,7 +124,7 @@ def scene_page(
                 f"The scene: {dataset.license}."
             ),
             "manifest": json.dumps(manifest, sort_keys=True).replace("<", "\\u003c"),
-            "shader": "\n".join(_part(name) for name in scene.shaders),
+            "shader": scene.shader,
             "data": scene.packed.text(),
             "script": script,
         },
@@ -168,10 +163,6 @@ def fill(template: str, parts: Mapping[str, str]) -> str:
     places = re.findall(r"\{\{(\w+)\}\}", template)
     assert sorted(places) == sorted(parts), "every place of the page has its part, and every part its place"
     return re.sub(r"\{\{(\w+)\}\}", lambda place: parts[place[1]], template)
-
-
-def _part(name: str) -> str:
-    return resources.files("model.web").joinpath(name).read_text(encoding="utf-8")
 
 
 def _policy(script: str, style: str) -> str:

@@ -10,9 +10,9 @@ function vertexFloats(arrays, manifest) {
 }
 
 // Normals, where the shader wants them, and uv.
-function vertexTable(arrays) {
+function vertexTable(arrays, manifest) {
   const count = arrays.uv.length / 2, table = new Float32Array(4 * count), { normals } = arrays;
-  const normalScale = normals instanceof Uint32Array ? 2 / 0xfffffe : 0, uvScale = arrays.uv instanceof Float32Array ? 1 : 1 / 65535;
+  const normalScale = normals instanceof Uint32Array ? 2 / manifest.normalSteps : 0, uvScale = arrays.uv instanceof Float32Array ? 1 : 1 / manifest.uvSteps;
   for (let i = 0; i < count; i++)
     for (let axis = 0; axis < 2; axis++) {
       const code = normals ? normals[2 * i + axis] : 0;
@@ -22,7 +22,7 @@ function vertexTable(arrays) {
   return table;
 }
 
-// Texels: as they are, or in steps, each as its difference from a guess (model/web/prediction.py).
+// Texels: as they are, or in steps, each as its difference from a guess (model/web/packing.py).
 function texelTable(arrays, manifest) {
   if (arrays.texels instanceof Float32Array) return arrays.texels;
   const channels = 4 * manifest.defines.FEATURE_TEXELS, table = new Float32Array(arrays.texels.length);
@@ -38,7 +38,7 @@ function texelTable(arrays, manifest) {
   return table;
 }
 
-// What metals mirror over their surface: linear, or in 8 bits of sRGB (model/web/tints.py).
+// What metals mirror over their surface: linear, or in 8 bits of sRGB (model/web/texels.py).
 function tintTable(tints) {
   const table = new Float32Array((4 * tints.length) / 3), isLinear = tints instanceof Float32Array;
   const linear = (code) => (code <= 0.04045 ? code / 12.92 : ((code + 0.055) / 1.055) ** 2.4);

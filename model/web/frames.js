@@ -3,18 +3,6 @@
 
 const MOVING_MS = 50, STILL_MS = 4000, BAND_MS = 40, SETTLED_MS = 180, MAX_PASSES = 16;
 
-// Ray number `frame` of every pixel. The first pass is the product's own grid, later ones lie elsewhere in its cells.
-function rayOf(frame, samples) {
-  const side = Math.round(Math.sqrt(samples)), pass = Math.floor(frame / samples);
-  // Cells far from each other come one after the other.
-  let step = Math.max(1, Math.round(samples * 0.618));
-  while (greatestDivisor(step, samples) > 1) step++;
-  const cell = ((frame % samples) * step) % samples;
-  const inCell = pass ? [(0.5 + pass * 0.7548776662466927) % 1, (0.5 + pass * 0.5698402909980532) % 1] : [0.5, 0.5];
-  const place = [((cell % side) + inCell[0]) / side, (Math.floor(cell / side) + inCell[1]) / side];
-  return { place, chunk: Math.max(1, Math.floor(65536 / samples)), samples, sample: cell, seed: pass, isFirst: frame === 0 };
-}
-
 function greatestDivisor(a, b) {
   return b ? greatestDivisor(b, a % b) : a;
 }
@@ -28,6 +16,19 @@ class Frames {
   changed() {
     this.version++;
     this.changedAt = performance.now();
+  }
+
+  // Ray number `frame` of every pixel. The first pass is the product's own grid, later ones lie elsewhere in its cells.
+  rayOf(frame, samples) {
+    const manyRays = this.tracer.scene.manifest.defines.MANY_RAYS || samples;
+    const side = Math.round(Math.sqrt(samples)), pass = Math.floor(frame / samples);
+    // Cells far from each other come one after the other.
+    let step = Math.max(1, Math.round(samples * 0.618));
+    while (greatestDivisor(step, samples) > 1) step++;
+    const cell = ((frame % samples) * step) % samples;
+    const inCell = pass ? [(0.5 + pass * 0.7548776662466927) % 1, (0.5 + pass * 0.5698402909980532) % 1] : [0.5, 0.5];
+    const place = [((cell % side) + inCell[0]) / side, (Math.floor(cell / side) + inCell[1]) / side];
+    return { place, chunk: Math.max(1, Math.floor(manyRays / samples)), samples, sample: cell, seed: pass, isFirst: frame === 0 };
   }
 
   // Draws one frame in bands of rows, each of which the graphics processor does in a short time; false if `isStale`.
@@ -76,7 +77,7 @@ class Frames {
         frame = 0;
       }
       if (frame >= samples * MAX_PASSES || (isCoarse && frame > 0)) continue;
-      const start = performance.now(), ray = isCoarse ? { ...rayOf(0, samples), place: [0.5, 0.5] } : rayOf(frame, samples);
+      const start = performance.now(), ray = isCoarse ? { ...this.rayOf(0, samples), place: [0.5, 0.5] } : this.rayOf(frame, samples);
       this.busy = this.draw(ray, () => !isCoarse && this.version !== version);
       if (!(await this.busy)) continue;
       this.tracer.show();
@@ -100,7 +101,7 @@ class Frames {
 
   async rays(width, height, count, samples) {
     this.tracer.resize(width, height);
-    for (let frame = 0; frame < count; frame++) await this.draw(rayOf(frame, samples));
+    for (let frame = 0; frame < count; frame++) await this.draw(this.rayOf(frame, samples));
   }
 
   // Draws the whole canvas with so many rays a pixel, and nothing after it: for pictures of the page.

@@ -9,7 +9,7 @@ vec3 linear_of(vec3 srgb) {
     return mix(pow((max(srgb, 0.04045) + 0.055) / 1.055, vec3(2.4)), srgb / 12.92, vec3(lessThanEqual(srgb, vec3(0.04045))));
 }
 
-vec4 leaky(vec4 x) { return max(x, 0.2 * x); }
+vec4 leaky(vec4 x) { return max(x, LEAKY_SLOPE * x); }
 vec3 softplus(vec3 x) { return max(x, 0.0) + log(1.0 + exp(-abs(x))); }
 float sigmoid(float x) { return 1.0 / (1.0 + exp(-x)); }
 

@@ -1,18 +1,14 @@
 // The objects as they stand now: which are shown, where, and of which material; copies of them; and all that as text.
 
-const MAX_COPIES = 32, MAX_NESTED = 32;
+const MAX_COPIES = 32;
 const OPTICS = ["event", "ior", "roughness", "color", "tint", "priority", "mediumIor", "spread", "absorption"];
-
-// What `datagen build --edit glass:OBJECT` makes of opaque objects, and of glass.
-const CLEAR_GLASS = { event: "refracts", ior: 1, roughness: 0, color: [1, 1, 1], tint: null, priority: 0, mediumIor: 1.5, spread: [0, 0, 0], absorption: [0, 0, 0] };
-const MATT = { event: "ends", ior: 1, roughness: 0, color: [1, 1, 1], tint: null, priority: null, mediumIor: 1, spread: [0, 0, 0], absorption: [0, 0, 0] };
 
 class Objects {
   constructor(manifest) {
     this.listed = manifest.objects;
-    this.knowsMaterials = manifest.knowsMaterials;
-    this.isNested = manifest.defines.NESTED === 1;
-    this.materials = this.knowsMaterials ? knownMaterials(this.listed) : [];
+    this.knowsMaterials = manifest.followsLight;
+    this.maxSolids = manifest.defines.NESTED ? manifest.defines.MAX_NESTED : Infinity;
+    this.materials = this.knowsMaterials ? knownMaterials(manifest) : [];
     this.reset();
   }
 
@@ -56,7 +52,7 @@ class Objects {
 
   // A ray keeps one bit for each solid that it may be in.
   hasRoomFor(optics) {
-    return optics.priority === null || !this.isNested || this.all.filter((item) => item.priority !== null).length < MAX_NESTED;
+    return optics.priority === null || this.all.filter((item) => item.priority !== null).length < this.maxSolids;
   }
 
   // The places, among those that are known, of the materials that an object may be made of. The texture of a metal lies
@@ -115,10 +111,10 @@ function isSame(one, other) {
   return JSON.stringify(opticsOf(one)) === JSON.stringify(opticsOf(other));
 }
 
-// Each material once; but for the first two it is called by the first object that is made of it.
-function knownMaterials(listed) {
+// Each material once: what edits make of objects, then the others, called by the first object that is made of each.
+function knownMaterials({ edits, objects }) {
   const known = [];
-  for (const item of [{ ...MATT, name: "matt" }, { ...CLEAR_GLASS, name: "clear glass" }, ...listed])
+  for (const item of [...edits, ...objects])
     if (!known.some((other) => isSame(other, item))) known.push({ ...opticsOf(item), name: item.name });
   return known;
 }

@@ -21,8 +21,8 @@ void main() {
         return;
     }
     uint ray = (uint(pixel.y) * uint(size.x) + uint(pixel.x)) % chunk * samples + ray_sample;
-    // The R2 sequence in whole numbers: its step is 2^32 over the plastic number, and over its square.
-    vec2 row = vec2(float(ray * 3242174889u), float(ray * 2447445414u)) * 2.3283064365386963e-10;
+    // The R2 sequence in whole numbers: 2^32 for 1.
+    vec2 row = vec2(float(ray * R2_X), float(ray * R2_Y)) * 2.3283064365386963e-10;
 #if LIGHT_PATH == 1
     asked = task == PATH ? int(gl_FragCoord.x) : -1, answer = vec4(-1.0);
 #endif

@@ -1,5 +1,5 @@
-// Which surface a ray meets: the tables of the scene, and the way through the trees over it. The page defines, above
-// this text, the numbers of model/web.
+// Which surface a ray meets: the tables of the scene, and the way through the trees over it. The numbers
+// in capitals that no shader declares are those of model/web/scene.py and of the method's page.
 
 uniform highp sampler2D nodes;      // Of both levels of the tree: four texels each, a box and where it leads, twice.
 uniform highp sampler2D triangles;  // Three corners each; beside each its vertex.
@@ -24,7 +24,7 @@ uniform int task;          // PICTURE; or of one ray, for each pixel one answer:
 out vec4 result;
 
 const int PICTURE = 0, LAYERS = 1, PATH = 2;  // Tasks.
-const float FAR = 1e30, MIN_COSINE = 0.2;
+const float FAR = 1e30;
 const int NO_FACE = -1;
 
 vec4 fetch(highp sampler2D table, int index) {
@@ -174,7 +174,7 @@ Place place_of(Hit hit, vec3 d) {
 }
 
 // The way through a wall that a ray skips which starts off its other face. Source: datagen/scene/thin_walls.py.
-float skipped_length(Place place, vec3 d) { return place.offset / max(abs(dot(d, place.outward)), 0.01); }
+float skipped_length(Place place, vec3 d) { return place.offset / max(abs(dot(d, place.outward)), SKIP_COSINE); }
 
 // A ray that goes straight on through all that it meets.
 struct Walk {

@@ -10,25 +10,25 @@ import torch
 from datagen.data.dataset import Dataset
 from datagen.data.geometries import read_meshes
 from datagen.data.meshes import Mesh, is_there, open_edges
-from datagen.data.number_formats import quantize_uv, round_mantissa
+from datagen.data.number_formats import UV_SCALE, quantize_uv, round_mantissa
 from datagen.data.paths import TRUTH
-from datagen.disk.errors import HyalineError
 from datagen.disk.records import Json
 from datagen.scene.description import CameraRig, Scene
+from datagen.scene.edits import CLEAR_GLASS, GREY
 from datagen.scene.folder import load_scene
+from datagen.scene.materials import Material
+from datagen.scene.thin_walls import MIN_COSINE as SKIP_COSINE
 from datagen.scene.thin_walls import RAY_OFFSET
+from datagen.trace.light_path import PLASTIC
+from datagen.trace.surface_hits import MIN_COSINE
+from datagen.trace.surface_tables import EVENTS
 from datagen.trace.tints import tints_of
-from model.methods.light_path.net import LightPathRenderer
-from model.methods.paper.config import PaperConfig
-from model.methods.paper.renderer import PaperRenderer
+from model.methods.page import MethodPage, fours, package_text
 from model.methods.protocol import MethodConfig
 from model.methods.renderer import Renderer
-from model.web.drawn import Drawn
-from model.web.light_path import draw_light_path
-from model.web.packing import Packed, Quality, fold_normals, quantize_normals, quantize_positions
-from model.web.paper import draw_paper
-from model.web.texels import Places, add_texels
-from model.web.tints import TintPlaces, add_tints
+from model.nets.pixel_mlp import LEAKY_SLOPE
+from model.web.packing import NORMAL_STEPS, Packed, Quality, fold_normals, quantize_normals, quantize_positions
+from model.web.texels import Places, TintPlaces, add_texels, add_tints
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -37,28 +37,25 @@ class WebScene:
 
     manifest: dict[str, Json]
     packed: Packed
-    shaders: tuple[str, ...]
+    shader: str
+    """GLSL: the numbers that it shares with Python, then what all pages have, and the method's part in its place."""
 
 
 def web_scene(renderer: Renderer, config: MethodConfig, dataset: Dataset, geometry: str, quality: Quality) -> WebScene:
-    """All that the page needs to draw a trained renderer's scene.
-
-    Raises:
-        HyalineError: the page cannot draw runs of this method.
-    """
+    """All that the page needs to draw the scene of a trained renderer whose method has a page."""
     scene = load_scene(dataset.root / "scene", is_sealed=True)
     meshes = read_meshes(dataset, geometry)
-    drawn = _draw(renderer, config, scene)
+    page = config.draw_page(renderer, scene)
     packed = Packed()
-    boxes = _add_meshes(packed, meshes, quality, with_normals=bool(drawn.defines["NORMALS"]))
+    boxes = _add_meshes(packed, meshes, quality, with_normals=page.has_normals)
     with torch.inference_mode():
         # A learned relief shifts look-ups to anywhere.
-        charted = None if drawn.relief else [mesh for mesh in meshes for _ in range(drawn.shells)]
-        places = add_texels(packed, drawn.textures, quality, charted)
+        charted = None if page.relief else [mesh for mesh in meshes for _ in range(page.shells)]
+        places = add_texels(packed, page.textures, quality, charted)
     tints: TintPlaces = [None] * len(meshes)
-    if drawn.knows_materials:
+    if page.follows_light:
         tints = add_tints(packed, tints_of(scene, own_uv=geometry == TRUTH), quality)
-    weights = np.concatenate(drawn.weights)
+    weights = np.concatenate([np.zeros((0, 4), np.float32), *page.weights])
     packed.add("weights", round_mantissa(weights) if quality == "small" else weights)
     views: dict[str, Json] = {}
     for split in dataset.splits:
@@ -66,41 +63,53 @@ def web_scene(renderer: Renderer, config: MethodConfig, dataset: Dataset, geomet
         packed.add(f"cameras/{split}", np.ascontiguousarray(cameras.world_from_camera[:, :3].reshape(-1, 12)))
         views[split] = len(cameras)
     target, reach = _orbit(scene, dataset)
+    defines = _defines(page, levels=len(places[0]), has_tints=any(tints))
     manifest: dict[str, Json] = {
-        "schema": 3,
+        "schema": 4,
         "name": dataset.name,
         "quality": quality,
-        "samples": drawn.samples,
+        "samples": page.samples,
         "lens": _lens(dataset),
         "target": target,
         "reach": reach,
         "start": f"{'interpolating' if 'interpolating' in views else dataset.splits[0]}/0",
         "views": views,
-        "shells": drawn.shells,
-        "knowsMaterials": drawn.knows_materials,
-        "defines": {
-            **drawn.defines,
-            "LEVELS": len(places[0]),
-            "RAY_OFFSET": RAY_OFFSET,
-            "FEATURE_TEXELS": drawn.features // 4,
-            "TINTS": int(any(tints)),
-        },
-        "objects": [{**item, **box} for item, box in zip(_objects(scene, meshes, drawn, places, tints), boxes)],
+        "shells": page.shells,
+        "followsLight": page.follows_light,
+        "normalSteps": NORMAL_STEPS,
+        "uvSteps": UV_SCALE,
+        "defines": cast(Json, defines),
+        "edits": [{"name": "matt", **_optics(GREY)}, {"name": "clear glass", **_optics(CLEAR_GLASS)}],
+        "objects": [{**item, **box} for item, box in zip(_objects(scene, meshes, page, places, tints), boxes)],
     }
-    return WebScene(manifest=manifest, packed=packed, shaders=drawn.shaders)
-
-
-def _draw(renderer: Renderer, config: MethodConfig, scene: Scene) -> Drawn:
-    if isinstance(renderer, LightPathRenderer):
-        surfaces = [item.material.surface() for item in scene.objects]
-        media = [item.material.medium for item in scene.objects if item.material.medium is not None]
-        return draw_light_path(renderer, surfaces, media)
-    if isinstance(renderer, PaperRenderer) and isinstance(config, PaperConfig):
-        return draw_paper(renderer, config)
-    raise HyalineError(
-        f"export: the run is one of {type(renderer).__name__}; expected light-path, paper or mlp-first, which a page "
-        "can draw"
+    parts = (
+        *(f"#define {name} {value}{'u' * (value > 0x7FFFFFFF)}" for name, value in defines.items()),
+        package_text("model.web", "rays.glsl", "networks.glsl"),
+        page.shader,
+        package_text("model.web", "picture.glsl"),
     )
+    return WebScene(manifest=manifest, packed=packed, shader="\n".join(parts))
+
+
+def _defines(page: MethodPage, *, levels: int, has_tints: bool) -> dict[str, int | float]:
+    """What the shader knows by name: constants of Python, the page's own choices, and the method's."""
+    return {
+        **{event.upper(): code for event, code in EVENTS.items()},
+        "RAY_OFFSET": RAY_OFFSET,
+        "SKIP_COSINE": SKIP_COSINE,
+        "MIN_COSINE": MIN_COSINE,
+        "LEAKY_SLOPE": LEAKY_SLOPE,
+        # Steps of the R2 sequence, times 2^32.
+        "R2_X": round(2**32 / PLASTIC),
+        "R2_Y": round(2**32 / PLASTIC**2),
+        "FEATURE_TEXELS": fours(next(page.textures.parameters()).shape[1]) // 4,
+        "LEVELS": levels,
+        "TINTS": int(has_tints),
+        "NORMALS": int(page.has_normals),
+        "LIGHT_PATH": int(page.follows_light),
+        "RELIEF": int(page.relief is not None),
+        **page.defines,
+    }
 
 
 def _lens(dataset: Dataset) -> dict[str, Json]:
@@ -124,14 +133,13 @@ def _orbit(scene: Scene, dataset: Dataset) -> tuple[list[Json], float]:
 
 
 def _objects(
-    scene: Scene, meshes: tuple[Mesh, ...], drawn: Drawn, places: Places, tints: TintPlaces
+    scene: Scene, meshes: tuple[Mesh, ...], page: MethodPage, places: Places, tints: TintPlaces
 ) -> list[dict[str, Json]]:
     """What the page is told of each object, in the order of their ids."""
     listed: list[dict[str, Json]] = []
     first_vertex = first_face = 0
     for index, (item, mesh) in enumerate(zip(scene.objects, meshes, strict=True)):
-        surface, medium = item.material.surface(), item.material.medium
-        shells = slice(index * drawn.shells, (index + 1) * drawn.shells)
+        shells = slice(index * page.shells, (index + 1) * page.shells)
         listed.append(
             {
                 "name": item.name,
@@ -140,21 +148,29 @@ def _objects(
                 "firstFace": first_face,
                 "numFaces": len(mesh.faces),
                 "isClosed": is_there(mesh) and open_edges(mesh) == 0,
-                "event": surface.event,
-                "ior": surface.ior,
-                "roughness": surface.roughness,
-                "color": list(surface.color),
-                "tint": cast(Json, tints[index]),
-                "priority": None if medium is None else medium.priority,
-                "mediumIor": 1.0 if medium is None else medium.ior,
-                "spread": [0.0, 0.0, 0.0] if medium is None else [ior - medium.ior for ior in medium.iors],
-                "absorption": [0.0, 0.0, 0.0] if medium is None else list(medium.absorption),
+                **_optics(item.material, tints[index]),
                 "texels": cast(Json, places[shells]),
-                "relief": None if drawn.relief is None else cast(Json, drawn.relief[shells]),
+                "relief": None if page.relief is None else cast(Json, page.relief[shells]),
             }
         )
         first_vertex, first_face = first_vertex + len(mesh.vertices), first_face + len(mesh.faces)
     return listed
+
+
+def _optics(material: Material, tint: list[int] | None = None) -> dict[str, Json]:
+    """What the page is told of a material."""
+    surface, medium = material.surface(), material.medium
+    return {
+        "event": surface.event,
+        "ior": surface.ior,
+        "roughness": surface.roughness,
+        "color": list(surface.color),
+        "tint": cast(Json, tint),
+        "priority": None if medium is None else medium.priority,
+        "mediumIor": 1.0 if medium is None else medium.ior,
+        "spread": [0.0, 0.0, 0.0] if medium is None else [ior - medium.ior for ior in medium.iors],
+        "absorption": [0.0, 0.0, 0.0] if medium is None else list(medium.absorption),
+    }
 
 
 def _add_meshes(

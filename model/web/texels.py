@@ -1,4 +1,4 @@
-"""Neural textures as the page holds them: every level as it is, or their sum in steps."""
+"""Textures as the page holds them: neural ones, every level as it is or their sum in steps; and those of metals."""
 
 from collections.abc import Sequence
 
@@ -8,9 +8,11 @@ from jaxtyping import Bool, Float32
 from torch import Tensor
 
 from datagen.data.meshes import Mesh
+from datagen.data.tonemap import srgb_from_linear, to_8bit
+from datagen.trace.tints import Texels, Tints
+from model.methods.page import fours
 from model.nets.texture import NeuralTextures, TexturePyramid, level_scales, texel_centers
-from model.web.packing import Packed, Quality
-from model.web.prediction import residuals, zigzag
+from model.web.packing import Packed, Quality, residuals, zigzag
 
 STEPS = 16
 """In which a small page stores a standard deviation of texels: it costs a page of the demo 0.4 to 1.4 dB to Python."""
@@ -20,6 +22,9 @@ MAX_CODE = 8191
 
 Places = list[list[list[int]]]
 """For each texture and level: its first texel, its width, the texels from one of its rows to the next."""
+
+TintPlaces = list[list[int] | None]
+"""For each object the first of its texels, and how many columns and rows they have; None where one colour says all."""
 
 
 def add_texels(
@@ -98,11 +103,30 @@ def _summed(textures: NeuralTextures | TexturePyramid, texture: int, size: int) 
     return textures(texel_centers(size)[:, None], object_id)[:, 0]
 
 
-def fours(count: int) -> int:
-    """The next multiple of 4: textures hold four numbers in each place."""
-    return -(-count // 4) * 4
-
-
 def _padded(features: Tensor) -> Float32[np.ndarray, "texel c"]:
     values = features.cpu().numpy().astype(np.float32)
     return np.pad(values, ((0, 0), (0, fours(values.shape[1]) - values.shape[1])))
+
+
+def add_tints(packed: Packed, tints: Tints, quality: Quality) -> TintPlaces:
+    """Adds the texels of all metals that have any, row by row: linear floats; small: 8 bits of sRGB, as images have."""
+    images: dict[bytes, tuple[int, Texels]] = {}
+    places: TintPlaces = []
+    count = 0
+    for texels in tints:
+        if texels is None:
+            places.append(None)
+            continue
+        height, width, _ = texels.shape
+        key = b"%d %d " % (height, width) + texels.tobytes()
+        if key not in images:
+            images[key] = (count, texels)
+            count += height * width
+        places.append([images[key][0], width, height])
+    if images:
+        linear = np.concatenate([texels.reshape(-1, 3) for _, texels in images.values()])
+        if quality == "small":
+            packed.add("tints", to_8bit(srgb_from_linear(linear)), differences=True)
+        else:
+            packed.add("tints", linear)
+    return places

@@ -1,6 +1,6 @@
 // Drawing with WebGL2: the scene in textures, and frames of one ray a pixel that add up.
 
-const TEXTURE_WIDTH = 2048, EVENTS = { ends: 0, refracts: 1, passes: 2, coated: 3, mirrors: 4 };
+const TEXTURE_WIDTH = 2048;
 const TASKS = { picture: 0, layers: 1, path: 2 };
 const TINTS_UNIT = 8;  // What is drawn into is bound to 7.
 
@@ -87,9 +87,9 @@ class Tracer {
   }
 
   async start() {
-    const { gl } = this, { defines } = this.scene.manifest;
+    const { gl } = this;
     gl.getExtension("EXT_color_buffer_float");  // It is lost with the graphics processor.
-    const lines = Object.entries({ ...defines, TEXTURE_WIDTH, STACK: 2 * DEPTH + 2, OBJECTS_ROOT: 0, SHELLS_ROOT: TOP_NODES }).map(([name, value]) => `#define ${name} ${value}`);
+    const lines = Object.entries({ TEXTURE_WIDTH, STACK: 2 * DEPTH + 2, OBJECTS_ROOT: 0, SHELLS_ROOT: TOP_NODES }).map(([name, value]) => `#define ${name} ${value}`);
     const precision = "precision highp float;\nprecision highp int;\nprecision highp sampler2D;";
     this.tracing = await compile(gl, ["#version 300 es", precision, ...lines, this.source].join("\n"));
     this.showing = await compile(gl, SHOW);
@@ -106,10 +106,10 @@ class Tracer {
     nodes.set(trees.nodes, 32 * TOP_NODES);
     this.nodes = this.table(0, gl.RGBA32F, nodes);
     this.table(1, gl.RGBA32F, trees.triangles);
-    this.table(2, gl.RGBA32F, vertexTable(arrays));
+    this.table(2, gl.RGBA32F, vertexTable(arrays, manifest));
     this.shells = manifest.shells;
     this.capacity = manifest.objects.length + MAX_COPIES;
-    this.objectWidth = 8 + manifest.defines.LEVELS + (manifest.defines.RELIEF || 0);
+    this.objectWidth = 8 + manifest.defines.LEVELS + manifest.defines.RELIEF;
     this.objectRows = this.capacity * this.shells;
     this.objectTable = new Float32Array(4 * this.objectWidth * this.objectRows);
     this.objects = makeTexture(gl, 3, gl.RGBA32F, this.objectWidth, this.objectRows, this.objectTable);
@@ -128,7 +128,7 @@ class Tracer {
   }
 
   get followsLight() {
-    return this.scene.manifest.defines.LIGHT_PATH === 1;
+    return this.scene.manifest.followsLight;
   }
 
   // What may change: where objects stand, which are shown, what they do to light.
@@ -143,7 +143,7 @@ class Tracer {
         const scale = 1 - shell / this.shells, { turn, shift } = worldFromObject(object, bounds, scale);
         const at = (shell * this.capacity + index) * row;
         for (let axis = 0; axis < 3; axis++) table.set([...turn[axis], shift[axis]], at + 4 * axis);
-        table.set([EVENTS[object.event], object.ior, object.roughness, ranks[index]], at + 12);
+        table.set([manifest.defines[object.event.toUpperCase()], object.ior, object.roughness, ranks[index]], at + 12);
         const [firstTint, ...tintSize] = object.tint || [0, 0, 0];
         table.set([...object.color, firstTint], at + 16);
         table.set([trees.roots[object.of], scale, ...tintSize], at + 20);

@@ -28,6 +28,7 @@ class LightPathConfig(MethodConfig):
     """Ours: neural textures where light paths through the glass end, composited by physics."""
 
     room: ClassVar[str] = "model.methods.light_path.method"
+    page: ClassVar[str] = "model.methods.light_path.page"
     knowledge: ClassVar[str] = "materials (all but diffuse colours)"
     is_shareable: ClassVar[bool] = True
     draws_cameras: ClassVar[bool] = True

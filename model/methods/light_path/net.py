@@ -29,6 +29,9 @@ from model.settings.optimisation import Optimisation
 RELIEF_DEPTH = 0.01
 """Metres of depth for a texel's 1 in a learned relief: at the textures' learning rate a step moves it by 0.4 mm."""
 
+STACK_SHIFT = {"physics": 4.0, "stack": 1.0}
+"""What is taken off the stack network's colours before they become radiance: beside physics they start near black."""
+
 RELIEF_COARSER = 4
 """How many times wider a texel of the relief is than the finest one of colour."""
 
@@ -183,7 +186,7 @@ class LightPathRenderer(Renderer[LightPathPixels]):
                 share = torch.sigmoid(out[:, 3:4])
                 others = share * (others + sky) + (1 - share) * self._over(stack, at_stack, out[:, 4:])
                 sky = torch.zeros_like(others)
-            others = others + functional.softplus(out[:, :3] - (4 if self.config.composite else 1))
+            others = others + functional.softplus(out[:, :3] - STACK_SHIFT[self.config.compositing])
         return others.view(-1, paths.samples, 3), sky.view(-1, paths.samples, 3)
 
     def _features(

@@ -87,11 +87,11 @@ def test_a_page_has_the_truths_that_are_asked_for(
     assert truths_of(page.read_bytes()) == views
 
 
-def test_a_run_of_another_method_is_refused(
+def test_a_run_of_a_method_without_a_page_is_refused(
     dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     net = AuthorsConfig(texture_size=16, position_size=32)
     run = trained(dataclasses.replace(SMALL, method="authors-code", net=net, steps=1), dataset, tmp_path / "run")
     assert call(monkeypatch, "export", "--run", str(run), "--out", str(tmp_path / "page.html")) == 1
-    assert "is a run of authors-code; expected one of light-path, paper, mlp-first" in capsys.readouterr().err
+    assert "its method, authors-code, has no web page; docs/browser.md lists those that do" in capsys.readouterr().err
     assert not (tmp_path / "page.html").exists()

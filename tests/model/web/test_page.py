@@ -2,8 +2,8 @@
 
 import base64
 import dataclasses
+import importlib
 import re
-from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
@@ -29,12 +29,18 @@ from benchmarks.pages.browser import Watched, open_file, watched_page
 from datagen.data.dataset import Dataset
 from datagen.data.paths import TRUTH
 from datagen.data.png import png_bytes
+from datagen.scene import media, thin_walls
 from datagen.scene.description import SceneObject
 from datagen.scene.materials import Dielectric
 from datagen.scene.materials.optics import Event, Medium, Surface
 from datagen.scene.modelling import transformed
-from datagen.trace.surface_tables import EVENTS
+from datagen.trace import branches, light_path, limits, surface_hits, surface_tables
+from model.methods.light_path import net, paths, pixels
+from model.methods.light_path import page as page_of_light_path
 from model.methods.light_path.net import LightPathRenderer
+from model.methods.page import package_text
+from model.nets import pixel_mlp
+from model.web import scene
 from model.web.export import fill, scene_page
 
 if TYPE_CHECKING:
@@ -242,14 +248,67 @@ def test_a_browser_without_webgl_says_so_and_shows_a_still_picture(
 
 
 def test_the_page_knows_all_that_a_surface_may_do_to_light() -> None:
-    listed = re.search(r"EVENTS = \{(.*?)\}", (resources.files("model.web") / "tracer.js").read_text())
-    assert listed is not None
-    known = dict(re.findall(r"(\w+): (\d)", listed[1]))
-    assert {name: int(number) for name, number in known.items()} == EVENTS
-    assert EVENTS.keys() == set(get_args(Event))
+    followed = package_text("model.methods.light_path", "light_path.glsl")
+    assert all(re.search(rf"\b{event.upper()}\b", followed) for event in get_args(Event))
     # What a surface is told of beside this needs a line in the shader.
     assert {field.name for field in dataclasses.fields(Surface)} == {"event", "ior", "roughness", "color", "texture"}
     assert {field.name for field in dataclasses.fields(Medium)} == {"iors", "absorption", "priority"}
+
+
+SHARED = {
+    "MIN_THROUGHPUT 0.25": (branches, "MIN_THROUGHPUT", 0.25),
+    "FIRST_MIRROR 99.0": (branches, "FIRST_MIRROR", 99.0),
+    "SPARE_STEPS 7": (branches, "SPARE_STEPS", 7),
+    "MAX_DEPTH 5": (limits, "LIMITS", limits.Limits(max_depth=5)),
+    "SAME_INDEX 0.5": (media, "SAME_INDEX", 0.5),
+    "MAX_NESTED 11": (media, "MAX_NESTED", 11),
+    "STACKED_FIRST 3": (paths, "STACKED_VERTICES", (3, 1)),
+    "STACKED_SECOND 1": (paths, "STACKED_VERTICES", (3, 1)),
+    "STACK_SHIFT 2.5": (net, "STACK_SHIFT", {"physics": 2.5}),
+    "RELIEF_DEPTH 0.5": (net, "RELIEF_DEPTH", 0.5),
+    "MANY_RAYS 99": (pixels, "MANY_RAYS", 99),
+    "ENDS 6": (surface_tables, "EVENTS", {"ends": 6}),
+    "MIN_COSINE 0.5": (surface_hits, "MIN_COSINE", 0.5),
+    "SKIP_COSINE 0.25": (thin_walls, "MIN_COSINE", 0.25),
+    "RAY_OFFSET 0.125": (thin_walls, "RAY_OFFSET", 0.125),
+    "LEAKY_SLOPE 0.5": (pixel_mlp, "LEAKY_SLOPE", 0.5),
+    "R2_X 2147483648u": (light_path, "PLASTIC", 2.0),
+    "R2_Y 1073741824": (light_path, "PLASTIC", 2.0),
+}
+"""What the shader says after a constant of Python has changed."""
+
+
+def test_a_constant_that_changes_in_python_changes_in_the_shader(
+    renderer: LightPathRenderer, dataset: Dataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def lines() -> list[str]:
+        for module in (page_of_light_path, scene):
+            importlib.reload(module)
+        return scene.web_scene(renderer, renderer.config, dataset, TRUTH, "small").shader.splitlines()
+
+    before = lines()
+    with monkeypatch.context() as patch:
+        for module, name, value in SHARED.values():
+            patch.setattr(module, name, value)
+        after = lines()
+    changed = {f"#define {line}" for line in SHARED}
+    assert changed.isdisjoint(before)
+    assert changed <= set(after)
+    assert lines() == before
+
+
+def test_a_page_stacks_as_many_vertices_as_python(
+    browser: "Browser", dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for module in (net, pixels, page_of_light_path):
+        monkeypatch.setattr(module, "STACKED_VERTICES", (3, 1))
+    renderer = noisy_light_path()
+    (tmp_path / "page.html").write_bytes(
+        scene_page(renderer, renderer.config, dataset, TRUTH, "exact", label="noise", still=STILL)
+    )
+    with watched_page(browser) as page:
+        open_file(page, tmp_path / "page.html")
+        assert psnr(page.picture(VIEW, SHAPE, 1), drawn_by_python(renderer, dataset)) >= 45
 
 
 def test_a_template_whose_places_are_not_those_of_the_parts_is_no_page() -> None:

@@ -20,7 +20,7 @@ void stack_straight(vec3 o, vec3 d) {
         if (hit.face == NO_FACE) break;
         Features features = look_up(hit.object, relieved(hit.object, place));
         layers[num_layers] = Layer(features, place.cosine, d + 2.0 * place.cosine * place.facing, place.p);
-        stack_slot(6 + num_layers, features, 1.0, place.cosine);
+        stack_slot(PATH_SLOTS + num_layers, features, 1.0, place.cosine);
     }
     for (int g = 0; g < STACK_GROUPS; g++) {
         int at = S_FIRST + g * STACK_INPUTS + SLOTS * SLOT;
@@ -86,7 +86,7 @@ vec3 shade(vec3 o, vec3 d, vec2 row, uint ray) {
     radiance = mix(lay_over(d, said), radiance, sigmoid(said[0].w));
 #endif
     // What physics leaves out.
-    radiance += softplus(said[0].rgb - (COMPOSITE == 1 ? 4.0 : 1.0));
+    radiance += softplus(said[0].rgb - STACK_SHIFT);
 #endif
     return radiance;
 }

@@ -1,79 +1,78 @@
-"""`light-path` as the page draws it: what light_ends.glsl, light_path.glsl and straight.glsl read."""
+"""The web page of `light-path`: what optics.glsl, light_ends.glsl, light_path.glsl and straight.glsl read."""
 
 import numpy as np
 from torch import nn
 
-from datagen.scene.materials.optics import Medium, Surface
-from datagen.scene.media import MAX_NESTED
+from datagen.scene.description import Scene
+from datagen.scene.media import MAX_NESTED, SAME_INDEX
+from datagen.trace.branches import FIRST_MIRROR, MIN_THROUGHPUT, SPARE_STEPS
+from datagen.trace.limits import LIMITS
 from model.methods.light_path.config import LightPathConfig
-from model.methods.light_path.net import RELIEF_DEPTH, LightPathRenderer
+from model.methods.light_path.net import RELIEF_DEPTH, STACK_SHIFT, LightPathRenderer
 from model.methods.light_path.paths import STACKED_VERTICES
+from model.methods.light_path.pixels import MANY_RAYS
+from model.methods.page import MethodPage, Rows, feature_columns, fours, mlp_rows, package_text
 from model.nets.learned_sky import LOBE_RATE, LOBE_SHARPNESS, LearnedSky
 from model.nets.texture import FINER_COUNTS, NeuralTextures, level_scales
-from model.web.drawn import Drawn
-from model.web.texels import fours
-from model.web.weights import Rows, feature_columns, mlp_rows
 
-SHADERS = (
-    "rays.glsl",
-    "optics.glsl",
-    "networks.glsl",
-    "light_ends.glsl",
-    "light_path.glsl",
-    "straight.glsl",
-    "picture.glsl",
-)
-
-MAX_DEPTH = 24
-"""Surfaces after which a branch is given up: what `LightPathTracer.trace` does unless told."""
-
-STACK_BRANCHES, STACK_DEPTH = len(STACKED_VERTICES), max(STACKED_VERTICES)
-"""Of the paths that the stack network is told of."""
+SHADERS = ("optics.glsl", "light_ends.glsl", "light_path.glsl", "straight.glsl")
 
 
-def draw_light_path(renderer: LightPathRenderer, surfaces: list[Surface], media: list[Medium]) -> Drawn:
+def draw_page(config: LightPathConfig, renderer: LightPathRenderer, scene: Scene) -> MethodPage:
     """The renderer of a scene with these surfaces and media."""
-    config = renderer.config
     weights = _networks(renderer)
     relief = None
     if renderer.relief is not None:
         relief = _relief_places(renderer.relief, sum(map(len, weights)))
         depths = renderer.relief.table.detach().cpu().numpy().astype(np.float32).ravel()
         weights.append(np.pad(depths, (0, fours(len(depths)) - len(depths))).reshape(-1, 4))
-    straight = _straight(config)
-    return Drawn(
-        shaders=SHADERS,
-        defines={
-            "LIGHT_PATH": 1,
-            "NORMALS": 1,
-            # Where the stack network alone makes the colour, no other paths count.
-            "BRANCHES": config.branches if config.composite else STACK_BRANCHES,
-            "MAX_DEPTH": MAX_DEPTH if config.composite else STACK_DEPTH,
-            "STACK_BRANCHES": STACK_BRANCHES,
-            "STACK_DEPTH": STACK_DEPTH,
-            "HIDDEN": fours(config.hidden),
-            "STACK_HIDDEN": fours(config.stack_hidden),
-            "SEES_DIRECTIONS": int(config.sees_directions),
-            "OCTAVES": config.position_octaves,
-            "COMPOSITE": int(config.composite),
-            "SKY_HEIGHT": config.environment_size,
-            "SKY_LEVELS": config.environment_size.bit_length() + 1,
-            "LOBES": config.sky_lobes if config.composite else 0,
-            "STRAIGHT": straight,
-            "RELIEF": int(relief is not None),
-            "RELIEF_DEPTH": RELIEF_DEPTH,
-            # In the page any solid may be moved into any other.
-            "NESTED": int(len(media) <= MAX_NESTED),
-            "DISPERSES": int(any(len(set(medium.iors)) > 1 for medium in media)),
-            "ROUGH_GLASS": int(any(surface.event == "refracts" and surface.roughness > 0 for surface in surfaces)),
-        },
+    return MethodPage(
+        shader=package_text("model.methods.light_path", *SHADERS),
+        defines=_defines(config, scene),
         textures=renderer.textures,
-        features=fours(config.texture_features),
         weights=weights,
         samples=config.render_samples,
         shells=config.shells,
         relief=relief,
+        has_normals=True,
+        follows_light=True,
     )
+
+
+def _defines(config: LightPathConfig, scene: Scene) -> dict[str, int | float]:
+    surfaces = [item.material.surface() for item in scene.objects]
+    media = [item.material.medium for item in scene.objects if item.material.medium is not None]
+    stacked_first, stacked_second = STACKED_VERTICES
+    return {
+        # Where the stack network alone makes the colour, no other paths count.
+        "BRANCHES": config.branches if config.composite else len(STACKED_VERTICES),
+        "MAX_DEPTH": LIMITS.max_depth if config.composite else max(STACKED_VERTICES),
+        "MIN_THROUGHPUT": MIN_THROUGHPUT,
+        "FIRST_MIRROR": FIRST_MIRROR,
+        "SPARE_STEPS": SPARE_STEPS,
+        "SAME_INDEX": SAME_INDEX,
+        "MANY_RAYS": MANY_RAYS,
+        "STACK_BRANCHES": len(STACKED_VERTICES),
+        "STACK_DEPTH": max(STACKED_VERTICES),
+        "STACKED_FIRST": stacked_first,
+        "STACKED_SECOND": stacked_second,
+        "STACK_HIDDEN": fours(config.stack_hidden),
+        "STACK_SHIFT": STACK_SHIFT[config.compositing],
+        "HIDDEN": fours(config.hidden),
+        "SEES_DIRECTIONS": int(config.sees_directions),
+        "OCTAVES": config.position_octaves,
+        "COMPOSITE": int(config.composite),
+        "SKY_HEIGHT": config.environment_size,
+        "SKY_LEVELS": config.environment_size.bit_length() + 1,
+        "LOBES": config.sky_lobes if config.composite else 0,
+        "STRAIGHT": _straight(config),
+        "RELIEF_DEPTH": RELIEF_DEPTH,
+        "MAX_NESTED": MAX_NESTED,
+        # In the page any solid may be moved into any other.
+        "NESTED": int(len(media) <= MAX_NESTED),
+        "DISPERSES": int(any(len(set(medium.iors)) > 1 for medium in media)),
+        "ROUGH_GLASS": int(any(surface.event == "refracts" and surface.roughness > 0 for surface in surfaces)),
+    }
 
 
 def _straight(config: LightPathConfig) -> int:

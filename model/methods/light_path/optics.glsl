@@ -1,7 +1,5 @@
 // What surfaces and media do to light: as datagen/trace computes it.
 
-const int OPAQUE = 0, DIELECTRIC = 1, THIN = 2, COATED = 3, METAL = 4;
-
 // ---- Media: which solid fills a point that several share
 
 const uint NO_SOLIDS = NESTED == 1 ? 0u : 255u;

@@ -1,7 +1,6 @@
 // The light paths of a ray, and what physics says that they bring. Source: datagen/trace/branches.py.
 
-const float MIN_THROUGHPUT = 1.0 / 512.0, FIRST_MIRROR = 16.0;
-const int SPARE_STEPS = 16, QUEUE = BRANCHES > 2 ? BRANCHES - 1 : 1;
+const int QUEUE = BRANCHES > 2 ? BRANCHES - 1 : 1;
 
 int asked;    // Of the task PATH: which end of which segment,
 vec4 answer;  // and where that is.
@@ -55,7 +54,7 @@ vec3 trace(vec3 o, vec3 d, vec2 row, uint ray) {
             int kind = int(optics.x), rank = int(optics.w);
 
             // The medium on the way here, and those on both sides of the surface.
-            bool is_outside = place.is_outside, is_glass = kind == DIELECTRIC, is_thin = kind == THIN;
+            bool is_outside = place.is_outside, is_glass = kind == REFRACTS, is_thin = kind == PASSES;
             int medium_here = medium_of(solids);
             uint beyond = solids, here = solids;
             if (is_glass) {
@@ -68,12 +67,12 @@ vec3 trace(vec3 o, vec3 d, vec2 row, uint ray) {
             if (medium_here >= 0) beta *= exp(-absorption_of(medium_here) * (length(p - o) + skipped_length(place, d)));
 
             float cos_i = place.cosine, offset = place.offset;
-            bool is_end = kind == OPAQUE || kind == COATED || kind == METAL;
-            bool is_stacked = STACK_HIDDEN > 0 && !is_void && (branch == 0 && vertex < 4 || branch == 1 && vertex < 2);
+            bool is_end = kind == ENDS || kind == COATED || kind == MIRRORS;
+            bool is_stacked = STACK_HIDDEN > 0 && !is_void && (branch == 0 && vertex < STACKED_FIRST || branch == 1 && vertex < STACKED_SECOND);
             if (is_stacked || is_end && COMPOSITE == 1) {
                 Features features = look_up(hit.object, place.uv);
 #if STACK_HIDDEN > 0
-                if (is_stacked && stacks) stack_slot(branch == 0 ? vertex : 4 + vertex, features, (beta.r + beta.g + beta.b) / 3.0, cos_i);
+                if (is_stacked && stacks) stack_slot(branch == 0 ? vertex : STACKED_FIRST + vertex, features, (beta.r + beta.g + beta.b) / 3.0, cos_i);
 #endif
 #if RELIEF == 1
                 if (is_end) features = look_up(hit.object, relieved(hit.object, place));
@@ -94,16 +93,16 @@ vec3 trace(vec3 o, vec3 d, vec2 row, uint ray) {
             if (total) next_d = mirrored;
             else if (borders) next_d = normalize(d / eta + facing * (cos_i / eta - f.y));
             vec3 next_share = vec3(total ? 1.0 : (1.0 - reflectance) * (is_glass ? 1.0 / (eta * eta) : 1.0));
-            // Between overlapping parts of one glass there is no surface that could tint (SAME_INDEX in scene/media.py).
-            vec3 tint = is_thin || borders && abs(eta - 1.0) > 1e-6 ? color.rgb : vec3(1.0);
+            // Between overlapping parts of one glass there is no surface that could tint.
+            vec3 tint = is_thin || borders && abs(eta - 1.0) > SAME_INDEX ? color.rgb : vec3(1.0);
             if (!total) next_share *= tint;
             bool is_rough = ROUGH_GLASS == 1 && borders && optics.z > 0.0;
-            if (kind == COATED || kind == METAL || is_rough) {
+            if (kind == COATED || kind == MIRRORS || is_rough) {
                 Facet facet = facet_towards(d, facing, optics.z, random_point(row, ray, step));
                 vec2 at_facet = fresnel(facet.cosine, eta);
                 float shadowing, passed;
                 mirrored = mirrored_by(facet, shadowing);
-                m_beta = beta * shadowing * (kind == METAL ? metal_color(hit.object, place.uv) : vec3(at_facet.x));
+                m_beta = beta * shadowing * (kind == MIRRORS ? metal_color(hit.object, place.uv) : vec3(at_facet.x));
                 if (is_rough) {
                     total = at_facet.x >= 1.0;
                     vec3 refracted = refracted_by(facet, at_facet.y, eta, passed);
@@ -114,7 +113,7 @@ vec3 trace(vec3 o, vec3 d, vec2 row, uint ray) {
 
             // A further branch, where light also comes by reflection. Of a full queue the weakest one falls out.
             float weight = max(m_beta.r, max(m_beta.g, m_beta.b));
-            if (most > 1 && !is_void && kind != OPAQUE && !total && weight > MIN_THROUGHPUT) {
+            if (most > 1 && !is_void && kind != ENDS && !total && weight > MIN_THROUGHPUT) {
                 if (branch == 0 && vertex == 0) weight = FIRST_MIRROR;
                 int weakest = 0;
                 for (int i = 1; i < QUEUE; i++) if (queue[i].weight < queue[weakest].weight) weakest = i;

@@ -1,7 +1,7 @@
 // What shines at the end of a light path: a surface, or the sky. Source: model/methods/light_path/net.py.
 
 const int INPUTS = 4 * FEATURE_TEXELS + 1 + 9 * SEES_DIRECTIONS + 6 * OCTAVES;
-const int SLOT = 4 * FEATURE_TEXELS + 2, SLOTS = 6 + STRAIGHT;
+const int SLOT = 4 * FEATURE_TEXELS + 2, PATH_SLOTS = STACKED_FIRST + STACKED_SECOND, SLOTS = PATH_SLOTS + STRAIGHT;
 const int STACK_INPUTS = SLOTS * SLOT + (STRAIGHT > 0 ? 4 : 0), STACK_OUTPUTS = 1 + (STRAIGHT > 0 ? (STRAIGHT + 3) / 4 : 0);
 const int GROUPS = HIDDEN / 4, STACK_GROUPS = STACK_HIDDEN / 4;
 // Where the layers begin among the weights; each has four outputs beside each other for every input, then its biases.
