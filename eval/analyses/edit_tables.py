@@ -1,11 +1,10 @@
-"""The tables of edits and of order, and what results.json says of them."""
+"""The tables of edits, and what results.json says of them."""
 
 from collections.abc import Iterable, Mapping, Sequence
 
 from datagen.data.config import TEST_SPLITS, Split
 from datagen.disk.records import Json
 from eval.analyses.edits import IGNORED, REGIONS, EditScores
-from eval.analyses.order import OrderScores
 from eval.analyses.variants import variant_json
 from eval.score.metrics import mean_of
 from eval.score.regions import RegionScores
@@ -52,27 +51,6 @@ def _edit_grid(title: str, edit: EditScores, runs: Sequence[RunScores], *, notes
     )
 
 
-def order_grid(title: str, order: OrderScores, runs: Sequence[RunScores]) -> Grid:
-    """PSNR on pixels whose order of surfaces training has shown, and on those where it is new; means over seeds."""
-    regions = ("seen", "new")
-    columns = [Column(group="scene", is_number=False), Column(group="run", is_number=False), Column(group="seeds")]
-    columns += [Column(group=f"{region} dB ↑", split=split) for region in regions for split in TEST_SPLITS]
-    columns += [Column(group="new %", split=split) for split in TEST_SPLITS]
-    rows = []
-    for scene in dict.fromkeys(row.scene for row in order.rows):
-        of_run = {row.run: row for row in order.rows if row.scene == scene}
-        for name, found in by_group(runs, of_run).items():
-            shares = (f"{100 * found[0].new_share[split]:.2f}" for split in TEST_SPLITS)
-            psnr_db = _decibels([row.psnr_db for row in found], regions)
-            rows.append((scene, name, str(len(found)), *psnr_db, *shares))
-    return Grid(
-        title=f"{title}: PSNR by order of the first {order.num_layers} layers",
-        columns=tuple(columns),
-        rows=tuple(rows),
-        notes=("New: pixels whose sequence of objects along the centre ray no training pixel has.", MEANS_NOTE),
-    )
-
-
 def edit_json(edit: EditScores) -> dict[str, Json]:
     """The scores of the whole pictures, and those in regions beside them."""
     record = edit.edited.edit
@@ -82,21 +60,6 @@ def edit_json(edit: EditScores) -> dict[str, Json]:
         "edits": list(record.edits),
         "shares": _nested(edit.shares),
         "rows": [{"run": row.run, "scene": row.scene, "psnr_db": _nested(row.psnr_db)} for row in edit.rows],
-    }
-
-
-def order_json(order: OrderScores) -> Json:
-    return {
-        "num_layers": order.num_layers,
-        "rows": [
-            {
-                "scene": row.scene,
-                "run": row.run,
-                "psnr_db": _nested(row.psnr_db),
-                "new_share": {split: row.new_share[split] for split in TEST_SPLITS},
-            }
-            for row in order.rows
-        ],
     }
 
 

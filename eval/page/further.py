@@ -16,9 +16,8 @@ from eval.analyses.angles import angle_grid
 from eval.analyses.budget import Budget, budget_grid, find_budgets
 from eval.analyses.coverage import Coverage, PixelCoverage, cover_view, read_coverage
 from eval.analyses.curve import Curve, curve_from_json, curve_grid, curve_json, make_curve, pool_seeds
-from eval.analyses.edit_tables import edit_grids, edit_json, order_grid, order_json
+from eval.analyses.edit_tables import edit_grids, edit_json
 from eval.analyses.edits import EditScores, score_edits
-from eval.analyses.order import score_order
 from eval.analyses.super_resolution import score_enlarged, super_resolution_grid, super_resolution_json
 from eval.analyses.variants import VariantScores, score_variants, variant_json
 from eval.page.report_folder import Drawing
@@ -45,11 +44,10 @@ class Further:
     edits: tuple[EditScores, ...]
 
 
-def analyse(scene: SceneScores, errors: list[HyalineError], kept: Kept, *, order_layers: int) -> Further:
+def analyse(scene: SceneScores, errors: list[HyalineError], kept: Kept) -> Further:
     """All analyses of a scored scene.
 
     Args:
-        order_layers: layers by whose order pixels are told apart; 0 leaves that analysis out.
         kept: takes what is computed, and gives what was.
         errors: takes what is wrong with runs; the others are analysed.
     """
@@ -83,10 +81,6 @@ def analyse(scene: SceneScores, errors: list[HyalineError], kept: Kept, *, order
         figures |= {f"edit_{name}_{file_name(edit.edited.name)}": _edit_sheet(scene, edit) for edit in edits}
     if by_name:
         data["variants"] = by_name
-    if order_layers:
-        order = score_order(scene, edits, order_layers)
-        grids.append(order_grid(scene.title, order, scene.runs))
-        data["order"] = order_json(order)
     return Further(
         title=scene.title,
         grids=tuple(grids),

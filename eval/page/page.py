@@ -49,7 +49,6 @@ def report_page(
     *,
     most_views: int = USUAL_VIEWS,
     most_bytes: int = MOST_BYTES,
-    refresh_s: int | None = None,
 ) -> bytes:
     """The bytes of the page, at most so many where its tables and curves alone leave room.
 
@@ -57,13 +56,12 @@ def report_page(
         further: of each scene.
         most_views: shown of each split and run.
         most_bytes: of the page; pictures that find no room in it are left out, and the page says so.
-        refresh_s: seconds after which a browser reads it again.
     """
     encoded: Encoded = {}
     room = most_bytes
     while True:
         gallery = Gallery(room, encoded)
-        page = _draw_page(scenes, further, gallery, most_views=most_views, refresh_s=refresh_s)
+        page = _draw_page(scenes, further, gallery, most_views=most_views)
         if len(page) <= most_bytes or not gallery.used:
             return page
         room = max(0, gallery.used - (len(page) - most_bytes))  # What else is in the page has to fit as well.
@@ -75,7 +73,6 @@ def _draw_page(
     gallery: Gallery,
     *,
     most_views: int,
-    refresh_s: int | None,
 ) -> bytes:
     """The page with the pictures for which a gallery has room: the most telling ones go first."""
     pairs = list(zip(scenes, further, strict=True))
@@ -118,13 +115,10 @@ def _draw_page(
         *runs,
         left_out,
         navigation=_navigation(parts),
-        refresh_s=refresh_s,
     )
 
 
-def page_drawing(
-    scenes: list[SceneScores], further: list[Further], results: str, *, most_views: int, refresh_s: int | None = None
-) -> Drawing:
+def page_drawing(scenes: list[SceneScores], further: list[Further], results: str, *, most_views: int) -> Drawing:
     """The page as a file of the report, made again when anything in it differs.
 
     Args:
@@ -133,10 +127,8 @@ def page_drawing(
     told = [
         [shown_of_run(scores), read_training(scores.run.folder).digest] for scene in scenes for scores in scene.runs
     ]
-    about: Json = [results, list(map(shown_of_scene, scenes)), to_json(told), most_views, refresh_s]
-    return Drawing(
-        draw=partial(report_page, scenes, further, most_views=most_views, refresh_s=refresh_s), about=["page", about]
-    )
+    about: Json = [results, list(map(shown_of_scene, scenes)), to_json(told), most_views]
+    return Drawing(draw=partial(report_page, scenes, further, most_views=most_views), about=["page", about])
 
 
 def scenes_grid(scenes: Sequence[SceneScores]) -> Grid:

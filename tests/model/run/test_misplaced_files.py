@@ -52,7 +52,7 @@ def seals(name: str) -> tuple[str, ...]:
     "line",
     [
         "model render --run runs/d1/one --overwrite",
-        "model render --run runs/d1/one --path orbit --frames 2 --video film.gif",
+        "model render --run runs/d1/one --path orbit --frames 2 --video film.webp",
         "model export --run runs/d1/one",
         "model view runs/d1/one --port 0",
     ],
@@ -65,7 +65,7 @@ def test_weights_of_a_run_on_another_dataset_are_refused(home: Path, line: str) 
     theirs, own = seals("d1")
     assert f"weights.pt: of a run on other data (dataset_seal {theirs}...) than this one ({own}...)" in answer.error
     assert Path("runs/d1/one/predictions.json").read_bytes() == before
-    assert not (home / "scene.html").exists() and not (home / "film.gif").exists()
+    assert not (home / "scene.html").exists() and not (home / "film.webp").exists()
 
 
 @pytest.mark.usefixtures("home")
