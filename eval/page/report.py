@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
-from datagen.data.advice import train_command
 from datagen.data.config import MAX_VIEWS, TEST_SPLITS, Split
 from datagen.data.dataset import Dataset, has_glass_mask, open_dataset
 from datagen.data.finding import list_datasets
@@ -68,8 +67,8 @@ def make_report(
     runs, errors = _open_runs(runs_root, data_root, out, only)
     if not runs and not errors:
         raise HyalineError(
-            f"{runs_root}: no predictions there; make some with `{train_command()}`, or put a method's pictures "
-            f"at {runs_root}/SCENE/NAME/predictions/SPLIT/0000.png"
+            f"{runs_root}: no predictions there; make some with `model train paper`, or put a method's pictures at "
+            f"{runs_root}/SCENE/NAME/predictions/SPLIT/0000.png"
         )
     kept = kept_in(out)
     if scenes := _score_scenes(runs, errors, kept):
