@@ -13,13 +13,13 @@ def figures_of(scenes: list[SceneScores], further: list[Further]) -> dict[str, D
     for scene in scenes:
         name = file_name(scene.title)
         for scores in scene.runs:
-            figures[f"{name}_{file_name(scores.run.name)}"] = _contact_sheet(scene, scores)
+            figures[f"{name}_{file_name(scores.run.name)}.png"] = _contact_sheet(scene, scores)
         if len(scene.runs) > 1:
-            figures[f"comparison_{name}"] = _comparison_sheet(scene)
-        figures[f"cameras_{name}"] = _cameras(scene)
+            figures[f"comparison_{name}.png"] = _comparison_sheet(scene)
+        figures[f"cameras_{name}.png"] = _cameras(scene)
     for analyses in further:
         figures |= analyses.figures
-    return {f"{name}.png": drawing for name, drawing in figures.items()}
+    return figures
 
 
 def shown_of_run(scores: RunScores) -> Json:

@@ -37,7 +37,7 @@ class Further:
     data: dict[str, Json]
     """For results.json."""
     figures: dict[str, Drawing]
-    """PNGs by the name of their file."""
+    """By the name of their file."""
     curves: dict[str, Curve]
     """By the run's name, over seeds where there are several."""
     variants: tuple[VariantScores, ...]
@@ -67,18 +67,18 @@ def analyse(scene: SceneScores, errors: list[HyalineError], kept: Kept) -> Furth
         pooled = pool_seeds(scene.runs, curves)
         grids.append(curve_grid(scene.title, pooled))
         data["curves"] = to_json(curves)
-        figures[f"curve_{name}"] = _curve_figure(scene.title, pooled)
+        figures[f"curve_{name}.svg"] = _curve_figure(scene.title, pooled)
     if budgets := find_budgets(scene, kept):
         grids.append(budget_grid(scene.title, budgets))
         data["layer_budgets"] = to_json(budgets)
-        figures[f"budget_{name}"] = _budget_figure(scene.title, budgets)
+        figures[f"budget_{name}.svg"] = _budget_figure(scene.title, budgets)
     if larger := [(scored, score_enlarged(scene, scored, kept)) for scored in variants if is_larger(scored.variant)]:
         grids.append(super_resolution_grid(scene, larger))
         by_name |= {scored.variant.name: super_resolution_json(scored, enlarged) for scored, enlarged in larger}
     if edits := score_edits(scene, variants, errors, kept):
         grids += edit_grids(scene.title, edits, scene.runs)
         by_name |= {edit.edited.name: edit_json(edit) for edit in edits}
-        figures |= {f"edit_{name}_{file_name(edit.edited.name)}": _edit_sheet(scene, edit) for edit in edits}
+        figures |= {f"edit_{name}_{file_name(edit.edited.name)}.png": _edit_sheet(scene, edit) for edit in edits}
     if by_name:
         data["variants"] = by_name
     return Further(

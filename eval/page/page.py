@@ -7,11 +7,9 @@ from functools import partial
 from datagen.data.config import TEST_SPLITS
 from datagen.data.paths import view_name
 from datagen.disk.records import Json, to_json
-from datagen.pages.charts import Line, line_chart
 from datagen.pages.document import anchor, document, section
 from datagen.pages.html import Markup, Part, join, prose, tag
 from datagen.pages.pictures import Encoded, Gallery
-from eval.analyses.curve import MIN_PIXELS, Bin, Curve
 from eval.page.edit_page import draw_edit
 from eval.page.figures import shown_of_run, shown_of_scene
 from eval.page.further import Further
@@ -225,6 +223,8 @@ def _scene_page(part: _ScenePart) -> Markup:
     about = f"{config.resolution} pixels, dataset {scene.dataset.seal[:12]}"
     content: list[Part] = [tag("p", about, class_="note")]
     if part.further.curves:
+        from eval.analyses.plots import curve_charts
+
         content += [
             tag("h3", "Error against what training saw"),
             tag("div", *curve_charts(part.further.curves), class_="charts"),
@@ -232,40 +232,3 @@ def _scene_page(part: _ScenePart) -> Markup:
     content += [html_table(grid, links) for grid in (*rest, *part.further.grids)]
     content += part.edits
     return tag("div", section(scene.title, *content, id_=place), class_="page", id=f"{place}-page")
-
-
-def curve_charts(curves: dict[str, Curve]) -> list[Markup]:
-    """PSNR by the angle to the nearest training ray, all of it, and by how many training views saw the texel."""
-
-    def lines(name: str, unit: str) -> list[Line]:
-        return [
-            Line(
-                name=run,
-                points=tuple((part.mean, part.psnr_db) for part in _enough(getattr(curve, name))),
-                labels=tuple(
-                    f"{part.mean:.1f} {unit}: {part.psnr_db:.2f} dB, {part.pixels:,} pixels"
-                    for part in _enough(getattr(curve, name))
-                ),
-            )
-            for run, curve in curves.items()
-        ]
-
-    return [
-        line_chart(
-            lines("by_angle", "degrees"),
-            title="PSNR by the angle to the nearest training ray",
-            x_title="angle (degrees)",
-            y_title="PSNR (dB)",
-        ),
-        line_chart(
-            lines("by_views", "views"),
-            title="PSNR by the number of training views that saw the texel",
-            x_title="training views",
-            y_title="PSNR (dB)",
-            is_log_x=True,
-        ),
-    ]
-
-
-def _enough(bins: Sequence[Bin]) -> list[Bin]:
-    return [part for part in bins if part.pixels >= MIN_PIXELS and part.mse > 0]

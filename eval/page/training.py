@@ -135,7 +135,7 @@ def _chart(key: str, points: Points, ceiling_db: float | None) -> Markup:
             f"the scores on test views: they are drawn with one ray a pixel, and are noisier {why}.",
             class_="note",
         )
-    chart = line_chart(lines, title=f"{title} by training step", x_title="step", y_title=y_title)
+    chart = line_chart(tuple(lines), title=f"{title} by training step", x_title="step", y_title=y_title)
     return tag("div", chart, note)
 
 
