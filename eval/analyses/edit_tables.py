@@ -1,17 +1,24 @@
-"""The tables of edits, and what results.json says of them."""
+"""The tables of edits, what results.json says of them, and the picture sheet of each."""
 
 from collections.abc import Iterable, Mapping, Sequence
 
+import numpy as np
+
 from datagen.data.config import TEST_SPLITS, Split
+from datagen.data.edit_masks import OBJECT, read_edit_mask
+from datagen.data.paths import view_name
 from datagen.disk.records import Json
-from eval.analyses.edits import IGNORED, REGIONS, EditScores
+from eval.analyses.edits import IGNORED, REGIONS, EditScores, RegionScores
 from eval.analyses.variants import variant_json
-from eval.score.metrics import mean_of
-from eval.score.regions import RegionScores
-from eval.score.scores import RunScores
+from eval.score.metrics import mean_of, psnr
+from eval.score.runs import has_split, read_prediction
+from eval.score.scores import RunScores, SceneScores
 from eval.score.seeds import by_group
-from eval.tables.grids import MEANS_NOTE, Column, Grid, format_number
+from eval.tables.grids import MEANS_NOTE, Column, Grid, format_number, psnr_text
 from eval.tables.results import json_number
+
+EDIT_VIEWS = 2
+"""Views of each split on the sheet of an edit."""
 
 EDIT_NOTE = (
     "Object: pixels that show a changed object in either scene. Light: other pixels where the truth changes by more "
@@ -78,3 +85,26 @@ def _nested(scores: Mapping[tuple[str, Split], float | None]) -> Json:
         region: {split: json_number(value) for (name, split), value in scores.items() if name == region}
         for region in regions
     }
+
+
+def edit_sheet(scene: SceneScores, edit: EditScores) -> bytes:
+    """The PNG of an edit: the truth before and after it, and what each run drew (of runs that differ in their seed
+    alone, the first one), in the views that show most of it."""
+    from eval.figures.sheets import Panel, Row, draw_sheet
+
+    drawn = by_group(scene.runs, {run.name: run for run in edit.runs})
+    runs = [members[0] for members in drawn.values()]
+    rows = []
+    for split in TEST_SPLITS:
+        views = range(edit.edited.config.split(split).views)
+        shares = [float(np.mean(read_edit_mask(edit.edited, split, view) == OBJECT)) for view in views]
+        for view in sorted(sorted(views, key=lambda view: -shares[view])[:EDIT_VIEWS]):
+            truths = [dataset.view(split, view).image for dataset in (scene.dataset, edit.edited)]
+            panels = [Panel(image=image, caption=f"view {view_name(view)}") for image in truths]
+            for run in runs:
+                pred = read_prediction(run, split, view) if has_split(run, split) else None
+                panels.append(Panel(image=pred, caption="" if pred is None else psnr_text(psnr(pred, truths[1]))))
+            rows.append(Row(split=split, panels=tuple(panels)))
+    heads = ("truth before", "truth after", *(run.name for run in runs))
+    title = f"{scene.title}: {edit.edited.name}"
+    return draw_sheet(title, heads, rows, size=scene.dataset.config.resolution)

@@ -4,19 +4,21 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
-from datagen.data.config import TEST_SPLITS
+import numpy as np
+
+from datagen.data.config import TEST_SPLITS, Split
+from datagen.data.dataset import Dataset
+from datagen.data.edit_masks import OBJECT, read_edit_mask
 from datagen.data.paths import view_name
 from datagen.disk.records import Json, to_json
 from datagen.pages.document import anchor, document, section
 from datagen.pages.html import Markup, Part, join, prose, tag
 from datagen.pages.pictures import Encoded, Gallery
-from eval.page.edit_page import draw_edit
-from eval.page.figures import shown_of_run, shown_of_scene
-from eval.page.further import Further
+from eval.analyses.edits import EditScores
+from eval.page.further import Further, shown_of_run, shown_of_scene
 from eval.page.html_tables import html_table
 from eval.page.report_folder import Drawing
-from eval.page.run_page import run_anchor, run_page
-from eval.page.training import read_training
+from eval.page.run_page import read_training, run_anchor, run_page
 from eval.page.views import Compared, ShownView, prediction_panel, store_truth, store_view, store_views, truth_name
 from eval.score.scores import RunScores, SceneScores, metric_notes
 from eval.score.seeds import group_seeds
@@ -232,3 +234,36 @@ def _scene_page(part: _ScenePart) -> Markup:
     content += [html_table(grid, links) for grid in (*rest, *part.further.grids)]
     content += part.edits
     return tag("div", section(scene.title, *content, id_=place), class_="page", id=f"{place}-page")
+
+
+def draw_edit(gallery: Gallery, scene: SceneScores, edit: EditScores) -> Markup:
+    """The view of each test split that shows most of the edited objects, as far as the gallery has room."""
+    record = edit.edited.edit
+    assert record is not None
+    rows: list[Part] = []
+    for split in TEST_SPLITS:
+        view = _clearest_view(edit, split)
+        panels: list[Part] = [
+            _truth(gallery, dataset, split, view, when)
+            for dataset, when in ((scene.dataset, "before"), (edit.edited, "after"))
+        ]
+        for scores in edit.scored.runs.values():
+            if (values := scores.splits[split]) is not None:
+                item = Compared(run=scores.run, split=split, scores=values, digests=scores.digests[split])
+                panels.append(prediction_panel(gallery, item, view) if store_view(gallery, item, view) else None)
+        rows.append(tag("div", *panels, class_="sheet wide"))
+    place = anchor("edit", scene.title, edit.edited.name)
+    return section(f"After {' then '.join(record.edits)}", *rows, id_=place, level=3)
+
+
+def _clearest_view(edit: EditScores, split: Split) -> int:
+    views = range(edit.edited.config.split(split).views)
+    return max(views, key=lambda view: np.mean(read_edit_mask(edit.edited, split, view) == OBJECT))
+
+
+def _truth(gallery: Gallery, dataset: Dataset, split: Split, view: int, when: str) -> Markup | None:
+    if not store_truth(gallery, dataset, split, view):
+        return None
+    caption = f"truth {when}, {split} view {view_name(view)}"
+    picture = gallery.show(truth_name(dataset, split, view), label=caption)
+    return tag("figure", picture, tag("figcaption", caption))

@@ -18,13 +18,13 @@ from datagen.machine.revision import code_version
 from datagen.terminal.command import choose, say, track
 from eval.analyses.edits import object_psnr, score_edits
 from eval.analyses.variants import score_variants
-from eval.page.figures import figures_of
-from eval.page.further import Further, analyse
+from eval.page.further import Further, analyse, figures_of
 from eval.page.page import PAGE, USUAL_VIEWS, page_drawing
 from eval.page.report_folder import Drawing, check_report_folder, keep, kept_in, write_report
 from eval.papers.claims import CLAIMS, claims_grid
-from eval.papers.comparison_tables import ablation_grid, comparison_grid, find_ladder, ladder_grid
+from eval.papers.comparison_tables import ablation_grid, comparison_grid
 from eval.papers.comparisons import ABLATIONS, COMPARISONS, LADDER, Line, find_entries
+from eval.papers.ladder import find_ladder, ladder_figure, ladder_grid
 from eval.papers.published import published_grid, published_json
 from eval.score.kept import Kept
 from eval.score.runs import Run, has_predictions, list_run_folders, open_run
@@ -166,7 +166,6 @@ def _object_psnr(scene: SceneScores, errors: list[HyalineError], kept: Kept) -> 
 def _picture_of(table: str, scene: SceneScores) -> bytes | None:
     """Of a comparison what its runs drew, of the ladder a plot."""
     from eval.figures.sheets import comparison_sheet
-    from eval.papers.ladder import ladder_figure
 
     if table in COMPARISONS:
         comparison = COMPARISONS[table]

@@ -220,10 +220,9 @@ def test_seeds_share_a_row_in_the_tables_of_edits_and_the_first_stands_on_the_sh
             listed["files"][picture] = sha256(black_png)
         commit_sealed(path, listed)
     heads = []
-    for module in ("eval.figures.sheets", "eval.analyses.edit_sheet"):
-        monkeypatch.setattr(
-            f"{module}.draw_sheet", lambda title, found, rows, size: heads.append((title, found)) or b""
-        )
+    monkeypatch.setattr(
+        "eval.figures.sheets.draw_sheet", lambda title, found, rows, size: heads.append((title, found)) or b""
+    )
     make_report(tmp_path / "runs", made / "data", tmp_path / "out", output_format="markdown")
 
     results = json.loads((tmp_path / "out" / "results.json").read_text())["scenes"][0]["analyses"]
