@@ -30,7 +30,8 @@ from eval.score.kept import Kept
 from eval.score.runs import Run, has_predictions, list_run_folders, open_run
 from eval.score.scores import RunScores, SceneScores, Truth, read_truth, score_run
 from eval.score.seeds import group_seeds
-from eval.tables.grids import TABLE_WIDTH, Grid, grid_text, tables_text
+from eval.tables.grids import TABLE_WIDTH, Grid
+from eval.tables.looks import grid_text, tables_text
 from eval.tables.results import results_csv, results_json
 
 FORMATS = ("table", "markdown", "csv", "latex", "json")

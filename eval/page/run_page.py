@@ -18,11 +18,11 @@ from datagen.pages.charts import Line, line_chart
 from datagen.pages.document import anchor, command, definitions, section
 from datagen.pages.html import Markup, Part, join, prose, tag
 from datagen.pages.pictures import Gallery
-from eval.page.html_tables import html_table
 from eval.page.views import Compared, ShownView, draw_views
 from eval.score.runs import Run
 from eval.score.scores import METRICS, RunScores, SceneScores
 from eval.tables.grids import Column, Grid, format_number
+from eval.tables.looks import html_table
 
 HELD_OUT = "held_out_psnr"
 TITLES = {"loss": ("Training loss", "loss"), HELD_OUT: ("PSNR on held-out views", "PSNR (dB)")}

@@ -26,7 +26,8 @@ from datagen.machine.revision import code_version
 from eval.page.report import make_report
 from eval.page.results_page import results_page
 from eval.score.runs import RUN_KEYS, list_run_folders
-from eval.tables.grids import CEILING, latex_escaped
+from eval.tables.grids import CEILING
+from eval.tables.looks import latex_escaped
 from model.run.run_folder import RunRecord
 
 SCRIPTS = Path(sys.executable).parent
