@@ -1,6 +1,6 @@
 """The scores of edited scenes in regions: what a trained renderer draws from other layers, against the edited truth."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -124,7 +124,9 @@ def _compare_edit(
     """The shares of the regions, and the scores of the runs that drew the edit and of the truth before it."""
     edited = scored.variant
     masks: dict[Split, list[Masks]] = {split: _masks(edited, split) for split in TEST_SPLITS}
-    before: dict[Split, list[Image]] = {split: truths(scene.dataset, split) for split in TEST_SPLITS}
+    before: dict[Split, list[Image]] = {
+        split: [view.image for view in scene.dataset.views(split)] for split in TEST_SPLITS
+    }
     after: dict[Split, list[Image]] = {split: list(scored.truths[split].images) for split in TEST_SPLITS}
     rows = []
     for run in (scores.run for scores in drew):
@@ -133,11 +135,11 @@ def _compare_edit(
         rows.append(EditRow(run=run.name, scene="unedited", psnr_db=_score_regions(run, before, masks)))
     ignored: RegionScores = {}
     for split in TEST_SPLITS:
-        values = psnr_by_region(zip(before[split], after[split], strict=True), masks[split])
+        values = _psnr_by_region(zip(before[split], after[split], strict=True), masks[split])
         ignored |= {(region, split): value for region, value in values.items()}
     rows.append(EditRow(run=IGNORED, scene="edited", psnr_db=ignored))
     shares: EditShares = {
-        (region, split): mean_share(masks[split], region) for region in REGIONS for split in TEST_SPLITS
+        (region, split): _mean_share(masks[split], region) for region in REGIONS for split in TEST_SPLITS
     }
     return shares, tuple(rows)
 
@@ -181,7 +183,9 @@ def _score_regions(run: Run, targets: dict[Split, list[Image]], masks: dict[Spli
     scores: RegionScores = {}
     for split in TEST_SPLITS:
         if has_split(run, split):
-            found = psnr_by_region(zip(predictions(run, split), targets[split], strict=True), masks[split])
+            views = range(run.dataset.config.split(split).views)
+            drawn = (read_prediction(run, split, view) for view in views)
+            found = _psnr_by_region(zip(drawn, targets[split], strict=True), masks[split])
             scores |= {(region, split): value for region, value in found.items()}
     return scores
 
@@ -191,7 +195,7 @@ def _masks(edited: Dataset, split: Split) -> list[Masks]:
     return [{name: np.isin(mask, values) for name, values in REGIONS.items()} for mask in masks]
 
 
-def psnr_by_region(pictures: Iterable[tuple[Image, Image]], masks: Iterable[Masks]) -> dict[str, float | None]:
+def _psnr_by_region(pictures: Iterable[tuple[Image, Image]], masks: Iterable[Masks]) -> dict[str, float | None]:
     """PSNR in dB of each region: the mean over (prediction, truth) pairs of one value per picture that shows it."""
     values: dict[str, list[float | None]] = {}
     for (pred, target), regions in zip(pictures, masks, strict=True):
@@ -200,16 +204,6 @@ def psnr_by_region(pictures: Iterable[tuple[Image, Image]], masks: Iterable[Mask
     return {name: mean_of(found) for name, found in values.items()}
 
 
-def mean_share(masks: list[Masks], name: str) -> float:
+def _mean_share(masks: list[Masks], name: str) -> float:
     """The share of a region in all pixels of a split."""
     return float(np.mean([regions[name] for regions in masks]))
-
-
-def truths(dataset: Dataset, split: Split) -> list[Image]:
-    """All pictures of a split, verified."""
-    return [dataset.view(split, view).image for view in range(dataset.config.split(split).views)]
-
-
-def predictions(run: Run, split: Split) -> Iterator[Image]:
-    """All of a run's pictures of a split."""
-    return (read_prediction(run, split, view) for view in range(run.dataset.config.split(split).views))
