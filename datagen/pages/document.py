@@ -69,5 +69,5 @@ def _source(text: str) -> str:
     return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"
 
 
-def _lines(parts: list[Markup | None]) -> str:
-    return "".join(f"{part}\n" for part in parts if part is not None)
+def _lines(parts: list[Markup]) -> str:
+    return "".join(f"{part}\n" for part in parts)

@@ -155,8 +155,6 @@ def test_a_film_replaces_its_own_frames_and_none_that_somebody_has_put_beside_th
         ("model export --run runs/d1/one --out data/d1/dataset.json", "dataset"),
         ("model export --run runs/d1/one --out runs/d2/one/weights.pt", "run"),
         ("model export --run runs/d1/one --out runs/d1/one/predictions.json", "run"),
-        (f"{RENDER} --video data/d1/images/train/0000.png", "dataset"),
-        (f"{RENDER} --video runs/d1/one/predictions/interpolating/0000.png", "run"),
     ],
 )
 def test_no_output_replaces_a_file_of_a_dataset_or_a_run(line: str, owner: str) -> None:
