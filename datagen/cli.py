@@ -10,9 +10,8 @@ import tyro
 from datagen.build.choices import BuildChoices
 from datagen.build.film import FilmChoices
 from datagen.build.launch import LaunchChoices
-from datagen.data.advice import after_build, after_layers
 from datagen.data.dataset import open_dataset
-from datagen.data.finding import DATA_ROOT, build_command, find_dataset
+from datagen.data.finding import DATA_ROOT, build_command, find_dataset, train_command
 from datagen.data.geometries import check_geometry
 from datagen.data.layer_writing import check_settings
 from datagen.data.paths import TRUTH
@@ -129,7 +128,7 @@ def import_dataset(
     views = ", ".join(f"{count} {split}" for split, count in dataset.num_views.items())
     say(f"{dataset.root}: {views} views; {len(dataset.objects)} meshes; noise and radiance are unknown")
     tell(str(dataset.root))
-    next_command(after_build(dataset))
+    next_command(shlex.join(["datagen", "look", str(dataset.root)]))
 
 
 def peel(
@@ -159,7 +158,7 @@ def peel(
     say_all(summary(opened, geometry))
     peel_variants(opened, workers=workers)
     tell(str(opened.root))
-    next_command(after_layers(opened, geometry))
+    next_command(train_command(opened.home.root, geometry))
 
 
 def export(
@@ -267,7 +266,7 @@ def render(
     film: FilmChoices = FilmChoices(),  # noqa: B008
     overwrite: bool = False,
 ) -> None:
-    """Path-trace a film of a dataset's scene; `model render --path` draws the same film with a trained run.
+    """Path-trace a film of a dataset's scene; `model render` draws the same film with a trained run.
 
     Args:
         dataset: Dataset folder, or its name under data/. Default: the only one there. The flag may be left out if the

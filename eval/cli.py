@@ -5,7 +5,6 @@ here, and the word `report` may or may not be there.
 """
 
 import sys
-import time
 from pathlib import Path
 
 from datagen.terminal.command import run, say
@@ -21,11 +20,9 @@ def report(
     format: str = "table",  # noqa: A002  The flag's name; the builtin is not needed here.
     out: Path | None = None,
     table: tuple[str, ...] = (),
-    order: int = 0,
     full: bool = False,
     published: bool = False,
     views: int = 3,
-    watch: bool = False,
     results: tuple[Path, ...] = (),
 ) -> None:
     """Scores every folder RUNS/SCENE/NAME/predictions/SPLIT/0000.png, 0001.png, ... and writes a page of them.
@@ -42,13 +39,10 @@ def report(
         table: Print only these tables, beside the paper's numbers, with contact sheets of their runs: table1
             (extrinsics), table2 (DNR), square (layers or network), zero-layer, headline, proxies (with a figure),
             ablation (parts of light-path), variants (of paper), claims. `model sweep` trains the runs of each.
-        order: Add a table of the pixels whose first N layers (1 to 8) show objects in an order that no training pixel
-            has. 0 adds none.
         full: Also print what each run is, and quality by angle, by number of training views and by layers.
         published: Also print the paper's own numbers, and beside them what its authors' script gives for these runs.
         views: Views of each split and run in index.html: the worst, the median and the best first. Of more than fit
             into 20 MB, the last are left out.
-        watch: Make the report again whenever a run changes, until Ctrl-C; a browser that shows the page follows.
         results: Instead of scoring runs, print the tables of these results.json files as one page of Markdown; from all
             of docs/results, `make results` makes RESULTS.md.
     """
@@ -58,37 +52,23 @@ def report(
         sys.stdout.write(results_page(results))
         return
     from datagen.data.finding import find_dataset
-    from datagen.disk.errors import UsageError
-    from eval.page.report import check_asked, make_report, make_tables
-    from eval.page.watch import EVERY_S
-    from eval.page.watch import watch as watch_runs
+    from eval.page.report import make_report, make_tables
 
     place = out if out is not None else runs / "report"
     only = None if dataset is None else find_dataset(dataset, data)
-    if table and watch:
-        raise UsageError("--watch: makes a whole report; leave out --table")
     if table:
         make_tables(runs, data, place, tables=table, output_format=format, only=only)
         return
-
-    def make() -> None:
-        make_report(
-            runs,
-            data,
-            place,
-            output_format=format,
-            order_layers=order,
-            only=only,
-            is_full=full,
-            is_published=published,
-            most_views=views,
-            refresh_s=EVERY_S if watch else None,
-        )
-
-    if watch:
-        check_asked(place, format, most_views=views, order_layers=order)
-        watch_runs(make, runs, place, pause=time.sleep)
-    make()
+    make_report(
+        runs,
+        data,
+        place,
+        output_format=format,
+        only=only,
+        is_full=full,
+        is_published=published,
+        most_views=views,
+    )
 
 
 def main() -> None:

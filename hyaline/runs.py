@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float32, UInt8
 
-from datagen.data.advice import RUNS
 from datagen.data.cameras import Camera, Cameras, check_camera
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.finding import find_dataset
@@ -18,7 +17,7 @@ from datagen.disk.names import real_path
 from datagen.terminal.distribution import naming_parts
 from model.methods.protocol import Inputs
 from model.run.run_folder import RUN, WEIGHTS, RunRecord, TrainConfig, check_trained_on, read_metrics, read_run
-from model.settings.run_flags import Device
+from model.settings.run_flags import RUNS, Device
 
 if TYPE_CHECKING:
     from model.batches.rays import PixelSource

@@ -3,6 +3,7 @@
 import functools
 import inspect
 import os
+import shlex
 import signal
 import sys
 from collections.abc import Callable
@@ -10,12 +11,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from datagen.build.film import FilmChoices
-from datagen.data.advice import report_command
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.finding import find_dataset
 from datagen.disk.errors import HyalineError, UsageError
 from datagen.terminal.command import choose, mute, next_command, run, run_parsed, say, tell, unwrap_help
-from model.settings.run_flags import Device, Memory
+from model.settings.run_flags import RUNS, Device, Memory
 from model.settings.runtime import choose_device, wait_briefly
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ def train_method(words: list[str]) -> None:
 
         see_own_gpu()
     config, opened = configure(method, asked)
-    out = asked.run.out or Path("runs") / opened.name / folder_name(method, asked)
+    out = asked.run.out or RUNS / opened.name / folder_name(method, asked)
     _train(
         config,
         opened,
@@ -384,4 +384,5 @@ def _method_first(words: list[str]) -> list[str]:
 
 def _end(out: Path, *, run: Path) -> None:
     tell(str(out))
-    next_command(report_command(run))
+    root = os.path.normpath(run / ".." / "..")
+    next_command("eval report" if root == str(RUNS) else f"eval report --runs {shlex.quote(root)}")

@@ -6,9 +6,8 @@ from typing import TYPE_CHECKING, Annotated, cast
 
 import tyro
 
-from datagen.data.advice import after_layers
 from datagen.data.dataset import Dataset, open_dataset
-from datagen.data.finding import DATA_ROOT, build_command, find_dataset, list_datasets
+from datagen.data.finding import DATA_ROOT, build_command, find_dataset, list_datasets, train_command
 from datagen.data.layer_writing import check_settings
 from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
@@ -85,7 +84,7 @@ def make(
         peel_variants(opened, workers=workers)
         if preview:
             _preview(opened, spec.geometry)
-    next_command(after_layers(datasets[0], specs[0].geometry))
+    next_command(train_command(datasets[0].root, specs[0].geometry))
 
 
 def _preview(dataset: Dataset, geometry: str) -> None:

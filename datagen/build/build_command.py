@@ -1,6 +1,7 @@
 """What `datagen build` does: builds a dataset, or one part of it, or adds edits and more test views to one."""
 
 import dataclasses
+import shlex
 import sys
 from pathlib import Path
 
@@ -12,11 +13,10 @@ from datagen.build.launch import launch as send_off
 from datagen.build.plan_variant import MAX_SCALE, plan_angles, plan_edit, plan_larger
 from datagen.build.presets import PRESETS, resize
 from datagen.build.shards import Shard, count_missing, parse_shard
-from datagen.data.advice import after_build, after_edit
 from datagen.data.cameras import TRANSFORMS_FILES
 from datagen.data.config import DatasetConfig
 from datagen.data.dataset import Dataset, open_dataset
-from datagen.data.finding import DATA_ROOT, find_dataset
+from datagen.data.finding import DATA_ROOT, find_dataset, render_command, train_command
 from datagen.data.layer_writing import check_settings
 from datagen.data.paths import TRUTH
 from datagen.data.resolution import parse_resolution
@@ -129,7 +129,7 @@ def _build_new(choices: BuildChoices, launch: LaunchChoices, imports: ImportChoi
             return
         say(f"{root}: part {part} is done, and with it the dataset")
         say_all(summary(made, TRUTH))
-    next_command(after_build(made))
+    next_command(shlex.join(["proxies", "make", "--dataset", str(root), "--kind", "ellipsoid"]))
 
 
 def _preview(dataset: Dataset, choices: BuildChoices) -> None:
@@ -168,7 +168,7 @@ def _add_edit(base: Dataset, choices: BuildChoices) -> None:
     say_all(summary(edited, TRUTH))
     _preview(edited, choices)
     tell(str(edited.root))
-    next_command(after_edit(base, edited))
+    next_command(render_command(edited.name))
 
 
 def _add_views(base: Dataset, choices: BuildChoices, launch: LaunchChoices) -> None:
@@ -182,7 +182,7 @@ def _add_views(base: Dataset, choices: BuildChoices, launch: LaunchChoices) -> N
     _check_numbers(choices, test_views=base.config.interpolating.views)
     _build_more(base, choices, None)
     tell(str(base.root))
-    next_command(after_build(base))
+    next_command(train_command(base.root))
 
 
 def _build_more(base: Dataset, choices: BuildChoices, shard: Shard | None) -> None:

@@ -24,8 +24,8 @@ class FilmChoices:
     """A film along --path."""
 
     video: Path | None = None
-    """The film: .webp, .gif, .png (animated), .mp4 (needs the extra `video`), or a folder for a PNG a frame. Default:
-    named after what it shows, .webp."""
+    """The film: .webp, .mp4 (needs the extra `video`), or a folder for a PNG a frame. Default: named after what it
+    shows, .webp."""
     frames: int = 48
     """Pictures in the film."""
     fps: float = 24.0

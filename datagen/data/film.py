@@ -1,4 +1,4 @@
-"""Films: pictures in a row, as one animated file or as a folder of PNGs."""
+"""Films: pictures in a row, as WebP, as MP4, or as a folder of PNGs."""
 
 import io
 import subprocess
@@ -32,9 +32,8 @@ from datagen.disk.storage import commit, load_sealed, seal_bytes
 FRAMES = FolderKind(what="film", head="film.json", way_out="choose another --video")
 """A folder of PNGs; its head says which."""
 
-ANIMATED = {".gif": "GIF", ".webp": "WEBP", ".png": "PNG"}
-MOVIE = ".mp4"
-KINDS = f"{', '.join(ANIMATED)} or {MOVIE}, or a folder for a PNG a frame"
+ANIMATED, MOVIE = ".webp", ".mp4"
+KINDS = f"{ANIMATED} or {MOVIE}, or a folder for a PNG a frame"
 MAX_FPS = 240.0
 
 
@@ -52,7 +51,7 @@ def check_film(out: Path, fps: float, *, frames: int, overwrite: bool) -> None:
         if is_ours(out, FRAMES) and not overwrite and load_sealed(out / FRAMES.head) != _head(frames):
             raise HyalineError(f"{out}: holds another film; pass --overwrite to replace it, or choose another --video")
         return
-    if out.suffix not in (*ANIMATED, MOVIE):
+    if out.suffix not in (ANIMATED, MOVIE):
         raise HyalineError(f"{out}: {out.suffix!r} is no kind of film; expected {KINDS}")
     if not overwrite:
         refuse_file(out)
@@ -64,7 +63,7 @@ def check_film(out: Path, fps: float, *, frames: int, overwrite: bool) -> None:
 def write_film(out: Path, pictures: Iterable[UInt8[np.ndarray, "h w 3"]], fps: float, *, frames: int) -> None:
     """Write a film of equally large pictures; `check_film` says first whether it can be.
 
-    An animated file repeats for ever, and gets its name when it is whole.
+    A file gets its name when it is whole; WebP repeats for ever.
     """
     if out.suffix == "":
         _write_frames(out, pictures, frames)
@@ -73,9 +72,15 @@ def write_film(out: Path, pictures: Iterable[UInt8[np.ndarray, "h w 3"]], fps: f
     else:
         first, *others = (Image.fromarray(picture) for picture in pictures)
         data = io.BytesIO()
-        how = {"quality": 90, "method": 4} if out.suffix == ".webp" else {}
         first.save(
-            data, format=ANIMATED[out.suffix], save_all=True, append_images=others, duration=1000 / fps, loop=0, **how
+            data,
+            format="WEBP",
+            save_all=True,
+            append_images=others,
+            duration=1000 / fps,
+            loop=0,
+            quality=90,
+            method=4,
         )
         commit(out, data.getvalue())
 
@@ -112,7 +117,7 @@ def _find_ffmpeg() -> str:
         import imageio_ffmpeg
     except ImportError:
         raise HyalineError(
-            "MP4 needs the extra `video` (`pip install imageio-ffmpeg`); or let --video end in .webp, .gif or .png"
+            "MP4 needs the extra `video` (`pip install imageio-ffmpeg`); or let --video end in .webp"
         ) from None
     return imageio_ffmpeg.get_ffmpeg_exe()
 

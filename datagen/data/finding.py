@@ -1,10 +1,11 @@
-"""Finding datasets: by name, by folder, or the only one there; and what to type where there is none."""
+"""Finding datasets: by name, by folder, or the only one there; and what to type next, with and without one."""
 
 import difflib
 import os
 import shlex
 from pathlib import Path
 
+from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
 from datagen.disk.homes import HEADS, home_of, mend_command
 
@@ -49,6 +50,17 @@ def build_command(root: Path = DATA_ROOT) -> str:
     return shlex.join(
         ["datagen", "build", "--scene", scene, *([] if root == DATA_ROOT / scene else ["--out", str(root)])]
     )
+
+
+def train_command(root: Path, geometry: str = TRUTH) -> str:
+    """An example of what comes after layers of a geometry."""
+    words = ["model", "train", "paper", "--dataset", str(root)]
+    return shlex.join([*words, *([] if geometry == TRUTH else ["--geometry", geometry])])
+
+
+def render_command(variant: str) -> str:
+    """An example of what comes after a variant: a trained run draws it."""
+    return shlex.join(["model", "render", "--run", "RUN", "--variant", variant])
 
 
 def where_datasets_are(root: Path) -> str:

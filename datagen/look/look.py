@@ -21,7 +21,6 @@ from datagen.disk.homes import mend_command
 from datagen.disk.records import Json, to_json
 from datagen.look.light_paths import draw_light_paths
 from datagen.look.scene_drawing import draw_cameras
-from datagen.look.training_time import probe, training_time
 from datagen.look.view_pictures import FARTHEST, NEAREST, Picture, StoredPicture, object_colors, stored_pictures
 from datagen.pages.charts import Line, line_chart
 from datagen.pages.document import anchor, command, definitions, document, section
@@ -122,7 +121,6 @@ def _facts(dataset: Dataset) -> list[tuple[str, Part]]:
         ("geometries", ", ".join(list_geometries(dataset))),
         ("variants", ", ".join(list_variants(dataset.root)) or "none"),
         ("on disk", sizes),
-        *([("training here", training_time(probe()))] if dataset.objects else []),
         ("seal", dataset.seal[:12]),
     ]
 
@@ -285,7 +283,7 @@ def _noise_chart(dataset: Dataset) -> Markup:
         known = tuple((index, ceiling) for index, ceiling in ceilings if ceiling is not None)
         lines.append(Line(name=split, points=known))
     title = "PSNR at which the truth's own noise would stop a perfect method"
-    return line_chart(lines, title=title, x_title="view", y_title="PSNR (dB)")
+    return line_chart(tuple(lines), title=title, x_title="view", y_title="PSNR (dB)")
 
 
 def _objects(dataset: Dataset) -> Markup:

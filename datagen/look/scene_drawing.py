@@ -111,4 +111,4 @@ def _mark(kind: str, x: float, y: float) -> Markup | None:
 
 def _style(place: int) -> tuple[str, str]:
     """The colour and the mark of a split."""
-    return f"s{place % COLORS}", MARKS[min(place, len(MARKS) - 1)]
+    return f"s{place % len(COLORS)}", MARKS[min(place, len(MARKS) - 1)]

@@ -1,15 +1,49 @@
-"""Line charts as inline SVG: axes, lines, and points that say what they are when one points at them."""
+"""Line charts by matplotlib: as SVG files, and inside pages, where they take the colours of the page's theme."""
 
+import functools
+import io
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+from xml.etree import ElementTree
 
-from datagen.pages.html import Markup, Part, join, tag
+import numpy as np
+
+from datagen.pages.html import Markup, join, tag
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+COLORS = ("#1b6ca8", "#c7611a", "#2a8f4d", "#b23a48", "#7a5195", "#7f6a55", "#c2569b", "#5c6f7b")
+DASHES = ("-", "--", ":", "-.")
+"""Of lines, in turn: the colours are `--s0` to `--s7` of page.css in its light theme, and after each eight lines comes
+the next dash, `d1` to `d3`."""
+SOFT, GRID = "#5a646e", "#d5dbe1"
+THEME = {**{color: f"var(--s{place})" for place, color in enumerate(COLORS)}, SOFT: "var(--soft)", GRID: "var(--line)"}
+
+STYLE: dict[Any, Any] = {
+    "axes.prop_cycle": f"cycler('linestyle', {list(DASHES)}) * cycler('color', {list(COLORS)})",
+    "axes.facecolor": "none",
+    "axes.labelcolor": SOFT,
+    "axes.labelsize": 12,
+    "axes.labelpad": 8,
+    "axes.formatter.limits": (-7, 7),
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": GRID,
+    "lines.linewidth": 2,
+    "lines.marker": "o",
+    "lines.markersize": 5,
+    **{f"axes.spines.{side}": False for side in ("left", "right", "top", "bottom")},
+    **{f"{axis}tick.{name}": size for axis in "xy" for name, size in {"labelsize": 12, "major.size": 0}.items()},
+    **{f"{axis}tick.labelcolor": SOFT for axis in "xy"},
+}
+"""How matplotlib draws a chart: a grid, titles and numbers in quiet colours, without a frame."""
 
 WIDTH, HEIGHT = 640, 300
-LEFT, RIGHT, TOP, BOTTOM = 64, 36, 12, 44
-COLORS, DASHES = 8, 4
-"""Classes s0 to s7 of the style, and d1 to d3: what comes after eight lines is dashed."""
+MARGINS = {"left": 76 / WIDTH, "right": 1 - 36 / WIDTH, "top": 1 - 12 / HEIGHT, "bottom": 48 / HEIGHT}
+MOST_MARKED = 40
+"""Points of a line that are drawn as dots; more would run into one another."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -19,110 +53,102 @@ class Line:
     name: str
     points: tuple[tuple[float, float], ...]
     """x and y, by rising x."""
-    labels: tuple[str, ...] = ()
-    """What is said of each point; its numbers unless given."""
 
 
-def line_chart(lines: Sequence[Line], *, title: str, x_title: str, y_title: str, is_log_x: bool = False) -> Markup:
-    """A figure with a legend; lines without a finite point are not drawn.
+@functools.cache  # A report is drawn again with fewer pictures until it is small enough.
+def line_chart(lines: tuple[Line, ...], *, title: str, x_title: str, y_title: str) -> Markup:
+    """A figure of a page with a legend; points that are not finite part a line."""
+    import matplotlib as mpl
+
+    if not any(math.isfinite(y) for line in lines for _, y in line.points):
+        return tag("p", f"{title}: nothing to draw.", class_="note")
+    with mpl.rc_context(STYLE):
+        figure = new_figure(WIDTH, HEIGHT)
+        axes = figure.subplots(gridspec_kw=MARGINS)
+        for line in lines:
+            x, y = [x for x, _ in line.points], [y if math.isfinite(y) else math.nan for _, y in line.points]
+            axes.plot(x, y, label=line.name, marker="o" if len(x) <= MOST_MARKED else "")
+        axes.set(xlabel=x_title, ylabel=y_title)
+        axes.locator_params(axis="x", nbins=5)
+        return page_figure(figure, title)
+
+
+def new_figure(width: int, height: int) -> "Figure":
+    """An empty figure of a page, in pixels."""
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width / 72, height / 72), dpi=72, facecolor="none")  # SVG has 72 pixels an inch.
+
+
+def page_figure(figure: "Figure", title: str) -> Markup:
+    """A figure as a part of a page, with a legend of the lines in its first axes.
 
     Args:
-        title: what the chart shows, for screen readers too.
-        is_log_x: needs x above 0.
+        title: what it shows, for screen readers too.
     """
-    drawn = [(place, line) for place, line in enumerate(lines) if any(map(_is_finite, line.points))]
-    if not drawn:
-        return tag("p", f"{title}: nothing to draw.", class_="note")
-    points = [point for _, line in drawn for point in line.points if _is_finite(point)]
-    x_axis = _Axis([x for x, _ in points], LEFT, WIDTH - RIGHT, is_log=is_log_x)
-    y_axis = _Axis([y for _, y in points], HEIGHT - BOTTOM, TOP)
-    parts: list[Part] = [tag("title", title), *_grid(x_axis, y_axis, x_title, y_title)]
-    for place, line in drawn:
-        parts.append(_line(line, _style(place), x_axis, y_axis))
-    chart = tag("svg", *parts, class_="chart", viewBox=f"0 0 {WIDTH} {HEIGHT}", role="img", aria_label=title)
-    legend = tag(
-        "ul", *(tag("li", tag("span", line.name), class_=_style(place)) for place, line in drawn), class_="legend"
-    )
-    return tag("figure", tag("figcaption", title), chart, legend)
+    root = ElementTree.fromstring(figure_svg(figure, is_outlined=False))
+    shapes = {element.get("id", ""): element for element in root.iter()}
+    parts = (tag("title", title), *(_inline(child, shapes) for child in root))
+    frame = root.get("viewBox")
+    drawing = tag("svg", *parts, class_="chart", viewBox=frame, role="img", aria_label=title)
+    legend = [
+        tag("li", tag("span", str(line.get_label())), class_=_legend_class(place))
+        for place, line in enumerate(figure.axes[0].get_lines())
+        if np.size(line.get_xdata())  # Else nothing is drawn.
+    ]
+    return tag("figure", tag("figcaption", title), drawing, tag("ul", *legend, class_="legend"))
 
 
-def _style(place: int) -> str:
-    dash = place // COLORS % DASHES
-    return f"s{place % COLORS}" + (f" d{dash}" if dash else "")
+def figure_svg(figure: "Figure", *, is_outlined: bool = True) -> bytes:
+    """The figure as SVG that depends on nothing but the figure.
+
+    Args:
+        is_outlined: letters are outlines, and look alike everywhere; else they are text.
+    """
+    import matplotlib as mpl
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+
+    names_as_they_are(figure)
+    buffer = io.BytesIO()
+    with mpl.rc_context({"svg.fonttype": "path" if is_outlined else "none", "svg.hashsalt": "hyaline"}):
+        # matplotlib would write the time and its own version into the file.
+        FigureCanvasSVG(figure).print_svg(buffer, metadata=dict.fromkeys(("Date", "Creator", "Format", "Type")))
+    return buffer.getvalue()
 
 
-class _Axis:
-    """Where values stand along one side of a chart."""
+def names_as_they_are(figure: "Figure") -> None:
+    """Names with two dollars are no formula; the ticks of logarithmic axes are one."""
+    from matplotlib.text import Text
 
-    def __init__(self, values: list[float], start: float, end: float, *, is_log: bool = False) -> None:
-        self._is_log = is_log
-        low, high = min(values), max(values)
-        if is_log:
-            self.ticks = [tick for tick in _log_ticks(high) if low / 1.5 <= tick <= high * 1.5] or [low]
-            margin = 1.1
-            low, high = min(low, self.ticks[0]) / margin, max(high, self.ticks[-1]) * margin
-        else:
-            step = _step((high - low) or abs(high) or 1)
-            low, high = math.floor(low / step) * step, math.ceil(high / step) * step
-            high = high if high > low else low + step
-            self.ticks = [low + place * step for place in range(round((high - low) / step) + 1)]
-        self._low, self._high = self._scaled(low), self._scaled(high)
-        self._start, self._end = start, end
-
-    def __call__(self, value: float) -> float:
-        share = (self._scaled(value) - self._low) / (self._high - self._low)
-        return round(self._start + share * (self._end - self._start), 1)
-
-    def _scaled(self, value: float) -> float:
-        return math.log10(value) if self._is_log else value
+    for text in figure.findobj(Text):
+        if isinstance(text, Text) and not text.get_text().startswith(r"$\mathdefault{"):
+            text.set_parse_math("$" not in text.get_text())
 
 
-def _grid(x_axis: _Axis, y_axis: _Axis, x_title: str, y_title: str) -> list[Part]:
-    parts: list[Part] = []
-    for tick in y_axis.ticks:
-        y = y_axis(tick)
-        parts.append(tag("line", x1=LEFT, x2=WIDTH - RIGHT, y1=y, y2=y, class_="grid"))
-        parts.append(tag("text", _number(tick), x=LEFT - 6, y=y + 4, text_anchor="end"))
-    for tick in x_axis.ticks:
-        x = x_axis(tick)
-        parts.append(tag("line", x1=x, x2=x, y1=HEIGHT - BOTTOM, y2=HEIGHT - BOTTOM + 4, class_="tick"))
-        parts.append(tag("text", _number(tick), x=x, y=HEIGHT - BOTTOM + 18, text_anchor="middle"))
-    middle = (TOP + HEIGHT - BOTTOM) / 2
-    parts.append(tag("text", x_title, x=(LEFT + WIDTH - RIGHT) / 2, y=HEIGHT - 6, text_anchor="middle"))
-    parts.append(tag("text", y_title, x=0, y=0, text_anchor="middle", transform=f"translate(14 {middle}) rotate(-90)"))
-    return parts
+def _inline(element: ElementTree.Element, shapes: dict[str, ElementTree.Element]) -> Markup | None:
+    """matplotlib's element in a page, whose policy forbids styles, and in which no id may be there twice."""
+    kind = element.tag.rpartition("}")[2]
+    if kind == "g":
+        return join(_inline(child, shapes) for child in element)
+    if kind not in ("path", "text", "use"):
+        return None
+    style = dict(pair.split(": ") for pair in element.get("style", "").split("; ") if pair)
+    style = {name.replace("-", "_"): THEME.get(value, value) for name, value in style.items()}
+    if kind == "text":
+        place = {name: element.get(name) for name in ("x", "y", "transform")}
+        return tag("text", element.text, text_anchor=style.get("text_anchor"), **place)
+    shape, place = element, None
+    if kind == "use":
+        shape = shapes[element.get("{http://www.w3.org/1999/xlink}href", "")[1:]]
+        place = f"translate({element.get('x')} {element.get('y')})"
+    return tag("path", d=_short(shape.get("d", "")), transform=place, **style)
 
 
-def _line(line: Line, style: str, x_axis: _Axis, y_axis: _Axis) -> Markup:
-    places = [(x_axis(x), y_axis(y)) if _is_finite((x, y)) else None for x, y in line.points]
-    pieces: list[str] = []
-    for place, before in zip(places, [None, *places], strict=False):
-        if place is not None:
-            pieces.append(f"{'L' if before is not None else 'M'}{place[0]} {place[1]}")
-    dots = []
-    for number, place in enumerate(places):
-        if place is not None:
-            x, y = line.points[number]
-            said = line.labels[number] if line.labels else f"{_number(x)}: {_number(y)}"
-            dots.append(tag("g", tag("title", f"{line.name}, {said}"), tag("circle", cx=place[0], cy=place[1], r=3.5)))
-    return tag("g", tag("path", d=" ".join(pieces)), join(dots), class_=f"line {style}")
+def _short(path: str) -> str:
+    """A path with its numbers to a hundredth of a pixel."""
+    return " ".join(f"{round(float(word), 2):g}" if word[-1].isdigit() else word for word in path.split())
 
 
-def _step(extent: float) -> float:
-    """A round step that parts an extent into three to eight."""
-    raw = extent / 5
-    size = 10.0 ** math.floor(math.log10(raw))
-    return size * next(round_one for round_one in (1, 2, 5, 10) if round_one * size >= raw * 0.99)
-
-
-def _log_ticks(high: float) -> list[float]:
-    decades = range(-3, max(1, math.ceil(math.log10(high))) + 1)
-    return [mantissa * 10.0**decade for decade in decades for mantissa in (1, 2, 5)]
-
-
-def _number(value: float) -> str:
-    return f"{value:,.0f}" if 1000 <= abs(value) < 1e7 else f"{value:.4g}"
-
-
-def _is_finite(point: tuple[float, float]) -> bool:
-    return math.isfinite(point[0]) and math.isfinite(point[1])
+def _legend_class(place: int) -> str:
+    dash = place // len(COLORS) % len(DASHES)
+    return f"s{place % len(COLORS)}" + (f" d{dash}" if dash else "")

@@ -9,14 +9,11 @@ from datagen.pages.html import Markup, Part, join, tag
 HERE = Path(__file__).parent
 
 
-def document(title: str, *content: Part, navigation: Part = None, refresh_s: int | None = None) -> bytes:
+def document(title: str, *content: Part, navigation: Part = None) -> bytes:
     """The bytes of a page.
 
     Its content security policy lets it load nothing but pictures inside it, and run nothing but its own script: what a
     hostile name might smuggle in would not run.
-
-    Args:
-        refresh_s: seconds after which a browser reads the file again.
     """
     style, script = read_part("page.css"), read_part("page.js")
     if "</" in style or "</script" in script:
@@ -31,7 +28,6 @@ def document(title: str, *content: Part, navigation: Part = None, refresh_s: int
         Markup(f'<meta http-equiv="Content-Security-Policy" content="{policy}"/>'),
         tag("meta", name="viewport", content="width=device-width, initial-scale=1"),
         tag("meta", name="color-scheme", content="light dark"),
-        None if refresh_s is None else tag("meta", http_equiv="refresh", content=refresh_s),
         tag("title", title),
         Markup(f"<style>{style}</style>"),
     ]
@@ -73,5 +69,5 @@ def _source(text: str) -> str:
     return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"
 
 
-def _lines(parts: list[Markup | None]) -> str:
-    return "".join(f"{part}\n" for part in parts if part is not None)
+def _lines(parts: list[Markup]) -> str:
+    return "".join(f"{part}\n" for part in parts)

@@ -150,25 +150,6 @@ def coverage(mesh: Mesh, size: int) -> Int32[np.ndarray, "tex_h tex_w"]:
     return counts.reshape(size, size)
 
 
-def chart_map(mesh: Mesh, size: int) -> Int32[np.ndarray, "tex_h tex_w"]:
-    """Which chart covers each texel centre, counted from 0; -1 in the gutters. A chart is a connected piece of uv."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    # A crease splits vertices but no chart: points are the same where position and uv are.
-    _, point = np.unique(np.concatenate([mesh.vertices, mesh.uv], axis=-1), axis=0, return_inverse=True)
-    faces = point.reshape(-1)[mesh.faces]
-    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]]])
-    graph = coo_array((np.ones(len(edges), np.int8), (edges[:, 0], edges[:, 1])), shape=(int(point.max()) + 1,) * 2)
-    _, label = connected_components(graph, directed=False)
-    _, chart_of_face = np.unique(label[faces[:, 0]], return_inverse=True)
-    charts = np.full(size * size, -1, np.int32)
-    for face, texel, weights in _rasterise(mesh, size):
-        inside = weights.min(axis=-1) >= 0
-        charts[texel[inside]] = chart_of_face[face[inside]]
-    return charts.reshape(size, size)
-
-
 # Rasterising
 
 

@@ -1,18 +1,24 @@
-"""The tables of edits and of order, and what results.json says of them."""
+"""The tables of edits, what results.json says of them, and the picture sheet of each."""
 
 from collections.abc import Iterable, Mapping, Sequence
 
+import numpy as np
+
 from datagen.data.config import TEST_SPLITS, Split
+from datagen.data.edit_masks import OBJECT, read_edit_mask
+from datagen.data.paths import view_name
 from datagen.disk.records import Json
-from eval.analyses.edits import IGNORED, REGIONS, EditScores
-from eval.analyses.order import OrderScores
+from eval.analyses.edits import IGNORED, REGIONS, EditScores, RegionScores
 from eval.analyses.variants import variant_json
-from eval.score.metrics import mean_of
-from eval.score.regions import RegionScores
-from eval.score.scores import RunScores
+from eval.score.metrics import mean_of, psnr
+from eval.score.runs import has_split, read_prediction
+from eval.score.scores import RunScores, SceneScores
 from eval.score.seeds import by_group
-from eval.tables.grids import MEANS_NOTE, Column, Grid, format_number
+from eval.tables.grids import MEANS_NOTE, Column, Grid, format_number, psnr_text
 from eval.tables.results import json_number
+
+EDIT_VIEWS = 2
+"""Views of each split on the sheet of an edit."""
 
 EDIT_NOTE = (
     "Object: pixels that show a changed object in either scene. Light: other pixels where the truth changes by more "
@@ -52,27 +58,6 @@ def _edit_grid(title: str, edit: EditScores, runs: Sequence[RunScores], *, notes
     )
 
 
-def order_grid(title: str, order: OrderScores, runs: Sequence[RunScores]) -> Grid:
-    """PSNR on pixels whose order of surfaces training has shown, and on those where it is new; means over seeds."""
-    regions = ("seen", "new")
-    columns = [Column(group="scene", is_number=False), Column(group="run", is_number=False), Column(group="seeds")]
-    columns += [Column(group=f"{region} dB ↑", split=split) for region in regions for split in TEST_SPLITS]
-    columns += [Column(group="new %", split=split) for split in TEST_SPLITS]
-    rows = []
-    for scene in dict.fromkeys(row.scene for row in order.rows):
-        of_run = {row.run: row for row in order.rows if row.scene == scene}
-        for name, found in by_group(runs, of_run).items():
-            shares = (f"{100 * found[0].new_share[split]:.2f}" for split in TEST_SPLITS)
-            psnr_db = _decibels([row.psnr_db for row in found], regions)
-            rows.append((scene, name, str(len(found)), *psnr_db, *shares))
-    return Grid(
-        title=f"{title}: PSNR by order of the first {order.num_layers} layers",
-        columns=tuple(columns),
-        rows=tuple(rows),
-        notes=("New: pixels whose sequence of objects along the centre ray no training pixel has.", MEANS_NOTE),
-    )
-
-
 def edit_json(edit: EditScores) -> dict[str, Json]:
     """The scores of the whole pictures, and those in regions beside them."""
     record = edit.edited.edit
@@ -82,21 +67,6 @@ def edit_json(edit: EditScores) -> dict[str, Json]:
         "edits": list(record.edits),
         "shares": _nested(edit.shares),
         "rows": [{"run": row.run, "scene": row.scene, "psnr_db": _nested(row.psnr_db)} for row in edit.rows],
-    }
-
-
-def order_json(order: OrderScores) -> Json:
-    return {
-        "num_layers": order.num_layers,
-        "rows": [
-            {
-                "scene": row.scene,
-                "run": row.run,
-                "psnr_db": _nested(row.psnr_db),
-                "new_share": {split: row.new_share[split] for split in TEST_SPLITS},
-            }
-            for row in order.rows
-        ],
     }
 
 
@@ -115,3 +85,26 @@ def _nested(scores: Mapping[tuple[str, Split], float | None]) -> Json:
         region: {split: json_number(value) for (name, split), value in scores.items() if name == region}
         for region in regions
     }
+
+
+def edit_sheet(scene: SceneScores, edit: EditScores) -> bytes:
+    """The PNG of an edit: the truth before and after it, and what each run drew (of runs that differ in their seed
+    alone, the first one), in the views that show most of it."""
+    from eval.figures.sheets import Panel, Row, draw_sheet
+
+    drawn = by_group(scene.runs, {run.name: run for run in edit.runs})
+    runs = [members[0] for members in drawn.values()]
+    rows = []
+    for split in TEST_SPLITS:
+        views = range(edit.edited.config.split(split).views)
+        shares = [float(np.mean(read_edit_mask(edit.edited, split, view) == OBJECT)) for view in views]
+        for view in sorted(sorted(views, key=lambda view: -shares[view])[:EDIT_VIEWS]):
+            truths = [dataset.view(split, view).image for dataset in (scene.dataset, edit.edited)]
+            panels = [Panel(image=image, caption=f"view {view_name(view)}") for image in truths]
+            for run in runs:
+                pred = read_prediction(run, split, view) if has_split(run, split) else None
+                panels.append(Panel(image=pred, caption="" if pred is None else psnr_text(psnr(pred, truths[1]))))
+            rows.append(Row(split=split, panels=tuple(panels)))
+    heads = ("truth before", "truth after", *(run.name for run in runs))
+    title = f"{scene.title}: {edit.edited.name}"
+    return draw_sheet(title, heads, rows, size=scene.dataset.config.resolution)

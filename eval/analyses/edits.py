@@ -1,10 +1,11 @@
 """The scores of edited scenes in regions: what a trained renderer draws from other layers, against the edited truth."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from jaxtyping import Bool, UInt8
 
 from datagen.data.config import TEST_SPLITS, Split
 from datagen.data.dataset import Dataset
@@ -13,8 +14,8 @@ from datagen.disk.errors import HyalineError
 from datagen.disk.records import Json, to_json
 from eval.analyses.variants import VariantScores
 from eval.score.kept import Kept, number_from_json, number_json, picture_digests
-from eval.score.regions import Image, Masks, RegionScores, mean_share, predictions, psnr_by_region, truths
-from eval.score.runs import Run, has_split
+from eval.score.metrics import masked_psnr, mean_of
+from eval.score.runs import Run, has_split, read_prediction
 from eval.score.scores import RunScores, SceneScores
 
 REGIONS: dict[str, tuple[int, ...]] = {
@@ -26,6 +27,13 @@ REGIONS: dict[str, tuple[int, ...]] = {
 """By name, the values of an edit mask's pixels."""
 
 IGNORED = "truth before the edit"
+
+Image = UInt8[np.ndarray, "h w 3"]
+Masks = dict[str, Bool[np.ndarray, "h w"]]
+"""By the region's name."""
+
+RegionScores = dict[tuple[str, Split], float | None]
+"""PSNR in dB by region and split, the mean over pictures that show the region; None where none does."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,20 +124,22 @@ def _compare_edit(
     """The shares of the regions, and the scores of the runs that drew the edit and of the truth before it."""
     edited = scored.variant
     masks: dict[Split, list[Masks]] = {split: _masks(edited, split) for split in TEST_SPLITS}
-    before: dict[Split, list[Image]] = {split: truths(scene.dataset, split) for split in TEST_SPLITS}
+    before: dict[Split, list[Image]] = {
+        split: [view.image for view in scene.dataset.views(split)] for split in TEST_SPLITS
+    }
     after: dict[Split, list[Image]] = {split: list(scored.truths[split].images) for split in TEST_SPLITS}
     rows = []
     for run in (scores.run for scores in drew):
-        drawn = score_regions(scored.runs[run.name].run, after, masks)
+        drawn = _score_regions(scored.runs[run.name].run, after, masks)
         rows.append(EditRow(run=run.name, scene="edited", psnr_db=drawn))
-        rows.append(EditRow(run=run.name, scene="unedited", psnr_db=score_regions(run, before, masks)))
+        rows.append(EditRow(run=run.name, scene="unedited", psnr_db=_score_regions(run, before, masks)))
     ignored: RegionScores = {}
     for split in TEST_SPLITS:
-        values = psnr_by_region(zip(before[split], after[split], strict=True), masks[split])
+        values = _psnr_by_region(zip(before[split], after[split], strict=True), masks[split])
         ignored |= {(region, split): value for region, value in values.items()}
     rows.append(EditRow(run=IGNORED, scene="edited", psnr_db=ignored))
     shares: EditShares = {
-        (region, split): mean_share(masks[split], region) for region in REGIONS for split in TEST_SPLITS
+        (region, split): _mean_share(masks[split], region) for region in REGIONS for split in TEST_SPLITS
     }
     return shares, tuple(rows)
 
@@ -168,12 +178,14 @@ def _places() -> list[tuple[str, Split]]:
     return [(region, split) for region in REGIONS for split in TEST_SPLITS]
 
 
-def score_regions(run: Run, targets: dict[Split, list[Image]], masks: dict[Split, list[Masks]]) -> RegionScores:
+def _score_regions(run: Run, targets: dict[Split, list[Image]], masks: dict[Split, list[Masks]]) -> RegionScores:
     """PSNR of a run's predictions in regions, on the splits that it predicted."""
     scores: RegionScores = {}
     for split in TEST_SPLITS:
         if has_split(run, split):
-            found = psnr_by_region(zip(predictions(run, split), targets[split], strict=True), masks[split])
+            views = range(run.dataset.config.split(split).views)
+            drawn = (read_prediction(run, split, view) for view in views)
+            found = _psnr_by_region(zip(drawn, targets[split], strict=True), masks[split])
             scores |= {(region, split): value for region, value in found.items()}
     return scores
 
@@ -181,3 +193,17 @@ def score_regions(run: Run, targets: dict[Split, list[Image]], masks: dict[Split
 def _masks(edited: Dataset, split: Split) -> list[Masks]:
     masks = [read_edit_mask(edited, split, view) for view in range(edited.config.split(split).views)]
     return [{name: np.isin(mask, values) for name, values in REGIONS.items()} for mask in masks]
+
+
+def _psnr_by_region(pictures: Iterable[tuple[Image, Image]], masks: Iterable[Masks]) -> dict[str, float | None]:
+    """PSNR in dB of each region: the mean over (prediction, truth) pairs of one value per picture that shows it."""
+    values: dict[str, list[float | None]] = {}
+    for (pred, target), regions in zip(pictures, masks, strict=True):
+        for name, mask in regions.items():
+            values.setdefault(name, []).append(masked_psnr(pred, target, mask) if mask.any() else None)
+    return {name: mean_of(found) for name, found in values.items()}
+
+
+def _mean_share(masks: list[Masks], name: str) -> float:
+    """The share of a region in all pixels of a split."""
+    return float(np.mean([regions[name] for regions in masks]))

@@ -1,8 +1,11 @@
-"""The scores of variants: what runs drew of other cameras, another size or an edited scene, against its own truth."""
+"""The scores of variants: what runs drew of other cameras, another size or an edited scene, against its own truth.
+
+The splits by angle, cameras 10, 20 and 40 degrees outside of what training covers, have a table here.
+"""
 
 from dataclasses import dataclass
 
-from datagen.data.config import Split
+from datagen.data.config import ANGLE_SPLITS, Split
 from datagen.data.dataset import Dataset
 from datagen.data.variants import list_variants, open_variant, variant_root
 from datagen.disk.errors import HyalineError
@@ -12,6 +15,14 @@ from eval.score.kept import Kept
 from eval.score.metrics import mean_of
 from eval.score.runs import Run, has_split, within
 from eval.score.scores import RunScores, SceneScores, SplitScores, Truth, read_truth, score_run
+from eval.tables.grids import CEILING, MISSING, Column, Grid, format_number
+
+ANGLE_KEYS = {"psnr_db": "PSNR dB ↑", "glass_psnr_db": "PSNR glass dB ↑"}
+
+ANGLE_NOTES = (
+    "10°, 20°, 40°: cameras so far outside of the directions that training cameras cover, at the training distance and "
+    "aimed at the centre (datagen/build/angles.py); inter are those inside.",
+)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -85,3 +96,29 @@ def _score(scene: SceneScores, variant: Dataset, errors: list[HyalineError], kep
         except HyalineError as error:
             errors.append(error)
     return VariantScores(variant=variant, truths=truths, runs=runs)
+
+
+def angle_grid(scene: SceneScores, scored: VariantScores) -> Grid:
+    """The table of these scores, beside those of the interpolating split."""
+    splits: list[Split] = ["interpolating", *ANGLE_SPLITS]
+    inside = {scores.run.name: scores for scores in scene.runs}
+    rows = []
+    for name, scores in scored.runs.items():
+        values = [
+            (inside[name] if split == "interpolating" else scores).mean(key, split)
+            for key in ANGLE_KEYS
+            for split in splits
+        ]
+        rows.append((name, *(format_number(value, 2) for value in values)))
+    ceilings = [scene.ceilings_db["interpolating"], *(scored.truths[split].ceiling_db for split in ANGLE_SPLITS)]
+    rows.append((CEILING, *(format_number(value, 2) for value in ceilings), *[MISSING] * len(splits)))
+    return Grid(
+        title=f"{scene.title}: extrapolating by angle",
+        columns=(
+            Column(group="run", is_number=False),
+            *(Column(group=title, split=split) for title in ANGLE_KEYS.values() for split in splits),
+        ),
+        rows=tuple(rows),
+        last_row_apart=True,
+        notes=ANGLE_NOTES,
+    )

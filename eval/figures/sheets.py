@@ -13,11 +13,11 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import PowerNorm
 from matplotlib.figure import Figure
-from matplotlib.text import Text
 
 from datagen.data.config import TEST_SPLITS, Split
 from datagen.data.paths import view_name
 from datagen.data.resolution import Resolution
+from datagen.pages.charts import names_as_they_are
 from eval.score.runs import read_prediction
 from eval.score.scores import RunScores, SceneScores
 from eval.score.seeds import group_seeds
@@ -107,10 +107,7 @@ def shown_views(scene: SceneScores) -> list[tuple[Split, int]]:
 def figure_png(figure: Figure) -> bytes:
     """The figure as a PNG that depends on nothing but the figure."""
     buffer = io.BytesIO()
-    for text in figure.findobj(Text):
-        # Names with two dollars are no formula; the ticks of logarithmic axes are one.
-        if isinstance(text, Text) and not text.get_text().startswith(r"$\mathdefault{"):
-            text.set_parse_math("$" not in text.get_text())
+    names_as_they_are(figure)
     # matplotlib would write its own version into the file.
     FigureCanvasAgg(figure).print_png(buffer, metadata={"Software": None})
     return buffer.getvalue()

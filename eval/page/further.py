@@ -1,4 +1,7 @@
-"""The analyses of a scene that a report shows beyond the scores: their tables, data and figures."""
+"""What a report shows of a scene beyond the scores: the analyses with their tables and data, and all pictures.
+
+matplotlib is loaded when a picture is drawn.
+"""
 
 import functools
 from dataclasses import dataclass
@@ -12,15 +15,13 @@ from datagen.disk.errors import HyalineError
 from datagen.disk.names import file_name
 from datagen.disk.records import Json, to_json
 from datagen.terminal.command import say, track
-from eval.analyses.angles import angle_grid
 from eval.analyses.budget import Budget, budget_grid, find_budgets
 from eval.analyses.coverage import Coverage, PixelCoverage, cover_view, read_coverage
 from eval.analyses.curve import Curve, curve_from_json, curve_grid, curve_json, make_curve, pool_seeds
-from eval.analyses.edit_tables import edit_grids, edit_json, order_grid, order_json
+from eval.analyses.edit_tables import edit_grids, edit_json
 from eval.analyses.edits import EditScores, score_edits
-from eval.analyses.order import score_order
 from eval.analyses.super_resolution import score_enlarged, super_resolution_grid, super_resolution_json
-from eval.analyses.variants import VariantScores, score_variants, variant_json
+from eval.analyses.variants import VariantScores, angle_grid, score_variants, variant_json
 from eval.page.report_folder import Drawing
 from eval.score.kept import Kept, layers_digest
 from eval.score.runs import Run
@@ -38,18 +39,17 @@ class Further:
     data: dict[str, Json]
     """For results.json."""
     figures: dict[str, Drawing]
-    """PNGs by the name of their file."""
+    """By the name of their file."""
     curves: dict[str, Curve]
     """By the run's name, over seeds where there are several."""
     variants: tuple[VariantScores, ...]
     edits: tuple[EditScores, ...]
 
 
-def analyse(scene: SceneScores, errors: list[HyalineError], kept: Kept, *, order_layers: int) -> Further:
+def analyse(scene: SceneScores, errors: list[HyalineError], kept: Kept) -> Further:
     """All analyses of a scored scene.
 
     Args:
-        order_layers: layers by whose order pixels are told apart; 0 leaves that analysis out.
         kept: takes what is computed, and gives what was.
         errors: takes what is wrong with runs; the others are analysed.
     """
@@ -69,24 +69,20 @@ def analyse(scene: SceneScores, errors: list[HyalineError], kept: Kept, *, order
         pooled = pool_seeds(scene.runs, curves)
         grids.append(curve_grid(scene.title, pooled))
         data["curves"] = to_json(curves)
-        figures[f"curve_{name}"] = _curve_figure(scene.title, pooled)
+        figures[f"curve_{name}.svg"] = _curve_figure(scene.title, pooled)
     if budgets := find_budgets(scene, kept):
         grids.append(budget_grid(scene.title, budgets))
         data["layer_budgets"] = to_json(budgets)
-        figures[f"budget_{name}"] = _budget_figure(scene.title, budgets)
+        figures[f"budget_{name}.svg"] = _budget_figure(scene.title, budgets)
     if larger := [(scored, score_enlarged(scene, scored, kept)) for scored in variants if is_larger(scored.variant)]:
         grids.append(super_resolution_grid(scene, larger))
         by_name |= {scored.variant.name: super_resolution_json(scored, enlarged) for scored, enlarged in larger}
     if edits := score_edits(scene, variants, errors, kept):
         grids += edit_grids(scene.title, edits, scene.runs)
         by_name |= {edit.edited.name: edit_json(edit) for edit in edits}
-        figures |= {f"edit_{name}_{file_name(edit.edited.name)}": _edit_sheet(scene, edit) for edit in edits}
+        figures |= {f"edit_{name}_{file_name(edit.edited.name)}.png": _edit_sheet(scene, edit) for edit in edits}
     if by_name:
         data["variants"] = by_name
-    if order_layers:
-        order = score_order(scene, edits, order_layers)
-        grids.append(order_grid(scene.title, order, scene.runs))
-        data["order"] = order_json(order)
     return Further(
         title=scene.title,
         grids=tuple(grids),
@@ -118,7 +114,7 @@ def _budget_figure(title: str, budgets: tuple[Budget, ...]) -> Drawing:
 
 def _edit_sheet(scene: SceneScores, edit: EditScores) -> Drawing:
     def draw() -> bytes:
-        from eval.analyses.edit_sheet import edit_sheet
+        from eval.analyses.edit_tables import edit_sheet
 
         return edit_sheet(scene, edit)
 
@@ -181,3 +177,58 @@ class _Covered:
 def _home(scene: SceneScores, by_angle: VariantScores | None, split: Split) -> Dataset:
     """The dataset or the variant that has a split."""
     return by_angle.variant if by_angle is not None and split in by_angle.truths else scene.dataset
+
+
+def figures_of(scenes: list[SceneScores], further: list[Further]) -> dict[str, Drawing]:
+    """A sheet per run, a comparison and the cameras per scene, then the analyses' figures, by file."""
+    figures: dict[str, Drawing] = {}
+    for scene in scenes:
+        name = file_name(scene.title)
+        for scores in scene.runs:
+            figures[f"{name}_{file_name(scores.run.name)}.png"] = _contact_sheet(scene, scores)
+        if len(scene.runs) > 1:
+            figures[f"comparison_{name}.png"] = _comparison_sheet(scene)
+        figures[f"cameras_{name}.png"] = _cameras(scene)
+    for analyses in further:
+        figures |= analyses.figures
+    return figures
+
+
+def shown_of_run(scores: RunScores) -> Json:
+    """What a picture of a run depends on, beside the truth."""
+    run = scores.run
+    about = {"name": run.name, "method": run.method, "geometry": run.geometry, "label": run.label, "seed": run.seed}
+    return to_json({**about, "config": run.config, "flags": run.flags, "pictures": scores.digests})
+
+
+def shown_of_scene(scene: SceneScores) -> Json:
+    """What a picture of a scene's truth depends on."""
+    truths = {split: truth.digest for split, truth in scene.truths.items()}
+    return to_json({"title": scene.title, "dataset": scene.dataset.seal, "truths": truths})
+
+
+def _contact_sheet(scene: SceneScores, scores: RunScores) -> Drawing:
+    def draw() -> bytes:
+        from eval.figures.sheets import contact_sheet
+
+        return contact_sheet(scene, scores)
+
+    return Drawing(draw=draw, about=["sheet", shown_of_scene(scene), shown_of_run(scores)])
+
+
+def _comparison_sheet(scene: SceneScores) -> Drawing:
+    def draw() -> bytes:
+        from eval.figures.sheets import comparison_sheet
+
+        return comparison_sheet(scene, "all runs")
+
+    return Drawing(draw=draw, about=["comparison", shown_of_scene(scene), *map(shown_of_run, scene.runs)])
+
+
+def _cameras(scene: SceneScores) -> Drawing:
+    def draw() -> bytes:
+        from eval.figures.cameras import cameras_figure
+
+        return cameras_figure(scene.dataset, scene.title)
+
+    return Drawing(draw=draw, about=["cameras", scene.title, scene.dataset.seal])

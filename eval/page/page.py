@@ -4,25 +4,25 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
-from datagen.data.config import TEST_SPLITS
+import numpy as np
+
+from datagen.data.config import TEST_SPLITS, Split
+from datagen.data.dataset import Dataset
+from datagen.data.edit_masks import OBJECT, read_edit_mask
 from datagen.data.paths import view_name
 from datagen.disk.records import Json, to_json
-from datagen.pages.charts import Line, line_chart
 from datagen.pages.document import anchor, document, section
 from datagen.pages.html import Markup, Part, join, prose, tag
 from datagen.pages.pictures import Encoded, Gallery
-from eval.analyses.curve import MIN_PIXELS, Bin, Curve
-from eval.page.edit_page import draw_edit
-from eval.page.figures import shown_of_run, shown_of_scene
-from eval.page.further import Further
-from eval.page.html_tables import html_table
+from eval.analyses.edits import EditScores
+from eval.page.further import Further, shown_of_run, shown_of_scene
 from eval.page.report_folder import Drawing
-from eval.page.run_page import run_anchor, run_page
-from eval.page.training import read_training
+from eval.page.run_page import read_training, run_anchor, run_page
 from eval.page.views import Compared, ShownView, prediction_panel, store_truth, store_view, store_views, truth_name
 from eval.score.scores import RunScores, SceneScores, metric_notes
 from eval.score.seeds import group_seeds
 from eval.tables.grids import Column, Grid, format_number, scene_grids
+from eval.tables.looks import html_table
 
 PAGE = "index.html"
 MOST_BYTES = 20_000_000
@@ -49,7 +49,6 @@ def report_page(
     *,
     most_views: int = USUAL_VIEWS,
     most_bytes: int = MOST_BYTES,
-    refresh_s: int | None = None,
 ) -> bytes:
     """The bytes of the page, at most so many where its tables and curves alone leave room.
 
@@ -57,13 +56,12 @@ def report_page(
         further: of each scene.
         most_views: shown of each split and run.
         most_bytes: of the page; pictures that find no room in it are left out, and the page says so.
-        refresh_s: seconds after which a browser reads it again.
     """
     encoded: Encoded = {}
     room = most_bytes
     while True:
         gallery = Gallery(room, encoded)
-        page = _draw_page(scenes, further, gallery, most_views=most_views, refresh_s=refresh_s)
+        page = _draw_page(scenes, further, gallery, most_views=most_views)
         if len(page) <= most_bytes or not gallery.used:
             return page
         room = max(0, gallery.used - (len(page) - most_bytes))  # What else is in the page has to fit as well.
@@ -75,7 +73,6 @@ def _draw_page(
     gallery: Gallery,
     *,
     most_views: int,
-    refresh_s: int | None,
 ) -> bytes:
     """The page with the pictures for which a gallery has room: the most telling ones go first."""
     pairs = list(zip(scenes, further, strict=True))
@@ -118,13 +115,10 @@ def _draw_page(
         *runs,
         left_out,
         navigation=_navigation(parts),
-        refresh_s=refresh_s,
     )
 
 
-def page_drawing(
-    scenes: list[SceneScores], further: list[Further], results: str, *, most_views: int, refresh_s: int | None = None
-) -> Drawing:
+def page_drawing(scenes: list[SceneScores], further: list[Further], results: str, *, most_views: int) -> Drawing:
     """The page as a file of the report, made again when anything in it differs.
 
     Args:
@@ -133,10 +127,8 @@ def page_drawing(
     told = [
         [shown_of_run(scores), read_training(scores.run.folder).digest] for scene in scenes for scores in scene.runs
     ]
-    about: Json = [results, list(map(shown_of_scene, scenes)), to_json(told), most_views, refresh_s]
-    return Drawing(
-        draw=partial(report_page, scenes, further, most_views=most_views, refresh_s=refresh_s), about=["page", about]
-    )
+    about: Json = [results, list(map(shown_of_scene, scenes)), to_json(told), most_views]
+    return Drawing(draw=partial(report_page, scenes, further, most_views=most_views), about=["page", about])
 
 
 def scenes_grid(scenes: Sequence[SceneScores]) -> Grid:
@@ -233,6 +225,8 @@ def _scene_page(part: _ScenePart) -> Markup:
     about = f"{config.resolution} pixels, dataset {scene.dataset.seal[:12]}"
     content: list[Part] = [tag("p", about, class_="note")]
     if part.further.curves:
+        from eval.analyses.plots import curve_charts
+
         content += [
             tag("h3", "Error against what training saw"),
             tag("div", *curve_charts(part.further.curves), class_="charts"),
@@ -242,38 +236,34 @@ def _scene_page(part: _ScenePart) -> Markup:
     return tag("div", section(scene.title, *content, id_=place), class_="page", id=f"{place}-page")
 
 
-def curve_charts(curves: dict[str, Curve]) -> list[Markup]:
-    """PSNR by the angle to the nearest training ray, all of it, and by how many training views saw the texel."""
-
-    def lines(name: str, unit: str) -> list[Line]:
-        return [
-            Line(
-                name=run,
-                points=tuple((part.mean, part.psnr_db) for part in _enough(getattr(curve, name))),
-                labels=tuple(
-                    f"{part.mean:.1f} {unit}: {part.psnr_db:.2f} dB, {part.pixels:,} pixels"
-                    for part in _enough(getattr(curve, name))
-                ),
-            )
-            for run, curve in curves.items()
+def draw_edit(gallery: Gallery, scene: SceneScores, edit: EditScores) -> Markup:
+    """The view of each test split that shows most of the edited objects, as far as the gallery has room."""
+    record = edit.edited.edit
+    assert record is not None
+    rows: list[Part] = []
+    for split in TEST_SPLITS:
+        view = _clearest_view(edit, split)
+        panels: list[Part] = [
+            _truth(gallery, dataset, split, view, when)
+            for dataset, when in ((scene.dataset, "before"), (edit.edited, "after"))
         ]
-
-    return [
-        line_chart(
-            lines("by_angle", "degrees"),
-            title="PSNR by the angle to the nearest training ray",
-            x_title="angle (degrees)",
-            y_title="PSNR (dB)",
-        ),
-        line_chart(
-            lines("by_views", "views"),
-            title="PSNR by the number of training views that saw the texel",
-            x_title="training views",
-            y_title="PSNR (dB)",
-            is_log_x=True,
-        ),
-    ]
+        for scores in edit.scored.runs.values():
+            if (values := scores.splits[split]) is not None:
+                item = Compared(run=scores.run, split=split, scores=values, digests=scores.digests[split])
+                panels.append(prediction_panel(gallery, item, view) if store_view(gallery, item, view) else None)
+        rows.append(tag("div", *panels, class_="sheet wide"))
+    place = anchor("edit", scene.title, edit.edited.name)
+    return section(f"After {' then '.join(record.edits)}", *rows, id_=place, level=3)
 
 
-def _enough(bins: Sequence[Bin]) -> list[Bin]:
-    return [part for part in bins if part.pixels >= MIN_PIXELS and part.mse > 0]
+def _clearest_view(edit: EditScores, split: Split) -> int:
+    views = range(edit.edited.config.split(split).views)
+    return max(views, key=lambda view: np.mean(read_edit_mask(edit.edited, split, view) == OBJECT))
+
+
+def _truth(gallery: Gallery, dataset: Dataset, split: Split, view: int, when: str) -> Markup | None:
+    if not store_truth(gallery, dataset, split, view):
+        return None
+    caption = f"truth {when}, {split} view {view_name(view)}"
+    picture = gallery.show(truth_name(dataset, split, view), label=caption)
+    return tag("figure", picture, tag("figcaption", caption))

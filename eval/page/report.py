@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
-from datagen.data.advice import train_command
 from datagen.data.config import MAX_VIEWS, TEST_SPLITS, Split
 from datagen.data.dataset import Dataset, has_glass_mask, open_dataset
 from datagen.data.finding import list_datasets
@@ -18,21 +17,21 @@ from datagen.disk.storage import sha256
 from datagen.machine.revision import code_version
 from datagen.terminal.command import choose, say, track
 from eval.analyses.edits import object_psnr, score_edits
-from eval.analyses.order import check_order_layers
 from eval.analyses.variants import score_variants
-from eval.page.figures import figures_of
-from eval.page.further import Further, analyse
+from eval.page.further import Further, analyse, figures_of
 from eval.page.page import PAGE, USUAL_VIEWS, page_drawing
 from eval.page.report_folder import Drawing, check_report_folder, keep, kept_in, write_report
 from eval.papers.claims import CLAIMS, claims_grid
-from eval.papers.comparison_tables import ablation_grid, comparison_grid, find_ladder, ladder_grid
+from eval.papers.comparison_tables import ablation_grid, comparison_grid
 from eval.papers.comparisons import ABLATIONS, COMPARISONS, LADDER, Line, find_entries
+from eval.papers.ladder import find_ladder, ladder_figure, ladder_grid
 from eval.papers.published import published_grid, published_json
 from eval.score.kept import Kept
 from eval.score.runs import Run, has_predictions, list_run_folders, open_run
 from eval.score.scores import RunScores, SceneScores, Truth, read_truth, score_run
 from eval.score.seeds import group_seeds
-from eval.tables.grids import TABLE_WIDTH, Grid, grid_text, tables_text
+from eval.tables.grids import TABLE_WIDTH, Grid
+from eval.tables.looks import grid_text, tables_text
 from eval.tables.results import results_csv, results_json
 
 FORMATS = ("table", "markdown", "csv", "latex", "json")
@@ -46,41 +45,40 @@ def make_report(
     out: Path,
     *,
     output_format: str,
-    order_layers: int = 0,
     only: Path | None = None,
     is_full: bool = False,
     is_published: bool = False,
     most_views: int = USUAL_VIEWS,
-    refresh_s: int | None = None,
 ) -> None:
     """Scores all runs; a run that cannot be scored is reported after the others are.
 
     Args:
-        order_layers: layers by whose order pixels are told apart; 0 leaves that table out.
         only: the dataset whose runs are scored; those of all unless given.
         is_full: also print what the runs are, quality by angle and by layers.
         is_published: also print the paper's own numbers, and beside them what its authors' script would for our runs.
         most_views: that the page shows of each split and run.
-        refresh_s: seconds after which a browser that shows the page reads it again; never unless given.
 
     Raises:
         HyalineError: an unknown format, no run, or a run that cannot be scored.
     """
-    check_asked(out, output_format, most_views=most_views, order_layers=order_layers)
+    choose("format", output_format, FORMATS)
+    if not 1 <= most_views <= MAX_VIEWS:
+        raise HyalineError(f"--views: is {most_views}; expected 1 to {MAX_VIEWS:,} of each split and run")
+    check_report_folder(out)
     runs, errors = _open_runs(runs_root, data_root, out, only)
     if not runs and not errors:
         raise HyalineError(
-            f"{runs_root}: no predictions there; make some with `{train_command()}`, or put a method's pictures "
-            f"at {runs_root}/SCENE/NAME/predictions/SPLIT/0000.png"
+            f"{runs_root}: no predictions there; make some with `model train paper`, or put a method's pictures at "
+            f"{runs_root}/SCENE/NAME/predictions/SPLIT/0000.png"
         )
     kept = kept_in(out)
     if scenes := _score_scenes(runs, errors, kept):
-        further = [analyse(scene, errors, kept, order_layers=order_layers) for scene in scenes]
-        results = _json(scenes, further, _made_by(only, order_layers))
+        further = [analyse(scene, errors, kept) for scene in scenes]
+        results = _json(scenes, further, _made_by(only))
         _print_scores(scenes, further, results, output_format, is_full=is_full, is_published=is_published)
         files = {
             "results.json": Drawing(draw=lambda: results, about=sha256(results)),
-            PAGE: page_drawing(scenes, further, sha256(results), most_views=most_views, refresh_s=refresh_s),
+            PAGE: page_drawing(scenes, further, sha256(results), most_views=most_views),
             **figures_of(scenes, further),
         }
         for path in write_report(out, files):
@@ -91,16 +89,6 @@ def make_report(
         say(f"error: {error}")
     if errors:
         raise errors[-1]
-
-
-def check_asked(out: Path, output_format: str, *, most_views: int, order_layers: int) -> None:
-    """Raises a HyalineError for a choice that cannot be, or a folder that holds something else than a report."""
-    choose("format", output_format, FORMATS)
-    if not 1 <= most_views <= MAX_VIEWS:
-        raise HyalineError(f"--views: is {most_views}; expected 1 to {MAX_VIEWS:,} of each split and run")
-    check_report_folder(out)
-    if order_layers:
-        check_order_layers(order_layers)
 
 
 TABLES = (*COMPARISONS, "proxies", *ABLATIONS, "claims")
@@ -179,7 +167,6 @@ def _object_psnr(scene: SceneScores, errors: list[HyalineError], kept: Kept) -> 
 def _picture_of(table: str, scene: SceneScores) -> bytes | None:
     """Of a comparison what its runs drew, of the ladder a plot."""
     from eval.figures.sheets import comparison_sheet
-    from eval.papers.ladder import ladder_figure
 
     if table in COMPARISONS:
         comparison = COMPARISONS[table]
@@ -253,12 +240,9 @@ def _score_scene(
     )
 
 
-def _made_by(only: Path | None, order_layers: int) -> dict[str, Json]:
+def _made_by(only: Path | None) -> dict[str, Json]:
     """The command that scored, without its folders, and the code that it ran."""
-    words = [
-        *([] if only is None else ["--dataset", only.name]),
-        *(["--order", str(order_layers)] if order_layers else []),
-    ]
+    words = [] if only is None else ["--dataset", only.name]
     return {"command": shlex.join(["report", *words]), "code": code_version()}
 
 

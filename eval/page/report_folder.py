@@ -3,7 +3,7 @@
 REPORT/report.json     sealed, written first: the names of all files that reports have written there
 REPORT/results.json    every score (eval/tables/results.py)
 REPORT/index.html      the page (eval/page/page.py)
-REPORT/*.png           contact sheets and figures
+REPORT/*.png, *.svg    contact sheets and figures
 REPORT/kept/KEY.json   what was computed for it (eval/score/kept.py)
 REPORT/kept/drawn.json sealed: what each picture and the page show, and their SHA-256: they are not made again
 """

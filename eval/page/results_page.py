@@ -13,17 +13,8 @@ from datagen.disk.reading import load_json
 from datagen.disk.records import shown
 from eval.score.scores import METRICS, Metric, metric_notes
 from eval.score.seeds import Spread, spread
-from eval.tables.grids import (
-    CEILING,
-    MISSING,
-    TABLE_WIDTH,
-    Column,
-    Grid,
-    ceiling_text,
-    format_number,
-    grid_text,
-    markdown_escaped,
-)
+from eval.tables.grids import CEILING, MISSING, TABLE_WIDTH, Column, Grid, ceiling_text, format_number
+from eval.tables.looks import grid_text, markdown_escaped
 from eval.tables.results import RESULTS_VERSION
 
 HEAD = """# Results

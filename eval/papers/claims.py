@@ -3,11 +3,13 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Literal
 
 from datagen.data.config import TEST_SPLITS, Split
+from datagen.data.paths import TRUTH
 from eval.papers.comparison_tables import NOT_RUN, spread_cell
-from eval.papers.comparisons import BEST, VIEW, Comparison, Entry, Line, find_entries
+from eval.papers.comparisons import BEST, Comparison, Entry, Line, find_entries
 from eval.papers.published import DNR, SPHERICAL_HARMONICS, VIEW_VECTOR, PublishedRow
 from eval.score.scores import SceneScores
 from eval.score.seeds import SeedGroup, Spread, group_seeds, spread
@@ -58,12 +60,12 @@ def _edited(split: Split) -> Measure:
     return lambda group, edited: spread([edited.get(run.run.name, {}).get(split) for run in group.runs])
 
 
-def _pair(first: Line, second: Line, varied: tuple[str, ...] | None) -> Comparison:
+def _pair(first: Line, second: Line, varied: str | None = None) -> Comparison:
     return Comparison(title=f"{first.title} against {second.title}", lines=(first, second), varied=varied)
 
 
-def _paper(title: str, geometry: str = "truth", **changed: bool | str) -> Line:
-    return Line(title=title, method="paper", choices={**VIEW, **changed}, geometry=geometry)
+def _paper(title: str, geometry: str = TRUTH, flags: Mapping[str, str] = MappingProxyType({})) -> Line:
+    return Line(title=title, method="paper", flags=flags, geometry=geometry)
 
 
 U_NET, U_NET_LAYERS = Line(title="DNR", method="dnr"), Line(title="U-Net on all layers", method="dnr-layers")
@@ -72,18 +74,18 @@ CLAIMS = (
     Claim(
         text="1. The per-pixel network loses less when extrapolating than the U-Net",
         pairs=(
-            _pair(_paper("paper"), U_NET, None),
-            _pair(_paper("paper"), U_NET_LAYERS, None),
-            _pair(BEST, U_NET, None),
-            _pair(BEST, U_NET_LAYERS, None),
-            _pair(Line(title="per pixel on the first layer", method="mlp-first"), U_NET, None),
+            _pair(_paper("paper"), U_NET),
+            _pair(_paper("paper"), U_NET_LAYERS),
+            _pair(BEST, U_NET),
+            _pair(BEST, U_NET_LAYERS),
+            _pair(Line(title="per pixel on the first layer", method="mlp-first"), U_NET),
         ),
         conditions=(Condition(what="drop", measure=lambda group, _: group.drop_db, should_be="lower"),),
         published=(VIEW_VECTOR, DNR),
     ),
     Claim(
         text="2. Spherical harmonics help near and hurt far",
-        pairs=(_pair(_paper("spherical harmonics", extrinsics="sh"), _paper("view vector"), ("extrinsics", "width")),),
+        pairs=(_pair(_paper("spherical harmonics", flags={"extrinsics": "sh"}), _paper("view vector"), "extrinsics"),),
         conditions=(
             Condition(what="inter", measure=_psnr("interpolating"), should_be="higher"),
             Condition(what="extra", measure=_psnr("extrapolating"), should_be="lower"),
@@ -93,11 +95,11 @@ CLAIMS = (
     Claim(
         text="3. Ellipsoids beat boxes",
         pairs=(
-            _pair(_paper("paper on ellipsoids", "ellipsoid"), _paper("paper on boxes", "box"), ("geometry",)),
+            _pair(_paper("paper on ellipsoids", "ellipsoid"), _paper("paper on boxes", "box"), "geometry"),
             _pair(
                 Line(title="light-path on ellipsoids", method="light-path", geometry="ellipsoid"),
                 Line(title="light-path on boxes", method="light-path", geometry="box"),
-                ("geometry", "texture_sizes"),
+                "geometry",
             ),
         ),
         conditions=(
@@ -107,7 +109,7 @@ CLAIMS = (
     ),
     Claim(
         text="4. Zero layers make edits possible",
-        pairs=(_pair(_paper("with zero layers", zero_layer=True), _paper("without"), ("zero_layer", "width")),),
+        pairs=(_pair(_paper("with zero layers", flags={"zero-layer": ""}), _paper("without"), "zero-layer"),),
         conditions=tuple(
             Condition(what=f"edited {SHORT_SPLITS[split]}", measure=_edited(split), should_be="higher")
             for split in TEST_SPLITS

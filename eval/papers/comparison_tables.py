@@ -1,11 +1,10 @@
-"""Comparisons as tables: the paper's tables with our numbers, the proxy ladder, the ablation."""
+"""Comparisons as tables: the paper's tables with our numbers, and the ablation."""
 
 from collections.abc import Sequence
 
 from datagen.data.config import TEST_SPLITS
 from datagen.disk.records import Json
-from eval.analyses.proxy_error import ProxyError, proxy_error
-from eval.papers.comparisons import LADDER, Comparison, Entry, Line, differences, find_entries
+from eval.papers.comparisons import Comparison, Line, differences, find_entries
 from eval.papers.published import PublishedRow
 from eval.score.scores import SceneScores
 from eval.score.seeds import SeedGroup, Spread, group_seeds
@@ -25,9 +24,12 @@ PUBLISHED_NOTE = (
 MAX_CHANGES = 2
 """Choices in which a run of the ablation may differ from the one that the others are compared with."""
 
-PSNR = tuple(Column(group="PSNR dB ↑", split=split) for split in TEST_SPLITS)
-WRAPPED = tuple(Column(group="wrapped (authors' script)", split=split) for split in TEST_SPLITS)
-DROP = Column(group="drop dB ↓")
+SCORES = (
+    *(Column(group="PSNR dB ↑", split=split) for split in TEST_SPLITS),
+    Column(group="drop dB ↓"),
+    *(Column(group="wrapped (authors' script)", split=split) for split in TEST_SPLITS),
+)
+"""The columns of `score_cells`."""
 
 
 def spread_cell(value: Spread, decimals: int = 2) -> str:
@@ -39,74 +41,12 @@ def spread_cell(value: Spread, decimals: int = 2) -> str:
 def comparison_grid(comparison: Comparison, scene: SceneScores) -> Grid:
     """The runs of a scene in a comparison's lines, with what the paper printed; a line without runs says so."""
     parts = find_entries(comparison, group_seeds(scene.runs))
-    rows = [row for part in parts for row in map(_entry_row, part)]
-    filled = {entry.line.title for part in parts for entry in part}
-    rows += [_empty_row(line) for line in comparison.lines if line.title not in filled]
-    return Grid(
-        title=f"{scene.title}: {comparison.title}",
-        columns=(
-            Column(group="", is_number=False),
-            Column(group="run", is_number=False),
-            Column(group="seeds"),
-            *PSNR,
-            DROP,
-            *WRAPPED,
-            *(Column(group="published (the paper)", split=split) for split in TEST_SPLITS),
-        ),
-        rows=tuple(rows),
-        notes=(*comparison.notes, WRAPPED_NOTE, PUBLISHED_NOTE, *_data_note(scene)),
-    )
-
-
-def find_ladder(scene: SceneScores) -> list[tuple[Entry, ProxyError]]:
-    """The runs of the proxy ladder, method by method, the geometry nearest to the truth first.
-
-    Raises:
-        HyalineError: the proxies of a run are not there any more.
-    """
-    entries = [entry for part in find_entries(LADDER, group_seeds(scene.runs)) for entry in part]
-    with_errors = [(entry, proxy_error(scene.dataset, entry.group.first.geometry or "")) for entry in entries]
-    return sorted(with_errors, key=lambda pair: (LADDER.lines.index(pair[0].line), pair[1].mean_mm))
-
-
-def ladder_grid(scene: SceneScores) -> Grid:
-    """Each method on each geometry, and how far that is from the truth."""
-    rows = []
-    for entry, error in find_ladder(scene):
-        group = entry.group
-        rows.append(
-            (
-                entry.line.title,
-                group.first.geometry or MISSING,
-                str(len(group.runs)),
-                f"{error.mean_mm:.2f}",
-                f"{error.max_mm:.1f}",
-                *_scores(group),
-            )
-        )
-    empty = [line for line in LADDER.lines if line.title not in {row[0] for row in rows}]
-    rows += [(line.title, NOT_RUN, *[MISSING] * 8) for line in empty]
-    columns = [
-        Column(group="method", is_number=False),
-        Column(group="geometry", is_number=False),
-        Column(group="seeds"),
-        Column(group="mean distance mm"),
-        Column(group="max distance mm"),
-        *PSNR,
-        DROP,
-        *WRAPPED,
-    ]
-    return Grid(
-        title=f"{scene.title}: {LADDER.title}",
-        columns=tuple(columns),
-        rows=tuple(rows),
-        notes=(
-            "Mean distance: from points on an object's proxy to its true surface, then the mean over objects; max: of "
-            "any object.",
-            WRAPPED_NOTE,
-            *_data_note(scene),
-        ),
-    )
+    entries = [entry for part in parts for entry in part]
+    rows = [(entry.line.title, *_run_cells(entry.group), *_published(entry.line.published)) for entry in entries]
+    empty = [line for line in comparison.lines if line.title not in {entry.line.title for entry in entries}]
+    rows += [(line.title, NOT_RUN, *[MISSING] * 6, *_published(line.published)) for line in empty]
+    notes = (*comparison.notes, WRAPPED_NOTE, PUBLISHED_NOTE)
+    return _grid(scene, comparison.title, rows, first="", last="published (the paper)", notes=notes)
 
 
 def ablation_grid(line: Line, scene: SceneScores) -> Grid:
@@ -114,30 +54,36 @@ def ablation_grid(line: Line, scene: SceneScores) -> Grid:
     groups = [group for group in group_seeds(scene.runs) if line.fits(group.first) and group.first.config]
     base, others = _base_of(groups)
     rows = []
-    if base is not None:
-        rows.append(("the base", base.name, str(len(base.runs)), *_scores(base), MISSING, MISSING))
+    if base is None:
+        rows.append((NOT_RUN, *[MISSING] * 9))
+    else:
+        rows.append(("the base", *_run_cells(base), MISSING, MISSING))
         for group in others:
             changed = "; ".join(
                 f"{key}: {_text(before)} → {_text(after)}"
                 for key, (before, after) in differences(base.first, group.first).items()
             )
             changes = [_difference(group, base, place) for place in range(len(TEST_SPLITS))]
-            rows.append((changed, group.name, str(len(group.runs)), *_scores(group), *changes))
-    else:
-        rows.append((NOT_RUN, *[MISSING] * 9))
+            rows.append((changed, *_run_cells(group), *changes))
+    title = f"what each choice of {line.title} is worth"
+    return _grid(scene, title, rows, first="changed", last="change dB", notes=(WRAPPED_NOTE,))
+
+
+def _grid(
+    scene: SceneScores, title: str, rows: Sequence[tuple[str, ...]], *, first: str, last: str, notes: tuple[str, ...]
+) -> Grid:
+    """A table of runs with their scores, between a column before and one for each split behind them."""
     return Grid(
-        title=f"{scene.title}: what each choice of {line.title} is worth",
+        title=f"{scene.title}: {title}",
         columns=(
-            Column(group="changed", is_number=False),
+            Column(group=first, is_number=False),
             Column(group="run", is_number=False),
             Column(group="seeds"),
-            *PSNR,
-            DROP,
-            *WRAPPED,
-            *(Column(group="change dB", split=split) for split in TEST_SPLITS),
+            *SCORES,
+            *(Column(group=last, split=split) for split in TEST_SPLITS),
         ),
         rows=tuple(rows),
-        notes=(WRAPPED_NOTE, *_data_note(scene)),
+        notes=(*notes, data_note(scene)),
     )
 
 
@@ -159,16 +105,11 @@ def _base_of(groups: Sequence[SeedGroup]) -> tuple[SeedGroup | None, list[SeedGr
     return base, sorted(near(base, MAX_CHANGES), key=lambda group: group.name)
 
 
-def _entry_row(entry: Entry) -> tuple[str, ...]:
-    group = entry.group
-    return (entry.line.title, group.name, str(len(group.runs)), *_scores(group), *_published(entry.line.published))
+def _run_cells(group: SeedGroup) -> tuple[str, ...]:
+    return (group.name, str(len(group.runs)), *score_cells(group))
 
 
-def _empty_row(line: Line) -> tuple[str, ...]:
-    return (line.title, NOT_RUN, MISSING, *[MISSING] * 5, *_published(line.published))
-
-
-def _scores(group: SeedGroup) -> tuple[str, ...]:
+def score_cells(group: SeedGroup) -> tuple[str, ...]:
     """PSNR on both splits, their drop, the wrapped PSNR on both."""
     near, far = (spread_cell(group.score("psnr_db", split)) for split in TEST_SPLITS)
     wrapped = (spread_cell(group.score("psnr_uint8_wrap_db", split)) for split in TEST_SPLITS)
@@ -188,5 +129,5 @@ def _text(value: Json) -> str:
     return MISSING if value is None else str(value).lower() if isinstance(value, bool) else str(value)
 
 
-def _data_note(scene: SceneScores) -> tuple[str, ...]:
-    return (f"Data: {scene.title}, dataset seal {scene.dataset.seal[:12]}.",)
+def data_note(scene: SceneScores) -> str:
+    return f"Data: {scene.title}, dataset seal {scene.dataset.seal[:12]}."

@@ -1,8 +1,9 @@
 """The runs that the paper's tables compare, found by what their records say, not by their names."""
 
 import dataclasses
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from typing import cast
 
 from datagen.data.geometries import NO_GEOMETRY
 from datagen.data.paths import TRUTH
@@ -12,8 +13,8 @@ from eval.papers.published import DNR, NO_EXTRINSICS, SPHERICAL_HARMONICS, VIEW_
 from eval.score.runs import Run
 from eval.score.seeds import SeedGroup
 
-PROXIES = "proxies"
-"""Stands for every geometry but the truth; no kind of proxy has this name."""
+FREE_FLAGS = ("geometry", "seed", "steps", "batch", "updates", "lr", "texture-lr", "lr-decay", "width", "texture-size")
+"""Runs of one line may differ in these: what they learn from, for how long, and how large they are."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,20 +23,19 @@ class Line:
 
     title: str
     method: str
-    choices: Mapping[str, Json] = field(default_factory=dict)
-    """Keys of the configuration with their values."""
+    flags: Mapping[str, str] | None = None
+    """The flags of `model train METHOD` that it was trained with, without dashes, beside `FREE_FLAGS`; None: any."""
     geometry: str | None = TRUTH
-    """None takes any, `PROXIES` any that is neither the truth nor none."""
+    """None takes any."""
     published: PublishedRow | None = None
     """What the paper printed for it."""
 
     def fits(self, run: Run) -> bool:
         """True when the run stands in this line."""
-        config = flat_config(run)
         return (
             run.method == self.method
-            and self.geometry in (None, run.geometry, run.geometry if run.geometry in (TRUTH, NO_GEOMETRY) else PROXIES)
-            and all(key in config and config[key] == value for key, value in self.choices.items())
+            and self.geometry in (None, run.geometry)
+            and (self.flags is None or (run.flags is not None and _flags(run, FREE_FLAGS) == self.flags))
         )
 
 
@@ -45,90 +45,13 @@ class Comparison:
 
     title: str
     lines: tuple[Line, ...]
-    varied: tuple[str, ...] | None = None
-    """Keys of the configuration in which runs of one comparison may differ; None: in all, as methods do."""
+    varied: str | None = None
+    """The flag in which alone runs of one comparison may differ; None: in all, as methods do."""
     notes: tuple[str, ...] = ()
 
 
-PAPER: dict[str, Json] = {
-    "zero_layer": False,
-    "blocks": 3,
-    "norm": "batch",
-    "textures": "object",
-    "texture_features": 16,
-    "texture_levels": 1,
-    "finer_counts": 1.0,
-    "train_samples": 1,
-    "render_samples": 1,
-    "layers": "all",
-    "precision": "fp32",
-    "softness": 0.0,
-    "vgg_weights": "none",
-    "adversarial": 0.0,
-}
-"""The paper's renderer with the defaults of `model train`, but for the extrinsics."""
-
-VIEW: dict[str, Json] = {**PAPER, "extrinsics": "view"}
-
-PAPER_BEST: dict[str, Json] = {
-    **VIEW,
-    "width": 128,
-    "norm": "none",
-    "texture_levels": 5,
-    "finer_counts": 0.5,
-    "train_samples": 4,
-    "render_samples": 16,
-    "softness": 0.03,
-}
-"""`model train paper --preset best`."""
-
-LIGHT_PATH: dict[str, Json] = {
-    "branches": 12,
-    "compositing": "physics",
-    "environment_size": 32,
-    "sky_lobes": 12,
-    "hidden": 128,
-    "directions": "off",
-    "debias": 1.0,
-    "fill_in": "on",
-    "position_octaves": 0,
-    "straight_layers": 0,
-    "shells": 1,
-    "relief": "off",
-    "stack_hidden": 32,
-    "texture_levels": 5,
-    "train_samples": 4,
-    "render_samples": 16,
-    "refined_samples": 64,
-}
-"""`light-path` on the true geometry with all of its parts."""
-
-LIGHT_PATH_ON_PROXIES: dict[str, Json] = {
-    **{key: value for key, value in LIGHT_PATH.items() if key != "shells"},
-    "directions": "on",
-    "debias": 0.0,
-    "fill_in": "off",
-    "stack_hidden": 96,
-    "straight_layers": 24,
-    "relief": "on",
-}
-"""The same on proxies; how many shells there are, the number of objects decides."""
-
-PROXY_KEYS = (
-    "geometry",
-    "texture_sizes",
-    "directions",
-    "debias",
-    "fill_in",
-    "stack_hidden",
-    "straight_layers",
-    "shells",
-    "relief",
-)
-"""What `light-path` chooses by the geometry."""
-
-OURS = Line(title="paper", method="paper", choices=VIEW, published=VIEW_VECTOR)
-BEST = Line(title="paper-best", method="paper", choices=PAPER_BEST)
+OURS = Line(title="paper", method="paper", flags={}, published=VIEW_VECTOR)
+BEST = Line(title="paper-best", method="paper", flags={"preset": "best"})
 BEST_NOTE = (
     "paper-best: `--preset best`, everything within the paper's idea that was found to help, tuned as light-path is."
 )
@@ -137,19 +60,16 @@ COMPARISONS: dict[str, Comparison] = {
     "table1": Comparison(
         title="Table 1, what each layer is told of the camera",
         lines=(
-            Line(
-                title="no extrinsics", method="paper", choices={**PAPER, "extrinsics": "none"}, published=NO_EXTRINSICS
-            ),
-            Line(title="view vector", method="paper", choices=VIEW, published=VIEW_VECTOR),
+            Line(title="no extrinsics", method="paper", flags={"extrinsics": "none"}, published=NO_EXTRINSICS),
+            dataclasses.replace(OURS, title="view vector"),
             Line(
                 title="spherical harmonics",
                 method="paper",
-                choices={**PAPER, "extrinsics": "sh"},
+                flags={"extrinsics": "sh"},
                 published=SPHERICAL_HARMONICS,
             ),
         ),
-        # The width follows from the number of inputs, so that all have about 34,000 parameters.
-        varied=("extrinsics", "width"),
+        varied="extrinsics",
     ),
     "table2": Comparison(
         title="Table 2, Deferred Neural Rendering against the paper",
@@ -168,7 +88,7 @@ COMPARISONS: dict[str, Comparison] = {
             Line(title="U-Net, first layer (DNR)", method="dnr", published=DNR),
             Line(title="U-Net, all layers", method="dnr-layers"),
             Line(title="per pixel, first layer", method="mlp-first"),
-            Line(title="per pixel, all layers (paper)", method="paper", choices=VIEW, published=VIEW_VECTOR),
+            dataclasses.replace(OURS, title="per pixel, all layers (paper)"),
             dataclasses.replace(BEST, title="per pixel, all layers (paper-best)"),
         ),
         notes=(BEST_NOTE,),
@@ -176,15 +96,15 @@ COMPARISONS: dict[str, Comparison] = {
     "zero-layer": Comparison(
         title="A random layer of zeros while training (section 4.4)",
         lines=(
-            Line(title="without", method="paper", choices=VIEW),
-            Line(title="with", method="paper", choices={**VIEW, "zero_layer": True}),
+            Line(title="without", method="paper", flags={}),
+            Line(title="with", method="paper", flags={"zero-layer": ""}),
         ),
-        varied=("zero_layer", "width"),
+        varied="zero-layer",
         notes=("What it is for, edited scenes, the table of claims has.",),
     ),
     "headline": Comparison(
         title="light-path against the paper",
-        lines=(Line(title="light-path", method="light-path", choices=LIGHT_PATH), BEST, OURS),
+        lines=(Line(title="light-path", method="light-path", flags={}), BEST, OURS),
         notes=(BEST_NOTE,),
     ),
 }
@@ -192,12 +112,11 @@ COMPARISONS: dict[str, Comparison] = {
 LADDER = Comparison(
     title="Quality against the proxy's error",
     lines=(
-        Line(title="light-path", method="light-path", choices=LIGHT_PATH),
-        Line(title="light-path", method="light-path", choices=LIGHT_PATH_ON_PROXIES, geometry=PROXIES),
+        Line(title="light-path", method="light-path", flags={}, geometry=None),
         dataclasses.replace(BEST, geometry=None),
-        Line(title="paper", method="paper", choices=VIEW, geometry=None),
+        Line(title="paper", method="paper", flags={}, geometry=None),
     ),
-    varied=PROXY_KEYS,
+    varied="geometry",
 )
 
 ABLATIONS: dict[str, Line] = {
@@ -230,7 +149,7 @@ def flat_config(run: Run) -> dict[str, Json]:
 
 
 def find_entries(comparison: Comparison, groups: Sequence[SeedGroup]) -> list[list[Entry]]:
-    """Runs that may be compared: alike but for the keys that the comparison varies; each part in the lines' order.
+    """Runs that may be compared: alike but for the flag that the comparison varies; each part in the lines' order.
 
     Parts with a single line are left out where others have more: there is nothing to compare them with.
     """
@@ -252,13 +171,23 @@ def differences(one: Run, other: Run) -> dict[str, tuple[Json, Json]]:
     return {key: (before.get(key), after.get(key)) for key in leading}
 
 
-def _same(run: Run, varied: tuple[str, ...] | None) -> bytes:
+def _same(run: Run, varied: str | None) -> bytes:
     """What two runs must share to be compared."""
     if varied is None:
         # Who knows cameras alone is compared with those who know the truth.
         return dump_json(TRUTH if run.geometry == NO_GEOMETRY else run.geometry)
-    config = {key: value for key, value in flat_config(run).items() if key not in varied}
-    return dump_json([run.method, config])
+    return dump_json([run.method, cast(Json, _flags(run, ("seed", varied)))])
+
+
+def _flags(run: Run, besides: Collection[str]) -> dict[str, str]:
+    """The flags that a run was trained with, and their values, besides some."""
+    flags: dict[str, str] = {}
+    for word in run.flags or ():
+        if word.startswith("--"):
+            flags[word.removeprefix("--")] = ""
+        elif flags:
+            flags[list(flags)[-1]] = word
+    return {flag: value for flag, value in flags.items() if flag not in besides}
 
 
 def _variety(part: Sequence[Entry]) -> int:

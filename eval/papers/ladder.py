@@ -1,15 +1,94 @@
-"""The figure of quality against the error of a proxy."""
+"""The proxy ladder: quality against how far a geometry is from the truth, as a table and as a figure."""
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from datagen.data.config import TEST_SPLITS
-from eval.analyses.proxy_error import ProxyError
-from eval.figures.sheets import DPI, figure_png
-from eval.papers.comparisons import Entry
+from datagen.data.dataset import Dataset
+from datagen.data.geometries import read_proxy_records
+from datagen.data.paths import TRUTH
+from datagen.pages.charts import COLORS
+from eval.papers.comparison_tables import NOT_RUN, SCORES, WRAPPED_NOTE, data_note, score_cells
+from eval.papers.comparisons import LADDER, Entry, find_entries
+from eval.score.scores import SceneScores
+from eval.score.seeds import group_seeds
+from eval.tables.grids import MISSING, Column, Grid
+
+MARKERS = ("o", "s", "^", "D", "v")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProxyError:
+    """How far a geometry is from the true surfaces."""
+
+    mean_mm: float
+    """Mean over objects of the mean distance from points on an object's proxy to its surface, in millimetres."""
+    max_mm: float
+    """Largest such distance of any object, in millimetres."""
+
+
+def proxy_error(dataset: Dataset, geometry: str) -> ProxyError:
+    """The error of a geometry, from what was measured when it was made; 0 of the truth.
+
+    Raises:
+        HyalineError: the proxies are not there any more, or are damaged.
+    """
+    if geometry == TRUTH:
+        return ProxyError(mean_mm=0.0, max_mm=0.0)
+    numbers = [record.statistics for record in read_proxy_records(dataset, geometry)]
+    return ProxyError(
+        mean_mm=1000 * math.fsum(item.mean_distance for item in numbers) / len(numbers),
+        max_mm=1000 * max(item.max_distance for item in numbers),
+    )
+
+
+def find_ladder(scene: SceneScores) -> list[tuple[Entry, ProxyError]]:
+    """The runs of the proxy ladder, method by method, the geometry nearest to the truth first.
+
+    Raises:
+        HyalineError: the proxies of a run are not there any more.
+    """
+    entries = [entry for part in find_entries(LADDER, group_seeds(scene.runs)) for entry in part]
+    with_errors = [(entry, proxy_error(scene.dataset, entry.group.first.geometry or "")) for entry in entries]
+    return sorted(with_errors, key=lambda pair: (LADDER.lines.index(pair[0].line), pair[1].mean_mm))
+
+
+def ladder_grid(scene: SceneScores) -> Grid:
+    """Each method on each geometry, and how far that is from the truth."""
+    rows = []
+    for entry, error in find_ladder(scene):
+        group = entry.group
+        rows.append(
+            (
+                entry.line.title,
+                group.first.geometry or MISSING,
+                str(len(group.runs)),
+                f"{error.mean_mm:.2f}",
+                f"{error.max_mm:.1f}",
+                *score_cells(group),
+            )
+        )
+    empty = [line for line in LADDER.lines if line.title not in {row[0] for row in rows}]
+    rows += [(line.title, NOT_RUN, *[MISSING] * 8) for line in empty]
+    texts, numbers = ("method", "geometry"), ("seeds", "mean distance mm", "max distance mm")
+    return Grid(
+        title=f"{scene.title}: {LADDER.title}",
+        columns=(
+            *(Column(group=text, is_number=False) for text in texts),
+            *(Column(group=number) for number in numbers),
+            *SCORES,
+        ),
+        rows=tuple(rows),
+        notes=(
+            "Mean distance: from points on an object's proxy to its true surface, then the mean over objects; max: of "
+            "any object.",
+            WRAPPED_NOTE,
+            data_note(scene),
+        ),
+    )
 
 
 def ladder_figure(title: str, entries: Sequence[tuple[Entry, ProxyError]]) -> bytes:
@@ -17,6 +96,10 @@ def ladder_figure(title: str, entries: Sequence[tuple[Entry, ProxyError]]) -> by
 
     Distances are on a logarithmic axis that begins with a linear piece, so that the truth has a place on it.
     """
+    from matplotlib.figure import Figure
+
+    from eval.figures.sheets import DPI, figure_png
+
     figure = Figure(figsize=(1500 / DPI, 620 / DPI), dpi=DPI, facecolor="white")
     panels = figure.subplots(1, 2, sharey=True)
     smallest = min((error.mean_mm for _, error in entries if error.mean_mm > 0), default=1.0)
@@ -63,9 +146,3 @@ def ladder_figure(title: str, entries: Sequence[tuple[Entry, ProxyError]]) -> by
     figure.suptitle(f"{title}: quality against the proxy's error", x=0.02, ha="left", fontsize=14, weight="bold")
     figure.tight_layout()
     return figure_png(figure)
-
-
-COLORS = ("#1b6ca8", "#d9772b", "#2a8f4d", "#b23a48", "#7a5195")
-
-
-MARKERS = ("o", "s", "^", "D", "v")

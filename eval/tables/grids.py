@@ -1,19 +1,11 @@
 """Printed tables: for each scene one of scores and one of what the runs are, for people and for papers."""
 
-import dataclasses
 import math
-import re
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from datagen.data.config import TEST_SPLITS, Split
-from datagen.disk.names import printable
-from eval.score.scores import METRICS, Metric, RunScores, SceneScores, metric_notes
-from eval.score.seeds import SeedGroup, Spread, group_seeds
-
-if TYPE_CHECKING:
-    from rich.table import Table
+from eval.score.scores import METRICS, Metric, RunScores, SceneScores
+from eval.score.seeds import SeedGroup, group_seeds
 
 MISSING = "–"  # noqa: RUF001  An en dash, as tables have it.
 CEILING = "truth's noise (ceiling)"
@@ -26,6 +18,9 @@ SHORT_SPLITS: dict[Split, str] = {
     "extrapolating-40deg": "40°",
 }
 TABLE_WIDTH = 120
+
+DROP = Metric(key="drop_db", title="drop dB ↓", decimals=2)
+"""How far PSNR falls from the interpolating to the extrapolating split; its best is not marked."""
 
 MEANS_NOTE = "Of runs that differ in their seed alone: means over the seeds."
 
@@ -84,40 +79,35 @@ def psnr_text(value: float | None) -> str:
     return "PSNR ∞ (identical)" if math.isinf(value) else f"PSNR {value:.2f} dB"
 
 
+def _score_columns(metrics: tuple[Metric, ...]) -> list[tuple[Column, Metric]]:
+    """Each metric on both splits; behind PSNR, how far it drops from one split to the other."""
+    columns: list[tuple[Column, Metric]] = []
+    for metric in metrics:
+        columns += [(Column(group=metric.title, split=split), metric) for split in TEST_SPLITS]
+        columns += [(Column(group=DROP.title), DROP)] if metric.key == "psnr_db" else []
+    return columns
+
+
 def _score_grid(scene: SceneScores, metrics: tuple[Metric, ...]) -> Grid:
     """The best run first, by its PSNR on the interpolating split."""
-    columns = [Column(group="run", is_number=False)]
-    signs = [0]
-    """Of each column: 1 where more is better, -1 where less is, 0 where neither."""
-    for metric in metrics:
-        columns += [Column(group=metric.title, split=split) for split in TEST_SPLITS]
-        signs += [metric.sign] * len(TEST_SPLITS)
-        if metric.key == "psnr_db":
-            columns.append(Column(group="drop dB ↓"))
-            signs.append(0)
-    runs = sorted(scene.runs, key=_rank)
-    rows, values = [], []
-    for scores in runs:
-        row, numbers = [scores.run.name], [None]
-        for metric in metrics:
-            means = [scores.mean(metric.key, split) for split in TEST_SPLITS]
-            row += [format_number(mean, metric.decimals) for mean in means]
-            numbers += means
-            if metric.key == "psnr_db":
-                row.append(format_number(scores.drop_db, 2))
-                numbers.append(None)
-        rows.append(tuple(row))
-        values.append(numbers)
+    columns, runs = _score_columns(metrics), sorted(scene.runs, key=_rank)
+    values = [
+        [run.drop_db if column.split is None else run.mean(metric.key, column.split) for column, metric in columns]
+        for run in runs
+    ]
+    decimals = [metric.decimals for _, metric in columns]
+    signs = [0 if metric is DROP or len(runs) < 2 else metric.sign for _, metric in columns]
+    rows = [(run.run.name, *map(format_number, line, decimals)) for run, line in zip(runs, values, strict=True)]
     ceiling = [ceiling_text(scene.ceilings_db[split]) for split in TEST_SPLITS]
-    rows.append((CEILING, *ceiling, *[MISSING] * (len(columns) - 1 - len(ceiling))))
+    rest = [MISSING] * (len(columns) - len(ceiling))
     views = " + ".join(f"{scene.dataset.config.split(split).views} {split}" for split in TEST_SPLITS)
     return Grid(
         title=f"{scene.title}: {views} views of {scene.dataset.config.resolution} pixels",
-        columns=tuple(columns),
-        rows=tuple(rows),
+        columns=(Column(group="run", is_number=False), *(column for column, _ in columns)),
+        rows=(*rows, (CEILING, *ceiling, *rest)),
         last_row_apart=True,
         notes=left_out_notes(scene),
-        best=_best(rows[:-1], values, signs) if len(runs) > 1 else frozenset(),
+        best=_best(rows, values, signs),
     )
 
 
@@ -129,36 +119,32 @@ def _rank(scores: RunScores) -> tuple[float, str]:
 def _best(
     rows: list[tuple[str, ...]], values: list[list[float | None]], signs: list[int]
 ) -> frozenset[tuple[int, int]]:
-    """The places of each column's best value, and of those that are printed alike."""
+    """The places of each score's best value, and of those that are printed alike; the first column has names."""
     best = set()
-    for column, sign in enumerate(signs):
-        known = [(sign * value, row) for row, line in enumerate(values) if (value := line[column]) is not None]
+    for place, sign in enumerate(signs):
+        known = [(sign * value, row) for row, line in enumerate(values) if (value := line[place]) is not None]
         if sign and known:
-            text = rows[max(known)[1]][column]
-            best |= {(row, column) for row, line in enumerate(rows) if line[column] == text}
+            text = rows[max(known)[1]][place + 1]
+            best |= {(row, place + 1) for row, line in enumerate(rows) if line[place + 1] == text}
     return frozenset(best)
 
 
 def _seed_grid(scene: SceneScores, groups: list[SeedGroup], metrics: tuple[Metric, ...]) -> Grid:
     """Two lines a group: the mean of its runs' scores, and their standard deviation."""
-    columns = [Column(group="runs", is_number=False), Column(group="seeds")]
-    for metric in metrics:
-        columns += [Column(group=metric.title, split=split) for split in TEST_SPLITS]
-        if metric.key == "psnr_db":
-            columns.append(Column(group="drop dB ↓"))
+    columns = _score_columns(metrics)
+    decimals = [metric.decimals for _, metric in columns]
     rows = []
     for group in groups:
-        cells: list[tuple[Spread, int]] = []
-        for metric in metrics:
-            cells += [(group.score(metric.key, split), metric.decimals) for split in TEST_SPLITS]
-            if metric.key == "psnr_db":
-                cells.append((group.drop_db, 2))
-        means = (format_number(cell.mean, decimals) for cell, decimals in cells)
+        spreads = [
+            group.drop_db if column.split is None else group.score(metric.key, column.split)
+            for column, metric in columns
+        ]
+        means = map(format_number, [value.mean for value in spreads], decimals)
         rows.append((group.name, str(len(group.runs)), *means))
-        rows.append(("  ±", "", *(format_number(cell.deviation, decimals) for cell, decimals in cells)))
+        rows.append(("  ±", "", *map(format_number, [value.deviation for value in spreads], decimals)))
     return Grid(
         title=f"{scene.title}: mean and standard deviation over seeds",
-        columns=tuple(columns),
+        columns=(Column(group="runs", is_number=False), Column(group="seeds"), *(column for column, _ in columns)),
         rows=tuple(rows),
         notes=("Each run's score is as in the table above; ± is the sample standard deviation (n - 1) over seeds.",),
     )
@@ -217,178 +203,3 @@ def _without_glass(scene: SceneScores) -> dict[Split, int]:
             if scene.has_glass_mask and values is not None and (count := values.undefined("glass_psnr_db")):
                 counts[split] = count
     return counts
-
-
-# Looks
-
-
-def tables_text(
-    scenes: list[SceneScores],
-    output_format: str,
-    *,
-    width: int,
-    color: bool = False,
-    more: Sequence[Grid] = (),
-    is_full: bool = True,
-    is_wrapped: bool = False,
-) -> str:
-    """The tables, and the notes that explain them, as `table` (plain text), `markdown` or `latex`.
-
-    Args:
-        more: further tables, behind those of the scenes.
-        is_full: with the tables that are details.
-        is_wrapped: with what the paper's authors' script would print.
-    """
-
-    def write(grid: Grid) -> str:
-        return grid_text(grid, output_format, width=width, color=color)
-
-    grids = [grid for scene in scenes for grid in scene_grids(scene, is_wrapped=is_wrapped)]
-    parts = [write(grid) for grid in grids if is_full or not grid.is_detail]
-    parts.append(_paragraphs(metric_notes(is_wrapped=is_wrapped), output_format, width))
-    parts += [write(grid) for grid in more if is_full or not grid.is_detail]
-    return "\n".join(parts)
-
-
-def grid_text(grid: Grid, output_format: str, *, width: int, color: bool = False) -> str:
-    """One table as `table` (plain text of so many columns), `markdown` or `latex`."""
-    # Names come from folders and files: in no format may they end a line, or tell a terminal to do something.
-    grid = dataclasses.replace(
-        grid,
-        title=printable(grid.title),
-        rows=tuple(tuple(map(printable, row)) for row in grid.rows),
-        notes=tuple(map(printable, grid.notes)),
-    )
-    if output_format == "table":
-        return _plain(grid, width, color)
-    return {"markdown": _markdown, "latex": _latex}[output_format](grid)
-
-
-def _plain(grid: Grid, width: int, color: bool) -> str:
-    import io
-
-    from rich.console import Console
-    from rich.measure import Measurement
-
-    buffer = io.StringIO()
-    console = Console(file=buffer, width=width, force_terminal=color, no_color=not color, highlight=False)
-    is_marked = bool(grid.best) and not color
-    table = _rich_table(grid, is_marked=is_marked)
-    unbounded = console.options.update(max_width=10 * width)
-    if is_marked and Measurement.get(console, unbounded, table).maximum > width:
-        is_marked, table = False, _rich_table(grid, is_marked=False)
-    console.print(table)
-    text = "\n".join(line.rstrip() for line in buffer.getvalue().splitlines())
-    notes = (*grid.notes, *(["* the best of its column."] if is_marked else []))
-    return f"{text.rstrip()}\n" + _paragraphs(notes, "table", width)
-
-
-def _rich_table(grid: Grid, *, is_marked: bool) -> "Table":
-    """Best values are bold, which a terminal shows, and have an asterisk where asked for."""
-    from rich import box
-    from rich.table import Table
-    from rich.text import Text
-
-    # Names may hold square brackets, which rich would take for mark-up: so every string goes in as Text.
-    table = Table(
-        title=Text(grid.title), title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, padding=(0, 0, 0, 1)
-    )
-    for column in grid.columns:
-        header = column.group if column.split is None else f"{column.group} {SHORT_SPLITS[column.split]}"
-        lines = header.replace(" ", "\n").replace("\n↑", " ↑").replace("\n↓", " ↓") if column.is_number else header
-        table.add_column(
-            Text(lines), justify="right" if column.is_number else "left", vertical="top", no_wrap=column.is_number
-        )
-        table.columns[-1].overflow = "fold"
-    marked = {column for _, column in grid.best} if is_marked else set()
-    for place, row in enumerate(grid.rows):
-        cells = []
-        for column, cell in enumerate(row):
-            is_best = (place, column) in grid.best
-            mark = ("*" if is_best else " ") if column in marked else ""
-            cells.append(Text(cell + mark, style="bold" if is_best else ""))
-        table.add_row(*cells, end_section=grid.last_row_apart and place == len(grid.rows) - 2)
-    return table
-
-
-def _paragraphs(notes: tuple[str, ...], output_format: str, width: int) -> str:
-    import textwrap
-
-    if output_format == "markdown":
-        return "".join(f"\n{markdown_escaped(note)}\n" for note in notes)
-    if output_format == "latex":
-        return "".join(f"% {note}\n" for note in notes)
-    return "".join(f"{textwrap.fill(note, width - 2, subsequent_indent='  ')}\n" for note in notes)
-
-
-def markdown_escaped(text: str) -> str:
-    """Text that Markdown shows as it is: no tag, link, code or column of a table begins in it."""
-    return re.sub(r"([\\`|<>\[\]])", r"\\\1", text)
-
-
-def _markdown(grid: Grid) -> str:
-    heads = [column.group if column.split is None else f"{column.group}, {column.split}" for column in grid.columns]
-    rules = ["---:" if column.is_number else "---" for column in grid.columns]
-    rows = [
-        [
-            f"**{markdown_escaped(cell)}**" if (place, column) in grid.best else markdown_escaped(cell)
-            for column, cell in enumerate(row)
-        ]
-        for place, row in enumerate(grid.rows)
-    ]
-    lines = [[markdown_escaped(head) for head in heads], rules, *rows]
-    body = "".join(f"| {' | '.join(line)} |\n" for line in lines)
-    return f"### {markdown_escaped(grid.title)}\n\n{body}" + _paragraphs(grid.notes, "markdown", TABLE_WIDTH)
-
-
-LATEX_SPELLING = {
-    "\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "#": r"\#", "_": r"\_", "$": r"\$", "{": r"\{", "}": r"\}",
-    "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "∞": r"$\infty$", "Δ": r"$\Delta$", "↑": r"$\uparrow$",
-    "↓": r"$\downarrow$", "±": r"$\pm$", "→": r"$\to$", MISSING: "--",
-}  # fmt: skip
-
-
-def latex_escaped(text: str) -> str:
-    return "".join(LATEX_SPELLING.get(character, character) for character in text)
-
-
-def _latex(grid: Grid) -> str:
-    """A booktabs tabular; \\usepackage{booktabs} is all it needs."""
-    alignment = "".join("r" if column.is_number else "l" for column in grid.columns)
-    top, rules, below, place = [], [], [], 0
-    while place < len(grid.columns):
-        group = grid.columns[place].group
-        span = next(
-            (count for count, column in enumerate(grid.columns[place:]) if column.group != group),
-            len(grid.columns) - place,
-        )
-        name = latex_escaped(group)
-        top.append(rf"\multicolumn{{{span}}}{{c}}{{{name}}}" if span > 1 else name)
-        if span > 1:
-            rules.append(rf"\cmidrule(lr){{{place + 1}-{place + span}}}")
-        below += [SHORT_SPLITS[column.split] if column.split else "" for column in grid.columns[place : place + span]]
-        place += span
-    rows = [
-        " & ".join(
-            rf"\textbf{{{latex_escaped(cell)}}}" if (line, column) in grid.best else latex_escaped(cell)
-            for column, cell in enumerate(row)
-        )
-        + r" \\"
-        for line, row in enumerate(grid.rows)
-    ]
-    if grid.last_row_apart:
-        rows.insert(-1, r"\midrule")
-    heads = [" & ".join(top) + r" \\"]
-    if rules:
-        heads += [" ".join(rules), " & ".join(below) + r" \\"]
-    lines = [
-        f"% {grid.title}",
-        rf"\begin{{tabular}}{{{alignment}}}",
-        r"\toprule",
-        *heads,
-        r"\midrule",
-        *rows,
-        r"\bottomrule",
-        r"\end{tabular}",
-    ]
-    return "\n".join(lines) + "\n" + _paragraphs(grid.notes, "latex", TABLE_WIDTH)

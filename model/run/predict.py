@@ -7,6 +7,7 @@ RUN/variants/NAME/...              the same of a variant
 
 import dataclasses
 import itertools
+import shlex
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import cast
@@ -16,7 +17,6 @@ import torch
 from jaxtyping import Float32, UInt8
 from torch import Tensor
 
-from datagen.data.advice import edit_command
 from datagen.data.cameras import Cameras
 from datagen.data.config import Split
 from datagen.data.dataset import Dataset
@@ -161,9 +161,10 @@ def check_can_draw(config: TrainConfig, dataset: Dataset, variant: Dataset) -> N
         return
     check_draws_edits(config)
     if config.geometry not in list_geometries(variant):
+        words = [word for edit in variant.edit.edits for word in ("--edit", edit)]
+        again = shlex.join(["datagen", "build", "--dataset", str(dataset.root), *words])
         raise HyalineError(
-            f"{variant.root}: has no {config.geometry} proxies; `{edit_command(dataset, variant)}` adds those that "
-            f"{dataset.root} has now"
+            f"{variant.root}: has no {config.geometry} proxies; `{again}` adds those that {dataset.root} has now"
         )
 
 

@@ -24,12 +24,12 @@ import itertools
 import json
 import os
 import re
+import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
 
-from datagen.data.advice import train_command
 from datagen.data.config import ANGLE_SPLITS, TEST_SPLITS
 from datagen.data.dataset import Dataset
 from datagen.data.geometries import describe_geometry
@@ -186,7 +186,8 @@ def read_run(out: Path) -> RunRecord:
             "run of `model train` (`eval report` scores pictures of any method)"
         )
     if not (out / RUN).is_file():
-        raise HyalineError(f"{out}: no run there; make one with `{train_command(out)}`")
+        command = shlex.join(["model", "train", "paper", "--out", str(out)])
+        raise HyalineError(f"{out}: no run there; make one with `{command}`")
     return _read_record(out / RUN)
 
 

@@ -11,6 +11,9 @@ Memory = Literal["auto", "ram", "mapped"]
 
 Device = Literal["auto", "cpu", "cuda"]
 
+RUNS = Path("runs")
+"""Default folder of the runs, as RUNS/SCENE/NAME."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class RunFlags:

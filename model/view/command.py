@@ -9,7 +9,7 @@ from datagen.disk.errors import HyalineError
 from datagen.terminal.command import say, tell
 from model.run.opening import open_trained
 from model.run.run_folder import RUN
-from model.settings.run_flags import Device
+from model.settings.run_flags import RUNS, Device
 from model.settings.runtime import choose_device
 from model.view.live_run import LiveRun
 from model.view.view import view
@@ -22,7 +22,7 @@ def show(what: str, *, host: str, port: int, device: Device) -> None:
         HyalineError: neither a run nor a dataset is there, or what is there cannot be shown.
         Stopped: a signal has arrived.
     """
-    run = next((place for place in (Path(what), Path("runs") / what) if (place / RUN).is_file()), None)
+    run = next((place for place in (Path(what), RUNS / what) if (place / RUN).is_file()), None)
     if run is not None:
         record, opened = open_trained(run)
         live = LiveRun(run, record.config, opened, device=choose_device(device))

@@ -85,7 +85,7 @@ def test_runs_of_several_budgets_make_a_table_and_a_figure(
     scores = {run["run"]: run["splits"]["extrapolating"]["psnr_db"]["mean"] for run in scene["runs"]}
     mean = (scores["one"] + scores["one-again"]) / 2
     assert budget["points"][0]["psnr_db"]["extrapolating"] == pytest.approx(mean)
-    assert (tmp_path / "out/budget_synthetic.png").is_file()
+    assert (tmp_path / "out/budget_synthetic.svg").is_file()
 
 
 def test_a_small_budget_sees_the_nearest_layers_alone(

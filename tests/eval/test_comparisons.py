@@ -19,26 +19,19 @@ from datagen.data.png import png_bytes
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import to_json
 from eval.page.report import TABLES, make_report, make_tables
-from eval.papers import claims, comparisons
+from eval.papers import claims
 from eval.score.seeds import spread
 from eval.tables.grids import MISSING
 from model.methods.light_path.config import default_light_path
 from model.methods.paper.config import PaperConfig
 from model.run.run_folder import TrainConfig
+from model.settings.flags import words_of
 from model.settings.losses import LossConfig
 
 PAPER = TrainConfig(method="paper", geometry="truth", net=PaperConfig(width=80, texture_size=64))
 BEST = dataclasses.replace(
     PAPER,
-    net=PaperConfig(
-        width=128,
-        norm="none",
-        texture_size=128,
-        texture_levels=5,
-        finer_counts=0.5,
-        train_samples=4,
-        render_samples=16,
-    ),
+    net=dataclasses.replace(PaperConfig(preset="best").usual(TRUTH), width=128, texture_size=128),
     loss=LossConfig(softness=0.03),
 )
 LIGHT = TrainConfig(
@@ -84,10 +77,28 @@ def write_run(
             "geometry": config.geometry,
             "seed": config.seed,
             "config": to_json(config),
+            "flags": flags_of(config),
             "layers_seal": "the same",
             "num_parameters": 34483,
         }
     (folder / "run.json").write_text(json.dumps(record))
+
+
+def flags_of(config: TrainConfig) -> list[str]:
+    """As `model train` records them, of choices that decide which table a run stands in."""
+    net = config.net
+    usual = type(net)(**({"preset": net.preset} if isinstance(net, PaperConfig) else {})).usual(config.geometry)
+    fitted = {"width", "texture_size", "texture_sizes", "shells", "refined_samples"} & {
+        item.name for item in dataclasses.fields(usual)
+    }
+    chosen = dataclasses.replace(net, **{name: getattr(usual, name) for name in fitted})
+    return [
+        *([] if config.geometry == TRUTH else ["--geometry", config.geometry]),
+        *([] if config.seed == 0 else ["--seed", str(config.seed)]),
+        *words_of(chosen, usual),
+        *([] if config.steps == TrainConfig.steps else ["--steps", str(config.steps)]),
+        *words_of(config.loss, usual.optimisation().loss),
+    ]
 
 
 def paper(*, seed: int = 0, geometry: str = "truth", steps: int = 2500, **net: object) -> TrainConfig:
@@ -390,18 +401,3 @@ def test_every_table_is_printed_in_every_format(
         assert body.startswith(r"\begin{tabular}") and not set(body) & set("±→∞↑↓_") - (
             {"_"} if r"\_" in body else set()
         )
-
-
-def test_the_choices_that_tables_look_for_are_the_defaults_of_the_methods() -> None:
-    paper_net, light_net = (dataclasses.asdict(config.net) for config in (PAPER, LIGHT))
-    paper_choices = paper_net | dataclasses.asdict(PAPER.loss)
-    assert comparisons.VIEW == {key: paper_choices[key] for key in comparisons.VIEW}
-    light_choices = light_net | dataclasses.asdict(LIGHT.loss)
-    assert comparisons.LIGHT_PATH == {key: light_choices[key] for key in comparisons.LIGHT_PATH}
-    proxy_net = dataclasses.asdict(default_light_path((64, 64), is_proxy=True))
-    on_proxies = comparisons.LIGHT_PATH_ON_PROXIES
-    proxy_choices = proxy_net | dataclasses.asdict(LIGHT.loss)
-    assert on_proxies == {key: proxy_choices[key] for key in on_proxies}
-    known = {*paper_net, *light_net, "geometry", "batch"}
-    varied = {key for comparison in comparisons.COMPARISONS.values() for key in comparison.varied or ()}
-    assert varied | {*comparisons.PROXY_KEYS, *comparisons.FOLLOWING} <= known

@@ -155,4 +155,4 @@ def test_the_report_has_a_curve_for_each_run(
     assert curve["db_per_10deg"] == pytest.approx(-4, abs=0.8)
     assert curve["unseen"]["pixels"] + sum(part["pixels"] for part in curve["by_angle"]) > 200
     assert f"| steep | {curve['db_per_10deg']:.2f} |" in capsys.readouterr().out
-    assert (tmp_path / "out/curve_synthetic.png").is_file()
+    assert (tmp_path / "out/curve_synthetic.svg").is_file()

@@ -26,7 +26,8 @@ from datagen.machine.revision import code_version
 from eval.page.report import make_report
 from eval.page.results_page import results_page
 from eval.score.runs import RUN_KEYS, list_run_folders
-from eval.tables.grids import CEILING, latex_escaped
+from eval.tables.grids import CEILING
+from eval.tables.looks import latex_escaped
 from model.run.run_folder import RunRecord
 
 SCRIPTS = Path(sys.executable).parent
@@ -218,13 +219,12 @@ def test_pictures_are_written_and_do_not_depend_on_the_day(made: Path, tmp_path:
     names = [
         "cameras_synthetic",
         "comparison_synthetic",
-        "curve_synthetic",
         "synthetic_foreign_nerf",
         "synthetic_grey",
         "synthetic_perfect",
     ]
     assert sorted(path.name for path in (tmp_path / "a").iterdir()) == sorted(
-        [*(f"{n}.png" for n in names), "index.html", "kept", "report.json", "results.json"]
+        [*(f"{n}.png" for n in names), "curve_synthetic.svg", "index.html", "kept", "report.json", "results.json"]
     )
     for path in (path for path in (tmp_path / "a").rglob("*") if path.is_file()):
         assert path.read_bytes() == (tmp_path / "b" / path.relative_to(tmp_path / "a")).read_bytes()
@@ -341,7 +341,7 @@ def test_the_report_knows_every_key_that_training_writes() -> None:
 def test_no_run_at_all_says_how_to_make_one(tmp_path: Path) -> None:
     with pytest.raises(
         HyalineError,
-        match=r"no predictions there; make some with `datagen build --scene glass_table`, or put a method",
+        match=r"no predictions there; make some with `model train paper`, or put a method",
     ):
         report(tmp_path)
 
@@ -411,7 +411,7 @@ def test_the_package_imports_neither_torch_nor_mitsuba_and_its_help_nothing_heav
     code = (
         "import sys, eval.cli\n"
         "assert not {'numpy', 'matplotlib', 'tyro'} & set(sys.modules)\n"
-        "import eval.page.report, eval.page.figures, eval.score.metrics\n"
+        "import eval.page.report, eval.page.further, eval.score.metrics\n"
         "assert not {'torch', 'mitsuba', 'drjit', 'skimage', 'colour'} & set(sys.modules)"
     )
     done = command(sys.executable, "-c", code, cwd=tmp_path)

@@ -65,7 +65,7 @@ TRIPS = (
     Trip(line=f"{TRAIN} --out runs/one/paper --seed 1 --overwrite", start="run"),
     Trip(line=f"{RENDER} --overwrite", start="run"),
     Trip(line=f"{RENDER} --variant angles --overwrite", start="drawn"),
-    Trip(line=f"{RENDER} --path spline --frames 2 --video film.gif", start="run"),
+    Trip(line=f"{RENDER} --path spline --frames 2 --video film.webp", start="run"),
     Trip(line="model export --run runs/one/paper --out page.html --overwrite", start="run"),
     Trip(line="model sweep grid.toml"),
     Trip(line=REPORT, start="run"),
@@ -98,7 +98,7 @@ TRIPS = (
         line="datagen render --dataset data/one --path spline --frames 2 --overwrite --video films",
         taken=("films/0000.png",),
     ),
-    Trip(line=f"{RENDER} --path spline --frames 2 --video film.gif", start="run", taken=("film.gif",)),
+    Trip(line=f"{RENDER} --path spline --frames 2 --video film.webp", start="run", taken=("film.webp",)),
     Trip(line="model export --run runs/one/paper --out page.html", start="run", taken=("page.html",)),
     Trip(line="model sweep grid.toml", taken=("runs/one/paper-w8-t8-batch32-2-steps/weights.pt",)),
     Trip(line=REPORT, start="run", taken=("runs/report/results.json",)),
@@ -111,8 +111,10 @@ TRIPS = (
         start="run",
         taken=("figure.png",),
     ),
-    Trip(line="benchmarks turntable --runs runs/one/paper --frames 2 --out film.gif", start="run", taken=("film.gif",)),
-    Trip(line="benchmarks turntable --runs runs/one/paper --frames 2 --out film.gif --overwrite", start="run"),
+    Trip(
+        line="benchmarks turntable --runs runs/one/paper --frames 2 --out film.webp", start="run", taken=("film.webp",)
+    ),
+    Trip(line="benchmarks turntable --runs runs/one/paper --frames 2 --out film.webp --overwrite", start="run"),
     Trip(line="benchmarks random-sheet --seeds 0 --out figure.png", taken=("figure.png",)),
     Trip(line="benchmarks sky --runs runs/one/paper --out figure.png", start="run", taken=("figure.png",)),
 )
@@ -147,7 +149,7 @@ ELSEWHERE = {
     "model render": {"dataset", "fps", "width", "height"},
     "model export": {"dataset", "quality", "truths"},
     "model sweep": {"dataset", "seed", "jobs", "dry_run"},
-    "report report": {"format", "order", "dataset", "full", "published", "results", "views", "watch"},
+    "report report": {"format", "dataset", "full", "published", "results", "views"},
 }  # fmt: skip
 """Flags that choose what is written, or by how many, and never where: no line above needs them."""
 

@@ -36,7 +36,6 @@ from datagen.scene.modelling import ball, cylinder, moved
 from datagen.scene.solid_textures import evaluate_texture
 from datagen.scene.textures import SolidTexture
 from datagen.trace.peel import Peeler
-from eval.analyses.order import orders
 from model.nets.texture import NeuralTextures, object_layout
 from model.run.edits import with_copies
 
@@ -242,7 +241,7 @@ def test_an_edit_mask_finds_the_light_that_an_edit_moves_and_no_noise() -> None:
     assert (find_edit_mask(shown, before, shared)[far & ~shown] == ELSEWHERE).all()
 
 
-# Textures of copies, orders
+# Textures of copies
 
 
 def test_a_copy_looks_up_the_texels_of_its_original() -> None:
@@ -260,16 +259,6 @@ def test_a_copy_has_all_shells_of_its_original() -> None:
     layout = with_copies(object_layout((4, 3, 8, 2)), [1], 2)  # Two objects of two shells each, the second copied.
     assert layout.sizes == (4, 3, 8, 2, 8, 2)
     assert layout.bases[4:] == layout.bases[2:4]
-
-
-@pytest.mark.parametrize("num_layers", [1, 3, 8])
-def test_orders_are_equal_where_the_first_layers_are(num_layers: int) -> None:
-    ids = np.random.default_rng(0).integers(0, 3, size=(5, 6, 6)).astype(np.uint8)
-    codes = orders(ids, num_layers).ravel()
-    columns = [tuple(ids[:num_layers, row, column]) for row in range(6) for column in range(6)]
-    for one in range(36):
-        for other in range(36):
-            assert (codes[one] == codes[other]) == (columns[one] == columns[other])
 
 
 # On disk

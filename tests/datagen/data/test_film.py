@@ -17,15 +17,14 @@ from datagen.disk.errors import HyalineError
 FRAMES = [np.full((6, 9, 3), level, np.uint8) for level in (0, 90, 255)]
 
 
-@pytest.mark.parametrize("suffix", [".gif", ".webp", ".png"])
-def test_an_animated_file_shows_every_picture_in_order_at_its_pace_for_ever(suffix: str, tmp_path: Path) -> None:
-    out = tmp_path / f"film{suffix}"
+def test_an_animated_file_shows_every_picture_in_order_at_its_pace_for_ever(tmp_path: Path) -> None:
+    out = tmp_path / "film.webp"
     check_film(out, 10, frames=3, overwrite=False)
     write_film(out, iter(FRAMES), 10, frames=3)
     with Image.open(out) as film:
         shown = [np.asarray(frame.convert("RGB")) for frame in ImageSequence.Iterator(film)]
         assert film.info["loop"] == 0 and film.info["duration"] == 100
-    assert np.abs(np.stack(shown).astype(int) - np.stack(FRAMES)).max() <= 2  # WebP and GIF round.
+    assert np.abs(np.stack(shown).astype(int) - np.stack(FRAMES)).max() <= 2  # WebP rounds.
 
 
 def test_a_folder_gets_a_png_a_frame_and_its_own_frames_alone_are_replaced(tmp_path: Path) -> None:
@@ -42,17 +41,18 @@ def test_a_folder_gets_a_png_a_frame_and_its_own_frames_alone_are_replaced(tmp_p
 
 
 def test_nothing_foreign_is_taken_for_a_film(tmp_path: Path) -> None:
-    file, folder = tmp_path / "x.gif", tmp_path / "thesis"
+    file, folder = tmp_path / "x.webp", tmp_path / "thesis"
     file.write_text("mine")
     folder.mkdir()
     (folder / "0000.png").write_text("mine")
-    with pytest.raises(HyalineError, match=r"x\.gif: is there already; pass --overwrite"):
+    with pytest.raises(HyalineError, match=r"x\.webp: is there already; pass --overwrite"):
         check_film(file, 10, frames=3, overwrite=False)
     for overwrite in (False, True):
         with pytest.raises(HyalineError, match=r"thesis: is not empty \(0000\.png\) and no film; choose another --vid"):
             check_film(folder, 10, frames=3, overwrite=overwrite)
-    with pytest.raises(HyalineError, match=r"'\.avi' is no kind of film; expected \.gif, \.webp, \.png or \.mp4"):
-        check_film(tmp_path / "x.avi", 10, frames=3, overwrite=False)
+    for suffix in (".gif", ".png", ".avi"):
+        with pytest.raises(HyalineError, match=rf"'\{suffix}' is no kind of film; expected \.webp or \.mp4"):
+            check_film(tmp_path / f"x{suffix}", 10, frames=3, overwrite=False)
     for fps in (0, -1, float("nan"), 1e9):
         with pytest.raises(HyalineError, match=r"fps: is .*; expected more than 0"):
             check_film(tmp_path / "x.webp", fps, frames=3, overwrite=False)

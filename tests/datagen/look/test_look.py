@@ -14,9 +14,7 @@ from support.synthetic import write_synthetic_dataset
 
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.look.look import _settings, folder_sizes, look_page, look_sheet, missing_lines
-from datagen.look.training_time import PROBE_S, STEPS, training_time
 from datagen.look.view_pictures import depth_picture, object_colors, stored_pictures
-from model.settings.optimisation import PixelOptimisation
 
 
 @pytest.fixture
@@ -122,17 +120,6 @@ def test_of_a_large_dataset_the_names_alone_are_looked_at(dataset: Dataset, monk
     page = read_page(look_page(open_dataset(dataset.root)))
     assert "No file is missing." in [paragraph.text for paragraph in page.all("p")]
     assert any("datagen verify" in code.text for code in page.all("code"))
-
-
-def test_training_is_said_to_take_longer_on_a_slower_machine_and_on_fewer_cores(dataset: Dataset) -> None:
-    usual = training_time(PROBE_S, cores=2)
-    assert usual.startswith("about light-path 13 and paper 3 processor minutes for 2,500 steps; on 2 cores")
-    assert "do nothing else 7 and 1.7 minutes" in usual
-    assert training_time(3 * PROBE_S, cores=1).startswith("about light-path 40 and paper 10 processor minutes")
-    assert training_time(PROBE_S, cores=64) == training_time(PROBE_S, cores=4)
-    facts = [term.text for term in read_page(look_page(dataset)).all("dt")]
-    assert "training here" in facts
-    assert PixelOptimisation().steps == STEPS
 
 
 def test_the_settings_of_a_material_are_words_and_numbers() -> None:

@@ -4,10 +4,11 @@ import sys
 import numpy as np
 import pytest
 import trimesh
+from support.meshes import chart_map
 
 from datagen.data.meshes import Mesh, face_corners
 from datagen.disk.errors import HyalineError
-from datagen.scene.atlas import bake_positions, chart_map, coverage, unwrap, unwrap_all
+from datagen.scene.atlas import bake_positions, coverage, unwrap, unwrap_all
 from datagen.scene.modelling import ball, lathe, merged, rounded_box, sheet
 
 

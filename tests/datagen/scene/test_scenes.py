@@ -4,11 +4,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.meshes import chart_map
 
 from datagen.data.finding import BUILT_IN_SCENES
 from datagen.data.meshes import Mesh, component_of_faces, face_areas, face_corners, open_edges, signed_volume
 from datagen.disk.errors import HyalineError
-from datagen.scene.atlas import chart_map, coverage
+from datagen.scene.atlas import coverage
 from datagen.scene.builtin import SCENES, make_scene
 from datagen.scene.description import Scene, SceneObject
 from datagen.scene.folder import load_scene, save_scene, scene_files

@@ -13,7 +13,6 @@ from datagen.data.dataset import Dataset
 from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import to_json
-from eval.papers import comparisons
 from model import cli
 from model.batches.rays import load_pixels
 from model.methods.paper.config import PaperConfig
@@ -68,12 +67,6 @@ def test_flags_override_the_best_preset(dataset: Dataset) -> None:
     assert folder_name("paper", asked) == (
         "paper-best-w64-batch-norm-t24-1-rays-2-levels-batch64-lr0.5-texture-lr0.25-no-decay-2500-steps"
     )
-
-
-def test_tables_look_for_what_the_best_preset_configures(dataset: Dataset) -> None:
-    config = configured(dataset, "paper", "--preset", "best")
-    known = dataclasses.asdict(config.net) | dataclasses.asdict(config.loss)
-    assert {key: known[key] for key in comparisons.PAPER_BEST} == comparisons.PAPER_BEST
 
 
 def test_finer_levels_count_less(dataset: Dataset) -> None:

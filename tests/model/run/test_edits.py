@@ -150,7 +150,7 @@ def test_the_commands_edit_and_draw_what_is_there(made: Path, monkeypatch: pytes
     monkeypatch.chdir(made)
     data = call("datagen build --scene edit --edit remove:ball")
     assert data.out == "data/edit/variants/remove-ball\n"
-    assert data.err.splitlines()[-1] == "next: eval report"
+    assert data.err.splitlines()[-1] == "next: model render --run RUN --variant remove-ball"
     run = "model render --run runs/edit/paper --dataset edit --variant"
     picture = made / "runs" / "edit" / "paper" / "variants" / "remove-ball" / "predictions" / SPLIT / "0001.png"
     drawn = picture.read_bytes()
@@ -162,16 +162,15 @@ def test_the_commands_edit_and_draw_what_is_there(made: Path, monkeypatch: pytes
     assert "error: --spp: does not go with --edit" in refused.error
 
 
-def test_the_report_scores_edits_by_region_and_pixels_by_order(
+def test_the_report_scores_edits_by_region(
     made: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("eval.figures.sheets.contact_sheet", lambda scene, scores: b"")
-    make_report(made / "runs", made / "data", made / "out", output_format="markdown", order_layers=3)
+    make_report(made / "runs", made / "data", made / "out", output_format="markdown")
     text = capsys.readouterr().out
     assert "### edit, after remove:ball (object " in text
-    assert "### edit: PSNR by order of the first 3 layers" in text
     results = json.loads((made / "out" / "results.json").read_text())
-    base, after, doubled = datasets(made)
+    base, after, _ = datasets(made)
 
     # Regions, by a slow loop over pixels.
     scored = {tuple(edit["edits"]): edit for edit in results["scenes"][0]["analyses"]["variants"].values()}
@@ -200,26 +199,8 @@ def test_the_report_scores_edits_by_region_and_pixels_by_order(
     assert rows["truth before the edit", "edited"]["object"][SPLIT] < rows["ours", "edited"]["object"][SPLIT] - 5
     assert (made / "out" / "edit_edit_remove-ball.png").is_file()
 
-    # Orders, by sets of tuples.
-    known = set()
-    for view in range(16):
-        ids = base.view("train", view).layers().object_id[:3]
-        known |= {tuple(column) for column in ids.reshape(3, -1).T.tolist()}
-    by_order = {(row["scene"], row["run"]): row for row in results["scenes"][0]["analyses"]["order"]["rows"]}
-    assert len(by_order) == 6
-    for scene_name, dataset in (("as trained", base), (doubled.name, doubled)):
-        for split in TEST_SPLITS:
-            new = []
-            for view in range(2):
-                # A copy is drawn with the texels of its original, so it counts as that.
-                ids = dataset.view(split, view).layers().object_id[:3]
-                columns = np.where(ids == 3, 1, ids).reshape(3, -1).T.tolist()
-                new += [tuple(column) not in known for column in columns]
-            assert by_order[scene_name, "ours"]["new_share"][split] == pytest.approx(np.mean(new))
-    assert max(by_order[doubled.name, "ours"]["new_share"].values()) > 0
 
-
-def test_seeds_share_a_row_in_the_tables_of_edits_and_orders_and_the_first_stands_on_the_sheet(
+def test_seeds_share_a_row_in_the_tables_of_edits_and_the_first_stands_on_the_sheet(
     made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The second seed of `paper` draws everything black."""
@@ -239,11 +220,10 @@ def test_seeds_share_a_row_in_the_tables_of_edits_and_orders_and_the_first_stand
             listed["files"][picture] = sha256(black_png)
         commit_sealed(path, listed)
     heads = []
-    for module in ("eval.figures.sheets", "eval.analyses.edit_sheet"):
-        monkeypatch.setattr(
-            f"{module}.draw_sheet", lambda title, found, rows, size: heads.append((title, found)) or b""
-        )
-    make_report(tmp_path / "runs", made / "data", tmp_path / "out", output_format="markdown", order_layers=3)
+    monkeypatch.setattr(
+        "eval.figures.sheets.draw_sheet", lambda title, found, rows, size: heads.append((title, found)) or b""
+    )
+    make_report(tmp_path / "runs", made / "data", tmp_path / "out", output_format="markdown")
 
     results = json.loads((tmp_path / "out" / "results.json").read_text())["scenes"][0]["analyses"]
     removed = results["variants"]["remove-ball"]
@@ -256,8 +236,6 @@ def test_seeds_share_a_row_in_the_tables_of_edits_and_orders_and_the_first_stand
     assert row[column] == f"{(of_run['paper'] + of_run['paper-seed1']) / 2:.2f}"
     assert of_run["paper"] > of_run["paper-seed1"] + 5
     assert [row[1] for row in rows if row[0] == "ours"] == ["1", "1"] and "paper-seed1" not in table
-    orders = text.split("### edit: PSNR by order")[1]
-    assert "| as trained | paper | 2 |" in orders and "paper-seed1" not in orders.split("###")[0]
     sheets = dict(heads)
     assert sheets["edit: remove-ball"] == ("truth before", "truth after", "ours", "paper")
     assert sheets["edit: all runs"] == ("truth", "ours", "paper")

@@ -52,7 +52,7 @@ def seals(name: str) -> tuple[str, ...]:
     "line",
     [
         "model render --run runs/d1/one --overwrite",
-        "model render --run runs/d1/one --path orbit --frames 2 --video film.gif",
+        "model render --run runs/d1/one --path orbit --frames 2 --video film.webp",
         "model export --run runs/d1/one",
         "model view runs/d1/one --port 0",
     ],
@@ -65,7 +65,7 @@ def test_weights_of_a_run_on_another_dataset_are_refused(home: Path, line: str) 
     theirs, own = seals("d1")
     assert f"weights.pt: of a run on other data (dataset_seal {theirs}...) than this one ({own}...)" in answer.error
     assert Path("runs/d1/one/predictions.json").read_bytes() == before
-    assert not (home / "scene.html").exists() and not (home / "film.gif").exists()
+    assert not (home / "scene.html").exists() and not (home / "film.webp").exists()
 
 
 @pytest.mark.usefixtures("home")
@@ -155,8 +155,6 @@ def test_a_film_replaces_its_own_frames_and_none_that_somebody_has_put_beside_th
         ("model export --run runs/d1/one --out data/d1/dataset.json", "dataset"),
         ("model export --run runs/d1/one --out runs/d2/one/weights.pt", "run"),
         ("model export --run runs/d1/one --out runs/d1/one/predictions.json", "run"),
-        (f"{RENDER} --video data/d1/images/train/0000.png", "dataset"),
-        (f"{RENDER} --video runs/d1/one/predictions/interpolating/0000.png", "run"),
     ],
 )
 def test_no_output_replaces_a_file_of_a_dataset_or_a_run(line: str, owner: str) -> None:
