@@ -65,7 +65,8 @@ def _try(world: Path, place: Path, out: Path, first: int, patch: pytest.MonkeyPa
     good = read_state(world)
     with out.open("a") as lines:
         for number, case in enumerate(cases[first:], first):
-            lines.write(json.dumps({"begin": number, "name": case.name}) + "\n")
+            begin = {"begin": number, "name": case.name, "path": case.path, "key": case.key}
+            lines.write(json.dumps(begin) + "\n")
             lines.flush()
             case.place(world)
             found = {"outcome": _try_one(functools.partial(READERS[case.reader], world), world, place, opened)}
@@ -135,7 +136,7 @@ def _plain(text: str, world: Path) -> str:
     """A message without folders of this machine, without what a library said (in brackets), and not too long."""
     text = " ".join(text.replace(f"{world}/", "").replace(str(world), ".").split())
     text = text.encode("ascii", "backslashreplace").decode()
-    return text.split(" (")[0][:140].rstrip()
+    return text.split(" (")[0][:400].rstrip()
 
 
 def _listen(world: Path, place: Path) -> list[str]:
