@@ -18,6 +18,8 @@ import pytest
 
 OUTCOMES = Path(__file__).with_name("outcomes.tsv")
 CHILD = Path(__file__).resolve().parents[1] / "support" / "hostile" / "try_all.py"
+STEP = 4
+"""A quick run tries every fourth file."""
 SECONDS_WITHOUT_A_WORD = 60
 MOST_BYTES = 2 << 30
 DIED = "DIED"
@@ -37,7 +39,12 @@ class Tried:
 
 
 @pytest.fixture(scope="module")
-def tried(tmp_path_factory: pytest.TempPathFactory) -> Tried:
+def step(request: pytest.FixtureRequest, is_full: bool) -> int:
+    return 1 if is_full or request.config.getoption("--rewrite-outcomes") else STEP
+
+
+@pytest.fixture(scope="module")
+def tried(tmp_path_factory: pytest.TempPathFactory, step: int) -> Tried:
     """A child that dies is started again. Its cache is nowhere near its home."""
     out = tmp_path_factory.mktemp("hostile") / "out.jsonl"
     environment = os.environ | {"XDG_CACHE_HOME": str(tmp_path_factory.mktemp("cache"))}
@@ -47,7 +54,7 @@ def tried(tmp_path_factory: pytest.TempPathFactory) -> Tried:
     first = 0
     for _ in range(10):
         child = subprocess.Popen(
-            [sys.executable, str(CHILD), str(out), str(first)],
+            [sys.executable, str(CHILD), str(out), str(first), str(step)],
             env=environment,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
@@ -62,7 +69,7 @@ def tried(tmp_path_factory: pytest.TempPathFactory) -> Tried:
         if "peak" in lines[-1]:
             return Tried(outcomes=outcomes, places=places, ended=ended, peak=lines[-1]["peak"])
         outcomes[begun[-1]["name"]] = f"{DIED}: status {child.returncode}"
-        first = begun[-1]["begin"] + 1
+        first = begun[-1]["begin"] + step
     pytest.fail(f"the reader died ten times: {[name for name, outcome in outcomes.items() if outcome[:4] == DIED]}")
 
 
@@ -93,7 +100,7 @@ def _wait(child: subprocess.Popen[bytes], out: Path) -> str:
 
 @pytest.mark.promise("R6", "R7")
 def test_every_hostile_file_ends_as_the_table_says(
-    tried: Tried, cases: Callable[[int, str], None], request: pytest.FixtureRequest
+    tried: Tried, step: int, cases: Callable[[int, str], None], request: pytest.FixtureRequest
 ) -> None:
     outcomes = tried.outcomes
     if request.config.getoption("--rewrite-outcomes"):
@@ -103,7 +110,9 @@ def test_every_hostile_file_ends_as_the_table_says(
     ]
     assert not wrong, f"{len(wrong)} of {len(outcomes)}:\n" + "\n".join(wrong)
     expected = dict(line.split("\t", 1) for line in OUTCOMES.read_text().splitlines())
-    assert len(outcomes) >= 1600
+    if step > 1:
+        expected = {name: place for name, place in expected.items() if name in outcomes}
+    assert len(outcomes) * step >= 1600
     different = [
         f"{name}: {outcomes.get(name)}; expected {expected.get(name, 'a refusal that names the file and the key')}"
         for name in sorted(outcomes.keys() | expected.keys())
@@ -115,8 +124,8 @@ def test_every_hostile_file_ends_as_the_table_says(
 
 
 @pytest.mark.promise("R6", "R7")
-def test_commands_end_as_the_readers_do(tried: Tried, cases: Callable[[int, str], None]) -> None:
-    assert len(tried.ended) > 150
+def test_commands_end_as_the_readers_do(tried: Tried, step: int, cases: Callable[[int, str], None]) -> None:
+    assert len(tried.ended) * step > 150
     wrong = {name: end for name, end in tried.ended.items() if not end.startswith(("refused: error: ", "accepted: "))}
     assert not wrong
     silent = {

@@ -59,9 +59,13 @@ def try_all(texts: dict[str, str], place: Callable[[str], None], read: Callable[
     return answers
 
 
-def every(step: int, texts: dict[str, str]) -> dict[str, str]:
-    """One in so many, for time's sake; from place to place, it is other values."""
-    return dict(list(texts.items())[::step])
+Some = Callable[[dict[str, str]], dict[str, str]]
+
+
+@pytest.fixture
+def some(is_full: bool) -> Some:
+    """Every other variant, or in a quick run every ninth one; from place to place, it is other values."""
+    return lambda texts: dict(list(texts.items())[:: 2 if is_full else 9])
 
 
 def refused_everywhere(answers: dict[str, str], *kinds: str) -> None:
@@ -75,17 +79,17 @@ NOWHERE = ("beyond float", "NaN", "Infinity", "64 bits", "400 digits", "5000 dig
            "half as deep", "key twice")  # fmt: skip
 
 
-def test_every_hostile_value_in_a_scene_is_one_line(tmp_path: Path) -> None:
+def test_every_hostile_value_in_a_scene_is_one_line(tmp_path: Path, some: Some) -> None:
     save_scene(synthetic_scene(), tmp_path)
     path = tmp_path / "scene.json"
     texts = variants(json.loads(path.read_text()))
-    answers = try_all(every(10, texts), path.write_text, lambda: load_scene(tmp_path))
-    assert len(answers) > 100
+    answers = try_all(some(texts), path.write_text, lambda: load_scene(tmp_path))
+    assert len(answers) > 30
     refused_everywhere(answers, *NOWHERE)
     assert all(answer.startswith(str(path)) for name, answer in answers.items() if name.endswith(NOWHERE))
 
 
-def test_every_hostile_value_in_a_runs_record_is_one_line(tmp_path: Path) -> None:
+def test_every_hostile_value_in_a_runs_record_is_one_line(tmp_path: Path, some: Some) -> None:
     write_synthetic_dataset(tmp_path / "data" / "one", resolution=8, train_views=1)
     folder = tmp_path / "runs" / "one" / "method"
     folder.mkdir(parents=True)
@@ -93,14 +97,14 @@ def test_every_hostile_value_in_a_runs_record_is_one_line(tmp_path: Path) -> Non
               "seed": 1,
               "label": "l", "num_layers": 2, "config": {"a": [1, {"b": 2}]}, "layers_seal": "s"}  # fmt: skip
     answers = try_all(
-        every(3, variants(record)), (folder / "run.json").write_text, lambda: open_run(folder, tmp_path / "data")
+        some(variants(record)), (folder / "run.json").write_text, lambda: open_run(folder, tmp_path / "data")
     )
-    assert len(answers) > 100
+    assert len(answers) > 30
     refused_everywhere(answers, *NOWHERE)
 
 
 @pytest.mark.parametrize("head", ["dataset.json", "layers/straight/layers.json", "records/train/0000.json"])
-def test_every_hostile_value_in_a_sealed_head_is_one_line(head: str, tmp_path: Path) -> None:
+def test_every_hostile_value_in_a_sealed_head_is_one_line(head: str, tmp_path: Path, some: Some) -> None:
     root = tmp_path / "one"
     write_synthetic_dataset(root, resolution=8, train_views=1)
     path = root / head
@@ -125,12 +129,12 @@ def test_every_hostile_value_in_a_sealed_head_is_one_line(head: str, tmp_path: P
             for view in range(min(2, opened.config.split(split).views)):
                 _ = opened.view(split, view).record
 
-    answers = try_all(every(2, variants(data)), place, read)
-    assert len(answers) > 50
+    answers = try_all(some(variants(data)), place, read)
+    assert len(answers) > 30
     refused_everywhere(answers, *NOWHERE)
 
 
-def test_every_hostile_value_in_another_projects_cameras_is_one_line(tmp_path: Path) -> None:
+def test_every_hostile_value_in_another_projects_cameras_is_one_line(tmp_path: Path, some: Some) -> None:
     from PIL import Image
 
     for view in range(4):
@@ -140,8 +144,8 @@ def test_every_hostile_value_in_another_projects_cameras_is_one_line(tmp_path: P
     ]
     data = {"fl_x": 10.0, "fl_y": 10.0, "cx": 6.5, "cy": 4.0, "w": 12, "h": 8, "k1": 0.0, "frames": frames}
     path = tmp_path / "transforms.json"
-    answers = try_all(every(2, variants(data)), path.write_text, lambda: plan_import(tmp_path, DatasetImportChoices()))
-    assert len(answers) > 150
+    answers = try_all(some(variants(data)), path.write_text, lambda: plan_import(tmp_path, DatasetImportChoices()))
+    assert len(answers) > 30
     refused_everywhere(answers, *NOWHERE)
 
 
@@ -188,7 +192,7 @@ def test_a_scene_of_a_hundred_thousand_objects_is_refused_at_once(tmp_path: Path
     data = json.loads(path.read_text())
     texts = {}
     for key, value in (("objects", data["objects"][0]), ("lights", {}), ("walk", data["cameras"]["walk"][0])):
-        many = [value] * 100_000
+        many = [value] * 100_000 if key == "objects" else [value] * 20_000
         changed = {**data, "cameras": {**data["cameras"], "walk": many}} if key == "walk" else {**data, key: many}
         texts[key] = json.dumps(changed)
     answers = try_all(texts, path.write_text, lambda: load_scene(tmp_path))
