@@ -5,6 +5,7 @@ import graphlib
 import re
 import subprocess
 import sys
+from collections.abc import Set
 from pathlib import Path
 
 import pytest
@@ -62,63 +63,62 @@ FLOORS = {
 """The rooms of each package, the highest first: a file imports from its own room and from those below it."""
 
 
-def imports_of(path: Path) -> set[str]:
-    names = set()
-    for node in ast.walk(ast.parse(path.read_text())):
-        if isinstance(node, ast.Import):
-            names |= {alias.name.split(".")[0] for alias in node.names}
-        elif isinstance(node, ast.ImportFrom) and node.module:
-            names.add(node.module.split(".")[0])
-    return names
-
-
 FUNCTIONS = (ast.FunctionDef, ast.AsyncFunctionDef)
 TOO_LONG: set[str] = set()
 """What is still to be split: longer than a function's 80 lines, or a file's 400."""
-FILES = [path for package in (*PACKAGES, LIBRARY) for path in sorted((ROOT / package).rglob("*.py"))]
+FILES = {
+    path.relative_to(ROOT): ast.parse(path.read_text())
+    for package in (*PACKAGES, LIBRARY)
+    for path in sorted((ROOT / package).rglob("*.py"))
+}
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda path: path.relative_to(ROOT).as_posix())
-def test_each_file_imports_only_what_its_place_allows(path: Path) -> None:
-    place = path.relative_to(ROOT)
-    names = imports_of(path)
-    assert names & {*PACKAGES, LIBRARY} <= ALLOWED[place.parts[0]]
-    for package, homes in HOMES.items():
-        if package in names:
-            assert place.parts[0] in homes or place.as_posix() in homes, f"{package} has no home here"
+def imported_by(tree: ast.Module) -> list[str]:
+    """The modules that a file imports anywhere in it, also inside functions and for annotations alone."""
+    names = []
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            names += [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            names.append(node.module)
+    return names
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda path: path.relative_to(ROOT).as_posix())
-def test_each_file_says_in_its_first_line_what_it_owns(path: Path) -> None:
-    if path.name != "__init__.py" or path.read_text().strip():
-        assert ast.get_docstring(ast.parse(path.read_text()))
+def test_each_file_imports_only_what_its_place_allows() -> None:
+    wrong = []
+    for place, tree in FILES.items():
+        names = {name.split(".")[0] for name in imported_by(tree)}
+        wrong += [f"{place}: {name}" for name in (names & {*PACKAGES, LIBRARY}) - ALLOWED[place.parts[0]]]
+        homeless = [name for name in names & HOMES.keys() if not {place.parts[0], place.as_posix()} & HOMES[name]]
+        wrong += [f"{place}: {name} has no home here" for name in homeless]
+    assert not wrong
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda path: path.relative_to(ROOT).as_posix())
-def test_each_file_imports_only_from_its_room_and_those_below(path: Path) -> None:
-    package, *rest = path.relative_to(ROOT).with_suffix("").parts
-    if rest[0] in ("__init__", "__main__"):
-        return
-    floors = FLOORS[package]
-    assert rest[0] in floors, f"a room that no floor has; the floors are {floors}"
-    for node in ast.walk(ast.parse(path.read_text())):
-        modules = [node.module or ""] if isinstance(node, ast.ImportFrom) else []
-        modules += [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
-        for other in (module.split(".")[1] for module in modules if module.startswith(f"{package}.")):
-            assert floors.index(other) >= floors.index(rest[0]), f"{rest[0]} imports {other}, a room above it"
+def test_each_file_says_in_its_first_line_what_it_owns() -> None:
+    assert not [str(place) for place, tree in FILES.items() if tree.body and not ast.get_docstring(tree)]
 
 
-def functions_of(path: Path) -> list[ast.FunctionDef | ast.AsyncFunctionDef]:
-    return [node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, FUNCTIONS)]
+def test_each_file_imports_only_from_its_room_and_those_below() -> None:
+    wrong = []
+    for place, tree in FILES.items():
+        package, room = place.with_suffix("").parts[:2]
+        if room in ("__init__", "__main__"):
+            continue
+        floors = FLOORS[package]
+        assert room in floors, f"{place}: a room that no floor has; the floors are {floors}"
+        others = [name.split(".")[1] for name in imported_by(tree) if name.startswith(f"{package}.")]
+        wrong += [f"{place}: {other} is above {room}" for other in others if floors.index(other) < floors.index(room)]
+    assert not wrong
 
 
 def test_no_function_is_longer_than_80_lines_and_no_file_than_400() -> None:
     lengths = {
-        f"{path.relative_to(ROOT)}::{node.name}": (node.end_lineno or 0) - node.lineno + 1
-        for path in FILES
-        for node in functions_of(path)
+        f"{place}::{node.name}": (node.end_lineno or 0) - node.lineno + 1
+        for place, tree in FILES.items()
+        for node in ast.walk(tree)
+        if isinstance(node, FUNCTIONS)
     }
-    lengths |= {str(path.relative_to(ROOT)): len(path.read_text().splitlines()) for path in FILES}
+    lengths |= {str(place): len((ROOT / place).read_text().splitlines()) for place in FILES}
     long = {name for name, lines in lengths.items() if lines > (80 if "::" in name else 400)}
     assert long <= TOO_LONG
 
@@ -130,27 +130,21 @@ def test_the_formatter_is_told_to_look_away_in_few_places() -> None:
     assert len(found) < 40
 
 
-def modules_imported_by(path: Path, modules: set[str]) -> set[str]:
-    """Which of `modules` a file imports anywhere in it, also inside functions and for annotations alone."""
-    found = set()
-    for node in ast.walk(ast.parse(path.read_text())):
-        if isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom) and node.module:
+def test_no_imports_go_in_a_circle_deferred_ones_included() -> None:
+    modules = {".".join(place.with_suffix("").parts).removesuffix(".__init__"): tree for place, tree in FILES.items()}
+    waits_for = {name: modules_imported_by(tree, modules.keys()) - {name} for name, tree in modules.items()}
+    order = graphlib.TopologicalSorter(waits_for)
+    order.prepare()  # Raises a CycleError that names the modules of a circle.
+
+
+def modules_imported_by(tree: ast.Module, modules: Set[str]) -> set[str]:
+    """Which of `modules` a file imports: `from a import b` means a.b where that is one, else a."""
+    found = {alias.name for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and node.module:
             names = {f"{node.module}.{alias.name}" for alias in node.names}
             found |= names & modules or {node.module}
     return found & modules
-
-
-def module_name(path: Path) -> str:
-    return ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
-
-
-def test_no_imports_go_in_a_circle_deferred_ones_included() -> None:
-    files = {module_name(path): path for path in FILES}
-    waits_for = {name: modules_imported_by(path, set(files)) - {name} for name, path in files.items()}
-    order = graphlib.TopologicalSorter(waits_for)
-    order.prepare()  # Raises a CycleError that names the modules of a circle.
 
 
 def loaded_after(statement: str) -> set[str]:

@@ -155,6 +155,7 @@ def draw_sheet(title: str, heads: Sequence[str], rows: Sequence[Row], *, size: R
 
 def _fill(axes: Axes, panel: Panel) -> None:
     axes.set_axis_off()
+    axes.set(xticks=[], yticks=[])  # matplotlib makes them all the same, which is most of the time of a sheet.
     if panel.image is None:
         axes.text(0.5, 0.5, "no predictions", ha="center", va="center", color="0.5")
     elif panel.image.ndim == 3:

@@ -1,5 +1,6 @@
 """The paper's renderer network: a residual MLP that turns one pixel's stacked layers into its colour."""
 
+import functools
 from typing import cast
 
 import torch
@@ -98,6 +99,7 @@ class PixelMlp(nn.Module):
         return Network([fold(layer) for layer in self.layers()])
 
 
+@functools.cache
 def width_for_34k(num_inputs: int, blocks: int) -> int:
     """The hidden width that makes the network closest to the 34,000 parameters of paper section 4.3."""
     candidates = range(1 << blocks, 385, 1 << blocks)

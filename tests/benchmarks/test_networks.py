@@ -16,7 +16,7 @@ from benchmarks.networks.step import bench_step
 TINY = {"pixels": 512, "resolution": 24, "objects": 3, "layers": 4, "texture_size": 16, "rounds": 3}
 
 
-@pytest.mark.parametrize("precision", ["fp32", "bf16"])
+@pytest.mark.parametrize("precision", ["fp32", pytest.param("bf16", marks=pytest.mark.full)])
 def test_the_naive_baseline_computes_what_the_product_does(precision) -> None:
     choices = BenchChoices(**TINY, precision=precision)
     for report in (bench_step(choices), bench_infer(choices)):

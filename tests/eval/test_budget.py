@@ -19,7 +19,7 @@ from model.batches.rays import load_pixels
 from model.run.predict import load_renderer, predict_pixels
 from model.run.run_folder import read_run
 
-FLAGS = ("paper", "--steps", "3", "--batch", "64", "--texture-size", "16", "--device", "cpu")
+FLAGS = ("paper", "--steps", "3", "--batch", "64", "--texture-size", "16", "--width", "128", "--device", "cpu")
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +68,7 @@ def test_runs_of_several_budgets_make_a_table_and_a_figure(
     assert train(monkeypatch, dataset, runs / "all") == 0
     assert train(monkeypatch, dataset, runs / "one", "--layers", "1") == 0
     assert train(monkeypatch, dataset, runs / "one-again", "--layers", "1", "--seed", "1") == 0
-    assert train(monkeypatch, dataset, runs / "wide", "--width", "256") == 0
+    assert train(monkeypatch, dataset, runs / "wide", "--width", "192") == 0
     assert train(monkeypatch, dataset, runs / "other", "--layers", "2", "--extrinsics", "none") == 0
     assert [read_run(runs / name).num_layers for name in ("all", "one")] == [4, 1]
     capsys.readouterr()

@@ -50,10 +50,10 @@ def trap(tmp_path: Path) -> Path:
     "line",
     [
         f"{BUILD} --workers 2",
-        "proxies make --kind box",
         f"{TRAIN} --out runs/one/paper",
-        "model sweep grid.toml",
-        "report",
+        pytest.param("proxies make --kind box", marks=pytest.mark.full),
+        pytest.param("model sweep grid.toml", marks=pytest.mark.full),
+        pytest.param("report", marks=pytest.mark.full),
     ],
     ids=lambda line: " ".join(line.split()[:2]),
 )

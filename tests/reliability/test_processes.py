@@ -22,7 +22,8 @@ FLAGS = (
     *("--preset", "tiny", "--resolution", "24", "--num-layers", "4", "--views", str(VIEWS), "--test-views", "3"),
     *("--spp", "64", "--test-spp", "64"),
 )
-QUICK_KILLS, ALL_KILLS, SIGNALS = 12, 200, 10
+KILLS, SIGNALS = (3, 200), (4, 10)
+"""So many in a quick run, and in a full one."""
 
 Build = Callable[[Path], list[str]]
 
@@ -53,9 +54,9 @@ def test_a_build_that_is_killed_again_and_again_ends_in_the_same_bytes(
     expected, seconds = whole
     rng = np.random.default_rng(0)
     kills = finished = 0
-    while kills < (ALL_KILLS if is_full else QUICK_KILLS):
+    while kills < KILLS[is_full]:
         out = tmp_path / f"{finished}"
-        for _ in range(6):
+        for _ in range(6 if is_full else 3):
             process = _start(build(out))
             time.sleep(rng.uniform(0, 0.7) * seconds)
             os.killpg(process.pid, signal.SIGKILL)
@@ -70,14 +71,14 @@ def test_a_build_that_is_killed_again_and_again_ends_in_the_same_bytes(
 
 @pytest.mark.promise("R11")
 def test_a_build_that_is_told_to_stop_stops_soon_with_its_status_and_goes_on(
-    build: Build, whole: tuple[State, float], tmp_path: Path, cases: Callable[[int, str], None]
+    build: Build, whole: tuple[State, float], tmp_path: Path, is_full: bool, cases: Callable[[int, str], None]
 ) -> None:
     expected, seconds = whole
     a_view = seconds / (VIEWS + 6)
     rng = np.random.default_rng(1)
     stopped = 0
     out = tmp_path / "data"
-    for turn in range(SIGNALS):
+    for turn in range(SIGNALS[is_full]):
         number = (signal.SIGINT, signal.SIGTERM)[turn % 2]
         process = _start(build(out))
         time.sleep(rng.uniform(0, 0.3) * seconds)
@@ -92,7 +93,7 @@ def test_a_build_that_is_told_to_stop_stops_soon_with_its_status_and_goes_on(
         assert "Traceback" not in said, said
         assert took < a_view + 1 + seconds, f"took {took:.1f} s"
         stopped += 1
-    assert stopped >= SIGNALS // 2
+    assert stopped >= SIGNALS[is_full] // 2
     _finish(build(out))
     assert not differing(read_state(out), expected)
     cases(stopped, "processes told to stop")

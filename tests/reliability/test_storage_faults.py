@@ -9,15 +9,15 @@ import pytest
 from support.commands import call, run
 from support.disk import Fault, State, differing, empty, failing_from, observe, read_state
 from support.promises import spread
-from support.scenarios import SCENARIOS, Scenario
+from support.scenarios import EACH_SCENARIO, Scenario
 
 pytestmark = pytest.mark.promise("R5")
 
-QUICK = 4
+QUICK = 3
 """Changes of the disk that a quick run refuses of each command."""
 
 
-@pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda scenario: scenario.name)
+@EACH_SCENARIO
 def test_a_disk_that_refuses_any_change_is_one_line_and_loses_nothing(
     scenario: Scenario, here: Path, start: Callable[[str], State], is_full: bool, cases: Callable[[int, str], None]
 ) -> None:

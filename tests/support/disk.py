@@ -8,6 +8,7 @@ file: an enumeration of all writes would be none.
 
 import builtins
 import contextlib
+import dataclasses
 import errno
 import io
 import os
@@ -36,6 +37,8 @@ class State:
 
     before: str
     """The change that did not happen any more, in words."""
+    after: Change | None = None
+    """The last change that happened, syncs aside."""
     files: dict[str, bytes]
     folders: frozenset[str]
 
@@ -98,7 +101,9 @@ def observe(root: Path, command: Callable[[], None]) -> Observation:
     def keep(change: Change) -> None:
         changes.append(change)
         if change.what != "fsync":
-            add(read_state(root, f"change {len(changes)}: {change.what} {change.path}"))
+            before = f"change {len(changes)}: {change.what} {change.path}"
+            last = next((earlier for earlier in reversed(changes[:-1]) if earlier.what != "fsync"), None)
+            add(dataclasses.replace(read_state(root, before), after=last))
 
     def add(state: State) -> None:
         if not states or (states[-1].files, states[-1].folders) != (state.files, state.folders):

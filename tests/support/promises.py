@@ -62,6 +62,10 @@ class Counts:
         self.names: set[str] = set()
 
     def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
+        if not self.config.getoption("--full"):
+            left_out = [item for item in items if item.get_closest_marker("full")]
+            self.config.hook.pytest_deselected(items=left_out)
+            items[:] = [item for item in items if item not in left_out]
         for item in items:
             names = [name for mark in item.iter_markers("promise") for name in mark.args]
             if names:

@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+import pytest
+
 BUILD = (
     "datagen build --scene scene --out data/one --preset tiny --resolution 8 --views 1 --test-views 1"
     " --spp 2 --test-spp 2 --num-layers 2"
@@ -57,4 +59,12 @@ SCENARIOS = (
     Scenario(name="render", start="run", line="model render --run runs/one/paper --device cpu --overwrite"),
     Scenario(name="sweep", start="dataset", line="model sweep grid.toml"),
     Scenario(name="report", start="run", line="report"),
+)
+
+QUICK = ("build", "build anew", "proxies anew", "export anew", "train", "render")
+"""What `make test` tries: between them these commit each kind of file, for the first time and over another one."""
+
+EACH_SCENARIO = pytest.mark.parametrize(
+    "scenario",
+    [pytest.param(item, id=item.name, marks=() if item.name in QUICK else pytest.mark.full) for item in SCENARIOS],
 )

@@ -156,7 +156,9 @@ def differing(found: dict[str, bytes | str], whole: dict[str, bytes | str]) -> l
     return [path for path in sorted(found.keys() | whole.keys()) if found.get(path) != whole.get(path)]
 
 
-@pytest.mark.parametrize("damage_of_folder", ["deleted", "link", "pipe", "file"])
+@pytest.mark.parametrize(
+    "damage_of_folder", ["deleted", *(pytest.param(kind, marks=pytest.mark.full) for kind in ("link", "pipe", "file"))]
+)
 def test_every_lost_folder_is_named_and_mended_to_the_same_bytes(
     here: Path, damage_of_folder: str, is_full: bool, cases: Callable[[int, str], None]
 ) -> None:

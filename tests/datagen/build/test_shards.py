@@ -108,21 +108,20 @@ def test_the_launcher_makes_all_parts_as_jobs_and_tells_of_those_that_fail(
 ) -> None:
     out = tmp_path / "jobs"
     words = ("--launcher", "local", "--shards=2")
-    answer = subprocess.run(command(scene_folder, out, *words), capture_output=True, text=True, check=False)
-    assert answer.returncode == 0, answer.stderr
-    assert answer.stdout.strip() == str(out)
-    assert "part 2/2: done" in answer.stderr and "noise ceiling" in answer.stderr
+    answer = build(scene_folder, out, *words)
+    assert answer.status == 0, answer.err
+    assert answer.out.strip() == str(out)
+    assert "part 2/2: done" in answer.err and "noise ceiling" in answer.err
     assert tree(out) == tree(built)
     logs = list((tmp_path / "jobs-jobs").glob("*.err"))
     assert len(logs) == 2 and all("views with" in log.read_text() for log in logs)
 
-    other = command(scene_folder, out, *words, "--seed", "3")
-    answer = subprocess.run(other, capture_output=True, text=True, check=False)
-    assert answer.returncode == 1
-    assert answer.stderr.count("(seed: 0 -> 3)") == 2 and "2 of 2 jobs failed" in answer.stderr.splitlines()[-1]
-    failed = next(line for line in answer.stderr.splitlines() if line.startswith("failed: part "))
+    answer = build(scene_folder, out, *words, "--seed", "3")
+    assert answer.status == 1
+    assert answer.err.count("(seed: 0 -> 3)") == 2 and "2 of 2 jobs failed" in answer.err.splitlines()[-1]
+    failed = next(line for line in answer.err.splitlines() if line.startswith("failed: part "))
     assert Path(failed.partition("; log: ")[2]).is_file()
-    assert "Traceback" not in answer.stderr
+    assert "Traceback" not in answer.err
     assert tree(out) == tree(built)
 
 
@@ -152,26 +151,24 @@ for task in 0 1; do echo "77_$task|RUNNING|here"; done
 
 
 @pytest.mark.slow
-def test_the_launcher_sends_parts_to_slurm(built: Path, scene_folder: Path, tmp_path: Path) -> None:
+def test_the_launcher_sends_parts_to_slurm(
+    built: Path, scene_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "bin").mkdir()
     for name, script in SLURM.items():
         (tmp_path / "bin" / name).write_text(script)
         (tmp_path / "bin" / name).chmod(0o755)
-    environment = {**os.environ, "PATH": f"{tmp_path / 'bin'}:{os.environ['PATH']}"}
+    monkeypatch.setenv("PATH", f"{tmp_path / 'bin'}:{os.environ['PATH']}")
     out = tmp_path / "out"
-    asked = command(
-        scene_folder, out, "--launcher", "slurm", "--shards", "2", "--slurm-time", "30", "--slurm-cpus", "2"
-    )
+    asked = ("--launcher", "slurm", "--shards", "2", "--slurm-time", "30", "--slurm-cpus", "2")
 
-    wrong = [*asked, "--slurm-partition", "wrong"]
-    answer = subprocess.run(wrong, capture_output=True, text=True, check=False, env=environment)
-    assert answer.returncode == 1
-    assert answer.stderr.splitlines()[-1].startswith("error: --launcher slurm: the cluster took no job (")
-    assert "invalid partition specified: wrong" in answer.stderr.splitlines()[-1] and not out.exists()
+    answer = build(scene_folder, out, *asked, "--slurm-partition", "wrong")
+    assert answer.status == 1
+    assert answer.err.splitlines()[-1].startswith("error: --launcher slurm: the cluster took no job (")
+    assert "invalid partition specified: wrong" in answer.err.splitlines()[-1] and not out.exists()
 
-    good = [*asked, "--slurm-partition", "many", "--slurm-gpus", "1"]
-    answer = subprocess.run(good, capture_output=True, text=True, check=False, env=environment)
-    assert answer.returncode == 0, answer.stderr
+    answer = build(scene_folder, out, *asked, "--slurm-partition", "many", "--slurm-gpus", "1")
+    assert answer.status == 0, answer.err
     assert tree(out) == tree(built)
     submitted = (tmp_path / "out-jobs/77_submission.sh").read_text()
     for option in ("--array=0-1%2", "--partition=many", "--time=30", "--cpus-per-task=2", "--gpus-per-node=1"):

@@ -150,7 +150,8 @@ def test_runs_predict_variants_and_the_report_scores_them(
     torch.set_num_threads(1)
     hidden = tmp_path / "variants"
     (root / "data/mine/variants").rename(hidden)
-    train = ("train", "paper", "--dataset", root / "data/mine", "--steps", 3, "--batch", 64)
+    size = ("--steps", 3, "--batch", 64, "--width", 16, "--texture-size", 16)
+    train = ("train", "paper", "--dataset", root / "data/mine", *size)
     call(model.cli.main, *train, "--device", "cpu", "--out", runs / "paper")
     hidden.rename(root / "data/mine/variants")
     drawn = runs / "paper/variants"

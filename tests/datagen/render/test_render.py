@@ -353,7 +353,7 @@ def test_the_noise_estimate_is_the_real_error() -> None:
     renderer = Renderer(scene, max_depth=24)
     from datagen.data.tonemap import srgb_from_linear
 
-    radiance = render_view(renderer, cameras, 0, spp=16384, view_seed=99, ceiling_db=None).radiance
+    radiance = render_view(renderer, cameras, 0, spp=4096, view_seed=99, ceiling_db=None).radiance
     reference = srgb_from_linear(radiance)
     few = [render_view(renderer, cameras, 0, spp=32, view_seed=seed, ceiling_db=None) for seed in range(8)]
     real = np.mean([np.mean((srgb_from_linear(truth.radiance) - reference) ** 2) for truth in few])

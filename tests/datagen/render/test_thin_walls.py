@@ -30,6 +30,7 @@ from datagen.render.path_integrator import _start_off
 from datagen.scene.thin_walls import RAY_OFFSET, largest_coordinate
 from datagen.trace.light_path import LightPathTracer
 
+SMALL = ("--resolution", "4", "--views", "1", "--test-views", "1", "--spp", "4", "--test-spp", "4")
 AT_ORIGIN, FAR = (0.0, 0.0, 0.0), (100.0, -50.0, 30.0)
 DRAWN = [*((thickness, AT_ORIGIN) for thickness in (1e-2, 1e-3, 1e-4, 1e-5, 1e-6))]
 DRAWN += [(thickness, FAR) for thickness in (1e-2, 1e-3, 1e-4)]
@@ -129,7 +130,7 @@ def test_without_llvm_the_command_refuses_walls_that_mitsubas_own_path_tracer_sk
         scene = plate_scene(thickness, AT_ORIGIN)
         grey = dataclasses.replace(scene.objects[0], material=Dielectric(absorption=(50.0,) * 3))
         save_scene(dataclasses.replace(scene, objects=(grey,)), tmp_path / f"{thickness}")
-        words = command(tmp_path / f"{thickness}", tmp_path / f"out {thickness}", "--resolution", "4", "--spp", "4")
+        words = command(tmp_path / f"{thickness}", tmp_path / f"out {thickness}", *SMALL)
         environment = os.environ | {"HYALINE_VARIANT": "scalar_rgb"}
         done = subprocess.run(words, env=environment, capture_output=True, text=True, timeout=120)
         assert done.returncode == status, done.stderr

@@ -33,9 +33,7 @@ from model.nets.voxel_grid import (
     frustum_points,
     lift,
     near_plane,
-    project_points,
     sample_frustum,
-    voxel_centers,
 )
 from model.nets.voxel_nets import Critic, Integration, Occlusion, collapse
 from model.run import train as train_module
@@ -79,20 +77,6 @@ def some_grid(num_voxels: int = 8, edge: float = 1.2) -> VoxelGrid:
 # Geometry
 
 
-def test_points_on_a_pixels_ray_project_to_its_centre() -> None:
-    cameras = some_cameras(3)
-    for view in range(3):
-        origin, directions = cameras[view].rays()
-        depth = np.random.default_rng(view).uniform(0.5, 9, size=(SIZE, SIZE, 1))
-        points = torch.from_numpy((origin + depth * directions).reshape(-1, 3)).float()
-        found = project_points(points, camera_of(cameras, view), SIZE)
-        column, row = np.meshgrid(np.arange(SIZE) + 0.5, np.arange(SIZE) + 0.5)
-        np.testing.assert_allclose(found[:, 0], column.ravel(), atol=1e-3)
-        np.testing.assert_allclose(found[:, 1], row.ravel(), atol=1e-3)
-        along = directions @ -cameras.world_from_camera[view, :3, 2]
-        np.testing.assert_allclose(found[:, 2], (depth[..., 0] * along).ravel(), rtol=1e-4)
-
-
 def test_a_frustum_lies_on_the_pixels_rays_a_voxel_apart_around_the_grid() -> None:
     cameras, grid = some_cameras(4), some_grid()
     for view in range(4):
@@ -112,29 +96,6 @@ def test_the_near_plane_never_comes_behind_the_camera() -> None:
         world_from_camera=torch.from_numpy(look_at(np.array([0.4, 0, 0]), np.zeros(3))).float(), fov_x=0.8
     )
     assert float(near_plane(inside, some_grid())) == pytest.approx(0.15)
-
-
-def test_lifting_and_projecting_return_places_themselves() -> None:
-    """A map of its own columns and rows, and a grid of its own positions: linear fields, which interpolation keeps."""
-    cameras, grid = some_cameras(3), some_grid()
-    centres = torch.arange(SIZE) + 0.5
-    places = torch.stack(torch.meshgrid(centres, centres, indexing="xy"))[None]
-    for view in range(3):
-        camera = camera_of(cameras, view)
-        expected = project_points(voxel_centers(grid), camera, SIZE)[:, :2]
-        lifted = lift(places, camera, grid)[0].flatten(1).T
-        is_within = ((expected > 0.5) & (expected < SIZE - 0.5)).all(dim=1)
-        assert is_within.float().mean() > 0.5
-        torch.testing.assert_close(lifted[is_within], expected[is_within], atol=1e-3, rtol=0)
-
-        positions = voxel_centers(grid).T.reshape(1, 3, 8, 8, 8)
-        points = frustum_points(camera, grid, SIZE)
-        sampled = sample_frustum(positions, camera, grid, SIZE)[0].flatten(1).T
-        low, high = voxel_centers(grid)[0], voxel_centers(grid)[-1]
-        is_inside = ((points > low) & (points < high)).all(dim=1)
-        assert is_inside.float().mean() > 0.02
-        torch.testing.assert_close(sampled[is_inside], points[is_inside], atol=1e-4, rtol=0)
-        assert (sampled[~is_inside] == 0).all()
 
 
 def test_lifting_equals_a_loop_and_leaves_unseen_voxels_empty() -> None:

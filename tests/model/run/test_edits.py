@@ -45,20 +45,20 @@ CHECKER = Diffuse(color=SolidTexture(pattern="checker", colors=((0.7, 0.6, 0.2),
 LIGHT_PATH = TrainConfig(
     method="light-path",
     geometry=TRUTH,
-    steps=200,
+    steps=120,
     batch=512,
     lr=0.002,
     texture_lr=0.02,
     lr_decay="cosine",
     net=LightPathConfig(texture_sizes=(8, 64), texture_levels=2, branches=6, render_samples=9),
-    evaluate_every=200,
+    evaluate_every=120,
 )
 PAPER = TrainConfig(
     method="paper",
     geometry=TRUTH,
     steps=3,
     batch=512,
-    evaluate_every=200,
+    evaluate_every=120,
     net=PaperConfig(width=16, texture_size=16, position_size=32, zero_layer=True),
 )
 EDITS = ("remove:ball", "duplicate:ball:0.3,0.8,0")
@@ -67,7 +67,7 @@ SPLIT: Split = "interpolating"
 
 def scene() -> Scene:
     """A ball of tinted glass over a chequered floor."""
-    ball = mesh_of(trimesh.creation.icosphere(4, 0.4).apply_translation((0.0, 0.0, 0.45)))
+    ball = mesh_of(trimesh.creation.icosphere(3, 0.4).apply_translation((0.0, 0.0, 0.45)))
     return dataclasses.replace(
         synthetic_scene(),
         objects=(
@@ -82,12 +82,12 @@ def scene() -> Scene:
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A dataset, two edits of it, and two runs that drew them all."""
     root = tmp_path_factory.mktemp("edits")
-    few = SplitConfig(views=2, spp=128)
+    few = SplitConfig(views=2, spp=64)
     config = DatasetConfig(
         scene="edit",
         preset="tiny",
-        resolution=square(48),
-        train=SplitConfig(views=16, spp=50),
+        resolution=square(32),
+        train=SplitConfig(views=12, spp=32),
         interpolating=few,
         extrapolating=few,
     )

@@ -11,8 +11,6 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image
-from support.disk import differing, empty, observe, read_state
-from support.promises import spread
 from support.synthetic import write_synthetic_dataset
 from support.training import SMALL, call, load, run_bytes
 
@@ -67,20 +65,6 @@ def test_large_views_are_thinned_out_and_stand_side_by_side() -> None:
     assert picture.shape == (2 * 100 + GAP, 3 * 67 + 2 * GAP, 3)
     assert (picture[1:100, 67 + GAP : 2 * 67 + GAP] == 200).all()
     assert (picture[100 + GAP :, :67] == 9).all()
-
-
-def test_training_killed_at_any_change_of_the_disk_ends_in_the_same_pictures(dataset: Dataset, tmp_path: Path) -> None:
-    here = tmp_path / "here"
-    here.mkdir()
-    seen = observe(here, lambda: trained(dataset, here / "run"))
-    end = seen.states[-1]
-    assert set(SNAPSHOTS) == {path.removeprefix("run/") for path in end.files if path.endswith(".png")}
-    for state in spread(list(seen.states), 6):
-        empty(here)
-        state.restore(here)
-        if "run/weights.pt" not in state.files:
-            trained(dataset, here / "run")
-            assert differing(read_state(here), end) == "", state.before
 
 
 def test_a_new_run_deletes_the_old_ones_pictures_and_no_foreign_file(dataset: Dataset, tmp_path: Path) -> None:

@@ -18,6 +18,8 @@ class Case:
     """Relative to the world that the readers read."""
     content: bytes | Callable[[Path], None]
     """What lies there, or what puts it there."""
+    key: str | None = None
+    """The last name on the way to the value that is wrong in it, if it is one value."""
 
     def place(self, world: Path) -> None:
         """Replaces what the world has there."""

@@ -100,20 +100,20 @@ def json_cases(
         write: makes the bytes; with a seal, where the file has one.
     """
 
-    def case(name: str, value: Any) -> Case:
-        return Case(name=f"{path} {name}", reader=reader, path=path, content=write(value))
+    def case(name: str, value: Any, key: str | None = None) -> Case:
+        return Case(name=f"{path} {name}", reader=reader, path=path, content=write(value), key=key)
 
     cases, turn = [], 0
     for place in places(good):
         if place in ((), (SEAL,)):
             continue
-        name = ".".join(map(str, place))
+        name, key = ".".join(map(str, place)), next(part for part in reversed(place) if isinstance(part, str))
         for _ in range(each):
             new = VALUES[turn % len(VALUES)]
             turn += 1
-            cases.append(case(f"{name} = {json.dumps(new)[:30]}", changed(good, place, new)))
+            cases.append(case(f"{name} = {json.dumps(new)[:30]}", changed(good, place, new), key))
         if isinstance(place[-1], str):
-            cases.append(case(f"without {name}", without(good, place)))
+            cases.append(case(f"without {name}", without(good, place), key))
     for key in ("mystery", "__class__", "\x1b[2J"):
         cases.append(case(f"with {json.dumps(key)}", {**good, key: 1}))
     return cases

@@ -1,9 +1,9 @@
 """A process that reads hostile files one after the other and writes down what came of each.
 
-A tenth of them are read by a real command, too, which calls a renderer that takes no time.
+A tenth of those are read by a real command, too, which calls a renderer that takes no time.
 
-`python try_all.py OUT [FIRST]` appends a JSON line a case to OUT, from the case of that number on. The working folder
-is where code that should never run would leave its mark.
+`python try_all.py OUT FIRST STEP` appends a JSON line a case to OUT, from the case of that number on, of every so many.
+The working folder is where code that should never run would leave its mark.
 """
 
 import functools
@@ -27,13 +27,13 @@ SECONDS = 10
 """A file may take so long."""
 
 TENTH = 10
-"""Every file of so many is read by a command, too."""
+"""Every file of so many that are read is read by a command, too."""
 
 MARK = "CODE RAN"
 
 
 def main() -> None:
-    out, first = Path(sys.argv[1]), int(sys.argv[2]) if len(sys.argv) > 2 else 0
+    out, first, step = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
     with tempfile.TemporaryDirectory() as folder:
         base = Path(folder).resolve()
         secret = base / "secret"
@@ -45,10 +45,10 @@ def main() -> None:
         (base / "temporary").mkdir()
         tempfile.tempdir = str(base / "temporary")
         with pytest.MonkeyPatch.context() as patch:
-            _try(base / "world", place, out, first, patch)
+            _try(base / "world", place, out, range(first, sys.maxsize, step), patch)
 
 
-def _try(world: Path, place: Path, out: Path, first: int, patch: pytest.MonkeyPatch) -> None:
+def _try(world: Path, place: Path, out: Path, numbers: range, patch: pytest.MonkeyPatch) -> None:
     from support import fake_renderer
     from support.disk import read_state
     from support.hostile.corpus import cases_of, write_world
@@ -64,12 +64,14 @@ def _try(world: Path, place: Path, out: Path, first: int, patch: pytest.MonkeyPa
     cases = cases_of(world)
     good = read_state(world)
     with out.open("a") as lines:
-        for number, case in enumerate(cases[first:], first):
-            lines.write(json.dumps({"begin": number, "name": case.name}) + "\n")
+        for number in numbers[: len(range(numbers.start, len(cases), numbers.step))]:
+            case = cases[number]
+            begin = {"begin": number, "name": case.name, "path": case.path, "key": case.key}
+            lines.write(json.dumps(begin) + "\n")
             lines.flush()
             case.place(world)
             found = {"outcome": _try_one(functools.partial(READERS[case.reader], world), world, place, opened)}
-            if number % TENTH == 0 and case.reader in commands:
+            if number // numbers.step % TENTH == 0 and case.reader in commands:
                 found["ended"] = _try_one(commands[case.reader], world, place, opened)
             # The pipe goes, too.
             path = world / case.path
@@ -135,7 +137,7 @@ def _plain(text: str, world: Path) -> str:
     """A message without folders of this machine, without what a library said (in brackets), and not too long."""
     text = " ".join(text.replace(f"{world}/", "").replace(str(world), ".").split())
     text = text.encode("ascii", "backslashreplace").decode()
-    return text.split(" (")[0][:140].rstrip()
+    return text.split(" (")[0][:400].rstrip()
 
 
 def _listen(world: Path, place: Path) -> list[str]:

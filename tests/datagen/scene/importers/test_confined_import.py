@@ -171,8 +171,13 @@ def left(folder: Path) -> list[str]:
     return [path.name for path in folder.iterdir() if path.name.startswith("hyaline-")]
 
 
+QUICK = ("60^15 components", "an STL of blanks", "an array of 2^27 numbers")
+
+
 @pytest.mark.promise("R6")
-@pytest.mark.parametrize("name", HOSTILE)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=() if name in QUICK else pytest.mark.full) for name in HOSTILE]
+)
 def test_import_ends_soon_with_one_line_and_little_memory(name: str, tmp_path: Path) -> None:
     path = place(name, tmp_path)
     answer, seconds, peak = command("import", path.name, "--out", "scene", cwd=tmp_path)
@@ -237,7 +242,7 @@ def leave(folder):
     ("name", "message"),
     [
         ("spin", "x.glb: reading it took more than 2 s of CPU time"),
-        ("sleep", "x.glb: reading it took more than 2[0-9] s, and was ended"),
+        pytest.param("sleep", "x.glb: reading it took more than 2[0-9] s, and was ended", marks=pytest.mark.full),
         ("crash", r"x.glb: its reader crashed \(SIGSEGV\)"),
         ("stumble", r"x.glb: cannot be read \(IndexError: list index out of range\); the file is damaged"),
         ("hoard", "x.glb: needs more than 2.0 GB of memory"),
@@ -261,7 +266,7 @@ def test_whatever_ends_a_reader_is_one_error(
 
 
 @pytest.mark.promise("R6", "R11")
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGTERM, pytest.param(signal.SIGINT, marks=pytest.mark.full)])
 def test_a_signal_ends_the_reader_and_leaves_no_scratch_folder(number: signal.Signals, tmp_path: Path) -> None:
     """The file takes minutes, and is allowed to: it is large."""
     text = b"solid\n" + b"facet\nvertex 1 2 3\nvertex 1 2 4\nvertex 1 3 5\nendfacet\n" * 900_000 + b"endsolid\n"
