@@ -55,7 +55,7 @@ def test_make_writes_the_proxies_peels_them_and_prints_the_table(
     call(monkeypatch, "make", "--dataset", "one", "--kind", kind, "--num-layers", "3")
     out, err = capsys.readouterr()
     assert [line.split()[0] for line in out.splitlines() if "100 %" in line] == ["pane", "floor"]
-    assert f"model train light-path --dataset data/one --geometry {kind}" in err
+    assert f"model train paper --dataset data/one --geometry {kind}" in err
     assert [(item["geometry"], item["num_layers"], item["overwrite"]) for item in peeled] == [(kind, 3, False)]
     content = load_sealed(here / "data/one/proxies" / kind / "proxies.json")
     assert content["kind"] == kind
@@ -111,7 +111,7 @@ def test_amounts_of_noise_stand_side_by_side(
     call(monkeypatch, "make", "--kind", "noise", "--amount", "0.002")
     call(monkeypatch, "make", "--kind", "noise")
     out, err = capsys.readouterr()
-    assert "model train light-path --dataset data/one --geometry noise-0.002" in err
+    assert "model train paper --dataset data/one --geometry noise-0.002" in err
     assert [line.split()[0] for line in out.splitlines() if line.rstrip().endswith("-")] == ["pane", "floor"] * 2
     assert [item["geometry"] for item in peeled] == ["noise-0.002", "noise-0.01"]
     assert list_geometries(dataset) == ["truth", "noise-0.002", "noise-0.01"]
@@ -130,7 +130,7 @@ def test_a_mixture_gives_each_object_the_proxy_that_its_kind_alone_gives(
     mixture = ("make", "--assign", "pa*=ellipsoid", "--assign", "floor=noise-0.02")
     call(monkeypatch, *mixture)
     out, err = capsys.readouterr()
-    assert "model train light-path --dataset data/one --geometry mixed" in err
+    assert "model train paper --dataset data/one --geometry mixed" in err
     assert [item["geometry"] for item in peeled] == ["mixed"]
     assert [line.split()[:2] for line in out.splitlines() if "mm" in line] == [
         ["pane", "ellipsoid"],

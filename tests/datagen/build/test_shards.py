@@ -129,9 +129,10 @@ def test_the_launcher_makes_all_parts_as_jobs_and_tells_of_those_that_fail(
 SLURM = {
     "sbatch": """#!/bin/sh
 if grep -q partition=wrong "$1"; then echo "sbatch: error: invalid partition specified: wrong" >&2; exit 1; fi
+script=$(cat "$1") # submitit moves the file as soon as this program ends.
 for task in 0 1; do
   SLURM_JOB_ID=$((100 + task)) SLURM_ARRAY_JOB_ID=77 SLURM_ARRAY_TASK_ID=$task SLURM_PROCID=0 SLURM_LOCALID=0 \\
-  SLURM_NODEID=0 SLURM_JOB_NUM_NODES=1 SLURM_NTASKS=1 SLURM_JOB_NODELIST=here sh "$1" >/dev/null 2>&1 &
+  SLURM_NODEID=0 SLURM_JOB_NUM_NODES=1 SLURM_NTASKS=1 SLURM_JOB_NODELIST=here sh -c "$script" >/dev/null 2>&1 &
 done
 echo "Submitted batch job 77"
 """,
