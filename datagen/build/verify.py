@@ -4,7 +4,6 @@ Damage is a file of the dataset that is missing, does not hold what was promised
 followed, a pipe never opened); each line ends with the command that mends it. What is no part of a dataset is a remark.
 """
 
-import contextlib
 import shlex
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -20,7 +19,8 @@ from datagen.data.paths import TRUTH, geometry_root, layers_root, record_path
 from datagen.disk.errors import HyalineError
 from datagen.disk.heads import list_heads, true_head
 from datagen.disk.homes import HEADS, home_of
-from datagen.disk.reading import load_json
+from datagen.disk.ownership import LAYERS
+from datagen.disk.reading import load_json, parse_json
 from datagen.disk.storage import sha256_file
 
 NAMED = 3
@@ -354,8 +354,10 @@ def make_command(dataset: Dataset, geometry: str) -> str:
     else:
         kind, _, amount = geometry.partition("-")
         words += ["--kind", kind, *(["--amount", amount] if amount else [])]
-    with contextlib.suppress(HyalineError):
-        words += ["--num-layers", str(dataset.layer_store(geometry).head.num_layers)]
+    place = layers_root(dataset.root, geometry).relative_to(dataset.root) / LAYERS.head
+    head = true_head(dataset.root, place.as_posix())  # Its copy knows how many there were where it is lost.
+    if head is not None:
+        words += ["--num-layers", str(parse_json(head, where=str(place))["num_layers"])]
     return shlex.join(words)
 
 
