@@ -51,7 +51,7 @@ from model.run.snapshots import list_snapshots
 from model.settings.flags import AMOUNT, COUNT, SEED, unflagged
 from model.settings.optimisation import PixelOptimisation
 
-RUN_VERSION = 2
+RUN_VERSION = 3
 
 OPEN: dict[str, Json] = {}
 """Stands for a method's record while the rest of a configuration is read."""
@@ -121,7 +121,7 @@ class RunRecord:
     """How tables and figures call the run."""
     config: TrainConfig
     flags: tuple[str, ...] = ()
-    """What has to stand behind `model train METHOD --dataset DATASET` to ask for it again."""
+    """The flags to type after `model train METHOD DATASET` for the same run."""
     torch: str
     """Version of torch."""
 
@@ -206,7 +206,7 @@ def _is_foreign(out: Path) -> bool:
 def _read_record(path: Path) -> RunRecord:
     content = load_sealed(path)
     if content.get("version") != RUN_VERSION:
-        raise HyalineError(f"{path}: format version {shown(content.get('version'))}; this program reads {RUN_VERSION}")
+        raise HyalineError(f"{path}: format version {shown(content.get('version'))}; this program reads {RUN_VERSION}; train it again")
     config = parse_config(content.get("config"), where=f"{path}.config")
     stand_in = cast(Json, {**content, "config": {**cast(dict[str, Json], content["config"]), "net": OPEN}})
     return dataclasses.replace(from_json(RunRecord, stand_in, where=str(path)), config=config)

@@ -3,9 +3,7 @@
 import difflib
 import fnmatch
 from dataclasses import dataclass, fields
-from typing import Annotated, Literal
-
-import tyro
+from typing import Literal
 
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import shown
@@ -43,7 +41,7 @@ class ImportChoices:
     which is said, where the scene would be smaller than 2 cm or larger than 5 m."""
     up: Literal["auto", "x", "y", "z"] = "auto"
     """The file's axis that points up; auto: as the format has it (y in glTF, OBJ and PLY, z in STL and 3MF)."""
-    material: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
+    material: tuple[str, ...] = ()
     """A material by name for all objects (glass, green-glass, water, diamond, thin-glass, plaster, plastic, mirror,
     gold, ...), or for those whose name matches a pattern: 'leg*=gold'. May be repeated; later ones win."""
     thin: Thin = "open"
