@@ -84,12 +84,12 @@ def test_methods_train_on_it_and_predict_pictures_of_its_shape(home: Path, metho
 def test_a_film_through_its_test_views_shows_what_they_show(home: Path) -> None:
     """With one test view the camera stands still: each frame is that view, but for the truth's noise."""
     data, runs = home / "data/oblong", home / "runs/oblong"
-    choices = f"--dataset '{data}' --path spline --frames 2 --video '{home}/film"
-    run(f"datagen render {choices}' --spp 64")
+    choices = f"--dataset '{data}' --path spline --frames 2 --out '{home}/film"
+    run(f"datagen film {choices}' --spp 64")
     truth = hyaline.open_dataset(data).view("interpolating", 0).image.astype(int)
     assert np.abs(read_png(home / "film" / "0001.png").astype(int) - truth).mean() < 4
     for name in ("paper", "light-path"):
-        run(f"model render --run '{runs}/{name}' {choices}-{name}'")
+        run(f"model predict --run '{runs}/{name}' {choices}-{name}'")
         predicted = read_png(runs / name / "predictions/interpolating/0000.png").astype(int)
         assert np.abs(read_png(home / f"film-{name}" / "0001.png").astype(int) - predicted).max() <= 1
 

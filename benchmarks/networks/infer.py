@@ -1,4 +1,4 @@
-"""Benchmark of rendering a frame from its layers on a CPU: as `model render` does it, beside the naive way."""
+"""Benchmark of rendering a frame from its layers on a CPU: as `model predict` does it, beside the naive way."""
 
 from collections.abc import Sequence
 
@@ -34,7 +34,7 @@ def bench_infer(choices: BenchChoices, *, ceilings: Sequence[Ceiling] = (), seed
         [
             Candidate(name="naive frame", run=lambda: naive(rays), note="grid_sample, 1x1 convolutions"),
             Candidate(
-                name="frame", run=lambda: predict_pixels(renderer, pixels), note="as `model render`, to 8-bit colours"
+                name="frame", run=lambda: predict_pixels(renderer, pixels), note="as `model predict`, to 8-bit colours"
             ),
         ],
         checks=[Check(name="same colours", run=compare)],

@@ -88,7 +88,8 @@ def _build_scene(
     peel_variants(made, workers=choices.workers, shard=part)
     missing, total = (0, 0) if part is None else count_missing(made)
     if part is not None:
-        rest = f"; {missing} of {total} pictures and layers are left to the other parts" if missing else ", the last one"
+        left = f"; {missing} of {total} pictures and layers are for the other parts to make"
+        rest = left if missing else ", and with it the dataset"
         say(f"{root}: part {part} is done{rest}")
     if not missing:
         say_all(summary(made, TRUTH))

@@ -165,10 +165,10 @@ class _Search:
         parts = head.split("/")
         geometry = parts[1] if parts[0] == "proxies" else TRUTH
         if parts[-1] == "proxies.json":
-            return shlex.join(["proxies", "make", "--dataset", str(self.home), "--kind", geometry, "--overwrite"])
+            return shlex.join(["proxies", "make", str(self.home), "--kind", geometry, "--overwrite"])
         if parts[0] not in ("layers", "proxies"):
             return None
-        words = ["datagen", "peel", "--dataset", str(self.home), "--geometry", geometry]
+        words = ["datagen", "peel", str(self.home), "--geometry", geometry]
         array = (self.home / head).parent / "peels.zarr" / "interpolating" / "object_id" / "zarr.json"
         try:
             shape = load_json(array).get("shape")
@@ -345,7 +345,7 @@ class _Search:
 
 def make_command(dataset: Dataset, geometry: str) -> str:
     """The command that makes a dataset's proxies, and their layers, as they were made."""
-    words = ["proxies", "make", "--dataset", str(dataset.root)]
+    words = ["proxies", "make", str(dataset.root)]
     assignment = read_assignment(dataset, geometry)
     if assignment is not None:
         words += ["--name", geometry]

@@ -174,7 +174,7 @@ def describe_geometry(dataset: Dataset, geometry: str) -> str:
 
 
 def _make_command(dataset: Dataset, geometry: str) -> str:
-    words = ["proxies", "make", "--dataset", str(dataset.root)]
+    words = ["proxies", "make", str(dataset.root)]
     if geometry.startswith("mixed"):
         # Any object and kind will do to show how it is written.
         return shlex.join([*words, "--name", geometry, "--assign", f"{dataset.objects[0].name}=box"])

@@ -168,4 +168,4 @@ def open_layers(dataset_root: Path, geometry: str) -> LayerStore:
 
 
 def _peel_words(dataset_root: Path, geometry: str) -> list[str]:
-    return ["datagen", "peel", "--dataset", str(dataset_root), "--geometry", geometry]
+    return ["datagen", "peel", str(dataset_root), "--geometry", geometry]

@@ -79,11 +79,11 @@ def parent_views(variant: Dataset, split: Split) -> list[int]:
 def _build_command(dataset: Dataset, name: str) -> str:
     """The command that makes a variant, as far as its name tells."""
     if name == ANGLES:
-        flag = "--angle-splits"
+        flag = "--angles"
     elif name in TWINS:
         flag = "--twins"
     elif name[:1] == "x" and name[1:].isdecimal():
-        flag = f"--super-resolution {name[1:]}"
+        flag = f"--larger {name[1:]}"
     else:
         flag = "--edit EDIT"
-    return f"datagen build --dataset {shlex.quote(str(dataset.root))} {flag}"
+    return f"datagen add {shlex.quote(str(dataset.root))} {flag}"

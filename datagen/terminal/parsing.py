@@ -275,7 +275,7 @@ def _see(program: str) -> str:
 def _reason(said: str) -> str:
     """What tyro said in a block, as one line: without its title, and the help of the flag."""
     _, text, *_ = [" ".join(part.split()) for part in re.split(r"-{3,}", said)]
-    line = text.rstrip(".")
+    line = text.rstrip(". ")
     if choice := re.fullmatch(r"invalid choice '(.*)' for argument '(\S+)'. Expected one of \((.*)\)", line):
         names = sorted(set(re.findall(r"'([^']*)'", choice[3])) - {"None"})
         near = difflib.get_close_matches(choice[1][:100], names, n=1)

@@ -13,7 +13,7 @@ from eval.papers.published import DNR, NO_EXTRINSICS, SPHERICAL_HARMONICS, VIEW_
 from eval.score.runs import Run
 from eval.score.seeds import SeedGroup
 
-FREE_FLAGS = ("geometry", "seed", "steps", "batch", "updates", "lr", "texture-lr", "lr-decay", "width", "texture-size")
+FREE_FLAGS = ("geometry", "seed", "steps", "batch", "updates", "lr", "texture-lr", "lr-decay", "hidden", "texture-size")
 """Runs of one line may differ in these: what they learn from, for how long, and how large they are."""
 
 
@@ -51,9 +51,9 @@ class Comparison:
 
 
 OURS = Line(title="paper", method="paper", flags={}, published=VIEW_VECTOR)
-BEST = Line(title="paper-best", method="paper", flags={"preset": "best"})
+BEST = Line(title="paper-best", method="paper-best", flags={})
 BEST_NOTE = (
-    "paper-best: `--preset best`, everything within the paper's idea that was found to help, tuned as light-path is."
+    "paper-best: everything within the paper's idea that was found to help, tuned as light-path is."
 )
 
 COMPARISONS: dict[str, Comparison] = {
@@ -78,7 +78,8 @@ COMPARISONS: dict[str, Comparison] = {
             OURS,
             BEST,
             Line(title="what the authors ran", method="authors-code"),
-            Line(title="DeepVoxels", method="deepvoxels", geometry=NO_GEOMETRY),
+            Line(title="DeepVoxels, small", method="deepvoxels", geometry=NO_GEOMETRY),
+            Line(title="DeepVoxels", method="deepvoxels-paper", geometry=NO_GEOMETRY),
         ),
         notes=("The paper names no number for DeepVoxels; which of its runs fed Table 2 is not known.", BEST_NOTE),
     ),
@@ -125,7 +126,7 @@ ABLATIONS: dict[str, Line] = {
 }
 """Tables of what each choice of a method is worth, and the runs that they set beside each other."""
 
-UNCOMPARED = ("seed", "type", "preset", "texels_per_pixel", "vgg_sha256")
+UNCOMPARED = ("seed", "type", "texels_per_pixel", "vgg_sha256")
 """Keys that say how others were found."""
 
 FOLLOWING = ("width", "batch", "texture_sizes", "sky_lobes", "refined_samples")

@@ -30,7 +30,7 @@ class MethodPage:
     weights: Sequence[Rows] = ()
     """All that the shader reads by `fetch(weights, row)`, in this order."""
     samples: int = 1
-    """Rays of a pixel that `model render` takes."""
+    """Rays of a pixel that `model predict` takes."""
     shells: int = 1
     """Nested copies of each surface that straight rays meet."""
     relief: list[list[int]] | None = None

@@ -62,10 +62,10 @@ def make_command(method: str, words: Sequence[str], then: Callable[[str, Asked],
 def _geometry_in(words: Sequence[str]) -> str:
     """The value of `--geometry`; some methods have other defaults on proxies."""
     given = TRUTH
-    for word, following in zip(words, [*words[1:], TRUTH], strict=True):
+    for place, word in enumerate(words, start=1):
         flag, equals, value = word.partition("=")
         if flag == "--geometry":
-            given = value if equals else following
+            given = value if equals else "".join(words[place : place + 1])
     return given
 
 

@@ -70,7 +70,7 @@ def export_run(
     renderer = load_renderer(run, record.config, dataset)
     still = run / "predictions" / "interpolating" / f"{view_name(0)}.png"
     if not still.is_file():
-        raise HyalineError(f"{still}: not there; render it with `model render --run {run}`")
+        raise HyalineError(f"{still}: not there; render it with `model predict {run}`")
     page = scene_page(
         renderer,
         record.config.net,

@@ -128,7 +128,7 @@ def demo(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_synthetic_dataset(tmp_path / "data" / "glass_table")
     monkeypatch.chdir(tmp_path)
     small = "--steps 2 --batch 64 --texture-size 16 --width 32"
-    run(f"model train paper --dataset glass_table --out runs/glass_table/light-path {small}")
+    run(f"model train paper glass_table --out runs/glass_table/light-path {small}")
 
 
 def python_of(page: str) -> str:

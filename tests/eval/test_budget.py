@@ -1,4 +1,4 @@
-"""Tests the layer budget: `model train --layers`, and the table of quality against the number of layers."""
+"""Tests the layer budget: `model train --use-layers`, and the table of quality against the number of layers."""
 
 import json
 import sys
@@ -19,7 +19,7 @@ from model.batches.rays import load_pixels
 from model.run.predict import load_renderer, predict_pixels
 from model.run.run_folder import read_run
 
-FLAGS = ("paper", "--steps", "3", "--batch", "64", "--texture-size", "16", "--width", "128", "--device", "cpu")
+FLAGS = ("paper", "--steps", "3", "--batch", "64", "--texture-size", "16", "--hidden", "128", "--device", "cpu")
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +28,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 
 
 def train(monkeypatch: pytest.MonkeyPatch, dataset: Dataset, out: Path, *more: str) -> int:
-    command = ["model", "train", *FLAGS, "--dataset", str(dataset.root), "--out", str(out), *more]
+    command = ["model", "train", *FLAGS, str(dataset.root), "--out", str(out), *more]
     monkeypatch.setattr(sys, "argv", command)
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
@@ -66,10 +66,10 @@ def test_runs_of_several_budgets_make_a_table_and_a_figure(
 ) -> None:
     runs = tmp_path / "runs" / "synthetic"
     assert train(monkeypatch, dataset, runs / "all") == 0
-    assert train(monkeypatch, dataset, runs / "one", "--layers", "1") == 0
-    assert train(monkeypatch, dataset, runs / "one-again", "--layers", "1", "--seed", "1") == 0
-    assert train(monkeypatch, dataset, runs / "wide", "--width", "192") == 0
-    assert train(monkeypatch, dataset, runs / "other", "--layers", "2", "--extrinsics", "none") == 0
+    assert train(monkeypatch, dataset, runs / "one", "--use-layers", "1") == 0
+    assert train(monkeypatch, dataset, runs / "one-again", "--use-layers", "1", "--seed", "1") == 0
+    assert train(monkeypatch, dataset, runs / "wide", "--hidden", "192") == 0
+    assert train(monkeypatch, dataset, runs / "other", "--use-layers", "2", "--extrinsics", "none") == 0
     assert [read_run(runs / name).num_layers for name in ("all", "one")] == [4, 1]
     capsys.readouterr()
 
@@ -91,7 +91,7 @@ def test_runs_of_several_budgets_make_a_table_and_a_figure(
 def test_a_small_budget_sees_the_nearest_layers_alone(
     dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert train(monkeypatch, dataset, tmp_path / "run", "--layers", "2") == 0
+    assert train(monkeypatch, dataset, tmp_path / "run", "--use-layers", "2") == 0
     config = read_run(tmp_path / "run").config
     renderer = load_renderer(tmp_path / "run", config, dataset)
     whole = load_pixels(dataset, TRUTH, "interpolating", [0])
@@ -106,6 +106,6 @@ def test_a_small_budget_sees_the_nearest_layers_alone(
 def test_other_numbers_of_layers_than_are_stored_are_refused(
     dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], layers: str
 ) -> None:
-    assert train(monkeypatch, dataset, tmp_path / "run", "--layers", layers) == 1
+    assert train(monkeypatch, dataset, tmp_path / "run", "--use-layers", layers) == 1
     assert f"error: layers: is {layers}; expected 1 to 4, as many as are stored" in capsys.readouterr().err
     assert not (tmp_path / "run").exists()

@@ -108,69 +108,69 @@ def test_every_command_of_a_workflow_advises_what_works_as_it_stands(ask: Callab
     train = TRAIN.replace("data/one", f"'{SPACED}'")
     assert ask("datagen verify nothing", status=1) == ["datagen build --scene glass_table --out data/nothing"]
     assert ask("datagen scenes") == ["datagen build --scene glass_table"]
-    assert ask(build) == [f"proxies make --dataset '{SPACED}' --kind ellipsoid"]
-    assert ask(f"datagen build --dataset '{SPACED}' --twins") == [f"model train paper --dataset '{SPACED}'"]
-    assert ask("report --runs runs", status=1) == ["model train paper"]
-    edit = f"datagen build --dataset '{SPACED}' --edit remove:pane"
+    assert ask(build) == [f"proxies make '{SPACED}' --kind ellipsoid"]
+    assert ask(f"datagen add '{SPACED}' --twins") == [f"model train paper '{SPACED}'"]
+    assert ask("report runs", status=1) == ["model train paper"]
+    edit = f"datagen add '{SPACED}' --edit remove:pane"
     (draw,) = ask(edit, follow=False)
-    assert draw == "model render --run RUN --variant remove-pane"
-    assert ask(f"model render --run runs/none --dataset '{SPACED}'", status=1) == ["model train paper --out runs/none"]
+    assert draw == "model predict RUN --variant remove-pane"
+    assert ask(f"model predict runs/none --dataset '{SPACED}'", status=1) == ["model train paper --out runs/none"]
     assert ask("report --table table1", status=1) == [f"model sweep table1 --dataset '{SPACED}'"]
-    assert ask(f"proxies make --dataset '{SPACED}' --kind box") == [
-        f"model train paper --dataset '{SPACED}' --geometry box"
+    assert ask(f"proxies make '{SPACED}' --kind box") == [
+        f"model train paper '{SPACED}' --geometry box"
     ]
-    assert ask(f"{train} --geometry hull", status=1) == [f"proxies make --dataset '{SPACED}' --kind hull"]
+    assert ask(f"{train} --geometry hull", status=1) == [f"proxies make '{SPACED}' --kind hull"]
     assert ask(f"{train} --geometry mixed-a", status=1) == [
-        f"proxies make --dataset '{SPACED}' --name mixed-a --assign pane=box"
+        f"proxies make '{SPACED}' --name mixed-a --assign pane=box"
     ]
-    assert ask(f"{train} --out 'elsewhere/two words/paper'") == ["report --runs elsewhere"]
+    assert ask(f"{train} --out 'elsewhere/two words/paper'") == ["report elsewhere"]
     assert ask(train) == ["report"]
     run = "'runs/two words/paper-w8-t8-batch32-5-steps'"
     assert ask(draw.replace("RUN", run)) == ["report"]
-    assert ask(f"model render --run {run} --variant x2", status=1) == [
-        f"datagen build --dataset '{SPACED}' --super-resolution 2"
+    assert ask(f"model predict {run} --variant x2", status=1) == [
+        f"datagen add '{SPACED}' --larger 2"
     ]
-    assert ask(f"model render --run {run} --variant x2") == ["report"]
-    assert ask(f"model render --run {run} --variant remove-floor", status=1, follow=False) == [
-        f"datagen build --dataset '{SPACED}' --edit EDIT"
+    assert ask(f"model predict {run} --variant x2") == ["report"]
+    assert ask(f"model predict {run} --variant remove-floor", status=1, follow=False) == [
+        f"datagen add '{SPACED}' --edit EDIT"
     ]
 
 
 def test_damage_and_other_settings_advise_what_works_as_it_stands(ask: Callable[..., list[str]]) -> None:
     ask(BUILD)
-    call("model train paper --dataset data/one --steps 2 --batch 32 --width 8 --device cpu --out runs/one/paper")
-    assert ask("datagen peel --dataset data/one --num-layers 3 --overwrite") == ["model train paper --dataset data/one"]
+    call("model train paper data/one --steps 2 --batch 32 --hidden 8 --device cpu --out runs/one/paper")
+    assert ask("datagen peel data/one --num-layers 3 --overwrite") == ["model train paper data/one"]
     assert ask(f"{TRAIN} --layers 9", status=1) == [
-        "datagen peel --dataset data/one --geometry truth --num-layers 9 --overwrite"
+        "datagen peel data/one --geometry truth --num-layers 9 --overwrite"
     ]
     Path("data/one/layers/straight/records/train/0000.json").unlink()
-    assert ask(TRAIN, status=1) == ["datagen peel --dataset data/one --geometry truth --num-layers 9"]
+    assert ask(TRAIN, status=1) == ["datagen peel data/one --geometry truth --num-layers 9"]
     picture = Path("data/one/images/train/0000.png")
     picture.write_bytes(picture.read_bytes()[:-1] + b"x")
     assert ask(TRAIN, status=1) == ["datagen mend data/one"]
     next(Path("data/one/scene").rglob("*.ply")).unlink()
     call("datagen build --scene scene --out data/two --preset tiny --resolution 8 --views 1 --test-views 1 --spp 2")
     assert "datagen verify data/one" in "".join(
-        ask("datagen peel --dataset data/one --overwrite", status=1, follow=False)
+        ask("datagen peel data/one --overwrite", status=1, follow=False)
     )
 
 
 @pytest.mark.parametrize(
     "line",
     [
-        "model render --run runs/one/light-path --variant remove-pane",
-        "model render --run runs/one/paper --variant remove-pane",
-        "model train paper --dataset data/none",
-        "model train paper --dataset data/one --geometry box",
+        "model predict runs/one/light-path --variant remove-pane",
+        "model predict runs/one/paper --variant remove-pane",
+        "model train paper data/none",
+        "model train paper data/one --geometry box",
         "proxies make --data data/one --kind box",
-        "datagen build --scene scene --edits remove:pane",
-        "report --runs elsewhere",
+        "datagen add scene --edits remove:pane",
+        "report elsewhere",
     ],
 )
 def test_advice_that_does_not_work_is_noticed(
     start: Callable[[str], State], monkeypatch: pytest.MonkeyPatch, line: str
 ) -> None:
     start("run")
-    check_advice("model render --run runs/one/paper", monkeypatch)
+    check_advice("model predict runs/one/paper", monkeypatch)
     with pytest.raises((AssertionError, HyalineError)):
         check_advice(line, monkeypatch)

@@ -23,8 +23,8 @@ BUILD = (
 )
 COMMANDS = (
     BUILD,
-    "proxies make --dataset data/one --kind box --num-layers 2",
-    f"{BUILD} --angle-splits --super-resolution 2 --super-resolution-views 1",
+    "proxies make data/one --kind box --num-layers 2",
+    f"{BUILD} --angles --larger 2 --larger-views 1",
     "datagen build --scene scene --out data/one --edit remove:pane",
 )
 ROOT = Path("data/one")

@@ -30,7 +30,7 @@ FLAGS = (
     *("--preset", "tiny", "--resolution", "16", "--num-layers", "4"),
     *("--views", "3", "--test-views", "3", "--spp", "2", "--test-spp", "2"),
 )
-MORE = ("--angle-splits", "--super-resolution", "2", "--super-resolution-views", "2")
+MORE = ("--angles", "--larger", "2", "--larger-views", "2")
 
 
 def tree(root: Path) -> dict[str, bytes]:
@@ -57,7 +57,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, byte
     command = ("build", "--scene", root / "scene/mine", "--out", root / "data/mine", *FLAGS)
     call(datagen.cli.main, *command)
     plain = tree(root / "data/mine")
-    call(datagen.cli.main, *command, *MORE)
+    call(datagen.cli.main, "add", root / "data/mine", *MORE)
     return root, plain
 
 
@@ -110,7 +110,7 @@ def test_a_damaged_view_of_a_variant_is_named_and_made_again(
     assert [problem.split("; ")[0] for problem in found.problems] == [f"{path}: damaged (checksum differs)"]
     assert any("variants/x2/notes.txt" in remark for remark in found.remarks)
     (tmp_path / "mine/variants/x2/notes.txt").unlink()
-    call(datagen.cli.main, "build", "--scene", made[0] / "scene/mine", "--out", tmp_path / "mine", *FLAGS, *MORE)
+    call(datagen.cli.main, "add", tmp_path / "mine", *MORE)
     assert tree(tmp_path / "mine") == before
 
 
@@ -127,18 +127,16 @@ def test_a_variant_of_other_data_is_refused_and_replaced(made: tuple[Path, dict[
 @pytest.mark.parametrize(
     ("flags", "message"),
     [
-        (("--super-resolution", "1"), "super_resolution: is 1; expected 2 to 8 times"),
-        (("--super-resolution", "2", "--super-resolution-views", "4"), "super_resolution_views: is 4; expected 1 to 3"),
-        (("--super-resolution", "2"), "holds a variant with another configuration (interpolating:"),
+        (("--larger", "1"), "larger: is 1; expected 2 to 8 times"),
+        (("--larger", "2", "--larger-views", "4"), "larger_views: is 4; expected 1 to 3"),
+        (("--larger", "2"), "holds a variant with another configuration (interpolating:"),
     ],
 )
 def test_wrong_sizes_are_one_line(
     made: tuple[Path, dict[str, bytes]], capsys: pytest.CaptureFixture[str], flags: tuple[str, ...], message: str
 ) -> None:
     with pytest.raises(SystemExit):
-        call(
-            datagen.cli.main, "build", "--scene", made[0] / "scene/mine", "--out", made[0] / "data/mine", *FLAGS, *flags
-        )
+        call(datagen.cli.main, "add", made[0] / "data/mine", *flags)
     assert message in capsys.readouterr().err
 
 
@@ -150,7 +148,7 @@ def test_runs_predict_variants_and_the_report_scores_them(
     torch.set_num_threads(1)
     hidden = tmp_path / "variants"
     (root / "data/mine/variants").rename(hidden)
-    size = ("--steps", 3, "--batch", 64, "--width", 16, "--texture-size", 16)
+    size = ("--steps", 3, "--batch", 64, "--hidden", 16, "--texture-size", 16)
     train = ("train", "paper", "--dataset", root / "data/mine", *size)
     call(model.cli.main, *train, "--device", "cpu", "--out", runs / "paper")
     hidden.rename(root / "data/mine/variants")
@@ -158,13 +156,13 @@ def test_runs_predict_variants_and_the_report_scores_them(
     assert not drawn.exists()
     # A finished run predicts splits that were built since, and no more after that.
     for words in ((), (), ("--variant", "x2"), ("--variant", "x2")):
-        call(model.cli.main, "render", "--run", runs / "paper", "--device", "cpu", *words)
+        call(model.cli.main, "predict", runs / "paper", "--device", "cpu", *words)
     torch.set_num_threads(threads)
     assert capsys.readouterr().err.count("nothing to do") == 2
     assert read_png(drawn / "x2/predictions/extrapolating/0001.png").shape == (32, 32, 3)
     with pytest.raises(SystemExit):
-        call(model.cli.main, "render", "--run", runs / "paper", "--variant", "x4")
-    advice = f"make it with `datagen build --dataset {root / 'data/mine'} --super-resolution 4`"
+        call(model.cli.main, "predict", runs / "paper", "--variant", "x4")
+    advice = f"make it with `datagen add {root / 'data/mine'} --larger 4`"
     assert f"x4: no such variant (there are: angles, x2); {advice}" in capsys.readouterr().err
 
     # A foreign method that knows the truth, and one that enlarges its own pictures.

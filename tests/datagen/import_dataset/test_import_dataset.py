@@ -104,7 +104,7 @@ def test_what_only_a_renderer_knows_is_unknown(again: Dataset) -> None:
         _ = view.radiance
     page = look_page(again).decode()
     assert "how noisy they are is unknown" in page and "imported from" in page
-    for line in (f"build --dataset {again.root} --twins", f"render {again.root}"):
+    for line in (f"add {again.root} --twins", f"film {again.root}"):
         answer = call(f"datagen {line}")
         assert answer.status == 1 and "the light in its scene is unknown" in answer.error
 
@@ -135,7 +135,7 @@ def test_a_report_scores_it_and_calls_the_ceiling_unknown(again: Dataset, tmp_pa
             path.parent.mkdir(parents=True, exist_ok=True)
             Image.fromarray(255 - view.image).save(path)
     out = tmp_path / "figures"
-    answer = call(f"report --runs {tmp_path / 'runs'} --dataset {again.root} --out {out}")
+    answer = call(f"report {tmp_path / 'runs'} --dataset {again.root} --out {out}")
     assert answer.status == 0, answer.error
     assert "unknown" in answer.out
     told = json.loads((out / "results.json").read_text())

@@ -160,7 +160,7 @@ def test_the_command_trains_skips_refuses_and_renders_again(
     assert call(monkeypatch, *command) == 0
     output = capsys.readouterr()
     assert output.out == f"{tmp_path / 'run'}\n" and output.err.endswith(
-        f"next: eval report --runs {tmp_path.parent}\n"
+        f"next: eval report {tmp_path.parent}\n"
     )
     before = run_bytes(tmp_path / "run")
     assert {"run.json", "weights.pt", "predictions.json", "predictions/extrapolating/0001.png"} <= set(before)
@@ -172,7 +172,7 @@ def test_the_command_trains_skips_refuses_and_renders_again(
     assert "another lr: 0.001 there, 0.01 here; start anew with --overwrite" in capsys.readouterr().err
 
     (tmp_path / "run/predictions/interpolating/0000.png").write_bytes(b"broken")
-    assert call(monkeypatch, "render", "--run", str(tmp_path / "run")) == 0
+    assert call(monkeypatch, "predict", str(tmp_path / "run")) == 0
     assert run_bytes(tmp_path / "run") == before
     (tmp_path / "run/predictions/interpolating/0000.png").write_bytes(b"broken")
     assert call(monkeypatch, *command) == 0
@@ -186,10 +186,9 @@ def test_the_command_trains_skips_refuses_and_renders_again(
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        (("--method", "papr"), "method 'papr': there is none of that name; did you mean 'paper'"),
         (("--geometry", "truht"), "geometry 'truht': there is none of that name; did you mean 'truth'"),
-        (("--geometry", "box"), "no box proxies; make them with `proxies make --dataset "),
-        (("--width", "9"), "width: is 9 with 3 blocks; expected a multiple of 8"),
+        (("--geometry", "box"), "no box proxies; make them with `proxies make "),
+        (("--hidden", "9"), "hidden: is 9 with 3 blocks; expected a multiple of 8"),
         (("--lr", "-1"), r"lr: is -1.0; expected a learning rate"),
         (("--dataset", "no/where"), "no/where: no dataset; make one with `datagen build"),
     ],

@@ -14,7 +14,7 @@ from model.web.export import scene_page
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
-PROXY = {"straight_layers": 7, "shells": 3, "relief": "on", "directions": "on", "stack_hidden": 12}
+PROXY = {"straight_layers": 7, "shells": 3, "relief": True, "directions": True, "stack_hidden": 12}
 
 
 @pytest.fixture(scope="module")

@@ -599,8 +599,6 @@ def test_build_takes_what_import_takes(tmp_path: Path) -> None:
     [
         ("--scene glass_table --material gold", "--material: goes with a file that is imported, such as --scene vase"),
         ("--scene {folder} --repair", "--repair: goes with a file that is imported"),
-        ("--dataset one --twins --crease 30", "--crease: does not go with --dataset; leave it out"),
-        ("--scene glass_table --edit no-glass --max-triangles 100", "--max-triangles: does not go with --edit"),
     ],
 )
 def test_flags_of_an_import_without_one_are_refused(line: str, told: str, tmp_path: Path) -> None:
