@@ -395,7 +395,7 @@ def turntable(
     Args:
         runs: Folders of trained runs.
         names: Captions, instead of the folders' names.
-        out: The film, of any kind that `datagen render` writes.
+        out: The film, of any kind that `datagen film` writes.
         path: orbit, spline, or a JSON file of key frames.
         frames: Pictures in the film.
         size: Width of each picture in pixels.

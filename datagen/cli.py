@@ -12,7 +12,7 @@ from datagen.disk.errors import UsageError
 from datagen.import_dataset.choices import DatasetImportChoices
 from datagen.scene.importers.choices import ImportChoices
 from datagen.terminal.command import fail, hush, next_command, run, say, say_all, tell, tell_json
-from datagen.terminal.parsing import group
+from datagen.terminal.parsing import Group, group
 
 if TYPE_CHECKING:
     from datagen.data.dataset import Dataset
@@ -35,7 +35,12 @@ MOVED = {
 
 def main() -> None:
     """Entry point of the console script."""
-    commands = {
+    run("datagen", commands(), sys.argv[1:])
+
+
+def commands() -> Group:
+    """All commands of the program."""
+    by_name = {
         "build": build,
         "add": add,
         "import": import_file,
@@ -48,8 +53,7 @@ def main() -> None:
         "scenes": scenes,
         "doctor": doctor,
     }
-    about = "Path-traced datasets of transparent objects, with peeled layers."
-    run("datagen", group(about, commands, MOVED), sys.argv[1:])
+    return group("Path-traced datasets of transparent objects, with peeled layers.", by_name, MOVED)
 
 
 def build(

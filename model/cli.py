@@ -46,7 +46,12 @@ MOVED = {
 def main() -> None:
     """Entry point of the console script."""
     wait_briefly()
-    commands = {
+    run("model", commands(), sys.argv[1:])
+
+
+def commands() -> Group:
+    """All commands of the program."""
+    by_name = {
         "train": Group(about=TRAIN, names=_methods, line=_describe, choose=_train_command, word="method"),
         "predict": predict,
         "film": film,
@@ -55,8 +60,7 @@ def main() -> None:
         "sweep": sweep,
         "check-method": check_method,
     }
-    about = "Train neural renderers on datasets of transparent objects, and render with them."
-    run("model", group(about, commands, MOVED), sys.argv[1:])
+    return group("Train neural renderers on datasets of transparent objects, and render with them.", by_name, MOVED)
 
 
 def _methods() -> Sequence[str]:

@@ -8,7 +8,7 @@ from datagen.data.finding import DATA_ROOT, build_command, find_dataset, list_da
 from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError, UsageError
 from datagen.terminal.command import choose, fail, next_command, run, say
-from datagen.terminal.parsing import group
+from datagen.terminal.parsing import Group, group
 
 if TYPE_CHECKING:
     from datagen.data.dataset import Dataset
@@ -19,8 +19,12 @@ if TYPE_CHECKING:
 
 def main() -> None:
     """Entry point of the console script."""
-    about = "Coarse closed meshes with UV around the objects of a dataset."
-    run("proxies", group(about, {"make": make, "check": check}, {}), sys.argv[1:])
+    run("proxies", commands(), sys.argv[1:])
+
+
+def commands() -> Group:
+    """All commands of the program."""
+    return group("Coarse closed meshes with UV around the objects of a dataset.", {"make": make, "check": check}, {})
 
 
 def make(

@@ -72,7 +72,7 @@ def test_what_the_truth_shows_is_where_the_layers_are(home: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "method", ["paper --batch 32 --width 8 --texture-size 8", "light-path --batch 32", "dnr --crop 16 --unet-width 4"]
+    "method", ["paper --batch 32 --hidden 8 --texture-size 8", "light-path --batch 32", "dnr --crop 16 --unet-width 4"]
 )
 def test_methods_train_on_it_and_predict_pictures_of_its_shape(home: Path, method: str) -> None:
     out = home / "runs/oblong" / method.split()[0]

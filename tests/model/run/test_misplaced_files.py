@@ -11,15 +11,13 @@ from support.training import stop_at
 
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.disk.storage import commit_sealed, load_sealed
-from model.methods.protocol import MethodConfig
 from model.run import train_flags
 from model.run.checkpoint import load_state, save_state
 from model.run.run_folder import TrainConfig
-from model.settings.optimisation import Optimisation
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
-QUICK = "--steps 2 --batch 64 --texture-size 16 --width 32 --device cpu"
+QUICK = "--steps 2 --batch 64 --texture-size 16 --hidden 32 --device cpu"
 
 
 @pytest.fixture(scope="module")

@@ -40,7 +40,7 @@ def call(dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> C
     monkeypatch.setattr(make, "__kwdefaults__", defaults)
     lines = {
         "train": f"model train paper {dataset.root} --out {tmp_path}/runs/synthetic/paper --steps 8 "
-        "--batch 64 --texture-size 16 --width 32 --device cpu",
+        "--batch 64 --texture-size 16 --hidden 32 --device cpu",
         "report": f"report {tmp_path}/runs --data {dataset.root.parent} --out {tmp_path}/report",
     }
 
