@@ -357,8 +357,8 @@ def check_method(name: str, /, *, dataset: str | None = None) -> None:
     """
     import tempfile
 
-    from datagen.data.dataset import open_dataset
     from datagen.build.synthetic import write_synthetic_dataset
+    from datagen.data.dataset import open_dataset
     from model.run.conformance import check_method as check
 
     with tempfile.TemporaryDirectory() as folder:
@@ -381,4 +381,4 @@ def check_method(name: str, /, *, dataset: str | None = None) -> None:
 def _end(out: Path, *, run: Path) -> None:
     tell(str(out))
     root = os.path.normpath(run / ".." / "..")
-    next_command("eval report" if root == str(RUNS) else f"eval report --runs {shlex.quote(root)}")
+    next_command("eval report" if root == str(RUNS) else f"eval report {shlex.quote(root)}")

@@ -130,22 +130,24 @@ def collect(program: str, command: Command, words: Sequence[str], moved: Mapping
         word = next((word for word in unknown if word.startswith("-")), unknown[0])
         if not word.startswith("-"):
             raise UsageError(f"{program}: {word!r} is one word too many. {_see(program)}")
-        raise _unknown(program, "flag", word.partition("=")[0], [f"--{flag}" for flag in flags_of(command)], moved or {})
+        raise _unknown(
+            program, "flag", word.partition("=")[0], [f"--{flag}" for flag in flags_of(command)], moved or {}
+        )
     return found
 
 
 def _words_first(command: Command, words: Sequence[str]) -> list[str]:
     """The words, in which `--scene X`, where a word `scene` is expected, has become X and stands first."""
-    first, rest = [], list(words)
-    for name, _, about in _items(command):
-        if about["is_positional"]:
-            for place, word in enumerate(rest):
-                flag, equals, value = word.partition("=")
-                if flag == f"--{name}" and (equals or place + 1 < len(rest)):
-                    first.append(value if equals else rest[place + 1])
-                    del rest[place : place + (1 if equals else 2)]
-                    break
-    return [*first, *rest]
+    first: dict[str, str] = {}
+    flags = {f"--{name}" for name, _, about in _items(command) if about["is_positional"]}
+    rest, left = [], list(words)
+    while left:
+        flag, equals, value = left.pop(0).partition("=")
+        if flag in flags and (equals or left):
+            first[flag] = value if equals else left.pop(0)
+        else:
+            rest.append(flag + equals + value)
+    return [*first.values(), *rest]
 
 
 def flags_of(documented: type | Command) -> dict[str, str]:
@@ -187,7 +189,9 @@ def describe(documented: type | Command) -> None:
     import tyro
 
     parts = _bases(documented) if isinstance(documented, type) else [documented]
-    texts = {item.arg_name: item.description for part in parts for item in docstring_parser.parse_from_object(part).params}
+    texts = {
+        item.arg_name: item.description for part in parts for item in docstring_parser.parse_from_object(part).params
+    }
     annotated = {}
     for name, kind, about in list(_items(documented)):
         if dataclasses.is_dataclass(kind):
@@ -209,7 +213,9 @@ def describe(documented: type | Command) -> None:
 def _items(documented: type | Command) -> Iterator[tuple[str, Any, Mapping[str, Any]]]:
     """The name, kind and metadata of each field or parameter."""
     if isinstance(documented, type):
-        kinds = {name: kind for base in _bases(documented) for name, kind in base.__dict__.get("__annotations__", {}).items()}
+        kinds = {
+            name: kind for base in _bases(documented) for name, kind in base.__dict__.get("__annotations__", {}).items()
+        }
         for item in dataclasses.fields(documented):
             yield item.name, _plain(kinds[item.name]), item.metadata
     else:
@@ -254,12 +260,12 @@ def _list_commands(program: str, commands: Group) -> str:
 
 
 def _wrapped(line: str) -> str:
-    """A line of text as lines no wider than help is; those of tyro's blocks, which begin with a blank, fit as they are."""
+    """A line of text as lines of the width of help; those of tyro's blocks, which begin with a blank, fit already."""
     return line.rstrip() if line.startswith(" ") else textwrap.fill(line, HELP_WIDTH)
 
 
 def _unknown(program: str, word: str, given: str, known: Sequence[str], moved: Mapping[str, str]) -> UsageError:
-    """What to say about a command or flag that does not exist: what replaces it, or what it may have been meant to be."""
+    """What to say about a command or flag that does not exist: what replaces it, or what was probably meant."""
     places = (f"{program} {given}", f"{program.rpartition(' ')[0]} {given}", given)
     if now := next((moved[place] for place in places if place in moved), None):
         return UsageError(f"{program} {given} {now}")

@@ -52,9 +52,7 @@ class Comparison:
 
 OURS = Line(title="paper", method="paper", flags={}, published=VIEW_VECTOR)
 BEST = Line(title="paper-best", method="paper-best", flags={})
-BEST_NOTE = (
-    "paper-best: everything within the paper's idea that was found to help, tuned as light-path is."
-)
+BEST_NOTE = "paper-best: everything within the paper's idea that was found to help, tuned as light-path is."
 
 COMPARISONS: dict[str, Comparison] = {
     "table1": Comparison(

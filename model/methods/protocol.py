@@ -16,11 +16,11 @@ from model.settings.optimisation import Optimisation, PixelOptimisation
 
 if TYPE_CHECKING:
     import datagen.scene.description
-    from datagen.data.cameras import Cameras
-    from datagen.data.dataset import Dataset
     import model.batches.rays
     import model.methods.page
     import model.methods.renderer
+    from datagen.data.cameras import Cameras
+    from datagen.data.dataset import Dataset
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -206,7 +206,9 @@ def _is_foreign(out: Path) -> bool:
 def _read_record(path: Path) -> RunRecord:
     content = load_sealed(path)
     if content.get("version") != RUN_VERSION:
-        raise HyalineError(f"{path}: format version {shown(content.get('version'))}; this program reads {RUN_VERSION}; train it again")
+        raise HyalineError(
+            f"{path}: format version {shown(content.get('version'))}; this program reads {RUN_VERSION}; train it again"
+        )
     config = parse_config(content.get("config"), where=f"{path}.config")
     stand_in = cast(Json, {**content, "config": {**cast(dict[str, Json], content["config"]), "net": OPEN}})
     return dataclasses.replace(from_json(RunRecord, stand_in, where=str(path)), config=config)

@@ -1,7 +1,6 @@
 """Tests that what a command advises works as it stands: its folders, runs, edits and proxies are there."""
 
 import re
-import shlex
 from collections.abc import Callable
 from pathlib import Path
 
@@ -78,20 +77,14 @@ def test_every_command_of_a_workflow_advises_what_works_as_it_stands(ask: Callab
     assert draw == "model predict RUN --variant remove-pane"
     assert ask(f"model predict runs/none --dataset '{SPACED}'", status=1) == ["model train paper --out runs/none"]
     assert ask("report --table table1", status=1) == [f"model sweep table1 --dataset '{SPACED}'"]
-    assert ask(f"proxies make '{SPACED}' --kind box") == [
-        f"model train paper '{SPACED}' --geometry box"
-    ]
+    assert ask(f"proxies make '{SPACED}' --kind box") == [f"model train paper '{SPACED}' --geometry box"]
     assert ask(f"{train} --geometry hull", status=1) == [f"proxies make '{SPACED}' --kind hull"]
-    assert ask(f"{train} --geometry mixed-a", status=1) == [
-        f"proxies make '{SPACED}' --name mixed-a --assign pane=box"
-    ]
+    assert ask(f"{train} --geometry mixed-a", status=1) == [f"proxies make '{SPACED}' --name mixed-a --assign pane=box"]
     assert ask(f"{train} --out 'elsewhere/two words/paper'") == ["report elsewhere"]
     assert ask(train) == ["report"]
     run = "'runs/two words/paper-w8-t8-batch32-5-steps'"
     assert ask(draw.replace("RUN", run)) == ["report"]
-    assert ask(f"model predict {run} --variant x2", status=1) == [
-        f"datagen add '{SPACED}' --larger 2"
-    ]
+    assert ask(f"model predict {run} --variant x2", status=1) == [f"datagen add '{SPACED}' --larger 2"]
     assert ask(f"model predict {run} --variant x2") == ["report"]
     assert ask(f"model predict {run} --variant remove-floor", status=1, follow=False) == [
         f"datagen add '{SPACED}' --edit EDIT"
@@ -112,9 +105,7 @@ def test_damage_and_other_settings_advise_what_works_as_it_stands(ask: Callable[
     assert ask(TRAIN, status=1) == ["datagen mend data/one"]
     next(Path("data/one/scene").rglob("*.ply")).unlink()
     call("datagen build --scene scene --out data/two --preset tiny --resolution 8 --views 1 --test-views 1 --spp 2")
-    assert "datagen verify data/one" in "".join(
-        ask("datagen peel data/one --overwrite", status=1, follow=False)
-    )
+    assert "datagen verify data/one" in "".join(ask("datagen peel data/one --overwrite", status=1, follow=False))
 
 
 @pytest.mark.parametrize(
@@ -129,9 +120,7 @@ def test_damage_and_other_settings_advise_what_works_as_it_stands(ask: Callable[
         "report elsewhere",
     ],
 )
-def test_advice_that_does_not_work_is_noticed(
-    start: Callable[[str], State], line: str
-) -> None:
+def test_advice_that_does_not_work_is_noticed(start: Callable[[str], State], line: str) -> None:
     start("run")
     check_advice("model predict runs/one/paper")
     with pytest.raises((AssertionError, HyalineError)):

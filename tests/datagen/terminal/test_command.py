@@ -20,8 +20,8 @@ from datagen.disk.os_errors import REASONS, describe_os_error, naming
 from datagen.disk.storage import commit
 from datagen.terminal.command import choose, track
 from datagen.terminal.command import run as command_run
-from datagen.terminal.parsing import group
 from datagen.terminal.distribution import VERSION
+from datagen.terminal.parsing import group
 from datagen.terminal.signals import Stopped
 
 
@@ -49,7 +49,9 @@ def test_help_on_a_command_that_does_not_exist_says_so(program: str, words: str)
 def test_a_dataset_with_a_slip_in_its_name_is_asked_about_before_it_is_built(tmp_path: Path) -> None:
     build = "`datagen build --scene glass_table --out data/glass_tabel`"
     make = "Make that with `datagen build --scene glass_table`; else make one with"
-    answers = {call(f"datagen {command} glass_tabel").error for command in ("look", "verify", "add --twins", "peel", "export")}
+    answers = {
+        call(f"datagen {command} glass_tabel").error for command in ("look", "verify", "add --twins", "peel", "export")
+    }
     assert f"error: data/glass_tabel: no dataset; did you mean glass_table? {make} {build}" in answers
     write_synthetic_dataset(tmp_path / "data" / "glass_table", resolution=8, train_views=1)
     for line in ("datagen look glass_tabel", "proxies make glass_tabel", "model train paper glass_tabel"):
@@ -185,7 +187,7 @@ def test_each_refusal_of_the_system_names_the_file_and_its_own_way_out(number: i
 def test_a_full_disk_and_a_forbidden_folder_are_told_apart(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def fill(dataset: str, /) -> None:  # noqa: ARG001
+    def fill(dataset: str, /) -> None:
         commit(tmp_path / "folder" / "file", b"x" * 5000)
 
     (tmp_path / "folder").mkdir()

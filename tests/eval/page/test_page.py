@@ -81,7 +81,9 @@ def test_every_run_has_its_pictures_its_training_and_a_way_to_make_it_again(page
     assert "A part of metrics.jsonl cannot be read." in [paragraph.text for paragraph in page.all("p")]
     assert any("model train" in code.text and "--seed 3" in code.text for code in page.all("code"))
     assert "net.width" in [term.text for term in page.all("dt")]
-    assert not any("views; `eval report --shown-views" in paragraph.text for paragraph in page.all("p"))  # All are shown.
+    assert not any(
+        "views; `eval report --shown-views" in paragraph.text for paragraph in page.all("p")
+    )  # All are shown.
     pictures = [svg for svg in page.all("svg") if "picture" in (svg.attributes.get("class") or "")]
     assert pictures and all(svg.attributes["aria-label"] and svg.attributes["role"] == "img" for svg in pictures)
     assert "PSNR by the angle to the nearest training ray" in captions

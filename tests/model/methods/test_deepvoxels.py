@@ -425,7 +425,9 @@ def test_a_flag_that_it_does_not_have_is_refused(
     flags: tuple[str, ...],
     message: str,
 ) -> None:
-    assert call(monkeypatch, "--dataset", str(dataset.root), "--out", str(tmp_path / "run"), *flags) == (2 if "no flag" in message else 1)
+    assert call(monkeypatch, "--dataset", str(dataset.root), "--out", str(tmp_path / "run"), *flags) == (
+        2 if "no flag" in message else 1
+    )
     errors = capsys.readouterr().err
     assert message in errors and errors.count("\n") == 1
     assert not (tmp_path / "run").exists()
@@ -433,7 +435,7 @@ def test_a_flag_that_it_does_not_have_is_refused(
 
 def test_sizes_that_are_no_powers_of_two_are_refused() -> None:
     with pytest.raises(HyalineError, match=r"resolution: is 100 x 100; .* so build the dataset with --resolution 128"):
-        DeepVoxelsConfig(voxels="small").sized(square(100))
+        DeepVoxelsConfig().sized(square(100))
     with pytest.raises(HyalineError, match="image_size: is 32; deepvoxels needs a power of two of 64 or more"):
         DeepVoxelsConfig(image_size=32, plane_size=32, adversarial=True)
     with pytest.raises(HyalineError, match="plane_size: is 64; expected at most the pictures' 32"):

@@ -199,9 +199,7 @@ def test_a_link_to_itself_is_one_line(line: str) -> None:
 
 
 @pytest.mark.usefixtures("home")
-@pytest.mark.parametrize(
-    "line", ["model export {}", "model predict {}", "model film {} --path orbit"]
-)
+@pytest.mark.parametrize("line", ["model export {}", "model predict {}", "model film {} --path orbit"])
 @pytest.mark.parametrize("record", [None, '{"method": "splats"}'])
 @pytest.mark.parametrize("below", ["predictions/interpolating", "."])
 def test_pictures_of_another_method_are_no_place_to_train_in(line: str, record: str | None, below: str) -> None:

@@ -159,9 +159,7 @@ def test_the_command_trains_skips_refuses_and_renders_again(
     command = quick(dataset, tmp_path / "run")
     assert call(monkeypatch, *command) == 0
     output = capsys.readouterr()
-    assert output.out == f"{tmp_path / 'run'}\n" and output.err.endswith(
-        f"next: eval report {tmp_path.parent}\n"
-    )
+    assert output.out == f"{tmp_path / 'run'}\n" and output.err.endswith(f"next: eval report {tmp_path.parent}\n")
     before = run_bytes(tmp_path / "run")
     assert {"run.json", "weights.pt", "predictions.json", "predictions/extrapolating/0001.png"} <= set(before)
 
