@@ -16,7 +16,7 @@ from typing import NoReturn, TypeVar
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import printable
 from datagen.disk.os_errors import describe_os_error, naming
-from datagen.disk.records import Json, shown
+from datagen.disk.records import shown
 from datagen.terminal.distribution import VERSION, naming_parts
 from datagen.terminal.parsing import Command, Group, parse
 from datagen.terminal.signals import Stopped, raise_on_sigterm, signal_within
@@ -112,7 +112,7 @@ def tell(line: str) -> None:
     print(printable(line))
 
 
-def tell_json(result: Json) -> None:
+def tell_json(result: object) -> None:
     """The result as one JSON object, on stdout."""
     print(json.dumps(result, indent=2))
 
