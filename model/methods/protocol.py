@@ -77,7 +77,7 @@ class MethodConfig:
         return None
 
     def usual(self, geometry: str) -> Self:  # noqa: ARG002
-        """The record that flags change: all values that the preset of this one, and the geometry, bring with them."""
+        """The record that flags change: the method's defaults on a geometry."""
         return type(self)()
 
     def optimisation(self) -> Optimisation:

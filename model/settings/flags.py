@@ -35,7 +35,7 @@ def choice(
 
 
 def unflagged(default: Any, *, limits: Limits | None = None) -> Any:
-    """A field that is no flag: presets set it, or the dataset."""
+    """A field without a flag: the method's defaults set it, or the dataset."""
     return dataclasses.field(default=default, metadata={"is_hidden": True, "limits": limits})
 
 
