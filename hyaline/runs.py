@@ -11,7 +11,7 @@ from jaxtyping import Float32, UInt8
 
 from datagen.data.cameras import Camera, Cameras, check_camera
 from datagen.data.dataset import Dataset, open_dataset
-from datagen.data.finding import find_dataset
+from datagen.data.paths import find_dataset
 from datagen.disk.errors import HyalineError, NumericsError
 from datagen.disk.names import real_path
 from datagen.terminal.distribution import naming_parts

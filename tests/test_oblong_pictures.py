@@ -12,9 +12,8 @@ from support.synthetic import synthetic_scene
 
 import hyaline
 from datagen.data.cameras import look_at
-from datagen.data.config import SPLITS
-from datagen.data.png import read_png
-from datagen.data.resolution import Resolution
+from datagen.data.config import SPLITS, Resolution
+from datagen.data.images import read_png
 from datagen.quantities.view_quantities import quantities
 from datagen.scene.camera_list import CameraList
 from datagen.scene.folder import load_scene, save_scene

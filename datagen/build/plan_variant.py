@@ -10,8 +10,8 @@ from datagen.data.config import TEST_SPLITS, DatasetConfig, Split, SplitConfig
 from datagen.data.dataset import Dataset, DatasetObject
 from datagen.data.depth_range import with_depth_range
 from datagen.data.geometries import read_meshes
+from datagen.data.metadata import SceneEdit
 from datagen.data.paths import TRUTH
-from datagen.data.variant_record import SceneEdit
 from datagen.data.variants import ANGLES, evenly, is_larger, scale_name
 from datagen.disk.errors import HyalineError
 from datagen.scene.edits import Edit, EditedScene, describe_edit, edit_scene, edits_name, parse_edit

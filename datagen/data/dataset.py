@@ -39,17 +39,20 @@ from jaxtyping import Bool, Float32, UInt8
 
 from datagen.data.cameras import TRANSFORMS_FILES, Camera, Cameras, parse_transforms
 from datagen.data.config import SPLITS, DatasetConfig, Split, config_of
-from datagen.data.exr import decode_exr
-from datagen.data.finding import where_datasets_are
-from datagen.data.imported import RENDERED, Imported, imported_of
+from datagen.data.images import decode_exr, decode_png, read_npy
 from datagen.data.layer_store import LayerStore, open_layers
 from datagen.data.layers import Layers, glass_mask, read_layers
-from datagen.data.license import unknown
-from datagen.data.npy import read_npy
-from datagen.data.paths import TRUTH, image_path, layers_root, record_path
-from datagen.data.png import decode_png
-from datagen.data.variant_record import SceneEdit, Variant, variant_of
-from datagen.data.view_record import ViewRecord
+from datagen.data.metadata import (
+    RENDERED,
+    Imported,
+    SceneEdit,
+    Variant,
+    ViewRecord,
+    imported_of,
+    unknown_license,
+    variant_of,
+)
+from datagen.data.paths import TRUTH, image_path, layers_root, record_path, where_datasets_are
 from datagen.disk.errors import DamagedError, HyalineError
 from datagen.disk.homes import mend_command
 from datagen.disk.names import check_name, check_relative, real_path
@@ -104,7 +107,7 @@ class Dataset:
         """An SPDX name such as CC0-1.0, what a foreign file said, or whom to ask."""
         if self.parent is not None:
             return self.parent.license
-        return self.stated_license or unknown(f"dataset {self.name}")
+        return self.stated_license or unknown_license(f"dataset {self.name}")
 
     @property
     def home(self) -> "Dataset":

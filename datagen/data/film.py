@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import UInt8
 from PIL import Image
 
+from datagen.data.images import png_bytes
 from datagen.data.paths import view_name
-from datagen.data.png import png_bytes
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import (
     DATASET,

@@ -14,8 +14,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from datagen.data.dataset import Dataset, check_has_meshes, head_files
-from datagen.data.meshes import Mesh, check_mesh, is_there, no_mesh, read_ply, write_ply
+from datagen.data.meshes import Mesh, check_mesh, is_there, no_mesh
 from datagen.data.paths import TRUTH, geometry_root
+from datagen.data.ply import read_ply, write_ply
 from datagen.disk.errors import HyalineError
 from datagen.disk.heads import keep_head
 from datagen.disk.names import check_name, is_name

@@ -12,7 +12,7 @@ Source: RefRef's data parser, OpenMaterial's loader for instant-nsr-pl, nerf-pyt
 import re
 from pathlib import Path
 
-from datagen.data.license import license_line
+from datagen.data.metadata import license_line
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import check_regular, find_file
 from datagen.disk.ownership import DATASET

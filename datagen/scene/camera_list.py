@@ -8,8 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from datagen.data.cameras import Cameras
-from datagen.data.config import Split
-from datagen.data.resolution import Resolution
+from datagen.data.config import Resolution, Split
 from datagen.disk.errors import HyalineError
 from datagen.scene.values import Vector, as_vector
 

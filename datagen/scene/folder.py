@@ -6,7 +6,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeVar, cast
 
-from datagen.data.meshes import Mesh, check_numbers, is_there, no_mesh, read_ply, write_ply
+from datagen.data.meshes import Mesh, check_numbers, is_there, no_mesh
+from datagen.data.ply import read_ply, write_ply
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import find_file
 from datagen.disk.reading import load_json, read_regular

@@ -9,8 +9,16 @@ from itertools import combinations
 import numpy as np
 from jaxtyping import Float
 
-from datagen.data.meshes import Mesh, check_mesh, count_shared_faces, face_areas, is_there
-from datagen.data.windings import check_closed, check_solid, windings
+from datagen.data.meshes import (
+    Mesh,
+    check_closed,
+    check_mesh,
+    check_solid,
+    count_shared_faces,
+    face_areas,
+    is_there,
+    windings,
+)
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import check_name
 from datagen.scene.contact import thin_share, touching_share

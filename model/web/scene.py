@@ -9,8 +9,8 @@ import torch
 
 from datagen.data.dataset import Dataset
 from datagen.data.geometries import read_meshes
+from datagen.data.layers import UV_SCALE, quantize_uv, round_mantissa
 from datagen.data.meshes import Mesh, is_there, open_edges
-from datagen.data.number_formats import UV_SCALE, quantize_uv, round_mantissa
 from datagen.data.paths import TRUTH
 from datagen.disk.records import Json
 from datagen.scene.description import CameraRig, Scene

@@ -9,8 +9,7 @@ import numpy as np
 from PIL import Image
 
 from datagen.data.cameras import Camera, check_camera
-from datagen.data.config import MAX_VIEWS
-from datagen.data.resolution import Resolution
+from datagen.data.config import MAX_VIEWS, Resolution
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import find_file
 from datagen.disk.reading import load_json, open_regular

@@ -11,10 +11,10 @@ import torch
 from jaxtyping import Float32
 from torch import Tensor
 
+from datagen.data.config import square
 from datagen.data.dataset import Dataset
 from datagen.data.geometries import read_meshes
 from datagen.data.paths import TRUTH
-from datagen.data.resolution import square
 from datagen.disk.errors import HyalineError
 from model.batches.view_batches import ViewBatch, Views
 from model.losses.pixel_losses import PatchTerms

@@ -16,11 +16,10 @@ from support.traced_dataset import write_traced_dataset
 from datagen.build.build import peel_dataset, summary
 from datagen.build.mend import mend_dataset
 from datagen.build.verify import verify_dataset
-from datagen.data.config import SPLITS, TEST_SPLITS
+from datagen.data.config import SPLITS, TEST_SPLITS, square
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.meshes import signed_volume
 from datagen.data.paths import TRUTH
-from datagen.data.resolution import square
 from datagen.disk.errors import HyalineError
 from datagen.export.formats import export_dataset
 from datagen.import_dataset.choices import DatasetImportChoices

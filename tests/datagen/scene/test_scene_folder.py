@@ -14,7 +14,8 @@ from support.commands import call
 from support.soon import ending_within
 from support.synthetic import synthetic_scene
 
-from datagen.data.meshes import Mesh, write_ply
+from datagen.data.meshes import Mesh
+from datagen.data.ply import write_ply
 from datagen.disk.errors import HyalineError
 from datagen.scene.atlas import unwrap
 from datagen.scene.description import Lobe, Scene, SceneObject

@@ -11,7 +11,7 @@ import pytest
 from support.synthetic import synthetic_scene
 
 from datagen.data.cameras import look_at
-from datagen.data.resolution import square
+from datagen.data.config import square
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import from_json
 from datagen.scene.camera_list import CameraList

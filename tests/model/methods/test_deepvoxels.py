@@ -14,10 +14,9 @@ from support.synthetic import look_at, write_synthetic_dataset
 from torch import nn
 
 from datagen.data.cameras import Cameras
-from datagen.data.config import DatasetConfig, SplitConfig
+from datagen.data.config import DatasetConfig, SplitConfig, square
 from datagen.data.dataset import Dataset
-from datagen.data.png import read_png
-from datagen.data.resolution import square
+from datagen.data.images import read_png
 from datagen.disk.errors import HyalineError
 from datagen.scene.rig import make_cameras
 from model import cli

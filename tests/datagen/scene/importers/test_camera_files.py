@@ -13,7 +13,7 @@ from support.traced_dataset import write_traced_dataset
 
 from datagen.data.cameras import look_at
 from datagen.data.dataset import open_dataset
-from datagen.data.meshes import write_ply
+from datagen.data.ply import write_ply
 from datagen.disk.errors import HyalineError
 from datagen.export.formats import export_dataset
 from datagen.scene.camera_list import CameraList, Intrinsics

@@ -13,8 +13,9 @@ from PIL import Image
 from support.gltf import BOX
 from support.soon import soon
 
-from datagen.data.exr import encode_float_exr
-from datagen.data.meshes import signed_volume, write_ply
+from datagen.data.images import encode_float_exr
+from datagen.data.meshes import signed_volume
+from datagen.data.ply import write_ply
 from datagen.disk.errors import HyalineError
 from datagen.scene.camera_list import CameraList
 from datagen.scene.description import EnvironmentMap, SoftEnvironment

@@ -6,9 +6,8 @@ from pathlib import Path
 import pytest
 from support.synthetic import write_synthetic_dataset
 
-from datagen.data.config import SPLITS
+from datagen.data.config import MAX_SIDE, SPLITS, Resolution, parse_resolution, square
 from datagen.data.dataset import open_dataset
-from datagen.data.resolution import MAX_SIDE, Resolution, parse_resolution, square
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import SEAL, seal_bytes
 

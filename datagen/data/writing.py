@@ -1,4 +1,8 @@
-"""Writing a dataset: its head, then the scene and the cameras that the head promises, then view by view."""
+"""Writing a dataset: its head, the scene and cameras that the head lists, then view by view. And clearing it.
+
+Clearing removes from each folder only the files that its own head lists; a folder whose head does not verify keeps
+all of its files. Heads go last, so an interrupted clearing can be repeated.
+"""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -7,13 +11,25 @@ from typing import cast
 from datagen.data.cameras import TRANSFORMS_FILES, Cameras, transforms_bytes
 from datagen.data.config import DATASET_VERSION, SPLITS, DatasetConfig, Split, config_of
 from datagen.data.dataset import Dataset, DatasetObject, head_files, open_dataset
-from datagen.data.imported import RENDERED, Imported, imported_of
+from datagen.data.geometries import proxy_files
+from datagen.data.layer_writing import layers_files
+from datagen.data.metadata import RENDERED, Imported, Variant, ViewRecord, imported_of, variant_of
 from datagen.data.paths import image_path, record_path
-from datagen.data.variant_record import Variant, variant_of
-from datagen.data.view_record import ViewRecord
+from datagen.data.variants import list_edit_masks
 from datagen.disk.errors import HyalineError
-from datagen.disk.heads import keep_head
-from datagen.disk.ownership import DATASET, begin, is_ours
+from datagen.disk.heads import keep_head, list_heads
+from datagen.disk.homes import HEADS, home_of
+from datagen.disk.ownership import (
+    DATASET,
+    EDIT_MASKS,
+    LAYERS,
+    PROXIES,
+    FolderKind,
+    begin,
+    holding,
+    is_ours,
+    remove_files,
+)
 from datagen.disk.records import Json, to_json
 from datagen.disk.storage import commit, commit_same, commit_sealed, load_sealed, seal_bytes, seal_of, sha256
 
@@ -154,3 +170,53 @@ def _commit_files(dataset: Dataset, split: Split, view: int, files: Mapping[str,
         commit(path, data)
         hashes[path.relative_to(dataset.root).as_posix()] = sha256(data)
     return hashes
+
+
+def clear_dataset(root: Path) -> None:
+    """Removes all that the head of a dataset and those below it promise, but for the head itself; the caller holds it.
+
+    Raises:
+        HyalineError: another process writes to one of its folders.
+    """
+    for folder in _folders(root, ("variants/*",), DATASET):
+        with holding(folder, DATASET, within=root):
+            clear_dataset(folder)
+            remove_files(folder, [DATASET.head])
+        _prune(root, folder)
+    for folder in _folders(root, ("layers/*", "proxies/*/layers/*"), LAYERS):
+        clear_layers(root, folder)
+    for folder in _folders(root, ("proxies/*",), PROXIES):
+        with holding(folder, PROXIES, within=root):
+            remove_files(folder, [*proxy_files(folder), PROXIES.head])
+        _prune(root, folder)
+    for folder in _folders(root, ("edit-masks",), EDIT_MASKS):
+        with holding(folder, EDIT_MASKS, within=root):
+            files = [Path(file).relative_to(folder.name).as_posix() for file in list_edit_masks(folder)]
+            remove_files(folder, [*files, EDIT_MASKS.head])
+        _prune(root, folder)
+    remove_files(root, dataset_files(root))
+    home = home_of(root)
+    gone = [head for head in list_heads(home) if not (home / head).is_file()]
+    remove_files(home, [f"{HEADS}/{head}" for head in gone])
+
+
+def clear_layers(root: Path, folder: Path) -> None:
+    """Removes the layers in a folder below a dataset `root`, with their head."""
+    with holding(folder, LAYERS, within=root):
+        remove_files(folder, [*layers_files(folder), LAYERS.head])
+    _prune(root, folder)
+
+
+def _folders(root: Path, patterns: tuple[str, ...], kind: FolderKind) -> list[Path]:
+    found = [path for pattern in patterns for path in sorted(root.glob(pattern))]
+    return [path for path in found if is_ours(path, kind)]
+
+
+def _prune(root: Path, folder: Path) -> None:
+    """Removes a folder and those above it, up to `root`, as long as they are empty."""
+    while folder != root:
+        try:
+            folder.rmdir()
+        except OSError:
+            return
+        folder = folder.parent
