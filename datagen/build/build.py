@@ -26,6 +26,7 @@ from datagen.disk.ownership import DATASET, LAYERS, holding, is_ours, refuse_tak
 from datagen.disk.promises import check_files
 from datagen.disk.storage import sha256
 from datagen.machine.workers import in_workers
+from datagen.scene.camera_list import CameraList
 from datagen.scene.description import Scene
 from datagen.scene.folder import scene_files
 from datagen.scene.rig import make_cameras
@@ -238,7 +239,9 @@ def open_or_start(
             "pass --overwrite to replace it, or --out for another place"
         )
     promised = head_files(root)
-    contents = head_contents(files, cameras if imported is not None else {})
+    # A rig's cameras are computed, and may differ in their last bits on another machine.
+    is_listed = imported is not None or (scene is not None and isinstance(scene.cameras, CameraList))
+    contents = head_contents(files, cameras if is_listed else {})
     changed = [path for path, data in contents.items() if promised.get(path) != sha256(data)]
     if changed:
         raise HyalineError(

@@ -104,22 +104,14 @@ def write_proxies(
 
 
 def proxy_files(root: Path) -> list[str]:
-    """The meshes that a folder of proxies lists, by path relative to it.
-
-    Raises:
-        HyalineError: the list is missing or damaged.
-    """
+    """The meshes that a folder of proxies lists, by path relative to it."""
     path = root / PROXIES.head
     records = from_json(tuple[ProxyRecord, ...], load_sealed(path).get("proxies"), where=f"{path}: proxies")
     return [record.file for record in records]
 
 
 def read_proxy_records(dataset: Dataset, kind: str) -> tuple[ProxyRecord, ...]:
-    """The list of a dataset's proxies of one kind, in object order.
-
-    Raises:
-        HyalineError: they were not made, are damaged, or were made for another dataset.
-    """
+    """The list of a dataset's proxies of one kind, in object order."""
     dataset = dataset.home
     path = geometry_root(dataset.root, kind) / "proxies.json"
     if not path.is_file():
@@ -142,11 +134,7 @@ def read_proxy_records(dataset: Dataset, kind: str) -> tuple[ProxyRecord, ...]:
 
 
 def read_assignment(dataset: Dataset, geometry: str) -> tuple[str, ...] | None:
-    """What stands for each object in a mixture, in object order; None for the truth and for one kind of proxy.
-
-    Raises:
-        HyalineError: the proxies were not made, or are damaged.
-    """
+    """What stands for each object in a mixture, in object order; None for the truth and for one kind of proxy."""
     if geometry == TRUTH:
         return None
     path = geometry_root(dataset.root, geometry) / "proxies.json"
@@ -155,11 +143,7 @@ def read_assignment(dataset: Dataset, geometry: str) -> tuple[str, ...] | None:
 
 
 def describe_geometry(dataset: Dataset, geometry: str) -> str:
-    """A geometry in words: what a method knows of the scene's shape.
-
-    Raises:
-        HyalineError: the proxies were not made, or are damaged.
-    """
+    """A geometry in words: what a method knows of the scene's shape."""
     if geometry == TRUTH:
         return "true geometry"
     assignment = read_assignment(dataset, geometry)
@@ -190,11 +174,7 @@ def list_geometries(dataset: Dataset) -> list[str]:
 
 
 def check_geometry(dataset: Dataset, geometry: str) -> None:
-    """Refuses a geometry that the dataset does not have.
-
-    Raises:
-        HyalineError: a slip of the pen gets a suggestion, proxies that were not made the command that makes them.
-    """
+    """Refuses a geometry that the dataset does not have."""
     made = list_geometries(dataset)
     if geometry not in made and difflib.get_close_matches(geometry, made, n=1, cutoff=0.5):
         choose("geometry", geometry, made)
@@ -206,9 +186,6 @@ def read_meshes(dataset: Dataset, geometry: str) -> tuple[Mesh, ...]:
     """The meshes of `truth` or of a proxy kind, in object order, verified against their checksums.
 
     That of an object which an edit removed has no faces.
-
-    Raises:
-        HyalineError: not made, missing or damaged.
     """
     dataset = dataset.home
     check_has_meshes(dataset)
@@ -222,11 +199,7 @@ def read_meshes(dataset: Dataset, geometry: str) -> tuple[Mesh, ...]:
 
 
 def true_meshes(dataset: Dataset) -> tuple[Mesh, ...]:
-    """The scene's own meshes, in object order; none where pictures were imported without any.
-
-    Raises:
-        HyalineError: missing or damaged.
-    """
+    """The scene's own meshes, in object order; none where pictures were imported without any."""
     return read_meshes(dataset, TRUTH) if dataset.objects else ()
 
 
@@ -246,11 +219,7 @@ class GeometryKey:
 
 
 def geometry_key(dataset: Dataset, geometry: str) -> GeometryKey:
-    """The key of a geometry as its sealed list names it; no mesh is read.
-
-    Raises:
-        HyalineError: not made, or the list is damaged.
-    """
+    """The key of a geometry as its sealed list names it; no mesh is read."""
     hashes = tuple(sha256 for _, sha256 in _mesh_files(dataset.home, geometry).values())
     return GeometryKey(dataset=dataset.home, seal=dataset.home.seal, geometry=geometry, mesh_hashes=hashes)
 

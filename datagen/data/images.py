@@ -31,25 +31,17 @@ def to_8bit(encoded: Float[np.ndarray, "..."]) -> UInt8[np.ndarray, "..."]:
 
 
 MAX_PNG_SIDE = 16384
-"""Pixels: twice the largest dataset, whose decoding takes 1 GB."""
+"""Pixels: twice the largest dataset; decoding takes 1 GB."""
 MAX_PNG_BYTES = 1 << 30
 
 
 def read_png(path: Path) -> UInt8[np.ndarray, "h w 3"]:
-    """An 8-bit RGB picture from any PNG.
-
-    Raises:
-        HyalineError: missing or not a picture.
-    """
+    """An 8-bit RGB picture from any PNG."""
     return np.asarray(open_png(path).convert("RGB"))
 
 
 def open_png(path: Path, *, size: Resolution | None = None) -> Image.Image:
-    """The picture in a PNG file, decoded, in the file's own mode; see `decode_png`.
-
-    Raises:
-        HyalineError: missing, or no regular file.
-    """
+    """The decoded picture in a PNG file, in the file's own mode; see `decode_png`."""
     return decode_png(read_regular(path, at_most=MAX_PNG_BYTES), where=str(path), size=size)
 
 
@@ -57,10 +49,7 @@ def decode_png(data: bytes, *, where: str, size: Resolution | None = None) -> Im
     """The picture in the bytes of a PNG file, in the file's own mode.
 
     Args:
-        size: which it has to have; nothing of a picture of another size is decoded.
-
-    Raises:
-        HyalineError: not a PNG of at most 8 bits a channel, too large, or of another size.
+        size: the size that it must have; a picture of another size is not decoded.
     """
     if len(data) < 33 or data[:8] != b"\x89PNG\r\n\x1a\n" or data[12:16] != b"IHDR":
         raise HyalineError(f"{where}: not a PNG that can be read; expected an 8-bit sRGB PNG")
@@ -88,17 +77,16 @@ def png_bytes(image: UInt8[np.ndarray, "h w *c"] | UInt16[np.ndarray, "h w"]) ->
 
 
 EXR_START = b"v/1\x01\x02\x00\x00\x00"
-"""Of an EXR with scan lines and one part."""
+"""The first bytes of an EXR of scan lines in one part."""
 
 PIZ, ROWS_PER_BLOCK = 4, 32
-"""The compression in which files are written, and the rows that it compresses at once."""
+"""The compression of our files, and the number of rows that it compresses at once."""
 EXR_CHANNELS = ("R", "G", "B", "noise.R", "noise.G", "noise.B")
 
 MAX_EXR_SIDE = 1 << 16
 
 EXR_BLOCK_ROWS = {0: 1, 1: 1, 2: 1, 3: 16, 4: 32, 5: 16, 6: 32, 7: 32, 8: 32, 9: 256}
-"""Rows that are compressed at once, by the number of the compression: none, RLE, ZIPS, ZIP, PIZ, PXR24, B44, B44A,
-DWAA, DWAB."""
+"""Rows that are compressed at once by each compression: none, RLE, ZIPS, ZIP, PIZ, PXR24, B44, B44A, DWAA, DWAB."""
 
 
 def encode_exr(radiance: Float32[np.ndarray, "h w 3"], noise: Float32[np.ndarray, "h w 3"]) -> bytes:
@@ -114,7 +102,7 @@ def encode_exr(radiance: Float32[np.ndarray, "h w 3"], noise: Float32[np.ndarray
 
 
 def encode_float_exr(channels: Mapping[str, Float32[np.ndarray, "h w"]]) -> bytes:
-    """An EXR of whole floats, by channel's name, losslessly compressed. The same values give the same bytes."""
+    """An EXR of 32-bit floats by channel name, losslessly compressed. The same values give the same bytes."""
     import OpenEXR
 
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
@@ -125,11 +113,7 @@ def encode_float_exr(channels: Mapping[str, Float32[np.ndarray, "h w"]]) -> byte
 
 
 def decode_exr(data: bytes, *, where: str = "EXR") -> tuple[Float32[np.ndarray, "h w 3"], Float32[np.ndarray, "h w 3"]]:
-    """Radiance and noise from the bytes of an EXR; the inverse of `encode_exr`.
-
-    Raises:
-        HyalineError: not an EXR that this package has written, or a damaged one.
-    """
+    """Radiance and noise from the bytes of an EXR; the inverse of `encode_exr`."""
     import OpenEXR
 
     # On some files that are cut short, OpenEXR never ends.
@@ -143,11 +127,7 @@ def decode_exr(data: bytes, *, where: str = "EXR") -> tuple[Float32[np.ndarray, 
 
 
 def decode_radiance(data: bytes, *, where: str) -> Float32[np.ndarray, "h w 3"]:
-    """The colours of an EXR that anybody may have written: scan lines of one part, floats or halves.
-
-    Raises:
-        HyalineError: another kind of EXR, or a damaged one.
-    """
+    """The colours of any EXR of scan lines in one part, floats or halves."""
     import OpenEXR
 
     expected = "expected an OpenEXR file of scan lines with channels R, G and B"
@@ -173,11 +153,7 @@ def decode_radiance(data: bytes, *, where: str) -> Float32[np.ndarray, "h w 3"]:
 
 
 def check_exr(data: bytes, *, where: str) -> None:
-    """Refuses what is no EXR as this package writes them: half floats in scan lines, every block within the file.
-
-    Raises:
-        HyalineError: names the first thing that is wrong.
-    """
+    """Rejects files that are not in the EXR layout this package writes: scan lines, every block within the file."""
     try:
         attributes, place = exr_header(data)
         window = struct.unpack("<4i", attributes["dataWindow"])
@@ -193,7 +169,7 @@ def check_exr(data: bytes, *, where: str) -> None:
 
 
 def missing_exr_block(data: bytes, place: int, *, first_row: int, height: int, rows_per_block: int) -> str | None:
-    """What is wrong with the blocks of scan lines whose table stands at `place`; None where all lie within the file."""
+    """What is wrong with the blocks of scan lines whose table is at `place`; None if all lie within the file."""
     count = -(-height // rows_per_block)
     if len(data) < place + 8 * count:
         return "the EXR ends before its pixels"
@@ -210,7 +186,7 @@ def exr_header(data: bytes) -> tuple[dict[str, bytes], int]:
     """The attributes by name, and where they end.
 
     Raises:
-        ValueError: no EXR of scan lines and one part, or cut short.
+        ValueError: not an EXR of scan lines in one part, or truncated.
     """
     if not data.startswith(EXR_START):
         raise ValueError("not an EXR")
@@ -233,11 +209,7 @@ MAX_NPY_BYTES = 1 << 30
 
 
 def read_npy(data: bytes, *, where: str) -> Float32[np.ndarray, "h w"]:
-    """A plane of finite numbers from the bytes of a .npy file; nothing in it is ever run.
-
-    Raises:
-        HyalineError: no such file, or not a plane of finite numbers.
-    """
+    """A plane of finite numbers from the bytes of a .npy file; pickles are never loaded."""
     buffer = io.BytesIO(data)
     try:
         version = np.lib.format.read_magic(buffer)

@@ -127,11 +127,7 @@ def count_shared_faces(mesh: Mesh, other: Mesh) -> int:
 
 
 def check_mesh(mesh: Mesh, *, where: str) -> None:
-    """Refuses a mesh that would crash a native library or be rendered silently wrong.
-
-    Raises:
-        HyalineError: empty, non-finite or huge values, indices out of range, zero-area faces, uv outside [0, 1].
-    """
+    """Refuses a mesh that would crash a native library or be rendered silently wrong."""
     check_numbers(mesh, where=where)
     for name, values in (("normals", mesh.normals), ("uv", mesh.uv)):
         _check_finite(name, values, where=where)
@@ -141,11 +137,7 @@ def check_mesh(mesh: Mesh, *, where: str) -> None:
 
 
 def check_numbers(mesh: Mesh, *, where: str) -> None:
-    """Refuses a mesh that is empty, of arrays that do not fit, or anywhere but in a place that can be traced.
-
-    Raises:
-        HyalineError: what it is.
-    """
+    """Refuses a mesh that is empty, of arrays that do not fit, or anywhere but in a place that can be traced."""
     if len(mesh.vertices) == 0 or len(mesh.faces) == 0:
         raise HyalineError(
             f"{where}: has {len(mesh.vertices)} vertices and {len(mesh.faces)} faces; expected at least one of each"
@@ -166,11 +158,7 @@ def check_numbers(mesh: Mesh, *, where: str) -> None:
 
 
 def check_areas(mesh: Mesh, *, where: str) -> None:
-    """Refuses faces without area.
-
-    Raises:
-        HyalineError: there is one.
-    """
+    """Refuses faces without area."""
     if (areas := face_areas(mesh)).min() < MIN_AREA:
         raise HyalineError(f"{where}: face {int(areas.argmin())} has no area; remove degenerate faces")
 
@@ -264,9 +252,6 @@ def check_closed(mesh: Mesh, *, where: str) -> None:
     """Refuses what cannot bound a medium: glass must be closed, and outward in each connected part.
 
     A part that is wound inward is a cavity, and allowed, where the rest of the mesh encloses it.
-
-    Raises:
-        HyalineError: an open edge, or a part of the mesh is inside out.
     """
     if count := open_edges(mesh):
         raise HyalineError(f"{where}: {count} open edges; glass must be a closed mesh, fill its holes")
@@ -287,9 +272,6 @@ def check_solid(mesh: Mesh, *, where: str) -> None:
     """Refuses closed glass that no solid is bounded by: parts that overlap, a part inside another, a crossed surface.
 
     A closed part that another encloses is a cavity and allowed where it is wound inward.
-
-    Raises:
-        HyalineError: some of the surface has no outside on its outer side.
     """
     corners, part = face_corners(mesh).astype(np.float64), component_of_faces(mesh)
     found = points_on(mesh, NUM_POINTS, part=part, count_a_part=NUM_POINTS_A_PART)

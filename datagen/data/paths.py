@@ -45,11 +45,7 @@ BUILT_IN_SCENES = ("glass_table", "vitrine", "plant_shelf", "drinks", "prism_ben
 
 
 def find_dataset(given: str | None, root: Path = DATA_ROOT) -> Path:
-    """The dataset that `--dataset` means: a folder, a name under `root`, or the only one there.
-
-    Raises:
-        HyalineError: none or several fit.
-    """
+    """The dataset that `--dataset` means: a folder, a name under `root`, or the only one there."""
     if given is not None:
         named = Path(given)
         is_there = any((named / path).is_file() for path in ("dataset.json", f"{HEADS}/dataset.json"))

@@ -73,9 +73,6 @@ def read_ply(path: Path) -> tuple[Mesh, bool]:
     """The mesh in a PLY file, and whether the file had uv (all uv are 0 where it had none).
 
     Missing normals are computed, smooth over shared vertices.
-
-    Raises:
-        HyalineError: the file is missing, truncated, or not a PLY of triangles.
     """
     data = read_regular(path, at_most=MAX_PLY_BYTES)
     if (ours := _read_our_ply(data)) is not None:
@@ -170,9 +167,6 @@ def triangulated(data: bytes, *, where: Path) -> bytes:
     """A binary PLY whose polygons have become triangles around their first corners; any other file as it is.
 
     trimesh 5.2 reads binary faces only where all have as many corners; Blender writes triangles beside quads.
-
-    Raises:
-        HyalineError: they would be more than `MAX_TRIANGLES`.
     """
     end = data.index(b"end_header")
     begin = data.find(b"\n", end) + 1

@@ -67,11 +67,7 @@ def has_variant(dataset: Dataset, name: str) -> bool:
 
 
 def open_variant(dataset: Dataset, name: str) -> Dataset:
-    """A variant of a dataset.
-
-    Raises:
-        HyalineError: not built, damaged, or of a dataset that stood there before.
-    """
+    """A variant of a dataset."""
     if not has_variant(dataset, name):
         made = ", ".join(list_variants(dataset.root)) or "none"
         raise HyalineError(

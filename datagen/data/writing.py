@@ -8,13 +8,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import cast
 
-from datagen.data.cameras import TRANSFORMS_FILES, Cameras, transforms_bytes
+from datagen.data.cameras import Cameras
 from datagen.data.config import DATASET_VERSION, SPLITS, DatasetConfig, Split, config_of
 from datagen.data.dataset import Dataset, DatasetObject, head_files, open_dataset
 from datagen.data.geometries import proxy_files
 from datagen.data.layer_writing import layers_files
 from datagen.data.metadata import RENDERED, Imported, Variant, ViewRecord, imported_of, variant_of
 from datagen.data.paths import image_path, record_path
+from datagen.data.transforms import TRANSFORMS_FILES, transforms_bytes
 from datagen.data.variants import list_edit_masks
 from datagen.disk.errors import HyalineError
 from datagen.disk.heads import keep_head, list_heads
@@ -57,9 +58,6 @@ def write_head(
         imported: where the pictures come from, unless they are rendered here.
         stated_license: of the data; a variant has that of the dataset around it.
         replace: take the place of a head of ours, whose views and further files the caller has removed.
-
-    Raises:
-        HyalineError: something else stands at `root`.
     """
     files = head_contents(scene, cameras)
     head: dict[str, Json] = {
@@ -84,8 +82,11 @@ def write_head(
 
 
 def head_contents(scene: Mapping[str, bytes], cameras: Mapping[Split, Cameras]) -> dict[str, bytes]:
-    """The files that a head promises, by path relative to the dataset."""
-    files = {f"scene/{path}": data for path, data in scene.items()}
+    """The files that a head promises, by path relative to the dataset.
+
+    Cameras that the scene lists lie beside its folder, once: with the resolution and the depth range of the dataset.
+    """
+    files = {f"scene/{path}": data for path, data in scene.items() if path not in TRANSFORMS_FILES.values()}
     return files | {TRANSFORMS_FILES[split]: transforms_bytes(poses, split) for split, poses in cameras.items()}
 
 
@@ -173,11 +174,7 @@ def _commit_files(dataset: Dataset, split: Split, view: int, files: Mapping[str,
 
 
 def clear_dataset(root: Path) -> None:
-    """Removes all that the head of a dataset and those below it promise, but for the head itself; the caller holds it.
-
-    Raises:
-        HyalineError: another process writes to one of its folders.
-    """
+    """Removes all that the head of a dataset and those below it promise, but for the head itself; the caller holds it."""
     for folder in _folders(root, ("variants/*",), DATASET):
         with holding(folder, DATASET, within=root):
             clear_dataset(folder)

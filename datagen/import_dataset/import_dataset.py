@@ -57,15 +57,9 @@ def plan_import(folder: Path, choices: DatasetImportChoices) -> Plan:
     views, lines = split_views(foreign)
     linear = choices.scale * z_up_from(choices.up)
     size = Resolution(width=whole.width // times, height=whole.height // times)
-    center = foreign.lens.center
+    lens = foreign.lens.fitted(size)
     cameras: dict[Split, Cameras] = {
-        split: Cameras(
-            world_from_camera=np.stack([_placed(view.world_from_camera, linear) for view in views[split]]),
-            fov_x=foreign.lens.fov_x,
-            width=size.width,
-            height=size.height,
-            center=None if center is None else (center[0] / times, center[1] / times),
-        )
+        split: lens.cameras(np.stack([_placed(view.world_from_camera, linear) for view in views[split]]))
         for split in SPLITS
     }
     name = scene_name(folder.resolve())

@@ -9,6 +9,7 @@ from itertools import combinations
 import numpy as np
 from jaxtyping import Float
 
+from datagen.data.config import SPLITS
 from datagen.data.meshes import (
     Mesh,
     check_closed,
@@ -103,7 +104,7 @@ def check_sound(scene: Scene) -> None:
 def camera_places(rig: CameraRig | CameraList) -> Float[np.ndarray, "place 3"]:
     """Places all over the rig's hemisphere and along its walk; or of the cameras that are listed."""
     if isinstance(rig, CameraList):
-        return np.concatenate([poses[:, :3, 3] for poses in rig.poses().values()])
+        return np.concatenate([rig.of(split).world_from_camera[:, :3, 3] for split in SPLITS])
     elevation, azimuth = np.meshgrid(
         np.radians(np.linspace(*rig.elevation_deg, 9)), np.radians(np.linspace(*rig.azimuth_deg, 25))
     )
