@@ -109,7 +109,7 @@ class Lens:
         """True for a lens that shows the same, to a thousandth of its angle and of the picture's width."""
         apart = np.abs(np.subtract(self.principal_point, other.principal_point)).max()
         return (
-            self.size == other.size
+            (self.width, self.height) == (other.width, other.height)
             and abs(self.fov_x / other.fov_x - 1) <= TOLERANCE
             and bool(apart <= TOLERANCE * self.width)
         )

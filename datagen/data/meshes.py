@@ -1,4 +1,4 @@
-"""Triangle meshes: the record, its measures and checks, points on a mesh, and what lies inside it."""
+"""Triangle meshes: the record, its measures and checks, points on a mesh, and winding numbers."""
 
 from dataclasses import dataclass
 
@@ -8,18 +8,18 @@ from jaxtyping import Float, Float32, Int, Int32
 from datagen.disk.errors import HyalineError
 
 MAX_EXTENT = 1e5
-"""Largest coordinate accepted, in metres: beyond it float32 rays lose millimetres."""
+"""Largest coordinate in metres; farther out, float32 rays lose millimetres."""
 
 MIN_AREA = 1e-14
-"""Square metres below which a face counts as none: a tenth of a micrometre a side."""
+"""Square metres; a smaller face (0.1 micrometres a side) counts as degenerate."""
 
 
 NUM_POINTS = 1024
-"""Points on a surface of which each must have the outside on its outer side; spread by area."""
+"""Points on a surface that are checked for the outside on their outer side; spread by area."""
 NUM_POINTS_A_PART = 16
-"""More of them on each connected part, so that none is too small to be looked at."""
+"""Further points on each connected part, so that small parts are checked, too."""
 MAX_SHARE_INSIDE = 0.005
-"""Share of a surface that may lie inside of the rest of it. All good assets that were measured have 0."""
+"""Largest share of a surface that may lie inside the rest of it; good assets have 0."""
 
 _POINTS_AT_ONCE = 1 << 20
 
@@ -28,7 +28,7 @@ _POINTS_AT_ONCE = 1 << 20
 class Mesh:
     """A triangle mesh in world space with one normal and one uv per vertex.
 
-    Vertices are split where the normal or the atlas has a seam, so a position may stand several times.
+    Vertices are split where the normal or the atlas has a seam, so positions may repeat.
     Winding is counter-clockwise seen from outside.
     """
 
@@ -39,11 +39,11 @@ class Mesh:
     normals: Float32[np.ndarray, "vertex 3"]
     """Unit shading normals, outward."""
     uv: Float32[np.ndarray, "vertex 2"]
-    """Atlas coordinates in [0, 1]; every surface point has texels of its own. v points up in the image."""
+    """Atlas coordinates in [0, 1]; every surface point has its own texels. v points up in the image."""
 
 
 def no_mesh() -> Mesh:
-    """The mesh without faces: that of an object that was removed from its scene, whose id stays unused."""
+    """A mesh without faces: that of an object removed from its scene, whose id stays unused."""
     pairs, triples = np.zeros((0, 2), np.float32), np.zeros((0, 3), np.float32)
     return Mesh(vertices=triples, faces=np.zeros((0, 3), np.int32), normals=triples, uv=pairs)
 
@@ -82,7 +82,7 @@ def volume_within(corners: Float[np.ndarray, "face 3 3"]) -> float:
 
 
 def component_of_faces(mesh: Mesh) -> np.ndarray:
-    """The connected component of each face (face,), counted from 0, on the welded surface."""
+    """The connected component of each face (face,) on the welded surface, counted from 0."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -95,7 +95,7 @@ def component_of_faces(mesh: Mesh) -> np.ndarray:
 
 
 def winding_number(point: np.ndarray, corners: np.ndarray) -> float:
-    """How often the triangles (face, 3, 3) go around a point: 1 inside a closed outward surface, 0 outside.
+    """The winding number of triangles (face, 3, 3) around a point: 1 inside a closed outward surface, 0 outside.
 
     Source: Van Oosterom and Strackee 1983, the solid angle of a triangle.
     """
@@ -117,7 +117,7 @@ def open_edges(mesh: Mesh) -> int:
 
 
 def count_shared_faces(mesh: Mesh, other: Mesh) -> int:
-    """The number of faces whose corners are all vertices of the other mesh too, to the last bit."""
+    """The number of faces whose corners are all vertices of the other mesh, too, bit by bit."""
     low, high = other.vertices.min(axis=0), other.vertices.max(axis=0)
     if (mesh.vertices.max(axis=0) < low).any() or (mesh.vertices.min(axis=0) > high).any():
         return 0
@@ -127,7 +127,7 @@ def count_shared_faces(mesh: Mesh, other: Mesh) -> int:
 
 
 def check_mesh(mesh: Mesh, *, where: str) -> None:
-    """Refuses a mesh that would crash a native library or be rendered silently wrong."""
+    """Raises for a mesh that would crash a native library or be rendered silently wrong."""
     check_numbers(mesh, where=where)
     for name, values in (("normals", mesh.normals), ("uv", mesh.uv)):
         _check_finite(name, values, where=where)
@@ -137,7 +137,7 @@ def check_mesh(mesh: Mesh, *, where: str) -> None:
 
 
 def check_numbers(mesh: Mesh, *, where: str) -> None:
-    """Refuses a mesh that is empty, of arrays that do not fit, or anywhere but in a place that can be traced."""
+    """Raises for an empty mesh, arrays that do not match, or coordinates that cannot be traced."""
     if len(mesh.vertices) == 0 or len(mesh.faces) == 0:
         raise HyalineError(
             f"{where}: has {len(mesh.vertices)} vertices and {len(mesh.faces)} faces; expected at least one of each"
@@ -158,7 +158,7 @@ def check_numbers(mesh: Mesh, *, where: str) -> None:
 
 
 def check_areas(mesh: Mesh, *, where: str) -> None:
-    """Refuses faces without area."""
+    """Raises for faces without area."""
     if (areas := face_areas(mesh)).min() < MIN_AREA:
         raise HyalineError(f"{where}: face {int(areas.argmin())} has no area; remove degenerate faces")
 
@@ -191,10 +191,10 @@ class SurfacePoints:
 def points_on(
     mesh: Mesh, count: int, *, part: Int[np.ndarray, " face"] | None = None, count_a_part: int = 0
 ) -> SurfacePoints:
-    """So many points on the whole mesh, then so many on each of its parts.
+    """`count` points on the whole mesh, then `count_a_part` on each of its parts; the same ones every time.
 
     Args:
-        part: of each face, counted from 0.
+        part: the part of each face, counted from 0.
     """
     rng = np.random.default_rng(0)
     part = np.zeros(len(mesh.faces), np.int64) if part is None else part
@@ -215,13 +215,13 @@ def windings(
     points: Float[np.ndarray, "point 3"],
     own: Int[np.ndarray, " point"] | None = None,
 ) -> Int[np.ndarray, " point"]:
-    """How often closed, outward triangles go around each point: 1 inside of a solid, 0 outside.
+    """The winding number of closed, outward triangles around each point: 1 inside a solid, 0 outside.
 
     Each point looks along one ray, in a direction that no model is aligned with, and counts the faces that the ray
     leaves through minus those that it enters through. Exact, except for points within rounding of an edge.
 
     Args:
-        own: the face that each point lies on; its winding number is then that just outside of this face.
+        own: the face that each point lies on; its winding number is then that just outside this face.
     """
     turn = _generic_rotation()
     corners, points = corners.astype(np.float64) @ turn.T, points.astype(np.float64) @ turn.T
@@ -249,9 +249,9 @@ def windings(
 
 
 def check_closed(mesh: Mesh, *, where: str) -> None:
-    """Refuses what cannot bound a medium: glass must be closed, and outward in each connected part.
+    """Raises for a mesh that cannot bound a medium: glass must be closed, and each connected part wound outward.
 
-    A part that is wound inward is a cavity, and allowed, where the rest of the mesh encloses it.
+    A part that is wound inward is a cavity, which is allowed if the rest of the mesh encloses it.
     """
     if count := open_edges(mesh):
         raise HyalineError(f"{where}: {count} open edges; glass must be a closed mesh, fill its holes")
@@ -269,9 +269,10 @@ def check_closed(mesh: Mesh, *, where: str) -> None:
 
 
 def check_solid(mesh: Mesh, *, where: str) -> None:
-    """Refuses closed glass that no solid is bounded by: parts that overlap, a part inside another, a crossed surface.
+    """Raises for closed glass that bounds no solid: overlapping parts, a part inside another, a surface that crosses
+    itself.
 
-    A closed part that another encloses is a cavity and allowed where it is wound inward.
+    A closed part inside another is a cavity, which is allowed if it is wound inward.
     """
     corners, part = face_corners(mesh).astype(np.float64), component_of_faces(mesh)
     found = points_on(mesh, NUM_POINTS, part=part, count_a_part=NUM_POINTS_A_PART)
@@ -306,7 +307,7 @@ def _generic_rotation() -> Float[np.ndarray, "3 3"]:
 def _pairs_of_ray_and_face(
     flat: Float[np.ndarray, "face 3 2"], rays: Float[np.ndarray, "point 2"]
 ) -> list[tuple[np.ndarray, np.ndarray]]:
-    """(face, point) of all rays through the circle around a face's shadow, in pieces."""
+    """(face, point) of all rays through the bounding circle of a face's projection, in chunks."""
     from scipy.spatial import KDTree
 
     middle = (flat.max(axis=1) + flat.min(axis=1)) / 2

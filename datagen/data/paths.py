@@ -11,7 +11,7 @@ from datagen.disk.homes import HEADS, home_of, mend_command
 from datagen.disk.names import check_name
 
 TRUTH = "truth"
-"""The geometry that is not a proxy: the scene's own meshes."""
+"""The geometry of the scene's own meshes."""
 
 
 def view_name(view: int) -> str:
@@ -19,7 +19,7 @@ def view_name(view: int) -> str:
 
 
 def image_path(root: Path, split: Split, view: int) -> Path:
-    """The 8-bit sRGB picture; its neighbour `.exr` holds the linear one."""
+    """The 8-bit sRGB picture; the linear one is beside it, with the ending `.exr`."""
     return root / "images" / split / f"{view_name(view)}.png"
 
 
@@ -28,17 +28,17 @@ def record_path(root: Path, split: Split, view: int) -> Path:
 
 
 def geometry_root(root: Path, geometry: str) -> Path:
-    """Where a geometry's meshes and layers lie: the dataset itself for the truth, else its proxy folder."""
+    """The folder of a geometry's meshes and layers: the dataset for the truth, else its proxy folder."""
     return root if geometry == TRUTH else root / "proxies" / check_name(geometry, where="geometry")
 
 
 def layers_root(root: Path, geometry: str) -> Path:
-    """Where a geometry's layers lie."""
+    """The folder of a geometry's layers."""
     return geometry_root(root, geometry) / "layers" / "straight"
 
 
 DATA_ROOT = Path("data")
-"""Where commands put and look for datasets, relative to the working directory."""
+"""Folder of datasets, relative to the working directory."""
 
 BUILT_IN_SCENES = ("glass_table", "vitrine", "plant_shelf", "drinks", "prism_bench", "pool")
 """Names that `datagen build --scene` takes; `datagen.scene.builtin` has their makers."""
@@ -65,7 +65,7 @@ def list_datasets(root: Path = DATA_ROOT) -> list[Path]:
 
 
 def build_command(root: Path = DATA_ROOT) -> str:
-    """The command that makes a dataset of this folder, or of the first built-in scene that is not built in it yet."""
+    """The command that builds a dataset in this folder, or the first built-in scene that is missing in it."""
     if root.name in BUILT_IN_SCENES or root != DATA_ROOT:
         scene = root.name if root.name in BUILT_IN_SCENES else "glass_table"
     else:
@@ -77,18 +77,18 @@ def build_command(root: Path = DATA_ROOT) -> str:
 
 
 def train_command(root: Path, geometry: str = TRUTH) -> str:
-    """An example of what comes after layers of a geometry."""
+    """An example of the command after peeling a geometry."""
     words = ["model", "train", "paper", "--dataset", str(root)]
     return shlex.join([*words, *([] if geometry == TRUTH else ["--geometry", geometry])])
 
 
 def render_command(variant: str) -> str:
-    """An example of what comes after a variant: a trained run draws it."""
+    """An example of the command after building a variant: a trained run renders it."""
     return shlex.join(["model", "render", "--run", "RUN", "--variant", variant])
 
 
 def where_datasets_are(root: Path) -> str:
-    """The way out for somebody who named a folder without a dataset."""
+    """What to do about a folder without a dataset."""
     if (root / HEADS / "dataset.json").is_file():
         return f"mend it with `{mend_command(root / 'dataset.json')}`"
     places = list_datasets()

@@ -1,4 +1,4 @@
-"""PLY files: ours, and those of others, whose polygons become triangles."""
+"""PLY files: written here, and read from anywhere; polygons become triangles."""
 
 import io
 import re
@@ -32,14 +32,14 @@ element face {faces}
 property list uchar int vertex_indices
 end_header
 """
-"""Of every PLY that is written here: to the byte what trimesh 5.2 writes, as it did at first."""
+"""The header that trimesh 5.2 writes, which wrote the first of these files."""
 
 _OUR_VERTEX = np.dtype([("vertices", "<f4", 3), ("normals", "<f4", 3), ("uv", "<f8", 2)])
 _OUR_FACE = np.dtype([("count", "u1"), ("indices", "<i4", 3)])
 
 
 def write_ply(mesh: Mesh) -> bytes:
-    """Binary PLY with normals and uv (`s`, `t`): reading it back gives the same arrays."""
+    """Binary PLY with normals and uv (`s`, `t`); reading it back gives the same arrays."""
     vertices, faces = np.empty(len(mesh.vertices), _OUR_VERTEX), np.empty(len(mesh.faces), _OUR_FACE)
     vertices["vertices"], vertices["normals"], vertices["uv"] = mesh.vertices, mesh.normals, mesh.uv
     faces["count"], faces["indices"] = 3, mesh.faces
@@ -48,7 +48,7 @@ def write_ply(mesh: Mesh) -> bytes:
 
 
 def _read_our_ply(data: bytes) -> Mesh | None:
-    """The mesh in the bytes that `write_ply` has written; None of any other PLY."""
+    """The mesh in bytes from `write_ply`; None for any other PLY."""
     counts = re.findall(rb"element (?:vertex|face) (\d{1,9})\n", data[: len(_OUR_HEADER) + 16])
     if len(counts) != 2:
         return None
@@ -70,7 +70,7 @@ def _read_our_ply(data: bytes) -> Mesh | None:
 
 
 def read_ply(path: Path) -> tuple[Mesh, bool]:
-    """The mesh in a PLY file, and whether the file had uv (all uv are 0 where it had none).
+    """The mesh in a PLY file, and whether the file has uv (otherwise all uv are 0).
 
     Missing normals are computed, smooth over shared vertices.
     """
@@ -118,7 +118,7 @@ def read_ply(path: Path) -> tuple[Mesh, bool]:
 
 
 def _check_header(data: bytes, *, where: Path) -> None:
-    """Refuses what is no PLY, and promises that its bytes cannot keep: trimesh would set memory aside for them."""
+    """Raises unless the header's counts fit the file; trimesh would allocate memory for any count."""
     header, end, _ = data[:MAX_HEADER_BYTES].partition(b"end_header")
     if not data.startswith(b"ply") or not end:
         raise HyalineError(f"{where}: not a PLY mesh that can be read (it has no header); expected a PLY mesh")
@@ -140,7 +140,7 @@ def _check_indices(faces: np.ndarray, num_vertices: int, *, where: Path) -> None
 
 
 MAX_TRIANGLES = 4_000_000
-"""Of polygons, which take more memory than a file of triangles."""
+"""Limit for polygons, which take more memory than triangles."""
 
 PLY_TYPES = {
     "char": "i1",
@@ -164,9 +164,9 @@ PLY_TYPES = {
 
 
 def triangulated(data: bytes, *, where: Path) -> bytes:
-    """A binary PLY whose polygons have become triangles around their first corners; any other file as it is.
+    """A binary PLY with its polygons as triangles around their first corners; any other file unchanged.
 
-    trimesh 5.2 reads binary faces only where all have as many corners; Blender writes triangles beside quads.
+    trimesh 5.2 reads binary faces only if all have the same number of corners; Blender mixes triangles and quads.
     """
     end = data.index(b"end_header")
     begin = data.find(b"\n", end) + 1
@@ -234,7 +234,7 @@ def _check_number(count: int, *, where: Path) -> None:
 def _list_places(
     data: bytes, at: int, count: int, size_type: np.dtype, index_bytes: int, before: int, after: int
 ) -> tuple[np.ndarray, np.ndarray, int] | None:
-    """Where the list of each face begins, how long it is, and bytes after the last; None where the file is cut off."""
+    """Offset and length of each face's list, and the bytes after the last; None if the file is truncated."""
     order = "big" if size_type.byteorder == ">" else "little"
     places, sizes = np.zeros(count, np.int64), np.zeros(count, np.int64)
     for face in range(count):

@@ -1,21 +1,21 @@
 """Variants of a dataset: more truth beside it, with the same scene or the same cameras; none of its bytes changes.
 
-    variants/angles/        the splits extrapolating-10deg, -20deg, -40deg: cameras outside of what training covers
-    variants/x2/            views of the test splits, rendered twice as wide and high; x4 the same four times
+    variants/angles/        the splits extrapolating-10deg, -20deg, -40deg: cameras outside the training directions
+    variants/x2/            views of the test splits, rendered twice as wide and high; x4 four times
     variants/remove-ball/   the test splits of the scene after an edit, with edit-masks/
-    variants/no-glass/, variants/opaque-glass/   the twins: such edits of all glass at once
+    variants/no-glass/, variants/opaque-glass/   the twins: edits of all glass at once
 
-Each is laid out like a dataset; its head says which dataset it belongs to (`metadata.Variant`). Scene, meshes and
-proxies are the parent's, but for an edit, which has its own. Predictions of a variant lie in RUN/variants/NAME/.
+Each has the layout of a dataset; its head names its parent (`metadata.Variant`). It uses the parent's scene, meshes and
+proxies; an edit has its own. Predictions of a variant are in RUN/variants/NAME/.
 
-Edit masks say in which pixels of the test views an edit shows, and how:
+Edit masks mark the pixels of the test views in which an edit shows:
 
     variants/NAME/edit-masks/SPLIT/0000.png     per pixel 0 elsewhere, 255 the objects, 128 their light
     variants/NAME/edit-masks/edit-masks.json    sealed, written first: SHA-256 of each picture
 
 The objects: pixels whose centre ray meets a changed object, in the scene before or after, not behind anything opaque.
 Their light: other pixels around which the truth differs between both scenes, by more than the noise of that difference
-(shadows, caustics, mirror images, what glass bends, the edges that a centre ray may miss). Elsewhere: all others.
+(shadows, caustics, mirror images, refracted light, edges that a centre ray may miss). Elsewhere: all others.
 """
 
 import re
@@ -42,16 +42,16 @@ VARIANTS_FOLDER = "variants"
 ANGLES = "angles"
 
 TWINS = ("no-glass", "opaque-glass")
-"""Edits, and the variants that they make: all glass gone, and painted opaque."""
+"""Edits, and the names of their variants: all glass removed, or painted opaque."""
 
 
 def variant_root(root: Path, name: str) -> Path:
-    """Where a variant of the dataset in a folder lies, or what a run drew of it."""
+    """The folder of a variant in a dataset, or of its predictions in a run."""
     return root / VARIANTS_FOLDER / check_name(name, where="variant")
 
 
 def scale_name(scale: int) -> str:
-    """The variant with pictures so many times as wide and high."""
+    """The name of the variant with pictures `scale` times as wide and high."""
     return f"x{scale}"
 
 
@@ -88,13 +88,13 @@ def evenly(count: int, total: int) -> list[int]:
 
 
 def parent_views(variant: Dataset, split: Split) -> list[int]:
-    """Which views of the parent's split those of a variant with larger pictures are."""
+    """The views of the parent's split that a variant with larger pictures shows."""
     assert variant.parent is not None
     return evenly(variant.config.split(split).views, variant.parent.config.split(split).views)
 
 
 def _build_command(dataset: Dataset, name: str) -> str:
-    """The command that makes a variant, as far as its name tells."""
+    """The command that makes a variant, by its name."""
     if name == ANGLES:
         flag = "--angle-splits"
     elif name in TWINS:

@@ -1,7 +1,7 @@
-"""Writing a dataset: its head, the scene and cameras that the head lists, then view by view. And clearing it.
+"""Writing a dataset: its head, the scene and cameras that the head lists, then view by view; and clearing it.
 
-Clearing removes from each folder only the files that its own head lists; a folder whose head does not verify keeps
-all of its files. Heads go last, so an interrupted clearing can be repeated.
+Clearing removes from each folder only the files that its own head lists; a folder whose head does not verify keeps all
+of its files. Heads go last, so an interrupted clearing can be repeated.
 """
 
 from collections.abc import Mapping, Sequence
@@ -47,17 +47,16 @@ def write_head(
     stated_license: str | None = None,
     replace: bool = False,
 ) -> Dataset:
-    """Commits the head of a dataset, then the scene and the cameras that it promises; the caller holds the folder.
+    """Commits the head of a dataset, then the scene and the cameras that it lists; the caller holds the folder.
 
-    Several processes may do the same at once. A head that stands there stays: whose it is says what is returned. Where
-    it is the same, files of it that were lost or damaged are written anew.
+    Several processes may do the same at once. An existing head stays, and its dataset is returned; if it is the same
+    one, lost or damaged files of it are written again.
 
     Args:
         scene: the files of the scene's folder, by path relative to it; none in a variant of the same scene.
-        variant: what a variant says of itself.
-        imported: where the pictures come from, unless they are rendered here.
-        stated_license: of the data; a variant has that of the dataset around it.
-        replace: take the place of a head of ours, whose views and further files the caller has removed.
+        imported: the source of pictures that are not rendered here.
+        stated_license: licence of the data; a variant has its parent's.
+        replace: replaces a head of ours, after the caller has removed its views and other files.
     """
     files = head_contents(scene, cameras)
     head: dict[str, Json] = {
@@ -82,7 +81,7 @@ def write_head(
 
 
 def head_contents(scene: Mapping[str, bytes], cameras: Mapping[Split, Cameras]) -> dict[str, bytes]:
-    """The files that a head promises, by path relative to the dataset.
+    """The files that a head lists, by path relative to the dataset.
 
     Cameras that the scene lists lie beside its folder, once: with the resolution and the depth range of the dataset.
     """
@@ -91,7 +90,7 @@ def head_contents(scene: Mapping[str, bytes], cameras: Mapping[Split, Cameras]) 
 
 
 def _has_record_of(root: Path, seal: str) -> bool:
-    """True when a view there was made under the head of this seal, which may have been lost since."""
+    """True if a view there was made under the head of this seal, which may be lost."""
     for path in root.glob("records/*/*.json"):
         try:
             if load_sealed(path).get("dataset") == seal:
@@ -102,9 +101,9 @@ def _has_record_of(root: Path, seal: str) -> bool:
 
 
 def dataset_files(root: Path) -> list[str]:
-    """What may stand in a dataset's folder besides its head, its layers and what has a head of its own.
+    """The files that a dataset's folder may contain besides heads, layers and everything with its own head.
 
-    By path relative to `root`, records first: without them, no view is there any more.
+    Paths are relative to `root`; records come first, since a view exists only with its record.
     """
     path = root / DATASET.head
     head = load_sealed(path)
@@ -152,7 +151,7 @@ def commit_view(
 
 
 def commit_imported_view(dataset: Dataset, split: Split, view: int, files: Mapping[str, bytes]) -> None:
-    """Commits one view whose picture comes from elsewhere.
+    """Commits one imported view.
 
     Args:
         files: the bytes of each of `dataset.endings`.
@@ -174,7 +173,7 @@ def _commit_files(dataset: Dataset, split: Split, view: int, files: Mapping[str,
 
 
 def clear_dataset(root: Path) -> None:
-    """Removes all that the head of a dataset and those below it promise, but for the head itself; the caller holds it."""
+    """Removes all files that the head of a dataset and those below it list, but not this head; the caller holds it."""
     for folder in _folders(root, ("variants/*",), DATASET):
         with holding(folder, DATASET, within=root):
             clear_dataset(folder)
@@ -210,7 +209,7 @@ def _folders(root: Path, patterns: tuple[str, ...], kind: FolderKind) -> list[Pa
 
 
 def _prune(root: Path, folder: Path) -> None:
-    """Removes a folder and those above it, up to `root`, as long as they are empty."""
+    """Removes a folder and its parents up to `root` while they are empty."""
     while folder != root:
         try:
             folder.rmdir()

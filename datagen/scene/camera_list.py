@@ -16,7 +16,7 @@ from datagen.disk.reading import MAX_JSON_BYTES, read_regular
 from datagen.scene.values import Vector, as_vector
 
 LEAST_GAP_DEG = 60.0
-"""Between neighbouring cameras on a circle: something may stand where so much of it is empty."""
+"""Degrees between neighbouring cameras on a circle; a wider gap may be there because something is in the way."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -41,17 +41,17 @@ class CameraList:
 
     @property
     def target(self) -> Vector:
-        """The point that the training cameras look at: nearest to all of their axes."""
+        """The point nearest to the axes of all training cameras."""
         place, ahead = self._axes()
         across = np.eye(3) - ahead[:, :, None] * ahead[:, None, :]
-        # Of cameras that all look the same way every point along it is as near: then it is the one 1 m ahead.
+        # If all cameras look the same way, every point along it is equally near; then it is the point 1 m ahead.
         tie = 1e-6 * np.eye(3)
         sums = across.sum(axis=0) + tie, np.einsum("vij,vj->i", across, place) + tie @ (place + ahead).mean(axis=0)
         return as_vector(np.linalg.solve(*sums))
 
     @property
     def radius(self) -> float:
-        """Metres from the training cameras to their target; half of them are nearer."""
+        """Median distance of the training cameras from their target in metres."""
         return float(np.median(np.linalg.norm(self._axes()[0] - self.target, axis=1)))
 
     @property
@@ -62,7 +62,7 @@ class CameraList:
 
     @property
     def azimuth_deg(self) -> tuple[float, float]:
-        """First and last azimuth of training cameras around the target; all but the widest gap between two of them."""
+        """First and last azimuth of the training cameras around the target, without the widest gap between two of them."""
         directions = self._directions()
         azimuth = np.sort(np.degrees(np.arctan2(directions[:, 1], directions[:, 0])))
         gaps = np.diff(azimuth, append=azimuth[0] + 360)

@@ -18,7 +18,7 @@ from datagen.scene.folder import load_scene
 NAMES = ("orbit", "spline")
 MAX_FRAMES = 10_000
 FULL_TURN_DEG = 359.0
-"""A rig whose cameras stand on so much of the circle, in degrees, has nothing that an orbit could run into."""
+"""Degrees of a circle; a rig whose cameras cover this much leaves room for a whole orbit."""
 
 
 def make_path(dataset: Dataset, path: str, frames: int, *, width: int | None, height: int | None) -> Cameras:
@@ -26,10 +26,9 @@ def make_path(dataset: Dataset, path: str, frames: int, *, width: int | None, he
 
     Args:
         path: `orbit` turns around the scene at its cameras' middle elevation, or swings to and fro where walls leave
-            less than a circle; `spline` runs through the interpolating test views; else a JSON file of key frames
-            (`frames`, each with a `transform_matrix`: world_from_camera in the OpenGL convention, as NeRF tools write
-            it), through which it runs, too. A spline has the dataset's lens, principal point included, or that which
-            the file tells; what an orbit turns around is in the middle of its pictures.
+            less than a circle; `spline` runs through the interpolating test views; anything else is a transforms file
+            of key frames, through which it runs. A spline has the dataset's lens, principal point included, or the
+            file's; an orbit has its target in the middle of the pictures.
         frames: how many cameras; those of an orbit repeat without a jump.
         width: of the pictures, in pixels; the dataset's unless given. The lens's horizontal angle stays.
         height: of the pictures, in pixels; the width's share of the dataset's aspect unless given.
@@ -59,7 +58,7 @@ def make_path(dataset: Dataset, path: str, frames: int, *, width: int | None, he
 
 
 def _rig_of(dataset: Dataset) -> CameraRig | CameraList:
-    """Where the cameras of a dataset stand; of imported pictures without meshes there is no scene that tells."""
+    """The cameras of a dataset; imported pictures without meshes have no scene."""
     if dataset.objects:
         return load_scene(dataset.root / "scene", is_sealed=True).cameras
     return CameraList(**{split: dataset.cameras(split) for split in SPLITS})

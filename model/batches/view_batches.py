@@ -10,7 +10,7 @@ from jaxtyping import Float32, Int, UInt8
 from torch import Tensor
 
 from datagen.data.cameras import Camera, Cameras
-from datagen.data.config import Split
+from datagen.data.config import Resolution, Split
 from datagen.data.dataset import Dataset
 from model.batches.rays import read_colors
 
@@ -37,8 +37,13 @@ class Views:
         return self.rgb.device
 
     @property
+    def resolution(self) -> Resolution:
+        """Size of a view."""
+        return self.cameras.size
+
+    @property
     def pixels_per_view(self) -> int:
-        return self.cameras.size.pixels
+        return self.resolution.pixels
 
     @property
     def chunk(self) -> int:
@@ -61,7 +66,7 @@ class Views:
     def image(self, view: int) -> Float32[Tensor, "1 3 h w"]:
         """sRGB in [0, 1]."""
         pixels = self.rgb[view * self.pixels_per_view : (view + 1) * self.pixels_per_view]
-        return (pixels.float() / 255).T.reshape(1, 3, *self.cameras.size.shape)
+        return (pixels.float() / 255).T.reshape(1, 3, *self.resolution.shape)
 
     def neighbours(self, view: int) -> list[int]:
         """The at most four other views whose optical axes are nearest in angle, nearest first."""
