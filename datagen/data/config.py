@@ -159,10 +159,9 @@ def describe_views(views: Iterable[tuple[Split, int]]) -> str:
 def config_of(head: Mapping[str, Json], path: Path) -> DatasetConfig:
     """The configuration in a dataset's head."""
     version = head.get("version")
-    if isinstance(version, bool) or version != DATASET_VERSION:
-        raise HyalineError(
-            f"{path}: format version {shown(version)}; this program reads version {DATASET_VERSION}, build it again"
-        )
+    if version != DATASET_VERSION:
+        again = "build or import the dataset again in another folder" if version in (1, 2) else "update hyaline"
+        raise HyalineError(f"{path}: format version {shown(version)}; this program reads {DATASET_VERSION}, {again}")
     return from_json(DatasetConfig, entry(head, "config", where=path), where=f"{path}: config")
 
 

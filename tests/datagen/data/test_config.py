@@ -57,11 +57,11 @@ def test_pictures_layers_and_cameras_of_an_oblong_dataset_have_its_shape(tmp_pat
             assert (view.camera.width, view.camera.height) == (24, 16)
 
 
-@pytest.mark.parametrize("version", [1, 2, True, None])
-def test_a_head_of_an_older_version_is_refused_by_name(tmp_path: Path, version: object) -> None:
+@pytest.mark.parametrize("version", [1, 2])
+def test_a_head_of_an_older_version_is_refused_by_name(tmp_path: Path, version: int) -> None:
     write_synthetic_dataset(tmp_path, resolution=8, train_views=1)
     head = json.loads((tmp_path / "dataset.json").read_text())
     head.pop(SEAL)
     (tmp_path / "dataset.json").write_bytes(seal_bytes({**head, "version": version}))
-    with pytest.raises(HyalineError, match=r"dataset.json: format version .*; this program reads version 3, build it"):
+    with pytest.raises(HyalineError, match=r"dataset.json: format version .*; this program reads 3, build or import"):
         open_dataset(tmp_path)
