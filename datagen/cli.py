@@ -6,8 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from datagen.build.choices import AddChoices, BuildChoices, FilmChoices, LaunchChoices, SizeChoices
-from datagen.data.finding import DATA_ROOT, build_command, find_dataset, predict_command, train_command
-from datagen.data.paths import TRUTH
+from datagen.data.paths import DATA_ROOT, TRUTH, build_command, find_dataset, predict_command, train_command
 from datagen.disk.errors import UsageError
 from datagen.import_dataset.choices import DatasetImportChoices
 from datagen.scene.importers.choices import ImportChoices
@@ -132,7 +131,7 @@ def import_file(
         resolution: Size in pixels of the pictures that the ground's pattern is made for: one number for squares, or
             such as 320x240.
     """
-    from datagen.data.resolution import parse_resolution
+    from datagen.data.config import parse_resolution
     from datagen.scene.importers.confined_import import check_free, import_files, write_imported
     from datagen.scene.importers.importing import scene_name
 

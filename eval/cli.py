@@ -60,7 +60,7 @@ def report(
         sys.stdout.write(results_page(files))
         return
     output_format = "json" if json else choose("--format", format, FORMATS)
-    from datagen.data.finding import find_dataset
+    from datagen.data.paths import find_dataset
     from eval.page.report import make_report, make_tables
 
     place = out if out is not None else runs / "report"

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from datagen.build.choices import FilmChoices
-from datagen.data.finding import find_dataset
+from datagen.data.paths import find_dataset
 from datagen.disk.errors import HyalineError, UsageError
 from datagen.terminal.command import mute, next_command, run, say, tell
 from datagen.terminal.parsing import Command, Group, group

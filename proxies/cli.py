@@ -4,8 +4,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
-from datagen.data.finding import DATA_ROOT, build_command, find_dataset, list_datasets, train_command
-from datagen.data.paths import TRUTH
+from datagen.data.paths import DATA_ROOT, TRUTH, build_command, find_dataset, list_datasets, train_command
 from datagen.disk.errors import HyalineError, UsageError
 from datagen.terminal.command import choose, fail, next_command, run, say
 from datagen.terminal.parsing import Group, group

@@ -9,13 +9,11 @@ from datagen.build.launch import build_in_jobs
 from datagen.build.plan_variant import plan_angles, plan_edit, plan_larger
 from datagen.build.presets import PRESETS, resize
 from datagen.build.shards import count_missing, parse_shard
-from datagen.data.cameras import TRANSFORMS_FILES
 from datagen.data.config import DatasetConfig
 from datagen.data.dataset import Dataset
-from datagen.data.finding import DATA_ROOT
 from datagen.data.layer_writing import check_settings
-from datagen.data.paths import TRUTH
-from datagen.data.resolution import parse_resolution
+from datagen.data.paths import DATA_ROOT, TRUTH
+from datagen.data.transforms import TRANSFORMS_FILES
 from datagen.data.variants import TWINS
 from datagen.disk.errors import UsageError
 from datagen.disk.ownership import DATASET, refuse_strangers

