@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Literal
 
 from benchmarks.networks.choices import BenchChoices
-from datagen.scene.importers.choices import ImportChoices
+from datagen.scene.import_choices import ImportChoices
 from datagen.scene.procedural.names import Family
 from datagen.terminal.command import run
 from datagen.terminal.parsing import Group, group

@@ -9,7 +9,7 @@ from datagen.build.choices import AddChoices, BuildChoices, FilmChoices, LaunchC
 from datagen.data.paths import DATA_ROOT, TRUTH, build_command, find_dataset, predict_command, train_command
 from datagen.disk.errors import UsageError
 from datagen.import_dataset.choices import DatasetImportChoices
-from datagen.scene.importers.choices import ImportChoices
+from datagen.scene.import_choices import ImportChoices
 from datagen.terminal.command import fail, hush, next_command, run, say, say_all, tell, tell_json
 from datagen.terminal.parsing import Group, group
 

@@ -9,7 +9,7 @@ from datagen.build.launch import build_in_jobs
 from datagen.build.plan_variant import plan_angles, plan_edit, plan_larger
 from datagen.build.presets import PRESETS, resize
 from datagen.build.shards import count_missing, parse_shard
-from datagen.data.config import DatasetConfig
+from datagen.data.config import DatasetConfig, parse_resolution
 from datagen.data.dataset import Dataset
 from datagen.data.layer_writing import check_settings
 from datagen.data.paths import DATA_ROOT, TRUTH
@@ -19,7 +19,7 @@ from datagen.disk.errors import UsageError
 from datagen.disk.ownership import DATASET, refuse_strangers
 from datagen.scene.edits import parse_edit
 from datagen.scene.finding import find_scene, is_foreign
-from datagen.scene.importers.choices import ImportChoices
+from datagen.scene.import_choices import ImportChoices
 from datagen.scene.procedural.names import RANDOM, RandomName
 from datagen.scene.rig import with_listed_shape, with_listed_views
 from datagen.terminal.command import choose, say, say_all

@@ -17,7 +17,7 @@ from datagen.disk.errors import HyalineError
 from datagen.disk.names import real_path
 from datagen.disk.ownership import FolderKind, begin, holding, is_ours
 from datagen.disk.storage import seal_bytes
-from datagen.scene.importers.choices import ImportChoices
+from datagen.scene.import_choices import ImportChoices
 from datagen.terminal.command import say
 from datagen.terminal.parsing import flag_words
 

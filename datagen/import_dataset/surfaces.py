@@ -19,7 +19,8 @@ from datagen.machine.confined import allow_triangles
 from datagen.scene.camera_list import CameraList
 from datagen.scene.description import MAX_OBJECTS, Scene, SceneObject
 from datagen.scene.folder import save_scene
-from datagen.scene.importers.choices import ImportChoices, check_overrides, override, parse_overrides
+from datagen.scene.import_choices import ImportChoices
+from datagen.scene.importers.choices import check_overrides, override, parse_overrides
 from datagen.scene.importers.confined_import import scene_from
 from datagen.scene.importers.foreign import PLAIN, ForeignObject
 from datagen.scene.importers.importing import EXPORT_ADVICE, READERS, scene_object, unique_names

@@ -7,7 +7,7 @@ from datagen.disk.errors import HyalineError
 from datagen.scene.builtin import SCENES, find_builtin
 from datagen.scene.description import Scene
 from datagen.scene.folder import load_scene
-from datagen.scene.importers.choices import ImportChoices
+from datagen.scene.import_choices import ImportChoices
 from datagen.scene.importers.confined_import import imported_scene
 from datagen.scene.importers.importing import DEFAULT_RESOLUTION, READERS, check_ending
 from datagen.scene.procedural.names import RANDOM, parse_random

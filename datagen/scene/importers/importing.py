@@ -19,8 +19,9 @@ from datagen.disk.storage import sha256_file
 from datagen.machine.confined import allow_triangles
 from datagen.scene.cutouts import Cut, with_cuts
 from datagen.scene.description import MAX_OBJECTS, OBJECT_NAME, CameraList, CameraRig, Scene, SceneObject
+from datagen.scene.import_choices import ImportChoices
 from datagen.scene.importers.cameras import listed_cameras, read_camera_file
-from datagen.scene.importers.choices import ImportChoices, check_overrides, override, parse_overrides
+from datagen.scene.importers.choices import check_overrides, override, parse_overrides
 from datagen.scene.importers.foreign import (
     PLAIN,
     Axis,
