@@ -14,12 +14,11 @@ from datagen.disk.ownership import PROXIES, holding, refuse_others
 from datagen.disk.promises import check_files
 from datagen.disk.storage import load_sealed
 from datagen.terminal.command import say
-from proxies.kinds.table import FITTERS
 from proxies.meshing.measure import enclosure, proxy_statistics
 from proxies.meshing.meshlab import meshlab_problem
 from proxies.meshing.noise import noise_problem, noisy_mesh
 from proxies.meshing.solid import Solid, make_solids
-from proxies.spec import MixedSpec, ProxySpec, parse_part
+from proxies.spec import FITTERS, MixedSpec, ProxySpec, parse_part
 
 PADDING = 2e-6
 """Step between the paddings of two proxies, in parts of the scene's extent."""

@@ -12,7 +12,7 @@ from matplotlib.ticker import MaxNLocator, NullLocator
 from datagen.data.config import TEST_SPLITS
 from datagen.pages.charts import GRID, STYLE, figure_svg, new_figure, page_figure
 from datagen.pages.html import Markup
-from eval.analyses.budget import Budget
+from eval.analyses.coverage import Budget
 from eval.analyses.curve import ANGLE_EDGES, MIN_PIXELS, Bin, Curve
 
 SIZE = 15, 6.4

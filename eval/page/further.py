@@ -15,13 +15,18 @@ from datagen.disk.errors import HyalineError
 from datagen.disk.names import file_name
 from datagen.disk.records import Json, to_json
 from datagen.terminal.command import say, track
-from eval.analyses.budget import Budget, budget_grid, find_budgets
-from eval.analyses.coverage import Coverage, PixelCoverage, cover_view, read_coverage
+from eval.analyses.coverage import Budget, Coverage, PixelCoverage, budget_grid, cover_view, find_budgets, read_coverage
 from eval.analyses.curve import Curve, curve_from_json, curve_grid, curve_json, make_curve, pool_seeds
-from eval.analyses.edit_tables import edit_grids, edit_json
-from eval.analyses.edits import EditScores, score_edits
-from eval.analyses.super_resolution import score_enlarged, super_resolution_grid, super_resolution_json
-from eval.analyses.variants import VariantScores, angle_grid, score_variants, variant_json
+from eval.analyses.edits import EditScores, edit_grids, edit_json, score_edits
+from eval.analyses.variants import (
+    VariantScores,
+    angle_grid,
+    score_enlarged,
+    score_variants,
+    super_resolution_grid,
+    super_resolution_json,
+    variant_json,
+)
 from eval.page.report_folder import Drawing
 from eval.score.kept import Kept, layers_digest
 from eval.score.runs import Run
@@ -114,7 +119,7 @@ def _budget_figure(title: str, budgets: tuple[Budget, ...]) -> Drawing:
 
 def _edit_sheet(scene: SceneScores, edit: EditScores) -> Drawing:
     def draw() -> bytes:
-        from eval.analyses.edit_tables import edit_sheet
+        from eval.analyses.edits import edit_sheet
 
         return edit_sheet(scene, edit)
 
@@ -209,7 +214,7 @@ def shown_of_scene(scene: SceneScores) -> Json:
 
 def _contact_sheet(scene: SceneScores, scores: RunScores) -> Drawing:
     def draw() -> bytes:
-        from eval.figures.sheets import contact_sheet
+        from eval.figures import contact_sheet
 
         return contact_sheet(scene, scores)
 
@@ -218,7 +223,7 @@ def _contact_sheet(scene: SceneScores, scores: RunScores) -> Drawing:
 
 def _comparison_sheet(scene: SceneScores) -> Drawing:
     def draw() -> bytes:
-        from eval.figures.sheets import comparison_sheet
+        from eval.figures import comparison_sheet
 
         return comparison_sheet(scene, "all runs")
 
@@ -227,7 +232,7 @@ def _comparison_sheet(scene: SceneScores) -> Drawing:
 
 def _cameras(scene: SceneScores) -> Drawing:
     def draw() -> bytes:
-        from eval.figures.cameras import cameras_figure
+        from eval.figures import cameras_figure
 
         return cameras_figure(scene.dataset, scene.title)
 

@@ -17,8 +17,18 @@ from datagen.pages.pictures import Encoded, Gallery
 from eval.analyses.edits import EditScores
 from eval.page.further import Further, shown_of_run, shown_of_scene
 from eval.page.report_folder import Drawing
-from eval.page.run_page import read_training, run_anchor, run_page
-from eval.page.views import Compared, ShownView, prediction_panel, store_truth, store_view, store_views, truth_name
+from eval.page.run_page import (
+    Compared,
+    ShownView,
+    prediction_panel,
+    read_training,
+    run_anchor,
+    run_page,
+    store_truth,
+    store_view,
+    store_views,
+    truth_name,
+)
 from eval.score.scores import RunScores, SceneScores, metric_notes
 from eval.score.seeds import group_seeds
 from eval.tables.grids import Column, Grid, format_number, scene_grids

@@ -166,7 +166,7 @@ def _object_psnr(scene: SceneScores, errors: list[HyalineError], kept: Kept) -> 
 
 def _picture_of(table: str, scene: SceneScores) -> bytes | None:
     """Of a comparison what its runs drew, of the ladder a plot."""
-    from eval.figures.sheets import comparison_sheet
+    from eval.figures import comparison_sheet
 
     if table in COMPARISONS:
         comparison = COMPARISONS[table]

@@ -9,8 +9,7 @@ import torch
 from jaxtyping import Float32
 from torch import Tensor, nn
 
-from model.batches.rays import PixelSource, draw_patches, take_colors
-from model.batches.samples import mean_color, variance_of_mean
+from model.batches.rays import PixelSource, draw_patches, mean_color, take_colors, variance_of_mean
 
 Radiance = Callable[..., tuple[Float32[Tensor, "pixel sample 3"], Float32[Tensor, "pixel sample 3"] | None]]
 """Linear radiance of every ray of a batch, and the same numbers again with gradients of the sky alone. Where there is

@@ -1,15 +1,162 @@
 """What training leaves for people to watch beside its metrics: snapshots of held-out views, TensorBoard's events."""
 
-from dataclasses import dataclass
+import json
+import re
+import resource
+import sys
+import time
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import UInt8
 
+from datagen.data.png import png_bytes
+from datagen.disk.errors import HyalineError
+from datagen.disk.reading import parse_json, read_regular
+from datagen.disk.records import from_json
+from datagen.disk.storage import commit
 from datagen.terminal.preview import preview
-from model.run.costs import Meter
-from model.run.events import Events
-from model.run.snapshots import snapshot, write_snapshot
+
+COSTS = "costs.json"
+MAX_BYTES = 1 << 16
+
+
+def _cpu_seconds() -> float:
+    """Of this process and of the children that have ended."""
+    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return sum(usage.ru_utime + usage.ru_stime for usage in used)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Meter:
+    """What clocks showed when a session began."""
+
+    seconds: float = field(default_factory=time.monotonic)
+    cpu_seconds: float = field(default_factory=_cpu_seconds)
+
+    def add_to(self, run: Path) -> None:
+        """Adds the session that ends now to those of the run before it."""
+        import torch  # Only here: whoever scores pictures reads this file without it.
+
+        before = read_costs(run)
+        spent = {
+            "seconds": before.get("seconds", 0.0) + time.monotonic() - self.seconds,
+            "cpu_seconds": before.get("cpu_seconds", 0.0) + _cpu_seconds() - self.cpu_seconds,
+            "peak_memory_bytes": max(before.get("peak_memory_bytes", 0.0), _peak_memory()),
+        }
+        if torch.cuda.is_initialized():
+            most = float(torch.cuda.max_memory_allocated())
+            spent["peak_gpu_memory_bytes"] = max(before.get("peak_gpu_memory_bytes", 0.0), most)
+        rounded = {name: round(value, 2) if "seconds" in name else int(value) for name, value in spent.items()}
+        commit(run / COSTS, (json.dumps(rounded, indent=2) + "\n").encode())
+
+
+def _peak_memory() -> float:
+    """The most that this process ever had in memory, in bytes."""
+    most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return float(most if sys.platform == "darwin" else 1024 * most)
+
+
+def read_costs(run: Path) -> dict[str, float]:
+    """What the sessions of a run took; nothing where no file says so that can be read."""
+    path = run / COSTS
+    try:
+        found = parse_json(read_regular(path, at_most=MAX_BYTES), where=str(path)) if path.is_file() else {}
+        return from_json(dict[str, float], found, where=str(path))
+    except HyalineError:
+        return {}
+
+
+SNAPSHOTS = "snapshots"
+MOST_PIXELS = 128
+"""The longer side of a view's picture; a larger one is thinned out."""
+GAP = 2
+
+Picture = UInt8[np.ndarray, "sheet_h sheet_w 3"]
+
+
+def snapshot(truth: UInt8[np.ndarray, "view h w 3"], predicted: UInt8[np.ndarray, "view h w 3"]) -> Picture:
+    """Both rows in one picture, with white gaps."""
+    step = -(-max(truth.shape[1:3]) // MOST_PIXELS)
+    rows = [_row(pictures[:, ::step, ::step]) for pictures in (truth, predicted)]
+    return np.concatenate([rows[0], np.full((GAP, rows[0].shape[1], 3), 255, np.uint8), rows[1]])
+
+
+def write_snapshot(run: Path, step: int, picture: Picture) -> None:
+    """Commits the picture of one evaluation."""
+    commit(run / snapshot_path(step), png_bytes(picture))
+
+
+def snapshot_path(step: int) -> str:
+    """Relative to the run's folder."""
+    return f"{SNAPSHOTS}/{step:06d}.png"
+
+
+def list_snapshots(run: Path, *, evaluate_every: int, steps: int) -> list[str]:
+    """The pictures that such a run makes, of those that are there, by path relative to its folder."""
+    found = []
+    for path in sorted((run / SNAPSHOTS).glob("*.png")):
+        step = int(path.stem) if re.fullmatch("[0-9]{6,12}", path.stem) else 0
+        is_evaluated = 0 < step <= steps and (step % evaluate_every == 0 or step == steps)
+        if is_evaluated and snapshot_path(step) == f"{SNAPSHOTS}/{path.name}":
+            found.append(snapshot_path(step))
+    return found
+
+
+def _row(pictures: UInt8[np.ndarray, "view h w 3"]) -> Picture:
+    gap = np.full((pictures.shape[1], GAP, 3), 255, np.uint8)
+    parts = [part for picture in pictures for part in (picture, gap)]
+    return np.concatenate(parts[:-1], axis=1)
+
+
+EVENTS = "tensorboard"
+EVENT_FILES = "events.out.tfevents.*"
+LOSS_EVERY = 10
+"""Steps between two points of the loss."""
+
+
+class Events:
+    """What training tells TensorBoard."""
+
+    def __init__(self, run: Path, *, first_step: int) -> None:
+        """Points after `first_step`, which a run that was stopped has left, are hidden.
+
+        Raises:
+            ModuleNotFoundError: TensorBoard is not installed.
+        """
+        from torch.utils.tensorboard.writer import SummaryWriter
+
+        self._writer = SummaryWriter(str(run / EVENTS), purge_step=first_step + 1)
+
+    def add_loss(self, step: int, loss: float) -> None:
+        if step % LOSS_EVERY == 0:
+            self._writer.add_scalar("loss", loss, step)
+
+    def add_evaluation(self, step: int, score: float | None, picture: Picture | None) -> None:
+        """A held-out PSNR in dB, and the picture of the held-out views."""
+        if score is not None:
+            self._writer.add_scalar("held-out PSNR (dB)", score, step)
+        if picture is not None:
+            self._writer.add_image("held-out views", picture, step, dataformats="HWC")
+        self._writer.flush()
+
+    def close(self) -> None:
+        self._writer.close()
+
+
+def require_tensorboard() -> None:
+    """Fails where TensorBoard is not installed, before work is done.
+
+    Raises:
+        ModuleNotFoundError: it is not.
+    """
+    import tensorboard  # noqa: F401  # pyright: ignore[reportUnusedImport]
+
+
+def list_events(run: Path) -> list[str]:
+    """The event files of a run, by path relative to its folder."""
+    return sorted(path.relative_to(run).as_posix() for path in (run / EVENTS).glob(EVENT_FILES))
 
 
 @dataclass(frozen=True, kw_only=True)

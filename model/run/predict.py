@@ -15,7 +15,7 @@ from typing import cast
 import numpy as np
 import torch
 from jaxtyping import Float32, UInt8
-from torch import Tensor
+from torch import Tensor, nn
 
 from datagen.data.cameras import Cameras
 from datagen.data.config import Split
@@ -30,8 +30,9 @@ from datagen.terminal.command import say, track
 from model.batches.rays import PixelSource
 from model.methods.renderer import Renderer
 from model.methods.table import open_inputs
+from model.nets.extrinsics import ExtrinsicInputs, bake_position_table
+from model.nets.texture import NeuralTextures, TextureLayout, object_layout
 from model.run.checkpoint import load_state
-from model.run.edits import show_edited_scene
 from model.run.run_folder import (
     PREDICTIONS,
     RUN,
@@ -242,3 +243,34 @@ def render_views(renderer: Renderer, config: TrainConfig, dataset: Dataset, out:
         commit(path, data)
         files[path.relative_to(out).as_posix()] = sha256(data)
     return files
+
+
+def show_edited_scene(renderer: nn.Module, base: Dataset, edited: Dataset, geometry: str) -> None:
+    """Makes a trained renderer ready for the layers of the edited scene; no weight and no texel changes.
+
+    A copy looks up its original's texels, and the view vectors of Eq. 3 start where objects stand now.
+    """
+    assert edited.edit is not None
+    names = [item.name for item in base.objects]
+    originals = [names.index(edited.edit.copies[item.name]) for item in edited.objects[len(names) :]]
+    for part in renderer.modules():
+        if isinstance(part, NeuralTextures):
+            part.layout = with_copies(part.layout, originals, len(names))
+        elif isinstance(part, ExtrinsicInputs):
+            size = part.layout.sizes[0]
+            part.positions = bake_position_table(edited, geometry, size)
+            part.layout = object_layout((size,) * len(edited.objects))
+
+
+def with_copies(layout: TextureLayout, originals: list[int], num_objects: int) -> TextureLayout:
+    """The layout with further objects, each of which shares all texels of the one at `originals[k]` (from 0).
+
+    Args:
+        num_objects: of the layout as it is; each has as many textures, one after the other, as any other.
+    """
+
+    def more(values: tuple[int, ...]) -> tuple[int, ...]:
+        each = len(values) // num_objects
+        return (*values, *(value for index in originals for value in values[index * each : (index + 1) * each]))
+
+    return dataclasses.replace(layout, bases=more(layout.bases), sizes=more(layout.sizes), strides=more(layout.strides))

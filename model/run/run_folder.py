@@ -31,7 +31,8 @@ from pathlib import Path
 from typing import cast
 
 from datagen.data.config import ANGLE_SPLITS, TEST_SPLITS
-from datagen.data.dataset import Dataset
+from datagen.data.dataset import Dataset, open_dataset
+from datagen.data.finding import find_dataset
 from datagen.data.geometries import describe_geometry
 from datagen.data.paths import view_name
 from datagen.data.variants import FOLDER as VARIANTS
@@ -43,11 +44,7 @@ from datagen.disk.records import Json, from_json, shown, to_json
 from datagen.disk.storage import SEAL, commit, commit_sealed, load_sealed, seal_bytes, seal_of
 from model.methods.protocol import Inputs, MethodConfig
 from model.methods.table import find_method, open_inputs
-from model.run.costs import COSTS
-from model.run.events import FOLDER as EVENTS
-from model.run.events import list_events
-from model.run.snapshots import FOLDER as SNAPSHOTS
-from model.run.snapshots import list_snapshots
+from model.run.logs import COSTS, EVENTS, SNAPSHOTS, list_events, list_snapshots
 from model.settings.flags import AMOUNT, COUNT, SEED, unflagged
 from model.settings.optimisation import PixelOptimisation
 
@@ -355,3 +352,15 @@ def _flatten(data: Json) -> dict[str, Json]:
     for key, value in cast(dict[str, Json], data).items():
         flat |= _flatten(value) if isinstance(value, dict) else {key: value}
     return flat
+
+
+def open_trained(run: Path, dataset: str | None = None) -> tuple[RunRecord, Dataset]:
+    """A run's record and its dataset: the one named, or the one where the run found it.
+
+    Raises:
+        HyalineError: there is no run, no dataset, or another one than that of the run.
+    """
+    record = read_run(run)
+    opened = open_dataset(find_dataset(dataset) if dataset else Path(record.dataset))
+    check_trained_on(run, record.config, opened)
+    return record, opened

@@ -27,9 +27,7 @@ from model.methods.protocol import Inputs
 from model.methods.renderer import ParameterGroup, Renderer
 from model.methods.table import open_inputs
 from model.run.checkpoint import check_numbers, delete_checkpoints, load_checkpoint, save_checkpoint, save_state
-from model.run.fine_patterns import told_fine_patterns
 from model.run.logs import LogChoices, Logs
-from model.run.optimizer import make_optimizer
 from model.run.predict import predict_pixels
 from model.run.preparation import (
     build_renderer,
@@ -38,6 +36,8 @@ from model.run.preparation import (
     count_parameters,
     describe_run,
     load_training,
+    make_optimizer,
+    told_fine_patterns,
 )
 from model.run.run_folder import CHECKPOINT, WEIGHTS, TrainConfig, begin_run, check_state_of, data_seals, write_metrics
 from model.settings.optimisation import LrDecay

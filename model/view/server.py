@@ -2,15 +2,192 @@
 
 import contextlib
 import errno
+import http
 import io
+import ipaddress
+import logging
+import math
 import socket
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from typing import Annotated, Any
+from urllib.parse import urlsplit
 
+import msgspec
 import viser
+import websockets.asyncio.server
+from websockets.asyncio.server import ServerConnection
+from websockets.http11 import Request, Response
 
 from datagen.disk.errors import HyalineError
-from model.view.visitors import Value, Visitors
+
+Length = Annotated[float, msgspec.Meta(ge=-1e8, le=1e8)]
+Triple = tuple[Length, Length, Length]
+Pixels = Annotated[int, msgspec.Meta(ge=0, le=100_000)]
+Word = Annotated[str, msgspec.Meta(max_length=200)]
+Value = bool | int | float | str
+"""Of a control."""
+
+MOST_BYTES = 1 << 16
+"""Of a message; the page's own are a hundred times smaller."""
+
+
+class _Message(
+    msgspec.Struct,
+    tag_field="type",
+    forbid_unknown_fields=True,
+):
+    """What viser's page sends. NaN and infinity are beyond every limit."""
+
+
+class _Camera(_Message, tag="ViewerCameraMessage"):
+    wxyz: tuple[Length, Length, Length, Length]
+    position: Triple
+    fov: Annotated[float, msgspec.Meta(ge=1e-3, le=3.1)]
+    near: Length
+    far: Length
+    image_height: Pixels
+    image_width: Pixels
+    look_at: Triple
+    up_direction: Triple
+
+
+class _Click(_Message, tag="SceneNodeClickMessage"):
+    name: Word
+    instance_index: int | None
+    ray_origin: Triple
+    ray_direction: Triple
+    screen_pos: tuple[Length, Length]
+    modifier: Word | None
+    owner: Word = ""
+
+
+class _NewValue(
+    msgspec.Struct,
+    forbid_unknown_fields=True,
+):
+    value: Value
+
+
+class _Control(_Message, tag="GuiUpdateMessage"):
+    uuid: Word
+    updates: _NewValue
+
+
+_DECODER = msgspec.msgpack.Decoder(_Camera | _Click | _Control)
+
+
+class Visitors:
+    """Stands between browsers and viser, from the first connection on."""
+
+    def __init__(self, host: str, *, protocol: str, takes: Callable[[str, Value], bool]) -> None:
+        """
+        Args:
+            host: what the server is bound to.
+            protocol: the WebSocket's subprotocol, which names viser's version.
+            takes: says whether a control, named by its UUID, can have a value.
+        """
+        self._host, self._protocol, self._takes = host.lower(), protocol, takes
+        self.is_open = False
+        """False until there is something to see: browsers that come earlier ask again."""
+        self.is_guarding = False
+
+    @contextlib.contextmanager
+    def guarding(self) -> Iterator[None]:
+        """A server that viser starts in this block listens to nobody past this guard; viser has no option for that."""
+        serve = websockets.asyncio.server.serve
+
+        def guarded(*arguments: Any, process_request: Callable[..., Any], **options: Any) -> Any:
+            def admit(connection: ServerConnection, request: Request) -> Any:
+                return self._refusal(connection, request) or process_request(connection, request)
+
+            self.is_guarding = True
+            mine = {"create_connection": self._connection_kind(), "max_size": MOST_BYTES, "logger": _mute_logger()}
+            return serve(*arguments, process_request=admit, **options | mine)
+
+        websockets.asyncio.server.serve = guarded  # pyright: ignore[reportAttributeAccessIssue]
+        try:
+            yield
+        finally:
+            websockets.asyncio.server.serve = serve
+
+    def check(self, data: bytes | str) -> bytes | None:
+        """A message as viser may have it; None: it may not."""
+        try:
+            message = _DECODER.decode(data if isinstance(data, bytes) else b"")
+        except (msgspec.DecodeError, RecursionError):
+            return None
+        if isinstance(message, _Camera) and not _is_posed(message):
+            return None
+        if isinstance(message, _Control) and not self._takes(message.uuid, message.updates.value):
+            return None
+        return msgspec.msgpack.encode(message)  # Not the bytes that came: others may read them otherwise.
+
+    def _connection_kind(self) -> type[ServerConnection]:
+        check = self.check
+
+        class Checked(ServerConnection):
+            """Receives only what passes."""
+
+            async def recv(self, decode: bool | None = None) -> bytes:  # pyright: ignore[reportIncompatibleMethodOverride]
+                while (message := check(await super().recv(decode))) is None:
+                    pass
+                return message
+
+        return Checked
+
+    def _refusal(self, connection: ServerConnection, request: Request) -> Response | None:
+        hosts, origins = request.headers.get_all("Host"), request.headers.get_all("Origin")
+        if len(hosts) != 1 or not self.knows(hosts[0]):
+            return connection.respond(
+                http.HTTPStatus.FORBIDDEN,
+                "The viewer answers to localhost, to its own address and to its machine's name alone; for another "
+                "name, start `model view` with --host NAME.\n",
+            )
+        if not {origin.lower() for origin in origins} <= {f"{way}://{hosts[0].lower()}" for way in ("http", "https")}:
+            return connection.respond(http.HTTPStatus.FORBIDDEN, "Another web site asks; the viewer answers its own.\n")
+        if not self.is_open:
+            return connection.respond(http.HTTPStatus.SERVICE_UNAVAILABLE, "The viewer starts; reload in a moment.\n")
+        spoken = ",".join(request.headers.get_all("Sec-WebSocket-Protocol")).replace(" ", "").split(",")
+        if "Upgrade" in request.headers and self._protocol not in spoken:
+            return connection.respond(
+                http.HTTPStatus.BAD_REQUEST, "The page is of another version of viser; reload it.\n"
+            )
+        return None
+
+    def knows(self, host: str) -> bool:
+        """True for a Host header that names this machine, and no other site."""
+        try:
+            name = (urlsplit(f"//{host}").hostname or "").rstrip(".")
+        except ValueError:
+            return False
+        try:
+            address, bound = ipaddress.ip_address(name), _address(self._host)
+        except ValueError:
+            machine = socket.gethostname().lower()
+            return name in ("localhost", self._host, machine, f"{machine}.local", socket.getfqdn().lower())
+        return address.is_loopback or address == bound or (bound is not None and bound.is_unspecified)
+
+
+def _is_posed(camera: _Camera) -> bool:
+    """True where a camera looks in a direction and has an up."""
+    units = math.hypot(*camera.wxyz), math.hypot(*camera.up_direction)
+    return all(0.99 < unit < 1.01 for unit in units) and math.dist(camera.look_at, camera.position) > 1e-4
+
+
+def _address(host: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
+    """The address that a host was given as; None: it was given by name."""
+    try:
+        return ipaddress.ip_address(host or "0.0.0.0")
+    except ValueError:
+        return None
+
+
+def _mute_logger() -> logging.Logger:
+    """websockets would print a traceback at whatever is no handshake."""
+    logger = logging.getLogger("hyaline.visitors")
+    logger.disabled = True
+    return logger
 
 
 class Server(viser.ViserServer):

@@ -2,23 +2,32 @@
 
 import contextlib
 import math
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import numpy as np
 import viser
+from jaxtyping import UInt8
 
+from datagen.data.cameras import Camera, Cameras
 from datagen.data.config import Split
-from datagen.data.dataset import Dataset, View
+from datagen.data.dataset import Dataset, View, open_dataset
+from datagen.data.finding import find_dataset
 from datagen.disk.errors import HyalineError
+from datagen.look.view_pictures import object_colors
+from datagen.terminal.command import say, tell
 from datagen.terminal.signals import Held, hold_signals
-from model.view.layers import draw_layer
+from model.batches.traced_layers import peel_cameras
+from model.run.run_folder import RUN, open_trained
+from model.settings.run_flags import RUNS, Device
+from model.settings.runtime import choose_device
 from model.view.live_run import LiveRun, MovedOn, Picture
-from model.view.panel import Panel
 from model.view.schedule import Budget, Job, Pose, Schedule
 from model.view.server import Server, serving
-from model.view.stage import Stage
+from model.view.stage import Panel, Stage
 
 TRAINING_SHARE = 0.09
 """Share of one core that this process takes while a run trains, however many look at it: the training is slowed by
@@ -168,3 +177,54 @@ class Viewer:
     def _wait(self, seconds: float) -> None:
         self._news.wait(seconds)
         self._news.clear()
+
+
+def show(what: str, *, host: str, port: int, device: Device) -> None:
+    """Shows it until a signal arrives.
+
+    Raises:
+        HyalineError: neither a run nor a dataset is there, or what is there cannot be shown.
+        Stopped: a signal has arrived.
+    """
+    run = next((place for place in (Path(what), RUNS / what) if (place / RUN).is_file()), None)
+    if run is not None:
+        record, opened = open_trained(run)
+        live = LiveRun(run, record.config, opened, device=choose_device(device))
+    else:
+        place = find_dataset(what)
+        if not (place / "dataset.json").is_file():
+            raise HyalineError(
+                f"{what}: no run and no dataset is there; expected the folder of one, such as runs/glass_table/paper "
+                "or data/glass_table"
+            )
+        opened, live = open_dataset(place), None
+
+    def announce(address: str) -> None:
+        tell(address)
+        sys.stdout.flush()
+        say(f"{what}: open the address in a browser; Ctrl-C ends the viewer")
+
+    view(opened, live, host=host, port=port, announce=announce)
+
+
+CHECKS = 24
+"""Squares that a texture is wide, lighter and darker in turn: they show how uv runs over a surface."""
+
+
+def draw_layer(
+    dataset: Dataset, geometry: str, camera: Camera, layer: int, num_layers: int
+) -> UInt8[np.ndarray, "h w 3"]:
+    """The surfaces of one layer along the rays of a camera, layer 0 the nearest."""
+    cameras = Cameras(
+        world_from_camera=np.asarray(camera.world_from_camera, np.float64)[None],
+        fov_x=camera.fov_x,
+        width=camera.width,
+        height=camera.height,
+    )
+    pixels = peel_cameras(dataset, geometry, num_layers, cameras)
+    ids = pixels.object_id[:, layer].numpy()
+    uv = pixels.uv[:, layer].numpy().view(np.uint16)
+    is_light = (uv.astype(np.int64) * CHECKS // 65536).sum(axis=-1) % 2 == 0
+    colors = object_colors(len(dataset.objects))[ids]
+    checked = np.where((is_light | (ids == 0))[:, None], colors, (0.8 * colors).astype(np.uint8))
+    return checked.reshape(camera.height, camera.width, 3)

@@ -11,7 +11,7 @@ from jaxtyping import Float64, Int64
 from datagen.data.meshes import Mesh, face_corners, vertex_normals
 from datagen.disk.errors import HyalineError
 from proxies.meshing import meshlab
-from proxies.meshing.inside import enclosed_share
+from proxies.meshing.measure import enclosed_share
 from proxies.meshing.solid import Solid, principal_directions
 from proxies.meshing.surface import Surface, unwrap_sound
 

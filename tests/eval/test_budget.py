@@ -12,7 +12,7 @@ from support.synthetic import write_synthetic_dataset
 from datagen.data.config import TEST_SPLITS
 from datagen.data.dataset import Dataset
 from datagen.data.paths import TRUTH
-from eval.analyses.budget import missed_shares
+from eval.analyses.coverage import missed_shares
 from eval.page.report import make_report
 from model import cli
 from model.batches.rays import load_pixels

@@ -24,10 +24,10 @@ from datagen.data.png import png_bytes, read_png
 from datagen.disk.errors import HyalineError
 from datagen.machine.revision import code_version
 from eval.page.report import make_report
-from eval.page.results_page import results_page
 from eval.score.runs import RUN_KEYS, list_run_folders
 from eval.tables.grids import CEILING
 from eval.tables.looks import latex_escaped
+from eval.tables.results import results_page
 from model.run.run_folder import RunRecord
 
 SCRIPTS = Path(sys.executable).parent

@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 
 from datagen.disk.errors import HyalineError
-from eval.page.results_page import results_page
 from eval.tables.grids import MISSING
+from eval.tables.results import results_page
 
 ROOT = Path(__file__).resolve().parents[2]
 KEYS = ("psnr_db", "glass_psnr_db", "ssim", "delta_e")

@@ -14,8 +14,8 @@ from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.geometries import describe_geometry, list_geometries, read_meshes, read_proxy_records
 from datagen.disk.storage import load_sealed
 from proxies.cli import main
-from proxies.kinds.table import FITTERS
 from proxies.meshing import meshlab
+from proxies.spec import FITTERS
 
 
 @pytest.fixture

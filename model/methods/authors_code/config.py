@@ -17,7 +17,7 @@ LEAST_WIDTH = 4
 class AuthorsConfig(MethodConfig):
     """The renderer of the paper's released code; defaults as in the scripts for its Table 1."""
 
-    room: ClassVar[str] = "model.methods.authors_code.method"
+    room: ClassVar[str] = "model.methods.authors_code.renderer"
     reads_layers: ClassVar[bool] = True
     is_shareable: ClassVar[bool] = True
     draws_cameras: ClassVar[bool] = True

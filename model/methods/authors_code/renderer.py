@@ -4,9 +4,10 @@ Source: the public repository that the paper's author links (Mirjang/Transparent
 its dispatcher (which drops the width that the scripts ask for, so that 64 is left) and its experiments' scripts.
 """
 
+import dataclasses
 import itertools
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 import numpy as np
@@ -15,11 +16,15 @@ from jaxtyping import Float32
 from torch import Tensor, nn
 from torch.nn import functional
 
+from datagen.data.cameras import Cameras
+from datagen.data.config import Split
 from model.batches.rays import PixelSource, RayBatch, insert_random_layer
 from model.losses.pixel_losses import PatchTerms
 from model.methods.authors_code.config import LEAST_WIDTH, AuthorsConfig
+from model.methods.paper.renderer import default_texture_size
 from model.methods.protocol import Inputs
 from model.methods.renderer import Renderer
+from model.methods.stored_pixels import load_stored, peel_as_stored
 from model.nets.extrinsics import ExtrinsicInputs, positions_for
 from model.nets.texture import NeuralTextures, object_layout
 
@@ -141,9 +146,30 @@ def seeded(seed: int, device: torch.device) -> Iterator[None]:
         yield
 
 
-def build_authors(config: AuthorsConfig, inputs: Inputs) -> AuthorsRenderer:
-    """A fresh renderer for a dataset; its random start is drawn from torch's default generator."""
+def complete(config: AuthorsConfig, inputs: Inputs) -> AuthorsConfig:
+    side, num_objects = inputs.dataset.config.resolution.mean_side, len(inputs.dataset.objects)
+    size = config.texture_size or default_texture_size(side, num_objects, "object")
+    return dataclasses.replace(config, texture_size=size)
+
+
+def build(config: AuthorsConfig, inputs: Inputs) -> AuthorsRenderer:
     positions = positions_for(config.extrinsics, inputs.dataset, inputs.geometry, config.position_size)
     return AuthorsRenderer(
         config, num_layers=inputs.num_layers, num_objects=len(inputs.dataset.objects), positions=positions
     )
+
+
+def load(
+    config: AuthorsConfig,  # noqa: ARG001
+    inputs: Inputs,
+    split: Split,
+    views: Sequence[int],
+    *,
+    with_images: bool,
+    mapped: bool,
+) -> PixelSource[RayBatch]:
+    return load_stored(inputs, split, views, with_images=with_images, mapped=mapped)
+
+
+def load_cameras(config: AuthorsConfig, inputs: Inputs, cameras: Cameras) -> PixelSource[RayBatch]:  # noqa: ARG001
+    return peel_as_stored(inputs, cameras)

@@ -16,7 +16,7 @@ from model.settings.optimisation import Optimisation
 class DeepVoxelsConfig(MethodConfig):
     """DeepVoxels: a grid of learned features, from cameras alone; defaults as its authors'."""
 
-    room: ClassVar[str] = "model.methods.deepvoxels.method"
+    room: ClassVar[str] = "model.methods.deepvoxels.renderer"
     knowledge: ClassVar[str] = "cameras only, and the scene's extent"
     uses_geometry: ClassVar[bool] = False
     draws_cameras: ClassVar[bool] = True

@@ -5,34 +5,45 @@ in this paper section 5.1. No geometry is known: the method gets images, cameras
 """
 
 import math
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 
 import numpy as np
 import torch
 from jaxtyping import Float32
 from torch import Tensor
+from torch.nn import functional
 
-from datagen.data.dataset import Dataset
+from datagen.data.cameras import Cameras
+from datagen.data.config import Split
 from datagen.data.geometries import read_meshes
 from datagen.data.paths import TRUTH
 from datagen.data.resolution import square
 from datagen.disk.errors import HyalineError
-from model.batches.view_batches import ViewBatch, Views
+from model.batches.rays import black
+from model.batches.view_batches import ViewBatch, Views, load_views, views_of
 from model.losses.pixel_losses import PatchTerms
 from model.methods.deepvoxels.config import DeepVoxelsConfig
-from model.methods.deepvoxels.loss import BORDER, L1_WEIGHT, adversarial_loss, seeded_torch
+from model.methods.protocol import Inputs
 from model.methods.renderer import ParameterGroup, Renderer
-from model.nets.voxel_blocks import Unet
 from model.nets.voxel_grid import ViewCamera, VoxelGrid, fit_cube, lift, sample_frustum
 from model.nets.voxel_nets import (
     Critic,
     Integration,
     Occlusion,
+    Unet,
     Volume,
     collapse,
     feature_extractor,
     rendering_network,
 )
 from model.settings.optimisation import Optimisation
+
+BORDER = 5
+"""Pixels at each edge of a picture that the loss leaves out, because they are drawn from half-empty feature maps. The
+authors also leave them out of their scores; here predictions are whole, like every other method's."""
+L1_WEIGHT = 200.0
+"""Weight of L1 relative to the critic."""
 
 
 class DeepVoxels(Renderer[Views]):
@@ -155,12 +166,35 @@ def grid_coordinates(size: int) -> Float32[Tensor, "1 3 z y x"]:
     return torch.stack(torch.meshgrid(steps, steps, steps, indexing="ij"))[None]
 
 
-def build_deepvoxels(config: DeepVoxelsConfig, dataset: Dataset) -> DeepVoxels:
-    """A fresh network for a dataset, its grid around what the training cameras look at.
+def adversarial_loss(critic: Critic, drawn: Float32[Tensor, "1 3 h w"], true: Float32[Tensor, "1 3 h w"]) -> Tensor:
+    """Both sides of the game in one number, whose gradient moves each side its own way.
 
-    Raises:
-        HyalineError: pictures of another size, or cameras that do not surround anything.
+    The renderer's side is -log D(drawn), to which the critic's parameters are constant; the critic's side is
+    -(log D(true) + log(1 - D(drawn))) / 2, to which the picture is constant. No parameter is on both sides, and Adam
+    moves each parameter by itself: so one Adam over all of them takes the very steps that the authors' two optimisers
+    of equal rate take, and a checkpoint of it resumes both.
     """
+    fixed = {name: value.detach() for name, value in critic.named_parameters()}
+    renderer_side = functional.softplus(-torch.func.functional_call(critic, fixed, (drawn,))).mean()
+    on_true, on_drawn = functional.softplus(-critic(true)).mean(), functional.softplus(critic(drawn.detach())).mean()
+    return renderer_side + 0.5 * (on_true + on_drawn)
+
+
+@contextmanager
+def seeded_torch(rng: np.random.Generator, device: torch.device) -> Iterator[None]:
+    """Torch's own generator, which dropout draws from, seeded by a step's; as it was afterwards."""
+    with torch.random.fork_rng(devices=[device] if device.type == "cuda" else []):
+        torch.manual_seed(int(rng.integers(2**62)))
+        yield
+
+
+def complete(config: DeepVoxelsConfig, inputs: Inputs) -> DeepVoxelsConfig:
+    return config.sized(inputs.dataset.config.resolution)
+
+
+def build(config: DeepVoxelsConfig, inputs: Inputs) -> DeepVoxels:
+    """A fresh network, its grid around the point that the training cameras look at."""
+    dataset = inputs.dataset
     if dataset.config.resolution != square(config.image_size):
         raise HyalineError(
             f"image_size: is {config.image_size}, but {dataset.root} has {dataset.config.resolution} pixels; "
@@ -171,3 +205,25 @@ def build_deepvoxels(config: DeepVoxelsConfig, dataset: Dataset) -> DeepVoxels:
     vertices = np.concatenate([np.zeros((0, 3)), *(mesh.vertices.astype(np.float64) for mesh in meshes)])
     origin, edge = fit_cube(dataset.cameras("train"), vertices)
     return DeepVoxels(config, origin=torch.from_numpy(origin).float(), edge=edge)
+
+
+def load(
+    config: DeepVoxelsConfig,  # noqa: ARG001
+    inputs: Inputs,
+    split: Split,
+    views: Sequence[int],
+    *,
+    with_images: bool,
+    mapped: bool,  # noqa: ARG001
+) -> Views:
+    return load_views(inputs.dataset, split, views, with_images=with_images)
+
+
+def load_cameras(config: DeepVoxelsConfig, inputs: Inputs, cameras: Cameras) -> Views:  # noqa: ARG001
+    size = config.image_size
+    if (cameras.width, cameras.height) != (size, size):
+        raise HyalineError(
+            f"camera: is {cameras.width} x {cameras.height} pixels; deepvoxels draws {size} x {size}, the size that "
+            "its networks were made for"
+        )
+    return views_of(cameras, black(cameras))

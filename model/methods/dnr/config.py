@@ -27,7 +27,7 @@ class DnrConfig(MethodConfig):
     reproduced paper.
     """
 
-    room: ClassVar[str] = "model.methods.dnr.method"
+    room: ClassVar[str] = "model.methods.dnr.renderer"
     reads_layers: ClassVar[bool] = True
     is_shareable: ClassVar[bool] = True
     max_layers: ClassVar[int | None] = 1

@@ -9,8 +9,7 @@ from datagen.trace.branches import FIRST_MIRROR, MIN_THROUGHPUT, SPARE_STEPS
 from datagen.trace.limits import LIMITS
 from model.methods.light_path.config import LightPathConfig
 from model.methods.light_path.net import RELIEF_DEPTH, STACK_SHIFT, LightPathRenderer
-from model.methods.light_path.paths import STACKED_VERTICES
-from model.methods.light_path.pixels import MANY_RAYS
+from model.methods.light_path.pixels import MANY_RAYS, STACKED_VERTICES
 from model.methods.page import MethodPage, Rows, feature_columns, fours, mlp_rows, package_text
 from model.nets.learned_sky import LOBE_RATE, LOBE_SHARPNESS, LearnedSky
 from model.nets.texture import FINER_COUNTS, NeuralTextures, level_scales

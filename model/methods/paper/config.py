@@ -24,8 +24,8 @@ from model.settings.optimisation import PixelOptimisation
 class PaperConfig(MethodConfig):
     """The paper's renderer: neural textures on straight layers, stacked and shaded by a network for each pixel."""
 
-    room: ClassVar[str] = "model.methods.paper.method"
-    page: ClassVar[str] = "model.methods.paper.page"
+    room: ClassVar[str] = "model.methods.paper.renderer"
+    page: ClassVar[str] = "model.methods.paper.renderer"
     reads_layers: ClassVar[bool] = True
     is_shareable: ClassVar[bool] = True
     draws_cameras: ClassVar[bool] = True

@@ -23,7 +23,7 @@ from datagen.data.resolution import square
 from datagen.data.variants import evenly, has_variant, open_variant, parent_views
 from datagen.disk.errors import HyalineError
 from datagen.scene.folder import save_scene
-from eval.analyses.super_resolution import enlarge
+from eval.analyses.variants import enlarge
 from eval.page.report import make_report
 
 FLAGS = (

@@ -17,8 +17,7 @@ from datagen.data.png import png_bytes
 from datagen.disk.errors import HyalineError
 from eval.page.page import report_page
 from eval.page.report import make_report
-from eval.page.run_page import describe_costs, flattened, read_training, training_charts
-from eval.page.views import ranked_views
+from eval.page.run_page import describe_costs, flattened, ranked_views, read_training, training_charts
 from eval.score.scores import SplitScores
 
 HOSTILE = '"><img src=x onerror=alert(1)><script>alert(2)</script>'

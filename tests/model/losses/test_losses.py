@@ -18,10 +18,17 @@ from datagen.disk.errors import HyalineError
 from datagen.disk.storage import sha256_file
 from datagen.machine.mitsuba_variant import use_mitsuba
 from model.batches.rays import RayBatch, load_pixels, take_colors
-from model.losses.adversarial import Adversary, PatchDiscriminator
 from model.losses.inpaint import Inpainter, count_visits, patches_around
-from model.losses.patch_losses import Losses
-from model.losses.perceptual import IMAGENET_MEAN, IMAGENET_STD, PerceptualLoss, find_vgg, vgg_layers
+from model.losses.patch_losses import (
+    IMAGENET_MEAN,
+    IMAGENET_STD,
+    Adversary,
+    Losses,
+    PatchDiscriminator,
+    PerceptualLoss,
+    find_vgg,
+    vgg_layers,
+)
 from model.losses.pixel_losses import PatchTerms, difference, pixel_loss
 from model.methods.paper.config import PaperConfig
 from model.methods.renderer import Renderer

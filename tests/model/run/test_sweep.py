@@ -18,7 +18,7 @@ from datagen.disk.errors import HyalineError
 from model import cli
 from model.methods.paper.config import PaperConfig
 from model.run import sweep
-from model.run.experiment import list_experiments, read_experiment
+from model.run.sweep import list_experiments, read_experiment
 from model.run.train_flags import parse_train
 
 

@@ -14,7 +14,7 @@ from support.viewer import PATIENCE_S, open_window, pose_of, require_viewer, vie
 
 import hyaline
 from datagen.terminal.signals import Held
-from model.view.cameras import camera_in_window
+from model.view.schedule import camera_in_window
 
 pytestmark = pytest.mark.usefixtures("at_home")
 

@@ -1,13 +1,15 @@
 """What tools' own loaders read of our exports, compared with the dataset: cameras, pictures, splits, depth, points.
 
-Each loader runs in the environment of its tool, which differs from ours (`loaders.py`). Cameras are judged by mesh
-vertices: a vertex that a picture shows is projected by the dataset's camera, the loader gives its ray through that
-place, and the point of this ray that is nearest to the vertex is projected again.
+Each loader runs in its tool's own environment (`exports_child.py`). Cameras are compared by mesh vertices: a visible
+vertex is projected by the dataset's camera, the loader gives its ray through that pixel, and the point of this ray
+nearest to the vertex is projected again.
 """
 
+import dataclasses
 import json
 import subprocess
-from collections.abc import Mapping
+import tempfile
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,11 +17,14 @@ import numpy as np
 from jaxtyping import Float, Float32, UInt8
 
 from datagen.data.cameras import Camera
+from datagen.data.dataset import Dataset
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import sha256
+from datagen.export.formats import export_dataset
 from datagen.export.source import ExportView, Source
+from datagen.terminal.command import say
 
-LOADERS = Path(__file__).with_name("loaders.py")
+LOADERS = Path(__file__).with_name("exports_child.py")
 
 PEERS: dict[str, tuple[str, ...]] = {
     "nerfstudio-data": ("nerfstudio",),
@@ -45,7 +50,7 @@ MAX_OFF_DEPTH_M = 0.0006
 """Of depth: PNGs have whole millimetres."""
 
 NOT_INSTALLED = 3
-"""Exit status of `loaders.py`."""
+"""Exit status of `exports_child.py`."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -62,7 +67,7 @@ class Places:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Read:
-    """A loader's answer, as `loaders.py` wrote it."""
+    """A loader's answer, as `exports_child.py` wrote it."""
 
     about: dict
     arrays: Mapping[str, np.ndarray]
@@ -266,3 +271,45 @@ def _box(views: Mapping[str, ExportView], read: Read) -> Finding:
         total += len(p_box)
     detail = "no glass is seen" if not total else f"holds {inside / total:.1%} of the glass that is seen first"
     return Finding(what="scene box", passed=True, detail=detail)
+
+
+def survey_peers(dataset: Dataset, python: Path, peers: Sequence[str], *, num_points: int) -> list[PeerReport]:
+    """Exports into a folder that is gone afterwards, and opens each export with each tool that reads its format.
+
+    Args:
+        python: interpreter of the tools' environment.
+        peers: names in `PEERS`.
+
+    Raises:
+        HyalineError: `python` is no interpreter.
+    """
+    check_python(python)
+    source = Source(dataset=dataset, num_points=num_points, flow=False)
+    rng = np.random.default_rng(0)
+    places = {item.name: find_places(item, rng) for item in source.pictures}
+    reports = []
+    with tempfile.TemporaryDirectory(prefix="hyaline-peers-") as folder:
+        for peer in peers:
+            for form in PEERS[peer]:
+                root = Path(folder) / form
+                export_dataset(dataset, form, root, num_points=num_points, flow=False, overwrite=False)
+                say(f"peers: {peer} opens {form}")
+                answer = ask(python, peer, root, places, Path(folder))
+                reports.append(report_on(peer, form, source, places, answer))
+    return reports
+
+
+def peers_table(reports: Sequence[PeerReport]) -> str:
+    """A line for each thing that was compared."""
+    lines = []
+    for report in reports:
+        versions = ", ".join(f"{name} {version}" for name, version in report.versions.items())
+        state = f"not installed ({report.missing})" if report.missing else versions
+        lines.append(f"{report.peer}, --format {report.form}: {state}")
+        lines += [f"  {'ok   ' if one.passed else 'WRONG'} {one.what}: {one.detail}" for one in report.findings]
+    return "\n".join(lines)
+
+
+def peers_json(reports: Sequence[PeerReport]) -> str:
+    """The same as JSON."""
+    return json.dumps([dataclasses.asdict(report) for report in reports], indent=2)

@@ -1,6 +1,6 @@
 """Opens an export with a tool's own loader and notes what it read. Runs in that tool's environment, without hyaline.
 
-    python loaders.py PEER EXPORT QUESTIONS.npz ANSWER.npz
+    python exports_child.py PEER EXPORT QUESTIONS.npz ANSWER.npz
 
 Questions: for each picture, by name, some places in pixels (column, row), where (0.5, 0.5) is the centre of the upper
 left one. An answer has the loader's ray through each of them, in the world of the export: what a tool does to the world

@@ -15,6 +15,7 @@ from datagen.disk.errors import HyalineError
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
+
 PROGRAMS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 FLAGS = (
     "--no-sandbox",

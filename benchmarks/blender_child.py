@@ -1,6 +1,6 @@
 """Imports a file with Blender and draws it with Cycles. Runs in an environment with `bpy`, without hyaline.
 
-    python blender.py JOB.json ANSWER.json
+    python blender_child.py JOB.json ANSWER.json
 
 The job names the file, the files of sky, ground and the two pictures to write, and holds the camera, the size of the
 scene in metres and its place. The file's lamps and cameras are removed; its meshes and materials stay as Blender reads

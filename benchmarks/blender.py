@@ -15,7 +15,7 @@ from typing import cast
 import numpy as np
 from jaxtyping import Float
 
-from benchmarks.cycles.blender import NOT_INSTALLED, UNREADABLE
+from benchmarks.blender_child import NOT_INSTALLED, UNREADABLE
 from datagen.data.cameras import Camera
 from datagen.data.config import DatasetConfig, SplitConfig
 from datagen.data.exr import encode_float_exr
@@ -35,9 +35,9 @@ from datagen.scene.rig import make_cameras
 from datagen.scene.textures import SolidTexture
 from datagen.terminal.command import say
 
-CHILD = Path(__file__).with_name("blender.py")
+CHILD = Path(__file__).with_name("blender_child.py")
 READ_BY_BLENDER: dict[str, Axis] = {".glb": "y", ".gltf": "y", ".obj": "z", ".ply": "z", ".stl": "z"}
-"""Endings, and the axis that `blender.py` leaves pointing up where the file's y (its own z) does."""
+"""Endings, and the axis that `blender_child.py` leaves pointing up where the file's y (its own z) does."""
 SKY_ROWS = 1024
 MAX_DEPTH = 32
 VIEWS = 8

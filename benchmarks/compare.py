@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import shutil
 import tempfile
 import time
 from dataclasses import dataclass
@@ -10,19 +11,25 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import UInt8
 
-from benchmarks.pages.browser import open_file, running_browser, watched_page
-from benchmarks.pages.edited import edited_dataset, page_edits
+from benchmarks.browser import open_file, running_browser, watched_page
+from datagen.build.build import peel_dataset
+from datagen.build.plan_variant import plan_edit
 from datagen.data.config import TEST_SPLITS, Split
 from datagen.data.dataset import Dataset, open_dataset
-from datagen.scene.edits import parse_edit
+from datagen.data.dataset_head import write_head
+from datagen.data.meshes import is_there
+from datagen.data.paths import TRUTH
+from datagen.data.variant_record import Variant
+from datagen.data.variants import variant_root
+from datagen.scene.edits import CLEAR_GLASS, GREY, Edit, edit_scene, parse_edit
+from datagen.scene.folder import load_scene
 from datagen.terminal.command import track
 from eval.score.metrics import psnr
 from model.methods.light_path.config import LightPathConfig
 from model.methods.paper.config import PaperConfig
 from model.methods.renderer import Renderer
 from model.methods.table import open_inputs
-from model.run.edits import show_edited_scene
-from model.run.predict import check_can_draw, load_renderer, predict_pixels
+from model.run.predict import check_can_draw, load_renderer, predict_pixels, show_edited_scene
 from model.run.run_folder import RunRecord, read_run
 from model.web.export import export_run
 from model.web.packing import Quality
@@ -142,3 +149,52 @@ def page_table(report: PageReport) -> str:
         )
     worst = min(item.to_python for item in report.views)
     return "\n".join([*lines, "", f"worst view: {worst:.2f} dB to Python"])
+
+
+def edited_dataset(base: Dataset, edits: tuple[Edit, ...], folder: Path, *, with_layers: bool) -> Dataset:
+    """The dataset after edits, without any picture, in a folder of its own."""
+    plan = plan_edit(base, edits)
+    beside = folder / base.name
+    beside.mkdir()
+    shutil.copyfile(base.root / "dataset.json", beside / "dataset.json")
+    record = Variant(of=base.seal, splits=tuple(plan.cameras), edit=plan.edit)
+    root = variant_root(beside, plan.name)
+    edited = write_head(root, plan.config, plan.objects, plan.cameras, plan.scene, variant=record)
+    if with_layers:
+        peel_dataset(edited, TRUTH, num_layers=base.layer_store().head.num_layers, overwrite=False)
+    return edited
+
+
+def page_edits(base: Dataset, edits: tuple[Edit, ...], *, knows_materials: bool) -> dict[str, dict[str, object]]:
+    """The same, as a page's `picture` takes them: copies come first, made of objects that no edit has changed yet."""
+    before = load_scene(base.root / "scene", is_sealed=True)
+    edited = edit_scene(before, edits)
+    old = {item.name: item for item in before.objects}
+    known = {CLEAR_GLASS: "clear glass", GREY: "matt"}
+    changes: dict[str, dict[str, object]] = {name: {"copyOf": original} for name, original in edited.copies.items()}
+    for item in edited.scene.objects:
+        change = changes.setdefault(item.name, {})
+        original = old[edited.copies.get(item.name, item.name)]
+        if is_there(original.mesh):
+            change["shown"] = is_there(item.mesh)
+        change["offset"] = np.array(edited.offsets.get(item.name, (0, 0, 0))).tolist()
+        if knows_materials and item.material != original.material and item.material in known:
+            change["material"] = known[item.material]
+    return changes
+
+
+def take_screenshot(page: Path, *, width: int, height: int, dark: bool, rays: int, link: str) -> bytes:
+    """The PNG of a page whose window is so wide and high, when all its pixels have so many rays.
+
+    Args:
+        rays: 0 for a page that draws none, such as a report.
+        link: what stands after the # of the page's address.
+    """
+    with running_browser() as browser, watched_page(browser, width=width, height=height, dark=dark) as watched:
+        if not rays:
+            watched.page.goto(page.resolve().as_uri() + (f"#{link}" if link else ""))
+            return watched.page.screenshot()
+        open_file(watched, page, link=link)
+        # Drawn by the processor, a frame takes seconds for every 100,000 pixels.
+        watched.evaluate("async (rays) => (await hyaline).frames.still(rays)", rays, patience_ms=1_800_000)
+        return watched.page.screenshot()
