@@ -84,9 +84,6 @@ def compare_with_cycles(
     Args:
         python: interpreter of an environment with bpy.
         view: which camera of those all around.
-
-    Raises:
-        HyalineError: one of both cannot read the file, or there is no bpy.
     """
     if file.suffix.lower() not in READ_BY_BLENDER:
         raise HyalineError(f"{file}: Blender reads {', '.join(READ_BY_BLENDER)} of what hyaline imports")

@@ -63,11 +63,7 @@ class Watched:
 
 
 def find_browser() -> str:
-    """The system's Chromium.
-
-    Raises:
-        HyalineError: there is none, or nothing to drive it with.
-    """
+    """The system's Chromium."""
     if importlib.util.find_spec("playwright") is None:
         raise HyalineError("playwright: not installed, and it drives the browser; `pip install -e .[browser]`")
     program = next(filter(None, map(shutil.which, PROGRAMS)), None)

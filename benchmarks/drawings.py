@@ -33,9 +33,6 @@ HEADS = ("truth", "before", "after", "error before, levels of 255", "error after
 
 def draw_errors(before: Path, after: Path, *, views: int) -> bytes:
     """The PNG of the `views` worst views of the run in `before`, the worst first, with both runs' errors on one scale.
-
-    Raises:
-        HyalineError: the runs are not of one dataset, or share no split.
     """
     runs = [open_run(folder, Path("data")) for folder in (before, after)]
     if runs[0].dataset.seal != runs[1].dataset.seal:
@@ -102,9 +99,6 @@ def draw_skies(runs: tuple[Path, ...], names: tuple[str, ...] = ()) -> bytes:
 
     Args:
         names: of the runs, instead of their folders' names.
-
-    Raises:
-        HyalineError: a run is not of `light-path`, or of another dataset than the first.
     """
     names = names or tuple(folder.as_posix() for folder in runs)
     if not runs or len({"true", *names}) != len(runs) + 1:
@@ -191,9 +185,6 @@ def draw_turntable(
     Args:
         names: of the runs, under their pictures, instead of their folders' names.
         size: width in pixels of each of the pictures.
-
-    Raises:
-        HyalineError: runs of several datasets, or a film that cannot be written.
     """
     names = names or tuple(folder.name for folder in runs)
     if not runs or len(names) != len(runs):

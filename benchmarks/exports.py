@@ -279,9 +279,6 @@ def survey_peers(dataset: Dataset, python: Path, peers: Sequence[str], *, num_po
     Args:
         python: interpreter of the tools' environment.
         peers: names in `PEERS`.
-
-    Raises:
-        HyalineError: `python` is no interpreter.
     """
     check_python(python)
     source = Source(dataset=dataset, num_points=num_points, flow=False)

@@ -163,9 +163,6 @@ def measure(
     Args:
         ceilings: usually `machine_ceilings()` and the caller's own.
         rounds: turns of every candidate, warm-up apart.
-
-    Raises:
-        HyalineError: too few rounds, or two candidates of one name.
     """
     if rounds < MIN_ROUNDS:
         raise HyalineError(f"rounds: is {rounds}; expected at least {MIN_ROUNDS}")

@@ -149,9 +149,6 @@ def bench_peel(
 
     Args:
         triangles: a factor on the scene's 315,000.
-
-    Raises:
-        HyalineError: Mitsuba runs as scalar_rgb.
     """
     if is_scalar():
         raise HyalineError("bench peel: Mitsuba runs as scalar_rgb; `datagen doctor` names the libLLVM to install")

@@ -177,11 +177,7 @@ def bench_scale(
     base: Task | None = None,
     rounds: int = 3,
 ) -> ScaleReport:
-    """Measures every factor of every quantity.
-
-    Raises:
-        HyalineError: fewer than two factors, one below 1, or one that leads beyond 255 objects or layers.
-    """
+    """Measures every factor of every quantity."""
     if len(set(factors)) < 2 or min(factors, default=0) < 1:
         raise HyalineError(f"factors: are {', '.join(map(str, factors))}; expected two or more, none below 1")
     base = base or Task()

@@ -76,9 +76,6 @@ def bench_truth(
     Args:
         low_spp, high_spp: where noise is estimated.
         mean_spp: samples of the two means that must agree.
-
-    Raises:
-        HyalineError: Mitsuba runs as scalar_rgb.
     """
     if is_scalar():
         raise HyalineError("bench truth: Mitsuba runs as scalar_rgb; `datagen doctor` names the libLLVM to install")

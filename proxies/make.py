@@ -43,10 +43,6 @@ def make_proxies(dataset: Dataset, spec: ProxySpec | MixedSpec, *, overwrite: bo
 
     Returns:
         True when they were made, False when they were kept.
-
-    Raises:
-        HyalineError: a damaged scene, proxies of another dataset or another mixture, another process that writes there,
-            or an object for which proxies of this kind cannot be made.
     """
     if dataset.edit is not None:
         # Its proxies are those of the base, moved as their objects were: fitted anew, they would have other texels.
@@ -114,11 +110,7 @@ def paddings(solids: tuple[Solid, ...]) -> tuple[float, ...]:
 
 
 def read_reports(dataset: Dataset, geometry: str) -> tuple[ProxyReport, ...]:
-    """The table of the proxies on disk, their enclosure checked anew.
-
-    Raises:
-        HyalineError: not made, damaged, or made for another dataset.
-    """
+    """The table of the proxies on disk, their enclosure checked anew."""
     records = read_proxy_records(dataset, geometry)
     meshes, truths = read_meshes(dataset, geometry), read_meshes(dataset, TRUTH)
     kinds = read_assignment(dataset, geometry) or (geometry,) * len(records)
@@ -163,11 +155,7 @@ def _check_same_assignment(dataset: Dataset, geometry: str, assignment: tuple[st
 
 
 def _stand(dataset: Dataset, geometry: str) -> bool:
-    """True when proxies of this dataset stand there and verify; damaged ones are made again.
-
-    Raises:
-        HyalineError: they are of another dataset or format.
-    """
+    """True when proxies of this dataset stand there and verify; damaged ones are made again."""
     path = geometry_root(dataset.root, geometry) / "proxies.json"
     if not path.is_file():
         return False

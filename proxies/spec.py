@@ -106,11 +106,7 @@ class MixedSpec:
 
 
 def parse_part(text: str) -> ProxySpec | None:
-    """What `truth`, a kind such as `box`, or `noise-0.02` means; `noise` alone is noise of `AMOUNT`.
-
-    Raises:
-        HyalineError: there is no such kind.
-    """
+    """What `truth`, a kind such as `box`, or `noise-0.02` means; `noise` alone is noise of `AMOUNT`."""
     if text == TRUTH:
         return None
     kind, dash, amount = text.partition("-")
@@ -130,9 +126,6 @@ def assign_parts(objects: Sequence[str], assignments: Sequence[str], rest: str) 
         objects: names, in object order.
         assignments: each `OBJECT=KIND`, where OBJECT is a name or a pattern such as `fern*`.
         rest: the kind of the objects that no assignment names.
-
-    Raises:
-        HyalineError: no `OBJECT=KIND`, an object or a kind that does not exist, or an object that is given two kinds.
     """
     by_rest = parse_part(rest)
     given: dict[str, str] = {}

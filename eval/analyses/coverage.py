@@ -69,9 +69,6 @@ def read_coverage(dataset: Dataset) -> Coverage:
     """What the dataset's training views saw, from their stored straight layers of the true geometry.
 
     All views of the training split count, also those few that a method sets aside to measure itself.
-
-    Raises:
-        HyalineError: a view is not peeled, or damaged.
     """
     is_glass = np.array([False, *(item.is_glass for item in dataset.objects)])
     num_views = dataset.config.train.views
@@ -97,9 +94,6 @@ def cover_view(coverage: Coverage, dataset: Dataset, split: Split, view: int) ->
     decides which cameras count. The angle of a pixel is the largest one of its visible layers: each of them has a part
     in the colour, and the least known one spoils it. Measured on the glass table at 128 pixels with `paper`, the rank
     correlation of squared error and angle is 0.40 with the largest, 0.37 with the mean, 0.31 with the opaque layer's.
-
-    Raises:
-        HyalineError: the view is not peeled, or damaged.
     """
     layers = dataset.view(split, view).layers()
     size = layers.object_id.shape[1] * layers.object_id.shape[2]
@@ -221,11 +215,7 @@ def _kept_shares(dataset: Dataset, geometry: str, counts: list[int], kept: Kept)
 
 
 def missed_shares(dataset: Dataset, geometry: str, counts: list[int]) -> dict[int, tuple[Shares, Shares]]:
-    """Shares of the test rays that meet more surfaces than so many, and that see deeper than so many.
-
-    Raises:
-        HyalineError: the geometry has no straight layers.
-    """
+    """Shares of the test rays that meet more surfaces than so many, and that see deeper than so many."""
     is_glass = np.array([False, *(item.is_glass for item in dataset.objects)])
     head = dataset.layer_store(geometry).head
     shares: dict[int, tuple[Shares, Shares]] = {count: ({}, {}) for count in counts}

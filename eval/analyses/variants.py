@@ -73,9 +73,6 @@ def run_of_variant(run: Run, variant: Dataset) -> Run | None:
     """A run's predictions of a variant as a run of its own; None where it has none.
 
     They lie at RUN/variants/NAME/predictions/SPLIT/0000.png, whoever made them.
-
-    Raises:
-        HyalineError: a picture is missing or too many, or they are of another version of the variant or of another run.
     """
     folder = variant_root(run.folder, variant.name)
     found = within(run, folder, variant)

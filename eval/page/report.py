@@ -57,9 +57,6 @@ def make_report(
         is_full: also print what the runs are, quality by angle and by layers.
         is_published: also print the paper's own numbers, and beside them what its authors' script would for our runs.
         most_views: that the page shows of each split and run.
-
-    Raises:
-        HyalineError: an unknown format, no run, or a run that cannot be scored.
     """
     choose("format", output_format, FORMATS)
     if not 1 <= most_views <= MAX_VIEWS:
@@ -98,11 +95,7 @@ TABLES = (*COMPARISONS, "proxies", *ABLATIONS, "claims")
 def make_tables(
     runs_root: Path, data_root: Path, out: Path, *, tables: Sequence[str], output_format: str, only: Path | None = None
 ) -> None:
-    """Scores the runs that some tables need and prints those alone; pictures of them are written to `out`.
-
-    Raises:
-        HyalineError: an unknown table or format, or a run that cannot be scored.
-    """
+    """Scores the runs that some tables need and prints those alone; pictures of them are written to `out`."""
     for table in tables:
         choose("table", table, TABLES)
     choose("format", output_format, TABLE_FORMATS)

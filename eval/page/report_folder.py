@@ -45,11 +45,7 @@ class Drawing:
 
 
 def check_report_folder(out: Path) -> None:
-    """Refuses a folder that holds something else, before anything is scored.
-
-    Raises:
-        HyalineError: naming what stands there.
-    """
+    """Refuses a folder that holds something else, before anything is scored."""
     refuse_others(out, REPORT)
 
 
@@ -59,11 +55,7 @@ def kept_in(out: Path) -> Kept:
 
 
 def write_report(out: Path, files: Mapping[str, Drawing]) -> Iterator[Path]:
-    """Commits the files of a report, each as it is made; yields the paths of those that were not there yet.
-
-    Raises:
-        HyalineError: something else stands there, or another report is being written.
-    """
+    """Commits the files of a report, each as it is made; yields the paths of those that were not there yet."""
     with holding(out, REPORT):
         own = _report_files(out) if is_ours(out, REPORT) else []
         refuse_taken(out, REPORT, files, own)
@@ -94,9 +86,6 @@ def keep(out: Path, kept: Kept, *, are_all: bool) -> None:
 
     Args:
         are_all: whether every run was scored: then what none of them asked for is removed.
-
-    Raises:
-        HyalineError: another report is being written.
     """
     if not is_ours(out, REPORT):
         return

@@ -75,20 +75,12 @@ def code_digest() -> str:
 
 
 def picture_digests(dataset: Dataset, split: Split) -> list[str]:
-    """SHA-256 of each true picture, every byte verified.
-
-    Raises:
-        HyalineError: a view is not built, or its picture is damaged.
-    """
+    """SHA-256 of each true picture, every byte verified."""
     return [view.image_sha256 for view in dataset.views(split)]
 
 
 def layers_digest(dataset: Dataset, geometry: str, splits: Sequence[Split]) -> str:
-    """A hash of what the records promise of the straight layers in some splits.
-
-    Raises:
-        HyalineError: the geometry has none, or a view is not peeled.
-    """
+    """A hash of what the records promise of the straight layers in some splits."""
     store = dataset.layer_store(geometry)
     digest = hashlib.sha256(store.seal.encode())
     for split in splits:

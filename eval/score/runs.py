@@ -98,11 +98,7 @@ def list_run_folders(root: Path, *, besides: Path) -> list[Path]:
 
 
 def has_predictions(folder: Path) -> bool:
-    """True when the run has begun to predict; names of splits are checked.
-
-    Raises:
-        HyalineError: a folder of predictions that is no split.
-    """
+    """True when the run has begun to predict; names of splits are checked."""
     splits = [path.name for path in sorted((folder / "predictions").glob("*")) if path.is_dir()]
     for name in splits:
         if name in ANGLE_SPLITS:
@@ -121,10 +117,6 @@ def open_run(folder: Path, data_root: Path, given: Dataset | None = None) -> Run
     """The run in a folder, with the dataset that it was made for.
 
     The dataset is the given one, or the one that run.json names, or else `data_root`/SCENE.
-
-    Raises:
-        HyalineError: a damaged record, no dataset, one that differs from the data the run was made for, or pictures of
-            another run.
     """
     path = folder / "run.json"
     record = load_json(path) if os.path.lexists(path) else {}
@@ -158,11 +150,7 @@ def open_run(folder: Path, data_root: Path, given: Dataset | None = None) -> Run
 
 
 def within(run: Run, folder: Path, dataset: Dataset) -> Run:
-    """A run's predictions of other truth, in a folder of its own inside the run's, as a run.
-
-    Raises:
-        HyalineError: the list of its pictures is damaged, or is of other truth or of another run.
-    """
+    """A run's predictions of other truth, in a folder of its own inside the run's, as a run."""
     promised = _read_promised(folder, dataset, run.seal)
     return dataclasses.replace(run, folder=folder, dataset=dataset, promised=promised)
 
@@ -191,11 +179,7 @@ def prediction_path(run: Run, split: Split, view: int) -> Path:
 
 
 def has_split(run: Run, split: Split) -> bool:
-    """True when the run predicted the split: all of its views, and no others.
-
-    Raises:
-        HyalineError: a view is missing, or there is one that the dataset does not have.
-    """
+    """True when the run predicted the split: all of its views, and no others."""
     folder = run.folder / "predictions" / split
     if not folder.is_dir():
         return False
@@ -211,12 +195,7 @@ def has_split(run: Run, split: Split) -> bool:
 
 
 def read_prediction(run: Run, split: Split, view: int) -> UInt8[np.ndarray, "h w 3"]:
-    """One predicted picture.
-
-    Raises:
-        HyalineError: a bit of it differs from what was written, it is of another size than the truth, not 8 bits a
-            channel, or not opaque.
-    """
+    """One predicted picture."""
     path = prediction_path(run, split, view)
     data = _read_bytes(run, split, view)
     check_png(data, where=str(path))

@@ -171,11 +171,7 @@ class SceneScores:
 
 
 def read_truth(dataset: Dataset, split: Split) -> Truth:
-    """Pictures, glass masks and noise ceiling of a split.
-
-    Raises:
-        HyalineError: a view is not built, its picture is damaged, or it is not peeled in a dataset that has layers.
-    """
+    """Pictures, glass masks and noise ceiling of a split."""
     digest: list[Json] = [*picture_digests(dataset, split)]
     digest.append(layers_digest(dataset, TRUTH, [split]) if has_layers(dataset) else None)
     if has_glass_mask(dataset) and not has_layers(dataset):

@@ -182,11 +182,7 @@ Stored = dict[str, Any]
 
 
 def results_page(paths: Sequence[Path]) -> str:
-    """The page: a section a file, in the order of their names.
-
-    Raises:
-        HyalineError: a file that `eval report` has not written, or of another version.
-    """
+    """The page: a section a file, in the order of their names."""
     notes = "".join(f"\n{markdown_escaped(note)}\n" for note in (*metric_notes(is_wrapped=False), *NOTES))
     return HEAD + notes + "".join(_section(path) for path in sorted(paths, key=lambda path: path.name))
 

@@ -71,11 +71,7 @@ class Processes:
             gradient /= self.count
 
     def broadcast(self, is_needed: bool = False) -> bool:
-        """What the first process says; what the others say does not count.
-
-        Raises:
-            HyalineError: the first process has ended.
-        """
+        """What the first process says; what the others say does not count."""
         if self.count == 1:
             return is_needed
         said = torch.tensor([is_needed], dtype=torch.uint8)
@@ -108,9 +104,6 @@ def see_own_gpu() -> None:
 
     Dr.Jit 1.5 always takes the first GPU that it sees. Call this before anything asks CUDA; machines without a GPU
     stay as they are.
-
-    Raises:
-        HyalineError: the machine has fewer GPUs than processes.
     """
     if not is_one_of_several() or (count := torch.cuda.device_count()) == 0:
         return

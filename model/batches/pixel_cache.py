@@ -142,9 +142,6 @@ def map_pixels(
     """What `load_pixels` gives, from a cache, which is laid out where it is not there or damaged.
 
     Every byte is verified: of the dataset when the cache is laid out, of the cache when it is found.
-
-    Raises:
-        HyalineError: as `load_pixels`, or a pixel has a hit behind an empty layer.
     """
     assert with_images, "only training data is large"
     store = dataset.layer_store(geometry)

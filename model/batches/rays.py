@@ -136,9 +136,6 @@ def load_pixels(
     Args:
         max_layers: the nearest layers that are kept; all of them unless told.
         whole_views: the renderer looks at neighbours.
-
-    Raises:
-        HyalineError: a view is missing or damaged, or names an object that the scene does not have.
     """
     p_camera = dataset.cameras(split).world_from_camera[list(views), :3, 3].astype(np.float32)
     stacks = [read_stack(dataset, geometry, split, view, max_layers) for view in views]
@@ -155,11 +152,7 @@ def load_pixels(
 def read_stack(
     dataset: Dataset, geometry: str, split: Split, view: int, max_layers: int | None
 ) -> tuple[UInt16[np.ndarray, "pixel layer 2"], UInt8[np.ndarray, "pixel layer"]]:
-    """uv and object ids of a view's pixels in its nearest layers, every byte verified.
-
-    Raises:
-        HyalineError: the view is missing or damaged, or names an object that the scene does not have.
-    """
+    """uv and object ids of a view's pixels in its nearest layers, every byte verified."""
     layers = dataset.layer_store(geometry).read(split, view, only=["uv", "object_id"])
     uv, object_id = np.moveaxis(layers["uv"], 0, -1), layers["object_id"]
     if object_id.max(initial=0) > len(dataset.objects):

@@ -47,11 +47,7 @@ class Inpainter:
         seed: int,
         device: torch.device,
     ) -> None:
-        """Counts the visits of all training rays, and looks for pixels that show a texel without any.
-
-        Raises:
-            HyalineError: there are none, so there is nothing to in-paint.
-        """
+        """Counts the visits of all training rays, and looks for pixels that show a texel without any."""
         self.visits = {
             f"{name}.table": count_visits(module, training)
             for name, module in renderer.named_modules()

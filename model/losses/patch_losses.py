@@ -187,11 +187,7 @@ IMAGENET_MEAN, IMAGENET_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 
 
 def find_vgg(config: LossConfig) -> LossConfig:
-    """The configuration with the digest of the file that its weights are read from; nothing is ever downloaded.
-
-    Raises:
-        HyalineError: the file is not there; the line says where it belongs.
-    """
+    """The configuration with the digest of the file that its weights are read from; nothing is ever downloaded."""
     if not config.has_vgg or config.vgg_weights == "random":
         return config
     kind, path = config.vgg, vgg_path(config.vgg, config.vgg_weights)

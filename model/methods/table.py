@@ -31,11 +31,7 @@ BUILT_IN = {
 
 @cache
 def list_methods() -> tuple[str, ...]:
-    """The names of all methods, those of other distributions last.
-
-    Raises:
-        HyalineError: two have one name.
-    """
+    """The names of all methods, those of other distributions last."""
     others = sorted(point.name for point in metadata.entry_points(group=GROUP))
     names = (*BUILT_IN, *others)
     if doubled := sorted({name for name in names if names.count(name) > 1}):
@@ -48,11 +44,7 @@ def list_methods() -> tuple[str, ...]:
 
 @cache
 def find_method(name: str) -> type[MethodConfig]:
-    """The record of a method.
-
-    Raises:
-        HyalineError: there is none of that name, or a distribution's cannot be imported or is none.
-    """
+    """The record of a method."""
     choose("method", name, list_methods())
     if name in BUILT_IN:
         module, _, kind = BUILT_IN[name].partition(":")
@@ -81,11 +73,7 @@ def about(name: str) -> str:
 
 
 def open_inputs(config: MethodConfig, dataset: Dataset, geometry: str) -> Inputs:
-    """What a method is given of a dataset.
-
-    Raises:
-        HyalineError: the geometry was not peeled, or has fewer layers than the configuration asks for.
-    """
+    """What a method is given of a dataset."""
     if not config.reads_layers:
         return Inputs(dataset=dataset, geometry=geometry, num_layers=0, layers_seal=dataset.seal)
     store = dataset.layer_store(geometry)

@@ -19,9 +19,6 @@ def bake_position_table(dataset: Dataset, geometry: str, size: int) -> Float32[T
     """The position textures P of all objects, packed as `object_layout((size,) * objects)`: world positions in metres.
 
     The last table is kept, for training and predicting ask for the same one: it must not be written to.
-
-    Raises:
-        HyalineError: a position is not finite.
     """
     return _bake_position_table(geometry_key(dataset, geometry), size)
 

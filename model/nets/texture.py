@@ -47,9 +47,6 @@ def scene_layout(num_objects: int, size: int) -> TextureLayout:
     """One texture of `size` texels squared for the whole scene, a grid of equal cells, one cell an object.
 
     Lookups are clamped to the object's cell, so neighbours in the grid never mix.
-
-    Raises:
-        HyalineError: the cells would be narrower than 2 texels.
     """
     cells = math.ceil(math.sqrt(num_objects))
     cell = size // cells

@@ -59,9 +59,6 @@ def fit_cube(cameras: Cameras, vertices: Float[np.ndarray, "vertex 3"]) -> tuple
     a room has behind the grid must then be drawn from within.
 
     Source: DeepVoxels gives origin, scale and near plane by hand for each scene; here nobody chooses them.
-
-    Raises:
-        HyalineError: all cameras look the same way, or one stands where they look at.
     """
     position = cameras.world_from_camera[:, :3, 3]
     forward = -cameras.world_from_camera[:, :3, 2]

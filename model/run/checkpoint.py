@@ -33,11 +33,7 @@ def save_state(path: Path, state: dict[str, State]) -> None:
 
 
 def load_state(path: Path) -> dict[str, State]:
-    """A saved state, on the CPU, every number of it verified.
-
-    Raises:
-        HyalineError: missing, damaged, or of another format version.
-    """
+    """A saved state, on the CPU, every number of it verified."""
     if not path.is_file():
         raise HyalineError(f"{path}: the file is missing")
     try:
@@ -72,9 +68,6 @@ def load_checkpoint(out: Path) -> dict[str, State] | None:
     """The newest checkpoint that verifies; None when there never was one.
 
     A damaged newest one is deleted, which is said: the next save would else put it in the place of the intact one.
-
-    Raises:
-        HyalineError: there are checkpoints, but none is intact.
     """
     damaged: list[Path] = []
     for path in (out / CHECKPOINT, out / PREVIOUS_CHECKPOINT):

@@ -76,11 +76,7 @@ def predict_colors(renderer: Renderer, pixels: PixelSource) -> Float32[Tensor, "
 
 
 def load_renderer(out: Path, config: TrainConfig, dataset: Dataset) -> Renderer:
-    """The trained renderer of a run, on the CPU.
-
-    Raises:
-        HyalineError: the weights are missing, damaged, or of another configuration or other data.
-    """
+    """The trained renderer of a run, on the CPU."""
     if not (out / WEIGHTS).is_file():
         raise HyalineError(
             f"{out / WEIGHTS}: not there, the run is not trained to its end; the same `model train` goes on with it"
@@ -139,11 +135,7 @@ def render_predictions(run: Path, config: TrainConfig, dataset: Dataset, *, devi
 
 
 def render_variant(run: Path, config: TrainConfig, dataset: Dataset, variant: Dataset, *, device: torch.device) -> None:
-    """Renders all splits of a variant from the run's weights; the list of pictures comes last.
-
-    Raises:
-        HyalineError: an edit, which the run's method or geometry cannot draw.
-    """
+    """Renders all splits of a variant from the run's weights; the list of pictures comes last."""
     check_can_draw(config, dataset, variant)
     keep_freed_memory()
     renderer = load_renderer(run, config, dataset)
@@ -153,11 +145,7 @@ def render_variant(run: Path, config: TrainConfig, dataset: Dataset, variant: Da
 
 
 def check_can_draw(config: TrainConfig, dataset: Dataset, variant: Dataset) -> None:
-    """Refuses an edit that a run cannot draw.
-
-    Raises:
-        HyalineError: its method knows no geometry, or the edit has not the run's proxies.
-    """
+    """Refuses an edit that a run cannot draw."""
     if variant.edit is None:
         return
     check_draws_edits(config)
@@ -178,11 +166,7 @@ def check_draws_edits(config: TrainConfig) -> None:
 def film_pictures(
     run: Path, config: TrainConfig, dataset: Dataset, cameras: Cameras, *, device: torch.device
 ) -> Iterator[UInt8[np.ndarray, "h w 3"]]:
-    """What each of these cameras sees by a run's weights, 8-bit sRGB, drawn one by one.
-
-    Raises:
-        HyalineError: the run has no weights yet, or its method draws the views of a dataset alone.
-    """
+    """What each of these cameras sees by a run's weights, 8-bit sRGB, drawn one by one."""
     inputs = open_inputs(config.net, dataset, config.geometry)
     check_draws_cameras(run, config)
     keep_freed_memory()

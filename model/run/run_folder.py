@@ -78,11 +78,7 @@ class TrainConfig(PixelOptimisation):
 
 
 def parse_config(data: Json, *, where: str) -> TrainConfig:
-    """The configuration that JSON describes; its method's record is found by the method's name.
-
-    Raises:
-        HyalineError: no such method, an unknown or missing key, or a value of the wrong type.
-    """
+    """The configuration that JSON describes; its method's record is found by the method's name."""
     if not isinstance(data, dict):
         raise HyalineError(f"{where}: is {shown(data)}; expected an object")
     if not isinstance(name := data.get("method"), str):
@@ -148,9 +144,6 @@ def begin_run(out: Path, record: RunRecord, *, anew: bool) -> None:
     """Writes the record of a run that begins or goes on; `anew` deletes what stands there before.
 
     Killed at any moment, the folder holds the old run or one that has begun: never files without a record.
-
-    Raises:
-        HyalineError: something else stands there.
     """
     content = cast(dict[str, Json], to_json(record))
     if not is_ours(out, FOLDER):
@@ -171,12 +164,7 @@ def finish_clearing(out: Path) -> None:
 
 
 def read_run(out: Path) -> RunRecord:
-    """The record of a run.
-
-    Raises:
-        HyalineError: no run there, another method's pictures, a damaged run, one of another version, or with an unknown
-            key.
-    """
+    """The record of a run."""
     if _is_foreign(out):
         raise HyalineError(
             f"{out}: holds pictures of a method that hyaline does not run, and no weights; expected the folder of a "
@@ -213,9 +201,6 @@ def check_same_run(out: Path, config: TrainConfig, *, dataset_seal: str, layers_
     """Refuses to go on with, or to skip, a run of another configuration or of other data.
 
     Labels, folder names and torch's version do not count.
-
-    Raises:
-        HyalineError: names the first key that differs.
     """
     record = read_run(out)
     before = {**_flatten(to_json(record.config)), "dataset": record.dataset_seal, "layers": record.layers_seal}
@@ -241,12 +226,7 @@ def data_seals(inputs: Inputs) -> dict[str, str]:
 
 
 def check_state_of(state: Mapping[str, object], config: TrainConfig, inputs: Inputs, *, path: Path) -> None:
-    """Refuses weights or a checkpoint of another run, that somebody has copied here.
-
-    Raises:
-        HyalineError: another configuration, an unknown key in it, or other data, where the file says on which (those of
-            older programs do not).
-    """
+    """Refuses weights or a checkpoint of another run, that somebody has copied here."""
     if parse_config(cast(Json, state.get("config")), where=f"{path}: config") != config:
         raise HyalineError(f"{path}: made by another configuration than run.json; train with --overwrite")
     for key, own in data_seals(inputs).items():
@@ -334,9 +314,6 @@ def write_metrics(out: Path, metrics: list[dict[str, Json]]) -> None:
 
 def read_metrics(out: Path) -> list[dict[str, float | None]]:
     """The lines of metrics.jsonl, one an evaluation: step, loss, and held_out_psnr in dB (None without held-out views).
-
-    Raises:
-        HyalineError: a line that is no such object.
     """
     path = out / METRICS
     lines = read_regular(path).splitlines() if path.is_file() else []
@@ -355,11 +332,7 @@ def _flatten(data: Json) -> dict[str, Json]:
 
 
 def open_trained(run: Path, dataset: str | None = None) -> tuple[RunRecord, Dataset]:
-    """A run's record and its dataset: the one named, or the one where the run found it.
-
-    Raises:
-        HyalineError: there is no run, no dataset, or another one than that of the run.
-    """
+    """A run's record and its dataset: the one named, or the one where the run found it."""
     record = read_run(run)
     opened = open_dataset(find_dataset(dataset) if dataset else Path(record.dataset))
     check_trained_on(run, record.config, opened)

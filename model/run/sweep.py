@@ -62,9 +62,6 @@ def read_experiment(given: str, *, datasets: Sequence[str] = (), seeds: Sequence
         given: a file, or the name of one that comes with the program.
         datasets: instead of the file's; none leaves them.
         seeds: likewise.
-
-    Raises:
-        HyalineError: no such file, not TOML, or a key or value that `model train` does not take, named with its place.
     """
     path = Path(given)
     if path.suffix != ".toml":
@@ -245,11 +242,7 @@ def run_experiment(experiment: Experiment, *, devices: Sequence[str | None]) -> 
 
 
 def find_devices(jobs: int) -> tuple[str | None, ...]:
-    """A name for each CUDA device, as CUDA_VISIBLE_DEVICES takes it, or None for the CPU; each as often as jobs.
-
-    Raises:
-        HyalineError: there are no jobs.
-    """
+    """A name for each CUDA device, as CUDA_VISIBLE_DEVICES takes it, or None for the CPU; each as often as jobs."""
     import torch
 
     if jobs < 1:
@@ -270,11 +263,7 @@ def share_of_cores(jobs: int) -> dict[str, str]:
 
 
 def raise_failures(experiment: Experiment, failures: Sequence[Failure]) -> None:
-    """Tells how many runs are finished, and why the others are not.
-
-    Raises:
-        HyalineError: a run failed.
-    """
+    """Tells how many runs are finished, and why the others are not."""
     total = len(experiment.runs)
     say(f"sweep {experiment.name}: {total - len(failures)} of {total} runs are finished")
     for failure in failures:

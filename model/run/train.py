@@ -190,11 +190,7 @@ def make_losses(
 
 
 def resume(run: Run) -> Progress:
-    """Loads the newest intact checkpoint, if there is one, into the run; says how far it had come.
-
-    Raises:
-        HyalineError: another configuration or other data made it.
-    """
+    """Loads the newest intact checkpoint, if there is one, into the run; says how far it had come."""
     progress = Progress()
     with run.processes.in_turn():
         checkpoint = load_checkpoint(run.out)

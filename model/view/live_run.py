@@ -39,11 +39,7 @@ class LiveRun:
     """
 
     def __init__(self, folder: Path, config: TrainConfig, dataset: Dataset, *, device: torch.device) -> None:
-        """Nothing is read of the weights yet.
-
-        Raises:
-            HyalineError: trained on other data, or of a method that draws the views of its dataset alone.
-        """
+        """Nothing is read of the weights yet."""
         check_draws_cameras(folder, config)
         self.folder, self.config, self.dataset, self.device = folder, config, dataset, device
         self.inputs = check_trained_on(folder, config, dataset)
@@ -69,11 +65,7 @@ class LiveRun:
         return f"step {self.step:,} of {self.config.steps:,}{score}"
 
     def refresh(self) -> bool:
-        """Reads the newest weights, if they are others than those at hand; True when they are.
-
-        Raises:
-            HyalineError: damaged weights, or those of another configuration.
-        """
+        """Reads the newest weights, if they are others than those at hand; True when they are."""
         newest = self._newest()
         if newest is None or newest[0] == self._read:
             return False

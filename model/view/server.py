@@ -225,9 +225,6 @@ def serving(host: str, port: int, label: str) -> Iterator[Server]:
 
     Args:
         port: 0 takes any that is free.
-
-    Raises:
-        HyalineError: the port is taken, or there is no such address.
     """
     _check_free(host, port)
     with contextlib.redirect_stdout(io.StringIO()):  # viser prints a box.

@@ -67,11 +67,7 @@ class Stage:
             frame.visible = visible
 
     def show_meshes(self, geometry: str | None) -> None:
-        """The meshes of this geometry instead of those that are shown; None: of none.
-
-        Raises:
-            HyalineError: they were not made, or are damaged.
-        """
+        """The meshes of this geometry instead of those that are shown; None: of none."""
         meshes = () if geometry is None else read_meshes(self._dataset, geometry)
         for handle in self._meshes:
             handle.remove()

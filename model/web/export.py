@@ -60,11 +60,7 @@ MAX_PICTURE = 1 << 26
 def export_run(
     run: Path, record: RunRecord, dataset: Dataset, out: Path, quality: Quality, truths: Truths = "all"
 ) -> None:
-    """Writes the page of a trained run.
-
-    Raises:
-        HyalineError: the run's method has no page, or its weights are not there.
-    """
+    """Writes the page of a trained run."""
     if not record.config.net.page:
         raise HyalineError(f"{run}: its method, {record.method}, has no web page; docs/browser.md lists those that do")
     renderer = load_renderer(run, record.config, dataset)

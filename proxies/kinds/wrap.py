@@ -43,21 +43,13 @@ Candidate = tuple[Float64[np.ndarray, "_ 3"], Int64[np.ndarray, "_ 3"]]
 
 
 def fit_wraps(solids: tuple[Solid, ...], paddings: tuple[float, ...]) -> tuple[Mesh, ...]:
-    """Each solid's alpha wrap, farther off by its padding; with fewer triangles where the wrap has some too small.
-
-    Raises:
-        HyalineError: pymeshlab is missing or fails.
-    """
+    """Each solid's alpha wrap, farther off by its padding; with fewer triangles where the wrap has some too small."""
     wraps = _wraps(solids, paddings, kind="wrap", alpha=WRAP_ALPHA, targets=FACES)
     return _first_sound(solids, paddings, [candidates[::-1] for candidates in wraps])
 
 
 def fit_lowpolys(solids: tuple[Solid, ...], paddings: tuple[float, ...]) -> tuple[Mesh, ...]:
-    """Each solid's decimated wrap, its vertices moved outward until it encloses the object.
-
-    Raises:
-        HyalineError: pymeshlab is missing or fails.
-    """
+    """Each solid's decimated wrap, its vertices moved outward until it encloses the object."""
     wraps = _wraps(solids, paddings, kind="lowpoly", alpha=LOWPOLY_ALPHA, targets=FACES)
     return _first_sound(solids, paddings, wraps)
 

@@ -28,11 +28,7 @@ SEED = 20_220_608
 
 
 def check_amount(amount: float) -> None:
-    """Refuses an amount of noise that is no small share of an object.
-
-    Raises:
-        HyalineError: it is not within `AMOUNTS`.
-    """
+    """Refuses an amount of noise that is no small share of an object."""
     if not AMOUNTS[0] <= amount <= AMOUNTS[1]:
         raise HyalineError(
             f"amount {amount:g}: expected {AMOUNTS[0]:g} to {AMOUNTS[1]:g}, parts of each object's diagonal"

@@ -84,11 +84,7 @@ class DeepVoxelsConfig(MethodConfig):
                 return Optimisation(batch=2, lr=4e-4, lr_decay="none")
 
     def sized(self, resolution: Resolution) -> Self:
-        """The same for pictures of some size.
-
-        Raises:
-            HyalineError: they are not square, or their width is no power of two.
-        """
+        """The same for pictures of some size."""
         side = resolution.mean_side
         if not resolution.is_power_of_two_square:
             raise HyalineError(

@@ -107,9 +107,6 @@ class DeepVoxels(Renderer[Views]):
 
         The view lifted is one of the four whose axes are nearest to the first target's. The authors go through all
         first targets in epochs; here each step draws its own, so that a stopped run goes on with the same ones.
-
-        Raises:
-            HyalineError: there are not two training views.
         """
         if training.num_views < 2:
             raise HyalineError(f"train: has {training.num_views} view to learn from; deepvoxels needs at least 2")
