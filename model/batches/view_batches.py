@@ -1,4 +1,4 @@
-"""Whole views as training data: cameras, pictures, and which training views look the same way."""
+"""Whole views as training data: cameras, pictures, and neighbouring views."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -31,14 +31,14 @@ class Views:
     """Some views of a dataset for renderers that draw whole pictures."""
 
     rgb: UInt8[Tensor, "pixel 3"]
-    """8-bit sRGB, row by row and view by view; black where images were not asked for."""
+    """8-bit sRGB, row by row and view by view; black without images."""
     world_from_camera: Float32[Tensor, "view 4 4"]
     fov_x: float
     """Radians."""
     center: tuple[float, float]
-    """Of each `ViewCamera`."""
+    """Principal point, as in `ViewCamera`."""
     resolution: Resolution
-    """Of a view."""
+    """Size of a view."""
 
     @property
     def device(self) -> torch.device:
@@ -50,7 +50,7 @@ class Views:
 
     @property
     def chunk(self) -> int:
-        """A rendering takes one view at once."""
+        """Pixels rendered at once: one view."""
         return self.pixels_per_view
 
     @property
@@ -90,7 +90,7 @@ class Views:
 
 
 def load_views(dataset: Dataset, split: Split, views: Sequence[int], *, with_images: bool) -> Views:
-    """Cameras and (unless told otherwise) pictures of some views, every byte verified."""
+    """Cameras and, with `with_images`, pictures of some views, every byte verified."""
     cameras = dataset.cameras(split)
     some = dataclasses.replace(cameras, world_from_camera=cameras.world_from_camera[list(views)])
     return views_of(some, read_colors(dataset, split, views, with_images=with_images))

@@ -1,4 +1,4 @@
-"""The losses of a run: the method's own, and the terms added to it, some of which learn themselves."""
+"""The losses of a run: the method's own, plus perceptual and adversarial terms on patches."""
 
 import dataclasses
 import pickle
@@ -25,7 +25,7 @@ from model.settings.state import State
 
 @runtime_checkable
 class OwnLoss(Protocol):
-    """What a renderer's own loss takes (model/methods/renderer.py)."""
+    """A renderer's own loss (model/methods/renderer.py)."""
 
     def __call__(
         self,
@@ -63,7 +63,7 @@ class Losses:
         return self.adversary is not None and step >= self.first_adversarial_step
 
     def limit_rate(self, rate: float, step: int) -> float:
-        """The learning rate of a step: no higher than the adversarial one as soon as that term is there."""
+        """The learning rate of a step: at most the adversarial one, once that term is used."""
         return min(rate, self.config.adversarial_lr) if self.is_adversarial(step) else rate
 
     def loss(
@@ -76,7 +76,7 @@ class Losses:
         *,
         step: int,
     ) -> Tensor:
-        """What step `step` makes small, `own` being the renderer's loss. The discriminator has learned afterwards."""
+        """The loss of step `step`, where `own` is the renderer's loss; also trains the discriminator."""
         config, is_adversarial = self.config, self.is_adversarial(step)
         size = min(config.patch, training.resolution.shorter)
 
@@ -114,8 +114,8 @@ LEAKY_SLOPE = 0.2
 class PatchDiscriminator(nn.Sequential):
     """pix2pix's PatchGAN: each of its outputs judges 70 x 70 pixels; 2,764,737 parameters.
 
-    Source: Isola et al. 2017; instance norm, so that what it says of a patch does not hang on the others. It sees
-    colours alone, so it can judge patches that have no truth. (The authors' code shows it uv and object ids, too.)
+    Source: Isola et al. 2017; instance norm, so that a patch's score does not depend on the others. It only sees
+    colours, so it can judge patches without ground truth. (The authors' code also feeds it uv and object ids.)
     """
 
     def __init__(self, *, width: int = 64) -> None:
@@ -138,7 +138,7 @@ class PatchDiscriminator(nn.Sequential):
 
 
 class Adversary:
-    """A discriminator with its optimiser. What it has learned is part of a checkpoint."""
+    """A discriminator with its optimiser; their state is part of a checkpoint."""
 
     def __init__(self, *, lr: float, seed: int, device: torch.device, width: int = 64) -> None:
         with torch.random.fork_rng(devices=[]):
@@ -147,7 +147,7 @@ class Adversary:
         self.optimizer = torch.optim.Adam(self.discriminator.parameters(), lr=lr, betas=(0.5, 0.999))
 
     def loss(self, fake: Float32[Tensor, "b h w 3"], real: Float32[Tensor, "b h w 3"]) -> Float32[Tensor, ""]:
-        """Teaches the discriminator one step, then says how far the fakes are from passing: -log D(fake)."""
+        """Trains the discriminator for one step, then returns the generator loss -log D(fake)."""
         self.discriminator.requires_grad_(True)
         doubts = _entropy(self.discriminator.judge(real), 1.0) + _entropy(self.discriminator.judge(fake.detach()), 0.0)
         self.optimizer.zero_grad(set_to_none=True)
@@ -173,7 +173,8 @@ def _entropy(logits: Tensor, label: float) -> Tensor:
 
 
 CONVOLUTIONS: dict[VggKind, tuple[int, ...]] = {"vgg16": (2, 2, 3, 3, 3), "vgg19": (2, 2, 4, 4, 4)}
-"""Of each stage; a pooling that halves the picture follows each. Source: Simonyan and Zisserman 2015, columns D, E."""
+"""Convolutions per stage; a pooling that halves the picture follows each stage. Source: Simonyan and Zisserman 2015,
+columns D and E."""
 
 CHANNELS = (64, 128, 256, 512, 512)
 
@@ -181,20 +182,20 @@ COMPARED_STAGES = 3
 """The last activation of each of the first three stages is compared: relu1_2, relu2_2, relu3_3 (relu3_4 of VGG19)."""
 
 WEIGHT_FILES: dict[VggKind, str] = {"vgg16": "vgg16-397923af.pth", "vgg19": "vgg19-dcbb9e9d.pth"}
-"""torchvision's names of the weights trained on ImageNet; the end is how their SHA-256 begins."""
+"""torchvision's names of the weights trained on ImageNet; they end with the first digits of their SHA-256."""
 
 IMAGENET_MEAN, IMAGENET_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 
 
 def find_vgg(config: LossConfig) -> LossConfig:
-    """The configuration with the digest of the file that its weights are read from; nothing is ever downloaded."""
+    """The configuration with the digest of its file of weights; nothing is ever downloaded."""
     if not config.has_vgg or config.vgg_weights == "random":
         return config
     kind, path = config.vgg, vgg_path(config.vgg, config.vgg_weights)
     if not path.is_file():
         raise HyalineError(
-            f"{path}: no {kind.upper()} weights; put torchvision's {WEIGHT_FILES[kind]} there, or give --vgg-weights "
-            f"the path of one, random (a stand-in) or none"
+            f"{path}: no {kind.upper()} weights; put torchvision's {WEIGHT_FILES[kind]} there, or set --vgg-weights to "
+            f"its path, random (a stand-in) or none"
         )
     digest = sha256_file(path)
     if config.vgg_weights == "auto" and not digest.startswith(path.stem.partition("-")[2]):
@@ -220,12 +221,12 @@ def vgg_layers(kind: VggKind, *, stages: int = len(CHANNELS)) -> nn.Sequential:
 
 
 class PerceptualLoss(nn.Module):
-    """How far the VGG features of pictures are from those of the truth; nothing in it is learned.
+    """The distance between VGG features of pictures and ground truth; it has no learned parameters.
 
     The mean over the compared layers of their mean absolute differences, each divided by the layer's standard deviation
-    on a fixed picture: so layers count alike, whatever the scale of the weights. Pictures are normalised as ImageNet's,
-    which the authors' code does not do. Random weights (Kaiming, of a fixed seed) are a stand-in: Liu et al., CVPR 2021
-    (arXiv 2103.10571) find structure to matter more than training in such losses.
+    on a fixed picture, so that layers have equal weight whatever the scale of their weights. Pictures are normalised
+    like ImageNet's, unlike in the authors' code. Random weights (Kaiming, fixed seed) are a stand-in: Liu et al., CVPR
+    2021 (arXiv 2103.10571), find that structure matters more than training in such losses.
     """
 
     mean: Tensor

@@ -1,6 +1,7 @@
-"""The networks that DeepVoxels is made of: from a picture to features, into the grid, and from rays to a picture.
+"""The networks of DeepVoxels: from a picture to features, into the grid, and from rays to a picture.
 
-Source: Sitzmann et al. 2019 and the code they released, from its description.
+Everywhere: reflection padding in 2-D, replication padding in 3-D, batch norm after each convolution, no bias where
+there is a norm. Source: Sitzmann et al. 2019 and the code they released, from its description.
 """
 
 import math
@@ -203,7 +204,7 @@ class Integration(nn.Module):
 
     def __init__(self, features: int, *, dropout: float, bounded: bool) -> None:
         super().__init__()
-        # What the new observation says to the reset gate, the update gate and the candidate; what the old state says.
+        # Inputs of the reset gate, the update gate and the candidate: from the new observation, then the old state.
         self.new = _conv3(features + 3, 2 + features)
         self.old_gates = _conv3(features + 3, 2, has_bias=False)
         self.old_candidate = _conv3(features + 3, features, has_bias=False)
@@ -225,7 +226,7 @@ def _conv3(num_inputs: int, num_outputs: int, *, has_bias: bool = True) -> nn.Se
 
 
 class Occlusion(nn.Module):
-    """How visible each plane of a frustum is along each ray: weights that sum to 1 over depth."""
+    """Visibility of each plane of a frustum along each ray: weights that sum to 1 over depth."""
 
     def __init__(self, features: int, *, num_planes: int, plane_size: int) -> None:
         super().__init__()
@@ -252,7 +253,7 @@ def collapse(
 
 
 class Critic(nn.Module):
-    """Tells patches of 70 pixels of true pictures from drawn ones: a logit each."""
+    """A discriminator of patches of 70 pixels: one logit each."""
 
     def __init__(self, width: int = 28) -> None:
         super().__init__()
@@ -264,5 +265,5 @@ class Critic(nn.Module):
         self.layers = nn.Sequential(*layers, nn.ReflectionPad2d(1), nn.Conv2d(8 * width, 1, 4))
 
     def forward(self, image: Float32[Tensor, "1 3 h w"]) -> Float32[Tensor, "1 1 patch_h patch_w"]:
-        """Above 0 for true. Colours as the renderer has them before they are shifted, in [-0.5, 0.5]."""
+        """Logits, above 0 for true patches, of colours in [-0.5, 0.5]."""
         return self.layers(image)

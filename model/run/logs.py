@@ -1,4 +1,12 @@
-"""What training leaves for people to watch beside its metrics: snapshots of held-out views, TensorBoard's events."""
+"""The logs of a training run besides its metrics, for people to read; no command relies on them.
+
+RUN/costs.json                           with --costs: time and memory, summed over the sessions of a run
+RUN/snapshots/000500.png                 at each evaluation: held-out views, truth above prediction; 8-bit sRGB
+RUN/tensorboard/events.out.tfevents.*    with --tensorboard: loss and score as curves, held-out views as pictures
+
+Snapshots have equal bytes whenever the same run is trained, however often it was stopped. Costs and TensorBoard's files
+(which contain the time, the host and the process) differ from run to run.
+"""
 
 import json
 import re
@@ -23,21 +31,21 @@ MAX_BYTES = 1 << 16
 
 
 def _cpu_seconds() -> float:
-    """Of this process and of the children that have ended."""
+    """CPU time of this process and of its finished children."""
     used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     return sum(usage.ru_utime + usage.ru_stime for usage in used)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Meter:
-    """What clocks showed when a session began."""
+    """The clocks at the start of a session."""
 
     seconds: float = field(default_factory=time.monotonic)
     cpu_seconds: float = field(default_factory=_cpu_seconds)
 
     def add_to(self, run: Path) -> None:
-        """Adds the session that ends now to those of the run before it."""
-        import torch  # Only here: whoever scores pictures reads this file without it.
+        """Adds the session that ends now to the run's earlier ones; sessions that were killed are not counted."""
+        import torch  # Imported here: the costs are also read without it.
 
         before = read_costs(run)
         spent = {
@@ -53,13 +61,13 @@ class Meter:
 
 
 def _peak_memory() -> float:
-    """The most that this process ever had in memory, in bytes."""
+    """Peak memory of this process in bytes."""
     most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return float(most if sys.platform == "darwin" else 1024 * most)
 
 
 def read_costs(run: Path) -> dict[str, float]:
-    """What the sessions of a run took; nothing where no file says so that can be read."""
+    """Time and memory of a run's sessions; empty if there is no readable file."""
     path = run / COSTS
     try:
         found = parse_json(read_regular(path, at_most=MAX_BYTES), where=str(path)) if path.is_file() else {}
@@ -70,7 +78,7 @@ def read_costs(run: Path) -> dict[str, float]:
 
 SNAPSHOTS = "snapshots"
 MOST_PIXELS = 128
-"""The longer side of a view's picture; a larger one is thinned out."""
+"""Longer side of a view's picture; larger ones are subsampled."""
 GAP = 2
 
 Picture = UInt8[np.ndarray, "sheet_h sheet_w 3"]
@@ -89,12 +97,12 @@ def write_snapshot(run: Path, step: int, picture: Picture) -> None:
 
 
 def snapshot_path(step: int) -> str:
-    """Relative to the run's folder."""
+    """Path relative to the run's folder."""
     return f"{SNAPSHOTS}/{step:06d}.png"
 
 
 def list_snapshots(run: Path, *, evaluate_every: int, steps: int) -> list[str]:
-    """The pictures that such a run makes, of those that are there, by path relative to its folder."""
+    """The existing pictures that such a run makes, by path relative to its folder."""
     found = []
     for path in sorted((run / SNAPSHOTS).glob("*.png")):
         step = int(path.stem) if re.fullmatch("[0-9]{6,12}", path.stem) else 0
@@ -117,10 +125,10 @@ LOSS_EVERY = 10
 
 
 class Events:
-    """What training tells TensorBoard."""
+    """TensorBoard's event files of a training."""
 
     def __init__(self, run: Path, *, first_step: int) -> None:
-        """Points after `first_step`, which a run that was stopped has left, are hidden.
+        """Hides the points after `first_step` that a stopped run has left.
 
         Raises:
             ModuleNotFoundError: TensorBoard is not installed.
@@ -146,7 +154,7 @@ class Events:
 
 
 def require_tensorboard() -> None:
-    """Fails where TensorBoard is not installed, before work is done.
+    """Fails early if TensorBoard is not installed.
 
     Raises:
         ModuleNotFoundError: it is not.
@@ -161,14 +169,14 @@ def list_events(run: Path) -> list[str]:
 
 @dataclass(frozen=True, kw_only=True)
 class LogChoices:
-    """Which logs a run leaves; none of them changes another byte of it."""
+    """The logs of a run; none of them changes other files."""
 
     snapshots: bool = True
     """A picture of the held-out views at each evaluation."""
     tensorboard: bool = False
     """Event files for TensorBoard."""
     costs: Meter | None = None
-    """Time and memory that it took since then; None: it is not told."""
+    """Record time and memory since then; None: don't."""
     preview: bool = False
     """Thumbnails of the held-out views in the terminal, at each evaluation."""
 
@@ -196,9 +204,9 @@ class Logs:
         if picture is not None and self._choices.snapshots:
             write_snapshot(self._run, step, picture)
         if self._choices.preview:
-            told = "" if score is None else f", {score:.2f} dB"
+            scored = "" if score is None else f", {score:.2f} dB"
             shown = [np.concatenate(pair) for pair in zip(truth, predicted, strict=True)]
-            preview(shown, f"held-out views after step {step:,}{told}: truth above prediction")
+            preview(shown, f"held-out views after step {step:,}{scored}: truth above prediction")
         if self._events is not None:
             self._events.add_evaluation(step, score, picture)
 

@@ -1,4 +1,4 @@
-"""What a run has before its first step: the renderer, its record, the views to train on."""
+"""What a run needs before its first step: renderer, record, training views, optimiser, a warning about textures."""
 
 import contextlib
 import dataclasses
@@ -31,16 +31,16 @@ from model.settings.run_flags import Memory
 
 
 def check_inpainting(config: TrainConfig) -> None:
-    """Raises a HyalineError where in-painting is asked for and cannot tell which texels training visits."""
+    """Raises a HyalineError if in-painting is on and the method has no stored layers to count texel visits with."""
     if config.loss.inpaint and config.net.traces_layers:
         raise HyalineError(
-            "inpaint: counts which texels the stored layers' rays visit; expected paper with one ray "
-            "per pixel, or another method that reads straight layers"
+            "inpaint: needs stored layers to count which texels are visited; use paper with one ray per pixel, or "
+            "another method that reads straight layers"
         )
 
 
 def build_renderer(config: TrainConfig, inputs: Inputs, *, device: torch.device) -> Renderer:
-    """The network and textures before any step; their numbers depend on the seed alone."""
+    """The network and textures before any step; their values depend only on the seed."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(config.seed)
         renderer = config.net.build(inputs)
@@ -48,7 +48,7 @@ def build_renderer(config: TrainConfig, inputs: Inputs, *, device: torch.device)
 
 
 def count_parameters(groups: list[ParameterGroup]) -> dict[str, int]:
-    """How many numbers the network has, and its textures."""
+    """The number of parameters in the network and in its textures."""
     return {
         kind: sum(value.numel() for group in groups if group.counts_as == kind for value in group.parameters)
         for kind in ("network", "textures")
@@ -56,7 +56,7 @@ def count_parameters(groups: list[ParameterGroup]) -> dict[str, int]:
 
 
 def describe_run(config: TrainConfig, inputs: Inputs, *, label: str, num_parameters: dict[str, int]) -> RunRecord:
-    """The record of a run: what is trained on what."""
+    """The content of run.json."""
     method, dataset = config.net, inputs.dataset
     knowledge = method.knowledge
     if method.uses_geometry:
@@ -81,7 +81,7 @@ def describe_run(config: TrainConfig, inputs: Inputs, *, label: str, num_paramet
 
 
 def choose_held_out(num_views: int, at_most: int) -> list[int]:
-    """The training views that only measure: evenly spread, and no more than a fifth of all."""
+    """The training views that are held out to measure progress: evenly spread, and at most a fifth of all."""
     number = min(at_most, num_views // 5)
     return [(2 * index + 1) * num_views // (2 * number) for index in range(number)]
 
@@ -105,12 +105,12 @@ def load_training(
 
 
 def words_again(config: TrainConfig, inputs: Inputs) -> tuple[str, ...]:
-    """What has to stand behind `model train METHOD --dataset DATASET`: a flag for each choice that is not usual."""
+    """The words after `model train METHOD --dataset DATASET` that train it again: a flag for each unusual choice."""
     kind = type(config.net)
     presets = [item.name for item in dataclasses.fields(kind) if item.metadata.get("is_preset")]
     usual = kind(**{name: getattr(config.net, name) for name in presets}).usual(config.geometry)
     optimisation = usual.optimisation()
-    with contextlib.suppress(HyalineError):  # What is usual may not fit this dataset; what is asked for does.
+    with contextlib.suppress(HyalineError):  # The defaults may not fit this dataset, although the chosen values do.
         usual = usual.complete(inputs)
     return (
         *([] if config.geometry == TRUTH else ["--geometry", config.geometry]),
@@ -121,11 +121,11 @@ def words_again(config: TrainConfig, inputs: Inputs) -> tuple[str, ...]:
 
 
 class Adam(torch.optim.Adam):
-    """torch's Adam, bit for bit, without `import torch._dynamo`.
+    """torch's Adam, bit for bit, without `import torch._dynamo`, which takes 3 s of CPU time.
 
     torch wraps its optimizers' methods so that `torch.compile` leaves them alone, and each wrapper imports the compiler
-    to say so. `step` here is the method inside the wrapper; the others find their answer where torch 2.13 stores it. A
-    torch that stores it elsewhere imports its compiler as before.
+    for that. `step` here is the method inside the wrapper; the others get the attribute that torch 2.13 caches it in.
+    A torch that caches it elsewhere imports its compiler as before.
     """
 
     @torch.no_grad()
@@ -140,7 +140,7 @@ for _name in ("add_param_group", "zero_grad", "state_dict", "load_state_dict"):
 
 
 def make_optimizer(groups: list[ParameterGroup], *, beta1: float) -> Adam:
-    """Dense Adam, as in the paper: a texel moves on by its momentum after the step that touched it."""
+    """Dense Adam, as in the paper: texels keep moving by their momentum after the step that touched them."""
     return Adam(
         [{"params": group.parameters, "lr": group.lr, "weight_decay": group.weight_decay} for group in groups],
         betas=(beta1, 0.999),
@@ -149,14 +149,14 @@ def make_optimizer(groups: list[ParameterGroup], *, beta1: float) -> Adam:
 
 
 TEXELS = 2.0
-"""A period that can be told from an even colour (Nyquist)."""
+"""Least texels per period that can show a pattern (Nyquist)."""
 PIXELS = 2.0
-"""Of a period that pictures show."""
+"""Least pixels per period for a pattern to be visible in pictures."""
 MAX_NAMES = 6
 
 
 def told_fine_patterns(dataset: Dataset, geometry: str, renderer: nn.Module) -> list[str]:
-    """A line that names the patterns which training pictures show and the renderer's textures are too coarse for."""
+    """A warning that names the visible patterns that the renderer's textures are too coarse for, if any."""
     if geometry != TRUTH or dataset.imported is not None:
         return []
     widths = finest_widths(renderer, len(dataset.objects))
@@ -175,18 +175,18 @@ def told_fine_patterns(dataset: Dataset, geometry: str, renderer: nn.Module) -> 
 
 
 def finest_widths(renderer: nn.Module, num_objects: int) -> list[int]:
-    """Texels across each object's widest texture; none where the renderer has no textures of objects."""
+    """Texels across each object's widest texture; empty if the renderer has no textures per object."""
     found = []
     for module in renderer.modules():
         sizes = module.layout.sizes if isinstance(module, NeuralTextures) else ()
-        # Some have textures for several copies of each object, one after the other and all of one size.
+        # Some have textures for several copies of each object, stored one after the other and equally large.
         if sizes and len(sizes) % num_objects == 0:
             found.append(sizes[:: len(sizes) // num_objects])
     return np.max(found, axis=0).tolist() if found else []
 
 
 def texels_of_period(item: SceneObject, width: int, cameras: Cameras) -> float:
-    """Texels a period of an object's pattern in a texture of so many across; infinite where nobody would miss them."""
+    """Texels per period of an object's pattern in a texture of this width; infinite if no pattern is visible."""
     pattern = next((value for value in vars(item.material).values() if isinstance(value, SolidTexture)), None)
     if pattern is None or not is_there(item.mesh):
         return math.inf
@@ -194,7 +194,7 @@ def texels_of_period(item: SceneObject, width: int, cameras: Cameras) -> float:
     distance = np.median([np.linalg.norm(item.mesh.vertices - place, axis=-1).min() for place in places])
     if pattern.scale * cameras[0].intrinsics[0, 0] < PIXELS * distance:
         return math.inf
-    across = float(np.sqrt(_uv_areas(item).sum() / face_areas(item.mesh).sum()))  # Of the atlas, by metre.
+    across = float(np.sqrt(_uv_areas(item).sum() / face_areas(item.mesh).sum()))  # Share of the atlas per metre.
     return pattern.scale * width * across or math.inf
 
 

@@ -1,4 +1,4 @@
-"""What stands in the viewer's space: the dataset's cameras with their pictures, and the meshes of one geometry."""
+"""The viewer's scene (the dataset's cameras with their pictures, and the meshes of one geometry) and its panel."""
 
 import threading
 from collections.abc import Callable, Iterator
@@ -20,26 +20,26 @@ from model.view.schedule import window_pose
 Triple = tuple[float, float, float]
 
 COLORS: dict[str, tuple[int, int, int]] = {"train": (90, 140, 230), "interpolating": (70, 180, 110)}
-"""Of the frames of cameras by split; other splits test how a renderer extrapolates, and are red."""
+"""Colours of camera frames by split; the other splits are extrapolating, and red."""
 OTHERS = (220, 90, 80)
 FRAME_SHARE = 0.05
-"""The size of a camera's frame, as a share of its distance from the scene's middle."""
+"""Size of a camera's frame, relative to its distance from the centre of the scene."""
 MOST_PIXELS = 160
-"""The longer side of a picture in its frame; a larger one is thinned out."""
+"""Longer side of a picture in its frame; larger ones are subsampled."""
 GLASS_OPACITY = 0.35
 
 
 class Stage:
-    """Puts a dataset into a viewer's space."""
+    """Shows a dataset in the viewer's scene."""
 
     def __init__(
         self, server: viser.ViserServer, dataset: Dataset, on_click: Callable[[View], None], *, back: float
     ) -> None:
-        """Cameras stand there at once, without pictures; meshes are shown when asked for.
+        """Adds the cameras without pictures; meshes are only added by `show_meshes`.
 
         Args:
-            on_click: called, in a thread of viser's, when somebody has clicked a camera and looks through it.
-            back: how much farther away than the first test view one starts, as a share of the distance.
+            on_click: called in a viser thread when a camera was clicked and the browser looks through it.
+            back: how much farther away than the first test view to start, relative to the distance.
         """
         self._server, self._dataset, self._on_click = server, dataset, on_click
         meshes = read_meshes(dataset, TRUTH) if dataset.objects else ()  # Imported pictures may have none.
@@ -48,8 +48,8 @@ class Stage:
         self.middle = (low + high).astype(np.float64) / 2
         first: Split = "interpolating" if "interpolating" in dataset.splits else dataset.splits[0]
         self._start = self._find_start(dataset.view(first, 0).camera, back)
-        # Before the frames: viser 1.1 sends at most 128 messages together, and its page places its camera once, as soon
-        # as any of these has come. Those behind a cut are lost, and it looks at the world's origin instead.
+        # Before the frames: viser 1.1 sends at most 128 messages together, and its page places its camera once, when
+        # the first batch arrives. If the camera's messages come later, it looks at the world's origin instead.
         self._place(server.initial_camera)
         server.initial_camera.up = (0.0, 0.0, 1.0)
         self._frames: dict[Split, list[viser.CameraFrustumHandle]] = {
@@ -58,7 +58,7 @@ class Stage:
         self._meshes: list[viser.MeshHandle] = []
 
     def restart(self, client: viser.ClientHandle) -> None:
-        """Moves a browser's camera to where browsers begin."""
+        """Moves a browser's camera to the start."""
         with client.atomic():
             self._place(client.camera)
 
@@ -67,7 +67,7 @@ class Stage:
             frame.visible = visible
 
     def show_meshes(self, geometry: str | None) -> None:
-        """The meshes of this geometry instead of those that are shown; None: of none."""
+        """Replaces the shown meshes by those of this geometry; None: shows none."""
         meshes = () if geometry is None else read_meshes(self._dataset, geometry)
         for handle in self._meshes:
             handle.remove()
@@ -86,7 +86,7 @@ class Stage:
         ]
 
     def pictures(self) -> Iterator[None]:
-        """Puts the pictures into the cameras' frames, one at each step; a view that is not built keeps an empty one."""
+        """Adds the pictures to the cameras' frames, one per step; views that are not built stay empty."""
         for split, frames in self._frames.items():
             for view, frame in zip(self._dataset.views(split), frames, strict=True):
                 try:
@@ -121,7 +121,7 @@ class Stage:
         return frame
 
     def _find_start(self, camera: Camera, back: float) -> tuple[Triple, Triple, float]:
-        """Where one begins, what one looks at, and the vertical field of view in radians."""
+        """The starting position, look-at point and vertical field of view in radians."""
         position, _, fov_y = window_pose(camera)
         ahead = self._ahead(camera)
         return _triple(position + back * (position - ahead)), _triple(ahead), fov_y
@@ -138,13 +138,13 @@ class Stage:
             client.camera.fov = fov_y
 
     def _ahead(self, camera: Camera) -> np.ndarray:
-        """The point on a camera's axis around which to turn: as far away as the scene's middle."""
+        """The point on a camera's axis to orbit: as far away as the centre of the scene."""
         position, forward = camera.world_from_camera[:3, 3], -camera.world_from_camera[:3, 2]
         return position + forward * max(float(np.linalg.norm(self.middle - position)), 1e-3)
 
 
 def _places(dataset: Dataset) -> np.ndarray:
-    """Where the cameras stand."""
+    """The positions of all cameras."""
     return np.concatenate([dataset.cameras(split).world_from_camera[:, :3, 3] for split in dataset.splits])
 
 
@@ -157,11 +157,11 @@ Sight = Literal["prediction", "layer", "nothing"]
 
 NO_MESHES = "none"
 USUAL_LAYERS = 8
-"""Layers to choose from where none were peeled."""
+"""Layers to choose from if none were peeled."""
 
 
 class Panel:
-    """Choices of whoever looks, the same for all; they change in threads of viser's."""
+    """The controls, shared by all browsers; they change in viser's threads."""
 
     def __init__(
         self,
@@ -175,9 +175,9 @@ class Panel:
     ) -> None:
         """
         Args:
-            on_sight: called when the free camera is to see something else.
-            on_cameras: called with a split, and whether its cameras are to be seen.
-            on_meshes: called with the geometry whose meshes are to be seen; it may raise a HyalineError.
+            on_sight: called when the free camera shows something else.
+            on_cameras: called with a split, and whether to show its cameras.
+            on_meshes: called with the geometry whose meshes to show; it may raise a HyalineError.
         """
         gui, geometries = server.gui, list_geometries(dataset) if dataset.objects else []
         self._status, self._trouble = gui.add_markdown(dataset.name), gui.add_markdown("", visible=False)
@@ -191,7 +191,7 @@ class Panel:
         meshes = gui.add_dropdown("meshes", (NO_MESHES, *geometries), initial_value=shown)
         self._pause = gui.add_checkbox("pause", False, hint="Draw nothing, and leave the machine alone.")
         for split in dataset.splits:
-            box = gui.add_checkbox(f"{split} cameras", not has_run)  # They stand in front of what is predicted.
+            box = gui.add_checkbox(f"{split} cameras", not has_run)  # Frames would cover the prediction.
             box.on_update(lambda event, split=split: on_cameras(split, event.target.value))
             on_cameras(split, not has_run)
         self._view = gui.add_markdown("Click a camera to look through it.")
@@ -219,7 +219,7 @@ class Panel:
 
     @property
     def sight(self) -> Sight:
-        """What the free camera sees."""
+        """What the free camera shows."""
         return self._sight.value
 
     @property
@@ -232,7 +232,7 @@ class Panel:
 
     @property
     def geometry(self) -> str:
-        """Whose layers the camera sees."""
+        """The geometry whose layers are shown."""
         return self._geometry.value
 
     @property
@@ -240,17 +240,17 @@ class Panel:
         return self._pause.value
 
     def tell_run(self, status: str) -> None:
-        """How far the run is."""
+        """Shows the run's progress."""
         if self._status.content != status:
             self._status.content = status
 
     def tell_trouble(self, trouble: str) -> None:
-        """Why the camera sees nothing; empty: it sees what it should."""
+        """Shows why there is no picture; empty: hides the message."""
         if self._trouble.content != trouble:
             self._trouble.content, self._trouble.visible = trouble, bool(trouble)
 
     def show_view(self, view: View) -> None:
-        """The truth of a view that somebody looks through."""
+        """Shows the true picture of a view."""
         self._view.content = f"{view.split} view {view.index}: truth"
         try:
             picture = view.image

@@ -1,4 +1,4 @@
-"""What the page holds of a scene: meshes, optics, texels, weights and cameras, as arrays and a manifest."""
+"""The page's data of a scene: meshes, optics, texels, weights and cameras, as arrays and a manifest."""
 
 import math
 from collections.abc import Sequence
@@ -44,16 +44,16 @@ from model.web.packing import (
 )
 
 STEPS = 16
-"""In which a small page stores a standard deviation of texels: it costs a page of the demo 0.4 to 1.4 dB to Python."""
+"""Steps per standard deviation of texels in a small page: a page of the demo loses 0.4 to 1.4 dB against Python."""
 
 MAX_CODE = 8191
-"""So that the difference of two fits into 16 bits."""
+"""Largest code, so that the difference of two fits into 16 bits."""
 
 Places = list[list[list[int]]]
 """For each texture and level: its first texel, its width, the texels from one of its rows to the next."""
 
 TintPlaces = list[list[int] | None]
-"""For each object the first of its texels, and how many columns and rows they have; None where one colour says all."""
+"""For each object its first texel, and the number of columns and rows; None if it has a single colour."""
 
 
 def add_texels(
@@ -62,7 +62,7 @@ def add_texels(
     """Adds the texels of all levels; small: their sum at the finest level's texels.
 
     Args:
-        meshes: of each texture; only texels that a look-up on it can touch count. None: all count.
+        meshes: the mesh of each texture; only texels that look-ups on it can touch matter. None: all matter.
     """
     levels = textures.levels() if isinstance(textures, TexturePyramid) else [textures]
     layouts = [level.layout for level in levels]
@@ -99,13 +99,13 @@ def add_texels(
 
 
 def _step(values: Float32[np.ndarray, "texel c"], channels: int) -> float:
-    """The step in which texels are stored, for a spread of all channels that are not there to fill up."""
+    """The quantisation step of texels, from the spread of all channels except padding."""
     spread = float(np.sqrt(values[:, :channels].var(axis=0).mean())) if len(values) else 0.0
     return max(spread / STEPS, float(np.abs(values).max(initial=0)) / MAX_CODE, 1e-9)
 
 
 def touched_texels(mesh: Mesh, size: int) -> Bool[np.ndarray, " texel"]:
-    """Which texels bilinear look-ups on a mesh can touch, row by row; perhaps some more."""
+    """The texels that bilinear look-ups on a mesh can touch, row by row; possibly a few more."""
     touched = np.zeros((size + 2, size + 2), bool)
     corners = mesh.uv[mesh.faces].astype(np.float64) * [1, -1] + [0, 1]
     extent = size * np.ptp(corners, axis=1).max(axis=-1, initial=0)
@@ -172,14 +172,14 @@ class WebScene:
 
 
 def web_scene(renderer: Renderer, config: MethodConfig, dataset: Dataset, geometry: str, quality: Quality) -> WebScene:
-    """All that the page needs to draw the scene of a trained renderer whose method has a page."""
+    """The page's data for the scene of a trained renderer whose method has a page."""
     scene = load_scene(dataset.root / "scene", is_sealed=True)
     meshes = read_meshes(dataset, geometry)
     page = config.draw_page(renderer, scene)
     packed = Packed()
     boxes = _add_meshes(packed, meshes, quality, with_normals=page.has_normals)
     with torch.inference_mode():
-        # A learned relief shifts look-ups to anywhere.
+        # A learned relief can shift look-ups to any texel.
         charted = None if page.relief else [mesh for mesh in meshes for _ in range(page.shells)]
         places = add_texels(packed, page.textures, quality, charted)
     tints: TintPlaces = [None] * len(meshes)
@@ -222,7 +222,7 @@ def web_scene(renderer: Renderer, config: MethodConfig, dataset: Dataset, geomet
 
 
 def _defines(page: MethodPage, *, levels: int, has_tints: bool) -> dict[str, int | float]:
-    """What the shader knows by name: constants of Python, the page's own choices, and the method's."""
+    """The shader's defines: constants shared with Python, the page's own choices, and the method's."""
     return {
         **{event.upper(): code for event, code in EVENTS.items()},
         "RAY_OFFSET": RAY_OFFSET,
@@ -265,7 +265,7 @@ def _orbit(scene: Scene, dataset: Dataset) -> tuple[list[Json], float]:
 def _objects(
     scene: Scene, meshes: tuple[Mesh, ...], page: MethodPage, places: Places, tints: TintPlaces
 ) -> list[dict[str, Json]]:
-    """What the page is told of each object, in the order of their ids."""
+    """The manifest's entry of each object, in the order of their ids."""
     listed: list[dict[str, Json]] = []
     first_vertex = first_face = 0
     for index, (item, mesh) in enumerate(zip(scene.objects, meshes, strict=True)):
@@ -288,7 +288,7 @@ def _objects(
 
 
 def _optics(material: Material, tint: list[int] | None = None) -> dict[str, Json]:
-    """What the page is told of a material."""
+    """The manifest's entry of a material."""
     surface, medium = material.surface(), material.medium
     return {
         "event": surface.event,
@@ -306,7 +306,7 @@ def _optics(material: Material, tint: list[int] | None = None) -> dict[str, Json
 def _add_meshes(
     packed: Packed, meshes: tuple[Mesh, ...], quality: Quality, *, with_normals: bool
 ) -> list[dict[str, Json]]:
-    """Adds all meshes, one behind the other; what the page has to know of each to place its vertices."""
+    """Adds all meshes, one after the other; returns the quantisation of each mesh's vertices."""
 
     def joined(name: str) -> np.ndarray:
         return np.concatenate([getattr(mesh, name) for mesh in meshes])

@@ -29,11 +29,11 @@ from model.nets.extrinsics import ExtrinsicInputs, positions_for
 from model.nets.texture import NeuralTextures, object_layout
 
 LOSS_SCALE = 100 * 2
-"""Their L1 has a weight of 100, on colours from -1 to 1. Adam cares little, but for the weight decay beside it."""
+"""Their L1 has a weight of 100, on colours from -1 to 1. With Adam this only matters relative to weight decay."""
 
 XAVIER_GAIN = 0.02
-"""Their start. Nothing is normalised, so that a signal arrives 50 times weaker behind every layer: training begins
-slowly. Measured on the glass table at 128 pixels, pictures are still grey after 500 steps; theirs were a million."""
+"""Their initial gain. Nothing is normalised, so every layer weakens the signal by a factor of 50 and training starts
+slowly. Measured on the glass table at 128 pixels, pictures are still grey after 500 steps; they trained a million."""
 
 
 class AuthorsBlock(nn.Module):
@@ -127,7 +127,7 @@ class AuthorsRenderer(Renderer[PixelSource[RayBatch]]):
     ) -> Tensor:
         """The mean absolute difference of random pixels as the released code scales it.
 
-        A step of theirs is one whole picture; this one draws as many pixels from all pictures.
+        Their step uses one whole picture; this one draws as many pixels from all pictures.
         """
         return LOSS_SCALE * super().loss(training, batch, rng, softness=softness, patch_terms=patch_terms)
 
@@ -140,7 +140,7 @@ def harmonics_without_constants(direction: Float32[Tensor, "*b 3"]) -> Float32[T
 
 @contextmanager
 def seeded(seed: int, device: torch.device) -> Iterator[None]:
-    """Inside, torch draws from this seed; afterwards it goes on as if nothing had been drawn."""
+    """Seeds torch's generator inside the block, and restores its state afterwards."""
     with torch.random.fork_rng(devices=[device] if device.type == "cuda" else []):
         torch.manual_seed(seed)
         yield

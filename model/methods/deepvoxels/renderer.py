@@ -49,8 +49,8 @@ L1_WEIGHT = 200.0
 class DeepVoxels(Renderer[Views]):
     """Views in, their pictures out, drawn from a grid of features that training views were lifted into.
 
-    The grid is a buffer, no parameter: each training step integrates one more view into it, without a gradient to the
-    steps before, and it lasts for the run.
+    The grid is a buffer, not a parameter: each training step integrates one more view into it, without a gradient to
+    earlier steps, and it persists for the whole run.
     """
 
     def __init__(self, config: DeepVoxelsConfig, *, origin: Float32[Tensor, "3"], edge: float) -> None:
@@ -77,7 +77,7 @@ class DeepVoxels(Renderer[Views]):
             dropout=config.dropout,
         )
         self.critic = Critic() if config.adversarial else None
-        # Saved with the weights: what is drawn later must stand where it was learned.
+        # Saved with the weights, because later renderings need the grid where it was learned.
         self.register_buffer("origin", origin.clone())
         self.register_buffer("voxel_size", torch.tensor(edge / size, dtype=torch.float32))
         self.register_buffer("volume", torch.zeros(1, features, size, size, size))
@@ -105,8 +105,8 @@ class DeepVoxels(Renderer[Views]):
     ) -> Tensor:
         """Lifts one view into the grid, draws `batch` others from it, and compares.
 
-        The view lifted is one of the four whose axes are nearest to the first target's. The authors go through all
-        first targets in epochs; here each step draws its own, so that a stopped run goes on with the same ones.
+        The lifted view is one of the four whose axes are nearest to the first target's. The authors go through all
+        first targets in epochs; here each step draws its own, so that a resumed run draws the same ones.
         """
         if training.num_views < 2:
             raise HyalineError(f"train: has {training.num_views} view to learn from; deepvoxels needs at least 2")
@@ -136,7 +136,7 @@ class DeepVoxels(Renderer[Views]):
         ]
 
     def observe(self, image: Float32[Tensor, "1 3 h w"], camera: ViewCamera) -> Volume:
-        """The grid after one more view, which it then keeps.
+        """The grid after integrating one more view; it is stored, too.
 
         Args:
             image: sRGB in [0, 1].
@@ -148,7 +148,7 @@ class DeepVoxels(Renderer[Views]):
         return volume
 
     def inpaint(self, volume: Volume) -> Volume:
-        """The grid with what no view has shown filled in from around."""
+        """The grid with unseen voxels filled in from their surroundings."""
         return self.inpainting(torch.cat([volume, self.get_buffer("coordinates")], dim=1))
 
     def draw(self, inpainted: Volume, camera: ViewCamera) -> Float32[Tensor, "1 3 h w"]:
@@ -164,12 +164,12 @@ def grid_coordinates(size: int) -> Float32[Tensor, "1 3 z y x"]:
 
 
 def adversarial_loss(critic: Critic, drawn: Float32[Tensor, "1 3 h w"], true: Float32[Tensor, "1 3 h w"]) -> Tensor:
-    """Both sides of the game in one number, whose gradient moves each side its own way.
+    """The renderer's and the critic's losses in one number.
 
-    The renderer's side is -log D(drawn), to which the critic's parameters are constant; the critic's side is
-    -(log D(true) + log(1 - D(drawn))) / 2, to which the picture is constant. No parameter is on both sides, and Adam
-    moves each parameter by itself: so one Adam over all of them takes the very steps that the authors' two optimisers
-    of equal rate take, and a checkpoint of it resumes both.
+    The renderer's loss is -log D(drawn), with the critic's parameters held constant; the critic's loss is
+    -(log D(true) + log(1 - D(drawn))) / 2, with the picture held constant. No parameter appears in both, and Adam
+    updates each parameter independently, so one Adam takes exactly the steps of the authors' two optimisers of equal
+    rate, and one checkpoint resumes both.
     """
     fixed = {name: value.detach() for name, value in critic.named_parameters()}
     renderer_side = functional.softplus(-torch.func.functional_call(critic, fixed, (drawn,))).mean()
@@ -179,7 +179,7 @@ def adversarial_loss(critic: Critic, drawn: Float32[Tensor, "1 3 h w"], true: Fl
 
 @contextmanager
 def seeded_torch(rng: np.random.Generator, device: torch.device) -> Iterator[None]:
-    """Torch's own generator, which dropout draws from, seeded by a step's; as it was afterwards."""
+    """Seeds torch's own generator, which dropout uses, from a step's generator, and restores it afterwards."""
     with torch.random.fork_rng(devices=[device] if device.type == "cuda" else []):
         torch.manual_seed(int(rng.integers(2**62)))
         yield

@@ -52,7 +52,7 @@ class DnrRenderer(Renderer[PixelSource[RayBatch]]):
         return self.shade(rays)[0]
 
     def shade(self, rays: RayBatch) -> tuple[Float32[Tensor, "pixel 3"], Float32[Tensor, "pixel 3"]]:
-        """sRGB colours of the pixels, and what the first layer's first three features would make alone."""
+        """sRGB colours of the pixels, and the colours that the first layer's first three features give alone."""
         assert rays.grid is not None, "a U-Net needs to know which pixels are neighbours"
         features = self.textures(rays.uv, rays.object_id)
         diffuse = features[:, 0, :3]
@@ -77,12 +77,11 @@ class DnrRenderer(Renderer[PixelSource[RayBatch]]):
         softness: float = 0.0,  # noqa: ARG002
         patch_terms: PatchTerms | None = None,
     ) -> Tensor:
-        """What deferred neural rendering makes small on random crops of about `batch` pixels in all.
+        """The loss of deferred neural rendering on random crops of about `batch` pixels in all.
 
         The mean absolute differences of the output and of the first three texture channels (where the first layer is
-        not empty) from the picture, in the network's own range of -1 to 1; and the regularised textures.
-        Patch terms look at the same crops. Source: Thies et al. 2019, and the first author's public code for the
-        levels' weights.
+        not empty) from the picture, in the network's own range of -1 to 1, plus the texture regularisation. Patch terms
+        use the same crops. Source: Thies et al. 2019; level weights from the first author's public code.
         """
         config = self.config
         crop = config.crop or training.resolution.shorter
@@ -117,9 +116,9 @@ LEAKY_SLOPE = 0.2
 class UNet(nn.Module):
     """The five-level U-Net of pix2pix with 4 x 4 kernels and strides of 2; 16,671,107 parameters for 16 inputs.
 
-    Source: Thies et al. 2019 (arXiv 1904.12356), layers as in the first author's public code: the way up alone is
-    normalised, neither the innermost nor the outermost layer's input is. `batch` stands for what the transparent
-    paper's authors ran: statistics of the batch at hand, at test as well, of one picture at a time.
+    Source: Thies et al. 2019 (arXiv 1904.12356), layers as in the first author's public code: only the decoder is
+    normalised, except the inputs of its first and last layers. `batch` is what the transparent paper's authors ran:
+    batch statistics of one picture, at test, too.
     """
 
     def __init__(self, num_inputs: int, *, width: int = 64, norm: UNetNorm = "instance") -> None:
@@ -128,7 +127,7 @@ class UNet(nn.Module):
         self.down = nn.ModuleList(
             nn.Conv2d(before, after, 4, stride=2, padding=1) for before, after in zip([num_inputs, *down], down)
         )
-        # From the second on, each takes what comes up beside what went down at its height.
+        # From the second on, each takes the previous output concatenated with the encoder's at the same resolution.
         up = [(8 * width, 8 * width), (16 * width, 4 * width), (8 * width, 2 * width), (4 * width, width)]
         self.up = nn.ModuleList(nn.ConvTranspose2d(*pair, 4, stride=2, padding=1) for pair in up)
         self.norms = nn.ModuleList(
@@ -138,7 +137,7 @@ class UNet(nn.Module):
         self.last = nn.ConvTranspose2d(2 * width, 3, 4, stride=2, padding=1)
 
     def forward(self, x: Float32[Tensor, "b c h w"]) -> Float32[Tensor, "b 3 h w"]:
-        """Colours in (-1, 1); pictures of any size, padded with zeros below and to the right while they are inside."""
+        """Colours in (-1, 1) of pictures of any size, which are zero-padded below and to the right internally."""
         height, width = x.shape[-2:]
         step = 1 << NUM_HALVINGS
         x = functional.pad(x, (0, -width % step, 0, -height % step))
@@ -153,12 +152,12 @@ class UNet(nn.Module):
 
 
 def complete(config: DnrConfig, inputs: Inputs) -> DnrConfig:
-    """The same with sizes that the picture's gives.
+    """The same with sizes that follow from the picture's.
 
-    Textures are as wide as those of `paper`: half the picture's side for each object, so that the methods differ in
-    what they do and not in their texels. Crops are squares of half the picture's shorter side (256 pixels of 512
-    are common), but 128 pixels at least: a narrower one leaves the U-Net's innermost level nothing but its border,
-    which a whole picture is not (measured on the glass table at 128 pixels: crops of 64 cost 3 dB on both splits).
+    Textures are as wide as those of `paper`, half the picture's side for each object, so that the methods differ only
+    in their networks. Crops are squares of half the picture's shorter side (256 of 512 pixels is common), but at least
+    128 pixels: in a narrower one the U-Net's innermost level sees only the border, unlike in a whole picture (measured
+    on the glass table at 128 pixels: crops of 64 cost 3 dB on both splits).
     """
     resolution = inputs.dataset.config.resolution
     side = resolution.shorter

@@ -23,7 +23,7 @@ from model.methods.protocol import Inputs
 
 
 def complete(config: LightPathConfig, inputs: Inputs) -> LightPathConfig:
-    """The same with the objects' textures; paths are traced to see how texels are shared."""
+    """The same with the objects' texture sizes, which depend on traced paths."""
     check_has_meshes(inputs.dataset)
     size = config.texture_size or inputs.dataset.config.resolution.mean_side
     if config.environment_size == SKY_HEIGHT:

@@ -31,20 +31,20 @@ from model.nets.texture import NeuralTextures, TexturePyramid, make_layout, plac
 from model.settings.network_parts import EXTRINSIC_CHANNELS, Extrinsics, TextureSharing
 
 START_ALONE = 0.5
-"""Where textures start when they are all that the network sees (the authors' code starts so, always). From zeros its
-first batch norm would divide by the spread of next to nothing, blow the first steps' signs up, and leave walls in
-blotches: measured on the glass table at 128 pixels after 1,200 steps, 23.4 dB on held-out views; 26.3 from noise of
-0.1, 27.4 from one half."""
+"""Initial texel value when textures are the network's only input (the authors' code always uses it). From zeros the
+first batch norm would divide by a tiny spread, amplify the signs of the first steps, and leave blotches on walls:
+measured on the glass table at 128 pixels after 1,200 steps, 23.4 dB on held-out views; 26.3 from noise of 0.1, 27.4
+from one half."""
 
 
 def default_texture_size(side: int, num_objects: int, sharing: TextureSharing, *, texels_per_pixel: float = 0.5) -> int:
     """Half the side of a square image for each object, as the authors ran it: 256 texels for frames of 512 pixels.
 
-    With more, the texels of small objects are seen so rarely that they learn single pixels by heart: at 128 pixels, 256
+    With more, the texels of small objects are seen so rarely that they memorise single pixels: at 128 pixels, 256
     texels cost 1.9 dB (interpolating) and 1.1 dB (extrapolating) against 64. (A pyramid of textures does not.)
 
     Args:
-        side: of the square with as many pixels as an image.
+        side: side of the square with as many pixels as an image.
     """
     cells = 1 if sharing == "object" else math.ceil(math.sqrt(num_objects))
     return cells * max(16, int(side * texels_per_pixel))
@@ -103,7 +103,7 @@ class PaperRenderer(Renderer[PixelSource[RayBatch]]):
         return srgb_curve(linear_curve(colors).view(-1, rays.samples, 3).mean(dim=1))
 
     def render(self, pixels: PixelSource[RayBatch]) -> Float32[Tensor, "pixel 3"]:
-        """sRGB colours of all pixels, looked up and drawn by one compiled loop where there is one for this."""
+        """sRGB colours of all pixels, looked up and drawn by one compiled loop where possible."""
         has_loop = self.extrinsics is None or self.extrinsics.kind == "view"
         kernels = find_kernels() if has_loop and self.net.precision == "fp32" and pixels.device.type == "cpu" else None
         if kernels is None or not isinstance(pixels, Pixels) or not isinstance(self.textures, NeuralTextures):
@@ -124,7 +124,7 @@ class PaperRenderer(Renderer[PixelSource[RayBatch]]):
 class _Beside(torch.autograd.Function):
     """`torch.cat` over the last axis, without a gradient of the second part.
 
-    That one copies such short rows one by one, which takes 5 ms a step of 8,192 pixels; this takes 1.
+    torch copies such short rows one by one, which takes 5 ms for a step of 8,192 pixels; this takes 1 ms.
     """
 
     @staticmethod
@@ -141,7 +141,7 @@ class _Beside(torch.autograd.Function):
 
 
 def complete(config: PaperConfig, inputs: Inputs) -> PaperConfig:
-    """The same with the network's width and the texture's, where they were left to the dataset."""
+    """The same with the widths of network and texture that depend on the dataset."""
     num_inputs = count_inputs(
         inputs.num_layers,
         texture_features=config.texture_features,
@@ -205,14 +205,15 @@ def load_cameras(config: PaperConfig, inputs: Inputs, cameras: Cameras) -> Pixel
 
 
 def draw_page(config: PaperConfig, renderer: PaperRenderer, scene: Scene) -> MethodPage:  # noqa: ARG001
-    """The renderer; a layer of zeros behind all others changes nothing, and is left out."""
-    features, told = config.texture_features, EXTRINSIC_CHANNELS[config.extrinsics]
+    """The renderer without the layer of zeros after all others, which changes nothing."""
+    features, extrinsics = config.texture_features, EXTRINSIC_CHANNELS[config.extrinsics]
     first, *others = [fold(layer) for layer in renderer.net.layers()]
-    num_layers = first.weight.shape[1] // (features + told) - config.zero_layer
-    columns = [at for layer in range(num_layers) for at in feature_columns(features, told, layer * (features + told))]
+    channels = features + extrinsics
+    num_layers = first.weight.shape[1] // channels - config.zero_layer
+    columns = [at for layer in range(num_layers) for at in feature_columns(features, extrinsics, layer * channels)]
     return MethodPage(
         shader=package_text("model.methods.paper", "paper.glsl"),
-        defines={"LAYERS_SEEN": num_layers, "EXTRINSICS": told, "WIDTH": config.width, "BLOCKS": config.blocks},
+        defines={"LAYERS_SEEN": num_layers, "EXTRINSICS": extrinsics, "WIDTH": config.width, "BLOCKS": config.blocks},
         textures=renderer.textures,
         weights=[
             *layer_rows(first.weight, first.bias, columns),

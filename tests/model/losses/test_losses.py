@@ -310,7 +310,7 @@ def test_in_painting_fills_what_training_never_saw_and_resumes_to_the_bit(
     training = load(NET, dataset, [0, 1, 3, 4])
     visits = count_visits(build(NET, dataset).textures, training)  # pyright: ignore
     assert (weights[visits == 0] != 0).any()  # Without in-painting they would still be the zeros of the start.
-    with pytest.raises(HyalineError, match="inpaint: counts which texels the stored layers' rays visit"):
+    with pytest.raises(HyalineError, match="inpaint: needs stored layers to count which texels are visited"):
         many = dataclasses.replace(config, net=dataclasses.replace(NET, train_samples=4))
         train(many, dataset, tmp_path / "many", label="a", device=CPU)
     assert not (tmp_path / "many").exists()

@@ -406,7 +406,7 @@ def test_the_command_trains_the_small_preset_on_a_cpu(
     monkeypatch.setattr(sys, "argv", ["model", "render", "--run", str(tmp_path / "run"), "--variant", "remove:pane"])
     with pytest.raises(SystemExit):
         cli.main()
-    assert "method deepvoxels knows no geometry, so it cannot draw an edit" in capsys.readouterr().err
+    assert "method deepvoxels uses no geometry, so it cannot draw an edit" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
