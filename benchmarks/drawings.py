@@ -32,8 +32,7 @@ HEADS = ("truth", "before", "after", "error before, levels of 255", "error after
 
 
 def draw_errors(before: Path, after: Path, *, views: int) -> bytes:
-    """The PNG of the `views` worst views of the run in `before`, the worst first, with both runs' errors on one scale.
-    """
+    """The PNG of the `views` worst views of the run in `before`, the worst first, with both runs' errors on one scale."""
     runs = [open_run(folder, Path("data")) for folder in (before, after)]
     if runs[0].dataset.seal != runs[1].dataset.seal:
         raise HyalineError(

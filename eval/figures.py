@@ -1,4 +1,5 @@
-"""The contact sheets: truth, predictions and errors side by side, every pixel drawn as a square of pixels."""
+"""The report's PNG figures: contact sheets (truth, predictions, errors), where every pixel is a square of pixels, and
+the positions of all cameras."""
 
 import io
 import math
@@ -32,19 +33,19 @@ from eval.tables.grids import psnr_text
 
 DPI = 100
 PANEL = 300
-"""Least side of a panel in pixels; pictures are enlarged by a whole number to reach it."""
+"""Least side of a panel in pixels; pictures are enlarged by an integer factor to reach it."""
 GAP, CAPTION, HEADING, MARGIN, SIDE = 14, 26, 64, 20, 44
 """Pixels: between columns, for a row's captions, for title and heads, at the edges, for the split's name."""
 
 ERROR_LIMIT = 32
-"""Levels of 255 at which the error's colours saturate: fixed, so that any two sheets can be compared."""
+"""Levels of 255 at which the error's colours saturate; fixed, so that sheets can be compared."""
 
 ERROR_TICKS = (0, 1, 4, 9, 16, 25, 32)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Panel:
-    """One picture of a sheet with its caption; None stands for a split that was not predicted."""
+    """One picture of a sheet with its caption; None for a split that was not predicted."""
 
     image: UInt8[np.ndarray, "h w 3"] | Float[np.ndarray, "h w"] | None
     caption: str = ""
@@ -81,8 +82,8 @@ def comparison_sheet(scene: SceneScores, what: str) -> bytes:
     """The PNG of the same views as truth and every run's prediction; each row's best PSNR is bold.
 
     Args:
-        scene: with the runs to show; of those that differ in their seed alone, the first is shown.
-        what: that is, for the title.
+        scene: with the runs to show; from those that only differ in their seed, the first is shown.
+        what: name of the selection, for the title.
     """
     runs = [group.runs[0] for group in group_seeds(scene.runs)]
     rows = []
@@ -102,7 +103,7 @@ def comparison_sheet(scene: SceneScores, what: str) -> bytes:
 
 
 def shown_views(scene: SceneScores) -> list[tuple[Split, int]]:
-    """First, middle and last view of each test split, fewer where a split has fewer."""
+    """First, middle and last view of each test split, without repeats."""
     shown: list[tuple[Split, int]] = []
     for split in TEST_SPLITS:
         last = scene.dataset.config.split(split).views - 1
@@ -112,7 +113,7 @@ def shown_views(scene: SceneScores) -> list[tuple[Split, int]]:
 
 
 def figure_png(figure: Figure) -> bytes:
-    """The figure as a PNG that depends on nothing but the figure."""
+    """The figure as a PNG that depends only on the figure."""
     buffer = io.BytesIO()
     names_as_they_are(figure)
     # matplotlib would write its own version into the file.
@@ -173,7 +174,7 @@ def _fill(axes: Axes, panel: Panel) -> None:
 
 
 def _color_bar(figure: Figure, axes: Axes) -> None:
-    """The scale of the error maps: square root, so that small errors show and large ones do not drown them."""
+    """The scale of the error maps: a square root, so that small errors are visible beside large ones."""
     colors = ScalarMappable(PowerNorm(0.5, vmin=0, vmax=ERROR_LIMIT), "inferno")
     bar = figure.colorbar(colors, cax=axes, ticks=list(ERROR_TICKS))
     bar.ax.set_yticklabels([*map(str, ERROR_TICKS[:-1]), f"≥ {ERROR_LIMIT}"])
@@ -181,7 +182,7 @@ def _color_bar(figure: Figure, axes: Axes) -> None:
 
 
 def _fitting(words: str, width: int) -> str:
-    """The words, cut in the middle where about 8 pixels a letter do not fit."""
+    """The words, shortened in the middle if they do not fit at about 8 pixels per letter."""
     room = max(8, width // 8)
     return words if len(words) <= room else f"{words[: room - room // 2 - 1]}…{words[-(room // 2) :]}"
 
@@ -189,9 +190,9 @@ def _fitting(words: str, width: int) -> str:
 SPLIT_COLORS: dict[Split, str] = {"train": "#2f6fdb", "interpolating": "#1a9e3c", "extrapolating": "#d62728"}
 """Blue, green and red, as in the paper's Figure 3."""
 FRUSTUM_SHARE = 0.045
-"""Length of a test camera's frustum over the extent of all cameras."""
+"""Length of a test camera's frustum, relative to the extent of all cameras."""
 MAX_FACES = 20_000
-"""Triangles drawn of a scene; of more, the largest and an even selection of the others."""
+"""Most triangles to draw; from more, the largest and an even selection of the others."""
 
 
 def cameras_figure(dataset: Dataset, title: str) -> bytes:

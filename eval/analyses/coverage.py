@@ -1,4 +1,4 @@
-"""What training saw of the surface points that a test ray meets: from how near an angle, and in how many views."""
+"""How well training views cover the surface points on test rays (angle, number of views), and the layer budget."""
 
 from collections import defaultdict
 from dataclasses import dataclass
@@ -19,43 +19,43 @@ from eval.score.scores import RunScores, SceneScores
 from eval.tables.grids import Column, Grid, format_number
 
 MAX_GRID = 32
-"""A texel, here, is one of 32 x 32 cells of its object's atlas, fewer where pictures are narrower than 128 pixels:
-coarse enough that training views leave no holes (7 of their rays fall on a texel that they see at all)."""
+"""Texels here are 32 x 32 cells of an object's atlas, fewer for pictures narrower than 128 pixels: coarse enough that
+training views leave no holes (7 of their rays hit each texel that they see)."""
 
 MAX_PIXELS = 128 * 128
-"""Pixels that are looked at in each view; of more, a random choice that is always the same."""
+"""Pixels analysed per view; from more, a fixed random choice."""
 
 CHUNK = 1 << 10
-"""Rays that are compared with all training cameras at once: so few that the results stay in the processor's cache."""
+"""Rays compared with all training cameras at once: few enough for the results to stay in the processor's cache."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Coverage:
-    """Which training views saw which texel in which layer, in layers x objects x grid^2 x views / 8 bytes.
+    """The training views that saw each texel in each layer, in layers x objects x grid^2 x views / 8 bytes.
 
     That is 1.9 MB for 18 objects and 100 views, and at most 261 MB for 255 objects and 1,000 views (8 layers).
     """
 
     seen: UInt8[np.ndarray, "texel eighth"]
-    """A bit for each training view: one of its pixel-centre rays meets the texel in this layer."""
+    """A bit per training view: set if one of its pixel-centre rays hits the texel in this layer."""
     p_camera: Float[np.ndarray, "view 3"]
     """Centres of the training cameras in metres."""
     is_glass: Bool[np.ndarray, " object"]
-    """By object id; False for 0, the empty one."""
+    """By object id; False for 0, which means empty."""
     grid: int
     """Cells along each side of an atlas."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PixelCoverage:
-    """What training saw of some pixels of a test view; pixels that meet nothing are not among them."""
+    """The training coverage of some pixels of a test view; pixels without a surface are left out."""
 
     pixel: Int[np.ndarray, " pixel"]
-    """Its place in the picture, row by row."""
+    """Index in the picture, row by row."""
     angle_deg: Float[np.ndarray, " pixel"]
-    """Angle to the nearest training ray in degrees; inf where no training ray saw one of the pixel's texels."""
+    """Angle to the nearest training ray in degrees; inf if no training ray saw one of the pixel's texels."""
     views: Int[np.ndarray, " pixel"]
-    """Training views that saw the pixel's texel, of its layers the least seen."""
+    """Training views that saw the pixel's texel, in its least seen layer."""
 
 
 def visible_layers(layers: Layers, is_glass: Bool[np.ndarray, " object"]) -> Bool[np.ndarray, "layer h w"]:
@@ -66,9 +66,9 @@ def visible_layers(layers: Layers, is_glass: Bool[np.ndarray, " object"]) -> Boo
 
 
 def read_coverage(dataset: Dataset) -> Coverage:
-    """What the dataset's training views saw, from their stored straight layers of the true geometry.
+    """The coverage by the dataset's training views, from their stored straight layers of the true geometry.
 
-    All views of the training split count, also those few that a method sets aside to measure itself.
+    All views of the training split count, including the few that a method holds out.
     """
     is_glass = np.array([False, *(item.is_glass for item in dataset.objects)])
     num_views = dataset.config.train.views
@@ -87,13 +87,13 @@ def read_coverage(dataset: Dataset) -> Coverage:
 
 
 def cover_view(coverage: Coverage, dataset: Dataset, split: Split, view: int) -> PixelCoverage:
-    """What training saw of one test view.
+    """The training coverage of one test view.
 
-    The angle of a layer is the one, at the point where the test ray meets it, between that ray and the line to the
-    nearest training camera that saw the point's texel in the same layer. So directions are exact, and the texel only
-    decides which cameras count. The angle of a pixel is the largest one of its visible layers: each of them has a part
-    in the colour, and the least known one spoils it. Measured on the glass table at 128 pixels with `paper`, the rank
-    correlation of squared error and angle is 0.40 with the largest, 0.37 with the mean, 0.31 with the opaque layer's.
+    The angle of a layer is measured where the test ray hits it, between that ray and the line to the nearest training
+    camera that saw the point's texel in the same layer. So directions are exact, and the texel only decides which
+    cameras count. The angle of a pixel is the largest one of its visible layers: each contributes to the colour, and
+    the least known one limits it. Measured on the glass table at 128 pixels with `paper`, the rank correlation of
+    squared error and angle is 0.40 with the largest, 0.37 with the mean, 0.31 with the opaque layer's.
     """
     layers = dataset.view(split, view).layers()
     size = layers.object_id.shape[1] * layers.object_id.shape[2]
@@ -105,7 +105,7 @@ def cover_view(coverage: Coverage, dataset: Dataset, split: Split, view: int) ->
     texel = _texels(layers, len(coverage.is_glass) - 1, coverage.grid).reshape(-1, size)[layer, pixel[place]]
     origin, directions = dataset.cameras(split)[view].rays()
     rays = directions.reshape(-1, 3)[pixel[place]].astype(np.float64)
-    rays /= np.linalg.norm(rays, axis=1, keepdims=True)  # Or the cosine of a small angle drowns in float32.
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)  # In float32, the cosine of a small angle would be lost.
     points = origin + layers.depth.reshape(-1, size)[layer, pixel[place], None] * rays
 
     angle, views = np.zeros(len(pixel)), np.full(len(pixel), len(coverage.p_camera))
@@ -125,7 +125,7 @@ def _nearest_angle(
     p_camera: Float[np.ndarray, "view 3"],
     is_seen: Bool[np.ndarray, "ray view"],
 ) -> Float[np.ndarray, " ray"]:
-    """The least angle in radians at a point between its ray and the lines from the cameras that saw it, or inf."""
+    """The smallest angle in radians at a point between its ray and the lines to the cameras that saw it, or inf."""
     # |p - c|^2 and (p - c) . d without an array of (ray, view, 3).
     squared = np.sum(points**2, axis=1)[:, None] - 2 * points @ p_camera.T + np.sum(p_camera**2, axis=1)
     along = np.sum(points * rays, axis=1)[:, None] - rays @ p_camera.T
@@ -134,7 +134,7 @@ def _nearest_angle(
 
 
 def _texels(layers: Layers, num_objects: int, grid: int) -> Int[np.ndarray, "layer h w"]:
-    """The number of the texel in its layer; without meaning where the layer is empty."""
+    """The index of the texel in its layer; meaningless where the layer is empty."""
     cell = np.minimum(layers.uv.astype(np.int64) * grid // 65535, grid - 1)
     layer = np.arange(len(layers.object_id))[:, None, None]
     item = layers.object_id.astype(np.int64) - 1
@@ -142,11 +142,11 @@ def _texels(layers: Layers, num_objects: int, grid: int) -> Int[np.ndarray, "lay
 
 
 FREE_KEYS = ("layers", "width", "seed")
-"""Keys of a configuration in which runs of one budget may differ: the layers; the width that keeps the number of
-parameters the same when they do; and the seed, over which scores are averaged."""
+"""Configuration keys in which runs of one budget may differ: the layers, the width that keeps the number of parameters
+the same, and the seed, over which scores are averaged."""
 
 MOST_GROWTH = 1.25
-"""From one network of a budget to the next in size; the default width keeps them within a twentieth."""
+"""Largest ratio of parameters between neighbouring networks of a budget; the default width keeps it below 1.05."""
 
 BUDGET_NOTES = (
     "Layers: straight layers that the network is given, the nearest ones. More: share of the test rays that meet more "
@@ -165,17 +165,17 @@ class BudgetPoint:
     psnr_db: dict[Split, float | None]
     glass_psnr_db: dict[Split, float | None]
     more_share: dict[Split, float]
-    """Share of the split's rays that meet more surfaces than so many."""
+    """Share of the split's rays that hit more than `num_layers` surfaces."""
     deeper_share: dict[Split, float]
-    """Share of the split's rays to whose colour a surface behind the last layer contributes."""
+    """Share of the split's rays whose colour depends on a surface beyond the last layer."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Budget:
-    """Runs that differ in nothing but their number of layers (and what follows from it), fewest layers first."""
+    """Runs that only differ in their number of layers (and its consequences), fewest layers first."""
 
     name: str
-    """Of the run with most layers."""
+    """Name of the run with most layers."""
     points: tuple[BudgetPoint, ...]
 
 
@@ -215,7 +215,7 @@ def _kept_shares(dataset: Dataset, geometry: str, counts: list[int], kept: Kept)
 
 
 def missed_shares(dataset: Dataset, geometry: str, counts: list[int]) -> dict[int, tuple[Shares, Shares]]:
-    """Shares of the test rays that meet more surfaces than so many, and that see deeper than so many."""
+    """For each number of layers, the shares of test rays that hit more surfaces, and that see deeper."""
     is_glass = np.array([False, *(item.is_glass for item in dataset.objects)])
     head = dataset.layer_store(geometry).head
     shares: dict[int, tuple[Shares, Shares]] = {count: ({}, {}) for count in counts}
@@ -283,7 +283,7 @@ def _point(count: int, group: list[RunScores], more: Shares, deeper: Shares) -> 
 
 
 def _of_one_size(group: list[RunScores]) -> list[list[RunScores]]:
-    """The group, taken apart where parameters jump: a wider network is another budget, whatever its layers."""
+    """The group, split where the number of parameters jumps: a wider network is another budget."""
 
     def size(scores: RunScores) -> int:
         return scores.run.num_parameters or 0

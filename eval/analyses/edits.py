@@ -1,4 +1,4 @@
-"""The scores of edited scenes in regions: what a trained renderer draws from other layers, against the edited truth."""
+"""Edited scenes: scores by region of what runs predict for them, their tables, results.json entries and sheets."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -28,13 +28,13 @@ REGIONS: dict[str, tuple[int, ...]] = {
     "elsewhere": (ELSEWHERE,),
     "all": (OBJECT, LIGHT, ELSEWHERE),
 }
-"""By name, the values of an edit mask's pixels."""
+"""Values of an edit mask's pixels, by region."""
 
 IGNORED = "truth before the edit"
 
 Image = UInt8[np.ndarray, "h w 3"]
 Masks = dict[str, Bool[np.ndarray, "h w"]]
-"""By the region's name."""
+"""Masks by region."""
 
 RegionScores = dict[tuple[str, Split], float | None]
 """PSNR in dB by region and split, the mean over pictures that show the region; None where none does."""
@@ -46,7 +46,7 @@ class EditRow:
 
     run: str
     scene: Literal["edited", "unedited"]
-    """Which scene was drawn, and is compared with its truth; the regions are the same."""
+    """The scene that was predicted and is compared with its truth; the regions are the same."""
     psnr_db: RegionScores
 
 
@@ -56,9 +56,9 @@ class EditScores:
 
     scored: VariantScores
     shares: dict[tuple[str, Split], float]
-    """Of each region in a split's pixels."""
+    """Share of each region in a split's pixels."""
     rows: tuple[EditRow, ...]
-    """Two for each run, then the score that the truth before the edit would get: what ignoring the edit is worth."""
+    """Two rows for each run, then the score of the truth before the edit, as if the edit were ignored."""
 
     @property
     def edited(self) -> Dataset:
@@ -67,14 +67,14 @@ class EditScores:
 
     @property
     def runs(self) -> tuple[Run, ...]:
-        """Each stands for its predictions of the edited scene: its folder and dataset are the edit's."""
+        """The runs with their predictions of the edited scene: folder and dataset are the edit's."""
         return tuple(scores.run for scores in self.scored.runs.values())
 
 
 def score_edits(
     scene: SceneScores, variants: Sequence[VariantScores], errors: list[HyalineError], kept: Kept
 ) -> tuple[EditScores, ...]:
-    """Every edit among these variants in regions; what cannot be scored is added to `errors`."""
+    """The scores of every edit among these variants by region; failures are added to `errors`."""
     found = []
     for scored in variants:
         if scored.variant.edit is not None:
@@ -88,7 +88,7 @@ def score_edits(
 def object_psnr(drawn: tuple[EditScores, ...]) -> dict[str, dict[Split, float | None]]:
     """PSNR in dB where the edited objects are or were, mean over a scene's edits, by the run's name and the split.
 
-    None where a split shows no edited object.
+    None if a split does not show any edited object.
     """
     scores: dict[str, dict[Split, list[float]]] = {}
     for edit in drawn:
@@ -152,7 +152,7 @@ def _edit_json(shares: EditShares, rows: Sequence[EditRow]) -> Json:
     """All of it for `_edit_from_json`; regions in the order of REGIONS, splits in that of TEST_SPLITS."""
 
     def values(of: Mapping[tuple[str, Split], float | None]) -> list[Json]:
-        """A list of one value for each region and split, empty where a run did not predict the split."""
+        """For each region and split a list of its value, empty if the run did not predict the split."""
         return [[number_json(of[region, split])] if (region, split) in of else [] for region, split in _places()]
 
     return [values(shares), [[row.run, row.scene, values(row.psnr_db)] for row in rows]]
@@ -224,8 +224,7 @@ EDIT_NOTE = (
 
 
 def edit_grids(title: str, edits: Sequence[EditScores], runs: Sequence[RunScores]) -> list[Grid]:
-    """For each edit PSNR by region, with the scores before the edit below those after it; means over seeds of `runs`,
-    all of the scene."""
+    """A table per edit: PSNR by region after and before the edit; means over seeds of `runs`, all of the scene."""
     return [_edit_grid(title, edit, runs, notes=(EDIT_NOTE, MEANS_NOTE) if edit is edits[-1] else ()) for edit in edits]
 
 
@@ -284,8 +283,10 @@ def _nested(scores: Mapping[tuple[str, Split], float | None]) -> Json:
 
 
 def edit_sheet(scene: SceneScores, edit: EditScores) -> bytes:
-    """The PNG of an edit: the truth before and after it, and what each run drew (of runs that differ in their seed
-    alone, the first one), in the views that show most of it."""
+    """The PNG of an edit: the truth before and after it and each run's prediction, in the views that show most of it.
+
+    From runs that only differ in their seed, only the first is shown.
+    """
     from eval.figures import Panel, Row, draw_sheet
 
     drawn = by_group(scene.runs, {run.name: run for run in edit.runs})

@@ -1,6 +1,7 @@
-"""The scores of variants: what runs drew of other cameras, another size or an edited scene, against its own truth.
+"""The scores of variants: predictions of other cameras, another size or an edited scene, against its own truth.
 
-The splits by angle, cameras 10, 20 and 40 degrees outside of what training covers, have a table here.
+Two kinds have a table here: splits by angle (cameras 10, 20 and 40 degrees outside of the training cameras), and
+super-resolution (predictions at twice the size and more).
 """
 
 import dataclasses
@@ -42,7 +43,7 @@ ANGLE_NOTES = (
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class VariantScores:
-    """All runs that drew one variant."""
+    """All runs that predicted one variant."""
 
     variant: Dataset
     truths: dict[Split, Truth]
@@ -53,7 +54,7 @@ class VariantScores:
 def score_variants(
     scene: SceneScores, errors: list[HyalineError], kept: Kept, *, edits_alone: bool = False
 ) -> list[VariantScores]:
-    """The scores of each variant that a run has drawn; what pictures or truth lack is added to `errors`."""
+    """The scores of each variant that a run has predicted; problems of pictures or truth are added to `errors`."""
     scored = []
     for name in list_variants(scene.dataset.root):
         if not any((variant_root(scores.run.folder, name) / "predictions").is_dir() for scores in scene.runs):
@@ -70,9 +71,9 @@ def score_variants(
 
 
 def run_of_variant(run: Run, variant: Dataset) -> Run | None:
-    """A run's predictions of a variant as a run of its own; None where it has none.
+    """A run's predictions of a variant as a run of its own; None if there are none.
 
-    They lie at RUN/variants/NAME/predictions/SPLIT/0000.png, whoever made them.
+    They are at RUN/variants/NAME/predictions/SPLIT/0000.png, also for foreign methods.
     """
     folder = variant_root(run.folder, variant.name)
     found = within(run, folder, variant)
@@ -111,7 +112,7 @@ def _score(scene: SceneScores, variant: Dataset, errors: list[HyalineError], kep
 
 
 def angle_grid(scene: SceneScores, scored: VariantScores) -> Grid:
-    """The table of these scores, beside those of the interpolating split."""
+    """The table of these scores, next to those of the interpolating split."""
     splits: list[Split] = ["interpolating", *ANGLE_SPLITS]
     inside = {scores.run.name: scores for scores in scene.runs}
     rows = []
@@ -147,11 +148,11 @@ SUPER_RESOLUTION_NOTES = (
 
 
 Enlarged = dict[str, dict[Split, SplitScores | None]]
-"""Scores of enlarged pictures by the run's name; `TRUTH_ENLARGED` stands for the true ones."""
+"""Scores of enlarged pictures by the run's name; `TRUTH_ENLARGED` for the true ones."""
 
 
 def score_enlarged(scene: SceneScores, scored: VariantScores, kept: Kept) -> Enlarged:
-    """What the small pictures of each run that drew a larger variant are worth when they are enlarged."""
+    """The scores of the enlarged small pictures of each run that predicted a larger variant."""
     runs = [scores for scores in scene.runs if scores.run.name in scored.runs]
     return {
         TRUTH_ENLARGED: _enlarged(scene.dataset, scored, None, kept),
@@ -203,7 +204,7 @@ def super_resolution_grid(scene: SceneScores, scaled: list[tuple[VariantScores, 
 
 
 def super_resolution_json(scored: VariantScores, enlarged: Enlarged) -> dict[str, Json]:
-    """The scores of the drawn pictures, and those of enlarged ones beside them."""
+    """The scores of the predicted pictures and of the enlarged ones."""
     return {
         **variant_json(scored),
         "resolution": dataclasses.asdict(scored.variant.config.resolution),
@@ -214,7 +215,7 @@ def super_resolution_json(scored: VariantScores, enlarged: Enlarged) -> dict[str
 def _enlarged(
     dataset: Dataset, scored: VariantScores, scores: RunScores | None, kept: Kept
 ) -> dict[Split, SplitScores | None]:
-    """The scores of enlarged predictions; of the enlarged truth without a run."""
+    """The scores of enlarged predictions; without a run, of the enlarged truth."""
     splits: dict[Split, SplitScores | None] = {}
     for split, truth in scored.truths.items():
         if scores is not None and scores.splits[split] is None:

@@ -1,6 +1,6 @@
-"""What a report shows of a scene beyond the scores: the analyses with their tables and data, and all pictures.
+"""The report's parts beyond scores: the analyses of a scene with their tables and data, and all pictures.
 
-matplotlib is loaded when a picture is drawn.
+matplotlib is imported only when a picture is drawn.
 """
 
 import functools
@@ -36,10 +36,10 @@ from eval.tables.grids import Grid
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Further:
-    """What was found out of a scene; each part is there only when the dataset and the runs have what it needs."""
+    """The analyses of a scene; each is there only if the dataset and the runs have what it needs."""
 
     title: str
-    """The scene's."""
+    """The scene's title."""
     grids: tuple[Grid, ...]
     data: dict[str, Json]
     """For results.json."""
@@ -55,8 +55,8 @@ def analyse(scene: SceneScores, errors: list[HyalineError], kept: Kept) -> Furth
     """All analyses of a scored scene.
 
     Args:
-        kept: takes what is computed, and gives what was.
-        errors: takes what is wrong with runs; the others are analysed.
+        kept: cache of results.
+        errors: problems of runs are added here; the other runs are analysed.
     """
     grids: list[Grid] = []
     data: dict[str, Json] = {}
@@ -160,7 +160,7 @@ def _make_curve(runs: dict[Split, RunScores], truths: dict[Split, Truth], covere
 
 
 class _Covered:
-    """What training saw of the test views: read when a run is new, and once."""
+    """The training coverage of the test views: read once, and only if a run is new."""
 
     def __init__(self, scene: SceneScores, by_angle: VariantScores | None) -> None:
         self._scene, self._by_angle = scene, by_angle
@@ -168,7 +168,7 @@ class _Covered:
 
     @functools.cached_property
     def _training(self) -> Coverage:
-        say(f"{self._scene.title}: reads what the training views saw")
+        say(f"{self._scene.title}: reading the coverage of the training views")
         return read_coverage(self._scene.dataset)
 
     def split(self, split: Split) -> tuple[PixelCoverage, ...]:
@@ -185,7 +185,7 @@ def _home(scene: SceneScores, by_angle: VariantScores | None, split: Split) -> D
 
 
 def figures_of(scenes: list[SceneScores], further: list[Further]) -> dict[str, Drawing]:
-    """A sheet per run, a comparison and the cameras per scene, then the analyses' figures, by file."""
+    """By file name: a sheet per run, a comparison and the cameras per scene, then the analyses' figures."""
     figures: dict[str, Drawing] = {}
     for scene in scenes:
         name = file_name(scene.title)
@@ -200,14 +200,14 @@ def figures_of(scenes: list[SceneScores], further: list[Further]) -> dict[str, D
 
 
 def shown_of_run(scores: RunScores) -> Json:
-    """What a picture of a run depends on, beside the truth."""
+    """Everything that a picture of a run depends on, except the truth."""
     run = scores.run
     about = {"name": run.name, "method": run.method, "geometry": run.geometry, "label": run.label, "seed": run.seed}
     return to_json({**about, "config": run.config, "flags": run.flags, "pictures": scores.digests})
 
 
 def shown_of_scene(scene: SceneScores) -> Json:
-    """What a picture of a scene's truth depends on."""
+    """Everything that a picture of a scene's truth depends on."""
     truths = {split: truth.digest for split, truth in scene.truths.items()}
     return to_json({"title": scene.title, "dataset": scene.dataset.seal, "truths": truths})
 

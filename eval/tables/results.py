@@ -1,4 +1,5 @@
-"""The scores as data: results.json, with every picture's value, and CSV, one line a run."""
+"""The scores as data: results.json with every picture's value, CSV with one line per run, and RESULTS.md made from
+stored results.json files."""
 
 import csv
 import dataclasses
@@ -30,11 +31,11 @@ def results_json(
     analyses: Mapping[str, dict[str, Json]] | None = None,
     more: Mapping[str, Json] | None = None,
 ) -> bytes:
-    """The bytes of results.json. Infinite values are the string "inf", since JSON has no such number.
+    """The bytes of results.json. Infinite values are the string "inf", because JSON has no such number.
 
     Args:
-        analyses: what else was found out, by the scene's title.
-        more: further entries beside the scenes.
+        analyses: results of the analyses, by the scene's title.
+        more: further top-level entries.
     """
     return dump_json(
         {
@@ -47,10 +48,7 @@ def results_json(
 
 
 def results_csv(scenes: list[SceneScores]) -> str:
-    """One line a run, two for each group of seeds, one a scene for the noise ceiling.
-
-    Empty where not computed, `inf` where infinite.
-    """
+    """One line per run, two per group of seeds, one per scene for the noise ceiling; empty if not computed."""
     scored = [f"{metric.key}_{split}" for metric in METRICS for split in TEST_SPLITS]
     known = ["method", "label", "geometry", "knowledge", "num_parameters", "seed"]
     buffer = io.StringIO()
@@ -89,7 +87,7 @@ def results_csv(scenes: list[SceneScores]) -> str:
 
 
 def csv_text(value: Cell) -> Cell:
-    """A cell that no spreadsheet takes for a formula: text that begins like one gets an apostrophe."""
+    """A cell that is not a formula for spreadsheets: text that starts like one gets an apostrophe."""
     return f"'{value}" if isinstance(value, str) and value.startswith(("=", "+", "-", "@")) else value
 
 
@@ -119,7 +117,7 @@ def _group_json(group: SeedGroup) -> Json:
 
 
 def _group_spreads(group: SeedGroup) -> dict[str, Spread]:
-    """By the names of the CSV's columns."""
+    """Spreads by the names of the CSV's columns."""
     scores = {f"{m.key}_{split}": group.score(m.key, split) for m in METRICS for split in TEST_SPLITS}
     return {**scores, "drop_db": group.drop_db}
 
@@ -182,7 +180,7 @@ Stored = dict[str, Any]
 
 
 def results_page(paths: Sequence[Path]) -> str:
-    """The page: a section a file, in the order of their names."""
+    """The page: a section per file, sorted by name."""
     notes = "".join(f"\n{markdown_escaped(note)}\n" for note in (*metric_notes(is_wrapped=False), *NOTES))
     return HEAD + notes + "".join(_section(path) for path in sorted(paths, key=lambda path: path.name))
 
@@ -199,13 +197,13 @@ def _section(path: Path) -> str:
         command, code = (made_by.get(key, "not recorded") for key in ("command", "code"))
         tables = [grid_text(grid, "markdown", width=TABLE_WIDTH) for scene in data["scenes"] for grid in _grids(scene)]
     except (AttributeError, KeyError, TypeError) as error:
-        raise HyalineError(f"{path}: lacks {error}; expected a results.json that `eval report` wrote") from error
+        raise HyalineError(f"{path}: lacks {error}; expected a results.json of `eval report`") from error
     about = f"[{path.name}]({path.as_posix()}); hyaline {code}."
     return "\n".join([f"\n## {path.stem}\n", f"```\n{command}\n```\n", f"{about}\n", *tables])
 
 
 def _grids(scene: Stored) -> list[Grid]:
-    """The scores of a scene, then of each variant that its runs drew."""
+    """The scores of a scene, then of each variant that its runs predicted."""
     groups = _groups(scene)
     size = f"{Resolution(**scene['resolution'])} pixels"
     preset = f", preset {scene['preset']}" if "preset" in scene else ""
@@ -237,7 +235,7 @@ def _grids(scene: Stored) -> list[Grid]:
 
 
 def _groups(scene: Stored) -> list[list[str]]:
-    """The names of runs that differ in their seed alone together; of the others alone."""
+    """The names of runs, grouped if they only differ in their seed."""
     together: list[list[str]] = [group["runs"] for group in scene["seeds"]]
     grouped = {name for group in together for name in group}
     return together + [[run["run"]] for run in scene["runs"] if run["run"] not in grouped]
@@ -256,9 +254,9 @@ def _grid(
     """One table, the best run first, by its PSNR on the first split.
 
     Args:
-        runs: splits, their metrics and means by the run's name.
+        runs: splits with their metrics and means, by the run's name.
         texts: further columns before the scores.
-        numbers: further columns behind them, of what each run has one number.
+        numbers: further columns after them, with one number per run.
     """
 
     def scores(group: list[str], metric: Metric, split: Split) -> Spread:

@@ -313,7 +313,7 @@ def write_metrics(out: Path, metrics: list[dict[str, Json]]) -> None:
 
 
 def read_metrics(out: Path) -> list[dict[str, float | None]]:
-    """The lines of metrics.jsonl, one per evaluation: step, loss and held_out_psnr in dB (None without held-out views)."""
+    """The lines of metrics.jsonl, one per evaluation: step, loss, held_out_psnr in dB (None without held-out views)."""
     path = out / METRICS
     lines = read_regular(path).splitlines() if path.is_file() else []
     found = []

@@ -91,7 +91,7 @@ def test_files_come_by_name_and_what_none_recorded_is_said(tmp_path: Path) -> No
         (results(version=2), "demo.json: format version 2; this program reads 1, as `eval report` writes it"),
         (
             results(scenes=[{"scene": "x"}]),
-            "demo.json: lacks 'seeds'; expected a results.json that `eval report` wrote",
+            "demo.json: lacks 'seeds'; expected a results.json of `eval report`",
         ),
         ({"version": 1}, "demo.json: lacks 'scenes'"),
     ],
