@@ -41,7 +41,7 @@ READ_BY_BLENDER: dict[str, Axis] = {".glb": "y", ".gltf": "y", ".obj": "z", ".pl
 SKY_ROWS = 1024
 MAX_DEPTH = 32
 VIEWS = 8
-"""Cameras that are placed; one of them looks."""
+"""Number of cameras around the scene; one of them is used."""
 GAIN = 4
 """By which the difference picture is stronger than the difference."""
 TIMEOUT_S = 3600
@@ -59,7 +59,7 @@ class Compared:
     size_ratio: float
     """Largest side of what Blender read over ours: 1 where both read the same lengths."""
     told: list[str]
-    """What the import said."""
+    """Messages of the import."""
 
     @property
     def psnr_db(self) -> float:
@@ -67,7 +67,7 @@ class Compared:
 
     @property
     def floor_db(self) -> float:
-        """What two right pictures with this noise would have."""
+        """PSNR in dB of two correct pictures with this noise."""
         return _decibels(self.noise_mse)
 
     @property
@@ -79,7 +79,7 @@ class Compared:
 def compare_with_cycles(
     file: Path, choices: ImportChoices, *, python: Path, view: int, size: Resolution, spp: int
 ) -> Compared:
-    """Draws a file with both; each picture is the mean of two halves, whose difference tells the noise.
+    """Renders a file with both; each picture is the mean of two halves, whose difference measures the noise.
 
     Args:
         python: interpreter of an environment with bpy.
@@ -98,11 +98,11 @@ def compare_with_cycles(
         extrapolating=split,
     )
     cameras = make_cameras(imported.scene.cameras, config)["interpolating"]
-    say(f"{file.name}: draws it with hyaline")
+    say(f"{file.name}: rendering with hyaline")
     truth = render_view(
         Renderer(imported.scene, max_depth=MAX_DEPTH), cameras, view, spp=spp, view_seed=1, ceiling_db=None
     )
-    say(f"{file.name}: draws it with Cycles")
+    say(f"{file.name}: rendering with Cycles")
     halves, size_ratio = _drawn_by_cycles(file, imported, cameras[view], python, spp)
     noise = np.mean((srgb_from_linear(halves[0]) - srgb_from_linear(halves[1])) ** 2) / 4
     return Compared(

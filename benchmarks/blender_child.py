@@ -15,7 +15,7 @@ import sys
 from pathlib import Path
 
 NOT_INSTALLED = 3
-"""Exit status where there is no bpy."""
+"""Exit status without bpy."""
 
 UNREADABLE = 4
 """Exit status where Blender cannot import the file."""

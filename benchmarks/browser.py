@@ -36,7 +36,7 @@ class Watched:
 
     page: "Page"
     complaints: list[str] = field(default_factory=list)
-    """Errors and warnings in the console, and exceptions that nobody caught."""
+    """Errors and warnings in the console, and uncaught exceptions."""
     requests: list[str] = field(default_factory=list)
     """Addresses that were asked for, the page's own first."""
 
@@ -77,7 +77,7 @@ def find_browser() -> str:
 
 @contextlib.contextmanager
 def running_browser() -> Iterator["Browser"]:
-    """A browser, of which there may be one at a time."""
+    """A browser; only one may run at a time."""
     program = find_browser()
     from playwright.sync_api import sync_playwright
 
@@ -105,6 +105,6 @@ def watched_page(browser: "Browser", *, width: int = 400, height: int = 300, dar
 
 
 def open_file(watched: Watched, path: Path, *, link: str = "") -> None:
-    """Opens a page from disk, with what stands after the # of its address, and waits until its scene is there."""
+    """Opens a page from disk, with `link` after the # of its address, and waits until its scene is loaded."""
     watched.page.goto(path.resolve().as_uri() + (f"#{link}" if link else ""))
     watched.evaluate("async () => { await hyaline; }")

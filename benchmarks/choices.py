@@ -1,4 +1,4 @@
-"""What a user of the benchmarks of networks may choose; torch is not imported, so that `--help` answers at once."""
+"""The flags of the network benchmarks; torch is not imported, so that `--help` is fast."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -25,9 +25,9 @@ class BenchChoices:
     width: str = "34k"
     """Hidden units of the first layer: 34k (as many as make 34,000 parameters), 256, or any number."""
     precision: Literal["fp32", "bf16"] = "fp32"
-    """Numbers in which the network multiplies; the naive form always has fp32."""
+    """Number format of the network's multiplications; the naive form always uses fp32."""
     rounds: int = 7
-    """Turns of every candidate, warm-up apart."""
+    """Rounds of every candidate, without warm-up."""
     json: bool = False
     """Print JSON instead of tables."""
 

@@ -44,7 +44,7 @@ class Compared:
     to_python: float
     page_to_truth: float
     python_to_truth: float
-    """Of an edited scene no truth is known: NaN."""
+    """PSNR against the truth; NaN for an edited scene, which has none."""
     seconds: float
     """That the page took for the picture."""
 
@@ -184,11 +184,11 @@ def page_edits(base: Dataset, edits: tuple[Edit, ...], *, knows_materials: bool)
 
 
 def take_screenshot(page: Path, *, width: int, height: int, dark: bool, rays: int, link: str) -> bytes:
-    """The PNG of a page whose window is so wide and high, when all its pixels have so many rays.
+    """The PNG of a page in a window of this size, when all its pixels have this number of rays.
 
     Args:
         rays: 0 for a page that draws none, such as a report.
-        link: what stands after the # of the page's address.
+        link: the part after the # of the page's address.
     """
     with running_browser() as browser, watched_page(browser, width=width, height=height, dark=dark) as watched:
         if not rays:

@@ -1,4 +1,4 @@
-"""Error maps of a run beside those of another: the views that the first one predicts worst."""
+"""Pictures of runs: error maps of two runs side by side, learned skies beside the true one, and films."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -32,7 +32,7 @@ HEADS = ("truth", "before", "after", "error before, levels of 255", "error after
 
 
 def draw_errors(before: Path, after: Path, *, views: int) -> bytes:
-    """The PNG of the `views` worst views of the run in `before`, the worst first, with both runs' errors on one scale."""
+    """The PNG of the `views` worst views of the run in `before`, worst first, with both runs' errors on one scale."""
     runs = [open_run(folder, Path("data")) for folder in (before, after)]
     if runs[0].dataset.seal != runs[1].dataset.seal:
         raise HyalineError(
@@ -110,12 +110,12 @@ def draw_skies(runs: tuple[Path, ...], names: tuple[str, ...] = ()) -> bytes:
 
 
 def true_sky(dataset: Dataset) -> Sky:
-    """What the dataset was rendered under."""
+    """The sky that the dataset was rendered with."""
     return radiance_of_sky(load_scene(dataset.root / "scene"), map_directions())
 
 
 def learned_sky(folder: Path, dataset: Dataset) -> Sky:
-    """What a run has learned."""
+    """The sky that a run has learned."""
     record = read_run(folder)
     if record.dataset_seal != dataset.seal:
         raise HyalineError(f"{folder}: was made for {record.dataset}; expected {dataset.root}, as the first run")

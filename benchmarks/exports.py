@@ -1,4 +1,4 @@
-"""What tools' own loaders read of our exports, compared with the dataset: cameras, pictures, splits, depth, points.
+"""Exports opened by other tools' loaders, and compared with the dataset: cameras, pictures, splits, depth, points.
 
 Each loader runs in its tool's own environment (`exports_child.py`). Cameras are compared by mesh vertices: a visible
 vertex is projected by the dataset's camera, the loader gives its ray through that pixel, and the point of this ray
@@ -38,16 +38,16 @@ PEERS: dict[str, tuple[str, ...]] = {
 """Loaders, and the formats that each opens."""
 
 PLACES = 32
-"""Of each picture."""
+"""Vertices to project in each picture."""
 
 MAX_OFF_PX = 0.05
-"""Of a reprojected vertex. Loaders compute in single precision; the error to be found is half a pixel."""
+"""Tolerance of a reprojected vertex in pixels. Loaders use single precision; the errors to detect are half a pixel."""
 
 MAX_OFF_M = 1e-5
-"""Of a point."""
+"""Tolerance of a point."""
 
 MAX_OFF_DEPTH_M = 0.0006
-"""Of depth: PNGs have whole millimetres."""
+"""Tolerance of depth: PNGs have whole millimetres."""
 
 NOT_INSTALLED = 3
 """Exit status of `exports_child.py`."""
@@ -60,7 +60,7 @@ class Places:
     pixels: Float[np.ndarray, "place 2"]
     """Column and row; (0.5, 0.5) is the centre of the upper left pixel."""
     p_world: Float[np.ndarray, "place 3"]
-    """What is there: a vertex of a mesh, in metres."""
+    """The vertex at each place, in metres."""
     depth: Float32[np.ndarray, " place"]
     """Metres along the axis to the first surface, at the pixel's centre; 0: none."""
 
@@ -92,18 +92,18 @@ class Finding:
 
 @dataclass(frozen=True, kw_only=True)
 class PeerReport:
-    """What one loader read of one export."""
+    """The findings of one loader on one export."""
 
     peer: str
     form: str
     versions: dict[str, str]
     missing: str | None
-    """What is not installed; then there are no findings."""
+    """The missing package; then there are no findings."""
     findings: tuple[Finding, ...]
 
 
 def find_places(item: ExportView, rng: np.random.Generator) -> Places:
-    """Some vertices that a view shows, each on its own object's pixels; where there is none, its pixels' centres."""
+    """Some visible vertices of a view, each on its own object's pixels; without any, pixel centres."""
     found = item.quantities
     camera, size = item.view.camera, np.array([item.view.camera.width, item.view.camera.height])
     candidates, pixels = [], []
@@ -137,7 +137,7 @@ def project(
 
 
 def check_python(python: Path) -> None:
-    """Refuses what is no Python interpreter."""
+    """Raises a HyalineError for anything but a Python interpreter."""
     try:
         done = subprocess.run([str(python.absolute()), "-I", "-c", "import numpy"], capture_output=True, check=False)
     except OSError as error:
@@ -152,14 +152,14 @@ def ask(python: Path, peer: str, root: Path, places: Mapping[str, Places], folde
     """The loader's answer, or why it gave none.
 
     Args:
-        python: interpreter of the environment in which the tool is installed.
+        python: interpreter of the tool's environment.
         root: the export.
         folder: where question and answer may be written.
     """
     question, answer = folder / "question.npz", folder / "answer.npz"
     # numpy's stubs take the names for their own arguments.
     np.savez(question, **{name: found.pixels for name, found in places.items()})  # pyright: ignore[reportArgumentType]
-    # An interpreter of a virtual environment is a link that must not be followed: its place says which packages count.
+    # The interpreter of a virtual environment is a link that must not be resolved: its path selects the packages.
     command = [str(python.absolute()), "-I", str(LOADERS), peer, str(root.resolve()), str(question), str(answer)]
     done = subprocess.run(command, capture_output=True, text=True, cwd=folder, check=False)
     if done.returncode:
@@ -172,7 +172,7 @@ def ask(python: Path, peer: str, root: Path, places: Mapping[str, Places], folde
 
 
 def report_on(peer: str, form: str, source: Source, places: Mapping[str, Places], answer: Read | Unread) -> PeerReport:
-    """What a loader's answer is worth."""
+    """The report on a loader's answer."""
     if isinstance(answer, Read):
         findings = compare(source, places, answer)
         return PeerReport(peer=peer, form=form, versions=answer.about["versions"], missing=None, findings=findings)

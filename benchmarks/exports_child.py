@@ -3,8 +3,8 @@
     python exports_child.py PEER EXPORT QUESTIONS.npz ANSWER.npz
 
 Questions: for each picture, by name, some places in pixels (column, row), where (0.5, 0.5) is the centre of the upper
-left one. An answer has the loader's ray through each of them, in the world of the export: what a tool does to the world
-while it loads (centring, scaling, turning) is undone by the transform that the tool itself reports.
+left one. An answer has the loader's ray through each of them, in the world of the export: a tool's own transforms of
+the world (centring, scaling, rotating) are undone by the transform that the tool reports.
 """
 
 # None of these packages is in hyaline's environment.
@@ -76,7 +76,7 @@ def read_nerfstudio_blender(root: Path, questions: Questions) -> Answer:
 
 
 def read_nerfstudio_colmap(root: Path, questions: Questions) -> Answer:
-    """colmap, told where the model is, with its points."""
+    """colmap, with the path of the model, and its points."""
     from nerfstudio.data.dataparsers.colmap_dataparser import ColmapDataParserConfig
 
     return _nerfstudio(lambda: ColmapDataParserConfig(data=root, colmap_path=Path("sparse/0")).setup(), questions)
@@ -123,7 +123,7 @@ def _nerfstudio_rays(cameras, index: int, places: np.ndarray) -> tuple[np.ndarra
 
 
 def read_nerfbaselines(root: Path, questions: Questions) -> Answer:
-    """What `nerfbaselines train --data` loads: the loader that it finds by itself."""
+    """The loader that `nerfbaselines train --data` finds by itself."""
     from nerfbaselines.cameras import unproject
     from nerfbaselines.datasets import load_dataset
 
@@ -209,7 +209,7 @@ def read_datasets(root: Path, questions: Questions) -> Answer:
 
 
 def _by_convention(lens: dict, places: np.ndarray, colors: np.ndarray, depth: np.ndarray) -> Picture:
-    """A picture whose camera is told by the keys of transforms.json."""
+    """A picture with the camera keys of transforms.json."""
     matrix = np.array(lens["transform_matrix"])
     x = (places[:, 0] - lens["cx"]) / lens["fl_x"]
     y = (places[:, 1] - lens["cy"]) / lens["fl_y"]

@@ -1,4 +1,8 @@
-"""What the benchmarks of `model` measure on: its size, layers made up for it, and the renderer `paper`."""
+"""The task of the network benchmarks (synthetic layers, the renderer `paper`), and the naive baseline.
+
+The baseline is the renderer as one writes it first, with equal weights: a `grid_sample` for each object and layer,
+masked and summed, then 1x1 convolutions on images of channels.
+"""
 
 from dataclasses import dataclass
 
@@ -34,7 +38,7 @@ class Ball:
     radius: float
     depth: float
     turn: float
-    """Radians by which its texture is turned."""
+    """Rotation of its texture in radians."""
 
 
 def made_up_frame(choices: BenchChoices, *, rng: np.random.Generator) -> Pixels:
@@ -71,7 +75,7 @@ def made_up_frame(choices: BenchChoices, *, rng: np.random.Generator) -> Pixels:
 
 
 def _meet(ball: Ball, place: Float[np.ndarray, "pixel 2"]) -> tuple[np.ndarray, list[tuple[np.ndarray, np.ndarray]]]:
-    """The pixels that show a ball, and uv and depth of them on its near side and on its far side."""
+    """The pixels that show a ball, with uv and depth on its near and far side."""
     x, y = (place - ball.center).T / ball.radius
     inside = np.nonzero(x * x + y * y < 1)[0]
     x, y = x[inside], y[inside]
@@ -135,7 +139,7 @@ def smooth_texels(choices: BenchChoices) -> Float32[Tensor, "texel c"]:
 
 
 def describe(choices: BenchChoices, renderer: PaperRenderer) -> dict[str, object]:
-    """What was measured on, for the head of a report."""
+    """The settings for the header of a report."""
     num_parameters = sum(parameter.numel() for parameter in renderer.net.parameters())
     return {
         "objects": choices.objects,

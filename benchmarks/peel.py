@@ -129,7 +129,7 @@ GATES = (
 )
 
 NUM_CAMERAS = 10
-"""Random views that the checks look at; the first of them is timed."""
+"""Random views for the checks; the first one is timed."""
 
 SAME_OBJECTS = 0.98
 """Share of the pixels for which both must list the same objects: `spawn_ray` loses surfaces that lie close together."""

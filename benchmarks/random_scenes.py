@@ -14,12 +14,12 @@ from datagen.terminal.command import track
 
 @dataclass(kw_only=True)
 class FamilySurvey:
-    """What became of the seeds of one family."""
+    """The results for the seeds of one family."""
 
     family: Family
     scenes: int = 0
     failed: list[str] = field(default_factory=list)
-    """Errors of seeds of which no draw passed."""
+    """Errors of seeds without an accepted draw."""
     refused: dict[str, int] = field(default_factory=dict)
     """How many draws were refused, by reason."""
     glass_shares: list[float] = field(default_factory=list)
@@ -29,7 +29,7 @@ class FamilySurvey:
 
 
 def survey_seeds(first: int, count: int, chosen: Family | None) -> list[FamilySurvey]:
-    """Draws and checks the scenes of these seeds; nothing is rendered."""
+    """Generates and checks the scenes of these seeds without rendering."""
     surveys = {family: FamilySurvey(family=family) for family in FAMILIES}
     for seed in track(range(first, first + count), label="draw", total=count):
         name = RandomName(seed=seed, chosen=chosen)

@@ -17,13 +17,13 @@ from datagen.scene.rig import make_cameras
 from datagen.terminal.command import track
 
 VIEWS = 6
-"""Training cameras of each scene; the sheet shows one of them."""
+"""Training cameras of each scene; the sheet uses one of them."""
 GAP = 4
 """White pixels between pictures."""
 
 
 def draw_random_sheet(seeds: tuple[int, ...], *, view: int, size: int, spp: int, quality: int) -> bytes:
-    """The WebP of these seeds, a row for each family that they are of. Call `use_mitsuba` first."""
+    """The WebP of these seeds, a row for each family. Call `use_mitsuba` first."""
     rows: dict[str, list[np.ndarray]] = {family: [] for family in FAMILIES}
     for seed in track(seeds, label="render", total=len(seeds)):
         name = RandomName(seed=seed)

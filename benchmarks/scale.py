@@ -1,4 +1,7 @@
-"""The scene that the benchmarks peel: closed objects within two concentric shells, as fine as one wants."""
+"""Benchmark of growth: time and memory of peeling with resolution, layers, objects and triangles.
+
+The scene has closed objects within two concentric shells, with any number of triangles; `peel` uses it, too.
+"""
 
 import dataclasses
 import io
@@ -24,7 +27,7 @@ from datagen.scene.materials import Conductor, Dielectric, Diffuse, Material, Pl
 from datagen.terminal.command import say, track
 
 NUM_TRIANGLES = 315_000
-"""Of all objects together, unless told."""
+"""Default triangles of all objects together."""
 
 NUM_OBJECTS = 11
 
@@ -60,7 +63,7 @@ def make_shells(num_triangles: int = NUM_TRIANGLES, num_objects: int = NUM_OBJEC
 
 
 def materials_of(meshes: tuple[Mesh, ...]) -> tuple[Material, ...]:
-    """Of solid glass outside, with a thin pane within it, around things of all kinds."""
+    """Materials: solid glass outside with a thin pane within it, around objects of all kinds."""
     grey = (0.6, 0.6, 0.6)
     kinds = (
         Diffuse(color=grey),
@@ -138,7 +141,7 @@ class Task:
 
 @dataclass(frozen=True, kw_only=True)
 class Point:
-    """What one view needed, with one quantity multiplied."""
+    """Time and memory of one view, with one quantity multiplied."""
 
     quantity: Quantity
     factor: float
@@ -229,7 +232,7 @@ def measure_task(task: Task, rounds: int) -> tuple[float, float, float]:
 
 
 def peel_once(task: Task, *, rounds: int) -> tuple[list[float], list[float]]:
-    """Loads a task's scene and peels its view so many times, after one to warm up; wall and cpu seconds of each."""
+    """Loads a task's scene and peels its view repeatedly, after a warm-up; wall and CPU seconds of each."""
     meshes = make_shells(task.triangles, task.objects)
     cameras = random_cameras(1, max(1, round(math.sqrt(task.pixels))))
     from datagen.machine.mitsuba_variant import use_mitsuba

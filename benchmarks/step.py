@@ -1,4 +1,4 @@
-"""Benchmark of a training step on a CPU: the product's beside the naive one, whole, its phases, its textures."""
+"""Benchmarks of networks beside the naive baseline: a training step and a frame on a CPU, both on a GPU, ceilings."""
 
 import mmap
 import time
@@ -30,11 +30,11 @@ from model.settings.runtime import keep_freed_memory
 GATE_STEP, GATE_TEXTURES = 5.0, 10.0
 
 CHECKED = 4096
-"""Pixels on which both are compared. Of more, torch's batch norm over rows sums up too much rounding."""
+"""Pixels compared. With more, torch's batch norm over rows accumulates too much rounding."""
 
 TOLERANCE = {"fp32": 1e-2, "bf16": 0.4}
-"""Of gradients, as shares of their length. Where rounding moves a value across the kink of an activation or of the
-loss, that pixel's gradient is another one, however small the step across was."""
+"""Tolerance of gradients, relative to their length. If rounding moves a value across the kink of an activation or of the
+loss, that pixel's gradient changes, however small the step."""
 
 PHASES = ("look-up", "network", "backward", "optimiser")
 
@@ -219,7 +219,7 @@ GPU_TOLERANCE = {"fp32": 1e-4, "bf16": 2e-2}
 
 
 def gpu_ceilings(precision: str) -> tuple[Ceiling, Ceiling]:
-    """What the GPU that is present does at best: products in the network's precision, and copying."""
+    """The GPU's best speed: matrix products in the network's precision, and copying."""
     size, kind = 4096, torch.bfloat16 if precision == "bf16" else torch.float32
     a, b = torch.randn(2, size, size, device="cuda", dtype=kind)
     out = torch.empty_like(a)
@@ -274,7 +274,7 @@ def step_of(module: torch.nn.Module, rays: RayBatch, truth: Tensor, optimizer: t
 
 
 def bench_gpu(choices: BenchChoices, *, seed: int = 0, frame: int = FRAME, step: int = STEP) -> BenchReport:
-    """Times a frame and a step; without CUDA says so, and times nothing."""
+    """Times a frame and a step; skipped with a message without CUDA."""
     if not torch.cuda.is_available():
         why = "torch finds no CUDA device here"
         return measure(

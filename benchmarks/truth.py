@@ -44,7 +44,7 @@ GATE = Gate(name="time to the ceiling", baseline="mitsuba's defaults", candidate
 
 
 class Radiance(Protocol):
-    """Renders linear radiance (h, w, 3), and says how many samples per pixel were really drawn."""
+    """Renders linear radiance (h, w, 3); also returns the actual number of samples per pixel."""
 
     def __call__(self, *, spp: int, seed: int) -> tuple[np.ndarray, int]: ...
 
@@ -170,7 +170,7 @@ def under_soft_light(scene: Scene) -> Scene:
 
 
 def noise_mse(radiance: Radiance, spp: int) -> tuple[float, int]:
-    """Mean squared error of the clipped sRGB picture at so many samples, and the samples really drawn."""
+    """Mean squared error of the clipped sRGB picture at this number of samples, and the actual number."""
     errors, drawn = [], spp
     for pair in range(PAIRS):
         (one, drawn), (other, _) = (radiance(spp=spp, seed=derive_seed("noise", spp, pair, half)) for half in (0, 1))
