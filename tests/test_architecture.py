@@ -34,7 +34,7 @@ HOMES = {
     "zarr": {"datagen/data/layer_writing.py"},
     "OpenEXR": {"datagen/data/images.py"},
     "submitit": {"datagen/build/launch.py"},
-    "viser": {"model/view/server.py", "model/view/stage.py", "model/view/panel.py", "model/view/view.py"},
+    "viser": {"model/view/server.py", "model/view/stage.py", "model/view/view.py"},
 }
 
 

@@ -62,7 +62,7 @@ class CameraList:
 
     @property
     def azimuth_deg(self) -> tuple[float, float]:
-        """First and last azimuth of the training cameras around the target, without the widest gap between two of them."""
+        """First and last azimuth of the training cameras around the target, the widest gap left out."""
         directions = self._directions()
         azimuth = np.sort(np.degrees(np.arctan2(directions[:, 1], directions[:, 0])))
         gaps = np.diff(azimuth, append=azimuth[0] + 360)

@@ -35,7 +35,7 @@ from datagen.scene.solid_textures import evaluate_texture
 from datagen.scene.textures import SolidTexture
 from datagen.trace.peel import Peeler
 from model.nets.texture import NeuralTextures, object_layout
-from model.run.edits import with_copies
+from model.run.predict import with_copies
 
 use_mitsuba(quiet=True)
 

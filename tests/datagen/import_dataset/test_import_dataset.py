@@ -30,7 +30,7 @@ from datagen.quantities.view_quantities import quantities
 from datagen.scene.camera_list import CameraList
 from datagen.scene.folder import load_scene
 from datagen.scene.rig import make_cameras
-from eval.figures.cameras import cameras_figure
+from eval.figures import cameras_figure
 
 SIDE = 8
 
