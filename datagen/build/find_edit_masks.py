@@ -12,9 +12,8 @@ from datagen.data.png import png_bytes
 from datagen.data.tonemap import srgb_from_linear
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import EDIT_MASKS, begin, holding, is_ours
-from datagen.disk.promises import check_files
 from datagen.disk.records import Json
-from datagen.disk.storage import commit_same, commit_sealed, load_sealed, seal_bytes, sha256
+from datagen.disk.storage import check_files, commit_same, commit_sealed, load_sealed, seal_bytes, sha256
 
 SIGMAS = 3.0
 """A difference counts when it is so many times the standard deviation of its noise."""

@@ -11,8 +11,7 @@ from jaxtyping import Float, Float32, Int
 from datagen.data.config import ANGLE_SPLITS, Split
 from datagen.data.paths import view_name
 from datagen.disk.errors import HyalineError
-from datagen.disk.reading import parse_json
-from datagen.disk.records import Json, shown
+from datagen.disk.records import Json, parse_json, shown
 from datagen.disk.storage import dump_json
 
 TRANSFORMS_FILES: dict[Split, str] = {

@@ -10,8 +10,6 @@ from datagen.data.dataset_head import dataset_files
 from datagen.data.edit_masks import list_edit_masks
 from datagen.data.geometries import proxy_files
 from datagen.data.layer_writing import layers_files
-from datagen.disk.heads import list_heads
-from datagen.disk.homes import HEADS, home_of
 from datagen.disk.ownership import DATASET, EDIT_MASKS, LAYERS, PROXIES, FolderKind, holding, is_ours, remove_files
 
 
@@ -38,9 +36,6 @@ def clear_dataset(root: Path) -> None:
             remove_files(folder, [*files, EDIT_MASKS.head])
         _prune(root, folder)
     remove_files(root, dataset_files(root))
-    home = home_of(root)
-    gone = [head for head in list_heads(home) if not (home / head).is_file()]
-    remove_files(home, [f"{HEADS}/{head}" for head in gone])
 
 
 def clear_layers(root: Path, folder: Path) -> None:

@@ -22,8 +22,8 @@ ANGLE_SPLITS: dict[Split, float] = {"extrapolating-10deg": 10, "extrapolating-20
 
 SPLIT_ORDER: dict[Split, int] = {split: place for place, split in enumerate((*SPLITS, *ANGLE_SPLITS))}
 
-DATASET_VERSION = 2
-"""Of what is written. Version 1, which is read too, knew square pictures alone: its resolution is one number."""
+DATASET_VERSION = 3
+"""Of what is written and read."""
 
 MAX_VIEWS, MAX_SPP, MAX_DEPTH = 10_000, 1 << 20, 1000
 """Of a split, of a picture and of a light path: what is beyond has a slip in it."""
@@ -101,12 +101,10 @@ def config_of(head: Mapping[str, Json], path: Path) -> DatasetConfig:
         HyalineError: another format version, or no configuration.
     """
     version = head.get("version")
-    if isinstance(version, bool) or version not in (1, DATASET_VERSION):
-        raise HyalineError(f"{path}: format version {shown(version)}; this program reads 1 and {DATASET_VERSION}")
-    config = entry(head, "config", where=path)
-    if version == 1 and isinstance(config, dict) and isinstance(side := config.get("resolution"), int):
-        config = {**config, "resolution": {"width": side, "height": side}}
-    return from_json(DatasetConfig, config, where=f"{path}: config")
+    if version != DATASET_VERSION:
+        again = "build or import the dataset again in another folder" if version in (1, 2) else "update hyaline"
+        raise HyalineError(f"{path}: format version {shown(version)}; this program reads {DATASET_VERSION}, {again}")
+    return from_json(DatasetConfig, entry(head, "config", where=path), where=f"{path}: config")
 
 
 def config_difference(old: object, new: object) -> str | None:

@@ -12,7 +12,6 @@ from datagen.data.paths import image_path, record_path
 from datagen.data.variant_record import Variant, variant_of
 from datagen.data.view_record import ViewRecord
 from datagen.disk.errors import HyalineError
-from datagen.disk.heads import keep_head
 from datagen.disk.ownership import DATASET, begin, is_ours
 from datagen.disk.records import Json, to_json
 from datagen.disk.storage import commit, commit_same, commit_sealed, load_sealed, seal_bytes, seal_of, sha256
@@ -63,7 +62,6 @@ def write_head(
     if dataset.seal == seal_of(head):
         for path, data in files.items():
             commit_same(root / path, data)
-    keep_head(root, root / DATASET.head)
     return dataset
 
 

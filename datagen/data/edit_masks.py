@@ -20,9 +20,8 @@ from datagen.data.paths import view_name
 from datagen.data.png import read_png
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import EDIT_MASKS
-from datagen.disk.promises import check_files
 from datagen.disk.records import entry, from_json
-from datagen.disk.storage import load_sealed
+from datagen.disk.storage import check_files, load_sealed
 
 FOLDER = "edit-masks"
 

@@ -10,8 +10,7 @@ from jaxtyping import Float, Float32, Int32
 
 from datagen.data.ply_polygons import triangulated
 from datagen.disk.errors import HyalineError
-from datagen.disk.reading import read_regular
-from datagen.disk.records import shown
+from datagen.disk.records import read_regular, shown
 
 MAX_EXTENT = 1e5
 """Largest coordinate accepted, in metres: beyond it float32 rays lose millimetres."""

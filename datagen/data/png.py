@@ -9,7 +9,7 @@ from PIL import Image
 
 from datagen.data.resolution import Resolution
 from datagen.disk.errors import HyalineError
-from datagen.disk.reading import read_regular
+from datagen.disk.records import read_regular
 
 MAX_PNG_SIDE = 16384
 """Pixels: twice the largest dataset, whose decoding takes 1 GB."""

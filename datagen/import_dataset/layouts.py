@@ -16,8 +16,7 @@ from datagen.data.license import license_line
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import check_regular, find_file
 from datagen.disk.ownership import DATASET
-from datagen.disk.reading import load_json
-from datagen.disk.records import shown
+from datagen.disk.records import load_json, shown
 from datagen.import_dataset.foreign_dataset import (
     ROLES,
     ForeignDataset,

@@ -11,8 +11,7 @@ from datagen.data.cameras import Camera, Cameras, check_camera, look_at
 from datagen.data.config import SPLITS
 from datagen.data.dataset import Dataset
 from datagen.disk.errors import HyalineError
-from datagen.disk.reading import load_json
-from datagen.disk.records import Json
+from datagen.disk.records import Json, load_json
 from datagen.scene.camera_list import CameraList, list_cameras
 from datagen.scene.description import CameraRig
 from datagen.scene.folder import load_scene

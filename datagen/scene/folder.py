@@ -9,8 +9,7 @@ from typing import TypeVar, cast
 from datagen.data.meshes import Mesh, check_numbers, is_there, no_mesh, read_ply, write_ply
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import find_file
-from datagen.disk.reading import load_json, read_regular
-from datagen.disk.records import Json, from_json, shown, to_json
+from datagen.disk.records import Json, from_json, load_json, read_regular, shown, to_json
 from datagen.disk.storage import commit, dump_json
 from datagen.scene.cutouts import Cut, Cutout, corner_uv_of, opacity_of, with_cuts
 from datagen.scene.description import (

@@ -9,8 +9,7 @@ from typing import Any, cast
 from datagen.data.config import TEST_SPLITS, Split
 from datagen.data.resolution import Resolution
 from datagen.disk.errors import HyalineError
-from datagen.disk.reading import load_json
-from datagen.disk.records import shown
+from datagen.disk.records import load_json, shown
 from eval.score.scores import METRICS, Metric, metric_notes
 from eval.score.seeds import Spread, spread
 from eval.tables.grids import CEILING, MISSING, TABLE_WIDTH, Column, Grid, ceiling_text, format_number

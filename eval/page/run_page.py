@@ -11,8 +11,7 @@ from pathlib import Path
 from typing import TypeGuard
 
 from datagen.disk.errors import HyalineError
-from datagen.disk.reading import MAX_JSON_BYTES, parse_json, read_regular
-from datagen.disk.records import Json
+from datagen.disk.records import MAX_JSON_BYTES, Json, parse_json, read_regular
 from datagen.disk.storage import sha256
 from datagen.pages.charts import Line, line_chart
 from datagen.pages.document import anchor, command, definitions, section

@@ -14,8 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from datagen.disk.errors import HyalineError
-from datagen.disk.reading import parse_json, read_regular
-from datagen.disk.records import from_json
+from datagen.disk.records import from_json, parse_json, read_regular
 from datagen.disk.storage import commit
 
 COSTS = "costs.json"

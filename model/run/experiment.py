@@ -23,8 +23,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from datagen.disk.errors import HyalineError
-from datagen.disk.reading import load_toml
-from datagen.disk.records import shown
+from datagen.disk.records import load_toml, shown
 from datagen.terminal.command import choose
 from model.methods.table import list_methods
 from model.run.train_flags import check_words, flags_of_method

@@ -51,7 +51,6 @@ TRIPS = (
     Trip(line="datagen import thing.glb --out mine --overwrite", start="scene", taken=("mine/meshes/ground.ply",)),
     Trip(line="datagen import-dataset theirs --out mine --overwrite", start="scene"),
     Trip(line="datagen import-dataset theirs --out mine", start="scene", taken=("mine/images/train/0000.png",)),
-    Trip(line="datagen mend --dataset data/one --scene scene --workers 1", start="proxies"),
     Trip(line="datagen render --dataset data/one --path spline --frames 2 --spp 2 --video films/truth"),
     Trip(line="datagen look --dataset data/one --out look.html --overwrite"),
     Trip(line="datagen look --dataset data/one", taken=("one-look.html",)),

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from datagen.disk.errors import HyalineError
-from datagen.disk.reading import read_regular
+from datagen.disk.records import read_regular
 from datagen.machine.confined import allow_file
 from datagen.scene.camera_list import Intrinsics
 from datagen.scene.importers.remarks import Remarks

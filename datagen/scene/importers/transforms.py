@@ -13,8 +13,7 @@ from datagen.data.config import MAX_VIEWS
 from datagen.data.resolution import Resolution
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import find_file
-from datagen.disk.reading import load_json, open_regular
-from datagen.disk.records import shown
+from datagen.disk.records import load_json, open_regular, shown
 from datagen.scene.camera_list import Intrinsics
 from datagen.scene.importers.fields import Fields
 

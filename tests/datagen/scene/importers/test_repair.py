@@ -12,7 +12,7 @@ from support.gltf import BOX, GltfBuilder, clear, glass
 from datagen.data.meshes import MIN_AREA, Mesh, face_areas, open_edges, signed_volume, vertex_normals, welded
 from datagen.data.windings import check_closed
 from datagen.disk.errors import HyalineError
-from datagen.disk.reading import load_json
+from datagen.disk.records import load_json
 from datagen.scene.folder import load_scene
 from datagen.scene.importers.choices import ImportChoices
 from datagen.scene.importers.importing import import_scene
