@@ -51,8 +51,9 @@ def verify_dataset(root: Path) -> Findings:
         HyalineError: no dataset there, or its head is lost or damaged.
     """
     home = home_of(root)
+    dataset = open_dataset(home)
     search = _Search(home, "" if home == root else f"{root.relative_to(home).as_posix()}/")
-    search.check_home(open_dataset(home))
+    search.check_home(dataset)
     return search.findings()
 
 
@@ -296,7 +297,11 @@ def build_command(dataset: Dataset, *, scene_is_good: bool) -> str:
         words += ["--out", str(dataset.root)]
     size = config.resolution
     chosen = {
-        "--resolution": None if size == preset.resolution else f"{size.width}x{size.height}",
+        "--resolution": None
+        if size == preset.resolution
+        else str(size.width)
+        if size.width == size.height
+        else f"{size.width}x{size.height}",
         "--views": _unless(preset.train.views, config.train.views),
         "--test-views": _unless(preset.interpolating.views, config.interpolating.views),
         "--spp": _unless(preset.train.spp, config.train.spp),

@@ -240,7 +240,7 @@ def test_a_dataset_without_its_head_is_named_by_every_command_and_comes_back_by_
 
 def test_the_command_that_repairs_a_dataset_has_the_settings_of_the_one_that_built_it(here: Path) -> None:
     (ROOT / "images/train/0000.png").unlink()
-    flags = "--preset tiny --out data/one --resolution 4x4 --views 2 --test-views 1 --spp 2 --test-spp 2 --num-layers 2"
+    flags = "--preset tiny --out data/one --resolution 4 --views 2 --test-views 1 --spp 2 --test-spp 2 --num-layers 2"
     command = f"datagen build --scene data/one/scene {flags}"
     answer = call("datagen verify data/one")
     assert answer.out == f"{ROOT}/images/train/0000.png: the file is missing; repair it with `{command}`\n"
