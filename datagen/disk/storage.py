@@ -47,18 +47,13 @@ def sha256_file(path: Path) -> str:
         raise DamagedError(f"{error}; {way_out(path)}") from None
 
 
-def commit(path: Path, data: bytes, *, beside: Path | None = None) -> None:
+def commit(path: Path, data: bytes) -> None:
     """Writes `data` so that `path` holds either its old bytes or all the new ones, whenever the process dies.
 
     Of several processes that commit to one path at once, on whichever machines, the last one wins, whole.
-
-    Args:
-        beside: a file in the folder where the temporary one lies, and is cleared away when the process dies; `path`
-            itself unless given.
     """
     with naming(path):
-        temporary = _write_temporary(beside or path, data)
-        path.parent.mkdir(parents=True, exist_ok=True)
+        temporary = _write_temporary(path, data)
         temporary.replace(path)
         _sync_folder(path.parent)
 
