@@ -1,4 +1,4 @@
-"""Tests `datagen build --scene random`: names, many at once, mending, and which flags go together."""
+"""Tests `datagen build --scene random`: names, many at once, repairs, and which flags go together."""
 
 import re
 from pathlib import Path
