@@ -13,15 +13,13 @@ from typing import NamedTuple
 from datagen.build.presets import PRESETS
 from datagen.build.survey import Survey
 from datagen.data.dataset import Dataset, head_files, open_dataset
-from datagen.data.edit_masks import FOLDER as EDIT_MASKS
-from datagen.data.edit_masks import edit_mask_files
-from datagen.data.finding import DATA_ROOT
 from datagen.data.geometries import geometry_hash, make_command, read_proxy_records
 from datagen.data.layer_writing import find_num_layers
 from datagen.data.layers import record_path_of_layers
-from datagen.data.paths import TRUTH, layers_root, record_path
-from datagen.data.variants import FOLDER as VARIANTS
-from datagen.data.variants import variant_command
+from datagen.data.paths import DATA_ROOT, TRUTH, layers_root, record_path
+from datagen.data.variants import EDIT_MASKS_FOLDER as EDIT_MASKS
+from datagen.data.variants import VARIANTS_FOLDER as VARIANTS
+from datagen.data.variants import edit_mask_files, variant_command
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import is_name
 from datagen.disk.ownership import LAYERS

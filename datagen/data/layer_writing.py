@@ -20,8 +20,8 @@ from datagen.data.layers import (
     array_shape,
     npy_header,
     record_path_of_layers,
+    round_mantissa,
 )
-from datagen.data.number_formats import round_mantissa
 from datagen.data.paths import layers_root
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import LAYERS, begin, is_ours
