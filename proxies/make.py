@@ -9,10 +9,8 @@ from datagen.data.geometries import ProxyStatistics, read_assignment, read_meshe
 from datagen.data.meshes import Mesh
 from datagen.data.paths import TRUTH, geometry_root
 from datagen.disk.errors import HyalineError
-from datagen.disk.heads import keep_head
 from datagen.disk.ownership import PROXIES, holding, refuse_others
-from datagen.disk.promises import check_files
-from datagen.disk.storage import load_sealed
+from datagen.disk.storage import check_files, load_sealed
 from datagen.terminal.command import say
 from proxies.meshing.measure import enclosure, proxy_statistics
 from proxies.meshing.meshlab import meshlab_problem
@@ -53,7 +51,6 @@ def make_proxies(dataset: Dataset, spec: ProxySpec | MixedSpec, *, overwrite: bo
     with holding(root, PROXIES, within=dataset.root):
         if not overwrite and _has_intact(dataset, spec.geometry):
             _check_same_assignment(dataset, spec.geometry, assignment)
-            keep_head(dataset.root, root / PROXIES.head)  # A kill may have come between the head and its copy.
             return False
         if (problem := meshlab_problem()) is not None:
             say(f"{problem}; using SciPy and NumPy instead")

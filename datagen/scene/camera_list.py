@@ -12,7 +12,7 @@ from datagen.data.config import SPLITS, Split
 from datagen.data.transforms import TRANSFORMS_FILES, parse_transforms, refuse_other_lens, transforms_bytes
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import find_file
-from datagen.disk.reading import MAX_JSON_BYTES, read_regular
+from datagen.disk.records import MAX_JSON_BYTES, read_regular
 from datagen.scene.values import Vector, as_vector
 
 LEAST_GAP_DEG = 60.0

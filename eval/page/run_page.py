@@ -12,8 +12,7 @@ from datagen.data.config import Split
 from datagen.data.dataset import Dataset
 from datagen.data.paths import view_name
 from datagen.disk.errors import HyalineError
-from datagen.disk.reading import MAX_JSON_BYTES, parse_json, read_regular
-from datagen.disk.records import Json
+from datagen.disk.records import MAX_JSON_BYTES, Json, parse_json, read_regular
 from datagen.disk.storage import sha256
 from datagen.pages.charts import Line, line_chart
 from datagen.pages.document import anchor, command, definitions, section

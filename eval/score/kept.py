@@ -18,8 +18,7 @@ from datagen.data.config import Split
 from datagen.data.dataset import Dataset
 from datagen.data.paths import view_name
 from datagen.disk.errors import HyalineError
-from datagen.disk.reading import read_regular
-from datagen.disk.records import Json
+from datagen.disk.records import Json, read_regular
 from datagen.disk.storage import dump_json, load_sealed, sha256
 
 FOLDER = "kept"

@@ -34,8 +34,7 @@ from datagen.data.variants import ANGLES, variant_root
 from datagen.data.variants import VARIANTS_FOLDER as VARIANTS
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import check_regular, printable, real_path
-from datagen.disk.reading import load_json, read_regular
-from datagen.disk.records import Json, from_json, shown
+from datagen.disk.records import Json, from_json, load_json, read_regular, shown
 from datagen.disk.storage import SEAL, load_sealed, seal_of, sha256
 from datagen.terminal.command import choose
 from eval.score.png import check_png

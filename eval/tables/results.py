@@ -12,8 +12,7 @@ from typing import Any, cast
 
 from datagen.data.config import TEST_SPLITS, Resolution, Split
 from datagen.disk.errors import HyalineError
-from datagen.disk.reading import load_json
-from datagen.disk.records import Json, shown
+from datagen.disk.records import Json, load_json, shown
 from datagen.disk.storage import dump_json
 from eval.score.scores import METRICS, Metric, RunScores, SceneScores, metric_notes
 from eval.score.seeds import SeedGroup, Spread, describe_run, group_seeds, spread

@@ -34,9 +34,8 @@ from datagen.data.dataset import Dataset
 from datagen.data.layers import UV_SCALE
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import remove_files
-from datagen.disk.private import make_private
 from datagen.disk.records import Json
-from datagen.disk.storage import TEMPORARY, commit_sealed, dump_json, load_sealed, sha256, user_cache
+from datagen.disk.storage import TEMPORARY, commit_sealed, dump_json, load_sealed, make_private, sha256, user_cache
 from datagen.terminal.command import say, track
 from model.batches.rays import RayBatch, grid_of, pixels_at_once, read_stack
 from model.settings.run_flags import Memory

@@ -21,8 +21,7 @@ from jaxtyping import UInt8
 
 from datagen.data.images import png_bytes
 from datagen.disk.errors import HyalineError
-from datagen.disk.reading import parse_json, read_regular
-from datagen.disk.records import from_json
+from datagen.disk.records import from_json, parse_json, read_regular
 from datagen.disk.storage import commit
 from datagen.terminal.preview import preview
 

@@ -37,10 +37,8 @@ from datagen.data.paths import find_dataset, view_name
 from datagen.data.variants import VARIANTS_FOLDER as VARIANTS
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import FolderKind, begin, is_ours, refuse_taken, remove_files
-from datagen.disk.promises import check_files
-from datagen.disk.reading import load_json, parse_json, read_regular
-from datagen.disk.records import Json, from_json, shown, to_json
-from datagen.disk.storage import SEAL, commit, commit_sealed, load_sealed, seal_bytes, seal_of
+from datagen.disk.records import Json, from_json, load_json, parse_json, read_regular, shown, to_json
+from datagen.disk.storage import SEAL, check_files, commit, commit_sealed, load_sealed, seal_bytes, seal_of
 from model.methods.protocol import Inputs, MethodConfig
 from model.methods.table import find_method, open_inputs
 from model.run.logs import COSTS, EVENTS, SNAPSHOTS, list_events, list_snapshots

@@ -33,8 +33,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from datagen.disk.errors import HyalineError
-from datagen.disk.reading import load_toml
-from datagen.disk.records import shown
+from datagen.disk.records import load_toml, shown
 from datagen.machine.mitsuba_variant import num_cores
 from datagen.terminal.command import choose, say
 from model.methods.table import list_methods

@@ -22,8 +22,7 @@ from PIL import Image
 from datagen.data.dataset import Dataset
 from datagen.data.paths import view_name
 from datagen.disk.errors import HyalineError
-from datagen.disk.reading import read_regular
-from datagen.disk.records import Json
+from datagen.disk.records import Json, read_regular
 from datagen.disk.storage import commit
 from datagen.terminal.distribution import VERSION
 from model.methods.page import package_text

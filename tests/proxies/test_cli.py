@@ -246,7 +246,7 @@ def test_help_answers_before_anything_heavy_is_imported() -> None:
         "from proxies.cli import main\n"
         "try: main()\n"
         "except SystemExit: pass\n"
-        "heavy = {'scipy', 'trimesh', 'pymeshlab', 'mitsuba', 'torch', 'zarr', 'model', 'eval'} & set(sys.modules)\n"
+        "heavy = {'scipy', 'trimesh', 'pymeshlab', 'mitsuba', 'torch', 'model', 'eval'} & set(sys.modules)\n"
         "sys.exit(f'imported {heavy}' if heavy else 0)\n"
     )
     answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)

@@ -19,8 +19,7 @@ import torch
 from jaxtyping import Float32, Int16, Int32, UInt8
 from torch import Tensor, nn
 
-from datagen.disk.private import is_intact, make_private, write_hashed
-from datagen.disk.storage import sha256, user_cache
+from datagen.disk.storage import is_intact, make_private, sha256, user_cache, write_hashed
 from datagen.terminal.command import say
 
 SWITCH = "HYALINE_KERNELS"

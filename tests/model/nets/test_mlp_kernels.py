@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from datagen.data.config import Resolution
-from datagen.disk.private import is_intact, make_private, write_hashed
+from datagen.disk.storage import is_intact, make_private, write_hashed
 from model.batches.rays import Pixels
 from model.methods.paper import renderer as renderer_module
 from model.methods.paper.config import PaperConfig
