@@ -54,7 +54,7 @@ def report(
     """
     hush(quiet)
     if results:
-        from eval.page.results_page import results_page
+        from eval.tables.results import results_page
 
         files = [file for place in results for file in (sorted(place.glob("*.json")) if place.is_dir() else [place])]
         sys.stdout.write(results_page(files))

@@ -82,9 +82,7 @@ def _train_command(method: str, words: Sequence[str]) -> Command:
 
 
 def _train_method(method: str, asked: "Asked") -> None:
-    from model.run.costs import Meter
-    from model.run.events import require_tensorboard
-    from model.run.logs import LogChoices
+    from model.run.logs import LogChoices, Meter, require_tensorboard
     from model.run.train_flags import configure, folder_name
 
     if asked.run.tensorboard:
@@ -195,7 +193,6 @@ def predict(
     from datagen.data.variants import open_variant, variant_root
     from datagen.disk.ownership import holding
     from datagen.scene.edits import edits_name, parse_edit
-    from model.run.opening import open_trained
     from model.run.predict import (
         check_can_draw,
         check_draws_edits,
@@ -204,7 +201,7 @@ def predict(
         render_predictions,
         render_variant,
     )
-    from model.run.run_folder import FOLDER
+    from model.run.run_folder import FOLDER, open_trained
 
     record, opened = open_trained(run, dataset)
     config, out = record.config, run
@@ -244,8 +241,7 @@ def film(
     from datagen.build.film import plan_film
     from datagen.data.film import write_film
     from datagen.disk.ownership import refuse_owned
-    from model.run.opening import open_trained
-    from model.run.run_folder import FOLDER, OWN_ENDINGS
+    from model.run.run_folder import FOLDER, OWN_ENDINGS, open_trained
 
     record, opened = open_trained(run, dataset)
     out = choices.out or Path(f"{opened.name}-{run.name}.webp")
@@ -280,8 +276,7 @@ def export(
         overwrite: Replace an existing file.
     """
     from datagen.disk.ownership import DATASET, refuse_file, refuse_owned
-    from model.run.opening import open_trained
-    from model.run.run_folder import FOLDER, OWN_ENDINGS
+    from model.run.run_folder import FOLDER, OWN_ENDINGS, open_trained
     from model.web.export import export_run
 
     if not overwrite:
@@ -304,7 +299,7 @@ def view(what: str, /, *, host: str = "127.0.0.1", port: int = 8080, device: Dev
         device: Where to compute; auto uses a GPU if there is one.
     """
     from datagen.terminal.signals import Stopped
-    from model.view.command import show
+    from model.view.view import show
 
     if not 0 <= port <= 65535:
         raise UsageError(f"--port: is {port}; expected 0 to 65535")
@@ -328,7 +323,7 @@ def sweep(
     """Train all runs of an experiment file, one process per GPU (or one on the CPU); finished runs are skipped.
 
     Args:
-        experiment: A TOML file (its format is described in model/run/experiment.py), or one of table1, table2, square,
+        experiment: A TOML file (its format is described in model/run/sweep.py), or one of table1, table2, square,
             zero-layer, claims, headline, proxies, ablation, variants, budget and random.
         dataset: Train on this dataset instead of the file's. May be repeated.
         seed: Train with this seed instead of the file's. May be repeated.
@@ -336,8 +331,7 @@ def sweep(
             in memory (4 GB each) finish the most runs per hour; a run's numbers then differ by rounding.
         dry_run: Print the command of each run, and train nothing.
     """
-    from model.run.experiment import read_experiment
-    from model.run.sweep import command_line, find_devices, raise_failures, run_experiment
+    from model.run.sweep import command_line, find_devices, raise_failures, read_experiment, run_experiment
 
     asked = read_experiment(experiment, datasets=dataset, seeds=seed)
     if dry_run:

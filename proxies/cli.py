@@ -11,9 +11,8 @@ from datagen.terminal.parsing import Group, group
 
 if TYPE_CHECKING:
     from datagen.data.dataset import Dataset
-    from proxies.kinds.table import ProxyKind
     from proxies.make import ProxyReport
-    from proxies.spec import MixedSpec, ProxySpec
+    from proxies.spec import MixedSpec, ProxyKind, ProxySpec
 
 
 def main() -> None:

@@ -19,14 +19,14 @@ class DeepVoxelsConfig(MethodConfig):
     For machines without a GPU: 1/14 of the parameters, no dropout, a bounded grid, L1 at rate 0.002.
     """
 
-    room: ClassVar[str] = "model.methods.deepvoxels.method"
+    room: ClassVar[str] = "model.methods.deepvoxels.renderer"
     knowledge: ClassVar[str] = "cameras only, and the scene's extent"
     uses_geometry: ClassVar[bool] = False
     draws_cameras: ClassVar[bool] = True
 
     image_size: int = unflagged(0)
-    """Width and height of the images: a power of two; 0: not known yet. The authors' are 512; from 128 on the networks
-    have the same form."""
+    """Width and height of the images, a power of two; 0: not known yet. The authors use 512; from 128 upwards the
+    architecture is the same."""
     num_voxels: int = unflagged(32)
     """Along each edge of the grid."""
     plane_size: int = unflagged(64)
@@ -38,11 +38,11 @@ class DeepVoxelsConfig(MethodConfig):
     dropout: float = unflagged(0.1)
     """Fraction of channels dropped in the rendering network; the integration drops twice as many."""
     bounded: bool = unflagged(False)
-    """The integration's candidate is a tanh, as in other gated units, instead of the authors' ReLU. With ReLU nothing
-    bounds the grid: norms behind it hide its scale from the loss, and Adam may push the unit's gain above 1. Measured
-    at a rate of 0.002: it grew 3.5 times a step, new views were lost in it after 20 steps, it overflowed after 80."""
+    """Use tanh for the integration's candidate, as other gated units do, instead of the authors' ReLU. With ReLU the
+    grid is unbounded: later norms hide its scale from the loss, and Adam may push the unit's gain above 1. Measured
+    at a rate of 0.002: it grew by 3.5 per step, new views had no effect after 20 steps, and it overflowed after 80."""
     adversarial: bool = unflagged(False)
-    """Adds the authors' patch discriminator to the loss; the paper had to leave it out (section 5.1)."""
+    """Add the authors' patch discriminator to the loss; the paper had to leave it out (section 5.1)."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -63,11 +63,7 @@ class DeepVoxelsConfig(MethodConfig):
         return Optimisation(batch=2, lr=2e-3)  # A batch is the pictures drawn in a step.
 
     def sized(self, resolution: Resolution) -> Self:
-        """The same for pictures of some size.
-
-        Raises:
-            HyalineError: they are not square, or their width is no power of two.
-        """
+        """The same for pictures of this size."""
         side = resolution.mean_side
         if not resolution.is_power_of_two_square:
             raise HyalineError(
