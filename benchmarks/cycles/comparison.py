@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from benchmarks.cycles.blender import NOT_INSTALLED, UNREADABLE
+from benchmarks.generator.sky import radiance_of_sky
 from datagen.data.cameras import Camera
 from datagen.data.config import DatasetConfig, SplitConfig
 from datagen.data.exr import encode_float_exr
@@ -23,7 +24,6 @@ from datagen.data.png import png_bytes
 from datagen.data.resolution import Resolution
 from datagen.data.tonemap import srgb_from_linear, to_8bit
 from datagen.disk.errors import HyalineError
-from datagen.render.environment import radiance_of_sky
 from datagen.render.mitsuba_scene import linear_texels
 from datagen.render.truth import Renderer, render_view
 from datagen.scene.description import Scene, SceneObject

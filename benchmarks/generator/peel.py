@@ -16,8 +16,8 @@ from datagen.data.meshes import Mesh
 from datagen.disk.errors import HyalineError
 from datagen.render.mitsuba_scene import is_scalar
 from datagen.trace.light_path import LightPaths, LightPathTracer
-from datagen.trace.limits import Limits
 from datagen.trace.peel import Peeler
+from datagen.trace.surface_tables import Limits
 
 Engine = Literal["mitsuba-eager", "mitsuba-fused", "trimesh", "exr", "light-path-loop", "light-path"]
 

@@ -16,7 +16,7 @@ from datagen.data.meshes import Mesh
 from datagen.data.number_formats import UV_SCALE, quantize_uv
 from datagen.render.mitsuba_scene import load_geometry_mitsuba
 from datagen.trace.light_path import LightPaths, LightPathTracer
-from datagen.trace.limits import Limits
+from datagen.trace.surface_tables import Limits
 
 
 class EagerPeeler:

@@ -7,10 +7,10 @@ import torch
 from jaxtyping import Float
 from matplotlib.figure import Figure
 
+from benchmarks.generator.sky import radiance_of_sky
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.tonemap import srgb_from_linear
 from datagen.disk.errors import HyalineError
-from datagen.render.environment import radiance_of_sky
 from datagen.scene.folder import load_scene
 from eval.figures.sheets import DPI, figure_png
 from model.methods.light_path.net import LightPathRenderer

@@ -14,16 +14,14 @@ from datagen.data.config import Split
 from datagen.data.dataset import Dataset
 from datagen.data.variants import evenly
 from datagen.disk.errors import HyalineError
-from datagen.look.scene_drawing import frustum, open_azimuth_deg
-from datagen.look.sketch import HEIGHT, WIDTH, Points, draw_sketch, path_of, stand
+from datagen.look.sketch import HEIGHT, WIDTH, Points, draw_sketch, frustum, open_azimuth_deg, path_of, stand
 from datagen.machine.mitsuba_variant import use_mitsuba
-from datagen.pages.document import anchor
-from datagen.pages.html import Markup, Part, join, prose, tag
+from datagen.pages.html import Markup, Part, anchor, join, prose, tag
 from datagen.pages.pictures import Gallery
 from datagen.quantities.surfaces import Surfaces, surfaces_of
 from datagen.terminal.distribution import naming_parts
 from datagen.trace.light_path import TracedPaths
-from datagen.trace.limits import Limits
+from datagen.trace.surface_tables import Limits
 
 RAYS = 5
 """Whose paths are drawn; of each glass object as many, in turn."""

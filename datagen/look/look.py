@@ -20,11 +20,10 @@ from datagen.disk.errors import HyalineError
 from datagen.disk.homes import mend_command
 from datagen.disk.records import Json, to_json
 from datagen.look.light_paths import draw_light_paths
-from datagen.look.scene_drawing import draw_cameras
+from datagen.look.sketch import draw_cameras
 from datagen.look.view_pictures import FARTHEST, NEAREST, Picture, StoredPicture, object_colors, stored_pictures
 from datagen.pages.charts import Line, line_chart
-from datagen.pages.document import anchor, command, definitions, document, section
-from datagen.pages.html import Markup, Part, join, prose, tag
+from datagen.pages.html import Markup, Part, anchor, command, definitions, document, join, prose, section, tag
 from datagen.pages.pictures import Gallery
 from datagen.quantities.surfaces import surfaces_of
 

@@ -19,8 +19,7 @@ from pathlib import Path
 
 from datagen.disk.errors import HyalineError
 from datagen.disk.os_errors import naming
-from datagen.machine.child_python import child_environment
-from datagen.machine.workers import die_with
+from datagen.machine.processes import child_environment, die_with
 from datagen.terminal.command import say
 
 CPU_S = 8

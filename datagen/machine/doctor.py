@@ -1,15 +1,16 @@
 """What this machine has, what will be used of it, and the one command that fixes whatever is missing."""
 
+import functools
 import importlib.metadata
 import os
 import platform
+import subprocess
 from dataclasses import dataclass
 from pathlib import Path
 
-from datagen.machine.gpu import cuda_problem, describe_gpus, has_gpu
+from datagen.machine.hardware import cuda_problem, describe_gpus, describe_processor, has_gpu
 from datagen.machine.llvm import advice
 from datagen.machine.mitsuba_variant import choose_variant
-from datagen.machine.processor import describe_processor
 from datagen.terminal.distribution import VERSION, install_command
 
 
@@ -93,3 +94,19 @@ def _meshlab() -> Finding:
             remedy="apt install libgl1",
         )
     return Finding(what="PyMeshLab", found=version, remedy=None)
+
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@functools.cache
+def code_version() -> str:
+    """Such as `0.1.0 (5a596f5)`; with `-dirty` where the checkout differs from its commit."""
+    if not (ROOT / ".git").exists():
+        return VERSION
+    command = ["git", "-C", str(ROOT), "describe", "--always", "--dirty", "--exclude=*"]
+    try:
+        answer = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
+    except (OSError, subprocess.SubprocessError):
+        return VERSION
+    return f"{VERSION} ({answer.stdout.strip()})"

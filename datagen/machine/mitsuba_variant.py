@@ -13,7 +13,7 @@ from pathlib import Path
 from datagen.disk.errors import HyalineError
 from datagen.disk.private import make_private
 from datagen.disk.storage import user_cache
-from datagen.machine.gpu import cuda_problem, has_gpu
+from datagen.machine.hardware import cuda_problem, has_gpu
 from datagen.machine.llvm import VARIABLE, LlvmLibrary, advice, choose_llvm
 from datagen.terminal.command import say
 from datagen.terminal.signals import hold_signals

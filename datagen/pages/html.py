@@ -1,7 +1,10 @@
-"""Markup that cannot be broken by what it shows: every string is escaped unless it is markup already."""
+"""HTML: markup that escapes every string, and pages that are one file with styles and scripts inside."""
 
+import base64
+import hashlib
 import html
 from collections.abc import Iterable
+from pathlib import Path
 
 from datagen.disk.names import printable
 
@@ -59,3 +62,70 @@ def prose(text: str) -> Markup:
 def escaped(text: str) -> str:
     """Text that neither an element nor a quoted attribute takes for markup; control characters are spelled out."""
     return html.escape(printable(text), quote=True)
+
+
+HERE = Path(__file__).parent
+
+
+def document(title: str, *content: Part, navigation: Part = None) -> bytes:
+    """The bytes of a page.
+
+    Its content security policy lets it load nothing but pictures inside it, and run nothing but its own script: what a
+    hostile name might smuggle in would not run.
+    """
+    style, script = read_part("page.css"), read_part("page.js")
+    if "</" in style or "</script" in script:
+        raise ValueError("a style or script holds an end tag, which would end it inside the page")
+    policy = (
+        f"default-src 'none'; img-src data:; style-src {_source(style)}; script-src {_source(script)}; "
+        "base-uri 'none'; form-action 'none'"
+    )
+    head = [
+        tag("meta", charset="utf-8"),
+        # `tag` would write the quotes of the policy as references, which browsers read alike and people do not.
+        Markup(f'<meta http-equiv="Content-Security-Policy" content="{policy}"/>'),
+        tag("meta", name="viewport", content="width=device-width, initial-scale=1"),
+        tag("meta", name="color-scheme", content="light dark"),
+        tag("title", title),
+        Markup(f"<style>{style}</style>"),
+    ]
+    skip = tag("a", "Skip to the content", href="#content", class_="skip")
+    main = tag("main", *content, id="content")
+    body = tag("body", skip, navigation, main, Markup(f"<script>{script}</script>"))
+    page = f'<!DOCTYPE html>\n<html lang="en">\n<head>\n{_lines(head)}</head>\n{body}\n</html>\n'
+    return page.encode()
+
+
+def read_part(name: str) -> str:
+    """A style or script that lies beside this file."""
+    return (HERE / name).read_text(encoding="utf-8")
+
+
+def anchor(*words: str) -> str:
+    """A name for a place in a page, unlike that of any other words."""
+    digest = hashlib.sha256("\0".join(words).encode()).hexdigest()[:12]
+    return f"p{digest}"
+
+
+def section(title: str, *parts: Part, id_: str, level: int = 2) -> Markup:
+    """A section with its heading, which names it for screen readers."""
+    heading = f"{id_}-title"
+    return tag("section", tag(f"h{level}", title, id=heading), *parts, id=id_, aria_labelledby=heading)
+
+
+def definitions(pairs: list[tuple[str, Part]]) -> Markup:
+    """Terms and what they are, as a list of two columns."""
+    return tag("dl", *(join([tag("dt", term), tag("dd", value)]) for term, value in pairs))
+
+
+def command(words: str) -> Markup:
+    """A command that one may copy."""
+    return tag("pre", tag("code", words))
+
+
+def _source(text: str) -> str:
+    return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"
+
+
+def _lines(parts: list[Markup]) -> str:
+    return "".join(f"{part}\n" for part in parts)

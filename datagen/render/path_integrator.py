@@ -26,8 +26,8 @@ from jaxtyping import Float32
 
 from datagen.render.facets import lobe_of_glass, sample_facet, unshadowed
 from datagen.render.sobol import SobolPoints
+from datagen.scene.contact import LAST_PLACE, RAY_OFFSET, largest_coordinate, skipped_length
 from datagen.scene.media import SAME_INDEX, Media, medium_of, no_solids, with_solid, without_solid
-from datagen.scene.thin_walls import LAST_PLACE, RAY_OFFSET, largest_coordinate, skipped_length
 
 Lanes = Any
 """A Dr.Jit array, one lane a path. Named, for pyright takes minutes to find out such types in the loop of `_trace`."""

@@ -18,15 +18,13 @@ from datagen.data.meshes import is_there
 from datagen.data.png import png_bytes
 from datagen.data.tonemap import srgb_from_linear, to_8bit
 from datagen.disk.errors import HyalineError
-from datagen.render.environment import has_small_light
-from datagen.render.mitsuba_scene import is_scalar, load_scene_mitsuba, load_sensor
-from datagen.scene.contact import thin_share
+from datagen.render.mitsuba_scene import has_small_light, is_scalar, load_scene_mitsuba, load_sensor
+from datagen.scene.contact import largest_coordinate, thin_share
 from datagen.scene.description import Scene
 from datagen.scene.materials import Dielectric
 from datagen.scene.materials.optics import Surface
 from datagen.scene.media import find_media
 from datagen.scene.soundness import MAX_THIN
-from datagen.scene.thin_walls import largest_coordinate
 
 MAX_PATHS_PER_PASS = 1 << 23
 """Samples of one film pass; more would not be faster and cost memory."""

@@ -4,9 +4,13 @@ Texture arrays are (tex_h, tex_w, c), row 0 on top: texel (r, c) is centred on u
 v = 1 - (r + 0.5) / size.
 """
 
+import hashlib
+import io
 import sys
-from collections.abc import Iterator
+import zipfile
+from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,12 +19,15 @@ from jaxtyping import Float, Float32, Int32
 
 from datagen.data.meshes import Mesh, is_there
 from datagen.disk.errors import HyalineError
-from datagen.machine.child_python import ChildError, arrays_from_child
+from datagen.disk.private import make_private, read_hashed, write_hashed
+from datagen.disk.storage import user_cache
 from datagen.machine.mitsuba_variant import num_cores
-from datagen.scene.atlas_cache import Arrays, atlas_key, find_atlas, keep_atlas
+from datagen.machine.processes import ChildError, arrays_from_child
 
 if TYPE_CHECKING:
     import xatlas
+
+Arrays = Mapping[str, np.ndarray]
 
 RESOLUTION = 1024
 """Texels a side for which the charts are packed; xatlas may need more."""
@@ -32,6 +39,8 @@ MAX_CHILDREN = 4
 """Processes that unwrap side by side; each takes half a second to start."""
 MAX_COORDINATE = 1e18
 """Beyond it, squares overflow float32."""
+MAX_KEPT = 2000
+"""Atlases; when there are more, the oldest are forgotten."""
 
 
 def unwrap(mesh: Mesh, *, where: str) -> Mesh:
@@ -295,6 +304,55 @@ def _child(source: Path, target: Path) -> None:
             vertex_of, new_faces, uv = _unwrap_here(vertices, faces, normals)
             answers |= {f"{index}.vertex_of": vertex_of, f"{index}.faces": new_faces, f"{index}.uv": uv}
     np.savez(target, allow_pickle=False, **answers)
+
+
+# Kept atlases: how surfaces are cut and laid out. A lost or damaged one is computed again.
+
+
+def atlas_key(surface: Arrays, maker: Path) -> str:
+    """What an atlas depends on: the surface's arrays, the code in `maker`, and the version of xatlas."""
+    digest = hashlib.sha256(metadata.version("xatlas").encode() + maker.read_bytes())
+    for name, values in sorted(surface.items()):
+        digest.update(f"{name} {values.dtype.str} {values.shape}".encode())
+        digest.update(np.ascontiguousarray(values).tobytes())
+    return digest.hexdigest()
+
+
+def find_atlas(key: str) -> Arrays | None:
+    """The arrays that were kept under this key; None where there are none, or they are in doubt."""
+    cache = _cache()
+    data = None if cache is None else read_hashed(cache / f"{key}.npz")
+    if data is None:
+        return None
+    try:
+        with np.load(io.BytesIO(data)) as kept:
+            return dict(kept)
+    except (ValueError, OSError, zipfile.BadZipFile):
+        return None
+
+
+def keep_atlas(key: str, atlas: Arrays) -> None:
+    """Keeps the arrays, where the cache can be written to; else nothing happens."""
+    cache = _cache()
+    if cache is None:
+        return
+    buffer = io.BytesIO()
+    np.savez(buffer, allow_pickle=False, **atlas)
+    try:
+        write_hashed(cache / f"{key}.npz", buffer.getvalue())
+        kept = sorted(cache.glob("*.npz"), key=lambda path: path.stat().st_mtime)
+        for path in kept[:-MAX_KEPT]:
+            path.unlink(missing_ok=True)
+    except OSError:  # A full disk, or another process that forgets the same ones.
+        return
+
+
+def _cache() -> Path | None:
+    try:
+        cache = user_cache("atlases")
+    except RuntimeError:  # Nobody knows where this user's home is.
+        return None
+    return cache if make_private(cache) is None else None
 
 
 if __name__ == "__main__":

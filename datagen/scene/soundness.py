@@ -13,11 +13,10 @@ from datagen.data.meshes import Mesh, check_mesh, count_shared_faces, face_areas
 from datagen.data.windings import check_closed, check_solid, windings
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import check_name
-from datagen.scene.contact import thin_share, touching_share
+from datagen.scene.contact import largest_coordinate, thin_share, thinnest_wall, touching_share
 from datagen.scene.description import MAX_OBJECTS, OBJECT_NAME, CameraList, CameraRig, Scene, SceneObject
 from datagen.scene.media import MAX_NESTED
 from datagen.scene.shading_normals import MAX_OPPOSING, count_without_normal, opposing_share
-from datagen.scene.thin_walls import largest_coordinate, thinnest_wall
 
 MAX_TOUCHING = 0.005
 """Share of the smaller of two surfaces that may lie in the other, where one of them is glass. A ball that stands on a

@@ -11,11 +11,10 @@ branch ends, the first start in the queue comes next.
 
 from typing import TYPE_CHECKING, NamedTuple
 
+from datagen.scene.contact import skipped_length
 from datagen.scene.media import medium_of, no_solids
-from datagen.scene.thin_walls import skipped_length
-from datagen.trace.limits import Limits
 from datagen.trace.surface_hits import Bounce, Hit, Kernel, Sides, bounce_of, meet, sides_of, uv_slope
-from datagen.trace.surface_tables import OPAQUE, SurfaceTables
+from datagen.trace.surface_tables import OPAQUE, Limits, SurfaceTables
 
 if TYPE_CHECKING:
     import mitsuba as mi

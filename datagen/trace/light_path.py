@@ -29,9 +29,7 @@ from datagen.render.mitsuba_scene import is_scalar, load_geometry_mitsuba, to_co
 from datagen.scene.materials import Material, check_material
 from datagen.scene.media import find_media
 from datagen.trace.branches import follow_branches
-from datagen.trace.limits import LIMITS, Limits
-from datagen.trace.surface_tables import make_tables
-from datagen.trace.tints import Tints
+from datagen.trace.surface_tables import LIMITS, Limits, Tints, make_tables
 
 RECORDINGS = 64
 """Kernels that a tracer keeps, one for each number of rays and limits."""

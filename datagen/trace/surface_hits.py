@@ -8,9 +8,16 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from datagen.render.facets import facet_towards, mirrored_by, refracted_by
 from datagen.scene.media import SAME_INDEX, Media, medium_of, with_solid, without_solid
-from datagen.trace.limits import Limits
-from datagen.trace.surface_tables import COATED, DIELECTRIC, METAL, THIN, SurfaceTables
-from datagen.trace.tints import TintTables, look_up_tint
+from datagen.trace.surface_tables import (
+    COATED,
+    DIELECTRIC,
+    METAL,
+    THIN,
+    Limits,
+    SurfaceTables,
+    TintTables,
+    look_up_tint,
+)
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -57,7 +64,7 @@ class Hit(NamedTuple):
     outward: "mi.Vector3f"
     """Unit normal of the face on the side from which the ray comes."""
     offset: "mi.Float"
-    """How far off the surface a new ray starts (datagen/scene/thin_walls.py)."""
+    """How far off the surface a new ray starts (datagen/scene/contact.py)."""
 
 
 class Sides(NamedTuple):

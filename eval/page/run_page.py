@@ -15,8 +15,7 @@ from datagen.disk.reading import MAX_JSON_BYTES, parse_json, read_regular
 from datagen.disk.records import Json
 from datagen.disk.storage import sha256
 from datagen.pages.charts import Line, line_chart
-from datagen.pages.document import anchor, command, definitions, section
-from datagen.pages.html import Markup, Part, join, prose, tag
+from datagen.pages.html import Markup, Part, anchor, command, definitions, join, prose, section, tag
 from datagen.pages.pictures import Gallery
 from eval.page.views import Compared, ShownView, draw_views
 from eval.score.runs import Run

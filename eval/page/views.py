@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from datagen.data.config import Split
 from datagen.data.dataset import Dataset
 from datagen.data.paths import view_name
-from datagen.pages.document import anchor
-from datagen.pages.html import Markup, tag
+from datagen.pages.html import Markup, anchor, tag
 from datagen.pages.pictures import Gallery
 from eval.score.runs import Run, read_prediction
 from eval.score.scores import SplitScores

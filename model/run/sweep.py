@@ -19,7 +19,7 @@ from datagen.machine.mitsuba_variant import num_cores
 from datagen.terminal.command import say
 from model.run.experiment import Experiment
 
-CHILD = "from datagen.machine.workers import die_with; die_with({parent}); from model.cli import main; main()"
+CHILD = "from datagen.machine.processes import die_with; die_with({parent}); from model.cli import main; main()"
 """`model`, which ends when the sweep is killed: else it would still be writing when the sweep is started again."""
 
 

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from datagen.data.meshes import Mesh
 from datagen.data.tonemap import srgb_from_linear, to_8bit
-from datagen.trace.tints import Texels, Tints
+from datagen.trace.surface_tables import Texels, Tints
 from model.methods.page import fours
 from model.nets.texture import NeuralTextures, TexturePyramid, level_scales, texel_centers
 from model.web.packing import Packed, Quality, residuals, zigzag

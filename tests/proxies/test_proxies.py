@@ -16,7 +16,7 @@ from datagen.data.meshes import (
 )
 from datagen.data.windings import check_closed
 from datagen.disk.errors import HyalineError
-from datagen.machine.child_python import ChildError
+from datagen.machine.processes import ChildError
 from proxies.kinds import box, ellipsoid, hull
 from proxies.kinds.table import FITTERS, ProxyKind
 from proxies.make import paddings

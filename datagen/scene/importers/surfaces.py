@@ -16,7 +16,7 @@ from jaxtyping import Float, Int
 from datagen.data.meshes import Mesh, component_of_faces, face_corners, open_edges, signed_volume, welded
 from datagen.data.windings import windings
 from datagen.disk.errors import HyalineError
-from datagen.machine.child_python import ChildError, arrays_from_child
+from datagen.machine.processes import ChildError, arrays_from_child
 from datagen.scene.importers.remarks import Remarks
 from datagen.scene.modelling import CREASE_DEG
 from datagen.scene.shading_normals import shaded_anew

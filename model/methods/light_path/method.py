@@ -8,16 +8,11 @@ from datagen.data.cameras import Cameras
 from datagen.data.config import Split
 from datagen.data.dataset import Dataset, check_has_meshes
 from datagen.scene.description import EnvironmentMap, image_bytes
-from datagen.scene.environment_maps import read_map
 from datagen.scene.folder import load_scene
+from datagen.scene.images import read_map
 from model.methods.light_path.config import MAX_SKY_HEIGHT, SKY_HEIGHT, LightPathConfig
 from model.methods.light_path.net import LightPathRenderer, build_light_path
-from model.methods.light_path.pixels import (
-    LightPathPixels,
-    load_light_path_pixels,
-    share_texels,
-    trace_light_paths,
-)
+from model.methods.light_path.pixels import LightPathPixels, load_light_path_pixels, share_texels, trace_light_paths
 from model.methods.protocol import Inputs
 
 

@@ -19,7 +19,7 @@ from datagen.data.meshes import Mesh
 from datagen.data.paths import TRUTH
 from datagen.data.resolution import Resolution
 from datagen.machine.mitsuba_variant import short_lived_workers, use_mitsuba
-from datagen.trace.limits import Limits
+from datagen.trace.surface_tables import Limits
 from model.batches.rays import black, read_colors
 from model.batches.traced_layers import SubpixelRays, cameras_of, in_pairs
 from model.methods.light_path.config import LightPathConfig, default_light_path
@@ -277,7 +277,7 @@ def _load_surfaces(key: GeometryKey, shells: int) -> _Surfaces:
     # The tracer's module can be imported only when Mitsuba has its variant.
     use_mitsuba()
     from datagen.trace.light_path import LightPathTracer
-    from datagen.trace.tints import tints_of
+    from datagen.trace.surface_tables import tints_of
 
     scene = load_scene(key.dataset.root / "scene", is_sealed=True)
     materials = tuple(item.material for item in scene.objects)

@@ -9,7 +9,7 @@ from jaxtyping import Float32
 from torch import Tensor
 from torch.autograd.function import FunctionCtx
 
-from datagen.machine.processor import bf16_instructions
+from datagen.machine.hardware import bf16_instructions
 from datagen.terminal.command import say
 from model.batches.rays import Pixels, PixelSource, RayBatch, insert_random_layer
 from model.batches.samples import linear_curve, srgb_curve

@@ -33,8 +33,7 @@ from datagen.scene.edits import Edit, describe_edit, edit_scene, edits_name, mov
 from datagen.scene.folder import load_scene, save_scene, scene_files
 from datagen.scene.materials import Dielectric, Diffuse
 from datagen.scene.modelling import ball, cylinder, moved
-from datagen.scene.solid_textures import evaluate_texture
-from datagen.scene.textures import SolidTexture
+from datagen.scene.textures import SolidTexture, evaluate_texture
 from datagen.trace.peel import Peeler
 from model.nets.texture import NeuralTextures, object_layout
 from model.run.edits import with_copies

@@ -12,8 +12,7 @@ from support.synthetic import HEIGHTS, quad, write_synthetic_dataset
 from datagen.data.dataset import Dataset
 from datagen.disk.errors import HyalineError
 from datagen.look.light_paths import RAYS, _projected, find_light_paths
-from datagen.look.scene_drawing import MOST_CAMERAS, draw_cameras
-from datagen.look.sketch import INK, MARGIN, PALE_INK, draw_sketch, rasterise, stand
+from datagen.look.sketch import INK, MARGIN, MOST_CAMERAS, PALE_INK, draw_cameras, draw_sketch, rasterise, stand
 from datagen.machine.mitsuba_variant import use_mitsuba
 
 IS_SCALAR = use_mitsuba(quiet=True).startswith("scalar")
@@ -177,7 +176,7 @@ def test_the_page_draws_every_camera_and_tells_splits_apart(page: ReadPage, data
 def test_of_very_many_cameras_a_selection_is_drawn(dataset: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
     count = dataset.num_views["train"]
     assert count < MOST_CAMERAS
-    monkeypatch.setattr("datagen.look.scene_drawing.MOST_CAMERAS", 2)
+    monkeypatch.setattr("datagen.look.sketch.MOST_CAMERAS", 2)
     drawn = str(draw_cameras(dataset))
     assert f"train: 2 of {count} cameras" in drawn
     assert len(set(re.findall(r"<title>(train view \d+)", drawn))) == 2

@@ -18,12 +18,11 @@ from datagen.data.meshes import Mesh, write_ply
 from datagen.disk.errors import HyalineError
 from datagen.scene.atlas import unwrap
 from datagen.scene.description import Lobe, Scene, SceneObject
-from datagen.scene.folder import load_scene, save_scene, scene_files
+from datagen.scene.folder import Transform, load_scene, save_scene, scene_files
 from datagen.scene.materials import Dielectric, Diffuse, Plastic
 from datagen.scene.modelling import ball, merged, moved
 from datagen.scene.soundness import check_scene
 from datagen.scene.textures import ImageTexture, SolidTexture
-from datagen.scene.transforms import Transform
 
 
 def edit(folder: Path, change: object) -> None:
