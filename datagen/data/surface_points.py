@@ -1,4 +1,4 @@
-"""Random points on a mesh, spread by area; the same ones every time."""
+"""Points that are spread evenly: on a mesh by area, and in the unit square; the same ones every time."""
 
 from dataclasses import dataclass
 
@@ -6,6 +6,9 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from datagen.data.meshes import Mesh, face_areas, face_corners
+
+PLASTIC = 1.32471795724474602596
+"""The plastic number, on which the R2 sequence is based."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -36,3 +39,11 @@ def points_on(
     weights = rng.dirichlet([1.0, 1.0, 1.0], size=len(face))
     corners = face_corners(mesh)[face].astype(np.float64)
     return SurfacePoints(face=face, position=np.einsum("pk,pkc->pc", weights, corners))
+
+
+def r2_steps(count: int) -> Float[np.ndarray, "point 2"]:
+    """Points of the R2 sequence before the modulo: their fractional parts cover the unit square evenly for any count.
+
+    Source: Roberts 2018, "The Unreasonable Effectiveness of Quasirandom Sequences".
+    """
+    return np.arange(count)[:, None] / PLASTIC ** np.arange(1, 3)

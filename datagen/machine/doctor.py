@@ -1,4 +1,4 @@
-"""What this machine has, what will be used of it, and the one command that fixes whatever is missing."""
+"""What this machine has, what hyaline will use, and one command for each missing part."""
 
 import functools
 import importlib.metadata
@@ -16,16 +16,16 @@ from datagen.terminal.distribution import VERSION, install_command
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """One thing that was looked at."""
+    """The result of one check."""
 
     what: str
     found: str
     remedy: str | None
-    """The command that mends it; None when all is well."""
+    """The command that fixes it; None when all is well."""
 
 
 def examine() -> list[Finding]:
-    """Looks at the installation, cores, processor, GPU, and at what path tracing, training and proxies need."""
+    """Checks the installation, cores, processor, GPU, and what path tracing, training and proxies need."""
     return [
         Finding(what="hyaline", found=f"{VERSION} in {Path(__file__).resolve().parents[2]}", remedy=None),
         Finding(what="cores", found=f"{os.cpu_count()} ({platform.system()})", remedy=None),
@@ -38,9 +38,9 @@ def examine() -> list[Finding]:
 
 
 def _gpu() -> str:
-    """The GPUs, and why Mitsuba leaves them alone where it does."""
+    """The GPUs, and why Mitsuba cannot use them where it cannot."""
     found = describe_gpus()
-    if has_gpu() and _version("mitsuba") is not None and (problem := cuda_problem(anew=True)) is not None:
+    if has_gpu() and _version("mitsuba") is not None and (problem := cuda_problem(again=True)) is not None:
         return f"{found}; Mitsuba cannot render on it: {problem}"
     return found
 
@@ -67,7 +67,7 @@ def _torch() -> Finding:
 
 
 def _version(package: str) -> str | None:
-    """None: it is not installed."""
+    """The version of an installed package, else None."""
     try:
         return importlib.metadata.version(package)
     except importlib.metadata.PackageNotFoundError:
@@ -101,7 +101,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 @functools.cache
 def code_version() -> str:
-    """Such as `0.1.0 (5a596f5)`; with `-dirty` where the checkout differs from its commit."""
+    """The version, in a checkout with its commit, such as `0.1.0 (5a596f5)`; `-dirty` marks uncommitted changes."""
     if not (ROOT / ".git").exists():
         return VERSION
     command = ["git", "-C", str(ROOT), "describe", "--always", "--dirty", "--exclude=*"]

@@ -15,7 +15,7 @@ from datagen.disk.errors import HyalineError, WorkerKilledError
 from datagen.disk.os_errors import naming
 
 ROOT = Path(__file__).resolve().parents[2]
-"""Where these packages are found."""
+"""The folder that contains these packages."""
 
 
 _START = """
@@ -25,16 +25,18 @@ resource.setrlimit(resource.RLIMIT_CPU, (hard, hard))
 del sys.argv[0]
 runpy.run_module(sys.argv[0], run_name="__main__", alter_sys=True)
 """
-"""A child has a time limit of its own, and not what is left of a parent's that is limited itself (`confined`)."""
+"""Lifts the soft CPU limit that a child would inherit from a confined parent; the child has its own timeout."""
 
 
 class ChildError(Exception):
-    """The process gave no answer; it says why in a few words."""
+    """The process returned nothing; the message is the reason in a few words."""
 
 
 def child_environment() -> dict[str, str]:
-    """The environment in which a child finds these packages where the parent found them; start it with -P, which keeps
-    the working directory out of its path."""
+    """An environment in which a child imports the same packages as its parent.
+
+    Start the child with -P, which keeps the working directory out of its path.
+    """
     given = os.environ.get("PYTHONPATH", "").split(os.pathsep)
     paths = [str(ROOT), *(str(Path(path).resolve()) for path in given if path)]
     return {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}
@@ -43,13 +45,13 @@ def child_environment() -> dict[str, str]:
 def arrays_from_child(
     module: str, arrays: Mapping[str, np.ndarray], *, timeout_s: float, words: tuple[str, ...] = ()
 ) -> dict[str, np.ndarray]:
-    """What a module writes that is started as `python -m MODULE IN.npz OUT.npz WORDS`.
+    """Runs `python -m MODULE IN.npz OUT.npz WORDS` and returns the arrays in OUT.npz.
 
     Args:
-        arrays: what the module finds in IN.npz.
+        arrays: the contents of IN.npz.
 
     Raises:
-        ChildError: it died, took too long, or wrote nothing.
+        ChildError: the process died, took too long, or wrote nothing.
     """
     with tempfile.TemporaryDirectory(prefix="hyaline-child-") as folder:
         source, target = Path(folder) / "in.npz", Path(folder) / "out.npz"
@@ -95,7 +97,6 @@ def in_workers(
     """Calls `function` with a job and each task: here, or in spawned processes (a fork would hang torch and Dr.Jit).
 
     Raises:
-        HyalineError: what the job or a task raised, in whichever process.
         WorkerKilledError: a process was killed; all others have been ended.
     """
     if workers < 1:
@@ -140,9 +141,9 @@ def _spawned(
 
 
 _job: object = None
-"""The job of this worker process."""
+"""This worker's job."""
 _problem: HyalineError | None = None
-"""Why this worker has no job."""
+"""Why this worker could not make its job."""
 
 
 def _start_worker(make_job: Callable[..., object], arguments: tuple[object, ...], workers: int) -> None:
@@ -153,7 +154,7 @@ def _start_worker(make_job: Callable[..., object], arguments: tuple[object, ...]
     try:
         _job = make_job(max(1, num_cores() // workers), *arguments)
     except HyalineError as error:
-        # Raised here, it would be a traceback; the first task brings it to the parent.
+        # Raised here, it would print a traceback; the first task raises it in the parent.
         _problem = error
 
 
@@ -164,10 +165,10 @@ def _call_worker(function: Callable[[object, object], None], task: object) -> No
 
 
 def die_with(parent: int) -> None:
-    """Ends this process when the one that started it was killed, instead of writing on beside the next run.
+    """Ends this process when its parent is killed, so that it does not write into the next run's files.
 
     Args:
-        parent: the process id of the parent, who may be gone already.
+        parent: the parent's process id; the parent may have ended already.
     """
     import threading
     import time

@@ -23,10 +23,10 @@ if TYPE_CHECKING:
     from datagen.trace.light_path import LightPathTracer
 
 MAX_SIDE = 1024
-"""Cells a side of the grid over uv in which faces are listed."""
+"""Largest number of cells per side of the uv grid that lists faces."""
 
 MARGIN = 1e-5
-"""By which a face's box in uv is larger than the face: stored uv are off by up to 7.6e-6."""
+"""Added around a face's bounding box in uv: stored uv are off by up to 7.6e-6."""
 
 HITS_AT_ONCE = 1 << 17
 
@@ -37,13 +37,13 @@ class FacePoints:
 
     face: Int[np.ndarray, " hit"]
     weights: Float[np.ndarray, "hit 3"]
-    """Barycentric: how much each corner of the face counts; they add up to 1."""
+    """Barycentric weights of the face's corners; they add up to 1."""
     distance: Float[np.ndarray, " hit"]
-    """Metres between the point on the face and the position that was asked for."""
+    """Metres between the point on the face and the requested position."""
 
 
 class FaceFinder:
-    """A mesh whose faces are listed by cell of its atlas."""
+    """Finds the faces of a mesh by uv and position, without tracing rays; faces are listed by cell of the atlas."""
 
     def __init__(self, mesh: Mesh) -> None:
         self._uv = mesh.uv[mesh.faces].astype(np.float64)
@@ -60,7 +60,7 @@ class FaceFinder:
         self._first = np.searchsorted(cell[order], np.arange(self._side**2 + 1))
 
     def find(self, uv: Float[np.ndarray, "hit 2"], position: Float[np.ndarray, "hit 3"]) -> FacePoints:
-        """The point of the surface that has a uv; of several, the one nearest to the position (metres, world)."""
+        """The surface point with each uv; of several, the one nearest to the position (metres, world)."""
         blocks = [
             self._find(uv[first : first + HITS_AT_ONCE], position[first : first + HITS_AT_ONCE])
             for first in range(0, max(len(uv), 1), HITS_AT_ONCE)
@@ -89,17 +89,17 @@ class FaceFinder:
 
 
 def _spread(counts: Int[np.ndarray, " item"]) -> tuple[Int[np.ndarray, " entry"], Int[np.ndarray, " entry"]]:
-    """For items with so many entries each: of every entry its item, and its place among the item's entries."""
+    """For items with `counts` entries each: the item of every entry, and the entry's place within its item."""
     item = np.repeat(np.arange(len(counts)), counts)
     first = np.cumsum(counts) - counts
     return item, np.arange(len(item)) - first[item]
 
 
 def _barycentric(corners: Float[np.ndarray, "pair 3 2"], uv: Float[np.ndarray, "pair 2"]) -> np.ndarray:
-    """Barycentric weights (pair, 3) of the points of triangles at uv, or next to it where that is outside."""
+    """Barycentric weights (pair, 3) of uv in triangles, clipped to the triangle."""
     e1, e2, d = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0], uv - corners[:, 0]
     area = e1[:, 0] * e2[:, 1] - e1[:, 1] * e2[:, 0]
-    safe = np.where(np.abs(area) > 1e-14, area, np.inf)  # A face without area in the atlas: its first corner.
+    safe = np.where(np.abs(area) > 1e-14, area, np.inf)  # A face without area in uv gives its first corner.
     w1 = (d[:, 0] * e2[:, 1] - d[:, 1] * e2[:, 0]) / safe
     w2 = (e1[:, 0] * d[:, 1] - e1[:, 1] * d[:, 0]) / safe
     weights = np.clip(np.stack([1 - w1 - w2, w1, w2], axis=-1), 0, 1)
@@ -108,7 +108,7 @@ def _barycentric(corners: Float[np.ndarray, "pair 3 2"], uv: Float[np.ndarray, "
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Surfaces:
-    """The true geometry of a dataset and what it is made of. Tables are indexed by object id; 0 is nothing."""
+    """The true geometry of a dataset and its materials. Tables are indexed by object id; 0 means no object."""
 
     scene: Scene
     meshes: tuple[Mesh, ...]
@@ -118,28 +118,28 @@ class Surfaces:
 
     @property
     def materials(self) -> tuple[Material, ...]:
-        """In object order."""
+        """Materials in object order."""
         return tuple(item.material for item in self.scene.objects)
 
     @property
     def is_glass(self) -> Bool[np.ndarray, " id"]:
-        """One sees through it."""
+        """Whether an object is transparent."""
         return np.array([False, *(material.is_glass for material in self.materials)])
 
     @property
     def is_solid(self) -> Bool[np.ndarray, " id"]:
-        """A closed mesh full of glass or liquid; thin panes are none."""
+        """Whether an object is solid glass or liquid; thin panes are not."""
         return np.array([False, *(material.medium is not None for material in self.materials)])
 
     @property
     def ior(self) -> Float32[np.ndarray, " id"]:
-        """Index of refraction of glass and liquids, thin panes too; 0 of everything else."""
+        """Index of refraction of glass, liquids and thin panes; 0 for everything else."""
         values = [material.surface().ior if material.is_glass else 0.0 for material in self.materials]
         return np.array([0.0, *values], np.float32)
 
     @property
     def ior_by_channel(self) -> Float32[np.ndarray, "id 3"]:
-        """The same for red, green and blue, which differ where glass disperses; panes bend nothing, and have one."""
+        """`ior` for red, green and blue, which differ where glass disperses; thin panes do not disperse."""
         media = [material.medium for material in self.materials]
         values = np.repeat(self.ior[:, None], 3, axis=1)
         for place, medium in enumerate(media, 1):
@@ -148,7 +148,7 @@ class Surfaces:
         return values
 
     def face_finder(self, object_id: int) -> FaceFinder:
-        """Where on an object a layer lies."""
+        """Finds the faces of an object that layers lie on."""
         if object_id not in self._finders:
             self._finders[object_id] = FaceFinder(self.meshes[object_id - 1])
         return self._finders[object_id]
@@ -156,7 +156,7 @@ class Surfaces:
     def albedo(
         self, object_id: int, uv: Float[np.ndarray, "hit 2"], position: Float[np.ndarray, "hit 3"]
     ) -> Float32[np.ndarray, "hit 3"]:
-        """Linear reflectance (Rec. 709) of an object at places on it; NaN where it has none, as glass."""
+        """Linear reflectance (Rec. 709) of an object at points on it; NaN for materials without one, such as glass."""
         match self.materials[object_id - 1]:
             case Diffuse(color=color) | Plastic(color=color) | Conductor(color=color):
                 return self._reflectance(color, uv, position)
@@ -165,7 +165,7 @@ class Surfaces:
 
     @functools.cached_property
     def tracer(self) -> "LightPathTracer":
-        """What follows light through the scene, rough glass as if it were smooth. Call `use_mitsuba` first."""
+        """Follows light through the scene; rough glass counts as smooth. Call `use_mitsuba` first."""
         from datagen.trace.light_path import LightPathTracer
         from datagen.trace.surface_tables import tints_of
 
@@ -193,11 +193,7 @@ _OPENED: "weakref.WeakKeyDictionary[Dataset, Surfaces]" = weakref.WeakKeyDiction
 
 
 def surfaces_of(dataset: Dataset) -> Surfaces:
-    """The surfaces of an opened dataset, read once and verified.
-
-    Raises:
-        HyalineError: a file of the scene is missing or damaged.
-    """
+    """The surfaces of an opened dataset, read once and verified."""
     if dataset not in _OPENED:
         meshes = read_meshes(dataset, TRUTH)
         scene = load_scene(dataset.home.root / "scene", is_sealed=True)

@@ -1,4 +1,4 @@
-"""The way from our scene to Mitsuba's: shapes, lights and sensors. Call `use_mitsuba` first."""
+"""Converts a scene for Mitsuba: shapes, lights, sky and sensors. Call `use_mitsuba` first."""
 
 import math
 from typing import TYPE_CHECKING, cast
@@ -26,19 +26,19 @@ if TYPE_CHECKING:
     import mitsuba as mi
 
 TEXEL_SIZE = 0.001
-"""Metres per texel that a baked solid texture aims at; a floor has to do with MAX_TEXTURE_SIZE texels a side."""
+"""Target size of a baked texture's texels in metres; large floors are limited by MAX_TEXTURE_SIZE."""
 
 MIN_TEXTURE_SIZE, MAX_TEXTURE_SIZE = 128, 1024
 
 POINTS_AT_ONCE = 1 << 14
-"""Points whose intermediate results stay in a processor's cache: 1 << 20 of them take three times as long each."""
+"""Points evaluated together, so that intermediate results stay in the CPU cache: 1 << 20 take three times as long."""
 
 
 def load_scene_mitsuba(scene: Scene, *, aims_at_sky: bool = True) -> "mi.Scene":
     """The whole scene, ready to render; `shapes()` keeps the order of `scene.objects`, then the lights.
 
     Args:
-        aims_at_sky: the environment is among the emitters that are sampled; so it is where there is no other.
+        aims_at_sky: sample the environment as an emitter; always so if it is the only one.
     """
     import mitsuba as mi
 
@@ -86,8 +86,8 @@ def load_geometry_mitsuba(meshes: tuple[Mesh, ...]) -> "mi.Scene":
 def to_columns(vectors: Float[np.ndarray, "ray axis"]) -> "list[mi.Float]":
     """x, y and (of three) z of vectors, in memory aligned to a cache line.
 
-    Dr.Jit maps NumPy's memory instead of copying it, and code for unaligned memory is another kernel: one that depends
-    on where NumPy happened to put an array is compiled again and again.
+    Dr.Jit maps NumPy's memory instead of copying it, and compiles another kernel for unaligned memory. Without this,
+    kernels would be compiled again and again, depending on where NumPy put an array.
     """
     import mitsuba as mi
 
@@ -101,10 +101,10 @@ def to_columns(vectors: Float[np.ndarray, "ray axis"]) -> "list[mi.Float]":
 
 
 def load_sensor(camera: Camera, *, sampler: str = "multijitter") -> "mi.Sensor":
-    """A pinhole camera with a box filter, so that a sample counts for its own pixel alone.
+    """A pinhole camera with a box filter, so that a sample counts only for its own pixel.
 
     Args:
-        sampler: of `mi.render`; our own path tracer has its own (datagen/render/sobol.py).
+        sampler: the sampler for `mi.render`; our own path tracer uses datagen/render/sobol.py.
     """
     import mitsuba as mi
 
@@ -112,7 +112,7 @@ def load_sensor(camera: Camera, *, sampler: str = "multijitter") -> "mi.Sensor":
     to_world = camera.world_from_camera @ np.diag([-1.0, 1.0, -1.0, 1.0])
     shift: dict[str, float] = {}
     if camera.center is not None:
-        # Mitsuba adds the offset, a share of the film's sides, to where a sample is before it finds its ray.
+        # Mitsuba adds the offset, a share of the film's sides, to a sample's position before it computes the ray.
         shift["principal_point_offset_x"] = 0.5 - camera.center[0] / camera.width
         shift["principal_point_offset_y"] = 0.5 - camera.center[1] / camera.height
     return cast(
@@ -141,7 +141,7 @@ def load_sensor(camera: Camera, *, sampler: str = "multijitter") -> "mi.Sensor":
 
 
 def _shape_id(index: int) -> str:
-    # Names sort like indices, so that shapes keep our order whatever a container does to it.
+    # Names sort like indices, so that shapes keep our order in any container.
     return f"object_{index:03d}"
 
 
@@ -181,7 +181,7 @@ def _bsdf(scene: Scene, item: SceneObject) -> Plugin:
 
 def _absorbing_medium(medium: Medium) -> Plugin:
     # Only the scalar variant needs it: the vectorised ones attenuate in closed form (render/path_integrator.py).
-    # Its colours go up to 1, absorption goes beyond.
+    # Mitsuba's colours are at most 1, absorption may be larger.
     scale = max(medium.absorption)
     share = (medium.absorption[0] / scale, medium.absorption[1] / scale, medium.absorption[2] / scale)
     return {"type": "homogeneous", "albedo": 0.0, "sigma_t": rgb(share), "scale": scale}
@@ -190,14 +190,14 @@ def _absorbing_medium(medium: Medium) -> Plugin:
 def linear_texels(
     scene: Scene, mesh: Mesh, texture: SolidTexture | ImageTexture
 ) -> Float32[np.ndarray, "tex_h tex_w 3"]:
-    """The linear reflectance of a texture in the mesh's uv, as it is rendered; row 0 is on top."""
+    """The linear reflectance of a texture in the mesh's uv, as rendered; row 0 is on top."""
     if isinstance(texture, ImageTexture):
         return linear_pixels(image_bytes(scene, texture), where=texture.path)
     return bake_texture(texture, mesh, _texture_size(mesh))
 
 
 def bake_texture(texture: SolidTexture, mesh: Mesh, size: int) -> Float32[np.ndarray, "tex_h tex_w 3"]:
-    """The texture at each texel of the mesh's atlas, linear."""
+    """The linear colour of a texture at each texel of the mesh's atlas."""
     positions = bake_positions(mesh, size)
     rows = max(1, POINTS_AT_ONCE // size)
     return np.concatenate(
@@ -214,7 +214,7 @@ def _texture(scene: Scene, mesh: Mesh, color: Reflectance) -> Plugin:
 
 
 def _texture_size(mesh: Mesh) -> int:
-    """The power of two that gives the mesh's area texels of TEXEL_SIZE, were its atlas full."""
+    """The power of two that gives texels of about TEXEL_SIZE, if the mesh filled its atlas."""
     wanted = float(face_areas(mesh).sum()) ** 0.5 / TEXEL_SIZE
     return int(np.clip(2 ** np.ceil(np.log2(wanted)), MIN_TEXTURE_SIZE, MAX_TEXTURE_SIZE))
 
@@ -231,31 +231,30 @@ def _bitmap(linear: Float32[np.ndarray, "tex_h tex_w 3"]) -> Plugin:
 
 
 SMALL_LIGHT = 32.0
-"""Sharpness of a lobe from which on it is aimed at. Measured on the glass table, its lobes made sharper at equal power:
-to 45 dB it takes 0.8, 1.0 and 1.2 times as long without aiming at 16, 32 and 64. Shipped scenes have 4 to 8."""
+"""Lobes sharper than this are sampled as lights. Measured on the glass table with sharper lobes of equal power: without
+sampling, 45 dB take 0.8, 1.0 and 1.2 times as long at 16, 32 and 64. Built-in scenes have 4 to 8."""
 
 SMALL_CARD_DEG = 24.0
-"""Narrow side of a bright card below which it is aimed at: such a lobe is as wide at half height."""
+"""Bright cards narrower than this are sampled as lights; a lobe of SMALL_LIGHT is as wide at half height."""
 
 MIN_HEIGHT, MAX_HEIGHT = 256, 2048
-"""Rows of the latitude-longitude map of a soft sky, which is half as high as wide. Where it is smooth, more than 256
-add nothing."""
+"""Rows of a soft sky's latitude-longitude map, which is twice as wide as high. For smooth skies 256 are enough."""
 ROWS_PER_LOBE = 4
-"""Across the width at half height of the sharpest lobe."""
+"""Rows across the width at half height of the sharpest lobe."""
 ROWS_PER_EDGE = 2
-"""Across the edge of the sharpest card."""
+"""Rows across the edge of the sharpest card."""
 
 
 def has_small_light(environment: Environment) -> bool:
-    """Whether a part of the sky is so small and bright that it is worth a ray to aim at it."""
+    """Whether the sky has small bright parts that are worth sampling as lights."""
     if isinstance(environment, EnvironmentMap):
-        return True  # Nearly all maps show the sun, a window or a lamp.
+        return True  # Nearly all maps contain the sun, a window or a lamp.
     is_bright = (min(card.size_deg) < SMALL_CARD_DEG and any(card.radiance) for card in environment.cards)
     return any(lobe.sharpness > SMALL_LIGHT for lobe in environment.lobes) or any(is_bright)
 
 
 def radiance_of_environment(environment: SoftEnvironment, directions: Float[np.ndarray, "... 3"]) -> np.ndarray:
-    """Radiance (..., 3) that arrives from unit directions (world space, +z up)."""
+    """Radiance (..., 3) arriving from unit directions (world space, +z up)."""
     up = directions[..., 2:3]
     sky = np.clip(up, 0, 1) ** 0.6
     ground = np.clip(-up, 0, 1) ** 0.6
@@ -272,7 +271,7 @@ def radiance_of_environment(environment: SoftEnvironment, directions: Float[np.n
 
 
 def _cover(card: Card, directions: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "..."]:
-    """How much of the sky a card hides in each direction, 0 to 1."""
+    """Share of the sky that a card hides in each direction, 0 to 1."""
     axis = np.array(card.direction) / np.linalg.norm(card.direction)
     level = np.cross(axis, (0.0, 1.0, 0.0) if abs(axis[2]) > 0.999 else (0.0, 0.0, 1.0))
     level /= np.linalg.norm(level)
@@ -300,17 +299,17 @@ def environment_plugin(scene: Scene) -> Plugin:
 
 
 def mitsuba_transform(matrix: Float[np.ndarray, "4 4"]) -> "mi.ScalarTransform4f":
-    """A matrix as Mitsuba takes it."""
+    """A matrix as Mitsuba's transform."""
     import mitsuba as mi
 
     return mi.ScalarTransform4f(matrix.tolist())
 
 
-# Mitsuba's map has +y up: u runs with atan2(x, -z), v with acos(y).
+# Mitsuba's map has +y up: u follows atan2(x, -z), v follows acos(y).
 _Z_UP = np.array([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]], np.float64)
-"""Turned about x: its y is our z."""
+"""Rotation about x: the map's y is our z."""
 _MIDDLE_TO_X = np.array([[0, 0, 1, 0], [1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1]], np.float64)
-"""Its middle column, towards its +z, comes to lie towards our +x."""
+"""Rotation that turns the map's middle column, towards its +z, to our +x."""
 
 
 def _about_z(angle_deg: float) -> Float[np.ndarray, "4 4"]:
@@ -326,7 +325,7 @@ def _map_of(scene: Scene, environment: EnvironmentMap) -> Float32[np.ndarray, "h
 
 
 def painted(environment: SoftEnvironment) -> Float32[np.ndarray, "h w 3"]:
-    """The map of a soft sky that lies as `_Z_UP` turns it."""
+    """The map of a soft sky, to be turned by `_Z_UP`."""
     height = _painted_height(environment)
     width = 2 * height
     theta = (np.arange(height) + 0.5)[:, None] / height * np.pi
@@ -336,7 +335,7 @@ def painted(environment: SoftEnvironment) -> Float32[np.ndarray, "h w 3"]:
 
 
 def _painted_height(environment: SoftEnvironment) -> int:
-    """Rows of the map: a power of two, so many that the sharpest lobe, or edge of a card, has a few."""
+    """Rows of the map: a power of two that gives the sharpest lobe or card edge a few rows."""
     height = MIN_HEIGHT
     for lobe in environment.lobes:
         width = 2 * math.acos(max(-1.0, 1 - math.log(2) / lobe.sharpness))

@@ -71,11 +71,7 @@ class EditedScene:
 
 
 def parse_edit(text: str) -> Edit:
-    """The edit that `verb:object[:object or offset]` describes.
-
-    Raises:
-        HyalineError: no such verb, or not what it needs.
-    """
+    """The edit that `verb:object[:object or offset]` describes."""
     start, *rest = text.split(":")
     if start not in USAGE:
         raise HyalineError(f"edit {text!r}: there is no {start!r}; expected {', '.join(USAGE.values())}")
@@ -106,11 +102,7 @@ def edits_name(edits: tuple[Edit, ...]) -> str:
 
 
 def edit_scene(scene: Scene, edits: tuple[Edit, ...]) -> EditedScene:
-    """The checked scene after all edits, one after the other.
-
-    Raises:
-        HyalineError: no such object, an object that cannot be glass, or surfaces that would coincide.
-    """
+    """The checked scene after all edits, one after the other."""
     edited = EditedScene(scene=scene, copies={}, offsets={})
     for edit in edits:
         there = [item.name for item in edited.scene.objects if is_there(item.mesh)]

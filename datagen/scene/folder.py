@@ -148,9 +148,6 @@ def load_scene(folder: Path, *, is_sealed: bool = False) -> Scene:
 
     Args:
         is_sealed: the folder is a dataset's, whose scene was mended and checked when it was begun: read as it stands.
-
-    Raises:
-        HyalineError: a missing file, an unknown key, a bad value or a bad mesh.
     """
     path = find_file(folder, "scene.json", where=str(folder))
     data = load_json(path)

@@ -28,11 +28,7 @@ FORMATS = ["PNG", "JPEG", "WEBP", "BMP", "TGA", "GIF"]
 
 @contextmanager
 def opened_image(data: bytes, *, where: str) -> Iterator["Image.Image"]:
-    """An image file that anybody may have written, while its pixels are read.
-
-    Raises:
-        HyalineError: it is no image, or too large a one; it breaks off, in which case the block has failed.
-    """
+    """An image file that anybody may have written, while its pixels are read."""
     from PIL import Image, UnidentifiedImageError
 
     Image.init()
@@ -53,11 +49,7 @@ def opened_image(data: bytes, *, where: str) -> Iterator["Image.Image"]:
 
 
 def linear_pixels(data: bytes, *, where: str) -> Float32[np.ndarray, "tex_h tex_w 3"]:
-    """Linear reflectance of an image file, which is sRGB; alpha is left out.
-
-    Raises:
-        HyalineError: it is no image.
-    """
+    """Linear reflectance of an image file, which is sRGB; alpha is left out."""
     with opened_image(data, where=where) as image:
         encoded = np.asarray(image.convert("RGB"))
     return linear_from_srgb(encoded / 255.0).astype(np.float32)
@@ -126,11 +118,7 @@ RadianceMap = Float32[np.ndarray, "h w 3"]
 
 
 def read_map(data: bytes, *, where: str) -> RadianceMap:
-    """The linear radiance in the bytes of an EXR or of a Radiance file.
-
-    Raises:
-        HyalineError: it is neither, is damaged, or holds what is no radiance.
-    """
+    """The linear radiance in the bytes of an EXR or of a Radiance file."""
     if len(data) > MAX_MAP_BYTES:
         raise HyalineError(f"{where}: holds {len(data):,} bytes; expected at most {MAX_MAP_BYTES:,}")
     radiance = _read_hdr(data, where) if data.startswith(b"#?") else decode_radiance(data, where=where)

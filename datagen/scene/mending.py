@@ -33,9 +33,6 @@ def mend_scene(scene: Scene, *, without_uv: set[str]) -> Scene:
 
     Args:
         without_uv: names of objects whose files have no uv: they get an atlas, and nobody needs to be told.
-
-    Raises:
-        HyalineError: what cannot be mended, naming the object.
     """
     objects, faults = [], {}
     for item in scene.objects:

@@ -40,9 +40,6 @@ def check_scene(scene: Scene, *, is_sealed: bool = False) -> None:
 
     Args:
         is_sealed: all of this was found well when the scene's dataset was begun; single numbers are looked at again.
-
-    Raises:
-        HyalineError: naming the object, the value and what was expected.
     """
     check_name(scene.name, where="scene name")
     check_names(scene)
@@ -73,11 +70,7 @@ def check_names(scene: Scene) -> None:
 
 
 def check_sound(scene: Scene) -> None:
-    """Refuses what `check_scene` calls wrong beyond single numbers; the cheapest checks come first.
-
-    Raises:
-        HyalineError: naming the object, what is wrong with it, and the way out.
-    """
+    """Refuses what `check_scene` calls wrong beyond single numbers; the cheapest checks come first."""
     there = [item for item in scene.objects if is_there(item.mesh)]
     cameras = camera_places(scene.cameras)
     _check_units(scene, there, cameras)

@@ -21,26 +21,26 @@ if TYPE_CHECKING:
 
 Texels = Float32[np.ndarray, "tex_h tex_w 3"]
 Tints = tuple[Texels | None, ...]
-"""By object; None where one colour says all. Row 0 is on top, where v is 1."""
+"""Texels by object; None for objects of one colour. Row 0 is on top, where v is 1."""
 
 
 class Limits(NamedTuple):
-    """What bounds the light paths of a ray."""
+    """Limits of a ray's light paths."""
 
     max_branches: int = 4
-    """Followed for each ray; 1 is the refracted one alone."""
+    """Branches followed for each ray; 1 is the refracted one alone."""
     max_vertices: int = 8
-    """Kept of each branch. The last place holds the last vertex, however many come before it."""
+    """Vertices kept of each branch. The last place always contains the branch's last vertex."""
     max_depth: int = 24
-    """Surfaces after which a branch is given up."""
+    """Number of surfaces after which a branch is abandoned."""
 
 
 LIMITS = Limits()
-"""Those of a tracer that is told none."""
+"""The default limits."""
 
 
 OPAQUE, DIELECTRIC, THIN, COATED, METAL = range(5)
-"""What a surface does to a ray, as numbers in the kernel."""
+"""Events at a surface, as numbers in the kernel."""
 
 EVENTS: dict[Event, int] = {
     "ends": OPAQUE,
@@ -55,19 +55,19 @@ NO_SURFACE = Surface(event="passes", ior=1.0)
 
 
 class SurfaceTables(NamedTuple):
-    """What the kernel looks up: by object its optics, by face its corners' positions, normals and uv."""
+    """Lookup tables of the kernel: optics by object; positions, normals and uv of corners by face."""
 
     kind: "mi.UInt32"
     coat_ior: "mi.Float"
     roughness: "mi.Float"
     color: "list[mi.Float]"
     offset: "mi.Float"
-    """How far off its surface a ray starts."""
+    """Distance off its surface at which a ray starts, by object."""
     rank: "mi.Int32"
     medium_ior: "mi.Float"
-    """Of the colour channel whose paths are followed."""
+    """Index of refraction by medium, in the colour channel whose paths are followed."""
     parts_colors: "mi.Bool"
-    """By medium."""
+    """Whether a medium disperses."""
     absorption: "list[mi.Float]"
     first_face: "mi.UInt32"
     positions: "mi.Float"
@@ -75,9 +75,9 @@ class SurfaceTables(NamedTuple):
     uv: "mi.Float"
     has_rough_glass: bool
     disperses: bool
-    """Some medium parts colours."""
+    """Whether some medium disperses."""
     tints: tuple | None
-    """Those of `TintTables`, a plain tuple: a frozen function of Dr.Jit looks into no other."""
+    """`TintTables` as a plain tuple: Dr.Jit's frozen functions accept no other kind here."""
 
 
 def make_tables(
@@ -119,12 +119,12 @@ def make_tables(
 
 
 class TintTables(NamedTuple):
-    """The texels of all objects; an object without a texture has one that is white."""
+    """The texels of all objects; an object without a texture has one white texel."""
 
     texels: "list[mi.Float]"
-    """By colour channel."""
+    """Texels by colour channel."""
     first: "mi.UInt32"
-    """By object, its first texel."""
+    """Index of an object's first texel, by object."""
     width: "mi.UInt32"
     height: "mi.UInt32"
 
@@ -133,7 +133,7 @@ def tints_of(scene: Scene, *, own_uv: bool) -> Tints:
     """The textures of a scene's metals.
 
     Args:
-        own_uv: light is followed on the objects' own meshes. Proxies have another uv, and get the mean colour.
+        own_uv: whether light is followed on the objects' own meshes. Proxies have other uv and get the mean colour.
     """
     tints: list[Texels | None] = []
     for item in scene.objects:
@@ -147,7 +147,7 @@ def tints_of(scene: Scene, *, own_uv: bool) -> Tints:
 
 
 def _mean(texels: Texels, mesh: Mesh) -> Texels:
-    """The mean over the part of an atlas that a surface covers."""
+    """The mean of the texels that a surface covers."""
     from datagen.scene.atlas import coverage
 
     size = 256
@@ -176,7 +176,7 @@ def make_tint_tables(tints: Tints) -> TintTables | None:
 
 
 def look_up_tint(tables: TintTables, shape, uv, active) -> "mi.Color3f":
-    """Bilinear between the centres of texels, and the outermost ones beyond them, as Mitsuba's bitmap is."""
+    """Bilinear between the centres of texels, clamped beyond the outermost ones, as in Mitsuba's bitmap."""
     import drjit as dr
     import mitsuba as mi
 

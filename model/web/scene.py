@@ -12,6 +12,7 @@ from datagen.data.geometries import read_meshes
 from datagen.data.meshes import Mesh, is_there, open_edges
 from datagen.data.number_formats import UV_SCALE, quantize_uv, round_mantissa
 from datagen.data.paths import TRUTH
+from datagen.data.surface_points import PLASTIC
 from datagen.disk.records import Json
 from datagen.scene.contact import MIN_COSINE as SKIP_COSINE
 from datagen.scene.contact import RAY_OFFSET
@@ -19,7 +20,6 @@ from datagen.scene.description import CameraRig, Scene
 from datagen.scene.edits import CLEAR_GLASS, GREY
 from datagen.scene.folder import load_scene
 from datagen.scene.materials import Material
-from datagen.trace.light_path import PLASTIC
 from datagen.trace.surface_hits import MIN_COSINE
 from datagen.trace.surface_tables import EVENTS, tints_of
 from model.methods.page import MethodPage, fours, package_text

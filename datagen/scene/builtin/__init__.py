@@ -31,11 +31,7 @@ SCENES: dict[str, Callable[[], Scene]] = {
 
 
 def make_scene(name: str) -> Scene:
-    """A built-in scene, unwrapped and checked.
-
-    Raises:
-        HyalineError: there is none of that name.
-    """
+    """A built-in scene, unwrapped and checked."""
     make = SCENES[choose("scene", name, SCENES)]
     say(f"scene {name}: models it and unwraps its surfaces")
     scene = make()
@@ -51,9 +47,6 @@ def find_builtin(name: str, *, built: Path | None = None) -> Scene:
 
     Args:
         built: a dataset that may hold the same scene, unwrapped.
-
-    Raises:
-        HyalineError: there is none of that name.
     """
     choose("scene", name, SCENES)
     return (None if built is None else _same_scene(name, built)) or make_scene(name)

@@ -26,11 +26,7 @@ __all__ = [
 
 
 def check_material(material: object, *, where: str) -> None:
-    """Refuses what is no material, even if it derives from one: it would be drawn as what it is not.
-
-    Raises:
-        HyalineError: naming what it is.
-    """
+    """Refuses what is no material, even if it derives from one: it would be drawn as what it is not."""
     known = get_args(Material)
     if type(material) not in known:
         names = ", ".join(choice.__name__ for choice in known)

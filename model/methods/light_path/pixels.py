@@ -18,6 +18,7 @@ from datagen.data.geometries import GeometryKey, geometry_key, read_meshes
 from datagen.data.meshes import Mesh
 from datagen.data.paths import TRUTH
 from datagen.data.resolution import Resolution
+from datagen.data.surface_points import r2_steps
 from datagen.machine.mitsuba_variant import short_lived_workers, use_mitsuba
 from datagen.trace.surface_tables import Limits
 from model.batches.rays import black, read_colors
@@ -97,14 +98,11 @@ class LightPathPixels:
     def _facets(self, num_pixels: int, samples: int, rng: np.random.Generator) -> Float32[np.ndarray, "ray 2"]:
         """Where the rays of each pixel choose facets of rough surfaces: in pairs half a period from each other, or all
         spread evenly, as in a rendering."""
-        from datagen.trace.light_path import PLASTIC
-
         if self.config.paired_rays:
             first = rng.random((num_pixels, -(-samples // 2), 2))
             points = in_pairs(first, lambda place: (place + 0.5) % 1)[:, :samples]
         else:
-            spread = np.arange(samples)[:, None] / PLASTIC ** np.array([1, 2])
-            points = (rng.random((num_pixels, 1, 2)) + spread) % 1
+            points = (rng.random((num_pixels, 1, 2)) + r2_steps(samples)) % 1
         return points.reshape(-1, 2).astype(np.float32)
 
     def _ends(self, paths: "TracedPaths") -> Ends:

@@ -12,7 +12,7 @@ from support.synthetic import HEIGHTS, quad, write_synthetic_dataset
 from datagen.data.dataset import Dataset
 from datagen.disk.errors import HyalineError
 from datagen.look.light_paths import RAYS, _projected, find_light_paths
-from datagen.look.sketch import INK, MARGIN, MOST_CAMERAS, PALE_INK, draw_cameras, draw_sketch, rasterise, stand
+from datagen.look.sketch import INK, MARGIN, MOST_CAMERAS, PALE_INK, draw_cameras, draw_sketch, fit_viewpoint, rasterise
 from datagen.machine.mitsuba_variant import use_mitsuba
 
 IS_SCALAR = use_mitsuba(quiet=True).startswith("scalar")
@@ -55,7 +55,7 @@ def test_each_pixel_shows_the_nearest_face_at_its_centre(seed: int) -> None:
 @pytest.mark.parametrize(("azimuth_deg", "elevation_deg"), [(0, 0), (-50, 30), (170, 90), (20, -40)])
 def test_what_is_to_be_seen_fits_the_frame_from_every_side(azimuth_deg: float, elevation_deg: float) -> None:
     points = np.random.default_rng(1).normal(size=(50, 3)) + 100
-    placed = stand(points, azimuth_deg, elevation_deg, width=300, height=200).place(points)
+    placed = fit_viewpoint(points, azimuth_deg, elevation_deg, width=300, height=200).place(points)
     low, high = placed[:, :2].min(axis=0), placed[:, :2].max(axis=0)
     assert (low >= MARGIN - 1e-6).all() and (high <= np.array([300, 200]) - MARGIN + 1e-6).all()
     assert ((high - low) / (np.array([300, 200]) - 2 * MARGIN)).max() == pytest.approx(1)
@@ -63,7 +63,7 @@ def test_what_is_to_be_seen_fits_the_frame_from_every_side(azimuth_deg: float, e
 
 def test_what_is_nearer_hides_lines_behind_it_and_glass_hides_nothing() -> None:
     meshes = (quad(0.0), quad(-1.0))
-    place = stand(np.array([[-2.0, -2, -2], [2, 2, 2]]), 0, 60, width=400, height=400)
+    place = fit_viewpoint(np.array([[-2.0, -2, -2], [2, 2, 2]]), 0, 60, width=400, height=400)
     line = np.array([[0.0, -3, -0.5], [0, 3, -0.5]])  # Between the two: hidden where it runs under the upper one.
     for is_glass, parts in ((np.array([False, False]), 2), (np.array([True, False]), 1)):
         sketch = draw_sketch(meshes, is_glass, place)

@@ -62,7 +62,7 @@ def test_the_gpu_is_tried_once_for_all_processes(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "1")
     hardware.cuda_problem.cache_clear()
     assert hardware.cuda_problem() == "no OptiX"
-    assert hardware.cuda_problem(anew=True) == "no OptiX"
+    assert hardware.cuda_problem(again=True) == "no OptiX"
     assert tried.read_text() == "once once once "
 
 

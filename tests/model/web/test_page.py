@@ -26,6 +26,7 @@ from support.web_scenes import (
 )
 
 from benchmarks.pages.browser import Watched, open_file, watched_page
+from datagen.data import surface_points
 from datagen.data.dataset import Dataset
 from datagen.data.paths import TRUTH
 from datagen.data.png import png_bytes
@@ -34,7 +35,7 @@ from datagen.scene.description import SceneObject
 from datagen.scene.materials import Dielectric
 from datagen.scene.materials.optics import Event, Medium, Surface
 from datagen.scene.modelling import transformed
-from datagen.trace import branches, light_path, surface_hits, surface_tables
+from datagen.trace import branches, surface_hits, surface_tables
 from model.methods.light_path import net, paths, pixels
 from model.methods.light_path import page as page_of_light_path
 from model.methods.light_path.net import LightPathRenderer
@@ -272,8 +273,8 @@ SHARED = {
     "SKIP_COSINE 0.25": (contact, "MIN_COSINE", 0.25),
     "RAY_OFFSET 0.125": (contact, "RAY_OFFSET", 0.125),
     "LEAKY_SLOPE 0.5": (pixel_mlp, "LEAKY_SLOPE", 0.5),
-    "R2_X 2147483648u": (light_path, "PLASTIC", 2.0),
-    "R2_Y 1073741824": (light_path, "PLASTIC", 2.0),
+    "R2_X 2147483648u": (surface_points, "PLASTIC", 2.0),
+    "R2_Y 1073741824": (surface_points, "PLASTIC", 2.0),
 }
 """What the shader says after a constant of Python has changed."""
 
