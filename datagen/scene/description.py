@@ -16,25 +16,25 @@ from datagen.scene.values import Color, Vector, check_positive, check_range
 
 OBJECT_NAME = r"[A-Za-z0-9_][A-Za-z0-9_-]*"
 MAX_OBJECTS = 255
-"""Object ids are 8 bits; 0 means empty."""
+"""Largest number of objects: ids have 8 bits, and 0 means empty."""
 
 
 # Lights
 
 
 MAP_ENDINGS = (".exr", ".hdr")
-"""Of files of linear radiance: OpenEXR, and Radiance's RGBE."""
+"""Endings of radiance files: OpenEXR, and Radiance's RGBE."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Lobe:
     """A soft round light in the sky: radiance falls off as exp(sharpness (cos angle - 1)).
 
-    Sharpness 20 is about 36 degrees wide at half height; small lights make fireflies behind glass.
+    Sharpness 20 is about 36 degrees wide at half height; small lights cause fireflies behind glass.
     """
 
     direction: Vector
-    """Towards the light; any length."""
+    """Direction towards the light; any length."""
     radiance: Color
     sharpness: float
 
@@ -46,26 +46,26 @@ class Lobe:
 
 @dataclass(frozen=True, kw_only=True)
 class Card:
-    """A rectangle in the sky that covers what is behind it: bright, a photographer's softbox, or black, a flag.
+    """A rectangle that covers the sky behind it: a bright one acts as a photographer's softbox, a black one as a flag.
 
-    Glass shows itself by what it mirrors and bends: bright cards draw highlights on it, dark ones its outline.
+    Glass becomes visible by reflection and refraction: bright cards give it highlights, dark ones outlines.
     """
 
     direction: Vector
-    """Towards its middle; any length."""
+    """Direction towards its centre; any length."""
     size_deg: tuple[float, float]
-    """Width and height as seen from the scene, each below 180."""
+    """Width and height as seen from the scene, each below 180 degrees."""
     radiance: Color
     roll_deg: float = 0.0
-    """Turns it about its middle, anticlockwise as seen from the scene; at 0 its width is level."""
+    """Rotation about its centre, anticlockwise as seen from the scene; at 0 its width is horizontal."""
     softness_deg: float = 2.0
-    """Width of its edge, over which it fades."""
+    """Width of its edge, over which it fades out."""
 
     def __post_init__(self) -> None:
         check_positive("card direction", math.hypot(*self.direction))
         check_range("card radiance", self.radiance, 0, math.inf)
         if not all(0 < size < 180 for size in self.size_deg):
-            raise HyalineError(f"card size_deg: is {self.size_deg}; expected two angles of more than 0 and below 180")
+            raise HyalineError(f"card size_deg: is {self.size_deg}; expected two angles above 0 and below 180")
         if not math.isfinite(self.roll_deg):
             raise HyalineError(f"card roll_deg: is {self.roll_deg}; expected degrees")
         if not 0.2 <= self.softness_deg <= min(self.size_deg):
@@ -76,7 +76,7 @@ class Card:
 
 @dataclass(frozen=True, kw_only=True)
 class SoftEnvironment:
-    """Light from infinitely far: a smooth gradient over height, some lobes, and cards before these."""
+    """Light from infinitely far away: a smooth vertical gradient, lobes, and cards in front of them."""
 
     zenith: Color
     """Radiance from straight above (+z)."""
@@ -85,7 +85,7 @@ class SoftEnvironment:
     """Radiance from straight below."""
     lobes: tuple[Lobe, ...] = ()
     cards: tuple[Card, ...] = ()
-    """Each covers those before it."""
+    """Cards; each covers the ones listed before it."""
 
     def __post_init__(self) -> None:
         for color in (self.zenith, self.horizon, self.ground):
@@ -94,18 +94,18 @@ class SoftEnvironment:
 
 @dataclass(frozen=True, kw_only=True)
 class EnvironmentMap:
-    """Light from infinitely far as a picture of all directions, in linear radiance.
+    """Light from infinitely far away, as a picture of all directions in linear radiance.
 
-    The picture is equirectangular: straight up (+z) is its first row, the middle column lies towards +x, and further
-    to the right in it is further to the right for who looks at it from inside, towards -y.
+    The picture is equirectangular: its first row is straight up (+z), its middle column is towards +x, and columns
+    further right are further right as seen from the scene, towards -y.
     """
 
     path: str
-    """Of an OpenEXR or Radiance file (.exr, .hdr) within the scene's folder."""
+    """OpenEXR or Radiance file (.exr, .hdr) in the scene's folder."""
     scale: float = 1.0
-    """Factor of the radiance."""
+    """Factor on the radiance."""
     rotation_deg: float = 0.0
-    """Turns the light about the vertical, anticlockwise as seen from above: at 90 the middle column lies towards +y."""
+    """Rotation about the vertical, anticlockwise as seen from above: at 90 the middle column is towards +y."""
 
     def __post_init__(self) -> None:
         check_relative(self.path, where="environment path")
@@ -123,7 +123,7 @@ Environment = SoftEnvironment | EnvironmentMap
 
 @dataclass(frozen=True, kw_only=True)
 class RectangleLight:
-    """A one-sided rectangle that shines along the cross product of its edges; seen by the camera, not peeled."""
+    """A one-sided rectangle that emits along the cross product of its edges; visible to cameras, but not peeled."""
 
     corner: Vector
     edge_u: Vector
@@ -139,7 +139,7 @@ class RectangleLight:
 
 @dataclass(frozen=True, kw_only=True)
 class WalkPoint:
-    """A place that the extrapolating walk passes, and where it looks from there."""
+    """A point of the extrapolating walk, and where the camera looks from there."""
 
     position: Vector
     target: Vector
@@ -147,12 +147,12 @@ class WalkPoint:
 
 @dataclass(frozen=True, kw_only=True)
 class CameraRig:
-    """Where the cameras of all splits stand: a cropped hemisphere, and a walk that leaves it."""
+    """Placement of the cameras of all splits: a cropped hemisphere, and a walk that leaves it."""
 
     target: Vector
     """Centre of the hemisphere; its cameras look at points near it."""
     radius: float
-    """Metres."""
+    """Radius of the hemisphere in metres."""
     elevation_deg: tuple[float, float]
     """Lowest and highest elevation on the hemisphere, degrees above the horizon."""
     azimuth_deg: tuple[float, float] = (0.0, 360.0)
@@ -180,11 +180,11 @@ class CameraRig:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SceneObject:
-    """One object: what is peeled under one id, textured by one neural texture, replaced by one proxy."""
+    """An object: the unit that has an id in layers, a neural texture and a proxy."""
 
     name: str
     mesh: Mesh
-    """Without faces where an edit removed the object: its id then stays unused, and all others keep theirs."""
+    """The mesh; without faces if an edit removed the object, whose id then stays unused."""
     material: Material
 
     def __post_init__(self) -> None:
@@ -193,24 +193,24 @@ class SceneObject:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Scene:
-    """Everything that a path tracer needs, naming none. The id of `objects[i]` is i + 1."""
+    """Everything that a path tracer needs, independent of any. The id of `objects[i]` is i + 1."""
 
     name: str
     description: str = ""
     license: str | None = None
-    """Of meshes and images, and so of what is rendered from them; None where nobody states it."""
+    """License of meshes and images, and so of renderings; None if unknown."""
     objects: tuple[SceneObject, ...]
     environment: Environment
     lights: tuple[RectangleLight, ...] = ()
     cameras: CameraRig | CameraList
     folder: Path | None = field(default=None)
-    """Where image textures and the map of the environment lie; None for scenes made by code."""
+    """Folder of image textures and the environment map; None for scenes made by code."""
     baked: Mapping[str, bytes] = field(default_factory=dict)
-    """PNG files of image textures that were baked into another uv, by path; they lie in no folder yet."""
+    """PNG files of image textures baked into new uv, by path; not written to a folder yet."""
 
 
 def image_bytes(scene: Scene, image: ImageTexture | EnvironmentMap) -> bytes:
-    """The file of an image texture or of a map of the environment."""
+    """The file of an image texture or an environment map."""
     if image.path in scene.baked:
         return scene.baked[image.path]
     assert scene.folder is not None, "a scene with images has a folder"

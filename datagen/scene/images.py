@@ -1,4 +1,4 @@
-"""The images of a scene: textures of surfaces and maps of the environment, read, looked up and baked into new uv."""
+"""The images of a scene: textures and environment maps, read, looked up, and baked into new uv."""
 
 import io
 from collections.abc import Iterator
@@ -19,16 +19,16 @@ if TYPE_CHECKING:
     from PIL import Image
 
 MIN_SIZE, MAX_SIZE = 128, 2048
-"""Texels a side of an image that is baked anew."""
+"""Texels per side of an image that is baked into new uv."""
 MAX_PIXELS = 1 << 26
-"""Of an image that somebody brings."""
+"""Largest number of pixels of a user's image."""
 FORMATS = ["PNG", "JPEG", "WEBP", "BMP", "TGA", "GIF"]
-"""Of images that are opened, whatever their names end in: Pillow would start other programs for some others."""
+"""Accepted formats, whatever a file's ending: Pillow would start other programs for some others."""
 
 
 @contextmanager
 def opened_image(data: bytes, *, where: str) -> Iterator["Image.Image"]:
-    """An image file that anybody may have written, while its pixels are read."""
+    """Opens an untrusted image file while its pixels are read; Pillow's errors in the block become a HyalineError."""
     from PIL import Image, UnidentifiedImageError
 
     Image.init()
@@ -41,28 +41,28 @@ def opened_image(data: bytes, *, where: str) -> Iterator["Image.Image"]:
             yield image
     except (HyalineError, MemoryError):
         raise
-    except UnidentifiedImageError as error:  # Its text has the address of the buffer.
+    except UnidentifiedImageError as error:  # Its text contains the buffer's address.
         raise HyalineError(f"{where}: not an image that can be read; expected one of {', '.join(FORMATS)}") from error
-    # Pillow answers a broken file with many kinds of exception (OSError, SyntaxError, ValueError, struct.error, ...).
+    # Pillow raises many kinds of exceptions on broken files (OSError, SyntaxError, ValueError, struct.error, ...).
     except Exception as error:
         raise HyalineError(f"{where}: not an image that can be read ({type(error).__name__}: {error})") from error
 
 
 def linear_pixels(data: bytes, *, where: str) -> Float32[np.ndarray, "tex_h tex_w 3"]:
-    """Linear reflectance of an image file, which is sRGB; alpha is left out."""
+    """Linear reflectance of an sRGB image file; alpha is ignored."""
     with opened_image(data, where=where) as image:
         encoded = np.asarray(image.convert("RGB"))
     return linear_from_srgb(encoded / 255.0).astype(np.float32)
 
 
 def baked_image(image: Float32[np.ndarray, "tex_h tex_w 3"], before: Mesh, after: Mesh) -> bytes:
-    """The PNG that colours a surface in its new uv as the image did in the old one; outside of [0, 1] that repeats.
+    """The PNG that colours a surface in new uv as the image did in the old uv, where it repeats outside [0, 1].
 
     Args:
-        after: the same faces in the same order, with another uv.
+        after: the same faces in the same order, with new uv.
     """
     a, b, c = np.moveaxis(before.uv[before.faces].astype(np.float64), 1, 0)
-    # Texels that the surface shows: more than the image has, where it repeats.
+    # Texels that the surface shows, which are more than the image has where it repeats.
     shown = 0.5 * np.abs(np.linalg.det(np.stack([b - a, c - a], axis=-1))).sum() * image.shape[0] * image.shape[1]
     wanted = 2 ** np.ceil(np.log2(max(*image.shape[:2], shown**0.5)))
     size = int(np.clip(wanted, MIN_SIZE, MAX_SIZE))
@@ -85,12 +85,12 @@ def bilinear(
     *,
     wraps: tuple[bool, bool],
 ) -> Float[np.ndarray, "*point 3"]:
-    """Colours at points of a picture, as Mitsuba looks them up.
+    """Bilinear colours at points of a picture, as Mitsuba looks them up.
 
     Args:
-        across: shares of the picture's width from its left side; the first column has its centre at 0.5 / width.
-        down: shares of its height from its upper side.
-        wraps: whether the picture repeats across, and down; otherwise its border goes on.
+        across: positions from the left side, in picture widths; the first column's centre is at 0.5 / width.
+        down: positions from the upper side, in picture heights.
+        wraps: whether the picture repeats across, and down; otherwise its border is extended.
     """
     height, width = pixels.shape[:2]
     (left, right), right_share = _neighbours(across, width, wraps=wraps[0])
@@ -100,7 +100,7 @@ def bilinear(
 
 
 def _neighbours(place: np.ndarray, size: int, *, wraps: bool) -> tuple[list[np.ndarray], np.ndarray]:
-    """The two pixels of a line between which points lie, and the share of the second."""
+    """The two pixels of a line on either side of each point, and the weight of the second."""
     pixel = place * size - 0.5
     first = np.floor(pixel).astype(np.int64)
     sides = [index % size if wraps else np.clip(index, 0, size - 1) for index in (first, first + 1)]
@@ -114,11 +114,11 @@ MAX_MAP_HEIGHT = 8192
 MAX_MAP_BYTES = 1 << 30
 
 RadianceMap = Float32[np.ndarray, "h w 3"]
-"""Straight up in the first row; see `EnvironmentMap` for the columns."""
+"""Radiance with straight up in the first row; see `EnvironmentMap` for the columns."""
 
 
 def read_map(data: bytes, *, where: str) -> RadianceMap:
-    """The linear radiance in the bytes of an EXR or of a Radiance file."""
+    """The linear radiance in an EXR or Radiance file; refuses damaged files and values that are not radiance."""
     if len(data) > MAX_MAP_BYTES:
         raise HyalineError(f"{where}: holds {len(data):,} bytes; expected at most {MAX_MAP_BYTES:,}")
     radiance = _read_hdr(data, where) if data.startswith(b"#?") else decode_radiance(data, where=where)
@@ -140,7 +140,7 @@ def _check_size(width: int, height: int, where: str) -> None:
 
 
 def _read_hdr(data: bytes, where: str) -> RadianceMap:
-    """A Radiance picture of RGBE pixels, its scan lines from the top and from the left, as everybody writes them."""
+    """A Radiance picture of RGBE pixels in the usual order, from the top and from the left."""
     header, blank, rest = data.partition(b"\n\n")
     size, end, _ = rest[:256].partition(b"\n")
     words = size.split()
@@ -164,7 +164,7 @@ def _read_hdr(data: bytes, where: str) -> RadianceMap:
 
 
 def _read_scanline(data: bytes, place: int, line: UInt8[np.ndarray, "w 4"]) -> int:
-    """Fills one line, compressed by runs or not, and returns where the next one begins."""
+    """Reads one line, run-length encoded or not, and returns where the next one begins."""
     width = len(line)
     if data[place : place + 4] != bytes([2, 2, width >> 8, width & 255]) or not 8 <= width < 32768:
         flat = np.frombuffer(data, np.uint8, 4 * width, place)

@@ -1,4 +1,4 @@
-"""What colours a surface: one colour, a procedural texture, or an image."""
+"""Colours of surfaces: one colour, a procedural texture, or an image."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from datagen.scene.values import Color, Vector, check_positive, check_range
 
 @dataclass(frozen=True, kw_only=True)
 class SolidTexture:
-    """A procedural texture carved from space, so that it knows no seams; baked into the object's atlas."""
+    """A procedural 3D texture, which has no seams; baked into the object's atlas."""
 
     pattern: Literal["checker", "stripes", "wood", "marble", "speckle"]
     colors: tuple[Color, Color]
@@ -22,9 +22,9 @@ class SolidTexture:
     scale: float
     """Length of one period in metres."""
     axis: Literal["x", "y", "z"] = "x"
-    """Stripes and wood run across this axis; the other patterns have none."""
+    """Axis that stripes and wood rings run across; the other patterns ignore it."""
     origin: Vector = (0.0, 0.0, 0.0)
-    """Where the pattern begins, in metres: an object that is moved takes its pattern along."""
+    """Origin of the pattern in metres; it moves with the object."""
 
     def __post_init__(self) -> None:
         for color in self.colors:
@@ -34,10 +34,10 @@ class SolidTexture:
 
 @dataclass(frozen=True, kw_only=True)
 class ImageTexture:
-    """An sRGB PNG in the object's own uv, for scenes that bring their own."""
+    """An sRGB image in the object's own uv."""
 
     path: str
-    """Relative to the scene's folder."""
+    """PNG, relative to the scene's folder."""
 
     def __post_init__(self) -> None:
         check_relative(self.path, where="texture path")
@@ -49,7 +49,7 @@ Reflectance = Color | SolidTexture | ImageTexture
 
 
 def check_reflectance(color: Reflectance) -> None:
-    """Refuses a colour that would make light; textures check themselves."""
+    """Checks that a colour does not exceed 1; textures check themselves."""
     if isinstance(color, tuple):
         check_range("color", color, 0, 1)
 
@@ -61,7 +61,7 @@ Positions = Float[np.ndarray, "*points 3"]
 Values = Float[np.ndarray, "*points"]
 
 EDGE = 0.12
-"""Width of the soft edge between two colours, in half periods: hard edges alias in the bake."""
+"""Width of the soft edge between two colours, in half periods: hard edges would alias when baked."""
 
 
 def evaluate_texture(texture: SolidTexture, positions: Positions) -> Float32[np.ndarray, "*points 3"]:
@@ -87,7 +87,7 @@ def _stripes(p: Positions, axis: int) -> Values:
 
 
 def _wood(p: Positions, axis: int) -> Values:
-    # Growth rings stack along `axis`; fibres run along another axis, where everything changes slowly.
+    # Growth rings are stacked along `axis`; fibres run along another axis, where everything changes slowly.
     stretch = np.ones(3)
     stretch[1 if axis == 0 else 0] = 0.12
     along = p * stretch
@@ -107,7 +107,7 @@ def _marble(p: Positions, axis: int) -> Values:  # noqa: ARG001
 
 
 def _speckle(p: Positions, axis: int) -> Values:  # noqa: ARG001
-    # One chip a cell, wholly inside it, so that only the own cell has to be asked.
+    # One chip per cell, entirely inside it, so that only a point's own cell matters.
     cell = np.floor(p)
     radius = 0.16 + 0.26 * _hash(cell, 1)
     middle = np.stack([radius + (1 - 2 * radius) * _hash(cell, salt) for salt in (2, 3, 4)], axis=-1)

@@ -5,6 +5,7 @@ from collections.abc import Callable
 import numpy as np
 
 from datagen.data.meshes import Mesh
+from datagen.scene.builtin.objects import GAP, put_on, slab
 from datagen.scene.description import CameraRig, Lobe, Scene, SceneObject, SoftEnvironment, WalkPoint
 from datagen.scene.materials import Dielectric, Diffuse, Material, Plastic
 from datagen.scene.modelling import (
@@ -17,7 +18,6 @@ from datagen.scene.modelling import (
     leaf,
     merged,
     moved,
-    resting,
     rotation,
     rounded_box,
     transformed,
@@ -27,7 +27,6 @@ from datagen.scene.modelling import (
 )
 from datagen.scene.textures import SolidTexture
 
-GAP = 0.001
 WALL_Y = 0.45
 LEVELS = (0.12, 0.55, 1.0)
 """Heights of the boards' upper sides."""
@@ -74,11 +73,9 @@ def make() -> Scene:
 def _room() -> list[SceneObject]:
     planks = SolidTexture(pattern="wood", colors=((0.60, 0.46, 0.32), (0.42, 0.29, 0.18)), scale=0.17, axis="x")
     pine = SolidTexture(pattern="wood", colors=((0.66, 0.48, 0.29), (0.46, 0.30, 0.16)), scale=0.05, axis="z")
-    floor = moved(rounded_box((9.0, 8.0, 0.05), bevel=0.004), (0.0, -3.4, -0.025))
-    wall = moved(rounded_box((9.0, 0.08, 3.4), bevel=0.004), (0.0, WALL_Y + 0.04, 1.701))
     return [
-        SceneObject(name="floor", mesh=floor, material=Plastic(color=planks, roughness=0.3)),
-        SceneObject(name="wall", mesh=wall, material=Diffuse(color=(0.52, 0.64, 0.63))),
+        slab("floor", (9.0, 8.0, 0.05), (0.0, -3.4, -0.025), Plastic(color=planks, roughness=0.3)),
+        slab("wall", (9.0, 0.08, 3.4), (0.0, WALL_Y + 0.04, 1.701), Diffuse(color=(0.52, 0.64, 0.63))),
         SceneObject(name="shelf", mesh=_shelf(), material=Plastic(color=pine, roughness=0.25)),
     ]
 
@@ -283,4 +280,4 @@ def _watering_can() -> Mesh:
 
 def _on_board(name: str, mesh: Mesh, material: Material, x: float, y: float, level: int) -> SceneObject:
     """A thing put on one of the boards, its lowest point a gap above it."""
-    return SceneObject(name=name, mesh=resting(mesh, (x, y, LEVELS[level] + GAP)), material=material)
+    return put_on(LEVELS[level], name, mesh, material, x, y)

@@ -1,10 +1,13 @@
 """The scene `prism_bench`: prisms, a lens, cut crystal and frosted glass in a hard beam in the dark."""
 
+from functools import partial
+
 import numpy as np
 
 from datagen.data.meshes import Mesh
+from datagen.scene.builtin.objects import GAP, put_on, slab
 from datagen.scene.description import CameraRig, Card, Scene, SceneObject, SoftEnvironment, WalkPoint
-from datagen.scene.materials import Conductor, Dielectric, Diffuse, Material, Plastic, RoughDielectric
+from datagen.scene.materials import Conductor, Dielectric, Diffuse, Plastic, RoughDielectric
 from datagen.scene.modelling import (
     ball,
     cylinder,
@@ -13,7 +16,6 @@ from datagen.scene.modelling import (
     lathe,
     merged,
     moved,
-    resting,
     rounded_box,
     shaded,
     transformed,
@@ -23,10 +25,10 @@ from datagen.scene.modelling import (
 )
 from datagen.scene.textures import SolidTexture
 
-GAP = 0.001
 BENCH_TOP = 0.75
 SHEET = 0.005
 """Height of the sheet of card on the bench, on which light is thrown."""
+_on_bench = partial(put_on, BENCH_TOP + SHEET)
 FLINT = Dielectric(ior="sf11", dispersion="measured")
 CRYSTAL = Dielectric(ior="f2", dispersion="measured")
 FANCY = Dielectric(ior=1.62, dispersion=4.0)
@@ -77,15 +79,19 @@ def make() -> Scene:
 def _bench() -> list[SceneObject]:
     walnut = SolidTexture(pattern="wood", colors=((0.24, 0.14, 0.08), (0.11, 0.06, 0.035)), scale=0.07, axis="y")
     floor = moved(cylinder(4.0, 0.05, bevel=0.004, segments=128), (0, 0, -0.05))
-    bench = moved(rounded_box((1.9, 1.4, 0.06), bevel=0.006), (0, 0, BENCH_TOP - 0.03))
     sheet = turned(rounded_box((0.86, 0.70, SHEET - GAP), bevel=0.0008), (0, 0, 1), -6)
     sheet = moved(sheet, (0, 0, BENCH_TOP + (SHEET + GAP) / 2))
-    foot = moved(rounded_box((1.2, 0.8, BENCH_TOP - 0.06 - 2 * GAP), bevel=0.006), (0, 0, (BENCH_TOP - 0.06) / 2))
     return [
         SceneObject(name="floor", mesh=floor, material=Diffuse(color=(0.06, 0.065, 0.08))),
-        SceneObject(name="bench", mesh=bench, material=Plastic(color=walnut, roughness=0.3)),
+        slab("bench", (1.9, 1.4, 0.06), (0, 0, BENCH_TOP - 0.03), Plastic(color=walnut, roughness=0.3), bevel=0.006),
         SceneObject(name="sheet", mesh=sheet, material=Diffuse(color=(0.72, 0.71, 0.69))),
-        SceneObject(name="foot", mesh=foot, material=Diffuse(color=(0.10, 0.11, 0.13))),
+        slab(
+            "foot",
+            (1.2, 0.8, BENCH_TOP - 0.06 - 2 * GAP),
+            (0, 0, (BENCH_TOP - 0.06) / 2),
+            Diffuse(color=(0.10, 0.11, 0.13)),
+            bevel=0.006,
+        ),
     ]
 
 
@@ -187,8 +193,3 @@ def _hull(points: list[tuple[float, float, float]]) -> Mesh:
 
     hull = trimesh.convex.convex_hull(np.array(points, np.float64))
     return shaded(np.asarray(hull.vertices), np.asarray(hull.faces), crease_deg=2)
-
-
-def _on_bench(name: str, mesh: Mesh, material: Material, x: float, y: float) -> SceneObject:
-    """An object whose lowest point comes to lie on the bench at (x, y)."""
-    return SceneObject(name=name, mesh=resting(mesh, (x, y, BENCH_TOP + SHEET + GAP)), material=material)

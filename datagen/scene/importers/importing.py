@@ -54,7 +54,7 @@ from datagen.scene.importers.staging import find_scale, has_ground, make_ground,
 from datagen.scene.importers.surfaces import check_decimation, closed, decimated, made_sound, mesh_of, shape_of
 from datagen.scene.materials import Material
 from datagen.scene.mending import mend_scene, mend_surface
-from datagen.scene.shading_normals import edge_tilt_deg, shaded_anew
+from datagen.scene.shading_normals import edge_tilt_deg, with_new_normals
 from datagen.scene.soundness import check_scene
 
 READERS: dict[str, Callable[[Path, Remarks], ForeignScene]] = {
@@ -295,7 +295,7 @@ def scene_object(
         material = veiled(material, mesh, has_uv=_has_uv(part))
         material = mapper.material(material, shape_of(mesh, has_uv=_has_uv(part)), where=name)
     if choices.crease is not None:
-        mesh = shaded_anew(mesh, crease_deg=choices.crease)
+        mesh = with_new_normals(mesh, crease_deg=choices.crease)
     elif material.medium is not None and (tilt_deg := edge_tilt_deg(mesh)) > 0:
         remarks.note(
             name,

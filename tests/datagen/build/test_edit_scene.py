@@ -99,7 +99,7 @@ def test_twins_have_no_glass_or_opaque_glass_and_else_the_same_objects() -> None
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("delete:ball", r"edit 'delete:ball': there is no 'delete'; expected remove:OBJECT, move:OBJECT:dx,dy,dz"),
+        ("delete:ball", r"edit 'delete:ball': unknown verb 'delete'; expected remove:OBJECT, move:OBJECT:dx,dy,dz"),
         ("remove", r"edit 'remove': has 0 parts after the verb; expected remove:OBJECT"),
         ("remove:", r"expected remove:OBJECT"),
         ("swap:ball", r"has 1 parts after the verb; expected swap:OBJECT:OBJECT"),
