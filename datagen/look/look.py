@@ -120,7 +120,7 @@ def _facts(dataset: Dataset) -> list[tuple[str, Part]]:
         ("geometries", ", ".join(list_geometries(dataset))),
         ("variants", ", ".join(list_variants(dataset.root)) or "none"),
         ("on disk", sizes),
-        ("seal", dataset.seal[:12]),
+        ("digest", dataset.seal[:12]),
     ]
 
 

@@ -41,7 +41,7 @@ def choose_variant() -> VariantChoice:
     if named := os.environ.get(OVERRIDE):
         if named not in VARIANTS:
             raise HyalineError(f"{OVERRIDE}={named}: no such variant; expected one of {', '.join(VARIANTS)}")
-        return VariantChoice(variant=named, reason=f"{OVERRIDE} says so", llvm=library)
+        return VariantChoice(variant=named, reason=f"set by {OVERRIDE}", llvm=library)
     if has_gpu() and cuda_problem() is None:
         return VariantChoice(variant="cuda_ad_rgb", reason="the GPU renders a test scene", llvm=library)
     if library is not None:

@@ -1,6 +1,7 @@
 """The scene `drinks`: tinted drinks in glasses, with ice and a straw, on a table in a room.
 
-Drinks reach into the walls of their glasses and have the lowest priority, ice has the highest (datagen/scene/media.py).
+Drinks extend into the walls of their glasses and have the lowest priority, ice has the highest
+(datagen/scene/media.py).
 """
 
 from functools import partial
@@ -34,9 +35,9 @@ from datagen.scene.values import Color
 
 TABLE_TOP = 0.74
 GENEROUS = 1.4
-"""How much larger than life glasses and fruit are, so that small pictures show them."""
+"""Scale of glasses and fruit, larger than life so that small pictures show them."""
 REACH = 0.001
-"""Metres that a drink reaches into its glass, before it is enlarged."""
+"""Metres that a drink extends into its glass, before it is enlarged."""
 GLASS = Dielectric(ior=1.5)
 ICE = Dielectric(ior=1.31, priority=1)
 _on_table = partial(put_enlarged, GENEROUS, TABLE_TOP)
@@ -63,7 +64,7 @@ def make() -> Scene:
             elevation_deg=(8.0, 65.0),
             azimuth_deg=(-150.0, 60.0),
             fov_deg=45.0,
-            # Training sees nearly all that the walk sees: what no picture shows, no method can know.
+            # Training sees nearly everything that the walk sees: no method can know unseen surfaces.
             target_jitter=0.25,
             walk=(
                 WalkPoint(position=(0.90, -0.90, 1.25), target=(0.0, 0.0, 0.82)),
@@ -122,7 +123,7 @@ def _lemonade() -> list[SceneObject]:
     vessel = {"wall": 0.0026, "floor": 0.011}
     lemonade = filled(side, **vessel, level=0.108, reach=REACH)
     bands = SolidTexture(pattern="stripes", colors=((0.85, 0.83, 0.78), (0.72, 0.10, 0.12)), scale=0.022, axis="z")
-    # From above the floor out over the rim; of joints that end in each other, since one long strip makes a bad atlas.
+    # From above the floor out over the rim; in overlapping joints, since one long strip makes a bad atlas.
     line = np.linspace((-0.0160, 0.0, 0.0175), (0.0330, 0.002, 0.205), 61)
     straw = merged(
         [
@@ -193,7 +194,7 @@ def _things() -> list[SceneObject]:
 
 
 def _drink(ior: float, absorption: Color) -> Dielectric:
-    """A drink; absorption in 1/m of the glass as it stands on the table."""
+    """A drink; absorption in 1/m at the enlarged size."""
     return Dielectric(ior=ior, absorption=absorption, priority=-1)
 
 
@@ -204,6 +205,6 @@ def _ice(size: float) -> Mesh:
 
 
 def _lemon(p: np.ndarray) -> np.ndarray:
-    """A ball drawn out along x, with a nipple at each end."""
+    """A ball stretched along x, with a tip at each end."""
     t = p[:, :1] / np.abs(p[:, 0]).max()
     return np.concatenate([p[:, :1] * (1.22 + 0.22 * t**8), p[:, 1:] * (1 - 0.10 * t**2)], axis=-1)

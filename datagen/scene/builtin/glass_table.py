@@ -30,7 +30,7 @@ from datagen.scene.textures import SolidTexture
 RUG_TOP = 0.009
 TABLE_TOP = 0.74
 GENEROUS = 1.3
-"""How much larger than life the tableware is, so that small pictures show its glass."""
+"""Scale of the tableware, larger than life so that small pictures show its glass."""
 _on_table = partial(put_enlarged, GENEROUS, TABLE_TOP)
 
 
@@ -55,7 +55,7 @@ def make() -> Scene:
             elevation_deg=(8.0, 70.0),
             azimuth_deg=(-150.0, 60.0),
             fov_deg=45.0,
-            # Training sees nearly all that the walk sees: what no picture shows, no method can know.
+            # Training sees nearly everything that the walk sees: no method can know unseen surfaces.
             target_jitter=0.25,
             walk=(
                 WalkPoint(position=(1.15, -1.25, 1.30), target=(0.0, 0.0, 0.80)),
@@ -112,7 +112,7 @@ def _table_frame() -> Mesh:
 
 
 def _chair() -> Mesh:
-    """Faces -y with its seat's centre over the origin; its back is slatted, so a coarse proxy fills the holes."""
+    """A chair facing -y, its seat's centre above the origin; coarse proxies fill the holes of its slatted back."""
     parts = [moved(rounded_box((0.42, 0.035, 0.022), bevel=0.006), (0, y, 0.45)) for y in np.linspace(-0.18, 0.18, 8)]
     parts += [moved(rounded_box((0.025, 0.40, 0.035), bevel=0.005), (x, 0, 0.43)) for x in (-0.17, 0.17)]
     parts += [moved(cylinder(0.013, 0.435, top_radius=0.02), (x, -0.17, 0)) for x in (-0.17, 0.17)]
@@ -186,7 +186,7 @@ def _things() -> list[SceneObject]:
 
 
 def _pear(p: np.ndarray) -> np.ndarray:
-    """A ball of radius 36 mm drawn out upwards, standing on z = 0."""
+    """A ball of radius 36 mm stretched upwards, its base at z = 0."""
     t = (p[:, 2:] / 0.036 + 1) / 2
     slim = 1 - 0.52 * t**2 * (3 - 2 * t)
     upright = np.concatenate([p[:, :2] * slim, 0.095 * t - 0.006 * np.exp(-((1 - t) / 0.02))], axis=-1)

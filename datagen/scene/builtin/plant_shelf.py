@@ -54,7 +54,7 @@ def make() -> Scene:
             elevation_deg=(-8.0, 50.0),
             azimuth_deg=(-140.0, -40.0),
             fov_deg=45.0,
-            # Training sees nearly all that the walk sees: what no picture shows, no method can know.
+            # Training sees nearly everything that the walk sees: no method can know unseen surfaces.
             target_jitter=0.25,
             walk=(
                 WalkPoint(position=(1.20, -1.55, 1.35), target=(0.10, 0.10, 0.85)),
@@ -81,7 +81,7 @@ def _room() -> list[SceneObject]:
 
 
 def _shelf() -> Mesh:
-    """Three boards, let 1 cm into two side boards that are a little deeper."""
+    """Three boards, set 1 cm into two side boards that are slightly deeper."""
     side = rounded_box((0.024, 0.32, 1.03), bevel=0.003)
     board = rounded_box((1.16, 0.30, BOARD), bevel=0.003)
     return merged(
@@ -154,7 +154,7 @@ def _fig() -> Mesh:
 
 
 def _fern() -> Mesh:
-    """Arching fronds with paired leaflets, from a short stem at the origin; none goes into the wall or the board."""
+    """Arching fronds with paired leaflets on a short stem at the origin, clear of the wall and the board."""
     rng = np.random.default_rng(3)
     parts = [tube(np.array([(0, 0, 0), (0, 0, 0.012), (0, 0, 0.024)]), np.array([0.012, 0.012, 0.006]))]
     for index in range(22):
@@ -279,5 +279,5 @@ def _watering_can() -> Mesh:
 
 
 def _on_board(name: str, mesh: Mesh, material: Material, x: float, y: float, level: int) -> SceneObject:
-    """A thing put on one of the boards, its lowest point a gap above it."""
+    """An object on one of the boards."""
     return put_on(LEVELS[level], name, mesh, material, x, y)

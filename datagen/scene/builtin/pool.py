@@ -1,4 +1,4 @@
-"""The scene `pool`: rippled water in a tiled basin in the sun, with clear and frosted glass that stands in it."""
+"""The scene `pool`: rippled water in a tiled basin in the sun, with clear and frosted glass in it."""
 
 from functools import partial
 
@@ -24,10 +24,10 @@ from datagen.scene.modelling import (
 from datagen.scene.textures import SolidTexture
 
 INNER, WALL, RIM, BOTTOM = 0.80, 0.05, 0.33, 0.20
-"""The basin: width of its inside, thickness of its walls, height of its rim and of its bottom, metres."""
+"""The basin in metres: inner width, thickness of its walls, height of its rim and of its bottom."""
 LEVEL = 0.30
 REACH = 0.004
-"""How far the water goes into walls and bottom: coincident faces would lose layers."""
+"""Metres that the water extends into walls and bottom: coincident faces would lose layers."""
 _in_basin = partial(put_on, BOTTOM)
 
 
@@ -77,7 +77,7 @@ def _basin() -> list[SceneObject]:
     outer = INNER + 2 * WALL
     parts = [moved(rounded_box((outer - 0.02, outer - 0.02, BOTTOM - GAP), bevel=0.004), (0, 0, (BOTTOM + GAP) / 2))]
     for turn in range(4):
-        # Each wall meets the next one's side, and goes a little into it.
+        # Each wall ends slightly inside the next one's side.
         wall = moved(rounded_box((outer - WALL + 0.002, WALL, RIM - GAP), bevel=0.006), (-WALL / 2, 0, (RIM + GAP) / 2))
         parts.append(turned(moved(wall, (0, (INNER + WALL) / 2, 0)), (0, 0, 1), 90 * turn))
     return [
@@ -142,7 +142,7 @@ def _water() -> Mesh:
 
 
 def _ripples(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Rings around the glass ball and two swells that cross."""
+    """Rings around the glass ball and two crossing swells."""
     distance = np.hypot(x + 0.12, y + 0.10)
     rings = 0.0026 * np.cos(2 * np.pi * distance / 0.115) * np.exp(-distance / 0.40)
     swells = 0.0026 * np.sin(2 * np.pi * (0.9 * x + 0.5 * y) / 0.15) + 0.0022 * np.sin(2 * np.pi * (y - 0.6 * x) / 0.12)

@@ -27,12 +27,12 @@ from datagen.scene.textures import SolidTexture
 
 BENCH_TOP = 0.75
 SHEET = 0.005
-"""Height of the sheet of card on the bench, on which light is thrown."""
+"""Height of the sheet of card on the bench, which catches the light."""
 _on_bench = partial(put_on, BENCH_TOP + SHEET)
 FLINT = Dielectric(ior="sf11", dispersion="measured")
 CRYSTAL = Dielectric(ior="f2", dispersion="measured")
 FANCY = Dielectric(ior=1.62, dispersion=4.0)
-"""Parts colours five times as far as flint glass (0.78), so that they are apart after so short a way."""
+"""Disperses five times as much as flint glass (0.78), so that colours separate over a short distance."""
 
 
 def make() -> Scene:
@@ -46,7 +46,7 @@ def make() -> Scene:
             horizon=(0.03, 0.036, 0.05),
             ground=(0.02, 0.02, 0.02),
             cards=(
-                # The beam comes from behind, so that glass throws its light towards the viewer.
+                # The beam comes from behind, so that glass directs its light towards the viewer.
                 Card(
                     direction=(-0.80, 0.75, 0.52), size_deg=(8.0, 44.0), radiance=(24.0, 22.5, 20.0), softness_deg=0.8
                 ),
@@ -130,7 +130,7 @@ def _things() -> list[SceneObject]:
 
 
 def _screen() -> Mesh:
-    """A board across the beam with a slit in front of the prism, in whose shadow the colours lie."""
+    """A board across the beam with a slit in front of the prism; the colours fall into its shadow."""
     height, slit, sill = 0.175, 0.045, 0.12
     left = moved(rounded_box((0.32, 0.008, height), bevel=0.002), (-0.16 - slit / 2, 0, height / 2))
     right = moved(rounded_box((0.08, 0.008, height), bevel=0.002), (0.04 + slit / 2, 0, height / 2))
@@ -139,19 +139,19 @@ def _screen() -> Mesh:
 
 
 def prism(side: float, height: float) -> Mesh:
-    """An upright column over an equilateral triangle whose middle is the origin."""
+    """An upright column over an equilateral triangle centred on the origin."""
     angles = np.radians([90, 210, 330])
     corners = side / np.sqrt(3) * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
     return _hull([(x, y, z) for x, y in corners for z in (0.0, height)])
 
 
 def _lying(side: float, length: float) -> Mesh:
-    """The same prism on one of its sides."""
+    """A prism lying on one of its sides."""
     return turned(moved(prism(side, length), (0, 0, -length / 2)), (1, 0, 0), 90)
 
 
 def _lens(radius: float, curvature: float) -> Mesh:
-    """A biconvex lens that stands on its rim; its axis lies along y."""
+    """A biconvex lens upright on its rim, its axis along y."""
     angle = np.linspace(0, np.arcsin(radius / curvature), 32)
     bulge = curvature * (np.cos(angle) - np.cos(angle[-1])) + 0.0025
     outline = [(curvature * np.sin(a), z) for a, z in zip(angle, bulge)]
@@ -167,7 +167,7 @@ def _cut_ball(radius: float) -> Mesh:
 
 
 def brilliant() -> Mesh:
-    """A round brilliant of girdle radius 1 that lies on its table, its point up.
+    """A round brilliant with girdle radius 1, lying on its table with its point up.
 
     Source: Tolkowsky 1919: a table of 53 % of the girdle, a crown of 34.5 degrees, a pavilion of 40.75 degrees.
     """

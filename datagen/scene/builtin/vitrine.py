@@ -27,7 +27,7 @@ from datagen.scene.textures import SolidTexture
 
 PLINTH_TOP = 0.90
 WIDTH, DEPTH, HEIGHT = 0.86, 0.52, 0.52
-"""Of the case, between the axes of its bars."""
+"""Size of the case between the axes of its bars, in metres."""
 BAR = 0.014
 _inside = partial(put_on, PLINTH_TOP)
 
@@ -53,7 +53,7 @@ def make() -> Scene:
             elevation_deg=(5.0, 60.0),
             azimuth_deg=(-150.0, 60.0),
             fov_deg=45.0,
-            # Training sees nearly all that the walk sees: what no picture shows, no method can know.
+            # Training sees nearly everything that the walk sees: no method can know unseen surfaces.
             target_jitter=0.3,
             walk=(
                 WalkPoint(position=(1.00, -1.05, 1.45), target=(0.0, 0.0, 1.12)),
@@ -108,7 +108,7 @@ def _case() -> list[SceneObject]:
 
 
 def _frame() -> Mesh:
-    """Twelve bars of three thicknesses, which end inside each other: no two faces lie in one plane."""
+    """Twelve bars of three thicknesses that end inside each other, so that no two faces lie in one plane."""
     x, y = WIDTH / 2, DEPTH / 2
     post = rounded_box((BAR, BAR, HEIGHT + BAR), bevel=0.002)
     parts = [moved(post, (i * x, j * y, HEIGHT / 2)) for i in (-1, 1) for j in (-1, 1)]
@@ -121,7 +121,7 @@ def _frame() -> Mesh:
 
 
 def _panes() -> Mesh:
-    """Four walls and a lid, each one sheet whose front is outside, with a slit towards the bars."""
+    """Four walls and a lid: sheets with their front outside and a gap to the bars."""
     inset = BAR / 2 + GAP
     x, y, z = WIDTH / 2 - inset, DEPTH / 2 - inset, HEIGHT - inset
     width, depth, height = (2 * x, 0, 0), (0, 2 * y, 0), (0, 0, z - inset)
@@ -175,7 +175,7 @@ def _twist(p: np.ndarray) -> np.ndarray:
     t = p[:, 2] / 0.34
     radius = np.maximum(np.hypot(p[:, 0], p[:, 1]), 1e-9)
     cosines = p[:, :2] / radius[:, None]
-    square = np.maximum((cosines**6).sum(axis=-1), 0.1) ** (-1 / 6)  # 1 to 2^(1/3) but on the axis, where all is 0.
+    square = np.maximum((cosines**6).sum(axis=-1), 0.1) ** (-1 / 6)  # 1 to 2^(1/3), except on the axis, where all is 0.
     scale = square * (1 - 0.35 * np.sin(np.pi * t))
     cos, sin = np.cos(np.radians(120) * t), np.sin(np.radians(120) * t)
     return np.stack(

@@ -135,7 +135,7 @@ def test_the_page_draws_light_paths_over_the_picture_and_in_the_scene(page: Read
     # Each kind has a line, a mark and words of its own: nothing is told by colour alone.
     for kind, mark in (("refracted", "disc"), ("reflected", "diamond")):
         assert any(item.text.startswith(f"{kind}: ") and mark in item.text for item in page.all("li"))
-        assert any(title.text.startswith(f"ray 1, {kind}: meets pane") for title in page.all("title"))
+        assert any(title.text.startswith(f"ray 1, {kind}: hits pane") for title in page.all("title"))
     assert re.search(r"\.reflected path[^{]*{ stroke-dasharray", page.source)
     rings = [item for item in page.all("circle") if item.attributes.get("class") == "ring"][:RAYS]
     centres = {(float(ring.attributes["cx"] or ""), float(ring.attributes["cy"] or "")) for ring in rings}
