@@ -6,11 +6,11 @@ import os
 import platform
 import subprocess
 from dataclasses import dataclass
-from pathlib import Path
 
 from datagen.machine.hardware import cuda_problem, describe_gpus, describe_processor, has_gpu
 from datagen.machine.llvm import advice
 from datagen.machine.mitsuba_variant import choose_variant
+from datagen.machine.processes import ROOT
 from datagen.terminal.distribution import VERSION, install_command
 
 
@@ -27,7 +27,7 @@ class Finding:
 def examine() -> list[Finding]:
     """Checks the installation, cores, processor, GPU, and what path tracing, training and proxies need."""
     return [
-        Finding(what="hyaline", found=f"{VERSION} in {Path(__file__).resolve().parents[2]}", remedy=None),
+        Finding(what="hyaline", found=f"{VERSION} in {ROOT}", remedy=None),
         Finding(what="cores", found=f"{os.cpu_count()} ({platform.system()})", remedy=None),
         Finding(what="processor", found=describe_processor(), remedy=None),
         Finding(what="GPU", found=_gpu(), remedy=None),
@@ -94,9 +94,6 @@ def _meshlab() -> Finding:
             remedy="apt install libgl1",
         )
     return Finding(what="PyMeshLab", found=version, remedy=None)
-
-
-ROOT = Path(__file__).resolve().parents[2]
 
 
 @functools.cache

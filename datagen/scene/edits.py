@@ -21,7 +21,7 @@ from datagen.scene.contact import count_touching_faces
 from datagen.scene.description import Scene, SceneObject
 from datagen.scene.materials import Dielectric, Diffuse
 from datagen.scene.soundness import check_scene
-from datagen.scene.values import Vector
+from datagen.scene.values import Vector, as_vector
 from datagen.terminal.command import choose
 
 Verb = Literal["remove", "move", "duplicate", "glass", "swap", "no-glass", "opaque-glass"]
@@ -196,19 +196,15 @@ def _with_object(edited: EditedScene, changed: SceneObject) -> EditedScene:
 
 def _moved(edited: EditedScene, name: str, offset: Float[np.ndarray, "3"]) -> EditedScene:
     item = _find(edited, name)
-    material = item.material.moved(cast(Vector, tuple(offset.tolist())))
+    material = item.material.moved(as_vector(offset))
     moved = _with_object(edited, dataclasses.replace(item, mesh=moved_mesh(item.mesh, offset), material=material))
-    offsets = {**edited.offsets, name: _sum(edited.offsets.get(name, (0.0, 0.0, 0.0)), offset)}
-    return dataclasses.replace(moved, offsets=offsets)
+    before = edited.offsets.get(name, (0.0, 0.0, 0.0))
+    return dataclasses.replace(moved, offsets={**edited.offsets, name: as_vector(before + offset)})
 
 
 def moved_mesh(mesh: Mesh, offset: Vector | Float[np.ndarray, "3"]) -> Mesh:
     """The mesh, moved by an offset in metres."""
     return dataclasses.replace(mesh, vertices=(mesh.vertices.astype(np.float64) + offset).astype(np.float32))
-
-
-def _sum(place: Vector, offset: Float[np.ndarray, "3"]) -> Vector:
-    return cast(Vector, tuple((np.array(place) + offset).tolist()))
 
 
 def _foot(mesh: Mesh) -> np.ndarray:
