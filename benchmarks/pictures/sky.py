@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from benchmarks.generator.sky import radiance_of_sky
 from datagen.data.dataset import Dataset, open_dataset
-from datagen.data.tonemap import srgb_from_linear
+from datagen.data.images import srgb_from_linear
 from datagen.disk.errors import HyalineError
 from datagen.scene.folder import load_scene
 from eval.figures.sheets import DPI, figure_png

@@ -23,8 +23,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Bool, Float
 
-from datagen.data.meshes import Mesh, face_corners
-from datagen.data.surface_points import points_on
+from datagen.data.meshes import Mesh, face_corners, points_on
 
 if TYPE_CHECKING:
     import mitsuba as mi

@@ -23,8 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float32, Int64, UInt8
 
-from datagen.data.meshes import Mesh, is_there
-from datagen.data.surface_points import r2_steps
+from datagen.data.meshes import Mesh, is_there, r2_steps
 from datagen.disk.errors import HyalineError
 from datagen.render.mitsuba_scene import is_scalar, load_geometry_mitsuba, to_columns
 from datagen.scene.materials import Material, check_material

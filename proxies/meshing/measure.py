@@ -6,8 +6,16 @@ import numpy as np
 from jaxtyping import Float, Float64
 
 from datagen.data.geometries import ProxyStatistics
-from datagen.data.meshes import Mesh, component_of_faces, face_areas, face_corners, open_edges, signed_volume, welded
-from datagen.data.surface_points import PLASTIC
+from datagen.data.meshes import (
+    PLASTIC,
+    Mesh,
+    component_of_faces,
+    face_areas,
+    face_corners,
+    open_edges,
+    signed_volume,
+    welded,
+)
 from datagen.terminal.command import say
 from proxies.meshing import meshlab
 from proxies.meshing.inside import enclosed_share

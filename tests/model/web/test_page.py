@@ -26,10 +26,10 @@ from support.web_scenes import (
 )
 
 from benchmarks.pages.browser import Watched, open_file, watched_page
-from datagen.data import surface_points
+from datagen.data import meshes
 from datagen.data.dataset import Dataset
+from datagen.data.images import png_bytes
 from datagen.data.paths import TRUTH
-from datagen.data.png import png_bytes
 from datagen.scene import contact, media
 from datagen.scene.description import SceneObject
 from datagen.scene.materials import Dielectric
@@ -273,8 +273,8 @@ SHARED = {
     "SKIP_COSINE 0.25": (contact, "MIN_COSINE", 0.25),
     "RAY_OFFSET 0.125": (contact, "RAY_OFFSET", 0.125),
     "LEAKY_SLOPE 0.5": (pixel_mlp, "LEAKY_SLOPE", 0.5),
-    "R2_X 2147483648u": (surface_points, "PLASTIC", 2.0),
-    "R2_Y 1073741824": (surface_points, "PLASTIC", 2.0),
+    "R2_X 2147483648u": (meshes, "PLASTIC", 2.0),
+    "R2_Y 1073741824": (meshes, "PLASTIC", 2.0),
 }
 """What the shader says after a constant of Python has changed."""
 
