@@ -67,7 +67,7 @@ def test_what_is_nearer_hides_lines_behind_it_and_glass_hides_nothing() -> None:
     line = np.array([[0.0, -3, -0.5], [0, 3, -0.5]])  # Between the two: hidden where it runs under the upper one.
     for is_glass, parts in ((np.array([False, False]), 2), (np.array([True, False]), 1)):
         sketch = draw_sketch(meshes, is_glass, place)
-        drawn = str(sketch.stroke(line, says="a <line>", class_="ray"))
+        drawn = str(sketch.stroke(line, label="a <line>", class_="ray"))
         assert "a &lt;line&gt;" in drawn
         assert drawn.count('class="hidden"') == parts - 1
         inks = {tuple(pixel) for pixel in sketch.picture[..., :3].reshape(-1, 3)}
@@ -79,7 +79,7 @@ def test_what_is_nearer_hides_lines_behind_it_and_glass_hides_nothing() -> None:
 
 
 def _opaque(meshes, place, line) -> str:
-    return draw_sketch(meshes, np.array([False, False]), place).stroke(line, says="", class_="")
+    return draw_sketch(meshes, np.array([False, False]), place).stroke(line, label="", class_="")
 
 
 @pytest.mark.skipif(IS_SCALAR, reason="light paths need a vectorised variant of Mitsuba")
