@@ -14,7 +14,7 @@ from datagen.disk.errors import HyalineError
 from datagen.disk.names import file_name
 from datagen.disk.records import Json
 from datagen.disk.storage import sha256
-from datagen.machine.revision import code_version
+from datagen.machine.doctor import code_version
 from datagen.terminal.command import choose, say, track
 from eval.analyses.edits import object_psnr, score_edits
 from eval.analyses.variants import score_variants

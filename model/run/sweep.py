@@ -173,7 +173,7 @@ def _flag(key: str, value: object, method: str, where: str) -> tuple[str, ...]:
     return arguments
 
 
-CHILD = "from datagen.machine.workers import die_with; die_with({parent}); from model.cli import main; main()"
+CHILD = "from datagen.machine.processes import die_with; die_with({parent}); from model.cli import main; main()"
 """`model`, which ends when the sweep is killed: else it would still be writing when the sweep is started again."""
 
 
