@@ -13,8 +13,8 @@ from datagen.build.film import path_trace
 from datagen.data.config import TEST_SPLITS, Split
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.film import check_film, write_film
+from datagen.data.images import srgb_from_linear
 from datagen.data.paths import view_name
-from datagen.data.tonemap import srgb_from_linear
 from datagen.data.variants import ANGLES, has_variant, open_variant, variant_root
 from datagen.disk.errors import HyalineError
 from datagen.render.environment import radiance_of_sky

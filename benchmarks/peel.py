@@ -15,10 +15,9 @@ from jaxtyping import UInt8
 from benchmarks.harness import BenchReport, Candidate, Check, Gate, machine_ceilings, measure
 from benchmarks.scale import NUM_TRIANGLES, make_shells, materials_of, random_cameras
 from datagen.data.cameras import Cameras
-from datagen.data.exr import decode_radiance, encode_float_exr
-from datagen.data.layers import Layers
+from datagen.data.images import decode_radiance, encode_float_exr
+from datagen.data.layers import UV_SCALE, Layers, quantize_uv
 from datagen.data.meshes import Mesh
-from datagen.data.number_formats import UV_SCALE, quantize_uv
 from datagen.disk.errors import HyalineError
 from datagen.render.mitsuba_scene import is_scalar, load_geometry_mitsuba
 from datagen.trace.light_path import LightPaths, LightPathTracer

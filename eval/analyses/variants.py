@@ -10,9 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import UInt8
 
-from datagen.data.config import ANGLE_SPLITS, TEST_SPLITS, Split
+from datagen.data.config import ANGLE_SPLITS, TEST_SPLITS, Resolution, Split
 from datagen.data.dataset import Dataset
-from datagen.data.resolution import Resolution
 from datagen.data.variants import list_variants, open_variant, parent_views, variant_root
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import Json

@@ -24,9 +24,8 @@ from benchmarks.scale import (
     random_cameras,
     show_scale,
 )
-from datagen.data.exr import encode_exr
-from datagen.data.meshes import check_mesh
-from datagen.data.windings import check_closed
+from datagen.data.images import encode_exr
+from datagen.data.meshes import check_closed, check_mesh
 from datagen.disk.errors import HyalineError
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.description import EnvironmentMap, SceneObject, SoftEnvironment

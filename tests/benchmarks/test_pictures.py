@@ -10,7 +10,7 @@ from support.synthetic import write_synthetic_dataset
 
 from benchmarks.drawings import draw_errors, draw_skies, find_worst, learned_sky, map_directions, true_sky
 from datagen.data.dataset import Dataset
-from datagen.data.png import png_bytes
+from datagen.data.images import png_bytes
 from datagen.disk.errors import HyalineError
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.folder import load_scene

@@ -14,19 +14,18 @@ from jaxtyping import Float32
 from torch import Tensor
 from torch.nn import functional
 
-from datagen.data.cameras import Cameras
-from datagen.data.config import Split
+from datagen.data.cameras import Camera, Cameras
+from datagen.data.config import Split, square
 from datagen.data.geometries import read_meshes
 from datagen.data.paths import TRUTH
-from datagen.data.resolution import square
 from datagen.disk.errors import HyalineError
 from model.batches.rays import black
-from model.batches.view_batches import ViewBatch, Views, load_views, views_of
+from model.batches.view_batches import ViewBatch, Views, load_views
 from model.losses.pixel_losses import PatchTerms
 from model.methods.deepvoxels.config import DeepVoxelsConfig
 from model.methods.protocol import Inputs
 from model.methods.renderer import ParameterGroup, Renderer
-from model.nets.voxel_grid import ViewCamera, VoxelGrid, fit_cube, lift, sample_frustum
+from model.nets.voxel_grid import VoxelGrid, fit_cube, lift, sample_frustum
 from model.nets.voxel_nets import (
     Critic,
     Integration,
@@ -113,11 +112,11 @@ class DeepVoxels(Renderer[Views]):
         targets = rng.choice(training.num_views, size=min(batch, training.num_views), replace=False).tolist()
         source = int(rng.choice(training.neighbours(targets[0])))
         with seeded_torch(rng, training.rgb.device):
-            inpainted = self.inpaint(self.observe(training.image(source), training.camera(source)))
+            inpainted = self.inpaint(self.observe(training.image(source), training.cameras[source]))
             inside = slice(BORDER, -BORDER)
             losses = []
             for target in targets:
-                drawn = self.draw(inpainted, training.camera(target))[..., inside, inside]
+                drawn = self.draw(inpainted, training.cameras[target])[..., inside, inside]
                 true = training.image(target)[..., inside, inside]
                 loss = (drawn - true).abs().mean()
                 if self.critic is not None:
@@ -135,7 +134,7 @@ class DeepVoxels(Renderer[Views]):
             ),
         ]
 
-    def observe(self, image: Float32[Tensor, "1 3 h w"], camera: ViewCamera) -> Volume:
+    def observe(self, image: Float32[Tensor, "1 3 h w"], camera: Camera) -> Volume:
         """The grid after integrating one more view; it is stored, too.
 
         Args:
@@ -151,7 +150,7 @@ class DeepVoxels(Renderer[Views]):
         """The grid with unseen voxels filled in from their surroundings."""
         return self.inpainting(torch.cat([volume, self.get_buffer("coordinates")], dim=1))
 
-    def draw(self, inpainted: Volume, camera: ViewCamera) -> Float32[Tensor, "1 3 h w"]:
+    def draw(self, inpainted: Volume, camera: Camera) -> Float32[Tensor, "1 3 h w"]:
         """sRGB picture in [0, 1] of one view."""
         frustum = sample_frustum(inpainted, camera, self.grid, self.config.plane_size)
         return 0.5 + 0.5 * self.rendering(collapse(frustum, self.occlusion(frustum)))
@@ -223,4 +222,4 @@ def load_cameras(config: DeepVoxelsConfig, inputs: Inputs, cameras: Cameras) -> 
             f"camera: is {cameras.width} x {cameras.height} pixels; deepvoxels draws {size} x {size}, the size that "
             "its networks were made for"
         )
-    return views_of(cameras, black(cameras))
+    return Views(rgb=black(cameras), cameras=cameras)
