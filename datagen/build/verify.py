@@ -13,7 +13,13 @@ from datagen.build.survey import Survey
 from datagen.data.dataset import Dataset, head_files, open_dataset
 from datagen.data.edit_masks import FOLDER as EDIT_MASKS
 from datagen.data.edit_masks import edit_mask_files
-from datagen.data.geometries import geometry_hash, list_geometries, read_assignment, read_proxy_records
+from datagen.data.geometries import (
+    geometry_hash,
+    list_geometries,
+    make_command,
+    read_assignment,
+    read_proxy_records,
+)
 from datagen.data.layer_store import record_path_of_layers
 from datagen.data.paths import TRUTH, geometry_root, layers_root, record_path
 from datagen.disk.errors import HyalineError
@@ -165,7 +171,7 @@ class _Search:
         parts = head.split("/")
         geometry = parts[1] if parts[0] == "proxies" else TRUTH
         if parts[-1] == "proxies.json":
-            return shlex.join(["proxies", "make", "--dataset", str(self.home), "--kind", geometry, "--overwrite"])
+            return make_command(self.home, geometry, "--overwrite")
         if parts[0] not in ("layers", "proxies"):
             return None
         words = ["datagen", "peel", "--dataset", str(self.home), "--geometry", geometry]
@@ -260,7 +266,7 @@ class _Search:
             except HyalineError as error:
                 self.wrong(f"{place}proxies.json", _reason(error, geometry_root(dataset.root, geometry)))
                 return
-            command = None if dataset.edit is not None else make_command(dataset, geometry)
+            command = None if dataset.edit is not None else proxies_command(dataset, geometry)
             self.check_all(place, {record.file: record.sha256 for record in records}, command)
         if f"{place}layers/straight/layers.json" in self.good:
             self._check_layers(dataset, f"{place}layers/straight/", geometry)
@@ -343,22 +349,15 @@ class _Search:
         ]
 
 
-def make_command(dataset: Dataset, geometry: str) -> str:
+def proxies_command(dataset: Dataset, geometry: str) -> str:
     """The command that makes a dataset's proxies, and their layers, as they were made."""
-    words = ["proxies", "make", "--dataset", str(dataset.root)]
     assignment = read_assignment(dataset, geometry)
-    if assignment is not None:
-        words += ["--name", geometry]
-        for item, kind in zip(dataset.objects, assignment, strict=True):
-            words += ["--assign", f"{item.name}={kind}"]
-    else:
-        kind, _, amount = geometry.partition("-")
-        words += ["--kind", kind, *(["--amount", amount] if amount else [])]
+    names = [item.name for item in dataset.objects]
     place = layers_root(dataset.root, geometry).relative_to(dataset.root) / LAYERS.head
     head = true_head(dataset.root, place.as_posix())  # Its copy knows how many there were where it is lost.
-    if head is not None:
-        words += ["--num-layers", str(parse_json(head, where=str(place))["num_layers"])]
-    return shlex.join(words)
+    layers = ("--num-layers", str(parse_json(head, where=str(place))["num_layers"])) if head is not None else ()
+    assigned = None if assignment is None else dict(zip(names, assignment, strict=True))
+    return make_command(dataset.root, geometry, *layers, assigned=assigned)
 
 
 def import_command(dataset: Dataset) -> str:

@@ -13,7 +13,7 @@ DATA_ROOT = Path("data")
 """Where commands put and look for datasets, relative to the working directory."""
 
 BUILT_IN_SCENES = ("glass_table", "vitrine", "plant_shelf", "drinks", "prism_bench", "pool")
-"""Names that `datagen build --scene` takes; `datagen.scene.builtin` has their makers."""
+"""Names of the scenes that code makes: the files in datagen/scene/builtin."""
 
 
 def find_dataset(given: str | None, root: Path = DATA_ROOT) -> Path:

@@ -10,6 +10,7 @@ where `assignment` in proxies.json says for each object what stands for it.
 
 import difflib
 import shlex
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -123,7 +124,7 @@ def read_proxy_records(dataset: Dataset, kind: str) -> tuple[ProxyRecord, ...]:
     path = geometry_root(dataset.root, kind) / "proxies.json"
     if not path.is_file():
         check_has_meshes(dataset)
-        raise HyalineError(f"{path}: no {kind} proxies; make them with `{_make_command(dataset, kind)}`")
+        raise HyalineError(f"{path}: no {kind} proxies; make them with `{_example_command(dataset, kind)}`")
     content = load_sealed(path)
     if content.get("version") != PROXIES_VERSION:
         raise HyalineError(
@@ -135,7 +136,7 @@ def read_proxy_records(dataset: Dataset, kind: str) -> tuple[ProxyRecord, ...]:
         raise HyalineError(f"{path}: is of kind {content.get('kind')!r}; expected {kind!r}, as its folder is called")
     if content.get("dataset") != dataset.seal:
         raise HyalineError(
-            f"{path}: made for another dataset; make them again with `{_make_command(dataset, kind)} --overwrite`"
+            f"{path}: made for another dataset; make them again with `{_example_command(dataset, kind, '--overwrite')}`"
         )
     return from_json(tuple[ProxyRecord, ...], entry(content, "proxies", where=path), where=f"{path}: proxies")
 
@@ -173,13 +174,27 @@ def describe_geometry(dataset: Dataset, geometry: str) -> str:
     return f"proxy geometry ({geometry}: {'; '.join([*parts, f'{most} for the rest'])})"
 
 
-def _make_command(dataset: Dataset, geometry: str) -> str:
-    words = ["proxies", "make", "--dataset", str(dataset.root)]
-    if geometry.startswith("mixed"):
-        # Any object and kind will do to show how it is written.
-        return shlex.join([*words, "--name", geometry, "--assign", f"{dataset.objects[0].name}=box"])
-    kind, _, amount = geometry.partition("-")
-    return shlex.join([*words, "--kind", kind, *(["--amount", amount] if amount else [])])
+def make_command(root: Path, geometry: str, *more: str, assigned: Mapping[str, str] | None = None) -> str:
+    """The command that makes a dataset's proxies.
+
+    Args:
+        more: further words.
+        assigned: of a mixture, what stands for each object.
+    """
+    words = ["proxies", "make", "--dataset", str(root)]
+    if assigned is None:
+        kind, _, amount = geometry.partition("-")
+        words += ["--kind", kind, *(["--amount", amount] if amount else [])]
+    else:
+        words += ["--name", geometry]
+        words += [word for name, kind in assigned.items() for word in ("--assign", f"{name}={kind}")]
+    return shlex.join([*words, *more])
+
+
+def _example_command(dataset: Dataset, geometry: str, *more: str) -> str:
+    """The command for proxies of which there is no record; of a mixture, any object and kind show the spelling."""
+    assigned = {dataset.objects[0].name: "box"} if geometry.startswith("mixed") else None
+    return make_command(dataset.root, geometry, *more, assigned=assigned)
 
 
 def list_geometries(dataset: Dataset) -> list[str]:

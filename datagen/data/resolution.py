@@ -49,7 +49,7 @@ class Resolution:
 
     @property
     def is_power_of_two_square(self) -> bool:
-        """True for 64 x 64 and its likes, which `deepvoxels` asks for."""
+        """True for 64 x 64 and its likes."""
         return self.width == self.height and self.width & (self.width - 1) == 0
 
     def times(self, scale: int) -> Self:

@@ -11,10 +11,9 @@ Tools of this format do not read `near`, `far` and `aabb`, which stand there for
 from datagen.data.config import TEST_SPLITS
 from datagen.disk.records import Json
 from datagen.disk.storage import dump_json
-from datagen.export.pictures import ply_points, rgba_png
+from datagen.export.files import CONVENTION, check_centered, frame, lens_keys, ply_points, rgba_png, world_keys
 from datagen.export.plan import Part, Plan
 from datagen.export.source import ROLES, ExportView, Source
-from datagen.export.transforms import CONVENTION, check_centered, frame, lens_keys, world_keys
 
 
 def plan_blender(source: Source) -> Plan:

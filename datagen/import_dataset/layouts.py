@@ -1,4 +1,4 @@
-"""Layouts of folders: which one a folder has, and what it names.
+"""What a folder of another project's dataset names, before any picture is decoded: the layouts with transforms files.
 
     refref         transforms_{train,val,test}.json, whose frames name masks and depth; meshes/ and objects.json, as
                    `datagen export --format refref` adds them
@@ -10,25 +10,75 @@ Source: RefRef's data parser, OpenMaterial's loader for instant-nsr-pl, nerf-pyt
 """
 
 import re
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal, get_args
+
+import numpy as np
+from jaxtyping import Float
 
 from datagen.data.license import license_line
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import check_regular, find_file
-from datagen.disk.ownership import DATASET
 from datagen.disk.reading import load_json
 from datagen.disk.records import shown
-from datagen.import_dataset.foreign_dataset import (
-    ROLES,
-    ForeignDataset,
-    ForeignSurface,
-    ForeignView,
-    Layout,
-    Role,
-)
 from datagen.scene.description import MAX_OBJECTS, OBJECT_NAME
 from datagen.scene.importers.fields import Fields
-from datagen.scene.importers.transforms import TransformsFile, refuse_other_lens
+from datagen.scene.importers.transforms import Lens, TransformsFile, refuse_other_lens
+
+Role = Literal["train", "val", "test"]
+ROLES: tuple[Role, ...] = get_args(Role)
+
+Layout = Literal["refref", "openmaterial", "blender", "nerfstudio"]
+"""The layouts of `read_transforms`."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ForeignView:
+    """One picture and its camera."""
+
+    picture: Path
+    mask: Path | None
+    """Not black where the object is seen."""
+    depth: Path | None
+    world_from_camera: Float[np.ndarray, "4 4"]
+    """OpenGL convention, in the folder's units and axes."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ForeignSurface:
+    """A mesh of the scene, and what is said of its material."""
+
+    name: str
+    file: Path
+    ior: float | None = None
+    absorption: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """1 over the folder's unit."""
+    is_thin: bool = False
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ForeignDataset:
+    """Everything that a folder names."""
+
+    root: Path
+    layout: str
+    """Its name in the dataset's record of its import."""
+    lens: Lens
+    views: dict[Role, tuple[ForeignView, ...]]
+    surfaces: tuple[ForeignSurface, ...]
+    remarks: tuple[str, ...]
+    """What is left out."""
+    license: str | None = None
+    """What its transforms file says of it, as exports of ours do."""
+
+    @property
+    def files(self) -> list[Path]:
+        """Every file whose content becomes a part of the dataset."""
+        views = [view for role in ROLES for view in self.views[role]]
+        parts = [part for view in views for part in (view.picture, view.mask, view.depth) if part is not None]
+        return [*parts, *(surface.file for surface in self.surfaces)]
+
 
 ONE_FILE = "transforms.json"
 EVERY = 8
@@ -36,16 +86,12 @@ EVERY = 8
 MESH_ENDINGS = (".ply", ".obj", ".stl", ".glb")
 
 
-def read_layout(root: Path) -> ForeignDataset:
-    """What a folder names.
+def read_transforms(root: Path) -> ForeignDataset | None:
+    """What a folder with transforms files names; None where it has none.
 
     Raises:
-        HyalineError: no layout that is known, or a file that breaks its rules.
+        HyalineError: a file that breaks the layout's rules.
     """
-    if not root.is_dir():
-        raise HyalineError(f"{root}: is no folder; expected one with transforms_train.json or {ONE_FILE}")
-    if (root / DATASET.head).is_file():
-        raise HyalineError(f"{root}: is a dataset of hyaline's already; give it to the other commands as it is")
     files = {role: f"transforms_{role}.json" for role in ROLES if (root / f"transforms_{role}.json").is_file()}
     if "train" in files:
         found = {role: TransformsFile(root, name) for role, name in files.items()}
@@ -58,10 +104,7 @@ def read_layout(root: Path) -> ForeignDataset:
         found = {"train": TransformsFile(root, ONE_FILE)}
         views = _split(found["train"], _views(found["train"], layout))
     else:
-        raise HyalineError(
-            f"{root}: has neither transforms_train.json nor {ONE_FILE}; expected the layout of RefRef, OpenMaterial, "
-            "Blender or nerfstudio"
-        )
+        return None
     lens = found["train"].lens()
     for item in found.values():
         refuse_other_lens(item.lens(), lens, where=str(item.path))

@@ -13,7 +13,7 @@ from datagen.data.tonemap import linear_from_srgb, srgb_from_linear, to_8bit
 from datagen.disk.errors import HyalineError
 from datagen.disk.reading import read_regular
 from datagen.import_dataset.choices import DatasetImportChoices
-from datagen.import_dataset.foreign_dataset import ForeignView
+from datagen.import_dataset.layouts import ForeignView
 from datagen.scene.importers.foreign import MAX_FILE_BYTES
 
 FORMATS = ["PNG", "JPEG", "WEBP"]

@@ -1,5 +1,6 @@
 """The proxy ladder: quality against how far a geometry is from the truth, as a table and as a figure."""
 
+import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,11 +12,32 @@ from datagen.data.dataset import Dataset
 from datagen.data.geometries import read_proxy_records
 from datagen.data.paths import TRUTH
 from datagen.pages.charts import COLORS
-from eval.papers.comparison_tables import NOT_RUN, SCORES, WRAPPED_NOTE, data_note, score_cells
-from eval.papers.comparisons import LADDER, Entry, find_entries
+from eval.papers.comparisons import (
+    NOT_RUN,
+    SCORES,
+    WRAPPED_NOTE,
+    Comparison,
+    Entry,
+    Line,
+    data_note,
+    find_entries,
+    score_cells,
+)
+from eval.papers.tables import BEST
 from eval.score.scores import SceneScores
 from eval.score.seeds import group_seeds
 from eval.tables.grids import MISSING, Column, Grid
+from eval.tables.named import Table
+
+LADDER = Comparison(
+    title="Quality against the proxy's error",
+    lines=(
+        Line(title="light-path", method="light-path", flags={}, geometry=None),
+        dataclasses.replace(BEST, geometry=None),
+        Line(title="paper", method="paper", flags={}, geometry=None),
+    ),
+    varied="geometry",
+)
 
 MARKERS = ("o", "s", "^", "D", "v")
 
@@ -91,6 +113,11 @@ def ladder_grid(scene: SceneScores) -> Grid:
     )
 
 
+def _picture(scene: SceneScores) -> bytes | None:
+    ladder = find_ladder(scene)
+    return ladder_figure(scene.title, ladder) if ladder else None
+
+
 def ladder_figure(title: str, entries: Sequence[tuple[Entry, ProxyError]]) -> bytes:
     """The PNG of PSNR against the mean distance to the true surface, a panel a split, a line a method.
 
@@ -146,3 +173,10 @@ def ladder_figure(title: str, entries: Sequence[tuple[Entry, ProxyError]]) -> by
     figure.suptitle(f"{title}: quality against the proxy's error", x=0.02, ha="left", fontsize=14, weight="bold")
     figure.tight_layout()
     return figure_png(figure)
+
+
+PROXIES = Table(
+    shows=lambda run: any(line.fits(run) for line in LADDER.lines),
+    grids=lambda scenes, _: [ladder_grid(scene) for scene in scenes],
+    picture=_picture,
+)

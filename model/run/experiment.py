@@ -26,7 +26,7 @@ from datagen.disk.errors import HyalineError
 from datagen.disk.reading import load_toml
 from datagen.disk.records import shown
 from datagen.terminal.command import choose
-from model.methods.table import list_methods
+from model.methods.table import METHODS
 from model.run.train_flags import check_words, flags_of_method
 
 EXPERIMENTS = Path(__file__).parents[1] / "experiments"
@@ -108,7 +108,7 @@ def _grid(block: Mapping[str, object], *, where: str) -> list[tuple[tuple[str, .
     """The arguments of each run of a block, and what they mean."""
     if "method" not in block:
         raise HyalineError(f'{where}: key "method" is missing; expected the name of one, such as method = "paper"')
-    methods = [choose(f"{where}: method", str(method), list_methods()) for method in _values(block, "method", where)]
+    methods = [choose(f"{where}: method", str(method), METHODS.names()) for method in _values(block, "method", where)]
     axes: list[list[tuple[str, ...]]] = []
     for key in block:
         if key == "method":

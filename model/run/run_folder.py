@@ -42,7 +42,7 @@ from datagen.disk.reading import load_json, parse_json, read_regular
 from datagen.disk.records import Json, from_json, shown, to_json
 from datagen.disk.storage import SEAL, commit, commit_sealed, load_sealed, seal_bytes, seal_of
 from model.methods.protocol import Inputs, MethodConfig
-from model.methods.table import find_method, open_inputs
+from model.methods.table import METHODS, open_inputs
 from model.run.costs import COSTS
 from model.run.events import FOLDER as EVENTS
 from model.run.events import list_events
@@ -91,7 +91,7 @@ def parse_config(data: Json, *, where: str) -> TrainConfig:
     if not isinstance(name := data.get("method"), str):
         raise HyalineError(f"{where}: method is {shown(name)}; expected the name of one")
     try:
-        kind = find_method(name)
+        kind = METHODS.find(name)
     except HyalineError as error:
         raise HyalineError(f"{where}: {error}") from None
     net = from_json(kind, data.get("net"), where=f"{where}.net")

@@ -19,7 +19,7 @@ from datagen.disk.storage import commit, commit_sealed, dump_json, load_sealed, 
 from datagen.machine.confined import confined
 from datagen.scene.description import Scene
 from datagen.scene.folder import load_scene, save_scene
-from datagen.scene.importers.choices import ImportChoices
+from datagen.scene.foreign_files import ImportChoices
 from datagen.scene.importers.importing import import_scene
 from datagen.scene.lights import EnvironmentMap
 

@@ -3,7 +3,7 @@
 import dataclasses
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,16 +11,25 @@ import numpy as np
 
 from datagen.data.license import unknown
 from datagen.data.meshes import is_there, open_edges
-from datagen.data.resolution import Resolution, square
+from datagen.data.resolution import Resolution
 from datagen.disk.errors import HyalineError
-from datagen.disk.names import file_name
-from datagen.disk.records import Json, shown
+from datagen.disk.records import Json
 from datagen.disk.storage import sha256_file
 from datagen.machine.confined import allow_triangles
 from datagen.scene.cutouts import Cut, with_cuts
 from datagen.scene.description import MAX_OBJECTS, OBJECT_NAME, CameraList, CameraRig, Scene, SceneObject
+from datagen.scene.foreign_files import (
+    DEFAULT_RESOLUTION,
+    READERS,
+    ImportChoices,
+    check_ending,
+    check_overrides,
+    ending_of,
+    override,
+    parse_overrides,
+    scene_name,
+)
 from datagen.scene.importers.cameras import listed_cameras, read_camera_file
-from datagen.scene.importers.choices import ImportChoices, check_overrides, override, parse_overrides
 from datagen.scene.importers.foreign import (
     PLAIN,
     Axis,
@@ -31,16 +40,23 @@ from datagen.scene.importers.foreign import (
     elementwise,
     merged_by_material,
 )
-from datagen.scene.importers.gltf.scene import read_gltf
-from datagen.scene.importers.lights import LIGHT, even_sky, lit, placed_light, placed_map
 from datagen.scene.importers.mapping import Mapper, lets_light_through
-from datagen.scene.importers.meshes.bare import read_3mf, read_ply_file, read_stl
-from datagen.scene.importers.meshes.obj import read_obj
-from datagen.scene.importers.mitsuba.scene import read_mitsuba
 from datagen.scene.importers.overlaps import apart, joined, nested, parted
 from datagen.scene.importers.pictures import cut_of, veiled
 from datagen.scene.importers.remarks import Remark, Remarks
-from datagen.scene.importers.staging import find_scale, has_ground, make_ground, make_rig, subject_box, z_up_from
+from datagen.scene.importers.staging import (
+    LIGHT,
+    even_sky,
+    find_scale,
+    has_ground,
+    lit,
+    make_ground,
+    make_rig,
+    placed_light,
+    placed_map,
+    subject_box,
+    z_up_from,
+)
 from datagen.scene.importers.surfaces import check_decimation, closed, decimated, made_sound, mesh_of, shape_of
 from datagen.scene.lights import Environment, EnvironmentMap, RectangleLight
 from datagen.scene.materials import Material
@@ -48,20 +64,6 @@ from datagen.scene.mending import mend_scene, mend_surface
 from datagen.scene.shading_normals import edge_tilt_deg, shaded_anew
 from datagen.scene.soundness import check_scene
 
-READERS: dict[str, Callable[[Path, Remarks], ForeignScene]] = {
-    ".glb": read_gltf,
-    ".gltf": read_gltf,
-    ".obj": read_obj,
-    ".ply": read_ply_file,
-    ".stl": read_stl,
-    ".3mf": read_3mf,
-    ".xml": read_mitsuba,
-}
-"""Readers of files by their ending."""
-
-EXPORT_ADVICE = "open it in Blender, or in what it was made with, and export it as glTF 2.0 (.glb)"
-
-DEFAULT_RESOLUTION = square(128)
 MIN_SIDE = 16
 """Pixels of the pictures that a ground can be made for."""
 
@@ -109,7 +111,7 @@ def import_scene(path: Path, choices: ImportChoices, *, resolution: Resolution =
         raise HyalineError(f"--resolution: is {resolution}; expected at least {MIN_SIDE} x {MIN_SIDE} pixels")
     check_decimation(choices.max_triangles)
     remarks, overrides = Remarks(is_strict=choices.strict), parse_overrides(choices.material)
-    foreign = READERS[path.suffix.lower()](path, remarks)
+    foreign: ForeignScene = READERS.find(ending_of(path))(path, remarks)
     allow_triangles(sum(len(part.faces) for part in foreign.objects))
     up: Axis = foreign.up if choices.up == "auto" else choices.up
     parts = _few_enough(foreign.objects, choices, remarks, path)
@@ -296,18 +298,6 @@ def scene_object(
     return SceneObject(name=name, mesh=mesh, material=material)
 
 
-def check_ending(path: Path) -> None:
-    """Refuses a file of a format that is not read.
-
-    Raises:
-        HyalineError: naming those that are, and how to get there.
-    """
-    if path.suffix.lower() not in READERS:
-        raise HyalineError(
-            f"{path}: ends in {shown(path.suffix)}, and {', '.join(READERS)} can be imported; {EXPORT_ADVICE}"
-        )
-
-
 def _has_uv(part: ForeignObject) -> bool:
     """Exporters write zeros where a mesh has none."""
     return part.uv is not None and bool(part.uv.any())
@@ -340,12 +330,6 @@ def _world(parts: tuple[ForeignObject, ...], scale: float, up: Axis) -> tuple[np
     points = [elementwise(part.positions[np.unique(part.faces)], linear, np.zeros(3)) for part in parts]
     low, high = np.min([p.min(axis=0) for p in points], axis=0), np.max([p.max(axis=0) for p in points], axis=0)
     return linear, -np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]])
-
-
-def scene_name(path: Path) -> str:
-    """The name of the scene that is made of a file."""
-    name = re.sub(r"[^A-Za-z0-9_+,-]", "_", file_name(path.stem))[:60]
-    return name if re.match(r"[A-Za-z0-9_]", name) else f"_{name}"
 
 
 def unique_names(names: list[str]) -> list[str]:

@@ -9,7 +9,7 @@ import numpy as np
 from datagen.data.meshes import Mesh
 from datagen.scene.modelling import Around, curved, filled, filleted, lathe, walled
 from datagen.scene.procedural.chance import between, happens, pick
-from datagen.scene.procedural.sections import ROUND, corners_of, flutes, outside_only, polygon, soft_square
+from datagen.scene.procedural.solids import ROUND, corners_of, flutes, outside_only, polygon, soft_square
 
 Outline = list[tuple[float, float]]
 

@@ -18,12 +18,11 @@ from datagen.disk.errors import HyalineError
 from datagen.export.formats import export_dataset
 from datagen.scene.camera_list import CameraList, Intrinsics
 from datagen.scene.description import Scene, SoftEnvironment
+from datagen.scene.foreign_files import ImportChoices
 from datagen.scene.importers.cameras import read_camera_file
-from datagen.scene.importers.choices import ImportChoices
 from datagen.scene.importers.importing import import_scene
-from datagen.scene.importers.lights import IRRADIANCE
 from datagen.scene.importers.remarks import Remarks
-from datagen.scene.importers.staging import subject_box
+from datagen.scene.importers.staging import IRRADIANCE, subject_box
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,7 @@ from datagen.data.windings import check_closed
 from datagen.disk.errors import HyalineError
 from datagen.disk.reading import load_json
 from datagen.scene.folder import load_scene
-from datagen.scene.importers.choices import ImportChoices
+from datagen.scene.foreign_files import ImportChoices
 from datagen.scene.importers.importing import import_scene
 from datagen.scene.importers.remarks import Remarks
 from datagen.scene.importers.surfaces import closed

@@ -19,7 +19,7 @@ from datagen.disk.errors import HyalineError
 from datagen.scene.camera_list import CameraList
 from datagen.scene.description import EnvironmentMap, SoftEnvironment
 from datagen.scene.environment_maps import look_up, read_map
-from datagen.scene.importers.choices import ImportChoices
+from datagen.scene.foreign_files import ImportChoices
 from datagen.scene.importers.foreign import ForeignMaterial, ForeignObject, ForeignScene
 from datagen.scene.importers.importing import import_scene
 from datagen.scene.importers.mitsuba.scene import read_mitsuba

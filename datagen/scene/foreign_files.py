@@ -1,16 +1,45 @@
-"""What a user may say about an import: the flags, and materials by name (`--material 'leg*=gold'`)."""
+"""Files of other programs as scenes: their readers, and what a user may say about a file (`--material 'leg*=gold'`)."""
 
 import difflib
 import fnmatch
+import re
+from collections.abc import Callable
 from dataclasses import dataclass, fields
+from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
 
+from datagen.data.resolution import square
 from datagen.disk.errors import HyalineError
+from datagen.disk.names import file_name
 from datagen.disk.records import shown
 from datagen.scene.materials import Conductor, Dielectric, Diffuse, Material, Plastic, ThinDielectric
 from datagen.terminal.command import MAX_SUGGESTED, choose
+from datagen.terminal.plugins import Group
+
+READERS: Group[Callable] = Group(
+    name="hyaline.scene_readers",
+    what="ending",
+    built_in={
+        "glb": "datagen.scene.importers.gltf.scene:read_gltf",
+        "gltf": "datagen.scene.importers.gltf.scene:read_gltf",
+        "obj": "datagen.scene.importers.meshes.obj:read_obj",
+        "ply": "datagen.scene.importers.meshes.bare:read_ply_file",
+        "stl": "datagen.scene.importers.meshes.bare:read_stl",
+        "3mf": "datagen.scene.importers.meshes.bare:read_3mf",
+        "xml": "datagen.scene.importers.mitsuba.scene:read_mitsuba",
+    },
+    guide="docs/adding-a-reader.md",
+)
+"""Functions (Path, Remarks) -> ForeignScene by the ending of a file (datagen/scene/importers/foreign.py)."""
+
+OTHER_ENDINGS = ("blend", "fbx", "dae", "usd", "usda", "usdc", "usdz", "abc", "3ds", "max", "c4d", "skp")
+"""Endings of other common scene files, which need a conversion first."""
+
+EXPORT_ADVICE = "open it in Blender, or in what it was made with, and export it as glTF 2.0 (.glb)"
+
+DEFAULT_RESOLUTION = square(128)
 
 Thin = Literal["open", "file", "all"]
 
@@ -79,6 +108,28 @@ class ImportChoices:
         """The flags that differ from their defaults."""
         names = (item.name for item in fields(self) if getattr(self, item.name) != item.default)
         return [f"--{name.replace('_', '-')}" for name in names]
+
+
+def ending_of(path: Path) -> str:
+    """The ending of a file in small letters, without its dot."""
+    return path.suffix.lower().removeprefix(".")
+
+
+def check_ending(path: Path) -> None:
+    """Refuses a file that no reader reads.
+
+    Raises:
+        HyalineError: naming the endings that are read, and how to convert the file.
+    """
+    if ending_of(path) not in READERS.names():
+        known = ", ".join(f".{name}" for name in READERS.names())
+        raise HyalineError(f"{path}: ends in {shown(path.suffix)}, and {known} can be imported; {EXPORT_ADVICE}")
+
+
+def scene_name(path: Path) -> str:
+    """The name of the scene that is made of a file."""
+    name = re.sub(r"[^A-Za-z0-9_+,-]", "_", file_name(path.stem))[:60]
+    return name if re.match(r"[A-Za-z0-9_]", name) else f"_{name}"
 
 
 def parse_overrides(given: tuple[str, ...]) -> list[tuple[str, Material]]:
