@@ -5,7 +5,7 @@
     train/NAME.png, val/NAME.png, test/NAME.png                         RGBA, alpha 255
     points3d.ply                                                        3dgs: points of the surfaces to start from
 
-Tools of this format do not read `near`, `far` and `aabb`, which stand there for who sets them by hand.
+Tools of this format do not read `near`, `far` and `aabb`; they are there to be set by hand.
 """
 
 from datagen.data.config import TEST_SPLITS

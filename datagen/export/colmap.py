@@ -5,7 +5,7 @@
     sparse/0/images.{txt,bin}                    world-to-camera quaternion (w, x, y, z) and translation, OpenCV axes
     sparse/0/points3D.{txt,bin}                  points, their colours, and in which pictures they are seen
     train_list.txt, val_list.txt, test_list.txt  names of pictures by split, as nerfbaselines and nerfstudio read them
-    sparse/0/test.txt                            the same of the test splits, as Gaussian splatting can be told to read
+    sparse/0/test.txt                            the same of the test splits, as Gaussian splatting can read it
 
 A model has no splits: a tool that does not read the lists takes every eighth picture for its test, and trains on the
 test splits.

@@ -74,11 +74,7 @@ def lens_keys(camera: Camera) -> dict[str, Json]:
 
 
 def check_centered(camera: Camera, form: str) -> None:
-    """Refuses cameras that readers of a format would take for others: they know the angle of the lens alone.
-
-    Raises:
-        HyalineError: the principal point is not in the picture's middle.
-    """
+    """Refuses cameras that readers of a format would take for others: they know the angle of the lens alone."""
     column, row = camera.principal_point
     if max(abs(column - camera.width / 2), abs(row - camera.height / 2)) > MAX_SHIFT:
         raise HyalineError(
@@ -108,7 +104,7 @@ def _ngp_keys(source: Source) -> dict[str, Json]:
 
 
 def bounds_keys(bounds: Bounds) -> dict[str, Json]:
-    """What a tool has to be told so that it cuts nothing off: metres along the ray, and a box in world axes."""
+    """What a tool needs to know to cut nothing off: metres along the ray, and a box in world axes."""
     return {"near": bounds.near, "far": bounds.far, "aabb": [list(bounds.low), list(bounds.high)]}
 
 

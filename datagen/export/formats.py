@@ -32,17 +32,13 @@ FORMATS: Group[Callable[[Source], Plan]] = Group(
 )
 
 EXPORTS = Path("exports")
-"""Where exports go unless told."""
+"""Where exports go by default."""
 
 
 def export_dataset(
     dataset: Dataset, form: str, out: Path | None, *, num_points: int, flow: bool, overwrite: bool
 ) -> tuple[Path, str]:
-    """Writes what is missing of an export; its folder, and the command of the tool that opens it.
-
-    Raises:
-        HyalineError: no such format, a dataset that is not finished, or something else stands in the folder.
-    """
+    """Writes what is missing of an export; its folder, and the command of the tool that opens it."""
     make_plan = FORMATS.find(form)
     source = Source(dataset=dataset, num_points=num_points, flow=flow)
     out = out or EXPORTS / f"{dataset.name}-{form}"

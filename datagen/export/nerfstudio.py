@@ -7,7 +7,7 @@
                           its own key `mask_path` names is left out of training
     sparse_pc.ply         points of the surfaces, in the same world
 
-`orientation_override: none` keeps +z up. nerfstudio still centres and scales the poses unless it is told not to.
+`orientation_override: none` keeps +z up. nerfstudio still centres and scales the poses unless asked not to.
 """
 
 from collections.abc import Mapping

@@ -61,7 +61,7 @@ class Plan:
 EXPORT = FolderKind(what="export", head="hyaline-export.json")
 RECORDS = "hyaline-export"
 EXPORT_VERSION = 2
-"""Exports of version 1 say no licence; they are made again with --overwrite."""
+"""Exports of version 1 have no licence; --overwrite makes them again."""
 
 
 def write_export(out: Path, plan: Plan, settings: dict[str, Json], *, overwrite: bool) -> None:
@@ -69,10 +69,7 @@ def write_export(out: Path, plan: Plan, settings: dict[str, Json], *, overwrite:
 
     Args:
         settings: what the export is made of and how; another export in the same folder is not gone on with.
-        overwrite: make all of it again, in place of whatever export stands there.
-
-    Raises:
-        HyalineError: something else stands in the folder, or another export and `overwrite` is not set.
+        overwrite: make all of it again, in place of any export in the folder.
     """
     files: list[Json] = [*plan.files, *(_record_file(part) for part in plan.parts)]
     head: dict[str, Json] = {"version": EXPORT_VERSION, **settings, "files": files}

@@ -56,11 +56,7 @@ class Plan:
 
 
 def plan_import(folder: Path, choices: DatasetImportChoices) -> Plan:
-    """Reads all of a folder but for its pictures.
-
-    Raises:
-        HyalineError: no layout that is known, or something in it that no dataset can hold.
-    """
+    """Reads all of a folder but for its pictures."""
     foreign = read_foreign_dataset(folder)
     whole, times = foreign.lens.size, choices.downscale
     if whole.width % times or whole.height % times:
@@ -124,11 +120,7 @@ def read_foreign_dataset(root: Path) -> ForeignDataset:
 
 
 def write_import(plan: Plan, root: Path, choices: DatasetImportChoices, *, overwrite: bool) -> Dataset:
-    """Writes what is missing of an import.
-
-    Raises:
-        HyalineError: something else stands at `root`, or a picture cannot be read.
-    """
+    """Writes what is missing of an import."""
     with holding(root, DATASET):
         dataset = open_or_start(
             plan.scene,
@@ -179,17 +171,14 @@ def _digest(files: list[Path], choices: DatasetImportChoices) -> str:
 OURS = re.compile(r"(?:image_)?(train|interpolating|extrapolating)_(\d{4})")
 """Names of pictures in what `datagen export` writes."""
 FAR_SHARE = 4
-"""One in so many test views is for extrapolation."""
+"""One in this many test views is for extrapolation."""
 
 
 def split_views(foreign: ForeignDataset) -> tuple[dict[Split, tuple[ForeignView, ...]], list[str]]:
-    """The views of each split, and what was decided, in a line each.
+    """The views of each split, and one line for each decision.
 
-    Pictures that `datagen export` named get back their places. Otherwise the test views that stand farthest from all
-    training cameras become the split `extrapolating`.
-
-    Raises:
-        HyalineError: there are none to train on, or none to test.
+    Pictures that `datagen export` named get back their places. Otherwise the test views farthest from all training
+    cameras become the split `extrapolating`.
     """
     if (named := _by_name(foreign)) is not None:
         return named, []
@@ -212,7 +201,7 @@ def split_views(foreign: ForeignDataset) -> tuple[dict[Split, tuple[ForeignView,
     away = np.array([np.linalg.norm(places - view.world_from_camera[:3, 3], axis=1).min() for view in test])
     far = {int(place) for place in np.argsort(-away, kind="stable")[: max(1, len(test) // FAR_SHARE)]}
     lines.append(
-        f"splits: the {len(far)} test views that stand farthest from any training camera are in extrapolating, the "
+        f"splits: the {len(far)} test views farthest from any training camera are in extrapolating, the "
         "other ones in interpolating"
     )
     near = tuple(view for place, view in enumerate(test) if place not in far)
@@ -220,7 +209,7 @@ def split_views(foreign: ForeignDataset) -> tuple[dict[Split, tuple[ForeignView,
 
 
 def _by_name(foreign: ForeignDataset) -> dict[Split, tuple[ForeignView, ...]] | None:
-    """The views by the splits that their names tell; None unless every name tells one, and each split has some."""
+    """The views by the splits in their names; None unless every name has one, and each split some views."""
     found: dict[Split, dict[int, ForeignView]] = {split: {} for split in SPLITS}
     for view in (view for role in ROLES for view in foreign.views[role]):
         match = OURS.fullmatch(view.picture.stem)

@@ -47,7 +47,7 @@ class ForeignView:
 
 @dataclass(frozen=True, kw_only=True)
 class ForeignSurface:
-    """A mesh of the scene, and what is said of its material."""
+    """A mesh of the scene, and what is known of its material."""
 
     name: str
     file: Path
@@ -70,7 +70,7 @@ class ForeignDataset:
     remarks: tuple[str, ...]
     """What is left out."""
     license: str | None = None
-    """What its transforms file says of it, as exports of ours do."""
+    """The licence in its transforms file, which our exports write."""
 
     @property
     def files(self) -> list[Path]:
@@ -82,16 +82,12 @@ class ForeignDataset:
 
 ONE_FILE = "transforms.json"
 EVERY = 8
-"""Of pictures that nobody has split, each eighth is for tests, as most NeRF tools take it."""
+"""Without splits in the folder, every eighth picture is for tests, as in most NeRF tools."""
 MESH_ENDINGS = (".ply", ".obj", ".stl", ".glb")
 
 
 def read_transforms(root: Path) -> ForeignDataset | None:
-    """What a folder with transforms files names; None where it has none.
-
-    Raises:
-        HyalineError: a file that breaks the layout's rules.
-    """
+    """What a folder with transforms files names; None where it has none."""
     files = {role: f"transforms_{role}.json" for role in ROLES if (root / f"transforms_{role}.json").is_file()}
     if "train" in files:
         found = {role: TransformsFile(root, name) for role, name in files.items()}
@@ -211,11 +207,11 @@ def _left_out(train: TransformsFile, layout: Layout, views: dict[Role, tuple[For
     lines = []
     first = train.frames[0]
     if "depth_file_path" in first and not _is_metric(first, layout):
-        lines.append("depth: its files do not say their unit; left out")
+        lines.append("depth: its files have no known unit; left out")
     if layout == "openmaterial":
         lines.append("masks: show the object, which is taken for glass")
     if "mask_path" in first:
-        lines.append("mask_path: says what nerfstudio trains on, not what is glass; left out")
+        lines.append("mask_path: selects what nerfstudio trains on, not glass; left out")
     if layout == "nerfstudio" and f"{ROLES[0]}_filenames" not in train.fields:
         lines.append(f"splits: the file has none; each {EVERY}th picture is for tests")
     has_masks = [view.mask is not None for role in ROLES for view in views[role]]

@@ -29,9 +29,6 @@ def view_files(
 
     Args:
         size: of the foreign picture.
-
-    Raises:
-        HyalineError: a file that cannot be read, or is of another size.
     """
     files = {".png": png_bytes(picture_of(view, size, choices))}
     if has_mask:

@@ -1,4 +1,4 @@
-"""The scene of an imported dataset: its meshes, with materials as far as anybody says them, and its cameras."""
+"""The scene of an imported dataset: its meshes, with materials as far as they are known, and its cameras."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -40,17 +40,13 @@ from datagen.scene.mending import mend_scene
 from datagen.scene.soundness import check_scene
 
 UNKNOWN_LIGHT = (0.5, 0.5, 0.5)
-"""Of a scene whose light nobody knows: it is never rendered."""
+"""Stands in for the unknown light: such a scene is never rendered."""
 
 
 def find_scene(
     name: str, surfaces: Sequence[ForeignSurface], cameras: dict[Split, Cameras], choices: DatasetImportChoices
 ) -> tuple[Scene, list[str]]:
-    """The scene of some meshes, as far as a dataset without light needs one, and remarks on it.
-
-    Raises:
-        HyalineError: a mesh that cannot be read, or that no ray could be followed through.
-    """
+    """The scene of some meshes, as far as a dataset without light needs one, and remarks on it."""
     where = ", ".join(str(surface.file) for surface in surfaces)
     with scene_from(_save_scene, name, surfaces, cameras, choices, where=where) as (scene, folder):
         return scene, cast(list[str], load_json(folder / "told.json")["told"])
@@ -123,7 +119,7 @@ def _glass(surface: ForeignSurface, choices: DatasetImportChoices, remarks: Rema
     if ior is None:
         ior = choices.ior
         remarks.approximate(
-            surface.name, f"nothing says its material; taken for glass of index {ior:g}, --ior or --material sets it"
+            surface.name, f"has no known material; taken for glass of index {ior:g}, --ior or --material sets it"
         )
     if surface.is_thin:
         return ThinDielectric(ior=ior)

@@ -43,9 +43,6 @@ def find_scene(
         built: a dataset that may hold the same built-in scene, unwrapped.
         resolution: of the pictures, which the ground of an imported scene is made for.
         imports: how a file is imported.
-
-    Raises:
-        HyalineError: none of these, or the scene is bad.
     """
     if is_foreign(given):
         from datagen.scene.importers.confined_import import imported_scene
@@ -69,5 +66,7 @@ def find_scene(
 
         return make_random(random)
     if given.startswith(RANDOM):
-        raise HyalineError(f"scene {given}: is no random scene; expected a name like random-0007 or random-table-0007")
+        raise HyalineError(
+            f"scene {given}: is not a random scene; expected a name like random-0007 or random-table-0007"
+        )
     return find_builtin(given, built=built)

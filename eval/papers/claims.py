@@ -1,4 +1,4 @@
-"""The paper's four claims: what each says of runs, and whether the runs support it."""
+"""The paper's four claims: what each states about runs, and whether the runs support it."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -34,7 +34,7 @@ class Claim:
 
     text: str
     pairs: tuple[Comparison, ...]
-    """Of two lines each: the one that should win, and the other."""
+    """Pairs of lines: the one that should win, then the other."""
     conditions: tuple[Condition, ...]
     published: tuple[PublishedRow, PublishedRow] | None = None
 
@@ -188,7 +188,7 @@ def _try(claim: Claim, scene: str, first: Entry, second: Entry, edited: EditedPs
         holds.append(difference > 0 if condition.should_be == "higher" else difference < 0)
         is_clear.append(abs(difference) >= 2 * _standard_error(one, other))
         numbers.append(f"{condition.what} {spread_cell(one)} against {spread_cell(other)}")
-    # A claim falls with one condition that clearly fails; it stands clearly when all of them do.
+    # One condition that clearly fails contradicts a claim; all must clearly hold to confirm it.
     decisive = is_clear if all(holds) else [clear for clear, hold in zip(is_clear, holds) if not hold]
     clear = all(decisive) if all(holds) else any(decisive)
     verdict = ("confirmed" if all(holds) else "contradicted") + ("" if clear else ", within the spread")
@@ -210,7 +210,7 @@ def _published(claim: Claim, first: PublishedRow, second: PublishedRow) -> Findi
 
 
 def _standard_error(one: Spread, other: Spread) -> float:
-    """Of the difference of two means, in dB; 0 where neither has several seeds."""
+    """Standard error of the difference of two means, in dB; 0 if neither has several seeds."""
     return math.sqrt(sum((value.deviation or 0.0) ** 2 / value.count for value in (one, other)))
 
 

@@ -1,4 +1,4 @@
-"""Comparisons: runs found by what their records say, not by their names, and the tables that they are printed in."""
+"""Comparisons: runs found by their records, not by their names, and the tables that they are printed in."""
 
 import dataclasses
 from collections.abc import Collection, Mapping, Sequence
@@ -24,7 +24,7 @@ FREE_FLAGS = ("geometry", "seed", "steps", "batch", "updates", "lr", "texture-lr
 
 @dataclass(frozen=True, kw_only=True)
 class Line:
-    """One line of a comparison: what a run must be to stand there."""
+    """One line of a comparison: what a run must be to belong there."""
 
     title: str
     method: str
@@ -36,7 +36,7 @@ class Line:
     """What the paper printed for it."""
 
     def fits(self, run: Run) -> bool:
-        """True when the run stands in this line."""
+        """True if the run belongs in this line."""
         return (
             run.method == self.method
             and self.geometry in (None, run.geometry)
@@ -51,12 +51,12 @@ class Comparison:
     title: str
     lines: tuple[Line, ...]
     varied: str | None = None
-    """The flag in which alone runs of one comparison may differ; None: in all, as methods do."""
+    """The only flag in which runs of one comparison may differ; None: they may differ in all, as methods do."""
     notes: tuple[str, ...] = ()
 
 
 UNCOMPARED = ("seed", "type", "preset", "texels_per_pixel", "vgg_sha256")
-"""Keys that say how others were found."""
+"""Keys that describe how others were chosen."""
 
 FOLLOWING = ("width", "batch", "texture_sizes", "sky_lobes", "refined_samples")
 """Keys that follow from others: a difference in them alone counts, one beside another does not."""
@@ -93,7 +93,7 @@ class Entry:
 
 
 def flat_config(run: Run) -> dict[str, Json]:
-    """A run's choices, those of its network among them, without its seed; empty where it does not tell."""
+    """A run's choices, those of its network among them, without its seed; empty if its record has none."""
     flat: dict[str, Json] = {}
     for key, value in (run.config or {}).items():
         flat |= value if isinstance(value, dict) else {key: value}
@@ -166,7 +166,7 @@ def comparison_table(comparison: Comparison) -> Table:
 
 
 def comparison_grid(comparison: Comparison, scene: SceneScores) -> Grid:
-    """The runs of a scene in a comparison's lines, with what the paper printed; a line without runs says so."""
+    """The runs of a scene in a comparison's lines, with what the paper printed; a line without runs is marked."""
     parts = find_entries(comparison, group_seeds(scene.runs))
     entries = [entry for part in parts for entry in part]
     rows = [(entry.line.title, *_run_cells(entry.group), *_published(entry.line.published)) for entry in entries]

@@ -53,11 +53,7 @@ class ProxyError:
 
 
 def proxy_error(dataset: Dataset, geometry: str) -> ProxyError:
-    """The error of a geometry, from what was measured when it was made; 0 of the truth.
-
-    Raises:
-        HyalineError: the proxies are not there any more, or are damaged.
-    """
+    """The error of a geometry, as measured when it was made; 0 for the truth."""
     if geometry == TRUTH:
         return ProxyError(mean_mm=0.0, max_mm=0.0)
     numbers = [record.statistics for record in read_proxy_records(dataset, geometry)]
@@ -68,11 +64,7 @@ def proxy_error(dataset: Dataset, geometry: str) -> ProxyError:
 
 
 def find_ladder(scene: SceneScores) -> list[tuple[Entry, ProxyError]]:
-    """The runs of the proxy ladder, method by method, the geometry nearest to the truth first.
-
-    Raises:
-        HyalineError: the proxies of a run are not there any more.
-    """
+    """The runs of the proxy ladder, method by method, the geometry nearest to the truth first."""
     entries = [entry for part in find_entries(LADDER, group_seeds(scene.runs)) for entry in part]
     with_errors = [(entry, proxy_error(scene.dataset, entry.group.first.geometry or "")) for entry in entries]
     return sorted(with_errors, key=lambda pair: (LADDER.lines.index(pair[0].line), pair[1].mean_mm))

@@ -14,7 +14,7 @@ BEST_NOTE = (
 
 TABLE1 = comparison_table(
     Comparison(
-        title="Table 1, what each layer is told of the camera",
+        title="Table 1, what each layer knows of the camera",
         lines=(
             Line(title="no extrinsics", method="paper", flags={"extrinsics": "none"}, published=NO_EXTRINSICS),
             dataclasses.replace(OURS, title="view vector"),
@@ -62,7 +62,7 @@ ZERO_LAYER = comparison_table(
             Line(title="with", method="paper", flags={"zero-layer": ""}),
         ),
         varied="zero-layer",
-        notes=("What it is for, edited scenes, the table of claims has.",),
+        notes=("Its purpose is edited scenes, which are in the table of claims.",),
     )
 )
 HEADLINE = comparison_table(

@@ -46,11 +46,7 @@ def about(name: str) -> str:
 
 
 def open_inputs(config: MethodConfig, dataset: Dataset, geometry: str) -> Inputs:
-    """What a method is given of a dataset.
-
-    Raises:
-        HyalineError: the geometry was not peeled, or has fewer layers than the configuration asks for.
-    """
+    """What a method is given of a dataset."""
     if not config.reads_layers:
         return Inputs(dataset=dataset, geometry=geometry, num_layers=0, layers_seal=dataset.seal)
     store = dataset.layer_store(geometry)

@@ -25,11 +25,7 @@ NAMES = ("transforms.json", "transforms_train.json")
 
 
 def read_camera_file(given: Path, remarks: Remarks) -> tuple[ForeignCamera, ...]:
-    """The cameras in a folder or a file, in the axes and units of the model beside which they stand.
-
-    Raises:
-        HyalineError: there are none that can be read.
-    """
+    """The cameras in a folder or a file, in the axes and units of the model that they belong to."""
     if given.is_dir() and has_colmap(given):
         return read_colmap(given, remarks)
     if given.is_dir():
@@ -41,7 +37,7 @@ def read_camera_file(given: Path, remarks: Remarks) -> tuple[ForeignCamera, ...]
         given = found
     if given.suffix.lower() != ".json" or not given.is_file():
         raise HyalineError(
-            f"--cameras {given}: is no such file; expected around, file, a transforms.json, or a folder of COLMAP's"
+            f"--cameras {given}: is not a file; expected around, file, a transforms.json, or a folder of COLMAP's"
         )
     file = TransformsFile(given.parent, given.name)
     cameras = []
@@ -59,9 +55,6 @@ def listed_cameras(
     """Cameras of a file in our world: the outermost for extrapolation, every eighth other one for interpolation.
 
     Of fewer than three, each split has all.
-
-    Raises:
-        HyalineError: the file has none.
     """
     if not cameras:
         raise HyalineError("--cameras file: the file brings no cameras; leave it out")
@@ -149,13 +142,9 @@ def has_colmap(root: Path) -> bool:
 
 
 def read_colmap(root: Path, remarks: Remarks) -> tuple[ForeignCamera, ...]:
-    """The cameras of a folder, in the order of their pictures' names.
-
-    Raises:
-        HyalineError: a file is damaged, or has a camera that cannot be drawn.
-    """
+    """The cameras of a folder, in the order of their pictures' names."""
     found = _place(root)
-    assert found is not None, "asked for where has_colmap says so"
+    assert found is not None, "called only if has_colmap is true"
     folder, ending = found
     paths = [find_file(folder, f"{name}.{ending}", where=str(folder)) for name in ("cameras", "images")]
     lenses, images = (_read_binary if ending == "bin" else _read_text)(*paths)

@@ -69,19 +69,19 @@ MIN_SIDE = 16
 
 RECORD_VERSION = 1
 MAX_TOLD = 40
-"""Lines that a command says; import.json has all of them."""
+"""Lines that a command prints; import.json has all of them."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Imported:
-    """A scene made of a foreign file, and what import.json says about it."""
+    """A scene made from a foreign file, and the content of its import.json."""
 
     scene: Scene
     record: Mapping[str, Json]
     remarks: tuple[Remark, ...]
 
     def told(self) -> list[str]:
-        """What a user is told: all approximations, notes, and how many objects there are."""
+        """The lines to report: approximations, notes, and the number of objects."""
         glass = sum(item.material.is_glass for item in self.scene.objects)
         wheres: dict[str, list[str]] = {}
         for line in self.remarks:
@@ -102,9 +102,6 @@ def import_scene(path: Path, choices: ImportChoices, *, resolution: Resolution =
 
     Args:
         resolution: of the pictures, which the ground's pattern is made for.
-
-    Raises:
-        HyalineError: a file that cannot be read or that hides what it needs, or a scene that would render wrong.
     """
     check_ending(path)
     if resolution.mean_side < MIN_SIDE:
@@ -194,11 +191,7 @@ def _few_enough(
 
 
 def _without_gone(scene: Scene, remarks: Remarks, *, where: str) -> Scene:
-    """The scene without objects of which their opacity leaves nothing.
-
-    Raises:
-        HyalineError: those are all.
-    """
+    """The scene without objects that their opacity removes entirely."""
     there = tuple(item for item in scene.objects if is_there(item.mesh))
     if not there:
         raise HyalineError(f"{where}: all of it is cut away by its opacity; expected a surface that is seen")
@@ -263,7 +256,7 @@ def scene_object(
     """One object in metres, z up, with a material that suits its mesh.
 
     Args:
-        kept_share: of its triangles; it is reduced to so many.
+        kept_share: share of its triangles to keep.
     """
     normals = None if part.normals is None else elementwise(part.normals, linear, np.zeros(3))
     mesh = mesh_of(elementwise(part.positions, linear, offset), part.faces, normals, part.uv, where=name)
@@ -325,7 +318,7 @@ def _find_scale(
 
 
 def _world(parts: tuple[ForeignObject, ...], scale: float, up: Axis) -> tuple[np.ndarray, np.ndarray]:
-    """From the file's world to ours: linear part and offset. The scene's box stands on z = 0, over the origin."""
+    """From the file's world to ours: linear part and offset. The scene's box is on z = 0, over the origin."""
     linear = scale * z_up_from(up)
     points = [elementwise(part.positions[np.unique(part.faces)], linear, np.zeros(3)) for part in parts]
     low, high = np.min([p.min(axis=0) for p in points], axis=0), np.max([p.max(axis=0) for p in points], axis=0)

@@ -20,21 +20,21 @@ from datagen.scene.textures import SolidTexture
 from datagen.scene.values import Color, Vector, as_vector
 
 USUAL_SIZE = (0.02, 5.0)
-"""Metres: what is smaller or larger was not modelled in metres."""
+"""Metres: anything smaller or larger was not modelled in metres."""
 TABLE_TOP_SIZE = 0.3
-"""Metres to which a scene comes whose unit nobody can guess."""
+"""Size in metres given to a scene of unknown unit."""
 FOV_DEG = 40.0
 MARGIN = 1.1
-"""By how much a picture is wider than what it shows."""
+"""How much wider a picture is than its content."""
 TEXELS_A_PERIOD = 4
 GROUND_RADII = 3.0
-"""Half the ground's side over the radius of what stands on it."""
+"""Half the ground's side over the radius of the scene."""
 MIN_GAP, MAX_GAP = 3e-4, 1e-3
-"""Metres between the ground and what stands on it: coincident faces lose layers."""
+"""Metres between the ground and the scene: coincident faces lose layers."""
 MIN_BACKDROP_DEG, MIN_ARC_DEG = 60, 80
 """Degrees around the glass that a backdrop hides, and that are left for cameras."""
 WATCHED_POINTS = 8
-"""Points of the glass from which one looks for cameras."""
+"""Points of the glass that cameras must see."""
 GRAZING_DEG = 25.0
 """Degrees that cameras keep from the edge of a backdrop."""
 FRONT_DEG = -90.0
@@ -42,7 +42,7 @@ FRONT_DEG = -90.0
 
 
 def find_scale(size: float, *, metres: float, remarks: Remarks, where: str) -> float:
-    """Metres a unit for a scene of so many units: the file's own, or a guess where that makes no sense."""
+    """Metres per unit for a scene of this size: the file's own, or a guess if that makes no sense."""
     low, high = USUAL_SIZE
     for unit, name in ((metres, ""), (1.0, "a metre"), (0.01, "a centimetre"), (0.001, "a millimetre")):
         if low <= size * unit <= high:
@@ -68,7 +68,7 @@ def z_up_from(up: Axis) -> Float[np.ndarray, "3 3"]:
 
 
 def subject_box(objects: Sequence[SceneObject]) -> Float[np.ndarray, "2 3"]:
-    """Lowest and highest corner of the glass; of everything where there is none."""
+    """Lowest and highest corner of the glass; of everything if there is no glass."""
     glass = [item for item in objects if item.material.is_glass] or list(objects)
     corners = np.concatenate([item.mesh.vertices for item in glass]).astype(np.float64)
     return np.stack([corners.min(axis=0), corners.max(axis=0)])
@@ -159,9 +159,9 @@ def _open_arc(
     radius: float,
     remarks: Remarks,
 ) -> tuple[float, float]:
-    """First and last azimuth of the widest arc on which no backdrop stands between cameras and glass."""
+    """First and last azimuth of the widest arc without a backdrop between cameras and glass."""
     glass = [item.mesh.vertices for item in objects if item.material.is_glass]
-    # A backdrop may stand close behind a wide row of glass, so rays begin at the glass itself.
+    # A backdrop may be close behind a wide row of glass, so rays begin at the glass itself.
     points = _far_apart(np.concatenate(glass).astype(np.float64), WATCHED_POINTS) if glass else target[None]
     begin = (0.02 if glass else 1.05) * reach
     step = 10
@@ -182,12 +182,12 @@ def _open_arc(
             runs[start] += 1
     best = int(np.argmax(runs))
     if runs[best] * step < MIN_ARC_DEG:
-        remarks.approximate("cameras", "everything stands in a closed space; cameras all around see it from outside")
+        remarks.approximate("cameras", "everything is in a closed space; cameras all around see it from outside")
         return FRONT_DEG - 180.0, FRONT_DEG + 180.0
     first = float(azimuths[best])
     first -= 360.0 if first > 180 else 0.0
     first, last = first + GRAZING_DEG, first + step * (runs[best] - 1) - GRAZING_DEG
-    remarks.note("cameras", f"stand at azimuths from {first:.0f} to {last:.0f} degrees, in front of a backdrop")
+    remarks.note("cameras", f"are at azimuths from {first:.0f} to {last:.0f} degrees, in front of a backdrop")
     return first, last
 
 
@@ -233,15 +233,15 @@ def _distances(
 
 
 DUST = 1e-9
-"""Of an edge's largest coordinate: what rounding leaves of a turn."""
+"""Rounding error of a rotation, as a share of an edge's largest coordinate."""
 UPRIGHT = 0.9999
-"""Cosine of the angle by which a map of the environment may lean."""
+"""Cosine of the largest tilt of an environment map that is ignored."""
 IRRADIANCE = 2.5
-"""Of all lamps together at the scene's middle. Files have candela and lux, which viewers expose as they like."""
+"""Irradiance of all lamps together at the scene's centre. Files have candela and lux, which viewers expose freely."""
 SIDE = 0.15
-"""Of a square over its distance from the scene's middle: as wide as 9 degrees."""
+"""Side of a lamp's square over its distance from the scene's centre: 9 degrees wide."""
 SHARPNESS = 400.0
-"""Of a sun: as wide as 7 degrees at half of its height."""
+"""Sharpness of a sun's lobe: 7 degrees wide at half maximum."""
 FILL = 0.4
 """Share of the soft light between the cards that stays."""
 
@@ -258,7 +258,7 @@ LIGHT = SoftEnvironment(
     horizon=(0.50, 0.47, 0.44),
     ground=(0.20, 0.18, 0.17),
     cards=(
-        # Flags stand low between the softboxes: they draw the dark outline of glass from wherever one looks.
+        # Low flags between the softboxes draw the dark outline of glass from every direction.
         Card(direction=towards(-55, 12), size_deg=(26.0, 64.0), radiance=(0.06, 0.06, 0.07), softness_deg=10.0),
         Card(direction=towards(65, 12), size_deg=(26.0, 64.0), radiance=(0.06, 0.06, 0.07), softness_deg=10.0),
         Card(direction=towards(185, 12), size_deg=(26.0, 64.0), radiance=(0.06, 0.06, 0.07), softness_deg=10.0),
@@ -291,12 +291,12 @@ def placed_light(
 
 
 def _without_dust(edge: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
-    """The edge without what rounding left of a turn: Mitsuba 3.9 makes radiance of 2e-16 m that is no number."""
+    """The edge without rounding errors of a rotation: Mitsuba 3.9 returns NaN for an edge of 2e-16 m."""
     return np.where(np.abs(edge) < DUST * np.abs(edge).max(), 0.0, edge)
 
 
 def placed_map(sky: ForeignMap, linear: Float[np.ndarray, "3 3"], remarks: Remarks) -> EnvironmentMap:
-    """A map of the environment in our world; one that does not stand upright there is set up."""
+    """A map of the environment in our world; a tilted one is drawn upright."""
     middle, up = (linear @ sky.middle, linear @ sky.up)
     if up[2] < UPRIGHT * np.linalg.norm(up):
         remarks.approximate("environment", "is tilted; drawn upright, turned about the vertical alone")
@@ -318,15 +318,12 @@ def lit(
     middle: Float[np.ndarray, "3"],
     remarks: Remarks,
 ) -> tuple[SoftEnvironment, tuple[RectangleLight, ...]]:
-    """The sky and the squares that stand for lamps.
+    """The sky, and the squares that represent lamps.
 
     Args:
-        soft: the light of which a share stays, but for its cards.
+        soft: the light; a share of it stays, without its cards.
         linear: with `offset`, from the file's world to ours.
         middle: of the scene, in our world.
-
-    Raises:
-        HyalineError: no lamp shines on the scene.
     """
     target = np.linalg.solve(linear, middle - offset)
     given = [(lamp, _irradiance(lamp, target)) for lamp in lamps]

@@ -49,11 +49,7 @@ class TransformsFile:
             raise HyalineError(f"{self.path}: has {len(self.frames)} frames; expected 1 to {MAX_VIEWS:,}")
 
     def lens(self) -> Lens:
-        """The lens that all frames share.
-
-        Raises:
-            HyalineError: there is none, several, or one that no dataset can have.
-        """
+        """The lens that all frames share."""
         found = self._lens(self.frames[0])
         for frame in self.frames[1:]:
             if any(key in frame for key in ("fl_x", "fl_y", "cx", "cy", "w", "h", "camera_angle_x", *DISTORTION)):
@@ -90,11 +86,7 @@ class TransformsFile:
         return Lens(fov_x=angle, size=size, center=None if center == (width / 2, height / 2) else center)
 
     def angle(self, frame: Fields) -> tuple[float, Intrinsics | None, list[str]]:
-        """A frame's horizontal angle of view in radians, its lens in pixels where told, and what that leaves out.
-
-        Raises:
-            HyalineError: nothing says it.
-        """
+        """A frame's horizontal angle of view in radians, its lens in pixels where told, and what that leaves out."""
         number = partial(self._number, frame)
         width, height, focal = number("w", 2 * number("cx", 0.0)), number("h", 0.0), number("fl_x", 0.0)
         angle = 2 * math.atan(0.5 * width / focal) if focal > 0 and width > 0 else number("camera_angle_x", 0.0)
@@ -120,11 +112,7 @@ class TransformsFile:
             raise HyalineError(f"{frame.where}: {error}") from None
 
     def pose(self, frame: Fields) -> np.ndarray:
-        """world_from_camera of a frame, in the file's units.
-
-        Raises:
-            HyalineError: it is no rotation and place.
-        """
+        """world_from_camera of a frame, in the file's units."""
         matrix = frame.data.get("transform_matrix")  # type: ignore[union-attr]
         try:
             pose = np.array(matrix, np.float64)
@@ -136,11 +124,7 @@ class TransformsFile:
         return pose
 
     def find(self, frame: Fields, key: str) -> Path:
-        """The file that a frame names, with or without its ending.
-
-        Raises:
-            HyalineError: it is missing, or outside of the folder.
-        """
+        """The file that a frame names, with or without its ending."""
         where = f"{frame.where}.{key}"
         name = frame.text(key).removeprefix("./")
         for ending in ENDINGS:
@@ -151,11 +135,7 @@ class TransformsFile:
 
 
 def refuse_other_lens(lens: Lens, first: Lens, *, where: str) -> None:
-    """Refuses a lens that is not the first one's.
-
-    Raises:
-        HyalineError: naming both.
-    """
+    """Refuses a lens that is not the first one's."""
     middle = (first.size.width / 2, first.size.height / 2)
     apart = np.abs(np.subtract(lens.center or middle, first.center or middle)).max()
     is_shifted = apart > TOLERANCE * first.size.width
@@ -168,11 +148,7 @@ def refuse_other_lens(lens: Lens, first: Lens, *, where: str) -> None:
 
 
 def picture_size(path: Path) -> tuple[int, int]:
-    """Width and height of a picture by its header.
-
-    Raises:
-        HyalineError: it is none.
-    """
+    """Width and height of a picture by its header."""
     try:
         with open_regular(path) as file, Image.open(file, formats=["PNG", "JPEG", "WEBP"]) as picture:
             return picture.size

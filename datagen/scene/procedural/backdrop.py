@@ -1,4 +1,4 @@
-"""What is around the things of a random scene: what they stand on, a room or a landscape, and the light.
+"""What is around the things of a random scene: what they are placed on, a room or a landscape, and the light.
 
 Three kinds: two walls of a room that cameras look into; a round or square screen with a pattern all around, open at
 its top; and nothing but a ground in a drawn map of the environment.
@@ -26,7 +26,7 @@ from datagen.scene.textures import SolidTexture
 Support = Literal["floor", "plinth", "table"]
 
 GAP = 0.001
-"""Metres between things that stand on each other."""
+"""Metres between stacked things."""
 SKY_PATH = "maps/environment.exr"
 
 
@@ -39,7 +39,7 @@ class Light(TypedDict):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Backdrop:
-    """All of a scene but the things that stand in it."""
+    """All of a scene except its things."""
 
     words: str
     objects: tuple[SceneObject, ...]
@@ -47,7 +47,7 @@ class Backdrop:
     files: Mapping[str, bytes]
     """The map of the environment, by its path."""
     azimuth_deg: tuple[float, float] = (0.0, 360.0)
-    """Where cameras may stand."""
+    """Where cameras may be."""
 
 
 def draw_backdrop(
@@ -72,7 +72,7 @@ def draw_backdrop(
     return dataclasses.replace(around, objects=(*support, *around.objects))
 
 
-# What things stand on
+# Below the things
 
 
 def _support(
@@ -344,7 +344,7 @@ def _noise(d: np.ndarray, frequency: float, rng: np.random.Generator, *, octaves
 
 
 def _exr(shows: Shows, paper: float, rng: np.random.Generator) -> bytes:
-    """A map in which white paper has this radiance, of half precision: it compresses better, and no more is seen."""
+    """A map in which white paper has this radiance, in half precision, which compresses better and looks the same."""
     directions = map_directions(HEIGHT)
     radiance = np.maximum(shows(directions, rng), 0)
     radiance *= paper / paper_radiance(radiance, directions)

@@ -25,7 +25,7 @@ def pick(choices: Sequence[Choice], *, rng: np.random.Generator) -> Choice:
 
 
 def weigh(choices: Mapping[Choice, float], *, rng: np.random.Generator) -> Choice:
-    """One of several, as likely as its weight says."""
+    """One of several, with probabilities in proportion to their weights."""
     names = list(choices)
     ends = np.cumsum(list(choices.values()))
     return names[min(int(np.searchsorted(ends, rng.uniform(0, ends[-1]), side="right")), len(names) - 1)]
@@ -77,7 +77,7 @@ def color_pair(*, rng: np.random.Generator) -> tuple[Color, Color]:
 
 
 def pattern(scale: float, *, rng: np.random.Generator) -> SolidTexture:
-    """Any pattern, with a period of so many metres."""
+    """Any pattern, with a period in metres."""
     kind = pick(("checker", "stripes", "marble", "speckle", "wood"), rng=rng)
     if kind == "wood":
         return wood(scale, rng=rng)

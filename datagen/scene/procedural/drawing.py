@@ -99,7 +99,7 @@ def _barycentric(
 
 MAX_DRAWS = 20
 GLASS_SHARE = 0.05, 0.40
-"""Of the pixels, on average over the views."""
+"""Lowest and highest share of pixels that show glass, on average over the views."""
 VIEWS = 12
 """Training cameras that see how much glass there is."""
 SIZE = 48
@@ -115,17 +115,13 @@ class Drawn:
     refused: tuple[str, ...]
     """Why each earlier draw was refused, in order."""
     glass_share: float
-    """Of the pixels, on average."""
+    """Share of pixels that show glass, on average."""
     things: tuple[Thing, ...]
-    """What stands in it; its objects are the first of the scene's."""
+    """The things in it; their objects are the scene's first ones."""
 
 
 def make_random(name: RandomName) -> Scene:
-    """The scene of this name, unwrapped and checked.
-
-    Raises:
-        HyalineError: no draw passed the checks.
-    """
+    """The scene of this name, unwrapped and checked."""
     say(f"scene {name}: draws it and unwraps its surfaces")
     drawn = draw_scene(name)
     for reason in drawn.refused:
@@ -138,11 +134,7 @@ def make_random(name: RandomName) -> Scene:
 
 
 def draw_scene(name: RandomName) -> Drawn:
-    """The first draw of this name that passes all checks.
-
-    Raises:
-        HyalineError: none of MAX_DRAWS did.
-    """
+    """The first draw of this name that passes all checks."""
     refused: list[str] = []
     while len(refused) < MAX_DRAWS:
         rng = np.random.default_rng([name.seed, _number(name.family), len(refused)])
@@ -187,7 +179,7 @@ def _draw(name: RandomName, refused: tuple[str, ...], rng: np.random.Generator) 
 
 
 def _number(family: str) -> int:
-    """What tells the seeds of a family from those of another."""
+    """A number for a family, so that equal seeds of two families differ."""
     built_in = list(FAMILIES.built_in)
     return built_in.index(family) if family in built_in else zlib.crc32(family.encode())
 
@@ -197,9 +189,6 @@ def check_inside(things: list[Thing], *, where: str) -> None:
 
     Drinks reach into their glass on purpose, and cores and shells are wholly inside of what they are in. Of thin glass,
     which may be open and bounds no solid, the question is whether some of it is in the other.
-
-    Raises:
-        HyalineError: naming both objects.
     """
     for thing in things:
         loose = [item for item in thing.objects[1:] if not item.name.endswith("_drink")]

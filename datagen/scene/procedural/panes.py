@@ -105,7 +105,7 @@ PANES: dict[str, Maker] = {
     "case": lambda rng: glass_case(of_glass=False, rng=rng),
     "bauble": lambda rng: bauble(is_empty=True, rng=rng),
 }
-"""What stands on a table."""
+"""Panes for a table."""
 
 
 def enclosed(*, rng: np.random.Generator) -> Thing:

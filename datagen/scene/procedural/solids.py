@@ -104,7 +104,7 @@ def twisted(mesh: Mesh, turns_per_metre: float, *, crease_deg: float) -> Mesh:
 
 
 FACET_CREASE_DEG = 12.0
-"""Of bodies with flat facets, which meet at small angles, too."""
+"""Crease angle of bodies with flat facets, which also meet at small angles."""
 
 Maker = Callable[[np.random.Generator], Mesh]
 

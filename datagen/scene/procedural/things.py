@@ -83,7 +83,7 @@ def enlarged(thing: Thing, factor: float) -> Thing:
     return dataclasses.replace(thing, objects=tuple(objects))
 
 
-# Where things stand
+# Placing things
 
 
 CLEARANCE = 0.012
@@ -128,7 +128,7 @@ def free_places(reaches: Sequence[float], *, clearance: float, rng: np.random.Ge
 Maker = Callable[[np.random.Generator], Thing]
 
 GAP = 0.001
-"""Metres between things that stand on each other: coincident faces lose layers."""
+"""Metres between stacked things: coincident faces lose layers."""
 METALS = ((0.90, 0.66, 0.33), (0.91, 0.62, 0.50), (0.82, 0.82, 0.84), (0.55, 0.56, 0.58))
 """Brass, copper, silver, steel."""
 

@@ -156,7 +156,7 @@ def test_cameras_beside_a_model_move_with_it(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("given", "message"),
-    [("nowhere", "--cameras .*nowhere: is no such file"), (".", "holds no cameras; expected transforms.json")],
+    [("nowhere", "--cameras .*nowhere: is not a file"), (".", "holds no cameras; expected transforms.json")],
 )
 def test_a_place_without_cameras_is_refused(tmp_path: Path, given: str, message: str) -> None:
     with pytest.raises(HyalineError, match=message):
