@@ -83,7 +83,7 @@ DOORS = ("datagen/scene/finding.py", "hyaline/")
 FUNCTIONS = (ast.FunctionDef, ast.AsyncFunctionDef)
 TOO_LONG: set[str] = set()
 """What is still to be split: longer than a function's 80 lines, or a file's 400."""
-MOST_FILES_OF_A_BUILD = 115
+MOST_FILES_OF_A_BUILD = 112
 """Those that hold code: an empty `__init__.py` does not count."""
 GROUPS = (METHODS, READERS, DATASET_READERS, FORMATS, FAMILIES, TABLES)
 FILES = {

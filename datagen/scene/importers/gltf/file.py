@@ -277,7 +277,7 @@ def read_draco(arrays: GltfArrays, draco: Fields, wanted: dict[str, str]) -> tup
     attributes = {name: found[name].astype(np.float64) for name in names}
     for name, values in attributes.items():
         if values.shape != (len(attributes["POSITION"]), WIDTHS[wanted[name]]) or not np.isfinite(values).all():
-            raise HyalineError(f"{draco.where}: its {name} are no {wanted[name]} of finite numbers; export it again")
+            raise HyalineError(f"{draco.where}: its {name} are not {wanted[name]} of finite numbers; export it again")
     return attributes, found["faces"].astype(np.int64).reshape(-1)
 
 

@@ -199,7 +199,7 @@ def _attributes(arrays: GltfArrays, primitive: Fields) -> tuple[Attributes, np.n
     if any(len(values) != count for values in found.values()):
         raise HyalineError(f"{primitive.where}: its attributes differ in length; export the file again")
     if corners.ndim != 1 or corners.dtype.kind != "i":
-        raise HyalineError(f"{primitive.where}.indices: are no whole numbers; export the file again")
+        raise HyalineError(f"{primitive.where}.indices: are not whole numbers; export the file again")
     if len(corners) and (corners.min() < 0 or corners.max() >= count):
         raise HyalineError(f"{primitive.where}: names vertex {corners.max()} of {count}; export the file again")
     return found, corners

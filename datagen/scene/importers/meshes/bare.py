@@ -145,7 +145,7 @@ def read_stl(path: Path, remarks: Remarks) -> ForeignScene:  # noqa: ARG001
         corners = _text(data, path)
     else:
         raise HyalineError(
-            f"{path}: has {len(data):,} bytes for {count:,} triangles of 50 bytes; it is cut off, or no STL file"
+            f"{path}: has {len(data):,} bytes for {count:,} triangles of 50 bytes; it is cut off, or not an STL file"
         )
     if not 0 < len(corners) <= MAX_TRIANGLES:
         raise HyalineError(f"{path}: holds {len(corners):,} triangles; expected 1 to {MAX_TRIANGLES:,}")
