@@ -13,8 +13,7 @@ import io
 import tarfile
 from collections.abc import Iterator, Mapping
 
-from datagen.data.npy import npy_bytes
-from datagen.data.png import png_bytes
+from datagen.data.images import npy_bytes, png_bytes
 from datagen.disk.records import Json
 from datagen.disk.storage import dump_json
 from datagen.export.files import CONVENTION, bounds_keys, frame, lens_keys, mask_png, rgb_png

@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from datagen.data.resolution import square
+from datagen.data.config import square
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import file_name
 from datagen.disk.records import shown

@@ -12,7 +12,7 @@ from typing import Literal, TypedDict
 import numpy as np
 from jaxtyping import Float
 
-from datagen.data.exr import encode_float_exr
+from datagen.data.images import encode_float_exr
 from datagen.data.meshes import Mesh
 from datagen.scene.description import SceneObject
 from datagen.scene.lights import EnvironmentMap

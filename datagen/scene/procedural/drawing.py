@@ -14,11 +14,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from datagen.data.cameras import Cameras
-from datagen.data.config import DatasetConfig, SplitConfig
-from datagen.data.license import OWN
-from datagen.data.meshes import face_corners
-from datagen.data.resolution import Resolution
-from datagen.data.windings import windings
+from datagen.data.config import DatasetConfig, Resolution, SplitConfig
+from datagen.data.meshes import face_corners, windings
+from datagen.data.metadata import OWN_LICENSE
 from datagen.disk.errors import HyalineError
 from datagen.scene.atlas import unwrap_all
 from datagen.scene.description import CameraRig, Scene, SceneObject, WalkPoint
@@ -51,11 +49,10 @@ def _seen_share(
 ) -> float:
     world_from_camera = cameras.world_from_camera[view]
     seen = (corners - world_from_camera[:3, 3]) @ world_from_camera[:3, :3]
-    focal = cameras.width / 2 / np.tan(cameras.fov_x / 2)
     # In pixels, right and down, from the middle of the first one; depth along the axis.
     depth = -seen[..., 2]
-    right = cameras.width / 2 - 0.5 + focal * seen[..., 0] / depth
-    down = cameras.height / 2 - 0.5 - focal * seen[..., 1] / depth
+    right = cameras.width / 2 - 0.5 + cameras.focal * seen[..., 0] / depth
+    down = cameras.height / 2 - 0.5 - cameras.focal * seen[..., 1] / depth
     face, column, row = _middles_in_boxes(right, down, cameras.width, cameras.height)
     weights = _barycentric(right[face], down[face], column, row)
     inside = (weights >= 0).all(axis=-1)
@@ -128,7 +125,7 @@ def make_random(name: RandomName) -> Scene:
         say(f"scene {name}: a draw was refused: {reason}")
     meshes = unwrap_all({item.name: item.mesh for item in drawn.scene.objects})
     objects = tuple(dataclasses.replace(item, mesh=meshes[item.name]) for item in drawn.scene.objects)
-    scene = dataclasses.replace(drawn.scene, objects=objects, license=OWN)
+    scene = dataclasses.replace(drawn.scene, objects=objects, license=OWN_LICENSE)
     check_scene(scene)
     return scene
 
