@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from datagen.data.config import Resolution
 from datagen.data.meshes import face_corners
+from datagen.disk.errors import HyalineError
 from datagen.scene.description import CameraRig, SceneObject, WalkPoint
 from datagen.scene.importers.foreign import Axis, ForeignLamp, ForeignLight, ForeignMap
 from datagen.scene.importers.remarks import Remarks
