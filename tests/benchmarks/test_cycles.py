@@ -17,7 +17,7 @@ from support.gltf import GltfBuilder, clear, glass
 
 from datagen.data.images import decode_radiance
 from datagen.render.mitsuba_scene import radiance_of_environment
-from datagen.scene.importers.lights import LIGHT
+from datagen.scene.importers.staging import LIGHT
 
 FAKE = """#!{python}
 import json, shutil, sys

@@ -1,6 +1,7 @@
 """The built-in scenes: made by code, one file each, with the same bytes every time."""
 
 import dataclasses
+import importlib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -9,24 +10,25 @@ import numpy as np
 from datagen.data.dataset import head_files
 from datagen.data.meshes import Mesh, is_there
 from datagen.data.metadata import OWN_LICENSE
+from datagen.data.paths import BUILT_IN_SCENES
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import check_files, sha256
 from datagen.scene.atlas import unwrap_all
-from datagen.scene.builtin import drinks, glass_table, plant_shelf, pool, prism_bench, vitrine
 from datagen.scene.description import Scene
 from datagen.scene.folder import load_scene, scene_files
 from datagen.scene.soundness import check_scene
 from datagen.terminal.command import choose, say
 
-SCENES: dict[str, Callable[[], Scene]] = {
-    "glass_table": glass_table.make,
-    "vitrine": vitrine.make,
-    "plant_shelf": plant_shelf.make,
-    "drinks": drinks.make,
-    "prism_bench": prism_bench.make,
-    "pool": pool.make,
-}
-"""Functions that make the scenes, without uv."""
+
+def _maker(name: str) -> Callable[[], Scene]:
+    def make() -> Scene:
+        return importlib.import_module(f"datagen.scene.builtin.{name}").make()
+
+    return make
+
+
+SCENES = {name: _maker(name) for name in BUILT_IN_SCENES}
+"""Makers of the scenes, whose objects have no uv yet; each file is imported when its scene is made."""
 
 
 def make_scene(name: str) -> Scene:

@@ -15,7 +15,7 @@ from datagen.data.cameras import Cameras
 from datagen.data.config import Resolution, Split
 from datagen.data.dataset import Dataset
 from datagen.data.geometries import GeometryKey, geometry_key, read_meshes
-from datagen.data.meshes import Mesh
+from datagen.data.meshes import Mesh, r2_steps
 from datagen.data.paths import TRUTH
 from datagen.machine.mitsuba_variant import short_lived_workers, use_mitsuba
 from datagen.trace.surface_tables import Limits

@@ -322,14 +322,14 @@ def outside(root: Path) -> None:
 
 
 HOSTILE: dict[str, tuple[Callable[[Path], None], str]] = {
-    "no folder": (shutil.rmtree, "is no folder; expected one with transforms_train.json"),
+    "no folder": (shutil.rmtree, "is not a folder; expected one with transforms_train.json"),
     "nothing known": (
         lambda root: [path.unlink() for path in root.glob("*.json")],
         "has neither transforms_train.json nor transforms.json",
     ),
     "one of ours": (
         lambda root: (root / "dataset.json").write_text("{}"),
-        "is a dataset of hyaline's already",
+        "is a hyaline dataset already",
     ),
     "truncated list": (
         lambda root: (root / "transforms_train.json").write_text('{"frames": ['),

@@ -5,7 +5,7 @@ import pytest
 
 from benchmarks.sky import radiance_of_map
 from datagen.scene.images import read_map
-from datagen.scene.procedural.skies import SKIES, draw_cards, draw_sky, map_directions, paper_radiance
+from datagen.scene.procedural.backdrop import SKIES, draw_cards, draw_sky, map_directions, paper_radiance
 
 
 def test_pixels_lie_in_the_directions_in_which_maps_are_looked_up() -> None:
