@@ -6,9 +6,8 @@ from typing import Literal
 
 from benchmarks.choices import BenchChoices
 from datagen.scene.import_choices import ImportChoices
-from datagen.scene.procedural.names import Family
 from datagen.terminal.command import run
-from datagen.terminal.parsing import Group, group
+from datagen.terminal.parsing import CommandGroup, group
 
 DESCRIPTION = (
     "Measure speed: rivals by turns in one process, checked first; exit status 1 where a ratio is missed. "
@@ -21,7 +20,7 @@ def main() -> None:
     run("python -m benchmarks", commands(), sys.argv[1:])
 
 
-def commands() -> Group:
+def commands() -> CommandGroup:
     """All commands of the program."""
     by_name = {
         "peel": peel,
@@ -151,7 +150,7 @@ def scale(
     show_scale(bench_scale(factor or (1, 2, 4, 8), chosen, rounds=rounds), out, as_json=json)
 
 
-def random_scenes(seeds: int = 100, first: int = 0, family: Family | None = None, json: bool = False) -> None:
+def random_scenes(seeds: int = 100, first: int = 0, family: str | None = None, json: bool = False) -> None:
     """Draw and check random scenes without rendering them: how many draws were refused, and why.
 
     Exit status 1 where a seed gives no scene.

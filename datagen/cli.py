@@ -11,7 +11,7 @@ from datagen.disk.errors import UsageError
 from datagen.import_dataset.choices import DatasetImportChoices
 from datagen.scene.import_choices import ImportChoices
 from datagen.terminal.command import fail, hush, next_command, run, say, say_all, tell, tell_json
-from datagen.terminal.parsing import Group, group
+from datagen.terminal.parsing import CommandGroup, group
 
 if TYPE_CHECKING:
     from datagen.data.dataset import Dataset
@@ -37,7 +37,7 @@ def main() -> None:
     run("datagen", commands(), sys.argv[1:])
 
 
-def commands() -> Group:
+def commands() -> CommandGroup:
     """All commands of the program."""
     by_name = {
         "build": build,
@@ -133,7 +133,6 @@ def import_file(
     """
     from datagen.data.config import parse_resolution
     from datagen.scene.importers.confined_import import check_free, import_files, write_imported
-    from datagen.scene.importers.importing import scene_name
 
     root = out or SCENES_ROOT / scene_name(file)
     check_free(root, overwrite=overwrite)
@@ -315,11 +314,11 @@ def verify(dataset: str | None = None, /, *, quiet: bool = False, json: bool = F
 def scenes() -> None:
     """List the built-in scenes, and how to draw random ones."""
     from datagen.scene.builtin import describe_scenes
-    from datagen.scene.procedural.names import FAMILIES, RANDOM
+    from datagen.scene.random_names import FAMILIES, RANDOM
 
     for name, description in describe_scenes().items():
         print(f"{name:14} {description}")
-    print(f"{RANDOM:14} Glassware drawn from --seed N, with --count M of them; --family {', '.join(FAMILIES)}")
+    print(f"{RANDOM:14} Glassware drawn from --seed N, with --count M of them; --family {', '.join(FAMILIES.names())}")
     next_command(build_command())
 
 

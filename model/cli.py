@@ -13,7 +13,7 @@ from datagen.build.choices import FilmChoices
 from datagen.data.paths import find_dataset
 from datagen.disk.errors import HyalineError, UsageError
 from datagen.terminal.command import mute, next_command, run, say, tell
-from datagen.terminal.parsing import Command, Group, group
+from datagen.terminal.parsing import Command, CommandGroup, group
 from model.settings.run_flags import RUNS, Device, Memory
 from model.settings.runtime import choose_device, wait_briefly
 
@@ -49,10 +49,10 @@ def main() -> None:
     run("model", commands(), sys.argv[1:])
 
 
-def commands() -> Group:
+def commands() -> CommandGroup:
     """All commands of the program."""
     by_name = {
-        "train": Group(about=TRAIN, names=_methods, line=_describe, choose=_train_command, word="method"),
+        "train": CommandGroup(about=TRAIN, names=_methods, line=_describe, choose=_train_command, word="method"),
         "predict": predict,
         "film": film,
         "export": export,
@@ -64,9 +64,9 @@ def commands() -> Group:
 
 
 def _methods() -> Sequence[str]:
-    from model.methods.table import list_methods
+    from model.methods.table import METHODS
 
-    return list_methods()
+    return METHODS.names()
 
 
 def _describe(method: str) -> str:

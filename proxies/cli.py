@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, cast
 from datagen.data.paths import DATA_ROOT, TRUTH, build_command, find_dataset, list_datasets, train_command
 from datagen.disk.errors import HyalineError, UsageError
 from datagen.terminal.command import choose, fail, next_command, run, say
-from datagen.terminal.parsing import Group, group
+from datagen.terminal.parsing import CommandGroup, group
 
 if TYPE_CHECKING:
     from datagen.data.dataset import Dataset
@@ -20,7 +20,7 @@ def main() -> None:
     run("proxies", commands(), sys.argv[1:])
 
 
-def commands() -> Group:
+def commands() -> CommandGroup:
     """All commands of the program."""
     return group("Coarse closed meshes with UV around the objects of a dataset.", {"make": make, "check": check}, {})
 

@@ -20,7 +20,7 @@ from datagen.disk.ownership import DATASET, refuse_strangers
 from datagen.scene.edits import parse_edit
 from datagen.scene.finding import find_scene, is_foreign
 from datagen.scene.import_choices import ImportChoices
-from datagen.scene.procedural.names import RANDOM, RandomName
+from datagen.scene.random_names import RANDOM, RandomName
 from datagen.scene.rig import with_listed_shape, with_listed_views
 from datagen.terminal.command import choose, say, say_all
 from datagen.terminal.preview import preview

@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Literal
 
 from datagen.disk.errors import UsageError
-from datagen.scene.procedural.names import Family
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,9 +23,9 @@ class BuildChoices:
     """Replace an existing dataset that has other settings."""
     preview: bool = False
     """Show thumbnails of the result, in a terminal with true colour."""
-    family: Family | None = None
+    family: str | None = None
     """For random scenes: object (one in front of a background), table (glass among other things) or nested (media
-    inside each other). Default: they take turns with the seed."""
+    inside each other), or a family of another distribution. Default: they take turns with the seed."""
     count: int | None = None
     """For random scenes: build this many datasets, with --seed and the seeds that follow."""
     shard: str | None = None

@@ -17,7 +17,7 @@ from datagen.disk.errors import HyalineError, describe_os_error, naming
 from datagen.disk.names import printable
 from datagen.disk.records import shown
 from datagen.terminal.distribution import VERSION, naming_parts
-from datagen.terminal.parsing import Command, Group, parse
+from datagen.terminal.parsing import Command, CommandGroup, parse
 from datagen.terminal.signals import Stopped, raise_on_sigterm, signal_within
 
 Item = TypeVar("Item")
@@ -29,7 +29,7 @@ REPORT_EVERY_S = 15.0
 """Without a terminal, progress is a line this often."""
 
 
-def run(program: str, command: Command | Group, arguments: list[str]) -> None:
+def run(program: str, command: Command | CommandGroup, arguments: list[str]) -> None:
     """Parses `arguments`, calls the function they ask for, and exits.
 
     Results go to stdout, everything else to stderr. Every command takes `--version`. Exit status: 0 done, 1 our error

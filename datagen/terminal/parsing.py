@@ -39,14 +39,14 @@ REASONS = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class Group:
+class CommandGroup:
     """Commands that share their first words, such as those of a program."""
 
     about: str
     names: Callable[[], Sequence[str]]
     line: Callable[[str], str]
     """Describes a command in one line."""
-    choose: Callable[[str, Sequence[str]], "Command | Group"]
+    choose: Callable[[str, Sequence[str]], "Command | CommandGroup"]
     """Finds a command by its name, and the words that follow."""
     word: str = "command"
     """What a name stands for."""
@@ -54,20 +54,20 @@ class Group:
     """What replaces the commands and flags of earlier versions, by their words, such as `datagen build --edit`."""
 
 
-def group(about: str, commands: Mapping[str, Command | Group], moved: Mapping[str, str]) -> Group:
+def group(about: str, commands: Mapping[str, Command | CommandGroup], moved: Mapping[str, str]) -> CommandGroup:
     """The commands of a program."""
 
     def line(name: str) -> str:
         command = commands[name]
-        text = command.about if isinstance(command, Group) else inspect.getdoc(command) or ""
+        text = command.about if isinstance(command, CommandGroup) else inspect.getdoc(command) or ""
         return text.partition("\n\n")[0]
 
-    return Group(
+    return CommandGroup(
         about=about, names=lambda: list(commands), line=line, choose=lambda name, _: commands[name], moved=moved
     )
 
 
-def parse(program: str, command: Command | Group, words: Sequence[str]) -> Callable[[], None]:
+def parse(program: str, command: Command | CommandGroup, words: Sequence[str]) -> Callable[[], None]:
     """The call that words ask for.
 
     Raises:
@@ -77,7 +77,7 @@ def parse(program: str, command: Command | Group, words: Sequence[str]) -> Calla
     if list(words[:1]) == [COMPLETION]:
         _print_completion(program, command, words[1:])
     moved: Mapping[str, str] = {}
-    while isinstance(command, Group):
+    while isinstance(command, CommandGroup):
         moved = {**moved, **command.moved}
         if not words or words[0] in HELP:
             print(_list_commands(program, command))
@@ -246,7 +246,7 @@ def _config() -> tuple[Any, ...]:
     return (tyro.conf.OmitArgPrefixes, tyro.conf.UseAppendAction, tyro.conf.DisallowNone)
 
 
-def _list_commands(program: str, commands: Group) -> str:
+def _list_commands(program: str, commands: CommandGroup) -> str:
     """The help of a group."""
     names = commands.names()
     indent = max(map(len, names)) + 4
@@ -293,7 +293,7 @@ def _reason(said: str) -> str:
     return line
 
 
-def _print_completion(program: str, command: Command | Group, words: Sequence[str]) -> None:
+def _print_completion(program: str, command: Command | CommandGroup, words: Sequence[str]) -> None:
     """Prints what makes a shell complete a program's words."""
     shell = words[0] if words else ""
     if shell not in SHELLS:
@@ -302,17 +302,17 @@ def _print_completion(program: str, command: Command | Group, words: Sequence[st
 
     tree = _app(command)
     given = ["--tyro-print-completion", shell]
-    if isinstance(command, Group):
+    if isinstance(command, CommandGroup):
         tree.cli(prog=program, args=given, config=_config())
     else:
         tyro.cli(tree, prog=program, args=given, config=_config())
 
 
-def _app(command: Command | Group) -> Any:
+def _app(command: Command | CommandGroup) -> Any:
     """The same commands as tyro nests them."""
     import tyro
 
-    if not isinstance(command, Group):
+    if not isinstance(command, CommandGroup):
         describe(command)
         return command
     app = tyro.extras.SubcommandApp()

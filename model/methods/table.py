@@ -1,24 +1,18 @@
 """The methods that `model train NAME` can train: those built in, and those that other distributions bring.
 
 A distribution brings one by an entry point of the group `hyaline.methods`: its name is the method's, and it refers to a
-class that derives from `MethodConfig`. Nothing is imported before it is asked for.
+class that derives from `MethodConfig`.
 """
 
-import importlib
 import shlex
-from functools import cache
-from importlib import metadata
 from typing import TYPE_CHECKING
 
 from datagen.disk.errors import HyalineError
-from datagen.terminal.command import choose
-from datagen.terminal.distribution import DISTRIBUTION
+from datagen.terminal.plugins import Group
 from model.methods.protocol import Inputs, MethodConfig
 
 if TYPE_CHECKING:
     from datagen.data.dataset import Dataset
-
-GROUP = "hyaline.methods"
 
 BUILT_IN = {
     "paper": "model.methods.paper.config:PaperConfig",
@@ -36,42 +30,21 @@ BUILT_IN = {
 """The record of each method. A new one is a folder and a line here."""
 
 
-@cache
-def list_methods() -> tuple[str, ...]:
-    """The names of all methods, those of other distributions last."""
-    others = sorted(point.name for point in metadata.entry_points(group=GROUP))
-    names = (*BUILT_IN, *others)
-    if doubled := sorted({name for name in names if names.count(name) > 1}):
-        raise HyalineError(
-            f"method {doubled[0]!r}: two distributions bring one of that name ({', '.join(_sources(doubled[0]))}); "
-            "uninstall one"
-        )
-    return names
-
-
-@cache
-def find_method(name: str) -> type[MethodConfig]:
-    """The record of a method."""
-    choose("method", name, list_methods())
-    if name in BUILT_IN:
-        module, _, kind = BUILT_IN[name].partition(":")
-        return getattr(importlib.import_module(module), kind)
-    (point,) = metadata.entry_points(group=GROUP, name=name)
-    where = f"method {name!r}: {point.value}, which {_sources(name)[0]} brings,"
-    try:
-        found = point.load()
-    except Exception as error:  # A stranger's module may raise anything.
-        raise HyalineError(f"{where} cannot be imported ({error}); mend or uninstall it") from error
-    if not (isinstance(found, type) and issubclass(found, MethodConfig)):
-        raise HyalineError(f"{where} is not a MethodConfig; see docs/adding-a-method.md")
-    return found
+METHODS: Group[type[MethodConfig]] = Group(
+    name="hyaline.methods",
+    what="method",
+    built_in=BUILT_IN,
+    guide="docs/adding-a-method.md",
+    kind="model.methods.protocol:MethodConfig",
+    is_class=True,
+)
 
 
 def about(name: str) -> str:
-    """One line about a method: its docstring's first paragraph, and its distribution if it is not built in."""
-    source = "" if name in BUILT_IN else f"Brought by {_sources(name)[0]}."
+    """One line about a method: its docstring's first paragraph, and who brings it if it is not built in."""
+    source = "" if name in BUILT_IN else f"Brought by {METHODS.sources(name)[0]}."
     try:
-        kind = find_method(name)
+        kind = METHODS.find(name)
         line = " ".join((kind.__doc__ or "").partition("\n\n")[0].split())
         line = "" if line.startswith(f"{kind.__name__}(") else line  # dataclass's own docstring.
     except HyalineError:
@@ -80,7 +53,7 @@ def about(name: str) -> str:
 
 
 def open_inputs(config: MethodConfig, dataset: "Dataset", geometry: str) -> Inputs:
-    """The inputs of a method from a dataset."""
+    """What a method is given of a dataset."""
     if not config.reads_layers:
         return Inputs(dataset=dataset, geometry=geometry, num_layers=0, layers_seal=dataset.seal)
     store = dataset.layer_store(geometry)
@@ -96,11 +69,4 @@ def _choose_layers(asked: int | None, stored: int, dataset: "Dataset", geometry:
     words = ["datagen", "peel", str(dataset.root), "--geometry", geometry]
     peel = shlex.join([*words, "--num-layers", str(asked), "--overwrite"])
     more = f" (`{peel}` stores more)" if asked > 0 else ""
-    raise HyalineError(f"layers: is {asked}; expected 1 to {stored}, the number of stored layers{more}")
-
-
-def _sources(name: str) -> list[str]:
-    """The distributions that bring a method of a name."""
-    built_in = [DISTRIBUTION] if name in BUILT_IN else []
-    points = metadata.entry_points(group=GROUP, name=name)
-    return built_in + [point.dist.name if point.dist else point.value for point in points]
+    raise HyalineError(f"layers: is {asked}; expected 1 to {stored}, as many as are stored{more}")

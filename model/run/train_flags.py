@@ -12,7 +12,7 @@ from datagen.disk.errors import HyalineError
 from datagen.terminal.command import say
 from datagen.terminal.parsing import Command, collect, flags_of
 from model.methods.protocol import MethodConfig
-from model.methods.table import about, find_method, open_inputs
+from model.methods.table import METHODS, about, open_inputs
 from model.settings.flags import suffixes
 from model.settings.losses import LossConfig
 from model.settings.optimisation import Optimisation
@@ -39,7 +39,7 @@ def make_command(method: str, words: Sequence[str], then: Callable[[str, Asked],
     Raises:
         HyalineError: no such method.
     """
-    usual = find_method(method)().usual(_geometry_in(words))
+    usual = METHODS.find(method)().usual(_geometry_in(words))
     optimised = usual.optimisation()
 
     def train(

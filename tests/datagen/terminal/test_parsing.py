@@ -12,7 +12,7 @@ from support.synthetic import write_synthetic_dataset
 
 from datagen.build.choices import AddChoices, BuildChoices, LaunchChoices, SizeChoices
 from datagen.disk.errors import UsageError
-from datagen.terminal.parsing import Group, collect, flag_words
+from datagen.terminal.parsing import CommandGroup, collect, flag_words
 
 PROGRAMS = {"datagen": "datagen.cli", "proxies": "proxies.cli", "model": "model.cli"}
 
@@ -22,7 +22,7 @@ def every_command() -> list[str]:
     import importlib
 
     def below(line: str, command: object) -> list[str]:
-        if not isinstance(command, Group):
+        if not isinstance(command, CommandGroup):
             return [line]
         return [line, *(one for name in command.names() for one in below(f"{line} {name}", command.choose(name, ())))]
 

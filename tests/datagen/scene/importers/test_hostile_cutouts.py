@@ -265,7 +265,7 @@ MASKS: dict[str, tuple[str, float | str]] = {
     "an image without a name": ('<texture type="bitmap" name="opacity"/>', "names ''; expected a file"),
     "an image that is flat": (
         bitmap("half.png", '<transform name="to_uv"><scale value="0"/></transform>'),
-        "to_uv is no transform",
+        "to_uv is not an invertible transform",
     ),
     "a checkerboard": ('<texture type="checkerboard" name="opacity"/>', "known is bitmap"),
     "masks in a mask": (f'{opacity("1")}<bsdf type="mask">{bitmap("half.png")}<bsdf type="diffuse"/></bsdf>', 0.5),

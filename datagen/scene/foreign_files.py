@@ -1,12 +1,41 @@
-"""Materials by name, for objects of an imported file: `--material 'leg*=gold'`."""
+"""Files of other programs as scenes: their readers, and the choices for an import (`--material 'leg*=gold'`)."""
 
 import difflib
 import fnmatch
+import re
+from collections.abc import Callable
+from pathlib import Path
 
+from datagen.data.config import square
 from datagen.disk.errors import HyalineError
+from datagen.disk.names import file_name
 from datagen.disk.records import shown
 from datagen.scene.materials import Conductor, Dielectric, Diffuse, Material, Plastic, ThinDielectric
 from datagen.terminal.command import MAX_SUGGESTED, choose
+from datagen.terminal.plugins import Group
+
+READERS: Group[Callable] = Group(
+    name="hyaline.scene_readers",
+    what="ending",
+    built_in={
+        "glb": "datagen.scene.importers.gltf.scene:read_gltf",
+        "gltf": "datagen.scene.importers.gltf.scene:read_gltf",
+        "obj": "datagen.scene.importers.meshes.obj:read_obj",
+        "ply": "datagen.scene.importers.meshes.bare:read_ply_file",
+        "stl": "datagen.scene.importers.meshes.bare:read_stl",
+        "3mf": "datagen.scene.importers.meshes.bare:read_3mf",
+        "xml": "datagen.scene.importers.mitsuba.scene:read_mitsuba",
+    },
+    guide="docs/adding-a-reader.md",
+)
+"""Functions (Path, Remarks) -> ForeignScene by the ending of a file (datagen/scene/importers/foreign.py)."""
+
+OTHER_ENDINGS = ("blend", "fbx", "dae", "usd", "usda", "usdc", "usdz", "abc", "3ds", "max", "c4d", "skp")
+"""Endings of other common scene files, which need a conversion first."""
+
+EXPORT_ADVICE = "open it in Blender, or in what it was made with, and export it as glTF 2.0 (.glb)"
+
+DEFAULT_RESOLUTION = square(128)
 
 MAX_NAMED = 20
 """Objects that an error lists."""
@@ -28,12 +57,26 @@ NAMED: dict[str, Material] = {
 }
 
 
-def parse_overrides(given: tuple[str, ...]) -> list[tuple[str, Material]]:
-    """Pairs of a pattern of object names and the material for them; later ones win.
+def ending_of(path: Path) -> str:
+    """The ending of a file in small letters, without its dot."""
+    return path.suffix.lower().removeprefix(".")
 
-    Raises:
-        HyalineError: a material of that name is not known.
-    """
+
+def check_ending(path: Path) -> None:
+    """Refuses a file that no reader reads."""
+    if ending_of(path) not in READERS.names():
+        known = ", ".join(f".{name}" for name in READERS.names())
+        raise HyalineError(f"{path}: ends in {shown(path.suffix)}, and {known} can be imported; {EXPORT_ADVICE}")
+
+
+def scene_name(path: Path) -> str:
+    """The name of the scene that is made of a file."""
+    name = re.sub(r"[^A-Za-z0-9_+,-]", "_", file_name(path.stem))[:60]
+    return name if re.match(r"[A-Za-z0-9_]", name) else f"_{name}"
+
+
+def parse_overrides(given: tuple[str, ...]) -> list[tuple[str, Material]]:
+    """Pairs of a pattern of object names and the material for them; later ones win."""
     found = []
     for text in given:
         pattern, is_for_some, name = text.rpartition("=")
@@ -44,11 +87,7 @@ def parse_overrides(given: tuple[str, ...]) -> list[tuple[str, Material]]:
 
 
 def check_overrides(overrides: list[tuple[str, Material]], names: list[str]) -> None:
-    """Refuses a pattern that matches no object, since it is a slip.
-
-    Raises:
-        HyalineError: naming the objects.
-    """
+    """Rejects a pattern that matches no object, probably a typo."""
     for pattern, _ in overrides:
         if not any(fnmatch.fnmatchcase(name, pattern) for name in names):
             near = difflib.get_close_matches(pattern[:MAX_SUGGESTED], names, n=1, cutoff=0.5)
@@ -61,5 +100,5 @@ def check_overrides(overrides: list[tuple[str, Material]], names: list[str]) -> 
 
 
 def override(name: str, overrides: list[tuple[str, Material]]) -> Material | None:
-    """The material that somebody chose for an object."""
+    """The material chosen for an object, if any."""
     return next((material for pattern, material in reversed(overrides) if fnmatch.fnmatchcase(name, pattern)), None)
