@@ -20,6 +20,7 @@ from support.commands import call, parsed, run
 from support.synthetic import write_synthetic_dataset
 
 from benchmarks.browser import running_browser, watched_page
+from datagen.disk.errors import UsageError
 from datagen.scene.folder import load_scene
 from model.methods import table
 

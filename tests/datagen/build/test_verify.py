@@ -24,8 +24,8 @@ BUILD = (
 COMMANDS = (
     BUILD,
     "proxies make data/one --kind box --num-layers 2",
-    f"{BUILD} --angles --larger 2 --larger-views 1",
-    "datagen build --scene scene --out data/one --edit remove:pane",
+    "datagen add data/one --angles --larger 2 --larger-views 1",
+    "datagen add data/one --edit remove:pane",
 )
 ROOT = Path("data/one")
 DAMAGES = ("deleted", "truncated", "flipped", "emptied", "link", "pipe", "folder", "swapped")
