@@ -525,14 +525,6 @@ def test_a_material_for_an_object_that_is_not_there_names_those_that_are(tmp_pat
     assert answer.error == "error: --material: no object is called 'nothing'; the objects are vase, box"
 
 
-def test_material_may_be_repeated(tmp_path: Path) -> None:
-    path, out = scene_with_glass().written(tmp_path), tmp_path / "out"
-    assert call(f"datagen import {path} --out {out} --material 'v*=diamond' --material box=gold").status == 0
-    scene = load_scene(out)
-    assert of_name(scene, "vase").material == Dielectric(ior=2.417)
-    assert isinstance(of_name(scene, "box").material, Conductor)
-
-
 @pytest.mark.parametrize("command", ["import", "build --scene"])
 @pytest.mark.parametrize("name", ["vase.fbx", "vase.blend", "vase.FBX", "vase.xyz"])
 def test_a_format_that_is_not_read_says_how_to_export(command: str, name: str, tmp_path: Path) -> None:
