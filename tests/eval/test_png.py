@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from PIL import Image
 from support.commands import call
-from support.synthetic import write_synthetic_dataset
 
 from datagen.data.dataset import Dataset
 from datagen.data.png import png_bytes
@@ -20,14 +19,9 @@ from datagen.disk.storage import commit_sealed, sha256
 from eval.score.png import check_png
 from eval.score.runs import Run, open_run, read_prediction, within
 
-pytestmark = pytest.mark.promise("R4")
+pytestmark = [pytest.mark.promise("R4"), pytest.mark.usefixtures("no_pictures")]
 
 SIZE = 16
-
-
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    return write_synthetic_dataset(tmp_path_factory.mktemp("png") / "data" / "synthetic", resolution=SIZE)
 
 
 @pytest.fixture(scope="module")
