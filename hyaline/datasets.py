@@ -3,8 +3,8 @@
 from pathlib import Path
 
 from datagen.data import dataset as contract
-from datagen.data import finding
-from datagen.data.finding import DATA_ROOT
+from datagen.data import paths as finding
+from datagen.data.paths import DATA_ROOT
 
 
 def list_datasets(root: Path | str = DATA_ROOT) -> list[str]:

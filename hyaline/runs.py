@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float32, UInt8
 
-from datagen.data.cameras import Camera, Cameras, check_camera
+from datagen.data.cameras import Camera, check_camera
 from datagen.data.dataset import Dataset, open_dataset
-from datagen.data.finding import find_dataset
+from datagen.data.paths import find_dataset
 from datagen.disk.errors import HyalineError, NumericsError
 from datagen.disk.names import real_path
 from datagen.terminal.distribution import naming_parts
@@ -121,14 +121,7 @@ class Run:
 
         check_camera(camera)
         check_draws_cameras(self.folder, self.config)
-        cameras = Cameras(
-            world_from_camera=np.asarray(camera.world_from_camera, np.float64)[None],
-            fov_x=camera.fov_x,
-            width=camera.width,
-            height=camera.height,
-            center=camera.center,
-        )
-        return self.config.net.load_cameras(self.inputs, cameras).to(choose_device(self.device))
+        return self.config.net.load_cameras(self.inputs, camera.alone).to(choose_device(self.device))
 
 
 def list_runs(root: Path | str = RUNS) -> list[str]:

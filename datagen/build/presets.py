@@ -3,8 +3,7 @@
 import dataclasses
 from dataclasses import dataclass
 
-from datagen.data.config import SplitConfig
-from datagen.data.resolution import Resolution, square
+from datagen.data.config import Resolution, SplitConfig, square
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,8 +11,8 @@ from support.commands import Answer, call
 
 from datagen.data.config import TEST_SPLITS
 from datagen.data.dataset import Dataset
+from datagen.data.images import png_bytes
 from datagen.data.paths import TRUTH
-from datagen.data.png import png_bytes
 from datagen.disk.records import to_json
 from eval.analyses.budget import missed_shares
 from eval.page.report import make_report

@@ -12,7 +12,7 @@ from PIL import Image
 from support.commands import call
 
 from datagen.data.dataset import Dataset
-from datagen.data.png import png_bytes
+from datagen.data.images import png_bytes
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import Json
 from datagen.disk.storage import commit_sealed, sha256

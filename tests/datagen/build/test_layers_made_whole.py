@@ -11,10 +11,9 @@ from support.promises import spread
 from support.synthetic import synthetic_scene
 
 from datagen.build.build import build_dataset, peel_dataset
-from datagen.data.config import DatasetConfig, SplitConfig
+from datagen.data.config import DatasetConfig, SplitConfig, square
 from datagen.data.dataset import open_dataset
 from datagen.data.paths import TRUTH
-from datagen.data.resolution import square
 
 pytestmark = pytest.mark.promise("R1")
 

@@ -8,8 +8,7 @@ from support.reference import winding_numbers
 from support.soon import soon
 from support.synthetic import synthetic_scene
 
-from datagen.data.meshes import Mesh, signed_volume
-from datagen.data.windings import check_closed, check_solid, windings
+from datagen.data.meshes import Mesh, check_closed, check_solid, signed_volume, windings
 from datagen.disk.errors import HyalineError
 from datagen.scene.description import CameraRig, Scene, SceneObject, WalkPoint
 from datagen.scene.materials import Conductor, Dielectric, Diffuse, Material, ThinDielectric

@@ -34,9 +34,9 @@ from benchmarks.pages.browser import Watched, open_file, watched_page
 from benchmarks.pages.edited import page_edits
 from benchmarks.pages.firefox import find_firefox, running_firefox
 from datagen.data.dataset import Dataset
+from datagen.data.images import png_bytes
 from datagen.data.meshes import Mesh, no_mesh
 from datagen.data.paths import TRUTH
-from datagen.data.png import png_bytes
 from datagen.scene import media, thin_walls
 from datagen.scene.description import SceneObject
 from datagen.scene.edits import CLEAR_GLASS, GREY, edit_scene, moved_mesh, parse_edit
