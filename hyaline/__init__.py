@@ -22,8 +22,7 @@ from datagen.data.config import SPLITS, TEST_SPLITS, Split
 from datagen.data.dataset import Dataset, View
 from datagen.data.layers import Layers
 from datagen.disk.errors import HyalineError
-from datagen.quantities.light_ends import LightEnds
-from datagen.quantities.view_quantities import ViewQuantities, quantities
+from datagen.quantities.view_quantities import LightEnds, ViewQuantities, quantities
 from datagen.terminal.distribution import VERSION, naming_parts
 from hyaline.cameras import camera_from_intrinsics, orbit
 from hyaline.datasets import list_datasets, open_dataset

@@ -11,7 +11,7 @@ from support.commands import call
 from support.gltf import GltfBuilder
 
 from datagen.data.images import decode_radiance
-from datagen.render.environment import radiance_of_environment
+from datagen.render.mitsuba_scene import radiance_of_environment
 from datagen.scene.importers.lights import LIGHT
 
 FAKE = """#!{python}

@@ -12,8 +12,14 @@ from support.meshes import mesh_of
 from support.rigs import config
 from support.synthetic import synthetic_scene
 
-from benchmarks.generator.scale import Point, ScaleReport, fit_growth, show_scale
-from benchmarks.generator.shells import make_shells, random_cameras
+from benchmarks.scale import (
+    Point,
+    ScaleReport,
+    fit_growth,
+    make_shells,
+    random_cameras,
+    show_scale,
+)
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.description import SceneObject
 from datagen.scene.materials import Dielectric
@@ -21,8 +27,8 @@ from datagen.scene.rig import make_cameras
 
 use_mitsuba(quiet=True)
 
-from benchmarks.generator.peel import ENGINES, bench_peel, compare_objects  # noqa: E402
-from benchmarks.generator.truth import bench_truth, fit_noise  # noqa: E402
+from benchmarks.peel import ENGINES, bench_peel, compare_objects  # noqa: E402
+from benchmarks.truth import bench_truth, fit_noise  # noqa: E402
 from datagen.trace.peel import Peeler  # noqa: E402
 
 

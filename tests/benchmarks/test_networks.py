@@ -2,9 +2,8 @@
 
 import pytest
 
-from benchmarks.networks.choices import BenchChoices
-from benchmarks.networks.infer import bench_infer
-from benchmarks.networks.step import bench_step
+from benchmarks.choices import BenchChoices
+from benchmarks.step import bench_infer, bench_step
 
 TINY = {"pixels": 512, "resolution": 24, "objects": 3, "layers": 4, "texture_size": 16, "rounds": 3}
 

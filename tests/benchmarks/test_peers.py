@@ -11,8 +11,16 @@ import numpy as np
 import pytest
 from support.traced_dataset import write_traced_dataset
 
-from benchmarks.peers.comparison import PEERS, PLACES, Places, Read, compare, find_places
-from benchmarks.peers.survey import peers_table, survey_peers
+from benchmarks.exports import (
+    PEERS,
+    PLACES,
+    Places,
+    Read,
+    compare,
+    find_places,
+    peers_table,
+    survey_peers,
+)
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.disk.storage import sha256
 from datagen.export.source import Source

@@ -19,7 +19,7 @@ from support.browser import require_browser
 from support.commands import call, run
 from support.synthetic import write_synthetic_dataset
 
-from benchmarks.pages.browser import running_browser, watched_page
+from benchmarks.browser import running_browser, watched_page
 from datagen.scene.folder import load_scene
 from model.methods import table
 

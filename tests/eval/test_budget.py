@@ -14,7 +14,7 @@ from datagen.data.dataset import Dataset
 from datagen.data.images import png_bytes
 from datagen.data.paths import TRUTH
 from datagen.disk.records import to_json
-from eval.analyses.budget import missed_shares
+from eval.analyses.coverage import missed_shares
 from eval.page.report import make_report
 from model.batches.rays import load_pixels
 from model.methods.paper.config import PaperConfig
@@ -104,5 +104,5 @@ def test_a_small_budget_sees_the_nearest_layers_alone(dataset: Dataset, tmp_path
 def test_other_numbers_of_layers_than_are_stored_are_refused(dataset: Dataset, tmp_path: Path, layers: str) -> None:
     answer = train(dataset, tmp_path / "run", layers)
     assert answer.status == 1
-    assert f"error: layers: is {layers}; expected 1 to 4, as many as are stored" in answer.err
+    assert f"error: layers: is {layers}; expected 1 to 4, the number of stored layers" in answer.err
     assert not (tmp_path / "run").exists()

@@ -93,8 +93,8 @@ ODD = {
         encode(PLAIN, save_all=True, append_images=[Image.new("RGB", (SIZE, SIZE), "red")]),
         "is an animation; expected one picture",
     ),
-    "trailing bytes": (encode(PLAIN) + b"\0", "damaged (goes on for 1 bytes behind its end)"),
-    "two pictures": (2 * encode(PLAIN), "behind its end)"),
+    "trailing bytes": (encode(PLAIN) + b"\0", "damaged (has 1 bytes after its end)"),
+    "two pictures": (2 * encode(PLAIN), "after its end)"),
     "no end": (encode(PLAIN)[:-12], "damaged (cut off after"),
     "no pixels": (encode(PLAIN)[:33] + chunk(b"IEND", b""), "it has fewer pixels than the 16 x 16"),
     "too large": (SIGNATURE + LARGE + chunk(b"IEND", b""), "is 1048576 x 1048576 pixels; expected 16 x 16, as the"),
@@ -130,10 +130,10 @@ OTHER = {
     "P3": (profile("Display P3"), "its iCCP chunk holds another ICC profile"),
     "linear sRGB": (profile("GIMP built-in Linear sRGB"), "its iCCP chunk holds another ICC profile"),
     "no profile": (chunk(b"iCCP", b"sRGB\0\0sRGB"), "its iCCP chunk holds another ICC profile"),
-    "turned": (chunk(b"eXIf", EXIF), "to be shown turned or mirrored (EXIF orientation 6); write its pixels as they"),
+    "turned": (chunk(b"eXIf", EXIF), "has the EXIF orientation 6; rotate or mirror its pixels instead"),
     "turned, little-endian": (
         chunk(b"eXIf", b"II*\0\x08\0\0\0\x01\0" + struct.pack("<HHIHH", 0x112, 3, 1, 3, 0)),
-        "(EXIF orientation 3)",
+        "has the EXIF orientation 3",
     ),
 }
 
@@ -247,7 +247,8 @@ def test_a_picture_that_is_not_what_was_written_is_named_with_the_command_that_w
             read_prediction(run, "interpolating", 1)
         told = command.format(root=tmp_path)
         assert str(error.value) == (
-            f"{path}: damaged (checksum differs), says {folder / 'predictions.json'}; render it again with `{told}`"
+            f"{path}: damaged (checksum differs), according to {folder / 'predictions.json'}; "
+            f"render it again with `{told}`"
         )
     assert np.array_equal(read_prediction(run, "interpolating", 0), dataset.view("interpolating", 0).image)
 
@@ -270,5 +271,5 @@ def test_a_picture_that_the_list_does_not_name_is_refused(dataset: Dataset, tmp_
     path = folder / "predictions/extrapolating/0000.png"
     path.parent.mkdir()
     path.write_bytes(png_bytes(dataset.view("extrapolating", 0).image))
-    with pytest.raises(HyalineError, match=r"0000\.png: not among those that were written, says"):
+    with pytest.raises(HyalineError, match=r"0000\.png: not one of the run's pictures, according to"):
         read_prediction(run_at(".", tmp_path, dataset), "extrapolating", 0)

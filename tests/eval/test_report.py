@@ -22,12 +22,12 @@ from datagen.data.config import TEST_SPLITS, Split
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.images import png_bytes, read_png
 from datagen.disk.errors import HyalineError
-from datagen.machine.revision import code_version
+from datagen.machine.doctor import code_version
 from eval.page.report import make_report
-from eval.page.results_page import results_page
 from eval.score.runs import RUN_KEYS, list_run_folders
 from eval.tables.grids import CEILING
 from eval.tables.looks import latex_escaped
+from eval.tables.results import results_page
 from model.run.run_folder import RunRecord
 
 SCRIPTS = Path(sys.executable).parent
@@ -201,7 +201,7 @@ def test_without_layers_the_glass_column_is_empty(copy: Path, capsys: pytest.Cap
     report(copy)
     out, err = capsys.readouterr()
     assert csv_rows(out)["grey"]["glass_psnr_db_interpolating"] == ""
-    assert "no layers of the true geometry, so no PSNR on glass" in err
+    assert "has no layers of the true geometry, so there is no PSNR on glass" in err
 
 
 # Pictures
@@ -249,7 +249,7 @@ def test_a_sheet_shows_the_pixels_unfiltered(made: Path, drawn: Path) -> None:
     ("name", "picture", "message"),
     [
         ("0001.png", None, r"grey/predictions/interpolating/0001\.png: missing \(1 of 2 are\)"),
-        ("0002.png", (32, 32, 3), r"0002\.png: no view of that name in the interpolating split"),
+        ("0002.png", (32, 32, 3), r"0002\.png: not a view of the interpolating split"),
         ("0000.png", (32, 31, 3), r"0000\.png: is 31 x 32 pixels; expected 32 x 32"),
     ],
 )
@@ -269,7 +269,7 @@ def test_predictions_for_other_data_are_refused_but_the_others_are_scored(
 ) -> None:
     path = copy / "runs/synthetic/grey/run.json"
     path.write_text(json.dumps(json.loads(path.read_text()) | {"dataset_seal": "f" * 64}))
-    with pytest.raises(HyalineError, match=r"synthetic/grey: the predictions were made for other data"):
+    with pytest.raises(HyalineError, match=r"synthetic/grey: the predictions are for other data"):
         report(copy)
     assert set(csv_rows(capsys.readouterr().out)) == {"perfect", "foreign_nerf", CEILING}
 
@@ -284,7 +284,7 @@ def test_every_broken_run_is_told(copy: Path, capsys: pytest.CaptureFixture[str]
 
 def test_a_run_without_its_dataset_says_where_it_looked(copy: Path) -> None:
     shutil.rmtree(copy / "data")
-    with pytest.raises(HyalineError, match=r"no dataset at .*data/synthetic; say where it is with --data"):
+    with pytest.raises(HyalineError, match=r"no dataset at .*data/synthetic; set --data to the folder"):
         report(copy)
 
 
@@ -322,7 +322,7 @@ def test_the_report_knows_every_key_that_training_writes() -> None:
 def test_no_run_at_all_says_how_to_make_one(tmp_path: Path) -> None:
     with pytest.raises(
         HyalineError,
-        match=r"no predictions there; make some with `model train paper`, or put a method",
+        match=r"contains no predictions; make some with `model train paper`, or put a method",
     ):
         report(tmp_path)
 

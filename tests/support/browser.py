@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from benchmarks.pages.browser import find_browser
+from benchmarks.browser import find_browser
 from datagen.disk.errors import HyalineError
 
 if TYPE_CHECKING:

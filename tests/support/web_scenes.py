@@ -13,7 +13,7 @@ from support.meshes import mesh_of
 from support.synthetic import look_at, quad, synthetic_scene
 from torch import nn
 
-from benchmarks.pages.browser import Watched, open_file, watched_page
+from benchmarks.browser import Watched, open_file, watched_page
 from datagen.data.cameras import Cameras
 from datagen.data.config import SPLITS, DatasetConfig, Resolution, SplitConfig
 from datagen.data.dataset import Dataset, DatasetObject
@@ -26,7 +26,7 @@ from datagen.scene.folder import scene_files
 from datagen.scene.materials import Conductor, Dielectric, Diffuse, Plastic, RoughDielectric, ThinDielectric
 from datagen.scene.textures import ImageTexture
 from datagen.trace.light_path import LightPathTracer
-from datagen.trace.tints import tints_of
+from datagen.trace.surface_tables import tints_of
 from model.methods.light_path.config import LightPathConfig
 from model.methods.light_path.net import LightPathRenderer
 from model.methods.light_path.pixels import LightPathPixels, load_light_path_pixels

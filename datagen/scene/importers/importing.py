@@ -18,7 +18,17 @@ from datagen.disk.records import Json, shown
 from datagen.disk.storage import sha256_file
 from datagen.machine.confined import allow_triangles
 from datagen.scene.cutouts import Cut, with_cuts
-from datagen.scene.description import MAX_OBJECTS, OBJECT_NAME, CameraList, CameraRig, Scene, SceneObject
+from datagen.scene.description import (
+    MAX_OBJECTS,
+    OBJECT_NAME,
+    CameraList,
+    CameraRig,
+    Environment,
+    EnvironmentMap,
+    RectangleLight,
+    Scene,
+    SceneObject,
+)
 from datagen.scene.importers.cameras import listed_cameras, read_camera_file
 from datagen.scene.importers.choices import ImportChoices, check_overrides, override, parse_overrides
 from datagen.scene.importers.foreign import (
@@ -42,10 +52,9 @@ from datagen.scene.importers.pictures import cut_of, veiled
 from datagen.scene.importers.remarks import Remark, Remarks
 from datagen.scene.importers.staging import find_scale, has_ground, make_ground, make_rig, subject_box, z_up_from
 from datagen.scene.importers.surfaces import check_decimation, closed, decimated, made_sound, mesh_of, shape_of
-from datagen.scene.lights import Environment, EnvironmentMap, RectangleLight
 from datagen.scene.materials import Material
 from datagen.scene.mending import mend_scene, mend_surface
-from datagen.scene.shading_normals import edge_tilt_deg, shaded_anew
+from datagen.scene.shading_normals import edge_tilt_deg, with_new_normals
 from datagen.scene.soundness import check_scene
 
 READERS: dict[str, Callable[[Path, Remarks], ForeignScene]] = {
@@ -286,7 +295,7 @@ def scene_object(
         material = veiled(material, mesh, has_uv=_has_uv(part))
         material = mapper.material(material, shape_of(mesh, has_uv=_has_uv(part)), where=name)
     if choices.crease is not None:
-        mesh = shaded_anew(mesh, crease_deg=choices.crease)
+        mesh = with_new_normals(mesh, crease_deg=choices.crease)
     elif material.medium is not None and (tilt_deg := edge_tilt_deg(mesh)) > 0:
         remarks.note(
             name,

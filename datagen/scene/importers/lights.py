@@ -12,9 +12,9 @@ import numpy as np
 from jaxtyping import Float
 
 from datagen.disk.errors import HyalineError
+from datagen.scene.description import Card, EnvironmentMap, Lobe, RectangleLight, SoftEnvironment
 from datagen.scene.importers.foreign import ForeignLamp, ForeignLight, ForeignMap
 from datagen.scene.importers.remarks import Remarks
-from datagen.scene.lights import Card, EnvironmentMap, Lobe, RectangleLight, SoftEnvironment
 from datagen.scene.values import Color, Vector, as_vector
 
 DUST = 1e-9

@@ -33,7 +33,7 @@ from datagen.scene.materials import Dielectric
 from datagen.scene.materials.optics import MAX_PRIORITY
 from datagen.scene.media import MAX_NESTED
 from datagen.scene.modelling import CREASE_DEG
-from datagen.scene.shading_normals import shaded_anew
+from datagen.scene.shading_normals import with_new_normals
 from datagen.scene.soundness import MAX_TOUCHING
 
 if TYPE_CHECKING:
@@ -184,7 +184,7 @@ def joined(mesh: Mesh, remarks: Remarks, *, where: str) -> Mesh:
         share = 100 * abs(after - before) / before
         raise HyalineError(f"{where}: {told}, {share:.1f} % off; expected at most {100 * MAX_CHANGE:g} %")
     remarks.approximate(where, told)
-    return shaded_anew(whole, crease_deg=CREASE_DEG)
+    return with_new_normals(whole, crease_deg=CREASE_DEG)
 
 
 def _way_out(where: str) -> str:

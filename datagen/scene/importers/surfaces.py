@@ -15,10 +15,10 @@ from jaxtyping import Float, Int
 
 from datagen.data.meshes import Mesh, component_of_faces, face_corners, open_edges, signed_volume, welded, windings
 from datagen.disk.errors import HyalineError
-from datagen.machine.child_python import ChildError, arrays_from_child
+from datagen.machine.processes import ChildError, arrays_from_child
 from datagen.scene.importers.remarks import Remarks
 from datagen.scene.modelling import CREASE_DEG
-from datagen.scene.shading_normals import shaded_anew
+from datagen.scene.shading_normals import with_new_normals
 from datagen.terminal.distribution import install_command
 
 WELD = 1e-5
@@ -64,7 +64,7 @@ def mesh_of(
         normals=np.zeros_like(vertices) if normals is None else _unit(normals),
         uv=np.zeros((len(vertices), 2), np.float32) if uv is None else uv.astype(np.float32),
     )
-    return mesh if normals is not None else shaded_anew(mesh, crease_deg=CREASE_DEG)
+    return mesh if normals is not None else with_new_normals(mesh, crease_deg=CREASE_DEG)
 
 
 def made_sound(mesh: Mesh, remarks: Remarks, *, where: str) -> Mesh:
@@ -223,7 +223,7 @@ def closed(mesh: Mesh, remarks: Remarks, *, where: str) -> Mesh:
             f"{where}: {what}, {100 * change:.1f} % off; expected at most {100 * MAX_CHANGE:g} %, model its walls"
         )
     remarks.approximate(where, what)
-    return shaded_anew(whole, crease_deg=CREASE_DEG)
+    return with_new_normals(whole, crease_deg=CREASE_DEG)
 
 
 def _loops(faces: np.ndarray) -> list[np.ndarray]:
@@ -309,7 +309,7 @@ def decimated(mesh: Mesh, target: int, remarks: Remarks, *, where: str) -> Mesh:
     if not open_edges(mesh):
         what += _compared(mesh, bare, what, where=where)
     remarks.approximate(where, what)
-    return shaded_anew(bare, crease_deg=CREASE_DEG)
+    return with_new_normals(bare, crease_deg=CREASE_DEG)
 
 
 def _compared(before: Mesh, after: Mesh, what: str, *, where: str) -> str:

@@ -12,8 +12,7 @@ from typing import TypedDict
 import numpy as np
 
 from datagen.data.meshes import Mesh
-from datagen.scene.description import SceneObject
-from datagen.scene.lights import EnvironmentMap
+from datagen.scene.description import EnvironmentMap, SceneObject
 from datagen.scene.materials import Diffuse, Plastic
 from datagen.scene.modelling import cylinder, lathe, moved, rounded_box
 from datagen.scene.procedural.chance import between, happens, pick, weigh

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from datagen.data.images import encode_float_exr
 from datagen.scene.procedural.chance import between
 from datagen.scene.procedural.patterns import color_pair
-from datagen.scene.solid_textures import fractal_noise
+from datagen.scene.textures import fractal_noise
 
 HEIGHT = 256
 """Rows; a map is twice as wide."""

@@ -33,7 +33,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[Dataset, ReadPage]:
 
 def test_the_page_shows_every_split_every_object_and_all_that_is_stored(whole: tuple[Dataset, ReadPage]) -> None:
     dataset, page = whole
-    assert any(paragraph.text.endswith("files are what they should be, byte by byte.") for paragraph in page.all("p"))
+    assert any(paragraph.text.endswith("files match their checksums.") for paragraph in page.all("p"))
     labels = {svg.attributes.get("aria-label") for svg in page.all("svg")}
     for split in dataset.splits:
         for name in ("picture", "glass", "depth", "normals", "layer 0", "layer 1"):
@@ -85,7 +85,7 @@ def test_what_is_missing_or_damaged_is_said_and_the_rest_is_shown(dataset: Datas
     bad = [element.text for element in page.elements if element.attributes.get("class") == "bad"]
     assert any("extrapolating/0000.png: damaged" in text for text in bad)
     assert any("train/0001.exr: the file is missing" in text for text in bad)
-    assert any("datagen mend" in code.text for code in page.all("code"))
+    assert any("datagen build" in code.text for code in page.all("code"))
     assert "train view 0: picture" in labels
 
 

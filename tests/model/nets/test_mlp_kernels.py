@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from datagen.data.config import Resolution
-from datagen.disk.private import is_intact, make_private, write_hashed
+from datagen.disk.storage import is_intact, make_private, write_hashed
 from model.batches.rays import Pixels
 from model.methods.paper import renderer as renderer_module
 from model.methods.paper.config import PaperConfig
@@ -246,7 +246,7 @@ def test_a_library_in_doubt_is_never_loaded_but_built_anew_and_then_kept(
             built.write_bytes(intact)
             built.chmod(0o666)
     told = told_when_found(capsys)
-    assert told == f"{built}: damaged, or not written by this user; builds the compiled layers anew\n"
+    assert told == f"{built}: damaged, or not written by this user; building the compiled layers again\n"
     assert is_intact(built) and not built.is_symlink()
     assert told_when_found(capsys) == "" and len(builds) == 1
     assert not (place / "it ran").exists()
@@ -270,7 +270,7 @@ def test_a_cache_in_which_others_may_write_is_not_used(
             fresh_search.touch()
     told = told_when_found(capsys)
     assert told.startswith(f"{fresh_search}: ") and told.count("\n") == 1
-    assert "not kept there but built for this run alone" in told
+    assert "the compiled layers are built for this run only" in told
     assert not fresh_search.is_dir() or not list(fresh_search.iterdir())
 
 

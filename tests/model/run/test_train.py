@@ -128,7 +128,7 @@ def test_another_configuration_or_dataset_is_refused_by_name(dataset: Dataset, t
     seals = {"dataset_seal": dataset.seal, "layers_seal": read_run(tmp_path).layers_seal}
     check_same_run(tmp_path, config, **seals)
     deeper = dataclasses.replace(config, net=dataclasses.replace(config.net, texture_size=32))
-    with pytest.raises(HyalineError, match="another texture_size: 24 there, 32 here; start anew with --overwrite"):
+    with pytest.raises(HyalineError, match="another texture_size: 24 there, 32 here; start over with --overwrite"):
         check_same_run(tmp_path, deeper, **seals)
     with pytest.raises(HyalineError, match="another dataset"):
         check_same_run(tmp_path, config, **{**seals, "dataset_seal": "else"})
@@ -164,7 +164,7 @@ def test_the_command_trains_skips_refuses_and_renders_again(dataset: Dataset, tm
 
     answer = quickly(dataset, out, "--lr", "0.01")
     assert answer.status == 1
-    assert "another lr: 0.001 there, 0.01 here; start anew with --overwrite" in answer.err
+    assert "another lr: 0.001 there, 0.01 here; start over with --overwrite" in answer.err
 
     (out / "predictions/interpolating/0000.png").write_bytes(b"broken")
     assert call(f"model render --run {out}").status == 0

@@ -13,6 +13,7 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 from support.browser import require, wait_until
+from support.firefox import find_firefox, running_firefox
 from support.meshes import box
 from support.reference import fresnel_reflectance
 from support.synthetic import look_at
@@ -30,27 +31,27 @@ from support.web_scenes import (
     write_scene,
 )
 
-from benchmarks.pages.browser import Watched, open_file, watched_page
-from benchmarks.pages.edited import page_edits
-from benchmarks.pages.firefox import find_firefox, running_firefox
+from benchmarks.browser import Watched, open_file, watched_page
+from benchmarks.compare import page_edits
+from datagen.data import meshes
 from datagen.data.dataset import Dataset
 from datagen.data.images import png_bytes
 from datagen.data.meshes import Mesh, no_mesh
 from datagen.data.paths import TRUTH
-from datagen.scene import media, thin_walls
+from datagen.scene import contact, media
 from datagen.scene.description import SceneObject
 from datagen.scene.edits import CLEAR_GLASS, GREY, edit_scene, moved_mesh, parse_edit
 from datagen.scene.materials import Conductor, Dielectric
 from datagen.scene.materials.optics import Event, Medium, Surface
 from datagen.scene.modelling import transformed
-from datagen.trace import branches, light_path, limits, surface_hits, surface_tables
-from model.methods.light_path import net, paths, pixels
+from datagen.trace import branches, surface_hits, surface_tables
+from model.methods.light_path import net, pixels
 from model.methods.light_path import page as page_of_light_path
 from model.methods.light_path.net import LightPathRenderer
 from model.methods.page import package_text
 from model.nets import pixel_mlp
 from model.nets.texture import NeuralTextures
-from model.run.edits import with_copies
+from model.run.predict import with_copies
 from model.web import scene
 from model.web.export import fill, scene_page
 
@@ -256,21 +257,21 @@ SHARED = {
     "MIN_THROUGHPUT 0.25": (branches, "MIN_THROUGHPUT", 0.25),
     "FIRST_MIRROR 99.0": (branches, "FIRST_MIRROR", 99.0),
     "SPARE_STEPS 7": (branches, "SPARE_STEPS", 7),
-    "MAX_DEPTH 5": (limits, "LIMITS", limits.Limits(max_depth=5)),
+    "MAX_DEPTH 5": (surface_tables, "LIMITS", surface_tables.Limits(max_depth=5)),
     "SAME_INDEX 0.5": (media, "SAME_INDEX", 0.5),
     "MAX_NESTED 11": (media, "MAX_NESTED", 11),
-    "STACKED_FIRST 3": (paths, "STACKED_VERTICES", (3, 1)),
-    "STACKED_SECOND 1": (paths, "STACKED_VERTICES", (3, 1)),
+    "STACKED_FIRST 3": (pixels, "STACKED_VERTICES", (3, 1)),
+    "STACKED_SECOND 1": (pixels, "STACKED_VERTICES", (3, 1)),
     "STACK_SHIFT 2.5": (net, "STACK_SHIFT", {"physics": 2.5}),
     "RELIEF_DEPTH 0.5": (net, "RELIEF_DEPTH", 0.5),
     "MANY_RAYS 99": (pixels, "MANY_RAYS", 99),
     "ENDS 6": (surface_tables, "EVENTS", {"ends": 6}),
     "MIN_COSINE 0.5": (surface_hits, "MIN_COSINE", 0.5),
-    "SKIP_COSINE 0.25": (thin_walls, "MIN_COSINE", 0.25),
-    "RAY_OFFSET 0.125": (thin_walls, "RAY_OFFSET", 0.125),
+    "SKIP_COSINE 0.25": (contact, "MIN_COSINE", 0.25),
+    "RAY_OFFSET 0.125": (contact, "RAY_OFFSET", 0.125),
     "LEAKY_SLOPE 0.5": (pixel_mlp, "LEAKY_SLOPE", 0.5),
-    "R2_X 2147483648u": (light_path, "PLASTIC", 2.0),
-    "R2_Y 1073741824": (light_path, "PLASTIC", 2.0),
+    "R2_X 2147483648u": (meshes, "PLASTIC", 2.0),
+    "R2_Y 1073741824": (meshes, "PLASTIC", 2.0),
 }
 """What the shader says after a constant of Python has changed."""
 

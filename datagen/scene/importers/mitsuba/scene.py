@@ -16,7 +16,8 @@ import numpy as np
 from datagen.data.cameras import Camera
 from datagen.data.meshes import Mesh
 from datagen.disk.errors import HyalineError
-from datagen.scene.environment_maps import read_map
+from datagen.scene.description import MAP_ENDINGS
+from datagen.scene.images import read_map
 from datagen.scene.importers.foreign import (
     MAX_SURFACES,
     MAX_TRIANGLES,
@@ -35,7 +36,6 @@ from datagen.scene.importers.meshes.obj import read_obj
 from datagen.scene.importers.mitsuba.materials import FoundMaterial, absorption_of, read_bsdf
 from datagen.scene.importers.mitsuba.nodes import Node, NodeList
 from datagen.scene.importers.remarks import Remarks
-from datagen.scene.lights import MAP_ENDINGS
 from datagen.scene.modelling import ball, sheet
 from datagen.scene.values import Color
 

@@ -16,7 +16,7 @@ from datagen.data.config import square
 from datagen.data.meshes import Mesh, check_closed, face_areas, face_corners, signed_volume
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import load_sealed
-from datagen.render.environment import radiance_of_environment
+from datagen.render.mitsuba_scene import radiance_of_environment
 from datagen.scene.description import Scene, SceneObject
 from datagen.scene.folder import load_scene, scene_files
 from datagen.scene.importers.choices import ImportChoices

@@ -1,0 +1,136 @@
+"""This machine's processor and GPU: whether one has instructions for bf16, and whether Mitsuba renders on the other."""
+
+import contextlib
+import functools
+import os
+import platform
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+from datagen.disk.errors import HyalineError
+from datagen.disk.storage import commit_sealed, load_sealed, sha256, user_cache
+
+CPUINFO = Path("/proc/cpuinfo")
+BF16_FLAGS = ("amx_bf16", "avx512_bf16", "bf16")
+"""CPU flags for bf16 on x86-64 and (the last) Arm, as Linux names them, fastest first."""
+
+
+def bf16_instructions() -> str | None:
+    """The processor's instructions for bf16; None where it has none, and on systems other than Linux.
+
+    Without them PyTorch multiplies bf16 several times more slowly than fp32.
+    """
+    if not CPUINFO.is_file():
+        return None
+    flags: set[str] = set()
+    for line in CPUINFO.read_text().splitlines():
+        name, _, value = line.partition(":")
+        if name.strip() in ("flags", "Features"):
+            flags |= set(value.split())
+    return next((flag for flag in BF16_FLAGS if flag in flags), None)
+
+
+def describe_processor() -> str:
+    """The processor's kind, and whether bf16 pays off on it."""
+    found = bf16_instructions()
+    return f"{platform.machine()}, {f'bf16 by {found}' if found else 'no instructions for bf16: use fp32'}"
+
+
+DRIVERS = (Path("/proc/driver/nvidia/version"), Path("/dev/nvidiactl"), Path("/usr/lib/wsl/lib/libcuda.so.1"))
+"""Files of an NVIDIA driver: on Linux, in containers, and under Windows (WSL 2)."""
+
+LIST_LIMIT_S, PROBE_LIMIT_S = 5, 60
+"""Timeouts of `nvidia-smi`, which hangs when its driver does, and of the test render, which compiles kernels."""
+
+
+def has_gpu() -> bool:
+    """True where an NVIDIA driver is loaded."""
+    return any(path.exists() for path in DRIVERS)
+
+
+def describe_gpus() -> str:
+    """Name and driver of each GPU, as `nvidia-smi` lists them, or why it cannot; `none` without a GPU."""
+    query = ["nvidia-smi", "--query-gpu=name,driver_version", "--format=csv,noheader"]
+    try:
+        status, out, _ = _ask(query, LIST_LIMIT_S)
+    except FileNotFoundError:
+        return "an NVIDIA driver, but no nvidia-smi" if has_gpu() else "none"
+    except subprocess.TimeoutExpired:
+        return f"nvidia-smi gave no answer within {LIST_LIMIT_S} s"
+    except OSError as error:
+        return f"nvidia-smi cannot be run ({error.strerror})"
+    return (out.strip().replace("\n", "; ") if status == 0 else "") or "none"
+
+
+@functools.cache
+def cuda_problem(*, again: bool = False) -> str | None:
+    """Why Mitsuba cannot render on the GPU, or None if it can; a child process tries it, which may crash or hang.
+
+    The answer is cached for later processes, until the driver, Mitsuba or the variables that choose a GPU change.
+
+    Args:
+        again: ignore the cached answer.
+    """
+    path = user_cache("gpu") / f"{sha256(repr(_asked_about()).encode())[:32]}.json"
+    if not again:
+        try:
+            problem = load_sealed(path)["problem"]
+        except (HyalineError, OSError, KeyError):
+            pass
+        else:
+            return problem if isinstance(problem, str) else None
+    problem = _render_test_scene()
+    # In a read-only home the next process asks again.
+    with contextlib.suppress(HyalineError, OSError):
+        commit_sealed(path, {"problem": problem})
+    return problem
+
+
+def _asked_about() -> tuple[object, ...]:
+    """Everything that the answer depends on."""
+    import importlib.metadata
+
+    driver = [path.read_text() if path.is_relative_to("/proc") else str(path) for path in DRIVERS if path.exists()]
+    packages = [importlib.metadata.version(name) for name in ("mitsuba", "drjit")]
+    variables = ("CUDA_VISIBLE_DEVICES", "DRJIT_LIBCUDA_PATH", "DRJIT_LIBOPTIX_PATH", "LD_LIBRARY_PATH")
+    return driver, packages, [os.environ.get(name) for name in variables], _PROBE
+
+
+def _render_test_scene() -> str | None:
+    try:
+        status, _, errors = _ask([sys.executable, "-P", "-c", _PROBE], PROBE_LIMIT_S)
+    except subprocess.TimeoutExpired:
+        return f"the test render took more than {PROBE_LIMIT_S} s"
+    if status == 0:
+        return None
+    lines = errors.strip().splitlines()
+    return lines[-1] if lines else f"the test render ended with status {status}"
+
+
+def _ask(command: list[str], limit_s: float) -> tuple[int, str, str]:
+    """Status, output and errors of a program.
+
+    A program that is too slow is killed, but not waited for long: while the driver hangs, it cannot exit.
+    """
+    with tempfile.TemporaryFile("w+", errors="replace") as out, tempfile.TemporaryFile("w+", errors="replace") as err:
+        process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=out, stderr=err)
+        try:
+            status = process.wait(limit_s)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(1)
+            raise
+        out.seek(0)
+        err.seek(0)
+        return status, out.read(), err.read()
+
+
+_PROBE = """
+import mitsuba as mi
+mi.set_variant("cuda_ad_rgb")
+image = mi.render(mi.load_dict(mi.cornell_box()), spp=1)
+assert float(image.array[0]) >= 0
+"""
