@@ -132,6 +132,7 @@ def import_file(
             such as 320x240.
     """
     from datagen.data.config import parse_resolution
+    from datagen.scene.foreign_files import scene_name
     from datagen.scene.importers.confined_import import check_free, import_files, write_imported
 
     root = out or SCENES_ROOT / scene_name(file)

@@ -61,8 +61,7 @@ def report(
         return
     output_format = "json" if json else choose("--format", format, FORMATS)
     from datagen.data.paths import find_dataset
-    from datagen.trace.surface_tables import make_tables
-    from eval.page.report import make_report
+    from eval.page.report import make_report, make_tables
 
     place = out if out is not None else runs / "report"
     only = None if dataset is None else find_dataset(dataset, data)

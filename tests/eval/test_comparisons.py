@@ -18,6 +18,7 @@ from datagen.data.images import png_bytes
 from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import to_json
+from datagen.terminal.parsing import flag_words
 from eval.page.report import make_report, make_tables
 from eval.papers import claims
 from eval.score.seeds import spread

@@ -4,6 +4,7 @@ import dataclasses
 import math
 
 import pytest
+from support.commands import call
 
 from datagen.disk.errors import HyalineError, UsageError
 from datagen.terminal.parsing import flags_of
@@ -106,15 +107,10 @@ def test_every_number_that_a_flag_takes_has_limits(method: str) -> None:
         ("paper --steps 0", 1, "steps: is 0; expected at least 1"),
     ],
 )
-def test_a_wrong_word_is_answered_in_one_line(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], words: str, status: int, line: str
-) -> None:
-    monkeypatch.setattr("sys.argv", ["model", "train", *words.split()])
-    with pytest.raises(SystemExit) as end:
-        main()
-    assert end.value.code == status
-    told = capsys.readouterr().err
-    assert told.startswith(f"error: {line}") and told.count("\n") == 1
+def test_a_wrong_word_is_answered_in_one_line(words: str, status: int, line: str) -> None:
+    answer = call(f"model train {words}")
+    assert answer.status == status
+    assert answer.err.startswith(f"error: {line}") and answer.err.count("\n") == 1
 
 
 def test_words_of_a_file_are_checked_without_a_sound(capsys: pytest.CaptureFixture[str]) -> None:
