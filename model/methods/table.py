@@ -69,4 +69,4 @@ def _choose_layers(asked: int | None, stored: int, dataset: "Dataset", geometry:
     words = ["datagen", "peel", str(dataset.root), "--geometry", geometry]
     peel = shlex.join([*words, "--num-layers", str(asked), "--overwrite"])
     more = f" (`{peel}` stores more)" if asked > 0 else ""
-    raise HyalineError(f"layers: is {asked}; expected 1 to {stored}, as many as are stored{more}")
+    raise HyalineError(f"layers: is {asked}; expected 1 to {stored}, the number of stored layers{more}")
