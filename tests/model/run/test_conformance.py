@@ -94,7 +94,6 @@ def test_a_method_that_cannot_be_imported_is_one_line_and_disturbs_no_other(foun
     for broken in ("import no_such_module", "raise RuntimeError('no GPU')", "class NearestViewConfig: ..."):
         (found / "nearest_view.py").write_text(broken)
         sys.modules.pop("nearest_view", None)
-        list_methods.cache_clear()
         assert "nearest-view Brought by nearest-view." in words_of(call("model train --help").out)
     assert call("model train paper --help").status == 0
 
