@@ -11,7 +11,7 @@ from datagen.data.finding import DATA_ROOT, build_command, find_dataset, list_da
 from datagen.data.layer_writing import check_settings
 from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
-from datagen.terminal.command import choose, fail, next_command, run, say
+from datagen.terminal.command import choose, fail, next_command, run
 
 if TYPE_CHECKING:
     from proxies.kinds.table import ProxyKind
@@ -60,7 +60,7 @@ def make(
         overwrite: Replace existing proxies and layers.
         preview: Show thumbnails of the proxies over the first view of each split, in a terminal with true colour.
     """
-    from proxies.make import make_proxies, read_reports
+    from proxies.make import make_and_peel
 
     if assign and (kind, amount) != ("ellipsoid", None):
         raise HyalineError(f"--kind {kind}: --assign names each object's kind; for those it does not name, give --rest")
@@ -69,19 +69,10 @@ def make(
     one_kind = _one_kind(kind, amount)
     check_settings(num_layers=num_layers, workers=workers)
     datasets = _datasets(dataset)
-    from datagen.build.build_variant import peel_variants
-
     specs = [_mixture(opened, name, assign, rest) if assign else one_kind for opened in datasets]
     for opened, spec in zip(datasets, specs, strict=True):
-        from datagen.build.build import peel_dataset
-
-        say(f"{opened.root}: makes {spec.geometry} proxies of {len(opened.objects)} objects")
-        is_new = make_proxies(opened, spec, overwrite=overwrite)
-        if not is_new:
-            say(f"{opened.root}: keeps its {spec.geometry} proxies; --overwrite makes them anew")
-        _print_table(opened, spec.geometry, read_reports(opened, spec.geometry))
-        peel_dataset(opened, spec.geometry, num_layers=num_layers, overwrite=overwrite, workers=workers)
-        peel_variants(opened, workers=workers)
+        reports = make_and_peel(opened, spec, num_layers=num_layers, workers=workers, overwrite=overwrite)
+        _print_table(opened, spec.geometry, reports)
         if preview:
             _preview(opened, spec.geometry)
     next_command(train_command(datasets[0].root, specs[0].geometry))

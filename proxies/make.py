@@ -4,6 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from datagen.build.build import peel_dataset
+from datagen.build.build_variant import peel_variants
 from datagen.data.dataset import Dataset
 from datagen.data.geometries import ProxyStatistics, read_assignment, read_meshes, read_proxy_records, write_proxies
 from datagen.data.meshes import Mesh
@@ -37,6 +39,28 @@ class ProxyReport:
     """Share of the object's vertices inside the proxy; None where it need not enclose anything (noise, the truth)."""
     problem: str | None
     """What is wrong with the proxy, in a few words."""
+
+
+def make_and_peel(
+    dataset: Dataset, spec: ProxySpec | MixedSpec, *, num_layers: int, workers: int = 1, overwrite: bool = False
+) -> tuple[ProxyReport, ...]:
+    """Fits a proxy to every object and peels all of them for every view; existing proxies and layers are kept.
+
+    Args:
+        num_layers: layers kept per ray.
+        workers: parallel processes that peel.
+        overwrite: replace existing proxies and layers.
+
+    Raises:
+        HyalineError: see `make_proxies` and `peel_dataset`.
+    """
+    say(f"{dataset.root}: makes {spec.geometry} proxies of {len(dataset.objects)} objects")
+    if not make_proxies(dataset, spec, overwrite=overwrite):
+        say(f"{dataset.root}: keeps its {spec.geometry} proxies; --overwrite makes them anew")
+    reports = read_reports(dataset, spec.geometry)
+    peel_dataset(dataset, spec.geometry, num_layers=num_layers, overwrite=overwrite, workers=workers)
+    peel_variants(dataset, workers=workers)
+    return reports
 
 
 def make_proxies(dataset: Dataset, spec: ProxySpec | MixedSpec, *, overwrite: bool) -> bool:

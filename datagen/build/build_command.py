@@ -11,7 +11,7 @@ from datagen.build.choices import BuildChoices
 from datagen.build.launch import LaunchChoices
 from datagen.build.launch import launch as send_off
 from datagen.build.plan_variant import MAX_SCALE, plan_angles, plan_edit, plan_larger
-from datagen.build.presets import PRESETS, resize
+from datagen.build.presets import configure, fit_to_scene
 from datagen.build.shards import Shard, count_missing, parse_shard
 from datagen.data.cameras import TRANSFORMS_FILES
 from datagen.data.config import DatasetConfig
@@ -29,8 +29,7 @@ from datagen.scene.folder import load_scene
 from datagen.scene.importers.choices import ImportChoices
 from datagen.scene.importers.importing import scene_name
 from datagen.scene.procedural.names import RANDOM, RandomName
-from datagen.scene.rig import with_listed_shape, with_listed_views
-from datagen.terminal.command import choose, next_command, say, say_all, tell
+from datagen.terminal.command import next_command, say, say_all, tell
 from datagen.terminal.preview import preview
 
 DEFAULTS = BuildChoices()
@@ -96,11 +95,8 @@ def _build_new(choices: BuildChoices, launch: LaunchChoices, imports: ImportChoi
     built = None if choices.overwrite else choices.out or DATA_ROOT / choices.scene
     scene = find_scene(choices.scene, built=built, resolution=config.resolution, imports=imports)
     root = choices.out or DATA_ROOT / scene.name
-    config = dataclasses.replace(config, scene=scene.name)
-    if choices.resolution is None:
-        config = with_listed_shape(config, scene.cameras)
-    if choices.views is None and choices.test_views is None:
-        config = with_listed_views(config, scene.cameras)
+    are_views_chosen = choices.views is not None or choices.test_views is not None
+    config = fit_to_scene(config, scene, keep_resolution=choices.resolution is not None, keep_views=are_views_chosen)
     if launch.launcher is not None:
         # What follows then finds all views made, and reads every byte of them.
         send_off(sys.argv[1:], root, launch, workers=choices.workers)
@@ -139,26 +135,19 @@ def _preview(dataset: Dataset, choices: BuildChoices) -> None:
 
 def _configure(choices: BuildChoices) -> DatasetConfig:
     """The configuration of a new dataset, but for its scene's name, which is known when the scene is read."""
-    size = resize(
-        PRESETS[choose("preset", choices.preset, PRESETS)],
+    config = configure(
+        choices.preset,
         resolution=None if choices.resolution is None else parse_resolution(choices.resolution),
         views=choices.views,
         test_views=choices.test_views,
         spp=choices.spp,
         test_spp=choices.test_spp,
-    )
-    _check_numbers(choices, test_views=size.interpolating.views)
-    return DatasetConfig(
-        scene="scene",
-        preset=choices.preset,
-        resolution=size.resolution,
-        train=size.train,
-        interpolating=size.interpolating,
-        extrapolating=size.extrapolating,
         ceiling_db=choices.ceiling,
         max_depth=choices.max_depth,
         seed=choices.seed,
     )
+    _check_numbers(choices, test_views=config.interpolating.views)
+    return config
 
 
 def _add_edit(base: Dataset, choices: BuildChoices) -> None:
