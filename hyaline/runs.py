@@ -1,6 +1,7 @@
-"""Trained runs, opened to render what any camera sees."""
+"""Runs: training methods, and opening runs to render what any camera sees."""
 
 import os
+import signal
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -8,16 +9,25 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float32, UInt8
+from PIL import Image
 
 from datagen.data.cameras import Camera, Cameras, check_camera
-from datagen.data.dataset import Dataset, open_dataset
+from datagen.data.config import TEST_SPLITS
+from datagen.data.dataset import open_dataset
 from datagen.data.finding import find_dataset
+from datagen.data.paths import TRUTH, view_name
+from datagen.data.png import read_png
 from datagen.disk.errors import HyalineError, NumericsError
 from datagen.disk.names import real_path
+from datagen.terminal.command import choose
 from datagen.terminal.distribution import naming_parts
-from model.methods.protocol import Inputs
+from datagen.terminal.signals import Stopped
+from hyaline.datasets import Dataset, View, opened
+from hyaline.pictures import in_a_row
+from model.methods.protocol import Inputs, MethodConfig
 from model.run.run_folder import RUN, WEIGHTS, RunRecord, TrainConfig, check_trained_on, read_metrics, read_run
-from model.settings.run_flags import RUNS, Device
+from model.settings.flags import presets_of, settings_of, with_settings
+from model.settings.run_flags import RUNS, Device, RunFlags
 
 if TYPE_CHECKING:
     from model.batches.rays import PixelSource
@@ -35,6 +45,7 @@ class Run:
     record: RunRecord
     """What run.json says: the configuration, the dataset's and the layers' digests, numbers of parameters."""
     dataset: Dataset
+    """What it was trained on."""
     inputs: Inputs
     """What the method is given of the dataset."""
     device: Device
@@ -108,6 +119,16 @@ class Run:
             raise NumericsError(f"{self.folder}: a predicted colour is not finite; train anew with --overwrite")
         return linear_curve(colors).cpu().numpy().reshape(camera.height, camera.width, 3)
 
+    def show(self) -> Image.Image:
+        """The first view of each test split: the truth, and beside it what the run predicts."""
+        views = [self.dataset.view(split, 0) for split in TEST_SPLITS]
+        return in_a_row([picture for view in views for picture in (view.image, self._prediction(view))])
+
+    def _prediction(self, view: View) -> UInt8[np.ndarray, "h w 3"]:
+        """As it was stored; drawn where the run is still training."""
+        stored = self.folder / "predictions" / view.split / f"{view_name(view.index)}.png"
+        return read_png(stored) if stored.is_file() else self.render(view.camera)
+
     @cached_property
     def _renderer(self) -> "Renderer":
         from model.run.predict import load_renderer
@@ -129,6 +150,92 @@ class Run:
             center=camera.center,
         )
         return self.config.net.load_cameras(self.inputs, cameras).to(choose_device(self.device))
+
+
+Setting = int | float | str | bool | None
+
+
+@naming_parts("model")
+def train(
+    method: str | MethodConfig,
+    dataset: Dataset | Path | str,
+    *,
+    geometry: str = TRUTH,
+    out: Path | str | None = None,
+    label: str | None = None,
+    seed: int = 0,
+    device: Device = "auto",
+    overwrite: bool = False,
+    **settings: Setting,
+) -> Run:
+    """Trains a method on a dataset and renders its test splits. If interrupted, the same call resumes.
+
+        run = hyaline.train("light-path", dataset, steps=500)
+        run = hyaline.train("paper", dataset, geometry="ellipsoid", preset="best", texture_size=64)
+        run = hyaline.train(AlphaBlendConfig(texture_size=64), dataset, steps=500, lr=0.01)
+
+    Args:
+        method: the name of a method, or the record of one, such as one of your own (docs/adding-a-method.md).
+        dataset: a dataset, its name under data/, or its folder.
+        geometry: whose layers the method sees: `truth`, or proxies such as `ellipsoid`.
+        out: folder of the run; runs/SCENE/METHOD unless given, with a suffix for each setting that is not the default.
+        label: what tables call the run; the folder's name unless given.
+        seed: of all random numbers.
+        device: auto (a GPU where there is one), cpu or cuda.
+        overwrite: delete the run in `out` and start over.
+        settings: the flags of `model train METHOD` with _ for -, such as `steps`, `batch`, `lr` and `texture_size`; for
+            a record, those of its optimisation.
+
+    Raises:
+        HyalineError: no such method or setting, a value out of range, or another run in `out`.
+        NumericsError: training diverged.
+        KeyboardInterrupt: training was interrupted; a checkpoint is saved.
+    """
+    from model.methods.table import find_method, name_of
+    from model.run.train_flags import Asked, configure, folder_name, usual_of
+
+    if isinstance(dataset, (str, Path)):
+        dataset = opened(open_dataset(find_dataset(str(dataset))))
+    if isinstance(method, str):
+        kind = find_method(method)
+        presets = {key: settings.pop(key) for key in presets_of(kind) & settings.keys()}
+        usual = usual_of(with_settings(kind(), presets), geometry)
+        net, optimisation = usual.method, usual.optimisation
+    else:
+        method, net, optimisation = name_of(method), method, method.optimisation()
+    known = {**settings_of(net), **settings_of(optimisation)}
+    for key in settings:
+        choose(f"method {method}: setting", key, known)
+    run = RunFlags(
+        dataset=str(dataset.root),
+        geometry=geometry,
+        out=None if out is None else Path(out),
+        name=label,
+        seed=seed,
+        device=device,
+        overwrite=overwrite,
+    )
+    asked = Asked(run=run, method=with_settings(net, settings), optimisation=with_settings(optimisation, settings))
+    config, _ = configure(method, asked)
+    from model.run.complete import complete_run  # Not before: it imports torch.
+    from model.settings.runtime import choose_device
+
+    place = run.out or RUNS / dataset.name / folder_name(method, asked)
+    try:
+        complete_run(
+            config,
+            dataset,
+            place,
+            label=label or place.name,
+            device=choose_device(device),
+            memory=run.memory,
+            anew=overwrite,
+        )
+    except Stopped as stopped:
+        if stopped.status != 128 + signal.SIGINT:
+            raise
+        raise KeyboardInterrupt(str(stopped)) from None
+    return open_run(place, dataset=dataset, device=device)
 
 
 def list_runs(root: Path | str = RUNS) -> list[str]:
@@ -168,12 +275,12 @@ def open_run(
     """
     folder = _find_run(str(name), Path(root))
     record = read_run(folder)
-    opened = dataset if isinstance(dataset, Dataset) else open_dataset(_place_of(record, folder, dataset))
+    found = dataset if isinstance(dataset, Dataset) else opened(open_dataset(_place_of(record, folder, dataset)))
     return Run(
         folder=folder,
         record=record,
-        dataset=opened,
-        inputs=check_trained_on(folder, record.config, opened),
+        dataset=found,
+        inputs=check_trained_on(folder, record.config, found),
         device=device,
     )
 

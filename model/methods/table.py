@@ -5,6 +5,7 @@ class that derives from `MethodConfig`. Nothing is imported before it is asked f
 """
 
 import importlib
+import re
 import shlex
 from functools import cache
 from importlib import metadata
@@ -28,6 +29,9 @@ BUILT_IN = {
 }
 """Where the record of each method stands. A new one is a folder and a line here."""
 
+OWN: dict[str, type[MethodConfig]] = {}
+"""Methods whose records this process has handed to `name_of`, by name; no other process knows them."""
+
 
 @cache
 def list_methods() -> tuple[str, ...]:
@@ -37,7 +41,7 @@ def list_methods() -> tuple[str, ...]:
         HyalineError: two have one name.
     """
     others = sorted(point.name for point in metadata.entry_points(group=GROUP))
-    names = (*BUILT_IN, *others)
+    names = (*BUILT_IN, *others, *OWN)
     if doubled := sorted({name for name in names if names.count(name) > 1}):
         raise HyalineError(
             f"method {doubled[0]!r}: two distributions bring one of that name ({', '.join(_sources(doubled[0]))}); "
@@ -54,6 +58,8 @@ def find_method(name: str) -> type[MethodConfig]:
         HyalineError: there is none of that name, or a distribution's cannot be imported or is none.
     """
     choose("method", name, list_methods())
+    if name in OWN:
+        return OWN[name]
     if name in BUILT_IN:
         module, _, kind = BUILT_IN[name].partition(":")
         return getattr(importlib.import_module(module), kind)
@@ -66,6 +72,28 @@ def find_method(name: str) -> type[MethodConfig]:
     if not (isinstance(found, type) and issubclass(found, MethodConfig)):
         raise HyalineError(f"{where} is no MethodConfig; see docs/adding-a-method.md")
     return found
+
+
+def name_of(config: MethodConfig) -> str:
+    """The name of a record's method; a class that no distribution brings is called after itself, and known from now on.
+
+    `AlphaBlendConfig` becomes `alpha-blend`. A later class of the same name takes its place.
+
+    Raises:
+        HyalineError: another method has this name.
+    """
+    kind = type(config)
+    place = f"{kind.__module__}:{kind.__qualname__}"
+    brought = BUILT_IN | {point.name: point.value for point in metadata.entry_points(group=GROUP)}
+    if named := next((name for name, value in brought.items() if value == place), None):
+        return named
+    name = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "-", kind.__name__.removesuffix("Config")).lower()
+    if name in brought:
+        raise HyalineError(f"method {name!r}: {_sources(name)[0]} brings one of that name; rename {kind.__name__}")
+    OWN[name] = kind
+    list_methods.cache_clear()
+    find_method.cache_clear()
+    return name
 
 
 def about(name: str) -> str:

@@ -3,9 +3,17 @@
 import dataclasses
 import functools
 import math
-from typing import Any
+import typing
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from datagen.disk.errors import HyalineError
+from datagen.disk.records import Json, from_json
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+RecordT = TypeVar("RecordT", bound="DataclassInstance")
 
 Limits = tuple[float, float]
 """The least and the largest value of a number; infinity where there is no largest."""
@@ -66,6 +74,43 @@ def flags_of(record: type) -> dict[str, str]:
         elif not item.metadata.get("is_hidden"):
             names[item.metadata.get("flag") or item.name.replace("_", "-")] = item.name
     return names
+
+
+def settings_of(record: object) -> dict[str, Any]:
+    """The value behind each flag of a record, by the flag's name in Python: `texture_size` for --texture-size."""
+    values: dict[str, Any] = {}
+    for item in dataclasses.fields(record):  # pyright: ignore[reportArgumentType]
+        value = getattr(record, item.name)
+        if dataclasses.is_dataclass(value):
+            values |= settings_of(value)
+        elif not item.metadata.get("is_hidden"):
+            values[_python_name(item)] = value
+    return values
+
+
+def presets_of(record: type) -> set[str]:
+    """The flags of a record that decide what is usual for others, by their names in Python."""
+    return {_python_name(item) for item in dataclasses.fields(record) if item.metadata.get("is_preset")}
+
+
+def with_settings(record: RecordT, settings: Mapping[str, object]) -> RecordT:
+    """The record with the values of some of its flags changed; names of flags that it does not have are left alone.
+
+    Raises:
+        HyalineError: a value of another type than its flag's.
+    """
+    kinds, changed = typing.get_type_hints(type(record)), {}
+    for item in dataclasses.fields(record):
+        value = getattr(record, item.name)
+        if dataclasses.is_dataclass(value) and not isinstance(value, type):
+            changed[item.name] = with_settings(value, settings)
+        elif not item.metadata.get("is_hidden") and (name := _python_name(item)) in settings:
+            changed[item.name] = from_json(kinds[item.name], typing.cast(Json, settings[name]), where=name)
+    return dataclasses.replace(record, **changed)
+
+
+def _python_name(item: dataclasses.Field[Any]) -> str:
+    return item.metadata.get("flag", "").replace("-", "_") or item.name
 
 
 def suffixes(record: object, usual: object) -> list[str]:

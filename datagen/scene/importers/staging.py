@@ -15,7 +15,7 @@ from datagen.scene.importers.remarks import Remarks
 from datagen.scene.materials import Diffuse
 from datagen.scene.modelling import sheet
 from datagen.scene.textures import SolidTexture
-from datagen.scene.values import as_vector
+from datagen.scene.values import Vector, as_vector
 
 USUAL_SIZE = (0.02, 5.0)
 """Metres: what is smaller or larger was not modelled in metres."""
@@ -113,25 +113,40 @@ def make_ground(objects: Sequence[SceneObject], *, resolution: Resolution, remar
     return SceneObject(name=_free_name("ground", objects), mesh=mesh, material=Diffuse(color=pattern))
 
 
-def make_rig(objects: Sequence[SceneObject], remarks: Remarks) -> CameraRig:
-    """Cameras around the glass, on the side from which nothing opaque hides it."""
+def make_rig(
+    objects: Sequence[SceneObject],
+    remarks: Remarks,
+    *,
+    target: Vector | None = None,
+    radius: float | None = None,
+    elevation_deg: tuple[float, float] = (5.0, 65.0),
+    azimuth_deg: tuple[float, float] | None = None,
+    fov_deg: float = FOV_DEG,
+) -> CameraRig:
+    """Cameras around the glass, on the side from which nothing opaque hides it.
+
+    Args:
+        target: what they look at; the middle of the glass unless given.
+        radius: metres; as near as shows all of the glass unless given.
+        azimuth_deg: the side on which they are, instead.
+    """
     low, high = subject_box(objects)
-    target = (low + high) / 2
+    middle_point = (low + high) / 2 if target is None else np.asarray(target, np.float64)
     reach = float(np.linalg.norm(high - low)) / 2
-    radius = MARGIN * reach / math.sin(math.radians(FOV_DEG / 2))
-    first, last = _open_arc(objects, target, reach, radius, remarks)
+    distance = MARGIN * reach / math.sin(math.radians(fov_deg / 2)) if radius is None else radius
+    first, last = azimuth_deg or _open_arc(objects, middle_point, reach, distance, remarks)
     middle, half = (first + last) / 2, min((last - first) / 2, 100.0)
 
-    def walk_point(turn: float, elevation_deg: float, distance: float) -> WalkPoint:
-        place = target + distance * radius * np.array(towards(middle + turn * half, elevation_deg))
-        return WalkPoint(position=as_vector(place), target=as_vector(target))
+    def walk_point(turn: float, elevation: float, radii: float) -> WalkPoint:
+        place = middle_point + radii * distance * np.array(towards(middle + turn * half, elevation))
+        return WalkPoint(position=as_vector(place), target=as_vector(middle_point))
 
     return CameraRig(
-        target=as_vector(target),
-        radius=radius,
-        elevation_deg=(5.0, 65.0),
+        target=as_vector(middle_point),
+        radius=distance,
+        elevation_deg=elevation_deg,
         azimuth_deg=(first, last),
-        fov_deg=FOV_DEG,
+        fov_deg=fov_deg,
         target_jitter=0.08,
         walk=(
             walk_point(-0.9, 40.0, 1.0),
