@@ -140,7 +140,7 @@ def open_dataset(name: Path | str | None = None, root: Path | str = DATA_ROOT) -
 
 
 def opened(dataset: contract.Dataset) -> Dataset:
-    """A dataset with what notebooks need."""
+    """The dataset as a `hyaline.Dataset`."""
     if isinstance(dataset, Dataset):
         return dataset
     return Dataset(**{item.name: getattr(dataset, item.name) for item in dataclasses.fields(dataset)})

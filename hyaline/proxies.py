@@ -23,9 +23,9 @@ class Proxies:
 
     dataset: Dataset
     geometry: str
-    """What methods are trained with: `train(..., geometry=proxies.geometry)`."""
+    """The name to train with: `train(..., geometry=proxies.geometry)`."""
     reports: "tuple[ProxyReport, ...]"
-    """For each object: kind, number of triangles, volume and distance, and what is wrong with its proxy."""
+    """For each object: kind, number of triangles, volume ratio, distances, and any problem of its proxy."""
 
     @property
     def meshes(self) -> tuple[Mesh, ...]:

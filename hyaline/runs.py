@@ -1,4 +1,4 @@
-"""Runs: training methods, and opening runs to render what any camera sees."""
+"""Runs: training methods, and opening runs to render from any camera."""
 
 import os
 import signal
@@ -43,11 +43,11 @@ class Run:
 
     folder: Path
     record: RunRecord
-    """What run.json says: the configuration, the dataset's and the layers' digests, numbers of parameters."""
+    """The content of run.json: the configuration, the dataset's and the layers' digests, numbers of parameters."""
     dataset: Dataset
-    """What it was trained on."""
+    """The dataset that it was trained on."""
     inputs: Inputs
-    """What the method is given of the dataset."""
+    """The parts of the dataset that the method may use."""
     device: Device
     """Where networks compute."""
 
@@ -57,7 +57,7 @@ class Run:
 
     @property
     def label(self) -> str:
-        """How tables call the run."""
+        """The run's name in tables."""
         return self.record.label
 
     @property
@@ -77,7 +77,7 @@ class Run:
 
     @property
     def last_step(self) -> int:
-        """Steps that its weights have made; of a run that is still training, those at its last evaluation."""
+        """Number of steps trained; while it is still training, the number at the last evaluation."""
         if (self.folder / WEIGHTS).is_file():
             return self.config.steps
         return max((int(line.get("step") or 0) for line in self.metrics), default=0)
@@ -89,10 +89,10 @@ class Run:
 
     @naming_parts("hyaline.Run.render")
     def render(self, camera: Camera) -> UInt8[np.ndarray, "h w 3"]:
-        """The 8-bit sRGB picture that a camera takes; through a view's camera it is the run's own prediction.
+        """The 8-bit sRGB picture for a camera; for a view's camera, exactly the run's own prediction.
 
         Raises:
-            HyalineError: no camera, a size that the method cannot draw, or no weights yet.
+            HyalineError: an invalid camera, a size that the method cannot draw, or no weights yet.
         """
         from model.run.predict import predict_pixels
 
@@ -101,8 +101,7 @@ class Run:
 
     @naming_parts("hyaline.Run.radiance")
     def radiance(self, camera: Camera) -> Float32[np.ndarray, "h w 3"]:
-        """Linear radiance (Rec. 709), unclipped. Training pictures end at white: of what is brighter, a run knows only
-        that it is.
+        """Linear radiance (Rec. 709), unclipped. Training images are clipped at white, so values above it are guesses.
 
         Raises:
             HyalineError: as `render`, or the method predicts display-referred colours (`has_radiance` is False).
@@ -116,7 +115,7 @@ class Run:
 
         colors = predict_colors(self._renderer, self._pixels(camera))
         if not bool(colors.isfinite().all()):
-            raise NumericsError(f"{self.folder}: a predicted colour is not finite; train anew with --overwrite")
+            raise NumericsError(f"{self.folder}: a predicted colour is not finite; train again with --overwrite")
         return linear_curve(colors).cpu().numpy().reshape(camera.height, camera.width, 3)
 
     def show(self) -> Image.Image:
@@ -125,7 +124,7 @@ class Run:
         return in_a_row([picture for view in views for picture in (view.image, self._prediction(view))])
 
     def _prediction(self, view: View) -> UInt8[np.ndarray, "h w 3"]:
-        """As it was stored; drawn where the run is still training."""
+        """The stored prediction; rendered now if the run is still training."""
         stored = self.folder / "predictions" / view.split / f"{view_name(view.index)}.png"
         return read_png(stored) if stored.is_file() else self.render(view.camera)
 
@@ -171,7 +170,7 @@ def train(
     """Trains a method on a dataset and renders its test splits. If interrupted, the same call resumes.
 
         run = hyaline.train("light-path", dataset, steps=500)
-        run = hyaline.train("paper", dataset, geometry="ellipsoid", preset="best", texture_size=64)
+        run = hyaline.train("paper", dataset, geometry="ellipsoid", texture_size=64)
         run = hyaline.train(AlphaBlendConfig(texture_size=64), dataset, steps=500, lr=0.01)
 
     Args:
@@ -250,7 +249,7 @@ def list_runs(root: Path | str = RUNS) -> list[str]:
 def open_run(
     name: Path | str, root: Path | str = RUNS, *, dataset: Dataset | Path | str | None = None, device: Device = "auto"
 ) -> Run:
-    """A run of `model train`, ready to render what any camera sees.
+    """A trained run, ready to render from any camera.
 
     >>> run = open_run("glass_table/paper")              # runs/glass_table/paper, or a folder
     >>> run.method, run.last_step, run.dataset.name

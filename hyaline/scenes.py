@@ -29,7 +29,7 @@ from hyaline.pictures import in_a_row, sketch
 
 @runtime_checkable
 class Triangles(Protocol):
-    """A mesh of trimesh's, or any other object with these two arrays; uv of a textured `visual` are taken, too."""
+    """A mesh of trimesh, or any other object with these two arrays; the uv of a textured `visual` are used, too."""
 
     @property
     def vertices(self) -> np.ndarray:
@@ -98,7 +98,7 @@ class Hemisphere:
             raise HyalineError(f"camera fov_deg: is {self.fov_deg}; expected 0 to 170")
 
     def rig(self, objects: Sequence[SceneObject]) -> CameraRig:
-        """The same for a scene's objects, with nothing left open."""
+        """The rig around a scene's objects, with every value filled in."""
         from datagen.scene.importers.staging import make_rig
 
         return make_rig(
@@ -114,7 +114,7 @@ class Hemisphere:
 
 @dataclass(frozen=True, kw_only=True)
 class Scene:
-    """What `hyaline.build` makes a dataset of.
+    """A scene described in Python, which `hyaline.build` path-traces.
 
     >>> import hyaline as hy, trimesh
     >>> floor = trimesh.creation.box((2, 2, 0.02), transform=trimesh.transformations.translation_matrix((0, 0, -0.2)))
@@ -155,7 +155,7 @@ class Scene:
         return in_a_row([sketch(meshes, is_glass, azimuth_deg)])
 
     def described(self) -> description.Scene:
-        """The scene as renderers take it: meshes mended, unwrapped where they have no atlas, and checked.
+        """The scene as the renderer needs it: meshes are mended, unwrapped unless they have an atlas, and checked.
 
         Raises:
             HyalineError: an object that would render wrong, such as glass with holes, or a file that cannot be read.
@@ -212,7 +212,7 @@ def _described(item: Object) -> tuple[SceneObject, bool]:
 def _checked(
     vertices: object, faces: object, *, where: str
 ) -> tuple[Float[np.ndarray, "vertex 3"], Int[np.ndarray, "face 3"]]:
-    """Arrays that may be what they are said to be, checked."""
+    """Vertices and faces as numbers that are safe to use."""
     places, corners = np.asarray(vertices), np.asarray(faces)
     for name, values, kinds in (("vertices", places, "fiu"), ("faces", corners, "iu")):
         if values.ndim != 2 or values.shape[1] != 3 or not len(values) or values.dtype.kind not in kinds:
