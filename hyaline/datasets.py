@@ -59,6 +59,11 @@ class Dataset(contract.Dataset):
     ['pane', 'floor']
     """
 
+    def __repr__(self) -> str:
+        return (
+            f"Dataset({str(self.root)!r}, {', '.join(f'{count} {split}' for split, count in self.num_views.items())})"
+        )
+
     def view(self, split: Split, index: int) -> View:
         """One view of a split.
 

@@ -1,7 +1,7 @@
 """Proxies of a dataset: coarse closed meshes that stand in for its objects."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from PIL import Image
@@ -24,7 +24,7 @@ class Proxies:
     dataset: Dataset
     geometry: str
     """The name to train with: `train(..., geometry=proxies.geometry)`."""
-    reports: "tuple[ProxyReport, ...]"
+    reports: "tuple[ProxyReport, ...]" = field(repr=False)
     """For each object: kind, number of triangles, volume ratio, distances, and any problem of its proxy."""
 
     @property

@@ -3,7 +3,7 @@
 import csv
 import io
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -25,7 +25,8 @@ class Report:
 
     page: Path
     """The page with pictures, tables and analyses; open it in a browser."""
-    scored: "Scored"
+    scored: "Scored" = field(repr=False)
+    """The scores themselves: of each dataset, run, split, picture and metric."""
 
     @property
     def rows(self) -> list[dict[str, str]]:

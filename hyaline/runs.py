@@ -2,7 +2,7 @@
 
 import os
 import signal
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -42,11 +42,11 @@ class Run:
     """
 
     folder: Path
-    record: RunRecord
+    record: RunRecord = field(repr=False)
     """The content of run.json: the configuration, the dataset's and the layers' digests, numbers of parameters."""
     dataset: Dataset
     """The dataset that it was trained on."""
-    inputs: Inputs
+    inputs: Inputs = field(repr=False)
     """The parts of the dataset that the method may use."""
     device: Device
     """Where networks compute."""

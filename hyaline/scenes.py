@@ -17,8 +17,6 @@ from datagen.disk.names import printable
 from datagen.scene import description
 from datagen.scene.camera_list import CameraList
 from datagen.scene.description import CameraRig, SceneObject, image_bytes
-from datagen.scene.importers.lights import LIGHT
-from datagen.scene.importers.remarks import Remarks
 from datagen.scene.lights import Environment, EnvironmentMap, RectangleLight
 from datagen.scene.materials import Material, check_material
 from datagen.scene.soundness import camera_places, check_names
@@ -99,6 +97,7 @@ class Hemisphere:
 
     def rig(self, objects: Sequence[SceneObject]) -> CameraRig:
         """The rig around a scene's objects, with every value filled in."""
+        from datagen.scene.importers.remarks import Remarks
         from datagen.scene.importers.staging import make_rig
 
         return make_rig(
@@ -131,7 +130,7 @@ class Scene:
 
     objects: Sequence[Object]
     """1 to 255; the id of the first in layers is 1."""
-    light: Environment = LIGHT
+    light: Environment | None = None
     """Light from infinitely far, such as `EnvironmentMap(path="studio.exr")` or a `SoftEnvironment`; softboxes all
     around unless given."""
     lamps: Sequence[RectangleLight] = ()
@@ -161,6 +160,7 @@ class Scene:
             HyalineError: an object that would render wrong, such as glass with holes, or a file that cannot be read.
         """
         from datagen.scene.environment_maps import read_map
+        from datagen.scene.importers.lights import LIGHT
         from datagen.scene.mending import mend_scene
         from datagen.scene.soundness import check_scene
 
@@ -170,7 +170,7 @@ class Scene:
             name=self.name,
             license=self.license,
             objects=objects,
-            environment=self.light,
+            environment=self.light or LIGHT,
             lights=tuple(self.lamps),
             cameras=self._rig(objects),
             folder=Path(self.folder),
@@ -188,6 +188,7 @@ class Scene:
 
 def _described(item: Object) -> tuple[SceneObject, bool]:
     """An object with a mesh of ours, and whether that came with uv."""
+    from datagen.scene.importers.remarks import Remarks
     from datagen.scene.importers.surfaces import made_sound, mesh_of
 
     where, remarks = f"object {printable(item.name)}", Remarks()
@@ -242,6 +243,7 @@ def write_arrays(folder: Path, path: Path) -> None:
     """Reads a mesh file, in the process that `confined` starts."""
     from datagen.machine.confined import allow_triangles
     from datagen.scene.importers.importing import READERS
+    from datagen.scene.importers.remarks import Remarks
 
     parts = READERS[path.suffix.lower()](path, Remarks()).objects
     allow_triangles(sum(len(part.faces) for part in parts))
