@@ -18,8 +18,9 @@ from support.checked import unchecked
 
 import datagen.build.build
 import hyaline as hy
+from datagen.data.png import read_png
 from datagen.terminal.command import track
-from model.batches.view_batches import ViewBatch, Views, load_views
+from model.batches.plain_rays import PlainRayPixels, PlainRays, load_rays, rays_of
 from model.methods.protocol import Inputs, MethodConfig
 from model.methods.renderer import Renderer
 
@@ -159,41 +160,49 @@ def test_a_setting_that_is_none_is_refused_with_the_nearest_one(dataset: hy.Data
         hy.make_proxies(dataset, "truth")
 
 
-class Grey(Renderer[Views]):
+class Sky(Renderer[PlainRayPixels]):
     def __init__(self) -> None:
         super().__init__()
-        self.level = torch.nn.Parameter(torch.tensor(0.5))
+        self.colors = torch.nn.Linear(3, 3)
 
-    def forward(self, batch: ViewBatch, *, rng: np.random.Generator | None = None) -> torch.Tensor:
-        return self.level.expand(256 * len(batch.cameras), 3)
-
-    def loss(self, training: Views, batch: int, rng: np.random.Generator, **_: Any) -> torch.Tensor:
-        return (self.level - training.rgb.float() / 255).abs().mean()
+    def forward(self, rays: PlainRays, *, rng: np.random.Generator | None = None) -> torch.Tensor:
+        assert rays.origins.shape == rays.directions.shape
+        return torch.sigmoid(self.colors(rays.directions))
 
 
 @dataclass(frozen=True, kw_only=True)
-class PlainGreyConfig(MethodConfig):
-    """One grey for all pixels."""
+class PlainSkyConfig(MethodConfig):
+    """A colour for each direction."""
 
     uses_geometry: ClassVar[bool] = False
-    knowledge: ClassVar[str] = "nothing"
+    knowledge: ClassVar[str] = "cameras only"
+    draws_cameras: ClassVar[bool] = True
     brightness: float = 0.5
 
-    def build(self, inputs: Inputs) -> Grey:
-        return Grey()
+    def build(self, inputs: Inputs) -> Sky:
+        return Sky()
 
     def load(
         self, inputs: Inputs, split: Any, views: Sequence[int], *, with_images: bool, mapped: bool = False
-    ) -> Views:
-        return load_views(inputs.dataset, split, views, with_images=with_images)
+    ) -> PlainRayPixels:
+        return load_rays(inputs.dataset, split, views, with_images=with_images)
+
+    def load_cameras(self, inputs: Inputs, cameras: hy.Cameras) -> PlainRayPixels:
+        return rays_of(cameras)
 
 
-def test_a_method_may_be_an_object_of_ones_own(dataset: hy.Dataset, home: Path) -> None:
-    out = home / "runs" / "marble" / "grey"
-    run = hy.train(PlainGreyConfig(brightness=0.25), dataset, out=out, lr=0.1, **TINY)
-    assert (run.method, run.config.net) == ("plain-grey", PlainGreyConfig(brightness=0.25))
+def test_a_method_may_be_an_object_of_ones_own_that_sees_rays_alone(dataset: hy.Dataset, home: Path) -> None:
+    out = home / "runs" / "marble" / "sky"
+    run = hy.train(PlainSkyConfig(brightness=0.25), dataset, out=out, lr=0.1, **TINY)
+    assert (run.method, run.config.net) == ("plain-sky", PlainSkyConfig(brightness=0.25))
     assert hy.open_run(out).config.lr == 0.1
-    assert np.ptp(np.asarray(run.show().crop((280, 0, 500, 200)))) == 0  # What it predicts, beside the truth.
+    view = dataset.view("interpolating", 0)
+    drawn = read_png(out / "predictions" / "interpolating" / "0000.png")
+    assert np.array_equal(run.render(view.camera), drawn)
+    origin, directions = view.camera.rays()
+    rays = load_rays(dataset, "interpolating", [0], with_images=True).take(torch.arange(256), None)
+    assert np.allclose(rays.directions.numpy(), directions.reshape(-1, 3), atol=1e-6)
+    assert np.allclose(rays.origins.numpy(), origin)
 
 
 def test_a_report_is_a_table_rows_and_a_page(run: hy.Run, home: Path) -> None:
