@@ -95,8 +95,7 @@ def truth(
     use_mitsuba()
     from benchmarks.generator.truth import bench_truth, under_soft_light
     from benchmarks.harness import show
-    from datagen.data.config import DatasetConfig, SplitConfig
-    from datagen.data.resolution import square
+    from datagen.data.config import DatasetConfig, SplitConfig, square
     from datagen.scene.finding import find_scene
     from datagen.scene.rig import make_cameras
 
@@ -235,7 +234,7 @@ def cycles(
         overwrite: Replace pictures that stand in --out.
         choices: What hyaline is told about the files.
     """
-    from datagen.data.resolution import parse_resolution
+    from datagen.data.config import parse_resolution
     from datagen.disk.errors import HyalineError
     from datagen.disk.ownership import refuse_file
     from datagen.machine.mitsuba_variant import use_mitsuba

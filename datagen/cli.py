@@ -10,12 +10,11 @@ import tyro
 from datagen.build.choices import BuildChoices
 from datagen.build.film import FilmChoices
 from datagen.build.launch import LaunchChoices
+from datagen.data.config import parse_resolution
 from datagen.data.dataset import open_dataset
-from datagen.data.finding import DATA_ROOT, build_command, find_dataset, train_command
 from datagen.data.geometries import check_geometry
 from datagen.data.layer_writing import check_settings
-from datagen.data.paths import TRUTH
-from datagen.data.resolution import parse_resolution
+from datagen.data.paths import DATA_ROOT, TRUTH, build_command, find_dataset, train_command
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import DATASET, refuse_file, refuse_owned
 from datagen.disk.storage import commit

@@ -51,7 +51,7 @@ def report(
 
         sys.stdout.write(results_page(results))
         return
-    from datagen.data.finding import find_dataset
+    from datagen.data.paths import find_dataset
     from eval.page.report import make_report, make_tables
 
     place = out if out is not None else runs / "report"

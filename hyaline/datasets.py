@@ -5,19 +5,15 @@ import functools
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
 from PIL import Image
 
 from datagen.data import dataset as contract
-from datagen.data import finding
-from datagen.data.cameras import Camera, Cameras, check_camera
-from datagen.data.config import Split
-from datagen.data.finding import DATA_ROOT
+from datagen.data import paths as finding
+from datagen.data.cameras import Camera, check_camera
+from datagen.data.config import Resolution, Split, square
 from datagen.data.geometries import GeometryKey, geometry_key, read_meshes
-from datagen.data.layers import Layers
-from datagen.data.number_formats import round_mantissa
-from datagen.data.paths import TRUTH
-from datagen.data.resolution import Resolution, square
+from datagen.data.layers import Layers, round_mantissa
+from datagen.data.paths import DATA_ROOT, TRUTH
 from datagen.terminal.command import say_all
 from datagen.terminal.distribution import naming_parts
 from hyaline.pictures import in_a_row
@@ -95,14 +91,7 @@ class Dataset(contract.Dataset):
         if num_layers is None:
             is_peeled = contract.has_layers(self) if geometry == TRUTH else True
             num_layers = self.layer_store(geometry).head.num_layers if is_peeled else NUM_LAYERS
-        cameras = Cameras(
-            world_from_camera=np.asarray(camera.world_from_camera, np.float64)[None],
-            fov_x=camera.fov_x,
-            width=camera.width,
-            height=camera.height,
-            center=camera.center,
-        )
-        layers, _ = _peeler(geometry_key(self, geometry)).peel(cameras, 0, num_layers)
+        layers, _ = _peeler(geometry_key(self, geometry)).peel(camera.alone, 0, num_layers)
         return dataclasses.replace(layers, depth=round_mantissa(layers.depth))  # As stored layers are.
 
     def show(self) -> Image.Image:

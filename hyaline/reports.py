@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from datagen.data.config import MAX_VIEWS
-from datagen.data.finding import DATA_ROOT
+from datagen.data.paths import DATA_ROOT
 from datagen.disk.errors import HyalineError
 from datagen.terminal.command import say
 from hyaline.runs import RUNS, Run, list_runs

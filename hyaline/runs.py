@@ -11,12 +11,11 @@ import numpy as np
 from jaxtyping import Float32, UInt8
 from PIL import Image
 
-from datagen.data.cameras import Camera, Cameras, check_camera
+from datagen.data.cameras import Camera, check_camera
 from datagen.data.config import TEST_SPLITS
 from datagen.data.dataset import open_dataset
-from datagen.data.finding import find_dataset
-from datagen.data.paths import TRUTH, view_name
-from datagen.data.png import read_png
+from datagen.data.images import read_png
+from datagen.data.paths import TRUTH, find_dataset, view_name
 from datagen.disk.errors import HyalineError, NumericsError
 from datagen.disk.names import real_path
 from datagen.terminal.command import choose
@@ -141,14 +140,7 @@ class Run:
 
         check_camera(camera)
         check_draws_cameras(self.folder, self.config)
-        cameras = Cameras(
-            world_from_camera=np.asarray(camera.world_from_camera, np.float64)[None],
-            fov_x=camera.fov_x,
-            width=camera.width,
-            height=camera.height,
-            center=camera.center,
-        )
-        return self.config.net.load_cameras(self.inputs, cameras).to(choose_device(self.device))
+        return self.config.net.load_cameras(self.inputs, camera.alone).to(choose_device(self.device))
 
 
 Setting = int | float | str | bool | None

@@ -12,7 +12,7 @@ from typing import Literal
 
 from datagen.build.film import FilmChoices
 from datagen.data.dataset import open_dataset
-from datagen.data.finding import find_dataset
+from datagen.data.paths import find_dataset
 from datagen.disk.errors import HyalineError, UsageError
 from datagen.terminal.command import choose, mute, next_command, run, run_parsed, say, tell, unwrap_help
 from model.settings.run_flags import RUNS, Device

@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Annotated, cast
 import tyro
 
 from datagen.data.dataset import Dataset, open_dataset
-from datagen.data.finding import DATA_ROOT, build_command, find_dataset, list_datasets, train_command
 from datagen.data.layer_writing import check_settings
-from datagen.data.paths import TRUTH
+from datagen.data.paths import DATA_ROOT, TRUTH, build_command, find_dataset, list_datasets, train_command
 from datagen.disk.errors import HyalineError
 from datagen.terminal.command import choose, fail, next_command, run
 

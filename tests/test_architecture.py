@@ -32,7 +32,7 @@ HOMES = {
     "xatlas": {"datagen/scene/atlas.py"},
     "manifold3d": {"datagen/scene/cutouts.py", "datagen/scene/importers/overlaps.py", "datagen/scene/mending.py"},
     "zarr": {"datagen/data/layer_writing.py"},
-    "OpenEXR": {"datagen/data/exr.py"},
+    "OpenEXR": {"datagen/data/images.py"},
     "submitit": {"datagen/build/launch.py"},
     "viser": {"model/view/server.py", "model/view/stage.py", "model/view/panel.py", "model/view/view.py"},
 }

@@ -1,6 +1,5 @@
 """Tests pictures that are not square, with a principal point aside, through every command from scene to report."""
 
-import dataclasses
 import json
 from pathlib import Path
 
@@ -12,14 +11,14 @@ from support.synthetic import synthetic_scene
 
 import hyaline
 from datagen.data.cameras import look_at
-from datagen.data.config import SPLITS
-from datagen.data.png import read_png
-from datagen.data.resolution import Resolution
+from datagen.data.config import SPLITS, Resolution
+from datagen.data.images import read_png
+from datagen.data.transforms import TRANSFORMS_FILES
 from datagen.quantities.view_quantities import quantities
 from datagen.scene.camera_list import CameraList
 from datagen.scene.folder import load_scene, save_scene
 
-LENS = {"type": "Intrinsics", "fl_x": 30, "fl_y": 30, "cx": 14, "cy": 22.5, "w": 48, "h": 32}
+LENS = {"fl_x": 30, "fl_y": 30, "cx": 14, "cy": 22.5, "w": 48, "h": 32}
 
 
 @pytest.fixture(scope="module")
@@ -28,13 +27,13 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("oblong")
     save_scene(synthetic_scene(), root / "scene")
     places = {"train": 3, "interpolating": 1, "extrapolating": 1}
-    poses = {
-        split: [look_at((2.0 + 0.1 * place, place - 0.8, 1.5), (0.1, 0.3, 0.2)).tolist() for place in range(count)]
-        for split, count in places.items()
-    }
     data = json.loads((root / "scene" / "scene.json").read_text())
-    data["cameras"] = {"type": "CameraList", **poses, "intrinsics": LENS}
+    del data["cameras"]
     (root / "scene" / "scene.json").write_text(json.dumps(data))
+    for split, count in places.items():
+        poses = [look_at((2.0 + 0.1 * place, place - 0.8, 1.5), (0.1, 0.3, 0.2)).tolist() for place in range(count)]
+        listed = {**LENS, "frames": [{"transform_matrix": pose} for pose in poses]}
+        (root / "scene" / TRANSFORMS_FILES[split]).write_text(json.dumps(listed))  # type: ignore[index]
     out = f"--out '{root}/data/oblong'"
     size = "--preset tiny --resolution 24x16 --spp 64 --test-spp 64 --num-layers 4"
     run(f"datagen build --scene '{root}/scene' {out} {size}")
@@ -128,9 +127,26 @@ def test_exports_carry_its_lens_where_a_format_has_a_place_for_it(home: Path) ->
 def test_a_resolution_of_another_shape_is_refused_and_the_default_fits(home: Path) -> None:
     build = f"datagen build --scene '{home}/scene' --out '{home}/data/other' --preset tiny"
     answer = call(f"{build} --resolution 16")
-    assert answer.status == 1 and "the scene's intrinsics are of 48 x 32 pixels" in answer.error
+    assert answer.status == 1 and "the cameras' lens is for 48 x 32 pixels" in answer.error
     scene = load_scene(home / "scene")
-    assert isinstance(scene.cameras, CameraList) and scene.cameras.intrinsics is not None
-    assert scene.cameras.intrinsics.fitting(32 * 32) == Resolution(width=39, height=26)
-    with pytest.raises(hyaline.HyalineError, match="fl_x and fl_y are 30 and 31; expected equal focal lengths"):
-        dataclasses.replace(scene.cameras.intrinsics, fl_y=31.0)
+    assert isinstance(scene.cameras, CameraList)
+    assert scene.cameras.train.shaped(32 * 32) == Resolution(width=39, height=26)
+
+
+def test_listed_cameras_are_stored_once_and_build_the_same_dataset_again(home: Path) -> None:
+    data = home / "data/oblong"
+    assert "cameras" not in json.loads((data / "scene/scene.json").read_text())
+    assert not list((data / "scene").glob("transforms*"))
+    size = "--preset tiny --resolution 24x16 --spp 64 --test-spp 64 --num-layers 4"
+    run(f"datagen build --scene '{data}/scene' --out '{home}/again' {size}")
+    for name in TRANSFORMS_FILES.values():
+        if (data / name).is_file():
+            assert (home / "again" / name).read_bytes() == (data / name).read_bytes()
+    run(f"datagen build --dataset '{data}' --edit remove:pane")
+    edited = load_scene(data / "variants/remove-pane/scene", is_sealed=True)
+    assert isinstance(edited.cameras, CameraList) and len(edited.cameras.train) == 3
+    moved = json.loads((home / "scene/transforms_train.json").read_text())
+    moved["frames"][0]["transform_matrix"][2][3] += 0.01
+    (home / "scene/transforms_train.json").write_text(json.dumps(moved))
+    answer = call(f"datagen build --scene '{home}/scene' --out '{data}' {size}")
+    assert answer.status == 1 and "transforms_train.json differs" in answer.error

@@ -17,11 +17,8 @@ from jaxtyping import Float
 
 from benchmarks.cycles.blender import NOT_INSTALLED, UNREADABLE
 from datagen.data.cameras import Camera
-from datagen.data.config import DatasetConfig, SplitConfig
-from datagen.data.exr import encode_float_exr
-from datagen.data.png import png_bytes
-from datagen.data.resolution import Resolution
-from datagen.data.tonemap import srgb_from_linear, to_8bit
+from datagen.data.config import DatasetConfig, Resolution, SplitConfig
+from datagen.data.images import encode_float_exr, png_bytes, srgb_from_linear, to_8bit
 from datagen.disk.errors import HyalineError
 from datagen.render.environment import radiance_of_sky
 from datagen.render.mitsuba_scene import linear_texels

@@ -10,10 +10,9 @@ import numpy as np
 from jaxtyping import UInt8
 
 from datagen.data.cameras import Cameras
-from datagen.data.exr import decode_radiance, encode_float_exr
-from datagen.data.layers import Layers
+from datagen.data.images import decode_radiance, encode_float_exr
+from datagen.data.layers import UV_SCALE, Layers, quantize_uv
 from datagen.data.meshes import Mesh
-from datagen.data.number_formats import UV_SCALE, quantize_uv
 from datagen.render.mitsuba_scene import load_geometry_mitsuba
 from datagen.trace.light_path import LightPaths, LightPathTracer
 from datagen.trace.limits import Limits

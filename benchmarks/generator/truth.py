@@ -17,7 +17,7 @@ from jaxtyping import Float
 
 from benchmarks.harness import BenchReport, Candidate, Check, Gate, machine_ceilings, measure
 from datagen.data.cameras import Cameras
-from datagen.data.tonemap import srgb_from_linear
+from datagen.data.images import srgb_from_linear
 from datagen.disk.errors import HyalineError
 from datagen.render.mitsuba_scene import is_scalar, load_scene_mitsuba, load_sensor
 from datagen.render.truth import Renderer, derive_seed

@@ -9,8 +9,8 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from benchmarks.networks.choices import BenchChoices
-from datagen.data.number_formats import UV_SCALE
-from datagen.data.resolution import square
+from datagen.data.config import square
+from datagen.data.layers import UV_SCALE
 from datagen.disk.errors import HyalineError
 from model.batches.rays import Pixels, RayBatch
 from model.methods.paper.config import PaperConfig

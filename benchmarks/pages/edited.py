@@ -8,11 +8,11 @@ import numpy as np
 from datagen.build.build import peel_dataset
 from datagen.build.plan_variant import plan_edit
 from datagen.data.dataset import Dataset
-from datagen.data.dataset_head import write_head
 from datagen.data.meshes import is_there
+from datagen.data.metadata import Variant
 from datagen.data.paths import TRUTH
-from datagen.data.variant_record import Variant
 from datagen.data.variants import variant_root
+from datagen.data.writing import write_head
 from datagen.scene.edits import CLEAR_GLASS, GREY, Edit, edit_scene
 from datagen.scene.folder import load_scene
 

@@ -5,9 +5,8 @@ import io
 
 import numpy as np
 
-from datagen.data.config import DatasetConfig, SplitConfig
-from datagen.data.resolution import Resolution
-from datagen.data.tonemap import srgb_from_linear, to_8bit
+from datagen.data.config import DatasetConfig, Resolution, SplitConfig
+from datagen.data.images import srgb_from_linear, to_8bit
 from datagen.render.truth import Renderer
 from datagen.scene.atlas import unwrap_all
 from datagen.scene.description import Scene

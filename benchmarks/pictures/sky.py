@@ -8,7 +8,7 @@ from jaxtyping import Float
 from matplotlib.figure import Figure
 
 from datagen.data.dataset import Dataset, open_dataset
-from datagen.data.tonemap import srgb_from_linear
+from datagen.data.images import srgb_from_linear
 from datagen.disk.errors import HyalineError
 from datagen.render.environment import radiance_of_sky
 from datagen.scene.folder import load_scene

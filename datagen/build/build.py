@@ -12,22 +12,21 @@ import numpy as np
 from datagen.build.jobs import PeelJob, RenderJob, Task, peel_task, render_task
 from datagen.build.shards import Shard, own_tasks
 from datagen.data.cameras import Cameras
-from datagen.data.clear import clear_dataset
 from datagen.data.config import SPLITS, DatasetConfig, Split, config_difference, describe_views
 from datagen.data.dataset import Dataset, DatasetObject, head_files
-from datagen.data.dataset_head import dataset_files, head_contents, view_files, write_head
 from datagen.data.depth_range import with_depth_range
 from datagen.data.geometries import geometry_hash
-from datagen.data.imported import RENDERED, Imported
 from datagen.data.layer_store import record_path_of_layers
 from datagen.data.layer_writing import check_settings, create_layers
-from datagen.data.license import unknown
+from datagen.data.metadata import RENDERED, Imported, unknown_license
 from datagen.data.paths import TRUTH, layers_root
+from datagen.data.writing import clear_dataset, dataset_files, head_contents, view_files, write_head
 from datagen.disk.errors import DamagedError, HyalineError, WorkerKilledError
 from datagen.disk.ownership import DATASET, LAYERS, holding, is_ours, refuse_taken, remove_files
 from datagen.disk.promises import check_files
 from datagen.disk.storage import sha256
 from datagen.machine.workers import in_workers
+from datagen.scene.camera_list import CameraList
 from datagen.scene.description import Scene
 from datagen.scene.folder import scene_files
 from datagen.scene.rig import make_cameras
@@ -216,7 +215,7 @@ def open_or_start(
     """
     files = {} if scene is None else scene_files(scene)
     if stated_license is None:
-        stated_license = (None if scene is None else scene.license) or unknown(f"scene {config.scene}")
+        stated_license = (None if scene is None else scene.license) or unknown_license(f"scene {config.scene}")
     listed = () if scene is None else scene.objects
     objects = tuple(DatasetObject(name=item.name, is_glass=item.material.is_glass) for item in listed)
     if overwrite and is_ours(root, DATASET):
@@ -240,7 +239,9 @@ def open_or_start(
             "pass --overwrite to replace it, or --out for another place"
         )
     promised = head_files(root)
-    contents = head_contents(files, cameras if imported is not None else {})
+    # A rig's cameras are computed, and may differ in their last bits on another machine.
+    is_listed = imported is not None or (scene is not None and isinstance(scene.cameras, CameraList))
+    contents = head_contents(files, cameras if is_listed else {})
     changed = [path for path, data in contents.items() if promised.get(path) != sha256(data)]
     if changed:
         raise HyalineError(

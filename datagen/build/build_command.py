@@ -13,13 +13,11 @@ from datagen.build.launch import launch as send_off
 from datagen.build.plan_variant import MAX_SCALE, plan_angles, plan_edit, plan_larger
 from datagen.build.presets import configure, fit_to_scene
 from datagen.build.shards import Shard, count_missing, parse_shard
-from datagen.data.cameras import TRANSFORMS_FILES
-from datagen.data.config import DatasetConfig
+from datagen.data.config import DatasetConfig, parse_resolution
 from datagen.data.dataset import Dataset, open_dataset
-from datagen.data.finding import DATA_ROOT, find_dataset, render_command, train_command
 from datagen.data.layer_writing import check_settings
-from datagen.data.paths import TRUTH
-from datagen.data.resolution import parse_resolution
+from datagen.data.paths import DATA_ROOT, TRUTH, find_dataset, render_command, train_command
+from datagen.data.transforms import TRANSFORMS_FILES
 from datagen.data.variants import TWINS
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import DATASET, refuse_strangers

@@ -4,15 +4,15 @@ from datagen.build.build import peel_dataset, render_dataset
 from datagen.build.find_edit_masks import write_edit_masks
 from datagen.build.plan_variant import Plan, edited_scene
 from datagen.build.shards import Shard
-from datagen.data.clear import clear_dataset
 from datagen.data.config import config_difference
 from datagen.data.dataset import Dataset, head_files, open_dataset
-from datagen.data.dataset_head import dataset_files, head_contents, view_files, write_head
 from datagen.data.geometries import list_geometries, read_assignment, read_meshes, read_proxy_records, write_proxies
-from datagen.data.meshes import Mesh, is_there, no_mesh, write_ply
+from datagen.data.meshes import Mesh, is_there, no_mesh
+from datagen.data.metadata import SceneEdit, Variant
 from datagen.data.paths import TRUTH, geometry_root, layers_root
-from datagen.data.variant_record import SceneEdit, Variant
+from datagen.data.ply import write_ply
 from datagen.data.variants import list_variants, open_variant, variant_root
+from datagen.data.writing import clear_dataset, dataset_files, head_contents, view_files, write_head
 from datagen.disk.errors import HyalineError
 from datagen.disk.heads import keep_head
 from datagen.disk.ownership import DATASET, PROXIES, holding, is_ours, refuse_taken

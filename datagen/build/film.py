@@ -11,7 +11,7 @@ from datagen.build.build import refuse_imported
 from datagen.data.cameras import Cameras
 from datagen.data.dataset import Dataset
 from datagen.data.film import check_film, write_film
-from datagen.data.tonemap import srgb_from_linear, to_8bit
+from datagen.data.images import srgb_from_linear, to_8bit
 from datagen.disk.errors import HyalineError
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.camera_path import make_path

@@ -7,9 +7,8 @@ from jaxtyping import Bool, Float, UInt8
 
 from datagen.data.config import TEST_SPLITS, Split
 from datagen.data.dataset import Dataset
-from datagen.data.edit_masks import ELSEWHERE, FOLDER, LIGHT, OBJECT, edit_mask_files, edit_mask_path
-from datagen.data.png import png_bytes
-from datagen.data.tonemap import srgb_from_linear
+from datagen.data.images import png_bytes, srgb_from_linear
+from datagen.data.variants import EDIT_MASKS_FOLDER, ELSEWHERE, LIGHT, OBJECT, edit_mask_files, edit_mask_path
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import EDIT_MASKS, begin, holding, is_ours
 from datagen.disk.promises import check_files
@@ -30,7 +29,7 @@ WINDOW = 5
 
 def write_edit_masks(base: Dataset, edited: Dataset) -> None:
     """Finds and commits the edit masks of all test views, unless they are there; both truths are built and peeled."""
-    root = edited.root / FOLDER
+    root = edited.root / EDIT_MASKS_FOLDER
     if is_ours(root, EDIT_MASKS) and load_sealed(root / EDIT_MASKS.head).get("dataset") == edited.seal:
         with contextlib.suppress(HyalineError):  # Missing, or damaged: found anew.
             check_files(edited.root, edit_mask_files(edited))

@@ -5,9 +5,9 @@ from pathlib import Path
 from datagen.data.cameras import Cameras
 from datagen.data.config import Split
 from datagen.data.dataset import Dataset, open_dataset
-from datagen.data.dataset_head import commit_view
 from datagen.data.geometries import read_meshes
 from datagen.data.layer_writing import write_layers
+from datagen.data.writing import commit_view
 from datagen.scene.folder import load_scene
 
 Task = tuple[Split, int]

@@ -13,13 +13,13 @@ from datagen.build.build import files_in, peel_dataset, render_dataset
 from datagen.build.build_variant import build_variant
 from datagen.build.plan_variant import plan_again
 from datagen.build.verify import check_is_there, import_command, is_good, list_obstacles
-from datagen.data.cameras import TRANSFORMS_FILES
 from datagen.data.dataset import Dataset, head_files, open_dataset
-from datagen.data.dataset_head import head_contents
 from datagen.data.depth_range import with_depth_range
 from datagen.data.geometries import list_geometries
 from datagen.data.paths import layers_root
+from datagen.data.transforms import TRANSFORMS_FILES
 from datagen.data.variants import list_variants, open_variant
+from datagen.data.writing import head_contents
 from datagen.disk.errors import DamagedError, HyalineError
 from datagen.disk.heads import list_heads, true_head
 from datagen.disk.homes import HEADS, home_of

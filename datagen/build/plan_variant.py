@@ -10,8 +10,8 @@ from datagen.data.config import TEST_SPLITS, DatasetConfig, Split, SplitConfig
 from datagen.data.dataset import Dataset, DatasetObject
 from datagen.data.depth_range import with_depth_range
 from datagen.data.geometries import read_meshes
+from datagen.data.metadata import SceneEdit
 from datagen.data.paths import TRUTH
-from datagen.data.variant_record import SceneEdit
 from datagen.data.variants import ANGLES, evenly, is_larger, scale_name
 from datagen.disk.errors import HyalineError
 from datagen.scene.edits import Edit, EditedScene, describe_edit, edit_scene, edits_name, parse_edit
@@ -58,6 +58,7 @@ def plan_larger(base: Dataset, scale: int, *, views: int | None = None) -> Plan:
     _check_base(base)
     if not 2 <= scale <= MAX_SCALE:
         raise HyalineError(f"super_resolution: is {scale}; expected 2 to {MAX_SCALE} times the dataset's size")
+    size = base.config.resolution.times(scale)
     sizes: dict[str, SplitConfig] = {}
     cameras: dict[Split, Cameras] = {}
     for split in TEST_SPLITS:
@@ -68,8 +69,8 @@ def plan_larger(base: Dataset, scale: int, *, views: int | None = None) -> Plan:
         sizes[split] = dataclasses.replace(there, views=count)
         poses = base.cameras(split)
         chosen = poses.world_from_camera[evenly(count, there.views)]
-        cameras[split] = dataclasses.replace(poses.times(scale), world_from_camera=chosen)
-    config = dataclasses.replace(base.config, resolution=base.config.resolution.times(scale), **sizes)
+        cameras[split] = dataclasses.replace(poses.fitted(size), world_from_camera=chosen)
+    config = dataclasses.replace(base.config, resolution=size, **sizes)
     return Plan(name=scale_name(scale), config=config, cameras=cameras, objects=base.objects)
 
 

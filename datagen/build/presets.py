@@ -3,8 +3,7 @@
 import dataclasses
 from dataclasses import dataclass
 
-from datagen.data.config import DatasetConfig, SplitConfig
-from datagen.data.resolution import Resolution, square
+from datagen.data.config import DatasetConfig, Resolution, SplitConfig, square
 from datagen.scene.description import Scene
 from datagen.scene.rig import with_listed_shape, with_listed_views
 from datagen.terminal.command import choose

@@ -11,11 +11,11 @@ from typing import NamedTuple
 
 from datagen.build.survey import Survey
 from datagen.data.dataset import Dataset, head_files, open_dataset
-from datagen.data.edit_masks import FOLDER as EDIT_MASKS
-from datagen.data.edit_masks import edit_mask_files
 from datagen.data.geometries import geometry_hash, list_geometries, read_assignment, read_proxy_records
 from datagen.data.layer_store import record_path_of_layers
 from datagen.data.paths import TRUTH, geometry_root, layers_root, record_path
+from datagen.data.variants import EDIT_MASKS_FOLDER as EDIT_MASKS
+from datagen.data.variants import edit_mask_files
 from datagen.disk.errors import HyalineError
 from datagen.disk.heads import list_heads, true_head
 from datagen.disk.homes import HEADS, home_of

@@ -1,47 +1,58 @@
-"""Cameras: where they stand, which rays they shoot, and their files."""
+"""Cameras: their lens and place, and the rays through their pixels.
+
+The convention, here and in every file of a dataset: metres, world +z up. `world_from_camera` is OpenGL's: +x right, +y
+up, the camera looks along -z. Pixels are square; pixel (column i, row j) has its centre at (i + 0.5, j + 0.5), row 0 on
+top. A lens is given by its horizontal angle in radians, its principal point by pixels from the upper left corner.
+"""
 
 import dataclasses
 import math
 from dataclasses import dataclass
-from typing import cast
+from typing import Self
 
 import numpy as np
 from jaxtyping import Float, Float32, Int
 
-from datagen.data.config import ANGLE_SPLITS, Split
-from datagen.data.paths import view_name
+from datagen.data.config import Resolution
 from datagen.disk.errors import HyalineError
-from datagen.disk.reading import parse_json
-from datagen.disk.records import Json, shown
-from datagen.disk.storage import dump_json
+from datagen.disk.records import shown
 
-TRANSFORMS_FILES: dict[Split, str] = {
-    "train": "transforms_train.json",
-    "interpolating": "transforms_test.json",
-    "extrapolating": "transforms_extrapolating.json",
-    **{split: f"transforms_{split}.json" for split in ANGLE_SPLITS},
-}
-CONVENTION = "transform_matrix is world_from_camera, OpenGL: +x right, +y up, looks along -z; world +z up; m"
+MAX_FOV_DEG = 170.0
+MAX_SKEW = 1e-3
+"""By how much a rotation's axes may miss being perpendicular and of unit length."""
+MAX_SHIFT = 4
+"""Largest distance of a principal point from the picture's middle, in pictures; a larger one is probably a typo."""
+TOLERANCE = 1e-3
+"""Share by which two focal lengths may differ, and share of the picture by which two principal points may."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Camera:
-    """A pinhole camera with square pixels."""
+class Lens:
+    """A pinhole lens with square pixels, and the size of its pictures.
 
-    world_from_camera: Float[np.ndarray, "4 4"]
-    """float64, metres, OpenGL convention: +x right, +y up, the camera looks along -z; world +z is up."""
+    A square picture whose principal point is its middle says nothing but the angle: such a lens fits any resolution.
+    """
+
     fov_x: float
-    """2 atan(width / 2 / focal length) in radians: the horizontal field of view where the principal point is in the
-    picture's middle."""
+    """2 atan(width / 2 / focal length) in radians: the horizontal field of view if the principal point is central."""
     width: int
     height: int
     center: tuple[float, float] | None = None
-    """Column and row of the principal point in pixels, from the picture's upper left corner; None: its middle."""
+    """Column and row of the principal point in pixels; None: the picture's middle."""
+
+    @property
+    def size(self) -> Resolution:
+        return Resolution(width=self.width, height=self.height)
+
+    @property
+    def focal(self) -> float:
+        """Focal length in pixels."""
+        return 0.5 * self.width / math.tan(0.5 * self.fov_x)
 
     @property
     def principal_point(self) -> tuple[float, float]:
         """Column and row in pixels, from the picture's upper left corner."""
-        return _principal_point(self)
+        return (0.5 * self.width, 0.5 * self.height) if self.center is None else self.center
 
     @property
     def intrinsics(self) -> Float[np.ndarray, "3 3"]:
@@ -49,9 +60,72 @@ class Camera:
 
         The rays of `rays` are those of OpenCV's camera (y down, z ahead) after its y and z are turned round.
         """
-        focal = 0.5 * self.width / math.tan(0.5 * self.fov_x)
         column, row = self.principal_point
-        return np.array([[focal, 0, column], [0, focal, row], [0, 0, 1]])
+        return np.array([[self.focal, 0, column], [0, self.focal, row], [0, 0, 1]])
+
+    @property
+    def fits_any_shape(self) -> bool:
+        return self.center is None and self.width == self.height
+
+    def shaped(self, pixels: int) -> Resolution:
+        """The resolution of pictures of this lens's shape with about this number of pixels."""
+        width = max(1, round(self.width * math.sqrt(pixels / (self.width * self.height))))
+        return Resolution(width=width, height=max(1, round(self.height * width / self.width)))
+
+    def fitted(self, size: Resolution) -> Self:
+        """The same lens for pictures of another resolution; an error unless they have its shape."""
+        scale = size.width / self.width
+        if not self.fits_any_shape and abs(size.height - scale * self.height) > 0.5 + 1e-9:
+            raise HyalineError(
+                f"resolution: is {size}, and the cameras' lens is for {self.width} x {self.height} pixels; expected "
+                f"that shape, such as {self.shaped(size.pixels)}"
+            )
+        center = None if self.center is None else (self.center[0] * scale, self.center[1] * scale)
+        if center == (size.width / 2, size.height / 2):
+            center = None
+        return dataclasses.replace(self, width=size.width, height=size.height, center=center)
+
+    def camera(self, world_from_camera: Float[np.ndarray, "4 4"]) -> "Camera":
+        """The camera with this lens at a place."""
+        return Camera(
+            world_from_camera=world_from_camera,
+            fov_x=self.fov_x,
+            width=self.width,
+            height=self.height,
+            center=self.center,
+        )
+
+    def cameras(self, world_from_camera: Float[np.ndarray, "view 4 4"]) -> "Cameras":
+        """The cameras with this lens at these places."""
+        return Cameras(
+            world_from_camera=world_from_camera,
+            fov_x=self.fov_x,
+            width=self.width,
+            height=self.height,
+            center=self.center,
+        )
+
+    def is_like(self, other: "Lens") -> bool:
+        """True for a lens that shows the same, to a thousandth of its angle and of the picture's width."""
+        apart = np.abs(np.subtract(self.principal_point, other.principal_point)).max()
+        return (
+            (self.width, self.height) == (other.width, other.height)
+            and abs(self.fov_x / other.fov_x - 1) <= TOLERANCE
+            and bool(apart <= TOLERANCE * self.width)
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Camera(Lens):
+    """A lens and where it is."""
+
+    world_from_camera: Float[np.ndarray, "4 4"]
+    """float64, metres, OpenGL convention: +x right, +y up, the camera looks along -z; world +z is up."""
+
+    @property
+    def alone(self) -> "Cameras":
+        """The cameras of which this one is the only one."""
+        return self.cameras(np.asarray(self.world_from_camera, np.float64)[None])
 
     def project(
         self, p_world: Float[np.ndarray, "point 3"]
@@ -67,10 +141,9 @@ class Camera:
 
     def rays(self) -> tuple[Float32[np.ndarray, "3"], Float32[np.ndarray, "h w 3"]]:
         """Origin (metres) and unit directions of the rays through pixel centres, in the world, computed in float64."""
-        focal = self.intrinsics[0, 0]
         column, row = self.principal_point
-        x = (np.arange(self.width) + 0.5 - column) / focal
-        y = (row - np.arange(self.height) - 0.5) / focal
+        x = (np.arange(self.width) + 0.5 - column) / self.focal
+        y = (row - np.arange(self.height) - 0.5) / self.focal
         d_camera = np.stack(np.broadcast_arrays(x[None, :], y[:, None], -1.0), axis=-1)
         d_world = d_camera @ self.world_from_camera[:3, :3].T
         d_world /= np.linalg.norm(d_world, axis=-1, keepdims=True)
@@ -78,17 +151,11 @@ class Camera:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Cameras:
-    """The cameras of one split, all with square pixels and the same lens."""
+class Cameras(Lens):
+    """The cameras of one split, which all have the same lens."""
 
     world_from_camera: Float[np.ndarray, "view 4 4"]
     """float64, OpenGL convention."""
-    fov_x: float
-    """Of each `Camera`."""
-    width: int
-    height: int
-    center: tuple[float, float] | None = None
-    """Of each `Camera`."""
     near: float | None = None
     """Metres along the ray: every surface that a picture of the dataset shows is farther; None: not known."""
     far: float | None = None
@@ -98,27 +165,7 @@ class Cameras:
         return len(self.world_from_camera)
 
     def __getitem__(self, view: int) -> Camera:
-        return Camera(
-            world_from_camera=self.world_from_camera[view],
-            fov_x=self.fov_x,
-            width=self.width,
-            height=self.height,
-            center=self.center,
-        )
-
-    @property
-    def principal_point(self) -> tuple[float, float]:
-        """Column and row in pixels, from the picture's upper left corner."""
-        return _principal_point(self)
-
-    def times(self, scale: int) -> "Cameras":
-        """The same with pictures so many times as wide and high."""
-        center = None if self.center is None else (scale * self.center[0], scale * self.center[1])
-        return dataclasses.replace(self, width=scale * self.width, height=scale * self.height, center=center)
-
-
-def _principal_point(lens: Camera | Cameras) -> tuple[float, float]:
-    return (0.5 * lens.width, 0.5 * lens.height) if lens.center is None else lens.center
+        return self.camera(self.world_from_camera[view])
 
 
 def look_at(
@@ -127,8 +174,7 @@ def look_at(
 ) -> Float[np.ndarray, "4 4"]:
     """world_from_camera of a level camera (OpenGL convention, +z up), from its place and what it looks at, in metres.
 
-    Raises:
-        HyalineError: the camera looks straight up or down, or at its own place.
+    A camera cannot look straight up or down, nor at its own place.
     """
     back = np.asarray(position, np.float64) - target
     right = np.cross([0.0, 0.0, 1.0], back)
@@ -141,28 +187,43 @@ def look_at(
 
 
 def check_camera(camera: Camera) -> None:
-    """Refuses what somebody made by hand and no picture can be drawn through.
+    """Raises a HyalineError if no picture can be rendered through a camera: a bad pose or a bad lens."""
+    check_pose(camera.world_from_camera)
+    check_lens(camera)
 
-    Raises:
-        HyalineError: no rotation and place, no lens, or no pixels.
-    """
-    matrix = np.asarray(camera.world_from_camera)
+
+def check_pose(world_from_camera: np.ndarray) -> None:
+    """Raises a HyalineError for anything but a rotation and a place."""
+    matrix = np.asarray(world_from_camera)
     if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
         raise HyalineError(f"camera: world_from_camera is of shape {matrix.shape}; expected (4, 4) finite numbers")
     rotation = matrix[:3, :3]
     with np.errstate(over="ignore", invalid="ignore"):
-        is_rotation = np.abs(rotation.T @ rotation - np.eye(3)).max() < 1e-4 and np.linalg.det(rotation) > 0
+        is_rotation = np.abs(rotation.T @ rotation - np.eye(3)).max() < MAX_SKEW and np.linalg.det(rotation) > 0
     if not is_rotation or not np.allclose(matrix[3], (0, 0, 0, 1)):
         raise HyalineError(
             f"camera: world_from_camera is {shown(matrix.tolist())}; expected a rotation and a place, without scale or "
             "mirroring, as look_at gives"
         )
-    if not 0 < camera.fov_x < math.pi:
-        raise HyalineError(f"camera: fov_x is {camera.fov_x}; expected radians, more than 0 and less than pi")
-    if camera.width < 1 or camera.height < 1:
-        raise HyalineError(f"camera: is {camera.width} x {camera.height} pixels; expected at least 1 x 1")
-    if not np.isfinite(camera.principal_point).all():
-        raise HyalineError(f"camera: center is {camera.center}; expected a column and a row in pixels, or None")
+
+
+def check_lens(lens: Lens) -> None:
+    """Raises a HyalineError for a lens that no camera has."""
+    if lens.width < 1 or lens.height < 1:
+        raise HyalineError(f"camera: is {lens.width} x {lens.height} pixels; expected at least 1 x 1")
+    if not 0 < math.degrees(lens.fov_x) < MAX_FOV_DEG:
+        raise HyalineError(
+            f"camera: fov_x is {lens.fov_x:g}; expected radians, more than 0 and less than {MAX_FOV_DEG:g} degrees"
+        )
+    if not np.isfinite(lens.principal_point).all():
+        raise HyalineError(f"camera: center is {lens.center}; expected a column and a row in pixels, or None")
+    away = np.subtract(lens.principal_point, (lens.width / 2, lens.height / 2)) / (lens.width, lens.height)
+    if np.abs(away).max() > MAX_SHIFT:
+        column, row = lens.principal_point
+        raise HyalineError(
+            f"camera: its principal point is {column:g}, {row:g}; expected pixels, at most {MAX_SHIFT} pictures of "
+            f"{lens.width} x {lens.height} away from the middle"
+        )
 
 
 def subpixel_offsets(
@@ -175,9 +236,6 @@ def subpixel_offsets(
     Args:
         samples: rays per pixel, a square number.
         place: where in its cell a ray is, in [0, 1); 0.5 is the cell's centre.
-
-    Raises:
-        HyalineError: no square number.
     """
     side = math.isqrt(max(samples, 0))
     if samples < 1 or side**2 != samples:
@@ -197,67 +255,12 @@ def subpixel_rays(
     """
     view, place = np.divmod(pixel, cameras.height * cameras.width)
     row, column = np.divmod(place, cameras.width)
-    focal = 0.5 * cameras.width / math.tan(0.5 * cameras.fov_x)
     center_x, center_y = cameras.principal_point
-    x = (column[:, None] + offsets[..., 1] - center_x) / focal
-    y = (center_y - row[:, None] - offsets[..., 0]) / focal
+    x = (column[:, None] + offsets[..., 1] - center_x) / cameras.focal
+    y = (center_y - row[:, None] - offsets[..., 0]) / cameras.focal
     d_camera = np.stack([x, y, -np.ones_like(x)], axis=-1)
     world_from_camera = cameras.world_from_camera[view]
     d_world = np.einsum("psc,pdc->psd", d_camera, world_from_camera[:, :3, :3])
     d_world /= np.linalg.norm(d_world, axis=-1, keepdims=True)
     origins = np.broadcast_to(world_from_camera[:, None, :3, 3], d_world.shape)
     return origins.reshape(-1, 3).astype(np.float32), d_world.reshape(-1, 3).astype(np.float32)
-
-
-def transforms_bytes(cameras: Cameras, split: Split) -> bytes:
-    """The cameras of a split as NeRF tools read them."""
-    focal = 0.5 * cameras.width / math.tan(0.5 * cameras.fov_x)
-    column, row = cameras.principal_point
-    bounds: dict[str, Json] = {"near": cameras.near, "far": cameras.far}
-    return dump_json(
-        {
-            "convention": CONVENTION,
-            "camera_angle_x": cameras.fov_x,
-            "fl_x": focal,
-            "fl_y": focal,
-            "cx": column,
-            "cy": row,
-            "w": cameras.width,
-            "h": cameras.height,
-            **{key: value for key, value in bounds.items() if value is not None},
-            "frames": [
-                {"file_path": f"images/{split}/{view_name(view)}", "transform_matrix": matrix.tolist()}
-                for view, matrix in enumerate(cameras.world_from_camera)
-            ],
-        }
-    )
-
-
-def parse_transforms(data: bytes, *, where: str) -> Cameras:
-    """The cameras in the bytes that `transforms_bytes` gives.
-
-    Raises:
-        HyalineError: it holds none.
-    """
-    content = parse_json(data, where=where)
-    try:
-        frames = cast(list[dict[str, Json]], content["frames"])
-        width, height = int(cast(int, content["w"])), int(cast(int, content["h"]))
-        center = float(cast(float, content["cx"])), float(cast(float, content["cy"]))
-        return Cameras(
-            world_from_camera=np.array([frame["transform_matrix"] for frame in frames], np.float64).reshape(-1, 4, 4),
-            fov_x=float(cast(float, content["camera_angle_x"])),
-            width=width,
-            height=height,
-            center=None if center == (0.5 * width, 0.5 * height) else center,
-            near=_length(content.get("near")),
-            far=_length(content.get("far")),
-        )
-    except (KeyError, TypeError, ValueError) as error:
-        raise HyalineError(
-            f"{where}: holds no cameras ({type(error).__name__}: {error}); expected those that `datagen build` writes"
-        ) from error
-
-
-def _length(value: Json) -> float | None:
-    return None if value is None else float(cast(float, value))

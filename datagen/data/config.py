@@ -1,32 +1,95 @@
-"""How a dataset is configured: its splits, their sizes, and how they are rendered."""
+"""How a dataset is configured: its splits, their sizes and resolution, and how they are rendered."""
 
 import dataclasses
+import math
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, cast
+from typing import Literal, Self, cast
 
-from datagen.data.resolution import Resolution
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import check_name
 from datagen.disk.records import Json, entry, from_json, shown
+
+MAX_SIDE = 8192
+"""Pixels; a larger number is probably a typo."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Resolution:
+    """Width and height of pictures in pixels, which are square."""
+
+    width: int
+    height: int
+
+    def __post_init__(self) -> None:
+        for value in (self.width, self.height):
+            if not 1 <= value <= MAX_SIDE:
+                raise HyalineError(f"resolution: is {value}; expected 1 to {MAX_SIDE} pixels")
+
+    def __str__(self) -> str:
+        return f"{self.width} x {self.height}"
+
+    @property
+    def pixels(self) -> int:
+        """Pixels in one picture."""
+        return self.width * self.height
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Height and width, the order of an array's axes."""
+        return self.height, self.width
+
+    @property
+    def shorter(self) -> int:
+        """The shorter side."""
+        return min(self.width, self.height)
+
+    @property
+    def mean_side(self) -> int:
+        """Side of the square with the same area, rounded down; the default resolution of textures."""
+        return math.isqrt(self.pixels)
+
+    @property
+    def is_power_of_two_square(self) -> bool:
+        """True for 64 x 64, 128 x 128 and so on, which `deepvoxels` requires."""
+        return self.width == self.height and self.width & (self.width - 1) == 0
+
+    def times(self, scale: int) -> Self:
+        """The resolution scaled by an integer."""
+        return type(self)(width=scale * self.width, height=scale * self.height)
+
+
+def square(side: int) -> Resolution:
+    """The resolution of square pictures."""
+    return Resolution(width=side, height=side)
+
+
+def parse_resolution(text: str) -> Resolution:
+    """The resolution that a user wrote: `256` is 256 x 256 pixels, `320x240` is 320 wide and 240 high."""
+    found = re.fullmatch(r"(-?[0-9]{1,9})(?: ?x ?(-?[0-9]{1,9}))?", text.strip())
+    if found is None:
+        raise HyalineError(f"resolution: is {shown(text)}; expected a width and height such as 320x240, or one number")
+    width, height = found[1], found[2] or found[1]
+    return Resolution(width=int(width), height=int(height))
+
 
 Split = Literal[
     "train", "interpolating", "extrapolating", "extrapolating-10deg", "extrapolating-20deg", "extrapolating-40deg"
 ]
 SPLITS: tuple[Split, ...] = ("train", "interpolating", "extrapolating")
-"""Those that every dataset has."""
+"""The splits of every dataset."""
 TEST_SPLITS: tuple[Split, ...] = ("interpolating", "extrapolating")
 ANGLE_SPLITS: dict[Split, float] = {"extrapolating-10deg": 10, "extrapolating-20deg": 20, "extrapolating-40deg": 40}
-"""Those of the variant `angles`: degrees outside of what training cameras cover."""
+"""The splits of the variant `angles`: degrees outside the directions that training cameras cover."""
 
 SPLIT_ORDER: dict[Split, int] = {split: place for place, split in enumerate((*SPLITS, *ANGLE_SPLITS))}
 
-DATASET_VERSION = 2
-"""Of what is written. Version 1, which is read too, knew square pictures alone: its resolution is one number."""
+DATASET_VERSION = 3
 
 MAX_VIEWS, MAX_SPP, MAX_DEPTH = 10_000, 1 << 20, 1000
-"""Of a split, of a picture and of a light path: what is beyond has a slip in it."""
+"""Upper limits on views, samples and path depth; larger values are probably typos."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,8 +98,7 @@ class SplitConfig:
 
     views: int
     spp: int | None
-    """Samples per pixel, both halves together; with a noise ceiling the number to start from. None where the pictures
-    were imported: nobody knows."""
+    """Samples per pixel, both halves together; with a noise ceiling, the number to start from. None: imported."""
 
     def __post_init__(self) -> None:
         if not 0 <= self.views <= MAX_VIEWS or not 2 <= (self.spp or 2) <= MAX_SPP:
@@ -57,7 +119,7 @@ class DatasetConfig:
     interpolating: SplitConfig
     extrapolating: SplitConfig
     ceiling_db: float | None = None
-    """Render each test view until its own noise ceiling reaches this; None renders a fixed number of samples."""
+    """Render each test view until its noise ceiling reaches this; None renders a fixed number of samples."""
     max_depth: int = 24
     """Longest light path in segments."""
     seed: int = 0
@@ -75,13 +137,13 @@ class DatasetConfig:
             raise HyalineError(f"ceiling_db: is {self.ceiling_db}; expected 10 to 80 dB")
 
     def split(self, split: Split) -> SplitConfig:
-        """The size of a split; those by angle have that of `extrapolating`."""
+        """The size of a split; splits by angle have the size of `extrapolating`."""
         sizes = {"train": self.train, "interpolating": self.interpolating, "extrapolating": self.extrapolating}
         return sizes["extrapolating" if split in ANGLE_SPLITS else split]
 
 
 def describe_views(views: Iterable[tuple[Split, int]]) -> str:
-    """Views in words, such as `train 3-7, 12; extrapolating 0`."""
+    """Names views, such as `train 3-7, 12; extrapolating 0`."""
     by_split: dict[str, list[int]] = {}
     for split, view in sorted(views, key=lambda item: (SPLIT_ORDER[item[0]], item[1])):
         by_split.setdefault(split, []).append(view)
@@ -95,18 +157,12 @@ def describe_views(views: Iterable[tuple[Split, int]]) -> str:
 
 
 def config_of(head: Mapping[str, Json], path: Path) -> DatasetConfig:
-    """The configuration in a dataset's head.
-
-    Raises:
-        HyalineError: another format version, or no configuration.
-    """
+    """The configuration in a dataset's head."""
     version = head.get("version")
-    if isinstance(version, bool) or version not in (1, DATASET_VERSION):
-        raise HyalineError(f"{path}: format version {shown(version)}; this program reads 1 and {DATASET_VERSION}")
-    config = entry(head, "config", where=path)
-    if version == 1 and isinstance(config, dict) and isinstance(side := config.get("resolution"), int):
-        config = {**config, "resolution": {"width": side, "height": side}}
-    return from_json(DatasetConfig, config, where=f"{path}: config")
+    if version != DATASET_VERSION:
+        again = "build or import the dataset again in another folder" if version in (1, 2) else "update hyaline"
+        raise HyalineError(f"{path}: format version {shown(version)}; this program reads {DATASET_VERSION}, {again}")
+    return from_json(DatasetConfig, entry(head, "config", where=path), where=f"{path}: config")
 
 
 def config_difference(old: object, new: object) -> str | None:

@@ -3,14 +3,14 @@
 Axis words, used in every annotation: `b` image in a batch, `ray`, `layer` (0 = nearest), `h`, `w`, `c` feature
 channel, `tex_h`, `tex_w`, `vertex`, `face`, `view`. Images are `h w 3`; `uv` keeps its pair last.
 
-Conventions: metres, radians, +z up. Cameras are `world_from_camera` (4, 4) in the OpenGL convention (+x right, +y up,
-the camera looks along -z). Pixel (column i, row j) has its centre at (i + 0.5, j + 0.5), row 0 on top. Object ids are
-1 + the object's place in the scene, 0 where a layer is empty. uv is in [0, 1], v up: texel row `(1 - v) tex_h - 0.5`.
+Conventions: metres, radians, +z up; cameras and pixels as in data/cameras.py. Object ids are 1 + the object's place in
+the scene, 0 where a layer is empty. uv is in [0, 1], v up: texel row `(1 - v) tex_h - 0.5`.
 
     data/SCENE/
       dataset.json                       sealed, written first: version, configuration, objects, licence, SHA-256 of
                                          the files of the next two lines
-      scene/                             the scene as rendered: scene.json, meshes/*.ply; `--scene FOLDER` reads it
+      scene/                             the scene as rendered: scene.json, meshes/*.ply; `--scene FOLDER` reads it,
+                                         with the cameras beside it where the scene lists them
       transforms_{train,test,extrapolating}.json   cameras as NeRF tools read them, with near and far (metres along the
                                          ray, data/depth_range.py); `test` is the interpolating split
       images/SPLIT/0000.png              8-bit sRGB: what metrics compare
@@ -37,19 +37,23 @@ from typing import Literal, cast
 import numpy as np
 from jaxtyping import Bool, Float32, UInt8
 
-from datagen.data.cameras import TRANSFORMS_FILES, Camera, Cameras, parse_transforms
+from datagen.data.cameras import Camera, Cameras
 from datagen.data.config import SPLITS, DatasetConfig, Split, config_of
-from datagen.data.exr import decode_exr
-from datagen.data.finding import where_datasets_are
-from datagen.data.imported import RENDERED, Imported, imported_of
+from datagen.data.images import decode_exr, decode_png, read_npy
 from datagen.data.layer_store import LayerStore, open_layers
 from datagen.data.layers import Layers, glass_mask, read_layers
-from datagen.data.license import unknown
-from datagen.data.npy import read_npy
-from datagen.data.paths import TRUTH, image_path, layers_root, record_path
-from datagen.data.png import decode_png
-from datagen.data.variant_record import SceneEdit, Variant, variant_of
-from datagen.data.view_record import ViewRecord
+from datagen.data.metadata import (
+    RENDERED,
+    Imported,
+    SceneEdit,
+    Variant,
+    ViewRecord,
+    imported_of,
+    unknown_license,
+    variant_of,
+)
+from datagen.data.paths import TRUTH, image_path, layers_root, record_path, where_datasets_are
+from datagen.data.transforms import TRANSFORMS_FILES, parse_transforms
 from datagen.disk.errors import DamagedError, HyalineError
 from datagen.disk.homes import mend_command
 from datagen.disk.names import check_name, check_relative, real_path
@@ -104,7 +108,7 @@ class Dataset:
         """An SPDX name such as CC0-1.0, what a foreign file said, or whom to ask."""
         if self.parent is not None:
             return self.parent.license
-        return self.stated_license or unknown(f"dataset {self.name}")
+        return self.stated_license or unknown_license(f"dataset {self.name}")
 
     @property
     def home(self) -> "Dataset":
@@ -132,11 +136,7 @@ class Dataset:
         return {split: self.config.split(split).views for split in self.splits}
 
     def view(self, split: Split, index: int) -> "View":
-        """One view; nothing is read yet.
-
-        Raises:
-            HyalineError: there is no such split or view.
-        """
+        """One view; nothing is read yet."""
         if split not in self.splits:
             raise HyalineError(f"{self.root}: has no split {split!r}; expected one of {', '.join(self.splits)}")
         if not 0 <= index < self.num_views[split]:
@@ -159,21 +159,13 @@ class Dataset:
         return parse_transforms(read_promised(self.root, file, promised), where=str(path))
 
     def layer_store(self, geometry: str = TRUTH) -> LayerStore:
-        """The layers of a geometry, opened.
-
-        Raises:
-            HyalineError: they were not made, their head is damaged, or there are no meshes to make them of.
-        """
+        """The layers of a geometry, opened."""
         check_has_meshes(self)
         head = layers_root(self.root, geometry) / LAYERS.head
         return self._opened.get(head, lambda: open_layers(self.root, geometry))
 
     def object_id(self, name: str) -> int:
-        """The id that layers hold of an object: 1 + its place among the dataset's objects.
-
-        Raises:
-            HyalineError: there is none of this name.
-        """
+        """The id that layers hold of an object: 1 + its place among the dataset's objects."""
         names = [item.name for item in self.objects]
         if name not in names:
             raise HyalineError(f"{self.root}: has no object {name!r}; expected one of {', '.join(names)}")
@@ -191,11 +183,7 @@ class Dataset:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class View:
-    """One view of a dataset. Each attribute is read from disk when it is asked for, and every byte of it verified.
-
-    Raises:
-        HyalineError: by whatever reads: the view is not built, not peeled, or damaged.
-    """
+    """One view of a dataset. Each attribute is read from disk when it is asked for, and every byte of it verified."""
 
     dataset: Dataset
     split: Split
@@ -204,8 +192,10 @@ class View:
     @property
     def record(self) -> ViewRecord:
         """How the view was rendered."""
-        root = self.dataset.root
-        path = record_path(root, self.split, self.index)
+        path = record_path(self.dataset.root, self.split, self.index)
+        return self.dataset._opened.get(path, lambda: self._read_record(path))
+
+    def _read_record(self, path: Path) -> ViewRecord:
         if not path.is_file():
             raise HyalineError(f"{path}: the view is not built yet; finish with `{mend_command(path)}`")
         record = from_json(ViewRecord, cast(Json, load_sealed(path)), where=str(path))
@@ -243,11 +233,7 @@ class View:
 
     @property
     def radiance(self) -> Float32[np.ndarray, "h w 3"]:
-        """Linear radiance (Rec. 709), unclipped: the mean of two independent halves A and B of the samples.
-
-        Raises:
-            HyalineError: the picture was imported, 8 bits a channel.
-        """
+        """Linear radiance (Rec. 709), unclipped: the mean of two independent halves A and B of the samples."""
         return self.radiance_and_noise()[0]
 
     @property
@@ -336,11 +322,7 @@ def has_glass_mask(dataset: Dataset) -> bool:
 
 
 def open_dataset(root: Path) -> Dataset:
-    """The dataset in a folder, its head verified (its views are verified as they are read).
-
-    Raises:
-        HyalineError: no dataset there, a damaged head, another format version, or a variant of another dataset.
-    """
+    """The dataset in a folder, its head verified (its views are verified as they are read)."""
     path = root / "dataset.json"
     if not path.is_file():
         raise HyalineError(f"{root}: no dataset; {where_datasets_are(root)}")

@@ -12,13 +12,13 @@ from datagen.data.config import Split
 from datagen.data.meshes import Mesh
 
 MARGIN = 0.01
-"""Share by which near is nearer than the nearest surface, and far farther than the farthest one."""
+"""Near is this share nearer than the nearest surface, and far this share farther than the farthest."""
 
 NO_SURFACE = (0.1, 10.0)
-"""Near and far in metres where no picture shows a surface."""
+"""Near and far in metres if no picture shows a surface."""
 
 LEAST_NEAR = 1e-6
-"""Metres: a surface may go through a camera."""
+"""Metres. A surface may pass through a camera."""
 
 Triangles = Float[np.ndarray, "face 3 3"]
 
@@ -28,9 +28,9 @@ class _Surfaces:
     """All triangles, laid out for looking at many cameras."""
 
     places: Float[np.ndarray, "3 place"]
-    """Where corners are in the world, each once, axis by axis."""
+    """Corners in world space without repeats, axis by axis."""
     corners: Int[np.ndarray, "3 face"]
-    """Places of each triangle's corners."""
+    """Indices of each triangle's corners."""
     longest: Float[np.ndarray, " face"]
     """Its longest edge in metres."""
 
@@ -44,8 +44,8 @@ class _Surfaces:
 def with_depth_range(cameras: Mapping[Split, Cameras], meshes: Sequence[Mesh]) -> dict[Split, Cameras]:
     """The cameras with one near and one far for all of them, in metres along the ray.
 
-    Between them lies every surface of the meshes that is inside any of the pictures, those that others hide included,
-    with a margin. They are rounded outwards to five digits, so that no last bit of a sum shows in a file.
+    Every surface inside any picture lies between them, hidden surfaces included, with a margin. They are rounded
+    outwards to five digits, so that files do not depend on the last bit of a sum.
     """
     surfaces = _lay_out(meshes)
     found = [_depths(poses[view], surfaces) for poses in cameras.values() for view in range(len(poses))]
@@ -70,7 +70,7 @@ def _lay_out(meshes: Sequence[Mesh]) -> _Surfaces:
 
 
 def _depths(camera: Camera, surfaces: _Surfaces) -> tuple[float, float] | None:
-    """Distance of the nearest and of the farthest point of the triangles inside a picture; None where there is none."""
+    """Distances of the nearest and the farthest point inside a picture; None if it shows no triangle."""
     rotation, origin = camera.world_from_camera[:3, :3], camera.world_from_camera[:3, 3]
     planes = _pyramid(camera) @ rotation.T
     height = planes @ surfaces.places - (planes @ origin)[:, None]

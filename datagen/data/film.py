@@ -1,4 +1,4 @@
-"""Films: pictures in a row, as WebP, as MP4, or as a folder of PNGs."""
+"""Films: a WebP, an MP4, or a folder of PNGs."""
 
 import io
 import subprocess
@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import UInt8
 from PIL import Image
 
+from datagen.data.images import png_bytes
 from datagen.data.paths import view_name
-from datagen.data.png import png_bytes
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import (
     DATASET,
@@ -30,7 +30,7 @@ from datagen.disk.records import Json
 from datagen.disk.storage import commit, load_sealed, seal_bytes
 
 FRAMES = FolderKind(what="film", head="film.json", way_out="choose another --video")
-"""A folder of PNGs; its head says which."""
+"""A folder of PNGs, which its head lists."""
 
 ANIMATED, MOVIE = ".webp", ".mp4"
 KINDS = f"{ANIMATED} or {MOVIE}, or a folder for a PNG a frame"
@@ -38,11 +38,7 @@ MAX_FPS = 240.0
 
 
 def check_film(out: Path, fps: float, *, frames: int, overwrite: bool) -> None:
-    """Refuse a film that cannot be written, before anything is drawn.
-
-    Raises:
-        HyalineError: an unknown kind of file, something that stands there, or no program for MP4.
-    """
+    """Raises if the film cannot be written, before anything is rendered."""
     if not 0 < fps <= MAX_FPS:
         raise HyalineError(f"fps: is {fps}; expected more than 0, at most {MAX_FPS:g} frames a second")
     if out.suffix == "":
@@ -61,9 +57,9 @@ def check_film(out: Path, fps: float, *, frames: int, overwrite: bool) -> None:
 
 
 def write_film(out: Path, pictures: Iterable[UInt8[np.ndarray, "h w 3"]], fps: float, *, frames: int) -> None:
-    """Write a film of equally large pictures; `check_film` says first whether it can be.
+    """Writes a film of pictures of one size; call `check_film` first.
 
-    A file gets its name when it is whole; WebP repeats for ever.
+    A file gets its name when it is complete. WebP loops for ever.
     """
     if out.suffix == "":
         _write_frames(out, pictures, frames)
@@ -90,7 +86,7 @@ def _head(frames: int) -> dict[str, Json]:
 
 
 def _own_frames(out: Path) -> list[str]:
-    """The frames that a folder's head lists; none where it has no head."""
+    """The frames that a folder's head lists; none if it has no head."""
     listed = load_sealed(out / FRAMES.head).get("frames") if is_ours(out, FRAMES) else None
     return [name for name in listed if isinstance(name, str)] if isinstance(listed, list) else []
 
@@ -123,7 +119,7 @@ def _find_ffmpeg() -> str:
 
 
 def _mp4_bytes(pictures: list[UInt8[np.ndarray, "h w 3"]], fps: float) -> bytes:
-    """H.264 in MP4; odd sizes are padded by a row or column, because the format has none."""
+    """H.264 in MP4. The format needs even sizes, so odd ones are padded by a row or column."""
     height, width = pictures[0].shape[:2]
     raw = b"".join(
         np.pad(picture, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge").tobytes() for picture in pictures

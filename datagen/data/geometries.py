@@ -1,11 +1,11 @@
-"""A dataset's geometries: the true meshes of its scene, and the proxies that stand in for them.
+"""A dataset's geometries: the true meshes of its scene, and their proxies.
 
 scene/meshes/NAME.ply              the truth
 proxies/KIND/proxies.json          sealed, written first: one mesh per object, with SHA-256 and statistics
 proxies/KIND/meshes/NAME.ply
 
 KIND is a geometry's name: a kind of proxy such as box, a kind and its amount such as noise-0.01, or `mixed` and more,
-where `assignment` in proxies.json says for each object what stands for it.
+where `assignment` in proxies.json names each object's stand-in.
 """
 
 import difflib
@@ -14,8 +14,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from datagen.data.dataset import Dataset, check_has_meshes, head_files
-from datagen.data.meshes import Mesh, check_mesh, is_there, no_mesh, read_ply, write_ply
+from datagen.data.meshes import Mesh, check_mesh, is_there, no_mesh
 from datagen.data.paths import TRUTH, geometry_root
+from datagen.data.ply import read_ply, write_ply
 from datagen.disk.errors import HyalineError
 from datagen.disk.heads import keep_head
 from datagen.disk.names import check_name, is_name
@@ -28,17 +29,17 @@ from datagen.terminal.command import choose
 PROXIES_VERSION = 1
 
 NO_GEOMETRY = "none"
-"""What stands for it where a method looks up no layers."""
+"""The geometry of a method that uses no layers."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ProxyStatistics:
-    """How far one proxy is from its object."""
+    """How well a proxy fits its object."""
 
     volume_ratio: float
     """Volume of the proxy over the volume of the object's convex hull (>= 1 for a conservative convex proxy).
 
-    Where boxes of `blocks` overlap, they count twice. Of an open mesh with noise, the volume means nothing.
+    Overlapping boxes of `blocks` count twice. For an open mesh with noise it is meaningless.
     """
     mean_distance: float
     """Mean distance in metres from points on the proxy to the object's surface."""
@@ -69,10 +70,10 @@ def write_proxies(
     statistics: tuple[ProxyStatistics, ...],
     assignment: tuple[str, ...] | None = None,
 ) -> None:
-    """Commits one proxy mesh per object, in object order, but none of an object that an edit removed.
+    """Commits one proxy mesh per object, in object order; none for objects that an edit removed.
 
     Args:
-        assignment: of a mixture, what stands for each object: truth, box, noise-0.01, ...
+        assignment: for a mixture, each object's stand-in: truth, box, noise-0.01, ...
     """
     root = geometry_root(dataset.root, kind)
     listed, files = [], {}
@@ -103,22 +104,14 @@ def write_proxies(
 
 
 def proxy_files(root: Path) -> list[str]:
-    """The meshes that a folder of proxies lists, by path relative to it.
-
-    Raises:
-        HyalineError: the list is missing or damaged.
-    """
+    """The meshes that a folder of proxies lists, by path relative to it."""
     path = root / PROXIES.head
     records = from_json(tuple[ProxyRecord, ...], load_sealed(path).get("proxies"), where=f"{path}: proxies")
     return [record.file for record in records]
 
 
 def read_proxy_records(dataset: Dataset, kind: str) -> tuple[ProxyRecord, ...]:
-    """The list of a dataset's proxies of one kind, in object order.
-
-    Raises:
-        HyalineError: they were not made, are damaged, or were made for another dataset.
-    """
+    """The list of a dataset's proxies of one kind, in object order."""
     dataset = dataset.home
     path = geometry_root(dataset.root, kind) / "proxies.json"
     if not path.is_file():
@@ -141,11 +134,7 @@ def read_proxy_records(dataset: Dataset, kind: str) -> tuple[ProxyRecord, ...]:
 
 
 def read_assignment(dataset: Dataset, geometry: str) -> tuple[str, ...] | None:
-    """What stands for each object in a mixture, in object order; None for the truth and for one kind of proxy.
-
-    Raises:
-        HyalineError: the proxies were not made, or are damaged.
-    """
+    """Each object's stand-in in a mixture, in object order; None for the truth and for one kind of proxy."""
     if geometry == TRUTH:
         return None
     path = geometry_root(dataset.root, geometry) / "proxies.json"
@@ -154,11 +143,7 @@ def read_assignment(dataset: Dataset, geometry: str) -> tuple[str, ...] | None:
 
 
 def describe_geometry(dataset: Dataset, geometry: str) -> str:
-    """A geometry in words: what a method knows of the scene's shape.
-
-    Raises:
-        HyalineError: the proxies were not made, or are damaged.
-    """
+    """A geometry in words, for tables."""
     if geometry == TRUTH:
         return "true geometry"
     assignment = read_assignment(dataset, geometry)
@@ -183,17 +168,13 @@ def _make_command(dataset: Dataset, geometry: str) -> str:
 
 
 def list_geometries(dataset: Dataset) -> list[str]:
-    """`truth`, and every kind of proxy that was made for the dataset."""
+    """`truth`, and every kind of proxy in the dataset."""
     made = (path.parent.name for path in dataset.home.root.glob("proxies/*/proxies.json"))
     return [TRUTH, *sorted(filter(is_name, made))]
 
 
 def check_geometry(dataset: Dataset, geometry: str) -> None:
-    """Refuses a geometry that the dataset does not have.
-
-    Raises:
-        HyalineError: a slip of the pen gets a suggestion, proxies that were not made the command that makes them.
-    """
+    """Raises unless the dataset has the geometry; suggests the nearest name, or the command that makes the proxy."""
     made = list_geometries(dataset)
     if geometry not in made and difflib.get_close_matches(geometry, made, n=1, cutoff=0.5):
         choose("geometry", geometry, made)
@@ -204,10 +185,7 @@ def check_geometry(dataset: Dataset, geometry: str) -> None:
 def read_meshes(dataset: Dataset, geometry: str) -> tuple[Mesh, ...]:
     """The meshes of `truth` or of a proxy kind, in object order, verified against their checksums.
 
-    That of an object which an edit removed has no faces.
-
-    Raises:
-        HyalineError: not made, missing or damaged.
+    An object that an edit removed has a mesh without faces.
     """
     dataset = dataset.home
     check_has_meshes(dataset)
@@ -221,22 +199,18 @@ def read_meshes(dataset: Dataset, geometry: str) -> tuple[Mesh, ...]:
 
 
 def true_meshes(dataset: Dataset) -> tuple[Mesh, ...]:
-    """The scene's own meshes, in object order; none where pictures were imported without any.
-
-    Raises:
-        HyalineError: missing or damaged.
-    """
+    """The scene's own meshes, in object order; none if pictures were imported without meshes."""
     return read_meshes(dataset, TRUTH) if dataset.objects else ()
 
 
 def geometry_hash(dataset: Dataset, geometry: str) -> str:
-    """Hash over a geometry's meshes, which layers hold of those that they were made of."""
+    """Hash of a geometry's meshes, which layers record."""
     return sha256(b"".join(write_ply(mesh) for mesh in read_meshes(dataset, geometry) if is_there(mesh)))
 
 
 @dataclass(frozen=True, kw_only=True)
 class GeometryKey:
-    """A geometry as the key of what is computed from it: equal where the dataset's head and all meshes are."""
+    """A key for results computed from a geometry: equal if the dataset's head and all meshes are."""
 
     dataset: Dataset = field(compare=False)
     seal: str
@@ -245,17 +219,13 @@ class GeometryKey:
 
 
 def geometry_key(dataset: Dataset, geometry: str) -> GeometryKey:
-    """The key of a geometry as its sealed list names it; no mesh is read.
-
-    Raises:
-        HyalineError: not made, or the list is damaged.
-    """
+    """The key of a geometry from its sealed list; reads no mesh."""
     hashes = tuple(sha256 for _, sha256 in _mesh_files(dataset.home, geometry).values())
     return GeometryKey(dataset=dataset.home, seal=dataset.home.seal, geometry=geometry, mesh_hashes=hashes)
 
 
 def _mesh_files(dataset: Dataset, geometry: str) -> dict[str, tuple[str, str]]:
-    """File and SHA-256 of each object's mesh, where the object is there; relative to the geometry's folder."""
+    """File (relative to the geometry's folder) and SHA-256 of each object's mesh, except removed objects."""
     if geometry != TRUTH:
         return {record.object: (record.file, record.sha256) for record in read_proxy_records(dataset, geometry)}
     promised = head_files(dataset.root)

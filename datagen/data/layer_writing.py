@@ -19,8 +19,7 @@ from datagen.data.layer_store import (
     open_layers,
     record_path_of_layers,
 )
-from datagen.data.layers import Layers
-from datagen.data.number_formats import round_mantissa
+from datagen.data.layers import Layers, round_mantissa
 from datagen.data.paths import layers_root
 from datagen.disk.errors import DamagedError, HyalineError
 from datagen.disk.heads import keep_head

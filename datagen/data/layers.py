@@ -16,6 +16,8 @@ from jaxtyping import Bool, Float32, UInt8, UInt16
 from datagen.data.config import Split
 from datagen.data.layer_store import LayerStore
 
+UV_SCALE = 65535
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Layers:
@@ -46,3 +48,14 @@ def glass_mask(object_id: UInt8[np.ndarray, "layer h w"], is_glass: Bool[np.ndar
         in_front &= is_glass[ids]
         sees_glass |= in_front
     return sees_glass
+
+
+def quantize_uv(uv: Float32[np.ndarray, "*shape 2"]) -> UInt16[np.ndarray, "*shape 2"]:
+    """16-bit uv; the error is at most 7.6e-6, 0.03 of a texel even at 4096 texels."""
+    return np.rint(np.clip(uv.astype(np.float64), 0, 1) * UV_SCALE).astype(np.uint16)
+
+
+def round_mantissa(values: Float32[np.ndarray, "..."]) -> Float32[np.ndarray, "..."]:
+    """Floats with 16 of their 23 mantissa bits, rounded to nearest; relative error at most 7.7e-6."""
+    bits = np.ascontiguousarray(values, np.float32).view(np.uint32)
+    return ((bits + np.uint32(0x40)) & np.uint32(0xFFFFFF80)).view(np.float32)

@@ -1,35 +1,34 @@
-"""Triangle meshes: the record, its validation, and its PLY file."""
+"""Triangle meshes: the record, its measures and checks, points on a mesh, and winding numbers."""
 
-import io
-import re
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Float32, Int32
+from jaxtyping import Float, Float32, Int, Int32
 
-from datagen.data.ply_polygons import triangulated
 from datagen.disk.errors import HyalineError
-from datagen.disk.reading import read_regular
-from datagen.disk.records import shown
 
 MAX_EXTENT = 1e5
-"""Largest coordinate accepted, in metres: beyond it float32 rays lose millimetres."""
+"""Largest coordinate in metres; farther out, float32 rays lose millimetres."""
 
 MIN_AREA = 1e-14
-"""Square metres below which a face counts as none: a tenth of a micrometre a side."""
+"""Square metres; a smaller face (0.1 micrometres a side) counts as degenerate."""
 
 
-MAX_PLY_BYTES = 1 << 30
-"""Twenty million triangles."""
-MAX_HEADER_BYTES = 1 << 16
+NUM_POINTS = 1024
+"""Points on a surface that are checked for the outside on their outer side; spread by area."""
+NUM_POINTS_A_PART = 16
+"""Further points on each connected part, so that small parts are checked, too."""
+MAX_SHARE_INSIDE = 0.005
+"""Largest share of a surface that may lie inside the rest of it; good assets have 0."""
+
+_POINTS_AT_ONCE = 1 << 20
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Mesh:
     """A triangle mesh in world space with one normal and one uv per vertex.
 
-    Vertices are split where the normal or the atlas has a seam, so a position may stand several times.
+    Vertices are split where the normal or the atlas has a seam, so positions may repeat.
     Winding is counter-clockwise seen from outside.
     """
 
@@ -40,11 +39,11 @@ class Mesh:
     normals: Float32[np.ndarray, "vertex 3"]
     """Unit shading normals, outward."""
     uv: Float32[np.ndarray, "vertex 2"]
-    """Atlas coordinates in [0, 1]; every surface point has texels of its own. v points up in the image."""
+    """Atlas coordinates in [0, 1]; every surface point has its own texels. v points up in the image."""
 
 
 def no_mesh() -> Mesh:
-    """The mesh without faces: that of an object that was removed from its scene, whose id stays unused."""
+    """A mesh without faces: that of an object removed from its scene, whose id stays unused."""
     pairs, triples = np.zeros((0, 2), np.float32), np.zeros((0, 3), np.float32)
     return Mesh(vertices=triples, faces=np.zeros((0, 3), np.int32), normals=triples, uv=pairs)
 
@@ -83,7 +82,7 @@ def volume_within(corners: Float[np.ndarray, "face 3 3"]) -> float:
 
 
 def component_of_faces(mesh: Mesh) -> np.ndarray:
-    """The connected component of each face (face,), counted from 0, on the welded surface."""
+    """The connected component of each face (face,) on the welded surface, counted from 0."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -96,7 +95,7 @@ def component_of_faces(mesh: Mesh) -> np.ndarray:
 
 
 def winding_number(point: np.ndarray, corners: np.ndarray) -> float:
-    """How often the triangles (face, 3, 3) go around a point: 1 inside a closed outward surface, 0 outside.
+    """The winding number of triangles (face, 3, 3) around a point: 1 inside a closed outward surface, 0 outside.
 
     Source: Van Oosterom and Strackee 1983, the solid angle of a triangle.
     """
@@ -118,7 +117,7 @@ def open_edges(mesh: Mesh) -> int:
 
 
 def count_shared_faces(mesh: Mesh, other: Mesh) -> int:
-    """The number of faces whose corners are all vertices of the other mesh too, to the last bit."""
+    """The number of faces whose corners are all vertices of the other mesh, too, bit by bit."""
     low, high = other.vertices.min(axis=0), other.vertices.max(axis=0)
     if (mesh.vertices.max(axis=0) < low).any() or (mesh.vertices.min(axis=0) > high).any():
         return 0
@@ -128,11 +127,7 @@ def count_shared_faces(mesh: Mesh, other: Mesh) -> int:
 
 
 def check_mesh(mesh: Mesh, *, where: str) -> None:
-    """Refuses a mesh that would crash a native library or be rendered silently wrong.
-
-    Raises:
-        HyalineError: empty, non-finite or huge values, indices out of range, zero-area faces, uv outside [0, 1].
-    """
+    """Raises for a mesh that would crash a native library or be rendered silently wrong."""
     check_numbers(mesh, where=where)
     for name, values in (("normals", mesh.normals), ("uv", mesh.uv)):
         _check_finite(name, values, where=where)
@@ -142,11 +137,7 @@ def check_mesh(mesh: Mesh, *, where: str) -> None:
 
 
 def check_numbers(mesh: Mesh, *, where: str) -> None:
-    """Refuses a mesh that is empty, of arrays that do not fit, or anywhere but in a place that can be traced.
-
-    Raises:
-        HyalineError: what it is.
-    """
+    """Raises for an empty mesh, arrays that do not match, or coordinates that cannot be traced."""
     if len(mesh.vertices) == 0 or len(mesh.faces) == 0:
         raise HyalineError(
             f"{where}: has {len(mesh.vertices)} vertices and {len(mesh.faces)} faces; expected at least one of each"
@@ -167,11 +158,7 @@ def check_numbers(mesh: Mesh, *, where: str) -> None:
 
 
 def check_areas(mesh: Mesh, *, where: str) -> None:
-    """Refuses faces without area.
-
-    Raises:
-        HyalineError: there is one.
-    """
+    """Raises for faces without area."""
     if (areas := face_areas(mesh)).min() < MIN_AREA:
         raise HyalineError(f"{where}: face {int(areas.argmin())} has no area; remove degenerate faces")
 
@@ -193,127 +180,144 @@ def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return np.where(lengths > 0, sums / np.where(lengths > 0, lengths, 1), [0.0, 0.0, 1.0])
 
 
-_OUR_HEADER = """ply
-format binary_little_endian 1.0
-comment https://github.com/mikedh/trimesh
-element vertex {vertices}
-property float x
-property float y
-property float z
-property float nx
-property float ny
-property float nz
-property double s
-property double t
-element face {faces}
-property list uchar int vertex_indices
-end_header
-"""
-"""Of every PLY that is written here: to the byte what trimesh 5.2 writes, as it did at first."""
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SurfacePoints:
+    """Points on a mesh and the faces that they lie on."""
 
-_OUR_VERTEX = np.dtype([("vertices", "<f4", 3), ("normals", "<f4", 3), ("uv", "<f8", 2)])
-_OUR_FACE = np.dtype([("count", "u1"), ("indices", "<i4", 3)])
+    face: Int[np.ndarray, " point"]
+    position: Float[np.ndarray, "point 3"]
 
 
-def write_ply(mesh: Mesh) -> bytes:
-    """Binary PLY with normals and uv (`s`, `t`): reading it back gives the same arrays."""
-    vertices, faces = np.empty(len(mesh.vertices), _OUR_VERTEX), np.empty(len(mesh.faces), _OUR_FACE)
-    vertices["vertices"], vertices["normals"], vertices["uv"] = mesh.vertices, mesh.normals, mesh.uv
-    faces["count"], faces["indices"] = 3, mesh.faces
-    header = _OUR_HEADER.format(vertices=len(vertices), faces=len(faces))
-    return header.encode() + vertices.tobytes() + faces.tobytes()
+def points_on(
+    mesh: Mesh, count: int, *, part: Int[np.ndarray, " face"] | None = None, count_a_part: int = 0
+) -> SurfacePoints:
+    """`count` points on the whole mesh, then `count_a_part` on each of its parts; the same ones every time.
 
-
-def _read_our_ply(data: bytes) -> Mesh | None:
-    """The mesh in the bytes that `write_ply` has written; None of any other PLY."""
-    counts = re.findall(rb"element (?:vertex|face) (\d{1,9})\n", data[: len(_OUR_HEADER) + 16])
-    if len(counts) != 2:
-        return None
-    num_vertices, num_faces = map(int, counts)
-    header = _OUR_HEADER.format(vertices=num_vertices, faces=num_faces).encode()
-    middle = len(header) + num_vertices * _OUR_VERTEX.itemsize
-    if not num_faces or not data.startswith(header) or len(data) != middle + num_faces * _OUR_FACE.itemsize:
-        return None
-    vertices = np.frombuffer(data[len(header) : middle], _OUR_VERTEX)
-    faces = np.frombuffer(data[middle:], _OUR_FACE)
-    if (faces["count"] != 3).any():
-        return None
-    return Mesh(
-        vertices=vertices["vertices"].astype(np.float32),
-        faces=faces["indices"].astype(np.int32),
-        normals=vertices["normals"].astype(np.float32),
-        uv=vertices["uv"].astype(np.float32),
-    )
-
-
-def read_ply(path: Path) -> tuple[Mesh, bool]:
-    """The mesh in a PLY file, and whether the file had uv (all uv are 0 where it had none).
-
-    Missing normals are computed, smooth over shared vertices.
-
-    Raises:
-        HyalineError: the file is missing, truncated, or not a PLY of triangles.
+    Args:
+        part: the part of each face, counted from 0.
     """
-    data = read_regular(path, at_most=MAX_PLY_BYTES)
-    if (ours := _read_our_ply(data)) is not None:
-        _check_indices(ours.faces, len(ours.vertices), where=path)
-        return ours, True
-    _check_header(data, where=path)
-    data = triangulated(data, where=path)
-    # Slow to import, and not needed for what was written here.
-    import trimesh
+    rng = np.random.default_rng(0)
+    part = np.zeros(len(mesh.faces), np.int64) if part is None else part
+    order = np.argsort(part, kind="stable")
+    ends = np.cumsum(face_areas(mesh)[order])
+    high = ends[np.searchsorted(part[order], np.arange(part.max() + 1), side="right") - 1]
+    low = np.concatenate([[0.0], high[:-1]])
+    on_parts = low + (high - low) * rng.random((count_a_part, len(high)))
+    place = np.concatenate([ends[-1] * rng.random(count), on_parts.reshape(-1)])
+    face = order[np.minimum(np.searchsorted(ends, place), len(order) - 1)]
+    weights = rng.dirichlet([1.0, 1.0, 1.0], size=len(face))
+    corners = face_corners(mesh)[face].astype(np.float64)
+    return SurfacePoints(face=face, position=np.einsum("pk,pkc->pc", weights, corners))
 
-    try:
-        loaded = trimesh.load(io.BytesIO(data), file_type="ply", process=False, fix_texture=False)
-    # trimesh answers a broken file with eight kinds of exception (ValueError, KeyError, IndexError, ...).
-    except Exception as error:
-        raise HyalineError(f"{path}: not a PLY mesh that can be read ({type(error).__name__}: {error})") from error
-    if not isinstance(loaded, trimesh.Trimesh):
-        raise HyalineError(f"{path}: holds no triangles; expected a PLY mesh")
-    raw = loaded.metadata["_ply_raw"]
-    vertex = raw["vertex"]["data"]
-    faces = np.asarray(loaded.faces)
-    # trimesh 5.2 shortens a truncated ASCII file in silence; the header's counts tell. (Quads become two triangles.)
-    promised = (raw["vertex"]["length"], raw["face"]["length"])
-    if len(loaded.vertices) != promised[0] or faces.ndim != 2 or len(faces) < promised[1]:
+
+def windings(
+    corners: Float[np.ndarray, "face 3 3"],
+    points: Float[np.ndarray, "point 3"],
+    own: Int[np.ndarray, " point"] | None = None,
+) -> Int[np.ndarray, " point"]:
+    """The winding number of closed, outward triangles around each point: 1 inside a solid, 0 outside.
+
+    Each point looks along one ray, in a direction that no model is aligned with, and counts the faces that the ray
+    leaves through minus those that it enters through. Exact, except for points within rounding of an edge.
+
+    Args:
+        own: the face that each point lies on; its winding number is then that just outside this face.
+    """
+    turn = _generic_rotation()
+    corners, points = corners.astype(np.float64) @ turn.T, points.astype(np.float64) @ turn.T
+    pairs = _pairs_of_ray_and_face(corners[..., :2], points[:, :2])
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    counts = np.zeros(len(points), np.int64)
+    low, high = corners[..., :2].min(axis=1), corners[..., :2].max(axis=1)
+    for face, point in pairs:
+        in_box = ((low[face] <= points[point, :2]) & (points[point, :2] <= high[face])).all(axis=-1)
+        face, point = face[in_box], point[in_box]
+        flat = corners[face, :, :2]
+        edges = np.roll(flat, -1, axis=1) - flat
+        to_point = points[point, None, :2] - flat
+        side = edges[..., 0] * to_point[..., 1] - edges[..., 1] * to_point[..., 0]
+        leaves, enters = np.all(side > 0, axis=-1), np.all(side < 0, axis=-1)
+        crossed = leaves | enters
+        if own is not None:
+            crossed &= face != own[point]
+        face, point, leaves = face[crossed], point[crossed], leaves[crossed]
+        height = np.einsum("pc,pc->p", corners[face, 0] - points[point], normals[face]) / normals[face, 2]
+        signs = np.where(height > 0, np.where(leaves, 1, -1), 0)
+        counts += np.bincount(point, signs, minlength=len(points)).astype(np.int64)
+    # A ray that starts on a face which looks the other way starts inside.
+    return counts if own is None else counts - (normals[own, 2] < 0)
+
+
+def check_closed(mesh: Mesh, *, where: str) -> None:
+    """Raises for a mesh that cannot bound a medium: glass must be closed, and each connected part wound outward.
+
+    A part that is wound inward is a cavity, which is allowed if the rest of the mesh encloses it.
+    """
+    if count := open_edges(mesh):
+        raise HyalineError(f"{where}: {count} open edges; glass must be a closed mesh, fill its holes")
+    corners, part = face_corners(mesh).astype(np.float64), component_of_faces(mesh)
+    a, b, c = np.moveaxis(corners - corners.mean(axis=(0, 1)), 1, 0)
+    volumes = np.bincount(part, np.einsum("fi,fi->f", a, np.cross(b, c)) / 6)
+    hollow = np.flatnonzero(volumes <= 0)
+    if not len(hollow):
+        return
+    # On the outer side of a cavity's faces is air that the rest of the mesh has gone around: 1 - 1 = 0.
+    face = np.unique(part, return_index=True)[1][hollow]
+    for index in hollow[windings(corners, corners[face].mean(axis=1), face) < 0][:1]:
+        which = f"part {index + 1} of {len(volumes)} " if len(volumes) > 1 else ""
+        raise HyalineError(f"{where}: {which}encloses {volumes[index]:g} m^3, so it is inside out; reverse its faces")
+
+
+def check_solid(mesh: Mesh, *, where: str) -> None:
+    """Raises for closed glass that bounds no solid: overlapping parts, a part inside another, a surface that crosses
+    itself.
+
+    A closed part inside another is a cavity, which is allowed if it is wound inward.
+    """
+    corners, part = face_corners(mesh).astype(np.float64), component_of_faces(mesh)
+    found = points_on(mesh, NUM_POINTS, part=part, count_a_part=NUM_POINTS_A_PART)
+    face, points = found.face, found.position
+    around = windings(corners, points, face)
+    is_wrong = around != 0
+    num_parts = int(part.max()) + 1
+    of_part = np.bincount(part[face], is_wrong, minlength=num_parts) / np.bincount(part[face], minlength=num_parts)
+    share = float(is_wrong[:NUM_POINTS].mean())
+    if share <= MAX_SHARE_INSIDE and of_part.max() <= 0.5:
+        return
+    worst = int(of_part.argmax())
+    mine = part[face] == worst
+    if num_parts > 1 and (around[mine] > 0).all():
         raise HyalineError(
-            f"{path}: holds {len(loaded.vertices)} vertices and {len(faces)} faces, "
-            f"its header says {promised[0]} and {promised[1]}; it is truncated, export it again"
+            f"{where}: part {worst + 1} of {num_parts} lies inside another part and is wound outward; delete it, "
+            "reverse its faces if it is a bubble, or make it an object of its own"
         )
-    names = vertex.dtype.names if isinstance(vertex, np.ndarray) else tuple(vertex)
-    uv_names = next((pair for pair in (("s", "t"), ("u", "v")) if set(pair) <= set(names)), None)
-    uv = np.stack([vertex[name] for name in uv_names], axis=-1) if uv_names else np.zeros((len(loaded.vertices), 2))
-    _check_indices(faces, len(loaded.vertices), where=path)
-    if {"nx", "ny", "nz"} <= set(names):
-        normals = np.stack([vertex["nx"], vertex["ny"], vertex["nz"]], axis=-1)
-    else:
-        normals = vertex_normals(np.asarray(loaded.vertices), faces)
-    mesh = Mesh(
-        vertices=np.asarray(loaded.vertices, np.float32),
-        faces=faces.astype(np.int32),
-        normals=normals.reshape(-1, 3).astype(np.float32),
-        uv=uv.reshape(-1, 2).astype(np.float32),
+    place = ", ".join(f"{value:.3g}" for value in np.median(points[is_wrong], axis=0))
+    what = "its parts overlap" if num_parts > 1 else "the surface crosses itself"
+    raise HyalineError(
+        f"{where}: {100 * share:.1f} % of the surface, around ({place}), lies inside of the rest: {what}; "
+        "unite it to one solid (a boolean union), or make objects of its parts, each with a priority"
     )
-    return mesh, uv_names is not None
 
 
-def _check_header(data: bytes, *, where: Path) -> None:
-    """Refuses what is no PLY, and promises that its bytes cannot keep: trimesh would set memory aside for them."""
-    header, end, _ = data[:MAX_HEADER_BYTES].partition(b"end_header")
-    if not data.startswith(b"ply") or not end:
-        raise HyalineError(f"{where}: not a PLY mesh that can be read (it has no header); expected a PLY mesh")
-    rest = len(data) - len(header) - len(end)
-    for name, count in re.findall(rb"^\s*element\s+(\S+)\s+(\S+)\s*$", header, re.MULTILINE):
-        if not count.isdigit() or len(count) > 12 or int(count) > rest:
-            number, what = (shown(word.decode(errors="replace")) for word in (count, name))
-            raise HyalineError(
-                f"{where}: its header says {number} of {what}, in {rest:,} bytes; it is truncated, export it again"
-            )
+def _generic_rotation() -> Float[np.ndarray, "3 3"]:
+    rotation, _ = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))
+    return rotation * np.sign(np.linalg.det(rotation))
 
 
-def _check_indices(faces: np.ndarray, num_vertices: int, *, where: Path) -> None:
-    if len(faces) and (faces.min() < 0 or faces.max() >= num_vertices):
-        raise HyalineError(
-            f"{where}: a face names vertex {faces.min() if faces.min() < 0 else faces.max()}; "
-            f"expected 0 to {num_vertices - 1}"
-        )
+def _pairs_of_ray_and_face(
+    flat: Float[np.ndarray, "face 3 2"], rays: Float[np.ndarray, "point 2"]
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """(face, point) of all rays through the bounding circle of a face's projection, in chunks."""
+    from scipy.spatial import KDTree
+
+    middle = (flat.max(axis=1) + flat.min(axis=1)) / 2
+    radius = np.linalg.norm(flat - middle[:, None], axis=-1).max(axis=1)
+    tree = KDTree(rays)
+    counts = np.asarray(tree.query_ball_point(middle, radius, return_length=True))
+    met = np.flatnonzero(counts)
+    pairs = []
+    for piece in np.array_split(met, max(1, int(counts.sum()) // _POINTS_AT_ONCE)):
+        if len(piece):
+            found = tree.query_ball_point(middle[piece], radius[piece])
+            pairs.append((np.repeat(piece, counts[piece]), np.concatenate([np.asarray(p, np.int64) for p in found])))
+    return pairs

@@ -1,12 +1,17 @@
-"""Where the parts of a dataset lie, relative to its folder."""
+"""Where the parts of a dataset lie, where commands look for datasets, and which command to suggest next."""
 
+import difflib
+import os
+import shlex
 from pathlib import Path
 
 from datagen.data.config import Split
+from datagen.disk.errors import HyalineError
+from datagen.disk.homes import HEADS, home_of, mend_command
 from datagen.disk.names import check_name
 
 TRUTH = "truth"
-"""The geometry that is not a proxy: the scene's own meshes."""
+"""The geometry of the scene's own meshes."""
 
 
 def view_name(view: int) -> str:
@@ -14,7 +19,7 @@ def view_name(view: int) -> str:
 
 
 def image_path(root: Path, split: Split, view: int) -> Path:
-    """The 8-bit sRGB picture; its neighbour `.exr` holds the linear one."""
+    """The 8-bit sRGB picture; the linear one is beside it, with the ending `.exr`."""
     return root / "images" / split / f"{view_name(view)}.png"
 
 
@@ -23,10 +28,78 @@ def record_path(root: Path, split: Split, view: int) -> Path:
 
 
 def geometry_root(root: Path, geometry: str) -> Path:
-    """Where a geometry's meshes and layers lie: the dataset itself for the truth, else its proxy folder."""
+    """The folder of a geometry's meshes and layers: the dataset for the truth, else its proxy folder."""
     return root if geometry == TRUTH else root / "proxies" / check_name(geometry, where="geometry")
 
 
 def layers_root(root: Path, geometry: str) -> Path:
-    """Where a geometry's layers lie."""
+    """The folder of a geometry's layers."""
     return geometry_root(root, geometry) / "layers" / "straight"
+
+
+DATA_ROOT = Path("data")
+"""Folder of datasets, relative to the working directory."""
+
+BUILT_IN_SCENES = ("glass_table", "vitrine", "plant_shelf", "drinks", "prism_bench", "pool")
+"""Names that `datagen build --scene` takes; `datagen.scene.builtin` has their makers."""
+
+
+def find_dataset(given: str | None, root: Path = DATA_ROOT) -> Path:
+    """The dataset that `--dataset` means: a folder, a name under `root`, or the only one there."""
+    if given is not None:
+        named = Path(given)
+        is_there = any((named / path).is_file() for path in ("dataset.json", f"{HEADS}/dataset.json"))
+        return named if is_there or len(named.parts) > 1 else root / given
+    found = list_datasets(root)
+    if len(found) == 1:
+        return found[0]
+    if not found:
+        place = root if root == DATA_ROOT else root / "glass_table"
+        raise HyalineError(f"{root}: no dataset there; make one with `{build_command(place)}`")
+    raise HyalineError(f"{root}: holds {len(found)} datasets; choose one with --dataset: {', '.join(map(str, found))}")
+
+
+def list_datasets(root: Path = DATA_ROOT) -> list[Path]:
+    """Every dataset folder under `root`, sorted."""
+    return sorted(path.parent for path in root.glob("*/dataset.json"))
+
+
+def build_command(root: Path = DATA_ROOT) -> str:
+    """The command that builds a dataset in this folder, or the first built-in scene that is missing in it."""
+    if root.name in BUILT_IN_SCENES or root != DATA_ROOT:
+        scene = root.name if root.name in BUILT_IN_SCENES else "glass_table"
+    else:
+        scene = next((name for name in BUILT_IN_SCENES if not (root / name).exists()), "glass_table")
+        root = root / scene
+    return shlex.join(
+        ["datagen", "build", "--scene", scene, *([] if root == DATA_ROOT / scene else ["--out", str(root)])]
+    )
+
+
+def train_command(root: Path, geometry: str = TRUTH) -> str:
+    """An example of the command after peeling a geometry."""
+    words = ["model", "train", "paper", "--dataset", str(root)]
+    return shlex.join([*words, *([] if geometry == TRUTH else ["--geometry", geometry])])
+
+
+def render_command(variant: str) -> str:
+    """An example of the command after building a variant: a trained run renders it."""
+    return shlex.join(["model", "render", "--run", "RUN", "--variant", variant])
+
+
+def where_datasets_are(root: Path) -> str:
+    """What to do about a folder without a dataset."""
+    if (root / HEADS / "dataset.json").is_file():
+        return f"mend it with `{mend_command(root / 'dataset.json')}`"
+    places = list_datasets()
+    known = ", ".join(shlex.quote(str(place)) for place in places)
+    there = f"there is {known}" if known else ""
+    is_free = not os.path.lexists(root) or (root.is_dir() and not any(root.iterdir()))
+    if not is_free or home_of(root) != root:
+        return there or f"make one elsewhere with `{build_command()}`"
+    make = "; or ".join(filter(None, [f"make one with `{build_command(root)}`", there]))
+    if near := difflib.get_close_matches(root.name, [place.name for place in places], n=1):
+        return f"did you mean {shlex.quote(near[0])}? Else {make}"
+    if root.name not in BUILT_IN_SCENES and (near := difflib.get_close_matches(root.name, BUILT_IN_SCENES, n=1)):
+        return f"did you mean {near[0]}? Make that with `{build_command(root.with_name(near[0]))}`; else {make}"
+    return make

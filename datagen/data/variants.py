@@ -1,44 +1,65 @@
 """Variants of a dataset: more truth beside it, with the same scene or the same cameras; none of its bytes changes.
 
-    variants/angles/        the splits extrapolating-10deg, -20deg, -40deg: cameras outside of what training covers
-    variants/x2/            views of the test splits, rendered twice as wide and high; x4 the same four times
-    variants/remove-ball/   the test splits of the scene after an edit, with edit-masks/ (data/edit_masks.py)
-    variants/no-glass/, variants/opaque-glass/   the twins: such edits of all glass at once
+    variants/angles/        the splits extrapolating-10deg, -20deg, -40deg: cameras outside the training directions
+    variants/x2/            views of the test splits, rendered twice as wide and high; x4 four times
+    variants/remove-ball/   the test splits of the scene after an edit, with edit-masks/
+    variants/no-glass/, variants/opaque-glass/   the twins: edits of all glass at once
 
-Each is laid out like a dataset; its head says which dataset it belongs to (`dataset.Variant`). Scene, meshes and
-proxies are the parent's, but for an edit, which has its own. Predictions of a variant lie in RUN/variants/NAME/.
+Each has the layout of a dataset; its head names its parent (`metadata.Variant`). It uses the parent's scene, meshes and
+proxies; an edit has its own. Predictions of a variant are in RUN/variants/NAME/.
+
+Edit masks mark the pixels of the test views in which an edit shows:
+
+    variants/NAME/edit-masks/SPLIT/0000.png     per pixel 0 elsewhere, 255 the objects, 128 their light
+    variants/NAME/edit-masks/edit-masks.json    sealed, written first: SHA-256 of each picture
+
+The objects: pixels whose centre ray meets a changed object, in the scene before or after, not behind anything opaque.
+Their light: other pixels around which the truth differs between both scenes, by more than the noise of that difference
+(shadows, caustics, mirror images, refracted light, edges that a centre ray may miss). Elsewhere: all others.
 """
 
+import re
 import shlex
 from pathlib import Path
 
-from datagen.data.config import Split
+import numpy as np
+from jaxtyping import UInt8
+
+from datagen.data.config import TEST_SPLITS, Split
 from datagen.data.dataset import Dataset, open_dataset
+from datagen.data.images import read_png
+from datagen.data.paths import view_name
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import check_name, is_name
+from datagen.disk.ownership import EDIT_MASKS
+from datagen.disk.promises import check_files
+from datagen.disk.records import entry, from_json
+from datagen.disk.storage import load_sealed
 
-FOLDER = "variants"
+VARIANTS_FOLDER = "variants"
 """In a dataset and in a run."""
 
 ANGLES = "angles"
 
 TWINS = ("no-glass", "opaque-glass")
-"""Edits, and the variants that they make: all glass gone, and painted opaque."""
+"""Edits, and the names of their variants: all glass removed, or painted opaque."""
 
 
 def variant_root(root: Path, name: str) -> Path:
-    """Where a variant of the dataset in a folder lies, or what a run drew of it."""
-    return root / FOLDER / check_name(name, where="variant")
+    """The folder of a variant in a dataset, or of its predictions in a run."""
+    return root / VARIANTS_FOLDER / check_name(name, where="variant")
 
 
 def scale_name(scale: int) -> str:
-    """The variant with pictures so many times as wide and high."""
+    """The name of the variant with pictures `scale` times as wide and high."""
     return f"x{scale}"
 
 
 def list_variants(root: Path) -> list[str]:
     """Names of all variants of the dataset in a folder, sorted."""
-    return sorted(path.parent.name for path in root.glob(f"{FOLDER}/*/dataset.json") if is_name(path.parent.name))
+    return sorted(
+        path.parent.name for path in root.glob(f"{VARIANTS_FOLDER}/*/dataset.json") if is_name(path.parent.name)
+    )
 
 
 def has_variant(dataset: Dataset, name: str) -> bool:
@@ -46,11 +67,7 @@ def has_variant(dataset: Dataset, name: str) -> bool:
 
 
 def open_variant(dataset: Dataset, name: str) -> Dataset:
-    """A variant of a dataset.
-
-    Raises:
-        HyalineError: not built, damaged, or of a dataset that stood there before.
-    """
+    """A variant of a dataset."""
     if not has_variant(dataset, name):
         made = ", ".join(list_variants(dataset.root)) or "none"
         raise HyalineError(
@@ -71,13 +88,13 @@ def evenly(count: int, total: int) -> list[int]:
 
 
 def parent_views(variant: Dataset, split: Split) -> list[int]:
-    """Which views of the parent's split those of a variant with larger pictures are."""
+    """The views of the parent's split that a variant with larger pictures shows."""
     assert variant.parent is not None
     return evenly(variant.config.split(split).views, variant.parent.config.split(split).views)
 
 
 def _build_command(dataset: Dataset, name: str) -> str:
-    """The command that makes a variant, as far as its name tells."""
+    """The command that makes a variant, by its name."""
     if name == ANGLES:
         flag = "--angle-splits"
     elif name in TWINS:
@@ -87,3 +104,36 @@ def _build_command(dataset: Dataset, name: str) -> str:
     else:
         flag = "--edit EDIT"
     return f"datagen build --dataset {shlex.quote(str(dataset.root))} {flag}"
+
+
+EDIT_MASKS_FOLDER = "edit-masks"
+
+ELSEWHERE, LIGHT, OBJECT = 0, 128, 255
+"""Values of a mask's pixels."""
+
+
+def edit_mask_files(edited: Dataset) -> dict[str, str]:
+    """SHA-256 of each mask by path relative to the edited dataset."""
+    return list_edit_masks(edited.root / EDIT_MASKS_FOLDER)
+
+
+def list_edit_masks(root: Path) -> dict[str, str]:
+    """SHA-256 of each picture that a folder of edit masks lists, by path relative to the folder above it."""
+    path = root / EDIT_MASKS.head
+    files = from_json(dict[str, str], load_sealed(path).get("files"), where=f"{path}: files")
+    for file in files:
+        if not re.fullmatch(rf"{EDIT_MASKS_FOLDER}/({'|'.join(TEST_SPLITS)})/[0-9]{{4,}}\.png", file):
+            raise HyalineError(f"{path}: files: names {file!r}; expected {EDIT_MASKS_FOLDER}/SPLIT/0000.png")
+    return files
+
+
+def read_edit_mask(edited: Dataset, split: Split, view: int) -> UInt8[np.ndarray, "h w"]:
+    """Where the edit shows in a view, verified: `OBJECT`, `LIGHT` or `ELSEWHERE`."""
+    path = edit_mask_path(edited, split, view)
+    file = path.relative_to(edited.root).as_posix()
+    check_files(edited.root, {file: entry(edit_mask_files(edited), file, where=edited.root)})
+    return read_png(path)[..., 0]
+
+
+def edit_mask_path(edited: Dataset, split: Split, view: int) -> Path:
+    return edited.root / EDIT_MASKS_FOLDER / split / f"{view_name(view)}.png"

@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import UInt8
 from PIL import Image
 
-from datagen.data.exr import encode_float_exr
+from datagen.data.images import encode_float_exr
 from datagen.disk.storage import dump_json
 from datagen.export.pictures import mask_png
 from datagen.export.plan import Part, Plan

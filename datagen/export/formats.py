@@ -5,7 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from datagen.data.dataset import Dataset
-from datagen.data.license import OWN, OWN_ADDRESS
+from datagen.data.metadata import OWN_LICENSE, OWN_LICENSE_ADDRESS
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import real_path
 from datagen.export.blender import plan_3dgs, plan_blender
@@ -70,8 +70,8 @@ def export_dataset(
 def _license_part(dataset: Dataset) -> Part:
     """LICENSE.txt, where people look for it whatever the format."""
     text = f"The data in this folder: {dataset.license}\n"
-    if dataset.license == OWN:
-        text += f"Nobody has to ask, or to name a source. {OWN_ADDRESS}\n"
+    if dataset.license == OWN_LICENSE:
+        text += f"Nobody has to ask, or to name a source. {OWN_LICENSE_ADDRESS}\n"
     return Part(name="license", files=("LICENSE.txt",), make=lambda: {"LICENSE.txt": text.encode()})
 
 

@@ -14,8 +14,8 @@ import json
 import re
 from collections.abc import Mapping
 
-from datagen.data.cameras import CONVENTION
 from datagen.data.config import TEST_SPLITS
+from datagen.data.transforms import CONVENTION
 from datagen.disk.records import Json
 from datagen.export.pictures import depth_png, mask_png, rgb_png
 from datagen.export.plan import Part, Plan

@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Bool, Float32
 
-from datagen.data.png import png_bytes
+from datagen.data.images import png_bytes
 from datagen.export.source import ExportView, PointCloud
 
 MILLIMETRES = 1000.0

@@ -11,8 +11,9 @@ points3d.ply                         points of the surfaces, for `--ply-path poi
 
 from collections.abc import Mapping
 
-from datagen.data.meshes import is_there, write_ply
-from datagen.data.npy import npy_bytes
+from datagen.data.images import npy_bytes
+from datagen.data.meshes import is_there
+from datagen.data.ply import write_ply
 from datagen.disk.records import Json
 from datagen.disk.storage import dump_json
 from datagen.export.pictures import mask_png, ply_points, rgba_png

@@ -2,8 +2,7 @@
 
 from collections.abc import Mapping
 
-from datagen.data.npy import npy_bytes
-from datagen.data.png import png_bytes
+from datagen.data.images import npy_bytes, png_bytes
 from datagen.disk.records import Json
 from datagen.disk.storage import dump_json
 from datagen.export.pictures import mask_png, rgb_png

@@ -4,7 +4,8 @@ import math
 
 import numpy as np
 
-from datagen.data.cameras import CONVENTION, Camera
+from datagen.data.cameras import Camera
+from datagen.data.transforms import CONVENTION, lens_keys
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import Json
 from datagen.export.source import Bounds, ExportView, Source
@@ -15,20 +16,6 @@ MAX_SHIFT = 0.05
 
 MAX_NGP_SIDE = 128
 """The largest `aabb_scale`, which must be a power of two."""
-
-
-def lens_keys(camera: Camera) -> dict[str, Json]:
-    """The lens that all views share: angle in radians, focal lengths and principal point in pixels."""
-    matrix = camera.intrinsics
-    return {
-        "camera_angle_x": 2 * math.atan(0.5 * camera.width / float(matrix[0, 0])),
-        "fl_x": float(matrix[0, 0]),
-        "fl_y": float(matrix[1, 1]),
-        "cx": float(matrix[0, 2]),
-        "cy": float(matrix[1, 2]),
-        "w": camera.width,
-        "h": camera.height,
-    }
 
 
 def check_centered(camera: Camera, form: str) -> None:

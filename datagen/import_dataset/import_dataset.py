@@ -9,13 +9,11 @@ import numpy as np
 
 from datagen.build.build import open_or_start
 from datagen.data.cameras import Cameras
-from datagen.data.config import SPLITS, DatasetConfig, Split, SplitConfig
+from datagen.data.config import SPLITS, DatasetConfig, Resolution, Split, SplitConfig
 from datagen.data.dataset import Dataset, View
-from datagen.data.dataset_head import commit_imported_view
 from datagen.data.depth_range import with_depth_range
-from datagen.data.imported import Imported
-from datagen.data.license import unknown
-from datagen.data.resolution import Resolution
+from datagen.data.metadata import Imported, unknown_license
+from datagen.data.writing import commit_imported_view
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import DATASET, holding
 from datagen.disk.storage import sha256_file
@@ -59,15 +57,9 @@ def plan_import(folder: Path, choices: DatasetImportChoices) -> Plan:
     views, lines = split_views(foreign)
     linear = choices.scale * z_up_from(choices.up)
     size = Resolution(width=whole.width // times, height=whole.height // times)
-    center = foreign.lens.center
+    lens = foreign.lens.fitted(size)
     cameras: dict[Split, Cameras] = {
-        split: Cameras(
-            world_from_camera=np.stack([_placed(view.world_from_camera, linear) for view in views[split]]),
-            fov_x=foreign.lens.fov_x,
-            width=size.width,
-            height=size.height,
-            center=None if center is None else (center[0] / times, center[1] / times),
-        )
+        split: lens.cameras(np.stack([_placed(view.world_from_camera, linear) for view in views[split]]))
         for split in SPLITS
     }
     name = scene_name(folder.resolve())
@@ -112,7 +104,7 @@ def write_import(plan: Plan, root: Path, choices: DatasetImportChoices, *, overw
             plan.cameras,
             overwrite=overwrite,
             imported=plan.imported,
-            stated_license=plan.foreign.license or unknown(plan.imported.source),
+            stated_license=plan.foreign.license or unknown_license(plan.imported.source),
         )
         missing = [view for view in _views(dataset) if not view.is_built]
         total = sum(plan.config.split(split).views for split in SPLITS)

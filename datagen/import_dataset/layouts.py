@@ -10,13 +10,17 @@ Source: RefRef's data parser, OpenMaterial's loader for instant-nsr-pl, nerf-pyt
 """
 
 import re
+from functools import partial
 from pathlib import Path
 
-from datagen.data.license import license_line
+from PIL import Image
+
+from datagen.data.metadata import license_line
+from datagen.data.transforms import Frame, Transforms, read_transforms, refuse_other_lens
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import check_regular, find_file
 from datagen.disk.ownership import DATASET
-from datagen.disk.reading import load_json
+from datagen.disk.reading import load_json, open_regular
 from datagen.disk.records import shown
 from datagen.import_dataset.foreign_dataset import (
     ROLES,
@@ -28,11 +32,11 @@ from datagen.import_dataset.foreign_dataset import (
 )
 from datagen.scene.description import MAX_OBJECTS, OBJECT_NAME
 from datagen.scene.importers.fields import Fields
-from datagen.scene.importers.transforms import TransformsFile, refuse_other_lens
 
 ONE_FILE = "transforms.json"
 EVERY = 8
 """Of pictures that nobody has split, each eighth is for tests, as most NeRF tools take it."""
+ENDINGS = ("", ".png", ".jpg", ".jpeg", ".JPG", ".webp")
 MESH_ENDINGS = (".ply", ".obj", ".stl", ".glb")
 
 
@@ -48,23 +52,23 @@ def read_layout(root: Path) -> ForeignDataset:
         raise HyalineError(f"{root}: is a dataset of hyaline's already; give it to the other commands as it is")
     files = {role: f"transforms_{role}.json" for role in ROLES if (root / f"transforms_{role}.json").is_file()}
     if "train" in files:
-        found = {role: TransformsFile(root, name) for role, name in files.items()}
+        found = {role: read_transforms(find_file(root, name, where=str(root))) for role, name in files.items()}
         layout = _layout_of(root, found["train"])
         views: dict[Role, tuple[ForeignView, ...]] = {
-            role: _views(found[role], layout) if role in found else () for role in ROLES
+            role: _views(root, found[role], layout) if role in found else () for role in ROLES
         }
     elif (root / ONE_FILE).is_file():
         layout = "nerfstudio"
-        found = {"train": TransformsFile(root, ONE_FILE)}
-        views = _split(found["train"], _views(found["train"], layout))
+        found = {"train": read_transforms(find_file(root, ONE_FILE, where=str(root)))}
+        views = _split(found["train"], _views(root, found["train"], layout))
     else:
         raise HyalineError(
             f"{root}: has neither transforms_train.json nor {ONE_FILE}; expected the layout of RefRef, OpenMaterial, "
             "Blender or nerfstudio"
         )
-    lens = found["train"].lens()
+    lens = found["train"].shared_lens(partial(_picture_size, root))
     for item in found.values():
-        refuse_other_lens(item.lens(), lens, where=str(item.path))
+        refuse_other_lens(item.shared_lens(partial(_picture_size, root)), lens, where=item.where)
     return ForeignDataset(
         root=root,
         layout=layout,
@@ -72,60 +76,83 @@ def read_layout(root: Path) -> ForeignDataset:
         views=views,
         surfaces=_surfaces(root),
         remarks=_left_out(found["train"], layout, views),
-        license=license_line(found["train"].fields.data.get("license")),
+        license=license_line(found["train"].content.get("license")),
     )
 
 
-def _layout_of(root: Path, train: TransformsFile) -> Layout:
+def _layout_of(root: Path, train: Transforms) -> Layout:
     first = train.frames[0]
     if "mask_file_path" in first or "depth_file_path" in first or (root / "objects.json").is_file():
         return "refref"
-    return "openmaterial" if _openmaterial_mask(train, first) is not None else "blender"
+    return "openmaterial" if _openmaterial_mask(root, first) is not None else "blender"
 
 
-def _openmaterial_mask(file: TransformsFile, frame: Fields) -> Path | None:
+def _find(root: Path, frame: Frame, key: str) -> Path:
+    """The file that a frame names, with or without its ending."""
+    where = f"{frame.where}.{key}"
+    name = frame.text(key).removeprefix("./")
+    for ending in ENDINGS:
+        path = find_file(root, name + ending, where=where)
+        if path.is_file():
+            return path
+    raise HyalineError(f"{where}: names {shown(name)}, which is not in {root}; download the whole scene")
+
+
+def _picture_size(root: Path, frame: Frame) -> tuple[int, int]:
+    """Width and height of a frame's picture, by its header."""
+    path = _find(root, frame, "file_path")
+    try:
+        with open_regular(path) as file, Image.open(file, formats=["PNG", "JPEG", "WEBP"]) as picture:
+            return picture.size
+    except HyalineError:
+        raise
+    except Exception as error:
+        raise HyalineError(f"{path}: not a picture that can be read ({type(error).__name__})") from error
+
+
+def _openmaterial_mask(root: Path, frame: Frame) -> Path | None:
     """The mask of `train/images/000.png` is `train/mask/000.png`."""
-    picture = file.find(frame, "file_path").relative_to(file.root)
-    mask = file.root / picture.parts[0] / "mask" / picture.name
+    picture = _find(root, frame, "file_path").relative_to(root)
+    mask = root / picture.parts[0] / "mask" / picture.name
     if not mask.is_file():
         return None
-    check_regular(mask, file.root, where=frame.where)
+    check_regular(mask, root, where=frame.where)
     return mask
 
 
-def _views(file: TransformsFile, layout: Layout) -> tuple[ForeignView, ...]:
+def _views(root: Path, file: Transforms, layout: Layout) -> tuple[ForeignView, ...]:
     views = []
     for frame in file.frames:
         mask = depth = None
         if layout == "openmaterial":
-            mask = _openmaterial_mask(file, frame)
+            mask = _openmaterial_mask(root, frame)
         elif "mask_file_path" in frame:
-            mask = file.find(frame, "mask_file_path")
+            mask = _find(root, frame, "mask_file_path")
         if "depth_file_path" in frame and _is_metric(frame, layout):
-            depth = file.find(frame, "depth_file_path")
-        picture = file.find(frame, "file_path")
+            depth = _find(root, frame, "depth_file_path")
+        picture = _find(root, frame, "file_path")
         views.append(ForeignView(picture=picture, mask=mask, depth=depth, world_from_camera=file.pose(frame)))
     return tuple(views)
 
 
-def _is_metric(frame: Fields, layout: Layout) -> bool:
+def _is_metric(frame: Frame, layout: Layout) -> bool:
     """True for depth whose unit is documented: NumPy files, and nerfstudio's PNGs in millimetres."""
     file = frame.text("depth_file_path")
     return file.endswith(".npy") or (layout == "nerfstudio" and file.endswith(".png"))
 
 
-def _split(file: TransformsFile, views: tuple[ForeignView, ...]) -> dict[Role, tuple[ForeignView, ...]]:
+def _split(file: Transforms, views: tuple[ForeignView, ...]) -> dict[Role, tuple[ForeignView, ...]]:
     """The views of one file by role: as it lists their names, or else each eighth for tests."""
     paths = [frame.text("file_path").removeprefix("./") for frame in file.frames]
-    if f"{ROLES[0]}_filenames" not in file.fields:
+    if f"{ROLES[0]}_filenames" not in file.content:
         test = [place % EVERY == 0 for place in range(len(views))]
         train = tuple(view for view, is_test in zip(views, test, strict=True) if not is_test)
         return {"train": train, "val": (), "test": tuple(v for v, is_test in zip(views, test, strict=True) if is_test)}
     found: dict[Role, tuple[ForeignView, ...]] = {}
     for role in ROLES:
-        named = file.fields.data.get(f"{role}_filenames", [])
+        named = file.content.get(f"{role}_filenames", [])
         if not isinstance(named, list):
-            raise HyalineError(f"{file.path}: {role}_filenames is {shown(named)}; expected a list of names")
+            raise HyalineError(f"{file.where}: {role}_filenames is {shown(named)}; expected a list of names")
         wanted = {str(name).removeprefix("./") for name in named}
         found[role] = tuple(view for view, path in zip(views, paths, strict=True) if path in wanted)
     return found
@@ -164,7 +191,7 @@ def surface_name(file: Path) -> str:
     return re.sub(r"[^A-Za-z0-9_-]", "_", file.stem).lstrip("-")[:60] or "object"
 
 
-def _left_out(train: TransformsFile, layout: Layout, views: dict[Role, tuple[ForeignView, ...]]) -> tuple[str, ...]:
+def _left_out(train: Transforms, layout: Layout, views: dict[Role, tuple[ForeignView, ...]]) -> tuple[str, ...]:
     lines = []
     first = train.frames[0]
     if "depth_file_path" in first and not _is_metric(first, layout):
@@ -173,7 +200,7 @@ def _left_out(train: TransformsFile, layout: Layout, views: dict[Role, tuple[For
         lines.append("masks: show the object, which is taken for glass")
     if "mask_path" in first:
         lines.append("mask_path: says what nerfstudio trains on, not what is glass; left out")
-    if layout == "nerfstudio" and f"{ROLES[0]}_filenames" not in train.fields:
+    if layout == "nerfstudio" and f"{ROLES[0]}_filenames" not in train.content:
         lines.append(f"splits: the file has none; each {EVERY}th picture is for tests")
     has_masks = [view.mask is not None for role in ROLES for view in views[role]]
     if any(has_masks) and not all(has_masks):

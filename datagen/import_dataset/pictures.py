@@ -6,10 +6,16 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, UInt8
 from PIL import Image
 
-from datagen.data.npy import MAX_NPY_BYTES, npy_bytes, read_npy
-from datagen.data.png import png_bytes
-from datagen.data.resolution import Resolution
-from datagen.data.tonemap import linear_from_srgb, srgb_from_linear, to_8bit
+from datagen.data.config import Resolution
+from datagen.data.images import (
+    MAX_NPY_BYTES,
+    linear_from_srgb,
+    npy_bytes,
+    png_bytes,
+    read_npy,
+    srgb_from_linear,
+    to_8bit,
+)
 from datagen.disk.errors import HyalineError
 from datagen.disk.reading import read_regular
 from datagen.import_dataset.choices import DatasetImportChoices

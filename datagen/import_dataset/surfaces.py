@@ -7,7 +7,7 @@ from typing import cast
 import numpy as np
 
 from datagen.data.cameras import Cameras
-from datagen.data.config import Split
+from datagen.data.config import SPLITS, Split
 from datagen.data.meshes import open_edges
 from datagen.disk.errors import HyalineError
 from datagen.disk.reading import load_json
@@ -16,7 +16,7 @@ from datagen.disk.storage import dump_json
 from datagen.import_dataset.choices import DatasetImportChoices
 from datagen.import_dataset.foreign_dataset import ForeignSurface
 from datagen.machine.confined import allow_triangles
-from datagen.scene.camera_list import list_cameras
+from datagen.scene.camera_list import CameraList
 from datagen.scene.description import MAX_OBJECTS, Scene, SceneObject
 from datagen.scene.folder import save_scene
 from datagen.scene.importers.choices import ImportChoices, check_overrides, override, parse_overrides
@@ -95,7 +95,7 @@ def _make_scene(
         description=f"Imported from {name}; its light is unknown",
         objects=tuple(objects),
         environment=even_sky(UNKNOWN_LIGHT),
-        cameras=list_cameras(cameras),
+        cameras=CameraList(**{split: cameras[split] for split in SPLITS}),
         baked={image: data for image, data in mapper.images.items() if image in used},
     )
     scene = mend_scene(scene, without_uv={item.name for item in objects if item.name in without_uv})

@@ -13,10 +13,8 @@ from jaxtyping import Float, Float32
 
 from datagen.data.cameras import Cameras
 from datagen.data.config import Split
-from datagen.data.exr import encode_exr
+from datagen.data.images import encode_exr, png_bytes, srgb_from_linear, to_8bit
 from datagen.data.meshes import is_there
-from datagen.data.png import png_bytes
-from datagen.data.tonemap import srgb_from_linear, to_8bit
 from datagen.disk.errors import HyalineError
 from datagen.render.environment import has_small_light
 from datagen.render.mitsuba_scene import is_scalar, load_scene_mitsuba, load_sensor

@@ -1,26 +1,24 @@
 """Camera paths for films: a turn around a scene, a curve through its test views, or another program's key frames."""
 
 import math
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
-from datagen.data.cameras import Camera, Cameras, check_camera, look_at
+from datagen.data.cameras import Cameras, Lens, look_at
 from datagen.data.config import SPLITS
 from datagen.data.dataset import Dataset
+from datagen.data.transforms import read_transforms
 from datagen.disk.errors import HyalineError
-from datagen.disk.reading import load_json
-from datagen.disk.records import Json
-from datagen.scene.camera_list import CameraList, list_cameras
+from datagen.scene.camera_list import CameraList
 from datagen.scene.description import CameraRig
 from datagen.scene.folder import load_scene
 
 NAMES = ("orbit", "spline")
 MAX_FRAMES = 10_000
 FULL_TURN_DEG = 359.0
-"""A rig whose cameras stand on so much of the circle, in degrees, has nothing that an orbit could run into."""
+"""Degrees of a circle; a rig whose cameras cover this much leaves room for a whole orbit."""
 
 
 def make_path(dataset: Dataset, path: str, frames: int, *, width: int | None, height: int | None) -> Cameras:
@@ -28,49 +26,42 @@ def make_path(dataset: Dataset, path: str, frames: int, *, width: int | None, he
 
     Args:
         path: `orbit` turns around the scene at its cameras' middle elevation, or swings to and fro where walls leave
-            less than a circle; `spline` runs through the interpolating test views; else a JSON file of key frames
-            (`frames`, each with a `transform_matrix`: world_from_camera in the OpenGL convention, as NeRF tools write
-            it), through which it runs, too. A spline has the dataset's lens, principal point included, or that which
-            the file tells; what an orbit turns around is in the middle of its pictures.
+            less than a circle; `spline` runs through the interpolating test views; anything else is a transforms file
+            of key frames, through which it runs. A spline has the dataset's lens, principal point included, or the
+            file's; an orbit has its target in the middle of the pictures.
         frames: how many cameras; those of an orbit repeat without a jump.
         width: of the pictures, in pixels; the dataset's unless given. The lens's horizontal angle stays.
         height: of the pictures, in pixels; the width's share of the dataset's aspect unless given.
-
-    Raises:
-        HyalineError: an impossible number of frames or pixels, or a file that holds no key frames.
     """
     if not 2 <= frames <= MAX_FRAMES:
         raise HyalineError(f"frames: is {frames}; expected 2 to {MAX_FRAMES}")
-    lens = dataset.cameras("interpolating")
+    views = dataset.cameras("interpolating")
+    lens: Lens = views
     wide = lens.width if width is None else width
     high = round(wide * lens.height / lens.width) if height is None else height
     for name, value in (("width", wide), ("height", high)):
         if not 1 <= value <= 8192:
             raise HyalineError(f"{name}: is {value}; expected 1 to 8192 pixels")
-    fov_x, middle = lens.fov_x, _middle_of(lens)
+    center = lens.center
     if path == "orbit":
-        poses, middle = _orbit(_rig_of(dataset), frames), None
+        poses, center = _orbit(_rig_of(dataset), frames), None
     elif path == "spline":
-        poses = _curve(lens.world_from_camera, frames)
+        poses = _curve(views.world_from_camera, frames)
     else:
-        keys = _read_keys(Path(path))
-        poses = _curve(keys.poses, frames)
-        if keys.fov_x is not None:
-            fov_x, middle = keys.fov_x, keys.middle
-    center = None if middle is None else (middle[0] * wide, middle[1] * high)
-    return Cameras(world_from_camera=poses, fov_x=fov_x, width=wide, height=high, center=center)
-
-
-def _middle_of(lens: Cameras) -> tuple[float, float] | None:
-    """The principal point as shares of the picture's width and height; None for its middle."""
-    return None if lens.center is None else (lens.center[0] / lens.width, lens.center[1] / lens.height)
+        keys, own = _read_keys(Path(path))
+        poses = _curve(keys, frames)
+        if own is not None:
+            lens, center = own, own.center
+    if center is not None:
+        center = (center[0] / lens.width * wide, center[1] / lens.height * high)
+    return Cameras(world_from_camera=poses, fov_x=lens.fov_x, width=wide, height=high, center=center)
 
 
 def _rig_of(dataset: Dataset) -> CameraRig | CameraList:
-    """Where the cameras of a dataset stand; of imported pictures without meshes there is no scene that tells."""
+    """The cameras of a dataset; imported pictures without meshes have no scene."""
     if dataset.objects:
         return load_scene(dataset.root / "scene", is_sealed=True).cameras
-    return list_cameras({split: dataset.cameras(split) for split in SPLITS})
+    return CameraList(**{split: dataset.cameras(split) for split in SPLITS})
 
 
 def _orbit(rig: CameraRig | CameraList, frames: int) -> Float[np.ndarray, "view 4 4"]:
@@ -101,52 +92,10 @@ def _curve(keys: Float[np.ndarray, "key 4 4"], frames: int) -> Float[np.ndarray,
     return poses
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Keys:
-    """Key cameras, and their lens as far as the file tells it."""
-
-    poses: Float[np.ndarray, "key 4 4"]
-    fov_x: float | None
-    """Radians."""
-    middle: tuple[float, float] | None
-    """The principal point as shares of the picture's width and height; None for its middle."""
-
-
-def _read_keys(file: Path) -> _Keys:
-    """The key cameras of a file."""
+def _read_keys(file: Path) -> tuple[Float[np.ndarray, "key 4 4"], Lens | None]:
+    """The key cameras of a file, and their lens if the file has one."""
     if not file.is_file():
         raise HyalineError(f"{file}: no such file; --path takes {', '.join(NAMES)} or a JSON file of key frames")
-    data = load_json(file)
-    frames = data.get("frames")
-    if not isinstance(frames, list) or not frames or len(frames) > MAX_FRAMES:
-        raise HyalineError(f"{file}: has no frames; expected an object with a list of 1 to {MAX_FRAMES} of them")
-    fov_x, middle = _number(data, "camera_angle_x"), _middle_in(data, file)
-    keys = []
-    for number, frame in enumerate(frames):
-        matrix = frame.get("transform_matrix") if isinstance(frame, dict) else None
-        try:
-            pose = np.array(matrix, np.float64)
-            check_camera(Camera(world_from_camera=pose, fov_x=1.0 if fov_x is None else fov_x, width=1, height=1))
-        except (TypeError, ValueError, HyalineError) as error:
-            raise HyalineError(f"{file}: frames[{number}].transform_matrix: {error}") from None
-        keys.append(pose)
-    return _Keys(poses=np.stack(keys), fov_x=fov_x, middle=middle)
-
-
-def _middle_in(data: dict[str, Json], file: Path) -> tuple[float, float] | None:
-    """Where a file's principal point is, `cx` and `cy` in pictures of `w` by `h` pixels; None where it says nothing."""
-    values = [_number(data, key) for key in ("cx", "cy", "w", "h")]
-    if None in values:
-        return None
-    column, row, width, height = (float(value) for value in values if value is not None)
-    if width < 1 or height < 1 or not 0 <= column <= width or not 0 <= row <= height:
-        raise HyalineError(
-            f"{file}: cx, cy is {column:g}, {row:g} in pictures of {width:g} x {height:g} pixels; expected it inside"
-        )
-    return column / width, row / height
-
-
-def _number(data: dict[str, Json], key: str) -> float | None:
-    """A value that is a number; None for any other."""
-    value = data.get(key)
-    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None
+    keys = read_transforms(file, most=MAX_FRAMES)
+    lens = keys.lens(left_out=[]) if keys.has_lens() else None
+    return np.stack([keys.pose(frame) for frame in keys.frames]), lens

@@ -3,8 +3,7 @@
 import numpy as np
 from jaxtyping import Bool, Float
 
-from datagen.data.meshes import Mesh, face_corners
-from datagen.data.surface_points import points_on
+from datagen.data.meshes import Mesh, face_corners, points_on
 
 TOLERANCE = 1e-4
 """Metres from plane to plane that count as none: nobody models a gap of a tenth of a millimetre on purpose."""

@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float, Float32, UInt8
 
-from datagen.data.exr import decode_radiance
+from datagen.data.images import decode_radiance
 from datagen.disk.errors import HyalineError
 from datagen.scene.bilinear import bilinear
 

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from datagen.data.resolution import Resolution
+from datagen.data.config import Resolution
 from datagen.disk.errors import HyalineError
 from datagen.scene.builtin import SCENES, find_builtin
 from datagen.scene.description import Scene

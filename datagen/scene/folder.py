@@ -6,17 +6,18 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeVar, cast
 
-from datagen.data.meshes import Mesh, check_numbers, is_there, no_mesh, read_ply, write_ply
+from datagen.data.meshes import Mesh, check_numbers, is_there, no_mesh
+from datagen.data.ply import read_ply, write_ply
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import find_file
 from datagen.disk.reading import load_json, read_regular
 from datagen.disk.records import Json, from_json, shown, to_json
 from datagen.disk.storage import commit, dump_json
+from datagen.scene.camera_list import CameraList, camera_files, read_camera_list
 from datagen.scene.cutouts import Cut, Cutout, corner_uv_of, opacity_of, with_cuts
 from datagen.scene.description import (
     MAX_OBJECTS,
     OBJECT_NAME,
-    CameraList,
     CameraRig,
     Scene,
     SceneObject,
@@ -60,7 +61,9 @@ class _SceneFile:
     objects: tuple[_ObjectFile, ...]
     environment: Environment
     lights: tuple[RectangleLight, ...] = ()
-    cameras: CameraRig | CameraList
+    cameras: CameraRig | None = None
+    """None: transforms_train.json, transforms_test.json and transforms_extrapolating.json list them, beside this file
+    or, in a dataset, beside its folder."""
 
 
 FILE_RECORD: type = _SceneFile
@@ -94,8 +97,10 @@ def scene_files(scene: Scene) -> dict[str, bytes]:
         objects=tuple(listed),
         environment=scene.environment,
         lights=scene.lights,
-        cameras=scene.cameras,
+        cameras=scene.cameras if isinstance(scene.cameras, CameraRig) else None,
     )
+    if isinstance(scene.cameras, CameraList):
+        files |= camera_files(scene.cameras)
     # Through the parser and back, so that 1 and 1.0 give the same bytes.
     canonical = from_json(_SceneFile, to_json(file), where=f"scene {scene.name}")
     data = cast(dict[str, Json], to_json(canonical))
@@ -103,6 +108,8 @@ def scene_files(scene: Scene) -> dict[str, bytes]:
         del described["transform"], described["cutout"]  # They are in the mesh.
     if scene.license is None:
         del data["license"]  # Scenes that do not say it keep the bytes that they had before there was such a key.
+    if file.cameras is None:
+        del data["cameras"]
     return {**files, "scene.json": dump_json(data)}
 
 
@@ -122,6 +129,10 @@ def load_scene(folder: Path, *, is_sealed: bool = False) -> Scene:
     listed = data.get("objects")
     if isinstance(listed, list) and len(listed) > MAX_OBJECTS:
         raise HyalineError(f"{path}: has {len(listed):,} objects; expected at most {MAX_OBJECTS}")
+    if isinstance(cameras := data.get("cameras"), dict) and cameras.get("type") == "CameraList":
+        raise HyalineError(
+            f"{path}: cameras: no CameraList is read any more; list them in transforms files instead (docs/scenes.md)"
+        )
     file = _parse_scene(data, path)
     objects, without_uv, cuts = [], set(), {}
     for item in file.objects:
@@ -147,7 +158,7 @@ def load_scene(folder: Path, *, is_sealed: bool = False) -> Scene:
         objects=tuple(objects),
         environment=file.environment,
         lights=file.lights,
-        cameras=file.cameras,
+        cameras=file.cameras or read_camera_list(folder),
         folder=folder,
     )
     if not is_sealed:

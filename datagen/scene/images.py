@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float, Float32
 
+from datagen.data.images import linear_from_srgb, png_bytes, srgb_from_linear, to_8bit
 from datagen.data.meshes import Mesh
-from datagen.data.png import png_bytes
-from datagen.data.tonemap import linear_from_srgb, srgb_from_linear, to_8bit
 from datagen.disk.errors import HyalineError
 from datagen.scene.atlas import bake_corners
 from datagen.scene.bilinear import bilinear

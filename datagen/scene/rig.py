@@ -6,7 +6,7 @@ import math
 import numpy as np
 from jaxtyping import Float
 
-from datagen.data.cameras import Cameras, look_at
+from datagen.data.cameras import Cameras, Lens, look_at
 from datagen.data.config import SPLITS, DatasetConfig, Split
 from datagen.disk.errors import HyalineError
 from datagen.scene.camera_list import CameraList
@@ -21,46 +21,39 @@ def make_cameras(rig: CameraRig | CameraList, config: DatasetConfig) -> dict[Spl
     lies on the same hemisphere, the extrapolating walk leaves it: nearer, farther, lower, looking elsewhere.
     """
     if isinstance(rig, CameraList):
-        poses = _listed(rig, config)
-    else:
-        poses = {
-            "train": _hemisphere(rig, config.train.views, np.random.default_rng(config.seed)),
-            "interpolating": _path_on_hemisphere(rig, config.interpolating.views),
-            "extrapolating": _walk(rig, config.extrapolating.views),
-        }
-    size, fov_x, center = config.resolution, math.radians(rig.fov_deg), None
-    if isinstance(rig, CameraList) and rig.intrinsics is not None:
-        fov_x, center = rig.intrinsics.fov_x, rig.intrinsics.center_in(size)
-    return {
-        split: Cameras(world_from_camera=poses[split], fov_x=fov_x, width=size.width, height=size.height, center=center)
-        for split in SPLITS
+        return _listed(rig, config)
+    poses = {
+        "train": _hemisphere(rig, config.train.views, np.random.default_rng(config.seed)),
+        "interpolating": _path_on_hemisphere(rig, config.interpolating.views),
+        "extrapolating": _walk(rig, config.extrapolating.views),
     }
+    lens = Lens(fov_x=math.radians(rig.fov_deg), width=config.resolution.width, height=config.resolution.height)
+    return {split: lens.cameras(poses[split]) for split in SPLITS}
 
 
 def with_listed_views(config: DatasetConfig, rig: CameraRig | CameraList) -> DatasetConfig:
     """The configuration with as many views of each split as a scene lists; unchanged where a rig places them."""
     if isinstance(rig, CameraRig):
         return config
-    sizes = {split: dataclasses.replace(config.split(split), views=len(rig.poses()[split])) for split in SPLITS}
+    sizes = {split: dataclasses.replace(config.split(split), views=len(rig.of(split))) for split in SPLITS}
     return dataclasses.replace(config, **sizes)
 
 
 def with_listed_shape(config: DatasetConfig, rig: CameraRig | CameraList) -> DatasetConfig:
-    """The configuration with pictures of the shape that a scene's intrinsics say, of about as many pixels."""
-    if isinstance(rig, CameraRig) or rig.intrinsics is None:
+    """The configuration with pictures of the shape that the lens of listed cameras has, of about as many pixels."""
+    if isinstance(rig, CameraRig) or rig.train.fits_any_shape:
         return config
-    return dataclasses.replace(config, resolution=rig.intrinsics.fitting(config.resolution.pixels))
+    return dataclasses.replace(config, resolution=rig.train.shaped(config.resolution.pixels))
 
 
-def _listed(rig: CameraList, config: DatasetConfig) -> dict[str, Float[np.ndarray, "view 4 4"]]:
-    poses = rig.poses()
+def _listed(rig: CameraList, config: DatasetConfig) -> dict[Split, Cameras]:
     for split in SPLITS:
-        if config.split(split).views != len(poses[split]):
+        if config.split(split).views != len(rig.of(split)):
             raise HyalineError(
-                f"{split}: {config.split(split).views} views are asked for, and the scene lists {len(poses[split])} "
-                "cameras; leave out --views and --test-views, or list others in its scene.json"
+                f"{split}: {config.split(split).views} views are asked for, and the scene lists "
+                f"{len(rig.of(split))} cameras; leave out --views and --test-views, or list others"
             )
-    return poses
+    return {split: rig.of(split).fitted(config.resolution) for split in SPLITS}
 
 
 def _hemisphere(rig: CameraRig, count: int, rng: np.random.Generator) -> Float[np.ndarray, "view 4 4"]:

@@ -9,8 +9,17 @@ from itertools import combinations
 import numpy as np
 from jaxtyping import Float
 
-from datagen.data.meshes import Mesh, check_mesh, count_shared_faces, face_areas, is_there
-from datagen.data.windings import check_closed, check_solid, windings
+from datagen.data.config import SPLITS
+from datagen.data.meshes import (
+    Mesh,
+    check_closed,
+    check_mesh,
+    check_solid,
+    count_shared_faces,
+    face_areas,
+    is_there,
+    windings,
+)
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import check_name
 from datagen.scene.contact import thin_share, touching_share
@@ -95,7 +104,7 @@ def check_sound(scene: Scene) -> None:
 def camera_places(rig: CameraRig | CameraList) -> Float[np.ndarray, "place 3"]:
     """Places all over the rig's hemisphere and along its walk; or of the cameras that are listed."""
     if isinstance(rig, CameraList):
-        return np.concatenate([poses[:, :3, 3] for poses in rig.poses().values()])
+        return np.concatenate([rig.of(split).world_from_camera[:, :3, 3] for split in SPLITS])
     elevation, azimuth = np.meshgrid(
         np.radians(np.linspace(*rig.elevation_deg, 9)), np.radians(np.linspace(*rig.azimuth_deg, 25))
     )

@@ -18,9 +18,8 @@ import numpy as np
 from jaxtyping import Float32, Int32, UInt8
 
 from datagen.data.cameras import Cameras
-from datagen.data.layers import Layers
+from datagen.data.layers import UV_SCALE, Layers
 from datagen.data.meshes import Mesh, is_there
-from datagen.data.number_formats import UV_SCALE
 from datagen.render.mitsuba_scene import is_scalar, load_geometry_mitsuba, to_columns
 
 if TYPE_CHECKING:

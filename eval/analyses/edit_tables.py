@@ -5,8 +5,8 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 
 from datagen.data.config import TEST_SPLITS, Split
-from datagen.data.edit_masks import OBJECT, read_edit_mask
 from datagen.data.paths import view_name
+from datagen.data.variants import OBJECT, read_edit_mask
 from datagen.disk.records import Json
 from eval.analyses.edits import IGNORED, REGIONS, EditScores, RegionScores
 from eval.analyses.variants import variant_json

@@ -9,7 +9,7 @@ from jaxtyping import Bool, UInt8
 
 from datagen.data.config import TEST_SPLITS, Split
 from datagen.data.dataset import Dataset
-from datagen.data.edit_masks import ELSEWHERE, LIGHT, OBJECT, edit_mask_files, read_edit_mask
+from datagen.data.variants import ELSEWHERE, LIGHT, OBJECT, edit_mask_files, read_edit_mask
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import Json, to_json
 from eval.analyses.variants import VariantScores

@@ -5,9 +5,8 @@ import dataclasses
 import numpy as np
 from jaxtyping import UInt8
 
-from datagen.data.config import TEST_SPLITS, Split
+from datagen.data.config import TEST_SPLITS, Resolution, Split
 from datagen.data.dataset import Dataset
-from datagen.data.resolution import Resolution
 from datagen.data.variants import parent_views
 from datagen.disk.records import Json
 from eval.analyses.variants import VariantScores, splits_json, variant_json

@@ -14,9 +14,8 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import PowerNorm
 from matplotlib.figure import Figure
 
-from datagen.data.config import TEST_SPLITS, Split
+from datagen.data.config import TEST_SPLITS, Resolution, Split
 from datagen.data.paths import view_name
-from datagen.data.resolution import Resolution
 from datagen.pages.charts import names_as_they_are
 from eval.score.runs import read_prediction
 from eval.score.scores import RunScores, SceneScores

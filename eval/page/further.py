@@ -8,9 +8,8 @@ from dataclasses import dataclass
 
 from datagen.data.config import Split
 from datagen.data.dataset import Dataset
-from datagen.data.edit_masks import edit_mask_files
 from datagen.data.paths import TRUTH
-from datagen.data.variants import ANGLES, is_larger
+from datagen.data.variants import ANGLES, edit_mask_files, is_larger
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import file_name
 from datagen.disk.records import Json, to_json

@@ -8,8 +8,8 @@ import numpy as np
 
 from datagen.data.config import TEST_SPLITS, Split
 from datagen.data.dataset import Dataset
-from datagen.data.edit_masks import OBJECT, read_edit_mask
 from datagen.data.paths import view_name
+from datagen.data.variants import OBJECT, read_edit_mask
 from datagen.disk.records import Json, to_json
 from datagen.pages.document import anchor, document, section
 from datagen.pages.html import Markup, Part, join, prose, tag

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from datagen.data.config import MAX_VIEWS, TEST_SPLITS, Split
 from datagen.data.dataset import Dataset, has_glass_mask, open_dataset
-from datagen.data.finding import list_datasets
+from datagen.data.paths import list_datasets
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import file_name
 from datagen.disk.records import Json

@@ -6,8 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, cast
 
-from datagen.data.config import TEST_SPLITS, Split
-from datagen.data.resolution import Resolution
+from datagen.data.config import TEST_SPLITS, Resolution, Split
 from datagen.disk.errors import HyalineError
 from datagen.disk.reading import load_json
 from datagen.disk.records import shown

@@ -30,10 +30,10 @@ from jaxtyping import UInt8
 
 from datagen.data.config import ANGLE_SPLITS, SPLITS, Split
 from datagen.data.dataset import Dataset, open_dataset
+from datagen.data.images import MAX_PNG_BYTES, decode_png
 from datagen.data.paths import view_name
-from datagen.data.png import MAX_PNG_BYTES, decode_png
 from datagen.data.variants import ANGLES, variant_root
-from datagen.data.variants import FOLDER as VARIANTS
+from datagen.data.variants import VARIANTS_FOLDER as VARIANTS
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import check_regular, printable, real_path
 from datagen.disk.reading import load_json, read_regular

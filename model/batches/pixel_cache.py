@@ -29,10 +29,9 @@ import torch
 from jaxtyping import Float32, Int, Int16, UInt8
 from torch import Tensor
 
-from datagen.data.config import Split
+from datagen.data.config import Resolution, Split
 from datagen.data.dataset import Dataset
-from datagen.data.number_formats import UV_SCALE
-from datagen.data.resolution import Resolution
+from datagen.data.layers import UV_SCALE
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import remove_files
 from datagen.disk.private import make_private

@@ -10,9 +10,8 @@ from jaxtyping import Float32, Int, UInt8
 from torch import Tensor
 
 from datagen.data.cameras import Cameras
-from datagen.data.config import Split
+from datagen.data.config import Resolution, Split
 from datagen.data.dataset import Dataset
-from datagen.data.resolution import Resolution
 from model.batches.rays import black, pixels_at_once, read_colors
 from model.batches.traced_layers import SubpixelRays, cameras_of
 

@@ -11,10 +11,9 @@ from jaxtyping import Float32, Int, Int16, UInt8, UInt16
 from torch import Tensor
 
 from datagen.data.cameras import Cameras
-from datagen.data.config import Split
+from datagen.data.config import Resolution, Split
 from datagen.data.dataset import Dataset
-from datagen.data.number_formats import UV_SCALE
-from datagen.data.resolution import Resolution
+from datagen.data.layers import UV_SCALE
 from datagen.disk.errors import HyalineError
 
 Batch_co = TypeVar("Batch_co", covariant=True)

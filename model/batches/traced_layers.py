@@ -12,11 +12,10 @@ from jaxtyping import Float, Float32, Int, UInt8
 from torch import Tensor
 
 from datagen.data.cameras import Cameras, subpixel_offsets, subpixel_rays
-from datagen.data.config import Split
+from datagen.data.config import Resolution, Split
 from datagen.data.dataset import Dataset
 from datagen.data.geometries import GeometryKey, geometry_key, read_meshes
 from datagen.data.meshes import Mesh
-from datagen.data.resolution import Resolution
 from datagen.machine.mitsuba_variant import short_lived_workers, use_mitsuba
 from model.batches.rays import Pixels, RayBatch, black, read_colors
 

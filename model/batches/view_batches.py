@@ -9,12 +9,10 @@ import torch
 from jaxtyping import Float32, Int, UInt8
 from torch import Tensor
 
-from datagen.data.cameras import Cameras
-from datagen.data.config import Split
+from datagen.data.cameras import Camera, Cameras
+from datagen.data.config import Resolution, Split
 from datagen.data.dataset import Dataset
-from datagen.data.resolution import Resolution
 from model.batches.rays import read_colors
-from model.nets.voxel_grid import ViewCamera
 
 NUM_NEIGHBOURS = 4
 
@@ -23,7 +21,7 @@ NUM_NEIGHBOURS = 4
 class ViewBatch:
     """Views to draw, one after the other."""
 
-    cameras: tuple[ViewCamera, ...]
+    cameras: tuple[Camera, ...]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -32,17 +30,16 @@ class Views:
 
     rgb: UInt8[Tensor, "pixel 3"]
     """8-bit sRGB, row by row and view by view; black where images were not asked for."""
-    world_from_camera: Float32[Tensor, "view 4 4"]
-    fov_x: float
-    """Radians."""
-    center: tuple[float, float]
-    """Of each `ViewCamera`."""
-    resolution: Resolution
-    """Of a view."""
+    cameras: Cameras
 
     @property
     def device(self) -> torch.device:
         return self.rgb.device
+
+    @property
+    def resolution(self) -> Resolution:
+        """Size of a view."""
+        return self.cameras.size
 
     @property
     def pixels_per_view(self) -> int:
@@ -55,25 +52,16 @@ class Views:
 
     @property
     def num_views(self) -> int:
-        return len(self.world_from_camera)
+        return len(self.cameras)
 
     def to(self, device: torch.device) -> "Views":
-        return Views(
-            rgb=self.rgb.to(device),
-            world_from_camera=self.world_from_camera.to(device),
-            fov_x=self.fov_x,
-            center=self.center,
-            resolution=self.resolution,
-        )
+        return Views(rgb=self.rgb.to(device), cameras=self.cameras)
 
     def take(self, index: Int[Tensor, " ray"], rng: np.random.Generator | None) -> ViewBatch:  # noqa: ARG002
         """The views that these pixels fill; they must be all pixels of whole views, in order."""
         first = index[:: self.pixels_per_view]
         assert len(index) == len(first) * self.pixels_per_view, "pixels of half a view"
-        return ViewBatch(cameras=tuple(self.camera(int(view)) for view in first // self.pixels_per_view))
-
-    def camera(self, view: int) -> ViewCamera:
-        return ViewCamera(world_from_camera=self.world_from_camera[view], fov_x=self.fov_x, center=self.center)
+        return ViewBatch(cameras=tuple(self.cameras[int(view)] for view in first // self.pixels_per_view))
 
     def image(self, view: int) -> Float32[Tensor, "1 3 h w"]:
         """sRGB in [0, 1]."""
@@ -82,7 +70,7 @@ class Views:
 
     def neighbours(self, view: int) -> list[int]:
         """The at most four other views whose optical axes are nearest in angle, nearest first."""
-        forward = -self.world_from_camera[:, :3, 2]
+        forward = -torch.from_numpy(self.cameras.world_from_camera).float()[:, :3, 2]
         cosine = forward @ forward[view]
         cosine[view] = -torch.inf
         nearest = torch.argsort(cosine, descending=True, stable=True)
@@ -93,16 +81,4 @@ def load_views(dataset: Dataset, split: Split, views: Sequence[int], *, with_ima
     """Cameras and (unless told otherwise) pictures of some views, every byte verified."""
     cameras = dataset.cameras(split)
     some = dataclasses.replace(cameras, world_from_camera=cameras.world_from_camera[list(views)])
-    return views_of(some, read_colors(dataset, split, views, with_images=with_images))
-
-
-def views_of(cameras: Cameras, rgb: UInt8[Tensor, "pixel 3"]) -> Views:
-    """The views of any cameras."""
-    column, row = cameras.principal_point
-    return Views(
-        rgb=rgb,
-        world_from_camera=torch.from_numpy(cameras.world_from_camera).float(),
-        fov_x=cameras.fov_x,
-        center=(column / cameras.width, row / cameras.height),
-        resolution=Resolution(width=cameras.width, height=cameras.height),
-    )
+    return Views(rgb=read_colors(dataset, split, views, with_images=with_images), cameras=some)

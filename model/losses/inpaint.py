@@ -14,9 +14,9 @@ from torch import Tensor, nn
 from torch.func import functional_call
 
 from datagen.data.cameras import Cameras, look_at
+from datagen.data.config import Resolution
 from datagen.data.dataset import Dataset
 from datagen.data.geometries import read_meshes
-from datagen.data.resolution import Resolution
 from datagen.disk.errors import HyalineError
 from datagen.scene.folder import load_scene
 from model.batches.rays import PixelSource, RayBatch

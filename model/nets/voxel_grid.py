@@ -13,23 +13,11 @@ from jaxtyping import Bool, Float, Float32, Int
 from torch import Tensor
 from torch.nn import functional
 
-from datagen.data.cameras import Cameras
+from datagen.data.cameras import Camera, Cameras
 from datagen.disk.errors import HyalineError
 
 CLEARANCE = 0.9
 """The grid's bounding sphere reaches at most so far from its origin towards the nearest training camera."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ViewCamera:
-    """One camera with square pixels."""
-
-    world_from_camera: Float32[Tensor, "4 4"]
-    """OpenGL convention: it looks along -z."""
-    fov_x: float
-    """Field of view in radians."""
-    center: tuple[float, float] = (0.5, 0.5)
-    """Column and row of the principal point, as shares of the picture's width and height."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -79,15 +67,25 @@ def fit_cube(cameras: Cameras, vertices: Float[np.ndarray, "vertex 3"]) -> tuple
     return origin, edge
 
 
-def near_plane(camera: ViewCamera, grid: VoxelGrid) -> Float32[Tensor, ""]:
+def near_plane(camera: Camera, grid: VoxelGrid) -> Float32[Tensor, ""]:
     """Depth in metres of a view's first plane: where the grid's bounding sphere begins, but never behind the camera.
 
     DeepVoxels has one near plane for all views. Each view has its own here, which is the same for cameras on a sphere
     around the grid, and still meets the grid on a walk that comes nearer or goes farther.
     """
-    to_origin = grid.origin - camera.world_from_camera[:3, 3]
-    depth = -(to_origin @ camera.world_from_camera[:3, 2])
+    pose = _pose(camera, grid.origin.device)
+    depth = -((grid.origin - pose[:3, 3]) @ pose[:3, 2])
     return torch.maximum(depth - 0.5 * math.sqrt(3) * grid.num_voxels * grid.voxel_size, grid.voxel_size)
+
+
+def _pose(camera: Camera, device: torch.device) -> Float32[Tensor, "4 4"]:
+    return torch.as_tensor(camera.world_from_camera, dtype=torch.float32, device=device)
+
+
+def _middle(camera: Camera) -> tuple[float, float]:
+    """Column and row of the principal point, as shares of the picture's width and height."""
+    column, row = camera.principal_point
+    return column / camera.width, row / camera.height
 
 
 def voxel_centers(grid: VoxelGrid) -> Float32[Tensor, "voxel 3"]:
@@ -97,30 +95,32 @@ def voxel_centers(grid: VoxelGrid) -> Float32[Tensor, "voxel 3"]:
     return grid.origin + grid.voxel_size * torch.stack([x, y, z], dim=-1).reshape(-1, 3)
 
 
-def project_points(p_world: Float32[Tensor, "point 3"], camera: ViewCamera, size: int) -> Float32[Tensor, "point 3"]:
+def project_points(p_world: Float32[Tensor, "point 3"], camera: Camera, size: int) -> Float32[Tensor, "point 3"]:
     """Column and row on a plane of `size` x `size` pixels, and depth in metres; pixel i has its centre at i + 0.5.
 
     Column and row mean nothing where the depth is not positive.
     """
-    p_camera = (p_world - camera.world_from_camera[:3, 3]) @ camera.world_from_camera[:3, :3]
+    pose = _pose(camera, p_world.device)
+    p_camera = (p_world - pose[:3, 3]) @ pose[:3, :3]
     right, up, depth = p_camera[:, 0], p_camera[:, 1], -p_camera[:, 2]
     focal = 0.5 * size / math.tan(0.5 * camera.fov_x)
-    column, row = camera.center
+    column, row = _middle(camera)
     return torch.stack([column * size + focal * right / depth, row * size - focal * up / depth, depth], dim=1)
 
 
-def frustum_points(camera: ViewCamera, grid: VoxelGrid, size: int) -> Float32[Tensor, "point 3"]:
+def frustum_points(camera: Camera, grid: VoxelGrid, size: int) -> Float32[Tensor, "point 3"]:
     """World positions of a view's frustum: plane by plane from the near plane on, row by row, at pixel centres."""
     device = grid.origin.device
     focal = 0.5 * size / math.tan(0.5 * camera.fov_x)
-    across, down = ((torch.arange(size, device=device) + 0.5 - share * size) / focal for share in camera.center)
+    across, down = ((torch.arange(size, device=device) + 0.5 - share * size) / focal for share in _middle(camera))
     depth = near_plane(camera, grid) + grid.voxel_size * torch.arange(grid.num_planes, device=device)
     z, down, right = torch.meshgrid(depth, down, across, indexing="ij")
     p_camera = torch.stack([right * z, -down * z, -z], dim=-1).reshape(-1, 3)
-    return camera.world_from_camera[:3, 3] + p_camera @ camera.world_from_camera[:3, :3].T
+    pose = _pose(camera, device)
+    return pose[:3, 3] + p_camera @ pose[:3, :3].T
 
 
-def lift(features: Float32[Tensor, "1 c p q"], camera: ViewCamera, grid: VoxelGrid) -> Float32[Tensor, "1 c z y x"]:
+def lift(features: Float32[Tensor, "1 c p q"], camera: Camera, grid: VoxelGrid) -> Float32[Tensor, "1 c z y x"]:
     """What a view shows at every voxel: its feature map, bilinear where the centre falls; 0 where the view ends.
 
     The authors' code also drops voxels outside a frustum whose bounds it rounds to whole metres; that is left out.
@@ -136,7 +136,7 @@ def lift(features: Float32[Tensor, "1 c p q"], camera: ViewCamera, grid: VoxelGr
 
 
 def sample_frustum(
-    volume: Float32[Tensor, "1 c z y x"], camera: ViewCamera, grid: VoxelGrid, size: int
+    volume: Float32[Tensor, "1 c z y x"], camera: Camera, grid: VoxelGrid, size: int
 ) -> Float32[Tensor, "1 c d p q"]:
     """The grid's features on a view's frustum, trilinear between voxel centres; 0 outside the outermost centres."""
     points = frustum_points(camera, grid, size)

@@ -13,8 +13,8 @@ import torch
 from torch.optim.optimizer import register_optimizer_step_post_hook
 
 from datagen.data.dataset import Dataset
+from datagen.data.images import read_png
 from datagen.data.paths import TRUTH
-from datagen.data.png import read_png
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import to_json
 from datagen.terminal.signals import Stopped

@@ -59,7 +59,7 @@ def texels_of_period(item: SceneObject, width: int, cameras: Cameras) -> float:
         return math.inf
     places = cameras.world_from_camera[:, :3, 3]
     distance = np.median([np.linalg.norm(item.mesh.vertices - place, axis=-1).min() for place in places])
-    if pattern.scale * cameras[0].intrinsics[0, 0] < PIXELS * distance:
+    if pattern.scale * cameras.focal < PIXELS * distance:
         return math.inf
     across = float(np.sqrt(_uv_areas(item).sum() / face_areas(item.mesh).sum()))  # Of the atlas, by metre.
     return pattern.scale * width * across or math.inf

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from datagen.data.dataset import Dataset, open_dataset
-from datagen.data.finding import find_dataset
+from datagen.data.paths import find_dataset
 from model.run.run_folder import RunRecord, check_trained_on, read_run
 
 

@@ -21,8 +21,8 @@ from datagen.data.cameras import Cameras
 from datagen.data.config import Split
 from datagen.data.dataset import Dataset
 from datagen.data.geometries import list_geometries
+from datagen.data.images import png_bytes
 from datagen.data.paths import view_name
-from datagen.data.png import png_bytes
 from datagen.data.variants import ANGLES, has_variant, open_variant, variant_root
 from datagen.disk.errors import HyalineError, NumericsError
 from datagen.disk.storage import commit, sha256

@@ -34,7 +34,7 @@ from datagen.data.config import ANGLE_SPLITS, TEST_SPLITS
 from datagen.data.dataset import Dataset
 from datagen.data.geometries import describe_geometry
 from datagen.data.paths import view_name
-from datagen.data.variants import FOLDER as VARIANTS
+from datagen.data.variants import VARIANTS_FOLDER as VARIANTS
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import FolderKind, begin, is_ours, refuse_taken, remove_files
 from datagen.disk.promises import check_files

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import UInt8
 
-from datagen.data.png import png_bytes
+from datagen.data.images import png_bytes
 from datagen.disk.storage import commit
 
 FOLDER = "snapshots"

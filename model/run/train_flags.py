@@ -13,9 +13,8 @@ from typing import Generic, NoReturn, TypeVar
 import tyro
 
 from datagen.data.dataset import Dataset, open_dataset
-from datagen.data.finding import find_dataset
 from datagen.data.geometries import check_geometry
-from datagen.data.paths import TRUTH
+from datagen.data.paths import TRUTH, find_dataset
 from datagen.disk.errors import HyalineError, UsageError
 from datagen.terminal.command import say
 from model.methods.protocol import MethodConfig

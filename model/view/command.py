@@ -4,7 +4,7 @@ import sys
 from pathlib import Path
 
 from datagen.data.dataset import open_dataset
-from datagen.data.finding import find_dataset
+from datagen.data.paths import find_dataset
 from datagen.disk.errors import HyalineError
 from datagen.terminal.command import say, tell
 from model.run.opening import open_trained

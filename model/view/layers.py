@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import UInt8
 
-from datagen.data.cameras import Camera, Cameras
+from datagen.data.cameras import Camera
 from datagen.data.dataset import Dataset
 from datagen.look.view_pictures import object_colors
 from model.batches.traced_layers import peel_cameras
@@ -16,13 +16,7 @@ def draw_layer(
     dataset: Dataset, geometry: str, camera: Camera, layer: int, num_layers: int
 ) -> UInt8[np.ndarray, "h w 3"]:
     """The surfaces of one layer along the rays of a camera, layer 0 the nearest."""
-    cameras = Cameras(
-        world_from_camera=np.asarray(camera.world_from_camera, np.float64)[None],
-        fov_x=camera.fov_x,
-        width=camera.width,
-        height=camera.height,
-    )
-    pixels = peel_cameras(dataset, geometry, num_layers, cameras)
+    pixels = peel_cameras(dataset, geometry, num_layers, camera.alone)
     ids = pixels.object_id[:, layer].numpy()
     uv = pixels.uv[:, layer].numpy().view(np.uint16)
     is_light = (uv.astype(np.int64) * CHECKS // 65536).sum(axis=-1) % 2 == 0

@@ -10,7 +10,7 @@ import torch
 from jaxtyping import UInt8
 from torch import Tensor
 
-from datagen.data.cameras import Camera, Cameras
+from datagen.data.cameras import Camera
 from datagen.data.dataset import Dataset
 from model.methods.renderer import Renderer
 from model.run.checkpoint import load_state
@@ -99,7 +99,7 @@ class LiveRun:
             return None
         net = self.config.net.hurried() if is_quick else self.config.net
         with self._wanting(is_wanted):
-            pixels = net.load_cameras(self.inputs, _alone(camera))
+            pixels = net.load_cameras(self.inputs, camera.alone)
             return predict_pixels(self._renderer, pixels.to(self.device)).reshape(camera.height, camera.width, 3)
 
     def _newest(self) -> tuple[tuple[str, int, int], Path] | None:
@@ -131,12 +131,3 @@ class LiveRun:
         """Called before every part of a network computes, which is many times a picture."""
         if not self._is_wanted():
             raise MovedOn
-
-
-def _alone(camera: Camera) -> Cameras:
-    return Cameras(
-        world_from_camera=np.asarray(camera.world_from_camera, np.float64)[None],
-        fov_x=camera.fov_x,
-        width=camera.width,
-        height=camera.height,
-    )

@@ -1,6 +1,5 @@
 """What the page holds of a scene: meshes, optics, texels, weights and cameras, as arrays and a manifest."""
 
-import math
 from dataclasses import dataclass
 from typing import cast
 
@@ -9,8 +8,8 @@ import torch
 
 from datagen.data.dataset import Dataset
 from datagen.data.geometries import read_meshes
+from datagen.data.layers import UV_SCALE, quantize_uv, round_mantissa
 from datagen.data.meshes import Mesh, is_there, open_edges
-from datagen.data.number_formats import UV_SCALE, quantize_uv, round_mantissa
 from datagen.data.paths import TRUTH
 from datagen.disk.records import Json
 from datagen.scene.description import CameraRig, Scene
@@ -117,9 +116,8 @@ def _lens(dataset: Dataset) -> dict[str, Json]:
     below it, the principal point is."""
     cameras = dataset.cameras(dataset.splits[0])
     half = [cameras.width / 2, cameras.height / 2]
-    focal = half[0] / math.tan(cameras.fov_x / 2)
-    shift = [(at - middle) / focal for at, middle in zip(cameras.principal_point, half, strict=True)]
-    return {"half": [side / focal for side in half], "shift": cast(Json, shift)}
+    shift = [(at - middle) / cameras.focal for at, middle in zip(cameras.principal_point, half, strict=True)]
+    return {"half": [side / cameras.focal for side in half], "shift": cast(Json, shift)}
 
 
 def _orbit(scene: Scene, dataset: Dataset) -> tuple[list[Json], float]:

@@ -7,8 +7,8 @@ import torch
 from jaxtyping import Bool, Float32
 from torch import Tensor
 
+from datagen.data.images import srgb_from_linear, to_8bit
 from datagen.data.meshes import Mesh
-from datagen.data.tonemap import srgb_from_linear, to_8bit
 from datagen.trace.tints import Texels, Tints
 from model.methods.page import fours
 from model.nets.texture import NeuralTextures, TexturePyramid, level_scales, texel_centers

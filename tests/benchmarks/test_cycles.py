@@ -15,7 +15,7 @@ from PIL import Image
 from support.commands import call
 from support.gltf import GltfBuilder, clear, glass
 
-from datagen.data.exr import decode_radiance
+from datagen.data.images import decode_radiance
 from datagen.render.environment import radiance_of_environment
 from datagen.scene.importers.lights import LIGHT
 

@@ -15,9 +15,8 @@ from support.synthetic import synthetic_scene
 from benchmarks.generator.random_scenes import survey_seeds, survey_table
 from benchmarks.generator.scale import Point, ScaleReport, Task, bench_scale, fit_growth, measure_task, show_scale
 from benchmarks.generator.shells import make_shells, random_cameras
-from datagen.data.exr import encode_exr
-from datagen.data.meshes import check_mesh
-from datagen.data.windings import check_closed
+from datagen.data.images import encode_exr
+from datagen.data.meshes import check_closed, check_mesh
 from datagen.disk.errors import HyalineError
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.description import EnvironmentMap, SceneObject, SoftEnvironment

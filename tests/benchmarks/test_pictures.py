@@ -11,7 +11,7 @@ from support.synthetic import write_synthetic_dataset
 from benchmarks.pictures.errors import draw_errors, find_worst
 from benchmarks.pictures.sky import draw_skies, learned_sky, map_directions, true_sky
 from datagen.data.dataset import Dataset
-from datagen.data.png import png_bytes
+from datagen.data.images import png_bytes
 from datagen.disk.errors import HyalineError
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.folder import load_scene

@@ -13,7 +13,7 @@ from support.commands import run
 from support.synthetic import write_synthetic_dataset
 
 import hyaline
-from datagen.data.png import read_png
+from datagen.data.images import read_png
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 NOTEBOOKS = sorted(EXAMPLES.glob("*.ipynb"))

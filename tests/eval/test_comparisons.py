@@ -14,8 +14,8 @@ from support.synthetic import write_synthetic_dataset
 from datagen.data.config import TEST_SPLITS
 from datagen.data.dataset import Dataset
 from datagen.data.geometries import ProxyStatistics, read_meshes, write_proxies
+from datagen.data.images import png_bytes
 from datagen.data.paths import TRUTH
-from datagen.data.png import png_bytes
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import to_json
 from eval.page.report import TABLES, make_report, make_tables

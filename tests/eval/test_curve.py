@@ -12,8 +12,8 @@ from support.synthetic import pixel_rays, write_synthetic_dataset
 
 from datagen.data.config import TEST_SPLITS
 from datagen.data.dataset import Dataset
+from datagen.data.images import png_bytes
 from datagen.data.layers import Layers
-from datagen.data.png import png_bytes
 from eval.analyses.coverage import cover_view, read_coverage, visible_layers
 from eval.analyses.curve import ANGLE_EDGES, Bin, curve_of, pool_seeds, slope_db_per_10deg
 from eval.page.report import make_report

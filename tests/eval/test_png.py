@@ -13,7 +13,7 @@ from support.commands import call
 from support.synthetic import write_synthetic_dataset
 
 from datagen.data.dataset import Dataset
-from datagen.data.png import png_bytes
+from datagen.data.images import png_bytes
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import Json
 from datagen.disk.storage import commit_sealed, sha256

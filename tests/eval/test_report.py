@@ -20,7 +20,7 @@ from support.synthetic import write_synthetic_dataset
 
 from datagen.data.config import TEST_SPLITS, Split
 from datagen.data.dataset import Dataset, open_dataset
-from datagen.data.png import png_bytes, read_png
+from datagen.data.images import png_bytes, read_png
 from datagen.disk.errors import HyalineError
 from datagen.machine.revision import code_version
 from eval.page.report import make_report

@@ -18,7 +18,7 @@ from support.checked import unchecked
 
 import datagen.build.build
 import hyaline as hy
-from datagen.data.png import read_png
+from datagen.data.images import read_png
 from datagen.terminal.command import track
 from model.batches.plain_rays import PlainRayPixels, PlainRays, load_rays, rays_of
 from model.methods.protocol import Inputs, MethodConfig

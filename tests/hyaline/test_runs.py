@@ -14,7 +14,7 @@ from support.commands import run as command
 from support.synthetic import write_synthetic_dataset
 
 import hyaline
-from datagen.data.png import read_png
+from datagen.data.images import read_png
 from model.methods.deepvoxels.config import DeepVoxelsConfig
 from model.run.predict import render_predictions
 from model.run.run_folder import TrainConfig

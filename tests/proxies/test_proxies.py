@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from datagen.data.meshes import (
     Mesh,
+    check_closed,
     check_mesh,
     component_of_faces,
     face_corners,
@@ -14,7 +15,6 @@ from datagen.data.meshes import (
     vertex_normals,
     winding_number,
 )
-from datagen.data.windings import check_closed
 from datagen.disk.errors import HyalineError
 from datagen.machine.child_python import ChildError
 from proxies.kinds import box, ellipsoid, hull

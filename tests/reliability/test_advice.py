@@ -15,8 +15,8 @@ from support.scenarios import BUILD, TRAIN
 import datagen.terminal.command
 import model.cli
 from datagen.data.dataset import open_dataset
-from datagen.data.finding import find_dataset
 from datagen.data.geometries import check_geometry
+from datagen.data.paths import find_dataset
 from datagen.data.variants import list_variants
 from datagen.disk.errors import HyalineError
 from model.run.predict import load_renderer

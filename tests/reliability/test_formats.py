@@ -12,9 +12,9 @@ import torch
 from support.hostile.corpus import DATASET, LAYERS
 
 from datagen.build.verify import verify_dataset
+from datagen.data.config import square
 from datagen.data.dataset import open_dataset
 from datagen.data.geometries import read_proxy_records
-from datagen.data.resolution import square
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import SEAL, seal_bytes
 from datagen.scene.folder import load_scene

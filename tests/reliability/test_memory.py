@@ -14,7 +14,7 @@ from pathlib import Path
 from support.synthetic import synthetic_scene
 import datagen.build.build as build
 from datagen.data.config import DatasetConfig, SplitConfig
-from datagen.data.resolution import square
+from datagen.data.config import square
 
 def resident():
     return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")

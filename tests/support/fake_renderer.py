@@ -14,11 +14,11 @@ from support.synthetic import pixel_rays, shade, trace
 from datagen.data.cameras import Cameras
 from datagen.data.config import Split
 from datagen.data.dataset import Dataset, open_dataset
-from datagen.data.dataset_head import commit_view
 from datagen.data.geometries import read_meshes
+from datagen.data.images import png_bytes
 from datagen.data.layer_writing import write_layers
 from datagen.data.layers import Layers
-from datagen.data.png import png_bytes
+from datagen.data.writing import commit_view
 
 Task = tuple[Split, int]
 

@@ -1,7 +1,6 @@
 """A camera rig, and the configuration of a dataset."""
 
-from datagen.data.config import DatasetConfig, SplitConfig
-from datagen.data.resolution import square
+from datagen.data.config import DatasetConfig, SplitConfig, square
 from datagen.scene.description import CameraRig, WalkPoint
 
 RIG = CameraRig(

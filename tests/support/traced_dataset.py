@@ -7,18 +7,15 @@ import numpy as np
 from support.synthetic import pixel_rays
 
 from datagen.data.cameras import Cameras, look_at
-from datagen.data.config import SPLITS, DatasetConfig, Split, SplitConfig
+from datagen.data.config import SPLITS, DatasetConfig, Resolution, Split, SplitConfig, square
 from datagen.data.dataset import Dataset, DatasetObject
-from datagen.data.dataset_head import commit_view, write_head
 from datagen.data.depth_range import with_depth_range
-from datagen.data.exr import encode_exr
 from datagen.data.geometries import geometry_hash
+from datagen.data.images import encode_exr, linear_from_srgb, png_bytes
 from datagen.data.layer_writing import create_layers, write_layers
 from datagen.data.meshes import Mesh
 from datagen.data.paths import TRUTH
-from datagen.data.png import png_bytes
-from datagen.data.resolution import Resolution, square
-from datagen.data.tonemap import linear_from_srgb
+from datagen.data.writing import commit_view, write_head
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.description import CameraRig, Scene, SceneObject, SoftEnvironment, WalkPoint
 from datagen.scene.folder import scene_files

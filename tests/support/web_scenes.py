@@ -12,13 +12,12 @@ from support.synthetic import look_at, quad, synthetic_scene
 from torch import nn
 
 from datagen.data.cameras import Cameras
-from datagen.data.config import SPLITS, DatasetConfig, SplitConfig
+from datagen.data.config import SPLITS, DatasetConfig, Resolution, SplitConfig
 from datagen.data.dataset import Dataset, DatasetObject
-from datagen.data.dataset_head import write_head
+from datagen.data.images import png_bytes
 from datagen.data.meshes import Mesh
 from datagen.data.paths import TRUTH
-from datagen.data.png import png_bytes
-from datagen.data.resolution import Resolution
+from datagen.data.writing import write_head
 from datagen.scene.description import Scene, SceneObject
 from datagen.scene.folder import scene_files
 from datagen.scene.materials import Conductor, Dielectric, Diffuse, Plastic, RoughDielectric, ThinDielectric

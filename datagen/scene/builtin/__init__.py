@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from datagen.data.dataset import head_files
-from datagen.data.license import OWN
 from datagen.data.meshes import Mesh, is_there
+from datagen.data.metadata import OWN_LICENSE
 from datagen.disk.errors import HyalineError
 from datagen.disk.promises import check_files
 from datagen.disk.storage import sha256
@@ -41,7 +41,7 @@ def make_scene(name: str) -> Scene:
     scene = make()
     meshes = unwrap_all({item.name: item.mesh for item in scene.objects})
     objects = tuple(dataclasses.replace(item, mesh=meshes[item.name]) for item in scene.objects)
-    scene = dataclasses.replace(scene, objects=objects, license=OWN)
+    scene = dataclasses.replace(scene, objects=objects, license=OWN_LICENSE)
     check_scene(scene)
     return scene
 
@@ -79,7 +79,7 @@ def _same_scene(name: str, root: Path) -> Scene | None:
     )
     same = dataclasses.replace(scene, objects=objects, license=stored.license)
     is_same = files == {f"scene/{path}": sha256(data) for path, data in scene_files(same).items()}
-    return dataclasses.replace(same, license=OWN) if is_same else None
+    return dataclasses.replace(same, license=OWN_LICENSE) if is_same else None
 
 
 def _same_surface(mesh: Mesh, unwrapped: Mesh) -> bool:

@@ -12,24 +12,21 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from datagen.data.cameras import TOLERANCE, Camera, Lens
 from datagen.data.config import MAX_VIEWS
+from datagen.data.transforms import DISTORTED, NOT_SQUARE, read_transforms
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import find_file
 from datagen.disk.records import shown
-from datagen.scene.camera_list import DEFAULT_FOV_DEG, CameraList, Intrinsics, matrix_rows
-from datagen.scene.importers.foreign import ForeignCamera, read_foreign
+from datagen.scene.camera_list import CameraList
+from datagen.scene.importers.foreign import lens_of, read_foreign, rotation_of
 from datagen.scene.importers.remarks import Remarks
-from datagen.scene.importers.transforms import DISTORTED, NOT_SQUARE, TOLERANCE, TransformsFile
 
 NAMES = ("transforms.json", "transforms_train.json")
 
 
-def read_camera_file(given: Path, remarks: Remarks) -> tuple[ForeignCamera, ...]:
-    """The cameras in a folder or a file, in the axes and units of the model beside which they stand.
-
-    Raises:
-        HyalineError: there are none that can be read.
-    """
+def read_camera_file(given: Path, remarks: Remarks) -> tuple[Camera, ...]:
+    """The cameras in a folder or a file, in the axes and units of the model beside which they stand."""
     if given.is_dir() and has_colmap(given):
         return read_colmap(given, remarks)
     if given.is_dir():
@@ -43,60 +40,44 @@ def read_camera_file(given: Path, remarks: Remarks) -> tuple[ForeignCamera, ...]
         raise HyalineError(
             f"--cameras {given}: is no such file; expected around, file, a transforms.json, or a folder of COLMAP's"
         )
-    file = TransformsFile(given.parent, given.name)
-    cameras = []
+    file = read_transforms(find_file(given.parent, given.name, where=str(given.parent)))
+    cameras, left_out = [], []
     for frame in file.frames:
-        angle, lens, left_out = file.angle(frame)
-        for line in left_out:
-            remarks.approximate("cameras", line)
-        cameras.append(ForeignCamera(world_from_camera=file.pose(frame), fov_deg=math.degrees(angle), intrinsics=lens))
+        cameras.append(file.lens(frame, left_out=left_out).camera(file.pose(frame)))
+    for line in left_out:
+        remarks.approximate("cameras", line)
     return tuple(cameras)
 
 
 def listed_cameras(
-    cameras: Sequence[ForeignCamera], linear: Float[np.ndarray, "3 3"], offset: Float[np.ndarray, "3"], remarks: Remarks
+    cameras: Sequence[Camera], linear: Float[np.ndarray, "3 3"], offset: Float[np.ndarray, "3"], remarks: Remarks
 ) -> CameraList:
     """Cameras of a file in our world: the outermost for extrapolation, every eighth other one for interpolation.
 
     Of fewer than three, each split has all.
-
-    Raises:
-        HyalineError: the file has none.
     """
     if not cameras:
         raise HyalineError("--cameras file: the file brings no cameras; leave it out")
-    fov_deg, intrinsics = cameras[0].fov_deg, cameras[0].intrinsics
-    if any(abs(camera.fov_deg - fov_deg) > 1e-3 or camera.intrinsics != intrinsics for camera in cameras):
+    lens = cameras[0]
+    if not all(camera.is_like(lens) for camera in cameras):
+        angle = math.degrees(lens.fov_x)
         remarks.approximate(
-            "cameras", f"have several lenses; all of them get the first one's, which sees {fov_deg:.3g} degrees"
+            "cameras", f"have several lenses; all of them get the first one's, which sees {angle:.3g} degrees"
         )
-    if intrinsics is not None:
-        fov_deg = DEFAULT_FOV_DEG
     rotation = linear / abs(np.linalg.det(linear)) ** (1 / 3)
-    matrices = []
-    for camera in cameras:
-        matrix = np.eye(4)
-        matrix[:3, :3] = rotation @ camera.world_from_camera[:3, :3]
-        matrix[:3, 3] = linear @ camera.world_from_camera[:3, 3] + offset
-        matrices.append(matrix)
-    listed = [matrix_rows(matrix) for matrix in matrices]
-    if len(listed) < 3:
-        return CameraList(
-            train=tuple(listed),
-            interpolating=tuple(listed),
-            extrapolating=tuple(listed),
-            fov_deg=fov_deg,
-            intrinsics=intrinsics,
-        )
-    places = np.array([matrix[:3, 3] for matrix in matrices])
-    outermost = int(np.linalg.norm(places - places.mean(axis=0), axis=-1).argmax())
-    others = [rows for index, rows in enumerate(listed) if index != outermost]
+    poses = np.tile(np.eye(4), (len(cameras), 1, 1))
+    for pose, camera in zip(poses, cameras, strict=True):
+        pose[:3, :3] = rotation @ camera.world_from_camera[:3, :3]
+        pose[:3, 3] = linear @ camera.world_from_camera[:3, 3] + offset
+    if len(poses) < 3:
+        every = lens.cameras(poses)
+        return CameraList(train=every, interpolating=every, extrapolating=every)
+    outermost = int(np.linalg.norm(poses[:, :3, 3] - poses[:, :3, 3].mean(axis=0), axis=-1).argmax())
+    others = np.delete(poses, outermost, axis=0)
     return CameraList(
-        train=tuple(rows for index, rows in enumerate(others) if index % 8),
-        interpolating=tuple(others[::8]),
-        extrapolating=(listed[outermost],),
-        fov_deg=fov_deg,
-        intrinsics=intrinsics,
+        train=lens.cameras(others[np.arange(len(others)) % 8 > 0]),
+        interpolating=lens.cameras(others[::8]),
+        extrapolating=lens.cameras(poses[outermost, None]),
     )
 
 
@@ -128,7 +109,9 @@ FOLDERS = ("", "sparse/0", "sparse", "colmap/sparse/0")
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Lens:
+class _Row:
+    """A camera as COLMAP lists it."""
+
     width: int
     height: int
     model: _Model
@@ -148,12 +131,8 @@ def has_colmap(root: Path) -> bool:
     return _place(root) is not None
 
 
-def read_colmap(root: Path, remarks: Remarks) -> tuple[ForeignCamera, ...]:
-    """The cameras of a folder, in the order of their pictures' names.
-
-    Raises:
-        HyalineError: a file is damaged, or has a camera that cannot be drawn.
-    """
+def read_colmap(root: Path, remarks: Remarks) -> tuple[Camera, ...]:
+    """The cameras of a folder, in the order of their pictures' names."""
     found = _place(root)
     assert found is not None, "asked for where has_colmap says so"
     folder, ending = found
@@ -166,9 +145,8 @@ def read_colmap(root: Path, remarks: Remarks) -> tuple[ForeignCamera, ...]:
         where = f"{paths[1]}: {shown(image.name)}"
         if image.camera not in lenses:
             raise HyalineError(f"{where}: was taken by camera {image.camera}; expected one that {paths[0].name} has")
-        lens = _intrinsics(lenses[image.camera], remarks, where=where)
-        pose = _world_from_camera(image, where=where)
-        cameras.append(ForeignCamera(world_from_camera=pose, fov_deg=math.degrees(lens.fov_x), intrinsics=lens))
+        lens = _lens(lenses[image.camera], remarks, where=where)
+        cameras.append(lens.camera(_world_from_camera(image, where=where)))
     return tuple(cameras)
 
 
@@ -181,22 +159,18 @@ def _place(root: Path) -> tuple[Path, str] | None:
     return None
 
 
-def _intrinsics(lens: _Lens, remarks: Remarks, *, where: str) -> Intrinsics:
-    numbers = lens.values
-    column, row = numbers[lens.model.focals : lens.model.focals + 2]
-    if not (numbers[0] > 0 and lens.width > 0 and lens.height > 0 and np.isfinite(numbers).all()):
+def _lens(row: _Row, remarks: Remarks, *, where: str) -> Lens:
+    numbers, focals = row.values, row.model.focals
+    if not (numbers[0] > 0 and row.width > 0 and row.height > 0 and np.isfinite(numbers).all()):
         raise HyalineError(
-            f"{where}: has a focal length of {numbers[0]:g} in pictures {lens.width} pixels wide; expected more than 0"
+            f"{where}: has a focal length of {numbers[0]:g} in pictures {row.width} pixels wide; expected more than 0"
         )
-    if any(abs(value) > 1e-9 for value in numbers[lens.model.focals + 2 :]):
+    if any(abs(value) > 1e-9 for value in numbers[focals + 2 :]):
         remarks.approximate("cameras", DISTORTED)
-    if abs(numbers[lens.model.focals - 1] / numbers[0] - 1) > TOLERANCE:
+    if abs(numbers[focals - 1] / numbers[0] - 1) > TOLERANCE:
         remarks.approximate("cameras", NOT_SQUARE)
-    focal = numbers[0]
-    try:
-        return Intrinsics(fl_x=focal, fl_y=focal, cx=column, cy=row, w=lens.width, h=lens.height)
-    except HyalineError as error:
-        raise HyalineError(f"{where}: {error}") from None
+    center = numbers[focals], numbers[focals + 1]
+    return lens_of(numbers[0], row.width, row.height, center, where=where)
 
 
 def _world_from_camera(image: _Image, *, where: str) -> np.ndarray:
@@ -204,14 +178,7 @@ def _world_from_camera(image: _Image, *, where: str) -> np.ndarray:
     length = float(np.linalg.norm(quaternion))
     if not (0.5 < length < 2 and np.abs(place).max() < 1e12):
         raise HyalineError(f"{where}: has a rotation of length {length:g}; expected a quaternion of length 1")
-    w, x, y, z = quaternion / length
-    rotation = np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    rotation = rotation_of(np.roll(quaternion / length, -1))
     matrix = np.eye(4)
     # COLMAP's cameras look along +z with +y down; OpenGL's look along -z with +y up.
     matrix[:3, :3] = rotation.T * [1, -1, -1]
@@ -222,7 +189,7 @@ def _world_from_camera(image: _Image, *, where: str) -> np.ndarray:
 # Binary
 
 
-def _read_binary(cameras: Path, images: Path) -> tuple[dict[int, _Lens], list[_Image]]:
+def _read_binary(cameras: Path, images: Path) -> tuple[dict[int, _Row], list[_Image]]:
     try:
         return _binary_lenses(cameras), _binary_images(images)
     except (struct.error, ValueError) as error:
@@ -231,14 +198,14 @@ def _read_binary(cameras: Path, images: Path) -> tuple[dict[int, _Lens], list[_I
         ) from None
 
 
-def _binary_lenses(path: Path) -> dict[int, _Lens]:
+def _binary_lenses(path: Path) -> dict[int, _Row]:
     data = read_foreign(path)
     lenses, at = {}, 8
     for _ in range(_count(data, path)):
         camera, number, width, height = CAMERA.unpack_from(data, at)
         model = _model(MODELS.get(number), number, where=str(path))
         values = struct.unpack_from(f"<{model.numbers}d", data, at + CAMERA.size)
-        lenses[camera] = _Lens(width=width, height=height, model=model, values=values)
+        lenses[camera] = _Row(width=width, height=height, model=model, values=values)
         at += CAMERA.size + 8 * model.numbers
     return lenses
 
@@ -268,9 +235,9 @@ def _count(data: bytes, path: Path) -> int:
 # Text
 
 
-def _read_text(cameras: Path, images: Path) -> tuple[dict[int, _Lens], list[_Image]]:
+def _read_text(cameras: Path, images: Path) -> tuple[dict[int, _Row], list[_Image]]:
     by_name = {model.name: model for model in MODELS.values()}
-    lenses: dict[int, _Lens] = {}
+    lenses: dict[int, _Row] = {}
     listed: list[_Image] = []
     where = str(cameras)
     try:
@@ -280,7 +247,7 @@ def _read_text(cameras: Path, images: Path) -> tuple[dict[int, _Lens], list[_Ima
                 values = tuple(map(float, words[4:]))
                 if len(values) != model.numbers:
                     raise ValueError(f"{len(values)} numbers of a {model.name}")
-                lens = _Lens(width=int(words[2]), height=int(words[3]), model=model, values=values)
+                lens = _Row(width=int(words[2]), height=int(words[3]), model=model, values=values)
                 lenses[int(words[0])] = lens
         where = str(images)
         # Each image is two lines, the second of which lists its points, and may be empty.

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
 
-from datagen.data.resolution import Resolution
+from datagen.data.config import Resolution
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import check_relative
 from datagen.disk.ownership import FolderKind, begin, holding, is_ours, refuse_others, refuse_taken, remove_files

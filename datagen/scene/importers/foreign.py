@@ -9,10 +9,10 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float, Int
 
+from datagen.data.cameras import Camera, Lens, check_lens
 from datagen.disk.errors import HyalineError
 from datagen.disk.reading import read_regular
 from datagen.machine.confined import allow_file
-from datagen.scene.camera_list import Intrinsics
 from datagen.scene.importers.remarks import Remarks
 from datagen.scene.materials import Material
 from datagen.scene.substances import SUBSTANCES
@@ -138,18 +138,6 @@ class ForeignMap:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ForeignCamera:
-    """A camera of the file."""
-
-    world_from_camera: Float[np.ndarray, "4 4"]
-    """OpenGL convention: +x right, +y up, it looks along -z; in the file's units and axes."""
-    fov_deg: float
-    """Horizontal, where the axis goes through the picture's middle."""
-    intrinsics: Intrinsics | None = None
-    """The lens in pixels, where the file says the size of its pictures."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
 class ForeignLamp:
     """A lamp without a size."""
 
@@ -177,7 +165,8 @@ class ForeignScene:
     lamps: tuple[ForeignLamp, ...] = ()
     sky: Color | ForeignMap | None = None
     """Radiance from all around, or a map of it; None where the file says nothing of it."""
-    cameras: tuple[ForeignCamera, ...] = ()
+    cameras: tuple[Camera, ...] = ()
+    """In the file's units and axes, OpenGL convention: +x right, +y up, it looks along -z."""
     license: str | None = None
     """What the file says of it, in a line; None where it says nothing."""
     is_complete: bool = False
@@ -195,18 +184,29 @@ def read_foreign(path: Path, *, at_most: int = MAX_FILE_BYTES) -> bytes:
     return data
 
 
-def lens_of(focal: float, width: float, height: float, *, where: str) -> tuple[float, Intrinsics | None]:
-    """The horizontal angle in degrees of a lens whose axis is in the middle; the lens where pictures are not square.
-
-    Raises:
-        HyalineError: no such lens can be.
-    """
+def lens_of(
+    focal: float, width: float, height: float, center: tuple[float, float] | None = None, *, where: str
+) -> Lens:
+    """The lens of a focal length in pixels."""
     wide, high = round(width), round(height)
+    is_central = center in (None, (wide / 2, high / 2))
+    lens = Lens(fov_x=2 * math.atan2(0.5 * wide, focal), width=wide, height=high, center=None if is_central else center)
     try:
-        lens = Intrinsics(fl_x=focal, fl_y=focal, cx=wide / 2, cy=high / 2, w=wide, h=high)
+        check_lens(lens)
     except HyalineError as error:
         raise HyalineError(f"{where}: {error}") from None
-    return math.degrees(lens.fov_x), None if wide == high else lens
+    return lens
+
+
+def rotation_of(quaternion: Float[np.ndarray, "*n 4"]) -> Float[np.ndarray, "*n 3 3"]:
+    """The rotation of a quaternion (x, y, z, w) of length 1."""
+    x, y, z, w = np.moveaxis(quaternion, -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 def elementwise(points: np.ndarray, linear: np.ndarray, offset: np.ndarray) -> np.ndarray:

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from datagen.data.license import unknown
+from datagen.data.config import Resolution, square
 from datagen.data.meshes import is_there, open_edges
-from datagen.data.resolution import Resolution, square
+from datagen.data.metadata import unknown_license
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import file_name
 from datagen.disk.records import Json, shown
@@ -155,7 +155,7 @@ def import_scene(path: Path, choices: ImportChoices, *, resolution: Resolution =
     scene = Scene(
         name=scene_name(path),
         description=f"Imported from {path.name}"[:200],
-        license=foreign.license or unknown(path.name),
+        license=foreign.license or unknown_license(path.name),
         objects=tuple(objects),
         environment=environment,
         lights=lights,

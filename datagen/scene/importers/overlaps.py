@@ -10,18 +10,20 @@ import numpy as np
 from jaxtyping import Float
 
 from datagen.data.meshes import (
+    NUM_POINTS,
     Mesh,
+    check_solid,
     component_of_faces,
     face_areas,
     face_corners,
     open_edges,
+    points_on,
     signed_volume,
     vertex_normals,
     volume_within,
     welded,
+    windings,
 )
-from datagen.data.surface_points import points_on
-from datagen.data.windings import SAMPLES, check_solid, windings
 from datagen.disk.errors import HyalineError
 from datagen.scene.contact import TOLERANCE, touching_share
 from datagen.scene.description import SceneObject
@@ -129,7 +131,7 @@ def _overlap(one: Mesh, other: Mesh) -> bool:
     if (low > other_high).any() or (other_low > high).any():
         return False
     return any(
-        (windings(face_corners(around), points_on(mesh, SAMPLES).position) > 0).mean() > MAX_TOUCHING
+        (windings(face_corners(around), points_on(mesh, NUM_POINTS).position) > 0).mean() > MAX_TOUCHING
         for mesh, around in ((one, other), (other, one))
     )
 

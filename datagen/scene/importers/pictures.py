@@ -6,9 +6,8 @@ import functools
 import numpy as np
 from jaxtyping import Float, Float32, UInt8
 
+from datagen.data.images import linear_from_srgb, png_bytes, srgb_from_linear, to_8bit
 from datagen.data.meshes import Mesh, face_areas
-from datagen.data.png import png_bytes
-from datagen.data.tonemap import linear_from_srgb, srgb_from_linear, to_8bit
 from datagen.scene.cutouts import Cut, Opacity, corner_uv_of
 from datagen.scene.images import opened_image
 from datagen.scene.importers.foreign import ForeignImage, ForeignMaterial

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
+from datagen.data.config import Resolution
 from datagen.data.meshes import face_corners
-from datagen.data.resolution import Resolution
 from datagen.scene.description import CameraRig, SceneObject, WalkPoint
 from datagen.scene.importers.foreign import Axis
 from datagen.scene.importers.lights import towards

@@ -13,8 +13,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
-from datagen.data.meshes import Mesh, component_of_faces, face_corners, open_edges, signed_volume, welded
-from datagen.data.windings import windings
+from datagen.data.meshes import Mesh, component_of_faces, face_corners, open_edges, signed_volume, welded, windings
 from datagen.disk.errors import HyalineError
 from datagen.machine.child_python import ChildError, arrays_from_child
 from datagen.scene.importers.remarks import Remarks

@@ -28,11 +28,10 @@ def _seen_share(
 ) -> float:
     world_from_camera = cameras.world_from_camera[view]
     seen = (corners - world_from_camera[:3, 3]) @ world_from_camera[:3, :3]
-    focal = cameras.width / 2 / np.tan(cameras.fov_x / 2)
     # In pixels, right and down, from the middle of the first one; depth along the axis.
     depth = -seen[..., 2]
-    right = cameras.width / 2 - 0.5 + focal * seen[..., 0] / depth
-    down = cameras.height / 2 - 0.5 - focal * seen[..., 1] / depth
+    right = cameras.width / 2 - 0.5 + cameras.focal * seen[..., 0] / depth
+    down = cameras.height / 2 - 0.5 - cameras.focal * seen[..., 1] / depth
     face, column, row = _middles_in_boxes(right, down, cameras.width, cameras.height)
     weights = _barycentric(right[face], down[face], column, row)
     inside = (weights >= 0).all(axis=-1)

@@ -11,10 +11,9 @@ from itertools import combinations
 
 import numpy as np
 
-from datagen.data.config import DatasetConfig, SplitConfig
-from datagen.data.license import OWN
-from datagen.data.resolution import Resolution
-from datagen.data.windings import windings
+from datagen.data.config import DatasetConfig, Resolution, SplitConfig
+from datagen.data.meshes import windings
+from datagen.data.metadata import OWN_LICENSE
 from datagen.disk.errors import HyalineError
 from datagen.scene.atlas import unwrap_all
 from datagen.scene.description import CameraRig, Scene, SceneObject, WalkPoint
@@ -66,7 +65,7 @@ def make_random(name: RandomName) -> Scene:
         say(f"scene {name}: a draw was refused: {reason}")
     meshes = unwrap_all({item.name: item.mesh for item in drawn.scene.objects})
     objects = tuple(dataclasses.replace(item, mesh=meshes[item.name]) for item in drawn.scene.objects)
-    scene = dataclasses.replace(drawn.scene, objects=objects, license=OWN)
+    scene = dataclasses.replace(drawn.scene, objects=objects, license=OWN_LICENSE)
     check_scene(scene)
     return scene
 

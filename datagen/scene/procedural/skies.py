@@ -9,7 +9,7 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Float
 
-from datagen.data.exr import encode_float_exr
+from datagen.data.images import encode_float_exr
 from datagen.scene.procedural.chance import between
 from datagen.scene.procedural.patterns import color_pair
 from datagen.scene.solid_textures import fractal_noise

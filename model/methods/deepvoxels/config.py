@@ -5,7 +5,7 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar, Literal, Self
 
-from datagen.data.resolution import Resolution
+from datagen.data.config import Resolution
 from datagen.disk.errors import HyalineError
 from model.methods.protocol import MethodConfig
 from model.settings.flags import choice, unflagged

@@ -6,7 +6,7 @@ from datagen.data.cameras import Cameras
 from datagen.data.config import Split
 from datagen.disk.errors import HyalineError
 from model.batches.rays import black
-from model.batches.view_batches import Views, load_views, views_of
+from model.batches.view_batches import Views, load_views
 from model.methods.deepvoxels.config import DeepVoxelsConfig
 from model.methods.deepvoxels.renderer import DeepVoxels, build_deepvoxels
 from model.methods.protocol import Inputs
@@ -39,4 +39,4 @@ def load_cameras(config: DeepVoxelsConfig, inputs: Inputs, cameras: Cameras) -> 
             f"camera: is {cameras.width} x {cameras.height} pixels; deepvoxels draws {size} x {size}, the size that "
             "its networks were made for"
         )
-    return views_of(cameras, black(cameras))
+    return Views(rgb=black(cameras), cameras=cameras)

@@ -11,10 +11,11 @@ import torch
 from jaxtyping import Float32
 from torch import Tensor
 
+from datagen.data.cameras import Camera
+from datagen.data.config import square
 from datagen.data.dataset import Dataset
 from datagen.data.geometries import read_meshes
 from datagen.data.paths import TRUTH
-from datagen.data.resolution import square
 from datagen.disk.errors import HyalineError
 from model.batches.view_batches import ViewBatch, Views
 from model.losses.pixel_losses import PatchTerms
@@ -22,7 +23,7 @@ from model.methods.deepvoxels.config import DeepVoxelsConfig
 from model.methods.deepvoxels.loss import BORDER, L1_WEIGHT, adversarial_loss, seeded_torch
 from model.methods.renderer import ParameterGroup, Renderer
 from model.nets.voxel_blocks import Unet
-from model.nets.voxel_grid import ViewCamera, VoxelGrid, fit_cube, lift, sample_frustum
+from model.nets.voxel_grid import VoxelGrid, fit_cube, lift, sample_frustum
 from model.nets.voxel_nets import (
     Critic,
     Integration,
@@ -105,11 +106,11 @@ class DeepVoxels(Renderer[Views]):
         targets = rng.choice(training.num_views, size=min(batch, training.num_views), replace=False).tolist()
         source = int(rng.choice(training.neighbours(targets[0])))
         with seeded_torch(rng, training.rgb.device):
-            inpainted = self.inpaint(self.observe(training.image(source), training.camera(source)))
+            inpainted = self.inpaint(self.observe(training.image(source), training.cameras[source]))
             inside = slice(BORDER, -BORDER)
             losses = []
             for target in targets:
-                drawn = self.draw(inpainted, training.camera(target))[..., inside, inside]
+                drawn = self.draw(inpainted, training.cameras[target])[..., inside, inside]
                 true = training.image(target)[..., inside, inside]
                 loss = (drawn - true).abs().mean()
                 if self.critic is not None:
@@ -127,7 +128,7 @@ class DeepVoxels(Renderer[Views]):
             ),
         ]
 
-    def observe(self, image: Float32[Tensor, "1 3 h w"], camera: ViewCamera) -> Volume:
+    def observe(self, image: Float32[Tensor, "1 3 h w"], camera: Camera) -> Volume:
         """The grid after one more view, which it then keeps.
 
         Args:
@@ -143,7 +144,7 @@ class DeepVoxels(Renderer[Views]):
         """The grid with what no view has shown filled in from around."""
         return self.inpainting(torch.cat([volume, self.get_buffer("coordinates")], dim=1))
 
-    def draw(self, inpainted: Volume, camera: ViewCamera) -> Float32[Tensor, "1 3 h w"]:
+    def draw(self, inpainted: Volume, camera: Camera) -> Float32[Tensor, "1 3 h w"]:
         """sRGB picture in [0, 1] of one view."""
         frustum = sample_frustum(inpainted, camera, self.grid, self.config.plane_size)
         return 0.5 + 0.5 * self.rendering(collapse(frustum, self.occlusion(frustum)))

@@ -12,12 +12,11 @@ from jaxtyping import Bool, Float32, Int, UInt8
 from torch import Tensor
 
 from datagen.data.cameras import Cameras
-from datagen.data.config import Split
+from datagen.data.config import Resolution, Split
 from datagen.data.dataset import Dataset
 from datagen.data.geometries import GeometryKey, geometry_key, read_meshes
 from datagen.data.meshes import Mesh
 from datagen.data.paths import TRUTH
-from datagen.data.resolution import Resolution
 from datagen.machine.mitsuba_variant import short_lived_workers, use_mitsuba
 from datagen.trace.limits import Limits
 from model.batches.rays import black, read_colors

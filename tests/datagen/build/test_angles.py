@@ -8,9 +8,8 @@ import pytest
 from support.synthetic import quad, synthetic_scene
 
 from datagen.build.angles import angle_outside, make_angle_cameras, places_outside
-from datagen.data.config import ANGLE_SPLITS, DatasetConfig, SplitConfig
+from datagen.data.config import ANGLE_SPLITS, DatasetConfig, SplitConfig, square
 from datagen.data.meshes import Mesh
-from datagen.data.resolution import square
 from datagen.disk.errors import HyalineError
 from datagen.scene.description import CameraRig
 

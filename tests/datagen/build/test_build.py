@@ -15,13 +15,12 @@ from support.synthetic import synthetic_scene, write_synthetic_dataset
 
 from datagen.build.build import build_dataset, peel_dataset, summary
 from datagen.build.verify import verify_dataset
-from datagen.data.config import SPLITS, DatasetConfig, SplitConfig
+from datagen.data.config import SPLITS, DatasetConfig, SplitConfig, square
 from datagen.data.dataset import open_dataset
 from datagen.data.geometries import read_meshes
 from datagen.data.layer_writing import write_layers
 from datagen.data.layers import Layers
 from datagen.data.paths import TRUTH, image_path, layers_root
-from datagen.data.resolution import square
 from datagen.disk.errors import HyalineError
 from datagen.scene.folder import save_scene
 

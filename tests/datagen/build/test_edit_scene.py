@@ -16,14 +16,12 @@ from datagen.build.find_edit_masks import find_edit_mask, shows_objects
 from datagen.build.plan_variant import plan_edit
 from datagen.build.verify import verify_dataset
 from datagen.data.cameras import Cameras
-from datagen.data.config import SPLITS, DatasetConfig, SplitConfig
+from datagen.data.config import SPLITS, DatasetConfig, SplitConfig, square
 from datagen.data.dataset import Dataset, open_dataset
-from datagen.data.edit_masks import ELSEWHERE, LIGHT, OBJECT, read_edit_mask
 from datagen.data.geometries import ProxyStatistics, read_meshes, write_proxies
 from datagen.data.meshes import Mesh, is_there, no_mesh
 from datagen.data.paths import TRUTH
-from datagen.data.resolution import square
-from datagen.data.variants import TWINS, open_variant
+from datagen.data.variants import ELSEWHERE, LIGHT, OBJECT, TWINS, open_variant, read_edit_mask
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import commit_sealed, load_sealed, sha256
 from datagen.machine.mitsuba_variant import use_mitsuba

@@ -9,10 +9,9 @@ from support import fake_renderer
 from support.synthetic import synthetic_scene
 
 from datagen.build.build import build_dataset, peel_dataset
-from datagen.data.config import DatasetConfig, SplitConfig
+from datagen.data.config import DatasetConfig, SplitConfig, square
 from datagen.data.dataset import open_dataset
 from datagen.data.paths import TRUTH
-from datagen.data.resolution import square
 
 pytestmark = pytest.mark.promise("R1")
 

@@ -20,10 +20,9 @@ from datagen.build.build import _start_beside_others, open_or_start
 from datagen.build.launch import LaunchChoices, _without_launch
 from datagen.build.shards import Shard, parse_shard
 from datagen.build.verify import verify_dataset
-from datagen.data.config import DatasetConfig, SplitConfig
+from datagen.data.config import DatasetConfig, SplitConfig, square
 from datagen.data.geometries import geometry_hash
 from datagen.data.paths import TRUTH, layers_root
-from datagen.data.resolution import square
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import DATASET, LAYERS
 from datagen.disk.storage import commit, commit_first, one_writer, shared_writers

@@ -15,11 +15,10 @@ from support.synthetic import synthetic_scene
 import datagen.cli
 import model.cli
 from datagen.build.verify import verify_dataset
-from datagen.data.config import ANGLE_SPLITS, TEST_SPLITS
+from datagen.data.config import ANGLE_SPLITS, TEST_SPLITS, square
 from datagen.data.dataset import open_dataset
+from datagen.data.images import read_png
 from datagen.data.paths import image_path
-from datagen.data.png import read_png
-from datagen.data.resolution import square
 from datagen.data.variants import evenly, has_variant, open_variant, parent_views
 from datagen.disk.errors import HyalineError
 from datagen.scene.folder import save_scene

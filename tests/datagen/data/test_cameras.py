@@ -10,7 +10,9 @@ import pytest
 from support.rigs import RIG, config
 from support.synthetic import pixel_rays, synthetic_scene
 
-from datagen.data.cameras import Cameras, look_at, parse_transforms, subpixel_offsets, subpixel_rays, transforms_bytes
+from datagen.data.cameras import Cameras, look_at, subpixel_offsets, subpixel_rays
+from datagen.data.config import Resolution
+from datagen.data.transforms import parse_transforms, transforms_bytes
 from datagen.disk.errors import HyalineError
 from datagen.scene.rig import make_cameras
 
@@ -94,7 +96,7 @@ def test_lens_and_depths_survive_the_transforms_files_of_any_size() -> None:
     plain = dataclasses.replace(once, center=None, near=None, far=None)
     written = transforms_bytes(plain, "train")
     assert "near" not in json.loads(written) and parse_transforms(written, where="file").center is None
-    twice = once.times(2)
+    twice = once.fitted(Resolution(width=48, height=32))
     assert (twice.width, twice.height, twice.center, twice.near) == (48, 32, (18.5, 20.0), 0.5)
     finer = twice[0].rays()[1].reshape(16, 2, 24, 2, 3).mean(axis=(1, 3))
     assert np.abs(finer - once[0].rays()[1]).max() < 1e-3
@@ -104,7 +106,7 @@ def test_lens_and_depths_survive_the_transforms_files_of_any_size() -> None:
 def test_subpixel_rays_are_the_pixel_centre_rays_of_a_finer_picture(center: tuple[float, float] | None) -> None:
     poses = np.stack([look_at(np.array([3.0, 1.0, 2.0]), np.zeros(3)), look_at(np.array([0.5, -2.0, 1.0]), np.ones(3))])
     coarse = Cameras(world_from_camera=poses, fov_x=0.8, width=5, height=4, center=center)
-    fine = coarse.times(3)
+    fine = coarse.fitted(Resolution(width=15, height=12))
     offsets = np.broadcast_to(subpixel_offsets(9), (2 * 20, 9, 2))
     origins, directions = subpixel_rays(coarse, np.arange(2 * 20), offsets)
     for view in range(2):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from datagen.data.exr import check_exr, decode_exr, encode_exr
+from datagen.data.images import check_exr, decode_exr, encode_exr
 from datagen.disk.errors import HyalineError
 from datagen.machine.mitsuba_variant import use_mitsuba
 

@@ -11,7 +11,7 @@ from PIL import Image, ImageSequence
 from support.disk import read_state
 
 from datagen.data.film import check_film, write_film
-from datagen.data.png import read_png
+from datagen.data.images import read_png
 from datagen.disk.errors import HyalineError
 
 FRAMES = [np.full((6, 9, 3), level, np.uint8) for level in (0, 90, 255)]

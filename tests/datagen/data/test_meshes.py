@@ -12,16 +12,15 @@ from trimesh.visual.texture import TextureVisuals
 
 from datagen.data.meshes import (
     Mesh,
+    check_closed,
     check_mesh,
     component_of_faces,
     face_corners,
     open_edges,
-    read_ply,
     signed_volume,
     winding_number,
-    write_ply,
 )
-from datagen.data.windings import check_closed
+from datagen.data.ply import read_ply, write_ply
 from datagen.disk.errors import HyalineError
 
 BALL = mesh_of(trimesh.creation.icosphere(2))

@@ -3,7 +3,7 @@
 import colour
 import numpy as np
 
-from datagen.data.tonemap import linear_from_srgb, srgb_from_linear, to_8bit
+from datagen.data.images import linear_from_srgb, srgb_from_linear, to_8bit
 
 
 def test_the_curve_equals_colour_sciences() -> None:

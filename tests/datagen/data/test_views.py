@@ -11,7 +11,7 @@ from support.synthetic import write_synthetic_dataset
 
 from datagen.data.cameras import Camera
 from datagen.data.dataset import Dataset, open_dataset
-from datagen.data.tonemap import srgb_from_linear, to_8bit
+from datagen.data.images import srgb_from_linear, to_8bit
 from datagen.disk.errors import DamagedError, HyalineError
 
 OPENED: list[str] = []

@@ -6,8 +6,8 @@ import pytest
 from support.synthetic import write_synthetic_dataset
 
 from datagen.cli import main
-from datagen.data.clear import clear_dataset
 from datagen.data.dataset import open_dataset
+from datagen.data.writing import clear_dataset
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import DATASET, LAYERS, FolderKind, begin, holding, refuse_taken, remove_files
 from datagen.disk.storage import commit_sealed, seal_bytes, sha256

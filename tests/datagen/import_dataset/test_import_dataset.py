@@ -16,11 +16,10 @@ from support.traced_dataset import write_traced_dataset
 from datagen.build.build import peel_dataset, summary
 from datagen.build.mend import mend_dataset
 from datagen.build.verify import verify_dataset
-from datagen.data.config import SPLITS, TEST_SPLITS
+from datagen.data.config import SPLITS, TEST_SPLITS, square
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.meshes import signed_volume
 from datagen.data.paths import TRUTH
-from datagen.data.resolution import square
 from datagen.disk.errors import HyalineError
 from datagen.export.formats import export_dataset
 from datagen.import_dataset.choices import DatasetImportChoices
@@ -28,7 +27,7 @@ from datagen.import_dataset.import_dataset import plan_import, write_import
 from datagen.look.look import look_page
 from datagen.quantities.surfaces import surfaces_of
 from datagen.quantities.view_quantities import quantities
-from datagen.scene.camera_list import list_cameras
+from datagen.scene.camera_list import CameraList
 from datagen.scene.folder import load_scene
 from datagen.scene.rig import make_cameras
 from eval.figures.cameras import cameras_figure
@@ -247,7 +246,7 @@ def test_a_principal_point_may_lie_anywhere(blender: Path, tmp_path: Path) -> No
     dataset = take_over(blender, tmp_path / "out", downscale=2)
     for split in dataset.splits:
         assert np.allclose(dataset.cameras(split)[0].intrinsics, [[4.5, 0, 1.5], [0, 4.5, 2.75], [0, 0, 1]])
-    listed = list_cameras({split: dataset.cameras(split) for split in dataset.splits})
+    listed = CameraList(**{split: dataset.cameras(split) for split in SPLITS})
     made = make_cameras(listed, dataset.config)
     for split, cameras in made.items():
         assert np.allclose(cameras[0].intrinsics, dataset.cameras(split)[0].intrinsics)
@@ -355,7 +354,7 @@ HOSTILE: dict[str, tuple[Callable[[Path], None], str]] = {
         edit_json(lambda data: data["frames"][1].update(camera_angle_x=0.3)),
         "expected one lens for all",
     ),
-    "no lens": (edit_json(lambda data: data.pop("camera_angle_x")), "has no lens; expected fl_x"),
+    "no lens": (edit_json(lambda data: data.pop("camera_angle_x")), "has no lens; expected camera_angle_x"),
     "pixels that are not square": (
         set_first(fl_x=9.0, fl_y=9.5),
         "has focal lengths 9 and 9.5; expected square pixels",
@@ -364,7 +363,7 @@ HOSTILE: dict[str, tuple[Callable[[Path], None], str]] = {
         edit_json(lambda data: data["frames"][1].update(cx=3.0)),
         "expected one lens for all, with one principal point",
     ),
-    "no pixels": (set_first(w=8, h=-6), "resolution: is -6; expected 1 to 8192 pixels"),
+    "no pixels": (set_first(w=8, h=-6), "is 8 x -6 pixels; expected at least 1 x 1"),
     "another size": (
         lambda root: Image.new("RGB", (4, 4)).save(root / "train" / "r_2.png"),
         "r_2.png: is 4 x 4 pixels; expected 8 x 8",

@@ -12,7 +12,7 @@ from support.scenes import DUSK, rendered, scene_of
 from support.synthetic import look_at, quad
 
 from datagen.data.cameras import Camera, Cameras
-from datagen.data.exr import decode_exr
+from datagen.data.images import decode_exr
 from datagen.disk.errors import HyalineError
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.description import Lobe, RectangleLight, Scene, SceneObject, SoftEnvironment
@@ -351,7 +351,7 @@ def test_the_noise_estimate_is_the_real_error() -> None:
     scene = scene_of(ball, water, floor, environment=DUSK)
     cameras = camera((2, 1, 1), fov=0.7, size=32)
     renderer = Renderer(scene, max_depth=24)
-    from datagen.data.tonemap import srgb_from_linear
+    from datagen.data.images import srgb_from_linear
 
     radiance = render_view(renderer, cameras, 0, spp=4096, view_seed=99, ceiling_db=None).radiance
     reference = srgb_from_linear(radiance)

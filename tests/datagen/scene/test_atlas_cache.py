@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datagen.data.meshes import Mesh, write_ply
+from datagen.data.meshes import Mesh
+from datagen.data.ply import write_ply
 from datagen.disk.private import write_hashed
 from datagen.scene import atlas
 from datagen.scene.atlas import unwrap, unwrap_all

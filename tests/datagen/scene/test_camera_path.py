@@ -93,13 +93,22 @@ class Aside:
 @pytest.mark.parametrize(
     ("content", "problem"),
     [
-        ("{}", "has no frames; expected an object with a list"),
+        ("{}", "has 0 frames; expected 1 to 10,000"),
         ('{"frames": [{}]}', r"frames\[0\]\.transform_matrix: "),
         ('{"frames": [{"transform_matrix": [["1", 0, 0, 0]]}]}', r"frames\[0\]\.transform_matrix: "),
         ('{"frames": [{"transform_matrix": [[2,0,0,0],[0,2,0,0],[0,0,2,0],[0,0,0,1]]}]}', "expected a rotation"),
-        ('{"camera_angle_x": 9, "frames": [{"transform_matrix": [[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]}]}', "fov_x"),
-        ('{"cx": 9, "cy": 1, "w": 8, "h": 8, "frames": [{}]}', "cx, cy is 9, 1 in pictures of 8 x 8 pixels; expected"),
-        ('{"cx": 0, "cy": 0, "w": 0, "h": 8, "frames": [{}]}', "in pictures of 0 x 8 pixels; expected it inside"),
+        (
+            '{"camera_angle_x": 9, "frames": [{"transform_matrix": [[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]}]}',
+            "has no lens",
+        ),
+        (
+            '{"camera_angle_x": 1, "cx": 99, "cy": 1, "w": 8, "h": 8, "frames": [{}]}',
+            "principal point is 99, 1; expected",
+        ),
+        (
+            '{"camera_angle_x": 1, "cx": 0, "cy": 0, "w": 0, "h": 8, "frames": [{}]}',
+            "is 0 x 8 pixels; expected at least",
+        ),
         ("[", "not a JSON file"),
     ],
 )

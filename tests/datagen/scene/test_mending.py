@@ -9,9 +9,8 @@ import pytest
 from PIL import Image
 from support.synthetic import synthetic_scene
 
-from datagen.data.meshes import Mesh, face_areas, write_ply
-from datagen.data.surface_points import points_on
-from datagen.data.windings import check_closed
+from datagen.data.meshes import Mesh, check_closed, face_areas, points_on
+from datagen.data.ply import write_ply
 from datagen.disk.errors import HyalineError
 from datagen.scene.atlas import coverage
 from datagen.scene.description import Scene, image_bytes

@@ -5,8 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from datagen.data.meshes import Mesh, check_mesh, face_corners, open_edges, signed_volume, winding_number
-from datagen.data.windings import check_closed
+from datagen.data.meshes import Mesh, check_closed, check_mesh, face_corners, open_edges, signed_volume, winding_number
 from datagen.scene import solid_textures
 from datagen.scene.modelling import (
     ball,

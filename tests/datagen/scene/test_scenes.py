@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from support.meshes import chart_map
 
-from datagen.data.finding import BUILT_IN_SCENES
 from datagen.data.meshes import Mesh, component_of_faces, face_areas, face_corners, open_edges, signed_volume
+from datagen.data.paths import BUILT_IN_SCENES
 from datagen.disk.errors import HyalineError
 from datagen.scene.atlas import coverage
 from datagen.scene.builtin import SCENES, make_scene

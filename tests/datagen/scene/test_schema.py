@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from support.synthetic import synthetic_scene
 
-from datagen.data.cameras import look_at
-from datagen.data.resolution import square
+from datagen.data.cameras import Lens, look_at
+from datagen.data.config import square
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import from_json
 from datagen.scene.camera_list import CameraList
@@ -131,6 +131,7 @@ def test_whatever_the_schema_refuses_the_reader_refuses_and_what_it_accepts_fail
 
 def test_cameras_that_are_listed_are_read_as_they_stand(tmp_path: Path) -> None:
     from datagen.data.config import DatasetConfig, SplitConfig
+    from datagen.data.transforms import TRANSFORMS_FILES
     from datagen.scene.folder import load_scene, save_scene
     from datagen.scene.rig import make_cameras, with_listed_views
 
@@ -145,9 +146,14 @@ def test_cameras_that_are_listed_are_read_as_they_stand(tmp_path: Path) -> None:
     for place in places.values():
         place[:, 2] = 1 + np.abs(place[:, 2])
     poses = {split: np.stack([look_at(one, target) for one in place]) for split, place in places.items()}
-    data["cameras"] = {"type": "CameraList", "fov_deg": 35, **{split: each.tolist() for split, each in poses.items()}}
+    del data["cameras"]
     assert is_valid(data, SCHEMA)
     (tmp_path / "scene.json").write_text(json.dumps(data))
+    with pytest.raises(HyalineError, match=r"scene.json: has no cameras; expected `cameras` there, or transforms_tr"):
+        load_scene(tmp_path)
+    listed = {split: [{"transform_matrix": pose.tolist()} for pose in each] for split, each in poses.items()}
+    for split, frames in listed.items():
+        (tmp_path / TRANSFORMS_FILES[split]).write_text(json.dumps({"camera_angle_x": 0.6, "frames": frames}))
     scene = load_scene(tmp_path)
     assert scene.cameras.target == pytest.approx(target, abs=1e-5)
     split = SplitConfig(views=8, spp=16)
@@ -159,11 +165,16 @@ def test_cameras_that_are_listed_are_read_as_they_stand(tmp_path: Path) -> None:
     made = make_cameras(scene.cameras, with_listed_views(config, scene.cameras))
     for name, cameras in made.items():
         assert np.array_equal(cameras.world_from_camera, poses[name])
-        assert cameras.fov_x == pytest.approx(np.radians(35))
+        assert cameras.fov_x == 0.6
     assert scene_files(load_scene(tmp_path)) == scene_files(scene)
-    data["cameras"]["train"][1][0][0] += 0.1
-    (tmp_path / "scene.json").write_text(json.dumps(data))
-    with pytest.raises(HyalineError, match=r"cameras train\[1\]: is no rotation and place"):
+    listed["train"][1]["transform_matrix"][0][0] += 0.1
+    (tmp_path / "transforms_train.json").write_text(json.dumps({"camera_angle_x": 0.6, "frames": listed["train"]}))
+    with pytest.raises(
+        HyalineError, match=r"train.json: frames\[1\].transform_matrix: .*expected a rotation and a place"
+    ):
+        load_scene(tmp_path)
+    (tmp_path / "scene.json").write_text(json.dumps({**data, "cameras": {"type": "CameraList", "train": []}}))
+    with pytest.raises(HyalineError, match=r"no CameraList is read any more; list them in transforms files"):
         load_scene(tmp_path)
 
 
@@ -173,8 +184,9 @@ def test_listed_cameras_know_where_on_the_circle_around_their_target_they_stand(
     elevation = np.radians(np.linspace(10, 50, 14))
     across = 2 * np.cos(elevation)
     places = np.stack([across * np.cos(azimuth), across * np.sin(azimuth), 2 * np.sin(elevation)], axis=1)
-    poses = tuple(tuple(map(tuple, look_at(place, np.zeros(3)).tolist())) for place in places)
-    cameras = CameraList(train=poses, interpolating=poses[:1], extrapolating=poses[:1])
+    lens = Lens(fov_x=0.6, width=1, height=1)
+    train = lens.cameras(np.stack([look_at(place, np.zeros(3)) for place in places]))
+    cameras = CameraList(train=train, interpolating=train, extrapolating=train)
     assert cameras.radius == pytest.approx(2, abs=1e-5)
     assert cameras.elevation_deg == pytest.approx((10, 50), abs=1e-3)
     found = np.array(cameras.azimuth_deg)

@@ -7,8 +7,7 @@ import pytest
 from support.soon import soon
 from support.synthetic import synthetic_scene
 
-from datagen.data.meshes import Mesh, face_corners, signed_volume
-from datagen.data.windings import check_closed, check_solid, windings
+from datagen.data.meshes import Mesh, check_closed, check_solid, face_corners, signed_volume, windings
 from datagen.disk.errors import HyalineError
 from datagen.scene.description import CameraRig, Scene, SceneObject, WalkPoint
 from datagen.scene.materials import Conductor, Dielectric, Diffuse, Material, ThinDielectric

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from support.synthetic import write_synthetic_dataset
 
-from datagen.data.png import png_bytes
+from datagen.data.images import png_bytes
 from datagen.disk.errors import HyalineError
 from datagen.machine.doctor import examine
 from datagen.terminal.distribution import DISTRIBUTION, PARTS, VERSION, naming_parts

@@ -10,8 +10,8 @@ from support.reference import brute_force_hits
 from support.rigs import RIG, config
 from support.synthetic import pixel_rays, quad, trace
 
+from datagen.data.layers import quantize_uv, round_mantissa
 from datagen.data.meshes import Mesh
-from datagen.data.number_formats import quantize_uv, round_mantissa
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.builtin import SCENES, make_scene
 from datagen.scene.rig import make_cameras

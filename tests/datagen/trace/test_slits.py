@@ -7,9 +7,8 @@ import pytest
 from support.synthetic import synthetic_scene
 
 from datagen.data.cameras import Cameras
-from datagen.data.config import DatasetConfig, SplitConfig
+from datagen.data.config import DatasetConfig, SplitConfig, square
 from datagen.data.meshes import Mesh
-from datagen.data.resolution import square
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.builtin import SCENES
 from datagen.scene.description import CameraRig, Scene, SceneObject, WalkPoint

@@ -11,7 +11,7 @@ from support.scenes import DUSK, rendered
 from support.synthetic import look_at, synthetic_scene
 
 from datagen.data.cameras import Cameras
-from datagen.data.tonemap import linear_from_srgb
+from datagen.data.images import linear_from_srgb
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.description import Scene, SceneObject
 from datagen.scene.materials import Conductor, Plastic

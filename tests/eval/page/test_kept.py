@@ -12,7 +12,7 @@ from support.synthetic import write_synthetic_dataset
 
 from datagen.data.config import TEST_SPLITS
 from datagen.data.dataset import open_dataset
-from datagen.data.png import png_bytes
+from datagen.data.images import png_bytes
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import load_sealed
 from eval.analyses.curve import curve_from_json, curve_json, curve_of

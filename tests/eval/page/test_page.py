@@ -13,7 +13,7 @@ from support.synthetic import write_synthetic_dataset
 
 from datagen.data.config import TEST_SPLITS
 from datagen.data.dataset import open_dataset
-from datagen.data.png import png_bytes
+from datagen.data.images import png_bytes
 from datagen.disk.errors import HyalineError
 from eval.page.page import report_page
 from eval.page.report import make_report

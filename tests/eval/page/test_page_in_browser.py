@@ -12,7 +12,7 @@ from support.synthetic import write_synthetic_dataset
 from benchmarks.pages.browser import Watched, running_browser, watched_page
 from datagen.data.config import TEST_SPLITS
 from datagen.data.dataset import Dataset
-from datagen.data.png import png_bytes
+from datagen.data.images import png_bytes
 from datagen.look.look import look_page
 from eval.page.report import make_report
 

@@ -11,9 +11,9 @@ from scipy.signal import correlate2d
 from support.synthetic import write_synthetic_dataset
 from support.training import build, load, run_bytes, stop_at
 
+from datagen.data.config import Resolution, square
 from datagen.data.dataset import Dataset
 from datagen.data.paths import TRUTH
-from datagen.data.resolution import Resolution, square
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import sha256_file
 from datagen.machine.mitsuba_variant import use_mitsuba

@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Bool, Float32, Int, UInt8
 from torch import Tensor
 
-from datagen.data.resolution import Resolution, square
+from datagen.data.config import Resolution, square
 from datagen.disk.errors import HyalineError
 from model.batches.samples import mean_color, srgb_curve, variance_of_mean
 from model.losses.pixel_losses import noise_penalty, pixel_loss

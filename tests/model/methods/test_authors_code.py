@@ -10,8 +10,8 @@ from support.synthetic import write_synthetic_dataset
 from support.training import build, configured, run_bytes, stop_at
 
 from datagen.data.dataset import Dataset
+from datagen.data.images import read_png
 from datagen.data.paths import TRUTH
-from datagen.data.png import read_png
 from model.batches.rays import load_pixels
 from model.methods.authors_code.config import AuthorsConfig
 from model.methods.authors_code.renderer import AuthorsMlp, AuthorsRenderer, harmonics_without_constants

@@ -13,11 +13,10 @@ from support.reference import convolve, interpolate
 from support.synthetic import look_at, write_synthetic_dataset
 from torch import nn
 
-from datagen.data.cameras import Cameras
-from datagen.data.config import DatasetConfig, SplitConfig
+from datagen.data.cameras import Cameras, Lens
+from datagen.data.config import DatasetConfig, SplitConfig, square
 from datagen.data.dataset import Dataset
-from datagen.data.png import read_png
-from datagen.data.resolution import square
+from datagen.data.images import read_png
 from datagen.disk.errors import HyalineError
 from datagen.scene.rig import make_cameras
 from model import cli
@@ -27,7 +26,6 @@ from model.methods.deepvoxels.loss import adversarial_loss
 from model.methods.deepvoxels.renderer import DeepVoxels, build_deepvoxels, grid_coordinates
 from model.nets.voxel_blocks import ONEDNN_ROWS, Conv3d
 from model.nets.voxel_grid import (
-    ViewCamera,
     VoxelGrid,
     fit_cube,
     frustum_points,
@@ -65,10 +63,6 @@ def some_cameras(count: int, *, target: tuple[float, float, float] = (0.3, -0.2,
     return Cameras(world_from_camera=np.stack(poses), fov_x=np.radians(50), width=SIZE, height=SIZE)
 
 
-def camera_of(cameras: Cameras, view: int) -> ViewCamera:
-    return ViewCamera(world_from_camera=torch.from_numpy(cameras.world_from_camera[view]).float(), fov_x=cameras.fov_x)
-
-
 def some_grid(num_voxels: int = 8, edge: float = 1.2) -> VoxelGrid:
     origin = torch.tensor([0.3, -0.2, 0.1])
     return VoxelGrid(origin=origin, voxel_size=torch.tensor(edge / num_voxels), num_voxels=num_voxels)
@@ -80,7 +74,7 @@ def some_grid(num_voxels: int = 8, edge: float = 1.2) -> VoxelGrid:
 def test_a_frustum_lies_on_the_pixels_rays_a_voxel_apart_around_the_grid() -> None:
     cameras, grid = some_cameras(4), some_grid()
     for view in range(4):
-        camera = camera_of(cameras, view)
+        camera = cameras[view]
         points = frustum_points(camera, grid, SIZE).reshape(grid.num_planes, SIZE, SIZE, 3).numpy()
         origin, directions = cameras[view].rays()
         forward = -cameras.world_from_camera[view, :3, 2]
@@ -92,9 +86,8 @@ def test_a_frustum_lies_on_the_pixels_rays_a_voxel_apart_around_the_grid() -> No
 
 
 def test_the_near_plane_never_comes_behind_the_camera() -> None:
-    inside = ViewCamera(
-        world_from_camera=torch.from_numpy(look_at(np.array([0.4, 0, 0]), np.zeros(3))).float(), fov_x=0.8
-    )
+    lens = Lens(fov_x=0.8, width=SIZE, height=SIZE)
+    inside = lens.camera(look_at(np.array([0.4, 0, 0]), np.zeros(3)))
     assert float(near_plane(inside, some_grid())) == pytest.approx(0.15)
 
 
@@ -103,7 +96,7 @@ def test_lifting_equals_a_loop_and_leaves_unseen_voxels_empty() -> None:
     cameras, grid = some_cameras(2, radius=0.7), some_grid(edge=3.0)
     features = torch.rand(1, 3, SIZE, SIZE) + 1
     for view in range(2):
-        lifted = lift(features, camera_of(cameras, view), grid)[0].numpy()
+        lifted = lift(features, cameras[view], grid)[0].numpy()
         table = features[0].permute(1, 2, 0).numpy()
         camera_from_world = np.linalg.inv(cameras.world_from_camera[view])
         focal = 0.5 * SIZE / np.tan(cameras.fov_x / 2)
@@ -123,7 +116,7 @@ def test_lifting_equals_a_loop_and_leaves_unseen_voxels_empty() -> None:
 def test_projecting_equals_a_loop_and_has_a_gradient() -> None:
     cameras, grid = some_cameras(1), some_grid(num_voxels=4)
     volume = torch.rand(1, 2, 4, 4, 4, requires_grad=True)
-    camera = camera_of(cameras, 0)
+    camera = cameras[0]
     sampled = sample_frustum(volume, camera, grid, 8)
     points = frustum_points(camera, grid, 8).numpy()
     table = volume.detach()[0].permute(1, 2, 3, 0).numpy()
@@ -162,14 +155,7 @@ def test_cameras_that_look_one_way_are_refused() -> None:
 
 def test_neighbours_are_the_nearest_in_angle_and_never_the_view_itself() -> None:
     cameras = some_cameras(12)
-    poses = torch.from_numpy(cameras.world_from_camera).float()
-    views = Views(
-        rgb=torch.zeros(0, 3, dtype=torch.uint8),
-        world_from_camera=poses,
-        fov_x=1.0,
-        center=(0.5, 0.5),
-        resolution=square(SIZE),
-    )
+    views = Views(rgb=torch.zeros(0, 3, dtype=torch.uint8), cameras=cameras)
     for view in range(12):
         forward = cameras.world_from_camera[:, :3, 2]
         angles = [np.arccos(np.clip(forward[view] @ other, -1, 1)) for other in forward]
@@ -270,7 +256,7 @@ def test_visibility_sums_to_one_and_features_are_its_mean_over_depth() -> None:
 def test_drawing_leaves_the_grid_and_observing_keeps_it_without_gradient(dataset: Dataset) -> None:
     net = build_deepvoxels(TINY, dataset)
     views = load_views(dataset, "train", [0, 1, 2], with_images=True)
-    net.observe(views.image(0), views.camera(0))
+    net.observe(views.image(0), views.cameras[0])
     kept = net.get_buffer("volume").clone()
     assert kept.abs().sum() > 0 and not net.get_buffer("volume").requires_grad
     net.eval()

@@ -10,10 +10,10 @@ from support.reference import slow_convolution, slow_transposed_convolution
 from support.synthetic import write_synthetic_dataset
 from support.training import build, configured, load, run_bytes, stop_at
 
+from datagen.data.config import Resolution
 from datagen.data.dataset import Dataset
+from datagen.data.images import read_png
 from datagen.data.paths import TRUTH
-from datagen.data.png import read_png
-from datagen.data.resolution import Resolution
 from datagen.disk.errors import HyalineError
 from model.batches.rays import draw_patches, load_pixels
 from model.methods.dnr.config import LEVEL_WEIGHTS, DnrConfig, DnrLayersConfig

@@ -13,8 +13,8 @@ from support.training import load, run_bytes, stop_at
 from datagen.data.config import Split
 from datagen.data.dataset import Dataset
 from datagen.data.geometries import ProxyStatistics, read_meshes, write_proxies
+from datagen.data.images import srgb_from_linear
 from datagen.data.paths import TRUTH
-from datagen.data.tonemap import srgb_from_linear
 from datagen.disk.errors import HyalineError
 from datagen.machine.mitsuba_variant import short_lived_workers, use_mitsuba
 from model.batches.samples import linear_curve, srgb_curve

@@ -16,7 +16,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from datagen.data.resolution import Resolution
+from datagen.data.config import Resolution
 from datagen.disk.private import is_intact, make_private, write_hashed
 from model.batches.rays import Pixels
 from model.methods.paper import renderer as renderer_module

@@ -16,13 +16,11 @@ from support.synthetic import quad, synthetic_scene
 from datagen.build.build import build_dataset
 from datagen.build.build_variant import build_variant
 from datagen.build.plan_variant import plan_edit
-from datagen.data.config import TEST_SPLITS, DatasetConfig, Split, SplitConfig
+from datagen.data.config import TEST_SPLITS, DatasetConfig, Split, SplitConfig, square
 from datagen.data.dataset import Dataset, open_dataset
-from datagen.data.edit_masks import ELSEWHERE, LIGHT, OBJECT, read_edit_mask
+from datagen.data.images import png_bytes, read_png
 from datagen.data.paths import TRUTH
-from datagen.data.png import png_bytes, read_png
-from datagen.data.resolution import square
-from datagen.data.variants import open_variant
+from datagen.data.variants import ELSEWHERE, LIGHT, OBJECT, open_variant, read_edit_mask
 from datagen.disk.storage import SEAL, commit_sealed, load_sealed, seal_of, sha256
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.description import Scene, SceneObject, SoftEnvironment

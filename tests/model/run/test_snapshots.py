@@ -15,7 +15,7 @@ from support.synthetic import write_synthetic_dataset
 from support.training import SMALL, call, load, run_bytes
 
 from datagen.data.dataset import Dataset
-from datagen.data.png import read_png
+from datagen.data.images import read_png
 from datagen.disk.ownership import holding
 from model.run.logs import LogChoices
 from model.run.predict import load_renderer, predict_pixels

@@ -13,7 +13,7 @@ from support.synthetic import write_synthetic_dataset
 from support.training import SMALL, call, quick, run_bytes, stop_at
 
 from datagen.data.dataset import Dataset
-from datagen.data.png import read_png
+from datagen.data.images import read_png
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import seal_bytes
 from model.run import train as train_module

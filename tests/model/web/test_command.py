@@ -12,7 +12,7 @@ from support.synthetic import write_synthetic_dataset
 from support.training import SMALL, call
 
 from datagen.data.dataset import Dataset
-from datagen.data.png import png_bytes
+from datagen.data.images import png_bytes
 from datagen.machine.mitsuba_variant import use_mitsuba
 
 if use_mitsuba(quiet=True).startswith("scalar"):

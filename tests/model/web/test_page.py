@@ -27,8 +27,8 @@ from support.web_scenes import (
 
 from benchmarks.pages.browser import Watched, open_file, watched_page
 from datagen.data.dataset import Dataset
+from datagen.data.images import png_bytes
 from datagen.data.paths import TRUTH
-from datagen.data.png import png_bytes
 from datagen.scene import media, thin_walls
 from datagen.scene.description import SceneObject
 from datagen.scene.materials import Dielectric

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import torch
 
+from datagen.data.images import linear_from_srgb
 from datagen.data.meshes import Mesh, no_mesh
-from datagen.data.tonemap import linear_from_srgb
 from model.nets.texture import bilinear_taps, object_layout
 from model.web.packing import Packed, residuals, zigzag
 from model.web.texels import add_tints, touched_texels

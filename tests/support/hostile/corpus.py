@@ -35,7 +35,7 @@ def write_world(root: Path) -> None:
     import numpy as np
     import torch
 
-    from datagen.data.png import png_bytes
+    from datagen.data.images import png_bytes
     from datagen.machine.mitsuba_variant import use_mitsuba
     from datagen.render.truth import Truth, radiance_bytes
     from model.methods.paper.config import PaperConfig

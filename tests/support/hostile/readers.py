@@ -10,8 +10,8 @@ from support.hostile.pictures import PREDICTION
 
 from datagen.build.verify import verify_dataset
 from datagen.data.dataset import Dataset, open_dataset
-from datagen.data.exr import decode_exr
 from datagen.data.geometries import read_meshes
+from datagen.data.images import decode_exr
 from datagen.disk.errors import HyalineError
 
 

@@ -11,10 +11,10 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
+from datagen.data.cameras import MAX_SKEW, Camera
 from datagen.disk.errors import HyalineError
-from datagen.scene.camera_list import MAX_SKEW
 from datagen.scene.importers.fields import Fields
-from datagen.scene.importers.foreign import MAX_SURFACES, ForeignCamera, ForeignLamp, lens_of
+from datagen.scene.importers.foreign import MAX_SURFACES, ForeignLamp, lens_of, rotation_of
 from datagen.scene.importers.gltf.file import GltfArrays, GltfFile
 from datagen.scene.importers.remarks import Remarks
 
@@ -38,7 +38,7 @@ class Instance:
 class Standing:
     """What stands in a scene besides meshes."""
 
-    cameras: list[ForeignCamera] = field(default_factory=list)
+    cameras: list[Camera] = field(default_factory=list)
     lamps: list[ForeignLamp] = field(default_factory=list)
 
 
@@ -119,7 +119,7 @@ def _lamp(file: GltfFile, lamp: Fields, name: str, world: Float[np.ndarray, "4 4
     )
 
 
-def _camera(camera: Fields, world: Float[np.ndarray, "4 4"], remarks: Remarks) -> list[ForeignCamera]:
+def _camera(camera: Fields, world: Float[np.ndarray, "4 4"], remarks: Remarks) -> list[Camera]:
     """A camera where it stands; none where it is orthographic. glTF's cameras are OpenGL's."""
     if camera.text("type", "perspective") != "perspective":
         remarks.approximate(_name(camera), "is an orthographic camera, which is left out")
@@ -138,8 +138,8 @@ def _camera(camera: Fields, world: Float[np.ndarray, "4 4"], remarks: Remarks) -
         remarks.approximate(_name(camera), "is a camera that its node skews or mirrors, which is left out")
         return []
     width, height = aspect * FILM, FILM
-    fov_deg, lens = lens_of(0.5 * height / math.tan(high / 2), width, height, where=camera.where)
-    return [ForeignCamera(world_from_camera=matrix, fov_deg=fov_deg, intrinsics=lens)]
+    found = lens_of(0.5 * height / math.tan(high / 2), width, height, where=camera.where)
+    return [found.camera(matrix)]
 
 
 def _roots(arrays: GltfArrays) -> list[int]:
@@ -175,16 +175,8 @@ def _matrices(
     length = np.linalg.norm(rotation, axis=-1, keepdims=True)
     if (length < 1e-9).any():
         raise HyalineError(f"{where}: has a rotation of length 0; export the file again")
-    x, y, z, w = (rotation / length).T
-    turn = np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
     matrices = np.tile(np.eye(4), (len(translation), 1, 1))
-    matrices[:, :3, :3] = np.moveaxis(turn, -1, 0) * scale[:, None, :]
+    matrices[:, :3, :3] = rotation_of(rotation / length) * scale[:, None, :]
     matrices[:, :3, 3] = translation
     return matrices
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from datagen.data.license import license_line
+from datagen.data.metadata import license_line
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import Json
 from datagen.scene.importers.fields import Fields

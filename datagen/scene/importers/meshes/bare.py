@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from datagen.data.license import license_line
-from datagen.data.meshes import MAX_PLY_BYTES, read_ply
-from datagen.data.ply_polygons import PLY_TYPES
+from datagen.data.metadata import license_line
+from datagen.data.ply import MAX_PLY_BYTES, PLY_TYPES, read_ply
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import shown
 from datagen.scene.importers.foreign import (

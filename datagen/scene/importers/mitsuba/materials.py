@@ -5,8 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from datagen.data.png import png_bytes
-from datagen.data.tonemap import srgb_from_linear, to_8bit
+from datagen.data.images import png_bytes, srgb_from_linear, to_8bit
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import shown
 from datagen.scene.importers.foreign import ForeignImage, ForeignMaterial, read_foreign

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from datagen.data.cameras import Camera
 from datagen.data.meshes import Mesh
 from datagen.disk.errors import HyalineError
 from datagen.scene.environment_maps import read_map
@@ -21,7 +22,6 @@ from datagen.scene.importers.foreign import (
     MAX_TRIANGLES,
     PLAIN,
     Axis,
-    ForeignCamera,
     ForeignLight,
     ForeignMap,
     ForeignObject,
@@ -58,7 +58,7 @@ def read_mitsuba(path: Path, remarks: Remarks) -> ForeignScene:
     nodes = NodeList(path)
     objects: list[ForeignObject] = []
     lights: list[ForeignLight] = []
-    cameras: list[ForeignCamera] = []
+    cameras: list[Camera] = []
     sky: Color | ForeignMap | None = None
     for node in nodes.root.children():
         if node.kind == "Shape":
@@ -141,7 +141,7 @@ def _map(node: Node) -> ForeignMap:
     return ForeignMap(data=data, ending=path.suffix.lower(), scale=scale, middle=middle, up=up)
 
 
-def _camera(node: Node, remarks: Remarks) -> ForeignCamera:
+def _camera(node: Node, remarks: Remarks) -> Camera:
     if node.plugin not in ("perspective", "thinlens"):
         raise HyalineError(f"{node.where}: is of a kind that is not read; known are perspective, thinlens")
     if node.plugin == "thinlens":
@@ -164,11 +164,10 @@ def _camera(node: Node, remarks: Remarks) -> ForeignCamera:
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = rotation, world[:3, 3]
     focal = 0.5 * sizes[axis] / tangent
-    fov_deg, lens = lens_of(focal, width, height, where=node.where)
-    return ForeignCamera(world_from_camera=matrix, fov_deg=fov_deg, intrinsics=lens)
+    return lens_of(focal, width, height, where=node.where).camera(matrix)
 
 
-def _up(cameras: list[ForeignCamera]) -> Axis:
+def _up(cameras: list[Camera]) -> Axis:
     """The axis that is up in the pictures of the cameras; Mitsuba's own examples have y where nobody says."""
     if not cameras:
         return "y"

@@ -1,6 +1,5 @@
 """Tests that cameras of COLMAP, of NeRF tools and of glTF stand where they stood, and that broken ones are refused."""
 
-import dataclasses
 import json
 import math
 import struct
@@ -12,11 +11,13 @@ from support.gltf import BOX, GltfBuilder
 from support.traced_dataset import write_traced_dataset
 
 from datagen.data.cameras import look_at
+from datagen.data.config import SPLITS
 from datagen.data.dataset import open_dataset
-from datagen.data.meshes import write_ply
+from datagen.data.ply import write_ply
+from datagen.data.transforms import lens_keys
 from datagen.disk.errors import HyalineError
 from datagen.export.formats import export_dataset
-from datagen.scene.camera_list import CameraList, Intrinsics
+from datagen.scene.camera_list import CameraList
 from datagen.scene.description import Scene, SoftEnvironment
 from datagen.scene.importers.cameras import read_camera_file
 from datagen.scene.importers.choices import ImportChoices
@@ -50,7 +51,7 @@ def test_colmaps_cameras_are_read_from_text_and_from_binary_files(
     remarks = Remarks()
     found = read_camera_file(tmp_path, remarks)
     assert np.abs(np.stack([camera.world_from_camera for camera in found]) - poses).max() < 1e-6
-    assert found[0].fov_deg == pytest.approx(math.degrees(fov_x), rel=1e-9) and remarks.lines == []
+    assert found[0].fov_x == pytest.approx(fov_x, rel=1e-9) and remarks.lines == []
 
 
 def test_a_reconstruction_is_found_where_captures_keep_it(colmap: tuple[Path, np.ndarray, float]) -> None:
@@ -94,7 +95,8 @@ def test_distorted_lenses_are_drawn_straight_and_said_to_be(tmp_path: Path) -> N
         "have a distorted lens; drawn as pinholes",
         "have pixels that are not square; drawn square, as wide as they are",
     ]
-    assert camera.intrinsics == Intrinsics(fl_x=120, fl_y=120, cx=44, cy=41, w=100, h=80)
+    assert (camera.focal, camera.center) == (pytest.approx(120), (44, 41))
+    assert (camera.width, camera.height) == (100, 80)
 
 
 def test_the_lens_of_a_transforms_file_keeps_its_principal_point_and_shape(tmp_path: Path) -> None:
@@ -104,10 +106,10 @@ def test_the_lens_of_a_transforms_file_keeps_its_principal_point_and_shape(tmp_p
     (tmp_path / "transforms.json").write_text(json.dumps({**lens, "frames": frames}))
     choices = ImportChoices(cameras=str(tmp_path / "transforms.json"), material=("glass",), up="z")
     cameras = import_scene(tmp_path / "box.ply", choices).scene.cameras
-    assert isinstance(cameras, CameraList) and cameras.intrinsics is not None
-    assert dataclasses.asdict(cameras.intrinsics) == pytest.approx(lens)
+    assert isinstance(cameras, CameraList)
+    assert {key: lens_keys(cameras.train)[key] for key in lens} == pytest.approx(lens)
     (tmp_path / "transforms.json").write_text(json.dumps({**lens, "cx": 1e6, "frames": frames}))
-    with pytest.raises(HyalineError, match=r"frames.0.: camera intrinsics: cx and cy are 1e\+06 and 14"):
+    with pytest.raises(HyalineError, match=r"frames.0.: camera: its principal point is 1e\+06, 14"):
         import_scene(tmp_path / "box.ply", choices)
 
 
@@ -145,8 +147,8 @@ def test_cameras_beside_a_model_move_with_it(tmp_path: Path) -> None:
     (tmp_path / "transforms.json").write_text(json.dumps({"camera_angle_x": 0.6, "frames": frames}))
     choices = ImportChoices(cameras=str(tmp_path / "transforms.json"), material=("glass",), scale=0.5)
     scene = import_scene(tmp_path / "box.ply", choices).scene
-    assert isinstance(scene.cameras, CameraList) and scene.cameras.fov_deg == pytest.approx(math.degrees(0.6))
-    poses = np.concatenate(list(scene.cameras.poses().values()))
+    assert isinstance(scene.cameras, CameraList) and scene.cameras.train.fov_x == pytest.approx(0.6)
+    poses = np.concatenate([scene.cameras.of(split).world_from_camera for split in SPLITS])
     assert len(poses) == 10
     box = next(item.mesh.vertices for item in scene.objects if item.name != "ground")
     middle = (box.min(axis=0) + box.max(axis=0)) / 2
@@ -184,10 +186,10 @@ def test_gltfs_own_cameras_are_taken_when_asked_for(tmp_path: Path) -> None:
     assert any("the file brings 1, which --cameras file takes" in line for line in around.told())
     scene = import_scene(path, ImportChoices(cameras="file")).scene
     assert isinstance(scene.cameras, CameraList)
-    lens = scene.cameras.intrinsics
-    assert lens is not None and (lens.w, lens.h) == (2000, 1000)
+    lens = scene.cameras.train
+    assert (lens.width, lens.height) == (2000, 1000)
     assert lens.fov_x == pytest.approx(2 * math.atan(2 * math.tan(0.25)))
-    pose = scene.cameras.poses()["train"][0]
+    pose = lens.world_from_camera[0]
     # glTF's +z is our -y, and the scene's box stands on the ground.
     height = float(BOX.vertices[:, 1].max())
     np.testing.assert_allclose(pose[:3, 3], (0, -3, 0.2 + height), atol=1e-5)

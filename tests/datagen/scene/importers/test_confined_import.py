@@ -21,7 +21,7 @@ import pytest
 from support.commands import call
 from support.gltf import BOX, GltfBuilder, clear
 
-from datagen.data.meshes import write_ply
+from datagen.data.ply import write_ply
 from datagen.disk.errors import HyalineError
 from datagen.machine import confined
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from support.gltf import GltfBuilder, clear, glass
 
-from datagen.data.meshes import open_edges, signed_volume, write_ply
+from datagen.data.meshes import open_edges, signed_volume
+from datagen.data.ply import write_ply
 from datagen.disk.errors import HyalineError
 from datagen.scene.importers import surfaces
 from datagen.scene.importers.choices import ImportChoices

@@ -12,9 +12,8 @@ from support.commands import call
 from support.gltf import BOX, GltfBuilder, clear, glass
 from support.rigs import config
 
-from datagen.data.meshes import Mesh, face_areas, face_corners, signed_volume
-from datagen.data.resolution import square
-from datagen.data.windings import check_closed
+from datagen.data.config import square
+from datagen.data.meshes import Mesh, check_closed, face_areas, face_corners, signed_volume
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import load_sealed
 from datagen.render.environment import radiance_of_environment

@@ -10,8 +10,7 @@ import trimesh
 from support.commands import call
 from support.gltf import GltfBuilder, clear, glass
 
-from datagen.data.meshes import Mesh, open_edges, signed_volume
-from datagen.data.windings import check_closed, check_solid
+from datagen.data.meshes import Mesh, check_closed, check_solid, open_edges, signed_volume
 from datagen.disk.errors import HyalineError
 from datagen.disk.reading import load_json
 from datagen.scene.importers import overlaps

@@ -9,8 +9,16 @@ import pytest
 from support.commands import call
 from support.gltf import BOX, GltfBuilder, clear, glass
 
-from datagen.data.meshes import MIN_AREA, Mesh, face_areas, open_edges, signed_volume, vertex_normals, welded
-from datagen.data.windings import check_closed
+from datagen.data.meshes import (
+    MIN_AREA,
+    Mesh,
+    check_closed,
+    face_areas,
+    open_edges,
+    signed_volume,
+    vertex_normals,
+    welded,
+)
 from datagen.disk.errors import HyalineError
 from datagen.disk.reading import load_json
 from datagen.scene.folder import load_scene

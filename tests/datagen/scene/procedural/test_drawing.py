@@ -10,10 +10,8 @@ import trimesh
 from scipy.spatial import KDTree
 from support.synthetic import pixel_rays
 
-from datagen.data.config import DatasetConfig, SplitConfig
-from datagen.data.meshes import Mesh
-from datagen.data.resolution import Resolution
-from datagen.data.surface_points import points_on
+from datagen.data.config import DatasetConfig, Resolution, SplitConfig
+from datagen.data.meshes import Mesh, points_on
 from datagen.disk.errors import HyalineError
 from datagen.scene.finding import find_scene, is_made_by_code
 from datagen.scene.folder import load_scene, save_scene, scene_files

@@ -4,9 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial import ConvexHull, KDTree
 
-from datagen.data.meshes import Mesh, signed_volume
-from datagen.data.surface_points import points_on
-from datagen.data.windings import check_closed, check_solid, windings
+from datagen.data.meshes import Mesh, check_closed, check_solid, points_on, signed_volume, windings
 from datagen.scene.description import SceneObject
 from datagen.scene.materials import ThinDielectric
 from datagen.scene.modelling import ball, lathe

@@ -14,7 +14,8 @@ from support.gltf import BOX
 from support.meshes import polygon_ply
 from support.soon import soon
 
-from datagen.data.meshes import open_edges, signed_volume, write_ply
+from datagen.data.meshes import open_edges, signed_volume
+from datagen.data.ply import write_ply
 from datagen.disk.errors import HyalineError
 from datagen.scene.folder import load_scene
 from datagen.scene.importers.foreign import ForeignMaterial, ForeignObject, ForeignScene

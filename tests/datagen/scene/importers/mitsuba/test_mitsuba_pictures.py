@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from datagen.data.config import DatasetConfig, SplitConfig
-from datagen.data.exr import encode_float_exr
-from datagen.data.resolution import Resolution
-from datagen.data.tonemap import srgb_from_linear
+from datagen.data.config import DatasetConfig, Resolution, SplitConfig
+from datagen.data.images import encode_float_exr, srgb_from_linear
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.render.truth import Renderer, render_view
 from datagen.scene.importers.choices import ImportChoices

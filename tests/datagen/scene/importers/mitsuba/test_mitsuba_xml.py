@@ -13,8 +13,9 @@ from PIL import Image
 from support.gltf import BOX
 from support.soon import soon
 
-from datagen.data.exr import encode_float_exr
-from datagen.data.meshes import signed_volume, write_ply
+from datagen.data.images import encode_float_exr
+from datagen.data.meshes import signed_volume
+from datagen.data.ply import write_ply
 from datagen.disk.errors import HyalineError
 from datagen.scene.camera_list import CameraList
 from datagen.scene.description import EnvironmentMap, SoftEnvironment
@@ -158,11 +159,11 @@ def test_cameras_and_lights_stand_where_the_file_puts_them(tmp_path: Path) -> No
     scene = import_scene(tmp_path / "a.xml", ImportChoices(cameras="file")).scene
     assert [item.name for item in scene.objects] == ["ball"], "no ground is added, and lamps are no objects"
     assert isinstance(scene.cameras, CameraList)
-    camera = scene.cameras.poses()["interpolating"][0]
+    camera = scene.cameras.interpolating.world_from_camera[0]
     np.testing.assert_allclose(camera[:3, 3], [0, -3, 1.5], atol=1e-6)
     ahead = np.array([0, 3, -1]) / math.sqrt(10)
     np.testing.assert_allclose(camera[:3, :3].T, [[1, 0, 0], np.cross([1, 0, 0], ahead), -ahead], atol=1e-6)
-    assert scene.cameras.fov_deg == pytest.approx(40)
+    assert math.degrees(scene.cameras.train.fov_x) == pytest.approx(40)
     (light,) = scene.lights
     normal = np.cross(light.edge_u, light.edge_v)
     np.testing.assert_allclose(normal / 4, [0, 0, -1], atol=1e-12)
@@ -177,7 +178,7 @@ def test_the_field_of_view_is_that_of_its_axis(axis: str, expected: float, tmp_p
     sensor = SENSOR.replace('name="width" value="64"', 'name="width" value="128"')
     sensor = sensor.replace("<transform", f'<string name="fov_axis" value="{axis}"/><transform', 1)
     camera = read(tmp_path, sensor + BALL).cameras[0]
-    assert camera.fov_deg == pytest.approx(expected, abs=1e-3)
+    assert math.degrees(camera.fov_x) == pytest.approx(expected, abs=1e-3)
 
 
 def test_files_are_included_from_the_folder(tmp_path: Path) -> None:

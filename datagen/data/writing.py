@@ -1,19 +1,36 @@
-"""Writing a dataset: its head, then the scene and the cameras that the head promises, then view by view."""
+"""Writing a dataset: its head, the scene and cameras that the head lists, then view by view; and clearing it.
+
+Clearing removes from each folder only the files that its own head lists; a folder whose head does not verify keeps all
+of its files. Heads go last, so an interrupted clearing can be repeated.
+"""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import cast
 
-from datagen.data.cameras import TRANSFORMS_FILES, Cameras, transforms_bytes
+from datagen.data.cameras import Cameras
 from datagen.data.config import DATASET_VERSION, SPLITS, DatasetConfig, Split, config_of
 from datagen.data.dataset import Dataset, DatasetObject, head_files, open_dataset
-from datagen.data.imported import RENDERED, Imported, imported_of
+from datagen.data.geometries import proxy_files
+from datagen.data.layer_writing import layers_files
+from datagen.data.metadata import RENDERED, Imported, Variant, ViewRecord, imported_of, variant_of
 from datagen.data.paths import image_path, record_path
-from datagen.data.variant_record import Variant, variant_of
-from datagen.data.view_record import ViewRecord
+from datagen.data.transforms import TRANSFORMS_FILES, transforms_bytes
+from datagen.data.variants import list_edit_masks
 from datagen.disk.errors import HyalineError
-from datagen.disk.heads import keep_head
-from datagen.disk.ownership import DATASET, begin, is_ours
+from datagen.disk.heads import keep_head, list_heads
+from datagen.disk.homes import HEADS, home_of
+from datagen.disk.ownership import (
+    DATASET,
+    EDIT_MASKS,
+    LAYERS,
+    PROXIES,
+    FolderKind,
+    begin,
+    holding,
+    is_ours,
+    remove_files,
+)
 from datagen.disk.records import Json, to_json
 from datagen.disk.storage import commit, commit_same, commit_sealed, load_sealed, seal_bytes, seal_of, sha256
 
@@ -30,20 +47,16 @@ def write_head(
     stated_license: str | None = None,
     replace: bool = False,
 ) -> Dataset:
-    """Commits the head of a dataset, then the scene and the cameras that it promises; the caller holds the folder.
+    """Commits the head of a dataset, then the scene and the cameras that it lists; the caller holds the folder.
 
-    Several processes may do the same at once. A head that stands there stays: whose it is says what is returned. Where
-    it is the same, files of it that were lost or damaged are written anew.
+    Several processes may do the same at once. An existing head stays, and its dataset is returned; if it is the same
+    one, lost or damaged files of it are written again.
 
     Args:
         scene: the files of the scene's folder, by path relative to it; none in a variant of the same scene.
-        variant: what a variant says of itself.
-        imported: where the pictures come from, unless they are rendered here.
-        stated_license: of the data; a variant has that of the dataset around it.
-        replace: take the place of a head of ours, whose views and further files the caller has removed.
-
-    Raises:
-        HyalineError: something else stands at `root`.
+        imported: the source of pictures that are not rendered here.
+        stated_license: licence of the data; a variant has its parent's.
+        replace: replaces a head of ours, after the caller has removed its views and other files.
     """
     files = head_contents(scene, cameras)
     head: dict[str, Json] = {
@@ -68,13 +81,16 @@ def write_head(
 
 
 def head_contents(scene: Mapping[str, bytes], cameras: Mapping[Split, Cameras]) -> dict[str, bytes]:
-    """The files that a head promises, by path relative to the dataset."""
-    files = {f"scene/{path}": data for path, data in scene.items()}
+    """The files that a head lists, by path relative to the dataset.
+
+    Cameras that the scene lists lie beside its folder, once: with the resolution and the depth range of the dataset.
+    """
+    files = {f"scene/{path}": data for path, data in scene.items() if path not in TRANSFORMS_FILES.values()}
     return files | {TRANSFORMS_FILES[split]: transforms_bytes(poses, split) for split, poses in cameras.items()}
 
 
 def _has_record_of(root: Path, seal: str) -> bool:
-    """True when a view there was made under the head of this seal, which may have been lost since."""
+    """True if a view there was made under the head of this seal, which may be lost."""
     for path in root.glob("records/*/*.json"):
         try:
             if load_sealed(path).get("dataset") == seal:
@@ -85,9 +101,9 @@ def _has_record_of(root: Path, seal: str) -> bool:
 
 
 def dataset_files(root: Path) -> list[str]:
-    """What may stand in a dataset's folder besides its head, its layers and what has a head of its own.
+    """The files that a dataset's folder may contain besides heads, layers and everything with its own head.
 
-    By path relative to `root`, records first: without them, no view is there any more.
+    Paths are relative to `root`; records come first, since a view exists only with its record.
     """
     path = root / DATASET.head
     head = load_sealed(path)
@@ -135,7 +151,7 @@ def commit_view(
 
 
 def commit_imported_view(dataset: Dataset, split: Split, view: int, files: Mapping[str, bytes]) -> None:
-    """Commits one view whose picture comes from elsewhere.
+    """Commits one imported view.
 
     Args:
         files: the bytes of each of `dataset.endings`.
@@ -154,3 +170,49 @@ def _commit_files(dataset: Dataset, split: Split, view: int, files: Mapping[str,
         commit(path, data)
         hashes[path.relative_to(dataset.root).as_posix()] = sha256(data)
     return hashes
+
+
+def clear_dataset(root: Path) -> None:
+    """Removes all files that the head of a dataset and those below it list, but not this head; the caller holds it."""
+    for folder in _folders(root, ("variants/*",), DATASET):
+        with holding(folder, DATASET, within=root):
+            clear_dataset(folder)
+            remove_files(folder, [DATASET.head])
+        _prune(root, folder)
+    for folder in _folders(root, ("layers/*", "proxies/*/layers/*"), LAYERS):
+        clear_layers(root, folder)
+    for folder in _folders(root, ("proxies/*",), PROXIES):
+        with holding(folder, PROXIES, within=root):
+            remove_files(folder, [*proxy_files(folder), PROXIES.head])
+        _prune(root, folder)
+    for folder in _folders(root, ("edit-masks",), EDIT_MASKS):
+        with holding(folder, EDIT_MASKS, within=root):
+            files = [Path(file).relative_to(folder.name).as_posix() for file in list_edit_masks(folder)]
+            remove_files(folder, [*files, EDIT_MASKS.head])
+        _prune(root, folder)
+    remove_files(root, dataset_files(root))
+    home = home_of(root)
+    gone = [head for head in list_heads(home) if not (home / head).is_file()]
+    remove_files(home, [f"{HEADS}/{head}" for head in gone])
+
+
+def clear_layers(root: Path, folder: Path) -> None:
+    """Removes the layers in a folder below a dataset `root`, with their head."""
+    with holding(folder, LAYERS, within=root):
+        remove_files(folder, [*layers_files(folder), LAYERS.head])
+    _prune(root, folder)
+
+
+def _folders(root: Path, patterns: tuple[str, ...], kind: FolderKind) -> list[Path]:
+    found = [path for pattern in patterns for path in sorted(root.glob(pattern))]
+    return [path for path in found if is_ours(path, kind)]
+
+
+def _prune(root: Path, folder: Path) -> None:
+    """Removes a folder and its parents up to `root` while they are empty."""
+    while folder != root:
+        try:
+            folder.rmdir()
+        except OSError:
+            return
+        folder = folder.parent
