@@ -6,7 +6,7 @@ from typing import Literal
 
 import tyro
 
-from benchmarks.networks.choices import BenchChoices
+from benchmarks.choices import BenchChoices
 from datagen.scene.importers.choices import ImportChoices
 from datagen.scene.procedural.names import Family
 from datagen.terminal.command import run, unwrap_help
@@ -64,8 +64,8 @@ def peel(
     from datagen.terminal.command import choose
 
     use_mitsuba()
-    from benchmarks.generator.peel import ENGINES, Engine, bench_peel
     from benchmarks.harness import show
+    from benchmarks.peel import ENGINES, Engine, bench_peel
 
     chosen: tuple[Engine, ...] = tuple(name for name in ENGINES if not engines or name in engines)
     for name in engines:
@@ -93,8 +93,8 @@ def truth(
     from datagen.machine.mitsuba_variant import use_mitsuba
 
     use_mitsuba()
-    from benchmarks.generator.truth import bench_truth, under_soft_light
     from benchmarks.harness import show
+    from benchmarks.truth import bench_truth, under_soft_light
     from datagen.data.config import DatasetConfig, SplitConfig, square
     from datagen.scene.finding import find_scene
     from datagen.scene.rig import make_cameras
@@ -141,7 +141,7 @@ def scale(
     from datagen.machine.mitsuba_variant import use_mitsuba
 
     use_mitsuba()
-    from benchmarks.generator.scale import QUANTITIES, Quantity, bench_scale, show_scale
+    from benchmarks.scale import QUANTITIES, Quantity, bench_scale, show_scale
 
     for name in quantities:
         choose("quantity", name, QUANTITIES)
@@ -162,7 +162,7 @@ def random_scenes(seeds: int = 100, first: int = 0, family: Family | None = None
     """
     from json import dumps
 
-    from benchmarks.generator.random_scenes import survey_json, survey_seeds, survey_table
+    from benchmarks.random_scenes import survey_json, survey_seeds, survey_table
     from datagen.terminal.command import fail
 
     surveys = survey_seeds(first, seeds, family)
@@ -191,8 +191,7 @@ def peers(
         points: Points of the surfaces in each export.
         json: Print JSON instead of a table.
     """
-    from benchmarks.peers.comparison import PEERS
-    from benchmarks.peers.survey import peers_json, peers_table, survey_peers
+    from benchmarks.exports import PEERS, peers_json, peers_table, survey_peers
     from datagen.terminal.command import choose, fail
     from hyaline import open_dataset
 
@@ -241,7 +240,7 @@ def cycles(
     from datagen.terminal.command import say_all
 
     use_mitsuba()
-    from benchmarks.cycles.comparison import Compared, compare_with_cycles, cycles_table, sheet_bytes
+    from benchmarks.blender import Compared, compare_with_cycles, cycles_table, sheet_bytes
 
     pictures = {file: out / f"{file.name}.png" for file in files}
     for picture in pictures.values():
@@ -291,7 +290,7 @@ def random_sheet(
     from datagen.machine.mitsuba_variant import use_mitsuba
 
     use_mitsuba()
-    from benchmarks.pictures.random_sheet import draw_random_sheet
+    from benchmarks.random_sheet import draw_random_sheet
 
     out.write_bytes(draw_random_sheet(seeds, view=view, size=size, spp=spp, quality=quality))
     print(out)
@@ -304,7 +303,7 @@ def ceilings(*, json: bool = False) -> None:
         json: Print JSON instead of tables.
     """
     from benchmarks.harness import show
-    from benchmarks.networks.ceilings import bench_ceilings
+    from benchmarks.step import bench_ceilings
 
     show(bench_ceilings(), as_json=json)
 
@@ -312,8 +311,7 @@ def ceilings(*, json: bool = False) -> None:
 def step(choices: BenchChoices) -> None:
     """A training step on a CPU: whole, its phases, its texture part."""
     from benchmarks.harness import show
-    from benchmarks.networks.ceilings import all_ceilings
-    from benchmarks.networks.step import bench_step
+    from benchmarks.step import all_ceilings, bench_step
 
     show(bench_step(choices, ceilings=all_ceilings()), as_json=choices.json)
 
@@ -321,8 +319,7 @@ def step(choices: BenchChoices) -> None:
 def infer(choices: BenchChoices) -> None:
     """A frame from stored layers on a CPU."""
     from benchmarks.harness import show
-    from benchmarks.networks.ceilings import all_ceilings
-    from benchmarks.networks.infer import bench_infer
+    from benchmarks.step import all_ceilings, bench_infer
 
     show(bench_infer(choices, ceilings=all_ceilings()), as_json=choices.json)
 
@@ -330,7 +327,7 @@ def infer(choices: BenchChoices) -> None:
 def gpu(choices: BenchChoices) -> None:
     """A 1080p frame and a step of 262,144 pixels on a GPU, beside plain torch; skipped without CUDA."""
     from benchmarks.harness import show
-    from benchmarks.networks.gpu import bench_gpu
+    from benchmarks.step import bench_gpu
 
     show(bench_gpu(choices), as_json=choices.json)
 
@@ -350,7 +347,7 @@ def sky(
 
     if not overwrite:
         refuse_file(out)
-    from benchmarks.pictures.sky import draw_skies
+    from benchmarks.drawings import draw_skies
 
     out.write_bytes(draw_skies(runs, names))
     print(out)
@@ -372,7 +369,7 @@ def errors(
 
     if not overwrite:
         refuse_file(out)
-    from benchmarks.pictures.errors import draw_errors
+    from benchmarks.drawings import draw_errors
 
     out.write_bytes(draw_errors(before, after, views=views))
     print(out)
@@ -402,7 +399,7 @@ def turntable(
         fps: Frames a second.
         overwrite: Replace a file that stands at --out.
     """
-    from benchmarks.pictures.turntable import draw_turntable
+    from benchmarks.drawings import draw_turntable
     from datagen.terminal.command import tell
 
     draw_turntable(runs, names, out, path=path, frames=frames, size=size, spp=spp, fps=fps, overwrite=overwrite)
@@ -428,7 +425,7 @@ def browser(
         views: How many of each test split; 0 for all.
         edit: Edits of the scene, as `datagen build --edit` takes them: both draw what they make of it.
     """
-    from benchmarks.pages.compare import compare_page, page_table
+    from benchmarks.compare import compare_page, page_table
 
     print(page_table(compare_page(run, dataset, quality, samples=samples, views=views, edits=edit)))
 
@@ -456,7 +453,7 @@ def screenshot(
         link: What the page's own "Copy link" gives after the #: a camera and edits; in a report a part of it.
         overwrite: Replace a file that stands at --out.
     """
-    from benchmarks.pages.shots import take_screenshot
+    from benchmarks.compare import take_screenshot
     from datagen.disk.ownership import refuse_file
 
     if not overwrite:

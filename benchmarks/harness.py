@@ -1,14 +1,14 @@
-"""How speed is measured: rivals timed by turns in one process, checked first, and judged by their ratios alone.
+"""How speed is measured: candidates are checked, then timed in turns in one process, and judged only by their ratios.
 
 A bench names its candidates, its checks and its gates; `measure` runs them and `show` prints what came out:
 
 1. The checks run. Where one fails nothing is timed: a fast wrong answer has no speed.
 2. Each candidate is called twice to warm up; the very first call, with whatever it compiles, is reported apart.
-3. The candidates take turns (A B C A B C ...), so that a neighbour's load falls on all of them alike.
+3. The candidates take turns (A B C A B C ...), so that other load on the machine affects all of them equally.
 4. A gate compares two candidates round by round and passes when the median ratio is large enough. No gate is on
    seconds, which say more about the machine than about the code; what the machine can do at best stands beside them.
 
-Imports neither Mitsuba nor torch: whoever has more ceilings to show passes them.
+Imports neither Mitsuba nor torch: further ceilings are passed in.
 """
 
 import dataclasses
@@ -48,12 +48,12 @@ class Candidate:
     calls: float = 1.0
     """How many such calls the whole task takes; gates compare the time of one call times this."""
     note: str = ""
-    """What the reader should know about it, in a few words."""
+    """A remark for the reader in a few words."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Check:
-    """Something that must hold before speed means anything; `run` says whether it does, and what it saw."""
+    """A condition for meaningful speed; `run` returns whether it holds, and what it saw."""
 
     name: str
     run: Callable[[], tuple[bool, str]]
@@ -61,7 +61,7 @@ class Check:
 
 @dataclass(frozen=True, kw_only=True)
 class Gate:
-    """`candidate` must be at least so many times as fast as `baseline`."""
+    """`candidate` must be at least `at_least` times as fast as `baseline`."""
 
     name: str
     baseline: str
@@ -72,7 +72,7 @@ class Gate:
 
 @dataclass(frozen=True, kw_only=True)
 class Ceiling:
-    """What this machine does at best at one thing, whatever program asks."""
+    """The machine's best speed at one operation, for any program."""
 
     name: str
     value: float
@@ -93,7 +93,7 @@ class Machine:
 
 @dataclass(frozen=True, kw_only=True)
 class Seconds:
-    """What one call took, over all rounds."""
+    """The times of one call over all rounds."""
 
     first: float
     """The very first call, compiling included."""
@@ -117,7 +117,7 @@ class Timing:
 
 @dataclass(frozen=True, kw_only=True)
 class Verdict:
-    """What a check or a gate came to."""
+    """The result of a check or a gate."""
 
     name: str
     passed: bool
@@ -134,7 +134,7 @@ class BenchReport:
     title: str
     settings: dict[str, object]
     facts: dict[str, object]
-    """What was counted or estimated beside the times."""
+    """Counts and estimates besides the times."""
     machine: Machine
     ceilings: tuple[Ceiling, ...]
     checks: tuple[Verdict, ...]
@@ -158,14 +158,11 @@ def measure(
     facts: Mapping[str, object] | None = None,
     rounds: int = 7,
 ) -> BenchReport:
-    """Checks, then times by turns, then judges.
+    """Runs the checks, times the candidates in turns, and evaluates the gates.
 
     Args:
         ceilings: usually `machine_ceilings()` and the caller's own.
         rounds: turns of every candidate, warm-up apart.
-
-    Raises:
-        HyalineError: too few rounds, or two candidates of one name.
     """
     if rounds < MIN_ROUNDS:
         raise HyalineError(f"rounds: is {rounds}; expected at least {MIN_ROUNDS}")
@@ -174,7 +171,7 @@ def measure(
         raise HyalineError(f"bench {title}: candidates are called {', '.join(names)}; expected different names")
     checked = []
     for check in checks:
-        say(f"{title}: checks {check.name}")
+        say(f"{title}: checking {check.name}")
         passed, detail = check.run()
         checked.append(Verdict(name=check.name, passed=bool(passed), detail=detail))
     timings: tuple[Timing, ...] = ()
@@ -256,7 +253,7 @@ def _time_by_turns(title: str, candidates: Sequence[Candidate], rounds: int) -> 
     walls, cpus = ([np.zeros(1 + rounds) for _ in candidates] for _ in range(2))
     repeats = []
     for index, candidate in enumerate(candidates):
-        say(f"{title}: warms up {candidate.name}")
+        say(f"{title}: warming up {candidate.name}")
         walls[index][0], cpus[index][0] = _time(candidate.run, 1)
         again, _ = _time(candidate.run, 1)
         repeats.append(max(1, math.ceil(MIN_BLOCK_S / max(again, 1e-7))))

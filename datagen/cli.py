@@ -44,7 +44,6 @@ def main() -> None:
         "export": export,
         "verify": verify,
         "look": look,
-        "mend": mend,
         "render": render,
         "scenes": scenes,
         "doctor": doctor,
@@ -236,26 +235,7 @@ def _tell_problems(root: Path, found: "Findings") -> None:
         tell(problem)
     if found.problems:
         commands = ", then ".join(f"`{command}`" for command in found.commands)
-        fail(f"{root}: {len(found.problems)} problems, which the lines above name; mend them with {commands}")
-
-
-def mend(dataset: str | None = None, scene: str | None = None, workers: int = 1) -> None:
-    """Repair a damaged or unfinished dataset with the settings it records; intact files are left alone.
-
-    Args:
-        dataset: A dataset's folder or its name under data/; the only one there unless given.
-        scene: The folder that the dataset was built from: needed where a file of its scene is lost, and the scene is
-            no built-in one.
-        workers: Parallel processes.
-    """
-    from datagen.build.mend import mend_dataset
-    from datagen.build.verify import verify_dataset
-
-    root = find_dataset(dataset)
-    mended = mend_dataset(root, scene=scene, workers=workers)
-    found = verify_dataset(mended.root)
-    _tell_problems(mended.root, found)
-    tell(f"{mended.root}: {found.verified} files verified")
+        fail(f"{root}: {len(found.problems)} problems, which the lines above name; repair them with {commands}")
 
 
 def render(

@@ -47,7 +47,7 @@ def report(
             of docs/results, `make results` makes RESULTS.md.
     """
     if results:
-        from eval.page.results_page import results_page
+        from eval.tables.results import results_page
 
         sys.stdout.write(results_page(results))
         return

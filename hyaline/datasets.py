@@ -160,6 +160,9 @@ def build(
 ) -> Dataset:
     """Path-traces every view of a scene and peels its layers. If interrupted, the same call resumes.
 
+        dataset = hyaline.build(scene, "data/vase", preset="demo")
+        dataset = hyaline.build("glass_table", preset="tiny", workers=2)
+
     Args:
         scene: a `Scene`, the name of a built-in or random one such as `glass_table` or `random-0007`, a folder with a
             scene.json, or a file of another program such as `vase.glb`.

@@ -55,6 +55,9 @@ def make_proxies(
 ) -> Proxies:
     """Fits a proxy to every object and peels the proxies for every view; images are not rendered again.
 
+        proxies = hyaline.make_proxies(dataset, "ellipsoid")
+        run = hyaline.train("paper", dataset, geometry=proxies.geometry)
+
     Args:
         kind: box, ellipsoid, hull, blocks, wrap, lowpoly, or noise-0.01 with the displacement in parts of each object's
             diagonal.

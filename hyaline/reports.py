@@ -66,6 +66,9 @@ def report(
 ) -> Report:
     """Scores runs against the truth and writes a page of them, as `eval report` does.
 
+        report = hyaline.report([run])
+        report.to_frame()[["run", "psnr_db_interpolating"]]
+
     Args:
         runs: opened runs, or folders of 8-bit sRGB pictures of any method, SCENE/NAME with
             predictions/SPLIT/0000.png; all runs under `root` unless given.

@@ -109,7 +109,7 @@ class Run:
             raise HyalineError(
                 f"{self.folder}: {self.method} predicts display-referred colours, not radiance; use render"
             )
-        from model.batches.samples import linear_curve
+        from model.batches.rays import linear_curve
         from model.run.predict import predict_colors
 
         colors = predict_colors(self._renderer, self._pixels(camera))

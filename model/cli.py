@@ -40,9 +40,7 @@ def train_method(words: list[str]) -> None:
         run("model train", inspect.getdoc(train) or "", {name: _listed(about(name)) for name in methods}, ["--help"])
     method = choose("method", words[0], methods)
 
-    from model.run.costs import Meter
-    from model.run.events import require_tensorboard
-    from model.run.logs import LogChoices
+    from model.run.logs import LogChoices, Meter, require_tensorboard
     from model.run.train_flags import configure, folder_name, parse_train
 
     asked = parse_train(method, words[1:])
@@ -119,7 +117,6 @@ def render(
     from datagen.data.variants import open_variant, variant_root
     from datagen.disk.ownership import holding
     from datagen.scene.edits import edits_name, parse_edit
-    from model.run.opening import open_trained
     from model.run.predict import (
         check_can_draw,
         check_draws_edits,
@@ -128,7 +125,7 @@ def render(
         render_predictions,
         render_variant,
     )
-    from model.run.run_folder import FOLDER
+    from model.run.run_folder import FOLDER, open_trained
 
     record, opened = open_trained(run, dataset)
     config, out = record.config, run
@@ -171,8 +168,7 @@ def export(
         overwrite: Replace a file that stands at --out.
     """
     from datagen.disk.ownership import DATASET, refuse_file, refuse_owned
-    from model.run.opening import open_trained
-    from model.run.run_folder import FOLDER, OWN_ENDINGS
+    from model.run.run_folder import FOLDER, OWN_ENDINGS, open_trained
     from model.web.export import export_run
 
     if not overwrite:
@@ -196,7 +192,7 @@ def view(what: str, /, *, host: str = "127.0.0.1", port: int = 8080, device: Dev
         device: Where to compute; auto takes a GPU where there is one.
     """
     from datagen.terminal.signals import Stopped
-    from model.view.command import show
+    from model.view.view import show
 
     if not 0 <= port <= 65535:
         raise UsageError(f"--port: is {port}; expected 0 to 65535")
@@ -214,8 +210,7 @@ def _render_film(
     from datagen.build.film import plan_film
     from datagen.data.film import write_film
     from datagen.disk.ownership import refuse_owned
-    from model.run.opening import open_trained
-    from model.run.run_folder import FOLDER, OWN_ENDINGS
+    from model.run.run_folder import FOLDER, OWN_ENDINGS, open_trained
 
     record, opened = open_trained(run, dataset)
     out = film.video or Path(f"{opened.name}-{run.name}.webp")
@@ -240,7 +235,7 @@ def sweep(
     """Train all runs of an experiment file, one process per GPU (or one on the CPU); finished runs are skipped.
 
     Args:
-        experiment: A TOML file (format: model/run/experiment.py), or one of table1, table2, square, zero-layer, claims,
+        experiment: A TOML file (format: model/run/sweep.py), or one of table1, table2, square, zero-layer, claims,
             headline, proxies, ablation, variants, budget and random.
         dataset: Datasets to train on, instead of the file's.
         seed: Seeds to train with, instead of the file's.
@@ -248,8 +243,7 @@ def sweep(
             memory allows (4 GB each) finish the most runs per hour; a run's numbers then differ by rounding.
         dry_run: Print the command of each run and exit.
     """
-    from model.run.experiment import read_experiment
-    from model.run.sweep import command_line, find_devices, raise_failures, run_experiment
+    from model.run.sweep import command_line, find_devices, raise_failures, read_experiment, run_experiment
 
     asked = read_experiment(experiment, datasets=dataset, seeds=seed)
     if dry_run:

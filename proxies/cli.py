@@ -13,9 +13,8 @@ from datagen.disk.errors import HyalineError
 from datagen.terminal.command import choose, fail, next_command, run
 
 if TYPE_CHECKING:
-    from proxies.kinds.table import ProxyKind
     from proxies.make import ProxyReport
-    from proxies.spec import MixedSpec, ProxySpec
+    from proxies.spec import MixedSpec, ProxyKind, ProxySpec
 
 
 def main() -> None:

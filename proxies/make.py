@@ -11,20 +11,17 @@ from datagen.data.geometries import ProxyStatistics, read_assignment, read_meshe
 from datagen.data.meshes import Mesh
 from datagen.data.paths import TRUTH, geometry_root
 from datagen.disk.errors import HyalineError
-from datagen.disk.heads import keep_head
 from datagen.disk.ownership import PROXIES, holding, refuse_others
-from datagen.disk.promises import check_files
-from datagen.disk.storage import load_sealed
+from datagen.disk.storage import check_files, load_sealed
 from datagen.terminal.command import say
-from proxies.kinds.table import FITTERS
 from proxies.meshing.measure import enclosure, proxy_statistics
 from proxies.meshing.meshlab import meshlab_problem
 from proxies.meshing.noise import noise_problem, noisy_mesh
 from proxies.meshing.solid import Solid, make_solids
-from proxies.spec import MixedSpec, ProxySpec, parse_part
+from proxies.spec import FITTERS, MixedSpec, ProxySpec, parse_part
 
 PADDING = 2e-6
-"""Step between the paddings of two proxies, in parts of the scene's extent."""
+"""Step between the paddings of two proxies, relative to the scene's extent."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,9 +33,9 @@ class ProxyReport:
     triangles: int
     statistics: ProxyStatistics
     inside_share: float | None
-    """Share of the object's vertices inside the proxy; None where it need not enclose anything (noise, the truth)."""
+    """Share of the object's vertices inside the proxy; None for noise and truth, which need not enclose anything."""
     problem: str | None
-    """What is wrong with the proxy, in a few words."""
+    """The proxy's problem in a few words; None if it is sound."""
 
 
 def make_and_peel(
@@ -50,9 +47,6 @@ def make_and_peel(
         num_layers: layers kept per ray.
         workers: parallel processes that peel.
         overwrite: replace existing proxies and layers.
-
-    Raises:
-        HyalineError: see `make_proxies` and `peel_dataset`.
     """
     say(f"{dataset.root}: makes {spec.geometry} proxies of {len(dataset.objects)} objects")
     if not make_proxies(dataset, spec, overwrite=overwrite):
@@ -64,28 +58,23 @@ def make_and_peel(
 
 
 def make_proxies(dataset: Dataset, spec: ProxySpec | MixedSpec, *, overwrite: bool) -> bool:
-    """Fits a proxy to every object and commits them; keeps those that stand there and verify.
+    """Fits a proxy to every object and commits them; keeps existing ones that verify.
 
     Returns:
-        True when they were made, False when they were kept.
-
-    Raises:
-        HyalineError: a damaged scene, proxies of another dataset or another mixture, another process that writes there,
-            or an object for which proxies of this kind cannot be made.
+        True if they were made, False if they were kept.
     """
     if dataset.edit is not None:
-        # Its proxies are those of the base, moved as their objects were: fitted anew, they would have other texels.
+        # Its proxies are those of the base, moved like their objects: new fits would have different texels.
         raise HyalineError(f"{dataset.root}: is an edit; make proxies of the dataset around it, which edits them along")
     root = geometry_root(dataset.root, spec.geometry)
     truths = read_meshes(dataset, TRUTH)
     assignment = spec.assignment if isinstance(spec, MixedSpec) else None
     with holding(root, PROXIES, within=dataset.root):
-        if not overwrite and _stand(dataset, spec.geometry):
+        if not overwrite and _has_intact(dataset, spec.geometry):
             _check_same_assignment(dataset, spec.geometry, assignment)
-            keep_head(dataset.root, root / PROXIES.head)  # A kill may have come between the head and its copy.
             return False
         if (problem := meshlab_problem()) is not None:
-            say(f"{problem}; SciPy and NumPy do its work")
+            say(f"{problem}; using SciPy and NumPy instead")
         own = {PROXIES.head, *(f"meshes/{item.name}.ply" for item in dataset.objects)}
         refuse_others(root, PROXIES, but=lambda path: path in own)
         solids = make_solids(truths)
@@ -93,7 +82,7 @@ def make_proxies(dataset: Dataset, spec: ProxySpec | MixedSpec, *, overwrite: bo
         meshes = fit_parts(truths, solids, parts)
         for item, part, mesh, truth in zip(dataset.objects, parts, meshes, truths, strict=True):
             _, problem = _soundness(part, mesh, truth)
-            # Not only our own work: pymeshlab and xatlas have their part in it.
+            # Also checks the results of pymeshlab and xatlas.
             if part is not None and problem is not None:
                 raise HyalineError(f"{root}: the {part.kind} of {item.name} {problem}; make another kind")
         statistics = proxy_statistics(meshes, truths, solids)
@@ -104,9 +93,9 @@ def make_proxies(dataset: Dataset, spec: ProxySpec | MixedSpec, *, overwrite: bo
 def fit_parts(
     truths: tuple[Mesh, ...], solids: tuple[Solid, ...], parts: tuple[ProxySpec | None, ...]
 ) -> tuple[Mesh, ...]:
-    """What stands for each object: its true mesh, that mesh with noise, or a proxy.
+    """The mesh for each object: its true mesh, that mesh with noise, or a proxy.
 
-    The paddings are those of a dataset whose objects all have proxies: an object gets the same box in any mixture.
+    Paddings are as if all objects had proxies, so that an object gets the same box in any mixture.
     """
     meshes = dict(enumerate(truths))
     all_paddings = paddings(solids)
@@ -122,16 +111,16 @@ def fit_parts(
 
 
 def paddings(solids: tuple[Solid, ...]) -> tuple[float, ...]:
-    """How far each proxy grows beyond its object, in metres.
+    """The distance in metres by which each proxy grows beyond its object.
 
-    Where two objects have sides in one plane (all that stands on a floor), so would their boxes, and of two coincident
-    faces a ray finds only one: a layer is lost. Paddings that all differ by a step part such faces, those that face
-    each other too. The thinnest object gets the smallest padding, since there it costs most; equal ones go by place.
+    If two objects have sides in one plane (everything on a floor), their boxes would, too, and a ray only finds one of
+    two coincident faces: a layer would be lost. Different paddings separate such faces, including faces in contact. The
+    thinnest object gets the smallest padding, because it costs most there; equal ones are ordered by place.
     """
     low = np.min([solid.points.min(axis=0) for solid in solids], axis=0)
     high = np.max([solid.points.max(axis=0) for solid in solids], axis=0)
     thicknesses = np.array([solid.thickness for solid in solids])
-    # A step stays above what float32 resolves at the scene's largest coordinate.
+    # A step is larger than float32 resolution at the scene's largest coordinate.
     step = max(PADDING * float((high - low).max()), 32 * 2.0**-24 * float(np.abs([low, high]).max()))
     rank = np.empty(len(solids), int)
     rank[np.argsort(thicknesses, kind="stable")] = np.arange(len(solids))
@@ -139,11 +128,7 @@ def paddings(solids: tuple[Solid, ...]) -> tuple[float, ...]:
 
 
 def read_reports(dataset: Dataset, geometry: str) -> tuple[ProxyReport, ...]:
-    """The table of the proxies on disk, their enclosure checked anew.
-
-    Raises:
-        HyalineError: not made, damaged, or made for another dataset.
-    """
+    """The table of the proxies on disk, with their enclosure checked again."""
     records = read_proxy_records(dataset, geometry)
     meshes, truths = read_meshes(dataset, geometry), read_meshes(dataset, TRUTH)
     kinds = read_assignment(dataset, geometry) or (geometry,) * len(records)
@@ -175,7 +160,7 @@ def _soundness(part: ProxySpec | None, mesh: Mesh, truth: Mesh) -> tuple[float |
 
 
 def _check_same_assignment(dataset: Dataset, geometry: str, assignment: tuple[str, ...] | None) -> None:
-    """Refuses to keep a mixture that is not the one asked for."""
+    """Raises a HyalineError if the stored mixture is not the requested one."""
     before = read_assignment(dataset, geometry)
     if assignment is None or before is None:
         return
@@ -187,12 +172,8 @@ def _check_same_assignment(dataset: Dataset, geometry: str, assignment: tuple[st
             )
 
 
-def _stand(dataset: Dataset, geometry: str) -> bool:
-    """True when proxies of this dataset stand there and verify; damaged ones are made again.
-
-    Raises:
-        HyalineError: they are of another dataset or format.
-    """
+def _has_intact(dataset: Dataset, geometry: str) -> bool:
+    """True if proxies of this dataset exist and verify; damaged ones are made again."""
     path = geometry_root(dataset.root, geometry) / "proxies.json"
     if not path.is_file():
         return False

@@ -1,7 +1,6 @@
 """Making a dataset: for every view render, commit, peel, commit; goes on where it was stopped."""
 
 import contextlib
-import dataclasses
 import functools
 import shlex
 from collections.abc import Callable, Iterator
@@ -16,14 +15,13 @@ from datagen.data.config import SPLITS, DatasetConfig, Split, config_difference,
 from datagen.data.dataset import Dataset, DatasetObject, head_files
 from datagen.data.depth_range import with_depth_range
 from datagen.data.geometries import geometry_hash
-from datagen.data.layer_store import record_path_of_layers
 from datagen.data.layer_writing import check_settings, create_layers
+from datagen.data.layers import record_path_of_layers
 from datagen.data.metadata import RENDERED, Imported, unknown_license
 from datagen.data.paths import TRUTH, layers_root
 from datagen.data.writing import clear_dataset, dataset_files, head_contents, view_files, write_head
 from datagen.disk.errors import DamagedError, HyalineError, WorkerKilledError
 from datagen.disk.ownership import DATASET, LAYERS, holding, is_ours, refuse_taken, remove_files
-from datagen.disk.promises import check_files
 from datagen.disk.storage import sha256
 from datagen.machine.workers import in_workers
 from datagen.scene.camera_list import CameraList
@@ -227,8 +225,6 @@ def open_or_start(
     dataset = write_head(
         root, config, objects, cameras, files, imported=imported, stated_license=stated_license, replace=overwrite
     )
-    if scene is not None:
-        files = files_in(dataset, scene)
     if dataset.imported != imported:
         raise HyalineError(
             f"{root}: holds {_origin(dataset.imported)}; pass --overwrite to replace it, or --out for another place"
@@ -249,11 +245,6 @@ def open_or_start(
             "pass --overwrite to replace it, or --out for another place"
         )
     return dataset
-
-
-def files_in(dataset: Dataset, scene: Scene) -> dict[str, bytes]:
-    """The files of a scene's folder as a dataset has them: without a licence where it is older than licences are."""
-    return scene_files(dataclasses.replace(scene, license=None) if dataset.stated_license is None else scene)
 
 
 def _origin(imported: Imported | None) -> str:
@@ -285,8 +276,6 @@ def _is_started(dataset: Dataset, geometry: str, meshes_hash: str, *, num_layers
 def _start_beside_others(dataset: Dataset, geometry: str, meshes_hash: str, *, num_layers: int) -> None:
     """Starts a store that other processes may be starting too; what stands there is never deleted.
 
-    Where another has written the head alone so far, this one writes the rest, too.
-
     Raises:
         HyalineError: a store of another geometry stands there, or another process has started one of other settings.
     """
@@ -294,7 +283,6 @@ def _start_beside_others(dataset: Dataset, geometry: str, meshes_hash: str, *, n
     create_layers(dataset, geometry, num_layers=num_layers, geometry_hash=meshes_hash)
     if not _is_started(dataset, geometry, meshes_hash, num_layers=num_layers):
         raise HyalineError(f"{root}: holds layers of another geometry; build without --shard, which replaces them")
-    check_files(root, dataset.layer_store(geometry).head.files)
 
 
 def _tasks(dataset: Dataset) -> list[Task]:

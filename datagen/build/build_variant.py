@@ -7,14 +7,14 @@ from datagen.build.shards import Shard
 from datagen.data.config import config_difference
 from datagen.data.dataset import Dataset, head_files, open_dataset
 from datagen.data.geometries import list_geometries, read_assignment, read_meshes, read_proxy_records, write_proxies
+from datagen.data.layer_writing import find_num_layers
 from datagen.data.meshes import Mesh, is_there, no_mesh
 from datagen.data.metadata import SceneEdit, Variant
 from datagen.data.paths import TRUTH, geometry_root, layers_root
 from datagen.data.ply import write_ply
 from datagen.data.variants import list_variants, open_variant, variant_root
 from datagen.data.writing import clear_dataset, dataset_files, head_contents, view_files, write_head
-from datagen.disk.errors import HyalineError
-from datagen.disk.heads import keep_head
+from datagen.disk.errors import DamagedError, HyalineError
 from datagen.disk.ownership import DATASET, PROXIES, holding, is_ours, refuse_taken
 from datagen.disk.storage import load_sealed, sha256
 from datagen.scene.edits import moved_mesh
@@ -43,11 +43,17 @@ def build_variant(
 
 
 def peel_variants(base: Dataset, *, workers: int, shard: Shard | None = None) -> None:
-    """Peels what is missing in every variant, of each geometry that has layers in the dataset itself."""
+    """Peels what is missing in every variant, of each geometry that has layers in the dataset itself.
+
+    A variant that is damaged, or needs damaged proxies, is left to the commands that make these.
+    """
     for name in list_variants(base.root):
-        variant = open_variant(base, name)
-        if shard is None or variant.edit is None:  # Edits are made by one machine.
-            _peel(base, variant, workers=workers, shard=shard)
+        try:
+            variant = open_variant(base, name)
+            if shard is None or variant.edit is None:  # Edits are made by one machine.
+                _peel(base, variant, workers=workers, shard=shard)
+        except DamagedError as error:
+            say(f"{variant_root(base.root, name)}: is not peeled: {error}")
 
 
 def _peel(base: Dataset, variant: Dataset, *, workers: int, shard: Shard | None) -> None:
@@ -59,8 +65,7 @@ def _peel(base: Dataset, variant: Dataset, *, workers: int, shard: Shard | None)
             with holding(geometry_root(variant.root, geometry), PROXIES, within=variant.root):
                 _write_proxies(base, variant, variant.edit, geometry)
         num_layers = base.layer_store(geometry).head.num_layers
-        stands = (layers_root(variant.root, geometry) / "layers.json").is_file()
-        is_other = stands and variant.layer_store(geometry).head.num_layers != num_layers
+        is_other = find_num_layers(variant, geometry) not in (None, num_layers)
         peel_dataset(
             variant,
             geometry,
@@ -127,7 +132,6 @@ def _write_proxies(base: Dataset, variant: Dataset, edit: SceneEdit, geometry: s
     except HyalineError:
         found = None  # Not made yet, or damaged.
     if found is not None and _hashes(found) == _hashes(wanted):
-        keep_head(variant.root, geometry_root(variant.root, geometry) / "proxies.json")
         return
     statistics = tuple(records[edited.copies.get(name, name)].statistics for name in names)
     assignment = read_assignment(base, geometry)

@@ -11,9 +11,8 @@ from datagen.data.images import png_bytes, srgb_from_linear
 from datagen.data.variants import EDIT_MASKS_FOLDER, ELSEWHERE, LIGHT, OBJECT, edit_mask_files, edit_mask_path
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import EDIT_MASKS, begin, holding, is_ours
-from datagen.disk.promises import check_files
 from datagen.disk.records import Json
-from datagen.disk.storage import commit_same, commit_sealed, load_sealed, seal_bytes, sha256
+from datagen.disk.storage import check_files, commit_same, commit_sealed, load_sealed, seal_bytes, sha256
 
 SIGMAS = 3.0
 """A difference counts when it is so many times the standard deviation of its noise."""

@@ -1,7 +1,8 @@
-"""The search for damage: every byte of a dataset against what its sealed records promise, and what mends it.
+"""The search for damage: every byte of a dataset against what its sealed records promise, and how to repair it.
 
-Damage is a file of the dataset that is missing, does not hold what was promised, or is no file (a link is never
-followed, a pipe never opened); each line ends with the command that mends it. What is no part of a dataset is a remark.
+Damage is a file of the dataset that is missing, does not hold what was promised, or is not a file (a link is never
+followed, a pipe never opened). Each line ends with the command that makes the file again: the one that made the
+dataset, its proxies or a variant, with the choices that their heads record. Foreign files are a remark.
 """
 
 import shlex
@@ -9,22 +10,23 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
+from datagen.build.presets import PRESETS
 from datagen.build.survey import Survey
 from datagen.data.dataset import Dataset, head_files, open_dataset
-from datagen.data.geometries import geometry_hash, list_geometries, read_assignment, read_proxy_records
-from datagen.data.layer_store import record_path_of_layers
-from datagen.data.paths import TRUTH, geometry_root, layers_root, record_path
+from datagen.data.geometries import geometry_hash, make_command, read_proxy_records
+from datagen.data.layer_writing import find_num_layers
+from datagen.data.layers import record_path_of_layers
+from datagen.data.paths import DATA_ROOT, TRUTH, layers_root, record_path
 from datagen.data.variants import EDIT_MASKS_FOLDER as EDIT_MASKS
-from datagen.data.variants import edit_mask_files
+from datagen.data.variants import VARIANTS_FOLDER as VARIANTS
+from datagen.data.variants import edit_mask_files, variant_command
 from datagen.disk.errors import HyalineError
-from datagen.disk.heads import list_heads, true_head
-from datagen.disk.homes import HEADS, home_of
+from datagen.disk.names import is_name
 from datagen.disk.ownership import LAYERS
-from datagen.disk.reading import load_json, parse_json
-from datagen.disk.storage import sha256_file
+from datagen.disk.storage import home_of, sha256_file
 
 NAMED = 3
-"""Of many files that say the same, so many are named."""
+"""Of many files with the same problem, this many are named."""
 
 
 class Findings(NamedTuple):
@@ -33,9 +35,9 @@ class Findings(NamedTuple):
     verified: int
     """How many files verify."""
     problems: list[str]
-    """A line for each damage, with the command that mends it."""
+    """A line for each damage, with the command that repairs it."""
     remarks: list[str]
-    """What is no damage."""
+    """What is not damage."""
     commands: list[str]
     """Those that the problems name, in the order in which to run them."""
 
@@ -44,63 +46,17 @@ def verify_dataset(root: Path) -> Findings:
     """Reads every file of a dataset, with its layers, proxies and variants; of a variant, that one's.
 
     Raises:
-        HyalineError: no dataset there, or its head is lost together with its copy.
+        HyalineError: no dataset there, or its head is lost or damaged.
     """
     home = home_of(root)
-    check_is_there(home)
-    return _search(home, root).findings()
-
-
-def check_is_there(home: Path) -> None:
-    """Refuses a folder that is no dataset by its head, nor by the copy of that.
-
-    Raises:
-        HyalineError: with what to do about it.
-    """
-    if true_head(home, "dataset.json") is not None:
-        return
-    if (home / "records").is_dir():
-        raise HyalineError(
-            f"{home}: dataset.json and its copy {HEADS}/dataset.json are lost; build it again with the command and "
-            "the flags that it was built with, which keeps all views that are whole"
-        )
-    open_dataset(home)  # Says what is wrong with it.
-
-
-def _search(home: Path, root: Path) -> "_Search":
+    dataset = open_dataset(home)
     search = _Search(home, "" if home == root else f"{root.relative_to(home).as_posix()}/")
-    search.check_heads()
-    search.check_dataset("")
-    for head in search.heads:
-        if head.startswith("variants/") and head.endswith("/dataset.json"):
-            search.check_dataset(head.removesuffix("dataset.json"))
-    return search
-
-
-def list_obstacles(home: Path) -> list[Path]:
-    """What stands where files of a dataset belong, or folders of them, and is none.
-
-    Raises:
-        HyalineError: a link leads to a folder with such files, which somebody has moved there.
-    """
-    search = _search(home, home)
-    found = [home / place for place in search.lines if place in search.obstacles]
-    for path in found:
-        if path.is_symlink() and any((home / file).is_file() for file in search.known if path in (home / file).parents):
-            raise HyalineError(
-                f"{path}: is a link to a folder with files of the dataset, which nothing is written through; "
-                "move that folder back here, or remove the link to have them made again"
-            )
-    return found
-
-
-def is_good(path: Path, promised: str) -> bool:
-    """True when a regular file of these bytes stands there."""
-    return path.is_file() and not path.is_symlink() and sha256_file(path) == promised
+    search.check_home(dataset)
+    return search.findings()
 
 
 class _Search:
-    """The state of one search: what stands there, what was expected, what was found."""
+    """The state of one search: what is there, what was expected, what was found."""
 
     def __init__(self, home: Path, within: str) -> None:
         self.home, self.within = home, within
@@ -108,220 +64,190 @@ class _Search:
         self.known: set[str] = set()
         self.good: set[str] = set()
         self.lines: dict[str, tuple[str, str]] = {}
-        """What is wrong and what mends it, by place."""
-        self.obstacles: set[str] = set()
-        """Places where something else stands."""
-        self.unmade: list[str] = []
-        """Views that are not there, in words, for each folder of records."""
-        self.remarks: list[str] = []
-        self.heads = list_heads(home)
-        self.mend = f"datagen mend {shlex.quote(str(home))}"
-        self.finish = self.mend
-        """What makes views that are not there."""
+        """What is wrong and what repairs it, by place."""
+        self.unmade: dict[str, list[str]] = {}
+        """Views that are not there, in words for each folder of records, by the command that makes them."""
+        self.commands: list[str] = []
+        """All that may be named, in the order in which to run them."""
 
-    def wrong(self, place: str, what: str, command: str | None = None) -> None:
+    def wrong(self, place: str, what: str, command: str) -> None:
         if f"{place}/".startswith(self.within):
-            self.lines.setdefault(place, (what, command or self.mend))
+            self.lines.setdefault(place, (what, command))
 
-    def check(self, relative: str, promised: str | None, command: str | None = None) -> bool:
-        """Expects a file of these bytes (or of any) at a path; tells where it is not so."""
+    def check(self, relative: str, promised: str | None, command: str) -> bool:
+        """Expects a file of these bytes (or of any) at a path; notes where it is not so."""
         self.known.add(relative)
-        obstacle = self.survey.obstacle(relative)
-        if obstacle is None and promised is not None and sha256_file(self.home / relative) != promised:
-            obstacle = relative, "damaged (checksum differs)"
-        if obstacle is None:
+        place, what = self.survey.obstacle(relative) or (relative, "")
+        if not what and promised is not None and sha256_file(self.home / relative) != promised:
+            what = "damaged (checksum differs)"
+        if not what:
             self.good.add(relative)
             return True
-        self.wrong(*obstacle, command)
-        place = obstacle[0]
-        if self.survey.kinds.get(place) not in (None, "file") or (place != relative and place in self.survey.kinds):
-            self.obstacles.add(place)
+        # What a file replaces is a file, a link or a pipe; all else is the user's to move away.
+        is_in_the_way = place in self.survey.kinds and (place != relative or self.survey.kinds[place] == "folder")
+        self.wrong(place, f"{what}; move it away, then run" if is_in_the_way else f"{what}; repair it with", command)
         return False
 
-    def check_all(self, prefix: str, files: Mapping[str, str], command: str | None = None) -> None:
+    def check_all(self, prefix: str, files: Mapping[str, str], command: str) -> None:
         for file, promised in files.items():
             self.check(prefix + file, promised, command)
 
-    # Heads
-
-    def check_heads(self) -> None:
-        """Every head and its copy: both whole, and the same."""
-        has_copies = self.survey.kinds.get(HEADS) is not None
-        if not has_copies:
-            self.remarks.append(
-                f"{self.home / HEADS}: there are no second copies of the heads, by which a lost one is found and made "
-                f"again; `{self.mend}` writes them"
-            )
-        for head in self.heads:
-            data = true_head(self.home, head)
-            for path in (head, f"{HEADS}/{head}") if has_copies else (head,):
-                command = self._remake_command(head) if data is None else None
-                if self.check(path, None, command) and (data is None or (self.home / path).read_bytes() != data):
-                    self.good.discard(path)
-                    self.wrong(path, "damaged (it does not match its checksum, or is that of another place)", command)
-
-    def _remake_command(self, head: str) -> str | None:
-        """What makes a head again that is lost together with its copy, as far as what is left tells."""
-        parts = head.split("/")
-        geometry = parts[1] if parts[0] == "proxies" else TRUTH
-        if parts[-1] == "proxies.json":
-            return shlex.join(["proxies", "make", "--dataset", str(self.home), "--kind", geometry, "--overwrite"])
-        if parts[0] not in ("layers", "proxies"):
-            return None
-        words = ["datagen", "peel", "--dataset", str(self.home), "--geometry", geometry]
-        array = (self.home / head).parent / "peels.zarr" / "interpolating" / "object_id" / "zarr.json"
-        try:
-            shape = load_json(array).get("shape")
-        except HyalineError:
-            shape = None
-        if isinstance(shape, list) and len(shape) >= 4:
-            words += ["--num-layers", str(shape[-3])]
-        return shlex.join(words)
+    def refused(self, relative: str, error: HyalineError, command: str) -> None:
+        """Notes a file that cannot be read as what it should be."""
+        self.good.discard(relative)
+        reason = str(error).removeprefix(f"{self.home / relative}: ").split("; ")[0]
+        self.wrong(relative, f"{reason}; repair it with", command)
 
     # A dataset or variant
 
-    def check_dataset(self, prefix: str) -> None:
-        """What the head in a folder promises; nothing where it is damaged."""
-        if f"{prefix}dataset.json" not in self.good:
-            return
-        root = self.home / prefix
-        try:
-            dataset = open_dataset(root)
-        except HyalineError as error:
-            self.wrong(f"{prefix}dataset.json", _reason(error, root / "dataset.json"))
-            return
-        for file, promised in head_files(root).items():
-            self.check(prefix + file, promised, self._scene_command(dataset, file))
+    def check_home(self, dataset: Dataset) -> None:
+        """The dataset with its proxies, then its variants."""
         if dataset.imported is not None:
-            self.finish = import_command(dataset)
-        self._check_views(dataset, prefix)
-        for geometry in list_geometries(dataset):
-            self._check_geometry(dataset, prefix, geometry)
+            command = import_command(dataset)
+        else:
+            files = head_files(self.home)
+            scene_is_good = all(
+                self.survey.has(file) and sha256_file(self.home / file) == promised
+                for file, promised in files.items()
+                if file.startswith("scene/")
+            )
+            command = build_command(dataset, scene_is_good=scene_is_good)
+        proxies = {name: make_command(dataset, name, find_num_layers(dataset, name)) for name in self._proxies()}
+        self.commands = [command, *proxies.values()]
+        self._check_files(dataset, "", command)
+        self._check_layers(dataset, "", TRUTH, command if dataset.imported is None else peel_command(dataset))
+        for name, make in proxies.items():
+            self._check_proxies(dataset, "", name, make)
+        for name in self._folders(VARIANTS, "dataset.json", "records"):
+            prefix = f"{VARIANTS}/{name}/"
+            if not self.check(f"{prefix}dataset.json", None, variant_command(dataset, name)):
+                continue
+            try:
+                variant = open_dataset(self.home / prefix)
+            except HyalineError as error:
+                self.refused(f"{prefix}dataset.json", error, variant_command(dataset, name))
+                continue
+            command = variant_command(dataset, name, variant)
+            self._check_files(variant, prefix, command)
+            for geometry in (TRUTH, *proxies):
+                if variant.edit is not None and geometry != TRUTH:
+                    self._check_proxies(variant, prefix, geometry, command)
+                else:
+                    self._check_layers(variant, prefix, geometry, command)
+
+    def _proxies(self) -> list[str]:
+        return self._folders("proxies", "proxies.json", "meshes", "layers")
+
+    def _folders(self, above: str, *parts: str) -> list[str]:
+        """Names of the folders there that hold one of these parts."""
+        kinds = self.survey.kinds
+        found = sorted({Path(path).parts[1] for path in kinds if path.startswith(f"{above}/")})
+        return [name for name in found if is_name(name) and any(f"{above}/{name}/{part}" in kinds for part in parts)]
+
+    def _check_files(self, dataset: Dataset, prefix: str, command: str) -> None:
+        """The head of a dataset, what that promises, and the views."""
+        self.check(f"{prefix}dataset.json", None, command)
+        self.check_all(prefix, head_files(dataset.root), command)
+        unmade, total = [], 0
+        for view in (view for split in dataset.splits for view in dataset.views(split)):
+            total += 1
+            path = record_path(dataset.root, view.split, view.index)
+            relative = prefix + path.relative_to(dataset.root).as_posix()
+            pictures = [f"{prefix}images/{view.split}/{path.stem}{ending}" for ending in dataset.endings]
+            self.known.update((relative, *pictures))
+            if self._is_absent(relative):
+                unmade.append(relative)
+                for picture in pictures:
+                    if not self._is_absent(picture):
+                        self.check(picture, None, command)
+                        self.good.discard(picture)
+            elif self.check(relative, None, command):
+                try:
+                    self.check_all(prefix, view.record.files, command)
+                except HyalineError as error:
+                    self.refused(relative, error, command)
+        self._note_unmade(unmade, f"{len(unmade)} of {total} views{f' of {prefix[:-1]}' if prefix else ''}", command)
         if dataset.edit is not None:
             index = f"{prefix}{EDIT_MASKS}/{EDIT_MASKS}.json"
-            if self.check(index, None):
+            if self.check(index, None, command):
                 try:
-                    self.check_all(prefix, edit_mask_files(dataset))
+                    self.check_all(prefix, edit_mask_files(dataset), command)
                 except HyalineError as error:
-                    self.wrong(index, _reason(error, self.home / index))
-
-    def _scene_command(self, dataset: Dataset, file: str) -> str | None:
-        from datagen.scene.finding import is_made_by_code
-
-        if dataset.imported is not None:
-            return import_command(dataset)
-        if not file.startswith("scene/") or dataset.edit is not None or is_made_by_code(dataset.config.scene):
-            return None
-        return f"{self.mend} --scene FOLDER"
-
-    def _check_views(self, dataset: Dataset, prefix: str) -> None:
-        unmade, total = [], 0
-        command = None if dataset.imported is None else import_command(dataset)
-        for split in dataset.splits:
-            for view in range(dataset.config.split(split).views):
-                total += 1
-                path = record_path(dataset.root, split, view)
-                relative = prefix + path.relative_to(dataset.root).as_posix()
-                self.known.add(relative)
-                pictures = [f"{prefix}images/{split}/{path.stem}{ending}" for ending in dataset.endings]
-                self.known.update(pictures)
-                if self._is_absent(relative):
-                    unmade.append(relative)
-                    for picture in pictures:
-                        if not self._is_absent(picture):
-                            self.check(picture, None, command)
-                            self.good.discard(picture)
-                elif self.check(relative, None, command):
-                    try:
-                        self.check_all(prefix, dataset.view(split, view).record.files, command)
-                    except HyalineError as error:
-                        self.good.discard(relative)
-                        self.wrong(relative, _reason(error, path), command)
-        self._tell_unmade(unmade, total, f" of {prefix.rstrip('/')}" if prefix else "")
+                    self.refused(index, error, command)
 
     def _is_absent(self, relative: str) -> bool:
-        """True when nothing stands at a path, nor what is no folder on its way."""
+        """True if neither the path nor anything else in its way exists."""
         obstacle = self.survey.obstacle(relative)
-        return obstacle is not None and self.survey.kinds.get(obstacle[0]) is None
+        return obstacle is not None and obstacle[0] not in self.survey.kinds
 
-    def _tell_unmade(self, unmade: list[str], total: int, of: str) -> None:
+    def _note_unmade(self, unmade: list[str], what: str, command: str) -> None:
         if unmade and unmade[0].startswith(self.within):
-            self.unmade.append(f"{len(unmade)} of {total} views{of} ({_some(unmade)})")
+            self.unmade.setdefault(command, []).append(f"{what} ({_some(unmade)})")
 
     # Geometries
 
-    def _check_geometry(self, dataset: Dataset, prefix: str, geometry: str) -> None:
-        place = f"{prefix}proxies/{geometry}/" if geometry != TRUTH else prefix
-        if geometry != TRUTH and dataset.home is dataset:
-            if f"{place}proxies.json" not in self.good:
-                return
-            try:
-                records = read_proxy_records(dataset, geometry)
-            except HyalineError as error:
-                self.wrong(f"{place}proxies.json", _reason(error, geometry_root(dataset.root, geometry)))
-                return
-            command = None if dataset.edit is not None else make_command(dataset, geometry)
-            self.check_all(place, {record.file: record.sha256 for record in records}, command)
-        if f"{place}layers/straight/layers.json" in self.good:
-            self._check_layers(dataset, f"{place}layers/straight/", geometry)
-
-    def _check_layers(self, dataset: Dataset, prefix: str, geometry: str) -> None:
-        root = layers_root(dataset.root, geometry)
-        try:
-            head = dataset.layer_store(geometry).head
-        except HyalineError as error:
-            self.wrong(f"{prefix}layers.json", _reason(error, root / "layers.json"))
+    def _check_proxies(self, dataset: Dataset, prefix: str, geometry: str, command: str) -> None:
+        place = f"{prefix}proxies/{geometry}/"
+        if not self.check(f"{place}proxies.json", None, command):
             return
         try:
-            if head.geometry != geometry_hash(dataset, geometry):
-                self.wrong(f"{prefix}layers.json", "was made of other meshes than stand there now")
-        except HyalineError:
-            pass  # The meshes have lines of their own.
-        self.check_all(prefix, head.files)
+            records = read_proxy_records(dataset, geometry)
+        except HyalineError as error:
+            self.refused(f"{place}proxies.json", error, command)
+            return
+        self.check_all(place, {record.file: record.sha256 for record in records}, command)
+        self._check_layers(dataset, prefix, geometry, command)
+
+    def _check_layers(self, dataset: Dataset, prefix: str, geometry: str, command: str) -> None:
+        root = layers_root(dataset.root, geometry)
+        prefix += f"{root.relative_to(dataset.root).as_posix()}/"
+        head = prefix + LAYERS.head
+        base = layers_root(self.home, geometry) / LAYERS.head
+        is_due = dataset.imported is None if geometry == TRUTH else dataset.parent is not None and base.is_file()
+        if not is_due and not any(path.startswith(prefix) for path in self.survey.kinds):
+            return  # Nothing says that they were ever made.
+        if not self.check(head, None, command):
+            return
+        try:
+            store = dataset.layer_store(geometry)
+            is_current = store.head.geometry == geometry_hash(dataset, geometry)
+        except HyalineError as error:
+            if str(error).startswith(str(root)):
+                self.refused(head, error, command)
+                return
+            store, is_current = dataset.layer_store(geometry), True  # The meshes have lines of their own.
+        if not is_current:
+            self.wrong(head, "was made of other meshes than are there now; repair it with", command)
         unmade, total = [], 0
-        for split in dataset.splits:
-            for view in range(dataset.config.split(split).views):
-                total += 1
-                path = record_path_of_layers(root, split, view)
-                relative = prefix + path.relative_to(root).as_posix()
-                self.known.add(relative)
-                if self._is_absent(relative):
-                    unmade.append(relative)
-                elif self.check(relative, None):
-                    try:
-                        self.check_all(prefix, dataset.layer_store(geometry).record(split, view).files)
-                    except HyalineError as error:
-                        self.good.discard(relative)
-                        self.wrong(relative, _reason(error, path))
-        self._tell_unmade(unmade, total, f" of {prefix.rstrip('/')}")
+        for view in (view for split in dataset.splits for view in dataset.views(split)):
+            total += 1
+            path = record_path_of_layers(root, view.split, view.index)
+            relative = prefix + path.relative_to(root).as_posix()
+            self.known.add(relative)
+            if self._is_absent(relative):
+                unmade.append(relative)
+            elif self.check(relative, None, command):
+                try:
+                    self.check_all(prefix, store.record(view.split, view.index).files, command)
+                except HyalineError as error:
+                    self.refused(relative, error, command)
+        self._note_unmade(unmade, f"{len(unmade)} of {total} views of {prefix[:-1]}", command)
 
     # The end
 
     def findings(self) -> Findings:
-        if any(command.endswith("--scene FOLDER") for _, command in self.lines.values()):
-            # One command for all that this program mends: without the scene it would stop there.
-            with_scene = f"{self.mend} --scene FOLDER"
-            self.lines = {
-                place: (what, with_scene if command == self.mend else command)
-                for place, (what, command) in self.lines.items()
-            }
-        lines = [
-            f"{self.home / place}: {what}; mend it with `{command}`" for place, (what, command) in self.lines.items()
+        lines = [f"{self.home / place}: {what} `{command}`" for place, (what, command) in self.lines.items()]
+        lines += [
+            f"{self.home}: unfinished: without records are {', '.join(found)}; finish it with `{command}`"
+            for command, found in self.unmade.items()
         ]
-        commands = [command for _, command in self.lines.values()]
-        if self.unmade:
-            lines.append(
-                f"{self.home}: unfinished: without records are {', '.join(self.unmade)}; finish it with `{self.finish}`"
-            )
-            commands.append(self.finish)
-        # Proxies first, from which layers are made; but before them what they are made from.
-        is_first = any(place == "dataset.json" or place.startswith("scene/") for place in self.lines)
-        order = sorted(set(commands), key=lambda command: (command.startswith("datagen") != is_first, command))
+        named = dict.fromkeys([*(command for _, command in self.lines.values()), *self.unmade])
+        known = [command for command in self.commands if command in named]
         return Findings(
             verified=len([path for path in self.good if path.startswith(self.within)]),
             problems=lines,
-            remarks=[*self.remarks, *self._foreign()],
-            commands=order,
+            remarks=self._foreign(),
+            commands=list(dict.fromkeys([*known, *named])),
         )
 
     def _foreign(self) -> list[str]:
@@ -332,38 +258,15 @@ class _Search:
             for path, kind in self.survey.kinds.items()
             if kind != "folder"
             and path not in self.known
+            and path not in self.lines
             and path.startswith(self.within)
             and not path.startswith(unread)
         ]
-        foreign = [path for path in foreign if path not in self.lines]
-        if not foreign or "dataset.json" in self.lines:
+        if not foreign:
             return []
         return [
             f"{self.home}: {len(foreign)} files are no part of the dataset and were not looked at: {_some(foreign)}"
         ]
-
-
-def make_command(dataset: Dataset, geometry: str) -> str:
-    """The command that makes a dataset's proxies, and their layers, as they were made."""
-    words = ["proxies", "make", "--dataset", str(dataset.root)]
-    assignment = read_assignment(dataset, geometry)
-    if assignment is not None:
-        words += ["--name", geometry]
-        for item, kind in zip(dataset.objects, assignment, strict=True):
-            words += ["--assign", f"{item.name}={kind}"]
-    else:
-        kind, _, amount = geometry.partition("-")
-        words += ["--kind", kind, *(["--amount", amount] if amount else [])]
-    place = layers_root(dataset.root, geometry).relative_to(dataset.root) / LAYERS.head
-    head = true_head(dataset.root, place.as_posix())  # Its copy knows how many there were where it is lost.
-    if head is not None:
-        words += ["--num-layers", str(parse_json(head, where=str(place))["num_layers"])]
-    return shlex.join(words)
-
-
-def import_command(dataset: Dataset) -> str:
-    """The command that brings back what is lost of an imported dataset."""
-    return f"datagen import-dataset FOLDER --out {shlex.quote(str(dataset.root))}"
 
 
 def _some(paths: Iterable[str]) -> str:
@@ -372,6 +275,57 @@ def _some(paths: Iterable[str]) -> str:
     return ", ".join(named[:NAMED]) + (f" and {more} more" if more > 0 else "")
 
 
-def _reason(error: HyalineError, path: Path) -> str:
-    """What an error says of a file, without its name and its way out."""
-    return str(error).removeprefix(f"{path}: ").split("; ")[0]
+# Commands
+
+
+def build_command(dataset: Dataset, *, scene_is_good: bool) -> str:
+    """The command that builds a dataset again, with the choices that its head records.
+
+    Args:
+        scene_is_good: whether the dataset's own copy of its scene can be built from.
+    """
+    from datagen.scene.finding import is_made_by_code
+
+    config, preset = dataset.config, PRESETS[dataset.config.preset]
+    scene = config.scene
+    if not is_made_by_code(scene):
+        scene = str(dataset.root / "scene") if scene_is_good else "FOLDER"  # That it was built from.
+    words = ["datagen", "build", "--scene", scene, "--preset", config.preset]
+    if dataset.root != DATA_ROOT / scene:
+        words += ["--out", str(dataset.root)]
+    size = config.resolution
+    chosen = {
+        "--resolution": None
+        if size == preset.resolution
+        else str(size.width)
+        if size.width == size.height
+        else f"{size.width}x{size.height}",
+        "--views": _unless(preset.train.views, config.train.views),
+        "--test-views": _unless(preset.interpolating.views, config.interpolating.views),
+        "--spp": _unless(preset.train.spp, config.train.spp),
+        "--test-spp": _unless(preset.interpolating.spp, config.interpolating.spp),
+        "--ceiling": config.ceiling_db,
+        "--max-depth": _unless(24, config.max_depth),
+        "--seed": _unless(0, config.seed),
+        "--num-layers": _unless(8, find_num_layers(dataset, TRUTH) or 8),
+    }
+    if config.interpolating.views != config.extrapolating.views:  # Then the scene lists its cameras.
+        del chosen["--views"], chosen["--test-views"]
+    words += [word for flag, value in chosen.items() if value is not None for word in (flag, str(value))]
+    return shlex.join(words)
+
+
+def _unless(default: int | None, value: int | None) -> int | None:
+    return None if value == default else value
+
+
+def import_command(dataset: Dataset) -> str:
+    """The command that brings back what is lost of an imported dataset."""
+    return f"datagen import-dataset FOLDER --out {shlex.quote(str(dataset.root))}"
+
+
+def peel_command(dataset: Dataset) -> str:
+    """The command that makes layers of an imported dataset."""
+    number = find_num_layers(dataset, TRUTH)
+    words = ["datagen", "peel", "--dataset", str(dataset.root)]
+    return shlex.join([*words, *([] if number is None else ["--num-layers", str(number)])])

@@ -23,7 +23,6 @@ the scene, 0 where a layer is empty. uv is in [0, 1], v up: texel row `(1 - v) t
       proxies/KIND/proxies.json          sealed: one mesh per object, with SHA-256 and statistics
       proxies/KIND/meshes/NAME.ply
       proxies/KIND/layers/...            the same of the proxies
-      heads/                             a second copy of every head (datagen/disk/heads.py)
       variants/NAME/                     more truth, when asked for (data/variants.py): a dataset with the same scene or
                                          the same cameras
 """
@@ -40,8 +39,7 @@ from jaxtyping import Bool, Float32, UInt8
 from datagen.data.cameras import Camera, Cameras
 from datagen.data.config import SPLITS, DatasetConfig, Split, config_of
 from datagen.data.images import decode_exr, decode_png, read_npy
-from datagen.data.layer_store import LayerStore, open_layers
-from datagen.data.layers import Layers, glass_mask, read_layers
+from datagen.data.layers import Layers, LayerStore, glass_mask, open_layers, read_layers
 from datagen.data.metadata import (
     RENDERED,
     Imported,
@@ -55,13 +53,10 @@ from datagen.data.metadata import (
 from datagen.data.paths import TRUTH, image_path, layers_root, record_path, where_datasets_are
 from datagen.data.transforms import TRANSFORMS_FILES, parse_transforms
 from datagen.disk.errors import DamagedError, HyalineError
-from datagen.disk.homes import mend_command
 from datagen.disk.names import check_name, check_relative, real_path
-from datagen.disk.opened import Opened
 from datagen.disk.ownership import DATASET, LAYERS
-from datagen.disk.promises import check_files, read_promised
 from datagen.disk.records import Json, entry, from_json
-from datagen.disk.storage import load_sealed, seal_of, sha256, sha256_file
+from datagen.disk.storage import Opened, check_files, load_sealed, read_promised, seal_of, sha256, sha256_file, way_out
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,7 +91,7 @@ class Dataset:
     imported: Imported | None = None
     """None unless its pictures were rendered elsewhere."""
     stated_license: str | None = None
-    """None in a variant, which has that of the dataset around it, and in datasets from before heads said it."""
+    """None in a variant, which has that of the dataset around it."""
     _opened: Opened = field(default_factory=Opened, repr=False)
 
     @property
@@ -155,14 +150,14 @@ class Dataset:
     def _read_cameras(self, file: str) -> Cameras:
         path, promised = self.root / file, entry(self.files, file, where=self.root)
         if sha256_file(path) != promised:
-            raise DamagedError(f"{path}: damaged or edited (checksum differs); mend it with `{mend_command(path)}`")
+            raise DamagedError(f"{path}: damaged or edited (checksum differs); {way_out(path)}")
         return parse_transforms(read_promised(self.root, file, promised), where=str(path))
 
     def layer_store(self, geometry: str = TRUTH) -> LayerStore:
         """The layers of a geometry, opened."""
         check_has_meshes(self)
         head = layers_root(self.root, geometry) / LAYERS.head
-        return self._opened.get(head, lambda: open_layers(self.root, geometry))
+        return self._opened.get(head, lambda: open_layers(self.root, geometry, self.config.resolution))
 
     def object_id(self, name: str) -> int:
         """The id that layers hold of an object: 1 + its place among the dataset's objects."""
@@ -197,17 +192,15 @@ class View:
 
     def _read_record(self, path: Path) -> ViewRecord:
         if not path.is_file():
-            raise HyalineError(f"{path}: the view is not built yet; finish with `{mend_command(path)}`")
+            raise HyalineError(f"{path}: the view is not built yet; {way_out(path)}")
         record = from_json(ViewRecord, cast(Json, load_sealed(path)), where=str(path))
         if (record.dataset, record.split, record.view) != (self.dataset.seal, self.split, self.index):
             raise HyalineError(
-                f"{path}: belongs to {record.split} view {record.view} of another dataset; "
-                f"mend it with `{mend_command(path)}`"
+                f"{path}: belongs to {record.split} view {record.view} of another dataset; {way_out(path)}"
             )
         if set(record.files) != set(map(self._file, self.dataset.endings)):
             raise HyalineError(
-                f"{path}: promises {', '.join(sorted(record.files))}; expected its view's pictures, "
-                f"mend it with `{mend_command(path)}`"
+                f"{path}: promises {', '.join(sorted(record.files))}; expected its view's pictures; {way_out(path)}"
             )
         return record
 
@@ -324,6 +317,8 @@ def has_glass_mask(dataset: Dataset) -> bool:
 def open_dataset(root: Path) -> Dataset:
     """The dataset in a folder, its head verified (its views are verified as they are read)."""
     path = root / "dataset.json"
+    if not path.is_file() and (root / "records").is_dir():
+        raise DamagedError(f"{path}: is lost; {way_out(path)}")
     if not path.is_file():
         raise HyalineError(f"{root}: no dataset; {where_datasets_are(root)}")
     head = load_sealed(path)

@@ -25,8 +25,7 @@ from datagen.disk.ownership import (
     refuse_taken,
     remove_files,
 )
-from datagen.disk.reading import read_regular
-from datagen.disk.records import Json
+from datagen.disk.records import Json, read_regular
 from datagen.disk.storage import commit, load_sealed, seal_bytes
 
 FRAMES = FolderKind(what="film", head="film.json", way_out="choose another --video")

@@ -18,12 +18,10 @@ from datagen.data.meshes import Mesh, check_mesh, is_there, no_mesh
 from datagen.data.paths import TRUTH, geometry_root
 from datagen.data.ply import read_ply, write_ply
 from datagen.disk.errors import HyalineError
-from datagen.disk.heads import keep_head
 from datagen.disk.names import check_name, is_name
 from datagen.disk.ownership import PROXIES, begin, is_ours, refuse_taken, remove_files
-from datagen.disk.promises import check_files
 from datagen.disk.records import Json, entry, from_json, shown, to_json
-from datagen.disk.storage import commit, commit_sealed, load_sealed, seal_bytes, sha256
+from datagen.disk.storage import check_files, commit, commit_sealed, load_sealed, seal_bytes, sha256
 from datagen.terminal.command import choose
 
 PROXIES_VERSION = 1
@@ -100,7 +98,6 @@ def write_proxies(
         begin(root, PROXIES, seal_bytes(content), files)
     for file, data in files.items():
         commit(root / file, data)
-    keep_head(dataset.root, root / PROXIES.head)
 
 
 def proxy_files(root: Path) -> list[str]:
@@ -116,7 +113,7 @@ def read_proxy_records(dataset: Dataset, kind: str) -> tuple[ProxyRecord, ...]:
     path = geometry_root(dataset.root, kind) / "proxies.json"
     if not path.is_file():
         check_has_meshes(dataset)
-        raise HyalineError(f"{path}: no {kind} proxies; make them with `{_make_command(dataset, kind)}`")
+        raise HyalineError(f"{path}: no {kind} proxies; make them with `{make_command(dataset, kind)}`")
     content = load_sealed(path)
     if content.get("version") != PROXIES_VERSION:
         raise HyalineError(
@@ -128,7 +125,7 @@ def read_proxy_records(dataset: Dataset, kind: str) -> tuple[ProxyRecord, ...]:
         raise HyalineError(f"{path}: is of kind {content.get('kind')!r}; expected {kind!r}, as its folder is called")
     if content.get("dataset") != dataset.seal:
         raise HyalineError(
-            f"{path}: made for another dataset; make them again with `{_make_command(dataset, kind)} --overwrite`"
+            f"{path}: made for another dataset; make them again with `{make_command(dataset, kind)} --overwrite`"
         )
     return from_json(tuple[ProxyRecord, ...], entry(content, "proxies", where=path), where=f"{path}: proxies")
 
@@ -158,13 +155,21 @@ def describe_geometry(dataset: Dataset, geometry: str) -> str:
     return f"proxy geometry ({geometry}: {'; '.join([*parts, f'{most} for the rest'])})"
 
 
-def _make_command(dataset: Dataset, geometry: str) -> str:
+def make_command(dataset: Dataset, geometry: str, num_layers: int | None = None) -> str:
+    """The command that makes proxies and their layers: as they were made, where they are there."""
     words = ["proxies", "make", "--dataset", str(dataset.root)]
-    if geometry.startswith("mixed"):
+    try:
+        assignment = read_assignment(dataset, geometry)
+    except HyalineError:
         # Any object and kind will do to show how it is written.
-        return shlex.join([*words, "--name", geometry, "--assign", f"{dataset.objects[0].name}=box"])
-    kind, _, amount = geometry.partition("-")
-    return shlex.join([*words, "--kind", kind, *(["--amount", amount] if amount else [])])
+        assignment = ("box",) if geometry.startswith("mixed") else None
+    if assignment is None:
+        kind, _, amount = geometry.partition("-")
+        words += ["--kind", kind, *(["--amount", amount] if amount else [])]
+    else:
+        named = [f"{item.name}={kind}" for item, kind in zip(dataset.objects, assignment)]
+        words += ["--name", geometry, *(word for part in named for word in ("--assign", part))]
+    return shlex.join([*words, *([] if num_layers is None else ["--num-layers", str(num_layers)])])
 
 
 def list_geometries(dataset: Dataset) -> list[str]:

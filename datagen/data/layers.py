@@ -1,20 +1,37 @@
-"""Straight layers: every surface along a pixel's ray, in memory and on disk (format around them: layer_store.py).
+"""Straight layers: every surface along a pixel's ray, in memory and on disk.
 
-    LAYERS/peels.zarr/SPLIT/uv           (view, 2, layer, h, w) uint16: u, v times 65535, rounded
-    LAYERS/peels.zarr/SPLIT/object_id    (view, layer, h, w) uint8: 0 = empty
-    LAYERS/peels.zarr/SPLIT/depth        (view, layer, h, w) float32: metres along the ray, 0 where empty
+    LAYERS/layers.json                              sealed, written first: version, kind, geometry, number of layers
+    LAYERS/arrays/SPLIT/0000.uv.npy.blosc           (2, layer, h, w) uint16: u, v times 65535, rounded
+    LAYERS/arrays/SPLIT/0000.object_id.npy.blosc    (layer, h, w) uint8: 0 = empty
+    LAYERS/arrays/SPLIT/0000.depth.npy.blosc        (layer, h, w) float32: metres along the ray, 0 where empty
+    LAYERS/records/SPLIT/0000.json                  sealed, written last: SHA-256 of the view's arrays
 
-LAYERS is layers/straight of a geometry. One chunk a plane. uv is never filtered or resized: neighbours across a seam do
-not mix. Depth keeps 16 of its 23 mantissa bits (relative error 8e-6), which compresses to two thirds.
+LAYERS is layers/straight of a geometry. An array is a .npy file in one Blosc buffer (zstd-5, byte shuffle), which
+`numpy.load(io.BytesIO(numcodecs.blosc.decompress(data)))` reads. uv is never filtered or resized: neighbours across a
+seam do not mix. Depth keeps 16 of its 23 mantissa bits (relative error 8e-6), which compresses to two thirds.
 """
 
+import math
+import shlex
+from collections.abc import Collection
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, cast
 
 import numpy as np
 from jaxtyping import Bool, Float32, UInt8, UInt16
 
-from datagen.data.config import Split
-from datagen.data.layer_store import LayerStore
+from datagen.data.config import Resolution, Split
+from datagen.data.paths import layers_root, view_name
+from datagen.disk.errors import HyalineError
+from datagen.disk.ownership import LAYERS
+from datagen.disk.records import Json, from_json, shown
+from datagen.disk.storage import check_files, load_sealed, read_promised, seal_of
+
+LAYERS_VERSION = 2
+
+DTYPES = {"uv": np.dtype("<u2"), "object_id": np.dtype("|u1"), "depth": np.dtype("<f4")}
+"""Of the arrays of a view, by name."""
 
 UV_SCALE = 65535
 
@@ -30,10 +47,172 @@ class Layers:
     """Distance from the camera's centre along the unit ray in metres; 0 where empty."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class LayersHead:
+    """What a store of layers holds."""
+
+    version: int
+    kind: Literal["straight"]
+    geometry: str
+    """Hash over the meshes that were peeled."""
+    num_layers: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class LayersRecord:
+    """One peeled view."""
+
+    layers: str
+    """The seal of the store's head."""
+    split: Split
+    view: int
+    num_layers: int
+    overflow_share: float
+    """Share of the rays that were cut off: more hits than layers."""
+    files: dict[str, str]
+    """SHA-256 by path, relative to the store."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LayerStore:
+    """The layers of one geometry, opened: the head is verified once, a view when it is read."""
+
+    dataset_root: Path
+    geometry: str
+    resolution: Resolution
+    head: LayersHead
+    seal: str
+    """Of the head: names the layers in a run's record."""
+
+    @property
+    def root(self) -> Path:
+        """The folder LAYERS."""
+        return layers_root(self.dataset_root, self.geometry)
+
+    def read(self, split: Split, view: int, only: Collection[str] = tuple(DTYPES)) -> dict[str, np.ndarray]:
+        """One view's arrays by name (or those named in `only`), every byte of them verified.
+
+        Raises:
+            HyalineError: the view is not peeled, or damaged.
+        """
+        promised = self.record(split, view).files
+        arrays = {}
+        for name in only:
+            file = array_file(split, view, name)
+            data = read_promised(self.root, file, promised[file])
+            shape = array_shape(name, self.head.num_layers, self.resolution)
+            arrays[name] = decode_array(data, DTYPES[name], shape, where=str(self.root / file))
+        return arrays
+
+    def record(self, split: Split, view: int) -> LayersRecord:
+        """The record of one peeled view.
+
+        Raises:
+            HyalineError: not peeled, damaged, or of another store.
+        """
+        path = record_path_of_layers(self.root, split, view)
+        if not path.is_file():
+            raise HyalineError(f"{path}: the view is not peeled yet; finish with `{self.peel_command}`")
+        record = from_json(LayersRecord, cast(Json, load_sealed(path)), where=str(path))
+        if (record.layers, record.split, record.view) != (self.seal, split, view):
+            raise HyalineError(f"{path}: belongs to {record.split} view {record.view} of other layers; peel it again")
+        if set(record.files) != {array_file(split, view, name) for name in DTYPES}:
+            raise HyalineError(
+                f"{path}: promises {', '.join(sorted(record.files))}; expected its view's arrays, peel it again"
+            )
+        return record
+
+    def is_peeled(self, split: Split, view: int) -> bool:
+        """True when the view's record and arrays verify."""
+        try:
+            check_files(self.root, self.record(split, view).files)
+        except HyalineError:
+            return False
+        return True
+
+    @property
+    def peel_command(self) -> str:
+        """The command that makes missing views."""
+        words = _peel_words(self.dataset_root, self.geometry)
+        return shlex.join([*words, "--num-layers", str(self.head.num_layers)])
+
+
+def open_layers(dataset_root: Path, geometry: str, resolution: Resolution) -> LayerStore:
+    """The store of a geometry's layers, its head verified.
+
+    Raises:
+        HyalineError: the geometry was not peeled, or the head is damaged.
+    """
+    path = layers_root(dataset_root, geometry) / LAYERS.head
+    peel = shlex.join(_peel_words(dataset_root, geometry))
+    if not path.is_file():
+        raise HyalineError(f"{path}: {geometry} has no straight layers; make them with `{peel}`")
+    content = load_sealed(path)
+    if content.get("version") != LAYERS_VERSION:
+        raise HyalineError(
+            f"{path}: format version {shown(content.get('version'))}; this program reads {LAYERS_VERSION}, "
+            f"make them again with `{peel} --overwrite`"
+        )
+    head = from_json(LayersHead, cast(Json, content), where=str(path))
+    return LayerStore(
+        dataset_root=dataset_root, geometry=geometry, resolution=resolution, head=head, seal=seal_of(content)
+    )
+
+
+def _peel_words(dataset_root: Path, geometry: str) -> list[str]:
+    return ["datagen", "peel", "--dataset", str(dataset_root), "--geometry", geometry]
+
+
 def read_layers(store: LayerStore, split: Split, view: int) -> Layers:
     """One view's layers, every byte verified."""
     arrays = store.read(split, view)
     return Layers(uv=np.moveaxis(arrays["uv"], 0, -1), object_id=arrays["object_id"], depth=arrays["depth"])
+
+
+def record_path_of_layers(root: Path, split: Split, view: int) -> Path:
+    return root / "records" / split / f"{view_name(view)}.json"
+
+
+def array_file(split: Split, view: int, name: str) -> str:
+    """Where a view's array lies, relative to LAYERS."""
+    return f"arrays/{split}/{view_name(view)}.{name}.npy.blosc"
+
+
+def array_shape(name: str, num_layers: int, resolution: Resolution) -> tuple[int, ...]:
+    """The shape of a view's array."""
+    return (*((2,) if name == "uv" else ()), num_layers, *resolution.shape)
+
+
+def decode_array(data: bytes, dtype: np.dtype, shape: tuple[int, ...], *, where: str) -> np.ndarray:
+    """The array in the bytes of its file.
+
+    Raises:
+        HyalineError: it holds anything else than an array of this type and shape.
+    """
+    # numcodecs 0.16 describes none of its compiled modules.
+    from numcodecs import blosc  # pyright: ignore[reportAttributeAccessIssue]
+
+    header = npy_header(dtype, shape)
+    size = len(header) + math.prod(shape) * dtype.itemsize
+    # Blosc believes its own header: what it is given must be a whole buffer, of the size that is expected.
+    _, length, _, stored = np.frombuffer(data[:16].ljust(16, b"\0"), "<u4").tolist()
+    if (length, stored) != (size, len(data)):
+        raise HyalineError(f"{where}: is not a Blosc buffer of {size:,} bytes; peel it again")
+    npy = np.empty(size, np.uint8)
+    try:
+        blosc.decompress(data, npy)
+    except (RuntimeError, ValueError) as error:
+        raise HyalineError(f"{where}: cannot be decompressed ({error}); peel it again") from error
+    if npy[: len(header)].tobytes() != header:
+        raise HyalineError(f"{where}: is not a .npy file of {dtype} with shape {shape}; peel it again")
+    return npy[len(header) :].view(dtype).reshape(shape)
+
+
+def npy_header(dtype: np.dtype, shape: tuple[int, ...]) -> bytes:
+    """The first bytes of an array's .npy file (version 1.0), the same whatever version of NumPy is installed."""
+    text = f"{{'descr': '{dtype.str}', 'fortran_order': False, 'shape': {shape}, }}"
+    text = text.ljust(math.ceil((len(text) + 11) / 64) * 64 - 11) + "\n"
+    return b"\x93NUMPY\x01\x00" + len(text).to_bytes(2, "little") + text.encode()
 
 
 def glass_mask(object_id: UInt8[np.ndarray, "layer h w"], is_glass: Bool[np.ndarray, " id"]) -> Bool[np.ndarray, "h w"]:

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from datagen.data.config import Split
-from datagen.disk.errors import HyalineError
 from datagen.disk.names import check_name
 from datagen.disk.records import Json, from_json
 
@@ -65,10 +64,6 @@ class Variant:
 
 def variant_of(head: Mapping[str, Json], path: Path) -> Variant | None:
     """The variant in a head; None if the dataset is not one."""
-    if old := sorted({"edit", "annex_of"} & head.keys()):
-        raise HyalineError(
-            f"{path}: says {old[0]!r}, as the format before `variants/` did; delete {path.parent} and build it again"
-        )
     return from_json(Variant, head["variant"], where=f"{path}: variant") if "variant" in head else None
 
 

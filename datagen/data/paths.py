@@ -7,8 +7,8 @@ from pathlib import Path
 
 from datagen.data.config import Split
 from datagen.disk.errors import HyalineError
-from datagen.disk.homes import HEADS, home_of, mend_command
 from datagen.disk.names import check_name
+from datagen.disk.storage import home_of
 
 TRUTH = "truth"
 """The geometry of the scene's own meshes."""
@@ -48,8 +48,7 @@ def find_dataset(given: str | None, root: Path = DATA_ROOT) -> Path:
     """The dataset that `--dataset` means: a folder, a name under `root`, or the only one there."""
     if given is not None:
         named = Path(given)
-        is_there = any((named / path).is_file() for path in ("dataset.json", f"{HEADS}/dataset.json"))
-        return named if is_there or len(named.parts) > 1 else root / given
+        return named if (named / "dataset.json").is_file() or len(named.parts) > 1 else root / given
     found = list_datasets(root)
     if len(found) == 1:
         return found[0]
@@ -89,8 +88,6 @@ def render_command(variant: str) -> str:
 
 def where_datasets_are(root: Path) -> str:
     """What to do about a folder without a dataset."""
-    if (root / HEADS / "dataset.json").is_file():
-        return f"mend it with `{mend_command(root / 'dataset.json')}`"
     places = list_datasets()
     known = ", ".join(shlex.quote(str(place)) for place in places)
     there = f"there is {known}" if known else ""

@@ -9,8 +9,7 @@ import numpy as np
 
 from datagen.data.meshes import Mesh, vertex_normals
 from datagen.disk.errors import HyalineError
-from datagen.disk.reading import read_regular
-from datagen.disk.records import shown
+from datagen.disk.records import read_regular, shown
 
 MAX_PLY_BYTES = 1 << 30
 """Twenty million triangles."""

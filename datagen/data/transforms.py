@@ -20,8 +20,7 @@ from datagen.data.cameras import TOLERANCE, Cameras, Lens, check_lens, check_pos
 from datagen.data.config import ANGLE_SPLITS, MAX_VIEWS, Split
 from datagen.data.paths import view_name
 from datagen.disk.errors import HyalineError
-from datagen.disk.reading import MAX_JSON_BYTES, parse_json, read_regular
-from datagen.disk.records import Json, shown
+from datagen.disk.records import MAX_JSON_BYTES, Json, parse_json, read_regular, shown
 from datagen.disk.storage import dump_json
 
 TRANSFORMS_FILES: dict[Split, str] = {

@@ -32,9 +32,8 @@ from datagen.data.paths import view_name
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import check_name, is_name
 from datagen.disk.ownership import EDIT_MASKS
-from datagen.disk.promises import check_files
 from datagen.disk.records import entry, from_json
-from datagen.disk.storage import load_sealed
+from datagen.disk.storage import check_files, load_sealed
 
 VARIANTS_FOLDER = "variants"
 """In a dataset and in a run."""
@@ -57,9 +56,8 @@ def scale_name(scale: int) -> str:
 
 def list_variants(root: Path) -> list[str]:
     """Names of all variants of the dataset in a folder, sorted."""
-    return sorted(
-        path.parent.name for path in root.glob(f"{VARIANTS_FOLDER}/*/dataset.json") if is_name(path.parent.name)
-    )
+    heads = [path for path in root.glob(f"{VARIANTS_FOLDER}/*/dataset.json") if path.is_file()]
+    return sorted(path.parent.name for path in heads if is_name(path.parent.name))
 
 
 def has_variant(dataset: Dataset, name: str) -> bool:
@@ -72,7 +70,7 @@ def open_variant(dataset: Dataset, name: str) -> Dataset:
         made = ", ".join(list_variants(dataset.root)) or "none"
         raise HyalineError(
             f"{variant_root(dataset.root, name)}: no such variant (there are: {made}); make it with "
-            f"`{_build_command(dataset, name)}`"
+            f"`{variant_command(dataset, name)}`"
         )
     return open_dataset(variant_root(dataset.root, name))
 
@@ -93,17 +91,20 @@ def parent_views(variant: Dataset, split: Split) -> list[int]:
     return evenly(variant.config.split(split).views, variant.parent.config.split(split).views)
 
 
-def _build_command(dataset: Dataset, name: str) -> str:
-    """The command that makes a variant, by its name."""
+def variant_command(dataset: Dataset, name: str, variant: Dataset | None = None) -> str:
+    """The command that makes a variant: as its head records it, or as far as its name tells."""
     if name == ANGLES:
-        flag = "--angle-splits"
+        flags = ["--angle-splits"]
     elif name in TWINS:
-        flag = "--twins"
+        flags = ["--twins"]
     elif name[:1] == "x" and name[1:].isdecimal():
-        flag = f"--super-resolution {name[1:]}"
+        flags = ["--super-resolution", name[1:]]
+        if variant is not None and (views := variant.num_views["interpolating"]) != dataset.num_views["interpolating"]:
+            flags += ["--super-resolution-views", str(views)]
     else:
-        flag = "--edit EDIT"
-    return f"datagen build --dataset {shlex.quote(str(dataset.root))} {flag}"
+        edits = ("EDIT",) if variant is None or variant.edit is None else variant.edit.edits
+        flags = [word for edit in edits for word in ("--edit", edit)]
+    return shlex.join(["datagen", "build", "--dataset", str(dataset.root), *flags])
 
 
 EDIT_MASKS_FOLDER = "edit-masks"

@@ -18,8 +18,6 @@ from datagen.data.paths import image_path, record_path
 from datagen.data.transforms import TRANSFORMS_FILES, transforms_bytes
 from datagen.data.variants import list_edit_masks
 from datagen.disk.errors import HyalineError
-from datagen.disk.heads import keep_head, list_heads
-from datagen.disk.homes import HEADS, home_of
 from datagen.disk.ownership import (
     DATASET,
     EDIT_MASKS,
@@ -76,7 +74,6 @@ def write_head(
     if dataset.seal == seal_of(head):
         for path, data in files.items():
             commit_same(root / path, data)
-    keep_head(root, root / DATASET.head)
     return dataset
 
 
@@ -191,9 +188,6 @@ def clear_dataset(root: Path) -> None:
             remove_files(folder, [*files, EDIT_MASKS.head])
         _prune(root, folder)
     remove_files(root, dataset_files(root))
-    home = home_of(root)
-    gone = [head for head in list_heads(home) if not (home / head).is_file()]
-    remove_files(home, [f"{HEADS}/{head}" for head in gone])
 
 
 def clear_layers(root: Path, folder: Path) -> None:

@@ -10,7 +10,6 @@ import contextlib
 import errno
 import itertools
 import os
-import re
 import stat
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -19,9 +18,6 @@ from pathlib import Path
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import check_relative, printable, real_path
 from datagen.disk.storage import TEMPORARY, commit, commit_first, load_sealed, one_writer, shared_writers
-
-ZARR_TEMPORARY = re.compile(r".+\.[0-9a-f]{32}\.partial")
-"""What zarr calls a file that it is writing (zarr 3.1); ours in a store of ours alone."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,8 +32,6 @@ class FolderKind:
     """Patterns of the folders below in which its files lie, but for those of folders with a head of their own."""
     nested: tuple[str, ...] = ()
     """Patterns of the folders below that have heads of their own."""
-    store: str | None = None
-    """Its zarr store, if it has one: one of `folders`."""
     way_out: str = "choose another --out"
     """What to do when something else stands there."""
     holds_head: Callable[[Path], bool] | None = None
@@ -47,14 +41,13 @@ class FolderKind:
 DATASET = FolderKind(
     what="dataset",
     head="dataset.json",
-    folders=("scene", "images", "records", "heads"),
-    nested=("layers/*", "proxies/*", "variants/*", "edit-masks", "heads"),
+    folders=("scene", "images", "records"),
+    nested=("layers/*", "proxies/*", "variants/*", "edit-masks"),
 )
 LAYERS = FolderKind(
     what="layers",
     head="layers.json",
-    folders=("peels.zarr", "records"),
-    store="peels.zarr",
+    folders=("arrays", "records"),
     way_out="move that elsewhere, or delete the folder",
 )
 PROXIES = FolderKind(
@@ -275,10 +268,8 @@ def _remove_temporaries(root: Path, kind: FolderKind) -> None:
     """Deletes what killed writers left, in the folder and in those that are its own; no link is followed."""
     places = [root, *(Path(place) for top in _own_folders(root, kind) for place, _, _ in os.walk(top))]
     for place in places:
-        in_store = kind.store is not None and (root / kind.store) in (place, *place.parents)
         for path in place.iterdir():
-            is_temporary = TEMPORARY.fullmatch(path.name) or (in_store and ZARR_TEMPORARY.fullmatch(path.name))
-            if is_temporary and _is_regular(path):
+            if TEMPORARY.fullmatch(path.name) and _is_regular(path):
                 path.unlink(missing_ok=True)
 
 

@@ -1,4 +1,4 @@
-"""How files reach the disk: atomic commits, checksummed JSON, one writer a folder."""
+"""How files reach the disk and are read back verified: atomic commits, checksummed JSON, one writer a folder."""
 
 import contextlib
 import fcntl
@@ -7,25 +7,26 @@ import json
 import os
 import re
 import secrets
-from collections.abc import Iterator
+import shlex
+import stat
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+from typing import TypeVar, cast
 
-from datagen.disk.errors import DamagedError, HyalineError
-from datagen.disk.homes import way_out
-from datagen.disk.os_errors import naming
-from datagen.disk.reading import MAX_JSON_BYTES, parse_json, read_regular
-from datagen.disk.records import Json
+from datagen.disk.errors import DamagedError, HyalineError, naming
+from datagen.disk.names import find_file
+from datagen.disk.records import MAX_JSON_BYTES, Json, parse_json, read_regular
+
+Value = TypeVar("Value")
 
 SEAL = "sha256"
 """Key under which a sealed JSON file holds the SHA-256 of everything else in it."""
 
+HASH_BYTES = 32
+"""Of the hash that `write_hashed` appends."""
+
 TEMPORARY = re.compile(r".+\.[0-9a-f]{16}\.hyaline-tmp")
 """What a file that is being written is called, which a killed writer may leave; nobody else gives such names."""
-
-
-def user_cache(name: str) -> Path:
-    """Where this package keeps what it can make again, by kind; it may not be there."""
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "hyaline" / name
 
 
 def sha256(data: bytes) -> str:
@@ -46,25 +47,20 @@ def sha256_file(path: Path) -> str:
         raise DamagedError(f"{error}; {way_out(path)}") from None
 
 
-def commit(path: Path, data: bytes, *, beside: Path | None = None) -> None:
+def commit(path: Path, data: bytes) -> None:
     """Writes `data` so that `path` holds either its old bytes or all the new ones, whenever the process dies.
 
     Of several processes that commit to one path at once, on whichever machines, the last one wins, whole.
-
-    Args:
-        beside: a file in the folder where the temporary one lies, and is cleared away when the process dies; `path`
-            itself unless given.
     """
     with naming(path):
-        temporary = _write_temporary(beside or path, data)
-        path.parent.mkdir(parents=True, exist_ok=True)
+        temporary = _write_temporary(path, data)
         temporary.replace(path)
         _sync_folder(path.parent)
 
 
 def commit_same(path: Path, data: bytes) -> None:
     """Commits `data` unless `path` holds just these bytes: a file that others may be reading is left alone."""
-    if not path.is_file() or path.read_bytes() != data:
+    if path.is_symlink() or not path.is_file() or path.read_bytes() != data:
         commit(path, data)
 
 
@@ -132,7 +128,7 @@ def load_sealed(path: Path) -> dict[str, Json]:
         DamagedError: any byte differs from what was sealed.
     """
     if path.is_symlink():
-        raise HyalineError(f"{path}: is a link; expected the file itself, which is written in its place")
+        raise DamagedError(f"{path}: is a link; expected the file itself; {way_out(path)}")
     text = read_regular(path, at_most=MAX_JSON_BYTES)
     data = parse_json(text, where=str(path))
     data.pop(SEAL, None)
@@ -173,3 +169,141 @@ def _locked(root: Path, how: int) -> Iterator[None]:
         yield
     finally:
         os.close(handle)
+
+
+# Promised files
+
+
+def home_of(root: Path) -> Path:
+    """The dataset in a folder; of a variant, the dataset around it."""
+    outer = root.parent.parent
+    return outer if root.parent.name == "variants" and (outer / "dataset.json").is_file() else root
+
+
+def way_out(path: Path) -> str:
+    """What to do about a damaged or lost file, of a dataset or not."""
+    if path.name == "dataset.json" and home_of(path.parent) == path.parent:
+        return "only the command that made the dataset knows its settings: run it again, which keeps what is whole"
+    inner = next((folder for folder in path.parents if (folder / "dataset.json").is_file()), None)
+    if inner is None:
+        return "restore it, or make it again"
+    return f"`datagen verify {shlex.quote(str(home_of(inner)))}` names the command that makes it again"
+
+
+def check_files(root: Path, files: Mapping[str, str]) -> None:
+    """Raises a DamagedError that names the first file whose bytes are not the promised ones."""
+    for relative, promised in files.items():
+        if sha256_file(find_file(root, relative, where=str(root))) != promised:
+            path = root / relative
+            raise DamagedError(f"{path}: damaged (checksum differs); {way_out(path)}")
+
+
+def read_promised(root: Path, relative: str, promised: str) -> bytes:
+    """The bytes of a file below `root`, which are those that were promised.
+
+    Raises:
+        DamagedError: missing, or its SHA-256 is another.
+    """
+    path = find_file(root, relative, where=str(root))
+    try:
+        data = read_regular(path)
+    except DamagedError as error:
+        raise DamagedError(f"{error}; {way_out(path)}") from None
+    if sha256(data) != promised:
+        raise DamagedError(f"{path}: damaged (checksum differs); {way_out(path)}")
+    return data
+
+
+class Opened:
+    """What was made of files, kept for as long as each is the same one, unchanged. Another process opens its own."""
+
+    def __init__(self) -> None:
+        self._kept: dict[Path, tuple[tuple[int, int, int], object]] = {}
+
+    def __reduce__(self) -> "tuple[type[Opened], tuple[()]]":
+        return Opened, ()
+
+    def get(self, path: Path, open_it: Callable[[], Value]) -> Value:
+        """What `open_it` returned when the file at `path` was last new or changed."""
+        try:
+            status = path.stat()
+        except OSError:
+            return open_it()  # Which says what is wrong.
+        mark = (status.st_ino, status.st_size, status.st_mtime_ns)
+        if path not in self._kept or self._kept[path][0] != mark:
+            self._kept[path] = (mark, open_it())
+        return cast(Value, self._kept[path][1])
+
+
+# The user's cache
+
+
+def user_cache(name: str) -> Path:
+    """Where this package keeps what it can make again, by kind; it may not be there."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "hyaline" / name
+
+
+def make_private(folder: Path) -> str | None:
+    """Makes a folder that only this user can write, for machine code that this program loads, or checks the one there.
+
+    What is loaded runs with all rights of the user, so a name proves nothing: folder and file have to belong to the
+    user, and neither the group nor others may write there.
+
+    Returns:
+        None when nobody else can write in it; otherwise what is wrong with it.
+    """
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(mode=0o700, exist_ok=True)
+        found = folder.lstat()
+    except OSError as error:
+        return f"{folder}: cannot be made ({error.strerror})"
+    if not stat.S_ISDIR(found.st_mode):
+        return f"{folder}: is not a folder, or a link to one"
+    return _strangers(folder, found)
+
+
+def write_hashed(path: Path, data: bytes) -> None:
+    """Publishes a file that this user alone can read or write, whole or not at all; a hash of its content follows.
+
+    Programs that read a library, or an archive, do not mind what follows it.
+    """
+    temporary = path.with_suffix(f".{secrets.token_hex(4)}.partial")
+    try:
+        with naming(path):
+            with os.fdopen(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
+                file.write(data + bytes.fromhex(sha256(data)))
+                file.flush()
+                os.fsync(file.fileno())
+            temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def is_intact(path: Path) -> bool:
+    """True when `write_hashed` of this user has written the file, and every bit of it is as it was."""
+    return read_hashed(path) is not None
+
+
+def read_hashed(path: Path) -> bytes | None:
+    """What `write_hashed` of this user has written; None where any bit of it is in doubt."""
+    try:
+        handle = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+    except OSError:
+        return None
+    with os.fdopen(handle, "rb") as file:
+        found = os.fstat(handle)
+        if not stat.S_ISREG(found.st_mode) or _strangers(path, found) is not None:
+            return None
+        data = file.read()
+    content, digest = data[:-HASH_BYTES], data[-HASH_BYTES:]
+    return content if content and sha256(content) == digest.hex() else None
+
+
+def _strangers(path: Path, found: os.stat_result) -> str | None:
+    """Who else can write there, if anybody."""
+    if found.st_uid != os.geteuid():
+        return f"{path}: belongs to user {found.st_uid}"
+    if found.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+        return f"{path}: others may write there (mode {stat.S_IMODE(found.st_mode):o}); `chmod go-w` mends it"
+    return None

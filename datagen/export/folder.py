@@ -23,9 +23,8 @@ from datagen.disk.ownership import (
     refuse_taken,
     remove_files,
 )
-from datagen.disk.promises import check_files
 from datagen.disk.records import Json, from_json, shown
-from datagen.disk.storage import commit, commit_sealed, load_sealed, seal_bytes, seal_of, sha256
+from datagen.disk.storage import check_files, commit, commit_sealed, load_sealed, seal_bytes, seal_of, sha256
 from datagen.export.plan import Part, Plan
 from datagen.terminal.command import track
 

@@ -20,8 +20,7 @@ from datagen.data.transforms import Frame, Transforms, read_transforms, refuse_o
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import check_regular, find_file
 from datagen.disk.ownership import DATASET
-from datagen.disk.reading import load_json, open_regular
-from datagen.disk.records import shown
+from datagen.disk.records import load_json, open_regular, shown
 from datagen.import_dataset.foreign_dataset import (
     ROLES,
     ForeignDataset,

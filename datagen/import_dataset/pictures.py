@@ -17,7 +17,7 @@ from datagen.data.images import (
     to_8bit,
 )
 from datagen.disk.errors import HyalineError
-from datagen.disk.reading import read_regular
+from datagen.disk.records import read_regular
 from datagen.import_dataset.choices import DatasetImportChoices
 from datagen.import_dataset.foreign_dataset import ForeignView
 from datagen.scene.importers.foreign import MAX_FILE_BYTES

@@ -10,8 +10,7 @@ from datagen.data.cameras import Cameras
 from datagen.data.config import SPLITS, Split
 from datagen.data.meshes import open_edges
 from datagen.disk.errors import HyalineError
-from datagen.disk.reading import load_json
-from datagen.disk.records import Json
+from datagen.disk.records import Json, load_json
 from datagen.disk.storage import dump_json
 from datagen.import_dataset.choices import DatasetImportChoices
 from datagen.import_dataset.foreign_dataset import ForeignSurface

@@ -13,12 +13,12 @@ from datagen.build.verify import verify_dataset
 from datagen.data.config import Split
 from datagen.data.dataset import Dataset
 from datagen.data.geometries import list_geometries
-from datagen.data.layer_store import record_path_of_layers
+from datagen.data.layers import record_path_of_layers
 from datagen.data.paths import TRUTH, image_path, layers_root, record_path
 from datagen.data.variants import evenly, list_variants
 from datagen.disk.errors import HyalineError
-from datagen.disk.homes import mend_command
 from datagen.disk.records import Json, to_json
+from datagen.disk.storage import way_out
 from datagen.look.light_paths import draw_light_paths
 from datagen.look.scene_drawing import draw_cameras
 from datagen.look.view_pictures import FARTHEST, NEAREST, Picture, StoredPicture, object_colors, stored_pictures
@@ -78,9 +78,7 @@ def look_sheet(dataset: Dataset) -> bytes:
             rows.append([item.pixels for item in stored[:SHEET_COLUMNS]])
     rows = [row for row in rows if row]
     if not rows:
-        raise HyalineError(
-            f"{dataset.root}: no view is built yet; finish with `{mend_command(dataset.root / 'dataset.json')}`"
-        )
+        raise HyalineError(f"{dataset.root}: no view is built yet; {way_out(record_path(dataset.root, 'train', 0))}")
     (high, wide), gap = dataset.config.resolution.shape, 4
     sheet = np.full((len(rows) * (high + gap) - gap, SHEET_COLUMNS * (wide + gap) - gap, 3), 255, np.uint8)
     for place, row in enumerate(rows):

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from datagen.disk.os_errors import naming
+from datagen.disk.errors import naming
 
 ROOT = Path(__file__).resolve().parents[2]
 """Where these packages are found."""

@@ -17,8 +17,7 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from datagen.disk.errors import HyalineError
-from datagen.disk.os_errors import naming
+from datagen.disk.errors import HyalineError, naming
 from datagen.machine.child_python import child_environment
 from datagen.machine.workers import die_with
 from datagen.terminal.command import say

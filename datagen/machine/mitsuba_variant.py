@@ -11,8 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from datagen.disk.errors import HyalineError
-from datagen.disk.private import make_private
-from datagen.disk.storage import user_cache
+from datagen.disk.storage import make_private, user_cache
 from datagen.machine.gpu import cuda_problem, has_gpu
 from datagen.machine.llvm import VARIABLE, LlvmLibrary, advice, choose_llvm
 from datagen.terminal.command import say

@@ -12,8 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from datagen.disk.private import make_private, read_hashed, write_hashed
-from datagen.disk.storage import user_cache
+from datagen.disk.storage import make_private, read_hashed, user_cache, write_hashed
 
 MAX_KEPT = 2000
 """Atlases; when there are more, the oldest are forgotten."""

@@ -12,7 +12,7 @@ from datagen.data.config import SPLITS, Split
 from datagen.data.transforms import TRANSFORMS_FILES, parse_transforms, refuse_other_lens, transforms_bytes
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import find_file
-from datagen.disk.reading import MAX_JSON_BYTES, read_regular
+from datagen.disk.records import MAX_JSON_BYTES, read_regular
 from datagen.scene.values import Vector, as_vector
 
 LEAST_GAP_DEG = 60.0
@@ -62,7 +62,7 @@ class CameraList:
 
     @property
     def azimuth_deg(self) -> tuple[float, float]:
-        """First and last azimuth of the training cameras around the target, without the widest gap between two of them."""
+        """First and last azimuth of the training cameras around the target, the widest gap left out."""
         directions = self._directions()
         azimuth = np.sort(np.degrees(np.arctan2(directions[:, 1], directions[:, 0])))
         gaps = np.diff(azimuth, append=azimuth[0] + 360)

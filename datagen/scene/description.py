@@ -7,7 +7,7 @@ from pathlib import Path
 from datagen.data.meshes import Mesh
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import find_file
-from datagen.disk.reading import read_regular
+from datagen.disk.records import read_regular
 from datagen.scene.camera_list import CameraList
 from datagen.scene.lights import Card, Environment, EnvironmentMap, Lobe, RectangleLight, SoftEnvironment
 from datagen.scene.materials import Material, check_material

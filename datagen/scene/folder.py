@@ -10,8 +10,7 @@ from datagen.data.meshes import Mesh, check_numbers, is_there, no_mesh
 from datagen.data.ply import read_ply, write_ply
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import find_file
-from datagen.disk.reading import load_json, read_regular
-from datagen.disk.records import Json, from_json, shown, to_json
+from datagen.disk.records import Json, from_json, load_json, read_regular, shown, to_json
 from datagen.disk.storage import commit, dump_json
 from datagen.scene.camera_list import CameraList, camera_files, read_camera_list
 from datagen.scene.cutouts import Cut, Cutout, corner_uv_of, opacity_of, with_cuts

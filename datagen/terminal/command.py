@@ -16,9 +16,8 @@ from collections.abc import Callable, Collection, Iterable, Iterator
 from pathlib import Path
 from typing import Annotated, NoReturn, TypeVar
 
-from datagen.disk.errors import HyalineError
+from datagen.disk.errors import HyalineError, describe_os_error, naming
 from datagen.disk.names import printable
-from datagen.disk.os_errors import describe_os_error, naming
 from datagen.disk.records import shown
 from datagen.terminal.distribution import VERSION, naming_parts
 from datagen.terminal.signals import Stopped, raise_on_sigterm, signal_within

@@ -1,52 +1,61 @@
-"""What training saw of the surface points that a test ray meets: from how near an angle, and in how many views."""
+"""How well training views cover the surface points on test rays (angle, number of views), and the layer budget."""
 
+from collections import defaultdict
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
-from datagen.data.config import Split
+from datagen.data.config import TEST_SPLITS, Split
 from datagen.data.dataset import Dataset
 from datagen.data.layers import Layers
+from datagen.data.paths import TRUTH
+from datagen.disk.records import Json, from_json
+from datagen.disk.storage import dump_json
+from eval.score.kept import Kept, layers_digest
+from eval.score.metrics import mean_of
+from eval.score.runs import Run
+from eval.score.scores import RunScores, SceneScores
+from eval.tables.grids import Column, Grid, format_number
 
 MAX_GRID = 32
-"""A texel, here, is one of 32 x 32 cells of its object's atlas, fewer where pictures are narrower than 128 pixels:
-coarse enough that training views leave no holes (7 of their rays fall on a texel that they see at all)."""
+"""Texels here are 32 x 32 cells of an object's atlas, fewer for pictures narrower than 128 pixels: coarse enough that
+training views leave no holes (7 of their rays hit each texel that they see)."""
 
 MAX_PIXELS = 128 * 128
-"""Pixels that are looked at in each view; of more, a random choice that is always the same."""
+"""Pixels analysed per view; from more, a fixed random choice."""
 
 CHUNK = 1 << 10
-"""Rays that are compared with all training cameras at once: so few that the results stay in the processor's cache."""
+"""Rays compared with all training cameras at once: few enough for the results to stay in the processor's cache."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Coverage:
-    """Which training views saw which texel in which layer, in layers x objects x grid^2 x views / 8 bytes.
+    """The training views that saw each texel in each layer, in layers x objects x grid^2 x views / 8 bytes.
 
     That is 1.9 MB for 18 objects and 100 views, and at most 261 MB for 255 objects and 1,000 views (8 layers).
     """
 
     seen: UInt8[np.ndarray, "texel eighth"]
-    """A bit for each training view: one of its pixel-centre rays meets the texel in this layer."""
+    """A bit per training view: set if one of its pixel-centre rays hits the texel in this layer."""
     p_camera: Float[np.ndarray, "view 3"]
     """Centres of the training cameras in metres."""
     is_glass: Bool[np.ndarray, " object"]
-    """By object id; False for 0, the empty one."""
+    """By object id; False for 0, which means empty."""
     grid: int
     """Cells along each side of an atlas."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PixelCoverage:
-    """What training saw of some pixels of a test view; pixels that meet nothing are not among them."""
+    """The training coverage of some pixels of a test view; pixels without a surface are left out."""
 
     pixel: Int[np.ndarray, " pixel"]
-    """Its place in the picture, row by row."""
+    """Index in the picture, row by row."""
     angle_deg: Float[np.ndarray, " pixel"]
-    """Angle to the nearest training ray in degrees; inf where no training ray saw one of the pixel's texels."""
+    """Angle to the nearest training ray in degrees; inf if no training ray saw one of the pixel's texels."""
     views: Int[np.ndarray, " pixel"]
-    """Training views that saw the pixel's texel, of its layers the least seen."""
+    """Training views that saw the pixel's texel, in its least seen layer."""
 
 
 def visible_layers(layers: Layers, is_glass: Bool[np.ndarray, " object"]) -> Bool[np.ndarray, "layer h w"]:
@@ -57,12 +66,9 @@ def visible_layers(layers: Layers, is_glass: Bool[np.ndarray, " object"]) -> Boo
 
 
 def read_coverage(dataset: Dataset) -> Coverage:
-    """What the dataset's training views saw, from their stored straight layers of the true geometry.
+    """The coverage by the dataset's training views, from their stored straight layers of the true geometry.
 
-    All views of the training split count, also those few that a method sets aside to measure itself.
-
-    Raises:
-        HyalineError: a view is not peeled, or damaged.
+    All views of the training split count, including the few that a method holds out.
     """
     is_glass = np.array([False, *(item.is_glass for item in dataset.objects)])
     num_views = dataset.config.train.views
@@ -81,16 +87,13 @@ def read_coverage(dataset: Dataset) -> Coverage:
 
 
 def cover_view(coverage: Coverage, dataset: Dataset, split: Split, view: int) -> PixelCoverage:
-    """What training saw of one test view.
+    """The training coverage of one test view.
 
-    The angle of a layer is the one, at the point where the test ray meets it, between that ray and the line to the
-    nearest training camera that saw the point's texel in the same layer. So directions are exact, and the texel only
-    decides which cameras count. The angle of a pixel is the largest one of its visible layers: each of them has a part
-    in the colour, and the least known one spoils it. Measured on the glass table at 128 pixels with `paper`, the rank
-    correlation of squared error and angle is 0.40 with the largest, 0.37 with the mean, 0.31 with the opaque layer's.
-
-    Raises:
-        HyalineError: the view is not peeled, or damaged.
+    The angle of a layer is measured where the test ray hits it, between that ray and the line to the nearest training
+    camera that saw the point's texel in the same layer. So directions are exact, and the texel only decides which
+    cameras count. The angle of a pixel is the largest one of its visible layers: each contributes to the colour, and
+    the least known one limits it. Measured on the glass table at 128 pixels with `paper`, the rank correlation of
+    squared error and angle is 0.40 with the largest, 0.37 with the mean, 0.31 with the opaque layer's.
     """
     layers = dataset.view(split, view).layers()
     size = layers.object_id.shape[1] * layers.object_id.shape[2]
@@ -102,7 +105,7 @@ def cover_view(coverage: Coverage, dataset: Dataset, split: Split, view: int) ->
     texel = _texels(layers, len(coverage.is_glass) - 1, coverage.grid).reshape(-1, size)[layer, pixel[place]]
     origin, directions = dataset.cameras(split)[view].rays()
     rays = directions.reshape(-1, 3)[pixel[place]].astype(np.float64)
-    rays /= np.linalg.norm(rays, axis=1, keepdims=True)  # Or the cosine of a small angle drowns in float32.
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)  # In float32, the cosine of a small angle would be lost.
     points = origin + layers.depth.reshape(-1, size)[layer, pixel[place], None] * rays
 
     angle, views = np.zeros(len(pixel)), np.full(len(pixel), len(coverage.p_camera))
@@ -122,7 +125,7 @@ def _nearest_angle(
     p_camera: Float[np.ndarray, "view 3"],
     is_seen: Bool[np.ndarray, "ray view"],
 ) -> Float[np.ndarray, " ray"]:
-    """The least angle in radians at a point between its ray and the lines from the cameras that saw it, or inf."""
+    """The smallest angle in radians at a point between its ray and the lines to the cameras that saw it, or inf."""
     # |p - c|^2 and (p - c) . d without an array of (ray, view, 3).
     squared = np.sum(points**2, axis=1)[:, None] - 2 * points @ p_camera.T + np.sum(p_camera**2, axis=1)
     along = np.sum(points * rays, axis=1)[:, None] - rays @ p_camera.T
@@ -131,8 +134,174 @@ def _nearest_angle(
 
 
 def _texels(layers: Layers, num_objects: int, grid: int) -> Int[np.ndarray, "layer h w"]:
-    """The number of the texel in its layer; without meaning where the layer is empty."""
+    """The index of the texel in its layer; meaningless where the layer is empty."""
     cell = np.minimum(layers.uv.astype(np.int64) * grid // 65535, grid - 1)
     layer = np.arange(len(layers.object_id))[:, None, None]
     item = layers.object_id.astype(np.int64) - 1
     return ((layer * num_objects + item) * grid + cell[..., 1]) * grid + cell[..., 0]
+
+
+FREE_KEYS = ("layers", "width", "seed")
+"""Configuration keys in which runs of one budget may differ: the layers, the width that keeps the number of parameters
+the same, and the seed, over which scores are averaged."""
+
+MOST_GROWTH = 1.25
+"""Largest ratio of parameters between neighbouring networks of a budget; the default width keeps it below 1.05."""
+
+BUDGET_NOTES = (
+    "Layers: straight layers that the network is given, the nearest ones. More: share of the test rays that meet more "
+    "surfaces. Deeper: share that sees a surface beyond them, through nothing but glass (where all stored layers are "
+    "given: share that meets nothing but glass in all of them).",
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class BudgetPoint:
+    """One number of layers; scores are means over the runs, which differ in their seeds."""
+
+    num_layers: int
+    runs: tuple[str, ...]
+    num_parameters: int | None
+    psnr_db: dict[Split, float | None]
+    glass_psnr_db: dict[Split, float | None]
+    more_share: dict[Split, float]
+    """Share of the split's rays that hit more than `num_layers` surfaces."""
+    deeper_share: dict[Split, float]
+    """Share of the split's rays whose colour depends on a surface beyond the last layer."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Budget:
+    """Runs that only differ in their number of layers (and its consequences), fewest layers first."""
+
+    name: str
+    """Name of the run with most layers."""
+    points: tuple[BudgetPoint, ...]
+
+
+def find_budgets(scene: SceneScores, kept: Kept) -> tuple[Budget, ...]:
+    """The budgets among a scene's runs: at least two numbers of layers each."""
+    groups: dict[bytes, list[RunScores]] = defaultdict(list)
+    for scores in scene.runs:
+        if scores.run.num_layers is not None:
+            groups[_likeness(scores.run)].append(scores)
+    budgets = []
+    for group in (part for alike in groups.values() for part in _of_one_size(alike)):
+        by_layers: dict[int, list[RunScores]] = defaultdict(list)
+        for scores in group:
+            by_layers[scores.run.num_layers or 0].append(scores)
+        if len(by_layers) > 1:
+            name = by_layers[max(by_layers)][0].run.name
+            shares = _kept_shares(scene.dataset, group[0].run.geometry or TRUTH, sorted(by_layers), kept)
+            points = tuple(_point(count, by_layers[count], *shares[count]) for count in sorted(by_layers))
+            budgets.append(Budget(name=name, points=points))
+    return tuple(budgets)
+
+
+Shares = dict[Split, float]
+
+
+def _kept_shares(dataset: Dataset, geometry: str, counts: list[int], kept: Kept) -> dict[int, tuple[Shares, Shares]]:
+    def compute() -> Json:
+        found = missed_shares(dataset, geometry, counts)
+        return [[[shares[split] for split in TEST_SPLITS] for shares in found[count]] for count in counts]
+
+    about: Json = [dataset.seal, layers_digest(dataset, geometry, TEST_SPLITS), list[Json](counts)]
+    data = from_json(
+        tuple[tuple[tuple[float, ...], ...], ...], kept.get("layer budget", about, compute), where="kept shares"
+    )
+    pairs = [tuple(dict(zip(TEST_SPLITS, values, strict=True)) for values in pair) for pair in data]
+    return {count: (more, deeper) for count, (more, deeper) in zip(counts, pairs, strict=True)}
+
+
+def missed_shares(dataset: Dataset, geometry: str, counts: list[int]) -> dict[int, tuple[Shares, Shares]]:
+    """For each number of layers, the shares of test rays that hit more surfaces, and that see deeper."""
+    is_glass = np.array([False, *(item.is_glass for item in dataset.objects)])
+    head = dataset.layer_store(geometry).head
+    shares: dict[int, tuple[Shares, Shares]] = {count: ({}, {}) for count in counts}
+    for split in TEST_SPLITS:
+        more, deeper = ({count: [] for count in counts} for _ in range(2))
+        for view in range(dataset.config.split(split).views):
+            layers = dataset.view(split, view).layers(geometry)
+            met = (layers.object_id > 0).sum(axis=0)
+            visible = visible_layers(layers, is_glass).sum(axis=0)
+            never_stopped = is_glass[layers.object_id].all(axis=0)
+            overflow = dataset.layer_store(geometry).record(split, view).overflow_share
+            for count in counts:
+                more[count].append(overflow if count >= head.num_layers else np.mean(met > count))
+                deeper[count].append(np.mean(never_stopped if count >= head.num_layers else visible > count))
+        for count in counts:
+            shares[count][0][split] = float(np.mean(more[count]))
+            shares[count][1][split] = float(np.mean(deeper[count]))
+    return shares
+
+
+def budget_grid(title: str, budgets: tuple[Budget, ...]) -> Grid:
+    """The table of a scene's budgets."""
+    groups = ("PSNR dB ↑", "PSNR glass dB ↑", "more %", "deeper %")
+    columns = [
+        Column(group="budget", is_number=False),
+        Column(group="layers"),
+        Column(group="runs"),
+        Column(group="parameters"),
+    ]
+    columns += [Column(group=group, split=split) for group in groups for split in TEST_SPLITS]
+    rows = []
+    for budget in budgets:
+        for point in budget.points:
+            parameters = "" if point.num_parameters is None else f"{point.num_parameters:,}"
+            scores = [point.psnr_db, point.glass_psnr_db]
+            shares = [point.more_share, point.deeper_share]
+            rows.append(
+                (
+                    budget.name,
+                    str(point.num_layers),
+                    str(len(point.runs)),
+                    parameters,
+                    *(format_number(values[split], 2) for values in scores for split in TEST_SPLITS),
+                    *(f"{100 * values[split]:.1f}" for values in shares for split in TEST_SPLITS),
+                )
+            )
+    return Grid(
+        title=f"{title}: layer budget", columns=tuple(columns), rows=tuple(rows), notes=BUDGET_NOTES, is_detail=True
+    )
+
+
+def _point(count: int, group: list[RunScores], more: Shares, deeper: Shares) -> BudgetPoint:
+    def means(key: str) -> dict[Split, float | None]:
+        return {split: mean_of([scores.mean(key, split) for scores in group]) for split in TEST_SPLITS}
+
+    return BudgetPoint(
+        num_layers=count,
+        runs=tuple(scores.run.name for scores in group),
+        num_parameters=group[0].run.num_parameters,
+        psnr_db=means("psnr_db"),
+        glass_psnr_db=means("glass_psnr_db"),
+        more_share=more,
+        deeper_share=deeper,
+    )
+
+
+def _of_one_size(group: list[RunScores]) -> list[list[RunScores]]:
+    """The group, split where the number of parameters jumps: a wider network is another budget."""
+
+    def size(scores: RunScores) -> int:
+        return scores.run.num_parameters or 0
+
+    parts: list[list[RunScores]] = []
+    for scores in sorted(group, key=size):
+        if not parts or size(scores) > MOST_GROWTH * size(parts[-1][-1]):
+            parts.append([])
+        parts[-1].append(scores)
+    return parts
+
+
+def _likeness(run: Run) -> bytes:
+    """Equal for runs of one budget."""
+    return dump_json({"method": run.method, "geometry": run.geometry, "config": _without_free_keys(run.config or {})})
+
+
+def _without_free_keys(data: Json) -> Json:
+    if not isinstance(data, dict):
+        return data
+    return {key: _without_free_keys(value) for key, value in data.items() if key not in FREE_KEYS}

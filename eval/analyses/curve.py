@@ -1,4 +1,4 @@
-"""The extrapolation curve: a run's error against what training saw of each pixel, and its slope."""
+"""The extrapolation curve: a run's error against the training coverage of each pixel, and its slope."""
 
 import dataclasses
 import math
@@ -19,13 +19,13 @@ from eval.score.seeds import by_group
 from eval.tables.grids import MISSING, Column, Grid, format_number
 
 ANGLE_EDGES = (0, 2, 4, 6, 8, 10, 15, 20, 25, 30, 40, 50, 60, 90, 180)
-"""Degrees; finer where most pixels are."""
+"""Bin edges in degrees; finer where most pixels are."""
 VIEWS_EDGES = (1, 2, 3, 5, 9, 17, 33, 65, 129, 257, 513, 1 << 30)
-"""Training views that saw a texel."""
+"""Bin edges: training views that saw a texel."""
 MIN_PIXELS = 100
-"""Bins of fewer pixels are left out of the slope and of figures."""
+"""Bins with fewer pixels are left out of the slope and of figures."""
 PRINTED_ANGLES = ((0, 4), (4, 10), (10, 20), (20, 40), (40, 180))
-"""Degrees; edges of the table's columns."""
+"""Ranges of the table's columns in degrees."""
 
 CURVE_NOTES = (
     "Slope: dB per 10 degrees between a pixel's ray and the nearest training ray on the same texel and layer, of its "
@@ -38,13 +38,13 @@ CURVE_NOTES = (
 
 @dataclass(frozen=True, kw_only=True)
 class Bin:
-    """The pixels of a run that training knew about equally well."""
+    """The pixels of a run with similar training coverage."""
 
     low: float
     high: float
     """Exclusive."""
     mean: float
-    """Of the pixels' angles or views."""
+    """Mean of the pixels' angles or views."""
     pixels: int
     mse: float
     """Mean squared error over pixels and channels, levels of 255 squared."""
@@ -56,12 +56,12 @@ class Bin:
 
 @dataclass(frozen=True, kw_only=True)
 class Curve:
-    """One run's error against angle and against how often its texels were seen. Empty bins are not there."""
+    """One run's error against angle and against the views that saw the texels, without empty bins."""
 
     by_angle: tuple[Bin, ...]
     by_views: tuple[Bin, ...]
     unseen: Bin | None
-    """Pixels of which some visible layer was never seen by training; they are in no other bin."""
+    """Pixels with a visible layer that training never saw; they are not in any other bin."""
     db_per_10deg: float | None
     """See `slope_db_per_10deg`."""
 
@@ -99,7 +99,7 @@ def curve_of(
     """The curve of some pixels.
 
     Args:
-        angle_deg: as in PixelCoverage; inf where training saw nothing.
+        angle_deg: as in PixelCoverage; inf without training coverage.
         squared_error: mean over channels, levels of 255 squared.
     """
     is_known = np.isfinite(angle_deg)
@@ -117,11 +117,11 @@ def curve_of(
 
 
 def slope_db_per_10deg(by_angle: tuple[Bin, ...]) -> float | None:
-    """How many dB a run gains (it is negative: loses) when test rays are 10 degrees farther from training rays.
+    """How many dB a run gains (if negative: loses) when test rays are 10 degrees farther from training rays.
 
-    10 s of the line y = a + s x that makes sum_b n_b (y_b - a - s x_b)^2 smallest, over the bins with at least 100
-    pixels and some error: n_b pixels, x_b their mean angle in degrees, y_b = 10 log10(255^2 / MSE_b) of their pooled
-    error. None where fewer than two bins are left.
+    10 s of the line y = a + s x that minimises sum_b n_b (y_b - a - s x_b)^2 over the bins with at least 100 pixels and
+    some error: n_b pixels, x_b their mean angle in degrees, y_b = 10 log10(255^2 / MSE_b) from their pooled error. None
+    with fewer than two such bins.
     """
     bins = [part for part in by_angle if part.pixels >= MIN_PIXELS and part.mse > 0]
     if len(bins) < 2:
@@ -185,7 +185,7 @@ def curve_grid(title: str, curves: dict[str, Curve]) -> Grid:
         )
         for name, curve in curves.items()
     ]
-    # Runs that predicted the same splits have the same pixels; the last row counts those of the run with most.
+    # Runs that predicted the same splits have the same pixels; the last row is for the run with most pixels.
     counts = max(([pixels for pixels, _ in _printed_columns(curve)] for curve in curves.values()), key=sum)
     shares = [f"{100 * count / max(sum(counts), 1):.1f} %" for count in counts]
     return Grid(
@@ -218,7 +218,7 @@ def _bins(
 
 
 def _pooled_curve(curves: Sequence[Curve]) -> Curve:
-    """Of runs that predicted the same pixels: mean squared errors are averaged, bin by bin."""
+    """The mean of curves over the same pixels: mean squared errors are averaged, bin by bin."""
     by_angle = _pooled([curve.by_angle for curve in curves])
     unseen = [(curve.unseen,) for curve in curves if curve.unseen is not None]
     return Curve(

@@ -1,4 +1,4 @@
-"""The scores of edited scenes in regions: what a trained renderer draws from other layers, against the edited truth."""
+"""Edited scenes: scores by region of what runs predict for them, their tables, results.json entries and sheets."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -9,14 +9,18 @@ from jaxtyping import Bool, UInt8
 
 from datagen.data.config import TEST_SPLITS, Split
 from datagen.data.dataset import Dataset
+from datagen.data.paths import view_name
 from datagen.data.variants import ELSEWHERE, LIGHT, OBJECT, edit_mask_files, read_edit_mask
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import Json, to_json
-from eval.analyses.variants import VariantScores
+from eval.analyses.variants import VariantScores, variant_json
 from eval.score.kept import Kept, number_from_json, number_json, picture_digests
-from eval.score.metrics import masked_psnr, mean_of
+from eval.score.metrics import masked_psnr, mean_of, psnr
 from eval.score.runs import Run, has_split, read_prediction
 from eval.score.scores import RunScores, SceneScores
+from eval.score.seeds import by_group
+from eval.tables.grids import MEANS_NOTE, Column, Grid, format_number, psnr_text
+from eval.tables.results import json_number
 
 REGIONS: dict[str, tuple[int, ...]] = {
     "object": (OBJECT,),
@@ -24,13 +28,13 @@ REGIONS: dict[str, tuple[int, ...]] = {
     "elsewhere": (ELSEWHERE,),
     "all": (OBJECT, LIGHT, ELSEWHERE),
 }
-"""By name, the values of an edit mask's pixels."""
+"""Values of an edit mask's pixels, by region."""
 
 IGNORED = "truth before the edit"
 
 Image = UInt8[np.ndarray, "h w 3"]
 Masks = dict[str, Bool[np.ndarray, "h w"]]
-"""By the region's name."""
+"""Masks by region."""
 
 RegionScores = dict[tuple[str, Split], float | None]
 """PSNR in dB by region and split, the mean over pictures that show the region; None where none does."""
@@ -42,7 +46,7 @@ class EditRow:
 
     run: str
     scene: Literal["edited", "unedited"]
-    """Which scene was drawn, and is compared with its truth; the regions are the same."""
+    """The scene that was predicted and is compared with its truth; the regions are the same."""
     psnr_db: RegionScores
 
 
@@ -52,9 +56,9 @@ class EditScores:
 
     scored: VariantScores
     shares: dict[tuple[str, Split], float]
-    """Of each region in a split's pixels."""
+    """Share of each region in a split's pixels."""
     rows: tuple[EditRow, ...]
-    """Two for each run, then the score that the truth before the edit would get: what ignoring the edit is worth."""
+    """Two rows for each run, then the score of the truth before the edit, as if the edit were ignored."""
 
     @property
     def edited(self) -> Dataset:
@@ -63,14 +67,14 @@ class EditScores:
 
     @property
     def runs(self) -> tuple[Run, ...]:
-        """Each stands for its predictions of the edited scene: its folder and dataset are the edit's."""
+        """The runs with their predictions of the edited scene: folder and dataset are the edit's."""
         return tuple(scores.run for scores in self.scored.runs.values())
 
 
 def score_edits(
     scene: SceneScores, variants: Sequence[VariantScores], errors: list[HyalineError], kept: Kept
 ) -> tuple[EditScores, ...]:
-    """Every edit among these variants in regions; what cannot be scored is added to `errors`."""
+    """The scores of every edit among these variants by region; failures are added to `errors`."""
     found = []
     for scored in variants:
         if scored.variant.edit is not None:
@@ -84,7 +88,7 @@ def score_edits(
 def object_psnr(drawn: tuple[EditScores, ...]) -> dict[str, dict[Split, float | None]]:
     """PSNR in dB where the edited objects are or were, mean over a scene's edits, by the run's name and the split.
 
-    None where a split shows no edited object.
+    None if a split does not show any edited object.
     """
     scores: dict[str, dict[Split, list[float]]] = {}
     for edit in drawn:
@@ -148,7 +152,7 @@ def _edit_json(shares: EditShares, rows: Sequence[EditRow]) -> Json:
     """All of it for `_edit_from_json`; regions in the order of REGIONS, splits in that of TEST_SPLITS."""
 
     def values(of: Mapping[tuple[str, Split], float | None]) -> list[Json]:
-        """A list of one value for each region and split, empty where a run did not predict the split."""
+        """For each region and split a list of its value, empty if the run did not predict the split."""
         return [[number_json(of[region, split])] if (region, split) in of else [] for region, split in _places()]
 
     return [values(shares), [[row.run, row.scene, values(row.psnr_db)] for row in rows]]
@@ -207,3 +211,97 @@ def _psnr_by_region(pictures: Iterable[tuple[Image, Image]], masks: Iterable[Mas
 def _mean_share(masks: list[Masks], name: str) -> float:
     """The share of a region in all pixels of a split."""
     return float(np.mean([regions[name] for regions in masks]))
+
+
+EDIT_VIEWS = 2
+"""Views of each split on the sheet of an edit."""
+
+EDIT_NOTE = (
+    "Object: pixels that show a changed object in either scene. Light: other pixels where the truth changes by more "
+    "than its noise. Unedited: the same pixels of the same run before the edit. Truth before the edit: what a perfect "
+    "renderer that ignores the edit would score."
+)
+
+
+def edit_grids(title: str, edits: Sequence[EditScores], runs: Sequence[RunScores]) -> list[Grid]:
+    """A table per edit: PSNR by region after and before the edit; means over seeds of `runs`, all of the scene."""
+    return [_edit_grid(title, edit, runs, notes=(EDIT_NOTE, MEANS_NOTE) if edit is edits[-1] else ()) for edit in edits]
+
+
+def _edit_grid(title: str, edit: EditScores, runs: Sequence[RunScores], *, notes: tuple[str, ...]) -> Grid:
+    record = edit.edited.edit
+    assert record is not None
+    shares = ", ".join(
+        f"{region} {' / '.join(f'{100 * edit.shares[region, split]:.1f}' for split in TEST_SPLITS)} %"
+        for region in ("object", "light")
+    )
+    columns = [Column(group="run", is_number=False), Column(group="seeds"), Column(group="scene", is_number=False)]
+    columns += [Column(group=f"{region} dB ↑", split=split) for region in REGIONS for split in TEST_SPLITS]
+    scores = {(row.run, row.scene): row.psnr_db for row in edit.rows}
+    rows = []
+    for name, members in by_group(runs, {run: run for run, _ in scores}).items():
+        for scene in ("edited", "unedited"):
+            found = [scores[run, scene] for run in members]
+            rows.append((name, str(len(found)), scene, *_decibels(found, REGIONS)))
+    rows.append((IGNORED, "", "edited", *_decibels([scores[IGNORED, "edited"]], REGIONS)))
+    return Grid(
+        title=f"{title}, after {' then '.join(record.edits)} ({shares} of the pixels)",
+        columns=tuple(columns),
+        rows=tuple(rows),
+        last_row_apart=True,
+        notes=notes,
+    )
+
+
+def edit_json(edit: EditScores) -> dict[str, Json]:
+    """The scores of the whole pictures, and those in regions beside them."""
+    record = edit.edited.edit
+    assert record is not None
+    return {
+        **variant_json(edit.scored),
+        "edits": list(record.edits),
+        "shares": _nested(edit.shares),
+        "rows": [{"run": row.run, "scene": row.scene, "psnr_db": _nested(row.psnr_db)} for row in edit.rows],
+    }
+
+
+def _decibels(scores: Sequence[RegionScores], regions: Iterable[str]) -> tuple[str, ...]:
+    """Means over the runs, region by region, of each split."""
+    return tuple(
+        format_number(mean_of([of_run.get((region, split)) for of_run in scores]), 2)
+        for region in regions
+        for split in TEST_SPLITS
+    )
+
+
+def _nested(scores: Mapping[tuple[str, Split], float | None]) -> Json:
+    regions = dict.fromkeys(region for region, _ in scores)
+    return {
+        region: {split: json_number(value) for (name, split), value in scores.items() if name == region}
+        for region in regions
+    }
+
+
+def edit_sheet(scene: SceneScores, edit: EditScores) -> bytes:
+    """The PNG of an edit: the truth before and after it and each run's prediction, in the views that show most of it.
+
+    From runs that only differ in their seed, only the first is shown.
+    """
+    from eval.figures import Panel, Row, draw_sheet
+
+    drawn = by_group(scene.runs, {run.name: run for run in edit.runs})
+    runs = [members[0] for members in drawn.values()]
+    rows = []
+    for split in TEST_SPLITS:
+        views = range(edit.edited.config.split(split).views)
+        shares = [float(np.mean(read_edit_mask(edit.edited, split, view) == OBJECT)) for view in views]
+        for view in sorted(sorted(views, key=lambda view: -shares[view])[:EDIT_VIEWS]):
+            truths = [dataset.view(split, view).image for dataset in (scene.dataset, edit.edited)]
+            panels = [Panel(image=image, caption=f"view {view_name(view)}") for image in truths]
+            for run in runs:
+                pred = read_prediction(run, split, view) if has_split(run, split) else None
+                panels.append(Panel(image=pred, caption="" if pred is None else psnr_text(psnr(pred, truths[1]))))
+            rows.append(Row(split=split, panels=tuple(panels)))
+    heads = ("truth before", "truth after", *(run.name for run in runs))
+    title = f"{scene.title}: {edit.edited.name}"
+    return draw_sheet(title, heads, rows, size=scene.dataset.config.resolution)

@@ -12,7 +12,7 @@ from matplotlib.ticker import MaxNLocator, NullLocator
 from datagen.data.config import TEST_SPLITS
 from datagen.pages.charts import GRID, STYLE, figure_svg, new_figure, page_figure
 from datagen.pages.html import Markup
-from eval.analyses.budget import Budget
+from eval.analyses.coverage import Budget
 from eval.analyses.curve import ANGLE_EDGES, MIN_PIXELS, Bin, Curve
 
 SIZE = 15, 6.4
@@ -23,7 +23,7 @@ VIEW_TICKS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 
 @mpl.rc_context(STYLE)
 def curve_figure(title: str, curves: dict[str, Curve]) -> bytes:
-    """The SVG of all runs' PSNR by angle to the nearest training ray, and by how many training views saw the texel."""
+    """The SVG of all runs' PSNR by angle to the nearest training ray, and by the training views that saw the texel."""
     figure = Figure(figsize=SIZE, facecolor="white")
     top, below = figure.subfigures(2, 1, squeeze=False, height_ratios=(2 + len(curves) // 3, 18)).flat
     left, right = below.subfigures(1, 2, squeeze=False).flat
@@ -54,8 +54,8 @@ def curve_charts(curves: dict[str, Curve]) -> list[Markup]:
 def draw_by_angle(figure: FigureBase, curves: dict[str, Curve]) -> None:
     """PSNR by angle, and below it the shares of pixels.
 
-    A triangle at the right edge marks pixels with texels that training never saw. Angles over 90 degrees, seldom and
-    from the other side, are left to the table.
+    A triangle at the right edge marks pixels with texels that training never saw. Angles over 90 degrees are rare, and
+    only in the table.
     """
     ends = [part.high for part in _fullest(curves).by_angle if part.high <= 90 and part.pixels >= MIN_PIXELS]
     end = max(ends, default=ANGLE_EDGES[1])
@@ -116,7 +116,7 @@ def _head(top: SubFigure, title: str, lines: Sequence[Line2D], names: Sequence[s
 def _draw(
     figure: FigureBase, bins: Mapping[str, Sequence[Bin]], bar_of: Callable[[Bin], tuple[float, float]]
 ) -> tuple[Axes, Axes]:
-    """All curves, and below them the shares of the pixels of the run that has most.
+    """All curves, and below them the shares of pixels of the run with most pixels.
 
     Args:
         bins: by the run's name.

@@ -1,6 +1,6 @@
-"""What a report shows of a scene beyond the scores: the analyses with their tables and data, and all pictures.
+"""The report's parts beyond scores: the analyses of a scene with their tables and data, and all pictures.
 
-matplotlib is loaded when a picture is drawn.
+matplotlib is imported only when a picture is drawn.
 """
 
 import functools
@@ -14,13 +14,18 @@ from datagen.disk.errors import HyalineError
 from datagen.disk.names import file_name
 from datagen.disk.records import Json, to_json
 from datagen.terminal.command import say, track
-from eval.analyses.budget import Budget, budget_grid, find_budgets
-from eval.analyses.coverage import Coverage, PixelCoverage, cover_view, read_coverage
+from eval.analyses.coverage import Budget, Coverage, PixelCoverage, budget_grid, cover_view, find_budgets, read_coverage
 from eval.analyses.curve import Curve, curve_from_json, curve_grid, curve_json, make_curve, pool_seeds
-from eval.analyses.edit_tables import edit_grids, edit_json
-from eval.analyses.edits import EditScores, score_edits
-from eval.analyses.super_resolution import score_enlarged, super_resolution_grid, super_resolution_json
-from eval.analyses.variants import VariantScores, angle_grid, score_variants, variant_json
+from eval.analyses.edits import EditScores, edit_grids, edit_json, score_edits
+from eval.analyses.variants import (
+    VariantScores,
+    angle_grid,
+    score_enlarged,
+    score_variants,
+    super_resolution_grid,
+    super_resolution_json,
+    variant_json,
+)
 from eval.page.report_folder import Drawing
 from eval.score.kept import Kept, layers_digest
 from eval.score.runs import Run
@@ -30,10 +35,10 @@ from eval.tables.grids import Grid
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Further:
-    """What was found out of a scene; each part is there only when the dataset and the runs have what it needs."""
+    """The analyses of a scene; each is there only if the dataset and the runs have what it needs."""
 
     title: str
-    """The scene's."""
+    """The scene's title."""
     grids: tuple[Grid, ...]
     data: dict[str, Json]
     """For results.json."""
@@ -49,8 +54,8 @@ def analyse(scene: SceneScores, errors: list[HyalineError], kept: Kept) -> Furth
     """All analyses of a scored scene.
 
     Args:
-        kept: takes what is computed, and gives what was.
-        errors: takes what is wrong with runs; the others are analysed.
+        kept: cache of results.
+        errors: problems of runs are added here; the other runs are analysed.
     """
     grids: list[Grid] = []
     data: dict[str, Json] = {}
@@ -113,7 +118,7 @@ def _budget_figure(title: str, budgets: tuple[Budget, ...]) -> Drawing:
 
 def _edit_sheet(scene: SceneScores, edit: EditScores) -> Drawing:
     def draw() -> bytes:
-        from eval.analyses.edit_tables import edit_sheet
+        from eval.analyses.edits import edit_sheet
 
         return edit_sheet(scene, edit)
 
@@ -154,7 +159,7 @@ def _make_curve(runs: dict[Split, RunScores], truths: dict[Split, Truth], covere
 
 
 class _Covered:
-    """What training saw of the test views: read when a run is new, and once."""
+    """The training coverage of the test views: read once, and only if a run is new."""
 
     def __init__(self, scene: SceneScores, by_angle: VariantScores | None) -> None:
         self._scene, self._by_angle = scene, by_angle
@@ -162,7 +167,7 @@ class _Covered:
 
     @functools.cached_property
     def _training(self) -> Coverage:
-        say(f"{self._scene.title}: reads what the training views saw")
+        say(f"{self._scene.title}: reading the coverage of the training views")
         return read_coverage(self._scene.dataset)
 
     def split(self, split: Split) -> tuple[PixelCoverage, ...]:
@@ -179,7 +184,7 @@ def _home(scene: SceneScores, by_angle: VariantScores | None, split: Split) -> D
 
 
 def figures_of(scenes: list[SceneScores], further: list[Further]) -> dict[str, Drawing]:
-    """A sheet per run, a comparison and the cameras per scene, then the analyses' figures, by file."""
+    """By file name: a sheet per run, a comparison and the cameras per scene, then the analyses' figures."""
     figures: dict[str, Drawing] = {}
     for scene in scenes:
         name = file_name(scene.title)
@@ -194,21 +199,21 @@ def figures_of(scenes: list[SceneScores], further: list[Further]) -> dict[str, D
 
 
 def shown_of_run(scores: RunScores) -> Json:
-    """What a picture of a run depends on, beside the truth."""
+    """Everything that a picture of a run depends on, except the truth."""
     run = scores.run
     about = {"name": run.name, "method": run.method, "geometry": run.geometry, "label": run.label, "seed": run.seed}
     return to_json({**about, "config": run.config, "flags": run.flags, "pictures": scores.digests})
 
 
 def shown_of_scene(scene: SceneScores) -> Json:
-    """What a picture of a scene's truth depends on."""
+    """Everything that a picture of a scene's truth depends on."""
     truths = {split: truth.digest for split, truth in scene.truths.items()}
     return to_json({"title": scene.title, "dataset": scene.dataset.seal, "truths": truths})
 
 
 def _contact_sheet(scene: SceneScores, scores: RunScores) -> Drawing:
     def draw() -> bytes:
-        from eval.figures.sheets import contact_sheet
+        from eval.figures import contact_sheet
 
         return contact_sheet(scene, scores)
 
@@ -217,7 +222,7 @@ def _contact_sheet(scene: SceneScores, scores: RunScores) -> Drawing:
 
 def _comparison_sheet(scene: SceneScores) -> Drawing:
     def draw() -> bytes:
-        from eval.figures.sheets import comparison_sheet
+        from eval.figures import comparison_sheet
 
         return comparison_sheet(scene, "all runs")
 
@@ -226,7 +231,7 @@ def _comparison_sheet(scene: SceneScores) -> Drawing:
 
 def _cameras(scene: SceneScores) -> Drawing:
     def draw() -> bytes:
-        from eval.figures.cameras import cameras_figure
+        from eval.figures import cameras_figure
 
         return cameras_figure(scene.dataset, scene.title)
 

@@ -1,4 +1,4 @@
-"""The report as one page: a file that opens without a server, asks for nothing, and can be read without scripts."""
+"""The report as one HTML file that opens without a server, requests nothing, and can be read without scripts."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,8 +17,18 @@ from datagen.pages.pictures import Encoded, Gallery
 from eval.analyses.edits import EditScores
 from eval.page.further import Further, shown_of_run, shown_of_scene
 from eval.page.report_folder import Drawing
-from eval.page.run_page import read_training, run_anchor, run_page
-from eval.page.views import Compared, ShownView, prediction_panel, store_truth, store_view, store_views, truth_name
+from eval.page.run_page import (
+    Compared,
+    ShownView,
+    prediction_panel,
+    read_training,
+    run_anchor,
+    run_page,
+    store_truth,
+    store_view,
+    store_views,
+    truth_name,
+)
 from eval.score.scores import RunScores, SceneScores, metric_notes
 from eval.score.seeds import group_seeds
 from eval.tables.grids import Column, Grid, format_number, scene_grids
@@ -26,14 +36,14 @@ from eval.tables.looks import html_table
 
 PAGE = "index.html"
 MOST_BYTES = 20_000_000
-"""Of a whole page. Tables and curves come first, and pictures fill what they leave."""
+"""Largest page in bytes. Tables and curves come first, and pictures get the remaining room."""
 USUAL_VIEWS = 3
-"""Of each split and run: the worst, the median and the best."""
+"""Views shown by default for each split and run: the worst, the median and the best."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _ScenePart:
-    """What a page shows of one scene."""
+    """The parts of a page for one scene."""
 
     scene: SceneScores
     further: Further
@@ -50,12 +60,12 @@ def report_page(
     most_views: int = USUAL_VIEWS,
     most_bytes: int = MOST_BYTES,
 ) -> bytes:
-    """The bytes of the page, at most so many where its tables and curves alone leave room.
+    """The page, at most `most_bytes` long unless tables and curves alone are longer.
 
     Args:
-        further: of each scene.
-        most_views: shown of each split and run.
-        most_bytes: of the page; pictures that find no room in it are left out, and the page says so.
+        further: the analyses of each scene.
+        most_views: views shown of each split and run.
+        most_bytes: pictures that do not fit into this size are left out, with a note on the page.
     """
     encoded: Encoded = {}
     room = most_bytes
@@ -64,7 +74,7 @@ def report_page(
         page = _draw_page(scenes, further, gallery, most_views=most_views)
         if len(page) <= most_bytes or not gallery.used:
             return page
-        room = max(0, gallery.used - (len(page) - most_bytes))  # What else is in the page has to fit as well.
+        room = max(0, gallery.used - (len(page) - most_bytes))  # The rest of the page has to fit as well.
 
 
 def _draw_page(
@@ -74,7 +84,7 @@ def _draw_page(
     *,
     most_views: int,
 ) -> bytes:
-    """The page with the pictures for which a gallery has room: the most telling ones go first."""
+    """The page with the pictures that fit into a gallery, the most important ones first."""
     pairs = list(zip(scenes, further, strict=True))
     compared = {
         scene.title: {run_anchor(scene, scores.run): _compared(scores, more) for scores in scene.runs}
@@ -103,7 +113,7 @@ def _draw_page(
         for s in part.scene.runs
     ]
     left_out = (
-        tag("p", f"{gallery.left_out:,} pictures found no room: a page holds at most 20 MB.", class_="note")
+        tag("p", f"{gallery.left_out:,} pictures were left out: a page has at most 20 MB.", class_="note")
         if gallery.left_out
         else None
     )
@@ -119,15 +129,15 @@ def _draw_page(
 
 
 def page_drawing(scenes: list[SceneScores], further: list[Further], results: str, *, most_views: int) -> Drawing:
-    """The page as a file of the report, made again when anything in it differs.
+    """The page as a file of the report, drawn again only if something in it has changed.
 
     Args:
         results: a hash of all scores.
     """
-    told = [
+    runs = [
         [shown_of_run(scores), read_training(scores.run.folder).digest] for scene in scenes for scores in scene.runs
     ]
-    about: Json = [results, list(map(shown_of_scene, scenes)), to_json(told), most_views]
+    about: Json = [results, list(map(shown_of_scene, scenes)), to_json(runs), most_views]
     return Drawing(draw=partial(report_page, scenes, further, most_views=most_views), about=["page", about])
 
 
@@ -155,7 +165,7 @@ def scenes_grid(scenes: Sequence[SceneScores]) -> Grid:
 
 
 def _compared(scores: RunScores, further: Further) -> list[Compared]:
-    """What a run predicted of its dataset and of variants that are no edits."""
+    """A run's predictions of its dataset and of variants except edits."""
     listed = [scores]
     for scored in further.variants:
         if scored.variant.edit is None and scores.run.name in scored.runs:
@@ -202,7 +212,7 @@ def _overview(parts: Sequence[_ScenePart]) -> Markup:
 
 
 def _side_by_side(scene: SceneScores, compared: dict[str, list[Compared]], gallery: Gallery) -> Markup:
-    """The middle view of each test split, as truth and by all runs, as far as there is room."""
+    """The middle view of each test split, as truth and by all runs, as far as they fit."""
     rows = []
     for split in TEST_SPLITS:
         view = scene.dataset.config.split(split).views // 2
@@ -237,7 +247,7 @@ def _scene_page(part: _ScenePart) -> Markup:
 
 
 def draw_edit(gallery: Gallery, scene: SceneScores, edit: EditScores) -> Markup:
-    """The view of each test split that shows most of the edited objects, as far as the gallery has room."""
+    """The view of each test split that shows most of the edited objects, as far as it fits."""
     record = edit.edited.edit
     assert record is not None
     rows: list[Part] = []

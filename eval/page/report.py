@@ -37,7 +37,7 @@ from eval.tables.results import results_csv, results_json
 
 FORMATS = ("table", "markdown", "csv", "latex", "json")
 TABLE_FORMATS = ("table", "markdown", "latex")
-"""Of `make_tables`: what the tables hold is in the report's CSV and JSON."""
+"""Formats of `make_tables`; the report's CSV and JSON contain the same values."""
 
 
 def make_report(
@@ -51,16 +51,13 @@ def make_report(
     is_published: bool = False,
     most_views: int = USUAL_VIEWS,
 ) -> None:
-    """Scores all runs; a run that cannot be scored is reported after the others are.
+    """Scores all runs; errors of runs that cannot be scored come last.
 
     Args:
-        only: the dataset whose runs are scored; those of all unless given.
-        is_full: also print what the runs are, quality by angle and by layers.
-        is_published: also print the paper's own numbers, and beside them what its authors' script would for our runs.
-        most_views: that the page shows of each split and run.
-
-    Raises:
-        HyalineError: an unknown format, no run, or a run that cannot be scored.
+        only: score only the runs of this dataset; None: all runs.
+        is_full: also describe the runs, and print quality by angle and by layers.
+        is_published: also print the paper's own numbers, and what its authors' script would print for our runs.
+        most_views: views that the page shows of each split and run.
     """
     choose("format", output_format, FORMATS)
     if not 1 <= most_views <= MAX_VIEWS:
@@ -69,7 +66,7 @@ def make_report(
     runs, errors = _open_runs(runs_root, data_root, out, only)
     if not runs and not errors:
         raise HyalineError(
-            f"{runs_root}: no predictions there; make some with `model train paper`, or put a method's pictures at "
+            f"{runs_root}: contains no predictions; make some with `model train paper`, or put a method's pictures at "
             f"{runs_root}/SCENE/NAME/predictions/SPLIT/0000.png"
         )
     kept = kept_in(out)
@@ -131,17 +128,13 @@ def write_page(found: Scored, out: Path, kept: Kept, *, most_views: int, are_all
 
 
 TABLES = (*COMPARISONS, "proxies", *ABLATIONS, "claims")
-"""What `make_tables` prints."""
+"""The tables of `make_tables`."""
 
 
 def make_tables(
     runs_root: Path, data_root: Path, out: Path, *, tables: Sequence[str], output_format: str, only: Path | None = None
 ) -> None:
-    """Scores the runs that some tables need and prints those alone; pictures of them are written to `out`.
-
-    Raises:
-        HyalineError: an unknown table or format, or a run that cannot be scored.
-    """
+    """Scores the runs that these tables need, prints only the tables, and writes their pictures to `out`."""
     for table in tables:
         choose("table", table, TABLES)
     choose("format", output_format, TABLE_FORMATS)
@@ -154,7 +147,7 @@ def make_tables(
     if not scenes:
         errors.append(
             HyalineError(
-                f"{runs_root}: no run there that stands in {', '.join(tables)}; "
+                f"{runs_root}: contains no run of {', '.join(tables)}; "
                 f"make them with `{_sweep_command(tables[0], only)}`"
             )
         )
@@ -179,7 +172,7 @@ def _sweep_command(table: str, only: Path | None) -> str:
 
 
 def _lines_of(table: str) -> tuple[Line, ...]:
-    """Which runs a table can show."""
+    """The runs that a table can show."""
     if table in COMPARISONS:
         return COMPARISONS[table].lines
     if table == "claims":
@@ -204,8 +197,8 @@ def _object_psnr(scene: SceneScores, errors: list[HyalineError], kept: Kept) -> 
 
 
 def _picture_of(table: str, scene: SceneScores) -> bytes | None:
-    """Of a comparison what its runs drew, of the ladder a plot."""
-    from eval.figures.sheets import comparison_sheet
+    """A comparison's predictions; for the ladder a plot."""
+    from eval.figures import comparison_sheet
 
     if table in COMPARISONS:
         comparison = COMPARISONS[table]
@@ -218,7 +211,7 @@ def _picture_of(table: str, scene: SceneScores) -> bytes | None:
 
 
 def _open_runs(runs_root: Path, data_root: Path, out: Path, only: Path | None) -> tuple[list[Run], list[HyalineError]]:
-    """The runs that can be opened and why others cannot; of one dataset alone where `only` is given."""
+    """The runs that can be opened, and the errors of the others; with `only`, just those of one dataset."""
     dataset = None if only is None else open_dataset(only)
     runs, errors = [], []
     for folder in list_run_folders(runs_root, besides=out):
@@ -237,7 +230,7 @@ def _open_runs(runs_root: Path, data_root: Path, out: Path, only: Path | None) -
 
 
 def _score_scenes(runs: list[Run], errors: list[HyalineError], kept: Kept) -> list[SceneScores]:
-    """The scores by dataset, sorted by name; what a run's pictures lack is added to `errors`."""
+    """The scores by dataset, sorted by name; problems of a run's pictures are added to `errors`."""
     datasets: dict[str, Dataset] = {}
     for run in runs:
         datasets.setdefault(run.dataset.seal, run.dataset)
@@ -246,7 +239,7 @@ def _score_scenes(runs: list[Run], errors: list[HyalineError], kept: Kept) -> li
     scenes = []
     for dataset in ordered:
         here = [run for run in runs if run.dataset.seal == dataset.seal]
-        # Two datasets of one name (an old one beside a new one) are told apart by their folders.
+        # Two datasets with the same name (an old and a new one) are distinguished by their folders.
         title = dataset.name if names.count(dataset.name) == 1 else dataset.root.as_posix()
         if scored := _score_scene(dataset, title, here, errors, kept):
             scenes.append(scored)
@@ -259,7 +252,7 @@ def _score_scene(
     truths: dict[Split, Truth] = {split: read_truth(dataset, split) for split in TEST_SPLITS}
     if not has_glass_mask(dataset):
         say(
-            f"{dataset.root}: no layers of the true geometry, so no PSNR on glass; "
+            f"{dataset.root}: has no layers of the true geometry, so there is no PSNR on glass; "
             f"make them with `datagen peel --dataset {shlex.quote(str(dataset.root))}`"
         )
     scored: list[RunScores] = []

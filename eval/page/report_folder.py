@@ -1,11 +1,12 @@
-"""A report's folder: the files that reports have written there, and no others, are replaced.
+"""A report's folder, in which only the files of earlier reports are replaced.
 
-REPORT/report.json     sealed, written first: the names of all files that reports have written there
+REPORT/report.json     with checksum, written first: the names of all files that reports have written there
 REPORT/results.json    every score (eval/tables/results.py)
 REPORT/index.html      the page (eval/page/page.py)
 REPORT/*.png, *.svg    contact sheets and figures
-REPORT/kept/KEY.json   what was computed for it (eval/score/kept.py)
-REPORT/kept/drawn.json sealed: what each picture and the page show, and their SHA-256: they are not made again
+REPORT/kept/KEY.json   cached results (eval/score/kept.py)
+REPORT/kept/drawn.json with checksum: what each picture and the page show, and their SHA-256, so that unchanged ones
+                       are not drawn again
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -41,29 +42,21 @@ class Drawing:
 
     draw: Callable[[], bytes]
     about: Json = None
-    """Everything that the file depends on, but for code: one that shows the same is not made again. None: it is."""
+    """Everything that the file depends on except code; unchanged files are not drawn again. None: always drawn."""
 
 
 def check_report_folder(out: Path) -> None:
-    """Refuses a folder that holds something else, before anything is scored.
-
-    Raises:
-        HyalineError: naming what stands there.
-    """
+    """Raises a HyalineError if the folder contains something else, before anything is scored."""
     refuse_others(out, REPORT)
 
 
 def kept_in(out: Path) -> Kept:
-    """What earlier reports in a folder computed."""
+    """The cached results of earlier reports in a folder."""
     return Kept(out / FOLDER if is_ours(out, REPORT) else None)
 
 
 def write_report(out: Path, files: Mapping[str, Drawing]) -> Iterator[Path]:
-    """Commits the files of a report, each as it is made; yields the paths of those that were not there yet.
-
-    Raises:
-        HyalineError: something else stands there, or another report is being written.
-    """
+    """Commits the files of a report one by one; yields the paths of new and changed ones."""
     with holding(out, REPORT):
         own = _report_files(out) if is_ours(out, REPORT) else []
         refuse_taken(out, REPORT, files, own)
@@ -90,13 +83,10 @@ def write_report(out: Path, files: Mapping[str, Drawing]) -> Iterator[Path]:
 
 
 def keep(out: Path, kept: Kept, *, are_all: bool) -> None:
-    """Writes what was computed anew beside a report; where there is none, nothing is kept.
+    """Writes new cached results next to a report; without a report, nothing is kept.
 
     Args:
-        are_all: whether every run was scored: then what none of them asked for is removed.
-
-    Raises:
-        HyalineError: another report is being written.
+        are_all: every run was scored, so unused results are removed.
     """
     if not is_ours(out, REPORT):
         return
@@ -115,12 +105,12 @@ def _report_files(out: Path) -> list[str]:
 
 
 def _read_drawn(out: Path) -> dict[str, list[str | None]]:
-    """What stands in the folder: of each file the hash of what it shows, and its own."""
+    """For each file in the folder, the hash of what it shows, and its own hash."""
     try:
         files = load_sealed(out / DRAWN).get("files")
         pairs = from_json(dict[str, tuple[str | None, ...]], files, where=f"{out / DRAWN}: files")
     except HyalineError:
-        return {}  # None there, or damaged: all is drawn again.
+        return {}  # Missing or damaged: everything is drawn again.
     return {name: list(pair) for name, pair in pairs.items()}
 
 

@@ -1,51 +1,161 @@
-"""The page of one run: its pictures, its training, what it was told, and how to make it again.
-
-How it was trained is known as far as its folder tells: metrics.jsonl, one JSON object a line, and costs.json.
-"""
+"""The page of one run: its views, its training (from metrics.jsonl and costs.json), its settings, how to repeat it."""
 
 import json
+import math
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeGuard
 
+from datagen.data.config import Split
+from datagen.data.dataset import Dataset
+from datagen.data.paths import view_name
 from datagen.disk.errors import HyalineError
-from datagen.disk.reading import MAX_JSON_BYTES, parse_json, read_regular
-from datagen.disk.records import Json
+from datagen.disk.records import MAX_JSON_BYTES, Json, parse_json, read_regular
 from datagen.disk.storage import sha256
 from datagen.pages.charts import Line, line_chart
 from datagen.pages.document import anchor, command, definitions, section
 from datagen.pages.html import Markup, Part, join, prose, tag
 from datagen.pages.pictures import Gallery
-from eval.page.views import Compared, ShownView, draw_views
-from eval.score.runs import Run
-from eval.score.scores import METRICS, RunScores, SceneScores
-from eval.tables.grids import Column, Grid, format_number
+from eval.score.runs import Run, read_prediction
+from eval.score.scores import METRICS, RunScores, SceneScores, SplitScores
+from eval.tables.grids import Column, Grid, format_number, psnr_text
 from eval.tables.looks import html_table
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Compared:
+    """A run's predictions of one split of its dataset or of a variant."""
+
+    run: Run
+    split: Split
+    scores: SplitScores
+    digests: Sequence[str]
+    """SHA-256 of each picture."""
+
+    @property
+    def dataset(self) -> Dataset:
+        return self.run.dataset
+
+    @property
+    def title(self) -> str:
+        return self.split if self.dataset.variant is None else f"{self.dataset.name}: {self.split}"
+
+    def psnr_db(self, view: int) -> float | None:
+        return self.scores.images["psnr_db"][view]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShownView:
+    """A view on the page, and its rank among the others."""
+
+    view: int
+    rank: str
+    """Worst, median, best, or empty."""
+
+
+def ranked_views(scores: SplitScores) -> list[ShownView]:
+    """All views of a split: the worst, the median and the best by PSNR, then the others from the worst on."""
+    values = [-math.inf if value is None else value for value in scores.images["psnr_db"]]
+    rising = sorted(range(len(values)), key=lambda view: (values[view], view))
+    named: dict[int, str] = {}
+    for rank, view in (("worst", rising[0]), ("best", rising[-1]), ("median", rising[(len(rising) - 1) // 2])):
+        named.setdefault(view, rank)
+    first = sorted(named, key=lambda view: ("worst", "median", "best").index(named[view]))
+    return [ShownView(view=view, rank=named.get(view, "")) for view in (*first, *(v for v in rising if v not in named))]
+
+
+def store_views(gallery: Gallery, compared: Sequence[Compared], most: int) -> dict[Compared, list[ShownView]]:
+    """Adds truth and prediction of up to `most` views of each to the gallery; returns the views that fit.
+
+    The first views of all are added before the second ones, so that a full page lacks the least important ones.
+    """
+    shown: dict[Compared, list[ShownView]] = {item: [] for item in compared}
+    for item, candidate in _by_rank(compared, most):
+        if store_view(gallery, item, candidate.view):
+            shown[item].append(candidate)
+    return shown
+
+
+def store_view(gallery: Gallery, item: Compared, view: int) -> bool:
+    """Adds truth and prediction of a view to the gallery; False if there is no room for both."""
+    return store_truth(gallery, item.dataset, item.split, view) and gallery.add(
+        _prediction_name(item, view), lambda: read_prediction(item.run, item.split, view)
+    )
+
+
+def store_truth(gallery: Gallery, dataset: Dataset, split: Split, view: int) -> bool:
+    """Adds a true picture to the gallery; False if there is no room."""
+    return gallery.add(truth_name(dataset, split, view), lambda: dataset.view(split, view).image)
+
+
+def truth_name(dataset: Dataset, split: Split, view: int) -> str:
+    """The name of a true picture in the gallery."""
+    return anchor("truth", dataset.seal, split, view_name(view))
+
+
+def draw_views(gallery: Gallery, item: Compared, shown: Sequence[ShownView]) -> Markup:
+    """Truth, prediction and error of each of these views, which must be in the gallery."""
+    return tag("div", *(_draw_view(gallery, item, view) for view in shown), class_="views")
+
+
+def prediction_panel(gallery: Gallery, item: Compared, view: int) -> Markup:
+    """A prediction with its score; it must be in the gallery."""
+    label = f"{item.run.name}, {item.title} view {view_name(view)}"
+    picture = gallery.show(_prediction_name(item, view), label=label)
+    caption = tag("figcaption", item.run.name, ": ", psnr_text(item.psnr_db(view)))
+    return tag("figure", picture, caption)
+
+
+def _draw_view(gallery: Gallery, item: Compared, shown: ShownView) -> Markup:
+    what = f"{item.title} view {view_name(shown.view)}"
+    truth, pred = truth_name(item.dataset, item.split, shown.view), _prediction_name(item, shown.view)
+    panels = [
+        ("truth", gallery.show(truth, label=f"truth, {what}")),
+        ("prediction", gallery.show(pred, label=f"prediction, {what}")),
+        ("error × 8", gallery.show(truth, pred, label=f"error, {what}", class_="error")),  # noqa: RUF001
+    ]
+    rank = f" ({shown.rank})" if shown.rank else ""
+    caption = f"{what}{rank}: {psnr_text(item.psnr_db(shown.view))}"
+    drawn = tag("div", *(tag("div", picture, tag("span", name)) for name, picture in panels), class_="panels")
+    return tag("figure", tag("figcaption", caption), drawn, class_="compare")
+
+
+def _prediction_name(item: Compared, view: int) -> str:
+    return anchor("prediction", item.digests[view])
+
+
+def _by_rank(compared: Sequence[Compared], most: int) -> Iterator[tuple[Compared, ShownView]]:
+    ranked = [(item, ranked_views(item.scores)) for item in compared]
+    for rank in range(most):
+        for item, views in ranked:
+            if rank < len(views):
+                yield item, views[rank]
+
 
 HELD_OUT = "held_out_psnr"
 TITLES = {"loss": ("Training loss", "loss"), HELD_OUT: ("PSNR on held-out views", "PSNR (dB)")}
-"""Of a curve and of its axis. Other methods' curves keep their names."""
+"""Titles of a curve and of its axis. Other curves use their names in the file."""
 MOST_POINTS = 400
-"""Points of a curve in a page; of more, an even selection."""
+"""Most points of a curve on the page; from more, an even selection."""
 
 
 Points = tuple[tuple[float, float], ...]
 
 
 def run_anchor(scene: SceneScores, run: Run) -> str:
-    """Where in the page a run stands."""
+    """The anchor of a run on the page."""
     return anchor("run", scene.title, run.folder.parent.name, run.name)
 
 
 def run_page(
     scene: SceneScores, scores: RunScores, views: Mapping[Compared, Sequence[ShownView]], gallery: Gallery
 ) -> Markup:
-    """Everything that is known of one run.
+    """Everything about one run.
 
     Args:
-        views: those to show of each split that it predicted.
+        views: the views to show of each split that it predicted.
     """
     run, place = scores.run, run_anchor(scene, scores.run)
     pictures: list[Part] = [
@@ -64,7 +174,7 @@ def run_page(
         *pictures,
         tag("h3", "Training"),
         training_charts(read_training(run.folder), _training_ceiling_db(run)),
-        tag("h3", "What it was told"),
+        tag("h3", "Settings"),
         definitions(_facts(scores)),
         tag("h3", "Make it again"),
         _how_to_make(run),
@@ -76,12 +186,12 @@ def _how_many(item: Compared, shown: int) -> Markup | None:
     count = len(item.scores.images["psnr_db"])
     if shown == count:
         return None
-    more = prose(f"{shown} of {count} views; `eval report --views {count}` shows as many as find room.")
+    more = prose(f"{shown} of {count} views; `eval report --views {count}` shows as many as fit.")
     return tag("p", more, class_="note")
 
 
 def _training_ceiling_db(run: Run) -> float | None:
-    """None where nobody knows, or training views are not there any more."""
+    """None if it is unknown, or training views are missing."""
     try:
         return run.dataset.noise_ceiling_db("train")
     except HyalineError:
@@ -124,12 +234,12 @@ def _facts(scores: RunScores) -> list[tuple[str, Part]]:
         ("dataset", run.dataset.seal[:12]),
         ("predictions", scores.predictions_sha256[:12]),
     ]
-    return [(term, value if value is not None else "not told") for term, value in known]
+    return [(term, value if value is not None else "unknown") for term, value in known]
 
 
 def _how_to_make(run: Run) -> Markup:
     if run.method is None or run.config is None:
-        return tag("p", "A foreign method's pictures: its folder does not tell how they were made.", class_="note")
+        return tag("p", "A foreign method's pictures: its folder does not record how they were made.", class_="note")
     words = ["model", "train", run.method, "--dataset", f"data/{run.dataset.name}"]
     choices = definitions([(key, value) for key, value in flattened(run.config)])
     if run.flags is None:
@@ -143,7 +253,7 @@ def _how_to_make(run: Run) -> Markup:
 
 
 def flattened(config: Mapping[str, Json], above: str = "") -> list[tuple[str, str]]:
-    """Every choice by its path, such as `net.branches`."""
+    """Every setting by its path, such as `net.branches`."""
     choices: list[tuple[str, str]] = []
     for key, value in config.items():
         if isinstance(value, dict):
@@ -155,7 +265,7 @@ def flattened(config: Mapping[str, Json], above: str = "") -> list[tuple[str, st
 
 @dataclass(frozen=True, kw_only=True)
 class Training:
-    """Curves by their name in the file: steps and values."""
+    """Steps and values of each curve, by its name in the file."""
 
     curves: dict[str, Points]
     costs: Mapping[str, float] = field(default_factory=dict)
@@ -163,17 +273,17 @@ class Training:
     digest: str = ""
     """SHA-256 of both files."""
     is_damaged: bool = False
-    """A line could not be read; the others were."""
+    """True if a line could not be read; the others were."""
 
 
 def read_training(folder: Path) -> Training:
-    """What a run's files tell; nothing where there are none, as with foreign methods."""
+    """A run's curves and costs from its files; empty without them, as for foreign methods."""
     path = folder / "metrics.jsonl"
     curves: dict[str, list[tuple[float, float]]] = {}
     costs = _read_costs(folder / "costs.json")
-    told = json.dumps(costs, sort_keys=True).encode() if costs else b""
+    costs_data = json.dumps(costs, sort_keys=True).encode() if costs else b""
     if not path.is_file():
-        return Training(curves={}, costs=costs, digest=sha256(told) if told else "")
+        return Training(curves={}, costs=costs, digest=sha256(costs_data) if costs else "")
     is_damaged = False
     try:
         data = read_regular(path, at_most=MAX_JSON_BYTES)
@@ -193,13 +303,13 @@ def read_training(folder: Path) -> Training:
     return Training(
         curves={key: _thinned(points) for key, points in curves.items()},
         costs=costs,
-        digest=sha256(data + told),
+        digest=sha256(data + costs_data),
         is_damaged=is_damaged,
     )
 
 
 def _read_costs(path: Path) -> dict[str, float]:
-    """The numbers of a file; none where it is not there or cannot be read."""
+    """The numbers of a file; empty if it is missing or cannot be read."""
     if not path.is_file():
         return {}
     try:
@@ -214,7 +324,7 @@ def _is_number(value: object) -> TypeGuard[float]:
 
 
 def describe_costs(training: Training) -> list[tuple[str, str]]:
-    """What training took, in words."""
+    """The costs of training in words."""
     known = training.costs
     described = {
         "time": _duration(known["seconds"]) if "seconds" in known else None,
@@ -236,21 +346,29 @@ def _duration(seconds: float) -> str:
 
 
 def training_charts(training: Training, held_out_ceiling_db: float | None = None) -> Markup:
-    """What it took, and a chart a curve.
+    """The costs, curves as charts, and the values of curves with a single point.
 
     Args:
         held_out_ceiling_db: PSNR at which the noise of the training views stops a perfect method, where that is known.
     """
-    costs = definitions([*describe_costs(training)]) if training.costs else None
-    charts = [_chart(key, points, held_out_ceiling_db) for key, points in training.curves.items()]
+    # A single evaluation is a number, not a curve.
+    single = [(_titles(key)[0], points[0]) for key, points in training.curves.items() if len(points) == 1]
+    facts = [*describe_costs(training), *((title, f"{y:.4g} at step {x:,.0f}") for title, (x, y) in single)]
+    charts = [_chart(key, points, held_out_ceiling_db) for key, points in training.curves.items() if len(points) > 1]
     damaged = tag("p", "A part of metrics.jsonl cannot be read.", class_="bad") if training.is_damaged else None
-    if not charts:
-        return join([costs, damaged, tag("p", "The run's folder holds no training curves.", class_="note")])
-    return join([costs, damaged, tag("div", *charts, class_="charts")])
+    drawn = tag("div", *charts, class_="charts") if charts else None
+    if not training.curves:
+        drawn = tag("p", "The run's folder contains no training curves.", class_="note")
+    return join([definitions(facts) if facts else None, damaged, drawn])
+
+
+def _titles(key: str) -> tuple[str, str]:
+    """Titles of a curve and of its axis."""
+    return TITLES.get(key, (key.replace("_", " "), key.replace("_", " ")))
 
 
 def _chart(key: str, points: Points, ceiling_db: float | None) -> Markup:
-    title, y_title = TITLES.get(key, (key.replace("_", " "), key.replace("_", " ")))
+    title, y_title = _titles(key)
     lines, note = [Line(name=title, points=points)], None
     if key == HELD_OUT:
         why = "than test views"

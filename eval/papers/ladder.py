@@ -98,7 +98,7 @@ def ladder_figure(title: str, entries: Sequence[tuple[Entry, ProxyError]]) -> by
     """
     from matplotlib.figure import Figure
 
-    from eval.figures.sheets import DPI, figure_png
+    from eval.figures import DPI, figure_png
 
     figure = Figure(figsize=(1500 / DPI, 620 / DPI), dpi=DPI, facecolor="white")
     panels = figure.subplots(1, 2, sharey=True)

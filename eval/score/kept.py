@@ -1,7 +1,7 @@
-"""What earlier reports computed, by a hash of everything that it was computed from.
+"""Cached results of earlier reports, by a hash of all their inputs.
 
-REPORT/kept/KEY.json     sealed: one result; KEY is the hash of its kind, of the files that it tells about, and of the
-                         code that computed it, so that a result is never out of date: another one has another name
+REPORT/kept/KEY.json     with checksum: one result; KEY is the hash of its kind, of the files that it depends on, and of
+                         the code that computed it, so that a result is never out of date
 """
 
 import functools
@@ -18,32 +18,31 @@ from datagen.data.config import Split
 from datagen.data.dataset import Dataset
 from datagen.data.paths import view_name
 from datagen.disk.errors import HyalineError
-from datagen.disk.reading import read_regular
-from datagen.disk.records import Json
+from datagen.disk.records import Json, read_regular
 from datagen.disk.storage import dump_json, load_sealed, sha256
 
 FOLDER = "kept"
 KEPT_FILE = re.compile(r"[0-9a-f]{64}\.json")
 PACKAGES = ("eval", "datagen")
-"""Whose code decides what a result is."""
+"""Packages whose code results depend on."""
 
 
 class Kept:
-    """Results of earlier reports in a folder, and those that this one adds."""
+    """Results of earlier reports in a folder, and new ones of this report."""
 
     def __init__(self, folder: Path | None = None) -> None:
-        """Reads from `folder` as results are asked for; without one, everything is computed."""
+        """Reads results from `folder` when they are needed; without it, everything is computed."""
         self._folder = folder
         self.used: set[str] = set()
-        """Files that this report asked for."""
+        """Files that this report used."""
         self.new: dict[str, dict[str, Json]] = {}
-        """What files to write, and their content."""
+        """Names and contents of new files."""
 
     def get(self, kind: str, about: Json, compute: Callable[[], Json]) -> Json:
-        """A result, computed only where no earlier report did.
+        """A result, computed unless an earlier report did.
 
         Args:
-            about: everything that the result depends on, as hashes of files and settings.
+            about: everything that the result depends on: hashes of files, and settings.
         """
         name = f"{sha256(dump_json([kind, about, code_digest()]))}.json"
         self.used.add(name)
@@ -53,7 +52,7 @@ class Kept:
             try:
                 return load_sealed(self._folder / name)["result"]
             except (HyalineError, KeyError):
-                pass  # Damaged: it is computed and written again.
+                pass  # Damaged, so it is computed and written again.
         result = compute()
         self.new[name] = {"kind": kind, "result": result}
         return result
@@ -61,41 +60,33 @@ class Kept:
 
 @functools.cache
 def code_digest() -> str:
-    """A hash of the code of this package and of that below it, and of what decodes and computes."""
+    """A hash of the code of `PACKAGES`, and of the versions of the libraries that decode and compute."""
     digest = hashlib.sha256(f"numpy {np.__version__}, Pillow {PIL.__version__}".encode())
     root = Path(__file__).parents[2]
     for package in PACKAGES:
         for path in sorted(path for path in (root / package).rglob("*") if path.suffix in (".py", ".css", ".js")):
             digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes())
     for package in ("scikit_image", "colour_science", "matplotlib"):
-        # The folder that names an installed version; `importlib.metadata` would parse all of them.
+        # The folder's name contains the version; `importlib.metadata` would parse all packages.
         found = sorted(path.name for path in Path(np.__file__).parents[1].glob(f"{package}-*.dist-info"))
         digest.update(repr(found).encode())
     return digest.hexdigest()
 
 
 def picture_digests(dataset: Dataset, split: Split) -> list[str]:
-    """SHA-256 of each true picture, every byte verified.
-
-    Raises:
-        HyalineError: a view is not built, or its picture is damaged.
-    """
+    """SHA-256 of each true picture, every byte verified."""
     return [view.image_sha256 for view in dataset.views(split)]
 
 
 def layers_digest(dataset: Dataset, geometry: str, splits: Sequence[Split]) -> str:
-    """A hash of what the records promise of the straight layers in some splits.
-
-    Raises:
-        HyalineError: the geometry has none, or a view is not peeled.
-    """
+    """A hash of the records of straight layers in some splits."""
     store = dataset.layer_store(geometry)
     digest = hashlib.sha256(store.seal.encode())
     for split in splits:
         for view in range(dataset.config.split(split).views):
             path = store.root / "records" / split / f"{view_name(view)}.json"
             if not path.is_file():
-                store.record(split, view)  # Says how to make it.
+                store.record(split, view)  # Raises with the command that makes it.
             digest.update(read_regular(path))
     return digest.hexdigest()
 

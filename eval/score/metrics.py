@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, UInt8
 
 PEAK = 255
 SSIM_WINDOW = 11
-"""Side in pixels of the Gaussian window; smaller pictures have no SSIM."""
+"""Side of the Gaussian window in pixels; SSIM is undefined for smaller pictures."""
 
 
 def psnr(pred: UInt8[np.ndarray, "h w 3"], target: UInt8[np.ndarray, "h w 3"]) -> float:
@@ -23,7 +23,7 @@ def psnr(pred: UInt8[np.ndarray, "h w 3"], target: UInt8[np.ndarray, "h w 3"]) -
 def masked_psnr(
     pred: UInt8[np.ndarray, "h w 3"], target: UInt8[np.ndarray, "h w 3"], mask: Bool[np.ndarray, "h w"]
 ) -> float:
-    """PSNR in dB of the pixels in `mask`, which holds at least one: MSE = sum(mask err^2) / (3 sum(mask)).
+    """PSNR in dB of the pixels in `mask`, which must not be empty: MSE = sum(mask err^2) / (3 sum(mask)).
 
     Blanking the rest of both pictures and dividing by all pixels would flatter small masks instead.
     """
@@ -32,10 +32,11 @@ def masked_psnr(
 
 
 def psnr_uint8_wrap(pred: UInt8[np.ndarray, "h w 3"], target: UInt8[np.ndarray, "h w 3"]) -> float:
-    """What the paper authors' released script calls PSNR, in dB: no PSNR, kept to be set beside their tables.
+    """The value that the paper authors' released script calls PSNR, in dB, only for comparison with their tables.
 
-    It subtracts and squares 8-bit integers, so squared errors count modulo 256: an error of 16 counts as none, and no
-    pair of pictures scores below 24 dB. Source: computeStats.py of Mirjang/TransparentNeuralRendering.
+    It is not a PSNR: it subtracts and squares 8-bit integers, so squared errors are taken modulo 256. An error of 16
+    counts as 0, and every pair of pictures scores at least 24 dB. Source: computeStats.py of
+    Mirjang/TransparentNeuralRendering.
     """
     with np.errstate(over="ignore"):  # The overflow is the point.
         wrapped = np.square(np.subtract(pred, target, dtype=np.uint8), dtype=np.uint8)
@@ -71,10 +72,10 @@ def delta_e_2000(pred: UInt8[np.ndarray, "h w 3"], target: UInt8[np.ndarray, "h 
 
 
 def mean_of(values: Sequence[float | None]) -> float | None:
-    """The mean of a split's per-picture values; None where no picture has one.
+    """The mean of a split's per-picture values; None if no picture has one.
 
-    Pictures without a value (None) and identical pictures (inf dB) are left out, unless all of them are identical:
-    one lucky picture shall not make a split infinitely good. Whoever prints the mean says how many were left out.
+    Pictures without a value (None) and identical pictures (inf dB) are left out, unless all are identical, so that one
+    picture does not make the mean infinite. Tables print how many were left out.
     """
     known = [value for value in values if value is not None]
     finite = [value for value in known if math.isfinite(value)]
@@ -88,5 +89,5 @@ def _squared_error(pred: UInt8[np.ndarray, "h w 3"], target: UInt8[np.ndarray, "
 
 
 def decibels(mse: float) -> float:
-    """PSNR in dB of a mean squared error in levels of 255 squared; inf where there is none."""
+    """PSNR in dB of a mean squared error in levels of 255 squared; inf for 0."""
     return math.inf if mse == 0 else 10 * math.log10(PEAK**2 / mse)

@@ -1,8 +1,7 @@
-"""The bytes of PNG files from anywhere: whether each of them is what the program that wrote it meant.
+"""Integrity checks of PNG files from any program.
 
-Pillow 12 checks the CRC of no chunk that it can do without, draws pictures whose last chunk is missing, and ignores
-what follows it, and what a file says of its colours and of how it is to be turned. So a file is walked chunk by chunk
-before it is decoded (https://www.w3.org/TR/png-3/).
+Pillow 12 does not check the CRC of optional chunks, accepts files without their last chunk, and ignores trailing data,
+colour spaces and orientation. So a file is checked chunk by chunk before it is decoded (https://www.w3.org/TR/png-3/).
 """
 
 import struct
@@ -14,7 +13,7 @@ from datagen.disk.errors import HyalineError
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
 FIRST, PIXELS, LAST, ANIMATION = b"IHDR", b"IDAT", b"IEND", b"acTL"
 CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}
-"""By colour type."""
+"""Channels by colour type."""
 
 MOST_BYTES = 1 << 28
 
@@ -27,8 +26,8 @@ ORIENTATION = 0x0112
 
 
 def check_png(data: bytes, *, where: str) -> None:
-    """Raises a HyalineError when a bit has flipped anywhere in a PNG file, or it is cut off, goes on behind its end,
-    holds more than one picture, or says that its pixels are not sRGB or are to be turned."""
+    """Raises a HyalineError for a PNG file with a flipped bit anywhere, missing or trailing data, more than one
+    picture, another colour space than sRGB, or an orientation."""
     if not data.startswith(SIGNATURE):
         raise HyalineError(f"{where}: not a PNG (it begins with {data[:8]!r}); expected an 8-bit sRGB PNG")
     chunks = list(_chunks(data, where))
@@ -42,8 +41,8 @@ def check_png(data: bytes, *, where: str) -> None:
 
 
 def _check_shown_as_is(said: Mapping[bytes, bytes], where: str) -> None:
-    """Refuses a file whose pixels are not to be shown as they are; of several chunks on colour, the first here counts
-    (section 4.3 of the standard), and without any they are sRGB."""
+    """Raises a HyalineError for colours other than sRGB or an orientation; of several colour chunks, the first one here
+    takes precedence (section 4.3 of the standard), and without any, pixels are sRGB."""
     problem = None
     if b"cICP" in said:
         problem = None if said[b"cICP"] == SRGB_CICP else f"its cICP chunk is {list(said[b'cICP'])}"
@@ -58,15 +57,13 @@ def _check_shown_as_is(said: Mapping[bytes, bytes], where: str) -> None:
         if any(abs(one - other) > 500 for one, other in zip(found, SRGB_PRIMARIES, strict=True)):
             problem = "its cHRM chunk names other primaries"
     if problem is not None:
-        raise HyalineError(f"{where}: its colours are not sRGB ({problem}); convert them to 8-bit sRGB, and write that")
+        raise HyalineError(f"{where}: its colours are not sRGB ({problem}); convert it to 8-bit sRGB")
     if (turned := _orientation(said.get(b"eXIf", b""))) != 1:
-        raise HyalineError(
-            f"{where}: is to be shown turned or mirrored (EXIF orientation {turned}); write its pixels as they are seen"
-        )
+        raise HyalineError(f"{where}: has the EXIF orientation {turned}; rotate or mirror its pixels instead")
 
 
 def _is_srgb_profile(body: bytes) -> bool:
-    """True of a profile that names itself sRGB, as editors embed it."""
+    """True for a profile whose name says sRGB, as editors embed it."""
     try:
         profile = zlib.decompressobj().decompress(body.partition(b"\0")[2][1:], MOST_PROFILE_BYTES)
     except zlib.error:
@@ -76,7 +73,7 @@ def _is_srgb_profile(body: bytes) -> bool:
 
 
 def _orientation(exif: bytes) -> int:
-    """How EXIF says that a picture is turned, 1 to 8; 1, not at all, where it does not say."""
+    """A picture's EXIF orientation, 1 to 8; 1 (upright) by default."""
     order = {b"II": "<", b"MM": ">"}.get(exif[:2], "<")
     try:
         (start,) = struct.unpack_from(f"{order}I", exif, 4)
@@ -88,13 +85,13 @@ def _orientation(exif: bytes) -> int:
 
 
 def _check_pixels(header: bytes, body: bytes, where: str) -> None:
-    """Raises a HyalineError where there are not just as many pixels as promised: Pillow 12 draws missing ones black."""
+    """Raises a HyalineError unless the number of pixels matches the header; Pillow 12 draws missing ones black."""
     if len(header) != 13:
         raise HyalineError(f"{where}: damaged (its header has {len(header)} bytes, not 13)")
     width, height, depth, color, _, _, interlace = struct.unpack(">IIBBBBB", header)
     row = 1 + -(-width * depth * CHANNELS.get(color, 0) // 8)
     if interlace or row * height > MOST_BYTES:
-        return  # Seven small pictures, whose rows Pillow counts; or one that is refused for its size.
+        return  # Interlaced: Pillow counts the rows of its seven small pictures. Or too large, and refused later.
     try:
         found = len(zlib.decompressobj().decompress(body, row * height + 1))
     except zlib.error as error:
@@ -105,7 +102,7 @@ def _check_pixels(header: bytes, body: bytes, where: str) -> None:
 
 
 def _chunks(data: bytes, where: str) -> Iterator[tuple[bytes, bytes]]:
-    """Type and content of each chunk, up to the last one, with which the file has to end."""
+    """Type and content of each chunk; the file must end with the last one."""
     place, kind = len(SIGNATURE), b""
     while kind != LAST:
         length = int.from_bytes(data[place : place + 4])
@@ -118,4 +115,4 @@ def _chunks(data: bytes, where: str) -> Iterator[tuple[bytes, bytes]]:
         yield kind, data[place + 8 : end - 4]
         place = end
     if place != len(data):
-        raise HyalineError(f"{where}: damaged (goes on for {len(data) - place} bytes behind its end)")
+        raise HyalineError(f"{where}: damaged (has {len(data) - place} bytes after its end)")

@@ -1,20 +1,18 @@
-"""What a run is on disk: a folder of predicted pictures, with or without a record of what made them.
+"""Runs on disk: folders of predicted pictures, with or without a record of how they were made.
 
     RUNS/SCENE/NAME/predictions/SPLIT/0000.png ...   8-bit sRGB, one a view of the split, the size of the truth
     RUNS/SCENE/NAME/variants/VARIANT/predictions/... the same of a variant of the dataset (datagen/data/variants.py)
     RUNS/SCENE/NAME/run.json                         optional: method, geometry, knowledge, dataset, dataset_seal,
                                                      seed, num_parameters, num_layers, label, config (an object of
-                                                     choices), flags (a list of words), layers_seal; what
-                                                     else `model train` writes is not read here, and any other
-                                                     key is refused
+                                                     choices), flags (a list of words), layers_seal; other keys
+                                                     of `model train` are ignored, and unknown keys are errors
 
-    .../predictions.json                             beside each folder `predictions`; sealed: SHA-256 of each picture,
-                                                     which are verified then, and dataset_seal and run_seal (of
-                                                     run.json), where they belong; optional where run.json is not
-                                                     sealed
+    .../predictions.json                             next to each folder `predictions`, with checksum: SHA-256 of each
+                                                     picture, to verify them, and dataset_seal and run_seal (of
+                                                     run.json); optional if run.json has no checksum
 
-A PNG's own checksums are verified in any case (eval/score/png.py).
-Test splits are scored; pictures of the training split may lie there, too.
+A PNG's own checksums are always verified (eval/score/png.py).
+Test splits are scored; pictures of the training split are ignored.
 """
 
 import dataclasses
@@ -36,8 +34,7 @@ from datagen.data.variants import ANGLES, variant_root
 from datagen.data.variants import VARIANTS_FOLDER as VARIANTS
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import check_regular, printable, real_path
-from datagen.disk.reading import load_json, read_regular
-from datagen.disk.records import Json, from_json, shown
+from datagen.disk.records import Json, from_json, load_json, read_regular, shown
 from datagen.disk.storage import SEAL, load_sealed, seal_of, sha256
 from datagen.terminal.command import choose
 from eval.score.png import check_png
@@ -48,12 +45,12 @@ RUN_KEYS = frozenset({
     "config", "dataset", "dataset_seal", "flags", "geometry", "knowledge", "label", "layers_seal", "method",
     "num_layers", "num_parameters", "num_texture_parameters", "seed", "torch", "type", "version",
 })  # fmt: skip
-"""What run.json may hold: what `model train` writes, of which a foreign method may leave out any."""
+"""Allowed keys of run.json: those of `model train`; a foreign method may leave out any."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Run:
-    """One method's predictions for one dataset. What a foreign method does not tell is None."""
+    """One method's predictions for one dataset. Values that a foreign method does not record are None."""
 
     folder: Path
     name: str
@@ -61,31 +58,31 @@ class Run:
     method: str | None
     geometry: str | None
     knowledge: str | None
-    """What the method knows beside pictures and cameras, in words."""
+    """The method's inputs besides pictures and cameras, in words."""
     num_parameters: int | None
     seed: int | None
     label: str | None
-    """What else tells runs of one method apart, such as a preset."""
+    """What else distinguishes runs of one method, such as a preset."""
     num_layers: int | None
-    """Straight layers that it was given."""
+    """Straight layers that it uses."""
     config: dict[str, Json] | None
-    """Everything that was chosen; runs that agree in it and differ in their seed are averaged."""
+    """All settings; runs with equal settings and different seeds are averaged."""
     flags: tuple[str, ...] | None
-    """What `model train METHOD` has to be told to train it again."""
+    """The words after `model train METHOD` that train it again."""
     layers_seal: str | None
-    """Hash that names the layers it was trained on."""
+    """Digest of the layers that it was trained on."""
     seal: str | None
-    """Of the run.json of `model train`, whose pictures count only with the list that it writes after them; None: of
-    another method."""
+    """Digest of the run.json of `model train`, whose pictures are only valid with their predictions.json; None for
+    other methods."""
     promised: dict[str, str] | None
-    """SHA-256 of each picture by path relative to the folder; None: nobody has told."""
+    """SHA-256 of each picture by path relative to the folder; None if it is not recorded."""
 
 
 def list_run_folders(root: Path, *, besides: Path) -> list[Path]:
     """Every folder RUNS/SCENE/NAME, sorted; links to neighbours (such as `latest`) are left out.
 
     Args:
-        besides: the report's own folder.
+        besides: the report's own folder, which is left out.
     """
     folders = [path for path in root.glob("*/*") if path.is_dir() and not path.name.startswith(".")]
     own = real_path(besides)
@@ -98,16 +95,12 @@ def list_run_folders(root: Path, *, besides: Path) -> list[Path]:
 
 
 def has_predictions(folder: Path) -> bool:
-    """True when the run has begun to predict; names of splits are checked.
-
-    Raises:
-        HyalineError: a folder of predictions that is no split.
-    """
+    """True if the run has predictions; checks the names of splits."""
     splits = [path.name for path in sorted((folder / "predictions").glob("*")) if path.is_dir()]
     for name in splits:
         if name in ANGLE_SPLITS:
             raise HyalineError(
-                f"{folder / 'predictions' / name}: is of a variant; its pictures belong into "
+                f"{folder / 'predictions' / name}: is a split of a variant; its pictures belong into "
                 f"{variant_root(folder, ANGLES) / 'predictions' / name}"
             )
         try:
@@ -118,14 +111,7 @@ def has_predictions(folder: Path) -> bool:
 
 
 def open_run(folder: Path, data_root: Path, given: Dataset | None = None) -> Run:
-    """The run in a folder, with the dataset that it was made for.
-
-    The dataset is the given one, or the one that run.json names, or else `data_root`/SCENE.
-
-    Raises:
-        HyalineError: a damaged record, no dataset, one that differs from the data the run was made for, or pictures of
-            another run.
-    """
+    """The run in a folder, with its dataset: the given one, the one that run.json names, or `data_root`/SCENE."""
     path = folder / "run.json"
     record = load_json(path) if os.path.lexists(path) else {}
     seal = None
@@ -158,17 +144,13 @@ def open_run(folder: Path, data_root: Path, given: Dataset | None = None) -> Run
 
 
 def within(run: Run, folder: Path, dataset: Dataset) -> Run:
-    """A run's predictions of other truth, in a folder of its own inside the run's, as a run.
-
-    Raises:
-        HyalineError: the list of its pictures is damaged, or is of other truth or of another run.
-    """
+    """A run's predictions of a variant, in a folder inside the run's, as a run."""
     promised = _read_promised(folder, dataset, run.seal)
     return dataclasses.replace(run, folder=folder, dataset=dataset, promised=promised)
 
 
 def _read_promised(folder: Path, dataset: Dataset, run_seal: str | None) -> dict[str, str] | None:
-    """The pictures that a folder's list names; it is refused where it says that it belongs elsewhere."""
+    """The pictures in a folder's list; raises a HyalineError if the list belongs to other data or another run."""
     path = folder / "predictions.json"
     if not path.is_file():
         return None
@@ -191,11 +173,7 @@ def prediction_path(run: Run, split: Split, view: int) -> Path:
 
 
 def has_split(run: Run, split: Split) -> bool:
-    """True when the run predicted the split: all of its views, and no others.
-
-    Raises:
-        HyalineError: a view is missing, or there is one that the dataset does not have.
-    """
+    """True if the run predicted the split: all of its views, and no others."""
     folder = run.folder / "predictions" / split
     if not folder.is_dir():
         return False
@@ -206,17 +184,12 @@ def has_split(run: Run, split: Split) -> bool:
     if missing := sorted(expected - found):
         raise HyalineError(f"{folder / missing[0]}: missing ({len(missing)} of {views} are); expected {span}")
     if extra := sorted(found - expected):
-        raise HyalineError(f"{folder / extra[0]}: no view of that name in the {split} split; expected only {span}")
+        raise HyalineError(f"{folder / extra[0]}: not a view of the {split} split; expected only {span}")
     return True
 
 
 def read_prediction(run: Run, split: Split, view: int) -> UInt8[np.ndarray, "h w 3"]:
-    """One predicted picture.
-
-    Raises:
-        HyalineError: a bit of it differs from what was written, it is of another size than the truth, not 8 bits a
-            channel, or not opaque.
-    """
+    """One predicted picture."""
     path = prediction_path(run, split, view)
     data = _read_bytes(run, split, view)
     check_png(data, where=str(path))
@@ -224,12 +197,12 @@ def read_prediction(run: Run, split: Split, view: int) -> UInt8[np.ndarray, "h w
     if picture.mode not in ("RGB", "RGBA", "L", "LA", "P"):
         raise HyalineError(f"{path}: its pixels are {picture.mode!r}; expected 8-bit sRGB")
     if picture.has_transparency_data and picture.convert("RGBA").getchannel("A").getextrema() != (255, 255):
-        raise HyalineError(f"{path}: has transparent pixels; expected opaque ones: compose it over its background")
+        raise HyalineError(f"{path}: has transparent pixels; expected opaque ones, so blend it with its background")
     return np.asarray(picture.convert("RGB"))
 
 
 def _read_bytes(run: Run, split: Split, view: int) -> bytes:
-    """The bytes of a prediction, those that were promised where somebody did."""
+    """The bytes of a prediction, verified against the recorded checksum if there is one."""
     path = prediction_path(run, split, view)
     if os.path.lexists(path):
         check_regular(path, run.folder, where=str(path.parent))
@@ -237,32 +210,32 @@ def _read_bytes(run: Run, split: Split, view: int) -> bytes:
     relative = path.relative_to(run.folder).as_posix()
     if run.promised is None and run.seal is not None:
         raise HyalineError(
-            f"{run.folder / 'predictions.json'}: not there, so nothing says that the pictures are whole; "
-            f"render them with `{_render_command(run.folder)}`"
+            f"{run.folder / 'predictions.json'}: missing, so the pictures cannot be verified; "
+            f"render them again with `{_render_command(run.folder)}`"
         )
     if run.promised is not None and run.promised.get(relative) != sha256(data):
-        what = "damaged (checksum differs)" if relative in run.promised else "not among those that were written"
+        what = "damaged (checksum differs)" if relative in run.promised else "not one of the run's pictures"
         raise HyalineError(
-            f"{path}: {what}, says {run.folder / 'predictions.json'}; "
+            f"{path}: {what}, according to {run.folder / 'predictions.json'}; "
             f"render it again with `{_render_command(run.folder)}`"
         )
     return data
 
 
 def _render_command(folder: Path) -> str:
-    """The command that writes a run's pictures; of a variant, that inside the run."""
+    """The command that renders the pictures of a run, or of a variant inside it."""
     if folder.parent.name == VARIANTS:
         return shlex.join(["model", "render", "--run", str(folder.parent.parent), "--variant", folder.name])
     return shlex.join(["model", "render", "--run", str(folder)])
 
 
 def prediction_digests(run: Run, split: Split) -> list[str]:
-    """SHA-256 of each of a run's pictures of a split, which are those that were promised."""
+    """SHA-256 of each of a run's pictures of a split, all verified."""
     return [sha256(_read_bytes(run, split, view)) for view in range(run.dataset.config.split(split).views)]
 
 
 def predictions_sha256(digests: Mapping[Split, Sequence[str]]) -> str:
-    """One hash over the pictures of these splits: of the lines `SPLIT/0000.png SHA-256`, in the order given."""
+    """One hash over the pictures of these splits: of the lines `SPLIT/0000.png SHA-256`, in the given order."""
     lines = [
         f"{split}/{view_name(view)}.png {digest}\n"
         for split, of_split in digests.items()
@@ -272,20 +245,20 @@ def predictions_sha256(digests: Mapping[Split, Sequence[str]]) -> str:
 
 
 def _find_dataset(folder: Path, places: list[Path], seal: str | None) -> Dataset:
-    """The first dataset of `places` that is the one with this seal; the first of all when the run has none."""
+    """The first dataset of `places` with this digest; the first of all if the run has none."""
     there = [place for place in places if (place / "dataset.json").is_file()]
     if not there:
         raise HyalineError(
-            f"{folder}: no dataset at {' or '.join(map(str, places))}; say where it is with --data, "
-            "as the folder that holds it under the scene's name"
+            f"{folder}: no dataset at {' or '.join(map(str, places))}; set --data to the folder that contains it under "
+            "the scene's name"
         )
     datasets = [open_dataset(place) for place in there]
     for dataset in datasets:
         if seal in (None, dataset.seal):
             return dataset
     raise HyalineError(
-        f"{folder}: the predictions were made for other data (dataset seal {str(seal)[:12]}...) than "
-        f"{datasets[0].root} holds ({datasets[0].seal[:12]}...); train again, or name the right folder with --data"
+        f"{folder}: the predictions are for other data (dataset {str(seal)[:12]}...) than {datasets[0].root} "
+        f"({datasets[0].seal[:12]}...); train again, or set --data to the right folder"
     )
 
 

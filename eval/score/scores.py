@@ -27,22 +27,22 @@ from eval.score.runs import (
 
 @dataclass(frozen=True, kw_only=True)
 class Metric:
-    """How a metric is called and printed."""
+    """A metric's names and format."""
 
     key: str
-    """In CSV and JSON."""
+    """Name in CSV and JSON."""
     title: str
-    """Ends in ↑ where more is better, in ↓ where less is."""
+    """Title; ends in ↑ if more is better, in ↓ if less is."""
     decimals: int
     in_db: bool = False
     is_printed: bool = True
-    """False: CSV and JSON alone show it."""
+    """False: only in CSV and JSON."""
     is_wrapped: bool = False
-    """What the paper's authors' script computes: printed beside their numbers alone."""
+    """The metric of the paper's authors' script, only printed beside their numbers."""
 
     @property
     def sign(self) -> int:
-        """1 where more is better, -1 where less is, 0 where neither."""
+        """1 if more is better, -1 if less is, 0 if neither."""
         return {"↑": 1, "↓": -1}.get(self.title[-1], 0)
 
 
@@ -77,20 +77,20 @@ WRAPPED_NOTE = (
 
 
 def metric_notes(*, is_wrapped: bool) -> tuple[str, ...]:
-    """What the printed metrics are."""
+    """Explanations of the printed metrics."""
     return (*METRIC_NOTES, *([WRAPPED_NOTE] if is_wrapped else []))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Truth:
-    """What one split's predictions are compared with: verified when it is made, decoded when it is looked at."""
+    """The ground truth of one split: verified when it is created, decoded when it is used."""
 
     dataset: Dataset
     split: Split
     digest: Json
-    """Names all of it: pictures, and the layers that tell the pixels that see glass."""
+    """Hashes of its pictures, and of the layers for the glass mask."""
     ceiling_db: float | None
-    """None where nobody knows how noisy the pictures are."""
+    """PSNR of the pictures' noise in dB; None if it is unknown."""
 
     @functools.cached_property
     def images(self) -> tuple[UInt8[np.ndarray, "h w 3"], ...]:
@@ -99,7 +99,7 @@ class Truth:
 
     @functools.cached_property
     def glass(self) -> tuple[Bool[np.ndarray, "h w"], ...] | None:
-        """Pixels that see glass; None where neither layers of the true geometry nor imported masks tell."""
+        """Pixels that see glass; None without layers of the true geometry and imported masks."""
         if not has_glass_mask(self.dataset):
             return None
         return tuple(view.mask("glass") for view in self.dataset.views(self.split))
@@ -107,28 +107,28 @@ class Truth:
 
 @dataclass(frozen=True, kw_only=True)
 class SplitScores:
-    """One run on one split: per metric, one value per picture."""
+    """The scores of one run on one split: per metric, one value per picture."""
 
     images: dict[str, tuple[float | None, ...]]
-    """By the metric's key; None where it is not defined for the picture, inf dB where both are identical."""
+    """Values by the metric's key; None if it is undefined for the picture, inf dB if both are identical."""
 
     def mean(self, key: str) -> float | None:
         return mean_of(self.images[key])
 
     def identical(self, key: str) -> int:
-        """How many pictures the mean leaves out because they are infinitely good."""
+        """How many pictures the mean leaves out because they equal the truth."""
         values = self.images[key]
         infinite = sum(value is not None and math.isinf(value) for value in values)
         return 0 if self.mean(key) == math.inf else infinite
 
     def undefined(self, key: str) -> int:
-        """How many pictures the mean leaves out because the metric is not defined for them."""
+        """How many pictures the mean leaves out because the metric is undefined for them."""
         return sum(value is None for value in self.images[key])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RunScores:
-    """One run on all test splits; None for a split that it did not predict."""
+    """The scores of one run on all test splits; None for a split that it did not predict."""
 
     run: Run
     splits: dict[Split, SplitScores | None]
@@ -137,7 +137,7 @@ class RunScores:
 
     @property
     def predictions_sha256(self) -> str:
-        """One hash over all of them."""
+        """One hash over all pictures."""
         return predictions_sha256(self.digests)
 
     def mean(self, key: str, split: Split) -> float | None:
@@ -155,27 +155,23 @@ class RunScores:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SceneScores:
-    """All runs on one dataset."""
+    """The scores of all runs on one dataset."""
 
     dataset: Dataset
     title: str
     has_glass_mask: bool
     truths: dict[Split, Truth]
-    """Of the test splits that every dataset has."""
+    """Truth of the test splits that every dataset has."""
     runs: tuple[RunScores, ...]
 
     @property
     def ceilings_db(self) -> dict[Split, float | None]:
-        """What the truth's own noise allows a perfect method."""
+        """The PSNR of a perfect method in dB, limited by the truth's noise."""
         return {split: truth.ceiling_db for split, truth in self.truths.items()}
 
 
 def read_truth(dataset: Dataset, split: Split) -> Truth:
-    """Pictures, glass masks and noise ceiling of a split.
-
-    Raises:
-        HyalineError: a view is not built, its picture is damaged, or it is not peeled in a dataset that has layers.
-    """
+    """Pictures, glass masks and noise ceiling of a split."""
     digest: list[Json] = [*picture_digests(dataset, split)]
     digest.append(layers_digest(dataset, TRUTH, [split]) if has_layers(dataset) else None)
     if has_glass_mask(dataset) and not has_layers(dataset):
@@ -192,11 +188,10 @@ def score_run(run: Run, truths: dict[Split, Truth], kept: Kept) -> RunScores:
     """Every metric of every picture that the run predicted.
 
     Args:
-        truths: of each test split; all of them in the run's dataset.
-        kept: takes what is computed, and gives what was.
+        truths: the truth of each test split, all in the run's dataset.
+        kept: cache of results.
 
     Raises:
-        HyalineError: a missing, surplus, unreadable or wrongly sized picture.
         NumericsError: a score is not a number.
     """
     predicted: list[Split] = [split for split in truths if has_split(run, split)]
@@ -241,7 +236,7 @@ def scores_from_json(data: Json) -> SplitScores:
 def score_picture(
     pred: UInt8[np.ndarray, "h w 3"], target: UInt8[np.ndarray, "h w 3"], glass: Bool[np.ndarray, "h w"] | None
 ) -> dict[str, float | None]:
-    """Every metric of one picture by its key; None where it is not defined."""
+    """Every metric of one picture by its key; None if it is undefined."""
     delta_e = delta_e_2000(pred, target)
     return {
         "psnr_db": psnr(pred, target),

@@ -1,4 +1,4 @@
-"""Runs that differ in their seed alone, and the mean and spread of their scores."""
+"""Runs that only differ in their seed, and the mean and spread of their scores."""
 
 import math
 import re
@@ -20,15 +20,15 @@ class Spread:
     """A score over seeds."""
 
     mean: float | None
-    """None where a run has no such score."""
+    """Mean; None if a run has no such score."""
     deviation: float | None
-    """Sample standard deviation (n - 1); None of one seed, or where a score is infinite."""
+    """Sample standard deviation (n - 1); None for one seed, or if a score is infinite."""
     count: int
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SeedGroup:
-    """Runs of one configuration on the same data, by seed; one run alone is a group, too."""
+    """Runs of one configuration on the same data, by seed; may be a single run."""
 
     runs: tuple[RunScores, ...]
 
@@ -38,21 +38,21 @@ class SeedGroup:
 
     @property
     def name(self) -> str:
-        """The runs' name without what tells their seeds apart."""
+        """The runs' name without their seed."""
         return re.sub(r"-seed\d+", "", self.first.name) if len(self.runs) > 1 else self.first.name
 
     def score(self, key: str, split: Split) -> Spread:
-        """Of a metric on a split."""
+        """Mean and spread of a metric on a split."""
         return spread([scores.mean(key, split) for scores in self.runs])
 
     @property
     def drop_db(self) -> Spread:
-        """Of PSNR interpolating minus extrapolating."""
+        """Mean and spread of PSNR interpolating minus extrapolating."""
         return spread([scores.drop_db for scores in self.runs])
 
 
 def spread(values: Sequence[float | None]) -> Spread:
-    """Mean and sample standard deviation; no mean unless every value is there."""
+    """Mean and sample standard deviation; without a mean if a value is missing."""
     known = [value for value in values if value is not None]
     if not known or len(known) < len(values):
         return Spread(mean=None, deviation=None, count=len(values))
@@ -65,8 +65,8 @@ def spread(values: Sequence[float | None]) -> Spread:
 def group_seeds(runs: Sequence[RunScores]) -> tuple[SeedGroup, ...]:
     """The runs in groups, in the order of each group's first run.
 
-    A run without a configuration stays alone, since nothing tells what else differs; so do runs of one configuration
-    that share a seed: repeated, they would make the spread look smaller.
+    A run without a configuration stays alone, because other differences are unknown. So do runs of one configuration
+    that share a seed, because repeated runs would make the spread look smaller.
     """
     by_description: dict[str, list[RunScores]] = {}
     for place, scores in enumerate(runs):
@@ -82,7 +82,7 @@ def group_seeds(runs: Sequence[RunScores]) -> tuple[SeedGroup, ...]:
 
 
 def describe_run(run: Run) -> str | None:
-    """A hash of all that makes a run but its seed: configuration and data; None where it does not tell."""
+    """A hash of a run's configuration and data without the seed; None without a configuration."""
     if run.config is None:
         return None
     config = {key: value for key, value in run.config.items() if key != "seed"}
@@ -91,9 +91,9 @@ def describe_run(run: Run) -> str | None:
 
 
 def by_group(runs: Sequence[RunScores], found: Mapping[str, T]) -> dict[str, list[T]]:
-    """What was found of each run, by its name, together for runs that differ in their seed alone; in the runs' order.
+    """The values in `found`, by the run's name, in lists for runs that only differ in their seed; in the runs' order.
 
-    The name is the group's, but the run's own where nothing was found of the others.
+    The key is the group's name, or the run's own if there are no values for the others.
     """
     together: dict[str, list[T]] = {}
     for group in group_seeds(runs):

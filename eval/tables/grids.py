@@ -1,4 +1,4 @@
-"""Printed tables: for each scene one of scores and one of what the runs are, for people and for papers."""
+"""Printed tables: for each scene one of scores, one of means over seeds and one that describes the runs."""
 
 import math
 from dataclasses import dataclass
@@ -20,14 +20,14 @@ SHORT_SPLITS: dict[Split, str] = {
 TABLE_WIDTH = 120
 
 DROP = Metric(key="drop_db", title="drop dB ↓", decimals=2)
-"""How far PSNR falls from the interpolating to the extrapolating split; its best is not marked."""
+"""PSNR interpolating minus extrapolating; its best value is not marked."""
 
 MEANS_NOTE = "Of runs that differ in their seed alone: means over the seeds."
 
 
 @dataclass(frozen=True, kw_only=True)
 class Column:
-    """A column's head: neighbours with the same group share it."""
+    """A column's header; neighbours with the same group share it."""
 
     group: str
     split: Split | None = None
@@ -36,7 +36,7 @@ class Column:
 
 @dataclass(frozen=True, kw_only=True)
 class Grid:
-    """A table before it has a look."""
+    """A table without formatting."""
 
     title: str
     columns: tuple[Column, ...]
@@ -44,16 +44,16 @@ class Grid:
     last_row_apart: bool = False
     notes: tuple[str, ...] = ()
     best: frozenset[tuple[int, int]] = frozenset()
-    """Row and column of the values that are the best of their columns."""
+    """Row and column of the best values of their columns."""
     is_detail: bool = False
-    """Printed only when everything is asked for."""
+    """True for tables that are only printed with --full."""
 
 
 def scene_grids(scene: SceneScores, *, is_wrapped: bool = False) -> tuple[Grid, ...]:
-    """The scores of a scene's runs, with the noise ceiling below them; means over seeds, if any; what the runs are.
+    """The scores of a scene's runs above the noise ceiling; means over seeds, if any; a description of the runs.
 
     Args:
-        is_wrapped: also print what the paper's authors' script would.
+        is_wrapped: include the metric of the paper's authors' script.
     """
     groups = [group for group in group_seeds(scene.runs) if len(group.runs) > 1]
     metrics = tuple(metric for metric in METRICS if metric.is_printed or (is_wrapped and metric.is_wrapped))
@@ -68,19 +68,19 @@ def format_number(value: float | None, decimals: int) -> str:
 
 
 def ceiling_text(value: float | None) -> str:
-    """A noise ceiling in dB; of imported pictures it is unknown."""
+    """A noise ceiling in dB; unknown for imported pictures."""
     return "unknown" if value is None else format_number(value, 2)
 
 
 def psnr_text(value: float | None) -> str:
-    """The PSNR of one picture as its caption; nothing where it has none."""
+    """The PSNR of one picture for its caption; empty if it has none."""
     if value is None:
         return ""
     return "PSNR ∞ (identical)" if math.isinf(value) else f"PSNR {value:.2f} dB"
 
 
 def _score_columns(metrics: tuple[Metric, ...]) -> list[tuple[Column, Metric]]:
-    """Each metric on both splits; behind PSNR, how far it drops from one split to the other."""
+    """Each metric on both splits; after PSNR, its drop from one split to the other."""
     columns: list[tuple[Column, Metric]] = []
     for metric in metrics:
         columns += [(Column(group=metric.title, split=split), metric) for split in TEST_SPLITS]
@@ -119,7 +119,7 @@ def _rank(scores: RunScores) -> tuple[float, str]:
 def _best(
     rows: list[tuple[str, ...]], values: list[list[float | None]], signs: list[int]
 ) -> frozenset[tuple[int, int]]:
-    """The places of each score's best value, and of those that are printed alike; the first column has names."""
+    """The places of each score's best value, and of values printed equally; the first column has names."""
     best = set()
     for place, sign in enumerate(signs):
         known = [(sign * value, row) for row, line in enumerate(values) if (value := line[place]) is not None]
@@ -130,7 +130,7 @@ def _best(
 
 
 def _seed_grid(scene: SceneScores, groups: list[SeedGroup], metrics: tuple[Metric, ...]) -> Grid:
-    """Two lines a group: the mean of its runs' scores, and their standard deviation."""
+    """Two lines per group: the mean of its runs' scores, and their standard deviation."""
     columns = _score_columns(metrics)
     decimals = [metric.decimals for _, metric in columns]
     rows = []
@@ -160,7 +160,7 @@ def _run_grid(scene: SceneScores) -> Grid:
             Column(group="seed"),
         ),
         rows=tuple(_run_row(scores) for scores in scene.runs),
-        notes=(f"Data: dataset seal {scene.dataset.seal[:12]}.",),
+        notes=(f"Data: dataset {scene.dataset.seal[:12]}.",),
         is_detail=True,
     )
 
@@ -178,7 +178,7 @@ def _run_row(scores: RunScores) -> tuple[str, ...]:
 
 def left_out_notes(scene: SceneScores) -> tuple[str, ...]:
     """Which means do not cover all pictures, and why."""
-    notes = [] if scene.has_glass_mask else ["PSNR glass: no layers of the true geometry tell which pixels see glass."]
+    notes = [] if scene.has_glass_mask else ["PSNR glass: needs layers of the true geometry to find glass pixels."]
     for scores in scene.runs:
         for split, values in scores.splits.items():
             if values is None:

@@ -1,4 +1,4 @@
-"""How a table looks: plain text for terminals, Markdown, LaTeX, HTML."""
+"""Formats of tables: plain text for terminals, Markdown, LaTeX, HTML."""
 
 import dataclasses
 import re
@@ -15,9 +15,9 @@ if TYPE_CHECKING:
 
 
 CONTINUED = "±"
-"""Begins a row that belongs to the one above: such a table is not sorted."""
+"""Begins a row that belongs to the one above; such a table is not sortable."""
 LONGEST_LINE = 32
-"""A row's name of so many characters stays on one line."""
+"""Row names up to this number of characters stay on one line."""
 
 
 def tables_text(
@@ -33,9 +33,9 @@ def tables_text(
     """The tables, and the notes that explain them, as `table` (plain text), `markdown` or `latex`.
 
     Args:
-        more: further tables, behind those of the scenes.
-        is_full: with the tables that are details.
-        is_wrapped: with what the paper's authors' script would print.
+        more: further tables, after those of the scenes.
+        is_full: include detailed tables.
+        is_wrapped: include the metric of the paper's authors' script.
     """
 
     def write(grid: Grid) -> str:
@@ -49,8 +49,8 @@ def tables_text(
 
 
 def grid_text(grid: Grid, output_format: str, *, width: int, color: bool = False) -> str:
-    """One table as `table` (plain text of so many columns), `markdown` or `latex`."""
-    # Names come from folders and files: in no format may they end a line, or tell a terminal to do something.
+    """One table as `table` (plain text, `width` columns wide), `markdown` or `latex`."""
+    # Names come from folders and files: they must not contain line breaks or control a terminal in any format.
     grid = dataclasses.replace(
         grid,
         title=printable(grid.title),
@@ -82,12 +82,12 @@ def _plain(grid: Grid, width: int, color: bool) -> str:
 
 
 def _rich_table(grid: Grid, *, is_marked: bool) -> "Table":
-    """Best values are bold, which a terminal shows, and have an asterisk where asked for."""
+    """Best values are bold, and with `is_marked` have an asterisk."""
     from rich import box
     from rich.table import Table
     from rich.text import Text
 
-    # Names may hold square brackets, which rich would take for mark-up: so every string goes in as Text.
+    # rich would interpret square brackets in names as mark-up, so every string is passed as Text.
     table = Table(
         title=Text(grid.title), title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, padding=(0, 0, 0, 1)
     )
@@ -120,7 +120,7 @@ def _paragraphs(notes: tuple[str, ...], output_format: str, width: int) -> str:
 
 
 def markdown_escaped(text: str) -> str:
-    """Text that Markdown shows as it is: no tag, link, code or column of a table begins in it."""
+    """Text that Markdown shows literally: without tags, links, code or columns of a table."""
     return re.sub(r"([\\`|<>\[\]])", r"\\\1", text)
 
 
@@ -151,7 +151,7 @@ def latex_escaped(text: str) -> str:
 
 
 def _latex(grid: Grid) -> str:
-    """A booktabs tabular; \\usepackage{booktabs} is all it needs."""
+    """A booktabs tabular; it only needs \\usepackage{booktabs}."""
     alignment = "".join("r" if column.is_number else "l" for column in grid.columns)
     top, rules, below, place = [], [], [], 0
     while place < len(grid.columns):
@@ -193,10 +193,10 @@ def _latex(grid: Grid) -> str:
 
 
 def html_table(grid: Grid, links: Mapping[str, str] | None = None) -> Markup:
-    """A table with its notes below; best values are marked, the row apart is its foot.
+    """A table with its notes below; best values are marked, and a separate last row is its footer.
 
     Args:
-        links: names in the first column that lead somewhere in the page.
+        links: anchors on the page for names in the first column.
     """
     links = links or {}
     body = grid.rows[:-1] if grid.last_row_apart else grid.rows
@@ -212,7 +212,7 @@ def html_table(grid: Grid, links: Mapping[str, str] | None = None) -> Markup:
         class_="sortable" if is_sortable else None,
     )
     notes = [tag("p", prose(note), class_="note") for note in grid.notes]
-    # One may scroll a wide table by keyboard only where it can be reached.
+    # With a tab index, a wide table can be scrolled by keyboard.
     return join([tag("div", table, class_="scroll", tabindex=0, role="region", aria_label=grid.title), *notes])
 
 

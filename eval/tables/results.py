@@ -1,18 +1,23 @@
-"""The scores as data: results.json, with every picture's value, and CSV, one line a run."""
+"""The scores as data: results.json with every picture's value, CSV with one line per run, and RESULTS.md made from
+stored results.json files."""
 
 import csv
 import dataclasses
 import io
 import math
-from collections.abc import Mapping
-from typing import cast
+import re
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, cast
 
-from datagen.data.config import TEST_SPLITS
-from datagen.disk.records import Json
+from datagen.data.config import TEST_SPLITS, Resolution, Split
+from datagen.disk.errors import HyalineError
+from datagen.disk.records import Json, load_json, shown
 from datagen.disk.storage import dump_json
-from eval.score.scores import METRICS, RunScores, SceneScores, metric_notes
-from eval.score.seeds import SeedGroup, Spread, describe_run, group_seeds
-from eval.tables.grids import CEILING, left_out_notes
+from eval.score.scores import METRICS, Metric, RunScores, SceneScores, metric_notes
+from eval.score.seeds import SeedGroup, Spread, describe_run, group_seeds, spread
+from eval.tables.grids import CEILING, MISSING, TABLE_WIDTH, Column, Grid, ceiling_text, format_number, left_out_notes
+from eval.tables.looks import grid_text, markdown_escaped
 
 RESULTS_VERSION = 1
 
@@ -24,11 +29,11 @@ def results_json(
     analyses: Mapping[str, dict[str, Json]] | None = None,
     more: Mapping[str, Json] | None = None,
 ) -> bytes:
-    """The bytes of results.json. Infinite values are the string "inf", since JSON has no such number.
+    """The bytes of results.json. Infinite values are the string "inf", because JSON has no such number.
 
     Args:
-        analyses: what else was found out, by the scene's title.
-        more: further entries beside the scenes.
+        analyses: results of the analyses, by the scene's title.
+        more: further top-level entries.
     """
     return dump_json(
         {
@@ -41,10 +46,7 @@ def results_json(
 
 
 def results_csv(scenes: list[SceneScores]) -> str:
-    """One line a run, two for each group of seeds, one a scene for the noise ceiling.
-
-    Empty where not computed, `inf` where infinite.
-    """
+    """One line per run, two per group of seeds, one per scene for the noise ceiling; empty if not computed."""
     scored = [f"{metric.key}_{split}" for metric in METRICS for split in TEST_SPLITS]
     known = ["method", "label", "geometry", "knowledge", "num_parameters", "seed"]
     buffer = io.StringIO()
@@ -83,7 +85,7 @@ def results_csv(scenes: list[SceneScores]) -> str:
 
 
 def csv_text(value: Cell) -> Cell:
-    """A cell that no spreadsheet takes for a formula: text that begins like one gets an apostrophe."""
+    """A cell that is not a formula for spreadsheets: text that starts like one gets an apostrophe."""
     return f"'{value}" if isinstance(value, str) and value.startswith(("=", "+", "-", "@")) else value
 
 
@@ -113,7 +115,7 @@ def _group_json(group: SeedGroup) -> Json:
 
 
 def _group_spreads(group: SeedGroup) -> dict[str, Spread]:
-    """By the names of the CSV's columns."""
+    """Spreads by the names of the CSV's columns."""
     scores = {f"{m.key}_{split}": group.score(m.key, split) for m in METRICS for split in TEST_SPLITS}
     return {**scores, "drop_db": group.drop_db}
 
@@ -157,3 +159,153 @@ def _finite(data: Json) -> Json:
 
 def json_number(value: float | None) -> Json:
     return "inf" if value is not None and math.isinf(value) else value
+
+
+HEAD = """# Results
+
+Every table comes from a `results.json` that `eval report` wrote, stored in [docs/results](docs/results). To add one, \
+copy it there and run `make results`, which writes this page. What earlier versions of hyaline measured, and what was \
+tried, stands in the notes: [history](docs/notes/history.md), [speed](docs/notes/speed.md).
+"""
+
+NOTES = (
+    "dB per 10°: how PSNR falls with the angle between a test ray and the nearest training ray that met its texel. ±: "
+    "sample standard deviation over seeds.",
+)
+
+Stored = dict[str, Any]
+"""A part of results.json."""
+
+
+def results_page(paths: Sequence[Path]) -> str:
+    """The page: a section per file, sorted by name."""
+    notes = "".join(f"\n{markdown_escaped(note)}\n" for note in (*metric_notes(is_wrapped=False), *NOTES))
+    return HEAD + notes + "".join(_section(path) for path in sorted(paths, key=lambda path: path.name))
+
+
+def _section(path: Path) -> str:
+    data = cast(Stored, load_json(path))
+    if data.get("version") != RESULTS_VERSION:
+        raise HyalineError(
+            f"{path}: format version {shown(data.get('version'))}; this program reads {RESULTS_VERSION}, as "
+            "`eval report` writes it"
+        )
+    try:
+        made_by = data.get("made_by", {})
+        command, code = (made_by.get(key, "not recorded") for key in ("command", "code"))
+        tables = [grid_text(grid, "markdown", width=TABLE_WIDTH) for scene in data["scenes"] for grid in _grids(scene)]
+    except (AttributeError, KeyError, TypeError) as error:
+        raise HyalineError(f"{path}: lacks {error}; expected a results.json of `eval report`") from error
+    about = f"[{path.name}]({path.as_posix()}); hyaline {code}."
+    return "\n".join([f"\n## {path.stem}\n", f"```\n{command}\n```\n", f"{about}\n", *tables])
+
+
+def _grids(scene: Stored) -> list[Grid]:
+    """The scores of a scene, then of each variant that its runs predicted."""
+    groups = _groups(scene)
+    size = f"{Resolution(**scene['resolution'])} pixels"
+    preset = f", preset {scene['preset']}" if "preset" in scene else ""
+    runs = {run["run"]: run for run in scene["runs"]}
+    analyses = scene["analyses"]
+    slopes = {name: curve["db_per_10deg"] for name, curve in analyses.get("curves", {}).items()}
+    grids = [
+        _grid(
+            f"{scene['scene']}{preset}: {size}",
+            groups,
+            {name: run["splits"] for name, run in runs.items()},
+            TEST_SPLITS,
+            scene["noise_ceiling_db"],
+            tuple(metric for metric in METRICS if metric.is_printed),
+            {
+                "knows": lambda name: runs[name]["knowledge"] or MISSING,
+                "parameters": lambda name: _count(runs[name]["num_parameters"]),
+            },
+            {"drop dB ↓": {name: run["drop_db"] for name, run in runs.items()}, "dB per 10°": slopes},
+        )
+    ]
+    for name, variant in analyses.get("variants", {}).items():
+        known = [drawn for group in groups if (drawn := [run for run in group if run in variant["runs"]])]
+        splits = tuple(cast(Sequence[Split], variant["noise_ceiling_db"]))
+        metrics = tuple(metric for metric in METRICS if metric.in_db and metric.is_printed)
+        title = f"{scene['scene']}: variant {name}"
+        grids.append(_grid(title, known, variant["runs"], splits, variant["noise_ceiling_db"], metrics, {}, {}))
+    return grids
+
+
+def _groups(scene: Stored) -> list[list[str]]:
+    """The names of runs, grouped if they only differ in their seed."""
+    together: list[list[str]] = [group["runs"] for group in scene["seeds"]]
+    grouped = {name for group in together for name in group}
+    return together + [[run["run"]] for run in scene["runs"] if run["run"] not in grouped]
+
+
+def _grid(
+    title: str,
+    groups: list[list[str]],
+    runs: Stored,
+    splits: Sequence[Split],
+    ceilings: Stored,
+    metrics: tuple[Metric, ...],
+    texts: dict[str, Callable[[str], str]],
+    numbers: dict[str, Stored],
+) -> Grid:
+    """One table, the best run first, by its PSNR on the first split.
+
+    Args:
+        runs: splits with their metrics and means, by the run's name.
+        texts: further columns before the scores.
+        numbers: further columns after them, with one number per run.
+    """
+
+    def scores(group: list[str], metric: Metric, split: Split) -> Spread:
+        return spread([_mean(runs[name].get(split), metric.key) for name in group])
+
+    groups = sorted(groups, key=lambda group: -_comparable(scores(group, metrics[0], splits[0])))
+    columns = [Column(group="run", is_number=False), *(Column(group=text, is_number=False) for text in texts)]
+    columns += [
+        Column(group="seeds"),
+        *(Column(group=metric.title, split=split) for metric in metrics for split in splits),
+    ]
+    columns += [Column(group=number) for number in numbers]
+    rows, best = [], set()
+    first = len(texts) + 2
+    for group in groups:
+        row = [_group_name(group), *(text(group[0]) for text in texts.values()), str(len(group))]
+        row += [_cell(scores(group, metric, split), metric.decimals) for metric in metrics for split in splits]
+        row += [_cell(spread([_number(number.get(name)) for name in group]), 2) for number in numbers.values()]
+        rows.append(tuple(row))
+    places: list[tuple[Metric, Split]] = [(metric, split) for metric in metrics for split in splits]
+    for place, (metric, split) in enumerate(places):
+        values = [scores(group, metric, split).mean for group in groups]
+        known = [metric.sign * value for value in values if value is not None]
+        if metric.sign and len(known) > 1:
+            best |= {(row, first + place) for row, value in enumerate(values) if value == metric.sign * max(known)}
+    ceiling = [ceiling_text(_number(ceilings.get(split))) for split in splits]
+    rest = len(columns) - first - len(ceiling)
+    rows.append((CEILING, *[""] * len(texts), "", *ceiling, *[""] * rest))
+    return Grid(title=title, columns=tuple(columns), rows=tuple(rows), best=frozenset(best))
+
+
+def _group_name(group: list[str]) -> str:
+    return re.sub(r"-seed\d+", "", group[0]) if len(group) > 1 else group[0]
+
+
+def _mean(metrics: Stored | None, key: str) -> float | None:
+    return None if metrics is None else _number(metrics[key]["mean"])
+
+
+def _number(value: float | str | None) -> float | None:
+    return math.inf if value == "inf" else cast(float | None, value)
+
+
+def _comparable(value: Spread) -> float:
+    return -math.inf if value.mean is None else value.mean
+
+
+def _cell(value: Spread, decimals: int) -> str:
+    mean = format_number(value.mean, decimals)
+    return mean if value.deviation is None else f"{mean} ± {format_number(value.deviation, decimals)}"
+
+
+def _count(number: int | None) -> str:
+    return MISSING if number is None else f"{number:,}"

@@ -19,13 +19,13 @@ from torch import Tensor, distributed, nn
 from datagen.disk.errors import HyalineError
 
 PATIENCE = timedelta(days=1)
-"""How long one waits for the others, the first of whom may be scoring or laying out a cache. `torchrun` ends all as
-soon as one has failed."""
+"""How long processes wait for each other; the first may be scoring or writing a cache. `torchrun` ends all of them if
+one fails."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Processes:
-    """The processes that train together, as one of them sees them; one alone unless told."""
+    """The processes that train together, from the view of one of them; by default a single one."""
 
     rank: int = 0
     count: int = 1
@@ -37,7 +37,7 @@ class Processes:
 
     @property
     def is_first(self) -> bool:
-        """True for the one that writes files and speaks."""
+        """True for the one that writes files and messages."""
         return self.rank == 0
 
     def share(self, batch: int) -> int:
@@ -45,11 +45,11 @@ class Processes:
         return batch // self.count
 
     def generator(self, seed: int, step: int, update: int) -> np.random.Generator:
-        """What this process draws an update from. That of the first one is what a process alone would have."""
+        """The random generator of an update in this process; the first one's equals that of a single process."""
         return np.random.default_rng([seed, step, update, self.rank])
 
     def mean_loss(self, loss: Tensor, *, is_stopped: bool) -> tuple[float, bool]:
-        """The mean over all processes, and whether any of them was asked to stop; the same in all."""
+        """The mean over all processes, and whether any was asked to stop; all get the same result."""
         if self.count == 1:
             return float(loss.item()), is_stopped
         total = torch.stack([loss.detach(), loss.new_tensor(float(is_stopped))])
@@ -71,23 +71,19 @@ class Processes:
             gradient /= self.count
 
     def broadcast(self, is_needed: bool = False) -> bool:
-        """What the first process says; what the others say does not count.
-
-        Raises:
-            HyalineError: the first process has ended.
-        """
+        """The first process's value; the others' are ignored."""
         if self.count == 1:
             return is_needed
-        said = torch.tensor([is_needed], dtype=torch.uint8)
+        value = torch.tensor([is_needed], dtype=torch.uint8)
         try:
-            distributed.broadcast(said, 0)
+            distributed.broadcast(value, 0)
         except RuntimeError as error:
-            raise HyalineError("the first process has ended; its own line says why") from error
-        return bool(said.item())
+            raise HyalineError("the first process has ended; its own message gives the reason") from error
+        return bool(value.item())
 
     @contextlib.contextmanager
     def in_turn(self) -> Iterator[None]:
-        """The first process passes before all others, who find what it has made."""
+        """Runs the block in the first process before the others, which then find its files."""
         if not self.is_first:
             self.broadcast()
         yield
@@ -99,18 +95,15 @@ ALONE = Processes()
 
 
 def is_one_of_several() -> bool:
-    """True in a process that `torchrun` has started beside others."""
+    """True in one of several processes started by `torchrun`."""
     return int(os.environ.get("WORLD_SIZE", "1")) > 1
 
 
 def see_own_gpu() -> None:
-    """Hides all GPUs but its own from a process that `torchrun` has started, so torch and Dr.Jit both use that one.
+    """Hides the GPUs of other `torchrun` processes from this one, so that torch and Dr.Jit both use its own.
 
     Dr.Jit 1.5 always takes the first GPU that it sees. Call this before anything asks CUDA; machines without a GPU
     stay as they are.
-
-    Raises:
-        HyalineError: the machine has fewer GPUs than processes.
     """
     if not is_one_of_several() or (count := torch.cuda.device_count()) == 0:
         return

@@ -1,13 +1,13 @@
 """Training data larger than memory: the hits of all pixels in memory-mapped files, from which batches take rows.
 
-    CACHE/KEY/cache.json   sealed: what was laid out, SHA-256 of the other files
+    CACHE/KEY/cache.json   with checksum: SHA-256 of the other files, first hit of each view
     CACHE/KEY/starts.bin   (view, pixel + 1) uint32: place of each pixel's first hit among those of its view
     CACHE/KEY/hits.bin     (hit,) of 5 bytes: uv, two uint16, and object id; nearest first; one of zeros comes last
     CACHE/KEY/rgb.bin      (view, pixel, 3) uint8
 
-CACHE is hyaline/pixels in $XDG_CACHE_HOME, or in ~/.cache. KEY is a hash of all that the content depends on, so that a
-cache can neither be outdated nor mistaken; all runs on the same views share it. A folder appears whole or not at all,
-and may be deleted at any time.
+CACHE is hyaline/pixels in $XDG_CACHE_HOME, or in ~/.cache. KEY is a hash of everything that the content depends on, so
+a cache is never outdated; all runs on the same views share it. A folder is created atomically, and may be deleted at
+any time.
 """
 
 import contextlib
@@ -34,9 +34,8 @@ from datagen.data.dataset import Dataset
 from datagen.data.layers import UV_SCALE
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import remove_files
-from datagen.disk.private import make_private
 from datagen.disk.records import Json
-from datagen.disk.storage import TEMPORARY, commit_sealed, dump_json, load_sealed, sha256, user_cache
+from datagen.disk.storage import TEMPORARY, commit_sealed, dump_json, load_sealed, make_private, sha256, user_cache
 from datagen.terminal.command import say, track
 from model.batches.rays import RayBatch, grid_of, pixels_at_once, read_stack
 from model.settings.run_flags import Memory
@@ -46,8 +45,8 @@ STARTS, HITS, RGB = "starts.bin", "hits.bin", "rgb.bin"
 HIT = np.dtype([("uv", "<u2", 2), ("object_id", "u1")])
 
 LEAST_HELD_BYTES = 1 << 30
-"""Of the files, this or a quarter of the free memory, and what a batch brings, is mapped at a time. (The kernel keeps
-more, where nothing else wants the memory.) Mapping anew costs 2 to 4 us a row; a fault maps 16 pages at once."""
+"""Least size of the mapped part of the files; it is this or a quarter of the free memory, plus one batch. (The kernel
+caches more if memory is free.) Mapping again costs 2 to 4 us a row; a fault maps 16 pages at once."""
 
 DAY_S = 24 * 3600
 
@@ -66,7 +65,7 @@ class MappedFiles:
     """Place of each view's first hit."""
     mappings: tuple[mmap.mmap, ...]
     most_resident: int
-    """Bytes of mapped files that the process may hold before it lets go of these."""
+    """Bytes of resident mapped files above which these are unmapped."""
 
     def read(
         self, row: Int[np.ndarray, " ray"], num_layers: int
@@ -83,7 +82,7 @@ class MappedFiles:
         return uv.view(np.int16), object_id
 
     def let_go(self) -> None:
-        """Unmaps what was read, as soon as that is much; the next read maps it again, from the kernel's own cache."""
+        """Unmaps the files if much of them is resident; the next read maps them again, from the kernel's cache."""
         if resident_file_bytes() > self.most_resident:
             for mapping in self.mappings:
                 mapping.madvise(mmap.MADV_DONTNEED)
@@ -91,7 +90,7 @@ class MappedFiles:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MappedPixels:
-    """What `Pixels` is, in files: takes the same batches, bit by bit."""
+    """`Pixels` in files: gives the same batches, bit by bit."""
 
     files: MappedFiles
     rgb: UInt8[Tensor, "pixel 3"]
@@ -138,12 +137,9 @@ def map_pixels(
     max_layers: int | None = None,
     whole_views: bool = False,
 ) -> MappedPixels:
-    """What `load_pixels` gives, from a cache, which is laid out where it is not there or damaged.
+    """The result of `load_pixels`, from a cache that is written if it is missing or damaged.
 
-    Every byte is verified: of the dataset when the cache is laid out, of the cache when it is found.
-
-    Raises:
-        HyalineError: as `load_pixels`, or a pixel has a hit behind an empty layer.
+    Every byte is verified: of the dataset when the cache is written, of the cache when it is opened.
     """
     assert with_images, "only training data is large"
     store = dataset.layer_store(geometry)
@@ -168,9 +164,9 @@ def map_pixels(
         _lay_out(folder, dataset, geometry, split, views, num_layers)
         files = _open(folder)
         if files is None:
-            raise HyalineError(f"{folder}: was damaged as soon as it was written; delete it, or use --memory ram")
+            raise HyalineError(f"{folder}: damaged right after it was written; delete it, or use --memory ram")
     with warnings.catch_warnings():
-        # torch warns that writing to a read-only map is undefined; nobody writes to training pictures.
+        # torch warns that writing to a read-only map is undefined; training pictures are never written to.
         warnings.filterwarnings("ignore", "The given NumPy array is not writ", UserWarning)
         rgb = torch.from_numpy(files.rgb)
     p_camera = dataset.cameras(split).world_from_camera[list(views), :3, 3].astype(np.float32)
@@ -191,17 +187,17 @@ def cache_root() -> Path:
 
 
 def choose_memory(asked: Memory, *, num_pixels: int, num_layers: int, processes: int, device: torch.device) -> bool:
-    """True when training data is to be mapped; says why when that was not asked for.
+    """True if training data is to be mapped; prints the reason if that was not asked for.
 
     Args:
-        num_layers: stored layers that are looked up; 0: none are, and the data is small.
-        processes: how many on this machine hold the data.
+        num_layers: stored layers that are looked up; 0: none, and the data is small.
+        processes: processes on this machine that hold the data.
     """
     if asked == "mapped" and not num_layers:
-        raise HyalineError("memory: is mapped, but this method traces its layers and holds colours alone; use ram")
+        raise HyalineError("memory: is mapped, but this method traces its layers and only holds colours; use ram")
     if asked != "auto" or not num_layers:
         return asked == "mapped"
-    # Two bytes for each of u and v, one for the object. Views are put together, so that all is there twice for a while.
+    # Two bytes for each of u and v, one for the object. Concatenating the views needs everything twice for a while.
     size = num_pixels * (5 * num_layers + 3)
     rooms = [("memory", 2 * size * processes, available_bytes())]
     if device.type == "cuda":
@@ -217,7 +213,7 @@ def choose_memory(asked: Memory, *, num_pixels: int, num_layers: int, processes:
 
 
 def available_bytes() -> int | None:
-    """Memory that can be had without swapping, of the machine or of this process's control group; None: unknown."""
+    """Memory available without swapping, on the machine or in this process's control group; None: unknown."""
     try:
         lines = Path("/proc/meminfo").read_text().splitlines()
         free = next(int(line.split()[1]) << 10 for line in lines if line.startswith("MemAvailable:"))
@@ -229,20 +225,20 @@ def available_bytes() -> int | None:
         counts = dict(line.split() for line in (group / "memory.stat").read_text().splitlines())
     except OSError:
         return free
-    # What the kernel keeps of files counts as used, but makes way.
+    # The kernel's file cache counts as used, but is given up when memory is needed.
     kept = int(counts.get("active_file", 0)) + int(counts.get("inactive_file", 0))
     return free if most == "max" else min(free, int(most) - int(used) + kept)
 
 
 def resident_file_bytes() -> int:
-    """How much of mapped files this process holds; 0 where the system does not tell."""
+    """Bytes of mapped files that are resident in this process; 0 if the system does not report them."""
     if sys.platform != "linux":
         return 0
     return int(Path("/proc/self/statm").read_text().split()[2]) * mmap.PAGESIZE
 
 
 def _open(folder: Path) -> MappedFiles | None:
-    """The cache in a folder; None when none is there, or it is damaged, which is said."""
+    """The cache in a folder; None if it is missing, or damaged, which is reported."""
     if not (folder / "cache.json").is_file():
         return None
     try:
@@ -252,7 +248,7 @@ def _open(folder: Path) -> MappedFiles | None:
                 if hashlib.file_digest(file, "sha256").hexdigest() != promised:
                     raise HyalineError(f"{folder / name}: damaged (checksum differs)")
     except (HyalineError, FileNotFoundError) as error:
-        say(f"{error}; lays the cache out again")
+        say(f"{error}; writing the cache again")
         return None
     held_bytes = max(LEAST_HELD_BYTES, (available_bytes() or 0) // 4)
     return _map_files(folder, cast(list[int], record["first_hit"]), held_bytes)
@@ -273,14 +269,14 @@ def _map_files(folder: Path, first_hit: list[int], held_bytes: int) -> MappedFil
 def _map(path: Path) -> mmap.mmap:
     with path.open("rb") as file:
         mapping = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
-    mapping.madvise(mmap.MADV_RANDOM)  # Else each row would bring 128 KiB of its neighbours from the disk.
+    mapping.madvise(mmap.MADV_RANDOM)  # Otherwise each row would read 128 KiB of its neighbours from the disk.
     return mapping
 
 
 def _lay_out(
     folder: Path, dataset: Dataset, geometry: str, split: Split, views: Sequence[int], num_layers: int
 ) -> None:
-    """Writes a cache, a view at a time, beside where it then appears."""
+    """Writes a cache, view by view, in a temporary folder that is then renamed."""
     folder.parent.mkdir(parents=True, exist_ok=True)
     for old in folder.parent.glob(f"{folder.name}.*.partial"):
         if time.time() - old.stat().st_mtime > DAY_S:  # Of a process that was killed.
@@ -316,7 +312,7 @@ def _lay_out(
                 add(HITS, found)
                 add(RGB, dataset.view(split, view).image)
                 first_hit.append(first_hit[-1] + len(found))
-            add(HITS, np.zeros(1, HIT))  # No file is empty, for an empty one cannot be mapped.
+            add(HITS, np.zeros(1, HIT))  # An empty file cannot be mapped.
             for file in files.values():
                 file.flush()
                 os.fsync(file.fileno())
@@ -329,7 +325,7 @@ def _lay_out(
             if not (folder / "cache.json").is_file():
                 raise
     except OSError as error:
-        # Of a full disk, writing and closing name no file.
+        # When the disk is full, the errors of writing and closing name no file.
         error.filename = error.filename or str(folder)
         raise
     finally:
@@ -337,7 +333,7 @@ def _lay_out(
 
 
 def _remove(folder: Path) -> None:
-    """Deletes a cache's own files, and its folder when it is empty then."""
+    """Deletes a cache's own files, and then its folder if it is empty."""
     rests = [path.name for path in folder.glob("cache.json.*") if TEMPORARY.fullmatch(path.name)]
     remove_files(folder, ["cache.json", STARTS, HITS, RGB, *rests])
     with contextlib.suppress(OSError):

@@ -21,21 +21,21 @@ Batch_co = TypeVar("Batch_co", covariant=True)
 
 @runtime_checkable
 class PixelSource(Protocol[Batch_co]):
-    """All pixels of some views, row by row and view by view, and what a renderer is told of any of them."""
+    """All pixels of some views, row by row and view by view, and the renderer's inputs for any of them."""
 
     @property
     def rgb(self) -> UInt8[Tensor, "pixel 3"]:
-        """8-bit sRGB; black where images were not asked for."""
+        """8-bit sRGB; black without images."""
         ...
 
     @property
     def device(self) -> torch.device:
-        """Where a batch is put; `rgb` may stay elsewhere."""
+        """The device of batches; `rgb` may be elsewhere."""
         ...
 
     @property
     def resolution(self) -> Resolution:
-        """Of the views."""
+        """Size of a view."""
         ...
 
     @property
@@ -43,13 +43,13 @@ class PixelSource(Protocol[Batch_co]):
 
     @property
     def chunk(self) -> int:
-        """Pixels that a rendering takes at once."""
+        """Pixels rendered at once."""
         ...
 
     def to(self, device: torch.device) -> "PixelSource[Batch_co]": ...
 
     def take(self, index: Int[Tensor, "*pixel"], rng: np.random.Generator | None) -> Batch_co:
-        """The renderer's input for the pixels with these row numbers; `rng` is there while training only.
+        """The renderer's input for the pixels with these row numbers; `rng` is given in training only.
 
         Row numbers with three axes are square patches (patch, row, column), in this order; see `draw_patches`.
         """
@@ -58,7 +58,7 @@ class PixelSource(Protocol[Batch_co]):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RayBatch:
-    """What a renderer sees of some pixels: the layers along each pixel's ray, nearest first."""
+    """A renderer's input for some pixels: the layers along each pixel's ray, nearest first."""
 
     uv: Float32[Tensor, "ray layer 2"]
     object_id: UInt8[Tensor, "ray layer"]
@@ -66,9 +66,9 @@ class RayBatch:
     p_camera: Float32[Tensor, "ray 3"]
     """Camera centres in world space, metres."""
     samples: int = 1
-    """Rays of each pixel, pixel by pixel; their colours are averaged."""
+    """Rays per pixel, stored pixel by pixel; their colours are averaged."""
     grid: tuple[int, int, int] | None = None
-    """Patches, rows and columns that the pixels form, in this order; None where they are in no order."""
+    """Number of patches, rows and columns that the pixels form; None if they are unordered."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -76,14 +76,14 @@ class Pixels:
     """All pixels of some views, row by row and view by view, in the dataset's own small integers."""
 
     uv: Int16[Tensor, "pixel layer 2"]
-    """The bits of uint16: torch 2.13 has few operations on that type."""
+    """The bits of uint16, because torch 2.13 has few operations on that type."""
     object_id: UInt8[Tensor, "pixel layer"]
     rgb: UInt8[Tensor, "pixel 3"]
     """8-bit sRGB."""
     p_camera: Float32[Tensor, "view 3"]
     resolution: Resolution
     whole_views: bool = False
-    """A rendering takes one view at once, because its renderer looks at neighbours."""
+    """True if views are rendered as a whole, because the renderer needs neighbouring pixels."""
 
     @property
     def device(self) -> torch.device:
@@ -115,8 +115,8 @@ class Pixels:
 
 
 def pixels_at_once(device: torch.device) -> int:
-    """Pixels that a rendering from stored layers takes at once: on a CPU so few that what one layer of a network makes
-    is still in the caches when the next one reads it."""
+    """Pixels rendered at once from stored layers: on a CPU few enough for a network layer's output to stay in the
+    caches until the next layer reads it."""
     return 16_384 if device.type == "cpu" else 65_536
 
 
@@ -130,14 +130,11 @@ def load_pixels(
     max_layers: int | None = None,
     whole_views: bool = False,
 ) -> Pixels:
-    """Reads layers, cameras and (unless told otherwise) images of some views, every byte verified.
+    """Reads layers, cameras and, with `with_images`, pictures of some views, every byte verified.
 
     Args:
-        max_layers: the nearest layers that are kept; all of them unless told.
-        whole_views: the renderer looks at neighbours.
-
-    Raises:
-        HyalineError: a view is missing or damaged, or names an object that the scene does not have.
+        max_layers: number of nearest layers to keep; None: all.
+        whole_views: the renderer needs neighbouring pixels.
     """
     p_camera = dataset.cameras(split).world_from_camera[list(views), :3, 3].astype(np.float32)
     stacks = [read_stack(dataset, geometry, split, view, max_layers) for view in views]
@@ -154,11 +151,7 @@ def load_pixels(
 def read_stack(
     dataset: Dataset, geometry: str, split: Split, view: int, max_layers: int | None
 ) -> tuple[UInt16[np.ndarray, "pixel layer 2"], UInt8[np.ndarray, "pixel layer"]]:
-    """uv and object ids of a view's pixels in its nearest layers, every byte verified.
-
-    Raises:
-        HyalineError: the view is missing or damaged, or names an object that the scene does not have.
-    """
+    """uv and object ids of a view's pixels in its nearest layers, every byte verified."""
     layers = dataset.layer_store(geometry).read(split, view, only=["uv", "object_id"])
     uv, object_id = np.moveaxis(layers["uv"], 0, -1), layers["object_id"]
     if object_id.max(initial=0) > len(dataset.objects):
@@ -172,10 +165,10 @@ def read_stack(
 
 
 def grid_of(pixels: PixelSource, index: Int[Tensor, "*pixel"], *, whole_views: bool) -> tuple[int, int, int] | None:
-    """Patches, rows and columns that the pixels with these row numbers form; None where they are in no order.
+    """Number of patches, rows and columns that the pixels with these row numbers form; None if they are unordered.
 
     Args:
-        whole_views: row numbers with one axis are those of whole views.
+        whole_views: row numbers with one axis belong to whole views.
     """
     if index.ndim == 3:
         return index.shape[0], index.shape[1], index.shape[2]
@@ -191,7 +184,7 @@ def draw_patches(
 
     Args:
         size: rows and columns of a patch, at most the shorter side of a view.
-        strides: a patch takes every pixel, every second one ...; each draws one of these, as far as it fits.
+        strides: 1 for every pixel, 2 for every second one ...; each patch draws one of those that fit.
     """
     height, width = pixels.resolution.shape
     fitting = [stride for stride in strides if (size - 1) * stride < min(height, width)]
@@ -212,7 +205,7 @@ def read_colors(dataset: Dataset, split: Split, views: Sequence[int], *, with_im
 
 
 def black(cameras: Cameras) -> UInt8[Tensor, "pixel 3"]:
-    """The colours of all pixels of cameras of which there is no picture."""
+    """Black colours for all pixels of cameras without pictures."""
     return torch.zeros(len(cameras) * cameras.height * cameras.width, 3, dtype=torch.uint8)
 
 
@@ -222,7 +215,7 @@ def take_colors(pixels: PixelSource, index: Int[Tensor, " ray"]) -> Float32[Tens
 
 
 def insert_empty_layer(rays: RayBatch, place: Int[Tensor, " ray"]) -> RayBatch:
-    """The rays with one more layer, empty, which becomes layer `place` (0 to num_layers) of its ray.
+    """The rays with one more, empty layer as layer `place` (0 to num_layers) of its ray.
 
     An empty layer's features and extrinsics are zeros, so this is the paper's random zero layer (section 4.4).
     """
@@ -241,8 +234,41 @@ def insert_empty_layer(rays: RayBatch, place: Int[Tensor, " ray"]) -> RayBatch:
 
 
 def insert_random_layer(rays: RayBatch, rng: np.random.Generator | None) -> RayBatch:
-    """The rays with one more empty layer: at a random place of each ray, or behind all others without `rng`."""
+    """The rays with one more empty layer: at a random position in each ray, or after all others without `rng`."""
     num_rays, num_layers = rays.object_id.shape
     last = np.full(num_rays, num_layers)
     place = last if rng is None else rng.integers(num_layers + 1, size=num_rays)
     return insert_empty_layer(rays, torch.from_numpy(place).to(rays.object_id.device))
+
+
+def srgb_curve(linear: Float32[Tensor, "*b"]) -> Float32[Tensor, "*b"]:
+    """The sRGB curve, continued below 0 and above 1 so that gradients are not lost. Source: IEC 61966-2-1."""
+    return torch.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear.clamp_min(0.0031308) ** (1 / 2.4) - 0.055)
+
+
+def mean_color(radiance: Float32[Tensor, "pixel sample 3"]) -> Float32[Tensor, "pixel 3"]:
+    """sRGB colour of each pixel from the linear radiance of its rays."""
+    return srgb_curve(radiance.mean(dim=1))
+
+
+LEAST_PAIRED = 4
+"""Least number of a pixel's rays, in pairs, to estimate the noise of their mean."""
+
+
+def variance_of_mean(radiance: Float32[Tensor, "pixel sample 3"]) -> Float32[Tensor, "pixel 3"]:
+    """Estimated variance of `mean_color` over the choice of rays, where rays 2k and 2k + 1 form independent pairs.
+
+    Uses the slope of the sRGB curve at the mean, without gradients. 0 with only one pair.
+    """
+    samples = radiance.shape[1]
+    if samples < LEAST_PAIRED:
+        return torch.zeros_like(radiance[:, 0])
+    pairs = radiance[:, : samples // 2 * 2].unflatten(1, (-1, 2)).mean(dim=2)
+    mean = radiance.detach().mean(dim=1)
+    slope = torch.where(mean <= 0.0031308, 12.92, (1.055 / 2.4) * mean.clamp_min(0.0031308) ** (1 / 2.4 - 1))
+    return pairs.var(dim=1) * (2 / samples) * slope.square()
+
+
+def linear_curve(srgb: Float32[Tensor, "*b"]) -> Float32[Tensor, "*b"]:
+    """The inverse of `srgb_curve`."""
+    return torch.where(srgb <= 0.04045, srgb / 12.92, ((srgb.clamp_min(0.04045) + 0.055) / 1.055) ** 2.4)

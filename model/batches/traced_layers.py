@@ -1,4 +1,4 @@
-"""The sub-pixel rays of training and test pixels, traced anew for every batch: straight layers or light paths."""
+"""Sub-pixel rays of training and test pixels, and the straight layers along them, traced for every batch."""
 
 import dataclasses
 import functools
@@ -32,7 +32,7 @@ class SubpixelRays:
     """The rays through all pixels of some views, row by row and view by view."""
 
     cameras: Cameras
-    """Those of the views alone."""
+    """The cameras of these views only."""
 
     @property
     def resolution(self) -> Resolution:
@@ -48,8 +48,8 @@ class SubpixelRays:
         return subpixel_rays(self.cameras, index, np.broadcast_to(offsets, shape))
 
     def through_pairs(self, index: Int[np.ndarray, " pixel"], samples: int, rng: np.random.Generator) -> Rays:
-        """As `through`, but rays 2k and 2k + 1 of a pixel lie opposite each other, and such pairs know nothing of each
-        other: how far their means differ tells how noisy these are, which rays in cells of their own don't tell."""
+        """As `through`, but rays 2k and 2k + 1 of a pixel lie opposite each other, and such pairs are independent, so
+        the spread of their means measures the noise, which it does not for rays in separate cells."""
         pairs = -(-samples // 2)
         offsets = in_pairs(rng.random((len(index), pairs, 2)), lambda place: 1 - place)[:, :samples]
         return subpixel_rays(self.cameras, index, offsets)
@@ -58,7 +58,7 @@ class SubpixelRays:
 def in_pairs(
     first: Float[np.ndarray, "pixel pair 2"], opposite: Callable[[np.ndarray], np.ndarray]
 ) -> Float[np.ndarray, "pixel sample 2"]:
-    """Points and what `opposite` makes of them, by turns."""
+    """Each point, followed by its `opposite`."""
     return np.stack([first, opposite(first)], axis=2).reshape(len(first), -1, 2)
 
 
@@ -90,7 +90,7 @@ class TracedLayerPixels:
         return dataclasses.replace(self, rgb=self.rgb.to(device), device=device)
 
     def take(self, index: Int[Tensor, "*pixel"], rng: np.random.Generator | None) -> RayBatch:
-        """The layers of the rays through these pixels; without `rng` as many rays as a rendering takes."""
+        """The layers of the rays through these pixels; without `rng`, as many rays as for rendering."""
         samples = self.train_samples if rng is not None else self.render_samples
         origins, directions = self.rays.through(index.flatten().cpu().numpy(), samples, rng)
         with short_lived_workers():
@@ -115,7 +115,7 @@ def load_traced_layers(
     train_samples: int,
     render_samples: int,
 ) -> TracedLayerPixels:
-    """Reads cameras and (unless told otherwise) images of some views, and loads the surfaces for tracing."""
+    """Reads cameras and, with `with_images`, pictures of some views, and loads the surfaces for tracing."""
     pixels = trace_cameras(
         dataset,
         geometry,
@@ -145,10 +145,10 @@ def trace_cameras(
 def peel_cameras(
     dataset: Dataset, geometry: str, num_layers: int, cameras: Cameras, *, whole_views: bool = False
 ) -> Pixels:
-    """The pixels of any cameras, black, with the layers that `datagen peel` would store of them.
+    """The pixels of any cameras, black, with the layers that `datagen peel` would store for them.
 
     Args:
-        whole_views: the renderer looks at neighbours.
+        whole_views: the renderer needs neighbouring pixels.
     """
     peeler = _load_peeler(geometry_key(dataset, geometry))
     with short_lived_workers():

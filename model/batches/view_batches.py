@@ -1,4 +1,4 @@
-"""Whole views as training data: cameras, pictures, and which training views look the same way."""
+"""Whole views as training data: cameras, pictures, and neighbouring views."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -29,7 +29,7 @@ class Views:
     """Some views of a dataset for renderers that draw whole pictures."""
 
     rgb: UInt8[Tensor, "pixel 3"]
-    """8-bit sRGB, row by row and view by view; black where images were not asked for."""
+    """8-bit sRGB, row by row and view by view; black without images."""
     cameras: Cameras
 
     @property
@@ -47,7 +47,7 @@ class Views:
 
     @property
     def chunk(self) -> int:
-        """A rendering takes one view at once."""
+        """Pixels rendered at once: one view."""
         return self.pixels_per_view
 
     @property
@@ -78,7 +78,7 @@ class Views:
 
 
 def load_views(dataset: Dataset, split: Split, views: Sequence[int], *, with_images: bool) -> Views:
-    """Cameras and (unless told otherwise) pictures of some views, every byte verified."""
+    """Cameras and, with `with_images`, pictures of some views, every byte verified."""
     cameras = dataset.cameras(split)
     some = dataclasses.replace(cameras, world_from_camera=cameras.world_from_camera[list(views)])
     return Views(rgb=read_colors(dataset, split, views, with_images=with_images), cameras=some)

@@ -1,7 +1,7 @@
-"""In-painting: on poses without truth, only the texels that no training ray has visited learn to look real.
+"""In-painting: on poses without ground truth, texels that no training ray visits learn to look real.
 
-Source: the remedy that the paper proposes for surfaces never seen in training (section 6), on the idea of DeepVoxels to
-let a discriminator judge views that have no truth.
+Source: the paper's proposal for surfaces never seen in training (section 6), with the discriminator on views without
+ground truth from DeepVoxels.
 """
 
 import dataclasses
@@ -24,17 +24,17 @@ from model.batches.traced_layers import trace_layers
 from model.nets.texture import NeuralTextures, bilinear_taps
 
 NUM_POSES = 64
-"""Poses without truth from which texels are in-painted."""
+"""Number of poses without ground truth for in-painting."""
 
 DISTANCES, HEIGHTS = (0.4, 1.2), (0.1, 1.0)
-"""How far and how high they are from the rig's target, as shares of those of random training cameras."""
+"""Distance and height over the rig's target, relative to those of random training cameras."""
 
 AIM = 0.25
-"""They look past the target by up to this share of their distance."""
+"""Largest offset of the look-at point from the target, relative to the camera's distance."""
 
 
 class Inpainter:
-    """Renders patches of poses without truth through which only unvisited texels get a gradient."""
+    """Renders patches of poses without ground truth; gradients reach only unvisited texels."""
 
     def __init__(
         self,
@@ -47,11 +47,7 @@ class Inpainter:
         seed: int,
         device: torch.device,
     ) -> None:
-        """Counts the visits of all training rays, and looks for pixels that show a texel without any.
-
-        Raises:
-            HyalineError: there are none, so there is nothing to in-paint.
-        """
+        """Counts the texel visits of all training rays, and finds pixels that show an unvisited texel."""
         self.visits = {
             f"{name}.table": count_visits(module, training)
             for name, module in renderer.named_modules()
@@ -62,12 +58,12 @@ class Inpainter:
         finest = next(module for module in renderer.modules() if isinstance(module, NeuralTextures))
         self.showing = pixels_showing(finest, next(iter(self.visits.values())) == 0, self.pixels).nonzero().flatten()
         if not len(self.showing):
-            raise HyalineError(f"{dataset.root}: training rays visit all that is ever seen; leave out --inpaint")
+            raise HyalineError(f"{dataset.root}: training rays visit every visible texel; leave out --inpaint")
 
     def render(self, renderer: nn.Module, number: int, size: int, rng: np.random.Generator) -> Tensor:
         """Colours (patch, row, column, 3) of patches around pixels that show an unvisited texel.
 
-        The network and all visited texels are constants, and batch norm uses what it knows from training.
+        The network and all visited texels are constants, and batch norm uses its running statistics.
         """
         index = patches_around(
             self.showing[torch.from_numpy(rng.integers(len(self.showing), size=number))], size, self.pixels.resolution
@@ -83,7 +79,7 @@ class Inpainter:
 
 
 def count_visits(textures: NeuralTextures, pixels: PixelSource[RayBatch]) -> Int[Tensor, " texel"]:
-    """How many layers of the pixels' centre rays take a share, however small, of each texel."""
+    """The number of layers on the pixels' centre rays that sample each texel with any weight."""
     counts = torch.zeros(textures.layout.num_texels, dtype=torch.int64, device=pixels.device)
     for rays in _chunks(pixels):
         hit = rays.object_id != 0
@@ -95,7 +91,7 @@ def count_visits(textures: NeuralTextures, pixels: PixelSource[RayBatch]) -> Int
 def pixels_showing(
     textures: NeuralTextures, wanted: Bool[Tensor, " texel"], pixels: PixelSource[RayBatch]
 ) -> Bool[Tensor, " pixel"]:
-    """The pixels in one of whose layers at least half of what is looked up comes from wanted texels."""
+    """The pixels with a layer whose look-up takes at least half of its weight from wanted texels."""
     found = []
     for rays in _chunks(pixels):
         hit = rays.object_id != 0
@@ -107,7 +103,7 @@ def pixels_showing(
 
 
 def patches_around(pixel: Int[Tensor, " patch"], size: int, resolution: Resolution) -> Int[Tensor, "patch row column"]:
-    """Row numbers of the square patches whose middles are these pixels, moved inwards where a view ends."""
+    """Row numbers of the square patches around these pixels, moved inwards at a view's border."""
     height, width = resolution.shape
     view, row, column = pixel // resolution.pixels, pixel // width % height, pixel % width
     first_row, first_column = (
@@ -119,7 +115,7 @@ def patches_around(pixel: Int[Tensor, " patch"], size: int, resolution: Resoluti
 
 
 def novel_cameras(dataset: Dataset, number: int, rng: np.random.Generator) -> Cameras:
-    """Poses around those of training, but nearer, farther and lower; no test camera is looked at."""
+    """Poses around the training cameras, but nearer, farther and lower; test cameras are not used."""
     cameras = dataset.cameras("train")
     target = np.array(load_scene(dataset.root / "scene", is_sealed=True).cameras.target)
     offset = cameras.world_from_camera[rng.integers(len(cameras.world_from_camera), size=number), :3, 3] - target

@@ -1,24 +1,31 @@
-"""The losses of a run: the method's own, and the terms added to it, some of which learn themselves."""
+"""The losses of a run: the method's own, plus perceptual and adversarial terms on patches."""
 
+import dataclasses
+import pickle
+import zipfile
 from collections.abc import Callable
-from typing import Protocol, runtime_checkable
+from pathlib import Path
+from typing import Protocol, cast, runtime_checkable
 
 import numpy as np
 import torch
+from jaxtyping import Float32
 from torch import Tensor, nn
+from torch.nn import functional
 
+from datagen.disk.errors import HyalineError
+from datagen.disk.storage import sha256_file
 from model.batches.rays import PixelSource, draw_patches, take_colors
-from model.losses.adversarial import Adversary
 from model.losses.inpaint import Inpainter
-from model.losses.perceptual import PerceptualLoss
 from model.losses.pixel_losses import PatchTerms
 from model.settings.losses import LossConfig
+from model.settings.network_parts import VggKind
 from model.settings.state import State
 
 
 @runtime_checkable
 class OwnLoss(Protocol):
-    """What a renderer's own loss takes (model/methods/renderer.py)."""
+    """A renderer's own loss (model/methods/renderer.py)."""
 
     def __call__(
         self,
@@ -56,7 +63,7 @@ class Losses:
         return self.adversary is not None and step >= self.first_adversarial_step
 
     def limit_rate(self, rate: float, step: int) -> float:
-        """The learning rate of a step: no higher than the adversarial one as soon as that term is there."""
+        """The learning rate of a step: at most the adversarial one, once that term is used."""
         return min(rate, self.config.adversarial_lr) if self.is_adversarial(step) else rate
 
     def loss(
@@ -69,7 +76,7 @@ class Losses:
         *,
         step: int,
     ) -> Tensor:
-        """What step `step` makes small, `own` being the renderer's loss. The discriminator has learned afterwards."""
+        """The loss of step `step`, where `own` is the renderer's loss; also trains the discriminator."""
         config, is_adversarial = self.config, self.is_adversarial(step)
         size = min(config.patch, training.resolution.shorter)
 
@@ -99,3 +106,185 @@ class Losses:
     def load_state(self, state: State) -> None:
         if self.adversary is not None:
             self.adversary.load_state(state)
+
+
+LEAKY_SLOPE = 0.2
+
+
+class PatchDiscriminator(nn.Sequential):
+    """pix2pix's PatchGAN: each of its outputs judges 70 x 70 pixels; 2,764,737 parameters.
+
+    Source: Isola et al. 2017; instance norm, so that a patch's score does not depend on the others. It only sees
+    colours, so it can judge patches without ground truth. (The authors' code also feeds it uv and object ids.)
+    """
+
+    def __init__(self, *, width: int = 64) -> None:
+        layers: list[nn.Module] = [nn.Conv2d(3, width, 4, stride=2, padding=1), nn.LeakyReLU(LEAKY_SLOPE)]
+        for factor, stride in ((2, 2), (4, 2), (8, 1)):
+            layers += [
+                nn.Conv2d(width * max(1, factor // 2), width * factor, 4, stride=stride, padding=1),
+                nn.InstanceNorm2d(width * factor),
+                nn.LeakyReLU(LEAKY_SLOPE),
+            ]
+        layers.append(nn.Conv2d(width * 8, 1, 4, padding=1))
+        super().__init__(*layers)
+        for module in self.modules():
+            if isinstance(module, nn.Conv2d):
+                nn.init.normal_(module.weight, std=0.02)
+
+    def judge(self, pictures: Float32[Tensor, "b h w 3"]) -> Float32[Tensor, "b 1 h_out w_out"]:
+        """Logits, high where patches of sRGB pictures in [0, 1] look real."""
+        return self(2 * pictures.permute(0, 3, 1, 2) - 1)
+
+
+class Adversary:
+    """A discriminator with its optimiser; their state is part of a checkpoint."""
+
+    def __init__(self, *, lr: float, seed: int, device: torch.device, width: int = 64) -> None:
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(seed)
+            self.discriminator = PatchDiscriminator(width=width).to(device)
+        self.optimizer = torch.optim.Adam(self.discriminator.parameters(), lr=lr, betas=(0.5, 0.999))
+
+    def loss(self, fake: Float32[Tensor, "b h w 3"], real: Float32[Tensor, "b h w 3"]) -> Float32[Tensor, ""]:
+        """Trains the discriminator for one step, then returns the generator loss -log D(fake)."""
+        self.discriminator.requires_grad_(True)
+        doubts = _entropy(self.discriminator.judge(real), 1.0) + _entropy(self.discriminator.judge(fake.detach()), 0.0)
+        self.optimizer.zero_grad(set_to_none=True)
+        (0.5 * doubts).backward()
+        self.optimizer.step()
+        self.discriminator.requires_grad_(False)
+        return _entropy(self.discriminator.judge(fake), 1.0)
+
+    def state(self) -> State:
+        return {
+            "discriminator": cast(State, dict(self.discriminator.state_dict())),
+            "optimizer": cast(State, self.optimizer.state_dict()),
+        }
+
+    def load_state(self, state: State) -> None:
+        stored = cast(dict[str, dict[str, Tensor]], state)
+        self.discriminator.load_state_dict(stored["discriminator"])
+        self.optimizer.load_state_dict(stored["optimizer"])
+
+
+def _entropy(logits: Tensor, label: float) -> Tensor:
+    return functional.binary_cross_entropy_with_logits(logits, torch.full_like(logits, label))
+
+
+CONVOLUTIONS: dict[VggKind, tuple[int, ...]] = {"vgg16": (2, 2, 3, 3, 3), "vgg19": (2, 2, 4, 4, 4)}
+"""Convolutions per stage; a pooling that halves the picture follows each stage. Source: Simonyan and Zisserman 2015,
+columns D and E."""
+
+CHANNELS = (64, 128, 256, 512, 512)
+
+COMPARED_STAGES = 3
+"""The last activation of each of the first three stages is compared: relu1_2, relu2_2, relu3_3 (relu3_4 of VGG19)."""
+
+WEIGHT_FILES: dict[VggKind, str] = {"vgg16": "vgg16-397923af.pth", "vgg19": "vgg19-dcbb9e9d.pth"}
+"""torchvision's names of the weights trained on ImageNet; they end with the first digits of their SHA-256."""
+
+IMAGENET_MEAN, IMAGENET_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
+
+
+def find_vgg(config: LossConfig) -> LossConfig:
+    """The configuration with the digest of its file of weights; nothing is ever downloaded."""
+    if not config.has_vgg or config.vgg_weights == "random":
+        return config
+    kind, path = config.vgg, vgg_path(config.vgg, config.vgg_weights)
+    if not path.is_file():
+        raise HyalineError(
+            f"{path}: no {kind.upper()} weights; put torchvision's {WEIGHT_FILES[kind]} there, or set --vgg-weights to "
+            f"its path, random (a stand-in) or none"
+        )
+    digest = sha256_file(path)
+    if config.vgg_weights == "auto" and not digest.startswith(path.stem.partition("-")[2]):
+        raise HyalineError(f"{path}: damaged, its SHA-256 is {digest[:8]}...; put {WEIGHT_FILES[kind]} there again")
+    return dataclasses.replace(config, vgg_sha256=digest)
+
+
+def vgg_path(kind: VggKind, weights: str) -> Path:
+    """The file of weights that are not random."""
+    return Path(torch.hub.get_dir()) / "checkpoints" / WEIGHT_FILES[kind] if weights == "auto" else Path(weights)
+
+
+def vgg_layers(kind: VggKind, *, stages: int = len(CHANNELS)) -> nn.Sequential:
+    """The convolutional stages of VGG, of random weights; layer i is `features.i` of torchvision's files."""
+    layers: list[nn.Module] = []
+    num_inputs = 3
+    for count, channels in zip(CONVOLUTIONS[kind][:stages], CHANNELS):
+        for _ in range(count):
+            layers += [nn.Conv2d(num_inputs, channels, 3, padding=1), nn.ReLU()]
+            num_inputs = channels
+        layers.append(nn.MaxPool2d(2))
+    return nn.Sequential(*layers)
+
+
+class PerceptualLoss(nn.Module):
+    """The distance between VGG features of pictures and ground truth; it has no learned parameters.
+
+    The mean over the compared layers of their mean absolute differences, each divided by the layer's standard deviation
+    on a fixed picture, so that layers have equal weight whatever the scale of their weights. Pictures are normalised
+    like ImageNet's, unlike in the authors' code. Random weights (Kaiming, fixed seed) are a stand-in: Liu et al., CVPR
+    2021 (arXiv 2103.10571), find that structure matters more than training in such losses.
+    """
+
+    mean: Tensor
+    std: Tensor
+    scales: Tensor
+
+    def __init__(self, kind: VggKind, weights: str) -> None:
+        """Raises a HyalineError where the file of weights cannot be read, or is of another network."""
+        super().__init__()
+        self.features = vgg_layers(kind, stages=COMPARED_STAGES)
+        if weights == "random":
+            generator = torch.Generator().manual_seed(0)
+            for module in self.features:
+                if isinstance(module, nn.Conv2d):
+                    nn.init.kaiming_normal_(module.weight, nonlinearity="relu", generator=generator)
+                    nn.init.zeros_(module.bias)  # pyright: ignore[reportArgumentType]
+        else:
+            self.features.load_state_dict(_read_features(vgg_path(kind, weights), self.features))
+        self.requires_grad_(False)
+        self.compared = [
+            sum(2 * count + 1 for count in CONVOLUTIONS[kind][: stage + 1]) - 2 for stage in range(COMPARED_STAGES)
+        ]
+        self.register_buffer("mean", torch.tensor(IMAGENET_MEAN).view(3, 1, 1))
+        self.register_buffer("std", torch.tensor(IMAGENET_STD).view(3, 1, 1))
+        noise = torch.rand(1, 3, 16, 16, generator=torch.Generator().manual_seed(0))
+        picture = functional.interpolate(noise, size=(64, 64), mode="bilinear")
+        self.register_buffer("scales", torch.stack([layer.std() for layer in self.compare_layers(picture)]))
+
+    def compare_layers(self, pictures: Float32[Tensor, "b 3 h w"]) -> list[Tensor]:
+        """The compared activations of sRGB pictures in [0, 1], shallow first."""
+        x, found = (pictures - self.mean) / self.std, []
+        for place, layer in enumerate(self.features):
+            x = layer(x)
+            if place in self.compared:
+                found.append(x)
+        return found
+
+    def forward(self, pred: Float32[Tensor, "b h w 3"], target: Float32[Tensor, "b h w 3"]) -> Float32[Tensor, ""]:
+        with torch.no_grad():
+            wanted = self.compare_layers(target.permute(0, 3, 1, 2))
+        found = self.compare_layers(pred.permute(0, 3, 1, 2))
+        differences = [(a - b).abs().mean() for a, b in zip(found, wanted, strict=True)]
+        return (torch.stack(differences) / self.scales).mean()
+
+
+def _read_features(path: Path, features: nn.Sequential) -> dict[str, Tensor]:
+    """The convolutional weights of torchvision's file that these layers need; no other key is looked at."""
+    try:
+        content = torch.load(path, map_location="cpu", weights_only=True)
+    except (RuntimeError, ValueError, KeyError, EOFError, pickle.UnpicklingError, zipfile.BadZipFile) as error:
+        raise HyalineError(f"{path}: torch cannot read it; expected torchvision's weights of VGG") from error
+    found = {}
+    for name, value in features.state_dict().items():
+        stored = content.get(f"features.{name}") if isinstance(content, dict) else None
+        if not isinstance(stored, Tensor) or stored.shape != value.shape:
+            has = list(stored.shape) if isinstance(stored, Tensor) else "missing"
+            raise HyalineError(
+                f"{path}: features.{name} is {has}; expected {list(value.shape)}, as torchvision's VGG files have it"
+            )
+        found[name] = stored
+    return found

@@ -1,4 +1,4 @@
-"""What training makes small: a loss draws what it needs from the training pixels and compares."""
+"""Losses on random training pixels: L1 or Charbonnier differences, noise correction, patch terms."""
 
 import dataclasses
 from collections.abc import Callable
@@ -9,20 +9,19 @@ import torch
 from jaxtyping import Float32
 from torch import Tensor, nn
 
-from model.batches.rays import PixelSource, draw_patches, take_colors
-from model.batches.samples import mean_color, variance_of_mean
+from model.batches.rays import PixelSource, draw_patches, mean_color, take_colors, variance_of_mean
 
 Radiance = Callable[..., tuple[Float32[Tensor, "pixel sample 3"], Float32[Tensor, "pixel sample 3"] | None]]
-"""Linear radiance of every ray of a batch, and the same numbers again with gradients of the sky alone. Where there is
-no second, the first has all gradients."""
+"""Linear radiance of every ray of a batch, and the same numbers again with only the sky's gradients. Without the
+second, the first has all gradients."""
 
 SQUARES = 10.0
-"""What the squares count from which a sky learns: near 0 as much as Charbonnier's penalty of softness 0.05."""
+"""Weight of the sky's squared errors: near 0 it equals Charbonnier's penalty of softness 0.05."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PatchTerms:
-    """Terms of a step that look at patches: how many to draw, and the weighted sum of what (predicted, true) miss."""
+    """Loss terms on patches: how many to draw, and the weighted sum of the terms for (predicted, true)."""
 
     size: int
     number: int
@@ -45,10 +44,10 @@ def pixel_loss(
     Patches are rendered together with the pixels, so that batch norm sees both.
 
     Args:
-        softness: differences well below it count by their squares (Charbonnier's penalty); 0: none.
-        radiance: linear radiance of every ray of a batch, of renderers that draw several rays a pixel. A sky apart
-            learns from the random pixels alone, not from patch terms.
-        debias: share of `noise_penalty` that is taken off the loss then.
+        softness: differences well below it are squared (Charbonnier's penalty); 0: L1.
+        radiance: linear radiance of every ray of a batch, for renderers with several rays per pixel. A separately
+            trained sky learns only from the random pixels, not from patch terms.
+        debias: share of `noise_penalty` that is then subtracted from the loss.
     """
     index = torch.from_numpy(rng.integers(len(training.rgb), size=batch)).to(training.rgb.device)
     patches = None if patch_terms is None else draw_patches(training, patch_terms.number, patch_terms.size, rng)
@@ -64,14 +63,14 @@ def pixel_loss(
 
 @dataclass(frozen=True, kw_only=True)
 class _Rendered:
-    """Pixels as a renderer draws them."""
+    """Rendered pixels."""
 
     colors: Float32[Tensor, "pixel 3"]
     """sRGB."""
     variance: Float32[Tensor, "pixel 3"] | None = None
-    """What the choice of rays gives the colours, as far as it is taken off the loss; None: it is not known."""
+    """Variance of the colours over the choice of rays, times the share that is subtracted; None: unknown."""
     of_sky: "_Rendered | None" = None
-    """The same with gradients of the sky alone, of renderers whose sky learns apart."""
+    """The same with only the sky's gradients, for renderers with a separately trained sky."""
 
 
 def _render(
@@ -90,7 +89,7 @@ def _average(rays: Float32[Tensor, "pixel sample 3"], debias: float) -> _Rendere
 
 
 def _pixel_terms(rendered: _Rendered, truth: Float32[Tensor, "_ 3"], softness: float, number: int) -> Tensor:
-    """The loss of the first `number` pixels. What a sky learns from adds gradients, and nothing to its value."""
+    """The loss of the first `number` pixels. The sky's term adds gradients, but nothing to its value."""
     missed, variance = _misses(rendered, truth, number)
     loss = _soft_mean(missed, softness, variance)
     if rendered.of_sky is None:
@@ -108,11 +107,11 @@ def _misses(
 
 
 def difference(colors: Float32[Tensor, "*b 3"], truth: Float32[Tensor, "*b 3"]) -> Float32[Tensor, "*b 3"]:
-    """Predicted minus true sRGB; 0 where the truth is white and the prediction beyond it.
+    """Predicted minus true sRGB; 0 where the truth is white and the prediction is brighter.
 
-    A picture clips: its 255 stands for anything brighter, and pulling a lamp of radiance 4 down to 1 would dim its
-    reflections in glass, which are not clipped. Measured on the glass table (600 steps, at 20 and 40 degrees outside of
-    the training cameras): +0.3 dB on both for `light-path`.
+    Pictures clip: 255 may mean anything brighter, and pulling a lamp of radiance 4 down to 1 would dim its reflections
+    in glass, which are not clipped. Measured on the glass table (600 steps, at 20 and 40 degrees outside of the
+    training cameras): +0.3 dB on both for `light-path`.
     """
     missed = colors - truth
     return torch.where(truth < 1, missed, missed.clamp_max(0))
@@ -121,19 +120,19 @@ def difference(colors: Float32[Tensor, "*b 3"], truth: Float32[Tensor, "*b 3"]) 
 def noise_penalty(
     differences: Float32[Tensor, "pixel 3"], variance: Float32[Tensor, "pixel 3"], softness: float
 ) -> Float32[Tensor, "pixel 3"]:
-    """What noise of a variance adds to Charbonnier's penalty of the differences, to second order.
+    """The bias that noise of a variance adds to Charbonnier's penalty of the differences, to second order.
 
-    Few rays hit a lamp's reflection in a rough surface, and their mean is noisy. Squares punish noise as they punish
-    error: a renderer learns to dim lamps and to blur textures, because what varies less from ray to ray costs less.
-    Twelve lobes learned 1.7 towards a lamp of 3.8, and the longer they learned, the dimmer. The penalty's mean over
-    noise of variance v is that of the noiseless difference plus v / 2 times its second derivative. Gradients flow
-    through the variance alone. A truth that is white, and exceeded, asks for nothing. The same idea, with two
-    independent renderings: Deng et al. 2022, "Reconstructing Translucent Objects using Differentiable Rendering".
+    Few rays hit a lamp's reflection in a rough surface, so their mean is noisy. Squares penalise noise like error: a
+    renderer learns to dim lamps and to blur textures, because less variation between rays costs less. Twelve lobes
+    learned a radiance of 1.7 for a lamp of 3.8, and got dimmer with more training. The penalty's mean over noise of
+    variance v is that of the noiseless difference plus v / 2 times its second derivative. Gradients flow only through
+    the variance. Pixels brighter than a white truth have no penalty. The same idea, with two independent renderings:
+    Deng et al. 2022, "Reconstructing Translucent Objects using Differentiable Rendering".
 
-    The variance has to be one that independent groups of rays tell. Half of the spread of rays in cells of their own is
-    right on average, but then ripples that cancel within a pixel are paid for, and grow on rough surfaces (docs/notes).
-    The second derivative is taken as far out as the noise reaches: at a difference of 0 that is the mean of two large
-    ones it would pay for noise without limit.
+    The variance must be measured by independent groups of rays. Half of the spread of rays in separate cells is right
+    on average, but then rewards ripples that cancel within a pixel, which grow on rough surfaces (docs/notes). The
+    second derivative is evaluated as far out as the noise reaches: at 0, for a difference that is the mean of two large
+    ones, it would reward noise without limit.
     """
     given = differences.detach()
     curvature = softness**2 / (given.square() + variance.detach() + softness**2) ** 1.5
@@ -143,22 +142,22 @@ def noise_penalty(
 def _soft_mean(
     differences: Float32[Tensor, "pixel 3"], softness: float, variance: Float32[Tensor, "pixel 3"] | None
 ) -> Tensor:
-    """Their mean size; below `softness` they count by their squares, less what noise of a variance adds."""
-    if not softness:  # Sizes have no curvature: noise that is small beside them adds nothing.
+    """Their mean absolute value; squared below `softness`, minus the bias from noise of a variance."""
+    if not softness:  # Absolute values have no curvature: noise that is small beside them adds nothing.
         return differences.abs().mean()
     penalty = (differences.square() + softness**2).sqrt().mean() - softness
     return penalty if variance is None else penalty - noise_penalty(differences, variance, softness).mean()
 
 
 def _mean_square(differences: Float32[Tensor, "pixel 3"], variance: Float32[Tensor, "pixel 3"] | None) -> Tensor:
-    """Their squares, less what noise of a variance adds: what a sky learns from.
+    """The mean square of the differences, minus the variance of their noise: the loss of the sky.
 
     Where a rough surface mirrors a lamp, a few rays hit it and most miss, so a pixel's colour is mostly below its mean
-    and now and then far above. Charbonnier's penalty, which is a size there, is smallest where the *median* is right,
-    and gradients reach the lamp from the hits alone: it stays too dim, however exactly noise is subtracted. Squares are
-    smallest at the mean, and what noise adds to them is its variance, to any order. For textures the penalty stays: by
-    squares they follow noisy training pictures. Measured on `vitrine` and `plant_shelf` of `standard` (400 steps): the
-    lamp of 3.5 is learned as 2.4 (1.2 by the penalty), the worst extrapolating view of `vitrine` gains 4.0 dB.
+    and sometimes far above. Charbonnier's penalty, which is linear there, is smallest at the *median*, and gradients
+    reach the lamp only from the hits: it stays too dim, however exactly noise is subtracted. Squares are smallest at
+    the mean, and noise adds exactly its variance to them. Textures keep the penalty: with squares they would follow
+    noisy training pictures. Measured on `vitrine` and `plant_shelf` of `standard` (400 steps): the lamp of 3.5 is
+    learned as 2.4 (1.2 by the penalty), and the worst extrapolating view of `vitrine` gains 4.0 dB.
     """
     assert variance is not None
     return SQUARES * torch.where(differences.detach() == 0, 0.0, differences.square() - variance).mean()

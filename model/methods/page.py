@@ -1,4 +1,4 @@
-"""What a method gives for its web page: its part of the shader, its textures, and its networks' weights.
+"""A method's part of its web page: its piece of the shader, its textures, and its networks' weights.
 
 docs/adding-a-web-page.md shows how a method brings one.
 """
@@ -24,21 +24,21 @@ class MethodPage:
     """GLSL with a function `vec3 shade(vec3 o, vec3 d, vec2 row, uint ray)`: linear radiance of the ray from `o` along
     `d`. It comes after model/web/rays.glsl and networks.glsl and may use all that these define."""
     defines: dict[str, int | float] = field(default_factory=dict)
-    """Numbers that the shader knows by these names."""
+    """Numbers by the names that the shader uses for them."""
     textures: NeuralTextures | TexturePyramid
-    """`shells` of them for each object."""
+    """The learned textures, `shells` of them for each object."""
     weights: Sequence[Rows] = ()
-    """All that the shader reads by `fetch(weights, row)`, in this order."""
+    """The rows that the shader reads by `fetch(weights, row)`, in this order."""
     samples: int = 1
-    """Rays of a pixel that `model render` takes."""
+    """Rays per pixel of `model render`."""
     shells: int = 1
     """Nested copies of each surface that straight rays meet."""
     relief: list[list[int]] | None = None
-    """Place of the first of each texture's learned depths among the weights, four to a row, and its width."""
+    """For each texture, the position of its first learned depth among the weights, four to a row, and its width."""
     has_normals: bool = False
-    """The shader looks at shading normals; else it gets those of faces, and the page stores none."""
+    """True if the shader uses shading normals; otherwise it gets face normals, and the page stores none."""
     follows_light: bool = False
-    """Light is followed as the materials say: edits may change materials, and the shader answers the task PATH."""
+    """True if light is traced by the materials: edits may change materials, and the shader answers the task PATH."""
 
 
 def package_text(package: str, *names: str) -> str:
@@ -50,7 +50,7 @@ def layer_rows(weight: Tensor, bias: Tensor, columns: Sequence[int] | None = Non
     """A linear layer: weights for four outputs at once, input by input, then biases; units come in fours.
 
     Args:
-        columns: which input stands in each place, -1 for none; by default all, and none up to the next four.
+        columns: the input at each position, -1 for none; by default all inputs, padded to a multiple of four.
     """
     values, biases = (value.detach().cpu().numpy().astype(np.float32) for value in (weight, bias))
     if columns is None:
@@ -72,7 +72,7 @@ def mlp_rows(net: nn.Sequential, columns: Sequence[int]) -> list[Rows]:
 
 
 def feature_columns(features: int, others: int, first: int = 0) -> list[int]:
-    """The columns of features, filled up to fours, and of the inputs behind them."""
+    """The columns of features, padded to a multiple of four, and of the inputs after them."""
     filler = [-1] * (fours(features) - features)
     return [*range(first, first + features), *filler, *range(first + features, first + features + others)]
 

@@ -1,4 +1,4 @@
-"""What a method learns: a torch module that makes pixels' colours, and says what training makes small."""
+"""A method's renderer: a torch module that computes pixels' colours and the training loss."""
 
 from dataclasses import dataclass
 from typing import Generic, Literal, TypeVar
@@ -24,14 +24,14 @@ class ParameterGroup:
     lr: float
     weight_decay: float = 0.0
     counts_as: Literal["network", "textures", "helper"] = "network"
-    """Where tables count them; a helper (a discriminator) is not needed to render, and is not counted."""
+    """The column of tables that counts them; a helper (a discriminator) is not needed to render, and is not counted."""
 
 
 class Renderer(nn.Module, Generic[SourceT]):
     """Pixels in, sRGB colours out; `SourceT` is what the method's `load` gives.
 
-    A method implements `forward(batch, *, rng=None)`: what `SourceT.take` made of some pixels in, their sRGB colours
-    (pixel, 3), about [0, 1], out; `rng` is there while training only. All state lies in parameters and buffers.
+    A method implements `forward(batch, *, rng=None)`: from the result of `SourceT.take` for some pixels to their sRGB
+    colours (pixel, 3), about [0, 1]; `rng` is given in training only. All state lies in parameters and buffers.
     """
 
     def loss(
@@ -43,16 +43,16 @@ class Renderer(nn.Module, Generic[SourceT]):
         softness: float = 0.0,
         patch_terms: PatchTerms | None = None,
     ) -> Tensor:
-        """What a step makes small on about `batch` training pixels; whatever is random is drawn by `rng`.
+        """The loss of a step on about `batch` training pixels; all randomness comes from `rng`.
 
         Args:
-            softness: of `LossConfig`.
-            patch_terms: further losses to add, where the method's `optimisation` takes their flags.
+            softness: see `LossConfig`.
+            patch_terms: further losses to add, if the method's `optimisation` has their flags.
         """
         return pixel_loss(self, training, batch, rng, softness=softness, patch_terms=patch_terms)
 
     def finish(self, training: SourceT, *, batch: int, updates: int, rng: np.random.Generator) -> None:  # noqa: ARG002
-        """What is left to do after the last of `updates` weight updates, each from `batch` pixels: mostly nothing."""
+        """A hook after the last of `updates` weight updates, each from `batch` pixels; does nothing by default."""
         return
 
     def render(self, pixels: SourceT) -> Float32[Tensor, "pixel 3"]:
@@ -61,7 +61,7 @@ class Renderer(nn.Module, Generic[SourceT]):
         return torch.cat([self(pixels.take(part, None)) for part in index.split(pixels.chunk)])
 
     def groups(self, optimisation: Optimisation) -> list[ParameterGroup]:
-        """All parameters, by the rates at which they learn."""
+        """All parameters, grouped by learning rate."""
         textures = self.parameters_of(NeuralTextures)
         return [
             ParameterGroup(
@@ -75,10 +75,10 @@ class Renderer(nn.Module, Generic[SourceT]):
         ]
 
     def parameters_of(self, kind: type[nn.Module]) -> list[nn.Parameter]:
-        """The parameters of all parts of a kind, in the order in which the renderer has them."""
+        """The parameters of all submodules of a kind, in the renderer's order."""
         return [value for part in self.modules() if isinstance(part, kind) for value in part.parameters()]
 
     def all_but(self, others: list[nn.Parameter]) -> list[nn.Parameter]:
-        """The parameters that are none of these."""
+        """All parameters except these."""
         apart = {id(value) for value in others}
         return [value for value in self.parameters() if id(value) not in apart]

@@ -19,10 +19,10 @@ def load_stored(
     mapped: bool,
     whole_views: bool = False,
 ) -> Pixels | MappedPixels:
-    """As many of the nearest layers as the method looks up.
+    """Pixels with the nearest stored layers, as many as the method looks up.
 
     Args:
-        whole_views: the renderer looks at neighbours.
+        whole_views: the renderer needs neighbouring pixels.
     """
     load = map_pixels if mapped else load_pixels
     return load(
@@ -37,5 +37,5 @@ def load_stored(
 
 
 def peel_as_stored(inputs: Inputs, cameras: Cameras, *, whole_views: bool = False) -> Pixels:
-    """What `load_stored` would give if the views of these cameras were stored; peeled now."""
+    """The pixels of any cameras as `load_stored` would give them, with layers peeled now."""
     return peel_cameras(inputs.dataset, inputs.geometry, inputs.num_layers, cameras, whole_views=whole_views)

@@ -27,7 +27,7 @@ BUILT_IN = {
     "light-path": "model.methods.light_path.config:LightPathConfig",
     "deepvoxels": "model.methods.deepvoxels.config:DeepVoxelsConfig",
 }
-"""Where the record of each method stands. A new one is a folder and a line here."""
+"""The record of each method. A new one is a folder and a line here."""
 
 OWN: dict[str, type[MethodConfig]] = {}
 """Methods whose records this process has handed to `name_of`, by name; no other process knows them."""
@@ -35,11 +35,7 @@ OWN: dict[str, type[MethodConfig]] = {}
 
 @cache
 def list_methods() -> tuple[str, ...]:
-    """The names of all methods, those of other distributions last.
-
-    Raises:
-        HyalineError: two have one name.
-    """
+    """The names of all methods, those of other distributions last."""
     others = sorted(point.name for point in metadata.entry_points(group=GROUP))
     names = (*BUILT_IN, *others, *OWN)
     if doubled := sorted({name for name in names if names.count(name) > 1}):
@@ -52,11 +48,7 @@ def list_methods() -> tuple[str, ...]:
 
 @cache
 def find_method(name: str) -> type[MethodConfig]:
-    """The record of a method.
-
-    Raises:
-        HyalineError: there is none of that name, or a distribution's cannot be imported or is none.
-    """
+    """The record of a method."""
     choose("method", name, list_methods())
     if name in OWN:
         return OWN[name]
@@ -70,7 +62,7 @@ def find_method(name: str) -> type[MethodConfig]:
     except Exception as error:  # A stranger's module may raise anything.
         raise HyalineError(f"{where} cannot be imported ({error}); mend or uninstall it") from error
     if not (isinstance(found, type) and issubclass(found, MethodConfig)):
-        raise HyalineError(f"{where} is no MethodConfig; see docs/adding-a-method.md")
+        raise HyalineError(f"{where} is not a MethodConfig; see docs/adding-a-method.md")
     return found
 
 
@@ -78,9 +70,6 @@ def name_of(config: MethodConfig) -> str:
     """The name of a record's method; a class that no distribution brings is called after itself, and known from now on.
 
     `AlphaBlendConfig` becomes `alpha-blend`. A later class of the same name takes its place.
-
-    Raises:
-        HyalineError: another method has this name.
     """
     kind = type(config)
     place = f"{kind.__module__}:{kind.__qualname__}"
@@ -97,23 +86,19 @@ def name_of(config: MethodConfig) -> str:
 
 
 def about(name: str) -> str:
-    """One line about a method: its docstring's first paragraph, and who brings it if it is not built in."""
+    """One line about a method: its docstring's first paragraph, and its distribution if it is not built in."""
     source = "" if name in BUILT_IN else f"Brought by {_sources(name)[0]}."
     try:
         kind = find_method(name)
         line = " ".join((kind.__doc__ or "").partition("\n\n")[0].split())
-        line = "" if line.startswith(f"{kind.__name__}(") else line  # What dataclass makes where there is none.
+        line = "" if line.startswith(f"{kind.__name__}(") else line  # dataclass's own docstring.
     except HyalineError:
-        line = ""  # Training it says why; the others are listed all the same.
+        line = ""  # Training it shows the error; here the other methods are still listed.
     return f"{line} {source}".strip()
 
 
 def open_inputs(config: MethodConfig, dataset: Dataset, geometry: str) -> Inputs:
-    """What a method is given of a dataset.
-
-    Raises:
-        HyalineError: the geometry was not peeled, or has fewer layers than the configuration asks for.
-    """
+    """The inputs of a method from a dataset."""
     if not config.reads_layers:
         return Inputs(dataset=dataset, geometry=geometry, num_layers=0, layers_seal=dataset.seal)
     store = dataset.layer_store(geometry)
@@ -123,13 +108,13 @@ def open_inputs(config: MethodConfig, dataset: Dataset, geometry: str) -> Inputs
 
 
 def _choose_layers(asked: int | None, stored: int, dataset: Dataset, geometry: str) -> int:
-    """How many layers a renderer looks up: all that are stored, or the nearest ones of them."""
+    """How many layers a renderer looks up: all stored ones, or the nearest ones."""
     if asked is None or 1 <= asked <= stored:
         return asked or stored
     words = ["datagen", "peel", "--dataset", str(dataset.root), "--geometry", geometry]
     peel = shlex.join([*words, "--num-layers", str(asked), "--overwrite"])
     more = f" (`{peel}` stores more)" if asked > 0 else ""
-    raise HyalineError(f"layers: is {asked}; expected 1 to {stored}, as many as are stored{more}")
+    raise HyalineError(f"layers: is {asked}; expected 1 to {stored}, the number of stored layers{more}")
 
 
 def _sources(name: str) -> list[str]:

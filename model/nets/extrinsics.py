@@ -1,4 +1,4 @@
-"""What the renderer is told about the camera: nothing, the view vector of Eq. 3, or its spherical harmonics."""
+"""The renderer's camera inputs: none, the view vector of Eq. 3, or its spherical harmonics."""
 
 import functools
 
@@ -18,10 +18,7 @@ from model.settings.network_parts import Extrinsics
 def bake_position_table(dataset: Dataset, geometry: str, size: int) -> Float32[Tensor, "texel 3"]:
     """The position textures P of all objects, packed as `object_layout((size,) * objects)`: world positions in metres.
 
-    The last table is kept, for training and predicting ask for the same one: it must not be written to.
-
-    Raises:
-        HyalineError: a position is not finite.
+    The last table is cached, because training and prediction use the same one: it must not be written to.
     """
     return _bake_position_table(geometry_key(dataset, geometry), size)
 
@@ -42,7 +39,7 @@ def _bake_position_table(key: GeometryKey, size: int) -> Float32[Tensor, "texel 
 def positions_for(
     extrinsics: Extrinsics, dataset: Dataset, geometry: str, size: int
 ) -> Float32[Tensor, "texel 3"] | None:
-    """The table of `bake_position_table`; None for a renderer that is told nothing of the camera."""
+    """The table of `bake_position_table`; None for a renderer without camera inputs."""
     return None if extrinsics == "none" else bake_position_table(dataset, geometry, size)
 
 
@@ -79,7 +76,7 @@ class ExtrinsicInputs(nn.Module):
         super().__init__()
         self.kind: Extrinsics = kind
         self.layout = object_layout((size,) * num_objects)
-        # Not learned, and baked again from the meshes whenever it is needed: no part of a checkpoint.
+        # Not learned, and always baked from the meshes, so not part of a checkpoint.
         self.register_buffer("positions", positions, persistent=False)
 
     def forward(

@@ -1,9 +1,9 @@
-"""Texels that hardly any training ray met: they take what those around them show.
+"""Fills in rarely sampled texels from their neighbours.
 
-A pyramid's levels are learned together, so that its coarse levels alone, which is all that an unmet texel has, show
-colours that nobody learned: whatever its neighbours' fine levels take back. Measured on the glass table (`light-path`,
-seed 0, a sixteenth of the pixels with four rays): filling such texels in changes cameras 10, 20 and 40 degrees outside
-of the training views, which see them on the floor, by -0.04, +0.28 and +1.06 dB, and the test splits by +0.01 dB.
+A pyramid's levels are learned together. A texel without training rays only has its coarse levels, whose colours are
+wrong on their own, because the neighbours' fine levels correct them. Measured on the glass table (`light-path`, seed 0,
+a sixteenth of the pixels with four rays): filling in such texels changes cameras 10, 20 and 40 degrees outside of the
+training views, which see them on the floor, by -0.04, +0.28 and +1.06 dB, and the test splits by +0.01 dB.
 """
 
 import torch
@@ -14,15 +14,15 @@ from torch.nn import functional
 from model.nets.texture import TextureLayout, TexturePyramid, bilinear_taps, level_scales, sample, texel_centers
 
 FILLED_LEVEL = 1
-"""The level, from the finest, that is changed. In the finest, surfaces seen from afar have texels that few rays met
-though what they show is right: filling that one in costs 0.5 dB at 10 degrees (seed 1)."""
+"""The level that is changed, 0 being the finest. In the finest, distant surfaces have texels with few samples that are
+still right: filling in that one costs 0.5 dB at 10 degrees (seed 1)."""
 
 NOISE = 0.03
-"""Variance of a feature that a single pixel has taught. From half to three times as much, 40 degrees gain 0.5 dB and 10
+"""Variance of a feature learned from a single pixel. Between half and three times this, 40 degrees gain 0.5 dB and 10
 lose 0.2 (as above)."""
 
 USUAL_DETAIL, USUAL_TEXELS = 0.05, 10.0
-"""Where a surface has few texels that are well met, its detail is as if so many more had this one."""
+"""Prior of a surface's detail: its value, and its weight in texels."""
 
 
 def filled_layout(textures: TexturePyramid) -> TextureLayout:
@@ -37,9 +37,9 @@ def add_visits(
     object_id: UInt8[Tensor, " slot"],
     share: Float32[Tensor, " slot"],
 ) -> None:
-    """Adds to `met` how well some rays have seen each texel: the square of what it counts in their pixels' colour.
+    """Adds each texel's squared weights in the colours of some rays' pixels to `met`.
 
-    Squares, as in least squares: a texel that a faint reflection has met a hundred times is hardly known.
+    Squares, as in least squares: a texel is hardly known after a hundred faint reflections.
     """
     hits = (object_id != 0).nonzero().squeeze(1)
     texels, weights = bilinear_taps(uv[hits], object_id[hits], layout)
@@ -48,15 +48,15 @@ def add_visits(
 
 @torch.no_grad()
 def fill_in(textures: TexturePyramid, met: Float32[Tensor, " texel"]) -> None:
-    """Changes texels in the measure in which they are unknown, into what is known around them on their surface.
+    """Blends texels with their surroundings on the same surface, the more the less is known of them.
 
-    A texel's features are the mean of its own and of those around it, weighted as if its own had an error of `NOISE`
-    over the number of its visits, and those around it one of the surface's detail: what differs from texel to texel
-    where all are well known. A patterned vase is so left alone with few visits, and a plain floor is not. What is
-    around a texel is found coarse to fine. Source: pull-push (Gortler et al. 1996, The Lumigraph, section 3.4).
+    A texel's features become the weighted mean of its own, with variance `NOISE` over its number of visits, and of
+    those around it, with the surface's detail as variance: the mean square difference between neighbouring texels where
+    all are well known. So a patterned vase is left alone after few visits, and a plain floor is not. The surroundings
+    are found coarse to fine. Source: pull-push (Gortler et al. 1996, The Lumigraph, section 3.4).
 
     Args:
-        met: by texel of `filled_layout`, in pixels that show nothing else (`add_visits`).
+        met: visits of each texel of `filled_layout`, in whole pixels (`add_visits`).
     """
     level = _level(textures)
     tables, layouts = textures.tables()[level:], [part.layout for part in textures.levels()[level:]]
@@ -82,7 +82,7 @@ def _image(values: Float32[Tensor, "texel c"], size: int) -> Float32[Tensor, "1 
 
 
 def _detail(features: Float32[Tensor, "1 c size size"], visits: Float32[Tensor, "1 1 size size"]) -> float:
-    """Mean square of what a texel differs by from the mean of its eight neighbours, where all of them are known."""
+    """Mean squared difference of a texel from the mean of its eight neighbours, where all of them are known."""
     known = visits / (visits + 1)
     box = torch.ones(1, 1, 3, 3, device=features.device)
 
@@ -101,7 +101,7 @@ def _detail(features: Float32[Tensor, "1 c size size"], visits: Float32[Tensor, 
 def _pulled_and_pushed(
     features: Float32[Tensor, "1 c size size"], known: Float32[Tensor, "1 1 size size"]
 ) -> Float32[Tensor, "1 c size size"]:
-    """Features where they are known, of a share from 0 to 1, and what is around them for the rest."""
+    """A blend of the features, with the weight `known` from 0 to 1, and their surroundings."""
     size = features.shape[-1]
     if size == 1:
         return features

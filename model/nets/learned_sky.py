@@ -10,20 +10,20 @@ from torch.nn import functional
 from model.nets.texture import FINER_COUNTS, level_scales
 
 LOBE_RATE = 2.5
-"""How much faster than the maps the lobes learn: few numbers, each of which many rays hold."""
+"""Learning rate of the lobes relative to the maps: they are few numbers, each constrained by many rays."""
 
 LOBE_SHARPNESS = 6.0
-"""Of a lobe at the start: it falls to half its brightness at 28 degrees."""
+"""Initial sharpness of a lobe: it falls to half its brightness at 28 degrees."""
 
 
 class LearnedSky(nn.Module):
-    """Latitude-longitude maps, finest first, whose sum makes the radiance of a direction, and lobes on top.
+    """The radiance of a direction: a sum of latitude-longitude maps, finest first, plus lobes.
 
-    The finest map is `height` texels high and twice as wide; the others are halved down to a single colour: directions
-    in which no training ray left are filled in from around them, as texels are. To brighten a lamp, maps would have to
-    learn fast, and then drift where nothing holds them. So spherical Gaussians learn direction, width and colour of
-    what is bright. Measured on the glass table (400 steps of 1,024 pixels, one seed): twelve lobes gain 0.3 / 0.2 dB on
-    the test splits, and 1.3 / 1.9 / 2.3 dB at 10 / 20 / 40 degrees outside of the training cameras.
+    The finest map is `height` texels high and twice as wide; each further one is half as large, down to a single
+    colour, so that directions without training rays are filled in from nearby ones. For bright lamps, maps would need
+    a high learning rate, and would then drift where they are unconstrained. So spherical Gaussians learn direction,
+    width and colour of lamps. Measured on the glass table (400 steps of 1,024 pixels, one seed): twelve lobes gain 0.3
+    / 0.2 dB on the test splits, and 1.3 / 1.9 / 2.3 dB at 10 / 20 / 40 degrees outside of the training cameras.
     """
 
     def __init__(self, height: int, lobes: int) -> None:
@@ -39,7 +39,7 @@ class LearnedSky(nn.Module):
         return [self.get_parameter(str(level)) for level in range(self.num_maps)]
 
     def forward(self, direction: Float32[Tensor, "exit 3"]) -> Float32[Tensor, "exit 3"]:
-        """Radiance from unit directions; whatever for the zero vector, whose throughput is 0."""
+        """Radiance from unit directions; arbitrary for the zero vector, whose throughput is 0."""
         x, y, z = direction.unbind(-1)
         azimuth = torch.atan2(y, x) / torch.pi  # Both from -1 to 1.
         polar = 2 * torch.acos(z.clamp(-1, 1)) / torch.pi - 1
@@ -50,7 +50,7 @@ class LearnedSky(nn.Module):
 
 
 class SkyLobes(nn.Module):
-    """Spherical Gaussians: lamps of learned direction, width and colour, each as bright as it has to be."""
+    """Spherical Gaussians: lamps with learned direction, width and radiance."""
 
     def __init__(self, count: int) -> None:
         super().__init__()
@@ -84,7 +84,7 @@ def _look_up_map(
     texels: Float32[Tensor, "3 tex_h tex_w"], azimuth: Float32[Tensor, " exit"], polar: Float32[Tensor, " exit"]
 ) -> Float32[Tensor, "exit 3"]:
     """Bilinear look-ups in a map that goes once around; both angles run from -1 to 1."""
-    # A column of the other end stands beside each end.
+    # Wrap around: each end gets a column from the other end.
     padded = functional.pad(texels[None], (1, 1, 0, 0), mode="circular")
     width = texels.shape[2]
     place = torch.stack([azimuth * width / (width + 2), polar], dim=-1)

@@ -57,7 +57,7 @@ class PixelMlp(nn.Module):
         self.first = LinearUnit(num_inputs, width, norm)
         self.blocks = nn.Sequential(*(ResidualBlock(width >> index, norm) for index in range(blocks)))
         self.last = nn.Linear(width >> blocks, 3)
-        # Mid-grey to start with: from zero, Adam walks only 0.001 a step towards the mean colour.
+        # Start at mid-grey: from zero, Adam would move only 0.001 per step towards the mean colour.
         nn.init.constant_(self.last.bias, 0.5)
 
     def forward(self, x: Float32[Tensor, "ray c"]) -> Float32[Tensor, "ray 3"]:
@@ -95,7 +95,7 @@ class PixelMlp(nn.Module):
         ] + [ChainLayer(linear=self.last)]
 
     def folded(self) -> Network:
-        """What this network computes at evaluation, for compiled code to draw with."""
+        """The network at evaluation, for compiled code."""
         return Network([fold(layer) for layer in self.layers()])
 
 

@@ -1,9 +1,8 @@
 """The inner loops of neural textures on a CPU: weighted sums of four texels, and their gradients.
 
-Compiled by Numba. The loops visit each slot of a stack of layers once, skip the empty ones, and write straight into
-the result: no copy of texels is ever made, which is what torch's own operations spend their time on. What is left is
-the wait for texels, which lie anywhere in memory: each loop first lists the texels of a block of slots, and then has
-the processor fetch them a few slots before they are needed.
+Compiled by Numba. The loops visit each slot of a stack of layers once, skip empty ones, and write directly into the
+result, without the copies of texels that torch's own operations spend their time on. The remaining cost is memory
+latency: each loop first lists the texels of a block of slots, and then prefetches them a few slots ahead.
 """
 
 # Numba's extensions are untyped, and llvmlite has no stubs.
@@ -26,7 +25,7 @@ BLOCK = 1024
 """Slots that a thread takes at once."""
 
 AHEAD = 16
-"""How many slots before their turn texels are fetched."""
+"""Slots by which texels are prefetched."""
 
 STRIPE = 6
 """Stripes of 2^6 texels in turn belong to each thread while the gradient is summed."""
@@ -142,8 +141,8 @@ def add_gradient(
     """Adds the gradient of `add_look_ups` with respect to its table.
 
     Args:
-        parts: threads that share the work. Each looks at all slots and adds to its own stripes of texels, so that every
-            texel's sum is taken in the order of the slots: the same bits for any number of them, without locks.
+        parts: threads that share the work. Each reads all slots and adds to its own stripes of texels, so that every
+            texel's sum is taken in slot order: the same bits for any number of threads, without locks.
     """
     num_slots, channels = upstream.shape
     for part in numba.prange(parts):

@@ -19,9 +19,9 @@ from model.nets.texels import add_gradient, add_look_ups, add_uv_gradient
 from model.settings.network_parts import TextureSharing
 
 FINER_COUNTS = 0.5
-"""How much a level of a pyramid, of textures or of the sky, counts beside the next coarser one. Adam moves all texels
-alike, so coarse ones, moved by all rays, get there first, and fine ones add what is left: what few rays have met is
-filled in from around it. (Deferred Neural Rendering regularises its levels to that end.)"""
+"""Weight of a level of a pyramid, of textures or of the sky, relative to the next coarser one. Adam moves all texels at
+the same speed, so coarse ones learn first, and fine ones add the rest: rarely sampled texels are filled in from nearby
+ones. (Deferred Neural Rendering regularises its levels to that end.)"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,7 +33,7 @@ class TextureLayout:
     sizes: tuple[int, ...]
     """Width and height of each object's image in texels."""
     strides: tuple[int, ...]
-    """Rows of the table from one of each object's texels to the texel below it."""
+    """Rows of the table from one texel of an object to the one below it."""
     num_texels: int
 
 
@@ -47,9 +47,6 @@ def scene_layout(num_objects: int, size: int) -> TextureLayout:
     """One texture of `size` texels squared for the whole scene, a grid of equal cells, one cell an object.
 
     Lookups are clamped to the object's cell, so neighbours in the grid never mix.
-
-    Raises:
-        HyalineError: the cells would be narrower than 2 texels.
     """
     cells = math.ceil(math.sqrt(num_objects))
     cell = size // cells
@@ -104,7 +101,7 @@ def sample(
     Gradients flow to tables and uv. They are summed in a fixed order, so that a run on a CPU repeats bit by bit.
     """
     flat_uv, flat_id = uv.flatten(0, 1), object_id.flatten()
-    # On a GPU such a uv makes a loss of NaN; compiled loops would turn it into the place of some texel.
+    # On a GPU such a uv makes the loss NaN; compiled loops would use it as the position of some texel.
     if flat_uv.device.type == "cpu" and not math.isfinite(flat_uv.detach().sum().item()):
         raise NumericsError("uv: a layer has one that is not finite; check the data with `datagen verify`")
     if flat_uv.device.type != "cpu":
@@ -233,8 +230,8 @@ class TexturePyramid(nn.ModuleList):
     def __init__(
         self, layouts: Sequence[TextureLayout], features: int, *, finer_counts: float = 1.0, start: float = 0.0
     ) -> None:
-        """`finer_counts`: how much a level counts beside the next coarser one; the coarsest counts whole, and is where
-        the sum's `start` lies."""
+        """`finer_counts`: weight of a level relative to the next coarser one; the coarsest has weight 1 and the initial
+        value `start`."""
         super().__init__(
             NeuralTextures(layout, features, start=start if layout is layouts[-1] else 0.0) for layout in layouts
         )
@@ -255,7 +252,7 @@ class TexturePyramid(nn.ModuleList):
 
 
 def level_scales(num_levels: int, finer_counts: float) -> list[float]:
-    """What each level of a pyramid counts, finest first: `finer_counts` times as much as the next coarser one."""
+    """The weight of each level of a pyramid, finest first: `finer_counts` times that of the next coarser one."""
     return [finer_counts ** (num_levels - 1 - level) for level in range(num_levels)]
 
 

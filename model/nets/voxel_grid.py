@@ -1,4 +1,4 @@
-"""The geometry of DeepVoxels: where its grid stands, which pixel each voxel falls on, which voxels each ray meets.
+"""The geometry of DeepVoxels: the grid's position, the pixel of each voxel, the voxels on each ray.
 
 Axis words besides the contract's: `z y x` voxels of the grid along the world's axes, `d` planes of a view's frustum,
 nearest first, `p q` rows and columns of the small picture plane on which features are lifted and projected.
@@ -17,7 +17,7 @@ from datagen.data.cameras import Camera, Cameras
 from datagen.disk.errors import HyalineError
 
 CLEARANCE = 0.9
-"""The grid's bounding sphere reaches at most so far from its origin towards the nearest training camera."""
+"""Largest radius of the grid's bounding sphere, relative to the distance of the nearest training camera."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -41,15 +41,12 @@ class VoxelGrid:
 def fit_cube(cameras: Cameras, vertices: Float[np.ndarray, "vertex 3"]) -> tuple[Float[np.ndarray, "3"], float]:
     """Origin and edge in metres of the cube that the grid fills, from the training cameras and the scene's extent.
 
-    The origin is the point nearest to all optical axes, in the sense of least squares. The cube is the smallest
-    around it that holds the scene (of an unknown scene the largest), unless cameras stand inside its bounding sphere:
-    then that ends before the nearest camera. The method asks for it (its cameras look at the grid from outside); what
-    a room has behind the grid must then be drawn from within.
+    The origin is the point nearest to all optical axes, in the least-squares sense. The cube is the smallest one around
+    it that contains the scene (for an unknown scene, the largest), unless cameras are inside its bounding sphere: then
+    the sphere ends before the nearest camera. The method requires this (its cameras look at the grid from outside);
+    parts of a room outside the grid must then be drawn from within it.
 
-    Source: DeepVoxels gives origin, scale and near plane by hand for each scene; here nobody chooses them.
-
-    Raises:
-        HyalineError: all cameras look the same way, or one stands where they look at.
+    Source: DeepVoxels sets origin, scale and near plane by hand for each scene; here they are computed.
     """
     position = cameras.world_from_camera[:, :3, 3]
     forward = -cameras.world_from_camera[:, :3, 2]
@@ -63,15 +60,15 @@ def fit_cube(cameras: Cameras, vertices: Float[np.ndarray, "vertex 3"]) -> tuple
     reach = float(np.abs(vertices - origin).max()) if len(vertices) else math.inf
     edge = min(2 * reach, CLEARANCE * nearest * 2 / math.sqrt(3))
     if edge <= 0:
-        raise HyalineError(f"cameras: one stands at {origin.tolist()}, where all look; expected cameras around a scene")
+        raise HyalineError(f"cameras: one is at {origin.tolist()}, where all look; expected cameras around a scene")
     return origin, edge
 
 
 def near_plane(camera: Camera, grid: VoxelGrid) -> Float32[Tensor, ""]:
-    """Depth in metres of a view's first plane: where the grid's bounding sphere begins, but never behind the camera.
+    """Depth in metres of a view's first plane: the near side of the grid's bounding sphere, but in front of the camera.
 
-    DeepVoxels has one near plane for all views. Each view has its own here, which is the same for cameras on a sphere
-    around the grid, and still meets the grid on a walk that comes nearer or goes farther.
+    DeepVoxels has one near plane for all views. Here each view has its own, which is the same for cameras on a sphere
+    around the grid, and also works for a path that comes nearer or goes farther.
     """
     pose = _pose(camera, grid.origin.device)
     depth = -((grid.origin - pose[:3, 3]) @ pose[:3, 2])
@@ -121,15 +118,15 @@ def frustum_points(camera: Camera, grid: VoxelGrid, size: int) -> Float32[Tensor
 
 
 def lift(features: Float32[Tensor, "1 c p q"], camera: Camera, grid: VoxelGrid) -> Float32[Tensor, "1 c z y x"]:
-    """What a view shows at every voxel: its feature map, bilinear where the centre falls; 0 where the view ends.
+    """A view's features at every voxel, bilinear at its projected centre; 0 outside the view.
 
-    The authors' code also drops voxels outside a frustum whose bounds it rounds to whole metres; that is left out.
-    Theirs takes pixel centres for whole numbers, half a pixel off.
+    The authors' code also drops voxels outside a frustum whose bounds it rounds to whole metres; this does not. Theirs
+    assumes pixel centres at whole numbers, half a pixel off.
     """
     size = features.shape[-1]
     column, row, depth = project_points(voxel_centers(grid), camera, size).unbind(1)
     is_seen = (depth > 0) & (column >= 0) & (column < size) & (row >= 0) & (row < size)
-    # Within half a pixel of the border, its pixel goes on.
+    # Within half a pixel of the border, the border's value is used.
     place = torch.stack([row, column], dim=1)[is_seen].sub(0.5).clamp(0, size - 1)
     rows = _gather(features[0].flatten(1).T, place, size)
     return _spread(rows, is_seen).T.reshape(1, -1, *[grid.num_voxels] * 3)

@@ -33,11 +33,7 @@ def save_state(path: Path, state: dict[str, State]) -> None:
 
 
 def load_state(path: Path) -> dict[str, State]:
-    """A saved state, on the CPU, every number of it verified.
-
-    Raises:
-        HyalineError: missing, damaged, or of another format version.
-    """
+    """A saved state, on the CPU, with its checksum verified."""
     if not path.is_file():
         raise HyalineError(f"{path}: the file is missing")
     try:
@@ -45,8 +41,8 @@ def load_state(path: Path) -> dict[str, State]:
             content = torch.load(file, map_location="cpu", weights_only=True)
         is_intact = isinstance(content, dict) and content.pop("sha256", None) == fingerprint(content)
     except Exception as error:
-        # torch 2.13 parses before anything is verified, and what it raises at bytes that it did not write has no end:
-        # seven types, OSError among them, were seen after truncation and flipped bits.
+        # torch 2.13 parses before anything is verified, and raises almost anything on damaged bytes: seven types,
+        # including OSError, were seen after truncation and flipped bits.
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise HyalineError(f"{path}: damaged, torch cannot read it ({reason})") from error
     if not is_intact:
@@ -60,7 +56,7 @@ def save_checkpoint(out: Path, state: dict[str, State]) -> None:
     """Commits the newest checkpoint and keeps the one before.
 
     Raises:
-        NumericsError: a number in it is not finite; the newest checkpoint stays what it was.
+        NumericsError: a number in it is not finite; the newest checkpoint is left as it was.
     """
     check_numbers(state, where=str(out / CHECKPOINT))
     if (out / CHECKPOINT).is_file():
@@ -69,12 +65,9 @@ def save_checkpoint(out: Path, state: dict[str, State]) -> None:
 
 
 def load_checkpoint(out: Path) -> dict[str, State] | None:
-    """The newest checkpoint that verifies; None when there never was one.
+    """The newest checkpoint that verifies; None if there are none.
 
-    A damaged newest one is deleted, which is said: the next save would else put it in the place of the intact one.
-
-    Raises:
-        HyalineError: there are checkpoints, but none is intact.
+    A damaged newest one is deleted, with a message: otherwise the next save would overwrite the intact one with it.
     """
     damaged: list[Path] = []
     for path in (out / CHECKPOINT, out / PREVIOUS_CHECKPOINT):
@@ -87,16 +80,16 @@ def load_checkpoint(out: Path) -> dict[str, State] | None:
             damaged.append(path)
             continue
         for other in damaged:
-            say(f"{other}: deleted; goes on from the checkpoint before it")
+            say(f"{other}: deleted; resuming from the checkpoint before it")
             other.unlink()
         return state
     if damaged:
-        raise HyalineError(f"{out}: no checkpoint there is intact; start anew with --overwrite")
+        raise HyalineError(f"{out}: none of its checkpoints is intact; start over with --overwrite")
     return None
 
 
 def has_checkpoint(out: Path) -> bool:
-    """True when a run has left a checkpoint, intact or not."""
+    """True if a run has a checkpoint, intact or not."""
     return any((out / name).is_file() for name in (CHECKPOINT, PREVIOUS_CHECKPOINT))
 
 
@@ -108,15 +101,15 @@ def delete_checkpoints(out: Path) -> None:
 def check_numbers(state: State, *, where: str) -> None:
     """Raises a NumericsError that names the first value of a nested state that is not finite.
 
-    A sum is not finite as soon as one of its terms is not; it takes a tenth of the time of `isfinite`.
+    A sum is not finite if one of its terms is not; it takes a tenth of the time of `isfinite`.
     """
     for name, value in _numbers(state, ""):
         total = float(value.sum()) if isinstance(value, Tensor) else value
         # A sum of finite numbers may overflow.
         if not math.isfinite(total) and not (isinstance(value, Tensor) and bool(value.isfinite().all())):
             raise NumericsError(
-                f"{where}: not written, since {name} is not finite; the checkpoint before it is kept, "
-                "start anew with --overwrite and a lower --lr"
+                f"{where}: not written, because {name} is not finite; the checkpoint before it is kept, "
+                "start over with --overwrite and a lower --lr"
             )
 
 

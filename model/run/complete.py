@@ -38,9 +38,6 @@ def complete_run(
 
     Returns:
         True in the process that wrote the run: of several that `torchrun` started, the first.
-
-    Raises:
-        HyalineError: another run is in `out`, or what `train` raises.
     """
     with join(device) as processes:
         check_processes(config, processes)

@@ -1,8 +1,9 @@
-"""What every method must do, checked on a tiny dataset: `model check-method NAME`."""
+"""`model check-method NAME`: the requirements on every method, checked on a tiny dataset."""
 
 import contextlib
 import dataclasses
 import io
+import re
 import signal
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -17,6 +18,7 @@ from datagen.data.images import read_png
 from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import to_json
+from datagen.scene.folder import load_scene
 from datagen.terminal.signals import Stopped
 from model.batches.traced_layers import cameras_of
 from model.methods.protocol import Inputs
@@ -29,23 +31,23 @@ from model.run.train import train
 
 STEPS = 4
 MOST_PIXELS = 256
-"""Of a step."""
+"""Largest batch of a step."""
 CPU = torch.device("cpu")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Verdict:
-    """What came of one check."""
+    """The result of one check."""
 
     name: str
     problem: str
-    """Empty where it holds."""
+    """What is wrong; empty if the check passed."""
     skipped: str = ""
-    """Why it could not be made; empty where it was."""
+    """Why the check was skipped; empty if it was not."""
 
 
 class Broken(Exception):
-    """A promise that a method does not keep."""
+    """A requirement that a method does not meet."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,10 +74,10 @@ class Subject:
 
 
 def check_method(name: str, dataset: Dataset, folder: Path) -> Iterator[Verdict]:
-    """Runs every check of a method, from cheap to dear.
+    """Runs every check of a method, from cheap to expensive.
 
     Args:
-        folder: an empty one, for runs.
+        folder: an empty folder, for runs.
     """
     net = find_method(name)().usual(TRUTH)
     optimisation = net.optimisation()
@@ -91,14 +93,13 @@ def check_method(name: str, dataset: Dataset, folder: Path) -> Iterator[Verdict]
 
 
 def _verdict(title: str, check: Callable[[Subject], str], subject: Subject) -> Verdict:
-    said = io.StringIO()
     try:
-        with contextlib.redirect_stderr(said):
+        with contextlib.redirect_stderr(io.StringIO()):
             return Verdict(name=title, problem="", skipped=check(subject))
     except (Broken, HyalineError) as error:
         return Verdict(name=title, problem=str(error))
     except Exception as error:
-        # A method is other people's code: whatever it raises is the answer to the check.
+        # A method is other people's code: any exception is the result of the check.
         return Verdict(name=title, problem=f"{type(error).__name__}: {error}")
 
 
@@ -109,19 +110,19 @@ def _expect(holds: bool, problem: str) -> None:
 
 def _reads_its_record(subject: Subject) -> str:
     again = parse_config(to_json(subject.config), where="config")
-    _expect(again == subject.config, "the record read back from JSON is another one")
+    _expect(again == subject.config, "the record changes when it is written to JSON and read back")
     return ""
 
 
 def _starts_alike(subject: Subject) -> str:
     first, second = (fingerprint(dict(subject.build().state_dict())) for _ in range(2))
-    _expect(first == second, "two renderers built from one seed differ; draw from torch's default generator alone")
+    _expect(first == second, "two renderers built from one seed differ; use only torch's default generator")
     return ""
 
 
 def _draws_pictures(subject: Subject) -> str:
     pixels = subject.config.net.load(subject.inputs, "interpolating", [0], with_images=False)
-    _expect(not bool(pixels.rgb.any()), "load gives a picture's colours where with_images is False")
+    _expect(not bool(pixels.rgb.any()), "load gives a picture's colours although with_images is False")
     colors = predict_colors(subject.build(), pixels)
     count = subject.dataset.config.resolution.pixels
     _expect(tuple(colors.shape) == (count, 3), f"render gives {tuple(colors.shape)}; expected ({count}, 3)")
@@ -136,10 +137,10 @@ def _trains_alike(subject: Subject) -> str:
     fresh = subject.build()
     before = fingerprint(dict(fresh.state_dict()))
     first, second = subject.train("first"), subject.train("second")
-    _expect(_bytes(first) == _bytes(second), "two runs of one seed end with different weights; draw from `rng` alone")
+    _expect(_bytes(first) == _bytes(second), "two runs of one seed end with different weights; draw only from `rng`")
     after = load_state(first / WEIGHTS)["renderer"]
     has_learned = before != fingerprint(after) or not list(fresh.parameters())
-    _expect(has_learned, f"no weight has changed after {STEPS} steps")
+    _expect(has_learned, f"no weight changed in {STEPS} steps")
     return ""
 
 
@@ -150,7 +151,7 @@ def _resumes(subject: Subject) -> str:
         nonlocal steps
         steps += 1
         if steps == STEPS // 2 * subject.config.updates:
-            signal.raise_signal(signal.SIGTERM)  # Training ends after the step at hand.
+            signal.raise_signal(signal.SIGTERM)  # Training ends after the current step.
 
     hook = register_optimizer_step_post_hook(stop)
     try:
@@ -161,7 +162,7 @@ def _resumes(subject: Subject) -> str:
     out = subject.train("parts")
     _expect(
         _bytes(out) == _bytes(subject.folder / "first"),
-        "a run that was stopped and resumed ends with other weights; keep all state in parameters and buffers",
+        "a stopped and resumed run ends with different weights; keep all state in parameters and buffers",
     )
     return ""
 
@@ -173,7 +174,7 @@ def _predicts(subject: Subject) -> str:
     pixels = subject.config.net.load(subject.inputs, "extrapolating", [0], with_images=False)
     drawn = predict_pixels(renderer, pixels).reshape(*subject.dataset.config.resolution.shape, 3)
     saved = read_png(out / "predictions" / "extrapolating" / "0000.png")
-    _expect(np.array_equal(drawn, saved), "weights that were saved and loaded draw another picture")
+    _expect(np.array_equal(drawn, saved), "saved and loaded weights render a different picture")
     return ""
 
 
@@ -181,7 +182,7 @@ def _draws_nothing(subject: Subject) -> str:
     views = range(subject.dataset.config.split("extrapolating").views)
     for view in views:
         if subject.inputs.dataset.config.scene != "synthetic":
-            return "the dataset given may have no empty view"
+            return "the given dataset may have no empty view"
         pixels = subject.config.net.load(subject.inputs, "extrapolating", [view], with_images=False)
         colors = predict_colors(subject.build(), pixels)
         _expect(bool(colors.isfinite().all()), f"extrapolating view {view}: a colour is not finite")
@@ -191,15 +192,29 @@ def _draws_nothing(subject: Subject) -> str:
 def _draws_any_camera(subject: Subject) -> str:
     net, inputs = subject.config.net, subject.inputs
     if not net.draws_cameras:
-        return "it draws the views of its dataset alone (draws_cameras is False)"
+        return "it only draws the views of its dataset (draws_cameras is False)"
     renderer = load_renderer(subject.folder / "first", subject.config, subject.dataset)
     camera = cameras_of(subject.dataset, "extrapolating", [0])
     free = predict_colors(renderer, net.load_cameras(inputs, camera))
     stored = predict_colors(renderer, net.load(inputs, "extrapolating", [0], with_images=False))
-    # Layers may have been stored by another machine, whose rays along an edge meet its other side.
+    # Layers may have been stored by another machine, where rays along an edge may hit its other side.
     contrast = float(stored.amax() - stored.amin())
     share = float(((free - stored).abs().amax(dim=1) > 0.02 * contrast).float().mean())
     _expect(share < 0.01, f"through a view's camera {share:.0%} of the pixels differ from the view's")
+    return ""
+
+
+def _has_a_page(subject: Subject) -> str:
+    net = subject.config.net
+    if not net.page:
+        return "it has no web page (page is empty)"
+    renderer = load_renderer(subject.folder / "first", subject.config, subject.dataset)
+    page = net.draw_page(renderer, load_scene(subject.dataset.root / "scene", is_sealed=True))
+    _expect(re.search(r"\bvec3\s+shade\s*\(", page.shader) is not None, "its shader has no function vec3 shade(...)")
+    bad = [name for name in page.defines if not re.fullmatch("[A-Z][A-Z0-9_]*", name)]
+    _expect(not bad, f"its define {', '.join(bad)} is not a name in capitals")
+    rows = np.concatenate([np.zeros((0, 4), np.float32), *page.weights])
+    _expect(bool(np.isfinite(rows).all()), "its weights are not all finite")
     return ""
 
 
@@ -220,11 +235,12 @@ CHECKS: dict[str, Callable[[Subject], str]] = {
     "its record goes to JSON and back": _reads_its_record,
     "one seed gives one start": _starts_alike,
     "pictures have their shape, type and range": _draws_pictures,
-    "a view of nothing is drawn": _draws_nothing,
+    "an empty view is drawn": _draws_nothing,
     "one seed gives one run, which learns": _trains_alike,
     "a stopped run resumes to the bit": _resumes,
-    "saved weights draw what they drew": _predicts,
-    "a view's camera draws what the view does": _draws_any_camera,
+    "saved weights render the same pictures": _predicts,
+    "a view's camera gives the view's picture": _draws_any_camera,
+    "its web page has what it needs": _has_a_page,
     "it runs on a GPU": _runs_on_a_gpu,
 }
-"""Each gives why it was skipped, empty where it was not; later ones use the runs of earlier ones."""
+"""Each returns why it was skipped, or an empty string; later ones use the runs of earlier ones."""

@@ -1,8 +1,8 @@
-"""Prediction: from a run's weights to 8-bit pictures of the test splits, of the dataset and of its variants.
+"""Prediction: from a run's weights to 8-bit pictures of the test splits, for the dataset and its variants.
 
 RUN/predictions/SPLIT/0000.png     8-bit sRGB
-RUN/predictions.json               sealed, written last: SHA-256 of each picture, seals of the dataset and of run.json
-RUN/variants/NAME/...              the same of a variant
+RUN/predictions.json               with checksum, written last: SHA-256 of each picture, digests of dataset and run.json
+RUN/variants/NAME/...              the same for a variant
 """
 
 import dataclasses
@@ -15,7 +15,7 @@ from typing import cast
 import numpy as np
 import torch
 from jaxtyping import Float32, UInt8
-from torch import Tensor
+from torch import Tensor, nn
 
 from datagen.data.cameras import Cameras
 from datagen.data.config import Split
@@ -30,8 +30,9 @@ from datagen.terminal.command import say, track
 from model.batches.rays import PixelSource
 from model.methods.renderer import Renderer
 from model.methods.table import open_inputs
+from model.nets.extrinsics import ExtrinsicInputs, bake_position_table
+from model.nets.texture import NeuralTextures, TextureLayout, object_layout
 from model.run.checkpoint import load_state
-from model.run.edits import show_edited_scene
 from model.run.run_folder import (
     PREDICTIONS,
     RUN,
@@ -57,15 +58,15 @@ def predict_pixels(renderer: Renderer, pixels: PixelSource) -> UInt8[np.ndarray,
         colors = predict_colors(renderer, pixels)
         if not bool(colors.isfinite().all()):
             raise NumericsError(
-                "a predicted colour is not finite, so no picture of it is written; train anew with --overwrite and a "
-                "lower --lr, or let `datagen verify` check its data"
+                "a predicted colour is not finite, so its picture is not written; train again with --overwrite and a "
+                "lower --lr, or check the data with `datagen verify`"
             )
         return (colors.clamp_(0, 1) * 255).round_().byte().cpu().numpy()
 
 
 @torch.inference_mode()
 def predict_colors(renderer: Renderer, pixels: PixelSource) -> Float32[Tensor, "pixel 3"]:
-    """sRGB colours of all pixels as the renderer makes them, neither clipped nor rounded; on the pixels' device."""
+    """sRGB colours of all pixels, neither clipped nor rounded; on the pixels' device."""
     was_training = renderer.training
     renderer.eval()
     try:
@@ -75,19 +76,15 @@ def predict_colors(renderer: Renderer, pixels: PixelSource) -> Float32[Tensor, "
 
 
 def load_renderer(out: Path, config: TrainConfig, dataset: Dataset) -> Renderer:
-    """The trained renderer of a run, on the CPU.
-
-    Raises:
-        HyalineError: the weights are missing, damaged, or of another configuration or other data.
-    """
+    """The trained renderer of a run, on the CPU."""
     if not (out / WEIGHTS).is_file():
         raise HyalineError(
-            f"{out / WEIGHTS}: not there, the run is not trained to its end; the same `model train` goes on with it"
+            f"{out / WEIGHTS}: missing, because training is not finished; the same `model train` command resumes it"
         )
     try:
         state = load_state(out / WEIGHTS)
     except HyalineError as error:
-        raise HyalineError(f"{error}; train anew with --overwrite") from error
+        raise HyalineError(f"{error}; train again with --overwrite") from error
     inputs = open_inputs(config.net, dataset, config.geometry)
     check_state_of(state, config, inputs, path=out / WEIGHTS)
     renderer = config.net.build(inputs)
@@ -97,7 +94,7 @@ def load_renderer(out: Path, config: TrainConfig, dataset: Dataset) -> Renderer:
 
 
 def check_parameters(expected: Mapping[str, Tensor], found: object, *, where: str) -> None:
-    """Raises a HyalineError unless these are the numbers of a renderer, all finite: torch would cast what is not."""
+    """Raises a HyalineError unless these are a renderer's parameters, all finite; torch would cast other types."""
     values = found if isinstance(found, dict) else {}
     for name in sorted(expected.keys() | values.keys(), key=str):
         value, wanted = values.get(name), expected.get(name)
@@ -108,25 +105,25 @@ def check_parameters(expected: Mapping[str, Tensor], found: object, *, where: st
             or (value.shape, value.dtype) != (wanted.shape, wanted.dtype)
         ):
             needed = "nothing" if wanted is None else f"{tuple(wanted.shape)} of {wanted.dtype}"
-            raise HyalineError(f"{where}: {name} is {what}; expected {needed}, train anew with --overwrite")
+            raise HyalineError(f"{where}: {name} is {what}; expected {needed}, train again with --overwrite")
         if not bool(torch.isfinite(value).all()):
-            raise HyalineError(f"{where}: {name} holds numbers that are not finite; train anew with --overwrite")
+            raise HyalineError(f"{where}: {name} contains numbers that are not finite; train again with --overwrite")
 
 
 def is_drawn(run: Path, variant: Dataset) -> bool:
-    """True when all of a run's pictures of this variant are there and verify."""
+    """True if all of a run's pictures of this variant exist and verify."""
     return (run / RUN).is_file() and is_finished(variant_root(run, variant.name), **prediction_seals(run, variant))
 
 
 def is_all_drawn(run: Path, dataset: Dataset) -> bool:
-    """True when a run is finished, with all variants that `render_predictions` draws along."""
+    """True if a run is finished, including the variants that `render_predictions` also draws."""
     return is_finished(run, **prediction_seals(run, dataset)) and all(
         is_drawn(run, variant) for variant in _drawn_along(dataset)
     )
 
 
 def render_predictions(run: Path, config: TrainConfig, dataset: Dataset, *, device: torch.device) -> None:
-    """Renders all test splits from a run's weights, those by angle along; the list of predictions comes last."""
+    """Renders all test splits from a run's weights, including those by angle, and writes predictions.json last."""
     keep_freed_memory()
     renderer = load_renderer(run, config, dataset).to(device)
     for variant in _drawn_along(dataset):
@@ -138,11 +135,7 @@ def render_predictions(run: Path, config: TrainConfig, dataset: Dataset, *, devi
 
 
 def render_variant(run: Path, config: TrainConfig, dataset: Dataset, variant: Dataset, *, device: torch.device) -> None:
-    """Renders all splits of a variant from the run's weights; the list of pictures comes last.
-
-    Raises:
-        HyalineError: an edit, which the run's method or geometry cannot draw.
-    """
+    """Renders all splits of a variant from the run's weights, and writes its predictions.json last."""
     check_can_draw(config, dataset, variant)
     keep_freed_memory()
     renderer = load_renderer(run, config, dataset)
@@ -152,11 +145,7 @@ def render_variant(run: Path, config: TrainConfig, dataset: Dataset, variant: Da
 
 
 def check_can_draw(config: TrainConfig, dataset: Dataset, variant: Dataset) -> None:
-    """Refuses an edit that a run cannot draw.
-
-    Raises:
-        HyalineError: its method knows no geometry, or the edit has not the run's proxies.
-    """
+    """Raises a HyalineError if the variant is an edit that the run cannot draw."""
     if variant.edit is None:
         return
     check_draws_edits(config)
@@ -169,19 +158,15 @@ def check_can_draw(config: TrainConfig, dataset: Dataset, variant: Dataset) -> N
 
 
 def check_draws_edits(config: TrainConfig) -> None:
-    """Refuses a run of a method that knows no geometry, which cannot draw any edit."""
+    """Raises a HyalineError if the run's method uses no geometry, and so cannot draw any edit."""
     if not config.net.uses_geometry:
-        raise HyalineError(f"--variant: method {config.method} knows no geometry, so it cannot draw an edit")
+        raise HyalineError(f"--variant: method {config.method} uses no geometry, so it cannot draw an edit")
 
 
 def film_pictures(
     run: Path, config: TrainConfig, dataset: Dataset, cameras: Cameras, *, device: torch.device
 ) -> Iterator[UInt8[np.ndarray, "h w 3"]]:
-    """What each of these cameras sees by a run's weights, 8-bit sRGB, drawn one by one.
-
-    Raises:
-        HyalineError: the run has no weights yet, or its method draws the views of a dataset alone.
-    """
+    """A run's pictures through these cameras, 8-bit sRGB, drawn one by one."""
     inputs = open_inputs(config.net, dataset, config.geometry)
     check_draws_cameras(run, config)
     keep_freed_memory()
@@ -197,16 +182,16 @@ def film_pictures(
 
 
 def check_draws_cameras(run: Path, config: TrainConfig) -> None:
-    """Refuses a run of a method that draws nothing but the views of its dataset."""
+    """Raises a HyalineError if the run's method can only draw the views of its dataset."""
     if not config.net.draws_cameras:
         raise HyalineError(
-            f"{run}: {config.method} draws the views of its dataset, not other cameras; its MethodConfig has no "
+            f"{run}: {config.method} can only draw the views of its dataset, because its MethodConfig has no "
             "load_cameras (docs/adding-a-method.md)"
         )
 
 
 def _drawn_along(dataset: Dataset) -> list[Dataset]:
-    """The variants of further test splits, which cost no more than those of the dataset itself."""
+    """The variants with further test splits, which cost no more than the dataset's own."""
     return [open_variant(dataset, ANGLES)] if has_variant(dataset, ANGLES) else []
 
 
@@ -219,7 +204,7 @@ def _draw(renderer: Renderer, run: Path, config: TrainConfig, variant: Dataset) 
 
 
 def render_views(renderer: Renderer, config: TrainConfig, dataset: Dataset, out: Path) -> dict[str, str]:
-    """Commits the pictures of all splits of a dataset or variant but `train`, as `out`/predictions/SPLIT/0000.png.
+    """Commits the pictures of all splits of a dataset or variant except `train`, as `out`/predictions/SPLIT/0000.png.
 
     Returns:
         SHA-256 of each picture by path relative to `out`.
@@ -242,3 +227,34 @@ def render_views(renderer: Renderer, config: TrainConfig, dataset: Dataset, out:
         commit(path, data)
         files[path.relative_to(out).as_posix()] = sha256(data)
     return files
+
+
+def show_edited_scene(renderer: nn.Module, base: Dataset, edited: Dataset, geometry: str) -> None:
+    """Makes a trained renderer ready for the layers of the edited scene; no weight and no texel changes.
+
+    A copy looks up its original's texels, and the view vectors of Eq. 3 start at the objects' new positions.
+    """
+    assert edited.edit is not None
+    names = [item.name for item in base.objects]
+    originals = [names.index(edited.edit.copies[item.name]) for item in edited.objects[len(names) :]]
+    for part in renderer.modules():
+        if isinstance(part, NeuralTextures):
+            part.layout = with_copies(part.layout, originals, len(names))
+        elif isinstance(part, ExtrinsicInputs):
+            size = part.layout.sizes[0]
+            part.positions = bake_position_table(edited, geometry, size)
+            part.layout = object_layout((size,) * len(edited.objects))
+
+
+def with_copies(layout: TextureLayout, originals: list[int], num_objects: int) -> TextureLayout:
+    """The layout with further objects; number k shares all texels of the object at `originals[k]` (from 0).
+
+    Args:
+        num_objects: objects of the given layout; all have equally many textures, stored one after the other.
+    """
+
+    def more(values: tuple[int, ...]) -> tuple[int, ...]:
+        each = len(values) // num_objects
+        return (*values, *(value for index in originals for value in values[index * each : (index + 1) * each]))
+
+    return dataclasses.replace(layout, bases=more(layout.bases), sizes=more(layout.sizes), strides=more(layout.strides))

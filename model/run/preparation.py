@@ -1,30 +1,46 @@
-"""What a run has before its first step: the renderer, its record, the views to train on."""
+"""What a run needs before its first step: renderer, record, training views, optimiser, a warning about textures."""
 
+import contextlib
+import dataclasses
+import inspect
+import math
+
+import numpy as np
 import torch
+from jaxtyping import Float
+from torch import nn
 
+from datagen.data.cameras import Cameras
+from datagen.data.dataset import Dataset
 from datagen.data.geometries import NO_GEOMETRY
+from datagen.data.meshes import face_areas, is_there
+from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
+from datagen.scene.description import SceneObject
+from datagen.scene.folder import load_scene
+from datagen.scene.textures import SolidTexture
 from model.batches.distributed import Processes
 from model.batches.pixel_cache import choose_memory
 from model.batches.rays import PixelSource
 from model.methods.protocol import Inputs
 from model.methods.renderer import ParameterGroup, Renderer
-from model.run.again import words_again
+from model.nets.texture import NeuralTextures
 from model.run.run_folder import RUN_VERSION, RunRecord, TrainConfig, describe_knowledge
+from model.settings.flags import words_of
 from model.settings.run_flags import Memory
 
 
 def check_inpainting(config: TrainConfig) -> None:
-    """Raises a HyalineError where in-painting is asked for and cannot tell which texels training visits."""
+    """Raises a HyalineError if in-painting is on and the method has no stored layers to count texel visits with."""
     if config.loss.inpaint and config.net.traces_layers:
         raise HyalineError(
-            "inpaint: counts which texels the stored layers' rays visit; expected paper with one ray "
-            "per pixel, or another method that reads straight layers"
+            "inpaint: needs stored layers to count which texels are visited; use paper with one ray per pixel, or "
+            "another method that reads straight layers"
         )
 
 
 def build_renderer(config: TrainConfig, inputs: Inputs, *, device: torch.device) -> Renderer:
-    """The network and textures before any step; their numbers depend on the seed alone."""
+    """The network and textures before any step; their values depend only on the seed."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(config.seed)
         renderer = config.net.build(inputs)
@@ -32,7 +48,7 @@ def build_renderer(config: TrainConfig, inputs: Inputs, *, device: torch.device)
 
 
 def count_parameters(groups: list[ParameterGroup]) -> dict[str, int]:
-    """How many numbers the network has, and its textures."""
+    """The number of parameters in the network and in its textures."""
     return {
         kind: sum(value.numel() for group in groups if group.counts_as == kind for value in group.parameters)
         for kind in ("network", "textures")
@@ -40,7 +56,7 @@ def count_parameters(groups: list[ParameterGroup]) -> dict[str, int]:
 
 
 def describe_run(config: TrainConfig, inputs: Inputs, *, label: str, num_parameters: dict[str, int]) -> RunRecord:
-    """The record of a run: what is trained on what."""
+    """The content of run.json."""
     method, dataset = config.net, inputs.dataset
     knowledge = method.knowledge
     if method.uses_geometry:
@@ -65,7 +81,7 @@ def describe_run(config: TrainConfig, inputs: Inputs, *, label: str, num_paramet
 
 
 def choose_held_out(num_views: int, at_most: int) -> list[int]:
-    """The training views that only measure: evenly spread, and no more than a fifth of all."""
+    """The training views that are held out to measure progress: evenly spread, and at most a fifth of all."""
     number = min(at_most, num_views // 5)
     return [(2 * index + 1) * num_views // (2 * number) for index in range(number)]
 
@@ -86,3 +102,102 @@ def load_training(
         return method.load(inputs, "train", views, with_images=True).to(device)
     with processes.in_turn():
         return method.load(inputs, "train", views, with_images=True, mapped=True).to(device)
+
+
+def words_again(config: TrainConfig, inputs: Inputs) -> tuple[str, ...]:
+    """The words after `model train METHOD --dataset DATASET` that train it again: a flag for each unusual choice."""
+    kind = type(config.net)
+    presets = [item.name for item in dataclasses.fields(kind) if item.metadata.get("is_preset")]
+    usual = kind(**{name: getattr(config.net, name) for name in presets}).usual(config.geometry)
+    optimisation = usual.optimisation()
+    with contextlib.suppress(HyalineError):  # The defaults may not fit this dataset, although the chosen values do.
+        usual = usual.complete(inputs)
+    return (
+        *([] if config.geometry == TRUTH else ["--geometry", config.geometry]),
+        *([] if config.seed == TrainConfig.seed else ["--seed", str(config.seed)]),
+        *words_of(config.net, usual),
+        *words_of(config, optimisation),
+    )
+
+
+class Adam(torch.optim.Adam):
+    """torch's Adam, bit for bit, without `import torch._dynamo`, which takes 3 s of CPU time.
+
+    torch wraps its optimizers' methods so that `torch.compile` leaves them alone, and each wrapper imports the compiler
+    for that. `step` here is the method inside the wrapper; the others get the attribute that torch 2.13 caches it in.
+    A torch that caches it elsewhere imports its compiler as before.
+    """
+
+    @torch.no_grad()
+    def step(self, closure: None = None) -> None:
+        """Moves every parameter by its gradient."""
+        inspect.unwrap(torch.optim.Adam.step)(self, closure)
+
+
+for _name in ("add_param_group", "zero_grad", "state_dict", "load_state_dict"):
+    _method = inspect.unwrap(getattr(torch.optim.Optimizer, _name))
+    _method.__dict__.setdefault("__dynamo_disable", _method)
+
+
+def make_optimizer(groups: list[ParameterGroup], *, beta1: float) -> Adam:
+    """Dense Adam, as in the paper: texels keep moving by their momentum after the step that touched them."""
+    return Adam(
+        [{"params": group.parameters, "lr": group.lr, "weight_decay": group.weight_decay} for group in groups],
+        betas=(beta1, 0.999),
+        fused=True,
+    )
+
+
+TEXELS = 2.0
+"""Least texels per period that can show a pattern (Nyquist)."""
+PIXELS = 2.0
+"""Least pixels per period for a pattern to be visible in pictures."""
+MAX_NAMES = 6
+
+
+def told_fine_patterns(dataset: Dataset, geometry: str, renderer: nn.Module) -> list[str]:
+    """A warning that names the visible patterns that the renderer's textures are too coarse for, if any."""
+    if geometry != TRUTH or dataset.imported is not None:
+        return []
+    widths = finest_widths(renderer, len(dataset.objects))
+    if not widths:
+        return []
+    scene, cameras = load_scene(dataset.root / "scene", is_sealed=True), dataset.cameras("train")
+    blurred, enough = [], 0
+    for item, width in zip(scene.objects, widths, strict=True):
+        if (texels := texels_of_period(item, width, cameras)) < TEXELS:
+            blurred.append(f"{item.name} ({texels:.2g} texels)")
+            enough = max(enough, math.ceil(width * TEXELS / texels))
+    if not blurred:
+        return []
+    shown = ", ".join(blurred[:MAX_NAMES]) + (f" and {len(blurred) - MAX_NAMES} more" if blurred[MAX_NAMES:] else "")
+    return [f"textures blur patterns with less than two texels a period: {shown}; {enough} texels across hold them all"]
+
+
+def finest_widths(renderer: nn.Module, num_objects: int) -> list[int]:
+    """Texels across each object's widest texture; empty if the renderer has no textures per object."""
+    found = []
+    for module in renderer.modules():
+        sizes = module.layout.sizes if isinstance(module, NeuralTextures) else ()
+        # Some have textures for several copies of each object, stored one after the other and equally large.
+        if sizes and len(sizes) % num_objects == 0:
+            found.append(sizes[:: len(sizes) // num_objects])
+    return np.max(found, axis=0).tolist() if found else []
+
+
+def texels_of_period(item: SceneObject, width: int, cameras: Cameras) -> float:
+    """Texels per period of an object's pattern in a texture of this width; infinite if no pattern is visible."""
+    pattern = next((value for value in vars(item.material).values() if isinstance(value, SolidTexture)), None)
+    if pattern is None or not is_there(item.mesh):
+        return math.inf
+    places = cameras.world_from_camera[:, :3, 3]
+    distance = np.median([np.linalg.norm(item.mesh.vertices - place, axis=-1).min() for place in places])
+    if pattern.scale * cameras.focal < PIXELS * distance:
+        return math.inf
+    across = float(np.sqrt(_uv_areas(item).sum() / face_areas(item.mesh).sum()))  # Share of the atlas per metre.
+    return pattern.scale * width * across or math.inf
+
+
+def _uv_areas(item: SceneObject) -> Float[np.ndarray, " face"]:
+    a, b, c = np.moveaxis(item.mesh.uv[item.mesh.faces].astype(np.float64), 1, 0)
+    return 0.5 * np.abs(np.linalg.det(np.stack([b - a, c - a], axis=-1)))

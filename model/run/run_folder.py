@@ -1,22 +1,22 @@
 """A run's folder: what was trained on what, its state, and its files.
 
-    RUN/run.json                    sealed, written first: the configuration and what it was trained on
-    RUN/run.next.json               while --overwrite deletes what the run before it left: what run.json will be
+    RUN/run.json                    with checksum, written first: the configuration and what it was trained on
+    RUN/run.next.json               the next run.json, while --overwrite deletes the files of the run before
     RUN/metrics.jsonl               a line per evaluation: step, loss (mean since the line before), held_out_psnr
-    RUN/snapshots/000500.png        a picture per evaluation: held-out views and what is predicted (run/snapshots.py)
-    RUN/tensorboard/...             with --tensorboard: event files (run/events.py)
-    RUN/costs.json                  with --costs: the time and memory that training took (run/costs.py)
+    RUN/snapshots/000500.png        a picture per evaluation: held-out views and predictions (run/logs.py)
+    RUN/tensorboard/...             with --tensorboard: event files (run/logs.py)
+    RUN/costs.json                  with --costs: the time and memory that training took (run/logs.py)
     RUN/checkpoint.pt               while training: everything that a resumed run needs (format: run/checkpoint.py)
     RUN/checkpoint.previous.pt      the one before
-    RUN/weights.pt                  after training: the renderer alone, with the configuration and the seals of the
-                                    data that made it; the checkpoints are deleted then
+    RUN/weights.pt                  after training: only the renderer, with the configuration and the digests of its
+                                    data; the checkpoints are deleted then
     RUN/predictions/SPLIT/0000.png  8-bit sRGB
-    RUN/predictions.json            sealed, written last: SHA-256 of each prediction, and the seals of the dataset and
-                                    of run.json; a run that has it is finished
+    RUN/predictions.json            with checksum, written last: SHA-256 of each prediction, and the digests of the
+                                    dataset and of run.json; it marks a finished run
     RUN/variants/NAME/...           predictions of variants of the dataset (format: model/run/predict.py)
 
-No time, host or thread count is in any of them but TensorBoard's and costs.json: the same command gives the same bytes
-(on the same machine).
+Except for TensorBoard's files and costs.json, nothing depends on time, host or thread count: the same command gives the
+same bytes (on the same machine).
 """
 
 import dataclasses
@@ -31,30 +31,24 @@ from pathlib import Path
 from typing import cast
 
 from datagen.data.config import ANGLE_SPLITS, TEST_SPLITS
-from datagen.data.dataset import Dataset
+from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.geometries import describe_geometry
-from datagen.data.paths import view_name
+from datagen.data.paths import find_dataset, view_name
 from datagen.data.variants import VARIANTS_FOLDER as VARIANTS
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import FolderKind, begin, is_ours, refuse_taken, remove_files
-from datagen.disk.promises import check_files
-from datagen.disk.reading import load_json, parse_json, read_regular
-from datagen.disk.records import Json, from_json, shown, to_json
-from datagen.disk.storage import SEAL, commit, commit_sealed, load_sealed, seal_bytes, seal_of
+from datagen.disk.records import Json, from_json, load_json, parse_json, read_regular, shown, to_json
+from datagen.disk.storage import SEAL, check_files, commit, commit_sealed, load_sealed, seal_bytes, seal_of
 from model.methods.protocol import Inputs, MethodConfig
 from model.methods.table import find_method, open_inputs
-from model.run.costs import COSTS
-from model.run.events import FOLDER as EVENTS
-from model.run.events import list_events
-from model.run.snapshots import FOLDER as SNAPSHOTS
-from model.run.snapshots import list_snapshots
+from model.run.logs import COSTS, EVENTS, SNAPSHOTS, list_events, list_snapshots
 from model.settings.flags import AMOUNT, COUNT, SEED, unflagged
 from model.settings.optimisation import PixelOptimisation
 
 RUN_VERSION = 2
 
 OPEN: dict[str, Json] = {}
-"""Stands for a method's record while the rest of a configuration is read."""
+"""Placeholder for a method's record while the rest of a configuration is read."""
 
 RUN, METRICS, PREDICTIONS, WEIGHTS = "run.json", "metrics.jsonl", "predictions.json", "weights.pt"
 CHECKPOINT, PREVIOUS_CHECKPOINT = "checkpoint.pt", "checkpoint.previous.pt"
@@ -63,7 +57,7 @@ NEXT_RUN = "run.next.json"
 
 @dataclass(frozen=True, kw_only=True)
 class TrainConfig(PixelOptimisation):
-    """What `model train` does; two runs with equal configurations on equal data give equal bytes."""
+    """The configuration of `model train`; equal configurations on equal data give equal bytes."""
 
     method: str
     geometry: str
@@ -72,20 +66,16 @@ class TrainConfig(PixelOptimisation):
     """The method's own record, complete."""
     seed: int = unflagged(0, limits=SEED)
     held_out_views: int = unflagged(4, limits=AMOUNT)
-    """Training views set aside for the progress line's PSNR: at most so many, and at most a fifth."""
+    """Most training views to hold out for the progress line's PSNR; never more than a fifth."""
     evaluate_every: int = unflagged(500, limits=COUNT)
     """Steps between two held-out PSNRs."""
     checkpoint_every: int = unflagged(1000, limits=COUNT)
-    """Steps between two checkpoints, of which there is also one a minute: 15 MB each for 18 textures of 64 texels
-    squared, 230 MB of 256."""
+    """Steps between two checkpoints; there is also one every minute. Each takes 15 MB for 18 textures of 64 x 64
+    texels, 230 MB for 256 x 256."""
 
 
 def parse_config(data: Json, *, where: str) -> TrainConfig:
-    """The configuration that JSON describes; its method's record is found by the method's name.
-
-    Raises:
-        HyalineError: no such method, an unknown or missing key, or a value of the wrong type.
-    """
+    """The configuration that JSON describes; its method's record is found by the method's name."""
     if not isinstance(data, dict):
         raise HyalineError(f"{where}: is {shown(data)}; expected an object")
     if not isinstance(name := data.get("method"), str):
@@ -100,28 +90,28 @@ def parse_config(data: Json, *, where: str) -> TrainConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class RunRecord:
-    """The content of run.json, sealed."""
+    """The content of run.json."""
 
     version: int
     method: str
     geometry: str
     knowledge: str
-    """What the method was given besides images and cameras."""
+    """The method's inputs besides images and cameras."""
     dataset: str
-    """The dataset's folder as it was named."""
+    """The dataset's folder as it was given."""
     dataset_seal: str
     layers_seal: str
     seed: int
     num_parameters: int
-    """Of the network alone."""
+    """Parameters of the network, without textures."""
     num_texture_parameters: int
     num_layers: int | None = None
-    """Straight layers that it looks up; None: it looks up none."""
+    """Stored straight layers that it looks up; None if it does not use any."""
     label: str
-    """How tables and figures call the run."""
+    """The run's name in tables and figures."""
     config: TrainConfig
     flags: tuple[str, ...] = ()
-    """What has to stand behind `model train METHOD --dataset DATASET` to ask for it again."""
+    """The words after `model train METHOD --dataset DATASET` that train it again."""
     torch: str
     """Version of torch."""
 
@@ -137,23 +127,20 @@ def _is_run(path: Path) -> bool:
 FOLDER = FolderKind(
     what="run", head=RUN, folders=("predictions", "variants/*/predictions", SNAPSHOTS, EVENTS), holds_head=_is_run
 )
-"""A folder in which a method from elsewhere keeps its pictures, and says so in a run.json of its own, is none."""
+"""A run of `model train`; not a folder with a foreign method's pictures and a run.json of its own."""
 OWN_ENDINGS = (".json", ".jsonl", ".pt")
-"""Of the files of a run beside its folders."""
+"""Extensions of a run's own files outside its folders."""
 
 
 def describe_knowledge(dataset: Dataset, geometry: str, *more: str) -> str:
-    """What a method was given besides images and cameras, in words; empty ones are left out."""
+    """A method's inputs besides images and cameras, in words; empty ones are left out."""
     return ", ".join([describe_geometry(dataset, geometry), *filter(None, more)])
 
 
 def begin_run(out: Path, record: RunRecord, *, anew: bool) -> None:
-    """Writes the record of a run that begins or goes on; `anew` deletes what stands there before.
+    """Writes the record of a run that starts or resumes; `anew` first deletes the run that is there.
 
-    Killed at any moment, the folder holds the old run or one that has begun: never files without a record.
-
-    Raises:
-        HyalineError: something else stands there.
+    If it is killed at any moment, the folder holds the old run or a new one: never files without a record.
     """
     content = cast(dict[str, Json], to_json(record))
     if not is_ours(out, FOLDER):
@@ -167,23 +154,18 @@ def begin_run(out: Path, record: RunRecord, *, anew: bool) -> None:
 
 
 def finish_clearing(out: Path) -> None:
-    """Ends what an --overwrite has begun that was killed while it deleted; does nothing otherwise."""
+    """Completes an --overwrite that was killed while it deleted files; otherwise does nothing."""
     if is_ours(out, FOLDER) and _is_run(out / NEXT_RUN):
         clear_run(out)
         (out / NEXT_RUN).replace(out / RUN)
 
 
 def read_run(out: Path) -> RunRecord:
-    """The record of a run.
-
-    Raises:
-        HyalineError: no run there, another method's pictures, a damaged run, one of another version, or with an unknown
-            key.
-    """
+    """The record of a run."""
     if _is_foreign(out):
         raise HyalineError(
-            f"{out}: holds pictures of a method that hyaline does not run, and no weights; expected the folder of a "
-            "run of `model train` (`eval report` scores pictures of any method)"
+            f"{out}: holds a foreign method's pictures, and no weights; expected the folder of a run of `model train` "
+            "(`eval report` scores pictures of any method)"
         )
     if not (out / RUN).is_file():
         command = shlex.join(["model", "train", "paper", "--out", str(out)])
@@ -192,7 +174,7 @@ def read_run(out: Path) -> RunRecord:
 
 
 def _is_foreign(out: Path) -> bool:
-    """True of a folder in which a method from elsewhere keeps its pictures, with a record of its own or without."""
+    """True for a folder with a foreign method's pictures, with or without a run.json of its own."""
     if any((out / name).exists() for name in (WEIGHTS, CHECKPOINT, PREVIOUS_CHECKPOINT)):
         return False
     if not os.path.lexists(out / RUN):
@@ -213,12 +195,9 @@ def _read_record(path: Path) -> RunRecord:
 
 
 def check_same_run(out: Path, config: TrainConfig, *, dataset_seal: str, layers_seal: str) -> None:
-    """Refuses to go on with, or to skip, a run of another configuration or of other data.
+    """Raises a HyalineError that names the first difference between a run and a configuration or data.
 
-    Labels, folder names and torch's version do not count.
-
-    Raises:
-        HyalineError: names the first key that differs.
+    Labels, folder names and torch's version are not compared.
     """
     record = read_run(out)
     before = {**_flatten(to_json(record.config)), "dataset": record.dataset_seal, "layers": record.layers_seal}
@@ -227,63 +206,58 @@ def check_same_run(out: Path, config: TrainConfig, *, dataset_seal: str, layers_
         if before.get(key) != after.get(key):
             raise HyalineError(
                 f"{out}: holds a run with another {key}: {before.get(key)} there, {after.get(key)} here; "
-                f"start anew with --overwrite, or choose another --out"
+                f"start over with --overwrite, or choose another --out"
             )
 
 
 def check_trained_on(out: Path, config: TrainConfig, dataset: Dataset) -> Inputs:
-    """What a run of this configuration is given of a dataset; refused as by `check_same_run`."""
+    """The inputs of a run of this configuration from a dataset; checked by `check_same_run`."""
     inputs = open_inputs(config.net, dataset, config.geometry)
     check_same_run(out, config, dataset_seal=dataset.seal, layers_seal=inputs.layers_seal)
     return inputs
 
 
 def data_seals(inputs: Inputs) -> dict[str, str]:
-    """What weights and checkpoints say of the data that they were trained on, beside their configuration."""
+    """The digests of the training data that weights and checkpoints store."""
     return {"dataset_seal": inputs.dataset.seal, "layers_seal": inputs.layers_seal}
 
 
 def check_state_of(state: Mapping[str, object], config: TrainConfig, inputs: Inputs, *, path: Path) -> None:
-    """Refuses weights or a checkpoint of another run, that somebody has copied here.
-
-    Raises:
-        HyalineError: another configuration, an unknown key in it, or other data, where the file says on which (those of
-            older programs do not).
-    """
+    """Raises a HyalineError for weights or a checkpoint copied from another run; older files have no digests."""
     if parse_config(cast(Json, state.get("config")), where=f"{path}: config") != config:
-        raise HyalineError(f"{path}: made by another configuration than run.json; train with --overwrite")
+        raise HyalineError(f"{path}: its configuration differs from run.json; train with --overwrite")
     for key, own in data_seals(inputs).items():
         if (found := state.get(key, own)) != own:
             raise HyalineError(
-                f"{path}: of a run on other data ({key} {str(found)[:12]}...) than this one ({str(own)[:12]}...); "
-                "bring its own back, or train anew with --overwrite"
+                f"{path}: trained on other data ({key} {str(found)[:12]}...) than this run ({str(own)[:12]}...); "
+                "restore its own file, or train again with --overwrite"
             )
 
 
 def is_finished(out: Path, **seals: str) -> bool:
-    """True when all predictions are there and verify, and their list says these seals, or none (as older ones do).
+    """True if all predictions exist and verify, and their list has these digests, or none (in older runs).
 
     Args:
-        seals: as `prediction_seals` gives them.
+        seals: the result of `prediction_seals`.
     """
     try:
         check_files(out, read_prediction_hashes(out))
-        said = load_sealed(out / PREDICTIONS)
+        stored = load_sealed(out / PREDICTIONS)
     except HyalineError:
         return False
-    return all(said.get(key, seal) == seal for key, seal in seals.items())
+    return all(stored.get(key, seal) == seal for key, seal in seals.items())
 
 
 def prediction_seals(run: Path, home: Dataset) -> dict[str, str]:
-    """What the list of pictures of a dataset, or of a variant, says of where they belong."""
+    """The digests of dataset (or variant) and run that a list of predictions stores."""
     return {"dataset_seal": home.seal, "run_seal": seal_of(load_sealed(run / RUN))}
 
 
 def write_prediction_hashes(out: Path, files: dict[str, str], **seals: str) -> None:
-    """Commits the list of pictures in a run's folder, or in one of a variant.
+    """Commits the list of pictures in the folder of a run or of a variant in it.
 
     Args:
-        seals: as `prediction_seals` gives them.
+        seals: the result of `prediction_seals`.
     """
     commit_sealed(out / PREDICTIONS, {"version": RUN_VERSION, **seals, "files": dict(files)})
 
@@ -302,7 +276,7 @@ def read_prediction_hashes(out: Path) -> dict[str, str]:
 
 
 def clear_run(out: Path) -> None:
-    """Deletes what a run has made, and nothing else; its record stays until the next one takes its place."""
+    """Deletes only the files that a run has made; its record is kept until the next one replaces it."""
     remove_files(out, [PREDICTIONS, WEIGHTS, CHECKPOINT, PREVIOUS_CHECKPOINT, METRICS, COSTS, *_pictures(out)])
     config = read_run(out).config
     remove_files(out, list_snapshots(out, evaluate_every=config.evaluate_every, steps=config.steps))
@@ -313,9 +287,9 @@ def clear_run(out: Path) -> None:
 
 
 def _pictures(folder: Path) -> list[str]:
-    """The predictions in a folder, by path relative to it; others may have put further files there.
+    """The predictions in a folder, by path relative to it, without files that others may have put there.
 
-    Those that are listed; where rendering was stopped, and nothing is listed yet, those that it makes one by one.
+    These are the listed ones; if rendering was stopped before the list was written, those that it makes one by one.
     """
     try:
         return list(read_prediction_hashes(folder))
@@ -328,7 +302,7 @@ def _pictures(folder: Path) -> list[str]:
 
 
 def write_metrics(out: Path, metrics: list[dict[str, Json]]) -> None:
-    """Commits the lines of metrics.jsonl; without any there is no such file."""
+    """Commits the lines of metrics.jsonl, or deletes it if there are none."""
     if metrics:
         commit(out / METRICS, "".join(json.dumps(line, allow_nan=False) + "\n" for line in metrics).encode())
     else:
@@ -336,11 +310,7 @@ def write_metrics(out: Path, metrics: list[dict[str, Json]]) -> None:
 
 
 def read_metrics(out: Path) -> list[dict[str, float | None]]:
-    """The lines of metrics.jsonl, one an evaluation: step, loss, and held_out_psnr in dB (None without held-out views).
-
-    Raises:
-        HyalineError: a line that is no such object.
-    """
+    """The lines of metrics.jsonl, one per evaluation: step, loss, held_out_psnr in dB (None without held-out views)."""
     path = out / METRICS
     lines = read_regular(path).splitlines() if path.is_file() else []
     found = []
@@ -355,3 +325,11 @@ def _flatten(data: Json) -> dict[str, Json]:
     for key, value in cast(dict[str, Json], data).items():
         flat |= _flatten(value) if isinstance(value, dict) else {key: value}
     return flat
+
+
+def open_trained(run: Path, dataset: str | None = None) -> tuple[RunRecord, Dataset]:
+    """A run's record and its dataset: the given one, or the one that the run was trained on."""
+    record = read_run(run)
+    opened = open_dataset(find_dataset(dataset) if dataset else Path(record.dataset))
+    check_trained_on(run, record.config, opened)
+    return record, opened

@@ -1,9 +1,26 @@
-"""Sweeps: the runs of an experiment, each trained in a process of its own, one a device or a few side by side.
+"""Sweeps: grids of runs from experiment files in TOML, each run equal to one command line of `model train`.
 
-Nothing is kept about a sweep: a run's own folder says what is finished. So a sweep that was stopped or killed goes on
-when it is started again, and ends in the same bytes as one that was not.
+    about = "What the experiment shows, in one line."
+
+    [[runs]]                              # a grid: every combination of the values that are lists
+    dataset = ["glass_table", "vitrine"]
+    method = "paper"                      # or several, which must all know the flags of the block
+    extrinsics = ["none", "view", "sh"]   # a key is a flag of `model train` without its dashes
+    zero-layer = [false, true]            # a flag without a value is given where true
+    seed = [0, 1, 2]
+
+Blocks add up; a run that is in two of them is trained once. The files of the paper's tables are in `model/experiments/`
+and are known by name: `model sweep table1`.
+
+Each run is trained in a process of its own, one per device or several side by side. A sweep keeps no state: the runs'
+own folders show what is finished, so a sweep that was stopped or killed continues when it is started again, and ends in
+the same bytes.
 """
 
+import dataclasses
+import difflib
+import itertools
+import math
 import os
 import queue
 import shlex
@@ -13,11 +30,148 @@ import threading
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from pathlib import Path
 
 from datagen.disk.errors import HyalineError
+from datagen.disk.records import load_toml, shown
 from datagen.machine.mitsuba_variant import num_cores
-from datagen.terminal.command import say
-from model.run.experiment import Experiment
+from datagen.terminal.command import choose, say
+from model.methods.table import list_methods
+from model.run.train_flags import check_words, flags_of_method
+
+EXPERIMENTS = Path(__file__).parents[1] / "experiments"
+
+KEPT_FLAGS = ("out", "name", "overwrite")
+"""Flags that an experiment may not set: runs go to the default folder of `model train`, and stopped runs resume."""
+
+MAX_RUNS = 1000
+"""Upper limit on an experiment's runs; larger grids are probably mistakes."""
+
+Value = bool | int | float | str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Experiment:
+    """The content of an experiment file."""
+
+    name: str
+    """The file's name without its extension."""
+    about: str
+    runs: tuple[tuple[str, ...], ...]
+    """Arguments of `model train`, all different, in the file's order; the last value of a block varies fastest."""
+
+
+def list_experiments() -> list[str]:
+    """The names of the built-in experiments."""
+    return sorted(path.stem for path in EXPERIMENTS.glob("*.toml"))
+
+
+def read_experiment(given: str, *, datasets: Sequence[str] = (), seeds: Sequence[int] = ()) -> Experiment:
+    """An experiment; each of its runs can be parsed by `model train`.
+
+    Args:
+        given: a file, or the name of a built-in experiment.
+        datasets: replace the file's datasets, unless empty.
+        seeds: replace the file's seeds, unless empty.
+    """
+    path = Path(given)
+    if path.suffix != ".toml":
+        path = EXPERIMENTS / f"{choose('experiment', given, list_experiments())}.toml"
+    if not os.path.lexists(path):
+        raise HyalineError(f"{path}: the file is missing; built-in experiments are {', '.join(list_experiments())}")
+    content = load_toml(path)
+    if unknown := sorted(set(content) - {"about", "runs"}):
+        raise HyalineError(f"{path}: unknown key {shown(unknown[0])}; known are about and runs")
+    about, blocks = content.get("about", ""), content.get("runs", [])
+    if not isinstance(about, str):
+        raise HyalineError(f"{path}: about is {shown(about)}; expected text")
+    if not (isinstance(blocks, list) and blocks and all(isinstance(block, dict) for block in blocks)):
+        raise HyalineError(f"{path}: has no runs; expected at least one [[runs]] block")
+    replaced = {"dataset": list(datasets), "seed": list(seeds)}
+    # In the block's order, so that the given seeds vary like the file's.
+    asked = [block | {key: values for key, values in replaced.items() if values} for block in blocks]
+    if (count := sum(map(_count_runs, asked))) > MAX_RUNS:
+        raise HyalineError(
+            f"{path}: asks for {shown(count)} runs; expected at most {MAX_RUNS:,}, split it into several files"
+        )
+    runs: dict[str, tuple[str, ...]] = {}
+    for place, block in enumerate(asked):
+        for arguments, parsed in _grid(block, where=f"{path}: runs[{place}]"):
+            runs.setdefault(repr((arguments[0], parsed)), arguments)
+    return Experiment(name=path.stem, about=about, runs=tuple(runs.values()))
+
+
+def _flat(record: object) -> dict[str, object]:
+    """The fields of a record of choices, including those of nested records."""
+    values: dict[str, object] = {}
+    for item in dataclasses.fields(record):  # pyright: ignore[reportArgumentType]
+        value = getattr(record, item.name)
+        values |= _flat(value) if dataclasses.is_dataclass(value) else {item.name: value}
+    return values
+
+
+def _grid(block: Mapping[str, object], *, where: str) -> list[tuple[tuple[str, ...], object]]:
+    """The arguments of each run of a block, raw and parsed."""
+    if "method" not in block:
+        raise HyalineError(f'{where}: key "method" is missing; expected the name of one, such as method = "paper"')
+    methods = [choose(f"{where}: method", str(method), list_methods()) for method in _values(block, "method", where)]
+    axes: list[list[tuple[str, ...]]] = []
+    for key in block:
+        if key == "method":
+            axes.append([(method,) for method in methods])
+            continue
+        for method in methods:
+            _check_key(key, method, where)
+        axes.append([_flag(key, value, methods[0], where) for value in _values(block, key, where)])
+    place = list(block).index("method")
+    runs = []
+    for combination in itertools.product(*axes):
+        words = tuple(itertools.chain(*combination[:place], *combination[place + 1 :]))
+        runs.append((combination[place] + words, check_words(combination[place][0], words)))
+    return runs
+
+
+def _count_runs(block: Mapping[str, object]) -> int:
+    return math.prod(len(values) for values in block.values() if isinstance(values, list))
+
+
+def _values(block: Mapping[str, object], key: str, where: str) -> list[object]:
+    given = block[key]
+    values = given if isinstance(given, list) else [given]
+    if not values:
+        raise HyalineError(f"{where}: {key} is an empty list; expected at least one value")
+    return values
+
+
+def _check_key(key: str, method: str, where: str) -> None:
+    if key in KEPT_FLAGS:
+        raise HyalineError(f"{where}: {key} cannot be set; a run's folder is the one that `model train` gives it")
+    flags = flags_of_method(method)
+    if key not in flags:
+        near = difflib.get_close_matches(key[:100], list(flags), n=1, cutoff=0.5)
+        hint = f"did you mean {near[0]!r}? " if near else ""
+        raise HyalineError(
+            f"{where}: unknown key {shown(key)}; {hint}expected a flag of `model train {method}` without its dashes"
+        )
+
+
+def _flag(key: str, value: object, method: str, where: str) -> tuple[str, ...]:
+    """The arguments that set a flag to a value."""
+    is_switch = isinstance(_flat(check_words(method, ()))[flags_of_method(method)[key]], bool)
+    if not isinstance(value, Value) or isinstance(value, bool) != is_switch:
+        expected = "true or false" if is_switch else "a number or text, or a list of them"
+        raise HyalineError(f"{where}: {key} is {shown(value)}; expected {expected}")
+    if is_switch:
+        return (f"--{key}",) if value else ()
+    arguments = (f"--{key}", str(value))
+    try:
+        check_words(method, arguments)
+    except HyalineError:
+        raise HyalineError(
+            f"{where}: {key} is {shown(value)}, which `model train` does not take; see `model train {method} --help`"
+        ) from None
+    return arguments
+
 
 CHILD = "from datagen.machine.workers import die_with; die_with({parent}); from model.cli import main; main()"
 """`model`, which ends when the sweep is killed: else it would still be writing when the sweep is started again."""
@@ -29,11 +183,11 @@ class Failure:
 
     command: str
     reason: str
-    """The last error that it told, or the signal that ended it."""
+    """Its last error, or the signal that ended it."""
 
 
 class Children:
-    """The processes that run, and those that begin while they are told to stop."""
+    """The running processes, including any that start while they are being stopped."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -58,16 +212,16 @@ class Children:
 
 
 def command_line(arguments: Sequence[str]) -> str:
-    """What a person would type for one run of an experiment."""
+    """The command line of one run of an experiment."""
     return shlex.join(["model", "train", *arguments])
 
 
 def run_experiment(experiment: Experiment, *, devices: Sequence[str | None]) -> tuple[Failure, ...]:
-    """Trains every run that is not finished, and goes on past those that fail.
+    """Trains every run that is not finished, and continues past those that fail.
 
     Args:
-        devices: one process runs on each at a time, so a device that is named twice runs two; None stands for the CPU,
-            whose processes share its cores out evenly.
+        devices: one process runs on each at a time, so a device that is named twice runs two; None is the CPU, whose
+            cores its processes share evenly.
 
     Returns:
         The runs that failed, in the experiment's order.
@@ -91,7 +245,7 @@ def run_experiment(experiment: Experiment, *, devices: Sequence[str | None]) -> 
         try:
             results = list(pool.map(one_run, range(total)))
         except BaseException:
-            # A signal: what waits never starts, what runs saves its work, and the pool waits for it.
+            # A signal: waiting runs never start, running ones save their work, and the pool waits for them.
             pool.shutdown(wait=False, cancel_futures=True)
             children.stop()
             raise
@@ -99,11 +253,7 @@ def run_experiment(experiment: Experiment, *, devices: Sequence[str | None]) -> 
 
 
 def find_devices(jobs: int) -> tuple[str | None, ...]:
-    """A name for each CUDA device, as CUDA_VISIBLE_DEVICES takes it, or None for the CPU; each as often as jobs.
-
-    Raises:
-        HyalineError: there are no jobs.
-    """
+    """The CUDA devices, named as in CUDA_VISIBLE_DEVICES, or None for the CPU; each repeated `jobs` times."""
     import torch
 
     if jobs < 1:
@@ -116,7 +266,7 @@ def find_devices(jobs: int) -> tuple[str | None, ...]:
 
 
 def share_of_cores(jobs: int) -> dict[str, str]:
-    """What tells each of several processes on the CPU how many threads it has; nothing for a single one."""
+    """Environment variables that limit the threads of each of several CPU processes; empty for a single one."""
     if jobs < 2:
         return {}
     threads = str(max(1, num_cores() // jobs))
@@ -124,26 +274,22 @@ def share_of_cores(jobs: int) -> dict[str, str]:
 
 
 def raise_failures(experiment: Experiment, failures: Sequence[Failure]) -> None:
-    """Tells how many runs are finished, and why the others are not.
-
-    Raises:
-        HyalineError: a run failed.
-    """
+    """Reports how many runs are finished, and raises a HyalineError if any failed."""
     total = len(experiment.runs)
     say(f"sweep {experiment.name}: {total - len(failures)} of {total} runs are finished")
     for failure in failures:
         say(f"failed: {failure.command}: {failure.reason}")
     if failures:
         raise HyalineError(
-            f"sweep {experiment.name}: {len(failures)} of {total} runs failed, as the lines above say; "
-            "mend that and start the same sweep again, which goes on"
+            f"sweep {experiment.name}: {len(failures)} of {total} runs failed, for the reasons above; "
+            "fix them and run the same command again to continue"
         )
 
 
 def _train_in_child(
     arguments: Sequence[str], place: str, environment: Mapping[str, str], children: Children
 ) -> Failure | None:
-    """Runs `model train` to its end, its words passed on behind `place`."""
+    """Runs `model train` to its end, and passes its messages on, prefixed with `place`."""
     command = command_line(arguments)
     device = environment.get("CUDA_VISIBLE_DEVICES")
     say(f"{place} {command}" + ("" if device is None else f" (CUDA device {device})"))
@@ -168,5 +314,5 @@ def _train_in_child(
         return None
     ended = f"ended by signal {-status}" if status < 0 else f"exit status {status}"
     return Failure(
-        command=command, reason=error.removeprefix("error: ") or f"{ended}; it said last: {last or 'nothing'}"
+        command=command, reason=error.removeprefix("error: ") or f"{ended}; its last message: {last or 'none'}"
     )

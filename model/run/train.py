@@ -27,9 +27,7 @@ from model.methods.protocol import Inputs
 from model.methods.renderer import ParameterGroup, Renderer
 from model.methods.table import open_inputs
 from model.run.checkpoint import check_numbers, delete_checkpoints, load_checkpoint, save_checkpoint, save_state
-from model.run.fine_patterns import told_fine_patterns
 from model.run.logs import LogChoices, Logs
-from model.run.optimizer import make_optimizer
 from model.run.predict import predict_pixels
 from model.run.preparation import (
     build_renderer,
@@ -38,6 +36,8 @@ from model.run.preparation import (
     count_parameters,
     describe_run,
     load_training,
+    make_optimizer,
+    told_fine_patterns,
 )
 from model.run.run_folder import CHECKPOINT, WEIGHTS, TrainConfig, begin_run, check_state_of, data_seals, write_metrics
 from model.settings.optimisation import LrDecay
@@ -46,7 +46,7 @@ from model.settings.runtime import keep_freed_memory
 from model.settings.state import State
 
 CHECKPOINT_EVERY_S = 60.0
-"""At least so often a checkpoint is left, whatever the number of steps; no byte of the result depends on it."""
+"""Longest time between two checkpoints, whatever the number of steps; the result does not depend on it."""
 
 
 def train(
@@ -61,31 +61,28 @@ def train(
     anew: bool = False,
     logs: LogChoices = LogChoices(),  # noqa: B008
 ) -> None:
-    """Trains until `out` holds weights.pt; goes on from the newest intact checkpoint where there is one.
+    """Trains until `out` contains weights.pt; resumes from the newest intact checkpoint if there is one.
 
-    SIGINT and SIGTERM end it after the step at hand, with a checkpoint.
+    SIGINT and SIGTERM end it after the current step, with a checkpoint.
 
     A run that was stopped and resumed gives the same bytes as one that was not: each step draws its pixels from a
     generator of its own, seeded by (seed, step). That holds for equal numbers of CPU threads.
 
     Args:
-        processes: those that call this together; the first of them alone writes to `out`.
-        memory: where training pixels are held; no number depends on it.
-        anew: deletes the run that stands there.
-        logs: what to leave for people to watch.
+        processes: the processes that call this together; only the first one writes to `out`.
+        memory: where training pixels are held; the result does not depend on it.
+        anew: delete the run that is in `out`.
+        logs: logs to write for people to read.
 
     Raises:
-        HyalineError: data is missing or damaged, several processes cannot train this, or in-painting cannot tell which
-            texels training visits.
         NumericsError: the loss, a gradient or a weight is not finite.
-        Stopped: a signal has arrived; the message says after which step.
+        Stopped: a signal has arrived; the message names the step.
     """
     keep_freed_memory()
     check_processes(config, processes)
     inputs = open_inputs(config.net, dataset, config.geometry)
     check_inpainting(config)
 
-    # The renderer.
     renderer = build_renderer(config, inputs, device=device)
     groups = renderer.groups(config)
     sizes = count_parameters(groups)
@@ -93,7 +90,6 @@ def train(
         if processes.is_first:
             begin_run(out, describe_run(config, inputs, label=label, num_parameters=sizes), anew=anew)
 
-    # The data, and the losses: the terms beside the method's own included.
     views = range(dataset.config.train.views)
     held_out = choose_held_out(len(views), config.held_out_views)
     shown = [view for view in views if view not in held_out]
@@ -103,7 +99,6 @@ def train(
         testing = config.net.load(inputs, "train", held_out, with_images=True).to(device)
     losses = make_losses(config, renderer, training, inputs, device=device)
 
-    # Where to go on, and the steps.
     optimizer = make_optimizer(groups, beta1=config.beta1)
     run = Run(
         config=config,
@@ -131,7 +126,7 @@ def train(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Run:
-    """What every step of a run works with."""
+    """The objects that every step of a run uses."""
 
     config: TrainConfig
     inputs: Inputs
@@ -143,26 +138,26 @@ class Run:
     losses: Losses
     training: PixelSource
     testing: PixelSource | None
-    """The held-out views, in the first process; None: there are none."""
+    """The held-out views, in the first process; None if there are none."""
     view_shape: tuple[int, int]
     """Rows and columns of a view."""
     logs: LogChoices
-    """Where this is not the first process, none is left."""
+    """Logs to write; none outside the first process."""
 
 
 @dataclass(kw_only=True)
 class Progress:
-    """How far a run has come."""
+    """The state of a run between steps."""
 
     step: int = 0
-    """Steps that are done."""
+    """Finished steps."""
     loss_sum: float = 0.0
     loss_count: int = 0
-    """Losses since the last line of metrics, and how many they are."""
+    """Sum and number of losses since the last line of metrics."""
     metrics: list[dict[str, Json]] = field(default_factory=list)
     loss: float = math.nan
     psnr: float = math.nan
-    """As the terminal shows them: the mean loss since the last line of metrics, and that line's score in dB."""
+    """For the terminal: the mean loss since the last line of metrics, and that line's score in dB."""
 
     def status(self) -> str:
         return f"loss {self.loss:.4f}" + ("" if math.isnan(self.psnr) else f", held out {self.psnr:.2f} dB")
@@ -171,7 +166,7 @@ class Progress:
 def make_losses(
     config: TrainConfig, renderer: Renderer, training: PixelSource, inputs: Inputs, *, device: torch.device
 ) -> Losses:
-    """The terms beside the method's own loss."""
+    """The loss terms besides the method's own."""
     return Losses(
         config.loss,
         steps=config.steps,
@@ -190,17 +185,13 @@ def make_losses(
 
 
 def resume(run: Run) -> Progress:
-    """Loads the newest intact checkpoint, if there is one, into the run; says how far it had come.
-
-    Raises:
-        HyalineError: another configuration or other data made it.
-    """
+    """Loads the newest intact checkpoint, if there is one, into the run, and returns its progress."""
     progress = Progress()
     with run.processes.in_turn():
         checkpoint = load_checkpoint(run.out)
     if checkpoint is not None:
         if "metrics" not in checkpoint:
-            raise HyalineError(f"{run.out / CHECKPOINT}: is not a checkpoint; start anew with --overwrite")
+            raise HyalineError(f"{run.out / CHECKPOINT}: is not a checkpoint; start over with --overwrite")
         check_state_of(checkpoint, run.config, run.inputs, path=run.out / CHECKPOINT)
         run.renderer.load_state_dict(cast(dict[str, Tensor], checkpoint["renderer"]))
         run.optimizer.load_state_dict(cast(dict[str, Tensor], checkpoint["optimizer"]))
@@ -209,15 +200,15 @@ def resume(run: Run) -> Progress:
         progress.loss_sum = cast(float, checkpoint["loss_sum"])
         progress.loss_count = cast(int, checkpoint["loss_count"])
         progress.metrics = cast(list[dict[str, Json]], checkpoint["metrics"])
-        say(f"{run.out}: goes on from step {progress.step:,} of {run.config.steps:,}")
+        say(f"{run.out}: resuming after step {progress.step:,} of {run.config.steps:,}")
     if run.processes.is_first:
-        # There may be more of them than the checkpoint knows.
+        # The file may have lines that are newer than the checkpoint.
         write_metrics(run.out, progress.metrics)
     return progress
 
 
 def take_steps(run: Run, progress: Progress, *, anew: bool) -> None:
-    """Takes all steps that are left and saves the weights.
+    """Takes the remaining steps and saves the weights.
 
     Raises:
         NumericsError: a loss, a gradient or a weight is not finite.
@@ -241,11 +232,11 @@ def take_steps(run: Run, progress: Progress, *, anew: bool) -> None:
                 save_progress(run, progress)
                 saved_at = time.monotonic()
             if is_stopped:
-                processes.broadcast()  # `torchrun` ends all as soon as one has ended, so the first has to have saved.
-                way_on = "the same command without --overwrite" if anew else "the same command"
+                processes.broadcast()  # `torchrun` ends all processes when one ends, so the first has to save before.
+                again = "the same command without --overwrite" if anew else "the same command"
                 raise Stopped(
                     held.number or signal.SIGTERM,
-                    f"{run.out}: stopped after step {progress.step:,} of {config.steps:,}; {way_on} goes on from there",
+                    f"{run.out}: stopped after step {progress.step:,} of {config.steps:,}; {again} resumes it",
                 )
     if processes.is_first:
         rng = processes.generator(config.seed, config.steps, 0)
@@ -255,7 +246,7 @@ def take_steps(run: Run, progress: Progress, *, anew: bool) -> None:
 
 
 def take_step(run: Run, progress: Progress, step: int, held: Held) -> bool:
-    """One step, of several updates where the configuration says so; True when a process was asked to stop meanwhile."""
+    """One step, with `config.updates` updates; True if a process was asked to stop in the meantime."""
     config, processes, renderer = run.config, run.processes, run.renderer
     batch = config.batch // config.updates
     is_stopped = False
@@ -280,7 +271,7 @@ def take_step(run: Run, progress: Progress, step: int, held: Held) -> bool:
 
 
 def add_metrics(run: Run, progress: Progress, logs: Logs) -> None:
-    """Scores the held-out views and writes a line of metrics; the mean loss starts anew."""
+    """Scores the held-out views, writes a line of metrics, and resets the mean loss."""
     predicted = truth = np.zeros((0, *run.view_shape, 3), np.uint8)
     score = None
     if run.testing is not None:
@@ -295,7 +286,7 @@ def add_metrics(run: Run, progress: Progress, logs: Logs) -> None:
 
 
 def save_progress(run: Run, progress: Progress) -> None:
-    """A checkpoint, from which `resume` goes on."""
+    """Saves a checkpoint for `resume`."""
     state: dict[str, State] = {
         "config": cast(State, to_json(run.config)),
         **data_seals(run.inputs),
@@ -311,7 +302,7 @@ def save_progress(run: Run, progress: Progress) -> None:
 
 
 def save_weights(run: Run) -> None:
-    """The result; the checkpoints go."""
+    """Saves the result and deletes the checkpoints."""
     weights: dict[str, State] = {
         "config": cast(State, to_json(run.config)),
         **data_seals(run.inputs),
@@ -324,28 +315,27 @@ def save_weights(run: Run) -> None:
 
 
 def check_processes(config: TrainConfig, processes: Processes) -> None:
-    """Raises a HyalineError where averaging gradients is not all that several processes would have to share."""
+    """Raises a HyalineError if several processes would have to share more than gradients."""
     if processes.count == 1:
         return
     if not config.net.is_shareable:
         raise HyalineError(
-            f"{config.method}: learns more than gradients tell, which several processes do not share; train it without "
+            f"{config.method}: has state besides its gradients, which several processes do not share; train it without "
             "torchrun"
         )
     if config.loss.adversarial:
         raise HyalineError(
-            "adversarial: a discriminator learns beside the renderer, which several processes do not share; train "
-            "without torchrun, or leave it out"
+            "adversarial: several processes do not share the discriminator; train without torchrun, or leave it out"
         )
     if processes.share(config.batch // config.updates) < 1:
         raise HyalineError(
-            f"batch: is {config.batch}; expected at least a pixel for each of {processes.count} processes in "
-            f"each of {config.updates} updates"
+            f"batch: is {config.batch}; expected at least one pixel per process and update, with {processes.count} "
+            f"processes and {config.updates} updates"
         )
 
 
 def decay(kind: LrDecay, progress: float) -> float:
-    """The factor on the learning rate when a share `progress`, in [0, 1), of the steps is done."""
+    """The factor on the learning rate after a share `progress`, in [0, 1), of the steps."""
     match kind:
         case "none":
             return 1.0
@@ -356,9 +346,9 @@ def decay(kind: LrDecay, progress: float) -> float:
 
 
 def check_finite(loss: float, renderer: nn.Module, *, step: int, out: Path) -> None:
-    """Stops a run before its optimiser takes a loss or gradient that is no number: Adam would keep it for ever.
+    """Stops a run before its optimiser sees a loss or gradient that is not finite: Adam would keep it for ever.
 
-    A sum is not finite as soon as one of its terms is not; it costs 1 ms where `isfinite` takes 17 ms.
+    A sum is not finite if one of its terms is not; it takes 1 ms, `isfinite` 17 ms.
     """
     sums = {name: value.grad.sum() for name, value in renderer.named_parameters() if value.grad is not None}
     bad = [name for name, total in zip(sums, torch.stack(list(sums.values())).tolist()) if not math.isfinite(total)]
@@ -366,12 +356,12 @@ def check_finite(loss: float, renderer: nn.Module, *, step: int, out: Path) -> N
         what = f"the loss is {loss}" if not math.isfinite(loss) else f"the gradient of {bad[0]} is not finite"
         raise NumericsError(
             f"{out}: {what} at step {step}, so training stopped; the last good checkpoint is kept, "
-            f"start anew with --overwrite and a lower --lr"
+            f"start over with --overwrite and a lower --lr"
         )
 
 
 def mean_psnr(predicted: UInt8[np.ndarray, "view h w 3"], truth: UInt8[np.ndarray, "view h w 3"]) -> float:
-    """Mean over views of the PSNR in dB, peak 1, of 8-bit pictures."""
+    """The mean over views of the PSNR in dB of 8-bit pictures."""
     error = (predicted.astype(np.float64) - truth) / 255
     mse = np.square(error).reshape(len(truth), -1).mean(axis=1)
     return float(np.mean(-10 * np.log10(np.maximum(mse, 1e-12))))

@@ -162,6 +162,6 @@ def configure(method: str, asked: Asked[MethodConfig, Optimisation]) -> tuple[Tr
 def _find_weights(loss: LossConfig) -> LossConfig:
     if not loss.has_vgg:
         return loss
-    from model.losses.perceptual import find_vgg
+    from model.losses.patch_losses import find_vgg
 
     return find_vgg(loss)

@@ -94,11 +94,7 @@ def presets_of(record: type) -> set[str]:
 
 
 def with_settings(record: RecordT, settings: Mapping[str, object]) -> RecordT:
-    """The record with the values of some of its flags changed; names of flags that it does not have are left alone.
-
-    Raises:
-        HyalineError: a value of another type than its flag's.
-    """
+    """The record with the values of some of its flags changed; names of flags that it does not have are left alone."""
     kinds, changed = typing.get_type_hints(type(record)), {}
     for item in dataclasses.fields(record):
         value = getattr(record, item.name)

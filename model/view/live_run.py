@@ -1,4 +1,4 @@
-"""A run as it is now, trained or still training: its newest weights, read from its folder, and what they draw."""
+"""A run in its current state, trained or still training: its newest weights, and pictures rendered with them."""
 
 import contextlib
 from collections.abc import Callable, Iterator
@@ -29,39 +29,35 @@ Picture = UInt8[np.ndarray, "h w 3"]
 
 
 class MovedOn(Exception):
-    """The picture that is being drawn is no longer wanted."""
+    """The current picture is no longer needed."""
 
 
 class LiveRun:
-    """Draws what any camera sees by a run's newest weights. It writes nothing into the run's folder.
+    """Renders any camera with a run's newest weights, without writing to the run's folder.
 
-    A run that trains leaves a checkpoint every minute at least; `refresh` reads the newest one.
+    A training run writes a checkpoint at least every minute; `refresh` reads the newest one.
     """
 
     def __init__(self, folder: Path, config: TrainConfig, dataset: Dataset, *, device: torch.device) -> None:
-        """Nothing is read of the weights yet.
-
-        Raises:
-            HyalineError: trained on other data, or of a method that draws the views of its dataset alone.
-        """
+        """Checks the run; its weights are only read by `refresh`."""
         check_draws_cameras(folder, config)
         self.folder, self.config, self.dataset, self.device = folder, config, dataset, device
         self.inputs = check_trained_on(folder, config, dataset)
         self.step = 0
-        """Steps that the weights at hand have made; 0: there are none yet."""
+        """Training steps of the current weights; 0: no weights yet."""
         self._renderer: Renderer | None = None
         self._read: tuple[str, int, int] | None = None
-        """Name, size and time of the file that was read last."""
+        """Name, size and time of the last file read."""
         self._is_wanted: Callable[[], bool] = lambda: True
 
     @property
     def is_trained(self) -> bool:
-        """True when the run has its final weights: nobody trains it."""
+        """True if the run has its final weights."""
         return (self.folder / WEIGHTS).is_file()
 
     @property
     def status(self) -> str:
-        """How far the run is, in one line."""
+        """The run's progress in one line."""
         if not self.step:
             return "no checkpoint yet"
         scores = [line["held_out_psnr"] for line in read_metrics(self.folder) if (line["step"] or 0) <= self.step]
@@ -69,11 +65,7 @@ class LiveRun:
         return f"step {self.step:,} of {self.config.steps:,}{score}"
 
     def refresh(self) -> bool:
-        """Reads the newest weights, if they are others than those at hand; True when they are.
-
-        Raises:
-            HyalineError: damaged weights, or those of another configuration.
-        """
+        """Reads the newest weights unless they are the current ones; True if they are new."""
         newest = self._newest()
         if newest is None or newest[0] == self._read:
             return False
@@ -85,14 +77,14 @@ class LiveRun:
         return True
 
     def draw(self, camera: Camera, *, is_quick: bool, is_wanted: Callable[[], bool] = lambda: True) -> Picture | None:
-        """What a camera sees, 8-bit sRGB; None where there are no weights yet.
+        """The picture through a camera, 8-bit sRGB; None if there are no weights yet.
 
         Args:
-            is_quick: with one ray a pixel.
-            is_wanted: asked again and again while the picture is drawn.
+            is_quick: use one ray per pixel.
+            is_wanted: called repeatedly while the picture is drawn.
 
         Raises:
-            MovedOn: the picture is no longer wanted.
+            MovedOn: `is_wanted` returned False.
             HyalineError: a size that the method cannot draw.
         """
         if self._renderer is None:
@@ -128,6 +120,6 @@ class LiveRun:
             self._is_wanted = before
 
     def _check_wanted(self, *_: object) -> None:
-        """Called before every part of a network computes, which is many times a picture."""
+        """Called before every module's forward pass, many times per picture."""
         if not self._is_wanted():
             raise MovedOn

@@ -1,28 +1,32 @@
-"""What is drawn next for whom: coarse pictures while a camera moves, finer ones when it stands still."""
+"""The order of pictures for the connected browsers: coarse ones while a camera moves, finer ones when it rests.
+
+viser's cameras look along +z with +y down, a dataset's along -z with +y up.
+"""
 
 import dataclasses
+import math
 import threading
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 
 from datagen.data.cameras import Camera
-from model.view.cameras import camera_in_window, fitted_size
 
 STILL_S = 0.25
-"""A camera that has not moved for so long stands still."""
+"""Seconds without movement after which a camera is at rest."""
 MOVING_S, STANDING_S, FINEST_S = 0.1, 1.0, 20.0
-"""What a picture may take to draw: a quick one while the camera moves, one when it stands still, and any other."""
+"""Longest time to draw a picture: a quick one while the camera moves, a quick one at rest, and any other."""
 SIDES = (32, 48, 64, 96, 128, 192, 256, 384, 512, 768)
-"""Pixels of a picture's longer side. Few sizes, since tracers compile a program for each."""
+"""Pixels of a picture's longer side. Few sizes, because tracers compile a program for each."""
 FIRST_RATE, FEWER = 50_000.0, 16
-"""Quick pixels a second, until the first picture was timed; and so many times fewer other ones."""
+"""Initial estimates: quick pixels per second, and how many times slower full ones are."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Pose:
-    """Where a browser's camera stands, in viser's convention, and how large its window is."""
+    """The pose of a browser's camera, in viser's convention, and its window size."""
 
     position: Float[np.ndarray, "3"]
     wxyz: Float[np.ndarray, "4"]
@@ -37,10 +41,10 @@ class Job:
 
     client: int
     number: int
-    """Of the request: a later one of the same browser makes this one needless."""
+    """Number of the request; a later one of the same browser replaces it."""
     camera: Camera
     is_quick: bool
-    """To be drawn with one ray a pixel, since the camera moves."""
+    """True to draw with one ray per pixel."""
 
 
 @dataclass
@@ -49,15 +53,15 @@ class _Viewer:
     number: int
     moved_at: float
     quick: int = 0
-    """The longer side of the finest quick picture that was drawn of this pose; 0: none yet."""
+    """The longer side of the finest quick picture drawn for this pose; 0: none yet."""
     drawn: int = 0
-    """The same of the others."""
+    """The same for full pictures."""
 
 
 class Schedule:
-    """Which picture comes next. Browsers report from any thread; one thread asks and draws.
+    """Chooses the next picture. Browsers report from any thread; one thread asks and draws.
 
-    Times are those of one monotonic clock, in seconds.
+    Times are from one monotonic clock, in seconds.
     """
 
     def __init__(self) -> None:
@@ -67,18 +71,18 @@ class Schedule:
         self._rate, self._quick_rate = 0.0, FIRST_RATE
 
     def move(self, client: int, pose: Pose, now: float) -> None:
-        """A browser's camera is here now."""
+        """Records a browser's new camera."""
         with self._lock:
             self._numbers += 1
             self._viewers[client] = _Viewer(pose=pose, number=self._numbers, moved_at=now)
 
     def forget(self, client: int) -> None:
-        """A browser has gone."""
+        """Removes a browser that has disconnected."""
         with self._lock:
             self._viewers.pop(client, None)
 
     def redraw(self) -> None:
-        """What is to be seen has changed: every picture is old."""
+        """Marks every picture as outdated, because the scene has changed."""
         with self._lock:
             for client, viewer in self._viewers.items():
                 self._numbers += 1
@@ -86,7 +90,7 @@ class Schedule:
 
     @property
     def is_watched(self) -> bool:
-        """True while anybody is connected."""
+        """True while a browser is connected."""
         return bool(self._viewers)
 
     def is_wanted(self, job: Job) -> bool:
@@ -95,7 +99,7 @@ class Schedule:
         return viewer is not None and viewer.number == job.number
 
     def next_job(self, now: float) -> Job | None:
-        """The picture to draw now; None: nobody waits for one."""
+        """The picture to draw now; None if no browser waits for one."""
         with self._lock:
             for client, viewer in sorted(self._viewers.items(), key=_turn):
                 if (following := self._following(viewer, now)) is not None:
@@ -107,7 +111,7 @@ class Schedule:
         return None
 
     def finish(self, job: Job, seconds: float) -> None:
-        """A picture was drawn, and sent, in so long."""
+        """Records that a picture was drawn and sent in this time."""
         with self._lock:
             rate = job.camera.width * job.camera.height / max(seconds, 1e-6)
             if job.is_quick:
@@ -137,7 +141,7 @@ class Schedule:
         return (standing, True) if standing > viewer.quick else (min(viewer.quick, longest), False)
 
     def _side(self, viewer: _Viewer, seconds: float, *, is_quick: bool) -> int:
-        """The longest of SIDES that fits the window and takes at most about so long to draw."""
+        """The longest of SIDES that fits the window and takes at most about this long to draw."""
         width, height = (max(1, pixels) for pixels in viewer.pose.window)
         rate = self._quick_rate if is_quick else self._rate or self._quick_rate / FEWER
         longest = (rate * seconds * max(width, height) / min(width, height)) ** 0.5
@@ -145,16 +149,16 @@ class Schedule:
 
 
 def _turn(item: tuple[int, _Viewer]) -> tuple[bool, int, float]:
-    """Who is served first: whoever sees an old picture, then the coarsest one, then whoever waits longest."""
+    """Sort key of browsers: those with an outdated picture first, then the coarsest, then the longest wait."""
     viewer = item[1]
     return viewer.quick > 0, viewer.drawn, viewer.moved_at
 
 
 class Budget:
-    """Keeps this process to a share of one core while another process trains.
+    """Limits this process to a share of one core while another process trains.
 
-    The time to rest after a piece of work follows from the processor time that it took: whatever else runs, what is
-    taken from the training stays below that share.
+    The pause after a piece of work follows from its CPU time, so this process never takes more than that share from
+    the training.
     """
 
     def __init__(self, share: float) -> None:
@@ -162,8 +166,42 @@ class Budget:
         self._ready_at = 0.0
 
     def spend(self, processor_s: float, now: float) -> None:
-        """Work has taken so much processor time, and ends now."""
+        """Records work that took this CPU time and ends now."""
         self._ready_at = now + processor_s * (1 / self.share - 1)
 
     def is_ready(self, now: float) -> bool:
         return now >= self._ready_at
+
+
+FLIP = np.diag([1.0, -1.0, -1.0])
+"""Converts between OpenCV's and OpenGL's axes, in both directions."""
+
+
+def camera_in_window(
+    position: Float[np.ndarray, "3"], wxyz: Float[np.ndarray, "4"], fov_y: float, width: int, height: int
+) -> Camera:
+    """The camera of a browser's window, for a picture of this many square pixels.
+
+    Args:
+        wxyz: a unit quaternion, world from camera, in OpenCV's convention.
+        fov_y: radians, over the window's height.
+    """
+    world_from_camera = np.eye(4)
+    world_from_camera[:3, :3] = Rotation.from_quat(np.roll(wxyz, -1)).as_matrix() @ FLIP
+    world_from_camera[:3, 3] = position
+    fov_x = 2 * math.atan(math.tan(fov_y / 2) * width / height)
+    return Camera(world_from_camera=world_from_camera, fov_x=fov_x, width=width, height=height)
+
+
+def window_pose(camera: Camera) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "4"], float]:
+    """Position, quaternion and vertical field of view in radians, as `camera_in_window` takes them."""
+    rotation = Rotation.from_matrix(camera.world_from_camera[:3, :3] @ FLIP)
+    fov_y = 2 * math.atan(math.tan(camera.fov_x / 2) * camera.height / camera.width)
+    return camera.world_from_camera[:3, 3], np.roll(rotation.as_quat(), 1), fov_y
+
+
+def fitted_size(side: int, window: tuple[int, int]) -> tuple[int, int]:
+    """Width and height of a picture with the longer side `side` and the aspect of a window (width, height)."""
+    width, height = (max(1, pixels) for pixels in window)
+    scale = side / max(width, height)
+    return max(1, round(width * scale)), max(1, round(height * scale))

@@ -1,45 +1,54 @@
-"""`model view`: a dataset, or a run, in a browser; pictures are drawn one by one, here in the main thread alone."""
+"""`model view`: a dataset or a run in a browser; pictures are drawn one by one, only in the main thread."""
 
 import contextlib
 import math
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import numpy as np
 import viser
+from jaxtyping import UInt8
 
+from datagen.data.cameras import Camera
 from datagen.data.config import Split
-from datagen.data.dataset import Dataset, View
+from datagen.data.dataset import Dataset, View, open_dataset
+from datagen.data.paths import find_dataset
 from datagen.disk.errors import HyalineError
+from datagen.look.view_pictures import object_colors
+from datagen.terminal.command import say, tell
 from datagen.terminal.signals import Held, hold_signals
-from model.view.layers import draw_layer
+from model.batches.traced_layers import peel_cameras
+from model.run.run_folder import RUN, open_trained
+from model.settings.run_flags import RUNS, Device
+from model.settings.runtime import choose_device
 from model.view.live_run import LiveRun, MovedOn, Picture
-from model.view.panel import Panel
 from model.view.schedule import Budget, Job, Pose, Schedule
 from model.view.server import Server, serving
-from model.view.stage import Stage
+from model.view.stage import Panel, Stage
 
 TRAINING_SHARE = 0.09
-"""Share of one core that this process takes while a run trains, however many look at it: the training is slowed by
-less than a tenth. It takes nothing while nobody is connected."""
+"""Share of one core that this process takes while a run trains, for any number of browsers: it slows training by less
+than a tenth, and takes nothing without a browser."""
 LOOK_EVERY_S = 2.0
-"""How often a run's folder is asked for newer weights."""
+"""Seconds between two checks for newer weights."""
 WAIT_S, IDLE_S = 0.05, 0.5
-"""How long to wait for something to do while somebody looks, and while nobody does."""
+"""Seconds to wait for work with a connected browser, and without one."""
 BACK = 0.4
-"""How much farther back than a dataset's cameras one starts, where there is no prediction to see."""
+"""How much farther away than a dataset's cameras to start without a prediction, relative to the distance."""
 JPEG_QUALITY = 85
-"""Of pictures while a camera moves; the others are sent without loss."""
+"""Quality of pictures while a camera moves; the others are sent losslessly."""
 
 
 def view(dataset: Dataset, run: LiveRun | None, *, host: str, port: int, announce: Callable[[str], None]) -> None:
-    """Shows a dataset, and what a run predicts, until a signal arrives.
+    """Shows a dataset, and a run's predictions, until a signal arrives.
 
-    The run is read from its folder and never asked: the process that trains it, if there is one, is another one.
+    The run is only read from its folder; another process may be training it.
 
     Args:
-        announce: called with the address to open, once.
+        announce: called once with the address to open.
 
     Raises:
         HyalineError: the port is taken, or what is shown is missing or damaged.
@@ -57,7 +66,7 @@ def view(dataset: Dataset, run: LiveRun | None, *, host: str, port: int, announc
 
 
 class Viewer:
-    """Answers the browsers that are connected."""
+    """Serves the connected browsers."""
 
     def __init__(self, server: Server, dataset: Dataset, run: LiveRun | None) -> None:
         self._server, self._dataset, self._run = server, dataset, run
@@ -81,7 +90,7 @@ class Viewer:
         server.open()
 
     def step(self, held: Held) -> None:
-        """Does the most urgent thing there is, or waits a moment for one."""
+        """Does the most urgent piece of work, or waits a moment for one."""
         if not self._schedule.is_watched:
             self._wait(IDLE_S)
             return
@@ -102,7 +111,7 @@ class Viewer:
             self._budget.spend(time.process_time() - processor, time.monotonic())
 
     def _look(self) -> None:
-        """Reads newer weights, if the run has left some."""
+        """Reads newer weights, if there are any."""
         if self._run is None:
             return
         try:
@@ -120,7 +129,7 @@ class Viewer:
             picture, trouble = None, str(error)
         self.panel.tell_trouble(trouble)
         client = self._server.get_clients().get(job.client)
-        if client is None:  # It went before its last move was heard of.
+        if client is None:  # It disconnected before its last move was processed.
             self._schedule.forget(job.client)
         else:
             kind = "jpeg" if job.is_quick else "png"
@@ -136,7 +145,7 @@ class Viewer:
             return draw_layer(self._dataset, panel.geometry, job.camera, panel.layer, panel.num_layers)
         return None
 
-    # What viser calls, in threads of its own.
+    # Callbacks in viser's threads.
 
     def _connect(self, client: viser.ClientHandle) -> None:
         def moved(camera: viser.CameraHandle) -> None:
@@ -149,7 +158,7 @@ class Viewer:
             self._schedule.move(client.client_id, pose, time.monotonic())
             self._news.set()
 
-        if not self._was_visited:  # Perhaps by a page that an earlier viewer left open, which keeps that one's camera.
+        if not self._was_visited:  # A page left open by an earlier viewer keeps its camera.
             self._was_visited = True
             self._stage.restart(client)
         client.camera.on_update(moved)
@@ -168,3 +177,48 @@ class Viewer:
     def _wait(self, seconds: float) -> None:
         self._news.wait(seconds)
         self._news.clear()
+
+
+def show(what: str, *, host: str, port: int, device: Device) -> None:
+    """Shows it until a signal arrives.
+
+    Raises:
+        HyalineError: neither a run nor a dataset is there, or what is there cannot be shown.
+        Stopped: a signal has arrived.
+    """
+    run = next((place for place in (Path(what), RUNS / what) if (place / RUN).is_file()), None)
+    if run is not None:
+        record, opened = open_trained(run)
+        live = LiveRun(run, record.config, opened, device=choose_device(device))
+    else:
+        place = find_dataset(what)
+        if not (place / "dataset.json").is_file():
+            raise HyalineError(
+                f"{what}: neither a run nor a dataset; expected a folder such as runs/glass_table/paper or "
+                "data/glass_table"
+            )
+        opened, live = open_dataset(place), None
+
+    def announce(address: str) -> None:
+        tell(address)
+        sys.stdout.flush()
+        say(f"{what}: open the address in a browser; Ctrl-C ends the viewer")
+
+    view(opened, live, host=host, port=port, announce=announce)
+
+
+CHECKS = 24
+"""Width of a texture in squares of a checkerboard, which shows uv on surfaces."""
+
+
+def draw_layer(
+    dataset: Dataset, geometry: str, camera: Camera, layer: int, num_layers: int
+) -> UInt8[np.ndarray, "h w 3"]:
+    """The surfaces of one layer along a camera's rays, each object in a colour of its own; layer 0 is the nearest."""
+    pixels = peel_cameras(dataset, geometry, num_layers, camera.alone)
+    ids = pixels.object_id[:, layer].numpy()
+    uv = pixels.uv[:, layer].numpy().view(np.uint16)
+    is_light = (uv.astype(np.int64) * CHECKS // 65536).sum(axis=-1) % 2 == 0
+    colors = object_colors(len(dataset.objects))[ids]
+    checked = np.where((is_light | (ids == 0))[:, None], colors, (0.8 * colors).astype(np.uint8))
+    return checked.reshape(camera.height, camera.width, 3)

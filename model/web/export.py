@@ -1,7 +1,7 @@
 """A trained scene as one HTML file, which draws it live in a browser, from disk and without a server.
 
-The page's parts lie beside this file: page.html has a place for each, named {{so}}. Nothing is loaded from outside, and
-a content security policy forbids it. Equal runs give equal bytes.
+The page's parts are next to this file: page.html has a {{placeholder}} for each. Nothing is loaded from outside, which
+a content security policy enforces. Equal runs give equal bytes.
 """
 
 import base64
@@ -10,6 +10,7 @@ import html
 import io
 import json
 import re
+import shlex
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Literal, cast
@@ -21,8 +22,7 @@ from PIL import Image
 from datagen.data.dataset import Dataset
 from datagen.data.paths import view_name
 from datagen.disk.errors import HyalineError
-from datagen.disk.reading import read_regular
-from datagen.disk.records import Json
+from datagen.disk.records import Json, read_regular
 from datagen.disk.storage import commit
 from datagen.terminal.distribution import VERSION
 from model.methods.page import package_text
@@ -51,26 +51,22 @@ SCRIPTS = (
 )
 
 Truths = Literal["all", "test", "none"]
-"""Of which views the page has the path tracer's picture."""
+"""Views whose path-traced pictures the page contains."""
 
 MAX_PICTURE = 1 << 26
-"""Bytes of the still picture."""
+"""Largest still picture in bytes."""
 
 
 def export_run(
     run: Path, record: RunRecord, dataset: Dataset, out: Path, quality: Quality, truths: Truths = "all"
 ) -> None:
-    """Writes the page of a trained run.
-
-    Raises:
-        HyalineError: the run's method has no page, or its weights are not there.
-    """
+    """Writes the page of a trained run."""
     if not record.config.net.page:
         raise HyalineError(f"{run}: its method, {record.method}, has no web page; docs/browser.md lists those that do")
     renderer = load_renderer(run, record.config, dataset)
     still = run / "predictions" / "interpolating" / f"{view_name(0)}.png"
     if not still.is_file():
-        raise HyalineError(f"{still}: not there; render it with `model render --run {run}`")
+        raise HyalineError(f"{still}: missing; render it with `{shlex.join(['model', 'render', '--run', str(run)])}`")
     page = scene_page(
         renderer,
         record.config.net,
@@ -98,9 +94,9 @@ def scene_page(
     """The page of a renderer.
 
     Args:
-        label: of the run.
-        still: a PNG, shown until the first picture is drawn, and where none can be.
-        truths: which of the path tracer's pictures may be faded over the page's own.
+        label: the run's label.
+        still: a PNG, shown until the first picture is drawn, and where WebGL is missing.
+        truths: path-traced pictures that can be blended with the page's own.
     """
     scene = web_scene(renderer, config, dataset, geometry, quality)
     manifest = {**scene.manifest, "arrays": scene.packed.entries, "truth": cast(Json, _truths(dataset, truths))}
@@ -148,7 +144,7 @@ def _test_picture(image: UInt8[np.ndarray, "h w 3"]) -> str:
 
 
 def _training_picture(image: UInt8[np.ndarray, "h w 3"]) -> str:
-    """Of these there are many: a quarter of the bytes, at 31 dB."""
+    """A quarter of the bytes, at 31 dB, because there are many."""
     return _address(image, "webp", quality=75, method=6)
 
 
@@ -159,7 +155,7 @@ def _address(image: UInt8[np.ndarray, "h w 3"], kind: str, **how: int) -> str:
 
 
 def fill(template: str, parts: Mapping[str, str]) -> str:
-    """The template with a part in each of its places, each of which there must be exactly once."""
+    """The template with its placeholders filled in; each must occur exactly once."""
     places = re.findall(r"\{\{(\w+)\}\}", template)
     assert sorted(places) == sorted(parts), "every place of the page has its part, and every part its place"
     return re.sub(r"\{\{(\w+)\}\}", lambda place: parts[place[1]], template)

@@ -38,7 +38,7 @@ function texelTable(arrays, manifest) {
   return table;
 }
 
-// What metals mirror over their surface: linear, or in 8 bits of sRGB (model/web/texels.py).
+// What metals mirror over their surface: linear, or in 8 bits of sRGB (model/web/scene.py).
 function tintTable(tints) {
   const table = new Float32Array((4 * tints.length) / 3), isLinear = tints instanceof Float32Array;
   const linear = (code) => (code <= 0.04045 ? code / 12.92 : ((code + 0.055) / 1.055) ** 2.4);

@@ -14,24 +14,24 @@ Quality = Literal["small", "exact"]
 """small: texels, normals and uv in few bits. exact: every number as it is."""
 
 DTYPES = ("uint8", "uint16", "uint32", "float32", "float64")
-"""What unpack.js reads."""
+"""Number types that unpack.js reads."""
 
 MEMORY = 6
-"""Of zlib: few numbers share a table of codes, which fits them better than one for more."""
+"""zlib's memory level: with a low one, few numbers share a code table, which then fits them better."""
 
 POSITION_STEPS = 0xFFFF
-"""Of a vertex, along each side of its object's box."""
+"""Steps of a vertex's position along each side of its object's box."""
 
 NORMAL_STEPS = 0xFFFFFE
-"""Of a coordinate of an octahedral normal in 24 bits: an even number, so that 0 is one of them."""
+"""Steps of a coordinate of an octahedral normal in 24 bits: an even number, so that 0 is exact."""
 
 
 @dataclass(kw_only=True)
 class Packed:
-    """Named arrays in the order in which they were added."""
+    """Named arrays in the order in which they are added."""
 
     entries: list[Json] = field(default_factory=list)
-    """What unpack.js is told of each array."""
+    """The description of each array for unpack.js."""
     parts: list[bytes] = field(default_factory=list)
 
     def add(self, name: str, values: Shaped[np.ndarray, "*shape"], *, differences: bool = False) -> None:
@@ -90,7 +90,7 @@ def residuals(codes: Int32[np.ndarray, "h w c"], counts: Bool[np.ndarray, "h w"]
     """How each number differs from its guess: left plus above less above left, but not beyond left and above.
 
     Args:
-        counts: texels that matter. The others become their guess, so that nothing is left of them.
+        counts: texels that matter; the others become equal to their prediction, so that their residual is 0.
 
     Source: the predictor of LOCO-I (Weinberger et al. 2000). floats.js reads it back.
     """

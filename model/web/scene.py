@@ -1,13 +1,17 @@
-"""What the page holds of a scene: meshes, optics, texels, weights and cameras, as arrays and a manifest."""
+"""The page's data of a scene: meshes, optics, texels, weights and cameras, as arrays and a manifest."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
 import torch
+from jaxtyping import Bool, Float32
+from torch import Tensor
 
 from datagen.data.dataset import Dataset
 from datagen.data.geometries import read_meshes
+from datagen.data.images import srgb_from_linear, to_8bit
 from datagen.data.layers import UV_SCALE, quantize_uv, round_mantissa
 from datagen.data.meshes import Mesh, is_there, open_edges
 from datagen.data.paths import TRUTH
@@ -21,13 +25,139 @@ from datagen.scene.thin_walls import RAY_OFFSET
 from datagen.trace.light_path import PLASTIC
 from datagen.trace.surface_hits import MIN_COSINE
 from datagen.trace.surface_tables import EVENTS
-from datagen.trace.tints import tints_of
+from datagen.trace.tints import Texels, Tints, tints_of
 from model.methods.page import MethodPage, fours, package_text
 from model.methods.protocol import MethodConfig
 from model.methods.renderer import Renderer
 from model.nets.pixel_mlp import LEAKY_SLOPE
-from model.web.packing import NORMAL_STEPS, Packed, Quality, fold_normals, quantize_normals, quantize_positions
-from model.web.texels import Places, TintPlaces, add_texels, add_tints
+from model.nets.texture import NeuralTextures, TexturePyramid, level_scales, texel_centers
+from model.web.packing import (
+    NORMAL_STEPS,
+    Packed,
+    Quality,
+    fold_normals,
+    quantize_normals,
+    quantize_positions,
+    residuals,
+    zigzag,
+)
+
+STEPS = 16
+"""Steps per standard deviation of texels in a small page: a page of the demo loses 0.4 to 1.4 dB against Python."""
+
+MAX_CODE = 8191
+"""Largest code, so that the difference of two fits into 16 bits."""
+
+Places = list[list[list[int]]]
+"""For each texture and level: its first texel, its width, the texels from one of its rows to the next."""
+
+TintPlaces = list[list[int] | None]
+"""For each object its first texel, and the number of columns and rows; None if it has a single colour."""
+
+
+def add_texels(
+    packed: Packed, textures: NeuralTextures | TexturePyramid, quality: Quality, meshes: Sequence[Mesh] | None
+) -> Places:
+    """Adds the texels of all levels; small: their sum at the finest level's texels.
+
+    Args:
+        meshes: the mesh of each texture; only texels that look-ups on it can touch matter. None: all matter.
+    """
+    levels = textures.levels() if isinstance(textures, TexturePyramid) else [textures]
+    layouts = [level.layout for level in levels]
+    if quality == "exact":
+        finer_counts = textures.finer_counts if isinstance(textures, TexturePyramid) else 1.0
+        scales = level_scales(len(levels), finer_counts)
+        tables = [_padded(scale * level.table) for scale, level in zip(scales, levels)]
+        packed.add("texels", np.concatenate(tables))
+        firsts = np.cumsum([0, *(len(table) for table in tables)])
+        return [
+            [
+                [int(first) + layout.bases[texture], layout.sizes[texture], layout.strides[texture]]
+                for first, layout in zip(firsts, layouts)
+            ]
+            for texture in range(len(layouts[0].sizes))
+        ]
+    sizes = layouts[0].sizes
+    sums = [_padded(_summed(textures, texture, size)) for texture, size in enumerate(sizes)]
+    counts = [np.ones(len(values), bool) for values in sums]
+    for texture, mesh in enumerate(meshes or ()):
+        counts[texture] = touched_texels(mesh, sizes[texture])
+    step = _step(np.concatenate([values[chosen] for values, chosen in zip(sums, counts)]), levels[0].table.shape[1])
+    codes = [
+        residuals(
+            np.rint(values / step).astype(np.int32).reshape(size, size, -1).clip(-MAX_CODE, MAX_CODE),
+            chosen.reshape(size, size),
+        ).reshape(size * size, -1)
+        for values, size, chosen in zip(sums, sizes, counts)
+    ]
+    packed.add("texels", zigzag(np.concatenate(codes)).astype(np.uint16))
+    packed.add("texelStep", np.array([step], np.float32))
+    firsts = np.cumsum([0, *(size * size for size in sizes)])
+    return [[[int(first), size, size]] for first, size in zip(firsts, sizes)]
+
+
+def _step(values: Float32[np.ndarray, "texel c"], channels: int) -> float:
+    """The quantisation step of texels, from the spread of all channels except padding."""
+    spread = float(np.sqrt(values[:, :channels].var(axis=0).mean())) if len(values) else 0.0
+    return max(spread / STEPS, float(np.abs(values).max(initial=0)) / MAX_CODE, 1e-9)
+
+
+def touched_texels(mesh: Mesh, size: int) -> Bool[np.ndarray, " texel"]:
+    """The texels that bilinear look-ups on a mesh can touch, row by row; possibly a few more."""
+    touched = np.zeros((size + 2, size + 2), bool)
+    corners = mesh.uv[mesh.faces].astype(np.float64) * [1, -1] + [0, 1]
+    extent = size * np.ptp(corners, axis=1).max(axis=-1, initial=0)
+    # Points on each face, no more than half a texel from each other, in as many steps as some power of 2.
+    steps = 1 << np.ceil(np.log2(np.maximum(2 * extent, 1))).astype(int)
+    for count in np.unique(steps):
+        first, second = (share.ravel() / count for share in np.mgrid[: count + 1, : count + 1])
+        inside = first + second <= 1
+        shares = np.stack([1 - first - second, first, second], axis=1)[inside]
+        chosen = corners[steps == count]
+        for part in np.array_split(chosen, -(-len(chosen) * len(shares) // 1_000_000)):
+            places = np.clip(np.floor(np.einsum("pk,fkc->fpc", shares, part) * size), 0, size - 1).astype(int) + 1
+            touched[places[..., 1], places[..., 0]] = True
+    wider = np.zeros_like(touched)
+    for down in (-1, 0, 1):
+        for right in (-1, 0, 1):
+            wider |= np.roll(touched, (down, right), axis=(0, 1))
+    return wider[1:-1, 1:-1].ravel()
+
+
+def _summed(textures: NeuralTextures | TexturePyramid, texture: int, size: int) -> Tensor:
+    """The features of a texture (counted from 0) at the centres of its finest texels."""
+    object_id = torch.full((size * size, 1), texture + 1, dtype=torch.uint8)
+    return textures(texel_centers(size)[:, None], object_id)[:, 0]
+
+
+def _padded(features: Tensor) -> Float32[np.ndarray, "texel c"]:
+    values = features.cpu().numpy().astype(np.float32)
+    return np.pad(values, ((0, 0), (0, fours(values.shape[1]) - values.shape[1])))
+
+
+def add_tints(packed: Packed, tints: Tints, quality: Quality) -> TintPlaces:
+    """Adds the texels of all metals that have any, row by row: linear floats; small: 8 bits of sRGB, as images have."""
+    images: dict[bytes, tuple[int, Texels]] = {}
+    places: TintPlaces = []
+    count = 0
+    for texels in tints:
+        if texels is None:
+            places.append(None)
+            continue
+        height, width, _ = texels.shape
+        key = b"%d %d " % (height, width) + texels.tobytes()
+        if key not in images:
+            images[key] = (count, texels)
+            count += height * width
+        places.append([images[key][0], width, height])
+    if images:
+        linear = np.concatenate([texels.reshape(-1, 3) for _, texels in images.values()])
+        if quality == "small":
+            packed.add("tints", to_8bit(srgb_from_linear(linear)), differences=True)
+        else:
+            packed.add("tints", linear)
+    return places
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -41,14 +171,14 @@ class WebScene:
 
 
 def web_scene(renderer: Renderer, config: MethodConfig, dataset: Dataset, geometry: str, quality: Quality) -> WebScene:
-    """All that the page needs to draw the scene of a trained renderer whose method has a page."""
+    """The page's data for the scene of a trained renderer whose method has a page."""
     scene = load_scene(dataset.root / "scene", is_sealed=True)
     meshes = read_meshes(dataset, geometry)
     page = config.draw_page(renderer, scene)
     packed = Packed()
     boxes = _add_meshes(packed, meshes, quality, with_normals=page.has_normals)
     with torch.inference_mode():
-        # A learned relief shifts look-ups to anywhere.
+        # A learned relief can shift look-ups to any texel.
         charted = None if page.relief else [mesh for mesh in meshes for _ in range(page.shells)]
         places = add_texels(packed, page.textures, quality, charted)
     tints: TintPlaces = [None] * len(meshes)
@@ -91,7 +221,7 @@ def web_scene(renderer: Renderer, config: MethodConfig, dataset: Dataset, geomet
 
 
 def _defines(page: MethodPage, *, levels: int, has_tints: bool) -> dict[str, int | float]:
-    """What the shader knows by name: constants of Python, the page's own choices, and the method's."""
+    """The shader's defines: constants shared with Python, the page's own choices, and the method's."""
     return {
         **{event.upper(): code for event, code in EVENTS.items()},
         "RAY_OFFSET": RAY_OFFSET,
@@ -133,7 +263,7 @@ def _orbit(scene: Scene, dataset: Dataset) -> tuple[list[Json], float]:
 def _objects(
     scene: Scene, meshes: tuple[Mesh, ...], page: MethodPage, places: Places, tints: TintPlaces
 ) -> list[dict[str, Json]]:
-    """What the page is told of each object, in the order of their ids."""
+    """The manifest's entry of each object, in the order of their ids."""
     listed: list[dict[str, Json]] = []
     first_vertex = first_face = 0
     for index, (item, mesh) in enumerate(zip(scene.objects, meshes, strict=True)):
@@ -156,7 +286,7 @@ def _objects(
 
 
 def _optics(material: Material, tint: list[int] | None = None) -> dict[str, Json]:
-    """What the page is told of a material."""
+    """The manifest's entry of a material."""
     surface, medium = material.surface(), material.medium
     return {
         "event": surface.event,
@@ -174,7 +304,7 @@ def _optics(material: Material, tint: list[int] | None = None) -> dict[str, Json
 def _add_meshes(
     packed: Packed, meshes: tuple[Mesh, ...], quality: Quality, *, with_normals: bool
 ) -> list[dict[str, Json]]:
-    """Adds all meshes, one behind the other; what the page has to know of each to place its vertices."""
+    """Adds all meshes, one after the other; returns the quantisation of each mesh's vertices."""
 
     def joined(name: str) -> np.ndarray:
         return np.concatenate([getattr(mesh, name) for mesh in meshes])

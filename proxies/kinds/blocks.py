@@ -1,7 +1,7 @@
-"""Proxies of kind `blocks`: a few boxes an object, as for the paper's chair: seat, back and legs.
+"""Proxies of kind `blocks`: a few boxes per object, such as seat, back and legs for the paper's chair.
 
-The object is cut into the cells of a grid, a tight box around what lies in each, and the boxes are merged two by two
-where that adds least volume. All boxes of an object stand along the axes of its smallest box.
+The object is cut by a grid, with a tight box around the part in each cell, and boxes are merged in pairs where that
+adds least volume. All boxes of an object are aligned with its smallest box.
 """
 
 import numpy as np
@@ -14,19 +14,19 @@ from proxies.meshing.surface import Surface, unwrap_surfaces
 MAX_BOXES = 8
 
 GRIDS = (6, 8, 10)
-"""Cells of a grid along each axis; of what the grids lead to, the boxes that fit best are taken."""
+"""Cells along each axis of the grids to try; the boxes that fit best are used."""
 
 VOXELS = 40
-"""Parts of the object's box along each axis, by which its inside is told from the outside."""
+"""Voxels along each axis of the object's box, to find its inside."""
 
 WORTH_A_BOX = 0.03
-"""A box more must save this part of what they all take up."""
+"""An additional box must reduce the total volume by this share."""
 
 SPREAD = 1e-4
-"""By how much more each box of an object is padded than the one before, in parts of the diagonal: no sides coincide."""
+"""Additional padding of each box of an object, relative to the diagonal, so that no sides coincide."""
 
 CHARTED_THICKNESS = 0.05
-"""Where the atlas is laid out, no side of a box is shorter than this part of the object's diagonal."""
+"""Least side of a box in the atlas layout, relative to the object's diagonal."""
 
 CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
 QUADS = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
@@ -50,7 +50,7 @@ def blocks(solid: Solid, *, padding: float, step: float) -> Surface:
     positions, faces = welded(solid.mesh)
     local = positions.astype(np.float64) @ axes.T
     low, high = _parts((local[faces] - origin) / size)
-    # What the solid has been thickened by belongs to every box, or flat ones would have no volume to go by.
+    # Every box is thickened like the solid; otherwise flat ones would have no volume to compare.
     thickening = np.maximum(0.5 * (1 - np.ptp(local, axis=0) / size), 0)
     parts = low - thickening, high + thickening
     low, high = min((_merged(*_cell_boxes(*parts, cells)) for cells in GRIDS), key=lambda boxes: _score(*boxes))
@@ -74,7 +74,7 @@ def _parts(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _cell_boxes(low: np.ndarray, high: np.ndarray, cells: int) -> tuple[np.ndarray, np.ndarray]:
-    """Lower and upper ends (m, 3) of a tight box in each cell, around the parts whose centres are in it."""
+    """Lower and upper ends (m, 3) of a tight box around the parts with their centres in each cell."""
     cell = np.clip(0.5 * (low + high) * cells, 0, cells - 1).astype(int) @ [cells * cells, cells, 1]
     _, box = np.unique(cell, return_inverse=True)
     lower, upper = np.full((box.max() + 1, 3), np.inf), np.full((box.max() + 1, 3), -np.inf)
@@ -107,9 +107,9 @@ def _filled(voxels: np.ndarray) -> np.ndarray:
 
 
 def _merged(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The boxes merged two by two, always the pair whose box adds least volume; largest first.
+    """The boxes merged in pairs, always the pair whose box adds least volume; largest first.
 
-    They are merged until one is left, since what is a box itself is done best by one, which comes after worse ones.
+    They are merged until one is left, because for a box-shaped object one box is best, and comes after worse ones.
     """
     costs = np.stack([_added(low, high, index) for index in range(len(low))])
     alive = np.ones(len(low), bool)
@@ -131,7 +131,7 @@ def _merged(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _added(low: np.ndarray, high: np.ndarray, index: int) -> np.ndarray:
-    """How much volume (n,) is gained when one box is put around each and the one at `index`; infinite for itself."""
+    """The volume (n,) added by a box around each box and the one at `index`; infinite for itself."""
     around = np.prod(np.maximum(high, high[index]) - np.minimum(low, low[index]), axis=-1)
     shared = np.prod(np.maximum(np.minimum(high, high[index]) - np.maximum(low, low[index]), 0), axis=-1)
     added = around - np.prod(high - low, axis=-1) - np.prod(high[index] - low[index]) + shared
@@ -144,7 +144,7 @@ def _score(low: np.ndarray, high: np.ndarray) -> float:
 
 
 def _union_volume(low: np.ndarray, high: np.ndarray) -> float:
-    """What a few boxes take up together, overlaps counted once: on the grid of all their sides."""
+    """The volume of the union of a few boxes, on the grid of all their sides."""
     planes = [np.unique(np.concatenate([low[:, axis], high[:, axis]])) for axis in range(3)]
     middles = [0.5 * (plane[1:] + plane[:-1]) for plane in planes]
     x, y, z = ((low[:, axis, None] < middles[axis]) & (middles[axis] < high[:, axis, None]) for axis in range(3))
@@ -156,7 +156,7 @@ def _surface(low: np.ndarray, high: np.ndarray, axes: np.ndarray, diagonal: floa
     """Boxes (n, 3) along the axes as one surface, each side with vertices of its own for its normal."""
     count = len(low)
     corners = np.where(CORNERS, high[:, None], low[:, None])[:, QUADS].reshape(-1, 3)
-    # Apart and thicker, for the atlas: boxes that touch would be one for xatlas.
+    # Apart and thicker for the atlas, because xatlas would merge touching boxes.
     sizes = np.maximum(high - low, CHARTED_THICKNESS * diagonal)
     apart = np.arange(count)[:, None, None, None] * [2 * diagonal + sizes.max(), 0, 0]
     charted = (CORNERS[QUADS] * sizes[:, None, None] + apart).reshape(-1, 3)

@@ -9,22 +9,22 @@ from datagen.data.meshes import Mesh
 from proxies.meshing.solid import Solid
 
 MAX_DIRECTIONS = 400
-"""Face normals of the hull that are tried as a side of the box, largest area first."""
+"""Face normals of the hull to try as a side of the box, largest area first."""
 
 CELLS = 8
-"""Parts along the box's longest side; shorter sides have fewer, so that triangles stay near to square."""
+"""Cells along the box's longest side; shorter sides have fewer, so that cells are almost square."""
 
 MAX_EDGES = 20
-"""Hull edges that are tried in pairs as flush with two neighbouring sides of the box, longest first."""
+"""Hull edges to try in pairs as flush with two neighbouring sides of the box, longest first."""
 
 WORTH_TURNING = 5e-3
-"""Least gain in volume for which a box leaves the world's axes."""
+"""Least gain in volume for a box that is not aligned with the world's axes."""
 
 GUTTER = 1.25 / 256
 """Distance of a chart from its slot's rim: 2.5 texels between charts at 256^2, so bilinear lookups never mix two."""
 
 MIN_ROW = 1 / 16
-"""Least height of a row of charts, in parts of the atlas: the thin sides of a slab keep some texels."""
+"""Least height of a row of charts, relative to the atlas, so that the thin sides of a slab keep some texels."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -47,13 +47,13 @@ def fit_box(solid: Solid, *, padding: float) -> Mesh:
 def smallest_box(solid: Solid) -> Box:
     """The oriented box of least volume around all points.
 
-    A least box need not lie flush with a face of the hull (O'Rourke 1985), so the best ones that do are the start of a
-    descent: the box is turned about each of its axes in turn, each time to the exact optimum, until nothing improves.
+    The smallest box need not be flush with a face of the hull (O'Rourke 1985), so the best flush ones only start a
+    descent: the box is rotated about each of its axes in turn to the exact optimum, until nothing improves.
     """
     points = solid.hull_points
     frames = [np.eye(3), *(_turned_about(direction, points) for direction in _directions(solid))]
     volumes = np.array([_volume(frame, points) for frame in frames])
-    # Round things fit all ways equally well: a turned box must be better than the upright one by more than a trace.
+    # For round objects all directions are equal: a rotated box must be clearly better than the upright one.
     best, least = frames[0], volumes[0] * (1 - WORTH_TURNING)
     for index in np.argsort(volumes, kind="stable")[:5]:
         frame, volume = frames[index], volumes[index]
@@ -103,7 +103,7 @@ def box_mesh(box: Box) -> Mesh:
 
 
 def _directions(solid: Solid) -> np.ndarray:
-    """Unit vectors (n, 3) that may stand across a side: normals of hull faces, and of planes along two hull edges."""
+    """Candidate normals (n, 3) of a side: normals of hull faces, and of planes along two hull edges."""
     corners = solid.hull_points[solid.hull_faces]
     a, b, c = np.moveaxis(corners, 1, 0)
     normals = _largest(np.cross(b - a, c - a), MAX_DIRECTIONS)
@@ -118,14 +118,14 @@ def _largest(vectors: np.ndarray, count: int) -> np.ndarray:
     order = np.argsort(-lengths, kind="stable")
     order = order[lengths[order] > 1e-6 * lengths.max(initial=0)]
     units = vectors[order] / lengths[order, None]
-    # Of a vector and its opposite, the one whose largest component is positive.
+    # Opposite vectors count once, with a positive largest component.
     signs = np.sign(np.take_along_axis(units, np.abs(units).argmax(axis=1)[:, None], axis=1))
     _, first = np.unique(np.round(units * signs, 3), axis=0, return_index=True)
     return units[np.sort(first)][:count]
 
 
 def _turned_about(axis: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Of all frames (3, 3) with the row `axis`, the one with the smallest box: its base is flush with a hull edge."""
+    """The frame (3, 3) with the row `axis` and the smallest box: its base is flush with a hull edge."""
     from scipy.spatial import ConvexHull
 
     seed = np.eye(3)[np.abs(axis).argmin()]
@@ -150,7 +150,7 @@ def _volume(frame: np.ndarray, points: np.ndarray) -> float:
 def _box_of_frame(frame: np.ndarray, points: np.ndarray) -> Box:
     """The box in a frame, its axes in a fixed order and sense whatever the search gave."""
     sizes = np.ptp(points @ frame.T, axis=0)
-    # Equal sides (to rounding) are told apart by the world axis that they are nearest to.
+    # Equal sides (to rounding) are ordered by the world axis that they are nearest to.
     nearest = np.abs(frame).argmax(axis=1)
     axes = frame[np.lexsort((nearest, -np.round(sizes / sizes.max(), 6)))]
     for axis in axes[:2]:
@@ -162,7 +162,7 @@ def _box_of_frame(frame: np.ndarray, points: np.ndarray) -> Box:
 
 
 def _row_heights(half: np.ndarray) -> np.ndarray:
-    """Heights of the three rows of charts in parts of the atlas, by the sides that stand upright in them."""
+    """Heights of the three rows of charts, relative to the atlas, by their vertical sides."""
     heights = half[[1, 2, 2]] / half[[1, 2, 2]].sum()
     return np.maximum(heights, MIN_ROW) / np.maximum(heights, MIN_ROW).sum()
 

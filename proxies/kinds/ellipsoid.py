@@ -9,14 +9,14 @@ from datagen.data.meshes import Mesh
 from proxies.meshing.solid import Solid
 
 TOLERANCE = 1e-5
-"""By how much the optimality conditions may be missed; measured volumes are then within 3e-5 of the least."""
+"""Tolerance of the optimality conditions; measured volumes are then within 3e-5 of the least."""
 
 MAX_STEPS = 20_000
 
 CELLS = 16
 """Grid cells along an edge of the octahedron: 8 * 16^2 = 2048 faces, 0.35 % more volume than a smooth ellipsoid.
 
-A multiple of 4: only then is the tessellation of the sphere convex (a test holds it to that).
+It must be a multiple of 4 for the tessellation of the sphere to be convex (a test checks that).
 """
 
 
@@ -26,18 +26,18 @@ class Ellipsoid:
 
     center: Float64[np.ndarray, "3"]
     root: Float64[np.ndarray, "3 3"]
-    """Symmetric, positive definite; its eigenvalues are the radii in metres. Symmetric, so that the texture's frame
-    stays the world's: eigenvectors would spin freely where two radii are equal."""
+    """Symmetric and positive definite; its eigenvalues are the radii in metres. A symmetric root keeps the texture
+    aligned with the world: eigenvectors would be arbitrary where two radii are equal."""
     weights: Float64[np.ndarray, "point"]
     """Non-negative, summing to 1: the dual solution, positive only at points on the surface."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SphereGrid:
-    """The unit sphere in an equal-area octahedral map; vertices at the map's rim stand twice."""
+    """The unit sphere in an equal-area octahedral map; vertices at the map's border are doubled."""
 
     positions: Float64[np.ndarray, "position 3"]
-    """Without repeats."""
+    """Unique positions."""
     position_of: Int64[np.ndarray, "vertex"]
     uv: Float64[np.ndarray, "vertex 2"]
     faces: Int64[np.ndarray, "face 3"]
@@ -48,10 +48,10 @@ def fit_ellipsoid(solid: Solid, *, padding: float) -> Mesh:
     """The solid's smallest ellipsoid as a polyhedron around all points, its radii longer by `padding` metres."""
     ellipsoid = smallest_ellipsoid(solid.hull_points)
     grid = sphere_grid(CELLS)
-    # Flat facets cut into the ellipsoid; it grows by just what makes the polyhedron reach the outermost point.
+    # Flat facets cut into the ellipsoid, so it grows until the polyhedron reaches the outermost point.
     root = ellipsoid.root * _gauge(grid, ellipsoid.root, solid.points - ellipsoid.center)
     root = root + padding * np.eye(3)
-    # Growing each radius by a different factor slants facets: make sure of what the padding gives already.
+    # Growing each radius by a different factor tilts facets, so enclosure is checked again.
     root = root * max(1.0, _gauge(grid, root, solid.points - ellipsoid.center))
     x, y, z = (grid.positions[:, axis, None] for axis in range(3))
     # Element by element, not by matrix product: BLAS rounds equal rows differently, and seams would open.
@@ -72,7 +72,7 @@ def smallest_ellipsoid(points: Float64[np.ndarray, "point 3"]) -> Ellipsoid:
     Source: Khachiyan 1996 with the away steps of Todd and Yildirim 2007, which make it converge linearly; the start is
     Kumar and Yildirim's few extreme points.
     """
-    # The answer does not depend on an affine map; whitened points keep the arithmetic well conditioned.
+    # The result is affine invariant; whitened points keep the arithmetic well conditioned.
     mean = points.mean(axis=0)
     spread = np.linalg.cholesky(np.cov((points - mean).T, bias=True))
     whitened = np.linalg.solve(spread, (points - mean).T).T

@@ -1,7 +1,7 @@
 """Proxies of kind `hull`: the convex hull with rounded edges and corners, a smooth convex mesh around the object.
 
-All is done in the space in which the hull's smallest ellipsoid is the unit sphere. A hull is never thinner there than a
-third of the sphere (John 1948), so a slab's rim gets a rounding of its own size, and texels.
+Everything is computed in the space where the hull's smallest ellipsoid is the unit sphere. There, a hull is at least a
+third as thick as the sphere (John 1948), so a slab's rim gets a rounding in proportion, and texels.
 """
 
 import numpy as np
@@ -12,17 +12,17 @@ from proxies.meshing.solid import Solid, hull_by_scipy, outside_by
 from proxies.meshing.surface import Surface, unwrap_sound
 
 CELLS = 12
-"""Grid cells along an edge of the octahedron: 4 * 12^2 + 2 = 578 normals, each of which gives the hull a vertex."""
+"""Grid cells along an edge of the octahedron: 4 * 12^2 + 2 = 578 normals, and a hull vertex for each."""
 
 ROUNDING = 0.1
-"""Radius of the roundings in parts of the ellipsoid's radii: 19 % more volume around a cube, 3 % around a ball."""
+"""Radius of the rounding, relative to the ellipsoid's radii: 19 % more volume around a cube, 3 % around a ball."""
 
 MIN_FACES = (1e-5, 1e-4, 1e-3, 1e-2)
-"""Least area of a face in parts of the whole: the first with which the atlas, which stretches charts, has room."""
+"""Least areas of a face, relative to the whole surface; the first that fits into the atlas, which stretches charts."""
 
 
 def fit_hulls(solids: tuple[Solid, ...], paddings: tuple[float, ...]) -> tuple[Mesh, ...]:
-    """Each solid's rounded convex hull, with all points behind each facet's plane by the padding in metres."""
+    """Each solid's rounded convex hull, with all points inside each facet's plane by the padding in metres."""
     return unwrap_sound(
         lambda index, place: (rounded_hull(solids[index], padding=paddings[index], min_face=MIN_FACES[place]), place),
         count=len(solids),
@@ -31,10 +31,11 @@ def fit_hulls(solids: tuple[Solid, ...], paddings: tuple[float, ...]) -> tuple[M
 
 
 def rounded_hull(solid: Solid, *, padding: float, min_face: float) -> Surface:
-    """The sum of the shrunken hull and a ball, just as large as it takes to enclose the hull and the padding.
+    """The sum of the shrunken hull and a ball, just large enough to enclose the hull with the padding.
 
-    Of the sum of two convex bodies, the point farthest along a normal is the sum of theirs. So evenly spread normals
-    give vertices that lie close where the hull is rounded and far apart where it is flat, and the normals are exact.
+    The farthest point of a sum of two convex bodies along a normal is the sum of their farthest points. So evenly
+    spread normals give vertices that are dense where the hull is rounded and sparse where it is flat, with exact
+    normals.
     """
     ellipsoid = smallest_ellipsoid(solid.hull_points)
     root, center = ellipsoid.root, ellipsoid.center
@@ -43,16 +44,16 @@ def rounded_hull(solid: Solid, *, padding: float, min_face: float) -> Surface:
     body = local[(normals @ local.T).argmax(axis=1)] + ROUNDING * normals
     kept = _without_slivers(body, min_face)
     body, normals = body[kept], normals[kept]
-    # The ball has grown the flat sides, too: the body shrinks until one of its facets touches the hull.
+    # The ball also moves the flat sides outward: the body shrinks until one of its facets touches the hull.
     body *= _gauge(body, local)
     normals_world = np.linalg.solve(root, normals.T).T
     normals_world /= np.linalg.norm(normals_world, axis=-1, keepdims=True)
     outward = np.linalg.solve(root, normals_world.T).T
     offset = padding
-    while True:  # Two or three times: a facet moves by the offset, less the cosine of what it leans by.
+    while True:  # Two or three times: a tilted facet moves by less than the offset.
         grown = body + offset * outward
         used, faces = hull_by_scipy(grown)
-        assert len(used) == len(grown), "each is the farthest along its normal"
+        assert len(used) == len(grown), "each point is the farthest along its normal"
         vertices = center + grown @ root
         missing = float(outside_by(vertices[faces], solid.hull_points).max()) + padding
         if missing <= 0.1 * padding:
@@ -61,7 +62,7 @@ def rounded_hull(solid: Solid, *, padding: float, min_face: float) -> Surface:
 
 
 def _without_slivers(points: np.ndarray, min_face: float) -> np.ndarray:
-    """Indices of points whose convex hull has no tiny faces: of each such face, the flattest corner is left out."""
+    """Indices of points whose convex hull has no tiny faces: the flattest corner of each such face is removed."""
     kept = np.arange(len(points))
     while True:
         _, faces = hull_by_scipy(points[kept])
@@ -73,7 +74,7 @@ def _without_slivers(points: np.ndarray, min_face: float) -> np.ndarray:
             return kept
         is_kept = np.ones(len(kept), bool)
         for face in tiny[np.argsort(areas[tiny], kind="stable")]:
-            # Once a corner is gone, its other faces are no more.
+            # Removing a corner also removes its other faces.
             if is_kept[faces[face]].all():
                 is_kept[faces[face, opposite[face].argmax()]] = False
         kept = kept[is_kept]

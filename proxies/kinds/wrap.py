@@ -1,8 +1,8 @@
 """Proxies of kinds `wrap` and `lowpoly`: meshes that follow the object into its hollows, by PyMeshLab's alpha wrap.
 
-A wrap encloses what it is made from, be that open, in parts or a soup, and it is closed: a glass has its bowl, panes
-become slabs. The kinds differ in how coarse they are and in which way: a wrap stands off evenly, with even triangles; a
-low-poly mesh is a finer wrap with far fewer triangles, grown until it encloses the object again.
+A wrap is closed and encloses its object, even if that is open, in parts or a triangle soup: a glass keeps its bowl,
+panes become slabs. The kinds differ in their coarseness: a wrap has an even distance and even triangles; a low-poly
+mesh is a finer wrap with far fewer triangles, grown until it encloses the object again.
 """
 
 import numpy as np
@@ -11,53 +11,45 @@ from jaxtyping import Float64, Int64
 from datagen.data.meshes import Mesh, face_corners, vertex_normals
 from datagen.disk.errors import HyalineError
 from proxies.meshing import meshlab
-from proxies.meshing.inside import enclosed_share
+from proxies.meshing.measure import enclosed_share
 from proxies.meshing.solid import Solid, principal_directions
 from proxies.meshing.surface import Surface, unwrap_sound
 
 WRAP_ALPHA = 0.04
-"""Diameter of the ball that carves a wrap, in parts of the diagonal: it enters no hollow that is narrower."""
+"""Diameter of the ball that carves a wrap, relative to the diagonal: it does not enter narrower hollows."""
 
 LOWPOLY_ALPHA = 0.02
 
 OFFSET_OF_THICKNESS = 0.25
-"""How far a wrap stands off its object, in parts of the object's thickness, within `OFFSETS`."""
+"""Distance of a wrap from its object, relative to the object's thickness, limited by `OFFSETS`."""
 
 OFFSETS = (0.001, 0.01)
-"""Least and greatest such distance, in parts of the diagonal: close wraps of sheets take tens of thousands of faces."""
+"""Least and greatest distance, relative to the diagonal: close wraps of sheets need tens of thousands of faces."""
 
 FACES = (300, 600, 1200, 2400)
-"""Triangles of a low-poly mesh: the first number with which it encloses its object without growing by too much."""
+"""Triangles of a low-poly mesh: the first number that encloses its object without growing too much is used."""
 
 CHARTED_THICKNESSES = (0.2, 1.0)
-"""Where the atlas is laid out, nothing is thinner than this part of its length: a slab's rim has texels.
+"""Least thickness in the atlas layout, relative to the length, so that a slab's rim has texels.
 
-The second is for what finds no room with the first.
+The second is for meshes that do not fit with the first.
 """
 
 MAX_GROWTH = 1.0
-"""How far the vertices of a low-poly mesh may move outward, in offsets of the wrap that it is made from."""
+"""Largest outward movement of the vertices of a low-poly mesh, in offsets of its wrap."""
 
 
 Candidate = tuple[Float64[np.ndarray, "_ 3"], Int64[np.ndarray, "_ 3"]]
 
 
 def fit_wraps(solids: tuple[Solid, ...], paddings: tuple[float, ...]) -> tuple[Mesh, ...]:
-    """Each solid's alpha wrap, farther off by its padding; with fewer triangles where the wrap has some too small.
-
-    Raises:
-        HyalineError: pymeshlab is missing or fails.
-    """
+    """Each solid's alpha wrap, moved outward by its padding; with fewer triangles if some are too small."""
     wraps = _wraps(solids, paddings, kind="wrap", alpha=WRAP_ALPHA, targets=FACES)
     return _first_sound(solids, paddings, [candidates[::-1] for candidates in wraps])
 
 
 def fit_lowpolys(solids: tuple[Solid, ...], paddings: tuple[float, ...]) -> tuple[Mesh, ...]:
-    """Each solid's decimated wrap, its vertices moved outward until it encloses the object.
-
-    Raises:
-        HyalineError: pymeshlab is missing or fails.
-    """
+    """Each solid's decimated wrap, its vertices moved outward until it encloses the object."""
     wraps = _wraps(solids, paddings, kind="lowpoly", alpha=LOWPOLY_ALPHA, targets=FACES)
     return _first_sound(solids, paddings, wraps)
 
@@ -65,7 +57,7 @@ def fit_lowpolys(solids: tuple[Solid, ...], paddings: tuple[float, ...]) -> tupl
 def _first_sound(
     solids: tuple[Solid, ...], paddings: tuple[float, ...], candidates: list[list[Candidate]]
 ) -> tuple[Mesh, ...]:
-    """For each solid the first of its candidates that encloses it, when grown, and has room in the atlas."""
+    """For each solid the first of its candidates that encloses it, when grown, and fits into the atlas."""
     return unwrap_sound(
         lambda index, first: _first_enclosing(solids[index], candidates[index], first, padding=paddings[index]),
         count=len(solids),
@@ -88,7 +80,7 @@ def _first_enclosing(solid: Solid, candidates: list[Candidate], first: int, *, p
             grown = vertices + (growth + padding) * normals
             if enclosed_share(_bare(grown, faces), solid.mesh) == 1:
                 return _surface(solid, grown, faces, thickness), place
-    # None does when the last ones are coarse; the finest, the wrap itself, encloses the object as it is.
+    # If none does, because the last ones are coarse: the finest, the wrap itself, encloses the object as it is.
     finest = max(candidates, key=lambda candidate: len(candidate[1]))
     return _surface(solid, *finest, thickness), end - 1
 
@@ -99,12 +91,12 @@ def _wraps(
     """Each solid's decimated wraps and its wrap, in metres."""
     if (problem := meshlab.meshlab_problem()) is not None:
         raise HyalineError(f"a {kind} needs pymeshlab: {problem}, or make `--kind hull`")
-    # In a box of diagonal 1 around the origin, where sizes are shares and float32 is finest.
+    # In a box of diagonal 1 around the origin, where float32 is most precise.
     sizes = [_diagonal(solid) for solid in solids]
     centers = [0.5 * (solid.hull_points.min(axis=0) + solid.hull_points.max(axis=0)) for solid in solids]
     surfaces, offsets = [], []
     for solid, size, center, padding in zip(solids, sizes, centers, paddings, strict=True):
-        # Each triangle by itself: of those that share an edge the wrong way, pymeshlab 2025.7 leaves some out.
+        # Each triangle separately: pymeshlab 2025.7 drops some triangles that share an edge in the wrong direction.
         corners = face_corners(solid.mesh).reshape(-1, 3).astype(np.float64)
         surfaces.append(((corners - center) / size, np.arange(len(corners)).reshape(-1, 3)))
         offsets.append((_offset(solid) + padding) / size)
@@ -142,7 +134,7 @@ def _bare(vertices: np.ndarray, faces: np.ndarray) -> Mesh:
 
 
 def _offset(solid: Solid) -> float:
-    """How far a wrap stands off, in metres."""
+    """A wrap's distance from its object in metres."""
     return float(np.clip(OFFSET_OF_THICKNESS * solid.thickness / _diagonal(solid), *OFFSETS)) * _diagonal(solid)
 
 

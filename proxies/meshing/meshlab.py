@@ -1,7 +1,7 @@
-"""What proxies ask of pymeshlab, which only a child process imports.
+"""pymeshlab's filters for proxies, run in a child process.
 
-pymeshlab ends its process on some inputs (a hull of collinear points) and never returns from others, so its filters get
-validated arrays, never files, in a child with a time limit: `python -m proxies.meshing.meshlab IN.npz OUT.npz TASK`.
+pymeshlab kills its process on some inputs (a hull of collinear points) and never returns from others, so it runs in a
+child with a time limit, on validated arrays: `python -m proxies.meshing.meshlab IN.npz OUT.npz TASK`.
 """
 
 # pymeshlab fills its namespace when it is imported; pyright sees none of it.
@@ -19,28 +19,28 @@ from datagen.machine.child_python import ChildError, arrays_from_child
 from datagen.terminal.distribution import install_command
 
 TIMEOUT_S = 120.0
-"""Longest time that the child may take for the objects of one dataset."""
+"""Time limit of the child for the objects of one dataset."""
 
 WRAP_TIMEOUT_S = 60.0
-"""What each object may take besides, to be wrapped; a few seconds are usual."""
+"""Additional time limit for each wrapped object; a few seconds are usual."""
 
 Task = Literal["probe", "hulls", "distances", "wraps"]
 
 
 class MeshlabError(Exception):
-    """pymeshlab gave no answer; the caller goes on without it."""
+    """pymeshlab failed; the caller continues without it."""
 
 
 @functools.cache
 def meshlab_problem() -> str | None:
-    """Why pymeshlab cannot be used here and what mends it, in one line; None when it works."""
+    """The reason why pymeshlab cannot be used here and how to fix that, in one line; None if it works."""
     try:
         _run("probe", {})
     except MeshlabError as error:
         message = str(error)
         installed = f"`{install_command('proxies')}` and `apt install libgl1`"
-        mend = "`apt install libgl1`" if "libGL" in message else installed
-        return f"pymeshlab cannot be used ({message}); mend it with {mend}"
+        fix = "`apt install libgl1`" if "libGL" in message else installed
+        return f"pymeshlab cannot be used ({message}); fix it with {fix}"
     return None
 
 
@@ -88,12 +88,12 @@ def alpha_wraps(
     offsets: list[float],
     targets: tuple[int, ...] = (),
 ) -> list[list[tuple[Float64[np.ndarray, "_ 3"], Int64[np.ndarray, "_ 3"]]]]:
-    """For each (vertices, faces), which may be open or a soup: closed outward surfaces, the last of which encloses it.
+    """For each (vertices, faces), possibly open or a soup: closed outward surfaces; the last one encloses it.
 
     Args:
         alpha: diameter of the ball that carves the space around a surface, in units of the vertices.
-        offsets: how far each wrap stands off its surface, in the same units.
-        targets: how many faces the wrap is decimated to; for each a surface before the wrap itself, enclosing or not.
+        offsets: distance of each wrap from its surface, in the same units.
+        targets: face counts to decimate the wrap to; each gives a surface before the wrap itself, enclosing or not.
 
     Raises:
         MeshlabError: the child died, took too long, or returned no surface.
@@ -148,7 +148,7 @@ def _child(source: Path, target: Path, task: str) -> None:
             meshes.add_mesh(
                 pymeshlab.Mesh(vertex_matrix=arrays[f"{index}.vertices"], face_matrix=arrays[f"{index}.faces"])
             )
-            # Without a limit: points that are farther than `maxdist` would keep it as their distance.
+            # No limit: points farther than `maxdist` would get it as their distance.
             meshes.compute_scalar_by_distance_from_another_mesh_per_vertex(
                 measuremesh=0, refmesh=1, signeddist=False, maxdist=pymeshlab.PureValue(1e9)
             )
@@ -165,7 +165,7 @@ def _wrapped(arrays: dict[str, np.ndarray], index: int) -> dict[str, np.ndarray]
     meshes.generate_alpha_wrap(alpha=alpha, offset=offset)
     wrap = meshes.current_mesh_id()
     answers = {}
-    # The wrap comes last; each coarser one is made from it, not from one that is coarse already.
+    # The wrap comes last; each coarser one is made from the wrap, not from another coarse one.
     for step, target in enumerate([*arrays[f"{index}.targets"].tolist(), None]):
         meshes.set_current_mesh(wrap)
         if target is not None:

@@ -1,8 +1,8 @@
 """Proxies of kind `noise`: the true surface displaced by a smooth random field, to study how much error is tolerable.
 
-A noisy mesh keeps the truth's faces and uv, so it needs no room of its own and encloses nothing. An open mesh stays
-open. Both walls of thin glass move alike where they are closer than the field's correlation length, so a wall keeps its
-thickness to first order; from an amount of a few hundredths on, the field may fold and walls run into each other.
+A noisy mesh keeps the truth's faces and uv, and need not enclose anything; an open mesh stays open. Both walls of thin
+glass move equally if they are closer than the field's correlation length, so a wall keeps its thickness to first order;
+from an amount of a few hundredths, the field may fold, and walls may intersect.
 """
 
 import numpy as np
@@ -12,39 +12,35 @@ from datagen.data.meshes import Mesh, face_areas
 from datagen.disk.errors import HyalineError
 
 AMOUNTS = (0.001, 0.05)
-"""Least and greatest standard deviation that is accepted, in parts of an object's bounding-box diagonal."""
+"""Least and greatest standard deviation, relative to an object's bounding-box diagonal."""
 
 CORRELATION = 0.1
-"""Distance over which the field varies, in parts of the diagonal: its correlation there has fallen to exp(-1/2)."""
+"""Distance at which the field's correlation has fallen to exp(-1/2), relative to the diagonal."""
 
 EDGE_LENGTHS = 2.0
-"""Yet never less than this many edges of typical length, or coarse triangles could not follow the field."""
+"""Least correlation length in typical edge lengths, so that coarse triangles can follow the field."""
 
 WAVES = 256
-"""Plane waves that make up the field."""
+"""Number of plane waves in the field."""
 
 SEED = 20_220_608
-"""With an object's place in its dataset, the seed of its field."""
+"""Seed of an object's field, together with its index in the dataset."""
 
 
 def check_amount(amount: float) -> None:
-    """Refuses an amount of noise that is no small share of an object.
-
-    Raises:
-        HyalineError: it is not within `AMOUNTS`.
-    """
+    """Raises a HyalineError for an amount outside of `AMOUNTS`."""
     if not AMOUNTS[0] <= amount <= AMOUNTS[1]:
         raise HyalineError(
-            f"amount {amount:g}: expected {AMOUNTS[0]:g} to {AMOUNTS[1]:g}, parts of each object's diagonal"
+            f"amount {amount:g}: expected {AMOUNTS[0]:g} to {AMOUNTS[1]:g}, relative to each object's diagonal"
         )
 
 
 def noisy_mesh(truth: Mesh, amount: float, *, place: int) -> Mesh:
-    """An object's mesh with noise of its own; the same object in the same place always gets the same.
+    """An object's mesh with noise, which is always the same for the same object and index.
 
     Args:
-        amount: standard deviation along any direction, in parts of the object's bounding-box diagonal.
-        place: of the object in its dataset, from 0.
+        amount: standard deviation along any direction, relative to the object's bounding-box diagonal.
+        place: the object's index in its dataset, from 0.
     """
     return noisy(truth, amount, rng=np.random.default_rng((SEED, place)))
 
@@ -52,9 +48,9 @@ def noisy_mesh(truth: Mesh, amount: float, *, place: int) -> Mesh:
 def noisy(truth: Mesh, amount: float, *, rng: np.random.Generator) -> Mesh:
     """The mesh with each position p moved to p + f(p), f a Gaussian random field of three independent coordinates.
 
-    The field depends on the position alone, so vertices that stand several times move together and no seam opens.
-    Normals turn with the field's derivative rather than being averaged over faces: creases stay, and without noise
-    they would be the truth's. Over the vertices, a coordinate of f has exactly the root mean square asked for.
+    The field only depends on the position, so duplicate vertices move together and seams stay closed. Normals follow
+    from the field's derivative instead of being averaged over faces: creases are kept, and without noise they equal
+    the truth's. Over all vertices and coordinates, f has exactly the requested root mean square.
 
     Source: Rahimi and Recht 2007, random Fourier features of the Gaussian kernel.
     """
@@ -66,7 +62,7 @@ def noisy(truth: Mesh, amount: float, *, rng: np.random.Generator) -> Mesh:
     center = positions.mean(axis=0, dtype=np.float64)
     moved, gradients = _field(positions - center, frequencies, phases, weights)
     scale = amount * size / float(np.sqrt((moved**2).mean()))
-    # Areas turn with the cofactors of the derivative, which keep their sense where the field folds space over.
+    # Normals transform with the cofactors of the derivative, which keep their sign where the field folds space.
     a, b, c = np.moveaxis(np.eye(3) + scale * gradients[position_of], -1, 0)
     cofactors = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=-1)
     normals = np.einsum("vij,vj->vi", cofactors, truth.normals.astype(np.float64))
@@ -80,7 +76,7 @@ def noisy(truth: Mesh, amount: float, *, rng: np.random.Generator) -> Mesh:
 
 
 def noise_problem(mesh: Mesh, truth: Mesh) -> str | None:
-    """What is wrong with a noisy mesh, in a few words; None when it has the truth's faces and uv, in other places."""
+    """The problem of a noisy mesh in a few words; None if it has the truth's faces and uv, and moved vertices."""
     if not (np.array_equal(mesh.faces, truth.faces) and np.array_equal(mesh.uv, truth.uv)):
         return "has other faces or another uv than its object"
     if np.array_equal(mesh.vertices, truth.vertices):
@@ -89,7 +85,7 @@ def noise_problem(mesh: Mesh, truth: Mesh) -> str | None:
 
 
 def _correlation_length(truth: Mesh, size: float) -> float:
-    """In metres; the typical edge is the root of twice the median area per face, half of the area being in larger."""
+    """The correlation length in metres; the typical edge is the root of twice the area-weighted median face area."""
     areas = np.sort(face_areas(truth))
     typical = areas[np.searchsorted(np.cumsum(areas), 0.5 * areas.sum())]
     return max(CORRELATION * size, EDGE_LENGTHS * float(np.sqrt(2 * typical)))

@@ -30,11 +30,7 @@ class Surface:
 
 
 def unwrap_surfaces(surfaces: tuple[Surface, ...]) -> tuple[Mesh, ...]:
-    """Each surface with a uv of its own for every point; vertices stand several times along the atlas's seams.
-
-    Raises:
-        HyalineError: see `datagen.scene.atlas.unwrap_all`.
-    """
+    """Each surface with a uv of its own for every point; vertices stand several times along the atlas's seams."""
     charted = unwrap_all(
         {
             f"proxy {index + 1} of {len(surfaces)}": Mesh(
@@ -57,9 +53,6 @@ def unwrap_sound(propose: Callable[[int, int], tuple[Surface, int]], *, count: i
 
     Args:
         propose: for (object, place), a surface and its place, which is that one or a later one, of `places`.
-
-    Raises:
-        HyalineError: see `datagen.scene.atlas.unwrap_all`.
     """
     meshes: dict[int, Mesh] = {}
     start = dict.fromkeys(range(count), 0)

@@ -12,9 +12,18 @@ from support.meshes import mesh_of
 from support.rigs import config
 from support.synthetic import synthetic_scene
 
-from benchmarks.generator.random_scenes import survey_seeds, survey_table
-from benchmarks.generator.scale import Point, ScaleReport, Task, bench_scale, fit_growth, measure_task, show_scale
-from benchmarks.generator.shells import make_shells, random_cameras
+from benchmarks.random_scenes import survey_seeds, survey_table
+from benchmarks.scale import (
+    Point,
+    ScaleReport,
+    Task,
+    bench_scale,
+    fit_growth,
+    make_shells,
+    measure_task,
+    random_cameras,
+    show_scale,
+)
 from datagen.data.images import encode_exr
 from datagen.data.meshes import check_closed, check_mesh
 from datagen.disk.errors import HyalineError
@@ -25,8 +34,8 @@ from datagen.scene.rig import make_cameras
 
 use_mitsuba(quiet=True)
 
-from benchmarks.generator.peel import ENGINES, bench_peel, compare_objects  # noqa: E402
-from benchmarks.generator.truth import bench_truth, fit_noise, under_soft_light  # noqa: E402
+from benchmarks.peel import ENGINES, bench_peel, compare_objects  # noqa: E402
+from benchmarks.truth import bench_truth, fit_noise, under_soft_light  # noqa: E402
 from datagen.trace.peel import Peeler  # noqa: E402
 
 

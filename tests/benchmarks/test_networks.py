@@ -6,12 +6,10 @@ import numpy as np
 import pytest
 import torch
 
+from benchmarks.choices import BenchChoices
 from benchmarks.harness import show
-from benchmarks.networks.choices import BenchChoices
-from benchmarks.networks.gpu import bench_gpu
-from benchmarks.networks.infer import bench_infer
-from benchmarks.networks.setting import COVERED, made_up_frame
-from benchmarks.networks.step import bench_step
+from benchmarks.naive import COVERED, made_up_frame
+from benchmarks.step import bench_gpu, bench_infer, bench_step
 
 TINY = {"pixels": 512, "resolution": 24, "objects": 3, "layers": 4, "texture_size": 16, "rounds": 3}
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 from support.synthetic import write_synthetic_dataset
 
-from benchmarks.pages.edited import edited_dataset, page_edits
+from benchmarks.compare import edited_dataset, page_edits
 from datagen.data.geometries import read_meshes
 from datagen.data.paths import TRUTH
 from datagen.data.variants import list_variants

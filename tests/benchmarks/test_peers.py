@@ -13,8 +13,19 @@ import pytest
 from support.commands import call
 from support.traced_dataset import write_traced_dataset
 
-from benchmarks.peers.comparison import PEERS, PLACES, Places, Read, Unread, ask, compare, find_places, report_on
-from benchmarks.peers.survey import peers_table, survey_peers
+from benchmarks.exports import (
+    PEERS,
+    PLACES,
+    Places,
+    Read,
+    Unread,
+    ask,
+    compare,
+    find_places,
+    peers_table,
+    report_on,
+    survey_peers,
+)
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.disk.storage import sha256
 from datagen.export.formats import FORMATS

@@ -8,8 +8,7 @@ import pytest
 import torch
 from support.synthetic import write_synthetic_dataset
 
-from benchmarks.pictures.errors import draw_errors, find_worst
-from benchmarks.pictures.sky import draw_skies, learned_sky, map_directions, true_sky
+from benchmarks.drawings import draw_errors, draw_skies, find_worst, learned_sky, map_directions, true_sky
 from datagen.data.dataset import Dataset
 from datagen.data.images import png_bytes
 from datagen.disk.errors import HyalineError

@@ -20,7 +20,7 @@ from support.commands import call, run
 from support.synthetic import write_synthetic_dataset
 
 import hyaline
-from benchmarks.pages.browser import running_browser, watched_page
+from benchmarks.browser import running_browser, watched_page
 from datagen.scene.folder import load_scene
 from model.methods import table
 

@@ -12,7 +12,7 @@ from support.synthetic import write_synthetic_dataset
 from datagen.data.config import TEST_SPLITS
 from datagen.data.dataset import Dataset
 from datagen.data.paths import TRUTH
-from eval.analyses.budget import missed_shares
+from eval.analyses.coverage import missed_shares
 from eval.page.report import make_report
 from model import cli
 from model.batches.rays import load_pixels
@@ -107,5 +107,5 @@ def test_other_numbers_of_layers_than_are_stored_are_refused(
     dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], layers: str
 ) -> None:
     assert train(monkeypatch, dataset, tmp_path / "run", "--layers", layers) == 1
-    assert f"error: layers: is {layers}; expected 1 to 4, as many as are stored" in capsys.readouterr().err
+    assert f"error: layers: is {layers}; expected 1 to 4, the number of stored layers" in capsys.readouterr().err
     assert not (tmp_path / "run").exists()

@@ -143,7 +143,7 @@ def test_the_report_averages_runs_that_differ_in_their_seed_alone(
     expected = [decibels(level) for level in (5, 7, 10)]
     assert mean[:3] == ["paper", "3", f"{statistics.fmean(expected):.2f}"]
     assert deviation[:4] == ["±", "", f"{statistics.stdev(expected):.2f}", "0.00"]
-    assert f"dataset seal {dataset.seal[:12]}" in text and "100-steps (" not in text
+    assert f"Data: dataset {dataset.seal[:12]}" in text and "100-steps (" not in text
 
     make_report(tmp_path, dataset.root.parent, tmp_path / "report", output_format="json")
     (scene,) = json.loads(capsys.readouterr().out)["scenes"]
@@ -379,7 +379,7 @@ def test_unknown_tables_formats_and_missing_runs_are_one_line(dataset: Dataset, 
     with pytest.raises(HyalineError, match="format 'csv': there is none of that name"):
         tables(dataset, tmp_path, "table1", output_format="csv")
     write_run(dataset, tmp_path, "view", paper(), 10, 11)
-    with pytest.raises(HyalineError, match=r"no run there that stands in table2; make them with `model sweep table2"):
+    with pytest.raises(HyalineError, match=r"contains no run of table2; make them with `model sweep table2"):
         tables(dataset, tmp_path / "nowhere", "table2")
 
 

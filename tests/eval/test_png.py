@@ -145,7 +145,7 @@ OTHER = {
     "P3": (profile("Display P3"), "its iCCP chunk holds another ICC profile"),
     "linear sRGB": (profile("GIMP built-in Linear sRGB"), "its iCCP chunk holds another ICC profile"),
     "no profile": (chunk(b"iCCP", b"sRGB\0\0sRGB"), "its iCCP chunk holds another ICC profile"),
-    "turned": (chunk(b"eXIf", EXIF), "to be shown turned or mirrored (EXIF orientation 6); write its pixels as they"),
+    "turned": (chunk(b"eXIf", EXIF), "has the EXIF orientation 6; rotate or mirror its pixels instead"),
     "turned, little-endian": (
         chunk(b"eXIf", b"II*\0\x08\0\0\0\x01\0" + struct.pack("<HHIHH", 0x112, 3, 1, 3, 0)),
         "(EXIF orientation 3)",
@@ -199,8 +199,8 @@ def test_a_picture_that_is_a_link_to_elsewhere_is_refused(
         ("transparent", "has transparent pixels; expected opaque ones"),
         ("transparent palette", "has transparent pixels; expected opaque ones"),
         ("animation", "is an animation; expected one picture"),
-        ("trailing bytes", "damaged (goes on for 1 bytes behind its end)"),
-        ("two pictures", "behind its end)"),
+        ("trailing bytes", "damaged (has 1 bytes after its end)"),
+        ("two pictures", "after its end)"),
         ("no end", "damaged (cut off after"),
         ("no pixels", "it has fewer pixels than the 16 x 16"),
         ("too large", "is 1048576 x 1048576 pixels; expected 16 x 16, as the truth has"),
@@ -278,7 +278,8 @@ def test_a_picture_that_is_not_what_was_written_is_named_with_the_command_that_w
             read_prediction(run, "interpolating", 1)
         told = command.format(root=tmp_path)
         assert str(error.value) == (
-            f"{path}: damaged (checksum differs), says {folder / 'predictions.json'}; render it again with `{told}`"
+            f"{path}: damaged (checksum differs), according to {folder / 'predictions.json'}; "
+            f"render it again with `{told}`"
         )
     assert np.array_equal(read_prediction(run, "interpolating", 0), dataset.view("interpolating", 0).image)
 
@@ -301,5 +302,5 @@ def test_a_picture_that_the_list_does_not_name_is_refused(dataset: Dataset, tmp_
     path = folder / "predictions/extrapolating/0000.png"
     path.parent.mkdir()
     path.write_bytes(png_bytes(dataset.view("extrapolating", 0).image))
-    with pytest.raises(HyalineError, match=r"0000\.png: not among those that were written, says"):
+    with pytest.raises(HyalineError, match=r"0000\.png: not one of the run's pictures, according to"):
         read_prediction(run_at(".", tmp_path, dataset), "extrapolating", 0)

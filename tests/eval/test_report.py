@@ -24,10 +24,10 @@ from datagen.data.images import png_bytes, read_png
 from datagen.disk.errors import HyalineError
 from datagen.machine.revision import code_version
 from eval.page.report import make_report
-from eval.page.results_page import results_page
 from eval.score.runs import RUN_KEYS, list_run_folders
 from eval.tables.grids import CEILING
 from eval.tables.looks import latex_escaped
+from eval.tables.results import results_page
 from model.run.run_folder import RunRecord
 
 SCRIPTS = Path(sys.executable).parent
@@ -207,7 +207,7 @@ def test_without_layers_the_glass_column_is_empty(copy: Path, capsys: pytest.Cap
     report(copy)
     out, err = capsys.readouterr()
     assert csv_rows(out)["grey"]["glass_psnr_db_interpolating"] == ""
-    assert "no layers of the true geometry, so no PSNR on glass" in err
+    assert "has no layers of the true geometry, so there is no PSNR on glass" in err
 
 
 # Pictures
@@ -254,7 +254,7 @@ def test_a_missing_view_is_named(copy: Path) -> None:
 def test_an_extra_view_is_named(copy: Path) -> None:
     folder = copy / "runs/synthetic/grey/predictions/interpolating"
     shutil.copy(folder / "0000.png", folder / "0002.png")
-    with pytest.raises(HyalineError, match=r"0002\.png: no view of that name in the interpolating split"):
+    with pytest.raises(HyalineError, match=r"0002\.png: not a view of the interpolating split"):
         report(copy)
 
 
@@ -288,7 +288,7 @@ def test_predictions_for_other_data_are_refused_but_the_others_are_scored(
 ) -> None:
     path = copy / "runs/synthetic/grey/run.json"
     path.write_text(json.dumps(json.loads(path.read_text()) | {"dataset_seal": "f" * 64}))
-    with pytest.raises(HyalineError, match=r"synthetic/grey: the predictions were made for other data"):
+    with pytest.raises(HyalineError, match=r"synthetic/grey: the predictions are for other data"):
         report(copy)
     assert set(csv_rows(capsys.readouterr().out)) == {"perfect", "foreign_nerf", CEILING}
 
@@ -303,7 +303,7 @@ def test_every_broken_run_is_told(copy: Path, capsys: pytest.CaptureFixture[str]
 
 def test_a_run_without_its_dataset_says_where_it_looked(copy: Path) -> None:
     shutil.rmtree(copy / "data")
-    with pytest.raises(HyalineError, match=r"no dataset at .*data/synthetic; say where it is with --data"):
+    with pytest.raises(HyalineError, match=r"no dataset at .*data/synthetic; set --data to the folder"):
         report(copy)
 
 
@@ -341,7 +341,7 @@ def test_the_report_knows_every_key_that_training_writes() -> None:
 def test_no_run_at_all_says_how_to_make_one(tmp_path: Path) -> None:
     with pytest.raises(
         HyalineError,
-        match=r"no predictions there; make some with `model train paper`, or put a method",
+        match=r"contains no predictions; make some with `model train paper`, or put a method",
     ):
         report(tmp_path)
 

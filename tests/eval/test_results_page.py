@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 
 from datagen.disk.errors import HyalineError
-from eval.page.results_page import results_page
 from eval.tables.grids import MISSING
+from eval.tables.results import results_page
 
 ROOT = Path(__file__).resolve().parents[2]
 KEYS = ("psnr_db", "glass_psnr_db", "ssim", "delta_e")
@@ -91,7 +91,7 @@ def test_files_come_by_name_and_what_none_recorded_is_said(tmp_path: Path) -> No
         (results(version=2), "demo.json: format version 2; this program reads 1, as `eval report` writes it"),
         (
             results(scenes=[{"scene": "x"}]),
-            "demo.json: lacks 'seeds'; expected a results.json that `eval report` wrote",
+            "demo.json: lacks 'seeds'; expected a results.json of `eval report`",
         ),
         ({"version": 1}, "demo.json: lacks 'scenes'"),
     ],

@@ -127,14 +127,14 @@ def test_what_cannot_be_drawn_is_refused_in_one_line(home: Path, tmp_path: Path)
         with unchecked():
             assert refusal("glass_table/paper", dataclasses.replace(camera, **wrong)).startswith("camera: ")
     (tmp_path / "splats" / "predictions").mkdir(parents=True)
-    assert "holds pictures of a method that hyaline does not run" in refusal(str(tmp_path / "splats"), camera)
+    assert "holds a foreign method's pictures" in refusal(str(tmp_path / "splats"), camera)
     assert "known are glass_table/authors-code, " in refusal("glass_table/nothing", camera)
 
 
 def test_a_method_without_the_hook_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     run = hyaline.open_run("glass_table/paper")
     monkeypatch.setattr(type(run.config.net), "draws_cameras", False)
-    with pytest.raises(hyaline.HyalineError, match="paper draws the views of its dataset, not other cameras; "):
+    with pytest.raises(hyaline.HyalineError, match="paper can only draw the views of its dataset, "):
         run.render(run.dataset.view("train", 0).camera)
 
 

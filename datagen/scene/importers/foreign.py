@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 
 from datagen.data.cameras import Camera, Lens, check_lens
 from datagen.disk.errors import HyalineError
-from datagen.disk.reading import read_regular
+from datagen.disk.records import read_regular
 from datagen.machine.confined import allow_file
 from datagen.scene.importers.remarks import Remarks
 from datagen.scene.materials import Material

@@ -17,14 +17,14 @@ LEAST_WIDTH = 4
 class AuthorsConfig(MethodConfig):
     """The renderer of the paper's released code; defaults as in the scripts for its Table 1."""
 
-    room: ClassVar[str] = "model.methods.authors_code.method"
+    room: ClassVar[str] = "model.methods.authors_code.renderer"
     reads_layers: ClassVar[bool] = True
     is_shareable: ClassVar[bool] = True
     draws_cameras: ClassVar[bool] = True
 
     extrinsics: Extrinsics = choice("view", {"none": "no-extrinsics", "sh": "sh"})
-    """What each layer knows about the camera: nothing (none), the vector from the camera to the surface (view), or nine
-    more channels, of which 3 to 11 are multiplied by its spherical harmonics without their constants (sh)."""
+    """Camera input of each layer: none, the vector from the camera to the surface (view), or nine more channels;
+    channels 3 to 11 are then multiplied by the vector's spherical harmonics without their constants (sh)."""
     width: int = choice(64, "w{}", limits=(LEAST_WIDTH, 8192))
     """Hidden units of the first layer: 64, because the code ignores the 256 that its scripts ask for."""
     texture_features: int = choice(16, "{}-features", flag="features", limits=(3, 256))
@@ -32,10 +32,10 @@ class AuthorsConfig(MethodConfig):
     texture_size: int = choice(0, "t{}")
     """Width and height of a texture in texels; 0: half the image's width, 256 for their 512 pixels."""
     zero_layer: bool = choice(False, "zero-layer")
-    """Insert a layer of zeros at a random place while training, and behind all others at test (their `--pad_front`)."""
+    """Insert a layer of zeros at a random position in training, and after all others at test (their `--pad_front`)."""
     test_dropout: Literal["on", "off"] = choice("on", "no-test-dropout")
-    """Leave dropout on while rendering, as their test script does, or turn it off. Its seed comes from the batch's uv,
-    so that predictions repeat."""
+    """Keep dropout on while rendering, as their test script does, or turn it off. It is seeded by the batch's uv, so
+    predictions are repeatable."""
     texture_start: float = unflagged(0.5)
     position_size: int = unflagged(512)
     blocks: int = unflagged(3, limits=(0, 8))

@@ -4,9 +4,10 @@ Source: the public repository that the paper's author links (Mirjang/Transparent
 its dispatcher (which drops the width that the scripts ask for, so that 64 is left) and its experiments' scripts.
 """
 
+import dataclasses
 import itertools
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 import numpy as np
@@ -15,20 +16,24 @@ from jaxtyping import Float32
 from torch import Tensor, nn
 from torch.nn import functional
 
+from datagen.data.cameras import Cameras
+from datagen.data.config import Split
 from model.batches.rays import PixelSource, RayBatch, insert_random_layer
 from model.losses.pixel_losses import PatchTerms
 from model.methods.authors_code.config import LEAST_WIDTH, AuthorsConfig
+from model.methods.paper.renderer import default_texture_size
 from model.methods.protocol import Inputs
 from model.methods.renderer import Renderer
+from model.methods.stored_pixels import load_stored, peel_as_stored
 from model.nets.extrinsics import ExtrinsicInputs, positions_for
 from model.nets.texture import NeuralTextures, object_layout
 
 LOSS_SCALE = 100 * 2
-"""Their L1 has a weight of 100, on colours from -1 to 1. Adam cares little, but for the weight decay beside it."""
+"""Their L1 has a weight of 100, on colours from -1 to 1. With Adam this only matters relative to weight decay."""
 
 XAVIER_GAIN = 0.02
-"""Their start. Nothing is normalised, so that a signal arrives 50 times weaker behind every layer: training begins
-slowly. Measured on the glass table at 128 pixels, pictures are still grey after 500 steps; theirs were a million."""
+"""Their initial gain. Nothing is normalised, so every layer weakens the signal by a factor of 50 and training starts
+slowly. Measured on the glass table at 128 pixels, pictures are still grey after 500 steps; they trained a million."""
 
 
 class AuthorsBlock(nn.Module):
@@ -122,7 +127,7 @@ class AuthorsRenderer(Renderer[PixelSource[RayBatch]]):
     ) -> Tensor:
         """The mean absolute difference of random pixels as the released code scales it.
 
-        A step of theirs is one whole picture; this one draws as many pixels from all pictures.
+        Their step uses one whole picture; this one draws as many pixels from all pictures.
         """
         return LOSS_SCALE * super().loss(training, batch, rng, softness=softness, patch_terms=patch_terms)
 
@@ -135,15 +140,36 @@ def harmonics_without_constants(direction: Float32[Tensor, "*b 3"]) -> Float32[T
 
 @contextmanager
 def seeded(seed: int, device: torch.device) -> Iterator[None]:
-    """Inside, torch draws from this seed; afterwards it goes on as if nothing had been drawn."""
+    """Seeds torch's generator inside the block, and restores its state afterwards."""
     with torch.random.fork_rng(devices=[device] if device.type == "cuda" else []):
         torch.manual_seed(seed)
         yield
 
 
-def build_authors(config: AuthorsConfig, inputs: Inputs) -> AuthorsRenderer:
-    """A fresh renderer for a dataset; its random start is drawn from torch's default generator."""
+def complete(config: AuthorsConfig, inputs: Inputs) -> AuthorsConfig:
+    side, num_objects = inputs.dataset.config.resolution.mean_side, len(inputs.dataset.objects)
+    size = config.texture_size or default_texture_size(side, num_objects, "object")
+    return dataclasses.replace(config, texture_size=size)
+
+
+def build(config: AuthorsConfig, inputs: Inputs) -> AuthorsRenderer:
     positions = positions_for(config.extrinsics, inputs.dataset, inputs.geometry, config.position_size)
     return AuthorsRenderer(
         config, num_layers=inputs.num_layers, num_objects=len(inputs.dataset.objects), positions=positions
     )
+
+
+def load(
+    config: AuthorsConfig,  # noqa: ARG001
+    inputs: Inputs,
+    split: Split,
+    views: Sequence[int],
+    *,
+    with_images: bool,
+    mapped: bool,
+) -> PixelSource[RayBatch]:
+    return load_stored(inputs, split, views, with_images=with_images, mapped=mapped)
+
+
+def load_cameras(config: AuthorsConfig, inputs: Inputs, cameras: Cameras) -> PixelSource[RayBatch]:  # noqa: ARG001
+    return peel_as_stored(inputs, cameras)

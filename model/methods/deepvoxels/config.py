@@ -16,18 +16,18 @@ from model.settings.optimisation import Optimisation
 class DeepVoxelsConfig(MethodConfig):
     """DeepVoxels: a grid of learned features, from cameras alone; defaults as its authors'."""
 
-    room: ClassVar[str] = "model.methods.deepvoxels.method"
+    room: ClassVar[str] = "model.methods.deepvoxels.renderer"
     knowledge: ClassVar[str] = "cameras only, and the scene's extent"
     uses_geometry: ClassVar[bool] = False
     draws_cameras: ClassVar[bool] = True
 
     voxels: Literal["auto", "small", "paper", "original"] = choice("auto", "{}", is_preset=True)
-    """small (1/14 of the parameters, no dropout, a bounded grid, L1 at rate 0.002), paper (as the paper ran it: L1
-    alone at rate 0.00001) or original (its authors' L1 and discriminator at rate 0.0004). auto: small without a GPU,
+    """small (1/14 of the parameters, no dropout, a bounded grid, L1 at rate 0.002), paper (as the paper ran it: only
+    L1 at rate 0.00001) or original (its authors' L1 and discriminator at rate 0.0004). auto: small without a GPU,
     paper with one."""
     image_size: int = unflagged(0)
-    """Width and height of the images: a power of two; 0: not known yet. The authors' are 512; from 128 on the networks
-    have the same form."""
+    """Width and height of the images, a power of two; 0: not known yet. The authors use 512; from 128 upwards the
+    architecture is the same."""
     num_voxels: int = unflagged(32)
     """Along each edge of the grid."""
     plane_size: int = unflagged(64)
@@ -39,11 +39,11 @@ class DeepVoxelsConfig(MethodConfig):
     dropout: float = unflagged(0.1)
     """Fraction of channels dropped in the rendering network; the integration drops twice as many."""
     bounded: bool = unflagged(False)
-    """The integration's candidate is a tanh, as in other gated units, instead of the authors' ReLU. With ReLU nothing
-    bounds the grid: norms behind it hide its scale from the loss, and Adam may push the unit's gain above 1. Measured
-    at a rate of 0.002: it grew 3.5 times a step, new views were lost in it after 20 steps, it overflowed after 80."""
+    """Use tanh for the integration's candidate, as other gated units do, instead of the authors' ReLU. With ReLU the
+    grid is unbounded: later norms hide its scale from the loss, and Adam may push the unit's gain above 1. Measured
+    at a rate of 0.002: it grew by 3.5 per step, new views had no effect after 20 steps, and it overflowed after 80."""
     adversarial: bool = unflagged(False)
-    """Adds the authors' patch discriminator to the loss; the paper had to leave it out (section 5.1)."""
+    """Add the authors' patch discriminator to the loss; the paper had to leave it out (section 5.1)."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -58,7 +58,7 @@ class DeepVoxelsConfig(MethodConfig):
 
     @property
     def preset(self) -> Literal["small", "paper", "original"]:
-        """What was chosen, or what suits the machine."""
+        """The chosen preset, or the one that suits the machine."""
         if self.voxels != "auto":
             return self.voxels
         import torch
@@ -67,13 +67,13 @@ class DeepVoxelsConfig(MethodConfig):
 
     def usual(self, geometry: str) -> Self:  # noqa: ARG002
         if self.preset == "small":
-            # For machines without a GPU: a fourteenth of the parameters, fewer rays, a rate for few steps that a
-            # bounded grid stands, and no dropout: of so few channels none is spare.
+            # For machines without a GPU: a fourteenth of the parameters, fewer rays, a high rate for few steps, which
+            # needs a bounded grid, and no dropout, because there are too few channels.
             return type(self)(voxels=self.voxels, plane_size=32, width=16, voxel_features=32, dropout=0.0, bounded=True)
         return type(self)(voxels=self.voxels, adversarial=self.preset == "original")
 
     def optimisation(self) -> Optimisation:
-        # A batch is the pictures drawn in a step.
+        # A batch is the number of pictures per step.
         match self.preset:
             case "small":
                 return Optimisation(batch=2, lr=2e-3)
@@ -84,11 +84,7 @@ class DeepVoxelsConfig(MethodConfig):
                 return Optimisation(batch=2, lr=4e-4, lr_decay="none")
 
     def sized(self, resolution: Resolution) -> Self:
-        """The same for pictures of some size.
-
-        Raises:
-            HyalineError: they are not square, or their width is no power of two.
-        """
+        """The same for pictures of this size."""
         side = resolution.mean_side
         if not resolution.is_power_of_two_square:
             raise HyalineError(

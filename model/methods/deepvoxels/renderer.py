@@ -5,29 +5,32 @@ in this paper section 5.1. No geometry is known: the method gets images, cameras
 """
 
 import math
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 
 import numpy as np
 import torch
 from jaxtyping import Float32
 from torch import Tensor
+from torch.nn import functional
 
-from datagen.data.cameras import Camera
-from datagen.data.config import square
-from datagen.data.dataset import Dataset
+from datagen.data.cameras import Camera, Cameras
+from datagen.data.config import Split
 from datagen.data.geometries import read_meshes
 from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
-from model.batches.view_batches import ViewBatch, Views
+from model.batches.rays import black
+from model.batches.view_batches import ViewBatch, Views, load_views
 from model.losses.pixel_losses import PatchTerms
 from model.methods.deepvoxels.config import DeepVoxelsConfig
-from model.methods.deepvoxels.loss import BORDER, L1_WEIGHT, adversarial_loss, seeded_torch
+from model.methods.protocol import Inputs
 from model.methods.renderer import ParameterGroup, Renderer
-from model.nets.voxel_blocks import Unet
 from model.nets.voxel_grid import VoxelGrid, fit_cube, lift, sample_frustum
 from model.nets.voxel_nets import (
     Critic,
     Integration,
     Occlusion,
+    Unet,
     Volume,
     collapse,
     feature_extractor,
@@ -35,12 +38,18 @@ from model.nets.voxel_nets import (
 )
 from model.settings.optimisation import Optimisation
 
+BORDER = 5
+"""Pixels at each edge of a picture that the loss leaves out, because they are drawn from half-empty feature maps. The
+authors also leave them out of their scores; here predictions are whole, like every other method's."""
+L1_WEIGHT = 200.0
+"""Weight of L1 relative to the critic."""
+
 
 class DeepVoxels(Renderer[Views]):
     """Views in, their pictures out, drawn from a grid of features that training views were lifted into.
 
-    The grid is a buffer, no parameter: each training step integrates one more view into it, without a gradient to the
-    steps before, and it lasts for the run.
+    The grid is a buffer, not a parameter: each training step integrates one more view into it, without a gradient to
+    earlier steps, and it persists for the whole run.
     """
 
     def __init__(self, config: DeepVoxelsConfig, *, origin: Float32[Tensor, "3"], edge: float) -> None:
@@ -67,7 +76,7 @@ class DeepVoxels(Renderer[Views]):
             dropout=config.dropout,
         )
         self.critic = Critic() if config.adversarial else None
-        # Saved with the weights: what is drawn later must stand where it was learned.
+        # Saved with the weights, because later renderings need the grid where it was learned.
         self.register_buffer("origin", origin.clone())
         self.register_buffer("voxel_size", torch.tensor(edge / size, dtype=torch.float32))
         self.register_buffer("volume", torch.zeros(1, features, size, size, size))
@@ -95,11 +104,8 @@ class DeepVoxels(Renderer[Views]):
     ) -> Tensor:
         """Lifts one view into the grid, draws `batch` others from it, and compares.
 
-        The view lifted is one of the four whose axes are nearest to the first target's. The authors go through all
-        first targets in epochs; here each step draws its own, so that a stopped run goes on with the same ones.
-
-        Raises:
-            HyalineError: there are not two training views.
+        The lifted view is one of the four whose axes are nearest to the first target's. The authors go through all
+        first targets in epochs; here each step draws its own, so that a resumed run draws the same ones.
         """
         if training.num_views < 2:
             raise HyalineError(f"train: has {training.num_views} view to learn from; deepvoxels needs at least 2")
@@ -129,7 +135,7 @@ class DeepVoxels(Renderer[Views]):
         ]
 
     def observe(self, image: Float32[Tensor, "1 3 h w"], camera: Camera) -> Volume:
-        """The grid after one more view, which it then keeps.
+        """The grid after integrating one more view; it is stored, too.
 
         Args:
             image: sRGB in [0, 1].
@@ -141,7 +147,7 @@ class DeepVoxels(Renderer[Views]):
         return volume
 
     def inpaint(self, volume: Volume) -> Volume:
-        """The grid with what no view has shown filled in from around."""
+        """The grid with unseen voxels filled in from their surroundings."""
         return self.inpainting(torch.cat([volume, self.get_buffer("coordinates")], dim=1))
 
     def draw(self, inpainted: Volume, camera: Camera) -> Float32[Tensor, "1 3 h w"]:
@@ -156,12 +162,35 @@ def grid_coordinates(size: int) -> Float32[Tensor, "1 3 z y x"]:
     return torch.stack(torch.meshgrid(steps, steps, steps, indexing="ij"))[None]
 
 
-def build_deepvoxels(config: DeepVoxelsConfig, dataset: Dataset) -> DeepVoxels:
-    """A fresh network for a dataset, its grid around what the training cameras look at.
+def adversarial_loss(critic: Critic, drawn: Float32[Tensor, "1 3 h w"], true: Float32[Tensor, "1 3 h w"]) -> Tensor:
+    """The renderer's and the critic's losses in one number.
 
-    Raises:
-        HyalineError: pictures of another size, or cameras that do not surround anything.
+    The renderer's loss is -log D(drawn), with the critic's parameters held constant; the critic's loss is
+    -(log D(true) + log(1 - D(drawn))) / 2, with the picture held constant. No parameter appears in both, and Adam
+    updates each parameter independently, so one Adam takes exactly the steps of the authors' two optimisers of equal
+    rate, and one checkpoint resumes both.
     """
+    fixed = {name: value.detach() for name, value in critic.named_parameters()}
+    renderer_side = functional.softplus(-torch.func.functional_call(critic, fixed, (drawn,))).mean()
+    on_true, on_drawn = functional.softplus(-critic(true)).mean(), functional.softplus(critic(drawn.detach())).mean()
+    return renderer_side + 0.5 * (on_true + on_drawn)
+
+
+@contextmanager
+def seeded_torch(rng: np.random.Generator, device: torch.device) -> Iterator[None]:
+    """Seeds torch's own generator, which dropout uses, from a step's generator, and restores it afterwards."""
+    with torch.random.fork_rng(devices=[device] if device.type == "cuda" else []):
+        torch.manual_seed(int(rng.integers(2**62)))
+        yield
+
+
+def complete(config: DeepVoxelsConfig, inputs: Inputs) -> DeepVoxelsConfig:
+    return config.sized(inputs.dataset.config.resolution)
+
+
+def build(config: DeepVoxelsConfig, inputs: Inputs) -> DeepVoxels:
+    """A fresh network, its grid around the point that the training cameras look at."""
+    dataset = inputs.dataset
     if dataset.config.resolution != square(config.image_size):
         raise HyalineError(
             f"image_size: is {config.image_size}, but {dataset.root} has {dataset.config.resolution} pixels; "
@@ -172,3 +201,25 @@ def build_deepvoxels(config: DeepVoxelsConfig, dataset: Dataset) -> DeepVoxels:
     vertices = np.concatenate([np.zeros((0, 3)), *(mesh.vertices.astype(np.float64) for mesh in meshes)])
     origin, edge = fit_cube(dataset.cameras("train"), vertices)
     return DeepVoxels(config, origin=torch.from_numpy(origin).float(), edge=edge)
+
+
+def load(
+    config: DeepVoxelsConfig,  # noqa: ARG001
+    inputs: Inputs,
+    split: Split,
+    views: Sequence[int],
+    *,
+    with_images: bool,
+    mapped: bool,  # noqa: ARG001
+) -> Views:
+    return load_views(inputs.dataset, split, views, with_images=with_images)
+
+
+def load_cameras(config: DeepVoxelsConfig, inputs: Inputs, cameras: Cameras) -> Views:  # noqa: ARG001
+    size = config.image_size
+    if (cameras.width, cameras.height) != (size, size):
+        raise HyalineError(
+            f"camera: is {cameras.width} x {cameras.height} pixels; deepvoxels draws {size} x {size}, the size that "
+            "its networks were made for"
+        )
+    return Views(rgb=black(cameras), cameras=cameras)

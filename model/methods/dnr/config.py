@@ -10,10 +10,10 @@ from model.settings.network_parts import Extrinsics, UNetNorm, check_texels
 from model.settings.optimisation import PixelOptimisation
 
 LEVEL_WEIGHTS = (8.0, 2.0, 1.0, 0.0)
-"""How strongly each level of the textures is held near zero, finest first: detail goes where it is needed only."""
+"""How strongly each texture level is regularised towards zero, finest first, so that detail appears only if needed."""
 
 LEAST_CROP = 128
-"""Height and width in pixels of the smallest training crops that a picture's size asks for."""
+"""Least height and width in pixels of the default training crops."""
 
 SH_CHANNELS = slice(3, 12)
 """The texture channels that the nine spherical harmonics of the view vector multiply."""
@@ -27,7 +27,7 @@ class DnrConfig(MethodConfig):
     reproduced paper.
     """
 
-    room: ClassVar[str] = "model.methods.dnr.method"
+    room: ClassVar[str] = "model.methods.dnr.renderer"
     reads_layers: ClassVar[bool] = True
     is_shareable: ClassVar[bool] = True
     max_layers: ClassVar[int | None] = 1
@@ -35,15 +35,15 @@ class DnrConfig(MethodConfig):
 
     preset: Literal["fair", "authors"] = choice("fair", {"authors": "authors"}, is_preset=True)
     """fair: deferred neural rendering as its own authors made it, with 16 features. authors: weaker, as the authors of
-    the reproduced paper ran it: 8 features, one level, the view vector as an input, whole images. Other flags override
-    both."""
+    the reproduced paper ran it, with 8 features, one level, the view vector as an input, and whole images. Other flags
+    override both."""
     unet_width: int = choice(64, "u{}", limits=(1, 1024))
     """Channels of the U-Net's first level; 16 makes it 16 times smaller, for CPUs."""
     texture_features: int = choice(16, "{}-features", flag="features")
     """Channels of a texture."""
     extrinsics: Extrinsics = choice("sh", {"none": "no-extrinsics", "view": "view", "sh": "sh"})
-    """What each layer knows about the camera: nothing (none), the view vector (view), or its spherical harmonics in
-    three bands, which multiply nine features of each pixel (sh)."""
+    """Camera input of each layer: none, the view vector (view), or its spherical harmonics in three bands, which
+    multiply nine features of each pixel (sh)."""
     texture_size: int = choice(0, "t{}")
     """Width and height of an object's finest texture in texels; 0: half the image's width."""
     texture_levels: int = choice(4, "{}-levels", limits=(1, len(LEVEL_WEIGHTS)))
@@ -51,13 +51,13 @@ class DnrConfig(MethodConfig):
     crop: int | None = choice(None, "crop{}", limits=AMOUNT)
     """Height and width of training crops in pixels; 0: whole images; None: half the image's width, but at least 128."""
     position_size: int = unflagged(512)
-    """Width and height in texels of the position textures from which view vectors are computed."""
+    """Width and height in texels of the position textures that view vectors are computed from."""
     norm: UNetNorm = unflagged("instance")
     strides: tuple[int, ...] = unflagged((1, 2))
-    """Random scales of the crops: every pixel or every second one. uv is never interpolated, because neighbours across
-    a seam do not mix; so pictures are made smaller only, and their colours are those of the pixels kept."""
+    """Random scales of the crops: every pixel or every second one. Pictures are only subsampled, because uv must not
+    be interpolated across seams."""
     texture_color: float = unflagged(1.0, limits=AMOUNT)
-    """Weight of the difference between the first three texture channels and the picture, beside that of the output."""
+    """Weight of the difference between the first three texture channels and the picture, relative to the output's."""
     regularisation: float = unflagged(0.1, limits=AMOUNT)
     """Weight of the mean squares of the texels, itself weighted by level."""
 
@@ -88,7 +88,7 @@ class DnrConfig(MethodConfig):
         )
 
     def optimisation(self) -> PixelOptimisation:
-        # About as many pixels a step as one picture of the demo has.
+        # About as many pixels per step as a picture of the demo has.
         return PixelOptimisation(batch=16_384)
 
 

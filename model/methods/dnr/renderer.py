@@ -1,18 +1,27 @@
 """The renderer of `dnr` and `dnr-layers`: Deferred Neural Rendering, on the first layer alone and on all of them."""
 
+import dataclasses
+from collections.abc import Sequence
+
 import numpy as np
 import torch
 from jaxtyping import Float32
-from torch import Tensor
+from torch import Tensor, nn
+from torch.nn import functional
 
+from datagen.data.cameras import Cameras
+from datagen.data.config import Split
+from datagen.disk.errors import HyalineError
 from model.batches.rays import PixelSource, RayBatch, draw_patches, take_colors
 from model.losses.pixel_losses import PatchTerms
-from model.methods.dnr.config import LEVEL_WEIGHTS, SH_CHANNELS, DnrConfig
+from model.methods.dnr.config import LEAST_CROP, LEVEL_WEIGHTS, SH_CHANNELS, DnrConfig
+from model.methods.paper.renderer import default_texture_size
 from model.methods.protocol import Inputs
 from model.methods.renderer import Renderer
+from model.methods.stored_pixels import load_stored, peel_as_stored
 from model.nets.extrinsics import ExtrinsicInputs, positions_for
 from model.nets.texture import TexturePyramid, object_layout
-from model.nets.unet import UNet
+from model.settings.network_parts import UNetNorm
 
 
 class DnrRenderer(Renderer[PixelSource[RayBatch]]):
@@ -43,7 +52,7 @@ class DnrRenderer(Renderer[PixelSource[RayBatch]]):
         return self.shade(rays)[0]
 
     def shade(self, rays: RayBatch) -> tuple[Float32[Tensor, "pixel 3"], Float32[Tensor, "pixel 3"]]:
-        """sRGB colours of the pixels, and what the first layer's first three features would make alone."""
+        """sRGB colours of the pixels, and the colours that the first layer's first three features give alone."""
         assert rays.grid is not None, "a U-Net needs to know which pixels are neighbours"
         features = self.textures(rays.uv, rays.object_id)
         diffuse = features[:, 0, :3]
@@ -68,12 +77,11 @@ class DnrRenderer(Renderer[PixelSource[RayBatch]]):
         softness: float = 0.0,  # noqa: ARG002
         patch_terms: PatchTerms | None = None,
     ) -> Tensor:
-        """What deferred neural rendering makes small on random crops of about `batch` pixels in all.
+        """The loss of deferred neural rendering on random crops of about `batch` pixels in all.
 
         The mean absolute differences of the output and of the first three texture channels (where the first layer is
-        not empty) from the picture, in the network's own range of -1 to 1; and the regularised textures.
-        Patch terms look at the same crops. Source: Thies et al. 2019, and the first author's public code for the
-        levels' weights.
+        not empty) from the picture, in the network's own range of -1 to 1, plus the texture regularisation. Patch terms
+        use the same crops. Source: Thies et al. 2019; level weights from the first author's public code.
         """
         config = self.config
         crop = config.crop or training.resolution.shorter
@@ -99,9 +107,85 @@ class DnrRenderer(Renderer[PixelSource[RayBatch]]):
         return torch.stack([weight * mean for weight, mean in zip(LEVEL_WEIGHTS, means)]).sum()
 
 
-def build_dnr(config: DnrConfig, inputs: Inputs) -> DnrRenderer:
-    """A fresh renderer for a dataset; its random start is drawn from torch's default generator."""
+NUM_HALVINGS = 5
+"""The network works on pictures whose height and width are multiples of 2 ** NUM_HALVINGS."""
+
+LEAKY_SLOPE = 0.2
+
+
+class UNet(nn.Module):
+    """The five-level U-Net of pix2pix with 4 x 4 kernels and strides of 2; 16,671,107 parameters for 16 inputs.
+
+    Source: Thies et al. 2019 (arXiv 1904.12356), layers as in the first author's public code: only the decoder is
+    normalised, except the inputs of its first and last layers. `batch` is what the transparent paper's authors ran:
+    batch statistics of one picture, at test, too.
+    """
+
+    def __init__(self, num_inputs: int, *, width: int = 64, norm: UNetNorm = "instance") -> None:
+        super().__init__()
+        down = [width, 2 * width, 4 * width, 8 * width, 8 * width]
+        self.down = nn.ModuleList(
+            nn.Conv2d(before, after, 4, stride=2, padding=1) for before, after in zip([num_inputs, *down], down)
+        )
+        # From the second on, each takes the previous output concatenated with the encoder's at the same resolution.
+        up = [(8 * width, 8 * width), (16 * width, 4 * width), (8 * width, 2 * width), (4 * width, width)]
+        self.up = nn.ModuleList(nn.ConvTranspose2d(*pair, 4, stride=2, padding=1) for pair in up)
+        self.norms = nn.ModuleList(
+            nn.InstanceNorm2d(after) if norm == "instance" else nn.BatchNorm2d(after, track_running_stats=False)
+            for _, after in up
+        )
+        self.last = nn.ConvTranspose2d(2 * width, 3, 4, stride=2, padding=1)
+
+    def forward(self, x: Float32[Tensor, "b c h w"]) -> Float32[Tensor, "b 3 h w"]:
+        """Colours in (-1, 1) of pictures of any size, which are zero-padded below and to the right internally."""
+        height, width = x.shape[-2:]
+        step = 1 << NUM_HALVINGS
+        x = functional.pad(x, (0, -width % step, 0, -height % step))
+        skips = []
+        for place, conv in enumerate(self.down):
+            x = conv(x if place == 0 else functional.leaky_relu(x, LEAKY_SLOPE))
+            skips.append(x)
+        x = skips.pop()
+        for conv, norm in zip(self.up, self.norms, strict=True):
+            x = torch.cat([skips.pop(), norm(conv(functional.relu(x)))], dim=1)
+        return torch.tanh(self.last(functional.relu(x)))[..., :height, :width]
+
+
+def complete(config: DnrConfig, inputs: Inputs) -> DnrConfig:
+    """The same with sizes that follow from the picture's.
+
+    Textures are as wide as those of `paper`, half the picture's side for each object, so that the methods differ only
+    in their networks. Crops are squares of half the picture's shorter side (256 of 512 pixels is common), but at least
+    128 pixels: in a narrower one the U-Net's innermost level sees only the border, unlike in a whole picture (measured
+    on the glass table at 128 pixels: crops of 64 cost 3 dB on both splits).
+    """
+    resolution = inputs.dataset.config.resolution
+    side = resolution.shorter
+    crop = min(side, max(side // 2, LEAST_CROP)) if config.crop is None else config.crop
+    if crop > side:
+        raise HyalineError(f"crop: is {crop}; expected at most {side}, the shorter side of pictures of {resolution}")
+    size = config.texture_size or default_texture_size(resolution.mean_side, len(inputs.dataset.objects), "object")
+    return dataclasses.replace(config, texture_size=size, crop=crop)
+
+
+def build(config: DnrConfig, inputs: Inputs) -> DnrRenderer:
     positions = positions_for(config.extrinsics, inputs.dataset, inputs.geometry, config.position_size)
     return DnrRenderer(
         config, num_layers=inputs.num_layers, num_objects=len(inputs.dataset.objects), positions=positions
     )
+
+
+def load(
+    config: DnrConfig,  # noqa: ARG001
+    inputs: Inputs,
+    split: Split,
+    views: Sequence[int],
+    *,
+    with_images: bool,
+    mapped: bool,
+) -> PixelSource[RayBatch]:
+    return load_stored(inputs, split, views, with_images=with_images, mapped=mapped, whole_views=True)
+
+
+def load_cameras(config: DnrConfig, inputs: Inputs, cameras: Cameras) -> PixelSource[RayBatch]:  # noqa: ARG001
+    return peel_as_stored(inputs, cameras, whole_views=True)

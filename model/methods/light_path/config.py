@@ -13,14 +13,14 @@ from model.settings.network_parts import check_samples, check_texels
 from model.settings.optimisation import PixelOptimisation, check_rate
 
 MAX_SURFACES = 255
-"""Ids of surfaces are bytes, and 0 is the empty one."""
+"""Surface ids are bytes, and 0 means empty."""
 
 
 SKY_HEIGHT, MAX_SKY_HEIGHT = 32, 256
-"""Texels, unless told otherwise, of the learned sky's finest map: of a soft sky, and at most of an environment map."""
+"""Default height in texels of the learned sky's finest map, and its limit where the scene has an environment map."""
 
 RENDER_SAMPLES, REFINED_SAMPLES = 16, 64
-"""Rays per pixel while rendering unless told otherwise: of all pixels, and of those whose rays differ."""
+"""Default rays per pixel while rendering, for all pixels and for those whose rays differ."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,55 +35,50 @@ class LightPathConfig(MethodConfig):
     has_radiance: ClassVar[bool] = True
 
     texture_size: int = choice(0, "t{}")
-    """Width and height of an average texture in texels; the texels are divided among the objects by how much is seen of
-    each. 0: the image's width."""
+    """Width and height of an average texture in texels; more visible objects get more texels. 0: the image's width."""
     train_samples: int = choice(4, "{}-rays", flag="rays")
     """Rays per pixel while training, a square number."""
     render_samples: int = choice(RENDER_SAMPLES, "{}-render-rays", flag="render-rays")
     """Rays per pixel while rendering, a square number."""
     refined_samples: int = choice(0, "{}-refined-rays", flag="refined-rays")
-    """Rays per pixel for rendering pixels whose rays differ (rough metal, edges, glass), a square number. If it is not
-    more than --render-rays, no pixel is rendered again. 0: 64, or --render-rays if that is not 16."""
+    """Rays per pixel, a square number, for pixels whose rays differ (rough metal, edges, glass). No pixel is refined
+    if this is at most --render-rays. 0: 64, or --render-rays if that is not 16."""
     branches: int = choice(12, "{}-branches", limits=(1, 64))
-    """Branches followed for each ray: the refracted one, the first reflection, then those that carry most light."""
+    """Branches traced per ray: the refracted one, the first reflection, then those that carry most light."""
     compositing: Literal["physics", "stack"] = choice("physics", "{}")
-    """physics: sum the light at the ends of branches, with physical weights. stack: the stack network alone makes the
-    colour."""
+    """physics: sum the light at the ends of branches, with physical weights. stack: use only the stack network."""
     stack_hidden: int = choice(32, "stack{}", flag="stack", limits=(0, 4096))
-    """Units of the two hidden layers of the stack network, which sees the stacked vertices and adds what physics leaves
-    out; 0: no such network. On proxies 96."""
+    """Units of the two hidden layers of the stack network, which sees the stacked vertices and adds light that physics
+    leaves out; 0: no stack network. On proxies 96."""
     straight_layers: int = choice(0, "{}-straight", limits=(0, 255))
-    """Straight layers that the stack network sees besides the paths. On proxies 24."""
+    """Straight layers that the stack network sees in addition to the paths. On proxies 24."""
     shells: int = choice(1, "{}-shells", limits=(1, MAX_SURFACES))
     """Nested copies of each surface that straight layers meet: copy k of n is 1 - k / n times as large as the proxy and
     has its own texture, so that some layers lie near the object inside a coarse proxy. On proxies 4. Source: layered
     semi-transparent meshes (Volumetric Surfaces, 2024), there fitted to the truth."""
     relief: Literal["on", "off"] = choice("off", {"on": "relief", "off": "no-relief"})
-    """Learn the depth of the true surface below the proxy's, and look up the colour where the ray meets it, to first
+    """Learn the depth of the true surface below the proxy, and look up the colour where the ray meets that, to first
     order. On proxies on. Source: relief mapping (Policarpo et al. 2005), with learned depths."""
     environment_size: int = choice(SKY_HEIGHT, "sky{}", flag="environment", limits=(1, 1024))
-    """Height in texels of the finest of the learned latitude-longitude maps that sum to the light from outside; 1 makes
-    it two colours. It is twice as wide; the others are halved down to a single colour: directions in which no
-    training ray left are filled in from around them, as texels are. 32 becomes the height of the scene's environment
-    map, where it has one, up to 256."""
+    """Height in texels of the finest map of the learned sky, a sum of latitude-longitude maps, each half as large as
+    the one before down to a single colour, so that directions without training rays are filled in from nearby ones; 1:
+    two colours. 32, the default, becomes the height of the scene's environment map, up to 256."""
     sky_lobes: int = choice(12, "{}-lobes", limits=(0, 256))
     """Spherical Gaussians of the learned sky, which represent lamps. No effect on a sky of two colours."""
     sky_lr: float = choice(0.005, "sky-lr{}")
     """Learning rate of the learned sky's maps; its lobes learn 2.5 times as fast."""
     directions: Literal["on", "off"] = choice("off", {"on": "directions", "off": "no-directions"})
-    """Give the decoder the mirrored direction. True geometry needs none: gloss is traced, and what is left is diffuse.
-    On proxies on."""
+    """Give the decoder the mirrored direction. True geometry does not need it: gloss is traced, so only diffuse light
+    is left. On proxies on."""
     debias: float = choice(1.0, "debias{}", limits=SHARE)
     """Fraction, 0 to 1, of the noise of training rays to subtract from the loss; above 0, rays come in independent
     pairs. At 0 lamps are learned too dim. On proxies 0: not tried there."""
     fill_in: Literal["on", "off"] = choice("on", {"on": "filled", "off": "unfilled"})
-    """When all is learned, let texels that hardly any training ray met take what those around them show. On proxies
-    off: not tried there."""
+    """After training, fill in rarely sampled texels from their neighbours. On proxies off: not tried there."""
     position_octaves: int = choice(0, "{}-octaves", limits=(0, 16))
-    """Octaves of positional encoding (sines and cosines) of a path's end that the decoder is given."""
+    """Octaves of positional encoding (sines and cosines) of a path's end, as decoder inputs."""
     texture_levels: int = choice(5, "{}-levels", limits=(1, 8))
-    """Number of textures summed, each half as wide as the one before: texels that few rays reached are filled in from
-    coarser levels."""
+    """Number of textures summed, each half as wide as the one before: coarser levels fill in rarely sampled texels."""
     texture_sizes: tuple[int, ...] = unflagged(())
     """Width and height of each object's texture in texels."""
     texture_features: int = unflagged(8, limits=(1, 256))
@@ -109,25 +104,25 @@ class LightPathConfig(MethodConfig):
 
     @property
     def composite(self) -> bool:
-        """Paths are composited by physics; else the stack network alone makes the colour."""
+        """True if paths are composited by physics; otherwise the stack network alone makes the colour."""
         return self.compositing == "physics"
 
     @property
     def paired_rays(self) -> bool:
-        """While training the rays of a pixel come in independent pairs, which tell how noisy it is, instead of one in
-        each cell of a grid, which is less noisy."""
+        """True if a pixel's training rays come in independent pairs, which measure its noise, instead of one in each
+        cell of a grid, which is less noisy."""
         return self.debias > 0
 
     @property
     def sees_directions(self) -> bool:
-        """The decoder is told the mirrored direction."""
+        """True if the decoder gets the mirrored direction."""
         return self.directions == "on"
 
     def usual(self, geometry: str) -> Self:
-        """On proxies, paths mislead where a surface is off.
+        """On proxies, paths are wrong where the surface is off.
 
-        There the stack network sees the straight layers, too, those of nested shells among them, gives each an opacity,
-        and mixes what they show with what the paths show.
+        The stack network then also sees the straight layers, including those of nested shells, gives each an opacity,
+        and mixes their light with that of the paths.
         """
         if geometry == TRUTH:
             return type(self)()
@@ -153,18 +148,18 @@ class LightPathConfig(MethodConfig):
     def sized(self, texture_sizes: tuple[int, ...]) -> Self:
         """The same for objects with textures of these widths."""
         refined = self.refined_samples
-        if not refined:  # Who asks for a number of rays gets that many.
+        if not refined:  # A number of rays that was asked for is kept.
             refined = REFINED_SAMPLES if self.render_samples == RENDER_SAMPLES else self.render_samples
-        is_told = self.shells != self.usual("box").shells
+        is_chosen = self.shells != self.usual("box").shells
         return dataclasses.replace(
             self,
             texture_sizes=texture_sizes,
-            shells=self.shells if is_told else max(1, min(self.shells, MAX_SURFACES // len(texture_sizes))),
+            shells=self.shells if is_chosen else max(1, min(self.shells, MAX_SURFACES // len(texture_sizes))),
             sky_lobes=0 if self.environment_size == 1 else self.sky_lobes,
             refined_samples=refined,
         )
 
 
 def default_light_path(texture_sizes: tuple[int, ...], *, is_proxy: bool) -> LightPathConfig:
-    """What `model train light-path` builds unless told otherwise."""
+    """The configuration of `model train light-path` without flags."""
     return LightPathConfig().usual("box" if is_proxy else TRUTH).sized(texture_sizes)

@@ -7,11 +7,12 @@ from collections.abc import Sequence
 from datagen.data.cameras import Cameras
 from datagen.data.config import Split
 from datagen.data.dataset import Dataset, check_has_meshes
+from datagen.disk.errors import HyalineError
 from datagen.scene.description import EnvironmentMap, image_bytes
 from datagen.scene.environment_maps import read_map
 from datagen.scene.folder import load_scene
 from model.methods.light_path.config import MAX_SKY_HEIGHT, SKY_HEIGHT, LightPathConfig
-from model.methods.light_path.net import LightPathRenderer, build_light_path
+from model.methods.light_path.net import LightPathRenderer
 from model.methods.light_path.pixels import (
     LightPathPixels,
     load_light_path_pixels,
@@ -22,11 +23,7 @@ from model.methods.protocol import Inputs
 
 
 def complete(config: LightPathConfig, inputs: Inputs) -> LightPathConfig:
-    """The same with the objects' textures; paths are traced to see how texels are shared.
-
-    Raises:
-        HyalineError: there are no meshes to trace.
-    """
+    """The same with the objects' texture sizes, which depend on traced paths."""
     check_has_meshes(inputs.dataset)
     size = config.texture_size or inputs.dataset.config.resolution.mean_side
     if config.environment_size == SKY_HEIGHT:
@@ -45,7 +42,10 @@ def _sky_height(dataset: Dataset) -> int:
 
 
 def build(config: LightPathConfig, inputs: Inputs) -> LightPathRenderer:
-    return build_light_path(config, inputs.dataset)
+    sizes, objects = config.texture_sizes, inputs.dataset.objects
+    if len(sizes) != len(objects):
+        raise HyalineError(f"texture_sizes: are {len(sizes)}; expected one for each of {len(objects)} objects")
+    return LightPathRenderer(config)
 
 
 def load(

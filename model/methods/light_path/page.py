@@ -9,8 +9,7 @@ from datagen.trace.branches import FIRST_MIRROR, MIN_THROUGHPUT, SPARE_STEPS
 from datagen.trace.limits import LIMITS
 from model.methods.light_path.config import LightPathConfig
 from model.methods.light_path.net import RELIEF_DEPTH, STACK_SHIFT, LightPathRenderer
-from model.methods.light_path.paths import STACKED_VERTICES
-from model.methods.light_path.pixels import MANY_RAYS
+from model.methods.light_path.pixels import MANY_RAYS, STACKED_VERTICES
 from model.methods.page import MethodPage, Rows, feature_columns, fours, mlp_rows, package_text
 from model.nets.learned_sky import LOBE_RATE, LOBE_SHARPNESS, LearnedSky
 from model.nets.texture import FINER_COUNTS, NeuralTextures, level_scales
@@ -44,7 +43,7 @@ def _defines(config: LightPathConfig, scene: Scene) -> dict[str, int | float]:
     media = [item.material.medium for item in scene.objects if item.material.medium is not None]
     stacked_first, stacked_second = STACKED_VERTICES
     return {
-        # Where the stack network alone makes the colour, no other paths count.
+        # If only the stack network makes the colour, no other paths matter.
         "BRANCHES": config.branches if config.composite else len(STACKED_VERTICES),
         "MAX_DEPTH": LIMITS.max_depth if config.composite else max(STACKED_VERTICES),
         "MIN_THROUGHPUT": MIN_THROUGHPUT,
@@ -76,7 +75,7 @@ def _defines(config: LightPathConfig, scene: Scene) -> dict[str, int | float]:
 
 
 def _straight(config: LightPathConfig) -> int:
-    """Straight layers that count: only the stack network looks at them."""
+    """Straight layers that matter: only the stack network uses them."""
     return config.straight_layers if config.stack_hidden else 0
 
 
@@ -106,7 +105,7 @@ def _networks(renderer: LightPathRenderer) -> list[Rows]:
 
 
 def _no_mlp(config: LightPathConfig, others: int) -> list[Rows]:
-    """Room for a decoder that there is none of, so that what follows stands where the shader looks for it."""
+    """Zero padding for the absent decoder, so that later weights keep their offsets."""
     groups, inputs = fours(config.hidden) // 4, fours(config.texture_features) + others
     return [np.zeros((groups * (inputs + 1) + groups * (4 * groups + 1) + 4 * groups + 1, 4), np.float32)]
 
@@ -117,7 +116,7 @@ def _relief_places(relief: NeuralTextures, first_row: int) -> list[list[int]]:
 
 
 def _sky(sky: LearnedSky) -> list[Rows]:
-    """The maps, finest first, row by row, times what each counts; then axis, sharpness and colour of each lobe."""
+    """The maps times their weights, finest first, row by row; then axis, sharpness and colour of each lobe."""
     scales = level_scales(sky.num_maps, FINER_COUNTS)
     parts = [
         np.pad((scale * texels).detach().cpu().numpy().reshape(3, -1).T, ((0, 0), (0, 1)))

@@ -22,10 +22,73 @@ from datagen.trace.limits import Limits
 from model.batches.rays import black, read_colors
 from model.batches.traced_layers import SubpixelRays, cameras_of, in_pairs
 from model.methods.light_path.config import LightPathConfig, default_light_path
-from model.methods.light_path.paths import STACKED_VERTICES, Ends, LightPathBatch, Sky, Stack
 
 if TYPE_CHECKING:
     from datagen.trace.light_path import LightPathTracer, TracedPaths
+
+
+STACKED_VERTICES = (4, 2)
+"""Vertices of the refracted and of the first mirror branch that the stack network sees."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Ends:
+    """The opaque vertices on which branches end."""
+
+    ray: Int[Tensor, " end"]
+    """Index of the ray; a ray has one end for each branch that ends on a surface."""
+    surface: UInt8[Tensor, " end"]
+    """Texture to look up: shell k of n of object i is surface (i - 1) n + k + 1. Paths meet the outermost shell."""
+    uv: Float32[Tensor, "end 2"]
+    position: Float32[Tensor, "end 3"]
+    throughput: Float32[Tensor, "end 3"]
+    cosine: Float32[Tensor, " end"]
+    """Cosine of the angle between the arriving ray and the surface normal, 0 to 1."""
+    reflected: Float32[Tensor, "end 3"]
+    """The arriving direction, mirrored at the surface."""
+    uv_slope: Float32[Tensor, "end 2"]
+    """Change of uv per metre of depth below the surface."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Sky:
+    """The branches that leave the scene."""
+
+    ray: Int[Tensor, " exit"]
+    direction: Float32[Tensor, "exit 3"]
+    throughput: Float32[Tensor, "exit 3"]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Stack:
+    """The first vertices of each ray's paths, then its straight layers."""
+
+    surface: UInt8[Tensor, "ray slot"]
+    """As in `Ends`, for every shell; 0 where there is no vertex."""
+    uv: Float32[Tensor, "ray slot 2"]
+    throughput: Float32[Tensor, "ray slot"]
+    """Mean over the colour channels."""
+    cosine: Float32[Tensor, "ray slot"]
+    direction: Float32[Tensor, "ray 3"]
+    """Direction of the camera's ray."""
+    position: Float32[Tensor, "ray straight 3"] | None
+    """Hit point of each straight layer; None without straight layers."""
+    reflected: Float32[Tensor, "ray straight 3"] | None
+    """The ray's direction, mirrored at the surface of each straight layer."""
+    uv_slope: Float32[Tensor, "ray straight 2"] | None
+    """Change of uv per metre of depth below the surface of each straight layer."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LightPathBatch:
+    """The light paths of some pixels: `samples` rays for each, pixel by pixel."""
+
+    num_pixels: int
+    samples: int
+    ends: Ends
+    sky: Sky
+    stack: Stack | None
+
 
 COUNTED_PIXELS = 4096
 """Pixels that decide the sizes of textures."""
@@ -43,10 +106,10 @@ class LightPathPixels:
 
     tracer: "LightPathTracer"
     straight_tracer: "LightPathTracer | None"
-    """The same surfaces, none of which bends or stops a ray; None where the configuration has no straight layers."""
+    """The same surfaces, all passed in a straight line; None if the configuration has no straight layers."""
     rays: SubpixelRays
     is_opaque: Bool[np.ndarray, "object"]
-    """By object id; True where a path ends. Id 0, the empty one, is not."""
+    """By object id: True if paths end on it; False for id 0, which means empty."""
     rgb: UInt8[Tensor, "pixel 3"]
     config: LightPathConfig
     device: torch.device
@@ -61,11 +124,11 @@ class LightPathPixels:
 
     @property
     def chunk(self) -> int:
-        """Pixels that a rendering takes at once."""
+        """Pixels rendered at once."""
         return max(1, MANY_RAYS // self.config.render_samples)
 
     def refined(self) -> "LightPathPixels":
-        """The same pixels with as many rays as those get whose rays differ."""
+        """The same pixels with `refined_samples` rays each."""
         samples = self.config.refined_samples
         return dataclasses.replace(self, config=dataclasses.replace(self.config, render_samples=samples))
 
@@ -73,7 +136,7 @@ class LightPathPixels:
         return dataclasses.replace(self, rgb=self.rgb.to(device), device=device)
 
     def take(self, index: Int[Tensor, "*pixel"], rng: np.random.Generator | None) -> LightPathBatch:
-        """The paths of the rays through these pixels; without `rng` as many rays as a rendering takes."""
+        """The paths of the rays through these pixels; without `rng`, as many rays as for rendering."""
         config = self.config
         pixels = index.flatten().cpu().numpy()
         samples, seed, facets = config.render_samples, 0, None
@@ -84,7 +147,7 @@ class LightPathPixels:
             through = self.rays.through_pairs if config.paired_rays else self.rays.through
             origins, directions = through(pixels, samples, rng)
             facets = self._facets(len(pixels), samples, rng)
-        # Of most branches the end is all that counts: one place holds the last vertex.
+        # Only the ends of branches are needed: one place holds the last vertex.
         with short_lived_workers():
             limits = Limits(max_branches=config.branches, max_vertices=1)
             paths = self.tracer.trace_colors(origins, directions, limits, seed=seed, facets=facets)
@@ -94,8 +157,8 @@ class LightPathPixels:
         )
 
     def _facets(self, num_pixels: int, samples: int, rng: np.random.Generator) -> Float32[np.ndarray, "ray 2"]:
-        """Where the rays of each pixel choose facets of rough surfaces: in pairs half a period from each other, or all
-        spread evenly, as in a rendering."""
+        """Random numbers by which each pixel's rays choose facets of rough surfaces: in pairs half a period apart, or
+        all spread evenly, as in rendering."""
         from datagen.trace.light_path import PLASTIC
 
         if self.config.paired_rays:
@@ -130,8 +193,8 @@ class LightPathPixels:
         )
 
     def _stack(self, origins: np.ndarray, directions: np.ndarray, seed: int, facets: np.ndarray | None) -> Stack:
-        # By the facets of the paths: were those of a pixel's rays always spread evenly, pairs of rays would know of
-        # each other, and with `--debias` the network would be paid for contrasts that cancel between them.
+        # With the paths' own facets: if a pixel's facets were always spread evenly, its ray pairs would not be
+        # independent, and `--debias` would reward the network for contrasts that cancel between them.
         limits = Limits(len(STACKED_VERTICES), max_vertices=max(STACKED_VERTICES), max_depth=max(STACKED_VERTICES))
         paths = self.tracer.trace(origins, directions, limits, seed=seed, facets=facets)
         places = [(branch, vertex) for branch, count in enumerate(STACKED_VERTICES) for vertex in range(count)]
@@ -166,8 +229,8 @@ class LightPathPixels:
 def share_texels(dataset: Dataset, geometry: str, size: int) -> tuple[int, ...]:
     """Widths of the objects' textures: about `size` squared texels for each, shared as the training rays need them.
 
-    An object on which many paths end (a floor) gets a wide one, one seen in few pixels a narrow one, but no narrower
-    than a third of `size`; one where no path ends (glass) an eighth. On proxies all that straight rays meet counts too.
+    An object where many paths end (a floor) gets a wide texture, one seen in few pixels a narrow one, but at least a
+    third of `size`; one where no path ends (glass) gets an eighth. On proxies, straight hits count, too.
     """
     pixels = load_light_path_pixels(
         default_light_path((2,) * len(dataset.objects), is_proxy=geometry != TRUTH),
@@ -196,7 +259,7 @@ def share_texels(dataset: Dataset, geometry: str, size: int) -> tuple[int, ...]:
 def load_light_path_pixels(
     config: LightPathConfig, dataset: Dataset, geometry: str, split: Split, views: Sequence[int], with_images: bool
 ) -> LightPathPixels:
-    """Reads cameras and (unless told otherwise) images of some views, and loads the scene for tracing."""
+    """Reads cameras and, with `with_images`, pictures of some views, and loads the scene for tracing."""
     pixels = trace_light_paths(config, dataset, geometry, cameras_of(dataset, split, views))
     return dataclasses.replace(pixels, rgb=read_colors(dataset, split, views, with_images=with_images))
 
@@ -221,14 +284,14 @@ def nest_shells(meshes: tuple[Mesh, ...], shells: int) -> tuple[Mesh, ...]:
 
 
 def _scaled(mesh: Mesh, scale: float) -> Mesh:
-    if scale == 1 or not len(mesh.vertices):  # Of a removed object there is nothing.
+    if scale == 1 or not len(mesh.vertices):  # A removed object has an empty mesh.
         return mesh
     center = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2
     return dataclasses.replace(mesh, vertices=center + np.float32(scale) * (mesh.vertices - center))
 
 
 def _slot(paths: "TracedPaths", branch: int, vertex: int) -> dict[str, np.ndarray]:
-    """What the stack network is told of one vertex of all rays."""
+    """Inputs of the stack network at one vertex of all rays."""
     cosine, reflected = _mirrored(paths.direction[branch, vertex], paths.normal[branch, vertex])
     return {
         "surface": paths.object_id[branch, vertex],
@@ -242,7 +305,7 @@ def _slot(paths: "TracedPaths", branch: int, vertex: int) -> dict[str, np.ndarra
 
 
 def _surface_of(object_id: UInt8[np.ndarray, " vertex"], shells: int) -> UInt8[np.ndarray, " vertex"]:
-    """The outermost shell of each object; 0, the empty one, stays."""
+    """The outermost shell of each object; 0 stays 0."""
     return np.where(object_id > 0, (object_id.astype(np.int64) - 1) * shells + 1, 0).astype(np.uint8)
 
 
@@ -267,8 +330,7 @@ class _Surfaces:
     is_opaque: Bool[np.ndarray, "object"]
 
 
-# Training, each view that is scored and each that is predicted ask for the same surfaces: they are loaded once, and
-# their kernels recorded once.
+# Training, scoring and prediction use the same surfaces: they are loaded once, and their kernels are recorded once.
 @functools.lru_cache(maxsize=1)
 def _load_surfaces(key: GeometryKey, shells: int) -> _Surfaces:
     from datagen.scene.folder import load_scene

@@ -24,38 +24,38 @@ from model.settings.optimisation import PixelOptimisation
 class PaperConfig(MethodConfig):
     """The paper's renderer: neural textures on straight layers, stacked and shaded by a network for each pixel."""
 
-    room: ClassVar[str] = "model.methods.paper.method"
-    page: ClassVar[str] = "model.methods.paper.page"
+    room: ClassVar[str] = "model.methods.paper.renderer"
+    page: ClassVar[str] = "model.methods.paper.renderer"
     reads_layers: ClassVar[bool] = True
     is_shareable: ClassVar[bool] = True
     draws_cameras: ClassVar[bool] = True
 
     preset: Literal["published", "best"] = choice("published", {"best": "best"}, is_preset=True)
-    """published: the renderer of the paper's text. best: the same idea (straight layers, neural textures, a network for
-    each pixel) with everything that we found to help it; other flags override its values, which
-    model/methods/paper/config.py lists."""
+    """published: the renderer of the paper's text. best: the same idea (straight layers, neural textures, a network per
+    pixel) with every improvement that we found; other flags override its values, which model/methods/paper/config.py
+    lists."""
     extrinsics: Extrinsics = choice("view", {"none": "no-extrinsics", "sh": "sh"})
-    """What each layer knows about the camera (section 4.6): nothing (none), the view vector (view), or its spherical
-    harmonics in three bands (sh)."""
+    """Camera input of each layer (section 4.6): none, the view vector (view), or its spherical harmonics in three bands
+    (sh)."""
     width: int = choice(0, "w{}", limits=(0, 8192))
-    """Hidden units of the first layer; 0: as many as give 34,000 parameters (section 4.3). The paper's text says 256,
-    which contradicts its 34k."""
+    """Hidden units of the first layer; 0: chosen for 34,000 parameters (section 4.3). The paper's text has 256, which
+    contradicts its 34k."""
     blocks: int = choice(3, "{}-blocks", limits=(0, 8))
     """Residual blocks; each halves the channels at its end (section 4.3)."""
     norm: Norm = choice("batch", {"none": "no-norm", "batch": "batch-norm"})
     """Batch norm after each linear layer but the last (section 4.3), or none (the authors' code)."""
     textures: TextureSharing = choice("object", "scene-texture")
-    """One neural texture per object (section 4.4), or one for the scene, in which each object has a cell."""
+    """One neural texture per object (section 4.4), or one for the scene, with a cell for each object."""
     texture_size: int = choice(0, "t{}")
     """Width and height of a texture in texels; 0: half the image's width, or all of it with the best preset."""
     zero_layer: bool = choice(False, "zero-layer")
-    """Insert a layer of zeros at a random place while training, and behind all others at test (section 4.4)."""
+    """Insert a layer of zeros at a random position in training, and after all others at test (section 4.4)."""
     layers: str = choice("all", "{}-layers")
     """Straight layers to look up: all (as stored), a number (the nearest ones), online (traced for each batch, through
     a random point of each pixel; no stored layer is read) or both, such as online-4."""
     train_samples: int = choice(1, "{}-rays", flag="rays")
     """Rays per pixel while training, a square number; the paper uses one, through the pixel's centre. With more, in
-    training or in rendering, layers are traced for each batch instead of read, and colours are averaged."""
+    training or rendering, layers are traced for each batch instead of being read, and colours are averaged."""
     render_samples: int = choice(1, "{}-render-rays", flag="render-rays")
     """Rays per pixel while rendering, a square number."""
     texture_features: int = choice(16, "{}-features", flag="features", limits=(1, 256))

@@ -1,7 +1,9 @@
 """The renderer of `paper`: neural textures on straight layers, stacked into a per-pixel residual MLP."""
 
+import dataclasses
 import functools
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import torch
@@ -9,13 +11,19 @@ from jaxtyping import Float32
 from torch import Tensor
 from torch.autograd.function import FunctionCtx
 
+from datagen.data.cameras import Cameras
+from datagen.data.config import Split
 from datagen.machine.processor import bf16_instructions
+from datagen.scene.description import Scene
 from datagen.terminal.command import say
-from model.batches.rays import Pixels, PixelSource, RayBatch, insert_random_layer
-from model.batches.samples import linear_curve, srgb_curve
+from model.batches.rays import Pixels, PixelSource, RayBatch, insert_random_layer, linear_curve, srgb_curve
+from model.batches.traced_layers import load_traced_layers, trace_cameras
+from model.methods.page import MethodPage, feature_columns, layer_rows, package_text
 from model.methods.paper.config import PaperConfig
 from model.methods.protocol import Inputs
 from model.methods.renderer import Renderer
+from model.methods.stored_pixels import load_stored, peel_as_stored
+from model.nets.cpu.fused_mlp import fold
 from model.nets.cpu.mlp_kernels import Stacks, find_kernels
 from model.nets.extrinsics import ExtrinsicInputs, positions_for
 from model.nets.pixel_mlp import PixelMlp, width_for_34k
@@ -23,40 +31,23 @@ from model.nets.texture import NeuralTextures, TexturePyramid, make_layout, plac
 from model.settings.network_parts import EXTRINSIC_CHANNELS, Extrinsics, TextureSharing
 
 START_ALONE = 0.5
-"""Where textures start when they are all that the network sees (the authors' code starts so, always). From zeros its
-first batch norm would divide by the spread of next to nothing, blow the first steps' signs up, and leave walls in
-blotches: measured on the glass table at 128 pixels after 1,200 steps, 23.4 dB on held-out views; 26.3 from noise of
-0.1, 27.4 from one half."""
+"""Initial texel value when textures are the network's only input (the authors' code always uses it). From zeros the
+first batch norm would divide by a tiny spread, amplify the signs of the first steps, and leave blotches on walls:
+measured on the glass table at 128 pixels after 1,200 steps, 23.4 dB on held-out views; 26.3 from noise of 0.1, 27.4
+from one half."""
 
 
 def default_texture_size(side: int, num_objects: int, sharing: TextureSharing, *, texels_per_pixel: float = 0.5) -> int:
     """Half the side of a square image for each object, as the authors ran it: 256 texels for frames of 512 pixels.
 
-    With more, the texels of small objects are seen so rarely that they learn single pixels by heart: at 128 pixels, 256
+    With more, the texels of small objects are seen so rarely that they memorise single pixels: at 128 pixels, 256
     texels cost 1.9 dB (interpolating) and 1.1 dB (extrapolating) against 64. (A pyramid of textures does not.)
 
     Args:
-        side: of the square with as many pixels as an image.
+        side: side of the square with as many pixels as an image.
     """
     cells = 1 if sharing == "object" else math.ceil(math.sqrt(num_objects))
     return cells * max(16, int(side * texels_per_pixel))
-
-
-def complete_paper(config: PaperConfig, inputs: Inputs) -> tuple[int, int]:
-    """Hidden units, and the texture's width in texels, of a configuration that leaves them to the dataset."""
-    num_inputs = count_inputs(
-        inputs.num_layers,
-        texture_features=config.texture_features,
-        extrinsics=config.extrinsics,
-        zero_layer=config.zero_layer,
-    )
-    size = config.texture_size or default_texture_size(
-        inputs.dataset.config.resolution.mean_side,
-        len(inputs.dataset.objects),
-        config.textures,
-        texels_per_pixel=config.texels_per_pixel,
-    )
-    return config.width or width_for_34k(num_inputs, config.blocks), size
 
 
 def count_inputs(num_layers: int, *, texture_features: int, extrinsics: Extrinsics, zero_layer: bool) -> int:
@@ -112,7 +103,7 @@ class PaperRenderer(Renderer[PixelSource[RayBatch]]):
         return srgb_curve(linear_curve(colors).view(-1, rays.samples, 3).mean(dim=1))
 
     def render(self, pixels: PixelSource[RayBatch]) -> Float32[Tensor, "pixel 3"]:
-        """sRGB colours of all pixels, looked up and drawn by one compiled loop where there is one for this."""
+        """sRGB colours of all pixels, looked up and drawn by one compiled loop where possible."""
         has_loop = self.extrinsics is None or self.extrinsics.kind == "view"
         kernels = find_kernels() if has_loop and self.net.precision == "fp32" and pixels.device.type == "cpu" else None
         if kernels is None or not isinstance(pixels, Pixels) or not isinstance(self.textures, NeuralTextures):
@@ -133,7 +124,7 @@ class PaperRenderer(Renderer[PixelSource[RayBatch]]):
 class _Beside(torch.autograd.Function):
     """`torch.cat` over the last axis, without a gradient of the second part.
 
-    That one copies such short rows one by one, which takes 5 ms a step of 8,192 pixels; this takes 1.
+    torch copies such short rows one by one, which takes 5 ms for a step of 8,192 pixels; this takes 1 ms.
     """
 
     @staticmethod
@@ -149,8 +140,25 @@ class _Beside(torch.autograd.Function):
         return upstream[0][..., : ctx.num_features], None  # pyright: ignore[reportAttributeAccessIssue]
 
 
-def build_paper(config: PaperConfig, inputs: Inputs) -> PaperRenderer:
-    """A fresh renderer; its start is drawn from torch's default generator."""
+def complete(config: PaperConfig, inputs: Inputs) -> PaperConfig:
+    """The same with the widths of network and texture that depend on the dataset."""
+    num_inputs = count_inputs(
+        inputs.num_layers,
+        texture_features=config.texture_features,
+        extrinsics=config.extrinsics,
+        zero_layer=config.zero_layer,
+    )
+    size = config.texture_size or default_texture_size(
+        inputs.dataset.config.resolution.mean_side,
+        len(inputs.dataset.objects),
+        config.textures,
+        texels_per_pixel=config.texels_per_pixel,
+    )
+    width = config.width or width_for_34k(num_inputs, config.blocks)
+    return dataclasses.replace(config, width=width, texture_size=size)
+
+
+def build(config: PaperConfig, inputs: Inputs) -> PaperRenderer:
     if config.precision == "bf16":
         _warn_of_slow_bf16()
     positions = positions_for(config.extrinsics, inputs.dataset, inputs.geometry, config.position_size)
@@ -163,4 +171,53 @@ def build_paper(config: PaperConfig, inputs: Inputs) -> PaperRenderer:
 def _warn_of_slow_bf16() -> None:
     """Once a process: PyTorch multiplies bf16 several times more slowly where the processor has no instructions."""
     if not torch.cuda.is_available() and bf16_instructions() is None:
-        say("--precision bf16: this processor has no instructions for bf16, which is slower here than fp32")
+        say("--precision bf16: slower here than fp32, because this processor has no instructions for bf16")
+
+
+def load(
+    config: PaperConfig, inputs: Inputs, split: Split, views: Sequence[int], *, with_images: bool, mapped: bool
+) -> PixelSource[RayBatch]:
+    if not config.traces_layers:
+        return load_stored(inputs, split, views, with_images=with_images, mapped=mapped)
+    return load_traced_layers(
+        inputs.dataset,
+        inputs.geometry,
+        inputs.num_layers,
+        split,
+        views,
+        with_images,
+        train_samples=config.train_samples,
+        render_samples=config.render_samples,
+    )
+
+
+def load_cameras(config: PaperConfig, inputs: Inputs, cameras: Cameras) -> PixelSource[RayBatch]:
+    if not config.traces_layers:
+        return peel_as_stored(inputs, cameras)
+    return trace_cameras(
+        inputs.dataset,
+        inputs.geometry,
+        inputs.num_layers,
+        cameras,
+        train_samples=config.train_samples,
+        render_samples=config.render_samples,
+    )
+
+
+def draw_page(config: PaperConfig, renderer: PaperRenderer, scene: Scene) -> MethodPage:  # noqa: ARG001
+    """The renderer without the layer of zeros after all others, which changes nothing."""
+    features, extrinsics = config.texture_features, EXTRINSIC_CHANNELS[config.extrinsics]
+    first, *others = [fold(layer) for layer in renderer.net.layers()]
+    channels = features + extrinsics
+    num_layers = first.weight.shape[1] // channels - config.zero_layer
+    columns = [at for layer in range(num_layers) for at in feature_columns(features, extrinsics, layer * channels)]
+    return MethodPage(
+        shader=package_text("model.methods.paper", "paper.glsl"),
+        defines={"LAYERS_SEEN": num_layers, "EXTRINSICS": extrinsics, "WIDTH": config.width, "BLOCKS": config.blocks},
+        textures=renderer.textures,
+        weights=[
+            *layer_rows(first.weight, first.bias, columns),
+            *(rows for layer in others for rows in layer_rows(layer.weight, layer.bias)),
+        ],
+        samples=config.render_samples,
+    )

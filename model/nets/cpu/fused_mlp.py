@@ -1,7 +1,6 @@
 """Per-pixel networks by compiled layers: forward and backward passes of a chain of linear layers.
 
-Between two layers nothing is written but what the first one made: its batch norm and activation are done by whoever
-reads it.
+Each layer stores only its linear output; the next one applies batch norm and activation when it reads it.
 """
 
 from collections.abc import Sequence
@@ -22,11 +21,11 @@ class ChainLayer:
 
     linear: nn.Linear
     norm: nn.BatchNorm1d | None = None
-    """In training with the moments of the batch, at evaluation with the running ones, and then without gradients."""
+    """Uses the batch's moments in training; at evaluation the running ones, then without gradients."""
     slope: float | None = None
-    """Of the LeakyReLU below zero; None for the last layer, which has none."""
+    """Slope of the LeakyReLU below zero; None for the last layer, which has none."""
     adds: bool = False
-    """To what this layer makes, the output of the layer two before is added."""
+    """Add the output of the layer two before to this layer's."""
 
 
 def can_fuse(x: Tensor) -> bool:
@@ -36,7 +35,7 @@ def can_fuse(x: Tensor) -> bool:
 
 
 def run_chain(x: Float32[Tensor, "pixel c_in"], layers: Sequence[ChainLayer]) -> Float32[Tensor, "pixel c_out"]:
-    """What the layers make of a batch; running statistics of batch norms in training are brought up to date."""
+    """The output of the layers for a batch; updates the running statistics of batch norms in training."""
     if not torch.is_grad_enabled() and not any(layer.norm is not None and layer.norm.training for layer in layers):
         return _kernels().draw(Network([fold(layer) for layer in layers]), x)
     parameters = [value for layer in layers for value in _parameters(layer)]
@@ -60,7 +59,7 @@ class _Chain(torch.autograd.Function):
     def backward(ctx: FunctionCtx, *upstream: Tensor) -> tuple[Any, ...]:
         kernels = _kernels()
         x, layers, made = ctx.chain  # pyright: ignore[reportAttributeAccessIssue]
-        # Of what each layer made, after norm and activation; of the last one, which has neither, as it is.
+        # Gradients of each layer's output after norm and activation; the last layer has neither.
         above: list[Tensor | None] = [None] * len(layers)
         above[-1] = upstream[0].contiguous()
         found: list[Gradients] = []
@@ -111,7 +110,7 @@ def _parameters(layer: ChainLayer) -> list[Tensor]:
 
 
 def _source(x: Tensor, layers: Sequence[ChainLayer], made: Sequence[Made], index: int) -> Source:
-    """What layer `index` reads."""
+    """The input of layer `index`."""
     if index == 0:
         return Source(x=x)
     return Source(made=made[index - 1], skip=made[index - 3] if layers[index - 1].adds else None)

@@ -1,6 +1,6 @@
-"""The compiled layers of per-pixel networks: builds `mlp_kernels.cpp` where a compiler is there, and calls it.
+"""The compiled layers of per-pixel networks: builds `mlp_kernels.cpp` if there is a compiler, and calls it.
 
-Nothing depends on them: where they cannot be built, torch's operations compute the same, up to rounding.
+They are optional: without them, torch's operations compute the same, up to rounding.
 """
 
 import ctypes
@@ -19,8 +19,7 @@ import torch
 from jaxtyping import Float32, Int16, Int32, UInt8
 from torch import Tensor, nn
 
-from datagen.disk.private import is_intact, make_private, write_hashed
-from datagen.disk.storage import sha256, user_cache
+from datagen.disk.storage import is_intact, make_private, sha256, user_cache, write_hashed
 from datagen.terminal.command import say
 
 SWITCH = "HYALINE_KERNELS"
@@ -31,7 +30,7 @@ SOURCE = Path(__file__).with_name("mlp_kernels.cpp")
 FLAGS = ("-O3", "-march=native", "-std=c++17", "-fopenmp", "-shared", "-fPIC")
 
 PADDING = 16
-"""Rows of the library's arrays are filled up with zeros to a multiple of so many floats."""
+"""Rows of the library's arrays are zero-padded to a multiple of this."""
 
 _POINTER, _LONG, _FLOAT, _INT = ctypes.c_void_p, ctypes.c_long, ctypes.c_float, ctypes.c_int
 
@@ -56,19 +55,19 @@ NUM_NUMBERS = 6
 
 
 class Made:
-    """What a layer made of a batch, and the norm and activation behind it: leaky(scale * y + shift)."""
+    """A layer's output for a batch, and the norm and activation after it: leaky(scale * y + shift)."""
 
     def __init__(self, num_pixels: int, width: int, slope: float, *, has_norm: bool) -> None:
         self.has_norm = has_norm
         self.y = torch.empty(num_pixels, padded(width))
         self.numbers = torch.empty(NUM_NUMBERS, padded(width))
-        """Scale and shift, and what the way back needs."""
+        """Scale and shift, and intermediate results for the backward pass."""
         self.record = _Made(self.y.data_ptr(), self.numbers.data_ptr(), slope, has_norm)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Source:
-    """What a layer reads: the network's input, or what another layer made and, added to it, what a third one made."""
+    """A layer's input: the network's input, or another layer's output, plus optionally that of a third one."""
 
     x: Float32[Tensor, "pixel c"] | None = None
     made: Made | None = None
@@ -84,13 +83,13 @@ class Source:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Gradients:
-    """What a layer sends back."""
+    """The gradients of a layer."""
 
     source: Float32[Tensor, "pixel c_padded"] | None
     weight: Float32[Tensor, "c_out c_in"]
     bias: Float32[Tensor, " c_out"]
     norm: tuple[Float32[Tensor, " c_in"], Float32[Tensor, " c_in"]] | None
-    """Of weight and bias of the batch norm behind the source; None where it has none."""
+    """Gradients of weight and bias of the batch norm after the source; None without one."""
 
 
 class _FoldedLayer(ctypes.Structure):
@@ -111,19 +110,19 @@ class _Stacks(ctypes.Structure):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FoldedLayer:
-    """A layer of a network that learns no more, its batch norm folded in."""
+    """A layer of a trained network, with its batch norm folded in."""
 
     weight: Float32[Tensor, "c_out c_in"]
     bias: Float32[Tensor, " c_out"]
     slope: float = 1.0
-    """Of the LeakyReLU below zero; 1 without one."""
+    """Slope of the LeakyReLU below zero; 1 without one."""
     adds: bool = False
-    """To what this layer makes, the output of the layer two before is added."""
+    """Add the output of the layer two before to this layer's."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Stacks:
-    """The stored layers of pixels, and the tables in which a renderer looks them up."""
+    """The stored layers of pixels, and the renderer's tables."""
 
     uv: Int16[Tensor, "pixel layer 2"]
     """The bits of uint16."""
@@ -132,7 +131,7 @@ class Stacks:
     places: Int32[np.ndarray, "3 object"]
     """First row, size and stride of each object's texture."""
     positions: Float32[Tensor, "place 3"] | None
-    """World positions on the surfaces, from which view vectors follow the features; None where they do not."""
+    """World positions on the surfaces, for view vectors after the features; None without view vectors."""
     position_places: Int32[np.ndarray, "3 object"] | None
     p_camera: Float32[Tensor, "view 3"]
     pixels_per_view: int
@@ -143,7 +142,7 @@ class Network:
 
     def __init__(self, layers: Sequence[FoldedLayer]) -> None:
         self.inputs, self.outputs = layers[0].weight.shape[1], layers[-1].weight.shape[0]
-        # What the structures point to.
+        # Keeps the memory alive that the structures point to.
         self._weights = [_packed(layer) for layer in layers]
         self._biases = [pad(layer.bias.numpy()) for layer in layers]
         self.array = (_FoldedLayer * len(layers))(
@@ -171,7 +170,7 @@ class Kernels:
             function.restype = None
 
     def forward(self, source: Source, linear: nn.Linear, norm: nn.BatchNorm1d | None, slope: float) -> Made:
-        """A linear layer of a batch, with the norm in training behind it, whose running statistics move on."""
+        """A linear layer of a batch; updates the running statistics of the batch norm after it."""
         given = source.x if source.made is None else source.made.y
         assert given is not None
         made = Made(len(given), linear.out_features, slope, has_norm=norm is not None)
@@ -210,8 +209,8 @@ class Kernels:
         """The gradients of a layer's source (with `further` added), weight and bias.
 
         Args:
-            made: what the layer made, `upstream` being the gradient after norm and activation; None for one that has
-                neither, where `upstream` is that of its output, (pixel, c_out).
+            made: the layer's output, with `upstream` the gradient after norm and activation; None for a layer without
+                them, with `upstream` the gradient of its output, (pixel, c_out).
         """
         outputs, inputs = linear.weight.shape
         gradients = Gradients(
@@ -231,16 +230,16 @@ class Kernels:
         return gradients
 
     def draw(self, network: Network, x: Float32[Tensor, "pixel c_in"]) -> Float32[Tensor, "pixel c_out"]:
-        """What a network makes of its inputs."""
+        """The output of a network."""
         assert x.shape[1] == network.inputs
         x, made = x.contiguous(), torch.empty(len(x), network.outputs)
         self._draw(len(x), x.data_ptr(), network.array, len(network.array), made.data_ptr(), torch.get_num_threads())
         return made
 
     def draw_stacks(self, network: Network, stacks: Stacks) -> Float32[Tensor, "pixel 3"]:
-        """The colours that a network of three outputs makes of stacked layers, which are looked up on the way.
+        """The colours of a network with three outputs for stacked layers, whose features it looks up.
 
-        A network with more inputs than the stacks have channels gets zeros for the rest (an empty layer).
+        If the network has more inputs than the stacks have channels, the rest are zeros (an empty layer).
         """
         num_pixels, num_layers = stacks.object_id.shape
         features = stacks.texels.shape[1]
@@ -270,7 +269,7 @@ class Kernels:
 
 
 def _packed(layer: FoldedLayer) -> Float32[Tensor, "c_in c_out_padded"]:
-    """A weight as the library multiplies by it."""
+    """A weight in the library's layout."""
     outputs, inputs = layer.weight.shape
     packed = torch.zeros(inputs, padded(outputs))
     packed[:, :outputs] = layer.weight.T
@@ -283,7 +282,7 @@ def padded(width: int) -> int:
 
 
 def pad(values: np.ndarray) -> Float32[np.ndarray, " c_padded"]:
-    """Values of all channels as the library takes them: zeros follow."""
+    """Values of all channels, zero-padded for the library."""
     result = np.zeros(padded(len(values)), np.float32)
     result[: len(values)] = values
     return result
@@ -291,7 +290,7 @@ def pad(values: np.ndarray) -> Float32[np.ndarray, " c_padded"]:
 
 @functools.cache
 def find_kernels() -> Kernels | None:
-    """The compiled layers, built when they are first asked for on a machine; None where there are none."""
+    """The compiled layers, built at their first use on a machine; None if they are not available."""
     if os.environ.get(SWITCH) == "off" or platform.system() != "Linux" or platform.machine() != "x86_64":
         return None
     compiler = os.environ.get("CXX") or shutil.which("g++") or shutil.which("c++")
@@ -303,24 +302,24 @@ def find_kernels() -> Kernels | None:
         return Kernels(_load(compiler, user_cache("kernels"), key))
     except (OSError, subprocess.SubprocessError, AttributeError) as error:
         words = (getattr(error, "stderr", None) or str(error)).strip().partition("\n")[0]
-        say(f"networks are left to torch, since their compiled layers cannot be built: {words}; {SWITCH}=off is silent")
+        say(f"the compiled layers cannot be built, so torch runs the networks: {words}; {SWITCH}=off hides this")
         return None
 
 
 def _load(compiler: str, cache: Path, key: str) -> ctypes.CDLL:
-    """The library from the cache, built where it is not there or in doubt.
+    """The library from the cache, built if it is missing or cannot be trusted.
 
-    A library of which half is there kills the process with a bus error, and any library runs: so only one is loaded
-    that this user has written, in a folder where nobody else can, and whose every bit is as it was.
+    A truncated library kills the process with a bus error, and any library runs as code. So it is only loaded if this
+    user wrote it, to a folder that no other user can write to, and if its checksum matches.
     """
     if (wrong := make_private(cache)) is not None:
-        say(f"{wrong}; compiled layers are not kept there but built for this run alone")
+        say(f"{wrong}; the compiled layers are built for this run only")
         with tempfile.TemporaryDirectory() as folder:  # A library that is loaded needs its file no longer.
             return ctypes.CDLL(str(_build(compiler, Path(folder) / f"{key}.so")))
     path = cache / f"mlp-{key}.so"
     if not is_intact(path):
         if path.exists():
-            say(f"{path}: damaged, or not written by this user; builds the compiled layers anew")
+            say(f"{path}: damaged, or not written by this user; building the compiled layers again")
         with tempfile.TemporaryDirectory() as folder:
             write_hashed(path, _build(compiler, Path(folder) / path.name).read_bytes())
     return ctypes.CDLL(str(path))
@@ -334,7 +333,7 @@ def _build(compiler: str, path: Path) -> Path:
 
 
 def _processor() -> str:
-    """What the processor can do: a cache may be shared by machines that differ."""
+    """The processor's features, because different machines may share a cache."""
     lines = Path("/proc/cpuinfo").read_text().splitlines()
     return next((line for line in lines if line.startswith("flags")), "")
 

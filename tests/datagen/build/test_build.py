@@ -129,8 +129,7 @@ def test_verify_finds_lost_swapped_and_foreign_files(tmp_path: Path) -> None:
     one.write_bytes(content[1])
     two.write_bytes(content[0])
     (root / "images" / "notes.txt").write_text("mine")
-    shards = layers_root(root, TRUTH) / "peels.zarr" / "train" / "uv" / "c" / "0"
-    lost = next(path for path in shards.rglob("0") if path.is_file())
+    lost = layers_root(root, TRUTH) / "arrays" / "train" / "0000.uv.npy.blosc"
     lost.unlink()
     problems = "\n".join(verify_dataset(root)[1])
     assert f"{one}: damaged" in problems
@@ -145,8 +144,7 @@ def test_a_damaged_view_is_made_again(built: Path, scene_folder: Path, tmp_path:
     out = tmp_path / "copy"
     shutil.copytree(built, out)
     image_path(out, "train", 1).write_bytes(b"garbage")
-    shards = layers_root(out, TRUTH) / "peels.zarr" / "train" / "uv" / "c" / "2"
-    next(path for path in shards.rglob("0") if path.is_file()).unlink()
+    (layers_root(out, TRUTH) / "arrays" / "train" / "0002.uv.npy.blosc").unlink()
     build_whole(scene_folder, out)
     assert tree(out) == tree(built)
 

@@ -17,13 +17,13 @@ from datagen.build.plan_variant import plan_edit
 from datagen.build.verify import verify_dataset
 from datagen.data.cameras import Cameras
 from datagen.data.config import SPLITS, DatasetConfig, SplitConfig, square
-from datagen.data.dataset import Dataset, open_dataset
+from datagen.data.dataset import Dataset
 from datagen.data.geometries import ProxyStatistics, read_meshes, write_proxies
 from datagen.data.meshes import Mesh, is_there, no_mesh
 from datagen.data.paths import TRUTH
 from datagen.data.variants import ELSEWHERE, LIGHT, OBJECT, TWINS, open_variant, read_edit_mask
 from datagen.disk.errors import HyalineError
-from datagen.disk.storage import commit_sealed, load_sealed, sha256
+from datagen.disk.storage import sha256
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.contact import TOLERANCE, count_touching_faces
 from datagen.scene.description import Scene, SceneObject
@@ -35,7 +35,7 @@ from datagen.scene.solid_textures import evaluate_texture
 from datagen.scene.textures import SolidTexture
 from datagen.trace.peel import Peeler
 from model.nets.texture import NeuralTextures, object_layout
-from model.run.edits import with_copies
+from model.run.predict import with_copies
 
 use_mitsuba(quiet=True)
 
@@ -374,14 +374,3 @@ def test_an_edit_of_an_older_dataset_is_not_taken_for_one_of_the_new(base: Datas
     build(newer, "remove:ball")
     variant = open_variant(newer, "remove-ball").variant
     assert variant is not None and variant.of == newer.seal
-
-
-@pytest.mark.parametrize("key", ["edit", "annex_of"])
-def test_a_variant_in_the_format_before_is_refused_with_the_way_out(base: Dataset, tmp_path: Path, key: str) -> None:
-    old = tmp_path / "table" / "edits" / "remove-ball"
-    shutil.copytree(build(base, "remove:ball").root, old)
-    head = load_sealed(old / "dataset.json")
-    said = head.pop("variant")
-    commit_sealed(old / "dataset.json", {**head, key: said})
-    with pytest.raises(HyalineError, match=rf"says '{key}', as the format before .*; delete {old} and build it again"):
-        open_dataset(old)

@@ -22,7 +22,7 @@ from datagen.data.paths import image_path
 from datagen.data.variants import evenly, has_variant, open_variant, parent_views
 from datagen.disk.errors import HyalineError
 from datagen.scene.folder import save_scene
-from eval.analyses.super_resolution import enlarge
+from eval.analyses.variants import enlarge
 from eval.page.report import make_report
 
 FLAGS = (
@@ -63,9 +63,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, byte
 def test_variants_leave_every_byte_of_the_dataset_alone(made: tuple[Path, dict[str, bytes]]) -> None:
     root, plain = made
     after = tree(root / "data/mine")
-    assert {
-        path: data for path, data in after.items() if not path.startswith(("variants/", "heads/variants/"))
-    } == plain
+    assert {path: data for path, data in after.items() if not path.startswith("variants/")} == plain
     assert verify_dataset(root / "data/mine")[:2] == (len(after), [])
 
 
@@ -226,6 +224,6 @@ def test_predictions_of_a_variant_in_the_runs_own_folder_are_refused_with_their_
 ) -> None:
     place = tmp_path / "runs/mine/foreign/predictions/extrapolating-20deg"
     shutil.copytree(made[0] / "data/mine/variants/angles/images/extrapolating-20deg", place)
-    expected = "is of a variant; its pictures belong into .*/foreign/variants/angles/predictions/extrapolating-20deg"
+    expected = "is a split of a variant; .* into .*/foreign/variants/angles/predictions/extrapolating-20deg"
     with pytest.raises(HyalineError, match=f"{place}: {expected}"):
         make_report(tmp_path / "runs", made[0] / "data", tmp_path / "out", output_format="markdown")

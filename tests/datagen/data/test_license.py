@@ -11,7 +11,7 @@ from support.gltf import BOX, GltfBuilder
 from support.synthetic import synthetic_scene
 
 from datagen.data.dataset import open_dataset
-from datagen.disk.storage import SEAL, load_sealed, seal_bytes
+from datagen.disk.storage import load_sealed
 from datagen.export.formats import FORMATS
 from datagen.scene.builtin import SCENES
 from datagen.scene.folder import save_scene
@@ -145,19 +145,3 @@ def test_pictures_from_elsewhere_have_no_licence_that_nobody_stated(scene_folder
     file.write_text(json.dumps({**json.loads(file.read_text()), "license": None}))
     run(f"datagen import-dataset {tmp_path / 'theirs'} --out {tmp_path / 'again'}")
     assert load_sealed(tmp_path / "again" / "dataset.json")["license"] == "unknown; ask the author of theirs"
-
-
-def test_a_dataset_from_before_licences_is_read_exported_and_gone_on_with(scene_folder: Path, tmp_path: Path) -> None:
-    root = tmp_path / "data"
-    build_whole(scene_folder, root)
-    head = {key: value for key, value in load_sealed(root / "dataset.json").items() if key not in (SEAL, "license")}
-    for path in (root / "dataset.json", root / "heads" / "dataset.json"):
-        path.write_bytes(seal_bytes(head))
-    state(scene_folder, "CC-BY-4.0")  # As built-in scenes now do.
-    build_whole(scene_folder, root)
-    assert "license" not in load_sealed(root / "dataset.json")
-    run(f"datagen verify {root}")
-    (root / "scene" / "scene.json").unlink()
-    run(f"datagen mend {root} --scene {scene_folder}")
-    answer = call(f"datagen export {root} --format blender --points 20 --out {tmp_path / 'out'}")
-    assert answer.status == 0 and "licence: unknown; ask the author of dataset data" in answer.err

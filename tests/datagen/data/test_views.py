@@ -34,11 +34,10 @@ def test_a_view_opens_its_own_files_alone(dataset: Dataset) -> None:
     dataset.view("train", 0).layers()
     assert dataset.view("train", 0).camera.width == dataset.config.resolution.width
     view = dataset.view("train", 1)
-    shards = [f"layers/straight/peels.zarr/train/{name}/c/1/0/0/0" for name in ("depth", "object_id")]
-    uv = "layers/straight/peels.zarr/train/uv/c/1/0/0/0/0"
+    arrays = [f"layers/straight/arrays/train/0001.{name}.npy.blosc" for name in ("depth", "object_id", "uv")]
     record = "layers/straight/records/train/0001.json"
-    assert opened_by(dataset.root, view.layers) == [*shards, uv, record]
-    assert opened_by(dataset.root, view.object_ids) == [shards[1], record]
+    assert opened_by(dataset.root, view.layers) == [*arrays, record]
+    assert opened_by(dataset.root, view.object_ids) == [arrays[1], record]
     assert opened_by(dataset.root, lambda: view.camera) == []
     assert opened_by(dataset.root, lambda: view.image) == ["images/train/0001.png", "records/train/0001.json"]
 
@@ -62,7 +61,7 @@ def test_a_views_parts_fit_together(dataset: Dataset) -> None:
         "layers/straight/layers.json",
         "transforms_train.json",
         "images/train/0000.exr",
-        "layers/straight/peels.zarr/train/uv/c/0/0/0/0/0",
+        "layers/straight/arrays/train/0000.uv.npy.blosc",
         "dataset.json",
     ],
 )

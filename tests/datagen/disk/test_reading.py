@@ -8,7 +8,7 @@ import pytest
 from support.soon import soon
 
 from datagen.disk.errors import HyalineError
-from datagen.disk.reading import MAX_JSON_BYTES, load_json, load_toml, read_regular
+from datagen.disk.records import MAX_JSON_BYTES, load_json, load_toml, read_regular
 
 pytestmark = pytest.mark.promise("R6")
 

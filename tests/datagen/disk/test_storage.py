@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 
 from datagen.disk.errors import HyalineError
-from datagen.disk.private import write_hashed
-from datagen.disk.storage import TEMPORARY, commit, commit_sealed, load_sealed, one_writer
+from datagen.disk.storage import TEMPORARY, commit, commit_sealed, load_sealed, one_writer, write_hashed
 
 
 def test_a_sealed_file_notices_any_flipped_bit(tmp_path: Path) -> None:

@@ -14,7 +14,6 @@ from support.meshes import polygon_ply
 from support.traced_dataset import write_traced_dataset
 
 from datagen.build.build import peel_dataset, summary
-from datagen.build.mend import mend_dataset
 from datagen.build.verify import verify_dataset
 from datagen.data.config import SPLITS, TEST_SPLITS, square
 from datagen.data.dataset import Dataset, open_dataset
@@ -30,7 +29,7 @@ from datagen.quantities.view_quantities import quantities
 from datagen.scene.camera_list import CameraList
 from datagen.scene.folder import load_scene
 from datagen.scene.rig import make_cameras
-from eval.figures.cameras import cameras_figure
+from eval.figures import cameras_figure
 
 SIDE = 8
 
@@ -119,8 +118,6 @@ def test_every_byte_is_verified_and_the_same_command_brings_back_what_is_lost(
     found = verify_dataset(root)
     assert len(found.problems) == 3
     assert set(found.commands) == {f"datagen import-dataset FOLDER --out {root}"}
-    with pytest.raises(HyalineError, match="was imported; bring it back with `datagen import-dataset FOLDER"):
-        mend_dataset(root, scene=None, workers=1)
     before = (again.root / "images" / "train" / "0000.mask.png").read_bytes()
     dataset = take_over(refref, root)
     assert dataset.seal == again.seal and verify_dataset(root).problems == []

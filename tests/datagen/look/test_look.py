@@ -77,7 +77,7 @@ def test_what_is_missing_or_damaged_is_said_and_the_rest_is_shown(dataset: Datas
     bad = [element.text for element in page.elements if element.attributes.get("class") == "bad"]
     assert any("extrapolating/0000.png: damaged" in text for text in bad)
     assert any("train/0001.exr: the file is missing" in text for text in bad)
-    assert any("datagen mend" in code.text for code in page.all("code"))
+    assert any("datagen build" in code.text for code in page.all("code"))
     assert "train view 0: picture" in labels
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from datagen.data.meshes import Mesh
 from datagen.data.ply import write_ply
-from datagen.disk.private import write_hashed
+from datagen.disk.storage import write_hashed
 from datagen.scene import atlas
 from datagen.scene.atlas import unwrap, unwrap_all
 from datagen.scene.modelling import moved, rounded_box

@@ -15,8 +15,7 @@ from support.commands import Answer, call
 from support.soon import ending_within
 from support.synthetic import write_synthetic_dataset
 
-from datagen.disk.errors import HyalineError
-from datagen.disk.os_errors import REASONS, describe_os_error, naming
+from datagen.disk.errors import REASONS, HyalineError, describe_os_error, naming
 from datagen.disk.storage import commit
 from datagen.terminal.command import choose, track
 from datagen.terminal.command import run as command_run
@@ -223,7 +222,7 @@ def test_a_process_that_is_out_of_file_handles_says_so(tmp_path: Path, monkeypat
         raise OSError(errno.EMFILE, os.strerror(errno.EMFILE), str(path))
 
     (tmp_path / "scene.json").touch()
-    monkeypatch.setattr("datagen.disk.reading.os.open", open_nothing)
+    monkeypatch.setattr("datagen.disk.records.os.open", open_nothing)
     with ending_within(20):
         answer = call("datagen build --scene .")
     assert answer.status == 1

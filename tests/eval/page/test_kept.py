@@ -75,7 +75,7 @@ def test_a_second_report_computes_and_writes_nothing(
     for place, what in (
         ("eval.score.scores.score_picture", "scored"),
         ("eval.page.further.read_coverage", "read what training saw"),
-        ("eval.figures.sheets.draw_sheet", "drew a sheet"),
+        ("eval.figures.draw_sheet", "drew a sheet"),
         ("eval.page.page.document", "made a page"),
         ("datagen.data.dataset.decode_png", "decoded a picture"),
     ):

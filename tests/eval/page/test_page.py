@@ -17,8 +17,7 @@ from datagen.data.images import png_bytes
 from datagen.disk.errors import HyalineError
 from eval.page.page import report_page
 from eval.page.report import make_report
-from eval.page.run_page import describe_costs, flattened, read_training, training_charts
-from eval.page.views import ranked_views
+from eval.page.run_page import describe_costs, flattened, ranked_views, read_training, training_charts
 from eval.score.scores import SplitScores
 
 HOSTILE = '"><img src=x onerror=alert(1)><script>alert(2)</script>'
@@ -139,7 +138,7 @@ def test_a_page_is_no_larger_than_it_may_be_and_says_how_many_pictures_found_no_
     page = read_page(data)
     addresses = [image.attributes["href"] or "" for image in page.all("image")]
     assert addresses
-    assert any("pictures found no room" in paragraph.text for paragraph in page.all("p"))
+    assert any("pictures were left out" in paragraph.text for paragraph in page.all("p"))
 
 
 def test_a_number_of_views_that_cannot_be_is_refused(root: Path, tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import pytest
 from support.browser import require_browser
 from support.synthetic import write_synthetic_dataset
 
-from benchmarks.pages.browser import Watched, running_browser, watched_page
+from benchmarks.browser import Watched, running_browser, watched_page
 from datagen.data.config import TEST_SPLITS
 from datagen.data.dataset import Dataset
 from datagen.data.images import png_bytes

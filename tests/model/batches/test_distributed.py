@@ -146,7 +146,7 @@ def test_only_the_first_process_speaks(two: tuple[Path, str]) -> None:
 @pytest.mark.slow
 def test_two_processes_that_were_stopped_go_on_to_the_same_bytes(two: tuple[Path, str]) -> None:
     folder, said = two
-    assert said.count("goes on from step 8 of 20\n") == 1
+    assert said.count("resuming after step 8 of 20\n") == 1
     assert run_bytes(folder / "stopped") == run_bytes(folder / "norm")
 
 
@@ -164,9 +164,9 @@ def test_each_process_draws_its_own_and_the_first_what_one_alone_would() -> None
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"method": "deepvoxels", "net": DeepVoxelsConfig()}, "deepvoxels: learns more than gradients tell"),
-        ({"loss": LossConfig(adversarial=0.01)}, "adversarial: a discriminator learns beside the renderer"),
-        ({"batch": 2}, "batch: is 2; expected at least a pixel for each of 3 processes"),
+        ({"method": "deepvoxels", "net": DeepVoxelsConfig()}, "deepvoxels: has state besides its gradients"),
+        ({"loss": LossConfig(adversarial=0.01)}, "adversarial: several processes do not share the discriminator"),
+        ({"batch": 2}, "batch: is 2; expected at least one pixel per process and update"),
     ],
 )
 def test_what_several_processes_cannot_train_is_refused(change: dict[str, object], message: str) -> None:

@@ -97,7 +97,7 @@ def test_a_cache_is_made_once_and_again_only_when_it_is_damaged(
         capsys.readouterr()
         again = map_pixels(dataset, TRUTH, "train", VIEWS)
         said = capsys.readouterr().err
-        assert f"{folder / name}: " in said and "lays the cache out again" in said
+        assert f"{folder / name}: " in said and "writing the cache again" in said
         assert_same_batches(one, again, torch.arange(len(one.rgb)))
     shutil.rmtree(cache)
     assert_same_batches(one, first, torch.arange(len(one.rgb)))

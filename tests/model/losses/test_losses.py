@@ -18,10 +18,17 @@ from datagen.disk.errors import HyalineError
 from datagen.disk.storage import sha256_file
 from datagen.machine.mitsuba_variant import use_mitsuba
 from model.batches.rays import RayBatch, load_pixels, take_colors
-from model.losses.adversarial import Adversary, PatchDiscriminator
 from model.losses.inpaint import Inpainter, count_visits, patches_around
-from model.losses.patch_losses import Losses
-from model.losses.perceptual import IMAGENET_MEAN, IMAGENET_STD, PerceptualLoss, find_vgg, vgg_layers
+from model.losses.patch_losses import (
+    IMAGENET_MEAN,
+    IMAGENET_STD,
+    Adversary,
+    Losses,
+    PatchDiscriminator,
+    PerceptualLoss,
+    find_vgg,
+    vgg_layers,
+)
 from model.losses.pixel_losses import PatchTerms, difference, pixel_loss
 from model.methods.paper.config import PaperConfig
 from model.methods.renderer import Renderer
@@ -303,7 +310,7 @@ def test_in_painting_fills_what_training_never_saw_and_resumes_to_the_bit(
     training = load(NET, dataset, [0, 1, 3, 4])
     visits = count_visits(build(NET, dataset).textures, training)  # pyright: ignore
     assert (weights[visits == 0] != 0).any()  # Without in-painting they would still be the zeros of the start.
-    with pytest.raises(HyalineError, match="inpaint: counts which texels the stored layers' rays visit"):
+    with pytest.raises(HyalineError, match="inpaint: needs stored layers to count which texels are visited"):
         many = dataclasses.replace(config, net=dataclasses.replace(NET, train_samples=4))
         train(many, dataset, tmp_path / "many", label="a", device=CPU)
     assert not (tmp_path / "many").exists()

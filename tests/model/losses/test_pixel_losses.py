@@ -10,7 +10,7 @@ from torch import Tensor
 
 from datagen.data.config import Resolution, square
 from datagen.disk.errors import HyalineError
-from model.batches.samples import mean_color, srgb_curve, variance_of_mean
+from model.batches.rays import mean_color, srgb_curve, variance_of_mean
 from model.losses.pixel_losses import noise_penalty, pixel_loss
 from model.methods.light_path.config import LightPathConfig
 

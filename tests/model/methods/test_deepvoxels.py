@@ -17,14 +17,14 @@ from datagen.data.cameras import Cameras, Lens
 from datagen.data.config import DatasetConfig, SplitConfig, square
 from datagen.data.dataset import Dataset
 from datagen.data.images import read_png
+from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
 from datagen.scene.rig import make_cameras
 from model import cli
 from model.batches.view_batches import Views, load_views
 from model.methods.deepvoxels.config import DeepVoxelsConfig
-from model.methods.deepvoxels.loss import adversarial_loss
-from model.methods.deepvoxels.renderer import DeepVoxels, build_deepvoxels, grid_coordinates
-from model.nets.voxel_blocks import ONEDNN_ROWS, Conv3d
+from model.methods.deepvoxels.renderer import DeepVoxels, adversarial_loss, build, grid_coordinates
+from model.methods.table import open_inputs
 from model.nets.voxel_grid import (
     VoxelGrid,
     fit_cube,
@@ -33,7 +33,7 @@ from model.nets.voxel_grid import (
     near_plane,
     sample_frustum,
 )
-from model.nets.voxel_nets import Critic, Integration, Occlusion, collapse
+from model.nets.voxel_nets import ONEDNN_ROWS, Conv3d, Critic, Integration, Occlusion, collapse
 from model.run import train as train_module
 from model.run.checkpoint import load_state
 from model.run.run_folder import TrainConfig, read_run
@@ -254,7 +254,7 @@ def test_visibility_sums_to_one_and_features_are_its_mean_over_depth() -> None:
 
 
 def test_drawing_leaves_the_grid_and_observing_keeps_it_without_gradient(dataset: Dataset) -> None:
-    net = build_deepvoxels(TINY, dataset)
+    net = build(TINY, open_inputs(TINY, dataset, TRUTH))
     views = load_views(dataset, "train", [0, 1, 2], with_images=True)
     net.observe(views.image(0), views.cameras[0])
     kept = net.get_buffer("volume").clone()
@@ -272,7 +272,7 @@ def test_pictures_of_every_size_are_drawn_whole(size: int) -> None:
         DeepVoxelsConfig(voxels="small").usual("truth").sized(square(size)), width=2, voxel_features=2, num_voxels=8
     )
     net = DeepVoxels(config, origin=torch.tensor([0.3, -0.2, 0.1]), edge=1.2)
-    camera = camera_of(some_cameras(1), 0)
+    camera = some_cameras(1)[0]
     inpainted = net.inpaint(net.observe(torch.rand(1, 3, size, size), camera))
     assert net.draw(inpainted, camera).shape == (1, 3, size, size)
 
@@ -335,7 +335,8 @@ def test_a_stopped_and_resumed_run_has_the_same_bytes(
     for name in ("weights.pt", "metrics.jsonl", "run.json"):
         assert (tmp_path / "whole" / name).read_bytes() == (tmp_path / "parts" / name).read_bytes(), name
     record = read_run(tmp_path / "whole")
-    net = build_deepvoxels(dataclasses.replace(TINY, adversarial=False), dataset)
+    plain = dataclasses.replace(TINY, adversarial=False)
+    net = build(plain, open_inputs(plain, dataset, TRUTH))
     assert (record.geometry, record.knowledge) == ("none", "cameras only, and the scene's extent")
     assert record.num_parameters == sum(value.numel() for value in net.parameters())  # The critic does not count.
 
@@ -391,7 +392,7 @@ def test_the_command_trains_the_small_preset_on_a_cpu(
     monkeypatch.setattr(sys, "argv", ["model", "render", "--run", str(tmp_path / "run"), "--variant", "remove:pane"])
     with pytest.raises(SystemExit):
         cli.main()
-    assert "method deepvoxels knows no geometry, so it cannot draw an edit" in capsys.readouterr().err
+    assert "method deepvoxels uses no geometry, so it cannot draw an edit" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -16,13 +16,13 @@ from datagen.data.images import read_png
 from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
 from model.batches.rays import draw_patches, load_pixels
+from model.methods.dnr import renderer as dnr
 from model.methods.dnr.config import LEVEL_WEIGHTS, DnrConfig, DnrLayersConfig
-from model.methods.dnr.renderer import DnrRenderer, build_dnr
+from model.methods.dnr.renderer import DnrRenderer, UNet
 from model.methods.paper.config import MlpFirstConfig
 from model.methods.protocol import Inputs
 from model.methods.table import open_inputs
 from model.nets.extrinsics import spherical_harmonics
-from model.nets.unet import UNet
 from model.run.predict import render_predictions
 from model.run.run_folder import TrainConfig, is_finished, read_run
 from model.run.train import train
@@ -115,7 +115,7 @@ def test_patches_of_oblong_views_reach_every_border_and_leave_none(tmp_path: Pat
 
 def test_spherical_harmonics_multiply_nine_features_of_each_pixel(dataset: Dataset) -> None:
     config = dataclasses.replace(NET, texture_levels=1)
-    renderer = build_dnr(config, Inputs(dataset=dataset, geometry=TRUTH, num_layers=2, layers_seal=""))
+    renderer = dnr.build(config, Inputs(dataset=dataset, geometry=TRUTH, num_layers=2, layers_seal=""))
     torch.nn.init.normal_(renderer.textures[0].table, generator=torch.Generator().manual_seed(0))
     source = load_pixels(dataset, TRUTH, "train", [3], max_layers=2, whole_views=True)
     rays = source.take(torch.arange(1024), None)

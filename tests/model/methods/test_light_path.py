@@ -17,13 +17,17 @@ from datagen.data.images import srgb_from_linear
 from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
 from datagen.machine.mitsuba_variant import short_lived_workers, use_mitsuba
-from model.batches.samples import linear_curve, srgb_curve
+from model.batches.rays import linear_curve, srgb_curve
 from model.losses.pixel_losses import difference
 from model.methods.light_path.config import LightPathConfig, default_light_path
-from model.methods.light_path.net import RELIEF_DEPTH, LightPathRenderer
-from model.methods.light_path.paths import STACKED_VERTICES
-from model.methods.light_path.pixels import LightPathPixels, load_light_path_pixels, nest_shells, share_texels
-from model.methods.light_path.refined_pixels import is_doubtful
+from model.methods.light_path.net import RELIEF_DEPTH, LightPathRenderer, is_doubtful
+from model.methods.light_path.pixels import (
+    STACKED_VERTICES,
+    LightPathPixels,
+    load_light_path_pixels,
+    nest_shells,
+    share_texels,
+)
 from model.methods.paper.config import PaperConfig
 from model.methods.paper.renderer import PaperRenderer
 from model.nets.learned_sky import LearnedSky

@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from datagen.data.config import Resolution
-from datagen.disk.private import is_intact, make_private, write_hashed
+from datagen.disk.storage import is_intact, make_private, write_hashed
 from model.batches.rays import Pixels
 from model.methods.paper import renderer as renderer_module
 from model.methods.paper.config import PaperConfig
@@ -244,7 +244,7 @@ def test_a_library_in_doubt_is_never_loaded_but_built_anew(library: Path, tmp_pa
             built.chmod(0o666)
     answer = in_new_process(tmp_path)
     assert (answer.returncode, answer.stdout) == (0, "True\n"), answer.stderr
-    assert answer.stderr == f"{built}: damaged, or not written by this user; builds the compiled layers anew\n"
+    assert answer.stderr == f"{built}: damaged, or not written by this user; building the compiled layers again\n"
     assert is_intact(built) and not built.is_symlink()
     again = in_new_process(tmp_path)
     assert (again.returncode, again.stdout, again.stderr) == (0, "True\n", "")
@@ -267,7 +267,7 @@ def test_a_cache_in_which_others_may_write_is_not_used(tmp_path: Path, wrong: st
     answer = in_new_process(tmp_path)
     assert (answer.returncode, answer.stdout) == (0, "True\n"), answer.stderr
     assert answer.stderr.startswith(f"{folder}: ") and answer.stderr.count("\n") == 1
-    assert "not kept there but built for this run alone" in answer.stderr
+    assert "the compiled layers are built for this run only" in answer.stderr
     assert not folder.is_dir() or not list(folder.iterdir())
 
 

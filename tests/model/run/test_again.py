@@ -6,7 +6,7 @@ from support.training import configured
 
 from datagen.data.dataset import Dataset
 from model.methods.table import open_inputs
-from model.run.again import words_again
+from model.run.preparation import words_again
 
 ASKED = (
     "paper",

@@ -82,10 +82,9 @@ def test_a_method_of_another_distribution_is_listed_checked_and_short(installed:
     lines = answer.stdout.splitlines()
     assert answer.returncode == 0, answer.stdout + answer.stderr
     assert [line.split()[0] for line in lines[:7]] == ["ok"] * 7
-    assert lines[7].startswith(
-        "skip  a view's camera draws what the view does: it draws the views of its dataset alone"
-    )
-    assert lines[8] in ("ok    it runs on a GPU", "skip  it runs on a GPU: torch finds no GPU")
+    assert lines[7].startswith("skip  a view's camera gives the view's picture: it only draws the views of its dataset")
+    assert lines[8] == "skip  its web page has what it needs: it has no web page (page is empty)"
+    assert lines[9] in ("ok    it runs on a GPU", "skip  it runs on a GPU: torch finds no GPU")
 
 
 @pytest.mark.usefixtures("one_thread")
@@ -116,7 +115,7 @@ def test_a_method_that_draws_another_camera_than_asked_is_told(tmp_path: Path, m
     config = dataclasses.replace(SMALL, steps=4)
     subject = Subject(config=config, inputs=open_inputs(config.net, dataset, TRUTH), folder=tmp_path)
     subject.train("first")
-    check = CHECKS["a view's camera draws what the view does"]
+    check = CHECKS["a view's camera gives the view's picture"]
     assert check(subject) == ""
     right = PaperConfig.load_cameras
 

@@ -10,8 +10,7 @@ from support.synthetic import write_synthetic_dataset
 from support.training import SMALL, call, run_bytes
 
 from datagen.data.dataset import Dataset
-from model.run.costs import COSTS, Meter, read_costs
-from model.run.logs import LogChoices
+from model.run.logs import COSTS, LogChoices, Meter, read_costs
 from model.run.train import train
 
 SHORT = dataclasses.replace(SMALL, steps=6, checkpoint_every=2)

@@ -163,7 +163,7 @@ def test_the_commands_edit_and_draw_what_is_there(made: Path, monkeypatch: pytes
 def test_the_report_scores_edits_by_region(
     made: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("eval.figures.sheets.contact_sheet", lambda scene, scores: b"")
+    monkeypatch.setattr("eval.figures.contact_sheet", lambda scene, scores: b"")
     make_report(made / "runs", made / "data", made / "out", output_format="markdown")
     text = capsys.readouterr().out
     assert "### edit, after remove:ball (object " in text
@@ -218,9 +218,7 @@ def test_seeds_share_a_row_in_the_tables_of_edits_and_the_first_stands_on_the_sh
             listed["files"][picture] = sha256(black_png)
         commit_sealed(path, listed)
     heads = []
-    monkeypatch.setattr(
-        "eval.figures.sheets.draw_sheet", lambda title, found, rows, size: heads.append((title, found)) or b""
-    )
+    monkeypatch.setattr("eval.figures.draw_sheet", lambda title, found, rows, size: heads.append((title, found)) or b"")
     make_report(tmp_path / "runs", made / "data", tmp_path / "out", output_format="markdown")
 
     results = json.loads((tmp_path / "out" / "results.json").read_text())["scenes"][0]["analyses"]

@@ -17,7 +17,7 @@ from datagen.scene.materials import Diffuse
 from datagen.scene.modelling import sheet
 from datagen.scene.textures import SolidTexture
 from model.nets.texture import NeuralTextures, TexturePyramid, object_layout
-from model.run.fine_patterns import finest_widths, texels_of_period, told_fine_patterns
+from model.run.preparation import finest_widths, texels_of_period, told_fine_patterns
 
 PERIOD = 0.05
 SHEET = sheet((-0.5, -0.5, 0), (1, 0, 0), (0, 1, 0), cells=(4, 4))

@@ -172,10 +172,10 @@ def test_a_signal_leaves_a_checkpoint_from_which_the_same_command_goes_on(
         assert train("parts", *flags) == 128 + number
     way_on = "the same command without --overwrite" if flags else "the same command"
     said = capsys.readouterr().err.splitlines()
-    assert said[-1] == f"error: {tmp_path / 'parts'}: stopped after step 4 of 6; {way_on} goes on from there"
+    assert said[-1] == f"error: {tmp_path / 'parts'}: stopped after step 4 of 6; {way_on} resumes it"
     assert load_state(tmp_path / "parts/checkpoint.pt")["step"] == 4
     assert train("parts") == 0
-    assert f"{tmp_path / 'parts'}: goes on from step 4 of 6\n" in capsys.readouterr().err
+    assert f"{tmp_path / 'parts'}: resuming after step 4 of 6\n" in capsys.readouterr().err
     assert run_bytes(tmp_path / "parts") == run_bytes(tmp_path / "whole")
 
 
@@ -252,7 +252,7 @@ def test_a_newest_checkpoint_of_any_shorter_length_falls_back_to_the_one_before_
         assert state is not None and state["step"] == 1
         said = capsys.readouterr().err.splitlines()
         assert len(said) == 2 and said[0].startswith(f"{path}: damaged, torch cannot read it (")
-        assert said[1] == f"{path}: deleted; goes on from the checkpoint before it"
+        assert said[1] == f"{path}: deleted; resuming from the checkpoint before it"
         assert not path.exists() and (tmp_path / "checkpoint.previous.pt").read_bytes() == before
 
 
@@ -279,7 +279,7 @@ def test_every_flipped_bit_of_a_checkpoint_is_noticed_or_changes_no_value(
 def test_two_damaged_checkpoints_are_refused_and_kept(two_checkpoints: Path, tmp_path: Path) -> None:
     for path in two_checkpoints.iterdir():
         (tmp_path / path.name).write_bytes(path.read_bytes()[:1000])
-    with pytest.raises(HyalineError, match="no checkpoint there is intact; start anew with --overwrite"):
+    with pytest.raises(HyalineError, match="none of its checkpoints is intact; start over with --overwrite"):
         load_checkpoint(tmp_path)
     assert len(list(tmp_path.iterdir())) == 2
 

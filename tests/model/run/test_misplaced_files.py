@@ -63,7 +63,7 @@ def test_weights_of_a_run_on_another_dataset_are_refused(home: Path, line: str) 
     answer = call(line)
     assert (answer.status, answer.out) == (1, "")
     theirs, own = seals("d1")
-    assert f"weights.pt: of a run on other data (dataset_seal {theirs}...) than this one ({own}...)" in answer.error
+    assert f"weights.pt: trained on other data (dataset_seal {theirs}...) than this run ({own}...)" in answer.error
     assert Path("runs/d1/one/predictions.json").read_bytes() == before
     assert not (home / "scene.html").exists() and not (home / "film.webp").exists()
 
@@ -86,7 +86,7 @@ def test_a_checkpoint_of_a_run_on_another_dataset_is_refused(monkeypatch: pytest
     answer = call(line.format("d1", "d1"))
     theirs, own = seals("d1")
     assert answer.status == 1
-    assert f"checkpoint.pt: of a run on other data (dataset_seal {theirs}...) than this one ({own}...)" in answer.error
+    assert f"checkpoint.pt: trained on other data (dataset_seal {theirs}...) than this run ({own}...)" in answer.error
 
 
 @pytest.mark.usefixtures("home")
@@ -214,6 +214,6 @@ def test_pictures_of_another_method_are_no_place_to_train_in(line: str, record: 
     answer = call(line.format(folder))
     assert (answer.status, answer.error) == (
         1,
-        f"error: {folder}: holds pictures of a method that hyaline does not run, and no weights; expected the folder "
+        f"error: {folder}: holds a foreign method's pictures, and no weights; expected the folder "
         "of a run of `model train` (`eval report` scores pictures of any method)",
     )

@@ -192,5 +192,5 @@ def test_what_is_not_finite_is_named_and_a_large_sum_is_not(value: float | Tenso
     if isinstance(value, Tensor) and bool(value.isfinite().all()):
         check_numbers(state, where="it")
     else:
-        with pytest.raises(Exception, match=r"^it: not written, since b\[1\]\.c is not finite"):
+        with pytest.raises(Exception, match=r"^it: not written, because b\[1\]\.c is not finite"):
             check_numbers(state, where="it")

@@ -68,7 +68,7 @@ def test_online_training_reads_no_stored_layer(
     def refuse(*_: object) -> None:
         raise AssertionError("a stored layer was read")
 
-    monkeypatch.setattr("datagen.data.layer_store.LayerStore.read", refuse)
+    monkeypatch.setattr("datagen.data.layers.LayerStore.read", refuse)
     config = TrainConfig(method="paper", geometry=TRUTH, net=NET, steps=4, batch=128)
     train(config, dataset, tmp_path / "run", label="a", device=CPU)
     render_predictions(tmp_path / "run", config, dataset, device=CPU)

@@ -17,10 +17,9 @@ from support.training import SMALL, call, load, run_bytes
 from datagen.data.dataset import Dataset
 from datagen.data.images import read_png
 from datagen.disk.ownership import holding
-from model.run.logs import LogChoices
+from model.run.logs import GAP, LogChoices, list_snapshots, snapshot, write_snapshot
 from model.run.predict import load_renderer, predict_pixels
 from model.run.run_folder import FOLDER, begin_run, read_run
-from model.run.snapshots import GAP, list_snapshots, snapshot, write_snapshot
 from model.run.train import train
 
 CONFIG = dataclasses.replace(SMALL, steps=5, evaluate_every=2, checkpoint_every=2)

@@ -18,7 +18,7 @@ from datagen.disk.errors import HyalineError
 from model import cli
 from model.methods.paper.config import PaperConfig
 from model.run import sweep
-from model.run.experiment import list_experiments, read_experiment
+from model.run.sweep import list_experiments, read_experiment
 from model.run.train_flags import parse_train
 
 
@@ -86,7 +86,7 @@ def test_a_grid_is_every_combination_in_the_order_of_the_file(tmp_path: Path) ->
         ('[[runs]]\nmethod = "paper"\nout = "here"', "out cannot be set; a run's folder is the one that"),
         ('[[runs]]\nmethod = "paper"\nseed = []', "seed is an empty list; expected at least one value"),
         ("[[runs]]\nseed = 1", 'key "method" is missing'),
-        ('about = "nothing"', "has no runs; expected at least one block"),
+        ('about = "nothing"', "has no runs; expected at least one"),
         ("about = 3\n[[runs]]", "about is 3; expected text"),
         ("[[runs]", "not TOML"),
     ],
@@ -99,7 +99,7 @@ def test_what_no_command_could_be_is_named(tmp_path: Path, text: str, message: s
 def test_a_file_that_is_missing_names_those_that_are_there(tmp_path: Path) -> None:
     with pytest.raises(HyalineError, match="'tabel1': there is none of that name; did you mean 'table1'"):
         read_experiment("tabel1")
-    with pytest.raises(HyalineError, match="the file is missing; known without a file are ablation, budget"):
+    with pytest.raises(HyalineError, match="the file is missing; built-in experiments are ablation, budget"):
         read_experiment(str(tmp_path / "mine.toml"))
 
 

@@ -132,7 +132,7 @@ def test_another_configuration_or_dataset_is_refused_by_name(dataset: Dataset, t
     seals = {"dataset_seal": dataset.seal, "layers_seal": read_run(tmp_path).layers_seal}
     check_same_run(tmp_path, config, **seals)
     deeper = dataclasses.replace(config, net=dataclasses.replace(config.net, texture_size=32))
-    with pytest.raises(HyalineError, match="another texture_size: 24 there, 32 here; start anew with --overwrite"):
+    with pytest.raises(HyalineError, match="another texture_size: 24 there, 32 here; start over with --overwrite"):
         check_same_run(tmp_path, deeper, **seals)
     with pytest.raises(HyalineError, match="another dataset"):
         check_same_run(tmp_path, config, **{**seals, "dataset_seal": "else"})
@@ -169,7 +169,7 @@ def test_the_command_trains_skips_refuses_and_renders_again(
     assert "finished before, nothing to do" in capsys.readouterr().err
 
     assert call(monkeypatch, *command, "--lr", "0.01") == 1
-    assert "another lr: 0.001 there, 0.01 here; start anew with --overwrite" in capsys.readouterr().err
+    assert "another lr: 0.001 there, 0.01 here; start over with --overwrite" in capsys.readouterr().err
 
     (tmp_path / "run/predictions/interpolating/0000.png").write_bytes(b"broken")
     assert call(monkeypatch, "render", "--run", str(tmp_path / "run")) == 0

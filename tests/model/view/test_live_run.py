@@ -80,7 +80,7 @@ def test_a_checkpoint_that_is_damaged_or_of_another_configuration_is_refused_in_
     state = load_state(path)
     run = live(out, dataset)
     save_state(path, {**state, "config": {**state["config"], "lr": 0.5}})
-    with pytest.raises(HyalineError, match=r"checkpoint\.pt: made by another configuration than run\.json"):
+    with pytest.raises(HyalineError, match=r"checkpoint\.pt: its configuration differs from run\.json"):
         run.refresh()
     path.write_bytes(path.read_bytes()[:-40])
     with pytest.raises(HyalineError, match=r"checkpoint\.pt: damaged"):

@@ -4,8 +4,20 @@ import numpy as np
 import pytest
 
 from datagen.data.cameras import Camera, check_camera, look_at
-from model.view.cameras import camera_in_window, fitted_size, window_pose
-from model.view.schedule import FINEST_S, MOVING_S, SIDES, STANDING_S, STILL_S, Budget, Job, Pose, Schedule
+from model.view.schedule import (
+    FINEST_S,
+    MOVING_S,
+    SIDES,
+    STANDING_S,
+    STILL_S,
+    Budget,
+    Job,
+    Pose,
+    Schedule,
+    camera_in_window,
+    fitted_size,
+    window_pose,
+)
 
 RATE = 40_000.0
 """Pixels a second that the pretended painter draws quickly, and a sixteenth of them otherwise."""

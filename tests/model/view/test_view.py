@@ -14,7 +14,7 @@ from support.viewer import PATIENCE_S, open_window, pose_of, require_viewer, vie
 
 import hyaline
 from datagen.terminal.signals import Held
-from model.view.cameras import camera_in_window
+from model.view.schedule import camera_in_window
 
 pytestmark = pytest.mark.usefixtures("at_home")
 
@@ -86,7 +86,7 @@ def test_pictures_that_were_imported_without_meshes_are_shown_with_their_cameras
 @pytest.mark.parametrize(
     ("line", "status", "error"),
     [
-        ("model view nothing", 1, "error: nothing: no run and no dataset is there; expected the folder of one"),
+        ("model view nothing", 1, "error: nothing: neither a run nor a dataset; expected a folder such as runs"),
         ("model view one --port 70000", 2, "error: --port: is 70000; expected 0 to 65535"),
         ("model view one --host 192.0.2.1", 1, "error: --host: cannot listen at 192.0.2.1 ("),
         ("model view one --port {taken}", 1, "error: --port: {taken} of 127.0.0.1 is taken, perhaps by another viewer"),

@@ -20,8 +20,7 @@ from support.synthetic import write_synthetic_dataset
 from support.viewer import PATIENCE_S, Window, camera_message, open_window, pose_of, require_viewer, viewer
 
 import hyaline
-from model.view.cameras import camera_in_window
-from model.view.schedule import Pose
+from model.view.schedule import Pose, camera_in_window
 
 require_viewer()
 
@@ -29,9 +28,8 @@ import viser
 from viser._messages import Message
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
-from model.view.server import serving
+from model.view.server import Visitors, serving
 from model.view.view import Viewer
-from model.view.visitors import Visitors
 
 pytestmark = pytest.mark.usefixtures("at_home")
 packed = msgspec.msgpack.encode

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import pytest
 from support.browser import require_browser
 
-from benchmarks.pages.browser import Watched, open_file, running_browser, watched_page
+from benchmarks.browser import Watched, open_file, running_browser, watched_page
 from datagen.data.dataset import Dataset
 from datagen.data.paths import TRUTH
 from datagen.machine.mitsuba_variant import use_mitsuba

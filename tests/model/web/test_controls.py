@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from support.web_scenes import every_surface
 
-from benchmarks.pages.browser import Watched, open_file, watched_page
+from benchmarks.browser import Watched, open_file, watched_page
 from datagen.trace.peel import Peeler
 
 if TYPE_CHECKING:

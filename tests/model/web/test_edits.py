@@ -9,8 +9,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 from support.web_scenes import SHAPE, VIEW, drawn_by_python, every_surface, noisy_light_path, psnr
 
-from benchmarks.pages.browser import Watched
-from benchmarks.pages.edited import page_edits
+from benchmarks.browser import Watched
+from benchmarks.compare import page_edits
 from datagen.data.dataset import Dataset
 from datagen.data.meshes import Mesh, no_mesh
 from datagen.scene.description import SceneObject
@@ -18,7 +18,7 @@ from datagen.scene.edits import CLEAR_GLASS, GREY, edit_scene, moved_mesh, parse
 from datagen.scene.materials import Conductor, Dielectric
 from model.methods.light_path.net import LightPathRenderer
 from model.nets.texture import NeuralTextures
-from model.run.edits import with_copies
+from model.run.predict import with_copies
 
 Objects = tuple[SceneObject, ...]
 

@@ -3,9 +3,9 @@
 from pathlib import Path
 
 from support.browser import require
+from support.firefox import find_firefox, running_firefox
 from support.web_scenes import SHAPE, STILL, VIEW, drawn_by_python, psnr
 
-from benchmarks.pages.firefox import find_firefox, running_firefox
 from datagen.data.dataset import Dataset
 from datagen.data.paths import TRUTH
 from model.methods.light_path.net import LightPathRenderer

@@ -13,7 +13,7 @@ from support.commands import call
 from support.synthetic import write_synthetic_dataset
 from support.web_scenes import psnr
 
-from benchmarks.pages.browser import open_file, watched_page
+from benchmarks.browser import open_file, watched_page
 from model.methods.table import find_method, list_methods
 
 if TYPE_CHECKING:

@@ -25,7 +25,7 @@ from support.web_scenes import (
     write_scene,
 )
 
-from benchmarks.pages.browser import Watched, open_file, watched_page
+from benchmarks.browser import Watched, open_file, watched_page
 from datagen.data.dataset import Dataset
 from datagen.data.images import png_bytes
 from datagen.data.paths import TRUTH
@@ -35,7 +35,7 @@ from datagen.scene.materials import Dielectric
 from datagen.scene.materials.optics import Event, Medium, Surface
 from datagen.scene.modelling import transformed
 from datagen.trace import branches, light_path, limits, surface_hits, surface_tables
-from model.methods.light_path import net, paths, pixels
+from model.methods.light_path import net, pixels
 from model.methods.light_path import page as page_of_light_path
 from model.methods.light_path.net import LightPathRenderer
 from model.methods.page import package_text
@@ -262,8 +262,8 @@ SHARED = {
     "MAX_DEPTH 5": (limits, "LIMITS", limits.Limits(max_depth=5)),
     "SAME_INDEX 0.5": (media, "SAME_INDEX", 0.5),
     "MAX_NESTED 11": (media, "MAX_NESTED", 11),
-    "STACKED_FIRST 3": (paths, "STACKED_VERTICES", (3, 1)),
-    "STACKED_SECOND 1": (paths, "STACKED_VERTICES", (3, 1)),
+    "STACKED_FIRST 3": (pixels, "STACKED_VERTICES", (3, 1)),
+    "STACKED_SECOND 1": (pixels, "STACKED_VERTICES", (3, 1)),
     "STACK_SHIFT 2.5": (net, "STACK_SHIFT", {"physics": 2.5}),
     "RELIEF_DEPTH 0.5": (net, "RELIEF_DEPTH", 0.5),
     "MANY_RAYS 99": (pixels, "MANY_RAYS", 99),

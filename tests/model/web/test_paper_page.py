@@ -10,7 +10,7 @@ import torch
 from support.meshes import box
 from support.web_scenes import SHAPE, STILL, VIEW, every_surface, psnr, write_scene
 
-from benchmarks.pages.browser import open_file, watched_page
+from benchmarks.browser import open_file, watched_page
 from datagen.data.dataset import Dataset
 from datagen.data.meshes import Mesh
 from datagen.data.paths import TRUTH

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from support.web_scenes import SHAPE, STILL, VIEW, drawn_by_python, noisy_light_path, psnr, solid_surfaces, write_scene
 
-from benchmarks.pages.browser import open_file, watched_page
+from benchmarks.browser import open_file, watched_page
 from datagen.data.dataset import Dataset
 from datagen.data.paths import TRUTH
 from model.web.export import scene_page

@@ -8,7 +8,7 @@ from datagen.data.images import linear_from_srgb
 from datagen.data.meshes import Mesh, no_mesh
 from model.nets.texture import bilinear_taps, object_layout
 from model.web.packing import Packed, residuals, zigzag
-from model.web.texels import add_tints, touched_texels
+from model.web.scene import add_tints, touched_texels
 
 CODES = np.random.default_rng(0).integers(0, 256, (5, 7, 3), np.uint8)
 IMAGE = linear_from_srgb(CODES / 255.0).astype(np.float32)

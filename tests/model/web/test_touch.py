@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from benchmarks.pages.browser import Watched, open_file, watched_page
+from benchmarks.browser import Watched, open_file, watched_page
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, CDPSession

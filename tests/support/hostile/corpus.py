@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 
 from support.hostile.case import Case, not_files
-from support.hostile.jsons import experiment_cases, json_cases, sealed, text_cases, text_of
+from support.hostile.jsons import experiment_cases, json_cases, sealed, text_cases
 from support.hostile.meshes import mesh_cases
 from support.hostile.pictures import PREDICTION, exr_cases, picture_cases
 from support.hostile.states import state_cases
@@ -92,9 +92,6 @@ def cases_of(root: Path) -> list[Case]:
         cases += json_cases(reader, path, json.loads(read(path)), each=each, write=sealed)
         cases += text_cases(reader, path, read(path))
         cases += not_files(reader, path, may_be_link=path.startswith("runs/"))
-    metadata = f"{LAYERS}/peels.zarr/train/uv/zarr.json"
-    cases += json_cases("metadata", metadata, json.loads(read(metadata)), each=1, write=text_of)
-    cases += text_cases("metadata", metadata, read(metadata))
     cameras = f"{DATASET}/transforms_train.json"
     cases += json_cases("cameras", cameras, json.loads(read(cameras)), each=2)
     cases += text_cases("cameras", cameras, read(cameras))

@@ -58,7 +58,7 @@ def _cameras(root: Path) -> str:
 
 
 def _experiment(root: Path) -> str:
-    from model.run.experiment import read_experiment
+    from model.run.sweep import read_experiment
 
     return f"{len(read_experiment(str(root / 'grid.toml')).runs)} runs"
 
@@ -113,7 +113,6 @@ READERS: dict[str, Callable[[Path], str]] = {
     "record": _opened(lambda dataset: dataset.view("train", 0).record),
     "layers": _layers,
     "layers record": _layers,
-    "metadata": _layers,
     "proxies": _opened(lambda dataset: read_meshes(dataset, "box")),
     "cameras": _cameras,
     "experiment": _experiment,
@@ -131,7 +130,7 @@ _EXPORT = "model export --run {world}/runs/one/paper --out {out}"
 COMMANDS: dict[str, str] = {
     "scene": "datagen build --scene {world}/scene --out {out} --preset tiny --resolution 8 --views 1 --test-views 1"
     " --spp 2 --test-spp 2 --num-layers 2",
-    **dict.fromkeys(("dataset", "record", "layers", "layers record", "metadata", "proxies", "cameras"), _VERIFY),
+    **dict.fromkeys(("dataset", "record", "layers", "layers record", "proxies", "cameras"), _VERIFY),
     "experiment": "model sweep {world}/grid.toml --dry-run",
     **dict.fromkeys(("run", "weights"), _EXPORT),
     **dict.fromkeys(("prediction", "predictions"), _REPORT),

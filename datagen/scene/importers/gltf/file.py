@@ -15,8 +15,7 @@ import numpy as np
 
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import find_file
-from datagen.disk.reading import parse_json
-from datagen.disk.records import shown
+from datagen.disk.records import parse_json, shown
 from datagen.machine.child_python import ChildError, arrays_from_child
 from datagen.scene.importers.fields import Fields
 from datagen.scene.importers.foreign import read_foreign

@@ -12,7 +12,7 @@ from support.gltf import GltfBuilder, clear, glass
 
 from datagen.data.meshes import Mesh, check_closed, check_solid, open_edges, signed_volume
 from datagen.disk.errors import HyalineError
-from datagen.disk.reading import load_json
+from datagen.disk.records import load_json
 from datagen.scene.importers import overlaps
 from datagen.scene.importers.overlaps import filled_volume, joined
 from datagen.scene.importers.remarks import Remarks

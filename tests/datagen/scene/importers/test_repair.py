@@ -20,7 +20,7 @@ from datagen.data.meshes import (
     welded,
 )
 from datagen.disk.errors import HyalineError
-from datagen.disk.reading import load_json
+from datagen.disk.records import load_json
 from datagen.scene.folder import load_scene
 from datagen.scene.importers.choices import ImportChoices
 from datagen.scene.importers.importing import import_scene

@@ -1,0 +1,39 @@
+"""The flags of the network benchmarks; torch is not imported, so that `--help` is fast."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+from datagen.disk.errors import HyalineError
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchChoices:
+    """How large the benches' task is; the defaults are those of the paper."""
+
+    pixels: int = 65_536
+    """Pixels of a training step."""
+    resolution: int = 512
+    """Width and height of a frame in pixels."""
+    objects: int = 11
+    """Objects, each with a neural texture."""
+    layers: int = 6
+    """Straight layers of a pixel."""
+    texture_size: int = 512
+    """Width and height of a texture in texels."""
+    features: int = 16
+    """Channels of a texture."""
+    width: str = "34k"
+    """Hidden units of the first layer: 34k (as many as make 34,000 parameters), 256, or any number."""
+    precision: Literal["fp32", "bf16"] = "fp32"
+    """Number format of the network's multiplications; the naive form always uses fp32."""
+    rounds: int = 7
+    """Rounds of every candidate, without warm-up."""
+    json: bool = False
+    """Print JSON instead of tables."""
+
+    def __post_init__(self) -> None:
+        for name in ("pixels", "resolution", "objects", "layers", "texture_size", "features"):
+            if getattr(self, name) < 2:
+                raise HyalineError(f"{name}: is {getattr(self, name)}; expected at least 2")
+        if self.objects > 255:
+            raise HyalineError(f"objects: is {self.objects}; expected at most 255")

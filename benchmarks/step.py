@@ -1,0 +1,385 @@
+"""Benchmarks of networks beside the naive baseline: a training step and a frame on a CPU, both on a GPU, ceilings."""
+
+import mmap
+import time
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+from torch.nn.functional import linear
+
+from benchmarks.choices import BenchChoices
+from benchmarks.harness import BenchReport, Candidate, Ceiling, Check, Gate, best_seconds, machine_ceilings, measure
+from benchmarks.naive import (
+    FRAME_TOLERANCE,
+    NaiveRenderer,
+    describe,
+    made_up_batch,
+    made_up_frame,
+    make_renderer,
+    relative_distance,
+    relative_error,
+)
+from model.batches.rays import RayBatch
+from model.methods.paper.renderer import PaperRenderer
+from model.run.predict import predict_colors, predict_pixels
+from model.settings.runtime import keep_freed_memory
+
+GATE_STEP, GATE_TEXTURES = 5.0, 10.0
+
+CHECKED = 4096
+"""Pixels compared. With more, torch's batch norm over rows accumulates too much rounding."""
+
+TOLERANCE = {"fp32": 1e-2, "bf16": 0.4}
+"""Tolerance of gradients, relative to their length. If rounding moves a value across the kink of an activation or
+of the loss, that pixel's gradient changes, however small the step."""
+
+PHASES = ("look-up", "network", "backward", "optimiser")
+
+
+class Trainee:
+    """A renderer, its optimiser, and the seconds that each phase of its steps took."""
+
+    def __init__(
+        self,
+        rays: RayBatch,
+        truth: Tensor,
+        optimizer: torch.optim.Optimizer,
+        look_up: Callable[[], Tensor],
+        net: Callable[[Tensor], Tensor],
+    ) -> None:
+        self.rays, self.truth, self.optimizer = rays, truth, optimizer
+        self.look_up, self.net = look_up, net
+        self.seconds: list[list[float]] = []
+
+    def step(self) -> None:
+        """One training step on the mean absolute difference."""
+        marks = [time.perf_counter()]
+        self.optimizer.zero_grad(set_to_none=True)
+        stack = self.look_up()
+        marks.append(time.perf_counter())
+        loss = functional.l1_loss(self.net(stack), self.truth)
+        marks.append(time.perf_counter())
+        loss.backward()
+        marks.append(time.perf_counter())
+        self.optimizer.step()
+        marks.append(time.perf_counter())
+        self.seconds.append(list(np.diff(marks)))
+
+    def phases(self) -> str:
+        """Median milliseconds of each phase."""
+        medians = 1e3 * np.median(self.seconds[2:], axis=0)
+        return ", ".join(f"{name} {value:.1f} ms" for name, value in zip(PHASES, medians, strict=True))
+
+
+def naive_trainee(naive: NaiveRenderer, rays: RayBatch, truth: Tensor) -> Trainee:
+    optimizer = torch.optim.Adam(naive.parameters(), lr=1e-3, foreach=False, fused=False)
+    return Trainee(rays, truth, optimizer, lambda: naive.sample(rays), lambda stack: naive.net(stack)[0, :, 0].T)
+
+
+def product_trainee(renderer: PaperRenderer, rays: RayBatch, truth: Tensor) -> Trainee:
+    optimizer = torch.optim.Adam(renderer.parameters(), lr=1e-3, fused=True)
+    return Trainee(
+        rays,
+        truth,
+        optimizer,
+        lambda: renderer.textures(rays.uv, rays.object_id),
+        lambda stack: renderer.net(stack.flatten(1)),
+    )
+
+
+def texture_step(look_up: Callable[[], Tensor], upstream: Tensor, optimizer: torch.optim.Optimizer) -> None:
+    """Look-up, gradient and optimiser of the textures alone."""
+    optimizer.zero_grad(set_to_none=True)
+    look_up().backward(upstream)
+    optimizer.step()
+
+
+def compare(
+    renderer: PaperRenderer, naive: NaiveRenderer, rays: RayBatch, truth: Tensor, tolerance: float
+) -> tuple[bool, str]:
+    """Whether both make the same colours, and the same gradients of textures and network."""
+    truth = truth[:CHECKED]
+    rays = RayBatch(uv=rays.uv[:CHECKED], object_id=rays.object_id[:CHECKED], p_camera=rays.p_camera[:CHECKED])
+    found, expected = renderer(rays), naive(rays)
+    functional.l1_loss(found, truth).backward()
+    functional.l1_loss(expected, truth).backward()
+    table = renderer.textures.get_parameter("table")
+    assert table.grad is not None
+    errors = {
+        "colours": relative_error(found, expected),
+        "textures' gradient": relative_distance(table.grad, naive.texture_gradient()),
+        "network's gradient": max(
+            relative_distance(ours.grad.flatten(), theirs.grad.flatten())
+            for (name, ours), theirs in zip(renderer.net.named_parameters(), naive.net.parameters(), strict=True)
+            # Batch norm takes a bias before it away again: its true gradient is 0.
+            if ours.grad is not None and theirs.grad is not None and not is_before_norm(renderer.net, name)
+        ),
+    }
+    renderer.zero_grad(set_to_none=True)
+    naive.zero_grad(set_to_none=True)
+    detail = ", ".join(f"{name} off by {error:.1e}" for name, error in errors.items())
+    return max(errors.values()) <= tolerance, f"{detail} (shares of their size); expected at most {tolerance:g}"
+
+
+def is_before_norm(net: nn.Module, name: str) -> bool:
+    """True for the bias of a linear layer that batch norm follows."""
+    unit = name.removesuffix(".linear.bias")
+    return unit != name and isinstance(net.get_submodule(unit + ".norm"), nn.BatchNorm1d)
+
+
+def bench_step(choices: BenchChoices, *, ceilings: Sequence[Ceiling] = (), seed: int = 0) -> BenchReport:
+    """Times training steps."""
+    keep_freed_memory()
+    rng = np.random.default_rng(seed)
+    renderer = make_renderer(choices, rng=rng)
+    naive = NaiveRenderer(renderer)
+    rays, truth = made_up_batch(choices, rng=rng)
+    upstream = torch.from_numpy(rng.standard_normal((choices.pixels, choices.layers * choices.features), np.float32))
+    theirs, ours = naive_trainee(naive, rays, truth), product_trainee(renderer, rays, truth)
+    their_textures = torch.optim.Adam(naive.images.parameters(), lr=1e-3, foreach=False, fused=False)
+    our_textures = torch.optim.Adam(renderer.textures.parameters(), lr=1e-3, fused=True)
+    flat = (choices.pixels, choices.layers, choices.features)
+    images = upstream.T[None, :, None].contiguous()
+    candidates = [
+        Candidate(name="naive step", run=theirs.step, note="grid_sample, 1x1 convolutions, for-loop Adam"),
+        Candidate(name="step", run=ours.step, note="as `model train paper` does it"),
+        Candidate(
+            name="naive textures",
+            run=lambda: texture_step(lambda: naive.sample(rays), images, their_textures),
+            note="look-up, gradient, Adam",
+        ),
+        Candidate(
+            name="textures",
+            run=lambda: texture_step(ours.look_up, upstream.view(flat), our_textures),
+            note="look-up, gradient, Adam",
+        ),
+    ]
+    tolerance = TOLERANCE[choices.precision]
+    report = measure(
+        "step",
+        candidates,
+        checks=[Check(name="same step", run=lambda: compare(renderer, naive, rays, truth, tolerance))],
+        gates=[
+            Gate(name="whole step", baseline="naive step", candidate="step", at_least=GATE_STEP),
+            Gate(name="texture part", baseline="naive textures", candidate="textures", at_least=GATE_TEXTURES),
+        ],
+        ceilings=ceilings,
+        settings={"pixels": choices.pixels, **describe(choices, renderer)},
+        facts={"places with a surface": f"{float((rays.object_id != 0).float().mean()):.0%}"},
+        rounds=choices.rounds,
+    )
+    if report.timings:
+        report.facts.update({"phases, naive": theirs.phases(), "phases": ours.phases()})
+    return report
+
+
+GATE = 10.0
+
+
+@torch.inference_mode()
+def bench_infer(choices: BenchChoices, *, ceilings: Sequence[Ceiling] = (), seed: int = 0) -> BenchReport:
+    """Times frames."""
+    keep_freed_memory()
+    rng = np.random.default_rng(seed)
+    renderer = make_renderer(choices, rng=rng).eval()
+    naive = NaiveRenderer(renderer).eval()
+    pixels = made_up_frame(choices, rng=rng)
+    rays = pixels.take(torch.arange(len(pixels.rgb)), None)
+
+    def compare() -> tuple[bool, str]:
+        error, most = relative_error(predict_colors(renderer, pixels), naive(rays)), FRAME_TOLERANCE[choices.precision]
+        return error <= most, f"colours off by {error:.1e} of the largest; expected at most {most:g}"
+
+    return measure(
+        "infer",
+        [
+            Candidate(name="naive frame", run=lambda: naive(rays), note="grid_sample, 1x1 convolutions"),
+            Candidate(
+                name="frame", run=lambda: predict_pixels(renderer, pixels), note="as `model render`, to 8-bit colours"
+            ),
+        ],
+        checks=[Check(name="same colours", run=compare)],
+        gates=[Gate(name="whole frame", baseline="naive frame", candidate="frame", at_least=GATE)],
+        ceilings=ceilings,
+        settings={"resolution": choices.resolution, **describe(choices, renderer)},
+        facts={"places with a surface": f"{float((rays.object_id != 0).float().mean()):.0%}"},
+        rounds=choices.rounds,
+    )
+
+
+FRAME, STEP = 1920 * 1080, 1 << 18
+"""Pixels of a frame, and of a training step."""
+
+GPU_GATE = 20.0
+
+GPU_TOLERANCE = {"fp32": 1e-4, "bf16": 2e-2}
+
+
+def gpu_ceilings(precision: str) -> tuple[Ceiling, Ceiling]:
+    """The GPU's best speed: matrix products in the network's precision, and copying."""
+    size, kind = 4096, torch.bfloat16 if precision == "bf16" else torch.float32
+    a, b = torch.randn(2, size, size, device="cuda", dtype=kind)
+    out = torch.empty_like(a)
+    flops = 2 * size**3 / best_seconds(synchronised(lambda: torch.mm(a, b, out=out)))
+    source = torch.ones(1 << 28, device="cuda")  # 1 GiB, beyond every cache.
+    target = torch.empty_like(source)
+    copied = 2 * source.nbytes / best_seconds(synchronised(lambda: target.copy_(source)))
+    return (
+        Ceiling(name=f"{precision} matrix product", value=1e-12 * flops, unit="TFLOP/s"),
+        Ceiling(name="copy, bytes read and written", value=1e-9 * copied, unit="GB/s"),
+    )
+
+
+def floors(
+    renderer: PaperRenderer, num_pixels: int, filled: float, ceilings: tuple[Ceiling, Ceiling]
+) -> dict[str, float]:
+    """Least seconds of a frame and of a step: products at the GPU's best, each byte moved once.
+
+    A frame reads its layers (6 bytes a place) and 4 texels of 2 bytes a channel for each surface. A step multiplies
+    three times as much, and its Adam moves 34 bytes a parameter of the textures.
+    """
+    flops_a_second, bytes_a_second = 1e12 * ceilings[0].value, 1e9 * ceilings[1].value
+    table = renderer.textures.get_parameter("table")
+    flops = 2 * sum(parameter.numel() for name, parameter in renderer.net.named_parameters() if parameter.ndim == 2)
+    products = num_pixels * flops / flops_a_second
+    num_layers = renderer.net.first.linear.in_features // table.shape[1]
+    places = num_pixels * num_layers
+    texels = places * filled * 4 * 2 * table.shape[1] / bytes_a_second
+    layers = places * 6 / bytes_a_second
+    return {
+        "frame": max(products, texels + layers),
+        "step": max(3 * products, 3 * texels + 34 * table.numel() / bytes_a_second),
+    }
+
+
+def synchronised(run: Callable[[], object]) -> Callable[[], None]:
+    def wait() -> None:
+        run()
+        torch.cuda.synchronize()
+
+    return wait
+
+
+def to_device(rays: RayBatch, device: torch.device) -> RayBatch:
+    return RayBatch(uv=rays.uv.to(device), object_id=rays.object_id.to(device), p_camera=rays.p_camera.to(device))
+
+
+def step_of(module: torch.nn.Module, rays: RayBatch, truth: Tensor, optimizer: torch.optim.Optimizer) -> None:
+    optimizer.zero_grad(set_to_none=True)
+    functional.l1_loss(module(rays), truth).backward()
+    optimizer.step()
+
+
+def bench_gpu(choices: BenchChoices, *, seed: int = 0, frame: int = FRAME, step: int = STEP) -> BenchReport:
+    """Times a frame and a step; skipped with a message without CUDA."""
+    if not torch.cuda.is_available():
+        why = "torch finds no CUDA device here"
+        return measure(
+            "gpu", [], settings={"precision": choices.precision}, facts={"skipped": why}, rounds=choices.rounds
+        )
+    # Else the rival's convolutions, and they alone, would round their factors to TF32 on every GPU since Ampere.
+    torch.backends.cudnn.allow_tf32 = torch.backends.cuda.matmul.allow_tf32 = False
+    device = torch.device("cuda")
+    rng = np.random.default_rng(seed)
+    renderer = make_renderer(choices, rng=rng).to(device)
+    naive = NaiveRenderer(renderer).to(device)
+    rays, truth = made_up_batch(choices, rng=rng)
+    filled = float((rays.object_id != 0).float().mean())
+
+    def of_size(count: int) -> RayBatch:
+        index = torch.arange(count) % len(truth)
+        return to_device(
+            RayBatch(uv=rays.uv[index], object_id=rays.object_id[index], p_camera=rays.p_camera[index]), device
+        )
+
+    whole, batch = of_size(frame), of_size(step)
+    colors = truth[torch.arange(step) % len(truth)].to(device)
+    ours = torch.optim.Adam(renderer.parameters(), lr=1e-3, fused=True)
+    theirs = torch.optim.Adam(naive.parameters(), lr=1e-3, foreach=False, fused=False)
+
+    @torch.inference_mode()
+    def draw(module: torch.nn.Module) -> Tensor:
+        was_training = module.training
+        result = module.eval()(whole)
+        module.train(was_training)
+        return result
+
+    def compare() -> tuple[bool, str]:
+        error, most = relative_error(draw(renderer), draw(naive)), GPU_TOLERANCE[choices.precision]
+        return error <= most, f"colours off by {error:.1e} of the largest; expected at most {most:g}"
+
+    ceilings = gpu_ceilings(choices.precision)
+    least = floors(renderer, frame, filled, ceilings)["frame"], floors(renderer, step, filled, ceilings)["step"]
+    report = measure(
+        "gpu",
+        [
+            Candidate(name="naive frame", run=synchronised(lambda: draw(naive)), note="plain torch"),
+            Candidate(name="frame", run=synchronised(lambda: draw(renderer))),
+            Candidate(
+                name="naive step", run=synchronised(lambda: step_of(naive, batch, colors, theirs)), note="plain torch"
+            ),
+            Candidate(name="step", run=synchronised(lambda: step_of(renderer, batch, colors, ours))),
+        ],
+        checks=[Check(name="same colours", run=compare)],
+        gates=[Gate(name="whole step", baseline="naive step", candidate="step", at_least=GPU_GATE)],
+        ceilings=ceilings,
+        settings={"frame": frame, "step": step, **describe(choices, renderer)},
+        facts={"gpu": torch.cuda.get_device_name()},
+        rounds=choices.rounds,
+    )
+    if report.timings:
+        for timing, seconds in ((report.timings[1], least[0]), (report.timings[3], least[1])):
+            share = seconds / timing.wall.median
+            report.facts[f"floor of a {timing.name}"] = f"{1e3 * seconds:.3f} ms on this GPU, {share:.1%} of it reached"
+    return report
+
+
+FAULTED = 64 << 20
+"""Bytes of the block that is written with and without page faults."""
+
+
+def all_ceilings() -> tuple[Ceiling, ...]:
+    """Those that any bench prints, and torch's: matrix products in both precisions, and what page faults cost."""
+    return (
+        *machine_ceilings(),
+        Ceiling(name="float32 matrix product, torch, all cores", value=_product(torch.float32), unit="GFLOP/s"),
+        Ceiling(name="bfloat16 matrix product, torch, all cores", value=_product(torch.bfloat16), unit="GFLOP/s"),
+        Ceiling(name="float32 layer of the network, all cores", value=_layer(torch.float32), unit="GFLOP/s"),
+        Ceiling(name="bfloat16 layer of the network, all cores", value=_layer(torch.bfloat16), unit="GFLOP/s"),
+        Ceiling(name="writing fresh memory, page faults included", value=_faults(), unit="times as long"),
+    )
+
+
+def bench_ceilings() -> BenchReport:
+    """The ceilings alone."""
+    settings = {"threads": torch.get_num_threads(), "torch": torch.__version__}
+    return measure("ceilings", [], ceilings=all_ceilings(), settings=settings)
+
+
+@torch.inference_mode()
+def _product(dtype: torch.dtype) -> float:
+    size = 1536
+    a, b = torch.ones(2, size, size, dtype=dtype)
+    return 2 * size**3 / best_seconds(lambda: a @ b) * 1e-9
+
+
+@torch.inference_mode()
+def _layer(dtype: torch.dtype) -> float:
+    pixels, inputs, outputs = 65_536, 96, 88
+    x, weight = torch.ones(pixels, inputs, dtype=dtype), torch.ones(outputs, inputs, dtype=dtype)
+    bias = torch.zeros(outputs, dtype=dtype)
+    return 2 * pixels * inputs * outputs / best_seconds(lambda: linear(x, weight, bias)) * 1e-9
+
+
+def _faults() -> float:
+    """How much longer a block takes to write when each of its pages must first be fetched from the kernel."""
+    ones = torch.ones(FAULTED, dtype=torch.uint8)
+    kept = torch.zeros_like(ones)
+
+    def write_fresh() -> None:
+        torch.frombuffer(mmap.mmap(-1, FAULTED), dtype=torch.uint8).copy_(ones)
+
+    return best_seconds(write_fresh) / best_seconds(lambda: kept.copy_(ones))

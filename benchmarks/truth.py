@@ -1,0 +1,212 @@
+"""Benchmark of truth: how long until a picture's noise is low enough, with our sampling and with Mitsuba's own.
+
+Noise is estimated from independent renderings at two numbers of samples, and a power law through both tells how many
+samples a ceiling takes: it is steeper than 1 / n where samples are stratified. Time per sample is measured by turns.
+"""
+
+# Mitsuba's stubs describe no variant: what is a number in one is an array in another.
+# pyright: reportAttributeAccessIssue=false, reportArgumentType=false, reportCallIssue=false
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from jaxtyping import Float
+
+from benchmarks.harness import BenchReport, Candidate, Check, Gate, machine_ceilings, measure
+from datagen.data.cameras import Cameras
+from datagen.data.images import srgb_from_linear
+from datagen.disk.errors import HyalineError
+from datagen.render.mitsuba_scene import is_scalar, load_scene_mitsuba, load_sensor
+from datagen.render.truth import Renderer, derive_seed
+from datagen.scene.description import EnvironmentMap, Scene, SoftEnvironment, image_bytes
+from datagen.scene.environment_maps import read_map
+from datagen.scene.materials import Dielectric
+from datagen.terminal.command import say
+
+CEILING_DB = 45.0
+
+DEFAULT_RR_DEPTH = 5
+"""Mitsuba's: from this depth on paths end at random."""
+
+TIMED_SPP = 16
+"""Samples per pixel of one timed call."""
+
+PAIRS = 4
+"""Independent pairs of renderings that noise is estimated from, at each number of samples."""
+
+MIN_AGREEMENT = 0.8, 1.25
+"""Squared difference of both means over what their noise predicts; 1 where they estimate the same picture."""
+
+GATE = Gate(name="time to the ceiling", baseline="mitsuba's defaults", candidate="datagen build", at_least=5)
+
+
+class Radiance(Protocol):
+    """Renders linear radiance (h, w, 3); also returns the actual number of samples per pixel."""
+
+    def __call__(self, *, spp: int, seed: int) -> tuple[np.ndarray, int]: ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class NoiseLaw:
+    """Mean squared error of the clipped sRGB picture: `scale` / spp ** `exponent`."""
+
+    scale: float
+    exponent: float
+
+    def spp_for(self, ceiling_db: float) -> float:
+        return (self.scale / 10 ** (-ceiling_db / 10)) ** (1 / self.exponent)
+
+
+def bench_truth(
+    scene: Scene,
+    cameras: Cameras,
+    *,
+    view: int = 0,
+    max_depth: int = 24,
+    low_spp: int = 16,
+    high_spp: int = 64,
+    mean_spp: int = 512,
+    rounds: int = 7,
+) -> BenchReport:
+    """Measures the time to a noise ceiling of 45 dB. Call `use_mitsuba` first.
+
+    Args:
+        low_spp, high_spp: where noise is estimated.
+        mean_spp: samples of the two means that must agree.
+    """
+    if is_scalar():
+        raise HyalineError("bench truth: Mitsuba runs as scalar_rgb; `datagen doctor` names the libLLVM to install")
+    simple = with_clear_glass_apart(scene)
+    num_left_out = len(scene.objects) - len(simple.objects)
+    scene = simple
+    ours = Renderer(scene, max_depth=max_depth)
+    default = DefaultRenderer(scene, cameras, view, max_depth=max_depth)
+
+    def render_ours(*, spp: int, seed: int) -> tuple[np.ndarray, int]:
+        return ours.radiance(cameras, view, spp=spp, seed=seed)
+
+    rivals: dict[str, Radiance] = {GATE.baseline: default.radiance, GATE.candidate: render_ours}
+    facts: dict[str, object] = {"solids left out, which reach into others": num_left_out}
+    candidates = []
+    for name, radiance in rivals.items():
+        say(f"bench truth: estimates the noise of {name}")
+        law = fit_noise(radiance, low_spp, high_spp)
+        wanted = law.spp_for(CEILING_DB)
+        _, drawn = radiance(spp=TIMED_SPP, seed=0)
+        facts[f"{name}: samples per pixel for {CEILING_DB:g} dB"] = round(wanted, 1)
+        facts[f"{name}: exponent of the noise"] = round(-law.exponent, 2)
+        candidates.append(
+            Candidate(
+                name=name,
+                run=lambda radiance=radiance: radiance(spp=TIMED_SPP, seed=1),
+                calls=wanted / drawn,
+                note=f"{drawn} spp a call, {wanted / drawn:.1f} calls to {CEILING_DB:g} dB",
+            )
+        )
+    report = measure(
+        "bench truth",
+        candidates,
+        checks=[Check(name="same picture", run=lambda: compare_means(rivals, mean_spp))],
+        gates=[GATE],
+        ceilings=machine_ceilings(),
+        settings={"scene": scene.name, "size": cameras.width, "depth": max_depth},
+        facts=facts,
+        rounds=rounds,
+    )
+    for timing in report.timings:
+        report.facts[f"{timing.name}: seconds to {CEILING_DB:g} dB"] = round(timing.calls * timing.wall.median, 3)
+    return report
+
+
+class DefaultRenderer:
+    """Mitsuba's path tracer as it comes: independent samples, Russian roulette from the fifth bounce on."""
+
+    def __init__(self, scene: Scene, cameras: Cameras, view: int, *, max_depth: int) -> None:
+        import mitsuba as mi
+
+        self._scene = load_scene_mitsuba(scene)
+        self._integrator = mi.load_dict({"type": "path", "max_depth": max_depth, "rr_depth": DEFAULT_RR_DEPTH})
+        self._sensor = load_sensor(cameras[view], sampler="independent")
+
+    def radiance(self, *, spp: int, seed: int) -> tuple[np.ndarray, int]:
+        import mitsuba as mi
+
+        integrator = self._integrator
+        image = mi.render(self._scene, sensor=self._sensor, integrator=integrator, spp=spp, seed=mi.UInt32(seed))
+        return np.array(image, np.float32), spp
+
+
+def with_clear_glass_apart(scene: Scene) -> Scene:
+    """The scene with clear glass of one index, and without solids that have a priority of their own, such as drinks.
+
+    Mitsuba's `path` knows neither absorption nor dispersion, nor which of two solids fills the space that they share.
+    Both rivals must estimate one picture.
+    """
+    objects = []
+    for item in scene.objects:
+        material = item.material
+        if isinstance(material, Dielectric):
+            material = dataclasses.replace(material, absorption=(0.0, 0.0, 0.0), dispersion=0.0)
+        if material.medium is None or material.medium.priority == 0:
+            objects.append(dataclasses.replace(item, material=material))
+    return dataclasses.replace(scene, objects=tuple(objects))
+
+
+def under_soft_light(scene: Scene) -> Scene:
+    """The scene without lamps in an even sky, as bright as its horizon, or as its map is on average."""
+    environment = scene.environment
+    if isinstance(environment, EnvironmentMap):
+        rows = read_map(image_bytes(scene, environment), where=environment.path).mean(axis=1)
+        # Rows near the poles cover less of the sphere.
+        weight = np.sin(np.pi * (np.arange(len(rows)) + 0.5) / len(rows))
+        red, green, blue = (environment.scale * weight @ rows / weight.sum()).tolist()
+        sky = red, green, blue
+    else:
+        sky = environment.horizon
+    return dataclasses.replace(scene, environment=SoftEnvironment(zenith=sky, horizon=sky, ground=sky), lights=())
+
+
+def noise_mse(radiance: Radiance, spp: int) -> tuple[float, int]:
+    """Mean squared error of the clipped sRGB picture at this number of samples, and the actual number."""
+    errors, drawn = [], spp
+    for pair in range(PAIRS):
+        (one, drawn), (other, _) = (radiance(spp=spp, seed=derive_seed("noise", spp, pair, half)) for half in (0, 1))
+        # Of the difference of two, half is the error of each.
+        errors.append(np.mean((srgb_from_linear(one) - srgb_from_linear(other)) ** 2) / 2)
+    return float(np.mean(errors)), drawn
+
+
+def fit_noise(radiance: Radiance, low_spp: int, high_spp: int) -> NoiseLaw:
+    """The power law through the noise at two numbers of samples."""
+    (low, low_drawn), (high, high_drawn) = noise_mse(radiance, low_spp), noise_mse(radiance, high_spp)
+    exponent = math.log(low / high) / math.log(high_drawn / low_drawn)
+    return NoiseLaw(scale=high * high_drawn**exponent, exponent=exponent)
+
+
+def compare_means(rivals: dict[str, Radiance], spp: int) -> tuple[bool, str]:
+    """Whether all rivals' pictures differ by no more than their noise, which is estimated again at this spp."""
+    means, noises = [], []
+    for name, radiance in rivals.items():
+        one, other = (_mean(radiance, spp, f"{name} {half}") for half in (0, 1))
+        means.append((one + other) / 2)
+        noises.append((one - other) / 2)
+    found = float(np.mean((means[0] - means[1]) ** 2))
+    expected = float(sum(np.mean(noise**2) for noise in noises))
+    low, high = MIN_AGREEMENT
+    detail = (
+        f"the two means differ by {found / expected:.3f} of what their noise predicts (mean squares, linear); expected "
+        f"{low:g} to {high:g}; ratio of their brightness {means[1].mean() / means[0].mean():.5f}"
+    )
+    return low <= found / expected <= high, detail
+
+
+def _mean(radiance: Radiance, spp: int, name: str) -> Float[np.ndarray, "h w 3"]:
+    """The mean of passes of a moderate size."""
+    total, drawn = 0.0, 0
+    while drawn < spp:
+        image, real = radiance(spp=min(256, spp), seed=derive_seed("mean", name, drawn))
+        total, drawn = total + image.astype(np.float64) * real, drawn + real
+    return np.asarray(total / drawn)
