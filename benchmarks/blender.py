@@ -16,15 +16,15 @@ import numpy as np
 from jaxtyping import Float
 
 from benchmarks.blender_child import NOT_INSTALLED, UNREADABLE
+from benchmarks.sky import radiance_of_sky
 from datagen.data.cameras import Camera
 from datagen.data.config import DatasetConfig, Resolution, SplitConfig
 from datagen.data.images import encode_float_exr, png_bytes, srgb_from_linear, to_8bit
 from datagen.disk.errors import HyalineError
-from datagen.render.environment import radiance_of_sky
 from datagen.render.mitsuba_scene import linear_texels
 from datagen.render.truth import Renderer, render_view
 from datagen.scene.description import Scene, SceneObject
-from datagen.scene.importers.choices import ImportChoices
+from datagen.scene.foreign_files import ImportChoices
 from datagen.scene.importers.foreign import Axis
 from datagen.scene.importers.importing import Imported, import_scene
 from datagen.scene.importers.staging import z_up_from

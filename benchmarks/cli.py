@@ -7,8 +7,7 @@ from typing import Literal
 import tyro
 
 from benchmarks.choices import BenchChoices
-from datagen.scene.importers.choices import ImportChoices
-from datagen.scene.procedural.names import Family
+from datagen.scene.foreign_files import ImportChoices
 from datagen.terminal.command import run, unwrap_help
 
 DESCRIPTION = (
@@ -149,7 +148,7 @@ def scale(
     show_scale(bench_scale(factors, chosen, rounds=rounds), out, as_json=json)
 
 
-def random_scenes(seeds: int = 100, first: int = 0, family: Family | None = None, json: bool = False) -> None:
+def random_scenes(seeds: int = 100, first: int = 0, family: str | None = None, json: bool = False) -> None:
     """Draw and check random scenes without rendering them: how many draws were refused, and why.
 
     Exit status 1 where a seed gives no scene.

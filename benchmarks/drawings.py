@@ -9,6 +9,7 @@ from jaxtyping import Float, UInt8
 from matplotlib.figure import Figure
 from PIL import Image, ImageDraw, ImageFont
 
+from benchmarks.sky import radiance_of_sky
 from datagen.build.film import path_trace
 from datagen.data.config import TEST_SPLITS, Split
 from datagen.data.dataset import Dataset, open_dataset
@@ -17,7 +18,6 @@ from datagen.data.images import srgb_from_linear
 from datagen.data.paths import view_name
 from datagen.data.variants import ANGLES, has_variant, open_variant, variant_root
 from datagen.disk.errors import HyalineError
-from datagen.render.environment import radiance_of_sky
 from datagen.scene.camera_path import make_path
 from datagen.scene.folder import load_scene
 from eval.figures import DPI, Panel, Row, draw_sheet, figure_png

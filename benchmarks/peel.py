@@ -21,8 +21,8 @@ from datagen.data.meshes import Mesh
 from datagen.disk.errors import HyalineError
 from datagen.render.mitsuba_scene import is_scalar, load_geometry_mitsuba
 from datagen.trace.light_path import LightPaths, LightPathTracer
-from datagen.trace.limits import Limits
 from datagen.trace.peel import Peeler
+from datagen.trace.surface_tables import Limits
 
 
 class EagerPeeler:

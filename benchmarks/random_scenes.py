@@ -8,7 +8,7 @@ import numpy as np
 
 from datagen.disk.errors import HyalineError
 from datagen.scene.procedural.drawing import draw_scene
-from datagen.scene.procedural.names import FAMILIES, Family, RandomName
+from datagen.scene.random_names import FAMILIES, RandomName
 from datagen.terminal.command import track
 
 
@@ -16,7 +16,7 @@ from datagen.terminal.command import track
 class FamilySurvey:
     """The results for the seeds of one family."""
 
-    family: Family
+    family: str
     scenes: int = 0
     failed: list[str] = field(default_factory=list)
     """Errors of seeds without an accepted draw."""
@@ -28,9 +28,9 @@ class FamilySurvey:
     cpu_s: list[float] = field(default_factory=list)
 
 
-def survey_seeds(first: int, count: int, chosen: Family | None) -> list[FamilySurvey]:
-    """Generates and checks the scenes of these seeds without rendering."""
-    surveys = {family: FamilySurvey(family=family) for family in FAMILIES}
+def survey_seeds(first: int, count: int, chosen: str | None) -> list[FamilySurvey]:
+    """Draws and checks the scenes of these seeds; nothing is rendered."""
+    surveys = {family: FamilySurvey(family=family) for family in ([chosen] if chosen else FAMILIES.built_in)}
     for seed in track(range(first, first + count), label="draw", total=count):
         name = RandomName(seed=seed, chosen=chosen)
         survey = surveys[name.family]

@@ -11,7 +11,7 @@ from datagen.render.truth import Renderer
 from datagen.scene.atlas import unwrap_all
 from datagen.scene.description import Scene
 from datagen.scene.procedural.drawing import draw_scene
-from datagen.scene.procedural.names import FAMILIES, RandomName
+from datagen.scene.random_names import FAMILIES, RandomName
 from datagen.scene.rig import make_cameras
 from datagen.terminal.command import track
 
@@ -22,8 +22,8 @@ GAP = 4
 
 
 def draw_random_sheet(seeds: tuple[int, ...], *, view: int, size: int, spp: int, quality: int) -> bytes:
-    """The WebP of these seeds, a row for each family. Call `use_mitsuba` first."""
-    rows: dict[str, list[np.ndarray]] = {family: [] for family in FAMILIES}
+    """The WebP of these seeds, a row for each family that they are of. Call `use_mitsuba` first."""
+    rows: dict[str, list[np.ndarray]] = {family: [] for family in FAMILIES.built_in}
     for seed in track(seeds, label="render", total=len(seeds)):
         name = RandomName(seed=seed)
         rows[name.family].append(_picture(draw_scene(name).scene, view, size, spp))

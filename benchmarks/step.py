@@ -33,8 +33,8 @@ CHECKED = 4096
 """Pixels compared. With more, torch's batch norm over rows accumulates too much rounding."""
 
 TOLERANCE = {"fp32": 1e-2, "bf16": 0.4}
-"""Tolerance of gradients, relative to their length. If rounding moves a value across the kink of an activation or
-of the loss, that pixel's gradient changes, however small the step."""
+"""Tolerance of gradients, relative to their length. If rounding moves a value across the kink of an activation or of
+the loss, that pixel's gradient changes, however small the step."""
 
 PHASES = ("look-up", "network", "backward", "optimiser")
 

@@ -22,7 +22,7 @@ from datagen.disk.errors import HyalineError
 from datagen.render.mitsuba_scene import is_scalar, load_scene_mitsuba, load_sensor
 from datagen.render.truth import Renderer, derive_seed
 from datagen.scene.description import EnvironmentMap, Scene, SoftEnvironment, image_bytes
-from datagen.scene.environment_maps import read_map
+from datagen.scene.images import read_map
 from datagen.scene.materials import Dielectric
 from datagen.terminal.command import say
 

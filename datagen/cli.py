@@ -19,7 +19,7 @@ from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import DATASET, refuse_file, refuse_owned
 from datagen.disk.storage import commit
 from datagen.import_dataset.choices import DatasetImportChoices
-from datagen.scene.importers.choices import ImportChoices
+from datagen.scene.foreign_files import ImportChoices, scene_name
 from datagen.terminal.command import fail, next_command, run, say, say_all, tell, unwrap_help
 
 SCENES_ROOT = Path("scenes")
@@ -90,7 +90,6 @@ def import_file(
         choices: What the file does not say.
     """
     from datagen.scene.importers.confined_import import check_free, import_files, write_imported
-    from datagen.scene.importers.importing import scene_name
 
     root = out or SCENES_ROOT / scene_name(file)
     check_free(root, overwrite=overwrite)
@@ -268,11 +267,11 @@ def render(
 def scenes() -> None:
     """List the built-in scenes, and how to draw random ones."""
     from datagen.scene.builtin import describe_scenes
-    from datagen.scene.procedural.names import FAMILIES, RANDOM
+    from datagen.scene.random_names import FAMILIES, RANDOM
 
     for name, description in describe_scenes().items():
         print(f"{name:14} {description}")
-    print(f"{RANDOM:14} Glassware drawn from --seed N, with --count M of them; --family {', '.join(FAMILIES)}")
+    print(f"{RANDOM:14} Glassware drawn from --seed N, with --count M of them; --family {', '.join(FAMILIES.names())}")
     next_command(build_command())
 
 

@@ -52,7 +52,8 @@ def report(
         sys.stdout.write(results_page(results))
         return
     from datagen.data.paths import find_dataset
-    from eval.page.report import make_report, make_tables
+    from datagen.trace.surface_tables import make_tables
+    from eval.page.report import make_report
 
     place = out if out is not None else runs / "report"
     only = None if dataset is None else find_dataset(dataset, data)

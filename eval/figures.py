@@ -19,7 +19,7 @@ from mpl_toolkits.mplot3d import Axes3D
 from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 
 from datagen.data.cameras import Cameras
-from datagen.data.config import SPLITS, TEST_SPLITS, Split
+from datagen.data.config import SPLITS, TEST_SPLITS, Resolution, Split
 from datagen.data.dataset import Dataset
 from datagen.data.geometries import true_meshes
 from datagen.data.meshes import face_corners

@@ -29,10 +29,8 @@ from datagen.data.config import SPLITS, TEST_SPLITS, Split
 from datagen.data.layers import Layers
 from datagen.data.meshes import Mesh
 from datagen.disk.errors import HyalineError
-from datagen.quantities.light_ends import LightEnds
-from datagen.quantities.view_quantities import ViewQuantities, quantities
-from datagen.scene.description import CameraRig, WalkPoint
-from datagen.scene.lights import Card, EnvironmentMap, Lobe, RectangleLight, SoftEnvironment
+from datagen.quantities.view_quantities import LightEnds, ViewQuantities, quantities
+from datagen.scene.description import CameraRig, Card, EnvironmentMap, Lobe, RectangleLight, SoftEnvironment, WalkPoint
 from datagen.scene.materials import Conductor, Dielectric, Diffuse, Plastic, RoughDielectric, ThinDielectric
 from datagen.scene.textures import ImageTexture, SolidTexture
 from datagen.terminal.distribution import VERSION, naming_parts

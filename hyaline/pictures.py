@@ -32,7 +32,7 @@ def sketch(meshes: Sequence[Mesh], is_glass: Sequence[bool], azimuth_deg: float)
     Args:
         azimuth_deg: side of the scene from which they are seen, from +x towards +y.
     """
-    from datagen.look.sketch import draw_sketch, stand
+    from datagen.look.sketch import draw_sketch, fit_viewpoint
 
     there = [mesh for mesh in meshes if is_there(mesh)]
     subject = [mesh for mesh, glass in zip(meshes, is_glass, strict=True) if glass and is_there(mesh)] or there
@@ -41,8 +41,8 @@ def sketch(meshes: Sequence[Mesh], is_glass: Sequence[bool], azimuth_deg: float)
     room = AROUND * (high - low).max()
     around = np.stack(np.meshgrid(*np.stack([low - room, high + room], axis=-1)), axis=-1).reshape(-1, 3)
     width, height = SKETCH
-    standpoint = stand(around, azimuth_deg, 20.0, width=width, height=height)
+    viewpoint = fit_viewpoint(around, azimuth_deg, 20.0, width=width, height=height)
     glass: Bool[np.ndarray, " mesh"] = np.array(is_glass, bool)
-    drawn = draw_sketch(tuple(meshes), glass, standpoint).picture.astype(np.float64)
+    drawn = draw_sketch(tuple(meshes), glass, viewpoint).picture.astype(np.float64)
     alpha = drawn[..., 3:] / 255
     return (alpha * drawn[..., :3] + (1 - alpha) * 255).astype(np.uint8)

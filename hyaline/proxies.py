@@ -37,7 +37,7 @@ class Proxies:
     def show(self) -> Image.Image:
         """Sketches of the scene: its own meshes, and the proxies."""
         from datagen.data.geometries import read_meshes
-        from datagen.look.scene_drawing import open_azimuth_deg
+        from datagen.look.sketch import open_azimuth_deg
 
         is_glass, azimuth_deg = [item.is_glass for item in self.dataset.objects], open_azimuth_deg(self.dataset)
         both: Sequence[tuple[Mesh, ...]] = (read_meshes(self.dataset, TRUTH), self.meshes)

@@ -182,13 +182,13 @@ def train(
         NumericsError: training diverged.
         KeyboardInterrupt: training was interrupted; a checkpoint is saved.
     """
-    from model.methods.table import find_method, name_of
+    from model.methods.table import METHODS, name_of
     from model.run.train_flags import Asked, configure, folder_name, usual_of
 
     if isinstance(dataset, (str, Path)):
         dataset = opened(open_dataset(find_dataset(str(dataset))))
     if isinstance(method, str):
-        kind = find_method(method)
+        kind = METHODS.find(method)
         presets = {key: settings.pop(key) for key in presets_of(kind) & settings.keys()}
         usual = usual_of(with_settings(kind(), presets), geometry)
         net, optimisation = usual.method, usual.optimisation

@@ -1,5 +1,6 @@
 """Scenes described in Python: meshes with materials, light and cameras."""
 
+import dataclasses
 import math
 import operator
 from collections.abc import Sequence
@@ -16,8 +17,7 @@ from datagen.disk.errors import HyalineError
 from datagen.disk.names import printable
 from datagen.scene import description
 from datagen.scene.camera_list import CameraList
-from datagen.scene.description import CameraRig, SceneObject, image_bytes
-from datagen.scene.lights import Environment, EnvironmentMap, RectangleLight
+from datagen.scene.description import CameraRig, Environment, EnvironmentMap, RectangleLight, SceneObject, image_bytes
 from datagen.scene.materials import Material, check_material
 from datagen.scene.soundness import camera_places, check_names
 from datagen.scene.values import Vector, check_positive
@@ -95,21 +95,6 @@ class Hemisphere:
         if not 0 < self.fov_deg < 170:
             raise HyalineError(f"camera fov_deg: is {self.fov_deg}; expected 0 to 170")
 
-    def rig(self, objects: Sequence[SceneObject]) -> CameraRig:
-        """The rig around a scene's objects, with every value filled in."""
-        from datagen.scene.importers.remarks import Remarks
-        from datagen.scene.importers.staging import make_rig
-
-        return make_rig(
-            objects,
-            Remarks(),
-            target=self.target,
-            radius=self.radius,
-            elevation_deg=self.elevation_deg,
-            azimuth_deg=self.azimuth_deg,
-            fov_deg=self.fov_deg,
-        )
-
 
 @dataclass(frozen=True, kw_only=True)
 class Scene:
@@ -146,7 +131,7 @@ class Scene:
     def show(self) -> Image.Image:
         """A pen sketch of the scene from the side of its cameras; glass is clear."""
         objects = [_described(item)[0] for item in self.objects]
-        rig = self._rig(objects)
+        rig = _rig(self, objects)
         offset = camera_places(rig).mean(axis=0) - np.array(rig.target)
         is_around = np.hypot(offset[0], offset[1]) < 0.1 * rig.radius
         azimuth_deg = -60.0 if is_around else math.degrees(math.atan2(offset[1], offset[0]))
@@ -159,31 +144,51 @@ class Scene:
         Raises:
             HyalineError: an object that would render wrong, such as glass with holes, or a file that cannot be read.
         """
-        from datagen.scene.environment_maps import read_map
-        from datagen.scene.importers.lights import LIGHT
-        from datagen.scene.mending import mend_scene
-        from datagen.scene.soundness import check_scene
+        return _described_scene(self)
 
-        read = [_described(item) for item in self.objects]
-        objects = tuple(item for item, _ in read)
-        scene = description.Scene(
-            name=self.name,
-            license=self.license,
-            objects=objects,
-            environment=self.light or LIGHT,
-            lights=tuple(self.lamps),
-            cameras=self._rig(objects),
-            folder=Path(self.folder),
-        )
-        check_names(scene)
-        if isinstance(self.light, EnvironmentMap):
-            read_map(image_bytes(scene, self.light), where=f"scene {self.name}: {self.light.path}")
-        scene = mend_scene(scene, without_uv={item.name for item, has_uv in read if not has_uv})
-        check_scene(scene)
-        return scene
 
-    def _rig(self, objects: Sequence[SceneObject]) -> CameraRig | CameraList:
-        return self.cameras.rig(objects) if isinstance(self.cameras, Hemisphere) else self.cameras
+def _described_scene(given: Scene) -> description.Scene:
+    from datagen.scene.images import read_map
+    from datagen.scene.importers.staging import LIGHT
+    from datagen.scene.mending import mend_scene
+    from datagen.scene.soundness import check_scene
+
+    read = [_described(item) for item in given.objects]
+    objects = tuple(item for item, _ in read)
+    scene = description.Scene(
+        name=given.name,
+        license=given.license,
+        objects=objects,
+        environment=given.light or LIGHT,
+        lights=tuple(given.lamps),
+        cameras=_rig(given, objects),
+        folder=Path(given.folder),
+    )
+    check_names(scene)
+    if isinstance(given.light, EnvironmentMap):
+        read_map(image_bytes(scene, given.light), where=f"scene {given.name}: {given.light.path}")
+    scene = mend_scene(scene, without_uv={item.name for item, has_uv in read if not has_uv})
+    check_scene(scene)
+    return scene
+
+
+def _rig(given: Scene, objects: Sequence[SceneObject]) -> CameraRig | CameraList:
+    """The scene's cameras; those of a hemisphere are fitted around its objects."""
+    from datagen.scene.importers.remarks import Remarks
+    from datagen.scene.importers.staging import make_rig
+
+    cameras = given.cameras
+    if not isinstance(cameras, Hemisphere):
+        return cameras
+    fitted = make_rig(
+        objects,
+        Remarks(),
+        target=cameras.target,
+        radius=cameras.radius,
+        azimuth_deg=cameras.azimuth_deg,
+        fov_deg=cameras.fov_deg,
+    )
+    return dataclasses.replace(fitted, elevation_deg=cameras.elevation_deg)
 
 
 def _described(item: Object) -> tuple[SceneObject, bool]:
@@ -232,7 +237,7 @@ def _checked(
 def _read_file(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
     """Vertices, faces and uv of all objects in a file as one mesh, read in a process of its own."""
     from datagen.machine.confined import confined
-    from datagen.scene.importers.importing import check_ending
+    from datagen.scene.foreign_files import check_ending
 
     check_ending(path)
     with confined(write_arrays, path.absolute(), where=str(path)) as folder, np.load(folder / "mesh.npz") as found:
@@ -242,10 +247,10 @@ def _read_file(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
 def write_arrays(folder: Path, path: Path) -> None:
     """Reads a mesh file, in the process that `confined` starts."""
     from datagen.machine.confined import allow_triangles
-    from datagen.scene.importers.importing import READERS
+    from datagen.scene.foreign_files import READERS, ending_of
     from datagen.scene.importers.remarks import Remarks
 
-    parts = READERS[path.suffix.lower()](path, Remarks()).objects
+    parts = READERS.find(ending_of(path))(path, Remarks()).objects
     allow_triangles(sum(len(part.faces) for part in parts))
     starts = np.cumsum([0, *(len(part.positions) for part in parts)])
     arrays = {

@@ -31,9 +31,9 @@ def train() -> None:
 
 def train_method(words: list[str]) -> None:
     """Run `model train WORDS`: the first word names the method, the others are its flags."""
-    from model.methods.table import about, list_methods
+    from model.methods.table import METHODS, about
 
-    methods = list_methods()
+    methods = METHODS.names()
     if not words or words[0].startswith("-"):
         if not {"-h", "--help"} & set(words):
             raise UsageError(f"model train: names no method; expected one of {', '.join(methods)} as the next word")

@@ -11,6 +11,13 @@ from pathlib import Path
 import pytest
 from support.soon import soon
 
+from datagen.export.formats import FORMATS
+from datagen.import_dataset.import_dataset import READERS as DATASET_READERS
+from datagen.scene.foreign_files import READERS
+from datagen.scene.random_names import FAMILIES
+from eval.tables.named import TABLES
+from model.methods.table import METHODS
+
 ROOT = Path(__file__).parent.parent
 PACKAGES = ("datagen", "proxies", "model", "eval")
 LIBRARY = "hyaline"
@@ -63,9 +70,22 @@ FLOORS = {
 """The rooms of each package, the highest first: a file imports from its own room and from those below it."""
 
 
+PERIPHERY = (
+    *("datagen.export", "datagen.import_dataset", "datagen.scene.importers", "datagen.scene.procedural"),
+    *("eval.papers", "model.methods.authors_code", "model.methods.deepvoxels", "model.methods.dnr"),
+    *("model.view", "model.web"),
+)
+"""What the core finds by a table of plug-ins alone (datagen/terminal/plugins.py)."""
+DOORS = ("datagen/scene/finding.py", "hyaline/")
+"""Where the core opens the periphery, inside of the function that was asked for it; commands do so, too."""
+
+
 FUNCTIONS = (ast.FunctionDef, ast.AsyncFunctionDef)
 TOO_LONG: set[str] = set()
 """What is still to be split: longer than a function's 80 lines, or a file's 400."""
+MOST_FILES_OF_A_BUILD = 112
+"""Those that hold code: an empty `__init__.py` does not count."""
+GROUPS = (METHODS, READERS, DATASET_READERS, FORMATS, FAMILIES, TABLES)
 FILES = {
     path.relative_to(ROOT): ast.parse(path.read_text())
     for package in (*PACKAGES, LIBRARY)
@@ -109,6 +129,44 @@ def test_each_file_imports_only_from_its_room_and_those_below() -> None:
         others = [name.split(".")[1] for name in imported_by(tree) if name.startswith(f"{package}.")]
         wrong += [f"{place}: {other} is above {room}" for other in others if floors.index(other) < floors.index(room)]
     assert not wrong
+
+
+def test_the_core_imports_nothing_of_what_plugs_into_it() -> None:
+    wrong = []
+    for place, tree in FILES.items():
+        if place.name == "cli.py" or _is_periphery(".".join(place.with_suffix("").parts)):
+            continue
+        is_door = place.as_posix().startswith(DOORS)
+        within = [node for node in tree.body if not isinstance(node, FUNCTIONS)] if is_door else tree.body
+        names = imported_by(ast.Module(body=within, type_ignores=[]))
+        wrong += [f"{place}: {name}" for name in names if _is_periphery(name)]
+    assert not wrong
+
+
+def _is_periphery(module: str) -> bool:
+    return any(f"{module}.".startswith(f"{part}.") for part in PERIPHERY)
+
+
+def test_every_entry_of_a_table_of_plugins_is_there() -> None:
+    for table in GROUPS:
+        assert (ROOT / table.guide).is_file()
+        assert {name: type(table.find(name)) for name in table.built_in}.keys() == table.built_in.keys()
+    assert len({table.name for table in GROUPS}) == len(GROUPS)
+
+
+def test_a_build_of_a_built_in_scene_imports_few_files(tmp_path: Path) -> None:
+    command = ["build", "--scene", "glass_table", "--out", str(tmp_path / "data"), "--resolution", "16"]
+    command += ["--views", "1", "--test-views", "1", "--spp", "2", "--test-spp", "2"]
+    program = (
+        "import atexit, sys; from datagen.cli import main\n"
+        "atexit.register(lambda: print(*(getattr(module, '__file__', None) for module in sys.modules.values())))\n"
+        f"sys.argv = {['datagen', *command]!r}; main()"
+    )
+    answer = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, cwd=tmp_path)
+    assert answer.returncode == 0, answer.stderr
+    files = {Path(name) for name in answer.stdout.split() if name.startswith(str(ROOT))}
+    ours = {file for file in files if file.relative_to(ROOT).parts[0] in (*PACKAGES, LIBRARY) and file.stat().st_size}
+    assert len(ours) <= MOST_FILES_OF_A_BUILD, sorted(file.relative_to(ROOT).as_posix() for file in ours)
 
 
 def test_no_function_is_longer_than_80_lines_and_no_file_than_400() -> None:

@@ -23,7 +23,7 @@ from datagen.data.writing import clear_dataset, dataset_files, head_contents, vi
 from datagen.disk.errors import DamagedError, HyalineError, WorkerKilledError
 from datagen.disk.ownership import DATASET, LAYERS, holding, is_ours, refuse_taken, remove_files
 from datagen.disk.storage import sha256
-from datagen.machine.workers import in_workers
+from datagen.machine.processes import in_workers
 from datagen.scene.camera_list import CameraList
 from datagen.scene.description import Scene
 from datagen.scene.folder import scene_files

@@ -24,9 +24,8 @@ from datagen.disk.ownership import DATASET, refuse_strangers
 from datagen.scene.edits import parse_edit
 from datagen.scene.finding import find_scene, is_foreign
 from datagen.scene.folder import load_scene
-from datagen.scene.importers.choices import ImportChoices
-from datagen.scene.importers.importing import scene_name
-from datagen.scene.procedural.names import RANDOM, RandomName
+from datagen.scene.foreign_files import ImportChoices, scene_name
+from datagen.scene.random_names import RANDOM, RandomName
 from datagen.terminal.command import next_command, say, say_all, tell
 from datagen.terminal.preview import preview
 

@@ -6,8 +6,6 @@ from typing import Annotated
 
 import tyro
 
-from datagen.scene.procedural.names import Family
-
 
 @dataclass(frozen=True, kw_only=True)
 class BuildChoices:
@@ -24,7 +22,7 @@ class BuildChoices:
     """Folder to write; with --count, the folder of all datasets. Default: data/SCENE."""
     seed: int = 0
     """Seed of cameras and noise, and of a random scene; the same seed gives the same bytes."""
-    family: Family | None = None
+    family: str | None = None
     """With --scene random: object (one before a background), table (glass among other things) or nested (media inside
     of each other). Default: the seeds take turns."""
     count: int | None = None

@@ -130,7 +130,7 @@ def launch(arguments: Sequence[str], root: Path, choices: LaunchChoices, *, work
 def build_part(words: list[str], folder: str) -> int:
     """The exit status of `datagen WORDS` in a folder; it writes to the job's log. Runs in a job."""
     program = (
-        f"from datagen.machine.workers import die_with; die_with({os.getpid()}); from datagen.cli import main; main()"
+        f"from datagen.machine.processes import die_with; die_with({os.getpid()}); from datagen.cli import main; main()"
     )
     return subprocess.run([sys.executable, "-P", "-c", program, *words], cwd=folder, check=False).returncode
 

@@ -210,6 +210,18 @@ def points_on(
     return SurfacePoints(face=face, position=np.einsum("pk,pkc->pc", weights, corners))
 
 
+PLASTIC = 1.32471795724474602596
+"""The plastic number, on which the R2 sequence is based."""
+
+
+def r2_steps(count: int) -> Float[np.ndarray, "point 2"]:
+    """Points of the R2 sequence before the modulo: their fractional parts cover the unit square evenly for any count.
+
+    Source: Roberts 2018, "The Unreasonable Effectiveness of Quasirandom Sequences".
+    """
+    return np.arange(count)[:, None] / PLASTIC ** np.arange(1, 3)
+
+
 def windings(
     corners: Float[np.ndarray, "face 3 3"],
     points: Float[np.ndarray, "point 3"],

@@ -5,16 +5,15 @@
     train/NAME.png, val/NAME.png, test/NAME.png                         RGBA, alpha 255
     points3d.ply                                                        3dgs: points of the surfaces to start from
 
-Tools of this format do not read `near`, `far` and `aabb`, which stand there for who sets them by hand.
+Tools of this format do not read `near`, `far` and `aabb`; they are there to be set by hand.
 """
 
 from datagen.data.config import TEST_SPLITS
 from datagen.disk.records import Json
 from datagen.disk.storage import dump_json
-from datagen.export.pictures import ply_points, rgba_png
+from datagen.export.files import CONVENTION, check_centered, frame, lens_keys, ply_points, rgba_png, world_keys
 from datagen.export.plan import Part, Plan
 from datagen.export.source import ROLES, ExportView, Source
-from datagen.export.transforms import CONVENTION, check_centered, frame, lens_keys, world_keys
 
 
 def plan_blender(source: Source) -> Plan:

@@ -20,10 +20,9 @@ from PIL import Image
 
 from datagen.data.images import encode_float_exr
 from datagen.disk.storage import dump_json
-from datagen.export.pictures import mask_png
+from datagen.export.files import CONVENTION, frame, lens_keys, mask_png
 from datagen.export.plan import Part, Plan
 from datagen.export.source import ExportView, Source
-from datagen.export.transforms import CONVENTION, frame, lens_keys
 
 JPEG_QUALITY = 95
 

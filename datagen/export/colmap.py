@@ -5,12 +5,16 @@
     sparse/0/images.{txt,bin}                    world-to-camera quaternion (w, x, y, z) and translation, OpenCV axes
     sparse/0/points3D.{txt,bin}                  points, their colours, and in which pictures they are seen
     train_list.txt, val_list.txt, test_list.txt  names of pictures by split, as nerfbaselines and nerfstudio read them
-    sparse/0/test.txt                            the same of the test splits, as Gaussian splatting can be told to read
+    sparse/0/test.txt                            the same of the test splits, as Gaussian splatting can read it
 
 A model has no splits: a tool that does not read the lists takes every eighth picture for its test, and trains on the
 test splits.
 
 Pixel (0.5, 0.5) is the centre of the upper left pixel, in COLMAP as in the dataset.
+
+The format nerfbaselines is the same with nb-info.json: loader, scene, and the range of depths in metres. Its loader of
+transforms.json rotates points, as those of nerfstudio's own COLMAP runs need it; that of COLMAP does not, and reads the
+lists of names.
 """
 
 import struct
@@ -19,7 +23,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from datagen.export.pictures import rgb_png
+from datagen.disk.storage import dump_json
+from datagen.export.files import rgb_png
 from datagen.export.plan import Part, Plan
 from datagen.export.source import ROLES, ExportView, PointCloud, Source
 
@@ -45,10 +50,29 @@ class _Image:
 
 def plan_colmap(source: Source) -> Plan:
     """The whole folder."""
-    return Plan(parts=colmap_parts(source), hint="colmap model_analyzer --path OUT/sparse/0")
+    return Plan(parts=_parts(source), hint="colmap model_analyzer --path OUT/sparse/0")
 
 
-def colmap_parts(source: Source) -> tuple[Part, ...]:
+def plan_nerfbaselines(source: Source) -> Plan:
+    """The whole folder."""
+    info = Part(name="info", files=("nb-info.json",), make=lambda: {"nb-info.json": _nerfbaselines_info(source)})
+    return Plan(parts=(*_parts(source), info), hint="nerfbaselines train --method nerfacto --data OUT")
+
+
+def _nerfbaselines_info(source: Source) -> bytes:
+    return dump_json(
+        {
+            "loader": "colmap",
+            "id": f"hyaline-{source.dataset.name}",
+            "scene": source.dataset.name,
+            "license": source.dataset.license,
+            "evaluation_protocol": "default",
+            "depth_range": [source.bounds.near, source.bounds.far],
+        }
+    )
+
+
+def _parts(source: Source) -> tuple[Part, ...]:
     """Pictures, model and lists."""
     lists = Part(name="lists", files=tuple(_lists(source)), make=lambda: _lists(source))
     return (*(_view_part(item) for item in source.pictures), _model_part(source), lists)

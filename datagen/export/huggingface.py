@@ -17,11 +17,10 @@ from collections.abc import Mapping
 from datagen.data.config import TEST_SPLITS
 from datagen.data.transforms import CONVENTION
 from datagen.disk.records import Json
-from datagen.export.pictures import depth_png, mask_png, rgb_png
+from datagen.export.files import depth_png, lens_keys, mask_png, rgb_png
 from datagen.export.plan import Part, Plan
 from datagen.export.samples import sample_groups
 from datagen.export.source import ExportView, Source
-from datagen.export.transforms import lens_keys
 
 IMAGES = ("image", "depth", "glass")
 MATRIX = "transform_matrix"

@@ -7,17 +7,16 @@
                           its own key `mask_path` names is left out of training
     sparse_pc.ply         points of the surfaces, in the same world
 
-`orientation_override: none` keeps +z up. nerfstudio still centres and scales the poses unless it is told not to.
+`orientation_override: none` keeps +z up. nerfstudio still centres and scales the poses unless asked not to.
 """
 
 from collections.abc import Mapping
 
 from datagen.disk.records import Json
 from datagen.disk.storage import dump_json
-from datagen.export.pictures import depth_png, mask_png, ply_points, rgb_png
+from datagen.export.files import CONVENTION, depth_png, frame, lens_keys, mask_png, ply_points, rgb_png, world_keys
 from datagen.export.plan import Part, Plan
 from datagen.export.source import ROLES, ExportView, Source
-from datagen.export.transforms import CONVENTION, frame, lens_keys, world_keys
 
 
 def plan_nerfstudio(source: Source) -> Plan:

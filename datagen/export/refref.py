@@ -16,10 +16,9 @@ from datagen.data.meshes import is_there
 from datagen.data.ply import write_ply
 from datagen.disk.records import Json
 from datagen.disk.storage import dump_json
-from datagen.export.pictures import mask_png, ply_points, rgba_png
+from datagen.export.files import CONVENTION, frame, lens_keys, mask_png, ply_points, rgba_png, world_keys
 from datagen.export.plan import Part, Plan
 from datagen.export.source import ROLES, ExportView, Role, Source
-from datagen.export.transforms import CONVENTION, frame, lens_keys, world_keys
 from datagen.quantities.surfaces import surfaces_of
 
 

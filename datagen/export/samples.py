@@ -1,13 +1,24 @@
-"""Every quantity of a view as a file of its own, with what each file says: shared by `quantities` and `webdataset`."""
+"""Every quantity of a view as a file of its own: the formats `quantities` and `webdataset`.
 
-from collections.abc import Mapping
+quantities: a file for each quantity of each view, beside the pictures, as NumPy and any viewer of PNGs open them
+train/NAME.png, train/NAME.depth.npy, ...                           also val, interpolating, extrapolating
+
+webdataset: shards of samples NAME.png, NAME.depth.npy, ..., one a view
+train-000000.tar, val-..., interpolating-..., extrapolating-...     SHARD_VIEWS views each
+
+dataset.json of both: objects, materials, near, far, box; what each file says, and in what unit
+"""
+
+import io
+import tarfile
+from collections.abc import Iterator, Mapping
 
 from datagen.data.images import npy_bytes, png_bytes
 from datagen.disk.records import Json
 from datagen.disk.storage import dump_json
-from datagen.export.pictures import mask_png, rgb_png
+from datagen.export.files import CONVENTION, bounds_keys, frame, lens_keys, mask_png, rgb_png
+from datagen.export.plan import Part, Plan
 from datagen.export.source import ExportView, Source
-from datagen.export.transforms import CONVENTION, bounds_keys, frame, lens_keys
 from datagen.quantities.surfaces import surfaces_of
 
 FILES = {
@@ -105,3 +116,57 @@ def about_samples(source: Source) -> bytes:
             "files": {**FILES, **(FLOW_FILES if source.flow else {})},
         }
     )
+
+
+def plan_quantities(source: Source) -> Plan:
+    """The whole folder."""
+    about = Part(name="about", files=("dataset.json",), make=lambda: {"dataset.json": about_samples(source)})
+    views = [
+        _view_part(folder, item, flow=source.flow) for folder, items in sample_groups(source).items() for item in items
+    ]
+    first = views[0].files[list(FILES).index("depth.npy")]
+    hint = f"python -c \"import numpy; print(numpy.load('OUT/{first}').shape)\""
+    return Plan(parts=(*views, about), hint=hint, has_flow=True)
+
+
+def _view_part(folder: str, item: ExportView, *, flow: bool) -> Part:
+    stem = f"{folder}/{item.name}"
+    return Part(
+        name=f"{folder}-{item.name}",
+        files=tuple(f"{stem}.{ending}" for ending in (*FILES, *(FLOW_FILES if flow else ()))),
+        make=lambda: {f"{stem}.{ending}": data for ending, data in sample_files(item, flow=flow).items()},
+    )
+
+
+SHARD_VIEWS = 32
+"""Views of a shard, which is made at once."""
+
+
+def plan_webdataset(source: Source) -> Plan:
+    """All shards, and what they have in common."""
+    about = Part(name="about", files=("dataset.json",), make=lambda: {"dataset.json": about_samples(source)})
+    hint = "python -c \"import webdataset; print(next(iter(webdataset.WebDataset('OUT/train-000000.tar'))).keys())\""
+    return Plan(parts=(*_shards(source), about), hint=hint, has_flow=True)
+
+
+def _shards(source: Source) -> Iterator[Part]:
+    for name, items in sample_groups(source).items():
+        for shard, first in enumerate(range(0, len(items), SHARD_VIEWS)):
+            yield _shard_part(f"{name}-{shard:06d}", items[first : first + SHARD_VIEWS], flow=source.flow)
+
+
+def _shard_part(name: str, items: list[ExportView], *, flow: bool) -> Part:
+    file = f"{name}.tar"
+    return Part(name=name, files=(file,), make=lambda: {file: _tar(items, flow=flow)})
+
+
+def _tar(items: list[ExportView], *, flow: bool) -> bytes:
+    """The same views give the same bytes: no time, no owner."""
+    buffer = io.BytesIO()
+    with tarfile.open(fileobj=buffer, mode="w", format=tarfile.USTAR_FORMAT) as archive:
+        for item in items:
+            for name, data in sample_files(item, flow=flow).items():
+                entry = tarfile.TarInfo(f"{item.name}.{name}")
+                entry.size = len(data)
+                archive.addfile(entry, io.BytesIO(data))
+    return buffer.getvalue()

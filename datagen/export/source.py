@@ -1,4 +1,4 @@
-"""What an export is made of: a dataset's views by role, the space that they show, and points of its surfaces."""
+"""The source of an export: a dataset's views by role, the space that they show, and points of its surfaces."""
 
 import functools
 from dataclasses import dataclass
@@ -40,7 +40,7 @@ class ExportView:
 
     @property
     def quantities(self) -> ViewQuantities:
-        """Depth, normals, masks; computed anew at each call."""
+        """Depth, normals, masks; computed again at each call."""
         return quantities(self.view)
 
 
@@ -66,12 +66,12 @@ class PointCloud:
     normal: Float[np.ndarray, "point 3"]
     """Unit shading normal, towards the view that shows the point."""
     color: UInt8[np.ndarray, "point 3"]
-    """sRGB, as that view shows it: of glass, what is seen through it there."""
+    """sRGB, as that view shows it; for glass, what is seen through it."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Source:
-    """An opened dataset and what was asked of its export."""
+    """An opened dataset, and the choices for its export."""
 
     dataset: Dataset
     num_points: int
@@ -137,7 +137,7 @@ class Source:
         cameras = self.dataset.cameras("train")
         pad = MARGIN * (high - low).max()
         return Bounds(
-            # Datasets of format version 1 do not say it; then it is what the pixels' centre rays meet.
+            # Datasets of format version 1 do not record it; then it is what the pixels' centre rays meet.
             near=float((1 - MARGIN) * min(nears)) if cameras.near is None else cameras.near,
             far=float((1 + MARGIN) * max(fars)) if cameras.far is None else cameras.far,
             low=tuple((low - pad).tolist()),

@@ -1,4 +1,4 @@
-"""What a user may say about a dataset that is imported."""
+"""The choices for importing a dataset: what its folder lacks."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,9 +20,9 @@ class DatasetImportChoices:
     may be repeated. Without meshes nothing can be peeled."""
     material: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     """A material by name for all meshes, or for those that match a pattern: 'foot*=gold', as `datagen import` takes
-    them. Default: what the folder says of a mesh, or else glass of the index --ior."""
+    them. Default: the material in the folder, or else glass of the index --ior."""
     ior: float = 1.5
-    """Index of refraction of glass of which the folder does not say one."""
+    """Index of refraction for glass without one in the folder."""
     scale: float = 1.0
     """Metres per unit of the cameras, the meshes and the depth."""
     up: Literal["x", "y", "z"] = "z"

@@ -1,9 +1,11 @@
 """Another project's dataset as one of ours: read, split, write; goes on where it was stopped."""
 
 import hashlib
-from collections.abc import Iterator
+import re
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 
@@ -18,15 +20,22 @@ from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import DATASET, holding
 from datagen.disk.storage import sha256_file
 from datagen.import_dataset.choices import DatasetImportChoices
-from datagen.import_dataset.foreign_dataset import ForeignDataset, ForeignSurface, ForeignView
-from datagen.import_dataset.layouts import read_layout, surface_name
+from datagen.import_dataset.layouts import ROLES, ForeignDataset, ForeignSurface, ForeignView, surface_name
 from datagen.import_dataset.pictures import view_files
-from datagen.import_dataset.splits import split_views
 from datagen.import_dataset.surfaces import find_scene
 from datagen.scene.description import Scene
-from datagen.scene.importers.importing import scene_name
+from datagen.scene.foreign_files import scene_name
 from datagen.scene.importers.staging import z_up_from
 from datagen.terminal.command import track
+from datagen.terminal.plugins import Group
+
+READERS: Group[Callable[[Path], ForeignDataset | None]] = Group(
+    name="hyaline.dataset_readers",
+    what="layout",
+    built_in={"transforms": "datagen.import_dataset.layouts:read_folder"},
+    guide="docs/adding-a-reader.md",
+)
+"""Each gets a folder, and returns None where it is not of its layout."""
 
 PRESET = "imported"
 
@@ -45,12 +54,8 @@ class Plan:
 
 
 def plan_import(folder: Path, choices: DatasetImportChoices) -> Plan:
-    """Reads all of a folder but for its pictures.
-
-    Raises:
-        HyalineError: no layout that is known, or something in it that no dataset can hold.
-    """
-    foreign = read_layout(folder)
+    """Reads all of a folder but for its pictures."""
+    foreign = read_foreign_dataset(folder)
     whole, times = foreign.lens.size, choices.downscale
     if whole.width % times or whole.height % times:
         raise HyalineError(f"--downscale: is {times}, and pictures are {whole} pixels; expected a divisor of both")
@@ -90,12 +95,24 @@ def plan_import(folder: Path, choices: DatasetImportChoices) -> Plan:
     return Plan(foreign=foreign, views=views, cameras=cameras, config=config, scene=scene, imported=imported)
 
 
-def write_import(plan: Plan, root: Path, choices: DatasetImportChoices, *, overwrite: bool) -> Dataset:
-    """Writes what is missing of an import.
+def read_foreign_dataset(root: Path) -> ForeignDataset:
+    """What a folder names, by the first reader that knows its layout."""
+    if not root.is_dir():
+        raise HyalineError(f"{root}: is not a folder; expected one with transforms_train.json or transforms.json")
+    if (root / DATASET.head).is_file():
+        raise HyalineError(f"{root}: is a hyaline dataset already; pass it to the other commands as it is")
+    for name in READERS.names():
+        if (found := READERS.find(name)(root)) is not None:
+            return found
+    others = ", ".join(READERS.names()[len(READERS.built_in) :])
+    raise HyalineError(
+        f"{root}: has neither transforms_train.json nor transforms.json; expected the layout of RefRef, OpenMaterial, "
+        f"Blender or nerfstudio{f', or of one of the installed readers ({others})' if others else ''}"
+    )
 
-    Raises:
-        HyalineError: something else stands at `root`, or a picture cannot be read.
-    """
+
+def write_import(plan: Plan, root: Path, choices: DatasetImportChoices, *, overwrite: bool) -> Dataset:
+    """Writes what is missing of an import."""
     with holding(root, DATASET):
         dataset = open_or_start(
             plan.scene,
@@ -139,3 +156,58 @@ def _digest(files: list[Path], choices: DatasetImportChoices) -> str:
     for file in files:
         digest.update(sha256_file(file).encode())
     return digest.hexdigest()
+
+
+# Splits
+
+OURS = re.compile(r"(?:image_)?(train|interpolating|extrapolating)_(\d{4})")
+"""Names of pictures in what `datagen export` writes."""
+FAR_SHARE = 4
+"""One in this many test views is for extrapolation."""
+
+
+def split_views(foreign: ForeignDataset) -> tuple[dict[Split, tuple[ForeignView, ...]], list[str]]:
+    """The views of each split, and one line for each decision.
+
+    Pictures that `datagen export` named get back their places. Otherwise the test views farthest from all training
+    cameras become the split `extrapolating`.
+    """
+    if (named := _by_name(foreign)) is not None:
+        return named, []
+    train, val, test = (foreign.views[role] for role in ROLES)
+    lines = []
+    if val and not test:
+        test, lines = val, ["splits: there are no test pictures; those for validation take their place"]
+    elif val:
+        lines.append(f"splits: {len(val)} pictures for validation were left out")
+    if not train or not test:
+        raise HyalineError(
+            f"{foreign.root}: has {len(train)} pictures to train on and {len(test)} to test; expected some of each"
+        )
+    if len(test) == 1:
+        return {"train": train, "interpolating": test, "extrapolating": test}, [
+            *lines,
+            "splits: the only test picture is in both test splits",
+        ]
+    places = np.stack([view.world_from_camera[:3, 3] for view in train])
+    away = np.array([np.linalg.norm(places - view.world_from_camera[:3, 3], axis=1).min() for view in test])
+    far = {int(place) for place in np.argsort(-away, kind="stable")[: max(1, len(test) // FAR_SHARE)]}
+    lines.append(
+        f"splits: the {len(far)} test views farthest from any training camera are in extrapolating, the "
+        "other ones in interpolating"
+    )
+    near = tuple(view for place, view in enumerate(test) if place not in far)
+    return {"train": train, "interpolating": near, "extrapolating": tuple(test[place] for place in sorted(far))}, lines
+
+
+def _by_name(foreign: ForeignDataset) -> dict[Split, tuple[ForeignView, ...]] | None:
+    """The views by the splits in their names; None unless every name has one, and each split some views."""
+    found: dict[Split, dict[int, ForeignView]] = {split: {} for split in SPLITS}
+    for view in (view for role in ROLES for view in foreign.views[role]):
+        match = OURS.fullmatch(view.picture.stem)
+        if match is None:
+            return None
+        found[cast(Split, match[1])][int(match[2])] = view
+    if not all(found.values()):
+        return None
+    return {split: tuple(views[number] for number in sorted(views)) for split, views in found.items()}

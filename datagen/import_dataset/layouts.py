@@ -1,4 +1,4 @@
-"""Layouts of folders: which one a folder has, and what it names.
+"""What a folder of another project's dataset names, before any picture is decoded: the layouts with transforms files.
 
     refref         transforms_{train,val,test}.json, whose frames name masks and depth; meshes/ and objects.json, as
                    `datagen export --format refref` adds them
@@ -10,45 +10,87 @@ Source: RefRef's data parser, OpenMaterial's loader for instant-nsr-pl, nerf-pyt
 """
 
 import re
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Literal, get_args
 
+import numpy as np
+from jaxtyping import Float
 from PIL import Image
 
+from datagen.data.cameras import Lens
 from datagen.data.metadata import license_line
 from datagen.data.transforms import Frame, Transforms, read_transforms, refuse_other_lens
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import check_regular, find_file
-from datagen.disk.ownership import DATASET
 from datagen.disk.records import load_json, open_regular, shown
-from datagen.import_dataset.foreign_dataset import (
-    ROLES,
-    ForeignDataset,
-    ForeignSurface,
-    ForeignView,
-    Layout,
-    Role,
-)
 from datagen.scene.description import MAX_OBJECTS, OBJECT_NAME
 from datagen.scene.importers.fields import Fields
 
+Role = Literal["train", "val", "test"]
+ROLES: tuple[Role, ...] = get_args(Role)
+
+Layout = Literal["refref", "openmaterial", "blender", "nerfstudio"]
+"""The layouts of `read_folder`."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ForeignView:
+    """One picture and its camera."""
+
+    picture: Path
+    mask: Path | None
+    """Not black where the object is seen."""
+    depth: Path | None
+    world_from_camera: Float[np.ndarray, "4 4"]
+    """OpenGL convention, in the folder's units and axes."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ForeignSurface:
+    """A mesh of the scene, and what is known of its material."""
+
+    name: str
+    file: Path
+    ior: float | None = None
+    absorption: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """1 over the folder's unit."""
+    is_thin: bool = False
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ForeignDataset:
+    """Everything that a folder names."""
+
+    root: Path
+    layout: str
+    """Its name in the dataset's record of its import."""
+    lens: Lens
+    views: dict[Role, tuple[ForeignView, ...]]
+    surfaces: tuple[ForeignSurface, ...]
+    remarks: tuple[str, ...]
+    """What is left out."""
+    license: str | None = None
+    """The licence in its transforms file, which our exports write."""
+
+    @property
+    def files(self) -> list[Path]:
+        """Every file whose content becomes a part of the dataset."""
+        views = [view for role in ROLES for view in self.views[role]]
+        parts = [part for view in views for part in (view.picture, view.mask, view.depth) if part is not None]
+        return [*parts, *(surface.file for surface in self.surfaces)]
+
+
 ONE_FILE = "transforms.json"
 EVERY = 8
-"""Of pictures that nobody has split, each eighth is for tests, as most NeRF tools take it."""
+"""Without splits in the folder, every eighth picture is for tests, as in most NeRF tools."""
 ENDINGS = ("", ".png", ".jpg", ".jpeg", ".JPG", ".webp")
 MESH_ENDINGS = (".ply", ".obj", ".stl", ".glb")
 
 
-def read_layout(root: Path) -> ForeignDataset:
-    """What a folder names.
-
-    Raises:
-        HyalineError: no layout that is known, or a file that breaks its rules.
-    """
-    if not root.is_dir():
-        raise HyalineError(f"{root}: is no folder; expected one with transforms_train.json or {ONE_FILE}")
-    if (root / DATASET.head).is_file():
-        raise HyalineError(f"{root}: is a dataset of hyaline's already; give it to the other commands as it is")
+def read_folder(root: Path) -> ForeignDataset | None:
+    """What a folder with transforms files names; None where it has none."""
     files = {role: f"transforms_{role}.json" for role in ROLES if (root / f"transforms_{role}.json").is_file()}
     if "train" in files:
         found = {role: read_transforms(find_file(root, name, where=str(root))) for role, name in files.items()}
@@ -61,10 +103,7 @@ def read_layout(root: Path) -> ForeignDataset:
         found = {"train": read_transforms(find_file(root, ONE_FILE, where=str(root)))}
         views = _split(found["train"], _views(root, found["train"], layout))
     else:
-        raise HyalineError(
-            f"{root}: has neither transforms_train.json nor {ONE_FILE}; expected the layout of RefRef, OpenMaterial, "
-            "Blender or nerfstudio"
-        )
+        return None
     lens = found["train"].shared_lens(partial(_picture_size, root))
     for item in found.values():
         refuse_other_lens(item.shared_lens(partial(_picture_size, root)), lens, where=item.where)
@@ -194,11 +233,11 @@ def _left_out(train: Transforms, layout: Layout, views: dict[Role, tuple[Foreign
     lines = []
     first = train.frames[0]
     if "depth_file_path" in first and not _is_metric(first, layout):
-        lines.append("depth: its files do not say their unit; left out")
+        lines.append("depth: its files have no known unit; left out")
     if layout == "openmaterial":
         lines.append("masks: show the object, which is taken for glass")
     if "mask_path" in first:
-        lines.append("mask_path: says what nerfstudio trains on, not what is glass; left out")
+        lines.append("mask_path: selects what nerfstudio trains on, not glass; left out")
     if layout == "nerfstudio" and f"{ROLES[0]}_filenames" not in train.content:
         lines.append(f"splits: the file has none; each {EVERY}th picture is for tests")
     has_masks = [view.mask is not None for role in ROLES for view in views[role]]

@@ -19,7 +19,7 @@ from datagen.data.images import (
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import read_regular
 from datagen.import_dataset.choices import DatasetImportChoices
-from datagen.import_dataset.foreign_dataset import ForeignView
+from datagen.import_dataset.layouts import ForeignView
 from datagen.scene.importers.foreign import MAX_FILE_BYTES
 
 FORMATS = ["PNG", "JPEG", "WEBP"]
@@ -35,9 +35,6 @@ def view_files(
 
     Args:
         size: of the foreign picture.
-
-    Raises:
-        HyalineError: a file that cannot be read, or is of another size.
     """
     files = {".png": png_bytes(picture_of(view, size, choices))}
     if has_mask:

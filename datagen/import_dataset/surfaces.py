@@ -1,4 +1,4 @@
-"""The scene of an imported dataset: its meshes, with materials as far as anybody says them, and its cameras."""
+"""The scene of an imported dataset: its meshes, with materials as far as they are known, and its cameras."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,36 +13,39 @@ from datagen.disk.errors import HyalineError
 from datagen.disk.records import Json, load_json
 from datagen.disk.storage import dump_json
 from datagen.import_dataset.choices import DatasetImportChoices
-from datagen.import_dataset.foreign_dataset import ForeignSurface
+from datagen.import_dataset.layouts import ForeignSurface
 from datagen.machine.confined import allow_triangles
 from datagen.scene.camera_list import CameraList
 from datagen.scene.description import MAX_OBJECTS, Scene, SceneObject
 from datagen.scene.folder import save_scene
-from datagen.scene.importers.choices import ImportChoices, check_overrides, override, parse_overrides
+from datagen.scene.foreign_files import (
+    EXPORT_ADVICE,
+    READERS,
+    ImportChoices,
+    check_overrides,
+    ending_of,
+    override,
+    parse_overrides,
+)
 from datagen.scene.importers.confined_import import scene_from
 from datagen.scene.importers.foreign import PLAIN, ForeignObject
-from datagen.scene.importers.importing import EXPORT_ADVICE, READERS, scene_object, unique_names
-from datagen.scene.importers.lights import even_sky
+from datagen.scene.importers.importing import scene_object, unique_names
 from datagen.scene.importers.mapping import Mapper
 from datagen.scene.importers.overlaps import apart, nested, parted
 from datagen.scene.importers.remarks import Remarks
-from datagen.scene.importers.staging import z_up_from
+from datagen.scene.importers.staging import even_sky, z_up_from
 from datagen.scene.materials import Dielectric, Material, ThinDielectric
 from datagen.scene.mending import mend_scene
 from datagen.scene.soundness import check_scene
 
 UNKNOWN_LIGHT = (0.5, 0.5, 0.5)
-"""Of a scene whose light nobody knows: it is never rendered."""
+"""Stands in for the unknown light: such a scene is never rendered."""
 
 
 def find_scene(
     name: str, surfaces: Sequence[ForeignSurface], cameras: dict[Split, Cameras], choices: DatasetImportChoices
 ) -> tuple[Scene, list[str]]:
-    """The scene of some meshes, as far as a dataset without light needs one, and remarks on it.
-
-    Raises:
-        HyalineError: a mesh that cannot be read, or that no ray could be followed through.
-    """
+    """The scene of some meshes, as far as a dataset without light needs one, and remarks on it."""
     where = ", ".join(str(surface.file) for surface in surfaces)
     with scene_from(_save_scene, name, surfaces, cameras, choices, where=where) as (scene, folder):
         return scene, cast(list[str], load_json(folder / "told.json")["told"])
@@ -103,11 +106,11 @@ def _make_scene(
 
 
 def _read(surface: ForeignSurface, remarks: Remarks) -> tuple[ForeignObject, ...]:
-    ending = surface.file.suffix.lower()
-    if ending not in READERS or ending == ".xml":
-        known = ", ".join(sorted(set(READERS) - {".xml"}))
-        raise HyalineError(f"{surface.file}: is no mesh by its ending; expected one of {known}: {EXPORT_ADVICE}")
-    return READERS[ending](surface.file, remarks).objects
+    ending, known = ending_of(surface.file), sorted(set(READERS.names()) - {"xml"})
+    if ending not in known:
+        endings = ", ".join(f".{name}" for name in known)
+        raise HyalineError(f"{surface.file}: is not a mesh by its ending; expected one of {endings}: {EXPORT_ADVICE}")
+    return READERS.find(ending)(surface.file, remarks).objects
 
 
 def _glass(surface: ForeignSurface, choices: DatasetImportChoices, remarks: Remarks) -> Material:
@@ -115,7 +118,7 @@ def _glass(surface: ForeignSurface, choices: DatasetImportChoices, remarks: Rema
     if ior is None:
         ior = choices.ior
         remarks.approximate(
-            surface.name, f"nothing says its material; taken for glass of index {ior:g}, --ior or --material sets it"
+            surface.name, f"has no known material; taken for glass of index {ior:g}, --ior or --material sets it"
         )
     if surface.is_thin:
         return ThinDielectric(ior=ior)

@@ -1,7 +1,7 @@
-"""Light paths: what a few pixels that show glass really see, over the view's picture and in the scene.
+"""Draws the light paths of a few pixels that show glass, over the view's picture and in the scene.
 
-A ray from the camera splits where it meets glass. One part is refracted through it, the other reflected; each is
-followed until it ends on something opaque or leaves for the sky.
+A ray from the camera splits where it hits glass: one part is refracted, the other reflected. Each is followed until it
+ends on something opaque or leaves for the sky.
 """
 
 from dataclasses import dataclass
@@ -14,37 +14,36 @@ from datagen.data.config import Split
 from datagen.data.dataset import Dataset
 from datagen.data.variants import evenly
 from datagen.disk.errors import HyalineError
-from datagen.look.scene_drawing import frustum, open_azimuth_deg
-from datagen.look.sketch import HEIGHT, WIDTH, Points, draw_sketch, path_of, stand
+from datagen.look.sketch import HEIGHT, WIDTH, Points, draw_sketch, fit_viewpoint, frustum, open_azimuth_deg, path_of
 from datagen.machine.mitsuba_variant import use_mitsuba
-from datagen.pages.document import anchor
-from datagen.pages.html import Markup, Part, join, prose, tag
+from datagen.pages.html import Markup, Part, anchor, join, prose, tag
 from datagen.pages.pictures import Gallery
 from datagen.quantities.surfaces import Surfaces, surfaces_of
 from datagen.terminal.distribution import naming_parts
 from datagen.trace.light_path import TracedPaths
-from datagen.trace.limits import Limits
+from datagen.trace.surface_tables import Limits
 
 RAYS = 5
-"""Whose paths are drawn; of each glass object as many, in turn."""
+"""Rays whose paths are drawn; the glass objects take turns."""
 MOST_VIEWS = 8
-"""Training views among which the one with the most glass objects is sought."""
+"""Training views that are searched for the one with the best examples."""
 ASKED = 40
-"""Rays along the longer side of a picture, at most, that are traced to choose from."""
+"""Candidate rays along the longer side of a picture, at most."""
 MOST_SURFACES = 10
-"""A path that meets more is no good example."""
+"""Paths with more surfaces are not used as examples."""
 MOST_SHIFT = 0.4
-"""Share of the picture's width beyond which a longer way from a pixel to what it shows is no better example."""
+"""Shifts from a pixel to what it shows count up to this share of the picture's width."""
 LIMITS = Limits(max_branches=2, max_vertices=24)
 SKY = "sky"
 SKY_REACH = 0.3
-"""Length of the arrow to the sky, as a share of the way from the camera to the glass."""
+"""Length of the arrow to the sky, relative to the distance from the camera to the glass."""
 ASIDE_DEG, ELEVATION_DEG, FRUSTUM_SHARE = 65.0, 18.0, 0.12
-"""From where the scene is seen: that far to the side of the camera, where one sees a ray bend."""
+"""The viewpoint of the drawing: degrees to the side of the camera, where bends are visible, and above the horizon; and
+the depth of the camera's frustum, relative to its distance."""
 
 
 Candidates = tuple[Int[np.ndarray, " _"], Float[np.ndarray, " _"]]
-"""Rays that meet one object first, and how far from its pixel a camera would see a ray's end."""
+"""Rays that hit one object first, and the distance in the picture from each ray's pixel to its end."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -52,17 +51,17 @@ class DrawnPath:
     """One branch of a camera's ray."""
 
     ray: int
-    """Number in the drawing, from 1."""
+    """Number of the ray in the drawing, from 1."""
     pixel: tuple[int, int]
     """Column and row."""
     points: Points
-    """Metres: the camera, the surfaces that it meets, and where it ends, or the tip of an arrow to the sky."""
+    """The camera, the surfaces along the path, and its end, or the tip of an arrow to the sky; in metres."""
     through: str
-    """Objects that it meets before its end, by name."""
+    """Names of the objects before its end."""
     end: int
-    """Id of the object on which it ends; 0: the sky."""
+    """Id of the object on which it ends; 0 for the sky."""
     is_reflected: bool
-    """At the first surface; else refracted there."""
+    """Whether it is reflected at the first surface; otherwise it is refracted there."""
 
     @property
     def kind(self) -> str:
@@ -79,19 +78,15 @@ class FoundPaths:
     paths: tuple[DrawnPath, ...]
 
     def drawn_in_order(self) -> list[DrawnPath]:
-        """Refracted paths last, so that they lie over reflected ones."""
+        """The paths with refracted ones last, so that they are drawn over reflected ones."""
         return sorted(self.paths, key=lambda path: not path.is_reflected)
 
 
 def draw_light_paths(dataset: Dataset, gallery: Gallery) -> Markup:
-    """The paths over the view's picture and in the scene, a legend, and a table of what each meets.
-
-    Raises:
-        HyalineError: what traces them is not installed, or knows no such material.
-    """
+    """The paths over the view's picture and in the scene, a legend, and a table of the objects on each path."""
     found = find_light_paths(dataset)
     if found is None:
-        return tag("p", "No ray of the training views meets glass.")
+        return tag("p", "No ray of the training views hits glass.")
     name = f"{found.split} view {found.view}"
     picture = anchor(found.split, str(found.view), "picture")
     try:
@@ -107,22 +102,18 @@ def draw_light_paths(dataset: Dataset, gallery: Gallery) -> Markup:
     in_scene = tag(
         "figure",
         _draw_in_scene(found, dataset),
-        tag("figcaption", "In the scene, from the side: the same rays, from the camera through the glass"),
+        tag("figcaption", "In the scene, from the side: the same rays from the camera through the glass"),
     )
     explained = (
-        "A ray from the camera splits where it meets glass: one part is refracted through it, the other is reflected. "
-        "Each is followed until it ends on something opaque or in the sky, and that is what the pixel shows."
+        "A ray from the camera splits where it hits glass: one part is refracted, the other is reflected. "
+        "Each part is followed until it ends on something opaque or in the sky, which is what the pixel shows."
     )
     drawings = tag("div", over, in_scene, class_="drawings even")
     return join([tag("p", explained), drawings, _legend(), _table(found, dataset)])
 
 
 def find_light_paths(dataset: Dataset) -> FoundPaths | None:
-    """Paths of up to `RAYS` rays of the training view, among a few, that shows the most glass objects.
-
-    Raises:
-        HyalineError: as `draw_light_paths`.
-    """
+    """Paths of up to `RAYS` rays of one training view: the best of a few, by how far its glass shifts what is seen."""
     if not any(item.is_glass for item in dataset.objects):
         return None
     surfaces = surfaces_of(dataset)
@@ -150,7 +141,7 @@ def find_light_paths(dataset: Dataset) -> FoundPaths | None:
 
 
 def _rays(camera: Camera) -> tuple[Int[np.ndarray, "ray 2"], Float[np.ndarray, "ray 3"], Float[np.ndarray, "3"]]:
-    """Pixels (column, row) spread over a picture, the rays through them, and where these begin."""
+    """Pixels (column, row) spread over a picture, the rays through them, and their origin."""
     origin, directions = camera.rays()
     step = -(-max(directions.shape[:2]) // ASKED)
     rows, columns = (np.arange(step // 2, count, step) for count in directions.shape[:2])
@@ -161,9 +152,9 @@ def _rays(camera: Camera) -> tuple[Int[np.ndarray, "ray 2"], Float[np.ndarray, "
 def _candidates(
     camera: Camera, pixels: Int[np.ndarray, "ray 2"], traced: TracedPaths, surfaces: Surfaces
 ) -> list[Candidates]:
-    """For each glass object the rays that meet it first, and how far from its pixel a camera would see a ray's end.
+    """For each glass object the rays that hit it first, and the distance in the picture from a ray's pixel to its end.
 
-    The shift is a share of the picture's width; 0 where the end is outside the picture or in the sky.
+    The distance is a share of the picture's width; 0 where the end is outside the picture or in the sky.
     """
     ids = traced.object_id[0]
     count = (ids > 0).sum(axis=0)
@@ -181,7 +172,7 @@ def _candidates(
 
 
 def _choose(pixels: Int[np.ndarray, "ray 2"], candidates: list[Candidates]) -> list[int]:
-    """The objects take turns; of each the ray that is shifted most, away from those chosen before."""
+    """Chooses rays, the objects taking turns: each time the most shifted ray away from those chosen before."""
     chosen: list[int] = []
     apart = float(np.ptp(pixels)) / 8
     for _ in range(RAYS):
@@ -210,7 +201,7 @@ def _paths_of(
         vertices = [*([first] if branch else []), *traced.position[branch, ids > 0, ray]]
         has_left = bool(traced.has_left[branch, ray])
         if branch and len(vertices) == 1 and not has_left:
-            continue  # Nothing is reflected there.
+            continue  # No reflection.
         if has_left:
             vertices.append(vertices[-1] + reach * traced.end_direction[branch, ray])
         met = [*([traced.object_id[0, 0, ray]] if branch else []), *ids[ids > 0]]
@@ -230,7 +221,7 @@ def _paths_of(
 
 
 def _draw_over_picture(found: FoundPaths, picture: str | None) -> Markup:
-    """The paths as the camera would see them if nothing bent or hid them."""
+    """The paths projected straight into the camera's picture, ignoring refraction and occlusion."""
     camera = found.camera
     unit = camera.width / 100
     parts: list[Part] = [] if picture is None else [tag("use", href=f"#{picture}")]
@@ -249,7 +240,7 @@ def _draw_over_picture(found: FoundPaths, picture: str | None) -> Markup:
 
 
 def _projected(camera: Camera, p_world: Points) -> tuple[Float[np.ndarray, "place 2"], bool]:
-    """A path in the picture until it leaves it, and whether it stays inside to its end."""
+    """A path in the picture up to where it leaves the picture, and whether all of it is inside."""
     margin = 0.02 * camera.width
     low, high = np.full(2, margin), np.array([camera.width, camera.height]) - margin
     _, depths = camera.project(p_world)
@@ -269,35 +260,35 @@ def _projected(camera: Camera, p_world: Points) -> tuple[Float[np.ndarray, "plac
 
 
 def _draw_in_scene(found: FoundPaths, dataset: Dataset) -> Markup:
-    """The scene from the side, with the camera and its rays from end to end."""
+    """The scene from the side, with the camera and its complete rays."""
     surfaces = surfaces_of(dataset)
     camera, places = found.camera, np.concatenate([path.points for path in found.paths])
     first = np.array([path.points[1] for path in found.paths]).mean(axis=0)
     shape = frustum(camera, FRUSTUM_SHARE * float(np.linalg.norm(first - places[0])))
     away = places[0] - first
     azimuth_deg = float(np.degrees(np.arctan2(away[1], away[0])))
-    # The side on which the other cameras are, too: no wall stands there.
+    # On the side of the other cameras, where no wall blocks the view.
     turn = (open_azimuth_deg(dataset) - azimuth_deg + 180) % 360 - 180
     side_deg = azimuth_deg + (ASIDE_DEG if turn >= 0 else -ASIDE_DEG)
-    place = stand(np.concatenate([places, shape]), side_deg, ELEVATION_DEG, width=WIDTH, height=HEIGHT)
+    place = fit_viewpoint(np.concatenate([places, shape]), side_deg, ELEVATION_DEG, width=WIDTH, height=HEIGHT)
     sketch = draw_sketch(surfaces.meshes, surfaces.is_glass[1:], place)
     unit = WIDTH / 100
-    parts: list[Part] = [sketch.stroke(shape, says=f"{found.split} view {found.view}", class_="camera")]
+    parts: list[Part] = [sketch.stroke(shape, label=f"{found.split} view {found.view}", class_="camera")]
     for path in found.drawn_in_order():
         if not path.is_reflected:
-            parts.append(sketch.stroke(path.points[:2], says=f"ray {path.ray} from the camera", class_="camera"))
-        line = sketch.stroke(path.points[1:], says=_says(path, dataset), class_="")
+            parts.append(sketch.stroke(path.points[:2], label=f"ray {path.ray} from the camera", class_="camera"))
+        line = sketch.stroke(path.points[1:], label=_label(path, dataset), class_="")
         parts.append(_path(path, line, place.place(path.points)[1:, :2], unit, is_arrow=not path.end))
     parts.append(_camera_label(place.place(shape)[:, :2], unit))
     return sketch.svg(*parts, name=f"Light paths of {found.split} view {found.view} in the scene")
 
 
 def _camera_label(shape: Float[np.ndarray, "point 2"], unit: float) -> Markup:
-    """The word beside a frustum's apex, which is the first of its points, on the side to which it does not look."""
+    """A label next to a frustum's apex (its first point), on the side that faces away from the view."""
     x, y = shape[0]
     side, anchored = (-1, "end") if shape[:, 0].mean() > x else (1, "start")
     y += unit
-    if not 14 * unit < x + 2 * side * unit < WIDTH - 14 * unit:  # There is no room aside.
+    if not 14 * unit < x + 2 * side * unit < WIDTH - 14 * unit:  # No room at the side.
         x, y, side, anchored = min(max(x, 6 * unit), WIDTH - 6 * unit), y - 3 * unit, 0, "middle"
     label = {"x": round(x + 2 * side * unit, 1), "y": round(y, 1), "text_anchor": anchored}
     return tag("text", "camera", font_size=3 * unit, **label)
@@ -306,11 +297,11 @@ def _camera_label(shape: Float[np.ndarray, "point 2"], unit: float) -> Markup:
 def _path(
     path: DrawnPath, line: Markup, places: Float[np.ndarray, "point 2"], unit: float, *, is_arrow: bool
 ) -> Markup:
-    """A path's line with a dot where it meets a surface, a mark where it ends, and its number there."""
+    """A path's line with a dot at each surface, and a mark and its number at its end."""
     dots = [tag("circle", cx=round(x, 2), cy=round(y, 2), r=round(0.8 * unit, 2), class_="end") for x, y in places[:-1]]
     at, before = places[-1], places[-2] if len(places) > 1 else places[-1] - [0, 1]
     mark = _arrow(before, at, unit) if is_arrow else _end_mark(at, 1.5 * unit, is_reflected=path.is_reflected)
-    is_far = np.linalg.norm(at - places[0]) > 8 * unit  # Else its number would cover that of the pixel.
+    is_far = np.linalg.norm(at - places[0]) > 8 * unit  # Closer, its number would cover the pixel's.
     number = None if path.is_reflected or not is_far else _number(path.ray, at[0] + 2 * unit, at[1] + 1.2 * unit, unit)
     return tag("g", line, *dots, mark, number, class_=path.kind)
 
@@ -337,9 +328,9 @@ def _polygon(corners: list) -> Markup:
     return tag("polygon", points=" ".join(f"{x:.2f},{y:.2f}" for x, y in corners), class_="end")
 
 
-def _says(path: DrawnPath, dataset: Dataset) -> str:
+def _label(path: DrawnPath, dataset: Dataset) -> str:
     end = "leaves for the sky" if path.end == 0 else f"ends on {dataset.objects[path.end - 1].name}"
-    return f"ray {path.ray}, {path.kind}: meets {path.through}, {end}"
+    return f"ray {path.ray}, {path.kind}: hits {path.through}, {end}"
 
 
 def _legend() -> Markup:
@@ -360,13 +351,13 @@ def _legend() -> Markup:
         key("", line, _arrow(np.array([1.0, 10.0]), np.array([32.0, 10.0]), 3.6)),
         "to the sky, or out of the picture",
     )
-    dot = tag("li", key("", line, tag("circle", cx=13, cy=10, r=3)), "meets a surface")
+    dot = tag("li", key("", line, tag("circle", cx=13, cy=10, r=3)), "hits a surface")
     ring = tag("li", key("", tag("circle", cx=14, cy=10, r=7, class_="ring")), "the ray's pixel")
     return tag("ul", ring, ray, *kinds, arrow, dot, class_="legend keys", aria_label="Light paths")
 
 
 def _table(found: FoundPaths, dataset: Dataset) -> Markup:
-    """What each ray meets and where it ends, in words."""
+    """The objects on each ray's paths and where they end, in words."""
     names = [SKY, *(item.name for item in dataset.objects)]
     head = tag("tr", *(tag("th", name, scope="col") for name in ("ray", "column, row", "refracted", "reflected")))
     rows = []
@@ -374,6 +365,6 @@ def _table(found: FoundPaths, dataset: Dataset) -> Markup:
         ways = {path.kind: f"{path.through} → {names[path.end]}" for path in found.paths if path.ray == ray}
         cells = (f"{column}, {row}", ways["refracted"], ways.get("reflected", "nothing"))
         rows.append(tag("tr", tag("th", ray, scope="row"), *(tag("td", cell) for cell in cells)))
-    caption = tag("caption", "What each ray meets → where it ends")
+    caption = tag("caption", "What each ray hits → where it ends")
     table = tag("table", caption, tag("thead", head), tag("tbody", *rows))
     return tag("div", table, class_="scroll", tabindex=0, role="region", aria_label="Light paths as a table")

@@ -1,4 +1,4 @@
-"""A look at a dataset before any training: one page of what it holds, what it lacks, and what it looks like."""
+"""The page that shows a dataset: its contents, what is missing or damaged, and what it looks like."""
 
 import io
 import os
@@ -20,36 +20,35 @@ from datagen.disk.errors import HyalineError
 from datagen.disk.records import Json, to_json
 from datagen.disk.storage import way_out
 from datagen.look.light_paths import draw_light_paths
-from datagen.look.scene_drawing import draw_cameras
+from datagen.look.sketch import draw_cameras
 from datagen.look.view_pictures import FARTHEST, NEAREST, Picture, StoredPicture, object_colors, stored_pictures
 from datagen.pages.charts import Line, line_chart
-from datagen.pages.document import anchor, command, definitions, document, section
-from datagen.pages.html import Markup, Part, join, prose, tag
+from datagen.pages.html import Markup, Part, anchor, command, definitions, document, join, prose, section, tag
 from datagen.pages.pictures import Gallery
 from datagen.quantities.surfaces import surfaces_of
 
 MOST_BYTES = 18_000_000
 SHOWN_VIEWS = 6
-"""Pictures of each split in the page."""
+"""Pictures shown per split."""
 SHEET_COLUMNS = 6
 UNKNOWN = "unknown"
 STORED = (
-    "Glass: what is not glass is dark. Depth: of the first surface, in metres along the ray. Normals: red, green and "
-    "blue are x, y and z of the world. Layer 0 is the first surface on a straight ray, layer 1 the one behind it, "
-    "and so on. A proxy is laid over the picture."
+    "Glass: everything else is dark. Depth: distance to the first surface, in metres along the ray. Normals: red, "
+    "green and blue are x, y and z of the world. Layer 0 is the first surface on a straight ray, layer 1 the one "
+    "behind it, and so on. Proxies are laid over the picture."
 )
 SHADES = 24
-"""Of the bar beside a picture of depth."""
+"""Greys in the bar next to a depth picture."""
 MOST_VERIFIED_BYTES = 250_000_000
-"""A dataset of at most so many is compared with its checksums, which takes some seconds."""
+"""Datasets up to this size are compared with their checksums, which takes some seconds."""
 
 
 def look_page(dataset: Dataset) -> bytes:
-    """The page of a dataset, of which something may be missing or damaged: the page then says so."""
+    """The page of a dataset; it lists whatever is missing or damaged."""
     gallery = Gallery(MOST_BYTES)
     problems, how = _problems(dataset)
     pictures = [_pictures(dataset, split, gallery) for split in dataset.splits]
-    paths = _told(lambda: draw_light_paths(dataset, gallery))
+    paths = _or_error(lambda: draw_light_paths(dataset, gallery))
     stored = [_one_view(dataset, split, gallery, is_open=place == 0) for place, split in enumerate(dataset.splits)]
     parts: list[Part] = [
         tag("h1", dataset.name),
@@ -57,10 +56,10 @@ def look_page(dataset: Dataset) -> bytes:
         tag("p", tag("a", _number_of(problems), href="#missing"), class_="bad") if problems else None,
         section("Pictures", *pictures, id_="pictures"),
         section("Light paths", paths, id_="light-paths"),
-        section("Cameras", _told(lambda: draw_cameras(dataset)), id_="cameras"),
+        section("Cameras", _or_error(lambda: draw_cameras(dataset)), id_="cameras"),
         section("What is stored with a view", tag("p", STORED, class_="note"), *stored, id_="stored"),
-        section("Noise of the truth", _told(lambda: _noise_chart(dataset)), id_="noise"),
-        section("Objects", _told(lambda: _objects(dataset)), id_="objects"),
+        section("Noise of the truth", _or_error(lambda: _noise_chart(dataset)), id_="noise"),
+        section("Objects", _or_error(lambda: _objects(dataset)), id_="objects"),
         section("What it is", definitions(_facts(dataset)), id_="facts"),
         section("What is missing or damaged", _missing(problems, how), id_="missing"),
     ]
@@ -68,7 +67,7 @@ def look_page(dataset: Dataset) -> bytes:
 
 
 def look_sheet(dataset: Dataset) -> bytes:
-    """A PNG: a row for each split with pictures, and one with what is stored of its first view."""
+    """A PNG with two rows per split: pictures, and the stored data of its first view."""
     rows: list[list[Picture]] = []
     for split in dataset.splits:
         views = _shown(dataset, split)
@@ -119,12 +118,12 @@ def _facts(dataset: Dataset) -> list[tuple[str, Part]]:
         ("geometries", ", ".join(list_geometries(dataset))),
         ("variants", ", ".join(list_variants(dataset.root)) or "none"),
         ("on disk", sizes),
-        ("seal", dataset.seal[:12]),
+        ("digest", dataset.seal[:12]),
     ]
 
 
 def folder_sizes(root: Path) -> dict[str, int]:
-    """Bytes below each folder of a dataset, and of the files beside them; no link is followed."""
+    """Bytes in each folder of a dataset, and in the files next to them; links are not followed."""
     sizes: dict[str, int] = {}
     for place, _, names in os.walk(root):
         inside = Path(place).relative_to(root).parts
@@ -134,7 +133,7 @@ def folder_sizes(root: Path) -> dict[str, int]:
 
 
 def missing_lines(dataset: Dataset) -> list[str]:
-    """What is not there by the names of its files alone: nothing is read, so damage is not found."""
+    """What is missing, by file names alone: nothing is read, so damage is not found."""
     lines = []
     for split, count in dataset.num_views.items():
         lacking = [view for view in range(count) if not _has_view(dataset, split, view)]
@@ -155,16 +154,16 @@ def _has_view(dataset: Dataset, split: Split, view: int) -> bool:
 
 
 def _problems(dataset: Dataset) -> tuple[list[str], Part]:
-    """What is wrong, a line each, and how that was found or how to mend it."""
+    """The problems, one line each, and how they were found or how to fix them."""
     if sum(folder_sizes(dataset.root).values()) > MOST_VERIFIED_BYTES:
         lines = missing_lines(dataset)
         good = None if lines else tag("p", "No file is missing.")
-        more = tag("p", "This looks at names alone; to compare every byte with its checksum:")
+        more = tag("p", "Only names were checked; to compare every byte with its checksum:")
         return lines, join([good, more, command(shlex.join(["datagen", "verify", str(dataset.root)]))])
     found = verify_dataset(dataset.root)
     if found.problems:
         return found.problems, join(command(line) for line in found.commands)
-    return [], tag("p", f"Nothing: {found.verified:,} files are what they should be, byte by byte.")
+    return [], tag("p", f"Nothing: all {found.verified:,} files match their checksums.")
 
 
 def _missing(problems: list[str], how: Part) -> Markup:
@@ -177,17 +176,13 @@ def _number_of(problems: list[str]) -> str:
 
 
 def _shown(dataset: Dataset, split: Split) -> list[int]:
-    """Views of a split that are there, evenly chosen."""
+    """An even selection of the views of a split that exist."""
     there = [view for view in range(dataset.num_views[split]) if _has_view(dataset, split, view)]
     return [there[place] for place in evenly(min(SHOWN_VIEWS, len(there)), len(there))] if there else []
 
 
 def _first_whole(dataset: Dataset, split: Split, views: Sequence[int]) -> tuple[int, dict[str, StoredPicture]]:
-    """The first of some views of which everything can be read, and its pictures.
-
-    Raises:
-        HyalineError: there is none; what is wrong with the first.
-    """
+    """The first of some views that can be read completely, and its pictures; raises the first error if none can."""
     errors = []
     for view in views:
         try:
@@ -198,7 +193,7 @@ def _first_whole(dataset: Dataset, split: Split, views: Sequence[int]) -> tuple[
 
 
 def _stored(dataset: Dataset, split: Split, view: int) -> dict[str, StoredPicture]:
-    """The pictures of one view; of those that cannot be read, none."""
+    """The pictures of one view; raises if anything cannot be read."""
 
     def has_layers(geometry: str) -> bool:
         root = layers_root(dataset.root, geometry)
@@ -209,9 +204,9 @@ def _stored(dataset: Dataset, split: Split, view: int) -> dict[str, StoredPictur
 
 
 def _pictures(dataset: Dataset, split: Split, gallery: Gallery) -> Markup:
-    """Pictures of some views of a split; each that is damaged says so in its place."""
+    """Pictures of some views of a split; a damaged one is replaced by its error."""
     views, count = _shown(dataset, split), dataset.num_views[split]
-    shown = [_told(lambda view=view: _picture(dataset, split, view, gallery)) for view in views]
+    shown = [_or_error(lambda view=view: _picture(dataset, split, view, gallery)) for view in views]
     sheet = tag("div", *shown, class_="sheet") if views else tag("p", "No view is built yet.", class_="bad")
     title = f"{split}: {count:,} views" if count != 1 else f"{split}: 1 view"
     return section(title, sheet, id_=anchor("split", split), level=3)
@@ -225,7 +220,7 @@ def _picture(dataset: Dataset, split: Split, view: int, gallery: Gallery) -> Mar
 
 
 def _one_view(dataset: Dataset, split: Split, gallery: Gallery, *, is_open: bool) -> Markup | None:
-    """Everything that is stored of the first whole view; a script shows one picture at a time."""
+    """All stored data of the first complete view; a script shows one picture at a time."""
     views = _shown(dataset, split)
     if not views:
         return None
@@ -247,7 +242,7 @@ def _one_view(dataset: Dataset, split: Split, gallery: Gallery, *, is_open: bool
 
 
 def _depth_bar(near: float, far: float) -> Markup:
-    """From the nearest to the farthest pixel in metres, in the greys of the picture."""
+    """A bar of the picture's greys, with the depths of its nearest and farthest pixel in metres."""
     greys = (NEAREST - (NEAREST - FARTHEST) * np.arange(SHADES) / (SHADES - 1)).astype(np.uint8)
     bars = [tag("rect", x=place, width=1.1, height=1, fill=_hex([grey] * 3)) for place, grey in enumerate(greys)]
     label = f"depth from {near:.2f} m, bright, to {far:.2f} m, dark"
@@ -273,14 +268,14 @@ def _hex(color: Sequence[int]) -> str:
 
 def _noise_chart(dataset: Dataset) -> Markup:
     if dataset.imported is not None:
-        return tag("p", "The pictures were imported: how noisy they are is unknown.")
+        return tag("p", "The pictures were imported, so their noise is unknown.")
     lines = []
     for split in dataset.splits:
         there = [view for view in dataset.views(split) if _has_view(dataset, split, view.index)]
         ceilings = [(float(view.index), view.record.ceiling_db) for view in there]
         known = tuple((index, ceiling) for index, ceiling in ceilings if ceiling is not None)
         lines.append(Line(name=split, points=known))
-    title = "PSNR at which the truth's own noise would stop a perfect method"
+    title = "Noise ceiling: the highest PSNR that a perfect method could reach"
     return line_chart(tuple(lines), title=title, x_title="view", y_title="PSNR (dB)")
 
 
@@ -296,21 +291,21 @@ def _objects(dataset: Dataset) -> Markup:
     )
     rows = []
     for place, (item, material) in enumerate(zip(dataset.objects, materials, strict=True)):
-        told = to_json(material)
-        settings = _settings(told) if isinstance(told, dict) else ""
+        record = to_json(material)
+        settings = _settings(record) if isinstance(record, dict) else ""
         cells = (tag("td", place + 1, class_="number"), tag("th", item.name, scope="row"))
         rows.append(tag("tr", *cells, tag("td", type(material).__name__), tag("td", settings)))
-    caption = tag("caption", "Objects, by the id that layers hold")
+    caption = tag("caption", "Objects, by their id in layers")
     table = tag("table", caption, tag("thead", head), tag("tbody", *rows), class_="sortable")
     return tag("div", table, class_="scroll", tabindex=0, role="region", aria_label="Objects")
 
 
-def _settings(told: dict[str, Json]) -> str:
-    return ", ".join(f"{key} {_setting(value)}" for key, value in told.items() if key != "type")
+def _settings(record: dict[str, Json]) -> str:
+    return ", ".join(f"{key} {_setting(value)}" for key, value in record.items() if key != "type")
 
 
 def _setting(value: Json) -> str:
-    """A number, a color, or the name of a texture's kind."""
+    """A number, a colour, or the kind of a texture."""
     if isinstance(value, dict):
         return str(value.get("type", "of several parts"))
     if isinstance(value, list):
@@ -318,8 +313,8 @@ def _setting(value: Json) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
-def _told(draw: Callable[[], Markup]) -> Markup:
-    """What `draw` gives, or what is wrong with the files that it reads."""
+def _or_error(draw: Callable[[], Markup]) -> Markup:
+    """The result of `draw`, or its error about the files that it reads."""
     try:
         return draw()
     except HyalineError as error:

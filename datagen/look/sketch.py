@@ -1,6 +1,6 @@
-"""The scene as a pen would draw it: faces lightly shaded, outlines and creases in ink, hidden ones paler, glass clear.
+"""Line drawings of a scene, and of its cameras around it: light shading, ink outlines and creases, transparent glass.
 
-Seen along parallel rays. Lines drawn into it (cameras, light paths) become paler where something opaque hides them.
+The projection is orthographic. Lines drawn into a sketch (cameras, light paths) are paler behind opaque objects.
 """
 
 import itertools
@@ -10,40 +10,46 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int64, UInt8
 
+from datagen.data.cameras import Camera, Cameras
+from datagen.data.config import Split
+from datagen.data.dataset import Dataset
+from datagen.data.geometries import true_meshes
 from datagen.data.meshes import Mesh, face_corners, is_there
+from datagen.data.variants import evenly
+from datagen.pages.charts import COLORS
 from datagen.pages.html import Markup, Part, tag
 from datagen.pages.pictures import data_uri
 
 WIDTH, HEIGHT = 1200, 900
-"""Pixels of a sketch, which pages show at half that size: lines stay fine on any screen."""
+"""Pixels of a sketch; pages show it at half this size, so that lines stay fine on any screen."""
 MARGIN = 50
-"""Pixels around what a sketch has to show."""
+"""Pixels around the content of a sketch."""
 LIGHT = np.array([-0.4, 0.75, 0.55])
-"""Where light comes from, as (right, up, towards the eye)."""
+"""Direction towards the light, as (right, up, towards the eye)."""
 CREASE = math.cos(math.radians(30))
-"""Normals of neighbouring pixels that differ more are parted by a line."""
+"""Cosine below which a line is drawn between the normals of neighbouring pixels."""
 INK, PALE_INK, GLASS_INK = (44, 52, 60), (178, 186, 194), (23, 96, 150)
 GLASS_TINT = np.array([0.80, 0.90, 0.97])
 LEAST_GAP = 6
-"""Pixels of depth by which one thing must be nearer than another to hide it: what lies on a surface is seen."""
+"""An object hides another if it is nearer by this many pixels of depth, so that lines on a surface stay visible."""
 MOST_PIXELS = 1 << 24
-"""Covered by the faces that are drawn together, at most."""
+"""Faces are rasterised in batches of about this many pixels."""
 
 Points = Float[np.ndarray, "point 3"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Standpoint:
-    """From where a sketch is seen, and what of the scene it shows."""
+class Viewpoint:
+    """The viewpoint of a sketch, and the part of the scene that it shows."""
 
     middle: Float[np.ndarray, "3"]
-    """The world's point in the middle, in metres."""
+    """World position in the middle of the sketch, in metres."""
     axes: Float[np.ndarray, "3 3"]
     """Unit vectors to the right, up and towards the eye, as rows."""
     scale: float
-    """Pixels a metre."""
+    """Pixels per metre."""
     near: float
-    """Metres from the middle towards the eye beyond which the scene is cut away."""
+    """Distance of the near plane from the middle towards the eye, in metres; anything nearer is cut away."""
     width: int
     height: int
 
@@ -53,8 +59,8 @@ class Standpoint:
         return np.stack([self.width / 2 + right, self.height / 2 - up, -towards], axis=1)
 
 
-def stand(around: Points, azimuth_deg: float, elevation_deg: float, *, width: int, height: int) -> Standpoint:
-    """The standpoint that shows some points as large as the frame allows."""
+def fit_viewpoint(around: Points, azimuth_deg: float, elevation_deg: float, *, width: int, height: int) -> Viewpoint:
+    """The viewpoint that fits points into the frame, as large as possible."""
     a, e = math.radians(azimuth_deg), math.radians(elevation_deg)
     axes = np.array(
         [
@@ -68,11 +74,11 @@ def stand(around: Points, azimuth_deg: float, elevation_deg: float, *, width: in
     room = np.array([width, height]) - 2 * MARGIN
     scale = float((room / np.maximum(high - low, 1e-9)[:2]).min())
     near = 0.5 * float(high[2] - low[2]) + MARGIN / scale
-    return Standpoint(middle=(low + high) / 2 @ axes, axes=axes, scale=scale, near=near, width=width, height=height)
+    return Viewpoint(middle=(low + high) / 2 @ axes, axes=axes, scale=scale, near=near, width=width, height=height)
 
 
 def path_of(places: Float[np.ndarray, "point 2"]) -> str:
-    """A line through places of a drawing, as SVG writes it."""
+    """A line through points of a drawing, as SVG path data."""
     return "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in places)
 
 
@@ -80,25 +86,25 @@ def path_of(places: Float[np.ndarray, "point 2"]) -> str:
 class Sketch:
     """A drawn scene."""
 
-    standpoint: Standpoint
+    viewpoint: Viewpoint
     depth: Float32[np.ndarray, "h w"]
-    """Of the nearest opaque surface; infinite where there is none."""
+    """Depth of the nearest opaque surface; infinite if there is none."""
     picture: UInt8[np.ndarray, "h w 4"]
 
     def svg(self, *parts: Part, name: str) -> Markup:
-        """The sketch as a picture that screen readers call by a name, with parts over it."""
+        """The sketch with parts drawn over it; `name` labels it for screen readers."""
         height, width = self.depth.shape
         scene = tag("image", href=data_uri(self.picture), width=width, height=height)
         frame = f"0 0 {width} {height}"
         return tag("svg", scene, *parts, class_="drawing sketch", viewBox=frame, role="img", aria_label=name)
 
-    def stroke(self, p_world: Points, *, says: str, class_: str) -> Markup:
-        """A line through points in the world, paler where something opaque hides it.
+    def stroke(self, p_world: Points, *, label: str, class_: str) -> Markup:
+        """A line through world positions, paler behind opaque objects.
 
         Args:
-            says: what appears when one points at it.
+            label: its tooltip.
         """
-        placed = self.standpoint.place(p_world)
+        placed = self.viewpoint.place(p_world)
         seen, hidden = [], []
         for start, end in itertools.pairwise(placed):
             line = np.linspace(start, end, int(np.linalg.norm((end - start)[:2]) / 4) + 2)
@@ -110,10 +116,10 @@ class Sketch:
         drawn = "".join(seen)
         paths = [("hidden", "".join(hidden)), ("halo", drawn), (None, drawn)]
         parts = [tag("path", d=path, class_=kind) for kind, path in paths if path]
-        return tag("g", tag("title", says), *parts, class_=f"stroke {class_}")
+        return tag("g", tag("title", label), *parts, class_=f"stroke {class_}")
 
     def is_hidden(self, placed: Points) -> Bool[np.ndarray, " point"]:
-        """Where something opaque is nearer to the eye."""
+        """Whether points are behind something opaque."""
         height, width = self.depth.shape
         column, row = np.floor(placed[:, :2]).astype(int).T
         is_inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
@@ -121,15 +127,15 @@ class Sketch:
         return is_inside & (placed[:, 2] > nearest + LEAST_GAP)
 
 
-def draw_sketch(meshes: tuple[Mesh, ...], is_glass: Bool[np.ndarray, " mesh"], standpoint: Standpoint) -> Sketch:
-    """The sketch of meshes, of which some are glass: one sees through it to what is behind."""
+def draw_sketch(meshes: tuple[Mesh, ...], is_glass: Bool[np.ndarray, " mesh"], viewpoint: Viewpoint) -> Sketch:
+    """The sketch of meshes; glass is transparent."""
     opaque, clear = (
         [mesh for mesh, glass in zip(meshes, is_glass, strict=True) if is_there(mesh) and bool(glass) is which]
         for which in (False, True)
     )
-    solid = _Seen(opaque, standpoint)
-    behind = _Seen(opaque, standpoint, behind=solid.depth)
-    glass = _Seen(clear, standpoint)
+    solid = _Seen(opaque, viewpoint)
+    behind = _Seen(opaque, viewpoint, behind=solid.depth)
+    glass = _Seen(clear, viewpoint)
     is_seen = glass.is_there & (glass.depth < solid.depth)
 
     tone = np.where(solid.is_there, 214 + 36 * solid.brightness(), 255)[..., None] * np.ones(3)
@@ -144,36 +150,36 @@ def draw_sketch(meshes: tuple[Mesh, ...], is_glass: Bool[np.ndarray, " mesh"], s
         tone[drawn] = ink
         alpha[drawn] = 255
     picture = np.concatenate([tone, alpha[..., None]], axis=-1).clip(0, 255).astype(np.uint8)
-    return Sketch(standpoint=standpoint, depth=solid.depth, picture=picture)
+    return Sketch(viewpoint=viewpoint, depth=solid.depth, picture=picture)
 
 
 class _Seen:
-    """What is nearest to the eye in each pixel, of some meshes."""
+    """The surface of some meshes that is nearest to the eye in each pixel."""
 
     def __init__(
-        self, meshes: list[Mesh], standpoint: Standpoint, behind: Float32[np.ndarray, "h w"] | None = None
+        self, meshes: list[Mesh], viewpoint: Viewpoint, behind: Float32[np.ndarray, "h w"] | None = None
     ) -> None:
         """
         Args:
-            behind: only what is farther than this counts.
+            behind: depth; only surfaces farther away count.
         """
         corners = np.concatenate([np.zeros((0, 3, 3)), *map(face_corners, meshes)])
-        placed = standpoint.place(corners.reshape(-1, 3)).reshape(-1, 3, 3)
-        least = np.float32(-standpoint.near * standpoint.scale)
-        shape = standpoint.height, standpoint.width
-        self._is_thick = standpoint.width == WIDTH
+        placed = viewpoint.place(corners.reshape(-1, 3)).reshape(-1, 3, 3)
+        least = np.float32(-viewpoint.near * viewpoint.scale)
+        shape = viewpoint.height, viewpoint.width
+        self._is_thick = viewpoint.width == WIDTH
         floor = np.full(shape, least) if behind is None else behind + np.float32(LEAST_GAP)
         self.depth, face, weights = rasterise(placed, floor)
         self.is_there = face >= 0
         mesh_of_face = np.repeat(np.arange(len(meshes)), [len(mesh.faces) for mesh in meshes])
         self.mesh = np.concatenate([[-1], mesh_of_face])[face + 1]
         normals = np.concatenate([np.zeros((1, 3, 3)), *(mesh.normals[mesh.faces] for mesh in meshes)])
-        self._normal = (np.einsum("hwc,hwcx->hwx", weights, normals[face + 1]) @ standpoint.axes.T).astype(np.float32)
+        self._normal = (np.einsum("hwc,hwcx->hwx", weights, normals[face + 1]) @ viewpoint.axes.T).astype(np.float32)
         self._normal /= np.maximum(np.linalg.norm(self._normal, axis=-1, keepdims=True), 1e-9)
         self._normal *= np.where(self._normal[..., 2:] < 0, -1, 1)
 
     def brightness(self) -> Float32[np.ndarray, "h w"]:
-        """0 to 1."""
+        """Brightness under `LIGHT`, 0 to 1."""
         return (self._normal @ (LIGHT / np.linalg.norm(LIGHT)).astype(np.float32)).clip(0, 1)
 
     def lines(self) -> Bool[np.ndarray, "h w"]:
@@ -185,7 +191,7 @@ class _Seen:
             normal, out = np.moveaxis(self._normal, axis, 0), np.moveaxis(found, axis, 0)
             other = mesh[1:] != mesh[:-1]
             crease = (normal[1:] * normal[:-1]).sum(axis=-1) < CREASE
-            # Where the depth is no straight line through three pixels, a nearer part covers a farther one.
+            # Where depth is not linear over three pixels, a nearer part covers a farther one.
             bend = np.abs(z[2:] - 2 * z[1:-1] + z[:-2])
             step = np.zeros_like(other)
             step[1:] = bend > LEAST_GAP
@@ -203,7 +209,7 @@ def rasterise(
 
     Args:
         placed: column and row in pixels, and depth, of the corners of each face.
-        least: depth that a face must exceed at a pixel to count there.
+        least: faces count only at pixels where their depth exceeds this.
     """
     (height, width), least = least.shape, least.ravel()
     depth, face = np.full(height * width, np.inf, np.float32), np.full(height * width, -1)
@@ -218,7 +224,7 @@ def rasterise(
         corner_z = placed[which, :, 2]
         at_0, at_1 = ((_weights(steps[which], x, y) * corner_z).sum(axis=1) for x in (0.5, 1.5))
         z = at_0[of_pixel] + (at_1 - at_0)[of_pixel] * column
-        # Of faces seen nearly from their edge, rounding would put some pixels far in front or behind.
+        # Rounding would put some pixels of faces seen nearly edge-on far in front or behind.
         z = np.clip(z, corner_z.min(axis=1)[of_pixel], corner_z.max(axis=1)[of_pixel]).astype(np.float32)
         pixel, which = (row[part] * width)[of_pixel] + column, which[of_pixel]
         counts = z > least[pixel]
@@ -234,11 +240,11 @@ def rasterise(
 
 
 def _steps_of_weights(placed: Float[np.ndarray, "face 3 3"]) -> Float[np.ndarray, "face 3 2"]:
-    """Weights of a face's second and third corner: at (0, 0), and what a column and a row add."""
+    """Weights of a face's second and third corner: at (0, 0), and their increase per column and per row."""
     a, b, c = placed[:, :, :2].swapaxes(0, 1)
     (bx, by), (cx, cy) = (b - a).T, (c - a).T
     area = bx * cy - by * cx
-    area = np.where(area == 0, np.inf, area)  # Seen from its edge: no pixel sees it.
+    area = np.where(area == 0, np.inf, area)  # Seen edge-on: it covers no pixel.
     columns, rows = np.stack([cy, -by], axis=1), np.stack([-cx, bx], axis=1)
     first = -(a[:, :1] * columns + a[:, 1:] * rows)
     return np.stack([first, columns, rows], axis=1) / area[:, None, None]
@@ -269,7 +275,7 @@ def _crossings(
 def _centres_between(
     low: Float[np.ndarray, " span"], high: Float[np.ndarray, " span"], count: int
 ) -> tuple[Int64[np.ndarray, " span"], Int64[np.ndarray, " span"]]:
-    """The first and the last of so many pixels whose centres lie between two places."""
+    """The first and the last of `count` pixels whose centres lie between two positions."""
     first = np.ceil(np.clip(low, 0, count + 1) - 0.5).astype(int)
     return first, np.floor(np.clip(high, -1, count) - 0.5).astype(int)
 
@@ -282,3 +288,104 @@ def _spread(
     span = np.repeat(np.arange(len(first)), counts)
     begins = np.concatenate([[0], np.cumsum(counts)[:-1]]) if len(counts) else counts
     return span, first[span] + np.arange(len(span)) - begins[span]
+
+
+MOST_CAMERAS = 120
+"""Cameras drawn per split; if there are more, an even selection."""
+FRUSTUM_SHARE = 0.045
+"""Depth of a drawn frustum, relative to the extent of all cameras; smaller for more than `MANY` cameras."""
+MANY = 40
+MARKS = ("", "disc", "square")
+"""Marks on camera centres: for the first split, the second, and all others."""
+MARK = 5
+"""Pixels from the middle of a mark to its edge."""
+VIEWS = (("from in front", 35.0, 28.0, 1), ("from above", 0.0, 90.0, 2), ("from the side", 90.0, 0.0, 2))
+"""Name, degrees to the right of the cameras' side, elevation in degrees, and the factor by which it is smaller."""
+
+
+def draw_cameras(dataset: Dataset) -> Markup:
+    """The cameras of all splits as frustums around the scene, and a legend of the splits."""
+    cameras: dict[Split, Cameras] = {split: dataset.cameras(split) for split in dataset.splits}
+    meshes, is_glass = true_meshes(dataset), np.array([item.is_glass for item in dataset.objects], bool)
+    around = np.concatenate([item.world_from_camera[:, :3, 3] for item in cameras.values()])
+    crowding = math.sqrt(max(1.0, sum(min(MOST_CAMERAS, len(item)) for item in cameras.values()) / MANY))
+    apart = float(np.linalg.norm(around.max(axis=0) - around.min(axis=0)))
+    size = FRUSTUM_SHARE / crowding * max(apart, 1e-6)
+    frustums: dict[Split, dict[int, Points]] = {
+        split: {view: frustum(item[view], size) for view in evenly(min(MOST_CAMERAS, len(item)), len(item))}
+        for split, item in cameras.items()
+    }
+    seen = np.concatenate(
+        [around, *(points for drawn in frustums.values() for points in drawn.values()), _looked_at(meshes, is_glass)]
+    )
+    azimuth_deg = open_azimuth_deg(dataset)
+    drawings = []
+    for name, turn_deg, elevation_deg, smaller in VIEWS:
+        place = fit_viewpoint(
+            seen, azimuth_deg + turn_deg, elevation_deg, width=WIDTH // smaller, height=HEIGHT // smaller
+        )
+        sketch = draw_sketch(meshes, is_glass, place)
+        drawings.append(tag("figure", _draw(sketch, frustums, name), tag("figcaption", f"Cameras {name}")))
+    legend = [
+        _legend_line(place, split, len(frustums[split]), len(item))
+        for place, (split, item) in enumerate(cameras.items())
+    ]
+    large, *small = drawings
+    keys = tag("ul", *legend, class_="legend keys", aria_label="Cameras by split")
+    return tag("div", large, tag("div", *small, class_="small"), keys, class_="drawings")
+
+
+def open_azimuth_deg(dataset: Dataset) -> float:
+    """The azimuth of the side that the cameras look from, in degrees, where no wall blocks the view."""
+    towards = np.zeros(3)
+    for split in dataset.splits:
+        towards += dataset.cameras(split).world_from_camera[:, :3, 2].mean(axis=0)  # A camera looks along its -z.
+    return math.degrees(math.atan2(towards[1], towards[0]))
+
+
+def _looked_at(meshes: tuple[Mesh, ...], is_glass: Bool[np.ndarray, " mesh"]) -> Points:
+    """Corners of the bounding boxes of all glass, or of all meshes if there is no glass."""
+    there = [(mesh, glass) for mesh, glass in zip(meshes, is_glass, strict=True) if is_there(mesh)]
+    chosen = [mesh for mesh, glass in there if glass] or [mesh for mesh, _ in there]
+    corners = [np.stack([mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)]).astype(np.float64) for mesh in chosen]
+    return np.concatenate([np.zeros((0, 3)), *corners])
+
+
+def frustum(camera: Camera, depth: float) -> Points:
+    """The edges of a camera's view pyramid as one stroke, `depth` metres deep."""
+    across = math.tan(camera.fov_x / 2) * depth
+    along = across * camera.height / camera.width
+    corners = [np.array([x * across, y * along, -depth]) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+    a, b, c, d = (camera.world_from_camera[:3, :3] @ corner + camera.world_from_camera[:3, 3] for corner in corners)
+    apex = camera.world_from_camera[:3, 3]
+    return np.array([apex, a, b, apex, c, d, apex, b, c, d, a])
+
+
+def _draw(sketch: Sketch, frustums: dict[Split, dict[int, Points]], name: str) -> Markup:
+    parts = []
+    for place, (split, drawn) in enumerate(frustums.items()):
+        color, mark = _style(place)
+        for view, points in drawn.items():
+            line = sketch.stroke(points, label=f"{split} view {view}", class_=color)
+            column, row, _ = sketch.viewpoint.place(points[:1])[0]
+            parts.append(tag("g", line, _mark(mark, round(column, 1), round(row, 1)), class_=color))
+    return sketch.svg(*parts, name=f"Cameras {name}")
+
+
+def _legend_line(place: int, split: str, drawn: int, count: int) -> Markup:
+    color, mark = _style(place)
+    frustum = tag("path", d="M6 10L26 2V18ZM6 10L32 6V14Z")
+    key = tag("svg", frustum, _mark(mark, 6, 10), class_=f"key stroke {color}", viewBox="0 0 36 20", aria_hidden="true")
+    said = f"{count:,} cameras" if drawn == count else f"{drawn:,} of {count:,} cameras"
+    return tag("li", key, f"{split}: {said}")
+
+
+def _mark(kind: str, x: float, y: float) -> Markup | None:
+    if kind == "disc":
+        return tag("circle", cx=x, cy=y, r=MARK)
+    return tag("rect", x=x - MARK, y=y - MARK, width=2 * MARK, height=2 * MARK) if kind else None
+
+
+def _style(place: int) -> tuple[str, str]:
+    """The colour and the mark of a split."""
+    return f"s{place % len(COLORS)}", MARKS[min(place, len(MARKS) - 1)]

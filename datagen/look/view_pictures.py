@@ -1,4 +1,4 @@
-"""What a dataset stores of a view, as pictures that a person can read: masks, depth, normals, layers, proxies."""
+"""A view's stored data as pictures for people: masks, depth, normals, layers, proxies."""
 
 import colorsys
 from dataclasses import dataclass
@@ -12,33 +12,30 @@ from datagen.quantities.view_quantities import quantities
 Picture = UInt8[np.ndarray, "h w 3"]
 
 NOTHING = (24, 24, 24)
-"""The colour of pixels that show no surface."""
+"""The colour of pixels without a surface."""
 TONES = ((0.55, 0.95), (0.85, 0.75), (0.35, 0.8))
-"""Saturations and values that objects take in turn, so that not hue alone tells them apart."""
+"""Saturations and values of objects, in turn, so that they differ in more than hue."""
 NEAREST, FARTHEST = 255, 40
-"""Grey of the nearest and of the farthest pixel of a picture of depth."""
+"""Grey levels of the nearest and the farthest pixel in a depth picture."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StoredPicture:
-    """A picture, and what its colours mean where they mean something."""
+    """A picture, and the meaning of its colours where they have one."""
 
     pixels: Picture
     metres: tuple[float, float] | None = None
-    """Depth of its brightest and of its darkest pixel."""
+    """Depths of the brightest and the darkest pixel."""
     object_ids: tuple[int, ...] = ()
-    """Objects that it shows by their colours."""
+    """Ids of the objects that it shows in their colours."""
 
 
 def stored_pictures(view: View, *, has_layers: bool, proxies: tuple[str, ...] = ()) -> dict[str, StoredPicture]:
-    """Pictures of a view by what they show, its own first.
+    """Pictures of a view by name; the view's own picture comes first.
 
     Args:
-        has_layers: whether the true geometry's straight layers are stored: all but the picture come from them.
-        proxies: geometries whose straight layers are stored; their first layer is laid over the picture.
-
-    Raises:
-        HyalineError: the view is not built, not peeled, or damaged.
+        has_layers: whether the true geometry's straight layers are stored; everything but the picture needs them.
+        proxies: geometries with stored straight layers; their first layer is laid over the picture.
     """
     pictures = {"picture": StoredPicture(pixels=view.image)}
     if not has_layers:
@@ -63,7 +60,7 @@ def stored_pictures(view: View, *, has_layers: bool, proxies: tuple[str, ...] = 
 
 
 def _imported_pictures(view: View) -> dict[str, StoredPicture]:
-    """What came with an imported picture."""
+    """The mask and depth that were imported with a picture."""
     found = {}
     if (mask := view.imported_mask) is not None:
         found["glass"] = StoredPicture(pixels=np.where(mask[..., None], view.image, view.image // 5))
@@ -73,13 +70,13 @@ def _imported_pictures(view: View) -> dict[str, StoredPicture]:
 
 
 def object_colors(count: int) -> UInt8[np.ndarray, "id 3"]:
-    """A colour for each object id, neighbours far apart; nothing for 0."""
+    """A colour for each object id, with neighbouring ids far apart; `NOTHING` for 0."""
     hues = [colorsys.hsv_to_rgb((0.61803 * place) % 1, *TONES[place % len(TONES)]) for place in range(count)]
     return np.concatenate([[NOTHING], 255 * np.array(hues).reshape(-1, 3)]).astype(np.uint8)
 
 
 def depth_picture(depth: Float32[np.ndarray, "h w"], is_there: Bool[np.ndarray, "h w"]) -> StoredPicture:
-    """Near is bright; black where there is nothing. The nearest and the farthest pixel span the scale."""
+    """Depth as grey: near is bright, black means no surface. The nearest and the farthest pixel span the scale."""
     picture = np.zeros((*depth.shape, 3), np.uint8)
     if not is_there.any():
         return StoredPicture(pixels=picture)
@@ -90,7 +87,7 @@ def depth_picture(depth: Float32[np.ndarray, "h w"], is_there: Bool[np.ndarray, 
 
 
 def _outline(ids: UInt8[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
-    """Pixels beside one of another object."""
+    """Pixels next to a pixel of another object."""
     edge = np.zeros(ids.shape, bool)
     edge[1:] |= ids[1:] != ids[:-1]
     edge[:, 1:] |= ids[:, 1:] != ids[:, :-1]

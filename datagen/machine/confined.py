@@ -1,7 +1,7 @@
-"""A function of ours in a process of its own, with limits on memory and time: for files that anybody may have written.
+"""Runs a function in a child process with limits on memory and time, to read untrusted files.
 
-What such a file does to its reader - a hang, a crash, 60 GB, an exception that nobody thought of - ends that process,
-and is one error here. What the function found comes back as files in a scratch folder.
+Whatever a file does to its reader (a hang, a crash, 60 GB, an unexpected exception) ends only that process and becomes
+one HyalineError here. The function returns its result as files in a scratch folder.
 """
 
 import contextlib
@@ -18,39 +18,35 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from datagen.disk.errors import HyalineError, naming
-from datagen.machine.child_python import child_environment
-from datagen.machine.workers import die_with
+from datagen.machine.processes import child_environment, die_with
 from datagen.terminal.command import say
 
 CPU_S = 8
-"""CPU seconds that a process has before it has read anything; a start takes half a second."""
+"""CPU seconds allowed before anything is read; starting takes half a second."""
 MEMORY = 2_000_000_000
-"""Bytes of address space that it has, of which imports and libraries take a quarter."""
+"""Bytes of address space allowed before anything is read; imports and libraries take a quarter."""
 CPU_S_PER_BYTE = 3e-5
-"""Text of a mesh takes 5e-7, compressed XML 1e-5."""
+"""Reading a mesh from text takes 5e-7, compressed XML 1e-5."""
 MEMORY_PER_BYTE = 24
 CPU_S_PER_TRIANGLE = 5e-4
-"""To mend, to map and to check one takes 1e-4."""
+"""Repairing, mapping and checking one takes 1e-4."""
 MEMORY_PER_TRIANGLE = 1500
 PATIENCE = 10
-"""Seconds on the clock for each of the processor: others use it, too."""
+"""Seconds of wall time per second of CPU time, since other processes use the CPU, too."""
 UNWRAPPED_A_SECOND = 100
-"""Triangles, in child processes whose own limits are shorter."""
+"""Triangles unwrapped per second, by child processes with shorter limits of their own."""
 
 
 @contextlib.contextmanager
 def confined(function: Callable[..., None], *arguments: object, where: str) -> Iterator[Path]:
-    """The folder that `function(folder, *arguments)` has filled in a process of its own; it is gone after the block.
+    """Runs `function(folder, *arguments)` in a child process and yields the folder, which is deleted after the block.
 
-    Both pass as a pickle, and nothing comes back as one. When the block is left early, by a signal too, the process
-    ends with all that it started.
+    Function and arguments are pickled for the child; results are never unpickled. If the block is left early, even by
+    a signal, the child and all its descendants are killed.
 
     Args:
-        function: of a module, found by its name; it calls `allow` for what it has read.
-        where: the file, as errors name it.
-
-    Raises:
-        HyalineError: that of the function, or which limit it met, or how it died.
+        function: a module's top-level function; it calls `allow_file` and `allow_triangles` for what it reads.
+        where: the file, as named in errors.
     """
     with tempfile.TemporaryDirectory(prefix="hyaline-reader-", ignore_cleanup_errors=True) as scratch:
         folder = Path(scratch)
@@ -73,7 +69,7 @@ def confined(function: Callable[..., None], *arguments: object, where: str) -> I
 
 
 def _run(folder: Path, said: int) -> int:
-    """The status of the process, which is ended with all that it started when this is left."""
+    """Runs the child process and returns its exit status; kills its process group in any case."""
     environment = {
         **child_environment(),
         "TMPDIR": str(folder / "temporary"),
@@ -95,13 +91,13 @@ def _run(folder: Path, said: int) -> int:
     try:
         return process.wait()
     finally:
-        with contextlib.suppress(ProcessLookupError, PermissionError):  # macOS: of a group that has ended.
+        with contextlib.suppress(ProcessLookupError, PermissionError):  # macOS: the group has ended.
             os.killpg(process.pid, signal.SIGKILL)
         process.wait()
 
 
 def _answer(folder: Path) -> dict[str, object] | None:
-    """What the process says of its end; None where it could not say it."""
+    """How the process ended, as it recorded it; None if it could not."""
     try:
         answer = json.loads((folder / "end.json").read_bytes())
     except (OSError, ValueError):
@@ -128,11 +124,11 @@ def _cpu_of_children() -> float:
     return times.children_user + times.children_system
 
 
-# Inside of the process
+# Inside the process
 
 
 class _Limits:
-    """What this process may use; everything that it reads allows it more."""
+    """The limits of this process; they rise with everything it reads."""
 
     def __init__(self, cpu_s: float, memory: float) -> None:
         self.cpu_s, self.memory = cpu_s, memory
@@ -146,7 +142,7 @@ class _Limits:
         self._set()
 
     def is_new(self, path: Path) -> bool:
-        """True when a file is seen for the first time: one that is read again allows nothing more."""
+        """True when a file is seen for the first time; reading it again does not raise the limits."""
         before = len(self._seen)
         self._seen.add(path.resolve())
         return len(self._seen) > before
@@ -159,17 +155,17 @@ class _Limits:
 
 
 _limits: _Limits | None = None
-"""None outside of such a process."""
+"""None outside such a process."""
 
 
 def allow_file(path: Path, size: int) -> None:
-    """Says that this process has opened a file, and may use as much more time and memory as reading that takes."""
+    """Raises this process's limits by the time and memory that reading a file takes."""
     if _limits is not None and _limits.is_new(path):
         _limits.raise_by(CPU_S_PER_BYTE * size, MEMORY_PER_BYTE * size)
 
 
 def allow_triangles(count: int) -> None:
-    """Says how many triangles this process has read, and what it takes to make a scene of them."""
+    """Raises this process's limits by what making a scene of these triangles takes."""
     if _limits is not None:
         waiting_s = 60 + count / UNWRAPPED_A_SECOND
         _limits.raise_by(CPU_S_PER_TRIANGLE * count, MEMORY_PER_TRIANGLE * count, waiting_s=waiting_s)
@@ -178,7 +174,7 @@ def allow_triangles(count: int) -> None:
 def _set_soft(what: int, limit: int) -> None:
     _, hard = resource.getrlimit(what)
     limit = limit if hard == resource.RLIM_INFINITY else min(limit, hard)
-    with contextlib.suppress(ValueError, OSError):  # macOS takes no limit on address space.
+    with contextlib.suppress(ValueError, OSError):  # macOS cannot limit address space.
         resource.setrlimit(what, (limit, hard))
 
 
@@ -195,7 +191,7 @@ def _main(folder: Path, parent: int) -> None:
     except MemoryError:
         limit = f"{_limits.memory / 1e9:.1f} GB of memory"
         end = {"error": f"{where}: needs more than {limit} to be read; make it smaller, or split it"}
-    # Nobody can list what broken files raise in the libraries that read them.
+    # Libraries raise all kinds of exceptions on broken files.
     except Exception as error:
         reason = " ".join(f"{type(error).__name__}: {error}".split())
         end = {"error": f"{where}: cannot be read ({reason[:200]}); the file is damaged, export it again"}

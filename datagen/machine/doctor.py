@@ -1,32 +1,33 @@
-"""What this machine has, what will be used of it, and the one command that fixes whatever is missing."""
+"""What this machine has, what hyaline will use, and one command for each missing part."""
 
+import functools
 import importlib.metadata
 import os
 import platform
+import subprocess
 from dataclasses import dataclass
-from pathlib import Path
 
-from datagen.machine.gpu import cuda_problem, describe_gpus, has_gpu
+from datagen.machine.hardware import cuda_problem, describe_gpus, describe_processor, has_gpu
 from datagen.machine.llvm import advice
 from datagen.machine.mitsuba_variant import choose_variant
-from datagen.machine.processor import describe_processor
+from datagen.machine.processes import ROOT
 from datagen.terminal.distribution import VERSION, install_command
 
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """One thing that was looked at."""
+    """The result of one check."""
 
     what: str
     found: str
     remedy: str | None
-    """The command that mends it; None when all is well."""
+    """The command that fixes it; None when all is well."""
 
 
 def examine() -> list[Finding]:
-    """Looks at the installation, cores, processor, GPU, and at what path tracing, training and proxies need."""
+    """Checks the installation, cores, processor, GPU, and what path tracing, training and proxies need."""
     return [
-        Finding(what="hyaline", found=f"{VERSION} in {Path(__file__).resolve().parents[2]}", remedy=None),
+        Finding(what="hyaline", found=f"{VERSION} in {ROOT}", remedy=None),
         Finding(what="cores", found=f"{os.cpu_count()} ({platform.system()})", remedy=None),
         Finding(what="processor", found=describe_processor(), remedy=None),
         Finding(what="GPU", found=_gpu(), remedy=None),
@@ -37,9 +38,9 @@ def examine() -> list[Finding]:
 
 
 def _gpu() -> str:
-    """The GPUs, and why Mitsuba leaves them alone where it does."""
+    """The GPUs, and why Mitsuba cannot use them where it cannot."""
     found = describe_gpus()
-    if has_gpu() and _version("mitsuba") is not None and (problem := cuda_problem(anew=True)) is not None:
+    if has_gpu() and _version("mitsuba") is not None and (problem := cuda_problem(again=True)) is not None:
         return f"{found}; Mitsuba cannot render on it: {problem}"
     return found
 
@@ -66,7 +67,7 @@ def _torch() -> Finding:
 
 
 def _version(package: str) -> str | None:
-    """None: it is not installed."""
+    """The version of an installed package, else None."""
     try:
         return importlib.metadata.version(package)
     except importlib.metadata.PackageNotFoundError:
@@ -93,3 +94,16 @@ def _meshlab() -> Finding:
             remedy="apt install libgl1",
         )
     return Finding(what="PyMeshLab", found=version, remedy=None)
+
+
+@functools.cache
+def code_version() -> str:
+    """The version, in a checkout with its commit, such as `0.1.0 (5a596f5)`; `-dirty` marks uncommitted changes."""
+    if not (ROOT / ".git").exists():
+        return VERSION
+    command = ["git", "-C", str(ROOT), "describe", "--always", "--dirty", "--exclude=*"]
+    try:
+        answer = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
+    except (OSError, subprocess.SubprocessError):
+        return VERSION
+    return f"{VERSION} ({answer.stdout.strip()})"

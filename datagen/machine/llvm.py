@@ -1,8 +1,8 @@
-"""The search for a libLLVM that works, done before Dr.Jit is imported. Standard library only.
+"""Finds a libLLVM that works, before Dr.Jit is imported. Standard library only.
 
-Dr.Jit 1.5 takes the highest libLLVM that it finds. LLVM 15 and 16 load and then abort the process at the first render
-(they cannot lower llvm.minimum on x86-64), and 15 is what a Debian 12 machine has; 17 to 23 work. So the choice is made
-here and handed over in DRJIT_LIBLLVM_PATH.
+Dr.Jit 1.5 takes the newest libLLVM that it finds. LLVM 15, which Debian 12 ships, and 16 load and then abort the
+process at the first render (they cannot lower llvm.minimum on x86-64); 17 to 23 work. So the choice is made here and
+passed on in DRJIT_LIBLLVM_PATH.
 """
 
 import os
@@ -44,7 +44,7 @@ class LlvmLibrary:
 
 
 def choose_llvm() -> LlvmLibrary | None:
-    """The libLLVM to use: the user's variable, else the wheel's, else the newest of the system; None if none works."""
+    """The libLLVM to use: from the user's variable, else the wheel's, else the system's newest; None if none works."""
     if named := os.environ.get(VARIABLE):
         found = probe(Path(named), source="environment")
         return found if found and found.works else None
@@ -55,9 +55,9 @@ def choose_llvm() -> LlvmLibrary | None:
 
 
 def system_llvm() -> LlvmLibrary | None:
-    """The newest libLLVM of the system that works; None if there is none."""
+    """The system's newest libLLVM that works, or None."""
     paths = {path.resolve() for folder, pattern in SYSTEM_PATTERNS for path in Path(folder).glob(pattern)}
-    # The name tells the version, so libraries that are too old are never loaded.
+    # The version is in the name, so libraries that are too old are never loaded.
     named = [(int(match[1]), path) for path in paths if (match := re.search(r"(\d+)", path.name.replace("LLVM", "")))]
     for number, path in sorted(named, reverse=True):
         if number >= MIN_LLVM and (found := probe(path, source="system")) and found.works:
@@ -66,7 +66,7 @@ def system_llvm() -> LlvmLibrary | None:
 
 
 def probe(path: Path, *, source: str) -> LlvmLibrary | None:
-    """What version a libLLVM reports, asked in a process of its own; None when it is none."""
+    """The library with the version that it reports to a child process; None if it is not a libLLVM."""
     if not path.is_file():
         return None
     answer = subprocess.run(
@@ -88,7 +88,7 @@ print(*(number.value for number in numbers))
 
 
 def advice() -> str:
-    """The one command that gives this machine a libLLVM."""
+    """The command that installs a libLLVM on this machine."""
     if platform.system() == "Darwin":
         return "brew install llvm"
     if platform.system() == "Linux" and platform.machine() == "x86_64":

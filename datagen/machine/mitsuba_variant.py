@@ -12,7 +12,7 @@ from pathlib import Path
 
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import make_private, user_cache
-from datagen.machine.gpu import cuda_problem, has_gpu
+from datagen.machine.hardware import cuda_problem, has_gpu
 from datagen.machine.llvm import VARIABLE, LlvmLibrary, advice, choose_llvm
 from datagen.terminal.command import say
 from datagen.terminal.signals import hold_signals
@@ -21,7 +21,7 @@ OVERRIDE = "HYALINE_VARIANT"
 """Environment variable that names the variant to use, for example `scalar_rgb`."""
 
 VARIANTS = ("cuda_ad_rgb", "llvm_ad_rgb", "scalar_rgb")
-"""What this package can run on, fastest first."""
+"""Supported variants, fastest first."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,16 +35,12 @@ class VariantChoice:
 
 @functools.cache
 def choose_variant() -> VariantChoice:
-    """CUDA where a GPU renders, else LLVM where a library works, else the slow scalar variant.
-
-    Raises:
-        HyalineError: the override names no variant of ours.
-    """
+    """CUDA where a GPU renders, else LLVM where a library works, else the slow scalar variant."""
     library = choose_llvm()
     if named := os.environ.get(OVERRIDE):
         if named not in VARIANTS:
             raise HyalineError(f"{OVERRIDE}={named}: no such variant; expected one of {', '.join(VARIANTS)}")
-        return VariantChoice(variant=named, reason=f"{OVERRIDE} says so", llvm=library)
+        return VariantChoice(variant=named, reason=f"set by {OVERRIDE}", llvm=library)
     if has_gpu() and cuda_problem() is None:
         return VariantChoice(variant="cuda_ad_rgb", reason="the GPU renders a test scene", llvm=library)
     if library is not None:
@@ -61,14 +57,14 @@ def num_cores() -> int:
 
 
 _num_threads = 2
-"""Of Dr.Jit while it works, the calling one included; `use_mitsuba` sets it."""
+"""Dr.Jit's threads while it works, including the calling thread; set by `use_mitsuba`."""
 
 
 def use_mitsuba(*, quiet: bool = False, threads: int | None = None) -> str:
-    """Sets up Mitsuba in this process and returns its variant; says in one line when that is the slow one.
+    """Sets up Mitsuba in this process and returns its variant; prints one line if that is the slow one.
 
     Args:
-        threads: how many threads render; all cores unless given.
+        threads: number of rendering threads; one per core by default.
     """
     global _num_threads
     choice = choose_variant()
@@ -82,35 +78,35 @@ def use_mitsuba(*, quiet: bool = False, threads: int | None = None) -> str:
 
         start_workers()
         mi.set_variant(choice.variant)
-    # Plugins are looked for in the working directory first: a folder `plugins/` there would run foreign code.
+    # Mitsuba looks for plugins in the working directory first: a folder `plugins/` there would run foreign code.
     resolver = mi.file_resolver()
     resolver.clear()
     resolver.append(str(Path(mi.__file__).parent))
     mi.set_log_level(mi.LogLevel.Error)
     if choice.variant == "scalar_rgb" and not quiet:
-        say(f"Mitsuba runs as scalar_rgb, many times slower than it could: {choice.reason}")
+        say(f"Mitsuba runs as scalar_rgb, which is many times slower: {choice.reason}")
     return choice.variant
 
 
 def _keep_kernels_private() -> None:
-    """Lets Dr.Jit keep its kernels, machine code that it loads by name, where nobody else can write.
+    """Makes Dr.Jit cache its kernels, machine code that it loads by name, where no other user can write.
 
-    By default it does so in ~/.drjit, which gets the mode that the user's umask leaves. Kernels that are damaged there
-    it makes again by itself (1.5). DRJIT_CACHE_DIR in the environment is the user's own choice.
+    Its default folder, ~/.drjit, gets permissions from the user's umask. Dr.Jit 1.5 compiles damaged kernels again by
+    itself. A DRJIT_CACHE_DIR in the environment is respected.
     """
     if "DRJIT_CACHE_DIR" not in os.environ:
         folder = user_cache("drjit")
         if (wrong := make_private(folder)) is None:
             os.environ["DRJIT_CACHE_DIR"] = str(folder)
         else:
-            say(f"{wrong}; Dr.Jit compiles its kernels anew in each run")
-            os.environ["DRJIT_CACHE_DIR"] = os.devnull  # No folder: it keeps none.
+            say(f"{wrong}; Dr.Jit compiles its kernels again in each run")
+            os.environ["DRJIT_CACHE_DIR"] = os.devnull  # Not a folder, so nothing is cached.
 
 
 def start_workers() -> None:
-    """Starts Dr.Jit's worker threads where `short_lived_workers` has ended them.
+    """Starts Dr.Jit's worker threads again after `short_lived_workers` has ended them.
 
-    With one thread Dr.Jit 1.5 has none, and Mitsuba 3.9 then waits for ever for one to write or read an EXR.
+    With one thread, Dr.Jit 1.5 has no workers, and Mitsuba 3.9 waits forever for one to read or write an EXR.
     """
     import drjit as dr
 
@@ -122,7 +118,7 @@ def short_lived_workers() -> Iterator[None]:
     """Ends Dr.Jit's worker threads after this block, until the next one begins. Call `use_mitsuba` first.
 
     Idle workers spin for some 20 ms after each kernel (Dr.Jit 1.5), on cores that torch's threads wait for: training on
-    light paths took a fifth longer on two cores. To start and to end one takes 0.1 ms.
+    light paths took a fifth longer on two cores. Starting and ending a worker takes 0.1 ms.
     """
     import drjit as dr
 

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 
 COLORS = ("#1b6ca8", "#c7611a", "#2a8f4d", "#b23a48", "#7a5195", "#7f6a55", "#c2569b", "#5c6f7b")
 DASHES = ("-", "--", ":", "-.")
-"""Of lines, in turn: the colours are `--s0` to `--s7` of page.css in its light theme, and after each eight lines comes
-the next dash, `d1` to `d3`."""
+"""Line styles, in turn. The colours are `--s0` to `--s7` of page.css in its light theme; every eight lines the dash
+changes, to `d1`, `d2` and `d3`."""
 SOFT, GRID = "#5a646e", "#d5dbe1"
 THEME = {**{color: f"var(--s{place})" for place, color in enumerate(COLORS)}, SOFT: "var(--soft)", GRID: "var(--line)"}
 
@@ -38,12 +38,12 @@ STYLE: dict[Any, Any] = {
     **{f"{axis}tick.{name}": size for axis in "xy" for name, size in {"labelsize": 12, "major.size": 0}.items()},
     **{f"{axis}tick.labelcolor": SOFT for axis in "xy"},
 }
-"""How matplotlib draws a chart: a grid, titles and numbers in quiet colours, without a frame."""
+"""matplotlib's style: a grid, titles and numbers in quiet colours, no frame."""
 
 WIDTH, HEIGHT = 640, 300
 MARGINS = {"left": 76 / WIDTH, "right": 1 - 36 / WIDTH, "top": 1 - 12 / HEIGHT, "bottom": 48 / HEIGHT}
 MOST_MARKED = 40
-"""Points of a line that are drawn as dots; more would run into one another."""
+"""Lines with more points are drawn without dots, which would touch each other."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,12 +52,12 @@ class Line:
 
     name: str
     points: tuple[tuple[float, float], ...]
-    """x and y, by rising x."""
+    """Pairs of x and y, in order of x."""
 
 
 @functools.cache  # A report is drawn again with fewer pictures until it is small enough.
 def line_chart(lines: tuple[Line, ...], *, title: str, x_title: str, y_title: str) -> Markup:
-    """A figure of a page with a legend; points that are not finite part a line."""
+    """A page's figure with a legend; points that are not finite leave gaps."""
     import matplotlib as mpl
 
     if not any(math.isfinite(y) for line in lines for _, y in line.points):
@@ -74,7 +74,7 @@ def line_chart(lines: tuple[Line, ...], *, title: str, x_title: str, y_title: st
 
 
 def new_figure(width: int, height: int) -> "Figure":
-    """An empty figure of a page, in pixels."""
+    """An empty figure for a page; sizes are pixels."""
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width / 72, height / 72), dpi=72, facecolor="none")  # SVG has 72 pixels an inch.
@@ -84,7 +84,7 @@ def page_figure(figure: "Figure", title: str) -> Markup:
     """A figure as a part of a page, with a legend of the lines in its first axes.
 
     Args:
-        title: what it shows, for screen readers too.
+        title: the caption, also read by screen readers.
     """
     root = ElementTree.fromstring(figure_svg(figure, is_outlined=False))
     shapes = {element.get("id", ""): element for element in root.iter()}
@@ -94,16 +94,16 @@ def page_figure(figure: "Figure", title: str) -> Markup:
     legend = [
         tag("li", tag("span", str(line.get_label())), class_=_legend_class(place))
         for place, line in enumerate(figure.axes[0].get_lines())
-        if np.size(line.get_xdata())  # Else nothing is drawn.
+        if np.size(line.get_xdata())  # Empty lines are not drawn.
     ]
     return tag("figure", tag("figcaption", title), drawing, tag("ul", *legend, class_="legend"))
 
 
 def figure_svg(figure: "Figure", *, is_outlined: bool = True) -> bytes:
-    """The figure as SVG that depends on nothing but the figure.
+    """The figure as SVG; the same figure always gives the same bytes.
 
     Args:
-        is_outlined: letters are outlines, and look alike everywhere; else they are text.
+        is_outlined: draw letters as outlines, which look the same everywhere, instead of text.
     """
     import matplotlib as mpl
     from matplotlib.backends.backend_svg import FigureCanvasSVG
@@ -117,7 +117,7 @@ def figure_svg(figure: "Figure", *, is_outlined: bool = True) -> bytes:
 
 
 def names_as_they_are(figure: "Figure") -> None:
-    """Names with two dollars are no formula; the ticks of logarithmic axes are one."""
+    """Stops matplotlib from reading names with two dollars as formulas; ticks of logarithmic axes stay formulas."""
     from matplotlib.text import Text
 
     for text in figure.findobj(Text):
@@ -126,7 +126,7 @@ def names_as_they_are(figure: "Figure") -> None:
 
 
 def _inline(element: ElementTree.Element, shapes: dict[str, ElementTree.Element]) -> Markup | None:
-    """matplotlib's element in a page, whose policy forbids styles, and in which no id may be there twice."""
+    """matplotlib's element without styles, which the page's policy forbids, and without ids, which must be unique."""
     kind = element.tag.rpartition("}")[2]
     if kind == "g":
         return join(_inline(child, shapes) for child in element)
@@ -145,7 +145,7 @@ def _inline(element: ElementTree.Element, shapes: dict[str, ElementTree.Element]
 
 
 def _short(path: str) -> str:
-    """A path with its numbers to a hundredth of a pixel."""
+    """A path with numbers rounded to a hundredth of a pixel."""
     return " ".join(f"{round(float(word), 2):g}" if word[-1].isdigit() else word for word in path.split())
 
 

@@ -1,32 +1,35 @@
-"""Markup that cannot be broken by what it shows: every string is escaped unless it is markup already."""
+"""HTML: markup that escapes every string, and pages that are one file with styles and scripts inside."""
 
+import base64
+import hashlib
 import html
 from collections.abc import Iterable
+from pathlib import Path
 
 from datagen.disk.names import printable
 
 VOID = frozenset(
     {"br", "circle", "image", "img", "input", "line", "meta", "path", "polygon", "polyline", "rect", "use"}
 )
-"""Elements that hold nothing, of HTML and SVG."""
+"""HTML and SVG elements without content."""
 
 
 class Markup(str):
-    """Text that is HTML already, made by `tag` and `join` alone."""
+    """Text that is HTML already; only `tag` and `join` make it."""
 
     __slots__ = ()
 
 
 Part = str | int | float | None
-"""What may stand inside an element: markup as it is, other values escaped, None not at all."""
+"""Content of an element: markup is kept, other values are escaped, None is skipped."""
 
 
 def tag(name: str, /, *parts: Part, **attributes: str | int | float | bool | None) -> Markup:
     """One element.
 
     Args:
-        attributes: by name, with `_` for `-` and a trailing `_` where the name is a word of Python; None and False
-            leave one out, True gives it no value.
+        attributes: by name, with `_` for `-` and a trailing `_` after Python keywords; None and False omit one, True
+            writes it without a value.
     """
     written = [name]
     for key, value in attributes.items():
@@ -42,20 +45,87 @@ def tag(name: str, /, *parts: Part, **attributes: str | int | float | bool | Non
 
 
 def join(parts: Iterable[Part]) -> Markup:
-    """Parts one after the other."""
+    """The parts, concatenated."""
     return Markup(
         "".join(part if isinstance(part, Markup) else escaped(str(part)) for part in parts if part is not None)
     )
 
 
 def prose(text: str) -> Markup:
-    """Text in which what stands between backticks is code, as in messages for a terminal."""
+    """Text with code between backticks, as in messages for a terminal."""
     pieces = text.split("`")
-    if len(pieces) % 2 == 0:  # One is left over.
+    if len(pieces) % 2 == 0:  # A backtick without a partner.
         return join([text])
     return join(tag("code", piece) if place % 2 else piece for place, piece in enumerate(pieces))
 
 
 def escaped(text: str) -> str:
-    """Text that neither an element nor a quoted attribute takes for markup; control characters are spelled out."""
+    """Text escaped for elements and quoted attributes; control characters are spelled out."""
     return html.escape(printable(text), quote=True)
+
+
+HERE = Path(__file__).parent
+
+
+def document(title: str, *content: Part, navigation: Part = None) -> bytes:
+    """The bytes of a page.
+
+    Its content security policy allows only embedded pictures and the page's own script, so that nothing smuggled in
+    through a hostile name runs.
+    """
+    style, script = read_part("page.css"), read_part("page.js")
+    if "</" in style or "</script" in script:
+        raise ValueError("a style or script contains an end tag, which would end it inside the page")
+    policy = (
+        f"default-src 'none'; img-src data:; style-src {_source(style)}; script-src {_source(script)}; "
+        "base-uri 'none'; form-action 'none'"
+    )
+    head = [
+        tag("meta", charset="utf-8"),
+        # `tag` would escape the policy's quotes: the same to browsers, but hard to read.
+        Markup(f'<meta http-equiv="Content-Security-Policy" content="{policy}"/>'),
+        tag("meta", name="viewport", content="width=device-width, initial-scale=1"),
+        tag("meta", name="color-scheme", content="light dark"),
+        tag("title", title),
+        Markup(f"<style>{style}</style>"),
+    ]
+    skip = tag("a", "Skip to the content", href="#content", class_="skip")
+    main = tag("main", *content, id="content")
+    body = tag("body", skip, navigation, main, Markup(f"<script>{script}</script>"))
+    page = f'<!DOCTYPE html>\n<html lang="en">\n<head>\n{_lines(head)}</head>\n{body}\n</html>\n'
+    return page.encode()
+
+
+def read_part(name: str) -> str:
+    """A style or script next to this file."""
+    return (HERE / name).read_text(encoding="utf-8")
+
+
+def anchor(*words: str) -> str:
+    """An id for a place in a page, unique to these words."""
+    digest = hashlib.sha256("\0".join(words).encode()).hexdigest()[:12]
+    return f"p{digest}"
+
+
+def section(title: str, *parts: Part, id_: str, level: int = 2) -> Markup:
+    """A section with its heading, which also labels it for screen readers."""
+    heading = f"{id_}-title"
+    return tag("section", tag(f"h{level}", title, id=heading), *parts, id=id_, aria_labelledby=heading)
+
+
+def definitions(pairs: list[tuple[str, Part]]) -> Markup:
+    """Terms and their descriptions, as a list of two columns."""
+    return tag("dl", *(join([tag("dt", term), tag("dd", value)]) for term, value in pairs))
+
+
+def command(words: str) -> Markup:
+    """A command to copy."""
+    return tag("pre", tag("code", words))
+
+
+def _source(text: str) -> str:
+    return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"
+
+
+def _lines(parts: list[Markup]) -> str:
+    return "".join(f"{part}\n" for part in parts)

@@ -1,4 +1,4 @@
-"""Pictures inside a page: each is stored once and shown wherever it is needed, also laid over another."""
+"""Pictures embedded in a page: each is stored once and shown wherever it is needed, also over another one."""
 
 import base64
 import io
@@ -13,37 +13,37 @@ from datagen.pages.html import Markup, tag
 Image8 = UInt8[np.ndarray, "h w c"] | UInt8[np.ndarray, "h w"]
 
 Encoded = dict[str, tuple[str, int, int]]
-"""Addresses that hold a picture, with its width and height, by name."""
+"""Data URIs of pictures with their width and height, by name."""
 
 
 class Gallery:
-    """The pictures of a page, which are kept below a number of bytes.
+    """The pictures of a page, up to a number of bytes.
 
-    As soon as one finds no room, no other does: what is stored first comes before what is stored later.
+    Once one picture does not fit, no later one is stored: pictures stored first take precedence.
     """
 
     def __init__(self, most_bytes: int, encoded: Encoded | None = None) -> None:
         """
         Args:
-            encoded: pictures that another gallery has encoded; this one adds its own.
+            encoded: pictures encoded by another gallery; this one adds its own.
         """
         self._most = most_bytes
         self._encoded: Encoded = {} if encoded is None else encoded
         self._stored: dict[str, Markup] = {}
         self._without_room: set[str] = set()
         self.used = 0
-        """Bytes of all pictures together, as text."""
+        """Total size of the stored data URIs, in bytes."""
 
     @property
     def left_out(self) -> int:
-        """Pictures for which no room was left."""
+        """Number of pictures that did not fit."""
         return len(self._without_room)
 
     def add(self, name: str, read: Callable[[], Image8]) -> bool:
-        """Stores a picture under a name; False where there is no room for it. One that is there already stays.
+        """Stores a picture under a name; returns False if it does not fit. A name stored before keeps its picture.
 
         Args:
-            read: gives the picture; asked only where it may find room.
+            read: returns the picture; called only while there is room.
         """
         if name in self._stored:
             return True
@@ -60,7 +60,7 @@ class Gallery:
         return False
 
     def show(self, *names: str, label: str, class_: str = "") -> Markup:
-        """Stored pictures of one size, one over the other; the class `over` marks those that lie above the first."""
+        """Stored pictures of one size on top of each other; all but the first have the class `over`."""
         _, width, height = self._encoded[names[0]]
         uses = [tag("use", href=f"#{name}", class_="over" if place else None) for place, name in enumerate(names)]
         return tag(
@@ -73,12 +73,12 @@ class Gallery:
         )
 
     def store(self) -> Markup:
-        """The element that holds all pictures: once a page, hidden."""
+        """The hidden element that contains all pictures; put it into the page once."""
         return tag("svg", tag("defs", *self._stored.values()), class_="store", aria_hidden="true", width=0, height=0)
 
 
 def data_uri(image: Image8) -> str:
-    """A picture as an address that holds it, without loss: a fifth smaller than as a PNG."""
+    """A picture as a lossless data URI, a fifth smaller than a PNG."""
     buffer = io.BytesIO()
     Image.fromarray(image).save(buffer, format="WEBP", lossless=True, quality=50, method=3, exact=True)
     return f"data:image/webp;base64,{base64.b64encode(buffer.getvalue()).decode()}"

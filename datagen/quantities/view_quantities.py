@@ -1,7 +1,7 @@
-"""What is known of every pixel of a view besides its colour: depth, normals, masks, materials, glass.
+"""Per-pixel quantities of a view besides colour: depth, normals, masks, materials, glass, refractive flow.
 
-All of it is about the ray through the pixel's centre: pictures average over a pixel's area, these numbers do not. It is
-computed from stored layers of the true geometry, meshes and scene; only `light_ends` traces.
+All of them hold for the ray through the pixel's centre, whereas pictures average over a pixel's area. They are computed
+from stored layers of the true geometry, meshes and scene; only `light_ends` traces.
 
 World axes are the dataset's: metres, +z up. Camera axes are OpenGL's: +x right, +y up, +z towards the viewer (the
 camera looks along -z).
@@ -9,17 +9,105 @@ camera looks along -z).
 
 import functools
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from jaxtyping import Bool, Float32, UInt8
+from jaxtyping import Bool, Float, Float32, UInt8
 
+from datagen.data.cameras import Camera
 from datagen.data.dataset import View
 from datagen.data.layers import Layers
 from datagen.disk.errors import HyalineError
-from datagen.quantities.light_ends import LightEnds, find_light_ends
 from datagen.quantities.surfaces import Surfaces, surfaces_of
 from datagen.terminal.distribution import naming_parts
+from datagen.trace.surface_tables import Limits
+
+if TYPE_CHECKING:
+    from datagen.trace.light_path import LightPathTracer
+
+LIMITS = Limits(max_branches=1, max_vertices=1)
+"""With room for one vertex, the path's last one is kept."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LightEnds:
+    """Where the refracted light path through each pixel's centre ends. Everything is 0 where it was abandoned.
+
+    A light path (datagen/trace/light_path.py) starts at the camera, is refracted by every glass surface, and ends on
+    the first opaque surface or leaves the scene. Rough glass counts as smooth; its facets spread light around the path.
+    """
+
+    object_id: UInt8[np.ndarray, "h w"]
+    """Id of the opaque object that the path ends on; 0 where it left the scene."""
+    has_left: Bool[np.ndarray, "h w"]
+    """Whether the path ends in the sky or in a light."""
+    position: Float32[np.ndarray, "h w 3"]
+    """Where the path ends, in metres, in world axes; 0 where it left."""
+    depth_along_axis: Float32[np.ndarray, "h w"]
+    """Depth of `position` along the camera's viewing axis, in metres; negative behind the camera, 0 where it left."""
+    distance: Float32[np.ndarray, "h w"]
+    """Straight distance from the camera's centre to `position` in metres; where glass refracts, `position` is not on
+    the pixel's ray. 0 where it left."""
+    direction: Float32[np.ndarray, "h w 3"]
+    """Unit direction in world axes in which the path arrives at its end, or left the scene."""
+    attenuation: Float32[np.ndarray, "h w 3"]
+    """Share of the light from the path's end, per colour channel, that reaches the camera along it: the part that
+    surfaces do not reflect (Fresnel) times the part that media do not absorb (Beer and Lambert). 1 without glass."""
+    flow: Float32[np.ndarray, "h w 2"]
+    """Refractive flow in pixels, (right, down): pixel (x, y) shows the point, or the direction of the sky, that the
+    camera would see at (x, y) + flow without refraction. 0 without glass."""
+    has_flow: Bool[np.ndarray, "h w"]
+    """False where `flow` is undefined, and stored as 0: the path ends behind the camera, or was abandoned."""
+
+
+def find_light_ends(camera: Camera, tracer: "LightPathTracer", is_glass: Bool[np.ndarray, " id"]) -> LightEnds:
+    """Follows the ray through the centre of each pixel of a camera in air.
+
+    Args:
+        is_glass: by object id.
+    """
+    shape = (camera.height, camera.width)
+    origin, directions = camera.rays()
+    rays = directions.reshape(-1, 3)
+    paths = tracer.trace(np.tile(origin, (len(rays), 1)), rays, LIMITS)
+    object_id, has_left = paths.object_id[0, 0].reshape(shape), paths.has_left[0].reshape(shape)
+    has_ended = (object_id > 0) & ~is_glass[object_id] & ~has_left
+    is_known = has_ended | has_left
+
+    def where_known(ended: Float32[np.ndarray, "ray 3"], left: Float32[np.ndarray, "ray 3"]) -> np.ndarray:
+        values = np.where(has_left[..., None], left.reshape(*shape, 3), ended.reshape(*shape, 3))
+        return np.where(is_known[..., None], values, np.float32(0))
+
+    position = np.where(has_ended[..., None], paths.position[0, 0].reshape(*shape, 3), np.float32(0))
+    direction = where_known(paths.direction[0, 0], paths.end_direction[0])
+    attenuation = where_known(paths.throughput[0, 0], paths.end_throughput[0])
+    # The end as seen from the camera; the sky is infinitely far, so only its direction counts.
+    seen = np.where(has_left[..., None], direction, position - camera.world_from_camera[:3, 3])
+    flow, is_ahead = _flow(camera, seen)
+    has_flow = is_known & is_ahead
+    ahead = seen @ -camera.world_from_camera[:3, 2]
+    return LightEnds(
+        object_id=np.where(has_ended, object_id, 0).astype(np.uint8),
+        has_left=has_left,
+        position=position.astype(np.float32),
+        depth_along_axis=np.where(has_ended, ahead, 0).astype(np.float32),
+        distance=np.where(has_ended, np.linalg.norm(seen, axis=-1), 0).astype(np.float32),
+        direction=direction.astype(np.float32),
+        attenuation=attenuation.astype(np.float32),
+        flow=np.where(has_flow[..., None], flow, 0).astype(np.float32),
+        has_flow=has_flow,
+    )
+
+
+def _flow(camera: Camera, seen: Float[np.ndarray, "h w 3"]) -> tuple[np.ndarray, Bool[np.ndarray, "h w"]]:
+    """Offset (right, down) from each pixel's centre to where a vector from the camera appears; whether it is ahead."""
+    d_camera = seen.astype(np.float64) @ camera.world_from_camera[:3, :3] * [1, -1, -1]
+    is_ahead = d_camera[..., 2] > 1e-6
+    image = d_camera @ camera.intrinsics.T
+    pixels = image[..., :2] / np.where(is_ahead, image[..., 2], 1)[..., None]
+    rows, columns = np.mgrid[: camera.height, : camera.width] + 0.5
+    return pixels - np.stack([columns, rows], axis=-1), is_ahead
+
 
 NormalKind = Literal["shading", "geometric"]
 Axes = Literal["world", "camera"]
@@ -27,9 +115,9 @@ Axes = Literal["world", "camera"]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ViewQuantities:
-    """The quantities of one view, each computed when it is first asked for, and then kept.
+    """The quantities of one view, each computed on first access and then cached.
 
-    Where a pixel's ray meets nothing, numbers are 0 unless their docstring says otherwise, and `background` is True.
+    Where a pixel's ray hits nothing, numbers are 0 unless documented otherwise, and `background` is True.
     """
 
     view: View
@@ -48,49 +136,41 @@ class ViewQuantities:
 
     @property
     def object_id(self) -> UInt8[np.ndarray, "h w"]:
-        """The object that the ray meets first: 1 + its place in `dataset.objects`; 0 where it meets none."""
+        """The object that the ray hits first: 1 + its place in `dataset.objects`; 0 where it hits none."""
         return self.layers.object_id[0]
 
     @functools.cached_property
     def opaque_object_id(self) -> UInt8[np.ndarray, "h w"]:
-        """The first opaque object along the straight ray, as if glass did not bend light; 0 where there is none."""
+        """The first opaque object along the straight ray, as if glass did not bend light; 0 if there is none."""
         return self._at_opaque(self.layers.object_id)
 
     @property
     def background(self) -> Bool[np.ndarray, "h w"]:
-        """The ray meets no object: the sky, or a light, is seen directly."""
+        """True where the ray hits no object: the sky, or a light, is seen directly."""
         return self.object_id == 0
 
     @property
     def glass(self) -> Bool[np.ndarray, "h w"]:
-        """The ray meets glass first; the same as `view.mask("glass")`."""
+        """True where the ray hits glass first; the same as `view.mask("glass")`."""
         return self.surfaces.is_glass[self.object_id]
 
     def object_mask(self, name: str) -> Bool[np.ndarray, "h w"]:
-        """The ray meets the object of this name first.
-
-        Raises:
-            HyalineError: there is none.
-        """
+        """True where the ray hits the object of this name first."""
         return self.object_id == self.view.dataset.object_id(name)
 
     @functools.cached_property
     def material_names(self) -> tuple[str, ...]:
-        """Kinds of material in the scene, such as Dielectric, sorted: `material_id` i is `material_names[i - 1]`."""
+        """Names of the scene's material classes, sorted: `material_id` i is `material_names[i - 1]`."""
         return tuple(sorted({type(material).__name__ for material in self.surfaces.materials}))
 
     @property
     def material_id(self) -> UInt8[np.ndarray, "h w"]:
-        """The kind of material that the ray meets first, 1 + its place in `material_names`; 0 where it meets none."""
+        """The class of the first material along the ray: 1 + its place in `material_names`; 0 where there is none."""
         kinds = [1 + self.material_names.index(type(material).__name__) for material in self.surfaces.materials]
         return np.array([0, *kinds], np.uint8)[self.object_id]
 
     def material_mask(self, name: str) -> Bool[np.ndarray, "h w"]:
-        """The ray meets a material of this kind first, such as Dielectric.
-
-        Raises:
-            HyalineError: the scene has none of that kind.
-        """
+        """True where the ray first hits a material of this class, such as Dielectric."""
         if name not in self.material_names:
             names = ", ".join(self.material_names)
             raise HyalineError(f"{self.view.dataset.root}: has no material {name!r}; its kinds are {names}")
@@ -105,7 +185,7 @@ class ViewQuantities:
 
     @property
     def depth_along_axis(self) -> Float32[np.ndarray, "h w"]:
-        """Metres that the first surface lies ahead of the camera, along the axis in which it looks (z-depth)."""
+        """Depth of the first surface along the camera's viewing axis (z-depth), in metres."""
         return self._along_axis(self.depth_along_ray)
 
     @functools.cached_property
@@ -115,26 +195,26 @@ class ViewQuantities:
 
     @property
     def opaque_depth_along_axis(self) -> Float32[np.ndarray, "h w"]:
-        """The same along the axis in which the camera looks."""
+        """Depth of the first opaque surface along the camera's viewing axis, in metres."""
         return self._along_axis(self.opaque_depth_along_ray)
 
     @functools.cached_property
     def position(self) -> Float32[np.ndarray, "h w 3"]:
-        """The first surface's place in metres, in world axes."""
+        """Position of the first surface in metres, in world axes."""
         return self._position(self.depth_along_ray)
 
     @functools.cached_property
     def opaque_position(self) -> Float32[np.ndarray, "h w 3"]:
-        """The place of the first opaque surface along the straight ray, in metres, in world axes."""
+        """Position of the first opaque surface along the straight ray, in metres, in world axes."""
         return self._position(self.opaque_depth_along_ray)
 
     def normal(self, kind: NormalKind = "shading", axes: Axes = "world") -> Float32[np.ndarray, "h w 3"]:
         """Unit normal of the first surface, on the side from which the ray comes.
 
         Args:
-            kind: shading: interpolated between the mesh's vertices, as the path tracer takes it; geometric: that of
-                the flat face. Both are turned by the side of the face that is seen, so that a shading normal may
-                point a little away from the camera where a surface is grazed.
+            kind: shading: interpolated between the mesh's vertices, as the path tracer does; geometric: that of the
+                flat face. Both are flipped by the visible side of the face, so at grazing angles a shading normal may
+                point slightly away from the camera.
             axes: world, or camera (+x right, +y up, +z towards the viewer).
         """
         if kind not in ("shading", "geometric") or axes not in ("world", "camera"):
@@ -150,10 +230,10 @@ class ViewQuantities:
 
     @functools.cached_property
     def albedo(self) -> Float32[np.ndarray, "h w 3"]:
-        """Linear reflectance (Rec. 709) of the first surface: of the base under a coat, of metal at normal incidence.
+        """Linear reflectance (Rec. 709) of the first surface: the base under a coat, or metal at normal incidence.
 
-        NaN on glass and where there is nothing. Patterns are evaluated at the place itself, where the path tracer looks
-        them up in textures of a finite size.
+        NaN on glass and where the ray hits nothing. Patterns are evaluated exactly, whereas the path tracer looks them
+        up in baked textures.
         """
         albedo = np.full((*self.object_id.shape, 3), np.nan, np.float32)
         for object_id, mask in self._objects_in_view():
@@ -163,26 +243,25 @@ class ViewQuantities:
 
     @property
     def ior(self) -> Float32[np.ndarray, "h w"]:
-        """Index of refraction of the first surface's glass or liquid; 0 on everything opaque."""
+        """Index of refraction of the first surface if it is glass or liquid; 0 on opaque surfaces."""
         return self.surfaces.ior[self.object_id]
 
     @property
     def ior_by_channel(self) -> Float32[np.ndarray, "h w 3"]:
-        """The same for red, green and blue light, which differ where glass disperses; `ior` is that of green."""
+        """Index of refraction for red, green and blue light, which differ where glass disperses; `ior` is green's."""
         return self.surfaces.ior_by_channel[self.object_id]
 
     @functools.cached_property
     def glass_thickness(self) -> Float32[np.ndarray, "h w"]:
-        """Metres that the straight ray runs inside solid glass or liquid before it meets something opaque.
+        """Length of the straight ray inside solid glass or liquid before it hits something opaque, in metres.
 
-        Thin panes have no thickness. A solid inside another counts once. A ray of more surfaces than were peeled counts
-        up to the last one.
+        Thin panes have no thickness. A solid inside another counts once. Only peeled layers count.
         """
         ids, depth = self.layers.object_id, self.layers.depth
         place = np.zeros(len(self.surfaces.is_solid), np.int64)
         solids = [index for index in np.unique(ids) if self.surfaces.is_solid[index]]
         place[solids] = 1 + np.arange(len(solids))
-        is_inside = np.zeros((1 + len(solids), *ids.shape[1:]), bool)  # The first for all that is no solid.
+        is_inside = np.zeros((1 + len(solids), *ids.shape[1:]), bool)  # Row 0 is for objects that are not solid.
         in_front = np.ones(ids.shape[1:], bool)
         thickness = np.zeros(ids.shape[1:])
         rows, columns = np.indices(ids.shape[1:])
@@ -198,7 +277,7 @@ class ViewQuantities:
 
     @functools.cached_property
     def light_ends(self) -> LightEnds:
-        """Refractive flow, attenuation, and where the refracted path of each pixel ends. Traces: needs Mitsuba."""
+        """Refractive flow, attenuation, and the end of each pixel's refracted path. Traces rays: needs Mitsuba."""
         from datagen.machine.mitsuba_variant import use_mitsuba
 
         with naming_parts("light_ends"):
@@ -228,7 +307,7 @@ class ViewQuantities:
 
     @functools.cached_property
     def _opaque_layer(self) -> tuple[np.ndarray, np.ndarray]:
-        """The place of the first opaque layer (1, h, w), and whether there is one (h, w)."""
+        """Index of the first opaque layer (1, h, w), and whether there is one (h, w)."""
         ids = self.layers.object_id
         is_opaque = (ids > 0) & ~self.surfaces.is_glass[ids]
         return is_opaque.argmax(axis=0)[None], np.asarray(is_opaque.any(axis=0))
@@ -248,10 +327,10 @@ class ViewQuantities:
         return np.where(depth[..., None] > 0, places, 0).astype(np.float32)
 
     def _objects_in_view(self) -> list[tuple[int, Bool[np.ndarray, "h w"]]]:
-        """Each object that some ray meets first, and which rays."""
+        """Each object that some rays hit first, with the mask of these rays."""
         return [(int(index), self.object_id == index) for index in np.unique(self.object_id) if index > 0]
 
 
 def quantities(view: View) -> ViewQuantities:
-    """What is known of every pixel of a view besides its colour."""
+    """The per-pixel quantities of a view besides its colour."""
     return ViewQuantities(view=view)

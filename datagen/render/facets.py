@@ -1,8 +1,8 @@
-"""Facets of rough surfaces (GGX), sampled as a ray sees them. Call `use_mitsuba` first.
+"""Microfacets of rough surfaces (GGX), sampled by visible area. Call `use_mitsuba` first.
 
 Source: GGX facets with Smith's shadowing, sampled by their visible area (Dupuy and Benyoub 2023, "Sampling Visible GGX
-Normals with Spherical Caps"). Times Fresnel's term, the shadowing is what a sampled direction weighs. Light that the
-facets throw onto each other is lost, as in Mitsuba's own plugins.
+Normals with Spherical Caps"). A sampled direction has the weight Fresnel's term times shadowing. Light reflected
+between facets is lost, as in Mitsuba's own plugins.
 """
 
 # Mitsuba's stubs describe no variant: what is a number in one is an array in another.
@@ -15,10 +15,10 @@ if TYPE_CHECKING:
 
 
 def sample_facet(wi, alpha, u1, u2):
-    """The unit normal of a facet that a ray meets, in the surface's frame; with alpha = 0 the surface's own.
+    """The unit normal of a facet that a ray hits, in the surface's frame; with alpha = 0 the surface's own.
 
     Args:
-        wi: unit direction in which the ray came from, in the surface's frame (z > 0).
+        wi: unit direction from which the ray came, in the surface's frame (z > 0).
         alpha: GGX roughness.
         u1, u2: numbers in [0, 1).
     """
@@ -33,7 +33,7 @@ def sample_facet(wi, alpha, u1, u2):
 
 
 def unshadowed(wo, alpha):
-    """Share of the facets that face `wo`, a unit vector in the surface's frame, which other facets do not hide."""
+    """Share of the facets facing `wo`, a unit vector in the surface's frame, that other facets do not hide."""
     import drjit as dr
 
     tangent2 = (wo.x * wo.x + wo.y * wo.y) / dr.maximum(wo.z * wo.z, 1e-12)
@@ -41,13 +41,13 @@ def unshadowed(wo, alpha):
 
 
 def lobe_of_glass(wi, wo, eta, alpha):
-    """How much rough glass scatters from `wo` to `wi`, and how likely a sampled facet throws `wo`.
+    """How much rough glass scatters from `wo` to `wi`, and the density with which sampled facets give `wo`.
 
     Args:
-        wi: unit direction, in the surface's frame, in which the ray came from; on either side.
+        wi: unit direction, in the surface's frame, from which the ray came; on either side.
         wo: unit direction to light, on either side.
         eta: index of refraction inside over that outside.
-        alpha: GGX roughness, above 0.
+        alpha: GGX roughness, more than 0.
 
     Returns:
         The scattering function times the cosine at `wo`, and the density over solid angle.
@@ -58,7 +58,7 @@ def lobe_of_glass(wi, wo, eta, alpha):
     import mitsuba as mi
 
     is_reflected = wi.z * wo.z > 0
-    across = dr.select(wi.z > 0, eta, dr.rcp(eta))  # Index of the far side over that of the ray's.
+    across = dr.select(wi.z > 0, eta, dr.rcp(eta))  # Index of the far side over that of the ray's side.
     m = dr.normalize(wi + wo * dr.select(is_reflected, 1, across))
     m = dr.select(m.z < 0, -m, m)
     wi_m, wo_m = dr.dot(wi, m), dr.dot(wo, m)
@@ -70,23 +70,23 @@ def lobe_of_glass(wi, wo, eta, alpha):
     squeeze = dr.square(wi_m + across * wo_m)
     mirrored = reflectance * seen / 4
     refracted = (1 - reflectance) * seen * dr.abs(wi_m * wo_m) / dr.maximum(squeeze, 1e-12)
-    # Refracted radiance changes by the square of the index, by which the solid angle is squeezed: both cancel here.
+    # Refracted radiance and solid angle change by the square of the index in opposite ways, which cancels here.
     value = dr.select(is_reflected, mirrored, refracted) * unshadowed(wo, alpha)
     pdf = dr.select(is_reflected, mirrored, refracted * dr.square(across))
     return dr.select(is_seen, value, 0), dr.select(is_seen, pdf, 0)
 
 
 class Facet(NamedTuple):
-    """A facet that a ray meets."""
+    """A facet that a ray hits."""
 
     frame: "mi.Frame3f"
-    """That of the surface, with its normal on the side from which the ray comes."""
+    """The surface's frame, its normal on the ray's side."""
     wi: "mi.Vector3f"
     """Unit direction back along the ray, in the frame."""
     m: "mi.Vector3f"
     """Unit normal of the facet, in the frame."""
     cosine: "mi.Float"
-    """Of the angle at which the ray meets the facet."""
+    """Cosine of the angle between the ray and the facet's normal."""
     alpha: "mi.Float"
 
 
@@ -115,7 +115,7 @@ def refracted_by(facet: Facet, cos_t, eta_ti):
 
     Args:
         cos_t: cosine of the angle behind the facet.
-        eta_ti: index of refraction on the side of the ray over that behind the facet.
+        eta_ti: index of refraction on the ray's side over that behind the facet.
     """
     import drjit as dr
 

@@ -1,16 +1,16 @@
-"""The path tracer of truth: absorbing and nested glass, and the cheapest samples that soft light allows.
+"""The path tracer for ground truth: absorbing and nested glass, and the cheapest samples that soft light allows.
 
-What it estimates is what Mitsuba's `path` does, and more. Mitsuba has absorption only as a participating medium, where
-a path is absorbed or not by a throw of dice; here the throughput is multiplied by exp(-absorption * length). Mitsuba's
-`dielectric` borders on the same medium everywhere; here a surface of glass borders on whatever the ray is in
-(datagen/scene/media.py), by the formulas of `dielectric` and, where it is rough, of `roughdielectric`.
+It estimates the same as Mitsuba's `path`, and more. Mitsuba treats absorption only as a participating medium, where a
+path is absorbed at random; here the throughput is multiplied by exp(-absorption * length). Mitsuba's `dielectric`
+borders on the same medium everywhere; here a glass surface borders on the medium that the ray is in
+(datagen/scene/media.py), by the formulas of `dielectric` and, if it is rough, of `roughdielectric`.
 
-Where glass disperses, its index of refraction depends on the colour: a path keeps all three channels until it first
-meets such glass, and goes on with one of them, which the paths of a pixel share out evenly.
+If glass disperses, its index of refraction depends on the colour: a path keeps all three channels until it first hits
+such glass, and continues with one of them; the paths of a pixel are divided evenly among the channels.
 
-Two things make a picture cheap. Its random numbers are Sobol's (render/sobol.py). And light is sampled only where
-there is something to aim at, a lamp or a small bright place of the sky: a soft sky is found as well by the rays that
-materials send out, for half the rays.
+Two things make a picture cheap. Its random numbers are Sobol's (render/sobol.py). And light is sampled only where there
+is something to aim at, a lamp or a small bright part of the sky: a soft sky is found as well by the rays that materials
+send out, for half the rays.
 Import this module after `use_mitsuba`; vectorised variants only.
 """
 
@@ -26,19 +26,19 @@ from jaxtyping import Float32
 
 from datagen.render.facets import lobe_of_glass, sample_facet, unshadowed
 from datagen.render.sobol import SobolPoints
+from datagen.scene.contact import LAST_PLACE, RAY_OFFSET, largest_coordinate, skipped_length
 from datagen.scene.media import SAME_INDEX, Media, medium_of, no_solids, with_solid, without_solid
-from datagen.scene.thin_walls import LAST_PLACE, RAY_OFFSET, largest_coordinate, skipped_length
 
 Lanes = Any
-"""A Dr.Jit array, one lane a path. Named, for pyright takes minutes to find out such types in the loop of `_trace`."""
+"""A Dr.Jit array with one lane per path. Annotated, since pyright takes minutes to infer such types in `_trace`."""
 
 MAX_VANISHED = 64
-"""Surfaces that are none, since a solid of higher priority fills both sides, on one path: they are no bounces, but no
-path may go on for ever."""
+"""Largest number of vanished surfaces on one path, where a solid of higher priority fills both sides: they are not
+bounces, but a path must end."""
 
 
 class PathTracer:
-    """Unidirectional path tracing with multiple importance sampling. Cameras and lights stand in air.
+    """Unidirectional path tracing with multiple importance sampling. Cameras and lights are in air.
 
     There is no Russian roulette: it costs more in noise than it saves.
     """
@@ -55,10 +55,10 @@ class PathTracer:
         aims: bool,
     ) -> None:
         """Args:
-        roughness: GGX alpha of the surface of each object that is a solid of glass; 0 is smooth.
-        tint: share that this surface lets through of what it does not mirror.
-        has_lamps: there are emitters besides the environment.
-        aims: light is sampled at each rough vertex, too.
+        roughness: GGX alpha of the surface of each object that is solid glass; 0 is smooth.
+        tint: share of the light not reflected that this surface transmits.
+        has_lamps: whether there are emitters besides the environment.
+        aims: whether emitters are sampled at each rough vertex, too.
         """
         self._scene = scene
         self._tables = _Tables(scene, media, roughness, tint, max_depth=max_depth, has_lamps=has_lamps, aims=aims)
@@ -66,9 +66,9 @@ class PathTracer:
     def render(
         self, sensor: "mi.Sensor", *, width: int, height: int, spp: int, seed: int
     ) -> Float32[np.ndarray, "h w 3"]:
-        """Mean radiance of each pixel under a box filter; the same to the last bit every time.
+        """Mean radiance of each pixel under a box filter; identical to the last bit every time.
 
-        (Mitsuba's film adds a pixel's samples in the order in which threads come by, and floats mind the order.)
+        (Mitsuba's film adds a pixel's samples in whatever order threads finish, which changes the sum's rounding.)
         """
         sample = dr.arange(mi.UInt32, width * height * spp)
         pixel, index = sample // spp, sample % spp
@@ -85,9 +85,9 @@ class PathTracer:
 
 
 class _Tables:
-    """What the kernel is made for, and what it looks up: the rank of a shape by its registry id, and the media.
+    """The kernel's options and lookup tables: the rank of a shape by its registry id, and the media.
 
-    No dataclass: Dr.Jit 1.5 would take it for state of the loop and assign its fields.
+    Not a dataclass: Dr.Jit 1.5 would treat it as loop state and assign its fields.
     """
 
     def __init__(
@@ -101,7 +101,7 @@ class _Tables:
         has_lamps: bool,
         aims: bool,
     ) -> None:
-        # Registry ids of shapes are not their places in the scene and change between loads, hence a table by id.
+        # A shape's registry id differs from its place in the scene and changes between loads, hence a table by id.
         ids = np.array(dr.reinterpret_array(mi.UInt32, scene.shapes_dr()))
         rank = np.full(ids.max() + 1, -1, np.int32)
         rank[ids[: len(media.rank)]] = media.rank
@@ -127,9 +127,9 @@ class _Tables:
 
 
 def _share_out_channels(index, spp, scramble) -> tuple[Lanes, Lanes]:
-    """The colour channel of each sample's path, once glass parts colours, and the weight of all that is 1 on average.
+    """The colour channel of each sample's path after dispersion, and its weight, so that channels are unbiased.
 
-    A pixel's samples are cut into three runs; which channel gets which is drawn for each pixel.
+    A pixel's samples are cut into three runs; which channel gets which run is random for each pixel.
     """
     run = index * 3 // spp
     first, end = (run * spp + 2) // 3, ((run + 1) * spp + 2) // 3
@@ -144,17 +144,17 @@ def _ray_offset(shape: "mi.Shape") -> float:
 
 @dr.syntax
 def _trace(scene, ray, points, scramble, index, colors, tables):
-    """Radiance along camera rays; `colors` are those of `_share_out_channels`, None where glass parts none."""
+    """Radiance along camera rays; `colors` come from `_share_out_channels`, None if no glass disperses."""
     context = mi.BSDFContext()
     radiance, throughput = mi.Spectrum(0), mi.Spectrum(1)
     solids = mi.UInt32(no_solids(tables.media))  # The solids that the ray is in.
     dimension = mi.UInt32(2)  # Of the random numbers; the camera took two.
-    depth, vanished = mi.UInt32(0), mi.UInt32(0)  # Bounces, and surfaces passed that are none.
+    depth, vanished = mi.UInt32(0), mi.UInt32(0)  # Bounces, and vanished surfaces passed.
     previous = dr.zeros(mi.Interaction3f)
     previous_pdf = mi.Float(1)
     previous_is_delta = mi.Bool(True)
     active, escaped = mi.Bool(True), mi.Bool(False)  # Did the path run into the sky?
-    has_all = mi.Bool(True)  # Channels: it has met no glass that parts them.
+    has_all = mi.Bool(True)  # Does it carry all channels, having met no glass that disperses?
 
     while active:
         si = scene.ray_intersect(ray, mi.RayFlags.All, depth == 0, active)
@@ -171,7 +171,7 @@ def _trace(scene, ray, points, scramble, index, colors, tables):
         eta = _ratio_of_indices(tables, sides, colors, is_glass)
         throughput, has_all = _part_colors(tables, sides, colors, is_glass & ~vanishes, throughput, has_all)
 
-        # Light that the ray runs into, weighted against having been aimed at from the last vertex.
+        # Light that the ray hits, weighted against light sampling at the last vertex.
         weight = mi.Float(1)
         if dr.hint(tables.aims, mode="scalar"):
             ds = mi.DirectionSample3f(scene, si, previous)
@@ -190,7 +190,7 @@ def _trace(scene, ray, points, scramble, index, colors, tables):
         is_rough = active & ~is_glass
         alpha, tint = _surface_of_glass(tables, si, eta, active & is_glass & ~vanishes)
         if dr.hint(tables.aims, mode="scalar"):
-            # Light aimed at from here; smooth glass has no such term.
+            # Light sampled from here; smooth glass has no such term.
             active_light = active & ((mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth) & ~is_glass) | (alpha > 0))
             place = points.sample_2d(scramble, index, dimension, active_light)
             dimension += 2
@@ -204,7 +204,7 @@ def _trace(scene, ray, points, scramble, index, colors, tables):
         else:
             bsdf_sample, bsdf_weight = bsdf.sample(context, si, sample1, sample2, is_rough)
 
-        # Glass reflects or refracts. Where its surface is none, both media are one: nothing is reflected.
+        # Glass reflects or refracts. Where its surface vanishes, both media are the same and nothing is reflected.
         samples = sample1, sample2
         is_reflected, glass_wo, glass_share = _meet_glass(tables, si, eta, alpha, tint, vanishes, samples)
         goes_in = dr.select(vanishes, dr.dot(ray.d, si.n) < 0, glass_wo.z < 0)
@@ -226,10 +226,10 @@ def _trace(scene, ray, points, scramble, index, colors, tables):
 
 
 def _pass_medium(tables, solids, ray, si, hit) -> tuple[Lanes, Lanes]:
-    """How far off the surface ahead rays start, and the share of light that the medium on the way to it lets through.
+    """The distance off the next surface at which rays start, and the transmittance of the medium on the way to it.
 
-    Between the faces of a thin wall, what the ray skipped as it started off the last one counts. A ray in glass always
-    hits; the guard is for leaky meshes.
+    The length that a ray skipped when it started off a thin wall's other face counts. A ray in glass always hits
+    something; the guard is for leaky meshes.
     """
     offset = dr.gather(mi.Float, tables.offset, dr.reinterpret_array(mi.UInt32, si.shape), hit)
     sigma_a = dr.gather(mi.Spectrum, tables.absorption, medium_of(tables.media, solids), hit)
@@ -238,7 +238,7 @@ def _pass_medium(tables, solids, ray, si, hit) -> tuple[Lanes, Lanes]:
 
 
 def _start_off(si, offset, d) -> Lanes:
-    """Where a ray along `d` starts that leaves a surface; Mitsuba's `spawn_ray` starts 0.1 mm off."""
+    """The origin of a ray that leaves a surface along `d`; Mitsuba's `spawn_ray` would start 0.1 mm off."""
     return si.p + si.n * dr.mulsign(offset, dr.dot(si.n, d))
 
 
@@ -254,7 +254,7 @@ def _is_lit(scene, tables, si, offset, ds, active) -> Lanes:
 
 
 def _sky(scene, ray, escaped) -> Lanes:
-    """The radiance of the sky where rays have run into it."""
+    """The radiance of the sky for rays that have escaped into it."""
     sky = dr.zeros(mi.SurfaceInteraction3f)
     sky.wi = -ray.d
     return scene.environment().eval(sky, escaped)
@@ -269,7 +269,7 @@ def _solids_around(tables, solids, shape, hit) -> tuple[Lanes, Lanes, Lanes]:
 
 
 def _part_colors(tables, sides, colors, meets_glass, throughput, has_all) -> tuple[Lanes, Lanes]:
-    """The throughput of one channel where a path that has all meets glass that parts them, and which still has all."""
+    """The throughput, reduced to one channel where a path first hits dispersive glass; which paths still have all."""
     if not tables.disperses:
         return throughput, has_all
     inner, outer = (dr.gather(mi.Bool, tables.parts_colors, side, meets_glass) for side in sides)
@@ -280,30 +280,30 @@ def _part_colors(tables, sides, colors, meets_glass, throughput, has_all) -> tup
 
 
 def _ratio_of_indices(tables, sides, colors, is_glass) -> Lanes:
-    """Index of refraction inside over that outside; of the path's own colour where glass parts colours."""
+    """Index of refraction inside over that outside; in the path's own channel if glass disperses."""
     places = [3 * side + colors[0] for side in sides] if tables.disperses else sides
     inner, outer = (dr.gather(mi.Float, tables.ior, place, is_glass) for place in places)
     return inner / outer
 
 
 def _surface_of_glass(tables, si, eta, is_solid) -> tuple[Lanes, Lanes]:
-    """GGX alpha of rough glass, 0 where there is none, and the share of refracted light that comes through."""
+    """GGX alpha of rough glass, 0 elsewhere, and the transmitted share of refracted light."""
     shape = dr.reinterpret_array(mi.UInt32, si.shape)
     alpha, tint = mi.Float(0), mi.Spectrum(1)
     if tables.has_rough_glass:
         alpha = dr.gather(mi.Float, tables.alpha, shape, is_solid)
     if tables.has_tint:
-        # Between overlapping parts of one glass there is no surface that could tint.
+        # Overlapping parts of one glass have no surface between them that could tint.
         is_one = (dr.abs(eta - 1) < SAME_INDEX) | ~is_solid
         tint = dr.select(is_one, 1, dr.gather(mi.Spectrum, tables.tint, shape, is_solid))
     return alpha, tint
 
 
 def _scattered_by_glass(tables, si, eta, wo, alpha, tint, otherwise) -> tuple[Lanes, Lanes]:
-    """What the surface scatters towards the ray from `wo`, and with which density it sends rays there.
+    """The share of light scattered from `wo` towards the ray, and the density with which the surface samples `wo`.
 
     Args:
-        otherwise: both of any other surface than rough glass.
+        otherwise: both values for surfaces other than rough glass.
     """
     if not tables.has_rough_glass:
         return otherwise
@@ -313,7 +313,7 @@ def _scattered_by_glass(tables, si, eta, wo, alpha, tint, otherwise) -> tuple[La
 
 
 def _meet_glass(tables, si, eta, alpha, tint, vanishes, samples) -> tuple[Lanes, Lanes, Lanes]:
-    """Whether glass reflects, where to in the surface's frame, and the factor of radiance."""
+    """Whether glass reflects, the new direction in the surface's frame, and the factor of radiance."""
     if tables.has_rough_glass:
         is_reflected, wo, share = _bounce_off_facet(si.wi, eta, alpha, *samples, vanishes)
     else:
@@ -322,7 +322,7 @@ def _meet_glass(tables, si, eta, alpha, tint, vanishes, samples) -> tuple[Lanes,
 
 
 def _reflect_or_refract(wi, eta, sample, vanishes) -> tuple[Lanes, Lanes, Lanes]:
-    """`_meet_glass` of smooth glass."""
+    """`_meet_glass` for smooth glass."""
     reflectance, cos_t, _, eta_ti = mi.fresnel(mi.Frame3f.cos_theta(wi), eta)
     is_reflected = (sample <= reflectance) & ~vanishes
     wo = dr.select(is_reflected, mi.reflect(wi), mi.refract(wi, cos_t, eta_ti))
@@ -330,18 +330,18 @@ def _reflect_or_refract(wi, eta, sample, vanishes) -> tuple[Lanes, Lanes, Lanes]
 
 
 def _bounce_off_facet(wi, eta, alpha, sample1, sample2, vanishes) -> tuple[Lanes, Lanes, Lanes]:
-    """`_meet_glass` of rough glass, by one of its facets; alpha = 0 is smooth."""
+    """`_meet_glass` for rough glass, by one of its facets; alpha = 0 is smooth."""
     side = dr.sign(mi.Frame3f.cos_theta(wi))
     facet = sample_facet(wi * side, alpha, sample2.x, sample2.y)
     reflectance, cos_t, _, eta_ti = mi.fresnel(dr.dot(wi, facet), eta)
     is_reflected = (sample1 <= reflectance) & ~vanishes
     wo = dr.select(is_reflected, mi.reflect(wi, facet), mi.refract(wi, facet, cos_t, eta_ti))
-    # What comes out on the wrong side is lost.
+    # Light that leaves on the wrong side is lost.
     is_lost = ((wo.z * side > 0) != is_reflected) & ~vanishes
     share = dr.select(is_reflected, 1, dr.square(eta_ti)) * dr.select(vanishes, 1, unshadowed(wo, alpha))
     return is_reflected, wo, dr.select(is_lost, 0, share)
 
 
 def _balance(pdf, other) -> Lanes:
-    """The power heuristic; 0 where the technique cannot have made the sample."""
+    """The power heuristic; 0 where the technique cannot have produced the sample."""
     return dr.select(pdf > 0, (pdf * pdf) / dr.fma(pdf, pdf, other * other), 0)

@@ -1,8 +1,8 @@
-"""The random numbers that paths are made of: Sobol's sequence, scrambled anew for each pixel and dimension.
+"""The path tracer's random numbers: Sobol's sequence, scrambled independently for each pixel and dimension.
 
-Points of a pixel are spread evenly not in pairs of dimensions alone, as those of Mitsuba's `multijitter` are, but over
-many bounces at once. Source: Owen 1995, "Randomly Permuted (t,m,s)-Nets and (t,s)-Sequences"; the scrambling is a hash,
-of Laine and Karras 2011 with the constants of Burley 2020, "Practical Hash-based Owen Scrambling".
+A pixel's points are spread evenly over many bounces at once, not only in pairs of dimensions as in Mitsuba's
+`multijitter`. Source: Owen 1995, "Randomly Permuted (t,m,s)-Nets and (t,s)-Sequences"; the scrambling is a hash by
+Laine and Karras 2011 with the constants of Burley 2020, "Practical Hash-based Owen Scrambling".
 Import this module after `use_mitsuba`; vectorised variants only.
 """
 
@@ -17,27 +17,27 @@ from jaxtyping import UInt32
 from scipy.stats import qmc
 
 NUM_DIMENSIONS = 128
-"""Dimensions beyond them are the first ones again, scrambled otherwise: still unbiased, less evenly spread."""
+"""Further dimensions repeat the first ones with another scrambling: still unbiased, but less evenly spread."""
 
 
 class SobolPoints:
-    """Points of a given number, for any number of pixels.
+    """A fixed number of points for each of any number of pixels.
 
-    No dataclass: Dr.Jit 1.5 would take it for state of a loop and assign its fields.
+    Not a dataclass: Dr.Jit 1.5 would treat it as loop state and assign its fields.
     """
 
     def __init__(self, count: int, seed: int) -> None:
         """Args:
-        count: of points per pixel; evenly spread where it is a power of two.
-        seed: pictures of different seeds are independent.
+        count: points per pixel; powers of two spread evenly.
+        seed: pictures with different seeds are independent.
         """
         self._count = dr.opaque(mi.UInt32, count)
         self._table = mi.UInt32(_reversed_points(count).ravel())
-        # Opaque, so that another seed is not another kernel.
+        # Opaque, so that another seed does not compile another kernel.
         self._seed = dr.opaque(mi.UInt32, seed)
 
     def scramble_of(self, pixel: "mi.UInt32") -> "mi.UInt32":
-        """What makes the points of a pixel its own."""
+        """The scrambling seed of a pixel."""
         return _hash(_hash(pixel) + self._seed)
 
     def sample(
@@ -46,7 +46,7 @@ class SobolPoints:
         """One coordinate, in [0, 1), of point `index` (below `count`)."""
         place = (dimension & (NUM_DIMENSIONS - 1)) * self._count + index
         seed = _hash(scramble + dimension * 0x9E3779B9)
-        # Owen's scrambling decides on each bit by those above it, which a multiplication does from below.
+        # Owen's scrambling changes each bit by the bits above it; multiplication by those below, hence reversed bits.
         bits = _reverse_bits(_permute(dr.gather(mi.UInt32, self._table, place, active), seed))
         return mi.Float(bits >> 8) * 2**-24
 
@@ -73,7 +73,7 @@ def _hash(x: Any) -> Any:
 
 
 def _permute(x: Any, seed: Any) -> Any:
-    """A bijection in which each bit depends on those below it alone."""
+    """A bijection in which each bit depends only on those below it."""
     x = x + seed
     for factor in (0x6C50B47C, 0xB82F1E52, 0xC7AFE638, 0x8D22F6E6):
         x ^= x * factor
@@ -81,7 +81,7 @@ def _permute(x: Any, seed: Any) -> Any:
 
 
 def _reverse_bits(x: Any) -> Any:
-    """Of Dr.Jit's or NumPy's 32-bit integers."""
+    """Reverses the bits of Dr.Jit's or NumPy's 32-bit integers."""
     for shift, mask in ((1, 0x55555555), (2, 0x33333333), (4, 0x0F0F0F0F), (8, 0x00FF00FF)):
         x = ((x >> shift) & mask) | ((x & mask) << shift)
     return (x >> 16) | (x << 16)

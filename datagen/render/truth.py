@@ -1,4 +1,4 @@
-"""The path-traced truth of one view: two independent halves, their mean, and the noise that is left."""
+"""The path-traced ground truth of one view: two independent halves, their mean, and the remaining noise."""
 
 # Mitsuba's stubs describe no variant: what is a number in one is an array in another.
 # pyright: reportAttributeAccessIssue=false, reportArgumentType=false, reportCallIssue=false
@@ -16,29 +16,27 @@ from datagen.data.config import Split
 from datagen.data.images import encode_exr, png_bytes, srgb_from_linear, to_8bit
 from datagen.data.meshes import is_there
 from datagen.disk.errors import HyalineError
-from datagen.render.environment import has_small_light
-from datagen.render.mitsuba_scene import is_scalar, load_scene_mitsuba, load_sensor
-from datagen.scene.contact import thin_share
+from datagen.render.mitsuba_scene import has_small_light, is_scalar, load_scene_mitsuba, load_sensor
+from datagen.scene.contact import largest_coordinate, thin_share
 from datagen.scene.description import Scene
 from datagen.scene.materials import Dielectric
 from datagen.scene.materials.optics import Surface
 from datagen.scene.media import find_media
 from datagen.scene.soundness import MAX_THIN
-from datagen.scene.thin_walls import largest_coordinate
 
 MAX_PATHS_PER_PASS = 1 << 23
-"""Samples of one film pass; more would not be faster and cost memory."""
+"""Samples of one pass; more would cost memory and not be faster."""
 
 MAX_SPP_PER_PASS = 1 << 12
-"""Of small pictures: the table of Sobol's points should stay in a cache."""
+"""Samples per pixel of one pass, which limits small pictures: the table of Sobol's points should fit into a cache."""
 
 SCALAR_OFFSET = 1e-4
-"""Metres off its surface, relative to 1 + its largest coordinate, where Mitsuba's `spawn_ray` starts a ray; a little
-more than that."""
+"""Slightly more than the distance off its surface, relative to 1 + its largest coordinate, at which Mitsuba's
+`spawn_ray` starts a ray."""
 NO_GLASS = Surface(event="ends")
 
 MAX_SPP = 1 << 17
-"""Where `--ceiling` gives up."""
+"""Samples per pixel after which `--ceiling` gives up."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -50,7 +48,7 @@ class Truth:
     half_difference: Float32[np.ndarray, "h w 3"]
     """(first half - second half) / 2, linear: an estimate of the noise in `radiance`."""
     spp: int
-    """Samples per pixel that were really drawn, both halves together."""
+    """Samples per pixel that were actually drawn, both halves together."""
     noise_mse: float
     """Estimated mean squared error of the clipped sRGB picture."""
 
@@ -59,11 +57,7 @@ class Renderer:
     """A loaded scene with its integrator; renders any number of views. Call `use_mitsuba` first."""
 
     def __init__(self, scene: Scene, *, max_depth: int) -> None:
-        """Loads the scene.
-
-        Raises:
-            HyalineError: there are priorities, and Mitsuba runs as scalar_rgb.
-        """
+        """Loads the scene."""
         import mitsuba as mi
 
         scene = dataclasses.replace(scene, objects=tuple(item for item in scene.objects if is_there(item.mesh)))
@@ -76,7 +70,7 @@ class Renderer:
         media = find_media(materials, meshes)
         if is_scalar():
             _check_walls_scalar(scene)
-            # Mitsuba's glass bends all colours alike: where ours does not, each channel is a picture of its own.
+            # Mitsuba's glass bends all colours alike. If ours disperses, each channel is rendered separately.
             channels = range(3) if media.parts_colors.any() else [None]
             self._scenes = [load_scene_mitsuba(_in_channel(scene, channel)) for channel in channels]
             kind = "volpath" if media.absorption.any() else "path"
@@ -98,7 +92,7 @@ class Renderer:
             )
 
     def radiance(self, cameras: Cameras, view: int, *, spp: int, seed: int) -> tuple[np.ndarray, int]:
-        """Linear radiance (h, w, 3) float32 and the samples per pixel really drawn (Mitsuba as scalar rounds them)."""
+        """Linear radiance (h, w, 3) float32 and the samples per pixel actually drawn (scalar Mitsuba rounds them)."""
         import mitsuba as mi
 
         sensor = load_sensor(cameras[view])
@@ -117,7 +111,7 @@ class Renderer:
 
 
 def _check_walls_scalar(scene: Scene) -> None:
-    """Refuses solids with walls that Mitsuba's own path tracer skips."""
+    """Rejects solids with walls so thin that Mitsuba's own path tracer skips them."""
     for item in scene.objects:
         if item.material.medium is None:
             continue
@@ -131,7 +125,7 @@ def _check_walls_scalar(scene: Scene) -> None:
 
 
 def _in_channel(scene: Scene, channel: int | None) -> Scene:
-    """The scene whose glass does to all colours what it does to one; as it is for None."""
+    """The scene with the index of one channel for all colours; unchanged for None."""
     if channel is None:
         return scene
     objects = (
@@ -149,11 +143,8 @@ def render_view(
     """Renders both halves of a view, in passes that fit into memory.
 
     Args:
-        spp: samples per pixel, both halves together; with a ceiling the number to start from.
-        ceiling_db: go on, doubling the samples, until the view's own noise ceiling reaches this.
-
-    Raises:
-        HyalineError: radiance is not finite, or the ceiling is out of reach.
+        spp: samples per pixel, both halves together; with a ceiling, the number to start with.
+        ceiling_db: double the samples until the view's noise ceiling reaches this.
     """
     halves = [np.zeros((cameras.height, cameras.width, 3)) for _ in range(2)]
     drawn, passes, wanted = 0, 0, spp
@@ -180,7 +171,7 @@ def render_view(
 
 
 def derive_seed(*parts: object) -> int:
-    """A 32-bit seed that depends on every part and on nothing else."""
+    """A 32-bit seed that depends on exactly these parts."""
     digest = hashlib.sha256("|".join(map(str, parts)).encode()).digest()
     return int.from_bytes(digest[:4], "little")
 

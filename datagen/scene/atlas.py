@@ -1,12 +1,16 @@
-"""The uv atlas: unwrapping a mesh so that every surface point has texels of its own, and what lies at each texel.
+"""The uv atlas: unwraps a mesh so that every surface point has its own texels, and bakes values into texels.
 
 Texture arrays are (tex_h, tex_w, c), row 0 on top: texel (r, c) is centred on u = (c + 0.5) / size,
 v = 1 - (r + 0.5) / size.
 """
 
+import hashlib
+import io
 import sys
-from collections.abc import Iterator
+import zipfile
+from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,52 +19,50 @@ from jaxtyping import Float, Float32, Int32
 
 from datagen.data.meshes import Mesh, is_there
 from datagen.disk.errors import HyalineError
-from datagen.machine.child_python import ChildError, arrays_from_child
+from datagen.disk.storage import make_private, read_hashed, user_cache, write_hashed
 from datagen.machine.mitsuba_variant import num_cores
-from datagen.scene.atlas_cache import Arrays, atlas_key, find_atlas, keep_atlas
+from datagen.machine.processes import ChildError, arrays_from_child
 
 if TYPE_CHECKING:
     import xatlas
 
+Arrays = Mapping[str, np.ndarray]
+
 RESOLUTION = 1024
-"""Texels a side for which the charts are packed; xatlas may need more."""
+"""Texels per side for which the charts are packed; xatlas may need more."""
 PADDING = 5
-"""Texels between charts at `RESOLUTION`, so that a texel of gutter stays at 256."""
+"""Texels between charts at `RESOLUTION`, which leaves one texel of gutter at 256."""
 BOX = 1024.0
-"""Longest side given to xatlas, in its units: it takes triangles of less than 1e-7 square units for degenerate."""
+"""Longest side given to xatlas, in its units: it treats triangles below 1e-7 square units as degenerate."""
 MAX_CHILDREN = 4
-"""Processes that unwrap side by side; each takes half a second to start."""
+"""Processes that unwrap in parallel; each takes half a second to start."""
 MAX_COORDINATE = 1e18
 """Beyond it, squares overflow float32."""
+MAX_KEPT = 2000
+"""Atlases kept in the user's cache; beyond this number, the oldest are deleted."""
 
 
 def unwrap(mesh: Mesh, *, where: str) -> Mesh:
-    """The same surface with a uv of its own for every point: charts that neither overlap nor touch.
+    """The same surface with unique uv for every point: charts that neither overlap nor touch.
 
-    Vertices are duplicated along the atlas's seams with the position and the normal they had; faces keep their
-    order. The same mesh always gives the same bytes.
-
-    Raises:
-        HyalineError: values that are not finite, faces without area, or a mesh that xatlas cannot unwrap.
+    Vertices are duplicated along the atlas's seams, with the same position and normal; faces keep their order. The same
+    mesh always gives the same bytes.
     """
     return unwrap_all({where: mesh})[where]
 
 
 def unwrap_all(meshes: dict[str, Mesh]) -> dict[str, Mesh]:
-    """`unwrap` for many meshes, in a few child processes side by side; the keys name them in errors.
+    """`unwrap` for many meshes, in a few parallel child processes; the keys name the meshes in errors.
 
-    xatlas hangs on infinite coordinates and could crash, so it never runs in this process. A surface that was
-    unwrapped before keeps the atlas that it got then, which is in the user's cache.
-
-    Raises:
-        HyalineError: see `unwrap`.
+    xatlas hangs on infinite coordinates and could crash, so it never runs in this process. A surface that was unwrapped
+    before gets the same atlas from the user's cache.
     """
     for where, mesh in meshes.items():
         _check_input(mesh, where=where)
     surfaces = {where: _surface(mesh) for where, mesh in meshes.items()}
     keys = {where: atlas_key(surface, Path(__file__)) for where, surface in surfaces.items()}
     atlases = {key: found for key in keys.values() if (found := find_atlas(key)) is not None}
-    # Of surfaces that are the same but for their place and size, one is unwrapped.
+    # Surfaces that differ only in position and size are unwrapped once.
     first = {key: where for where, key in reversed(keys.items()) if key not in atlases}
     shares = _share_out({where: surfaces[where] for where in first.values()}, min(MAX_CHILDREN, num_cores()))
     with ThreadPoolExecutor(max_workers=MAX_CHILDREN) as pool:
@@ -72,7 +74,7 @@ def unwrap_all(meshes: dict[str, Mesh]) -> dict[str, Mesh]:
 
 
 def _surface(mesh: Mesh) -> Arrays:
-    """What an atlas is made from."""
+    """The arrays from which an atlas is made."""
     return {
         "vertices": _in_box(mesh.vertices),
         "normals": mesh.normals.astype(np.float32),
@@ -81,7 +83,7 @@ def _surface(mesh: Mesh) -> Arrays:
 
 
 def _share_out(surfaces: dict[str, Arrays], most: int) -> list[dict[str, Arrays]]:
-    """At most so many shares of about as many faces each; none is empty."""
+    """Surfaces divided into at most `most` shares of about equal numbers of faces, none of them empty."""
     shares: list[dict[str, Arrays]] = [{} for _ in range(min(most, len(surfaces)))]
     for where, surface in sorted(surfaces.items(), key=lambda item: -len(item[1]["faces"])):
         least = min(shares, key=lambda share: sum(len(other["faces"]) for other in share.values()))
@@ -116,15 +118,15 @@ def bake_positions(mesh: Mesh, size: int) -> Float32[np.ndarray, "tex_h tex_w 3"
 
 
 def bake_corners(mesh: Mesh, values: Float[np.ndarray, "face 3 c"], size: int) -> Float32[np.ndarray, "tex_h tex_w c"]:
-    """What faces have at their corners, mixed at each texel centre; gutters hold the nearest chart's border."""
+    """Values at faces' corners, interpolated at each texel centre; gutters hold the nearest chart's border."""
     channels = values.shape[-1]
     baked = np.zeros((size * size, channels), np.float32)
     if not is_there(mesh):
         return baked.reshape(size, size, channels)
     covered = np.zeros(size * size, bool)
-    # A chart thinner than a texel may miss every centre: its corners stand in.
+    # A chart thinner than a texel may miss every centre, so the texels of its corners are set first.
     uv_texel = np.clip(np.floor(_texel_coordinates(mesh, size) + 0.5).astype(np.int64), 0, size - 1)
-    corner = np.argsort(mesh.faces, axis=None, kind="stable")  # Of several in one texel the last vertex counts.
+    corner = np.argsort(mesh.faces, axis=None, kind="stable")  # The last vertex in a texel counts.
     at_corner = (uv_texel[:, 1] * size + uv_texel[:, 0])[mesh.faces.reshape(-1)[corner]]
     baked[at_corner] = values.reshape(-1, channels)[corner]
     covered[at_corner] = True
@@ -143,7 +145,7 @@ def bake_corners(mesh: Mesh, values: Float[np.ndarray, "face 3 c"], size: int) -
 
 
 def coverage(mesh: Mesh, size: int) -> Int32[np.ndarray, "tex_h tex_w"]:
-    """How many triangles have each texel centre in their interior: at most 1 when the atlas does not overlap."""
+    """Number of triangles whose interior contains each texel centre: at most 1 if the atlas does not overlap."""
     counts = np.zeros(size * size, np.int32)
     for _, texel, weights in _rasterise(mesh, size):
         counts += np.bincount(texel[weights.min(axis=-1) > 1e-7], minlength=size * size).astype(np.int32)
@@ -155,7 +157,7 @@ def coverage(mesh: Mesh, size: int) -> Int32[np.ndarray, "tex_h tex_w"]:
 
 _PAIRS_AT_ONCE = 1 << 18
 _SLACK = 1e-6
-"""Texels by which a face may miss a centre that is on its edge but for rounding."""
+"""Tolerance in texels for centres that rounding moves off a face's edge."""
 
 
 def _texel_coordinates(mesh: Mesh, size: int) -> np.ndarray:
@@ -165,14 +167,14 @@ def _texel_coordinates(mesh: Mesh, size: int) -> np.ndarray:
 
 
 def _rasterise(mesh: Mesh, size: int) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Yields (face, texel, barycentric weights) of all texel centres in or just beside each face, in pieces."""
+    """Yields (face, texel, barycentric weights) of all texel centres in each face or just next to it, in pieces."""
     corners = _texel_coordinates(mesh, size)[mesh.faces]
     a, b, c = np.moveaxis(corners, 1, 0)
     area = _cross(b - a, c - a)
     low = np.clip(np.ceil(corners[..., 1].min(axis=1) - _SLACK), 0, size).astype(np.int64)
     high = np.clip(np.floor(corners[..., 1].max(axis=1) + _SLACK), -1, size - 1).astype(np.int64)
     kept = np.flatnonzero((high >= low) & (np.abs(area) > 1e-12))
-    # One item is one row of texels through one face, from its first to its last column.
+    # One item per row of texels through a face, from its first to its last column.
     heights = (high - low + 1)[kept]
     row_face = np.repeat(kept, heights)
     row = _counted(heights) + low[row_face]
@@ -188,7 +190,7 @@ def _rasterise(mesh: Mesh, size: int) -> Iterator[tuple[np.ndarray, np.ndarray, 
         part = slice(start, stop)
         face, y = np.repeat(row_face[part], widths[part]), np.repeat(row[part], widths[part])
         x = _counted(widths[part]) + np.repeat(first[part], widths[part])
-        # Measured from the corner: exact enough for slivers far from the origin.
+        # Relative to the corner, which is precise enough for slivers far from the origin.
         from_a = np.stack([x, y], axis=-1) - a[face]
         at_b = _cross(from_a, (c - a)[face]) / area[face]
         at_c = _cross((b - a)[face], from_a) / area[face]
@@ -197,7 +199,7 @@ def _rasterise(mesh: Mesh, size: int) -> Iterator[tuple[np.ndarray, np.ndarray, 
 
 
 def _columns(corners: np.ndarray, row: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Smallest and largest column (n,) at which triangles (n, 3, 2) cross a row; near its tips, of the nearest edge."""
+    """Smallest and largest column (n,) where triangles (n, 3, 2) cross a row; near a tip, those of the nearest edge."""
     first, last = np.full(len(row), np.inf), np.full(len(row), -np.inf)
     for start, end in ((0, 1), (1, 2), (2, 0)):
         p, q = corners[:, start], corners[:, end]
@@ -212,7 +214,7 @@ def _columns(corners: np.ndarray, row: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 
 def _counted(lengths: np.ndarray) -> np.ndarray:
-    """0, 1, ..., n - 1 for each n in `lengths`, one after the other."""
+    """0, 1, ..., n - 1 for each n in `lengths`, concatenated."""
     return np.arange(lengths.sum()) - np.repeat(np.cumsum(lengths) - lengths, lengths)
 
 
@@ -220,7 +222,7 @@ def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
 
 
-# xatlas and the process it lives in
+# xatlas and its child process
 
 
 def _check_input(mesh: Mesh, *, where: str) -> None:
@@ -228,13 +230,13 @@ def _check_input(mesh: Mesh, *, where: str) -> None:
         raise HyalineError(f"{where}: has no faces; expected at least one to unwrap")
     for name, values in (("vertices", mesh.vertices), ("normals", mesh.normals)):
         if not np.isfinite(values).all() or np.abs(values).max() > MAX_COORDINATE:
-            raise HyalineError(f"{where}: {name} that are not finite; expected finite numbers, xatlas hangs on others")
+            raise HyalineError(f"{where}: {name} are not finite; expected finite numbers, since xatlas hangs on others")
     if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
-        raise HyalineError(f"{where}: faces name vertices that do not exist; expected 0 to {len(mesh.vertices) - 1}")
+        raise HyalineError(f"{where}: faces refer to missing vertices; expected 0 to {len(mesh.vertices) - 1}")
 
 
 def _in_box(vertices: np.ndarray) -> np.ndarray:
-    """Moved and scaled alike on all axes into a box of `BOX` units."""
+    """Vertices moved and uniformly scaled into a box of `BOX` units."""
     wide = vertices.astype(np.float64)
     low = wide.min(axis=0)
     extent = float((wide.max(axis=0) - low).max())
@@ -262,7 +264,7 @@ def _with_uv(mesh: Mesh, atlas: Arrays, *, where: str) -> Mesh:
 def _unwrap_here(vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, ...]:
     """Source vertex of each new one, new faces, and uv in [0, 1], by xatlas in this process."""
     atlas = _pack(vertices, faces, normals, PADDING)
-    # The atlas may be larger than asked (xatlas 0.0.11), and then its gutter is narrower than asked.
+    # The atlas may be larger than requested (xatlas 0.0.11); its gutter is then too narrow.
     if (longest := max(atlas.width, atlas.height)) > 1.1 * RESOLUTION:
         atlas = _pack(vertices, faces, normals, -(-PADDING * longest // RESOLUTION))
     vertex_of, new_faces, uv = atlas[0]
@@ -295,6 +297,55 @@ def _child(source: Path, target: Path) -> None:
             vertex_of, new_faces, uv = _unwrap_here(vertices, faces, normals)
             answers |= {f"{index}.vertex_of": vertex_of, f"{index}.faces": new_faces, f"{index}.uv": uv}
     np.savez(target, allow_pickle=False, **answers)
+
+
+# Kept atlases: how surfaces are cut and laid out. A lost or damaged one is computed again.
+
+
+def atlas_key(surface: Arrays, maker: Path) -> str:
+    """A digest of everything an atlas depends on: the surface's arrays, the code in `maker`, and xatlas's version."""
+    digest = hashlib.sha256(metadata.version("xatlas").encode() + maker.read_bytes())
+    for name, values in sorted(surface.items()):
+        digest.update(f"{name} {values.dtype.str} {values.shape}".encode())
+        digest.update(np.ascontiguousarray(values).tobytes())
+    return digest.hexdigest()
+
+
+def find_atlas(key: str) -> Arrays | None:
+    """The arrays cached under this key; None if there are none, or they are damaged."""
+    cache = _cache()
+    data = None if cache is None else read_hashed(cache / f"{key}.npz")
+    if data is None:
+        return None
+    try:
+        with np.load(io.BytesIO(data)) as kept:
+            return dict(kept)
+    except (ValueError, OSError, zipfile.BadZipFile):
+        return None
+
+
+def keep_atlas(key: str, atlas: Arrays) -> None:
+    """Caches the arrays, if the cache is writable."""
+    cache = _cache()
+    if cache is None:
+        return
+    buffer = io.BytesIO()
+    np.savez(buffer, allow_pickle=False, **atlas)
+    try:
+        write_hashed(cache / f"{key}.npz", buffer.getvalue())
+        kept = sorted(cache.glob("*.npz"), key=lambda path: path.stat().st_mtime)
+        for path in kept[:-MAX_KEPT]:
+            path.unlink(missing_ok=True)
+    except OSError:  # A full disk, or another process that deletes the same files.
+        return
+
+
+def _cache() -> Path | None:
+    try:
+        cache = user_cache("atlases")
+    except RuntimeError:  # This user has no home directory.
+        return None
+    return cache if make_private(cache) is None else None
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
-"""Surfaces cut out by an image, such as leaves on cards: the parts where it is transparent become no surface at all.
+"""Surfaces cut out by an image, such as leaves on cards: transparent parts are removed from the mesh.
 
-The mesh itself is cut, along the line where the image's opacity, interpolated bilinearly between the centres of its
-texels, reaches the cutoff. So path tracer, layers, light paths, proxies and every program that reads the mesh agree.
+The mesh itself is cut, along the line where the image's opacity, interpolated bilinearly between texel centres, reaches
+the cutoff. So path tracer, layers, light paths, proxies and every program that reads the mesh agree.
 """
 
 import dataclasses
@@ -11,14 +11,13 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float, Float32, Int64
+from jaxtyping import Bool, Float, Float32, Int64
 
 from datagen.data.meshes import MIN_AREA, Mesh, no_mesh
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import check_relative
 from datagen.scene.description import Scene
 from datagen.scene.images import opened_image
-from datagen.scene.outlines import count_crossings, outlines
 
 if TYPE_CHECKING:
     import manifold3d
@@ -27,29 +26,29 @@ Opacity = Float32[np.ndarray, "tex_h tex_w"]
 CornerUv = Float32[np.ndarray, "face 3 2"]
 
 MAX_POINTS = 40_000
-"""Of an image's outlines; those of a finer image are taken from one with half as many texels a side."""
+"""Points of an image's outlines; a finer image is halved until its outlines have no more."""
 MAX_NEW_FACES = 100_000
-"""Faces that cutting may add to an object before its outlines are made coarser."""
+"""Faces that cutting may add to an object before the image is halved."""
 MIN_SIDE = 32
-"""Texels a side below which an image is not made coarser."""
+"""Texels per side below which an image is not halved."""
 MAX_SIDE = 2048
-"""Texels a side of an image from which outlines are taken; a larger one is made coarser first."""
+"""Texels per side of an image for outlines; larger images are halved first."""
 MAX_TILES = 4096
-"""Repeats of the image on one face."""
+"""Largest number of repeats of the image on one face."""
 DEVIATION = 0.1
-"""Texels by which an outline may be straightened."""
+"""Largest deviation of a simplified outline in texels."""
 SNAP = 1e-6
-"""Share of a face within which a point is its corner."""
+"""Barycentric tolerance within which a point snaps to a corner or side."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Cutout:
-    """What cuts a surface: an image in the uv of its mesh, repeated beyond [0, 1]."""
+    """Cuts a surface by an image in the uv of its mesh, repeated beyond [0, 1]."""
 
     image: str
-    """A PNG, relative to the scene's folder. Its alpha counts; of an image without alpha, its brightness."""
+    """PNG, relative to the scene's folder. Opacity is its alpha, or its brightness if it has no alpha."""
     cutoff: float = 0.5
-    """Share of opacity, interpolated between texels, below which there is no surface."""
+    """Opacity, interpolated between texels, below which the surface is removed."""
 
     def __post_init__(self) -> None:
         check_relative(self.image, where="cutout image")
@@ -61,21 +60,17 @@ class Cutout:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Cut:
-    """A cut that waits for its object's atlas: the image lies in the uv that the mesh came with."""
+    """A cut to be made once the object has its atlas; the image lies in the mesh's original uv."""
 
     opacity: Opacity
-    """Row 0 on top, as in the image."""
+    """Opacity with row 0 on top, as in the image."""
     cutoff: float
     corner_uv: CornerUv
-    """Of the faces, v up."""
+    """uv of the faces' corners, v up."""
 
 
 def opacity_of(data: bytes, *, where: str) -> Opacity:
-    """The opacity in an image file: its alpha, or where it has none its brightness.
-
-    Raises:
-        HyalineError: it is no image.
-    """
+    """The opacity in an image file: its alpha, or its brightness if it has no alpha."""
     with opened_image(data, where=where) as image:
         has_alpha = image.has_transparency_data
         values = np.asarray(image.convert("RGBA").getchannel("A") if has_alpha else image.convert("L"))
@@ -88,17 +83,13 @@ def corner_uv_of(mesh: Mesh) -> CornerUv:
 
 
 def with_cuts(scene: Scene, cuts: Mapping[str, Cut]) -> Scene:
-    """The scene with the objects of these names cut; one of which nothing is left has no mesh.
-
-    Raises:
-        HyalineError: an object is solid.
-    """
+    """The scene with the objects of these names cut; an object without a remaining face has no mesh."""
     objects = []
     for item in scene.objects:
         if (cut := cuts.get(item.name)) is not None:
             where = f"scene {scene.name}: object {item.name}"
             if item.material.medium is not None:
-                raise HyalineError(f"{where}: is a solid, which a cutout would open; expected a material of surfaces")
+                raise HyalineError(f"{where}: is solid, and a cutout would open it; expected a material for surfaces")
             objects.append(dataclasses.replace(item, mesh=cut_out(item.mesh, cut, where=where)))
         else:
             objects.append(item)
@@ -106,13 +97,9 @@ def with_cuts(scene: Scene, cuts: Mapping[str, Cut]) -> Scene:
 
 
 def cut_out(mesh: Mesh, cut: Cut, *, where: str) -> Mesh:
-    """The mesh without what the image cuts away; no mesh where that is all.
+    """The mesh without the parts that the image removes, or no mesh if that is everything.
 
-    Faces that are opaque all over stay as they are; those at the outlines become several, flat in the old ones' planes
-    with normals and uv interpolated.
-
-    Raises:
-        HyalineError: an image repeats too often on a face.
+    Opaque faces stay as they are; faces at outlines are split in their planes, with interpolated normals and uv.
     """
     assert len(cut.corner_uv) == len(mesh.faces), "an atlas keeps the faces in their order"
     opacity = cut.opacity
@@ -130,22 +117,21 @@ def cut_out(mesh: Mesh, cut: Cut, *, where: str) -> Mesh:
 
 
 def _halved(opacity: Opacity) -> Opacity:
-    """Means of two by two texels; a last odd row or column is left out."""
+    """Means of two by two texels; a last odd row or column is dropped."""
     height, width = (size // 2 * 2 for size in opacity.shape)
     quarters = opacity[:height, :width].reshape(height // 2, 2, width // 2, 2)
     return quarters.mean(axis=(1, 3), dtype=np.float64).astype(np.float32)
 
 
 class Stencil:
-    """The opaque part of an image as polygons, in units of its sides: (0, 0) is its lower left corner, (1, 1) the upper
-    right one.
+    """The opaque part of an image as polygons in uv: (0, 0) is the lower left corner, (1, 1) the upper right one.
 
-    A part of it is found by a tree of tiles, each cut from one twice as large: a face asks only those around it.
+    A tree of tiles, each cut from one twice as large, gives a face only the polygons around it.
     """
 
     def __init__(self, opacity: Opacity, cutoff: float, *, repeats: bool) -> None:
         upright = np.flipud(opacity).astype(np.float64)
-        # Half a texel lies outside of the outermost centres; beyond it, everything is cut away.
+        # Half a texel lies outside the outermost centres; everything beyond is cut away.
         around = np.pad(upright, 1, mode="wrap" if repeats else "edge")
         self._values = np.pad(around, 1, constant_values=cutoff - 1)
         self._cutoff = cutoff
@@ -159,13 +145,13 @@ class Stencil:
         import manifold3d
 
         loops = outlines(self._values, self._cutoff)
-        # The padding shifts by two texels, and the first centre lies half a texel in.
+        # The padding shifts by two texels, and the first centre is half a texel from the border.
         texels = manifold3d.CrossSection([loop - 1.5 for loop in loops], manifold3d.FillRule.EvenOdd)
         image = manifold3d.CrossSection.square(tuple(self._size))
         return (texels.simplify(DEVIATION) ^ image).scale(tuple(1 / self._size))
 
     def around(self, low: np.ndarray, high: np.ndarray) -> "manifold3d.CrossSection":
-        """A part of the stencil that has all of it between two corners."""
+        """A part of the stencil that contains everything between two corners."""
         size = max(float((high - low).max()), 2.0**-12)
         level = int(np.floor(-np.log2(size)))
         if level <= 0:
@@ -174,7 +160,7 @@ class Stencil:
         return self._tile(level, column, row)
 
     def _tile(self, level: int, column: int, row: int) -> "manifold3d.CrossSection":
-        """Two tiles of 2**-level a side in each direction, so that whatever is no larger than one lies in some."""
+        """Two by two tiles with sides of 2**-level, so that anything up to one tile in size fits into some of them."""
         import manifold3d
 
         if level == 0:
@@ -188,7 +174,7 @@ class Stencil:
 
 @dataclass(kw_only=False)
 class _Pieces:
-    """What is left of a mesh's faces, one after the other."""
+    """Collects the remaining pieces of a mesh's faces."""
 
     source: Mesh
     stencil: Stencil
@@ -198,15 +184,15 @@ class _Pieces:
     kept: list[int] = field(default_factory=list)
     """Faces that stay whole."""
     face: list[Int64[np.ndarray, " point"]] = field(default_factory=list)
-    """Of each new point, the face that it is on ..."""
+    """The face of each new point."""
     shares: list[Float[np.ndarray, "point 3"]] = field(default_factory=list)
-    """... and its barycentric coordinates there."""
+    """Barycentric coordinates of each new point on its face."""
     triangles: list[Int64[np.ndarray, "triangle 3"]] = field(default_factory=list)
     """Indices of new points."""
     num_points: int = 0
 
     def cut_all(self, *, at_most: int | None) -> bool:
-        """Cuts every face; False, and unfinished, where there would be more than so many faces."""
+        """Cuts every face; stops and returns False if there would be more than `at_most` faces."""
         num_faces = 0
         for index, corners in enumerate(self.corner_uv.astype(np.float64)):
             num_faces += self._cut(index, corners)
@@ -215,13 +201,13 @@ class _Pieces:
         return True
 
     def _cut(self, index: int, corners: Float[np.ndarray, "3 2"]) -> int:
-        """Cuts one face; the number of faces that are left of it."""
+        """Cuts one face and returns the number of faces left of it."""
         import manifold3d
 
         if not np.isfinite(corners).all():
-            raise HyalineError(f"{self.where}: some of its uv are no numbers; a cutout needs them, export it again")
+            raise HyalineError(f"{self.where}: some of its uv are not finite; a cutout needs uv, export the mesh again")
         turn = np.linalg.det([corners[1] - corners[0], corners[2] - corners[0]])
-        if is_line := bool(turn == 0):  # On one line of the image, or in one point: what is in its middle decides.
+        if is_line := bool(turn == 0):  # All uv on a line or point of the image: its middle decides.
             middle = corners.mean(axis=0) if self.stencil.repeats else np.clip(corners.mean(axis=0), 1e-5, 1 - 1e-5)
             corners, turn = middle + 1e-6 * np.array([[-1, -1], [1, -1], [0, 1]]), 1.0
         loop = corners if turn > 0 else corners[::-1]
@@ -273,7 +259,7 @@ class _Pieces:
         return len(triangles)
 
     def mesh(self) -> Mesh:
-        """Faces that stayed whole, then the pieces of the others, without vertices that nobody uses."""
+        """The faces that stayed whole, then the pieces of the others, without unused vertices."""
         source = self.source
         faces = [source.faces[self.kept].astype(np.int64).reshape(-1, 3)]
         arrays = {name: [getattr(source, name)] for name in ("vertices", "normals", "uv")}
@@ -299,3 +285,94 @@ def _barycentric(points: Float[np.ndarray, "point 2"], corners: Float[np.ndarray
     shares = np.stack([1 - second - third, second, third], axis=-1)
     shares[shares < SNAP] = 0
     return shares / shares.sum(axis=-1, keepdims=True)
+
+
+# Outlines of the area where bilinearly interpolated values reach a level; texel (row r, column c) is centred on (c, r)
+
+
+Grid = Float[np.ndarray, "row column"]
+Loops = list[Float[np.ndarray, "point 2"]]
+
+CORNERS = np.array([[0, 0], [0, 1], [1, 1], [1, 0]])
+"""Corners of a cell as (row, column) offsets, in order around it; side i goes from corner i to the next."""
+
+
+def count_crossings(values: Grid, level: float) -> int:
+    """The number of points of the outlines."""
+    above = values >= level
+    return int((above[1:] != above[:-1]).sum() + (above[:, 1:] != above[:, :-1]).sum())
+
+
+def outlines(values: Grid, level: float) -> Loops:
+    """Closed loops around values of at least `level`, which are on their left; x is the column, y the row.
+
+    The grid's border must be below the level, so that every loop closes. Between two texels on either side of the
+    level, a loop passes where their interpolation reaches it; within a cell of four texels it is straight.
+    """
+    start, end = _segments(values, level)
+    if not len(start):
+        return []
+    order = np.argsort(start)
+    following = order[np.searchsorted(start, end, sorter=order)]  # Each crossing ends one segment and starts one.
+    places = _places(values, level, start)
+    loops, is_left = [], np.ones(len(start), bool)
+    for first in range(len(start)):
+        if not is_left[first]:
+            continue
+        walk, at = [], first
+        while is_left[at]:
+            is_left[at] = False
+            walk.append(at)
+            at = following[at]
+        loops.append(places[walk])
+    return loops
+
+
+def _segments(values: Grid, level: float) -> tuple[Int64[np.ndarray, " segment"], Int64[np.ndarray, " segment"]]:
+    """The crossings at which the segments of all cells start and end, as numbers of the grid's sides."""
+    height, width = values.shape
+    heights, widths = height - 1, width - 1
+    corners = [values[r : r + heights, c : c + widths] - level for r, c in CORNERS]
+    above = [corner >= 0 for corner in corners]
+    joined = _is_joined(corners)
+    row, column = np.mgrid[:heights, :widths]
+    # Sides along rows come first, then those along columns.
+    along = row * width + column
+    across = height * width + along
+    sides = [along, across + 1, along + width, across]
+    starts, ends = [], []
+    for side in range(4):
+        leaves = above[side] & ~above[(side + 1) % 4]
+        for steps in (1, 2, 3):
+            other = (side + steps) % 4
+            enters = ~above[other] & above[(other + 1) % 4]
+            # In saddle cells, segments around joined corners lead to the next side, others to the previous one.
+            is_chosen = leaves & enters & _is_chosen(above, steps, joined)
+            starts.append(sides[side][is_chosen])
+            ends.append(sides[other][is_chosen])
+    return np.concatenate(starts), np.concatenate(ends)
+
+
+def _is_joined(corners: list[Grid]) -> Bool[np.ndarray, "cell_row cell_column"]:
+    """Where opposite corners are above the level and connected through the middle of the cell."""
+    a, b, c, d = corners
+    # The value at the saddle of the bilinear surface; its sign is that of the numerator times the denominator's.
+    return (a * c - b * d) * (a + c - b - d) > 0
+
+
+def _is_chosen(above: list[np.ndarray], steps: int, joined: np.ndarray) -> np.ndarray:
+    is_saddle = (above[0] == above[2]) & (above[1] == above[3]) & (above[0] != above[1])
+    if steps == 2:
+        return ~is_saddle
+    return ~is_saddle | (joined if steps == 1 else ~joined)
+
+
+def _places(values: Grid, level: float, crossing: Int64[np.ndarray, " crossing"]) -> Float[np.ndarray, "crossing 2"]:
+    """Positions of the crossings on their sides."""
+    height, width = values.shape
+    is_across = crossing >= height * width
+    row, column = np.divmod(crossing - is_across * height * width, width)
+    from_level = values[row, column] - level
+    other = values[row + is_across, column + ~is_across] - level
+    share = from_level / (from_level - other)
+    return np.stack([column + share * ~is_across, row + share * is_across], axis=-1)

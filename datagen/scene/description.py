@@ -1,38 +1,137 @@
-"""The renderer-neutral description of a scene (objects, lights, cameras)."""
+"""The renderer-neutral description of a scene: lights, cameras, objects."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from datagen.data.meshes import Mesh
 from datagen.disk.errors import HyalineError
-from datagen.disk.names import find_file
+from datagen.disk.names import check_relative, find_file
 from datagen.disk.records import read_regular
 from datagen.scene.camera_list import CameraList
-from datagen.scene.lights import Card, Environment, EnvironmentMap, Lobe, RectangleLight, SoftEnvironment
 from datagen.scene.materials import Material, check_material
 from datagen.scene.textures import ImageTexture
-from datagen.scene.values import Vector, check_positive
-
-__all__ = [
-    "MAX_OBJECTS",
-    "OBJECT_NAME",
-    "CameraList",
-    "CameraRig",
-    "Card",
-    "EnvironmentMap",
-    "Lobe",
-    "RectangleLight",
-    "Scene",
-    "SceneObject",
-    "SoftEnvironment",
-    "WalkPoint",
-    "image_bytes",
-]
+from datagen.scene.values import Color, Vector, check_positive, check_range
 
 OBJECT_NAME = r"[A-Za-z0-9_][A-Za-z0-9_-]*"
 MAX_OBJECTS = 255
-"""Object ids are 8 bits; 0 means empty."""
+"""Largest number of objects: ids have 8 bits, and 0 means empty."""
+
+
+# Lights
+
+
+MAP_ENDINGS = (".exr", ".hdr")
+"""Endings of radiance files: OpenEXR, and Radiance's RGBE."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lobe:
+    """A soft round light in the sky: radiance falls off as exp(sharpness (cos angle - 1)).
+
+    Sharpness 20 is about 36 degrees wide at half height; small lights cause fireflies behind glass.
+    """
+
+    direction: Vector
+    """Direction towards the light; any length."""
+    radiance: Color
+    sharpness: float
+
+    def __post_init__(self) -> None:
+        check_positive("lobe direction", math.hypot(*self.direction))
+        check_range("lobe radiance", self.radiance, 0, math.inf)
+        check_positive("lobe sharpness", self.sharpness)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Card:
+    """A rectangle that covers the sky behind it: a bright one acts as a photographer's softbox, a black one as a flag.
+
+    Glass becomes visible by reflection and refraction: bright cards give it highlights, dark ones outlines.
+    """
+
+    direction: Vector
+    """Direction towards its centre; any length."""
+    size_deg: tuple[float, float]
+    """Width and height as seen from the scene, each below 180 degrees."""
+    radiance: Color
+    roll_deg: float = 0.0
+    """Rotation about its centre, anticlockwise as seen from the scene; at 0 its width is horizontal."""
+    softness_deg: float = 2.0
+    """Width of its edge, over which it fades out."""
+
+    def __post_init__(self) -> None:
+        check_positive("card direction", math.hypot(*self.direction))
+        check_range("card radiance", self.radiance, 0, math.inf)
+        if not all(0 < size < 180 for size in self.size_deg):
+            raise HyalineError(f"card size_deg: is {self.size_deg}; expected two angles above 0 and below 180")
+        if not math.isfinite(self.roll_deg):
+            raise HyalineError(f"card roll_deg: is {self.roll_deg}; expected degrees")
+        if not 0.2 <= self.softness_deg <= min(self.size_deg):
+            raise HyalineError(
+                f"card softness_deg: is {self.softness_deg}; expected 0.2 to {min(self.size_deg):g}, its narrow side"
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
+class SoftEnvironment:
+    """Light from infinitely far away: a smooth vertical gradient, lobes, and cards in front of them."""
+
+    zenith: Color
+    """Radiance from straight above (+z)."""
+    horizon: Color
+    ground: Color
+    """Radiance from straight below."""
+    lobes: tuple[Lobe, ...] = ()
+    cards: tuple[Card, ...] = ()
+    """Cards; each covers the ones listed before it."""
+
+    def __post_init__(self) -> None:
+        for color in (self.zenith, self.horizon, self.ground):
+            check_range("environment radiance", color, 0, math.inf)
+
+
+@dataclass(frozen=True, kw_only=True)
+class EnvironmentMap:
+    """Light from infinitely far away, as a picture of all directions in linear radiance.
+
+    The picture is equirectangular: its first row is straight up (+z), its middle column is towards +x, and columns
+    further right are further right as seen from the scene, towards -y.
+    """
+
+    path: str
+    """OpenEXR or Radiance file (.exr, .hdr) in the scene's folder."""
+    scale: float = 1.0
+    """Factor on the radiance."""
+    rotation_deg: float = 0.0
+    """Rotation about the vertical, anticlockwise as seen from above: at 90 the middle column is towards +y."""
+
+    def __post_init__(self) -> None:
+        check_relative(self.path, where="environment path")
+        if not self.path.lower().endswith(MAP_ENDINGS):
+            raise HyalineError(
+                f"environment path: is {self.path!r}; expected an .exr or .hdr file inside the scene's folder"
+            )
+        check_positive("environment scale", self.scale)
+        if not math.isfinite(self.rotation_deg):
+            raise HyalineError(f"environment rotation_deg: is {self.rotation_deg}; expected degrees")
+
+
+Environment = SoftEnvironment | EnvironmentMap
+
+
+@dataclass(frozen=True, kw_only=True)
+class RectangleLight:
+    """A one-sided rectangle that emits along the cross product of its edges; visible to cameras, but not peeled."""
+
+    corner: Vector
+    edge_u: Vector
+    edge_v: Vector
+    radiance: Color
+
+    def __post_init__(self) -> None:
+        check_range("light radiance", self.radiance, 0, math.inf)
 
 
 # Cameras
@@ -40,7 +139,7 @@ MAX_OBJECTS = 255
 
 @dataclass(frozen=True, kw_only=True)
 class WalkPoint:
-    """A place that the extrapolating walk passes, and where it looks from there."""
+    """A point of the extrapolating walk, and where the camera looks from there."""
 
     position: Vector
     target: Vector
@@ -48,12 +147,12 @@ class WalkPoint:
 
 @dataclass(frozen=True, kw_only=True)
 class CameraRig:
-    """Where the cameras of all splits stand: a cropped hemisphere, and a walk that leaves it."""
+    """Placement of the cameras of all splits: a cropped hemisphere, and a walk that leaves it."""
 
     target: Vector
     """Centre of the hemisphere; its cameras look at points near it."""
     radius: float
-    """Metres."""
+    """Radius of the hemisphere in metres."""
     elevation_deg: tuple[float, float]
     """Lowest and highest elevation on the hemisphere, degrees above the horizon."""
     azimuth_deg: tuple[float, float] = (0.0, 360.0)
@@ -81,11 +180,11 @@ class CameraRig:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SceneObject:
-    """One object: what is peeled under one id, textured by one neural texture, replaced by one proxy."""
+    """An object: the unit that has an id in layers, a neural texture and a proxy."""
 
     name: str
     mesh: Mesh
-    """Without faces where an edit removed the object: its id then stays unused, and all others keep theirs."""
+    """The mesh; without faces if an edit removed the object, whose id then stays unused."""
     material: Material
 
     def __post_init__(self) -> None:
@@ -94,24 +193,24 @@ class SceneObject:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Scene:
-    """Everything that a path tracer needs, naming none. The id of `objects[i]` is i + 1."""
+    """Everything that a path tracer needs, independent of any. The id of `objects[i]` is i + 1."""
 
     name: str
     description: str = ""
     license: str | None = None
-    """Of meshes and images, and so of what is rendered from them; None where nobody states it."""
+    """License of meshes and images, and so of renderings; None if unknown."""
     objects: tuple[SceneObject, ...]
     environment: Environment
     lights: tuple[RectangleLight, ...] = ()
     cameras: CameraRig | CameraList
     folder: Path | None = field(default=None)
-    """Where image textures and the map of the environment lie; None for scenes made by code."""
+    """Folder of image textures and the environment map; None for scenes made by code."""
     baked: Mapping[str, bytes] = field(default_factory=dict)
-    """PNG files of image textures that were baked into another uv, by path; they lie in no folder yet."""
+    """PNG files of image textures baked into new uv, by path; not written to a folder yet."""
 
 
 def image_bytes(scene: Scene, image: ImageTexture | EnvironmentMap) -> bytes:
-    """The file of an image texture or of a map of the environment."""
+    """The file of an image texture or an environment map."""
     if image.path in scene.baked:
         return scene.baked[image.path]
     assert scene.folder is not None, "a scene with images has a folder"

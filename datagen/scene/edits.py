@@ -1,9 +1,9 @@
-"""Edits: what may be changed in a scene whose renderer is already trained, how an edit is written, what it does.
+"""Edits of a scene whose renderer is already trained: how they are written, and what they do.
 
-Objects keep their ids, their names and their atlases, so that trained textures stay valid. A removed object leaves its
-id unused. A copy is an object of its own behind all others, with an id of its own: it moves, hides and refracts by
-itself, and whoever renders it looks up the textures of its original (`EditedScene.copies`). One object of two instances
-would keep its id, but then one texel had two positions, and no layer would tell which of both it came from.
+Objects keep their ids, names and atlases, so that trained textures stay valid. A removed object leaves its id unused. A
+copy is a new object after all others, with an id of its own: it moves, hides and refracts independently, and renderers
+look up the textures of its original (`EditedScene.copies`). A second instance with the same id would not do: a texel
+would have two positions, and layers could not distinguish them.
 """
 
 import dataclasses
@@ -21,7 +21,7 @@ from datagen.scene.contact import count_touching_faces
 from datagen.scene.description import Scene, SceneObject
 from datagen.scene.materials import Dielectric, Diffuse
 from datagen.scene.soundness import check_scene
-from datagen.scene.values import Vector
+from datagen.scene.values import Vector, as_vector
 from datagen.terminal.command import choose
 
 Verb = Literal["remove", "move", "duplicate", "glass", "swap", "no-glass", "opaque-glass"]
@@ -37,10 +37,10 @@ USAGE: dict[Verb, str] = {
 }
 
 CLEAR_GLASS = Dielectric(ior=1.5)
-"""What `glass` makes of an opaque object."""
+"""The material that `glass` gives to an opaque object."""
 
 GREY = Diffuse(color=(0.5, 0.5, 0.5))
-"""What `glass` and `opaque-glass` make of a transparent object."""
+"""The material that `glass` and `opaque-glass` give to a transparent object."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,9 +49,9 @@ class Edit:
 
     verb: Verb
     objects: tuple[str, ...]
-    """Names; two of `swap`, none of what is done to all glass, else one."""
+    """Object names: two for `swap`, none for edits of all glass, else one."""
     offset: Vector | None = None
-    """Metres, of `move` and `duplicate`."""
+    """Offset in metres, for `move` and `duplicate`."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -60,25 +60,21 @@ class EditedScene:
 
     scene: Scene
     copies: dict[str, str]
-    """The original's name by the name of each copy."""
+    """Name of the original for each copy, by the copy's name."""
     offsets: dict[str, Vector]
-    """How far each object stands from where it, or its original, stood; 0 for those that are not named."""
+    """Offset in metres of each object from where it, or its original, was; 0 for objects not listed."""
 
     def changed(self, before: Scene) -> tuple[str, ...]:
-        """Names of all objects that are not what they were, in the order of their ids."""
+        """Names of all changed objects, in the order of their ids."""
         old = {item.name: item for item in before.objects}
         return tuple(item.name for item in self.scene.objects if item is not old.get(item.name))
 
 
 def parse_edit(text: str) -> Edit:
-    """The edit that `verb:object[:object or offset]` describes.
-
-    Raises:
-        HyalineError: no such verb, or not what it needs.
-    """
+    """The edit that `verb:object[:object or offset]` describes."""
     start, *rest = text.split(":")
     if start not in USAGE:
-        raise HyalineError(f"edit {text!r}: there is no {start!r}; expected {', '.join(USAGE.values())}")
+        raise HyalineError(f"edit {text!r}: unknown verb {start!r}; expected {', '.join(USAGE.values())}")
     verb = cast(Verb, start)
     usage = USAGE[verb]
     if len(rest) != usage.count(":") or not all(rest):
@@ -95,22 +91,18 @@ def parse_edit(text: str) -> Edit:
 
 
 def describe_edit(edit: Edit) -> str:
-    """The edit as `parse_edit` reads it, always written in one way."""
+    """The edit as `parse_edit` reads it, in canonical form."""
     offset = [",".join(f"{value:g}" for value in edit.offset)] if edit.offset else []
     return ":".join([edit.verb, *edit.objects, *offset])
 
 
 def edits_name(edits: tuple[Edit, ...]) -> str:
-    """The name of a folder for the scene after these edits, such as `remove-ball+move-mug-0.1,0,0`."""
+    """The folder name for the scene after these edits, such as `remove-ball+move-mug-0.1,0,0`."""
     return "+".join(describe_edit(edit).replace(":", "-") for edit in edits)
 
 
 def edit_scene(scene: Scene, edits: tuple[Edit, ...]) -> EditedScene:
-    """The checked scene after all edits, one after the other.
-
-    Raises:
-        HyalineError: no such object, an object that cannot be glass, or surfaces that would coincide.
-    """
+    """The checked scene after all edits, applied in order."""
     edited = EditedScene(scene=scene, copies={}, offsets={})
     for edit in edits:
         there = [item.name for item in edited.scene.objects if is_there(item.mesh)]
@@ -155,21 +147,21 @@ def _toggle_glass(edited: EditedScene, edit: Edit) -> EditedScene:
 
 
 def _swap(edited: EditedScene, edit: Edit) -> EditedScene:
-    """Each comes to stand where the other stood: the middles of their feet change places."""
+    """Exchanges two objects: each moves so that the centre of its base is where the other's was."""
     one, other = edit.objects
     offset = _foot(_find(edited, other).mesh) - _foot(_find(edited, one).mesh)
     return _moved(_moved(edited, one, offset), other, -offset)
 
 
 def _remove_glass(edited: EditedScene, edit: Edit) -> EditedScene:
-    """The same scene as if its glass had never stood there."""
+    """The same scene without its glass."""
     for item in _all_glass(edited, edit):
         edited = _with_object(edited, dataclasses.replace(item, mesh=no_mesh()))
     return edited
 
 
 def _paint_glass(edited: EditedScene, edit: Edit) -> EditedScene:
-    """The same scene with a coat of matt grey on its glass: shapes as a depth sensor would like them."""
+    """The same scene with its glass painted matt grey, so that a depth sensor could measure it."""
     for item in _all_glass(edited, edit):
         edited = _with_object(edited, dataclasses.replace(item, material=GREY))
     return edited
@@ -204,29 +196,25 @@ def _with_object(edited: EditedScene, changed: SceneObject) -> EditedScene:
 
 def _moved(edited: EditedScene, name: str, offset: Float[np.ndarray, "3"]) -> EditedScene:
     item = _find(edited, name)
-    material = item.material.moved(cast(Vector, tuple(offset.tolist())))
+    material = item.material.moved(as_vector(offset))
     moved = _with_object(edited, dataclasses.replace(item, mesh=moved_mesh(item.mesh, offset), material=material))
-    offsets = {**edited.offsets, name: _sum(edited.offsets.get(name, (0.0, 0.0, 0.0)), offset)}
-    return dataclasses.replace(moved, offsets=offsets)
+    before = edited.offsets.get(name, (0.0, 0.0, 0.0))
+    return dataclasses.replace(moved, offsets={**edited.offsets, name: as_vector(before + offset)})
 
 
 def moved_mesh(mesh: Mesh, offset: Vector | Float[np.ndarray, "3"]) -> Mesh:
-    """The mesh, moved by so many metres."""
+    """The mesh, moved by an offset in metres."""
     return dataclasses.replace(mesh, vertices=(mesh.vertices.astype(np.float64) + offset).astype(np.float32))
 
 
-def _sum(place: Vector, offset: Float[np.ndarray, "3"]) -> Vector:
-    return cast(Vector, tuple((np.array(place) + offset).tolist()))
-
-
 def _foot(mesh: Mesh) -> np.ndarray:
-    """Middle of the bottom of the bounding box."""
+    """Centre of the bottom of the bounding box."""
     low, high = mesh.vertices.min(axis=0).astype(np.float64), mesh.vertices.max(axis=0).astype(np.float64)
     return np.array([*(low + high)[:2] / 2, low[2]])
 
 
 def _check_contact(before: Scene, after: Scene, edit: Edit) -> None:
-    """Refuses surfaces of which the edit makes one: peeling would lose layers there, and paths go astray."""
+    """Rejects an edit that makes surfaces coincide: peeling would lose layers there, and light paths go astray."""
     old = {item.name: item for item in before.objects}
     for item in after.objects:
         if not is_there(item.mesh) or item is old.get(item.name):
@@ -235,5 +223,5 @@ def _check_contact(before: Scene, after: Scene, edit: Edit) -> None:
             if other.name != item.name and (count := count_touching_faces(item.mesh, other.mesh)):
                 raise HyalineError(
                     f"edit {describe_edit(edit)!r}: {count} faces of {item.name} would lie in faces of {other.name}; "
-                    "leave a gap of a millimetre, or let one reach into the other"
+                    "leave a gap of a millimetre, or extend one into the other"
                 )

@@ -7,19 +7,22 @@ from datagen.disk.errors import HyalineError
 from datagen.scene.builtin import SCENES, find_builtin
 from datagen.scene.description import Scene
 from datagen.scene.folder import load_scene
-from datagen.scene.importers.choices import ImportChoices
-from datagen.scene.importers.confined_import import imported_scene
-from datagen.scene.importers.importing import DEFAULT_RESOLUTION, READERS, check_ending
-from datagen.scene.procedural.names import RANDOM, parse_random
+from datagen.scene.foreign_files import (
+    DEFAULT_RESOLUTION,
+    OTHER_ENDINGS,
+    READERS,
+    ImportChoices,
+    check_ending,
+    ending_of,
+)
+from datagen.scene.random_names import RANDOM, parse_random
 from datagen.terminal.command import say, say_all
-
-OTHER_ENDINGS = (".blend", ".fbx", ".dae", ".usd", ".usda", ".usdc", ".usdz", ".abc", ".3ds", ".max", ".c4d", ".skp")
-"""Of files that many have, and that are not read."""
 
 
 def is_foreign(given: str) -> bool:
     """True for a file of a format that is imported, by its ending."""
-    return Path(given).suffix.lower() in READERS and not Path(given).is_dir()
+    ending = ending_of(Path(given))
+    return ending != "" and ending in READERS.names() and not Path(given).is_dir()
 
 
 def is_made_by_code(name: str) -> bool:
@@ -40,19 +43,18 @@ def find_scene(
         built: a dataset that may hold the same built-in scene, unwrapped.
         resolution: of the pictures, which the ground of an imported scene is made for.
         imports: how a file is imported.
-
-    Raises:
-        HyalineError: none of these, or the scene is bad.
     """
     if is_foreign(given):
+        from datagen.scene.importers.confined_import import imported_scene
+
         say(f"scene {given}: imports it")
         scene, told = imported_scene(Path(given), imports, resolution=resolution)
         say_all(told)
         return scene
     if flags := imports.given():
         raise HyalineError(f"{flags[0]}: goes with a file that is imported, such as --scene vase.glb; leave it out")
-    ending = Path(given).suffix.lower()
-    if ending in OTHER_ENDINGS or (ending not in ("", ".json") and Path(given).is_file()):
+    ending = ending_of(Path(given))
+    if ending in OTHER_ENDINGS or (ending not in ("", "json") and Path(given).is_file()):
         check_ending(Path(given))
     if (Path(given) / "scene.json").is_file():
         say(f"scene {given}: reads and checks it")
@@ -64,5 +66,7 @@ def find_scene(
 
         return make_random(random)
     if given.startswith(RANDOM):
-        raise HyalineError(f"scene {given}: is no random scene; expected a name like random-0007 or random-table-0007")
+        raise HyalineError(
+            f"scene {given}: is not a random scene; expected a name like random-0007 or random-table-0007"
+        )
     return find_builtin(given, built=built)

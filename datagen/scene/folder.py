@@ -1,10 +1,14 @@
 """A scene's folder on disk: scene.json, meshes/*.ply and image textures."""
 
 import dataclasses
+import math
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeVar, cast
+
+import numpy as np
+from jaxtyping import Float
 
 from datagen.data.meshes import Mesh, check_numbers, is_there, no_mesh
 from datagen.data.ply import read_ply, write_ply
@@ -18,16 +22,19 @@ from datagen.scene.description import (
     MAX_OBJECTS,
     OBJECT_NAME,
     CameraRig,
+    Environment,
+    EnvironmentMap,
+    RectangleLight,
     Scene,
     SceneObject,
+    SoftEnvironment,
     image_bytes,
 )
-from datagen.scene.environment_maps import read_map
-from datagen.scene.lights import Environment, EnvironmentMap, RectangleLight, SoftEnvironment
+from datagen.scene.images import read_map
 from datagen.scene.materials import Material
 from datagen.scene.mending import mend_scene, mend_surface
 from datagen.scene.soundness import check_names, check_scene
-from datagen.scene.transforms import Transform, transformed, transformed_material
+from datagen.scene.values import Vector, as_vector, check_positive
 from datagen.terminal.command import say
 
 Record = TypeVar("Record")
@@ -35,28 +42,58 @@ SCENE_VERSION = 1
 
 
 @dataclass(frozen=True, kw_only=True)
+class Transform:
+    """Scales a mesh about its own origin, rotates it, and then moves it."""
+
+    scale: Vector = (1.0, 1.0, 1.0)
+    """Factors along the mesh's own x, y and z."""
+    rotation_deg: Vector = (0.0, 0.0, 0.0)
+    """Rotation about the world's x, then y, then z axis; anticlockwise when looking against the axis."""
+    translation: Vector = (0.0, 0.0, 0.0)
+    """Offset in metres."""
+
+    def __post_init__(self) -> None:
+        for factor in self.scale:
+            check_positive("transform scale", factor)
+        for name, values in (("rotation_deg", self.rotation_deg), ("translation", self.translation)):
+            if not all(map(math.isfinite, values)):
+                raise HyalineError(f"transform {name}: is {values}; expected three numbers")
+
+    def rotation(self) -> Float[np.ndarray, "3 3"]:
+        """Rotation matrix, world from object, without scale."""
+        turned = np.eye(3)
+        for axis, angle in enumerate(np.radians(self.rotation_deg)):
+            one, other = (axis + 1) % 3, (axis + 2) % 3
+            about = np.eye(3)
+            about[[one, other], [one, other]] = np.cos(angle)
+            about[one, other], about[other, one] = -np.sin(angle), np.sin(angle)
+            turned = about @ turned
+        return turned
+
+
+@dataclass(frozen=True, kw_only=True)
 class _ObjectFile:
-    """One object: what is peeled under one id, textured by one neural texture, replaced by one proxy."""
+    """An object: the unit that has an id in layers, a neural texture and a proxy."""
 
     name: str
     mesh: str | None
-    """Relative to the scene's folder; None where an edit removed the object."""
+    """PLY file, relative to the scene's folder; null if an edit removed the object."""
     material: Material
     transform: Transform = field(default_factory=Transform)
-    """Applied when the scene is read; a scene that is written has it in its meshes."""
+    """Applied to the mesh when the scene is read."""
     cutout: Cutout | None = None
-    """Cuts the mesh when the scene is read, as leaves on cards are; a scene that is written has a mesh with holes."""
+    """Cuts the mesh when the scene is read, as for leaves on cards."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class _SceneFile:
-    """What scene.json holds."""
+    """The contents of scene.json."""
 
     version: int
     name: str
     description: str = ""
     license: str | None = None
-    """Of meshes and images, and of datasets made from them: an SPDX name such as CC-BY-4.0, or a line of text."""
+    """License of meshes, images and datasets made from them: an SPDX name such as CC-BY-4.0, or a line of text."""
     objects: tuple[_ObjectFile, ...]
     environment: Environment
     lights: tuple[RectangleLight, ...] = ()
@@ -66,11 +103,11 @@ class _SceneFile:
 
 
 FILE_RECORD: type = _SceneFile
-"""The record of a whole scene.json, from which its schema is made."""
+"""The record of scene.json, from which its schema is generated."""
 
 
 def save_scene(scene: Scene, folder: Path) -> None:
-    """Writes `scene.json`, `meshes/*.ply` and image textures; `load_scene` gives the same scene back."""
+    """Writes `scene.json`, `meshes/*.ply` and image textures; `load_scene` returns the same scene."""
     for relative, data in scene_files(scene).items():
         commit(folder / relative, data)
 
@@ -100,26 +137,23 @@ def scene_files(scene: Scene) -> dict[str, bytes]:
     )
     if isinstance(scene.cameras, CameraList):
         files |= camera_files(scene.cameras)
-    # Through the parser and back, so that 1 and 1.0 give the same bytes.
+    # Parsed and written again, so that 1 and 1.0 give the same bytes.
     canonical = from_json(_SceneFile, to_json(file), where=f"scene {scene.name}")
     data = cast(dict[str, Json], to_json(canonical))
     for described in cast(list[dict[str, Json]], data["objects"]):
-        del described["transform"], described["cutout"]  # They are in the mesh.
+        del described["transform"], described["cutout"]  # Already applied to the mesh.
     if scene.license is None:
-        del data["license"]  # Scenes that do not say it keep the bytes that they had before there was such a key.
+        del data["license"]  # Scenes without a license keep the bytes they had before the key existed.
     if file.cameras is None:
         del data["cameras"]
     return {**files, "scene.json": dump_json(data)}
 
 
 def load_scene(folder: Path, *, is_sealed: bool = False) -> Scene:
-    """The checked scene in a folder. Objects without an atlas get one; what is mended is said in a line each.
+    """The checked scene in a folder. Objects without an atlas get one; each repair prints a line.
 
     Args:
-        is_sealed: the folder is a dataset's, whose scene was mended and checked when it was begun: read as it stands.
-
-    Raises:
-        HyalineError: a missing file, an unknown key, a bad value or a bad mesh.
+        is_sealed: the folder belongs to a dataset, whose scene was repaired and checked before: read it unchanged.
     """
     path = find_file(folder, "scene.json", where=str(folder))
     data = load_json(path)
@@ -168,16 +202,38 @@ def load_scene(folder: Path, *, is_sealed: bool = False) -> Scene:
     scene = with_cuts(scene, cuts)
     for item in scene.objects:
         if item.name in cuts and not is_there(item.mesh):
-            raise HyalineError(f"{path}: object {item.name}: its cutout leaves nothing of it; expected opaque texels")
+            raise HyalineError(f"{path}: object {item.name}: its cutout removes all of it; expected opaque texels")
     check_scene(scene, is_sealed=is_sealed)
     return scene
 
 
+def transformed(mesh: Mesh, transform: Transform) -> Mesh:
+    """The mesh after a transform; uv stay the same."""
+    rotation, scale = transform.rotation(), np.array(transform.scale)
+    vertices = (mesh.vertices.astype(np.float64) * scale) @ rotation.T + transform.translation
+    # Normals transform by the inverse transpose.
+    normals = (mesh.normals.astype(np.float64) / scale) @ rotation.T
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = np.divide(normals, length, out=np.zeros_like(normals), where=length > 0)
+    return dataclasses.replace(mesh, vertices=vertices.astype(np.float32), normals=normals.astype(np.float32))
+
+
+def transformed_material(material: Material, transform: Transform) -> Material:
+    """The material of a transformed object: the origins of its patterns move with it.
+
+    A pattern's directions and scale stay those of the world.
+    """
+    for name, pattern in material.solids().items():
+        place = transform.rotation() @ (np.array(transform.scale) * pattern.origin) + transform.translation
+        material = material.with_fields({name: dataclasses.replace(pattern, origin=as_vector(place))})
+    return material
+
+
 def _cut_of(item: _ObjectFile, cutout: Cutout, mesh: Mesh, folder: Path, *, has_uv: bool) -> tuple[Mesh, Cut]:
-    """A mended mesh, whose faces stay as they are in whatever atlas it gets, and how it is to be cut."""
+    """A repaired mesh, whose faces keep their order in any atlas, and how to cut it."""
     where = f"{folder / 'scene.json'}: object {item.name}"
     if not has_uv:
-        raise HyalineError(f"{where}: has no uv for {cutout.image}; export its mesh with uv, or leave out its cutout")
+        raise HyalineError(f"{where}: has no uv for {cutout.image}; export its mesh with uv, or remove its cutout")
     check_numbers(mesh, where=where)
     mesh, remarks = mend_surface(mesh, is_solid=False)
     for remark in remarks:
@@ -196,13 +252,13 @@ def _parse_scene(data: dict[str, Json], path: Path) -> _SceneFile:
         )
         data = {**data, "objects": []}
     for key, first in (("environment", SoftEnvironment), ("cameras", CameraRig)):
-        if isinstance(described := data.get(key), dict):  # It needed no type as long as there was one kind.
+        if isinstance(described := data.get(key), dict):  # Old files have no type: there was only one kind.
             data = {**data, key: {"type": first.__name__, **described}}
     return dataclasses.replace(_parse_in(_SceneFile, data, where=str(path)), objects=objects)
 
 
 def _parse_in(kind: type[Record], data: Json, *, where: str) -> Record:
-    """`from_json`, whose errors all begin with `where`: records check their own values and cannot know their place."""
+    """`from_json` with `where` before every error: records check their own values and do not know their place."""
     try:
         return from_json(kind, data, where=where)
     except HyalineError as error:

@@ -1,17 +1,17 @@
-"""The media that light runs through: which solid fills a point that several share, and what it does to light.
+"""The media that light passes through: which solid fills a point inside several, and its optics.
 
-Nested dielectrics by priority: every mesh stays closed, and a drink reaches a little into the wall of its glass. Where
-solids overlap, the one of the lowest rank fills the space; there the surfaces of the others do not exist.
+Nested dielectrics by priority: every mesh stays closed, and a drink extends slightly into the wall of its glass. Where
+solids overlap, the one of the lowest rank fills the space, and the surfaces of the others do not exist there.
 Source: Schmidt and Budge 2002, "Simple Nested Dielectrics in Ray Traced Images".
 
 A kernel carries, with each ray, the `solids` that it is in: a UInt32 that starts as `no_solids(media)` in air and is
-changed by `with_solid` and `without_solid` alone. At a surface of rank `rank`, whichever way the ray crosses it,
+changed only by `with_solid` and `without_solid`. At a surface of rank `rank`, whichever way the ray crosses it,
 
     inner = medium_of(media, with_solid(media, solids, rank))
     outer = medium_of(media, without_solid(media, solids, rank))
 
-are the media on its two sides, and nothing happens where they are the same. That does not ask whether the ray was in
-the solid: so a ray that slipped through an edge is put right by the next surface of that solid.
+are the media on its two sides, and nothing happens if they are the same. This does not depend on whether the ray was in
+the solid, so a ray that slipped through an edge is corrected at the next surface of that solid.
 """
 
 # Mitsuba's stubs describe no variant: what is a number in one is an array in another.
@@ -30,10 +30,10 @@ if TYPE_CHECKING:
     import mitsuba as mi
 
 SAME_INDEX = 1e-6
-"""How far the ratio of two indices may be from 1 for there to be no surface that tints: overlapping parts of one glass
-have none between them."""
+"""A surface does not tint if the ratio of indices is this close to 1: overlapping parts of one glass have no surface
+between them."""
 MAX_NESTED = 32
-"""How many dielectrics a scene with priorities may have: a ray keeps one bit for each."""
+"""Largest number of dielectrics in a scene with priorities: a ray keeps one bit for each."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -41,29 +41,29 @@ class Media:
     """The dielectrics of a scene in the order in which they fill space, and air."""
 
     rank: Int32[np.ndarray, "object"]
-    """Place of each object among the dielectrics: 0 for the one that displaces all others; -1 for no dielectric."""
+    """Rank of each object among the dielectrics: 0 displaces all others, -1 is not a dielectric."""
     iors: Float32[np.ndarray, "medium 3"]
-    """Index of refraction by rank and colour channel; that of air stands last."""
+    """Index of refraction by rank and colour channel; air is last."""
     absorption: Float32[np.ndarray, "medium 3"]
-    """1/m by rank; that of air, 0, stands last."""
+    """Absorption coefficient in 1/m by rank; air, with 0, is last."""
     is_nested: bool
-    """Whether a ray may be in several solids at once. If not, to leave any of them is to come into air."""
+    """Whether a ray may be in several solids at once. If not, leaving any of them leads into air."""
 
     @property
     def ior(self) -> Float32[np.ndarray, " medium"]:
-        """Index of refraction by rank, of yellow-green light."""
+        """Index of refraction for yellow-green light, by rank."""
         return np.ascontiguousarray(self.iors[:, 1])
 
     @property
     def parts_colors(self) -> Bool[np.ndarray, " medium"]:
-        """By rank: channels have different indices (dispersion)."""
+        """Whether a medium disperses (its channels have different indices), by rank."""
         return (self.iors != self.iors[:, :1]).any(axis=1)
 
 
 def find_media(materials: tuple[Material | None, ...], meshes: tuple[Mesh, ...]) -> Media:
-    """The media of a scene's objects. Solids count as nested when their bounding boxes meet.
+    """The media of a scene's objects. Solids count as nested if their bounding boxes overlap.
 
-    More than MAX_NESTED dielectrics count as apart: `check_scene` refuses priorities then.
+    More than MAX_NESTED dielectrics count as separate: `check_scene` rejects priorities then.
     """
     found = {index: material.medium for index, material in enumerate(materials) if material is not None}
     glass = {index: medium for index, medium in found.items() if medium is not None}
@@ -71,7 +71,7 @@ def find_media(materials: tuple[Material | None, ...], meshes: tuple[Mesh, ...])
     is_nested = len(order) <= MAX_NESTED and _boxes_meet([meshes[index] for index in order])
     rank = np.full(len(materials), -1, np.int32)
     rank[order] = np.arange(len(order))
-    # In a set of solids, air is what the count of trailing zeros gives for none.
+    # For an empty set of solids, the count of trailing zeros is the index of air.
     count = MAX_NESTED + 1 if is_nested else len(order) + 1
     iors, absorption = np.ones((count, 3), np.float32), np.zeros((count, 3), np.float32)
     for place, index in enumerate(order):
@@ -80,26 +80,26 @@ def find_media(materials: tuple[Material | None, ...], meshes: tuple[Mesh, ...])
 
 
 def no_solids(media: Media) -> int:
-    """The solids that a ray in air is in."""
+    """The solids of a ray in air."""
     return 0 if media.is_nested else len(media.ior) - 1
 
 
 def with_solid(media: Media, solids: "mi.UInt32", rank: "mi.UInt32") -> "mi.UInt32":
-    """The solids of a ray that has come into the one of this rank; rank below MAX_NESTED in all lanes."""
+    """The solids of a ray after entering the one of this rank; rank below MAX_NESTED in all lanes."""
     import mitsuba as mi
 
     return solids | (mi.UInt32(1) << rank) if media.is_nested else mi.UInt32(rank)
 
 
 def without_solid(media: Media, solids: "mi.UInt32", rank: "mi.UInt32") -> "mi.UInt32":
-    """The solids of a ray that has left the one of this rank; rank below MAX_NESTED in all lanes."""
+    """The solids of a ray after leaving the one of this rank; rank below MAX_NESTED in all lanes."""
     import mitsuba as mi
 
     return solids & ~(mi.UInt32(1) << rank) if media.is_nested else mi.UInt32(no_solids(media))
 
 
 def medium_of(media: Media, solids: "mi.UInt32") -> "mi.UInt32":
-    """The place, in `ior` and `absorption`, of what fills a point that is in these solids."""
+    """The index, in `ior` and `absorption`, of the medium at a point in these solids."""
     import drjit as dr
 
     return dr.tzcnt(solids) if media.is_nested else solids

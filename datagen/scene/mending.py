@@ -1,4 +1,4 @@
-"""What is wrong with a mesh that a user brings and can be mended without asking: each mend is said in one line."""
+"""Repairs meshes that users bring, where that needs no decision; each repair prints one line."""
 
 import dataclasses
 from functools import partial
@@ -17,25 +17,22 @@ from datagen.scene.textures import ImageTexture
 from datagen.terminal.command import say
 
 COVERAGE_SIZE = 256
-"""Texels a side of the picture in which uv that overlap are found."""
+"""Texels per side of the raster that is checked for overlapping uv."""
 MAX_SHARED = 0.005
-"""Share of the covered texels that several faces may share; an atlas whose charts overlap has many times as many."""
+"""Share of covered texels that several faces may share; atlases with overlapping charts have many times more."""
 MIN_COVERED = 0.005
-"""Share of the atlas that a surface must cover: else all of it has a few texels, or none."""
+"""Share of the atlas that a surface must cover; with less, it would have only a few texels or none."""
 SHORT_EDGE = 2e-7
-"""Metres below which an edge may be merged into a point; a face without area has one, or a height that is less."""
+"""Length in metres below which an edge may be collapsed; a face without area has such an edge, or a smaller height."""
 MAX_UV = 1e5
-"""Repeats of an image beyond which 32 bits cannot tell its texels apart."""
+"""Repeats of an image beyond which 32-bit floats cannot distinguish its texels."""
 
 
 def mend_scene(scene: Scene, *, without_uv: set[str]) -> Scene:
-    """The scene with meshes that can be drawn and textured; a line is said for each change of what a user brought.
+    """The scene with meshes that can be rendered and textured; each repair prints one line.
 
     Args:
-        without_uv: names of objects whose files have no uv: they get an atlas, and nobody needs to be told.
-
-    Raises:
-        HyalineError: what cannot be mended, naming the object.
+        without_uv: names of objects whose files have no uv: they get an atlas without a message.
     """
     objects, faults = [], {}
     for item in scene.objects:
@@ -69,13 +66,13 @@ def _with_atlases(scene: Scene, faults: dict[str, str]) -> Scene:
         if (fault := faults.get(item.name)) is None:
             objects.append(item)
             continue
-        mesh, material, what = meshes[wheres[item.name]], item.material, "unwrapped anew"
+        mesh, material, what = meshes[wheres[item.name]], item.material, "unwrapped again"
         for field, image in material.images().items():
             if not item.mesh.uv.any() or not np.abs(item.mesh.uv).max() < MAX_UV:
                 raise HyalineError(
                     f"{wheres[item.name]}: {fault}; {image.path} needs uv in or near [0, 1], export its mesh with them"
                 )
-            path, what = f"baked/{item.name}_{field}.png", f"unwrapped anew, and {image.path} baked into its new uv"
+            path, what = f"baked/{item.name}_{field}.png", f"unwrapped again, and {image.path} baked into its new uv"
             baked[path] = baked_image(linear_pixels(image_bytes(scene, image), where=image.path), item.mesh, mesh)
             material = material.with_fields({field: ImageTexture(path=path)})
         if fault:
@@ -85,13 +82,13 @@ def _with_atlases(scene: Scene, faults: dict[str, str]) -> Scene:
 
 
 def mend_surface(mesh: Mesh, *, is_solid: bool) -> tuple[Mesh, list[str]]:
-    """A mesh without the faces and vertices that only do harm, its normals fit to shade with.
+    """A mesh without harmful faces and vertices, and with usable shading normals.
 
     Args:
-        is_solid: its faces bound a solid: then only those of equal sense are there twice.
+        is_solid: whether its faces bound a solid: then only faces with the same orientation are duplicates.
 
     Returns:
-        The mesh (the same one where nothing was wrong), and a remark for each change.
+        The mesh (the same one if nothing was wrong), and a remark for each change.
     """
     remarks = []
     if not open_edges(mesh) and (slivers := int(_without_area(mesh).sum())):
@@ -114,9 +111,9 @@ def mend_surface(mesh: Mesh, *, is_solid: bool) -> tuple[Mesh, list[str]]:
 
 
 def atlas_fault(mesh: Mesh) -> str | None:
-    """Why the uv of a mesh are no atlas, in which each point of the surface has texels of its own; None if they are."""
+    """Why a mesh's uv are not an atlas, which gives each surface point its own texels; None if they are one."""
     if not np.isfinite(mesh.uv).all():
-        return "some of its uv are no numbers"
+        return "some of its uv are not finite"
     if mesh.uv.min() < 0 or mesh.uv.max() > 1:
         return f"its uv span {mesh.uv.min():g} to {mesh.uv.max():g}"
     counts = coverage(mesh, COVERAGE_SIZE)
@@ -129,21 +126,21 @@ def atlas_fault(mesh: Mesh) -> str | None:
 
 
 def _without_area(mesh: Mesh) -> Bool[np.ndarray, " face"]:
-    # Of a vertex that is no number the area is none either: that is refused, not left out.
+    # Faces with non-finite vertices have a NaN area: they are refused later, not removed.
     return face_areas(mesh) < MIN_AREA
 
 
 def _without_slivers(mesh: Mesh) -> Mesh | None:
-    """The closed mesh with faces without area merged into their neighbours, so that it stays closed; None if it fails.
+    """The closed mesh with faces without area collapsed, so that it stays closed; None if that fails.
 
-    Leaving them out would open it: a sliver joins a long edge to the shorter ones on the edge's other side.
+    Removing them would open it: a sliver joins a long edge to the shorter edges on its other side.
     """
     import manifold3d
 
     _, first, place = np.unique(mesh.vertices, axis=0, return_index=True, return_inverse=True)
     one, index = first[place.reshape(-1)], np.arange(len(mesh.vertices))
     is_seam = one != index
-    # A manifold is made without slivers; unlike its `simplify`, that leaves flat areas as they are.
+    # Constructing a manifold removes slivers; unlike its `simplify`, it leaves flat areas as they are.
     solid = manifold3d.Manifold(
         manifold3d.Mesh(
             vert_properties=np.ascontiguousarray(np.hstack([mesh.vertices, mesh.normals, mesh.uv]), np.float32),
@@ -167,7 +164,7 @@ def _without_slivers(mesh: Mesh) -> Mesh | None:
 
 
 def _twice(mesh: Mesh, *, is_solid: bool) -> Bool[np.ndarray, " face"]:
-    """Faces at the same three places as one before, which hide it or are hidden by it."""
+    """Faces with the same three positions as an earlier one."""
     _, faces = welded(mesh)
     turned = np.stack([np.roll(faces, -shift, axis=1) for shift in range(3)])
     same = turned[faces.argmin(axis=1), np.arange(len(faces))] if is_solid else np.sort(faces, axis=1)

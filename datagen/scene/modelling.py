@@ -1,4 +1,4 @@
-"""The procedural shapes that scenes are built of: closed and outward (but for sheets), smooth but for creases.
+"""Procedural shapes for scenes: closed and oriented outward (except sheets), smooth except at creases.
 
 All lengths are metres, +z is up. Shapes have no uv yet (all 0): `datagen.scene.atlas` unwraps finished objects.
 """
@@ -16,10 +16,10 @@ Points = Float[np.ndarray, "p 3"]
 Profile = Sequence[tuple[float, float]]
 """Points (radius, z) of a lathe's outline."""
 Around = Callable[[Float[np.ndarray, " angle"], Float[np.ndarray, "p 2"]], Float[np.ndarray, "p angle"]]
-"""From angles in radians and an outline's points: factors of their radii, so that a section is no circle."""
+"""Maps angles in radians and an outline's points to factors on their radii, for sections that are not circles."""
 
 CREASE_DEG = 40.0
-"""Faces that meet at a sharper angle than this get an edge that shades as an edge."""
+"""Faces that meet at a sharper angle than this are shaded with a hard edge."""
 
 
 # Solids
@@ -29,7 +29,7 @@ def rounded_box(size: Point, *, bevel: float, segments: int = 3) -> Mesh:
     """A box centred on the origin, its edges rounded with radius `bevel` in `segments` steps per 45 degrees."""
     half = np.asarray(size, np.float64) / 2
     assert 0 < bevel < half.min(), f"bevel {bevel} of a box {size}"
-    # Grid lines a side: evenly spaced angles on the rounded edge; the last is set so that faces meet bit for bit.
+    # Grid lines per side: evenly spaced angles on the rounded edge; the last is exact, so that faces meet bit for bit.
     steps = np.tan(np.linspace(0, np.pi / 4, segments + 1))
     steps[-1] = 1.0
     lines = [np.concatenate([-(h - bevel + bevel * steps[::-1]), h - bevel + bevel * steps]) for h in half]
@@ -62,10 +62,10 @@ def ball(radius: float, *, subdivisions: int = 4) -> Mesh:
 def lathe(
     profile: Profile, *, segments: int = 96, crease_deg: float = CREASE_DEG, around: Around | None = None
 ) -> Mesh:
-    """The solid that an outline (radius, z) sweeps around the z axis, in a circle unless `around` says otherwise.
+    """The solid that an outline (radius, z) sweeps around the z axis, in circles unless `around` is given.
 
-    The outline either starts and ends on the axis, or closes on itself off the axis (a ring). Its sense does not
-    matter: the solid is outward. One vertex stands on the axis where the outline meets it, so it is watertight there.
+    The outline either starts and ends on the axis, or closes on itself off the axis (a ring). Its direction does not
+    matter: the solid is oriented outward. Ends on the axis are one vertex each, so the solid is watertight there.
     """
     outline = np.asarray(profile, np.float64)
     assert (outline[:, 0] >= 0).all(), "a radius is negative"
@@ -98,14 +98,14 @@ def lathe(
 def cylinder(
     radius: float, height: float, *, top_radius: float | None = None, bevel: float = 0.002, segments: int = 48
 ) -> Mesh:
-    """A standing cylinder or cone stump with rounded edges, from z = 0 to z = height."""
+    """An upright cylinder or truncated cone with rounded edges, from z = 0 to z = height."""
     top = radius if top_radius is None else top_radius
     outline = filleted([(0, 0, 0), (radius, 0, bevel), (top, height, bevel), (0, height, 0)])
     return lathe(outline, segments=segments)
 
 
 def tube(path: Points, radius: float | np.ndarray, *, segments: int = 16, is_loop: bool = False) -> Mesh:
-    """A pipe along a path of points with one radius each; its ends are flat, a loop has none."""
+    """A pipe along a path of points with one radius each; its ends are flat unless it is a loop."""
     path = np.asarray(path, np.float64)
     radii = np.broadcast_to(np.asarray(radius, np.float64), (len(path),))
     tangents = np.roll(path, -1, axis=0) - np.roll(path, 1, axis=0) if is_loop else np.gradient(path, axis=0)
@@ -126,7 +126,7 @@ def tube(path: Points, radius: float | np.ndarray, *, segments: int = 16, is_loo
     return shaded(positions, np.concatenate(faces), crease_deg=60)
 
 
-# Sheets: open surfaces for what is seen from both sides
+# Sheets: open surfaces that are seen from both sides
 
 
 def sheet(corner: Point, edge_u: Point, edge_v: Point, *, cells: tuple[int, int] = (1, 1)) -> Mesh:
@@ -143,7 +143,7 @@ def leaf(length: float, width: float, *, droop: float, fold: float = 0.25, rows:
     """A blade that grows from the origin along +x, folded along its midrib and bent down by `droop` radians.
 
     Args:
-        fold: how high the rims stand above the midrib, in half widths.
+        fold: height of the rims above the midrib, in half widths.
         rows: parts along the midrib; the leaf has 4 (rows - 1) triangles.
     """
     t = np.linspace(0, 1, rows + 1)
@@ -172,7 +172,7 @@ def leaf(length: float, width: float, *, droop: float, fold: float = 0.25, rows:
 
 
 def filleted(corners: Sequence[tuple[float, float, float]], *, segments: int = 4) -> list[tuple[float, float]]:
-    """An open outline through corners (radius, z, fillet radius), each but the ends rounded by an arc."""
+    """An open outline through corners (radius, z, fillet radius), rounded by arcs except at its ends."""
     outline = [(float(corners[0][0]), float(corners[0][1]))]
     for before, (r, z, fillet), after in zip(corners, corners[1:], corners[2:]):
         corner = np.array([r, z], np.float64)
@@ -234,7 +234,7 @@ def filled(outer: Profile, *, wall: float, floor: float, level: float, reach: fl
 
     Args:
         level: height of the drink's top, in the heights of `outer`.
-        reach: how far the drink goes into the wall and the floor; give its material the lower priority.
+        reach: how far the drink extends into the wall and the floor; give its material the lower priority.
     """
     assert 0 < reach < min(wall, floor), f"reach {reach} of a wall of {wall} and a floor of {floor}"
     vessel = np.array(walled(outer, wall=wall - reach, floor=floor - reach))
@@ -247,7 +247,7 @@ def filled(outer: Profile, *, wall: float, floor: float, level: float, reach: fl
 
 
 def knot(radius: float, swing: float, *, lobes: int = 3, count: int) -> Points:
-    """A closed path for `tube`: twice around the z axis, and in each lobe out, in, up and down by `swing`."""
+    """A closed path for `tube`: twice around the z axis, swinging out, in, up and down by `swing` in each lobe."""
     loop = np.linspace(0, 2 * np.pi, count, endpoint=False)
     ring = radius + swing * np.cos(lobes * loop)
     return np.stack([ring * np.cos(2 * loop), ring * np.sin(2 * loop), swing * np.sin(lobes * loop)], axis=-1)
@@ -257,7 +257,7 @@ def _pair(point: np.ndarray) -> tuple[float, float]:
     return float(point[0]), float(point[1])
 
 
-# Putting together
+# Assembling
 
 
 def merged(parts: Sequence[Mesh]) -> Mesh:
@@ -277,13 +277,13 @@ def moved(mesh: Mesh, offset: Sequence[float]) -> Mesh:
 
 
 def resting(mesh: Mesh, place: Point) -> Mesh:
-    """The mesh moved to a place, its lowest point at that height."""
+    """The mesh moved to (x, y), with its lowest point at height z."""
     x, y, height = place
     return moved(mesh, (x, y, height - float(mesh.vertices[:, 2].min())))
 
 
 def turned(mesh: Mesh, axis: Point, angle_deg: float) -> Mesh:
-    """The mesh rotated about an axis through the origin, counter-clockwise seen from the axis's tip."""
+    """The mesh rotated about an axis through the origin, anticlockwise as seen from the axis's tip."""
     return transformed(mesh, rotation(axis, angle_deg), (0, 0, 0))
 
 
@@ -296,7 +296,7 @@ def rotation(axis: Point, angle_deg: float) -> np.ndarray:
 
 
 def transformed(mesh: Mesh, linear: np.ndarray, offset: Sequence[float]) -> Mesh:
-    """The mesh under x -> linear x + offset; re-wound when `linear` mirrors, so that outward stays outward."""
+    """The mesh under x -> linear x + offset; faces are flipped if `linear` mirrors, so that they stay outward."""
     normals = mesh.normals.astype(np.float64) @ np.linalg.inv(linear)
     faces = mesh.faces[:, ::-1] if np.linalg.det(linear) < 0 else mesh.faces
     vertices = mesh.vertices.astype(np.float64) @ np.asarray(linear).T + np.asarray(offset, np.float64)
@@ -309,15 +309,15 @@ def transformed(mesh: Mesh, linear: np.ndarray, offset: Sequence[float]) -> Mesh
 
 
 def deformed(mesh: Mesh, deform: Callable[[Points], Points], *, crease_deg: float = CREASE_DEG) -> Mesh:
-    """The mesh with its points moved by a continuous function, shaded anew."""
+    """The mesh with its points moved by a continuous function and new normals."""
     positions, index = np.unique(mesh.vertices, axis=0, return_inverse=True)
     return shaded(deform(positions.astype(np.float64)), index.reshape(-1)[mesh.faces], crease_deg=crease_deg)
 
 
 def shaded(positions: Points, faces: np.ndarray, *, crease_deg: float) -> Mesh:
-    """A mesh of shared points with smooth normals, its vertices split where faces meet at more than the crease angle.
+    """A mesh of shared points with smooth normals; vertices are split where faces meet at more than the crease angle.
 
-    Faces without area are left out.
+    Faces without area are removed.
     """
     assert np.isfinite(positions).all(), "a point is not finite"
     corners = positions[faces]
@@ -339,7 +339,7 @@ def _mesh(positions: np.ndarray, faces: np.ndarray, normals: np.ndarray) -> Mesh
 
 
 def _grid_faces(rows: int, columns: int) -> np.ndarray:
-    """Two triangles a cell of a (rows, columns) grid of points, facing along row direction x column direction."""
+    """Two triangles per cell of a (rows, columns) grid of points, facing along row direction x column direction."""
     index = np.arange(rows * columns).reshape(rows, columns)
     a, b, c, d = (part.reshape(-1) for part in (index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]))
     return np.concatenate([np.stack([a, b, c], axis=-1), np.stack([a, c, d], axis=-1)])
@@ -354,7 +354,7 @@ def _band(low: np.ndarray, high: np.ndarray) -> np.ndarray:
 
 
 def _carried_frame(tangents: np.ndarray, *, is_loop: bool) -> np.ndarray:
-    """One unit normal a point, carried along the path without twist; a loop spreads what is left over its length."""
+    """A unit normal per point, carried along the path without twist; a loop spreads the remaining twist evenly."""
     seed = np.eye(3)[np.abs(tangents[0]).argmin()]
     sides = [np.cross(tangents[0], seed)]
     for tangent in tangents[1:]:

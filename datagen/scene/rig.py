@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from datagen.data.cameras import Cameras, Lens, look_at
 from datagen.data.config import SPLITS, DatasetConfig, Split
+from datagen.data.meshes import r2_steps
 from datagen.disk.errors import HyalineError
 from datagen.scene.camera_list import CameraList
 from datagen.scene.description import CameraRig
@@ -58,10 +59,7 @@ def _listed(rig: CameraList, config: DatasetConfig) -> dict[Split, Cameras]:
 
 def _hemisphere(rig: CameraRig, count: int, rng: np.random.Generator) -> Float[np.ndarray, "view 4 4"]:
     """Uniform in solid angle over the allowed elevations and azimuths, by a shifted R2 low-discrepancy sequence."""
-    # The generalised golden ratio: successive points stay well spread for every count.
-    golden = 1.32471795724474602596
-    steps = np.arange(count)[:, None] / golden ** np.arange(1, 3)
-    unit = (steps + rng.uniform(size=2)) % 1
+    unit = (r2_steps(count) + rng.uniform(size=2)) % 1
     low, high = np.sin(np.radians(rig.elevation_deg))
     elevation = np.arcsin(low + unit[:, 0] * (high - low))
     first, last = np.radians(rig.azimuth_deg)

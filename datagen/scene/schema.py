@@ -1,10 +1,10 @@
-"""The JSON schema of scene.json, made from the records that read it, for editors and other programs.
+"""The JSON schema of scene.json for editors and other programs, generated from the records that read it.
 
     python -m datagen.scene.schema > datagen/scene/scene.schema.json
     python -m datagen.scene.schema --page > docs/scene-json.md
 
-A test compares both files with the records. The records stay the judges: they also refuse bad numbers, meshes
-and names that a schema cannot describe.
+A test compares both files with the records. Reading a scene checks more: numbers, meshes and names that a schema cannot
+describe.
 """
 
 import dataclasses
@@ -23,22 +23,22 @@ DIALECT = "https://json-schema.org/draft/2020-12/schema"
 
 
 def scene_schema() -> dict[str, Json]:
-    """The schema: one definition for each type that scene.json may name."""
+    """The schema: one definition for each type in scene.json."""
     definitions: dict[str, Json] = {}
     root = _record(FILE_RECORD, definitions)
-    # `type` marks records of which there are several in a place; the file itself is of one kind.
+    # `type` distinguishes records that are alternatives; the file itself has only one kind.
     return {"$schema": DIALECT, "title": "scene.json", **root, "$defs": dict(sorted(definitions.items()))}
 
 
 def _record(kind: type, definitions: dict[str, Json]) -> dict[str, Json]:
     """An object of a record's fields."""
-    hints, told = typing.get_type_hints(kind), _field_docs(kind)
-    is_public = not kind.__name__.startswith("_")  # Others stand in no union and carry no type.
+    hints, docs = typing.get_type_hints(kind), _field_docs(kind)
+    is_public = not kind.__name__.startswith("_")  # Others are in no union and have no type.
     properties: dict[str, Json] = {"type": {"const": kind.__name__}} if is_public else {}
     required: list[Json] = []
     for field in dataclasses.fields(kind):
         value = _schema_of(hints[field.name], definitions)
-        if text := told.get(field.name):
+        if text := docs.get(field.name):
             value["description"] = text
         if field.default is not dataclasses.MISSING:
             value["default"] = json.loads(json.dumps(field.default))
@@ -69,7 +69,7 @@ def _schema_of(kind: object, definitions: dict[str, Json]) -> dict[str, Json]:
     if isinstance(kind, type) and dataclasses.is_dataclass(kind):
         name = kind.__name__.removeprefix("_")
         if name not in definitions:
-            definitions[name] = None  # It is being made.
+            definitions[name] = None  # In progress.
             definitions[name] = _record(kind, definitions)
         return {"$ref": f"#/$defs/{name}"}
     names = {float: "number", int: "integer", bool: "boolean", str: "string", types.NoneType: "null"}
@@ -78,7 +78,7 @@ def _schema_of(kind: object, definitions: dict[str, Json]) -> dict[str, Json]:
 
 
 def _schema_of_union(kinds: tuple[object, ...], definitions: dict[str, Json]) -> dict[str, Json]:
-    """One of several; records are told apart by their `type`, which is then required."""
+    """One of several kinds; records are distinguished by their `type`, which is then required."""
     choices: list[Json] = []
     records = [kind for kind in kinds if dataclasses.is_dataclass(kind)]
     for kind in kinds:
@@ -88,22 +88,22 @@ def _schema_of_union(kinds: tuple[object, ...], definitions: dict[str, Json]) ->
 
 
 def _field_docs(kind: type) -> dict[str, str]:
-    """The docstrings below a record's fields, its bases' included."""
-    told = {}
+    """The docstrings of a record's fields, including those of its bases."""
+    docs = {}
     for base in reversed(kind.__mro__):
         if dataclasses.is_dataclass(base):
             for param in docstring_parser.parse_from_object(base).params:
-                told[param.arg_name] = " ".join((param.description or "").split())
-    return told
+                docs[param.arg_name] = " ".join((param.description or "").split())
+    return docs
 
 
 def schema_text() -> str:
-    """The file that is shipped."""
+    """The text of scene.schema.json."""
     return json.dumps(scene_schema(), indent=1) + "\n"
 
 
 def schema_page() -> str:
-    """The page of the documentation that lists every type and key."""
+    """The documentation page that lists every type and key."""
     schema = scene_schema()
     definitions = typing.cast(dict[str, dict[str, Json]], schema["$defs"])
     parts = [PAGE_START, *_table("The file", schema)]
@@ -114,13 +114,14 @@ def schema_page() -> str:
 
 PAGE_START = """# Every key of scene.json
 
-This page is made from the records that read the file (`python -m datagen.scene.schema --page`); [scenes](scenes.md)
-explains them with examples. [scene.schema.json](../datagen/scene/scene.schema.json) says the same to an editor.
+This page is generated from the records that read the file (`python -m datagen.scene.schema --page`);
+[scenes](scenes.md) explains them with examples. Editors can use
+[scene.schema.json](../datagen/scene/scene.schema.json).
 """
 
 
 def _table(title: str, record: dict[str, Json]) -> list[str]:
-    """A record's description, and a row for each key."""
+    """A record's description, and a table with a row per key."""
     lines = [f"## {title}", "", str(record["description"]), "", "| key | value | default | |", "|---|---|---|---|"]
     required = typing.cast(list[Json], record["required"])
     for key, value in typing.cast(dict[str, dict[str, Json]], record["properties"]).items():
@@ -132,7 +133,7 @@ def _table(title: str, record: dict[str, Json]) -> list[str]:
 
 
 def _in_words(value: dict[str, Json]) -> str:
-    """What a value may be."""
+    """The type of a value in words."""
     if "$ref" in value:
         name = str(value["$ref"]).rpartition("/")[2]
         return f"[{name}](#{name.lower()})"

@@ -1,4 +1,4 @@
-"""Vertex normals against the faces they shade: which are wrong, and how they are computed anew."""
+"""Vertex normals for shading: which ones disagree with their faces, and how to compute them."""
 
 import dataclasses
 
@@ -9,15 +9,15 @@ from datagen.data.meshes import Mesh, vertex_normals, welded
 
 MAX_OPPOSING = 0.01
 """Share of face corners whose normal may point to the back of the face. The worst good asset that was measured has
-0.0009, one with flipped normals 1; the truth of such glass is 25 dB off."""
-
+0.0009, one with flipped normals 1; rendered glass with flipped normals is 25 dB off."""
 
 EDGE_TILT_DEG = 30.0
-"""A ball of eight segments around has 22, a box that is shaded smoothly 55."""
+"""Angle between a normal and its face above which an edge counts as smoothed. A ball with eight segments around has 22,
+a smoothly shaded box 55."""
 
 
 def count_without_normal(mesh: Mesh) -> int:
-    """How many vertices of faces have a normal that is 0 or not finite."""
+    """Number of vertices of faces whose normal is 0 or not finite."""
     return int(_is_without(mesh)[np.unique(mesh.faces)].sum())
 
 
@@ -28,9 +28,9 @@ def opposing_share(mesh: Mesh) -> float:
 
 
 def edge_tilt_deg(mesh: Mesh) -> float:
-    """The largest angle between a normal and its face in degrees, where edges are shaded smoothly; else 0.
+    """The largest angle between a normal and its face in degrees, if edges are shaded smoothly; else 0.
 
-    Facets of a round surface are off by less than `EDGE_TILT_DEG`, as are all but `MAX_OPPOSING` of one with bevels.
+    Facets of a round surface tilt by less than `EDGE_TILT_DEG`; bevelled ones, too, but for a share of `MAX_OPPOSING`.
     """
     faces = _face_normals(mesh)
     areas = np.linalg.norm(faces, axis=-1)
@@ -42,29 +42,30 @@ def edge_tilt_deg(mesh: Mesh) -> float:
 
 
 def mended_normals(mesh: Mesh, *, crease_deg: float) -> tuple[Mesh, str | None]:
-    """The mesh with normals that can be shaded with, and a remark on what was done; the same mesh where all is well.
+    """The mesh with usable shading normals, and a remark on what was done; the same mesh if all is well.
 
     Args:
-        crease_deg: faces that meet at a sharper angle get an edge, where all normals are computed anew.
+        crease_deg: faces that meet at a sharper angle get a hard edge if all normals are computed again.
     """
     bad = _is_without(mesh)
     bad_share = float(bad[mesh.faces].mean())
     known = dataclasses.replace(mesh, normals=np.where(bad[:, None], 0, mesh.normals).astype(np.float32))
     if (opposing := opposing_share(known)) > MAX_OPPOSING:
         remark = f"{100 * opposing:.1f} % of its vertex normals pointed to the back of their faces"
-        return shaded_anew(mesh, crease_deg=crease_deg), f"{remark}; normals were computed anew"
+        return with_new_normals(mesh, crease_deg=crease_deg), f"{remark}; normals were computed again"
     if bad_share > MAX_OPPOSING:
-        remark = f"{100 * bad_share:.1f} % of its vertex normals were 0 or no numbers"
-        return shaded_anew(mesh, crease_deg=crease_deg), f"{remark}; normals were computed anew"
+        remark = f"{100 * bad_share:.1f} % of its vertex normals were 0 or not finite"
+        return with_new_normals(mesh, crease_deg=crease_deg), f"{remark}; normals were computed again"
     if bad_share > 0:
         normals = np.where(bad[:, None], vertex_normals(mesh.vertices, mesh.faces), mesh.normals)
         few = dataclasses.replace(mesh, normals=normals.astype(np.float32))
-        return few, f"{count_without_normal(mesh)} of its vertex normals were 0 or no numbers; these were computed anew"
+        count = count_without_normal(mesh)
+        return few, f"{count} of its vertex normals were 0 or not finite; these were computed again"
     return mesh, None
 
 
-def shaded_anew(mesh: Mesh, *, crease_deg: float) -> Mesh:
-    """The mesh with smooth normals, its vertices split where faces meet at more than the crease angle; uv are kept."""
+def with_new_normals(mesh: Mesh, *, crease_deg: float) -> Mesh:
+    """The mesh with smooth normals; vertices are split where faces meet at more than the crease angle. uv are kept."""
     positions, faces = welded(mesh)
     normals = corner_normals(positions.astype(np.float64), faces, crease_deg=crease_deg)
     at = mesh.faces.reshape(-1)
@@ -84,8 +85,8 @@ def corner_normals(
 ) -> Float[np.ndarray, "corner 3"]:
     """Unit normals of all corners, face by face; 0 where no face around a corner has an area.
 
-    A corner's normal is the mean of the faces around its point that are within the angle of its own face, weighted
-    by area and by the angle at the point; of all of them where its own face has no area.
+    A corner's normal is the mean over the faces around its point that are within the crease angle of its own face,
+    weighted by area and by the angle at the point; over all of them if its own face has no area.
     """
     corners = positions[faces]
     edges = np.roll(corners, -1, axis=1) - corners
@@ -112,7 +113,7 @@ def corner_normals(
 
 
 def _unit(vectors: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "... 3"]:
-    """The vectors at length 1; those of length 0 stay."""
+    """The vectors scaled to length 1; zero vectors stay zero."""
     lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
     return vectors / np.where(lengths > 0, lengths, 1)
 

@@ -1,6 +1,6 @@
-"""What makes a scene render wrong in silence, and is refused: normals, overlapping solids, contact, wrong units.
+"""Checks that reject scenes that would silently render wrong: bad normals, overlapping solids, contact, wrong units.
 
-Each check is fast (a second for a scene of 100,000 triangles), since it runs whenever a scene is made or read.
+They are fast (a second for a scene of 100,000 triangles), since they run whenever a scene is made or read.
 """
 
 import re
@@ -22,42 +22,37 @@ from datagen.data.meshes import (
 )
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import check_name
-from datagen.scene.contact import thin_share, touching_share
+from datagen.scene.contact import largest_coordinate, thin_share, thinnest_wall, touching_share
 from datagen.scene.description import MAX_OBJECTS, OBJECT_NAME, CameraList, CameraRig, Scene, SceneObject
 from datagen.scene.media import MAX_NESTED
 from datagen.scene.shading_normals import MAX_OPPOSING, count_without_normal, opposing_share
-from datagen.scene.thin_walls import largest_coordinate, thinnest_wall
 
 MAX_TOUCHING = 0.005
-"""Share of the smaller of two surfaces that may lie in the other, where one of them is glass. A ball that stands on a
-floor has 0.1 %, a tumbler 4 %."""
+"""Share of the smaller of two surfaces that may lie in the other, if one of them is glass. A ball on a floor has 0.1 %,
+a tumbler 4 %."""
 
 MAX_THIN = 0.005
-"""Share of a solid's surface whose wall may be too thin: rims taper off."""
+"""Share of a solid's surface where its wall may be too thin, since rims taper off."""
 
 MIN_DISTANCE, MAX_DISTANCE = 0.02, 1000.0
-"""Metres from the cameras to what they look at. No camera sees nearer than a millimetre or further than ten
-kilometres."""
+"""Allowed distance in metres from the cameras to their target. Cameras see from a millimetre to ten kilometres."""
 
 SMALLEST = 1 / 400
-"""Size of an object over its distance from the nearest camera: two pixels of a picture of 1,024."""
+"""Smallest size of an object relative to its distance from the nearest camera: two pixels of 1,024."""
 LARGEST = 50.0
-"""Size over the cameras' distance: what was modelled in millimetres is a thousand times too large."""
+"""Largest size relative to the cameras' distance: objects modelled in millimetres are a thousand times too large."""
 
 
 def check_scene(scene: Scene, *, is_sealed: bool = False) -> None:
-    """Refuses a scene that would crash a native library or be rendered silently wrong.
+    """Rejects a scene that would crash a native library or silently render wrong.
 
     Args:
-        is_sealed: all of this was found well when the scene's dataset was begun; single numbers are looked at again.
-
-    Raises:
-        HyalineError: naming the object, the value and what was expected.
+        is_sealed: the scene was checked when its dataset was begun, so only single numbers are checked again.
     """
     check_name(scene.name, where="scene name")
     check_names(scene)
     if not any(is_there(item.mesh) for item in scene.objects):
-        raise HyalineError(f"scene {scene.name}: all of its objects were removed; expected at least one that is there")
+        raise HyalineError(f"scene {scene.name}: all of its objects were removed; expected at least one with a mesh")
     for item in scene.objects:
         where = f"scene {scene.name}: object {item.name}"
         if not is_there(item.mesh):
@@ -71,7 +66,7 @@ def check_scene(scene: Scene, *, is_sealed: bool = False) -> None:
 
 
 def check_names(scene: Scene) -> None:
-    """Refuses too many objects, and names that stand for nothing or for two things."""
+    """Rejects too many objects, and invalid or repeated names."""
     if not 1 <= len(scene.objects) <= MAX_OBJECTS:
         raise HyalineError(f"scene {scene.name}: has {len(scene.objects)} objects; expected 1 to {MAX_OBJECTS}")
     names = [item.name for item in scene.objects]
@@ -83,11 +78,7 @@ def check_names(scene: Scene) -> None:
 
 
 def check_sound(scene: Scene) -> None:
-    """Refuses what `check_scene` calls wrong beyond single numbers; the cheapest checks come first.
-
-    Raises:
-        HyalineError: naming the object, what is wrong with it, and the way out.
-    """
+    """The checks of `check_scene` beyond single numbers, cheapest first."""
     there = [item for item in scene.objects if is_there(item.mesh)]
     cameras = camera_places(scene.cameras)
     _check_units(scene, there, cameras)
@@ -102,7 +93,7 @@ def check_sound(scene: Scene) -> None:
 
 
 def camera_places(rig: CameraRig | CameraList) -> Float[np.ndarray, "place 3"]:
-    """Places all over the rig's hemisphere and along its walk; or of the cameras that are listed."""
+    """Positions all over the rig's hemisphere and along its walk, or the positions of listed cameras."""
     if isinstance(rig, CameraList):
         return np.concatenate([rig.of(split).world_from_camera[:, :3, 3] for split in SPLITS])
     elevation, azimuth = np.meshgrid(
@@ -121,11 +112,11 @@ def _where(scene: Scene, item: SceneObject) -> str:
 
 
 def _check_units(scene: Scene, there: list[SceneObject], cameras: Float[np.ndarray, "place 3"]) -> None:
-    """Refuses what was modelled in other units than metres, as far as it shows."""
+    """Rejects scenes that were evidently not modelled in metres."""
     rig = scene.cameras
     if not MIN_DISTANCE <= rig.radius <= MAX_DISTANCE:
         raise HyalineError(
-            f"scene {scene.name}: its cameras are {rig.radius:g} m from what they look at; expected "
+            f"scene {scene.name}: its cameras are {rig.radius:g} m from their target; expected "
             f"{MIN_DISTANCE:g} to {MAX_DISTANCE:g}: lengths are metres, scale meshes, textures and cameras"
         )
     for item in there:
@@ -134,41 +125,41 @@ def _check_units(scene: Scene, there: list[SceneObject], cameras: Float[np.ndarr
         nearest = float(np.linalg.norm(np.maximum(np.maximum(low - cameras, cameras - high), 0), axis=-1).min())
         if size < SMALLEST * nearest:
             raise HyalineError(
-                f"{_where(scene, item)}: is {size:.3g} m large, and no camera comes nearer than {nearest:.3g} m, so "
-                "that none sees it; lengths are metres, scale it or remove it"
+                f"{_where(scene, item)}: is {size:.3g} m large and at least {nearest:.3g} m from every camera, too "
+                "small to be seen; lengths are metres, scale it or remove it"
             )
         is_around = ((low <= rig.target) & (rig.target <= high)).all()
         if float((high - low).min()) > LARGEST * rig.radius and not is_around:
             raise HyalineError(
-                f"{_where(scene, item)}: is {size:.3g} m large, and the cameras are {rig.radius:.3g} m from what they "
-                "look at; lengths are metres, scale it (by 0.001 if it was modelled in millimetres)"
+                f"{_where(scene, item)}: is {size:.3g} m large, and the cameras are {rig.radius:.3g} m from their "
+                "target; lengths are metres, scale it (by 0.001 if it was modelled in millimetres)"
             )
 
 
 def _check_normals(item: SceneObject, *, where: str) -> None:
     if count := count_without_normal(item.mesh):
-        raise HyalineError(f"{where}: {count} vertex normals are 0; expected unit vectors, compute its normals anew")
+        raise HyalineError(f"{where}: {count} vertex normals are 0; expected unit vectors, compute its normals again")
     if (share := opposing_share(item.mesh)) > MAX_OPPOSING:
         raise HyalineError(
             f"{where}: {100 * share:.1f} % of the vertex normals point to the back of their faces; expected at most "
-            f"{100 * MAX_OPPOSING:g} %, compute its normals anew"
+            f"{100 * MAX_OPPOSING:g} %, compute its normals again"
         )
 
 
 def _check_cameras_outside(mesh: Mesh, cameras: Float[np.ndarray, "place 3"], *, where: str) -> None:
-    """Refuses glass around a camera: rays start in air."""
+    """Rejects glass around a camera: rays start in air."""
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     close = cameras[((cameras >= low) & (cameras <= high)).all(axis=-1)]
     if len(close) and (inside := windings(mesh.vertices[mesh.faces], close) > 0).any():
         place = ", ".join(f"{value:.3g}" for value in close[inside][0])
         raise HyalineError(
-            f"{where}: cameras come inside of this glass, near ({place}), and rays start in air; "
+            f"{where}: cameras are inside this glass, near ({place}), but rays start in air; "
             "move it or the cameras, or scale it if it was not modelled in metres"
         )
 
 
 def _check_walls(mesh: Mesh, cameras: Float[np.ndarray, "place 3"], *, where: str) -> None:
-    """Refuses solids with walls that rays in float32 cannot tell from none."""
+    """Rejects solids with walls too thin for rays in float32."""
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     distance = float(np.linalg.norm(np.maximum(np.abs(cameras - low), np.abs(cameras - high)), axis=-1).max())
     reach = largest_coordinate(mesh.vertices)
@@ -183,7 +174,7 @@ def _check_walls(mesh: Mesh, cameras: Float[np.ndarray, "place 3"], *, where: st
 
 
 def _check_contact(scene: Scene, there: list[SceneObject]) -> None:
-    """Refuses glass whose surface is also that of something else: only one of both is ever met."""
+    """Rejects glass whose surface coincides with another: a ray hits only one of them."""
     areas = {item.name: float(face_areas(item.mesh).sum()) for item in there}
     for pair in combinations(there, 2):
         if not any(item.material.is_glass for item in pair):
@@ -192,12 +183,12 @@ def _check_contact(scene: Scene, there: list[SceneObject]) -> None:
         if (share := touching_share(small.mesh, large.mesh)) > MAX_TOUCHING:
             raise HyalineError(
                 f"{_where(scene, small)}: {100 * share:.1f} % of its surface lies in faces of {large.name}, and one of "
-                "them is glass; leave a gap of a millimetre, or let one reach into the other"
+                "them is glass; leave a gap of a millimetre, or extend one into the other"
             )
 
 
 def _check_nesting(scene: Scene) -> None:
-    """Refuses dielectrics of which nobody could say which fills the space: too many for priorities, or coincident."""
+    """Rejects dielectrics whose order is undefined: too many for priorities, or with coincident faces."""
     there = [item for item in scene.objects if is_there(item.mesh)]
     glass = [(item, medium) for item in there if (medium := item.material.medium) is not None]
     if len(glass) > MAX_NESTED and len({medium.priority for _, medium in glass}) > 1:
@@ -209,5 +200,5 @@ def _check_nesting(scene: Scene) -> None:
         if count := count_shared_faces(one.mesh, other.mesh):
             raise HyalineError(
                 f"scene {scene.name}: objects {one.name} and {other.name} share {count} faces; "
-                "let one reach into the other and give it the lower priority, or leave a gap"
+                "extend one into the other and give it the lower priority, or leave a gap"
             )

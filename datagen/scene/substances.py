@@ -25,7 +25,7 @@ SUBSTANCES: dict[str, float] = {
     "sf11": 1.7847,
     "diamond": 2.417,
 }
-"""At the yellow line (d or D, 588 or 589 nm), liquids at 20 degrees, relative to air.
+"""Index of refraction at the yellow line (d or D, 588 or 589 nm), liquids at 20 degrees Celsius, relative to air.
 
 Sources: data sheets of Schott (N-BK7, N-F2, N-SF10, N-SF11) and Corning (7740); CRC Handbook of Chemistry and Physics
 for liquids and ice; Malitson 1965 (fused silica) and 1962 (sapphire, ordinary ray); Rubin 1985 (clear soda-lime glass);
@@ -50,7 +50,7 @@ PARTINGS: dict[str, tuple[float, float]] = {
     "sf11": (0.00876, 0.02179),
     "diamond": (0.00758, 0.01805),
 }
-"""How far the red line (C, 656.3 nm) lies below the yellow one, and the blue line (F, 486.1 nm) above it.
+"""Difference from the index at the yellow line to that at the red (C, 656.3 nm) and the blue line (F, 486.1 nm).
 
 From the dispersion formulas of the sources above; water: Daimon and Masumura 2007 at 20 degrees; acetone and ethanol:
 Rheims et al. 1997.
@@ -60,22 +60,22 @@ Ior = float | str
 """An index of refraction, or the name of a substance."""
 
 Dispersion = float | str
-"""20 over the Abbe number V_d = (n_d - 1) / (n_F - n_C), as in glTF, or `measured` for that of a named substance."""
+"""20 over the Abbe number V_d = (n_d - 1) / (n_F - n_C), as in glTF, or `measured` for a named substance's own."""
 
 MAX_IOR = 10.0
 MAX_DISPERSION = 20.0
-"""An Abbe number of 1; glass has 20 to 85."""
+"""Largest dispersion: an Abbe number of 1, where glass has 20 to 85."""
 
 
 def index_of(ior: Ior) -> float:
-    """The number that it says, or that of the substance."""
+    """The index itself, or that of the named substance."""
     return SUBSTANCES[ior] if isinstance(ior, str) else ior
 
 
 def indices_of(ior: Ior, dispersion: Dispersion) -> Color:
     """The index of each colour channel: n_C for red, n_d for green and n_F for blue.
 
-    Source: of a number, KHR_materials_dispersion's README, which parts red and blue by the same from green.
+    Source for numbers: KHR_materials_dispersion's README, in which red and blue differ equally from green.
     """
     index = index_of(ior)
     if isinstance(dispersion, str):
@@ -87,7 +87,7 @@ def indices_of(ior: Ior, dispersion: Dispersion) -> Color:
 
 
 def check_ior(ior: Ior) -> None:
-    """Refuses what is neither an index of refraction nor a substance that is known."""
+    """Checks that it is an index of refraction or a known substance."""
     if isinstance(ior, str):
         if ior not in SUBSTANCES:
             raise HyalineError(f"ior: is {ior!r}; expected a number, or one of {', '.join(SUBSTANCES)}")
@@ -96,7 +96,7 @@ def check_ior(ior: Ior) -> None:
 
 
 def check_dispersion(ior: Ior, dispersion: Dispersion) -> None:
-    """Refuses what is neither a number in range nor the measured dispersion of a substance that is listed."""
+    """Checks that it is a number in range, or `measured` for a substance with known lines."""
     if not isinstance(dispersion, str):
         if not (math.isfinite(dispersion) and 0 <= dispersion <= MAX_DISPERSION):
             raise HyalineError(
@@ -106,5 +106,5 @@ def check_dispersion(ior: Ior, dispersion: Dispersion) -> None:
         raise HyalineError(f"dispersion: is {dispersion!r}; expected a number, or {MEASURED!r}")
     elif ior not in PARTINGS:
         raise HyalineError(
-            f"dispersion: is {MEASURED!r}, and the ior {ior!r}; expected as ior one of {', '.join(PARTINGS)}"
+            f"dispersion: is {MEASURED!r} for ior {ior!r}; expected ior to be one of {', '.join(PARTINGS)}"
         )

@@ -1,4 +1,4 @@
-"""Numbers in a scene's description: vectors, colours, and the checks that refuse bad ones."""
+"""Numbers in a scene's description: vectors, colours, and their checks."""
 
 import math
 
@@ -19,18 +19,18 @@ def as_vector(values: Float[np.ndarray, "3"]) -> Vector:
 
 
 def check_positive(name: str, value: float) -> None:
-    """Refuses what is not a finite number above 0."""
+    """Checks that a number is finite and above 0."""
     if not (math.isfinite(value) and value > 0):
         raise HyalineError(f"{name}: is {value}; expected a positive number")
 
 
 def check_range(name: str, color: Color, low: float, high: float) -> None:
-    """Refuses a colour or vector with a component outside of [low, high], or one that is no number."""
+    """Checks that all components of a colour or vector are finite and within [low, high]."""
     if not all(math.isfinite(value) and low <= value <= high for value in color):
         raise HyalineError(f"{name}: is {color}; expected three numbers from {low:g} to {high:g}")
 
 
 def check_roughness(roughness: float) -> None:
-    """Refuses a microfacet alpha for which Mitsuba's sampling fails."""
+    """Checks that a microfacet alpha is in the range of Mitsuba's sampling."""
     if not 0.001 <= roughness <= 1:
         raise HyalineError(f"roughness: is {roughness}; expected 0.001 to 1")

@@ -11,11 +11,10 @@ branch ends, the first start in the queue comes next.
 
 from typing import TYPE_CHECKING, NamedTuple
 
+from datagen.scene.contact import skipped_length
 from datagen.scene.media import medium_of, no_solids
-from datagen.scene.thin_walls import skipped_length
-from datagen.trace.limits import Limits
 from datagen.trace.surface_hits import Bounce, Hit, Kernel, Sides, bounce_of, meet, sides_of, uv_slope
-from datagen.trace.surface_tables import OPAQUE, SurfaceTables
+from datagen.trace.surface_tables import OPAQUE, Limits, SurfaceTables
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -25,7 +24,7 @@ SPARE_STEPS = 16
 inside others."""
 
 MIN_THROUGHPUT = 1 / 512
-"""A branch that starts with less is not followed: less than one step of an 8-bit picture."""
+"""Branches that start with a smaller throughput are not followed; it is below one step of an 8-bit picture."""
 
 FIRST_MIRROR = 16.0
 """Weight in the queue of branches beyond any throughput, so that the first surface's mirror comes next."""
@@ -35,7 +34,7 @@ class _Start(NamedTuple):
     """Where a branch starts."""
 
     weight: "mi.Float"
-    """In the queue; 0 for no start."""
+    """Weight in the queue; 0 for no start."""
     o: "mi.Point3f"
     d: "mi.Vector3f"
     beta: "mi.Color3f"
@@ -43,7 +42,7 @@ class _Start(NamedTuple):
     last_face: "mi.Int32"
     """The face that it leaves; -1 for none."""
     solids: "mi.UInt32"
-    """The solids that it is in (datagen/scene/media.py)."""
+    """The solids that it starts in (datagen/scene/media.py)."""
 
 
 class _State(NamedTuple):
@@ -68,12 +67,12 @@ def follow_branches(scene, tables, media, o, d, rows, shift, count, max_branches
     """One kernel for all vertices of all branches of `count` rays from `o` along `d`.
 
     Args:
-        rows: two numbers in [0, 1) for each ray. Where those of consecutive rays, which are those of one pixel, are an
-            R2 sequence, these share out the facets of a rough surface evenly.
-        shift: seed of the shifts.
+        rows: two numbers in [0, 1) for each ray. If those of consecutive rays, which belong to one pixel, are an R2
+            sequence, the rays share the facets of a rough surface evenly.
+        shift: seed of the shifts of `rows` from step to step.
 
     Returns:
-        By field of `TracedPaths`: a flat array.
+        Flat arrays by the field names of `TracedPaths`.
     """
     import drjit as dr
 
@@ -139,7 +138,7 @@ def _advance(kernel: Kernel, outputs: "_Outputs", state: _State) -> _State:
 
 
 def _absorb(kernel: Kernel, hit: Hit, state: _State) -> _State:
-    """Beer and Lambert, along the segment that ends here."""
+    """Absorption by Beer and Lambert along the segment that ends here."""
     import drjit as dr
     import mitsuba as mi
 
@@ -199,13 +198,13 @@ def _go_on(kernel: Kernel, hit: Hit, sides: Sides, bounce: Bounce, state: _State
     )
     is_over = missed | (hit.counts & ~passes) | (real & (vertex == kernel.limits.max_depth))
     if kernel.tables.has_rough_glass:
-        # A facet's refracted ray that does not come out on the other side is lost.
+        # A refracted ray that does not leave its facet on the other side is lost.
         is_over |= real & (dr.max(on.beta) == 0)
     return on, is_over
 
 
 def _turn(kernel: Kernel, state: _State, is_over) -> _State:
-    """Where a branch is over: the next one, or none."""
+    """Starts the next branch, if there is one, where a branch is over."""
     import drjit as dr
 
     limits, queue = kernel.limits, state.queue
@@ -258,7 +257,7 @@ class _Outputs:
             self.arrays["disperses"] = dr.zeros(mi.UInt32, count)
 
     def record(self, hit: Hit, sides: Sides, state: _State) -> None:
-        """The vertex, or the end in the open. What comes after the last place takes it: a branch's end is kept."""
+        """Records a vertex, or the end outside the scene. Later vertices replace the one in the last place."""
         import drjit as dr
         import mitsuba as mi
 
@@ -287,7 +286,7 @@ class _Outputs:
             self._store(name, values, end, missed)
 
     def record_dispersion(self, kernel: Kernel, sides: Sides) -> None:
-        """That the ray meets glass which parts colours."""
+        """Records that the ray hits glass that disperses."""
         import drjit as dr
         import mitsuba as mi
 
@@ -299,6 +298,6 @@ class _Outputs:
     def _store(self, name: str, values, index, mask) -> None:
         import drjit as dr
 
-        components = list(values)  # They lie side by side, as NumPy wants them: no copy of the whole is made.
+        components = list(values)  # Interleaved as NumPy needs them, which saves a copy of the whole.
         for component, value in enumerate(components):
             dr.scatter(self.arrays[name], value, index * len(components) + component, mask)

@@ -1,15 +1,15 @@
-"""Light paths: which surfaces really shine into a pixel, through refraction and by reflection.
+"""Light paths: which surfaces a pixel really shows, by refraction and reflection.
 
-A straight ray looks up the wrong texels behind solid glass. Here each ray is followed as light goes, in branches.
+A straight ray looks up the wrong texels behind solid glass. Here each ray is followed as light travels, in branches.
 Branch 0 is refracted: through every dielectric interface by Snell's law (total internal reflection reflects it),
-straight through thin panes, until it meets something opaque or leaves the scene. Branch 1 is reflected at the first
-surface, when that is glass or glossy, and then followed in the same way; where it is rough, by one of its facets, so
-that several rays together see it blurred. Further branches are reflected at any later
-surface of any branch, those of the largest throughput first. What the branches beyond `max_branches` carry is left to
-whoever shades the layers.
+straight through thin panes, until it hits something opaque or leaves the scene. Branch 1 is reflected at the first
+surface, if that is glass or glossy, and then followed in the same way; rough surfaces reflect it by one facet, so that
+several rays together show a blurred reflection. Further branches are reflected at later surfaces of any branch, those
+of the largest throughput first. Light of branches beyond `max_branches` is not traced; the renderer has to make up for
+it.
 
 Glass that disperses has an index for each colour channel. `trace` follows green light, as if the others went the same
-way; `trace_colors` also follows red and blue, of those rays alone that meet such glass.
+way; `trace_colors` also follows red and blue, only for rays that hit such glass.
 
 Vectorised variants only. Call `use_mitsuba` first.
 """
@@ -23,79 +23,74 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float32, Int64, UInt8
 
-from datagen.data.meshes import Mesh, is_there
+from datagen.data.meshes import Mesh, is_there, r2_steps
 from datagen.disk.errors import HyalineError
 from datagen.render.mitsuba_scene import is_scalar, load_geometry_mitsuba, to_columns
 from datagen.scene.materials import Material, check_material
 from datagen.scene.media import find_media
 from datagen.trace.branches import follow_branches
-from datagen.trace.limits import LIMITS, Limits
-from datagen.trace.surface_tables import make_tables
-from datagen.trace.tints import Tints
+from datagen.trace.surface_tables import LIMITS, Limits, Tints, make_tables
 
 RECORDINGS = 64
 """Kernels that a tracer keeps, one for each number of rays and limits."""
 
-PLASTIC = 1.32471795724474602596
-"""The plastic number, of which the R2 sequence is made."""
-
-
 PIECES = 8
-"""How many numbers of rays are told apart where some of a bundle are traced again, in other colours."""
+"""Rays to be traced again in other colours are padded to a multiple of 1 / PIECES of the bundle."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LightPaths:
-    """The vertices of all branches of a bundle of rays, in the order in which the camera's ray meets them.
+    """The vertices of all branches of a bundle of rays, in the order in which the camera's ray reaches them.
 
-    A branch ends on an opaque surface (its last vertex), in the open (`has_left`), or after `max_depth` surfaces. Where
-    it has more vertices than places, the last place holds the last vertex.
+    A branch ends on an opaque surface (its last vertex), outside the scene (`has_left`), or after `max_depth` surfaces.
+    If it has more vertices than places, the last place contains its last vertex.
     """
 
     object_id: UInt8[np.ndarray, "branch vertex ray"]
-    """0 where there is no vertex."""
+    """Id of the object at the vertex; 0 for no vertex."""
     uv: Float32[np.ndarray, "branch vertex ray 2"]
     direction: Float32[np.ndarray, "branch vertex ray 3"]
     """Unit direction in which the ray arrives at the vertex."""
     position: Float32[np.ndarray, "branch vertex ray 3"]
     """World position in metres."""
     normal: Float32[np.ndarray, "branch vertex ray 3"]
-    """Unit shading normal, towards the side from which the ray comes."""
+    """Unit shading normal on the side from which the ray comes."""
     throughput: Float32[np.ndarray, "branch vertex ray 3"]
     """Share of the radiance leaving the vertex against `direction` that reaches the camera, per colour channel: the
     product of Fresnel terms, Beer and Lambert's absorption, and the change of radiance with the square of the index."""
     medium_length: Float32[np.ndarray, "branch vertex ray"]
-    """Metres that the last segment ran inside glass or liquid; 0 in air."""
+    """Length of the last segment inside glass or liquid, in metres; 0 in air."""
     has_left: Bool[np.ndarray, "branch ray"]
+    """Whether the branch left the scene."""
     end_direction: Float32[np.ndarray, "branch ray 3"]
-    """Unit direction in which the branch left the scene; 0 where it did not."""
+    """Unit direction in which the branch left the scene; 0 if it did not."""
     end_throughput: Float32[np.ndarray, "branch ray 3"]
-    """Share of the environment's radiance from there that reaches the camera; 0 where it did not."""
+    """Share of the environment's radiance from there that reaches the camera; 0 if the branch did not leave."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TracedPaths(LightPaths):
-    """Light paths fresh from the tracer, with what is not stored."""
+    """Light paths fresh from the tracer, with quantities that are not stored."""
 
     uv_slope: Float32[np.ndarray, "branch vertex ray 2"]
-    """Change of uv from the vertex to where the ray would meet a surface one metre below this one, to first order."""
+    """Change of uv from the vertex to where the ray would hit a surface one metre below this one, to first order."""
     disperses: Bool[np.ndarray, " ray"]
-    """Glass that parts colours is on some branch of the ray."""
+    """Whether some branch of the ray hits glass that disperses."""
 
 
 RED, GREEN, BLUE = range(3)
 
 
 class LightPathTracer:
-    """A loaded geometry with the materials of its surfaces; follows any number of rays."""
+    """A loaded geometry with the materials of its surfaces, for tracing any number of rays."""
 
     def __init__(
         self, meshes: tuple[Mesh, ...], materials: tuple[Material | None, ...], tints: Tints | None = None
     ) -> None:
-        """A surface whose material is None lets every ray through as it comes: its paths are straight layers.
+        """Loads meshes with their materials. A surface without material lets every ray pass straight through.
 
         Args:
-            tints: of metals with a texture, in the uv of `meshes`; without one, a metal mirrors all light.
+            tints: texels of metals with a texture, in the uv of `meshes`; without them, a metal reflects all light.
         """
         import drjit as dr
         import mitsuba as mi
@@ -108,7 +103,7 @@ class LightPathTracer:
         for index, material in enumerate(materials):
             if material is not None:
                 check_material(material, where=f"light paths: object {index + 1}")
-        # Mitsuba gets the objects that are there; the ids stay those of all.
+        # Mitsuba gets only objects with a mesh; ids still count all objects.
         kept = [index for index, mesh in enumerate(meshes) if is_there(mesh)]
         self._object_id = np.array([0, *(index + 1 for index in kept)], np.uint8)
         meshes = tuple(meshes[index] for index in kept)
@@ -119,8 +114,7 @@ class LightPathTracer:
         self._tables = make_tables(meshes, kept_materials, self._media, kept_tints)
         self._iors = [mi.Float(np.ascontiguousarray(self._media.iors[:, channel])) for channel in range(3)]
         self._spread: dict[int, list[mi.Float]] = {}
-        # Recording a kernel takes as long as running it for 8,192 rays: it is done once for each number of rays and
-        # limits.
+        # Recording a kernel takes as long as tracing 8,192 rays, so it is done once per number of rays and limits.
         self._trace = dr.freeze(follow_branches, limit=RECORDINGS, warn_after=1 << 30)
 
     def trace(
@@ -136,11 +130,10 @@ class LightPathTracer:
         """Follows rays that start in air.
 
         Args:
-            directions: of unit length.
-            seed: of the facets of rough surfaces that mirror.
-            facets: where among these facets each ray starts to choose, in [0, 1)^2. None: consecutive rays share them
-                out evenly.
-            channel: whose index of refraction counts; throughput is given for all channels all the same.
+            directions: unit vectors.
+            seed: of the choice of facets on rough surfaces.
+            facets: where each ray starts to choose among facets, in [0, 1)^2. None: consecutive rays share them evenly.
+            channel: the colour channel whose index of refraction counts; throughput is given for all channels anyway.
         """
         import drjit as dr
         import mitsuba as mi
@@ -196,11 +189,11 @@ class LightPathTracer:
         seed: int = 0,
         facets: Float32[np.ndarray, "ray 2"] | None = None,
     ) -> TracedPaths:
-        """The paths of rays, where each colour channel goes its own way through glass that disperses.
+        """The paths of rays, each colour channel taking its own way through glass that disperses.
 
-        Where no ray meets such glass, this is `trace`. Else there are three times as many branches: those of `trace`,
-        then for the rays that do meet it the branches of red and of blue light. All of these carry their own channel
-        alone; those of the other rays carry all three, and their further branches are empty.
+        If no ray hits such glass, this is `trace`. Otherwise there are three times as many branches: those of `trace`,
+        then, for the rays that hit it, the branches of red and of blue light. Branches of these rays carry only their
+        own channel; those of other rays carry all three, and their further branches are empty.
         """
 
         def trace(index: np.ndarray | slice, facets: np.ndarray | None, channel: int) -> TracedPaths:
@@ -212,7 +205,7 @@ class LightPathTracer:
         parted = np.flatnonzero(paths.disperses)
         if not len(parted):
             return paths
-        # A kernel is recorded for each number of rays: they are filled up to one of a few numbers.
+        # A kernel is recorded for each number of rays, so rays are padded to one of a few numbers.
         piece = max(1, count // PIECES)
         filled = np.concatenate([parted, np.full(-len(parted) % piece, parted[0])])
         spread = _spread_evenly(count) if facets is None else facets
@@ -223,11 +216,11 @@ class LightPathTracer:
 
 def _spread_evenly(count: int) -> Float32[np.ndarray, "ray 2"]:
     """Where rays choose facets: the R2 sequence."""
-    return (np.arange(count)[:, None] / PLASTIC ** np.arange(1, 3) % 1).astype(np.float32)
+    return (r2_steps(count) % 1).astype(np.float32)
 
 
 def _only(paths: TracedPaths, channel: int, rays: Bool[np.ndarray, " ray"] | slice = slice(None)) -> TracedPaths:
-    """The paths, of which some rays carry one channel alone."""
+    """The paths with some rays restricted to one channel."""
     weight = np.zeros(3, np.float32)
     weight[channel] = 1
     for throughput in (paths.throughput, paths.end_throughput):
@@ -236,11 +229,11 @@ def _only(paths: TracedPaths, channel: int, rays: Bool[np.ndarray, " ray"] | sli
 
 
 def _side_by_side(paths: TracedPaths, others: list[TracedPaths], rays: Int64[np.ndarray, " parted"]) -> TracedPaths:
-    """The paths, and as further branches those of `others` for some of the rays."""
+    """The paths with those of `others` as further branches of some of the rays."""
 
     def joined(name: str) -> np.ndarray:
         values = getattr(paths, name)
-        axis = 1 if name in ("has_left", "end_direction", "end_throughput") else 2  # Of rays.
+        axis = 1 if name in ("has_left", "end_direction", "end_throughput") else 2  # The axis of rays.
         parts = [values]
         for other in others:
             part = np.zeros_like(values)

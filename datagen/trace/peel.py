@@ -1,9 +1,9 @@
-"""Owns the straight layers: every surface along a pixel's ray, found by Mitsuba's ray tracer. Call `use_mitsuba` first.
+"""Straight layers: every surface along a pixel's ray, found by Mitsuba's ray tracer. Call `use_mitsuba` first.
 
-The rule that loses no layer and finds none twice (checked against an independent engine): the origin stays fixed, the
-distance t advances by a relative 2.4e-7 past each hit, a hit of the primitive that was hit last does not count, and
-intersections are the robust ones. Mitsuba's own `spawn_ray` moves the origin by about 1e-4 along the normal and so
-loses half of the hits where surfaces lie closer than that.
+This rule misses no layer and finds none twice (checked against an independent engine): the origin stays fixed, the
+distance t advances by a relative 2.4e-7 past each hit, a repeated hit of the last primitive does not count, and
+intersections are the robust ones. Mitsuba's own `spawn_ray` moves the origin by about 1e-4 along the normal, and loses
+half of the hits where surfaces are closer than that.
 """
 
 # Mitsuba's stubs describe no variant: what is a number in one is an array in another.
@@ -23,7 +23,7 @@ from datagen.data.meshes import Mesh, is_there
 from datagen.render.mitsuba_scene import is_scalar, load_geometry_mitsuba, to_columns
 
 if TYPE_CHECKING:
-    from builtins import range as prange  # numba's stands for it, and splits the loop among threads.
+    from builtins import range as prange  # numba's prange splits the loop among threads.
 
     import mitsuba as mi
 else:
@@ -33,7 +33,7 @@ ADVANCE = 1 + 2.4e-7
 """Factor by which t passes a hit: two float32 steps."""
 
 SPARE_STEPS = 64
-"""Trace steps beyond the layers, for hits of the same primitive that do not count; grazing rays take a dozen."""
+"""Trace steps beyond the number of layers, for repeated hits of one primitive; grazing rays take a dozen."""
 
 RECORDINGS = 64
 """Kernels that a peeler keeps, one for each number of rays and layers: recording one takes longer than running it."""
@@ -55,14 +55,14 @@ class Hits:
     t: Float32[np.ndarray, "layer ray"]
     """Distance along the ray, 0 where empty."""
     has_more: np.ndarray
-    """(ray,) bool: the ray had more hits than layers."""
+    """(ray,) bool: whether the ray had more hits than layers."""
 
 
 class Peeler:
-    """A loaded geometry; peels any number of views."""
+    """A loaded geometry, for peeling any number of views."""
 
     def __init__(self, meshes: tuple[Mesh, ...]) -> None:
-        # Mitsuba gets the objects that are there; the ids stay those of all.
+        # Mitsuba gets only objects with a mesh; ids still count all objects.
         self._object_id = np.array([0, *(index + 1 for index, mesh in enumerate(meshes) if is_there(mesh))], np.uint8)
         meshes = tuple(mesh for mesh in meshes if is_there(mesh))
         self._scene = load_geometry_mitsuba(meshes)
@@ -70,7 +70,7 @@ class Peeler:
             import drjit as dr
 
             self._trace = dr.freeze(_trace, limit=RECORDINGS, warn_after=1 << 30)
-        # uv of the corners of every face of every mesh, so that one gather by (shape, face) finds them.
+        # uv of the corners of all faces of all meshes, looked up by (shape, face) in one gather.
         self._first_face = np.cumsum([0, *(len(mesh.faces) for mesh in meshes)])[:-1]
         self._corner_uv = np.concatenate([mesh.uv[mesh.faces] for mesh in meshes])
 
@@ -88,7 +88,7 @@ class Peeler:
 
         count = len(directions)
         is_coherent = origin.ndim == 1
-        # Opaque values, or every camera would be a recording of its own.
+        # Opaque values; otherwise every camera would be recorded as a kernel of its own.
         start = [dr.opaque(mi.Float, float(value)) for value in origin] if is_coherent else to_columns(origin)
         along = mi.Vector3f(*to_columns(directions))
         outputs = self._trace(self._scene, mi.Point3f(*start), along, count, num_layers, is_coherent)
@@ -130,7 +130,7 @@ class Peeler:
     def peel_rays(
         self, origins: Float32[np.ndarray, "ray 3"], directions: Float32[np.ndarray, "ray 3"], num_layers: int
     ) -> tuple[Float32[np.ndarray, "ray layer 2"], UInt8[np.ndarray, "ray layer"]]:
-        """uv and object ids along any rays, nearest first; both 0 where there is no more surface."""
+        """uv and object ids along any rays, nearest first; both 0 beyond the last surface."""
         hits = self.trace(origins, directions, num_layers)
         shape = (len(directions), num_layers)
         uv, object_id = np.empty((*shape, 2), np.float32), np.empty(shape, np.uint8)
@@ -162,7 +162,7 @@ def _to_stacks(
     uv: Float32[np.ndarray, "ray layer 2"],
     object_id: UInt8[np.ndarray, "ray layer"],
 ) -> None:
-    """Writes interpolated uv and object id of every hit ray by ray; 0 where empty. It is too little for threads."""
+    """Writes interpolated uv and object id of every hit, ray by ray; 0 where empty. Too little work for threads."""
     for ray in range(shape.shape[1]):
         for layer in range(len(shape)):
             mesh = shape[layer, ray]
@@ -209,7 +209,7 @@ def _to_layers(
 
 
 def _trace(scene, o, d, count, num_layers, is_coherent):
-    """One kernel for all layers: meshes, faces, both barycentric weights, distances, and hits of each ray."""
+    """One kernel for all layers; returns meshes, faces, both barycentric weights, distances, and each ray's hits."""
     import drjit as dr
     import mitsuba as mi
 
@@ -255,7 +255,7 @@ def _trace(scene, o, d, count, num_layers, is_coherent):
 
 
 def _trace_scalar(scene: "mi.Scene", origin: np.ndarray, directions: np.ndarray, num_layers: int) -> Hits:
-    """The same rule ray by ray, for machines without a libLLVM that works."""
+    """The same rule ray by ray, for machines without a working libLLVM."""
     import mitsuba as mi
 
     count = len(directions)
@@ -287,6 +287,6 @@ def _trace_scalar(scene: "mi.Scene", origin: np.ndarray, directions: np.ndarray,
 
 @functools.cache
 def _tiled(width: int, height: int) -> Int32[np.ndarray, "ray"]:
-    """Pixel indices in the order in which they are traced; every view's are the same array."""
+    """Pixel indices in tracing order; cached, since all views have the same."""
     row, column = np.divmod(np.arange(width * height), width)
     return np.lexsort((column, row, column // TILE, row // TILE)).astype(np.int32)

@@ -1,7 +1,7 @@
-"""Slits in a room: where a camera sees the sky between two walls that ought to meet.
+"""Slits in a room: where a camera sees the sky between two walls that should meet.
 
-Walls are the large opaque parts of a scene. Where two of them come close, rays go from each camera through the gap
-between them; one that meets nothing opaque shows the sky. That finds slits of any width, at any resolution. Call
+Walls are the large opaque parts of a scene. Where two of them are close, rays are traced from each camera through the
+gap between them; a ray that hits nothing opaque sees the sky. This finds slits of any width, at any resolution. Call
 `use_mitsuba` first.
 """
 
@@ -16,16 +16,16 @@ from datagen.data.meshes import Mesh, component_of_faces, is_there
 from datagen.scene.description import Scene
 
 WALL = 1.0
-"""A part is a wall when two sides of its bounding box are longer than so many distances of the cameras."""
+"""A part is a wall if two sides of its bounding box are longer than this many camera distances."""
 WIDEST = 0.1
-"""Width of the widest slit, in distances of the cameras: what is wider is a window or the end of the room,
-and so is what is not longer than this."""
+"""Largest width of a slit, in camera distances. Wider gaps are windows or the end of the room, and so are gaps that are
+not longer than this."""
 PLACES = 240
-"""Places in the gap between two walls at which rays go through, at most."""
+"""Largest number of rays through the gap between two walls."""
 MUTUAL = 0.7
-"""A gap goes from a point to the nearest on the other wall; the way back is at least so many times as long."""
+"""A gap goes from a point to the nearest point on the other wall; the way back must be at least this share as long."""
 MAX_VIEWS = 120
-"""Cameras that are tried, at most; they are spread evenly over all."""
+"""Largest number of cameras to try, spread evenly over all."""
 SHARES = (0.25, 0.5, 0.75)
 """Where a ray crosses the gap."""
 
@@ -37,21 +37,21 @@ class Slit:
     between: tuple[str, str]
     """Names of the objects; equal where both walls are parts of one."""
     width: float
-    """Metres from wall to wall where it is seen and widest."""
+    """Distance from wall to wall where the visible slit is widest, in metres."""
     place: tuple[float, float, float]
     num_views: int
-    """Cameras that see it, of those that were tried."""
+    """Number of tried cameras that see it."""
     tried_views: int
 
 
 def describe_slit(scene: Scene, slit: Slit) -> str:
-    """A remark for who builds the scene."""
+    """A warning for the scene's author."""
     place = ", ".join(f"{value:.2f}" for value in slit.place)
     one, other = slit.between
     return (
         f"scene {scene.name}: the sky shows through a slit of {100 * slit.width:.1f} cm between {one} and {other}, "
-        f"near ({place}), in {slit.num_views} of {slit.tried_views} views; if they ought to meet, let one reach behind "
-        "the other"
+        f"near ({place}), in {slit.num_views} of {slit.tried_views} views; if they should meet, extend one behind the "
+        "other"
     )
 
 
@@ -112,9 +112,9 @@ def _is_large(points: np.ndarray, scene: Scene) -> bool:
 def _gap(
     one: Float[np.ndarray, "face 3 3"], other: Float[np.ndarray, "other_face 3 3"], widest: float
 ) -> tuple[Float[np.ndarray, "place 3"], Float[np.ndarray, "place 3"]]:
-    """Points on one wall and the nearest on the other, where they are near each other but do not touch.
+    """Points on one wall and the nearest points on the other, where the walls are close but do not touch.
 
-    Whatever shines through a gap passes its rim, which is an edge of one of both: it is enough to look at edges.
+    Light through a gap passes its rim, which is an edge of one of the walls, so checking edges is enough.
     """
     starts, ends = [], []
     for mine, theirs in ((one, other), (other, one)):
@@ -131,7 +131,7 @@ def _gap(
         nearest = np.stack([_nearest_on(point, theirs) for point in points])
         width = np.linalg.norm(nearest - points, axis=-1)
         back = np.stack([_nearest_on(point, mine) for point in nearest])
-        # Where a wall stands on another, its edge runs up from there: that is no gap, the wall itself is nearer.
+        # Where one wall adjoins another, its edge runs away from there: not a gap, since the wall itself is nearer.
         crosses = np.linalg.norm(nearest - back, axis=-1) > MUTUAL * width
         kept = (width > 1e-6) & (width < widest) & crosses
         starts.append(points[kept])
@@ -143,10 +143,10 @@ def _gap(
 def _on_edges(
     corners: Float[np.ndarray, "face 3 3"], spacing: float, low: np.ndarray, high: np.ndarray
 ) -> Float[np.ndarray, "point 3"]:
-    """Points along the edges of triangles, inside a box, each once and in the order of their places."""
+    """Points along the edges of triangles inside a box, without repeats, sorted by position."""
     start, end = corners.reshape(-1, 3), np.roll(corners, -1, axis=1).reshape(-1, 3)
     meets = ((np.minimum(start, end) <= high) & (np.maximum(start, end) >= low)).all(axis=-1)
-    # Each edge belongs to two triangles, which go along it in opposite senses.
+    # Each edge belongs to two triangles, which traverse it in opposite directions.
     first = start[:, 0] * 7.1 + start[:, 1] * 3.3 + start[:, 2] <= end[:, 0] * 7.1 + end[:, 1] * 3.3 + end[:, 2]
     start, end = start[meets & first], end[meets & first]
     steps = np.ceil(np.linalg.norm(end - start, axis=-1) / spacing).astype(np.int64) + 1
@@ -155,7 +155,7 @@ def _on_edges(
     share = (step / np.maximum(steps - 1, 1)[edge])[:, None]
     points = start[edge] + share * (end - start)[edge]
     points = points[((points >= low) & (points <= high)).all(axis=-1)]
-    # One in each cell of the spacing is enough.
+    # One point per cell of the spacing is enough.
     _, kept = np.unique(np.floor(points / spacing).astype(np.int64), axis=0, return_index=True)
     return points[kept]
 
@@ -166,7 +166,7 @@ def _in_box(corners: Float[np.ndarray, "face 3 3"], low: np.ndarray, high: np.nd
 
 
 def _nearest_on(point: Float[np.ndarray, "3"], corners: Float[np.ndarray, "face 3 3"]) -> Float[np.ndarray, "3"]:
-    """The point of some triangles that is nearest to a point."""
+    """The point on some triangles that is nearest to a point."""
     a = corners[:, 0]
     normals = np.cross(corners[:, 1] - a, corners[:, 2] - a)
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
@@ -183,7 +183,7 @@ def _nearest_on(point: Float[np.ndarray, "3"], corners: Float[np.ndarray, "face 
 
 
 def _chosen_views(cameras: tuple[Cameras, ...]):
-    """Positions of some cameras of all splits, and a function that tells which points are in the picture of one."""
+    """Positions of some cameras of all splits, and a function that tests which points are in a camera's picture."""
     everyone = [split[view] for split in cameras for view in range(len(split))]
     chosen = np.unique(np.linspace(0, len(everyone) - 1, MAX_VIEWS).astype(np.int64))
     some = [everyone[view] for view in chosen]
@@ -197,7 +197,7 @@ def _chosen_views(cameras: tuple[Cameras, ...]):
 
 
 def _occlusion(scene: Scene):
-    """A function that tells which rays from a place, along directions (ray, 3), meet something opaque."""
+    """A function that tests which rays from a position, along directions (ray, 3), hit something opaque."""
     import mitsuba as mi
 
     from datagen.render.mitsuba_scene import is_scalar, load_geometry_mitsuba, to_columns
@@ -209,7 +209,7 @@ def _occlusion(scene: Scene):
 
     def is_blocked(position: np.ndarray, directions: np.ndarray) -> Bool[np.ndarray, " ray"]:
         if not len(directions):
-            return np.zeros(0, bool)  # Dr.Jit 1.5 aborts on rays that are none.
+            return np.zeros(0, bool)  # Dr.Jit 1.5 aborts on zero rays.
         if is_scalar():
             rays = (mi.Ray3f(position.tolist(), direction.tolist()) for direction in directions)
             return np.array([loaded.ray_test(ray) for ray in rays], bool)

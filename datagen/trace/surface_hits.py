@@ -1,4 +1,4 @@
-"""What a ray meets at a surface, and what the surface does to it: the steps of datagen/trace/branches.py."""
+"""A ray's hit on a surface, and the surface's effect on the ray: the steps of datagen/trace/branches.py."""
 
 # Mitsuba's stubs describe no variant: what is a number in one is an array in another.
 # pyright: reportArgumentType=false, reportCallIssue=false, reportOperatorIssue=false, reportIndexIssue=false
@@ -8,19 +8,26 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from datagen.render.facets import facet_towards, mirrored_by, refracted_by
 from datagen.scene.media import SAME_INDEX, Media, medium_of, with_solid, without_solid
-from datagen.trace.limits import Limits
-from datagen.trace.surface_tables import COATED, DIELECTRIC, METAL, THIN, SurfaceTables
-from datagen.trace.tints import TintTables, look_up_tint
+from datagen.trace.surface_tables import (
+    COATED,
+    DIELECTRIC,
+    METAL,
+    THIN,
+    Limits,
+    SurfaceTables,
+    TintTables,
+    look_up_tint,
+)
 
 if TYPE_CHECKING:
     import mitsuba as mi
 
 MIN_COSINE = 0.2
-"""Where a ray grazes a surface, the slope of its uv is that at this cosine."""
+"""Cosines below this count as this for the slope of uv, which grazing rays would make infinite."""
 
 
 class Kernel(NamedTuple):
-    """What stays the same in all steps."""
+    """Inputs that are the same in all steps."""
 
     scene: "mi.Scene"
     tables: SurfaceTables
@@ -29,16 +36,16 @@ class Kernel(NamedTuple):
     rows: "tuple[mi.Float, ...]"
     """Two numbers in [0, 1) for each ray."""
     shift: "mi.UInt32"
-    """Seed of the shifts."""
+    """Seed of the shifts of `rows` from step to step."""
 
 
 class Hit(NamedTuple):
-    """What a segment meets."""
+    """Where a segment hits a surface."""
 
     found: "mi.Bool"
-    """Anything at all."""
+    """Whether it hits anything at all."""
     counts: "mi.Bool"
-    """Another face than the one that it left."""
+    """Whether it hits another face than the one that it left."""
     t: "mi.Float"
     shape: "mi.UInt32"
     face: "mi.Int32"
@@ -47,17 +54,17 @@ class Hit(NamedTuple):
     edges: "tuple[mi.Vector3f, mi.Vector3f]"
     uv_edges: "tuple[mi.Vector2f, mi.Vector2f]"
     n_wide: "mi.Vector3f"
-    """Normal of the face, as long as twice its area."""
+    """Normal of the face with a length of twice its area."""
     n_face: "mi.Vector3f"
     """Unit normal of the face."""
     facing: "mi.Vector3f"
     """Unit shading normal on the side from which the ray comes."""
     is_outside: "mi.Bool"
-    """The ray comes from where the face's normal points."""
+    """Whether the ray comes from the side to which the face's normal points."""
     outward: "mi.Vector3f"
     """Unit normal of the face on the side from which the ray comes."""
     offset: "mi.Float"
-    """How far off the surface a new ray starts (datagen/scene/thin_walls.py)."""
+    """Distance off the surface at which a new ray starts (datagen/scene/contact.py)."""
 
 
 class Sides(NamedTuple):
@@ -65,27 +72,28 @@ class Sides(NamedTuple):
 
     kind: "mi.UInt32"
     is_glass: "mi.Bool"
-    """A medium begins or ends here."""
+    """Whether it borders a medium."""
     is_thin: "mi.Bool"
+    """Whether it is a thin pane."""
     is_void: "mi.Bool"
-    """A solid of higher priority fills both sides: there is no surface."""
+    """Whether a solid of higher priority fills both sides, so that there is no surface."""
     here: "mi.UInt32"
     beyond: "mi.UInt32"
 
 
 class Bounce(NamedTuple):
-    """Where light goes on from a surface, and with how much of what arrived."""
+    """The directions in which light continues from a surface, and the share of light in each."""
 
     mirrored: "mi.Vector3f"
     mirror_share: "mi.Color3f"
     next_d: "mi.Vector3f"
     next_share: "mi.Color3f"
     total: "mi.Bool"
-    """Reflected as a whole: the branch itself is mirrored."""
+    """Whether all light is reflected: the branch itself is mirrored."""
 
 
 def meet(kernel: Kernel, o, d, last_face, active) -> Hit:
-    """The nearest face, and where the segment meets it."""
+    """The nearest face, and where the segment hits it."""
     import drjit as dr
     import mitsuba as mi
 
@@ -127,7 +135,7 @@ def meet(kernel: Kernel, o, d, last_face, active) -> Hit:
 
 
 def _corners_of(table, kind, face, active):
-    """What a table holds for the three corners of each face."""
+    """A table's values at the three corners of each face."""
     import drjit as dr
     import mitsuba as mi
 
@@ -165,11 +173,11 @@ def sides_of(kernel: Kernel, hit: Hit, solids) -> Sides:
 
 
 def uv_slope(hit: Hit, d):
-    """What uv changes as the ray goes on in the plane of the face, whose edges are e1 and e2: d = a e1 + b e2 + c n."""
+    """Change of uv per depth as the ray's direction d = a e1 + b e2 + c n moves in the plane of the edges e1 and e2."""
     import drjit as dr
 
     shares = [dr.dot(dr.cross(d, hit.edges[1]), hit.n_wide), dr.dot(dr.cross(hit.edges[0], d), hit.n_wide)]
-    # Depth counts inwards, which is back along a ray that comes out.
+    # Depth counts inwards, which is backwards along a ray that exits.
     cosine = dr.maximum(dr.abs(dr.dot(d, hit.n_face)), MIN_COSINE)
     per_depth = dr.rcp(dr.maximum(dr.squared_norm(hit.n_wide) * cosine, 1e-30))
     per_depth = dr.select(hit.is_outside, per_depth, -per_depth)
@@ -177,7 +185,7 @@ def uv_slope(hit: Hit, d):
 
 
 def bounce_of(kernel: Kernel, hit: Hit, sides: Sides, d, step) -> Bounce:
-    """What the surface does to the ray."""
+    """How the surface reflects and transmits the ray."""
     import drjit as dr
     import mitsuba as mi
 
@@ -190,7 +198,7 @@ def bounce_of(kernel: Kernel, hit: Hit, sides: Sides, d, step) -> Bounce:
     eta = dr.select(borders, iors[0] / iors[1], dr.gather(mi.Float, tables.coat_ior, hit.shape, hit.counts))
     tints = borders & (dr.abs(eta - 1) > SAME_INDEX)
     cos_i = dr.clip(-dr.dot(d, facing), 0, 1)
-    # The ratio is that of the two sides as the ray comes, so that it always comes from the first of them.
+    # eta is the far side's index over the near side's, so for `fresnel` the ray always comes from outside.
     reflectance, cos_t, _, eta_ti = mi.fresnel(cos_i, eta)
     cos_t = dr.abs(cos_t)
     reflectance = dr.select(sides.is_thin, 2 * reflectance / (1 + reflectance), reflectance)
@@ -236,7 +244,7 @@ def bounce_of(kernel: Kernel, hit: Hit, sides: Sides, d, step) -> Bounce:
 
 
 def _random_point(kernel: Kernel, step):
-    """Where among the facets of a rough surface each ray chooses: two numbers in [0, 1)."""
+    """Two numbers in [0, 1) with which each ray chooses a facet of a rough surface."""
     import drjit as dr
     import mitsuba as mi
 
@@ -245,8 +253,8 @@ def _random_point(kernel: Kernel, step):
     points = [point - dr.floor(point) for point in points]
     if not kernel.tables.has_rough_glass:
         return points
-    # Light that leaves rough glass has met a facet before: were both shared out by one sequence, a ray's second facet
-    # would follow from its first. From the second surface on, each ray throws its own dice.
+    # Light that leaves rough glass has hit a facet before: with one sequence for both, a ray's second facet would
+    # depend on its first. From the second surface on, each ray has its own random numbers.
     ray = dr.arange(mi.UInt32, dr.width(kernel.rows[0]))
     dice = (mi.sample_tea_32(kernel.shift, 2 * step + axis)[0] for axis in range(2))
     own = (mi.sample_tea_float32(ray, die) for die in dice)

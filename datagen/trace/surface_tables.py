@@ -1,24 +1,46 @@
-"""What a kernel looks up of a scene's surfaces: by object its optics, by face the corners."""
+"""Inputs of the light path kernel: limits, optics by object, corners by face, and the texels that tint metals."""
 
 # Mitsuba's stubs describe no variant: what is a number in one is an array in another.
-# pyright: reportArgumentType=false
+# pyright: reportArgumentType=false, reportCallIssue=false, reportOperatorIssue=false
 
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from jaxtyping import Float32
 
-from datagen.data.meshes import Mesh
+from datagen.data.meshes import Mesh, is_there
+from datagen.render.mitsuba_scene import linear_texels
+from datagen.scene.contact import RAY_OFFSET, largest_coordinate
+from datagen.scene.description import Scene
 from datagen.scene.materials import Material
 from datagen.scene.materials.optics import Event, Surface
 from datagen.scene.media import Media
-from datagen.scene.thin_walls import RAY_OFFSET, largest_coordinate
-from datagen.trace.tints import Tints, make_tint_tables
 
 if TYPE_CHECKING:
     import mitsuba as mi
 
+Texels = Float32[np.ndarray, "tex_h tex_w 3"]
+Tints = tuple[Texels | None, ...]
+"""Texels by object; None for objects of one colour. Row 0 is on top, where v is 1."""
+
+
+class Limits(NamedTuple):
+    """Limits of a ray's light paths."""
+
+    max_branches: int = 4
+    """Branches followed for each ray; 1 is the refracted one alone."""
+    max_vertices: int = 8
+    """Vertices kept of each branch. The last place always contains the branch's last vertex."""
+    max_depth: int = 24
+    """Number of surfaces after which a branch is abandoned."""
+
+
+LIMITS = Limits()
+"""The default limits."""
+
+
 OPAQUE, DIELECTRIC, THIN, COATED, METAL = range(5)
-"""What a surface does to a ray, as numbers in the kernel."""
+"""Events at a surface, as numbers in the kernel."""
 
 EVENTS: dict[Event, int] = {
     "ends": OPAQUE,
@@ -33,19 +55,19 @@ NO_SURFACE = Surface(event="passes", ior=1.0)
 
 
 class SurfaceTables(NamedTuple):
-    """What the kernel looks up: by object its optics, by face its corners' positions, normals and uv."""
+    """Lookup tables of the kernel: optics by object; positions, normals and uv of corners by face."""
 
     kind: "mi.UInt32"
     coat_ior: "mi.Float"
     roughness: "mi.Float"
     color: "list[mi.Float]"
     offset: "mi.Float"
-    """How far off its surface a ray starts."""
+    """Distance off its surface at which a ray starts, by object."""
     rank: "mi.Int32"
     medium_ior: "mi.Float"
-    """Of the colour channel whose paths are followed."""
+    """Index of refraction by medium, in the colour channel whose paths are followed."""
     parts_colors: "mi.Bool"
-    """By medium."""
+    """Whether a medium disperses."""
     absorption: "list[mi.Float]"
     first_face: "mi.UInt32"
     positions: "mi.Float"
@@ -53,9 +75,9 @@ class SurfaceTables(NamedTuple):
     uv: "mi.Float"
     has_rough_glass: bool
     disperses: bool
-    """Some medium parts colours."""
+    """Whether some medium disperses."""
     tints: tuple | None
-    """Those of `TintTables`, a plain tuple: a frozen function of Dr.Jit looks into no other."""
+    """`TintTables` as a plain tuple: Dr.Jit's frozen functions accept no other kind here."""
 
 
 def make_tables(
@@ -91,3 +113,94 @@ def make_tables(
         disperses=bool(media.parts_colors.any()),
         tints=None if tint_tables is None else tuple(tint_tables),
     )
+
+
+# Tints: what metals mirror over their surface, where a texture describes it
+
+
+class TintTables(NamedTuple):
+    """The texels of all objects; an object without a texture has one white texel."""
+
+    texels: "list[mi.Float]"
+    """Texels by colour channel."""
+    first: "mi.UInt32"
+    """Index of an object's first texel, by object."""
+    width: "mi.UInt32"
+    height: "mi.UInt32"
+
+
+def tints_of(scene: Scene, *, own_uv: bool) -> Tints:
+    """The textures of a scene's metals.
+
+    Args:
+        own_uv: whether light is followed on the objects' own meshes. Proxies have other uv and get the mean colour.
+    """
+    tints: list[Texels | None] = []
+    for item in scene.objects:
+        texture = item.material.surface().texture
+        if texture is None or not is_there(item.mesh):
+            tints.append(None)
+            continue
+        texels = linear_texels(scene, item.mesh, texture)
+        tints.append(texels if own_uv else _mean(texels, item.mesh))
+    return tuple(tints)
+
+
+def _mean(texels: Texels, mesh: Mesh) -> Texels:
+    """The mean of the texels that a surface covers."""
+    from datagen.scene.atlas import coverage
+
+    size = 256
+    rows, columns = ((np.arange(size) + 0.5) / size * side for side in texels.shape[:2])
+    covered = texels[np.ix_(rows.astype(int), columns.astype(int))][coverage(mesh, size) > 0]
+    mean = (covered if len(covered) else texels.reshape(-1, 3)).mean(axis=0, dtype=np.float64)
+    return mean.astype(np.float32).reshape(1, 1, 3)
+
+
+def make_tint_tables(tints: Tints) -> TintTables | None:
+    """The tables; None where no object has a texture."""
+    import mitsuba as mi
+
+    if not any(tint is not None for tint in tints):
+        return None
+    white = np.ones((1, 1, 3), np.float32)
+    images = [white if tint is None else tint for tint in tints]
+    sizes = [image.shape[0] * image.shape[1] for image in images]
+    flat = np.concatenate([image.reshape(-1, 3) for image in images])
+    return TintTables(
+        texels=[mi.Float(np.ascontiguousarray(flat[:, channel])) for channel in range(3)],
+        first=mi.UInt32(np.cumsum([0, *sizes])[:-1].astype(np.uint32)),
+        width=mi.UInt32(np.array([image.shape[1] for image in images], np.uint32)),
+        height=mi.UInt32(np.array([image.shape[0] for image in images], np.uint32)),
+    )
+
+
+def look_up_tint(tables: TintTables, shape, uv, active) -> "mi.Color3f":
+    """Bilinear between the centres of texels, clamped beyond the outermost ones, as in Mitsuba's bitmap."""
+    import drjit as dr
+    import mitsuba as mi
+
+    first, width, height = (
+        dr.gather(mi.UInt32, table, shape, active) for table in (tables.first, tables.width, tables.height)
+    )
+    place = (uv.x * mi.Float(width) - 0.5, (1 - uv.y) * mi.Float(height) - 0.5)
+    low = [dr.floor(value) for value in place]
+    shares = [value - floor for value, floor in zip(place, low)]
+    total = mi.Color3f(0)
+    for row_step in range(2):
+        for column_step in range(2):
+            column = _within(mi.Int32(low[0]) + column_step, width)
+            row = _within(mi.Int32(low[1]) + row_step, height)
+            index = first + row * width + column
+            texel = mi.Color3f(*(dr.gather(mi.Float, channel, index, active) for channel in tables.texels))
+            share_x = shares[0] if column_step else 1 - shares[0]
+            share_y = shares[1] if row_step else 1 - shares[1]
+            total += texel * (share_x * share_y)
+    return total
+
+
+def _within(index, size) -> "mi.UInt32":
+    import drjit as dr
+    import mitsuba as mi
+
+    return mi.UInt32(dr.clip(index, 0, mi.Int32(size) - 1))

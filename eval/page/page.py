@@ -11,8 +11,7 @@ from datagen.data.dataset import Dataset
 from datagen.data.paths import view_name
 from datagen.data.variants import OBJECT, read_edit_mask
 from datagen.disk.records import Json, to_json
-from datagen.pages.document import anchor, document, section
-from datagen.pages.html import Markup, Part, join, prose, tag
+from datagen.pages.html import Markup, Part, anchor, document, join, prose, section, tag
 from datagen.pages.pictures import Encoded, Gallery
 from eval.analyses.edits import EditScores
 from eval.page.further import Further, shown_of_run, shown_of_scene

@@ -1,6 +1,5 @@
 """The report: finds the runs, scores them, prints tables, writes results.json and pictures."""
 
-import dataclasses
 import shlex
 import sys
 from collections.abc import Sequence
@@ -15,24 +14,20 @@ from datagen.disk.errors import HyalineError
 from datagen.disk.names import file_name
 from datagen.disk.records import Json
 from datagen.disk.storage import sha256
-from datagen.machine.revision import code_version
+from datagen.machine.doctor import code_version
 from datagen.terminal.command import choose, say, track
 from eval.analyses.edits import object_psnr, score_edits
 from eval.analyses.variants import score_variants
 from eval.page.further import Further, analyse, figures_of
 from eval.page.page import PAGE, USUAL_VIEWS, page_drawing
 from eval.page.report_folder import Drawing, check_report_folder, keep, kept_in, write_report
-from eval.papers.claims import CLAIMS, claims_grid
-from eval.papers.comparison_tables import ablation_grid, comparison_grid
-from eval.papers.comparisons import ABLATIONS, COMPARISONS, LADDER, Line, find_entries
-from eval.papers.ladder import find_ladder, ladder_figure, ladder_grid
-from eval.papers.published import published_grid, published_json
 from eval.score.kept import Kept
 from eval.score.runs import Run, has_predictions, list_run_folders, open_run
 from eval.score.scores import RunScores, SceneScores, Truth, read_truth, score_run
-from eval.score.seeds import group_seeds
-from eval.tables.grids import TABLE_WIDTH, Grid
+from eval.tables.grids import TABLE_WIDTH
 from eval.tables.looks import grid_text, tables_text
+from eval.tables.named import TABLES
+from eval.tables.published import published_grid, published_json
 from eval.tables.results import results_csv, results_json
 
 FORMATS = ("table", "markdown", "csv", "latex", "json")
@@ -127,35 +122,29 @@ def write_page(found: Scored, out: Path, kept: Kept, *, most_views: int, are_all
     return out / PAGE
 
 
-TABLES = (*COMPARISONS, "proxies", *ABLATIONS, "claims")
-"""The tables of `make_tables`."""
-
-
 def make_tables(
     runs_root: Path, data_root: Path, out: Path, *, tables: Sequence[str], output_format: str, only: Path | None = None
 ) -> None:
-    """Scores the runs that these tables need, prints only the tables, and writes their pictures to `out`."""
-    for table in tables:
-        choose("table", table, TABLES)
+    """Scores the runs that some tables need and prints those alone; pictures of them are written to `out`.
+
+    Raises:
+        HyalineError: an unknown table or format, or a run that cannot be scored.
+    """
+    asked = {name: TABLES.find(name) for name in tables}
     choose("format", output_format, TABLE_FORMATS)
     check_report_folder(out)
-    lines = [line for table in tables for line in _lines_of(table)]
     runs, errors = _open_runs(runs_root, data_root, out, only)
-    wanted = [run for run in runs if any(line.fits(run) for line in lines)]
+    wanted = [run for run in runs if any(table.shows(run) for table in asked.values())]
     kept = kept_in(out)
     scenes = _score_scenes(wanted, errors, kept)
     if not scenes:
-        errors.append(
-            HyalineError(
-                f"{runs_root}: contains no run of {', '.join(tables)}; "
-                f"make them with `{_sweep_command(tables[0], only)}`"
-            )
-        )
-    for table in tables:
-        for grid in _grids_of(table, scenes, errors, kept):
+        hint = f"; make them with `{_sweep_command(tables[0], only)}`" if tables[0] in TABLES.built_in else ""
+        errors.append(HyalineError(f"{runs_root}: contains no run of {', '.join(tables)}{hint}"))
+    for table in asked.values():
+        for grid in table.grids(scenes, lambda scene: _object_psnr(scene, errors, kept)):
             sys.stdout.write(grid_text(grid, output_format, width=_output_width(), color=sys.stdout.isatty()) + "\n")
     sys.stdout.flush()
-    pictures = {(table, scene.title): _picture_of(table, scene) for table in tables for scene in scenes}
+    pictures = {(name, scene.title): table.picture(scene) for name, table in asked.items() for scene in scenes}
     files = {f"{table}_{file_name(title)}.png": png for (table, title), png in pictures.items() if png is not None}
     for path in write_report(out, {n: Drawing(draw=partial(bytes, png)) for n, png in files.items()}) if files else ():
         say(f"wrote {path}")
@@ -171,43 +160,10 @@ def _sweep_command(table: str, only: Path | None) -> str:
     return shlex.join(["model", "sweep", table, *(["--dataset", *map(str, datasets)] if datasets else [])])
 
 
-def _lines_of(table: str) -> tuple[Line, ...]:
-    """The runs that a table can show."""
-    if table in COMPARISONS:
-        return COMPARISONS[table].lines
-    if table == "claims":
-        return tuple(line for claim in CLAIMS for pair in claim.pairs for line in pair.lines)
-    return LADDER.lines if table == "proxies" else (ABLATIONS[table],)
-
-
-def _grids_of(table: str, scenes: list[SceneScores], errors: list[HyalineError], kept: Kept) -> list[Grid]:
-    if table == "claims":
-        return [claims_grid(scenes, {scene.title: _object_psnr(scene, errors, kept) for scene in scenes})]
-    if table in ABLATIONS:
-        return [ablation_grid(ABLATIONS[table], scene) for scene in scenes]
-    if table == "proxies":
-        return [ladder_grid(scene) for scene in scenes]
-    return [comparison_grid(COMPARISONS[table], scene) for scene in scenes]
-
-
 def _object_psnr(scene: SceneScores, errors: list[HyalineError], kept: Kept) -> dict[str, dict[Split, float | None]]:
     """PSNR where edited objects are or were, by the run's name and the split."""
     edits = score_variants(scene, errors, kept, edits_alone=True)
     return object_psnr(score_edits(scene, edits, errors, kept))
-
-
-def _picture_of(table: str, scene: SceneScores) -> bytes | None:
-    """A comparison's predictions; for the ladder a plot."""
-    from eval.figures import comparison_sheet
-
-    if table in COMPARISONS:
-        comparison = COMPARISONS[table]
-        entries = [entry for part in find_entries(comparison, group_seeds(scene.runs)) for entry in part]
-        runs = tuple(entry.group.runs[0] for entry in entries)
-        return comparison_sheet(dataclasses.replace(scene, runs=runs), comparison.title) if runs else None
-    if table == "proxies" and (ladder := find_ladder(scene)):
-        return ladder_figure(scene.title, ladder)
-    return None
 
 
 def _open_runs(runs_root: Path, data_root: Path, out: Path, only: Path | None) -> tuple[list[Run], list[HyalineError]]:

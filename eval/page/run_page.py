@@ -15,8 +15,7 @@ from datagen.disk.errors import HyalineError
 from datagen.disk.records import MAX_JSON_BYTES, Json, parse_json, read_regular
 from datagen.disk.storage import sha256
 from datagen.pages.charts import Line, line_chart
-from datagen.pages.document import anchor, command, definitions, section
-from datagen.pages.html import Markup, Part, join, prose, tag
+from datagen.pages.html import Markup, Part, anchor, command, definitions, join, prose, section, tag
 from datagen.pages.pictures import Gallery
 from eval.score.runs import Run, read_prediction
 from eval.score.scores import METRICS, RunScores, SceneScores, SplitScores

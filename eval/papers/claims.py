@@ -1,4 +1,4 @@
-"""The paper's four claims: what each says of runs, and whether the runs support it."""
+"""The paper's four claims: what each states about runs, and whether the runs support it."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -8,17 +8,15 @@ from typing import Literal
 
 from datagen.data.config import TEST_SPLITS, Split
 from datagen.data.paths import TRUTH
-from eval.papers.comparison_tables import NOT_RUN, spread_cell
-from eval.papers.comparisons import BEST, Comparison, Entry, Line, find_entries
-from eval.papers.published import DNR, SPHERICAL_HARMONICS, VIEW_VECTOR, PublishedRow
+from eval.papers.comparisons import NOT_RUN, Comparison, Entry, Line, find_entries, spread_cell
+from eval.papers.tables import BEST
 from eval.score.scores import SceneScores
 from eval.score.seeds import SeedGroup, Spread, group_seeds, spread
 from eval.tables.grids import MISSING, SHORT_SPLITS, Column, Grid
+from eval.tables.named import EditedPsnr, Table
+from eval.tables.published import DNR, SPHERICAL_HARMONICS, VIEW_VECTOR, PublishedRow
 
-EditScores = Mapping[str, Mapping[Split, float | None]]
-"""PSNR in dB of edited scenes where the edited object is or was, by the run's name and the split."""
-
-Measure = Callable[[SeedGroup, EditScores], Spread]
+Measure = Callable[[SeedGroup, EditedPsnr], Spread]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,7 +34,7 @@ class Claim:
 
     text: str
     pairs: tuple[Comparison, ...]
-    """Of two lines each: the one that should win, and the other."""
+    """Pairs of lines: the one that should win, then the other."""
     conditions: tuple[Condition, ...]
     published: tuple[PublishedRow, PublishedRow] | None = None
 
@@ -119,7 +117,7 @@ CLAIMS = (
 """Source: the paper, sections 4.3 and 5.1 (1), 4.6 (2), 5.2 (3), 4.4 (4)."""
 
 
-def find_claims(scenes: Sequence[SceneScores], edited: Mapping[str, EditScores]) -> list[Finding]:
+def find_claims(scenes: Sequence[SceneScores], edited: Mapping[str, EditedPsnr]) -> list[Finding]:
     """Every claim on every pair of runs that it can be tried on; one finding `not run` where there is no pair.
 
     A difference below twice its standard error, where there are several seeds, is said to be within the spread.
@@ -144,7 +142,7 @@ def find_claims(scenes: Sequence[SceneScores], edited: Mapping[str, EditScores])
     return findings
 
 
-def claims_grid(scenes: Sequence[SceneScores], edited: Mapping[str, EditScores]) -> Grid:
+def claims_grid(scenes: Sequence[SceneScores], edited: Mapping[str, EditedPsnr]) -> Grid:
     """The findings as a table."""
     texts = ("claim", "scene", "first run against second", "dB of the first against the second", "verdict")
     seals = ", ".join(f"{scene.title} {scene.dataset.seal[:12]}" for scene in scenes)
@@ -179,7 +177,7 @@ def _find_pairs(comparison: Comparison, groups: Sequence[SeedGroup]) -> list[tup
     return pairs
 
 
-def _try(claim: Claim, scene: str, first: Entry, second: Entry, edited: EditScores) -> Finding | None:
+def _try(claim: Claim, scene: str, first: Entry, second: Entry, edited: EditedPsnr) -> Finding | None:
     """None where a score is missing."""
     numbers, holds, is_clear = [], [], []
     for condition in claim.conditions:
@@ -190,7 +188,7 @@ def _try(claim: Claim, scene: str, first: Entry, second: Entry, edited: EditScor
         holds.append(difference > 0 if condition.should_be == "higher" else difference < 0)
         is_clear.append(abs(difference) >= 2 * _standard_error(one, other))
         numbers.append(f"{condition.what} {spread_cell(one)} against {spread_cell(other)}")
-    # A claim falls with one condition that clearly fails; it stands clearly when all of them do.
+    # One condition that clearly fails contradicts a claim; all must clearly hold to confirm it.
     decisive = is_clear if all(holds) else [clear for clear, hold in zip(is_clear, holds) if not hold]
     clear = all(decisive) if all(holds) else any(decisive)
     verdict = ("confirmed" if all(holds) else "contradicted") + ("" if clear else ", within the spread")
@@ -212,5 +210,11 @@ def _published(claim: Claim, first: PublishedRow, second: PublishedRow) -> Findi
 
 
 def _standard_error(one: Spread, other: Spread) -> float:
-    """Of the difference of two means, in dB; 0 where neither has several seeds."""
+    """Standard error of the difference of two means, in dB; 0 if neither has several seeds."""
     return math.sqrt(sum((value.deviation or 0.0) ** 2 / value.count for value in (one, other)))
+
+
+CLAIMS_TABLE = Table(
+    shows=lambda run: any(line.fits(run) for claim in CLAIMS for pair in claim.pairs for line in pair.lines),
+    grids=lambda scenes, edited: [claims_grid(scenes, {scene.title: edited(scene) for scene in scenes})],
+)

@@ -1,17 +1,22 @@
-"""The runs that the paper's tables compare, found by what their records say, not by their names."""
+"""Comparisons: runs found by their records, not by their names, and the tables that they are printed in."""
 
 import dataclasses
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import cast
 
+from datagen.data.config import TEST_SPLITS
 from datagen.data.geometries import NO_GEOMETRY
 from datagen.data.paths import TRUTH
 from datagen.disk.records import Json
 from datagen.disk.storage import dump_json
-from eval.papers.published import DNR, NO_EXTRINSICS, SPHERICAL_HARMONICS, VIEW_VECTOR, PublishedRow
 from eval.score.runs import Run
-from eval.score.seeds import SeedGroup
+from eval.score.scores import SceneScores
+from eval.score.seeds import SeedGroup, Spread, group_seeds
+from eval.tables.grids import MISSING, Column, Grid, format_number
+from eval.tables.named import Table
+from eval.tables.published import PublishedRow
 
 FREE_FLAGS = ("geometry", "seed", "steps", "batch", "updates", "lr", "texture-lr", "lr-decay", "width", "texture-size")
 """Runs of one line may differ in these: what they learn from, for how long, and how large they are."""
@@ -19,7 +24,7 @@ FREE_FLAGS = ("geometry", "seed", "steps", "batch", "updates", "lr", "texture-lr
 
 @dataclass(frozen=True, kw_only=True)
 class Line:
-    """One line of a comparison: what a run must be to stand there."""
+    """One line of a comparison: what a run must be to belong there."""
 
     title: str
     method: str
@@ -31,7 +36,7 @@ class Line:
     """What the paper printed for it."""
 
     def fits(self, run: Run) -> bool:
-        """True when the run stands in this line."""
+        """True if the run belongs in this line."""
         return (
             run.method == self.method
             and self.geometry in (None, run.geometry)
@@ -46,90 +51,37 @@ class Comparison:
     title: str
     lines: tuple[Line, ...]
     varied: str | None = None
-    """The flag in which alone runs of one comparison may differ; None: in all, as methods do."""
+    """The only flag in which runs of one comparison may differ; None: they may differ in all, as methods do."""
     notes: tuple[str, ...] = ()
 
 
-OURS = Line(title="paper", method="paper", flags={}, published=VIEW_VECTOR)
-BEST = Line(title="paper-best", method="paper", flags={"preset": "best"})
-BEST_NOTE = (
-    "paper-best: `--preset best`, everything within the paper's idea that was found to help, tuned as light-path is."
-)
-
-COMPARISONS: dict[str, Comparison] = {
-    "table1": Comparison(
-        title="Table 1, what each layer is told of the camera",
-        lines=(
-            Line(title="no extrinsics", method="paper", flags={"extrinsics": "none"}, published=NO_EXTRINSICS),
-            dataclasses.replace(OURS, title="view vector"),
-            Line(
-                title="spherical harmonics",
-                method="paper",
-                flags={"extrinsics": "sh"},
-                published=SPHERICAL_HARMONICS,
-            ),
-        ),
-        varied="extrinsics",
-    ),
-    "table2": Comparison(
-        title="Table 2, Deferred Neural Rendering against the paper",
-        lines=(
-            Line(title="DNR", method="dnr", published=DNR),
-            OURS,
-            BEST,
-            Line(title="what the authors ran", method="authors-code"),
-            Line(title="DeepVoxels", method="deepvoxels", geometry=NO_GEOMETRY),
-        ),
-        notes=("The paper names no number for DeepVoxels; which of its runs fed Table 2 is not known.", BEST_NOTE),
-    ),
-    "square": Comparison(
-        title="What earns the gain, layers or the per-pixel network",
-        lines=(
-            Line(title="U-Net, first layer (DNR)", method="dnr", published=DNR),
-            Line(title="U-Net, all layers", method="dnr-layers"),
-            Line(title="per pixel, first layer", method="mlp-first"),
-            dataclasses.replace(OURS, title="per pixel, all layers (paper)"),
-            dataclasses.replace(BEST, title="per pixel, all layers (paper-best)"),
-        ),
-        notes=(BEST_NOTE,),
-    ),
-    "zero-layer": Comparison(
-        title="A random layer of zeros while training (section 4.4)",
-        lines=(
-            Line(title="without", method="paper", flags={}),
-            Line(title="with", method="paper", flags={"zero-layer": ""}),
-        ),
-        varied="zero-layer",
-        notes=("What it is for, edited scenes, the table of claims has.",),
-    ),
-    "headline": Comparison(
-        title="light-path against the paper",
-        lines=(Line(title="light-path", method="light-path", flags={}), BEST, OURS),
-        notes=(BEST_NOTE,),
-    ),
-}
-
-LADDER = Comparison(
-    title="Quality against the proxy's error",
-    lines=(
-        Line(title="light-path", method="light-path", flags={}, geometry=None),
-        dataclasses.replace(BEST, geometry=None),
-        Line(title="paper", method="paper", flags={}, geometry=None),
-    ),
-    varied="geometry",
-)
-
-ABLATIONS: dict[str, Line] = {
-    "ablation": Line(title="light-path", method="light-path", geometry=None),
-    "variants": Line(title="paper", method="paper", geometry=None),
-}
-"""Tables of what each choice of a method is worth, and the runs that they set beside each other."""
-
 UNCOMPARED = ("seed", "type", "preset", "texels_per_pixel", "vgg_sha256")
-"""Keys that say how others were found."""
+"""Keys that describe how others were chosen."""
 
 FOLLOWING = ("width", "batch", "texture_sizes", "sky_lobes", "refined_samples")
 """Keys that follow from others: a difference in them alone counts, one beside another does not."""
+
+
+NOT_RUN = "not run"
+
+WRAPPED_NOTE = (
+    "Wrapped (authors' script): squared errors modulo 256, as the script that the paper's authors released counts "
+    "them. No PSNR; only to be set beside the paper's own numbers. ±: sample standard deviation over seeds."
+)
+
+PUBLISHED_NOTE = (
+    "Published: on other scenes, and most likely the wrapped PSNR; if anything, compare it with that column."
+)
+
+MAX_CHANGES = 2
+"""Choices in which a run of the ablation may differ from the one that the others are compared with."""
+
+SCORES = (
+    *(Column(group="PSNR dB ↑", split=split) for split in TEST_SPLITS),
+    Column(group="drop dB ↓"),
+    *(Column(group="wrapped (authors' script)", split=split) for split in TEST_SPLITS),
+)
+"""The columns of `score_cells`."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -141,7 +93,7 @@ class Entry:
 
 
 def flat_config(run: Run) -> dict[str, Json]:
-    """A run's choices, those of its network among them, without its seed; empty where it does not tell."""
+    """A run's choices, those of its network among them, without its seed; empty if its record has none."""
     flat: dict[str, Json] = {}
     for key, value in (run.config or {}).items():
         flat |= value if isinstance(value, dict) else {key: value}
@@ -193,3 +145,129 @@ def _flags(run: Run, besides: Collection[str]) -> dict[str, str]:
 def _variety(part: Sequence[Entry]) -> int:
     """How many different things a part compares."""
     return len({(entry.line.title, entry.group.first.geometry) for entry in part})
+
+
+# Tables of them
+
+
+def spread_cell(value: Spread, decimals: int = 2) -> str:
+    """`30.41 ± 0.12`, without spaces; the mean alone of one seed."""
+    mean = format_number(value.mean, decimals)
+    return mean if value.deviation is None else f"{mean}±{format_number(value.deviation, decimals)}"
+
+
+def comparison_table(comparison: Comparison) -> Table:
+    """A comparison as a table a dataset, with a sheet of what its runs drew."""
+    return Table(
+        shows=lambda run: any(line.fits(run) for line in comparison.lines),
+        grids=lambda scenes, _: [comparison_grid(comparison, scene) for scene in scenes],
+        picture=partial(_sheet, comparison),
+    )
+
+
+def comparison_grid(comparison: Comparison, scene: SceneScores) -> Grid:
+    """The runs of a scene in a comparison's lines, with what the paper printed; a line without runs is marked."""
+    parts = find_entries(comparison, group_seeds(scene.runs))
+    entries = [entry for part in parts for entry in part]
+    rows = [(entry.line.title, *_run_cells(entry.group), *_published(entry.line.published)) for entry in entries]
+    empty = [line for line in comparison.lines if line.title not in {entry.line.title for entry in entries}]
+    rows += [(line.title, NOT_RUN, *[MISSING] * 6, *_published(line.published)) for line in empty]
+    notes = (*comparison.notes, WRAPPED_NOTE, PUBLISHED_NOTE)
+    return _grid(scene, comparison.title, rows, first="", last="published (the paper)", notes=notes)
+
+
+def _sheet(comparison: Comparison, scene: SceneScores) -> bytes | None:
+    from eval.figures import comparison_sheet
+
+    entries = [entry for part in find_entries(comparison, group_seeds(scene.runs)) for entry in part]
+    runs = tuple(entry.group.runs[0] for entry in entries)
+    return comparison_sheet(dataclasses.replace(scene, runs=runs), comparison.title) if runs else None
+
+
+def ablation_table(line: Line) -> Table:
+    """The table of what each choice of a method is worth."""
+    return Table(shows=line.fits, grids=lambda scenes, _: [ablation_grid(line, scene) for scene in scenes])
+
+
+def ablation_grid(line: Line, scene: SceneScores) -> Grid:
+    """What each choice is worth: beside a base, the runs that differ from it in a choice or two."""
+    groups = [group for group in group_seeds(scene.runs) if line.fits(group.first) and group.first.config]
+    base, others = _base_of(groups)
+    rows = []
+    if base is None:
+        rows.append((NOT_RUN, *[MISSING] * 9))
+    else:
+        rows.append(("the base", *_run_cells(base), MISSING, MISSING))
+        for group in others:
+            changed = "; ".join(
+                f"{key}: {_text(before)} → {_text(after)}"
+                for key, (before, after) in differences(base.first, group.first).items()
+            )
+            changes = [_difference(group, base, place) for place in range(len(TEST_SPLITS))]
+            rows.append((changed, *_run_cells(group), *changes))
+    title = f"what each choice of {line.title} is worth"
+    return _grid(scene, title, rows, first="changed", last="change dB", notes=(WRAPPED_NOTE,))
+
+
+def _grid(
+    scene: SceneScores, title: str, rows: Sequence[tuple[str, ...]], *, first: str, last: str, notes: tuple[str, ...]
+) -> Grid:
+    """A table of runs with their scores, between a column before and one for each split behind them."""
+    return Grid(
+        title=f"{scene.title}: {title}",
+        columns=(
+            Column(group=first, is_number=False),
+            Column(group="run", is_number=False),
+            Column(group="seeds"),
+            *SCORES,
+            *(Column(group=last, split=split) for split in TEST_SPLITS),
+        ),
+        rows=tuple(rows),
+        notes=(*notes, data_note(scene)),
+    )
+
+
+def _base_of(groups: Sequence[SeedGroup]) -> tuple[SeedGroup | None, list[SeedGroup]]:
+    """The group from which most others differ in one choice, of equals the one of the shortest name; its neighbours."""
+
+    def near(group: SeedGroup, changes: int) -> list[SeedGroup]:
+        return [
+            other
+            for other in groups
+            if other is not group
+            and other.first.geometry == group.first.geometry
+            and len(differences(group.first, other.first)) <= changes
+        ]
+
+    if not groups:
+        return None, []
+    base = min(groups, key=lambda group: (-len(near(group, 1)), len(group.name), group.name))
+    return base, sorted(near(base, MAX_CHANGES), key=lambda group: group.name)
+
+
+def _run_cells(group: SeedGroup) -> tuple[str, ...]:
+    return (group.name, str(len(group.runs)), *score_cells(group))
+
+
+def score_cells(group: SeedGroup) -> tuple[str, ...]:
+    """PSNR on both splits, their drop, the wrapped PSNR on both."""
+    near, far = (spread_cell(group.score("psnr_db", split)) for split in TEST_SPLITS)
+    wrapped = (spread_cell(group.score("psnr_uint8_wrap_db", split)) for split in TEST_SPLITS)
+    return (near, far, spread_cell(group.drop_db), *wrapped)
+
+
+def _difference(group: SeedGroup, base: SeedGroup, place: int) -> str:
+    one, other = (each.score("psnr_db", TEST_SPLITS[place]).mean for each in (group, base))
+    return MISSING if one is None or other is None else f"{one - other:+.2f}"
+
+
+def _published(row: PublishedRow | None) -> tuple[str, str]:
+    return (MISSING, MISSING) if row is None else (f"{row.interpolating_db:.2f}", f"{row.extrapolating_db:.2f}")
+
+
+def _text(value: Json) -> str:
+    return MISSING if value is None else str(value).lower() if isinstance(value, bool) else str(value)
+
+
+def data_note(scene: SceneScores) -> str:
+    return f"Data: {scene.title}, dataset seal {scene.dataset.seal[:12]}."

@@ -1,5 +1,6 @@
 """The proxy ladder: quality against how far a geometry is from the truth, as a table and as a figure."""
 
+import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,11 +12,32 @@ from datagen.data.dataset import Dataset
 from datagen.data.geometries import read_proxy_records
 from datagen.data.paths import TRUTH
 from datagen.pages.charts import COLORS
-from eval.papers.comparison_tables import NOT_RUN, SCORES, WRAPPED_NOTE, data_note, score_cells
-from eval.papers.comparisons import LADDER, Entry, find_entries
+from eval.papers.comparisons import (
+    NOT_RUN,
+    SCORES,
+    WRAPPED_NOTE,
+    Comparison,
+    Entry,
+    Line,
+    data_note,
+    find_entries,
+    score_cells,
+)
+from eval.papers.tables import BEST
 from eval.score.scores import SceneScores
 from eval.score.seeds import group_seeds
 from eval.tables.grids import MISSING, Column, Grid
+from eval.tables.named import Table
+
+LADDER = Comparison(
+    title="Quality against the proxy's error",
+    lines=(
+        Line(title="light-path", method="light-path", flags={}, geometry=None),
+        dataclasses.replace(BEST, geometry=None),
+        Line(title="paper", method="paper", flags={}, geometry=None),
+    ),
+    varied="geometry",
+)
 
 MARKERS = ("o", "s", "^", "D", "v")
 
@@ -31,11 +53,7 @@ class ProxyError:
 
 
 def proxy_error(dataset: Dataset, geometry: str) -> ProxyError:
-    """The error of a geometry, from what was measured when it was made; 0 of the truth.
-
-    Raises:
-        HyalineError: the proxies are not there any more, or are damaged.
-    """
+    """The error of a geometry, as measured when it was made; 0 for the truth."""
     if geometry == TRUTH:
         return ProxyError(mean_mm=0.0, max_mm=0.0)
     numbers = [record.statistics for record in read_proxy_records(dataset, geometry)]
@@ -46,11 +64,7 @@ def proxy_error(dataset: Dataset, geometry: str) -> ProxyError:
 
 
 def find_ladder(scene: SceneScores) -> list[tuple[Entry, ProxyError]]:
-    """The runs of the proxy ladder, method by method, the geometry nearest to the truth first.
-
-    Raises:
-        HyalineError: the proxies of a run are not there any more.
-    """
+    """The runs of the proxy ladder, method by method, the geometry nearest to the truth first."""
     entries = [entry for part in find_entries(LADDER, group_seeds(scene.runs)) for entry in part]
     with_errors = [(entry, proxy_error(scene.dataset, entry.group.first.geometry or "")) for entry in entries]
     return sorted(with_errors, key=lambda pair: (LADDER.lines.index(pair[0].line), pair[1].mean_mm))
@@ -89,6 +103,11 @@ def ladder_grid(scene: SceneScores) -> Grid:
             data_note(scene),
         ),
     )
+
+
+def _picture(scene: SceneScores) -> bytes | None:
+    ladder = find_ladder(scene)
+    return ladder_figure(scene.title, ladder) if ladder else None
 
 
 def ladder_figure(title: str, entries: Sequence[tuple[Entry, ProxyError]]) -> bytes:
@@ -146,3 +165,10 @@ def ladder_figure(title: str, entries: Sequence[tuple[Entry, ProxyError]]) -> by
     figure.suptitle(f"{title}: quality against the proxy's error", x=0.02, ha="left", fontsize=14, weight="bold")
     figure.tight_layout()
     return figure_png(figure)
+
+
+PROXIES = Table(
+    shows=lambda run: any(line.fits(run) for line in LADDER.lines),
+    grids=lambda scenes, _: [ladder_grid(scene) for scene in scenes],
+    picture=_picture,
+)

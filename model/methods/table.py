@@ -1,22 +1,16 @@
 """The methods that `model train NAME` can train: those built in, and those that other distributions bring.
 
 A distribution brings one by an entry point of the group `hyaline.methods`: its name is the method's, and it refers to a
-class that derives from `MethodConfig`. Nothing is imported before it is asked for.
+class that derives from `MethodConfig`.
 """
 
-import importlib
 import re
 import shlex
-from functools import cache
-from importlib import metadata
 
 from datagen.data.dataset import Dataset
 from datagen.disk.errors import HyalineError
-from datagen.terminal.command import choose
-from datagen.terminal.distribution import DISTRIBUTION
+from datagen.terminal.plugins import Group
 from model.methods.protocol import Inputs, MethodConfig
-
-GROUP = "hyaline.methods"
 
 BUILT_IN = {
     "paper": "model.methods.paper.config:PaperConfig",
@@ -29,41 +23,14 @@ BUILT_IN = {
 }
 """The record of each method. A new one is a folder and a line here."""
 
-OWN: dict[str, type[MethodConfig]] = {}
-"""Methods whose records this process has handed to `name_of`, by name; no other process knows them."""
-
-
-@cache
-def list_methods() -> tuple[str, ...]:
-    """The names of all methods, those of other distributions last."""
-    others = sorted(point.name for point in metadata.entry_points(group=GROUP))
-    names = (*BUILT_IN, *others, *OWN)
-    if doubled := sorted({name for name in names if names.count(name) > 1}):
-        raise HyalineError(
-            f"method {doubled[0]!r}: two distributions bring one of that name ({', '.join(_sources(doubled[0]))}); "
-            "uninstall one"
-        )
-    return names
-
-
-@cache
-def find_method(name: str) -> type[MethodConfig]:
-    """The record of a method."""
-    choose("method", name, list_methods())
-    if name in OWN:
-        return OWN[name]
-    if name in BUILT_IN:
-        module, _, kind = BUILT_IN[name].partition(":")
-        return getattr(importlib.import_module(module), kind)
-    (point,) = metadata.entry_points(group=GROUP, name=name)
-    where = f"method {name!r}: {point.value}, which {_sources(name)[0]} brings,"
-    try:
-        found = point.load()
-    except Exception as error:  # A stranger's module may raise anything.
-        raise HyalineError(f"{where} cannot be imported ({error}); mend or uninstall it") from error
-    if not (isinstance(found, type) and issubclass(found, MethodConfig)):
-        raise HyalineError(f"{where} is not a MethodConfig; see docs/adding-a-method.md")
-    return found
+METHODS: Group[type[MethodConfig]] = Group(
+    name="hyaline.methods",
+    what="method",
+    built_in=BUILT_IN,
+    guide="docs/adding-a-method.md",
+    kind="model.methods.protocol:MethodConfig",
+    is_class=True,
+)
 
 
 def name_of(config: MethodConfig) -> str:
@@ -73,23 +40,23 @@ def name_of(config: MethodConfig) -> str:
     """
     kind = type(config)
     place = f"{kind.__module__}:{kind.__qualname__}"
-    brought = BUILT_IN | {point.name: point.value for point in metadata.entry_points(group=GROUP)}
+    brought = METHODS.places()
     if named := next((name for name, value in brought.items() if value == place), None):
         return named
     name = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "-", kind.__name__.removesuffix("Config")).lower()
     if name in brought:
-        raise HyalineError(f"method {name!r}: {_sources(name)[0]} brings one of that name; rename {kind.__name__}")
-    OWN[name] = kind
-    list_methods.cache_clear()
-    find_method.cache_clear()
+        raise HyalineError(
+            f"method {name!r}: {METHODS.sources(name)[0]} brings one of that name; rename {kind.__name__}"
+        )
+    METHODS.own[name] = kind
     return name
 
 
 def about(name: str) -> str:
-    """One line about a method: its docstring's first paragraph, and its distribution if it is not built in."""
-    source = "" if name in BUILT_IN else f"Brought by {_sources(name)[0]}."
+    """One line about a method: its docstring's first paragraph, and who brings it if it is not built in."""
+    source = "" if name in BUILT_IN else f"Brought by {METHODS.sources(name)[0]}."
     try:
-        kind = find_method(name)
+        kind = METHODS.find(name)
         line = " ".join((kind.__doc__ or "").partition("\n\n")[0].split())
         line = "" if line.startswith(f"{kind.__name__}(") else line  # dataclass's own docstring.
     except HyalineError:
@@ -98,7 +65,7 @@ def about(name: str) -> str:
 
 
 def open_inputs(config: MethodConfig, dataset: Dataset, geometry: str) -> Inputs:
-    """The inputs of a method from a dataset."""
+    """What a method is given of a dataset."""
     if not config.reads_layers:
         return Inputs(dataset=dataset, geometry=geometry, num_layers=0, layers_seal=dataset.seal)
     store = dataset.layer_store(geometry)
@@ -114,11 +81,4 @@ def _choose_layers(asked: int | None, stored: int, dataset: Dataset, geometry: s
     words = ["datagen", "peel", "--dataset", str(dataset.root), "--geometry", geometry]
     peel = shlex.join([*words, "--num-layers", str(asked), "--overwrite"])
     more = f" (`{peel}` stores more)" if asked > 0 else ""
-    raise HyalineError(f"layers: is {asked}; expected 1 to {stored}, the number of stored layers{more}")
-
-
-def _sources(name: str) -> list[str]:
-    """The distributions that bring a method of a name."""
-    built_in = [DISTRIBUTION] if name in BUILT_IN else []
-    points = metadata.entry_points(group=GROUP, name=name)
-    return built_in + [point.dist.name if point.dist else point.value for point in points]
+    raise HyalineError(f"layers: is {asked}; expected 1 to {stored}, as many as are stored{more}")

@@ -23,7 +23,7 @@ from datagen.terminal.signals import Stopped
 from model.batches.traced_layers import cameras_of
 from model.methods.protocol import Inputs
 from model.methods.renderer import Renderer
-from model.methods.table import find_method, open_inputs
+from model.methods.table import METHODS, open_inputs
 from model.run.checkpoint import fingerprint, load_state
 from model.run.predict import load_renderer, predict_colors, predict_pixels, render_predictions
 from model.run.run_folder import WEIGHTS, TrainConfig, parse_config
@@ -79,7 +79,7 @@ def check_method(name: str, dataset: Dataset, folder: Path) -> Iterator[Verdict]
     Args:
         folder: an empty folder, for runs.
     """
-    net = find_method(name)().usual(TRUTH)
+    net = METHODS.find(name)().usual(TRUTH)
     optimisation = net.optimisation()
     inputs = open_inputs(net, dataset, TRUTH)
     settings = {item.name: getattr(optimisation, item.name) for item in dataclasses.fields(optimisation)}

@@ -40,7 +40,7 @@ from datagen.disk.ownership import FolderKind, begin, is_ours, refuse_taken, rem
 from datagen.disk.records import Json, from_json, load_json, parse_json, read_regular, shown, to_json
 from datagen.disk.storage import SEAL, check_files, commit, commit_sealed, load_sealed, seal_bytes, seal_of
 from model.methods.protocol import Inputs, MethodConfig
-from model.methods.table import find_method, open_inputs
+from model.methods.table import METHODS, open_inputs
 from model.run.logs import COSTS, EVENTS, SNAPSHOTS, list_events, list_snapshots
 from model.settings.flags import AMOUNT, COUNT, SEED, unflagged
 from model.settings.optimisation import PixelOptimisation
@@ -81,7 +81,7 @@ def parse_config(data: Json, *, where: str) -> TrainConfig:
     if not isinstance(name := data.get("method"), str):
         raise HyalineError(f"{where}: method is {shown(name)}; expected the name of one")
     try:
-        kind = find_method(name)
+        kind = METHODS.find(name)
     except HyalineError as error:
         raise HyalineError(f"{where}: {error}") from None
     net = from_json(kind, data.get("net"), where=f"{where}.net")

@@ -36,7 +36,7 @@ from datagen.disk.errors import HyalineError
 from datagen.disk.records import load_toml, shown
 from datagen.machine.mitsuba_variant import num_cores
 from datagen.terminal.command import choose, say
-from model.methods.table import list_methods
+from model.methods.table import METHODS
 from model.run.train_flags import check_words, flags_of_method
 
 EXPERIMENTS = Path(__file__).parents[1] / "experiments"
@@ -114,7 +114,7 @@ def _grid(block: Mapping[str, object], *, where: str) -> list[tuple[tuple[str, .
     """The arguments of each run of a block, raw and parsed."""
     if "method" not in block:
         raise HyalineError(f'{where}: key "method" is missing; expected the name of one, such as method = "paper"')
-    methods = [choose(f"{where}: method", str(method), list_methods()) for method in _values(block, "method", where)]
+    methods = [choose(f"{where}: method", str(method), METHODS.names()) for method in _values(block, "method", where)]
     axes: list[list[tuple[str, ...]]] = []
     for key in block:
         if key == "method":
@@ -173,7 +173,7 @@ def _flag(key: str, value: object, method: str, where: str) -> tuple[str, ...]:
     return arguments
 
 
-CHILD = "from datagen.machine.workers import die_with; die_with({parent}); from model.cli import main; main()"
+CHILD = "from datagen.machine.processes import die_with; die_with({parent}); from model.cli import main; main()"
 """`model`, which ends when the sweep is killed: else it would still be writing when the sweep is started again."""
 
 

@@ -18,7 +18,7 @@ from datagen.data.paths import TRUTH, find_dataset
 from datagen.disk.errors import HyalineError, UsageError
 from datagen.terminal.command import say
 from model.methods.protocol import MethodConfig
-from model.methods.table import BUILT_IN, about, find_method, open_inputs
+from model.methods.table import BUILT_IN, METHODS, about, open_inputs
 from model.run.run_folder import TrainConfig
 from model.settings.flags import flags_of, name_flags, suffixes
 from model.settings.losses import LossConfig
@@ -69,7 +69,7 @@ def parse_train(method: str, words: Sequence[str]) -> Asked[MethodConfig, Optimi
 
 def _usual_of_words(method: str, words: Sequence[str]) -> Asked[MethodConfig, Optimisation]:
     """The defaults of all flags: presets, and proxies, change those of others, and so are looked for first."""
-    net = find_method(method)
+    net = METHODS.find(method)
     name_flags(net)
     presets = [item for item in dataclasses.fields(net) if item.metadata.get("is_preset")]
     named = dataclasses.make_dataclass(
@@ -91,7 +91,7 @@ def usual_of(net: MethodConfig, geometry: str = TRUTH) -> Asked[MethodConfig, Op
 @functools.cache
 def flags_of_method(method: str) -> dict[str, str]:
     """The field behind each flag of `model train METHOD`, without dashes in front."""
-    net = find_method(method)()
+    net = METHODS.find(method)()
     return flags_of(RunFlags) | flags_of(type(net)) | flags_of(type(net.optimisation()))
 
 

@@ -13,19 +13,17 @@ from datagen.data.dataset import Dataset
 from datagen.data.geometries import read_meshes
 from datagen.data.images import srgb_from_linear, to_8bit
 from datagen.data.layers import UV_SCALE, quantize_uv, round_mantissa
-from datagen.data.meshes import Mesh, is_there, open_edges
+from datagen.data.meshes import PLASTIC, Mesh, is_there, open_edges
 from datagen.data.paths import TRUTH
 from datagen.disk.records import Json
+from datagen.scene.contact import MIN_COSINE as SKIP_COSINE
+from datagen.scene.contact import RAY_OFFSET
 from datagen.scene.description import CameraRig, Scene
 from datagen.scene.edits import CLEAR_GLASS, GREY
 from datagen.scene.folder import load_scene
 from datagen.scene.materials import Material
-from datagen.scene.thin_walls import MIN_COSINE as SKIP_COSINE
-from datagen.scene.thin_walls import RAY_OFFSET
-from datagen.trace.light_path import PLASTIC
 from datagen.trace.surface_hits import MIN_COSINE
-from datagen.trace.surface_tables import EVENTS
-from datagen.trace.tints import Texels, Tints, tints_of
+from datagen.trace.surface_tables import EVENTS, Texels, Tints, tints_of
 from model.methods.page import MethodPage, fours, package_text
 from model.methods.protocol import MethodConfig
 from model.methods.renderer import Renderer

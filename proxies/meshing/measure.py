@@ -11,6 +11,7 @@ from jaxtyping import Float, Float64, Int64
 
 from datagen.data.geometries import ProxyStatistics
 from datagen.data.meshes import (
+    PLASTIC,
     Mesh,
     component_of_faces,
     face_areas,
@@ -123,9 +124,7 @@ def surface_points(mesh: Mesh, count: int) -> Float64[np.ndarray, "count 3"]:
     """Evenly spread, deterministic points on a surface: one low-discrepancy point in each stratum of area."""
     areas = face_areas(mesh)
     chosen = np.searchsorted(np.cumsum(areas) / areas.sum(), (np.arange(count) + 0.5) / count)
-    # Source: Roberts 2018, the R2 sequence; 1.32... is the plastic number.
-    plastic = 1.32471795724474602596
-    s, t = ((np.arange(1, count + 1) / plastic**power) % 1 for power in (1, 2))
+    s, t = ((np.arange(1, count + 1) / PLASTIC**power) % 1 for power in (1, 2))  # The R2 sequence.
     is_beyond = s + t > 1
     s, t = np.where(is_beyond, 1 - s, s)[:, None], np.where(is_beyond, 1 - t, t)[:, None]
     a, b, c = np.moveaxis(face_corners(mesh)[np.minimum(chosen, len(areas) - 1)].astype(np.float64), 1, 0)

@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float, Float64, Int64
 
-from datagen.machine.child_python import ChildError, arrays_from_child
+from datagen.machine.processes import ChildError, arrays_from_child
 from datagen.terminal.distribution import install_command
 
 TIMEOUT_S = 120.0

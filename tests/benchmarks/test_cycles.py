@@ -16,8 +16,8 @@ from support.commands import call
 from support.gltf import GltfBuilder, clear, glass
 
 from datagen.data.images import decode_radiance
-from datagen.render.environment import radiance_of_environment
-from datagen.scene.importers.lights import LIGHT
+from datagen.render.mitsuba_scene import radiance_of_environment
+from datagen.scene.importers.staging import LIGHT
 
 FAKE = """#!{python}
 import json, shutil, sys

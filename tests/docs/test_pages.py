@@ -198,10 +198,7 @@ def test_the_complete_method_passes_the_checks_that_its_page_lists(
     monkeypatch.syspath_prepend(tmp_path)
     ((name, record),) = tomllib.loads(entry[1])["project"]["entry-points"]["hyaline.methods"].items()
     monkeypatch.setitem(table.BUILT_IN, name, record)
-    table.list_methods.cache_clear()
     answer = call(f"model check-method {name}")
-    for known in (table.list_methods, table.find_method):
-        known.cache_clear()
     sys.modules.pop("alpha_blend", None)
     lines = answer.out.splitlines()
     listed = re.findall(r"^\| ([^|]+) \|", page.partition("## The check")[2], flags=re.MULTILINE)[1:]

@@ -18,10 +18,11 @@ from datagen.data.images import png_bytes
 from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import to_json
-from eval.page.report import TABLES, make_report, make_tables
+from eval.page.report import make_report, make_tables
 from eval.papers import claims
 from eval.score.seeds import spread
 from eval.tables.grids import MISSING
+from eval.tables.named import TABLES
 from model.methods.light_path.config import default_light_path
 from model.methods.paper.config import PaperConfig
 from model.run.run_folder import TrainConfig
@@ -365,7 +366,7 @@ def test_edited_scenes_decide_whether_zero_layers_help(
         scores = {
             "synthetic": {"with": dict.fromkeys(TEST_SPLITS, edited), "without": dict.fromkeys(TEST_SPLITS, 23.0)}
         }
-        monkeypatch.setattr("eval.page.report.claims_grid", lambda scenes, _, scores=scores: make(scenes, scores))
+        monkeypatch.setattr("eval.papers.claims.claims_grid", lambda scenes, _, scores=scores: make(scenes, scores))
         tables(dataset, tmp_path, "claims")
         assert verdicts(capsys.readouterr().out)["4"] == [verdict]
 
@@ -383,7 +384,7 @@ def test_unknown_tables_formats_and_missing_runs_are_one_line(dataset: Dataset, 
         tables(dataset, tmp_path / "nowhere", "table2")
 
 
-@pytest.mark.parametrize("name", TABLES)
+@pytest.mark.parametrize("name", TABLES.built_in)
 @pytest.mark.parametrize("output_format", ["table", "latex"])
 def test_every_table_is_printed_in_every_format(
     dataset: Dataset, tmp_path: Path, name: str, output_format: str, capsys: pytest.CaptureFixture[str]

@@ -148,7 +148,7 @@ OTHER = {
     "turned": (chunk(b"eXIf", EXIF), "has the EXIF orientation 6; rotate or mirror its pixels instead"),
     "turned, little-endian": (
         chunk(b"eXIf", b"II*\0\x08\0\0\0\x01\0" + struct.pack("<HHIHH", 0x112, 3, 1, 3, 0)),
-        "(EXIF orientation 3)",
+        "has the EXIF orientation 3",
     ),
 }
 

@@ -22,7 +22,7 @@ from datagen.data.config import TEST_SPLITS, Split
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.images import png_bytes, read_png
 from datagen.disk.errors import HyalineError
-from datagen.machine.revision import code_version
+from datagen.machine.doctor import code_version
 from eval.page.report import make_report
 from eval.score.runs import RUN_KEYS, list_run_folders
 from eval.tables.grids import CEILING

@@ -234,7 +234,7 @@ def test_all_of_it_shows_itself(dataset: hy.Dataset, proxies: hy.Proxies, run: h
 @pytest.mark.parametrize("how", ["file", "stdin"])
 def test_workers_do_not_run_the_callers_script_again(how: str, tmp_path: Path) -> None:
     code = (
-        "import operator\nfrom datagen.machine.workers import in_workers\nprint('once')\n"
+        "import operator\nfrom datagen.machine.processes import in_workers\nprint('once')\n"
         "print(list(in_workers(operator.add, [1, 2, 3], 2, operator.add, (1,))))\n"
     )
     (tmp_path / "script.py").write_text(code)

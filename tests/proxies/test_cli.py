@@ -189,7 +189,7 @@ def test_without_a_scene_every_dataset_gets_proxies(
         (("make", "--assign", "pain=box"), "object 'pain': there is none of that name; did you mean 'pane'?"),
         (("make", "--assign", "pane=bx"), "kind 'bx': there is none of that name; did you mean 'box'?"),
         (("make", "--assign", "pane"), "assign 'pane': expected OBJECT=KIND, such as fern=ellipsoid"),
-        (("make", "--assign", "*=box", "--assign", "pane=hull"), "assign 'pane=hull': pane has box already; expected"),
+        (("make", "--assign", "*=box", "--assign", "pane=hull"), "assign 'pane=hull': pane already has box; expected"),
         (("make", "--kind", "box", "--assign", "pane=box"), "--kind box: --assign names each object's kind"),
         (("make", "--rest", "box"), "--rest box --name mixed: nothing is mixed; they go with --assign OBJECT=KIND"),
         (("make", "--name", "shelf", "--assign", "pane=box"), "name 'shelf': expected mixed, or mixed- and letters"),

@@ -16,7 +16,7 @@ from datagen.data.meshes import (
     winding_number,
 )
 from datagen.disk.errors import HyalineError
-from datagen.machine.child_python import ChildError
+from datagen.machine.processes import ChildError
 from proxies.kinds import box, ellipsoid, hull
 from proxies.make import paddings
 from proxies.meshing import measure, meshlab, noise, solid

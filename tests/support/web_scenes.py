@@ -23,7 +23,7 @@ from datagen.scene.folder import scene_files
 from datagen.scene.materials import Conductor, Dielectric, Diffuse, Plastic, RoughDielectric, ThinDielectric
 from datagen.scene.textures import ImageTexture
 from datagen.trace.light_path import LightPathTracer
-from datagen.trace.tints import tints_of
+from datagen.trace.surface_tables import tints_of
 from model.methods.light_path.config import LightPathConfig
 from model.methods.light_path.net import LightPathRenderer
 from model.methods.light_path.pixels import LightPathPixels, load_light_path_pixels

@@ -1,6 +1,7 @@
-"""The list of built-in scenes: all made by code, one file each, the same bytes every time."""
+"""The built-in scenes: made by code, one file each, with the same bytes every time."""
 
 import dataclasses
+import importlib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -9,34 +10,31 @@ import numpy as np
 from datagen.data.dataset import head_files
 from datagen.data.meshes import Mesh, is_there
 from datagen.data.metadata import OWN_LICENSE
+from datagen.data.paths import BUILT_IN_SCENES
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import check_files, sha256
 from datagen.scene.atlas import unwrap_all
-from datagen.scene.builtin import drinks, glass_table, plant_shelf, pool, prism_bench, vitrine
 from datagen.scene.description import Scene
 from datagen.scene.folder import load_scene, scene_files
 from datagen.scene.soundness import check_scene
 from datagen.terminal.command import choose, say
 
-SCENES: dict[str, Callable[[], Scene]] = {
-    "glass_table": glass_table.make,
-    "vitrine": vitrine.make,
-    "plant_shelf": plant_shelf.make,
-    "drinks": drinks.make,
-    "prism_bench": prism_bench.make,
-    "pool": pool.make,
-}
-"""Makers of the scenes, whose objects have no uv yet."""
+
+def _maker(name: str) -> Callable[[], Scene]:
+    def make() -> Scene:
+        return importlib.import_module(f"datagen.scene.builtin.{name}").make()
+
+    return make
+
+
+SCENES = {name: _maker(name) for name in BUILT_IN_SCENES}
+"""Makers of the scenes, whose objects have no uv yet; each file is imported when its scene is made."""
 
 
 def make_scene(name: str) -> Scene:
-    """A built-in scene, unwrapped and checked.
-
-    Raises:
-        HyalineError: there is none of that name.
-    """
+    """A built-in scene, unwrapped and checked."""
     make = SCENES[choose("scene", name, SCENES)]
-    say(f"scene {name}: models it and unwraps its surfaces")
+    say(f"scene {name}: modelling it and unwrapping its surfaces")
     scene = make()
     meshes = unwrap_all({item.name: item.mesh for item in scene.objects})
     objects = tuple(dataclasses.replace(item, mesh=meshes[item.name]) for item in scene.objects)
@@ -46,23 +44,19 @@ def make_scene(name: str) -> Scene:
 
 
 def find_builtin(name: str, *, built: Path | None = None) -> Scene:
-    """A built-in scene: as a dataset holds it that is there, or made.
+    """A built-in scene: taken from a dataset that contains it, else made.
 
     Args:
-        built: a dataset that may hold the same scene, unwrapped.
-
-    Raises:
-        HyalineError: there is none of that name.
+        built: a dataset that may contain the same scene, unwrapped.
     """
     choose("scene", name, SCENES)
     return (None if built is None else _same_scene(name, built)) or make_scene(name)
 
 
 def _same_scene(name: str, root: Path) -> Scene | None:
-    """A built-in scene as a dataset holds it, so that it is not unwrapped again; None where that is another scene.
+    """A built-in scene as a dataset contains it, which saves unwrapping it; None if that is another scene.
 
-    The dataset's copy counts when every byte of it is what the head promises, and it is what is modelled today, to the
-    last bit but for the uv.
+    The dataset's copy is used if all its checksums match, and if it equals the scene made today except for uv.
     """
     try:
         files = {path: promised for path, promised in head_files(root).items() if path.startswith("scene/")}
@@ -82,7 +76,7 @@ def _same_scene(name: str, root: Path) -> Scene | None:
 
 
 def _same_surface(mesh: Mesh, unwrapped: Mesh) -> bool:
-    """True when unwrapping has added nothing but uv and seams: the faces have the same corners and normals."""
+    """True if unwrapping added only uv and seams: the faces have the same corners and normals."""
     return len(mesh.faces) == len(unwrapped.faces) and all(
         np.array_equal(values[mesh.faces], others[unwrapped.faces])
         for values, others in ((mesh.vertices, unwrapped.vertices), (mesh.normals, unwrapped.normals))

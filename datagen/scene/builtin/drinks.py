@@ -1,13 +1,17 @@
 """The scene `drinks`: tinted drinks in glasses, with ice and a straw, on a table in a room.
 
-Drinks reach into the walls of their glasses and have the lowest priority, ice has the highest (datagen/scene/media.py).
+Drinks extend into the walls of their glasses and have the lowest priority, ice has the highest
+(datagen/scene/media.py).
 """
+
+from functools import partial
 
 import numpy as np
 
 from datagen.data.meshes import Mesh
+from datagen.scene.builtin.objects import GAP, put_enlarged, slab
 from datagen.scene.description import CameraRig, Lobe, Scene, SceneObject, SoftEnvironment, WalkPoint
-from datagen.scene.materials import Dielectric, Diffuse, Material, Plastic
+from datagen.scene.materials import Dielectric, Diffuse, Plastic
 from datagen.scene.modelling import (
     ball,
     curved,
@@ -29,15 +33,14 @@ from datagen.scene.modelling import (
 from datagen.scene.textures import SolidTexture
 from datagen.scene.values import Color
 
-GAP = 0.001
-"""Metres between things that stand on each other: coincident faces lose layers."""
 TABLE_TOP = 0.74
 GENEROUS = 1.4
-"""How much larger than life glasses and fruit are, so that small pictures show them."""
+"""Scale of glasses and fruit, larger than life so that small pictures show them."""
 REACH = 0.001
-"""Metres that a drink reaches into its glass, before it is enlarged."""
+"""Metres that a drink extends into its glass, before it is enlarged."""
 GLASS = Dielectric(ior=1.5)
 ICE = Dielectric(ior=1.31, priority=1)
+_on_table = partial(put_enlarged, GENEROUS, TABLE_TOP)
 
 
 def make() -> Scene:
@@ -61,7 +64,7 @@ def make() -> Scene:
             elevation_deg=(8.0, 65.0),
             azimuth_deg=(-150.0, 60.0),
             fov_deg=45.0,
-            # Training sees nearly all that the walk sees: what no picture shows, no method can know.
+            # Training sees nearly everything that the walk sees: no method can know unseen surfaces.
             target_jitter=0.25,
             walk=(
                 WalkPoint(position=(0.90, -0.90, 1.25), target=(0.0, 0.0, 0.82)),
@@ -82,17 +85,12 @@ def _room() -> list[SceneObject]:
     walnut = SolidTexture(pattern="wood", colors=((0.52, 0.34, 0.20), (0.28, 0.15, 0.08)), scale=0.045, axis="y")
     tiles = SolidTexture(pattern="checker", colors=((0.78, 0.72, 0.60), (0.16, 0.36, 0.42)), scale=0.30)
     print_ = SolidTexture(pattern="stripes", colors=((0.82, 0.60, 0.22), (0.56, 0.14, 0.12)), scale=0.28, axis="z")
-    floor = moved(rounded_box((6.4, 6.4, 0.05), bevel=0.004), (0.6, -0.6, -0.025))
-    back_wall = moved(rounded_box((6.0, 0.08, 3.2), bevel=0.004), (0.6, 1.84, 1.601))
-    left_wall = moved(rounded_box((0.08, 6.0, 3.2), bevel=0.004), (-2.06, -1.25, 1.601))
-    picture = moved(rounded_box((0.03, 1.3, 0.9), bevel=0.005), (-2.00, -0.1, 1.45))
-    splash = moved(rounded_box((2.2, 0.03, 1.2), bevel=0.005), (0.1, 1.78, 1.25))
     return [
-        SceneObject(name="floor", mesh=floor, material=Plastic(color=boards, roughness=0.35)),
-        SceneObject(name="back_wall", mesh=back_wall, material=Diffuse(color=(0.72, 0.66, 0.56))),
-        SceneObject(name="left_wall", mesh=left_wall, material=Diffuse(color=(0.46, 0.56, 0.50))),
-        SceneObject(name="picture", mesh=picture, material=Diffuse(color=print_)),
-        SceneObject(name="tiles", mesh=splash, material=Plastic(color=tiles, roughness=0.2)),
+        slab("floor", (6.4, 6.4, 0.05), (0.6, -0.6, -0.025), Plastic(color=boards, roughness=0.35)),
+        slab("back_wall", (6.0, 0.08, 3.2), (0.6, 1.84, 1.601), Diffuse(color=(0.72, 0.66, 0.56))),
+        slab("left_wall", (0.08, 6.0, 3.2), (-2.06, -1.25, 1.601), Diffuse(color=(0.46, 0.56, 0.50))),
+        slab("picture", (0.03, 1.3, 0.9), (-2.00, -0.1, 1.45), Diffuse(color=print_), bevel=0.005),
+        slab("tiles", (2.2, 0.03, 1.2), (0.1, 1.78, 1.25), Plastic(color=tiles, roughness=0.2), bevel=0.005),
         SceneObject(name="table", mesh=_table(), material=Plastic(color=walnut, roughness=0.2)),
     ]
 
@@ -125,7 +123,7 @@ def _lemonade() -> list[SceneObject]:
     vessel = {"wall": 0.0026, "floor": 0.011}
     lemonade = filled(side, **vessel, level=0.108, reach=REACH)
     bands = SolidTexture(pattern="stripes", colors=((0.85, 0.83, 0.78), (0.72, 0.10, 0.12)), scale=0.022, axis="z")
-    # From above the floor out over the rim; of joints that end in each other, since one long strip makes a bad atlas.
+    # From above the floor out over the rim; in overlapping joints, since one long strip makes a bad atlas.
     line = np.linspace((-0.0160, 0.0, 0.0175), (0.0330, 0.002, 0.205), 61)
     straw = merged(
         [
@@ -196,7 +194,7 @@ def _things() -> list[SceneObject]:
 
 
 def _drink(ior: float, absorption: Color) -> Dielectric:
-    """A drink; absorption in 1/m of the glass as it stands on the table."""
+    """A drink; absorption in 1/m at the enlarged size."""
     return Dielectric(ior=ior, absorption=absorption, priority=-1)
 
 
@@ -207,12 +205,6 @@ def _ice(size: float) -> Mesh:
 
 
 def _lemon(p: np.ndarray) -> np.ndarray:
-    """A ball drawn out along x, with a nipple at each end."""
+    """A ball stretched along x, with a tip at each end."""
     t = p[:, :1] / np.abs(p[:, 0]).max()
     return np.concatenate([p[:, :1] * (1.22 + 0.22 * t**8), p[:, 1:] * (1 - 0.10 * t**2)], axis=-1)
-
-
-def _on_table(name: str, mesh: Mesh, material: Material, x: float, y: float) -> SceneObject:
-    """An object modelled on z = 0, enlarged and put on the table at (x, y)."""
-    placed = transformed(mesh, GENEROUS * np.eye(3), (x, y, TABLE_TOP + GAP))
-    return SceneObject(name=name, mesh=placed, material=material)

@@ -1,8 +1,11 @@
 """The scene `glass_table`: a glass table top with solid glassware and textured things on it, in a room."""
 
+from functools import partial
+
 import numpy as np
 
 from datagen.data.meshes import Mesh
+from datagen.scene.builtin.objects import GAP, put_enlarged, slab
 from datagen.scene.description import CameraRig, Lobe, Scene, SceneObject, SoftEnvironment, WalkPoint
 from datagen.scene.materials import Conductor, Dielectric, Diffuse, Plastic
 from datagen.scene.modelling import (
@@ -24,12 +27,11 @@ from datagen.scene.modelling import (
 )
 from datagen.scene.textures import SolidTexture
 
-GAP = 0.001
-"""Metres between things that stand on each other: coincident faces lose layers."""
 RUG_TOP = 0.009
 TABLE_TOP = 0.74
 GENEROUS = 1.3
-"""How much larger than life the tableware is, so that small pictures show its glass."""
+"""Scale of the tableware, larger than life so that small pictures show its glass."""
+_on_table = partial(put_enlarged, GENEROUS, TABLE_TOP)
 
 
 def make() -> Scene:
@@ -53,7 +55,7 @@ def make() -> Scene:
             elevation_deg=(8.0, 70.0),
             azimuth_deg=(-150.0, 60.0),
             fov_deg=45.0,
-            # Training sees nearly all that the walk sees: what no picture shows, no method can know.
+            # Training sees nearly everything that the walk sees: no method can know unseen surfaces.
             target_jitter=0.25,
             walk=(
                 WalkPoint(position=(1.15, -1.25, 1.30), target=(0.0, 0.0, 0.80)),
@@ -73,26 +75,27 @@ def _room() -> list[SceneObject]:
     planks = SolidTexture(pattern="wood", colors=((0.56, 0.40, 0.26), (0.36, 0.23, 0.13)), scale=0.19, axis="y")
     art = SolidTexture(pattern="checker", colors=((0.80, 0.62, 0.24), (0.10, 0.22, 0.34)), scale=0.36)
     weave = SolidTexture(pattern="checker", colors=((0.62, 0.55, 0.46), (0.24, 0.30, 0.40)), scale=0.30)
-    floor = moved(rounded_box((7.0, 7.0, 0.05), bevel=0.004), (0.6, -0.6, -0.025))
-    # The back wall reaches behind the left one: no camera in the room sees out through the corner.
-    back_wall = moved(rounded_box((6.7, 0.08, 3.4), bevel=0.004), (0.65, 2.64, 1.701))
-    left_wall = moved(rounded_box((0.08, 6.65 - GAP, 3.4), bevel=0.004), (-2.66, -0.725 - GAP / 2, 1.701))
-    picture = moved(rounded_box((1.3, 0.03, 0.9), bevel=0.005), (0.75, 2.58, 1.55))
     rug = moved(cylinder(1.3, RUG_TOP - GAP, bevel=0.003, segments=96), (0.0, 0.1, GAP))
     return [
-        SceneObject(name="floor", mesh=floor, material=Plastic(color=planks, roughness=0.35)),
-        SceneObject(name="back_wall", mesh=back_wall, material=Diffuse(color=(0.74, 0.68, 0.60))),
-        SceneObject(name="left_wall", mesh=left_wall, material=Diffuse(color=(0.50, 0.60, 0.63))),
-        SceneObject(name="picture", mesh=picture, material=Diffuse(color=art)),
+        slab("floor", (7.0, 7.0, 0.05), (0.6, -0.6, -0.025), Plastic(color=planks, roughness=0.35)),
+        # The back wall extends behind the left one, so that no camera in the room sees out through the corner.
+        slab("back_wall", (6.7, 0.08, 3.4), (0.65, 2.64, 1.701), Diffuse(color=(0.74, 0.68, 0.60))),
+        slab("left_wall", (0.08, 6.65 - GAP, 3.4), (-2.66, -0.725 - GAP / 2, 1.701), Diffuse(color=(0.50, 0.60, 0.63))),
+        slab("picture", (1.3, 0.03, 0.9), (0.75, 2.58, 1.55), Diffuse(color=art), bevel=0.005),
         SceneObject(name="rug", mesh=rug, material=Diffuse(color=weave)),
     ]
 
 
 def _furniture() -> list[SceneObject]:
     oak = SolidTexture(pattern="wood", colors=((0.58, 0.37, 0.19), (0.33, 0.18, 0.08)), scale=0.035, axis="x")
-    pane = moved(rounded_box((1.0, 0.7, 0.018), bevel=0.003), (0, 0, TABLE_TOP - 0.009))
     return [
-        SceneObject(name="table_top", mesh=pane, material=Dielectric(ior=1.52, absorption=(8.0, 2.4, 5.0))),
+        slab(
+            "table_top",
+            (1.0, 0.7, 0.018),
+            (0, 0, TABLE_TOP - 0.009),
+            Dielectric(ior=1.52, absorption=(8.0, 2.4, 5.0)),
+            bevel=0.003,
+        ),
         SceneObject(name="table_frame", mesh=_table_frame(), material=Plastic(color=oak, roughness=0.2)),
         SceneObject(name="chair", mesh=_chair(), material=Plastic(color=(0.06, 0.30, 0.32), roughness=0.15)),
     ]
@@ -109,7 +112,7 @@ def _table_frame() -> Mesh:
 
 
 def _chair() -> Mesh:
-    """Faces -y with its seat's centre over the origin; its back is slatted, so a coarse proxy fills the holes."""
+    """A chair facing -y, its seat's centre above the origin; coarse proxies fill the holes of its slatted back."""
     parts = [moved(rounded_box((0.42, 0.035, 0.022), bevel=0.006), (0, y, 0.45)) for y in np.linspace(-0.18, 0.18, 8)]
     parts += [moved(rounded_box((0.025, 0.40, 0.035), bevel=0.005), (x, 0, 0.43)) for x in (-0.17, 0.17)]
     parts += [moved(cylinder(0.013, 0.435, top_radius=0.02), (x, -0.17, 0)) for x in (-0.17, 0.17)]
@@ -183,17 +186,9 @@ def _things() -> list[SceneObject]:
 
 
 def _pear(p: np.ndarray) -> np.ndarray:
-    """A ball of radius 36 mm drawn out upwards, standing on z = 0."""
+    """A ball of radius 36 mm stretched upwards, its base at z = 0."""
     t = (p[:, 2:] / 0.036 + 1) / 2
     slim = 1 - 0.52 * t**2 * (3 - 2 * t)
     upright = np.concatenate([p[:, :2] * slim, 0.095 * t - 0.006 * np.exp(-((1 - t) / 0.02))], axis=-1)
     bent = upright + np.array([0.012, 0.004, 0.0]) * t**3
     return bent - np.array([0, 0, bent[:, 2].min()])
-
-
-def _on_table(
-    name: str, mesh: Mesh, material: Dielectric | Diffuse | Plastic | Conductor, x: float, y: float
-) -> SceneObject:
-    """An object whose lowest point is at z = 0, enlarged and put on the table at (x, y)."""
-    placed = transformed(mesh, GENEROUS * np.eye(3), (x, y, TABLE_TOP + GAP))
-    return SceneObject(name=name, mesh=placed, material=material)

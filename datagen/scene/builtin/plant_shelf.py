@@ -5,6 +5,7 @@ from collections.abc import Callable
 import numpy as np
 
 from datagen.data.meshes import Mesh
+from datagen.scene.builtin.objects import GAP, put_on, slab
 from datagen.scene.description import CameraRig, Lobe, Scene, SceneObject, SoftEnvironment, WalkPoint
 from datagen.scene.materials import Dielectric, Diffuse, Material, Plastic
 from datagen.scene.modelling import (
@@ -17,7 +18,6 @@ from datagen.scene.modelling import (
     leaf,
     merged,
     moved,
-    resting,
     rotation,
     rounded_box,
     transformed,
@@ -27,7 +27,6 @@ from datagen.scene.modelling import (
 )
 from datagen.scene.textures import SolidTexture
 
-GAP = 0.001
 WALL_Y = 0.45
 LEVELS = (0.12, 0.55, 1.0)
 """Heights of the boards' upper sides."""
@@ -55,7 +54,7 @@ def make() -> Scene:
             elevation_deg=(-8.0, 50.0),
             azimuth_deg=(-140.0, -40.0),
             fov_deg=45.0,
-            # Training sees nearly all that the walk sees: what no picture shows, no method can know.
+            # Training sees nearly everything that the walk sees: no method can know unseen surfaces.
             target_jitter=0.25,
             walk=(
                 WalkPoint(position=(1.20, -1.55, 1.35), target=(0.10, 0.10, 0.85)),
@@ -74,17 +73,15 @@ def make() -> Scene:
 def _room() -> list[SceneObject]:
     planks = SolidTexture(pattern="wood", colors=((0.60, 0.46, 0.32), (0.42, 0.29, 0.18)), scale=0.17, axis="x")
     pine = SolidTexture(pattern="wood", colors=((0.66, 0.48, 0.29), (0.46, 0.30, 0.16)), scale=0.05, axis="z")
-    floor = moved(rounded_box((9.0, 8.0, 0.05), bevel=0.004), (0.0, -3.4, -0.025))
-    wall = moved(rounded_box((9.0, 0.08, 3.4), bevel=0.004), (0.0, WALL_Y + 0.04, 1.701))
     return [
-        SceneObject(name="floor", mesh=floor, material=Plastic(color=planks, roughness=0.3)),
-        SceneObject(name="wall", mesh=wall, material=Diffuse(color=(0.52, 0.64, 0.63))),
+        slab("floor", (9.0, 8.0, 0.05), (0.0, -3.4, -0.025), Plastic(color=planks, roughness=0.3)),
+        slab("wall", (9.0, 0.08, 3.4), (0.0, WALL_Y + 0.04, 1.701), Diffuse(color=(0.52, 0.64, 0.63))),
         SceneObject(name="shelf", mesh=_shelf(), material=Plastic(color=pine, roughness=0.25)),
     ]
 
 
 def _shelf() -> Mesh:
-    """Three boards, let 1 cm into two side boards that are a little deeper."""
+    """Three boards, set 1 cm into two side boards that are slightly deeper."""
     side = rounded_box((0.024, 0.32, 1.03), bevel=0.003)
     board = rounded_box((1.16, 0.30, BOARD), bevel=0.003)
     return merged(
@@ -157,7 +154,7 @@ def _fig() -> Mesh:
 
 
 def _fern() -> Mesh:
-    """Arching fronds with paired leaflets, from a short stem at the origin; none goes into the wall or the board."""
+    """Arching fronds with paired leaflets on a short stem at the origin, clear of the wall and the board."""
     rng = np.random.default_rng(3)
     parts = [tube(np.array([(0, 0, 0), (0, 0, 0.012), (0, 0, 0.024)]), np.array([0.012, 0.012, 0.006]))]
     for index in range(22):
@@ -282,5 +279,5 @@ def _watering_can() -> Mesh:
 
 
 def _on_board(name: str, mesh: Mesh, material: Material, x: float, y: float, level: int) -> SceneObject:
-    """A thing put on one of the boards, its lowest point a gap above it."""
-    return SceneObject(name=name, mesh=resting(mesh, (x, y, LEVELS[level] + GAP)), material=material)
+    """An object on one of the boards."""
+    return put_on(LEVELS[level], name, mesh, material, x, y)

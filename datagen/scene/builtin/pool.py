@@ -1,10 +1,13 @@
-"""The scene `pool`: rippled water in a tiled basin in the sun, with clear and frosted glass that stands in it."""
+"""The scene `pool`: rippled water in a tiled basin in the sun, with clear and frosted glass in it."""
+
+from functools import partial
 
 import numpy as np
 
 from datagen.data.meshes import Mesh
+from datagen.scene.builtin.objects import GAP, put_on, slab
 from datagen.scene.description import CameraRig, Card, Scene, SceneObject, SoftEnvironment, WalkPoint
-from datagen.scene.materials import Conductor, Dielectric, Diffuse, Material, Plastic, RoughDielectric
+from datagen.scene.materials import Conductor, Dielectric, Diffuse, Plastic, RoughDielectric
 from datagen.scene.modelling import (
     ball,
     deformed,
@@ -12,7 +15,6 @@ from datagen.scene.modelling import (
     lathe,
     merged,
     moved,
-    resting,
     rounded_box,
     shaded,
     tube,
@@ -21,12 +23,12 @@ from datagen.scene.modelling import (
 )
 from datagen.scene.textures import SolidTexture
 
-GAP = 0.001
 INNER, WALL, RIM, BOTTOM = 0.80, 0.05, 0.33, 0.20
-"""The basin: width of its inside, thickness of its walls, height of its rim and of its bottom, metres."""
+"""The basin in metres: inner width, thickness of its walls, height of its rim and of its bottom."""
 LEVEL = 0.30
 REACH = 0.004
-"""How far the water goes into walls and bottom: coincident faces would lose layers."""
+"""Metres that the water extends into walls and bottom: coincident faces would lose layers."""
+_in_basin = partial(put_on, BOTTOM)
 
 
 def make() -> Scene:
@@ -72,15 +74,14 @@ def _basin() -> list[SceneObject]:
         pattern="checker", colors=((0.82, 0.83, 0.80), (0.16, 0.42, 0.50)), scale=0.20, origin=(0.0, 0.0, 0.07)
     )
     slabs = SolidTexture(pattern="speckle", colors=((0.56, 0.52, 0.46), (0.40, 0.36, 0.31)), scale=0.05)
-    ground = moved(rounded_box((7.0, 7.0, 0.05), bevel=0.004), (0, 0, -0.025))
     outer = INNER + 2 * WALL
     parts = [moved(rounded_box((outer - 0.02, outer - 0.02, BOTTOM - GAP), bevel=0.004), (0, 0, (BOTTOM + GAP) / 2))]
     for turn in range(4):
-        # Each wall meets the next one's side, and goes a little into it.
+        # Each wall ends slightly inside the next one's side.
         wall = moved(rounded_box((outer - WALL + 0.002, WALL, RIM - GAP), bevel=0.006), (-WALL / 2, 0, (RIM + GAP) / 2))
         parts.append(turned(moved(wall, (0, (INNER + WALL) / 2, 0)), (0, 0, 1), 90 * turn))
     return [
-        SceneObject(name="ground", mesh=ground, material=Diffuse(color=slabs)),
+        slab("ground", (7.0, 7.0, 0.05), (0, 0, -0.025), Diffuse(color=slabs)),
         SceneObject(name="basin", mesh=merged(parts), material=Plastic(color=tiles, roughness=0.15)),
     ]
 
@@ -141,13 +142,8 @@ def _water() -> Mesh:
 
 
 def _ripples(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Rings around the glass ball and two swells that cross."""
+    """Rings around the glass ball and two crossing swells."""
     distance = np.hypot(x + 0.12, y + 0.10)
     rings = 0.0026 * np.cos(2 * np.pi * distance / 0.115) * np.exp(-distance / 0.40)
     swells = 0.0026 * np.sin(2 * np.pi * (0.9 * x + 0.5 * y) / 0.15) + 0.0022 * np.sin(2 * np.pi * (y - 0.6 * x) / 0.12)
     return rings + swells
-
-
-def _in_basin(name: str, mesh: Mesh, material: Material, x: float, y: float) -> SceneObject:
-    """An object whose lowest point comes to lie on the basin's bottom at (x, y)."""
-    return SceneObject(name=name, mesh=resting(mesh, (x, y, BOTTOM + GAP)), material=material)

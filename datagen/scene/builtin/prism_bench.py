@@ -1,10 +1,13 @@
 """The scene `prism_bench`: prisms, a lens, cut crystal and frosted glass in a hard beam in the dark."""
 
+from functools import partial
+
 import numpy as np
 
 from datagen.data.meshes import Mesh
+from datagen.scene.builtin.objects import GAP, put_on, slab
 from datagen.scene.description import CameraRig, Card, Scene, SceneObject, SoftEnvironment, WalkPoint
-from datagen.scene.materials import Conductor, Dielectric, Diffuse, Material, Plastic, RoughDielectric
+from datagen.scene.materials import Conductor, Dielectric, Diffuse, Plastic, RoughDielectric
 from datagen.scene.modelling import (
     ball,
     cylinder,
@@ -13,7 +16,6 @@ from datagen.scene.modelling import (
     lathe,
     merged,
     moved,
-    resting,
     rounded_box,
     shaded,
     transformed,
@@ -23,14 +25,14 @@ from datagen.scene.modelling import (
 )
 from datagen.scene.textures import SolidTexture
 
-GAP = 0.001
 BENCH_TOP = 0.75
 SHEET = 0.005
-"""Height of the sheet of card on the bench, on which light is thrown."""
+"""Height of the sheet of card on the bench, which catches the light."""
+_on_bench = partial(put_on, BENCH_TOP + SHEET)
 FLINT = Dielectric(ior="sf11", dispersion="measured")
 CRYSTAL = Dielectric(ior="f2", dispersion="measured")
 FANCY = Dielectric(ior=1.62, dispersion=4.0)
-"""Parts colours five times as far as flint glass (0.78), so that they are apart after so short a way."""
+"""Disperses five times as much as flint glass (0.78), so that colours separate over a short distance."""
 
 
 def make() -> Scene:
@@ -44,7 +46,7 @@ def make() -> Scene:
             horizon=(0.03, 0.036, 0.05),
             ground=(0.02, 0.02, 0.02),
             cards=(
-                # The beam comes from behind, so that glass throws its light towards the viewer.
+                # The beam comes from behind, so that glass directs its light towards the viewer.
                 Card(
                     direction=(-0.80, 0.75, 0.52), size_deg=(8.0, 44.0), radiance=(24.0, 22.5, 20.0), softness_deg=0.8
                 ),
@@ -77,15 +79,19 @@ def make() -> Scene:
 def _bench() -> list[SceneObject]:
     walnut = SolidTexture(pattern="wood", colors=((0.24, 0.14, 0.08), (0.11, 0.06, 0.035)), scale=0.07, axis="y")
     floor = moved(cylinder(4.0, 0.05, bevel=0.004, segments=128), (0, 0, -0.05))
-    bench = moved(rounded_box((1.9, 1.4, 0.06), bevel=0.006), (0, 0, BENCH_TOP - 0.03))
     sheet = turned(rounded_box((0.86, 0.70, SHEET - GAP), bevel=0.0008), (0, 0, 1), -6)
     sheet = moved(sheet, (0, 0, BENCH_TOP + (SHEET + GAP) / 2))
-    foot = moved(rounded_box((1.2, 0.8, BENCH_TOP - 0.06 - 2 * GAP), bevel=0.006), (0, 0, (BENCH_TOP - 0.06) / 2))
     return [
         SceneObject(name="floor", mesh=floor, material=Diffuse(color=(0.06, 0.065, 0.08))),
-        SceneObject(name="bench", mesh=bench, material=Plastic(color=walnut, roughness=0.3)),
+        slab("bench", (1.9, 1.4, 0.06), (0, 0, BENCH_TOP - 0.03), Plastic(color=walnut, roughness=0.3), bevel=0.006),
         SceneObject(name="sheet", mesh=sheet, material=Diffuse(color=(0.72, 0.71, 0.69))),
-        SceneObject(name="foot", mesh=foot, material=Diffuse(color=(0.10, 0.11, 0.13))),
+        slab(
+            "foot",
+            (1.2, 0.8, BENCH_TOP - 0.06 - 2 * GAP),
+            (0, 0, (BENCH_TOP - 0.06) / 2),
+            Diffuse(color=(0.10, 0.11, 0.13)),
+            bevel=0.006,
+        ),
     ]
 
 
@@ -124,7 +130,7 @@ def _things() -> list[SceneObject]:
 
 
 def _screen() -> Mesh:
-    """A board across the beam with a slit in front of the prism, in whose shadow the colours lie."""
+    """A board across the beam with a slit in front of the prism; the colours fall into its shadow."""
     height, slit, sill = 0.175, 0.045, 0.12
     left = moved(rounded_box((0.32, 0.008, height), bevel=0.002), (-0.16 - slit / 2, 0, height / 2))
     right = moved(rounded_box((0.08, 0.008, height), bevel=0.002), (0.04 + slit / 2, 0, height / 2))
@@ -133,19 +139,19 @@ def _screen() -> Mesh:
 
 
 def prism(side: float, height: float) -> Mesh:
-    """An upright column over an equilateral triangle whose middle is the origin."""
+    """An upright column over an equilateral triangle centred on the origin."""
     angles = np.radians([90, 210, 330])
     corners = side / np.sqrt(3) * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
     return _hull([(x, y, z) for x, y in corners for z in (0.0, height)])
 
 
 def _lying(side: float, length: float) -> Mesh:
-    """The same prism on one of its sides."""
+    """A prism lying on one of its sides."""
     return turned(moved(prism(side, length), (0, 0, -length / 2)), (1, 0, 0), 90)
 
 
 def _lens(radius: float, curvature: float) -> Mesh:
-    """A biconvex lens that stands on its rim; its axis lies along y."""
+    """A biconvex lens upright on its rim, its axis along y."""
     angle = np.linspace(0, np.arcsin(radius / curvature), 32)
     bulge = curvature * (np.cos(angle) - np.cos(angle[-1])) + 0.0025
     outline = [(curvature * np.sin(a), z) for a, z in zip(angle, bulge)]
@@ -161,7 +167,7 @@ def _cut_ball(radius: float) -> Mesh:
 
 
 def brilliant() -> Mesh:
-    """A round brilliant of girdle radius 1 that lies on its table, its point up.
+    """A round brilliant with girdle radius 1, lying on its table with its point up.
 
     Source: Tolkowsky 1919: a table of 53 % of the girdle, a crown of 34.5 degrees, a pavilion of 40.75 degrees.
     """
@@ -187,8 +193,3 @@ def _hull(points: list[tuple[float, float, float]]) -> Mesh:
 
     hull = trimesh.convex.convex_hull(np.array(points, np.float64))
     return shaded(np.asarray(hull.vertices), np.asarray(hull.faces), crease_deg=2)
-
-
-def _on_bench(name: str, mesh: Mesh, material: Material, x: float, y: float) -> SceneObject:
-    """An object whose lowest point comes to lie on the bench at (x, y)."""
-    return SceneObject(name=name, mesh=resting(mesh, (x, y, BENCH_TOP + SHEET + GAP)), material=material)

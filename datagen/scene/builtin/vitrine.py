@@ -1,8 +1,11 @@
 """The scene `vitrine`: small sculptures in a brass-framed case of thin glass, on a plinth in a gallery."""
 
+from functools import partial
+
 import numpy as np
 
 from datagen.data.meshes import Mesh
+from datagen.scene.builtin.objects import GAP, put_on, slab
 from datagen.scene.description import CameraRig, Lobe, Scene, SceneObject, SoftEnvironment, WalkPoint
 from datagen.scene.materials import Conductor, Diffuse, Plastic, ThinDielectric
 from datagen.scene.modelling import (
@@ -14,7 +17,6 @@ from datagen.scene.modelling import (
     lathe,
     merged,
     moved,
-    resting,
     rounded_box,
     sheet,
     tube,
@@ -23,11 +25,11 @@ from datagen.scene.modelling import (
 )
 from datagen.scene.textures import SolidTexture
 
-GAP = 0.001
 PLINTH_TOP = 0.90
 WIDTH, DEPTH, HEIGHT = 0.86, 0.52, 0.52
-"""Of the case, between the axes of its bars."""
+"""Size of the case between the axes of its bars, in metres."""
 BAR = 0.014
+_inside = partial(put_on, PLINTH_TOP)
 
 
 def make() -> Scene:
@@ -51,7 +53,7 @@ def make() -> Scene:
             elevation_deg=(5.0, 60.0),
             azimuth_deg=(-150.0, 60.0),
             fov_deg=45.0,
-            # Training sees nearly all that the walk sees: what no picture shows, no method can know.
+            # Training sees nearly everything that the walk sees: no method can know unseen surfaces.
             target_jitter=0.3,
             walk=(
                 WalkPoint(position=(1.00, -1.05, 1.45), target=(0.0, 0.0, 1.12)),
@@ -72,9 +74,6 @@ def _room() -> list[SceneObject]:
     ash = SolidTexture(pattern="wood", colors=((0.62, 0.47, 0.32), (0.40, 0.27, 0.16)), scale=0.06, axis="x")
     first = SolidTexture(pattern="stripes", colors=((0.75, 0.30, 0.16), (0.82, 0.70, 0.46)), scale=0.30, axis="x")
     second = SolidTexture(pattern="marble", colors=((0.12, 0.28, 0.42), (0.85, 0.78, 0.62)), scale=0.45)
-    floor = moved(rounded_box((7.0, 7.0, 0.05), bevel=0.004), (0.6, -0.6, -0.025))
-    back_wall = moved(rounded_box((6.2, 0.08, 3.4), bevel=0.004), (0.7, 2.24, 1.701))
-    left_wall = moved(rounded_box((0.08, 6.2, 3.4), bevel=0.004), (-2.26, -0.95, 1.701))
     paintings = [
         moved(rounded_box((0.9, 0.03, 1.2), bevel=0.005), (-0.55, 2.18, 1.55)),
         moved(rounded_box((0.03, 1.4, 0.9), bevel=0.005), (-2.20, 0.15, 1.50)),
@@ -82,15 +81,20 @@ def _room() -> list[SceneObject]:
     outline = curved([(0.09, 0.0), (0.19, 0.20), (0.21, 0.45), (0.11, 0.78), (0.07, 0.92), (0.10, 1.02)], count=24)
     urn = lathe(walled([(0.0, 0.0), *map(tuple, outline.tolist())], wall=0.012, floor=0.02), segments=72, crease_deg=30)
     bands = SolidTexture(pattern="stripes", colors=((0.72, 0.66, 0.52), (0.10, 0.30, 0.28)), scale=0.17, axis="z")
-    plinth = moved(rounded_box((1.0, 0.66, PLINTH_TOP - GAP), bevel=0.008), (0, 0, (PLINTH_TOP + GAP) / 2))
     return [
-        SceneObject(name="floor", mesh=floor, material=Plastic(color=terrazzo, roughness=0.3)),
-        SceneObject(name="back_wall", mesh=back_wall, material=Diffuse(color=(0.70, 0.66, 0.60))),
-        SceneObject(name="left_wall", mesh=left_wall, material=Diffuse(color=(0.66, 0.44, 0.36))),
+        slab("floor", (7.0, 7.0, 0.05), (0.6, -0.6, -0.025), Plastic(color=terrazzo, roughness=0.3)),
+        slab("back_wall", (6.2, 0.08, 3.4), (0.7, 2.24, 1.701), Diffuse(color=(0.70, 0.66, 0.60))),
+        slab("left_wall", (0.08, 6.2, 3.4), (-2.26, -0.95, 1.701), Diffuse(color=(0.66, 0.44, 0.36))),
         SceneObject(name="painting_stripes", mesh=paintings[0], material=Diffuse(color=first)),
         SceneObject(name="painting_marble", mesh=paintings[1], material=Diffuse(color=second)),
         SceneObject(name="urn", mesh=moved(urn, (1.15, 1.45, GAP)), material=Plastic(color=bands, roughness=0.2)),
-        SceneObject(name="plinth", mesh=plinth, material=Plastic(color=ash, roughness=0.2)),
+        slab(
+            "plinth",
+            (1.0, 0.66, PLINTH_TOP - GAP),
+            (0, 0, (PLINTH_TOP + GAP) / 2),
+            Plastic(color=ash, roughness=0.2),
+            bevel=0.008,
+        ),
     ]
 
 
@@ -104,7 +108,7 @@ def _case() -> list[SceneObject]:
 
 
 def _frame() -> Mesh:
-    """Twelve bars of three thicknesses, which end inside each other: no two faces lie in one plane."""
+    """Twelve bars of three thicknesses that end inside each other, so that no two faces lie in one plane."""
     x, y = WIDTH / 2, DEPTH / 2
     post = rounded_box((BAR, BAR, HEIGHT + BAR), bevel=0.002)
     parts = [moved(post, (i * x, j * y, HEIGHT / 2)) for i in (-1, 1) for j in (-1, 1)]
@@ -117,7 +121,7 @@ def _frame() -> Mesh:
 
 
 def _panes() -> Mesh:
-    """Four walls and a lid, each one sheet whose front is outside, with a slit towards the bars."""
+    """Four walls and a lid: sheets with their front outside and a gap to the bars."""
     inset = BAR / 2 + GAP
     x, y, z = WIDTH / 2 - inset, DEPTH / 2 - inset, HEIGHT - inset
     width, depth, height = (2 * x, 0, 0), (0, 2 * y, 0), (0, 0, z - inset)
@@ -171,14 +175,9 @@ def _twist(p: np.ndarray) -> np.ndarray:
     t = p[:, 2] / 0.34
     radius = np.maximum(np.hypot(p[:, 0], p[:, 1]), 1e-9)
     cosines = p[:, :2] / radius[:, None]
-    square = np.maximum((cosines**6).sum(axis=-1), 0.1) ** (-1 / 6)  # 1 to 2^(1/3) but on the axis, where all is 0.
+    square = np.maximum((cosines**6).sum(axis=-1), 0.1) ** (-1 / 6)  # 1 to 2^(1/3), except on the axis, where all is 0.
     scale = square * (1 - 0.35 * np.sin(np.pi * t))
     cos, sin = np.cos(np.radians(120) * t), np.sin(np.radians(120) * t)
     return np.stack(
         [scale * (cos * p[:, 0] - sin * p[:, 1]), scale * (sin * p[:, 0] + cos * p[:, 1]), p[:, 2]], axis=-1
     )
-
-
-def _inside(name: str, mesh: Mesh, material: Plastic | Conductor, x: float, y: float) -> SceneObject:
-    """A sculpture put on the plinth at (x, y), its lowest point a gap above it."""
-    return SceneObject(name=name, mesh=resting(mesh, (x, y, PLINTH_TOP + GAP)), material=material)

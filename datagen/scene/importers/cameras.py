@@ -26,7 +26,7 @@ NAMES = ("transforms.json", "transforms_train.json")
 
 
 def read_camera_file(given: Path, remarks: Remarks) -> tuple[Camera, ...]:
-    """The cameras in a folder or a file, in the axes and units of the model beside which they stand."""
+    """The cameras in a folder or a file, in the axes and units of the model that they belong to."""
     if given.is_dir() and has_colmap(given):
         return read_colmap(given, remarks)
     if given.is_dir():
@@ -38,7 +38,7 @@ def read_camera_file(given: Path, remarks: Remarks) -> tuple[Camera, ...]:
         given = found
     if given.suffix.lower() != ".json" or not given.is_file():
         raise HyalineError(
-            f"--cameras {given}: is no such file; expected around, file, a transforms.json, or a folder of COLMAP's"
+            f"--cameras {given}: is not a file; expected around, file, a transforms.json, or a folder of COLMAP's"
         )
     file = read_transforms(find_file(given.parent, given.name, where=str(given.parent)))
     cameras, left_out = [], []
@@ -134,7 +134,7 @@ def has_colmap(root: Path) -> bool:
 def read_colmap(root: Path, remarks: Remarks) -> tuple[Camera, ...]:
     """The cameras of a folder, in the order of their pictures' names."""
     found = _place(root)
-    assert found is not None, "asked for where has_colmap says so"
+    assert found is not None, "called only if has_colmap is true"
     folder, ending = found
     paths = [find_file(folder, f"{name}.{ending}", where=str(folder)) for name in ("cameras", "images")]
     lenses, images = (_read_binary if ending == "bin" else _read_text)(*paths)

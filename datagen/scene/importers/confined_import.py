@@ -16,11 +16,10 @@ from datagen.disk.ownership import FolderKind, begin, holding, is_ours, refuse_o
 from datagen.disk.records import Json, load_json
 from datagen.disk.storage import commit, commit_sealed, dump_json, load_sealed, seal_bytes
 from datagen.machine.confined import confined
-from datagen.scene.description import Scene
+from datagen.scene.description import EnvironmentMap, Scene
 from datagen.scene.folder import load_scene, save_scene
-from datagen.scene.importers.choices import ImportChoices
+from datagen.scene.foreign_files import ImportChoices
 from datagen.scene.importers.importing import import_scene
-from datagen.scene.lights import EnvironmentMap
 
 RECORD = "import.json"
 IMPORTED = FolderKind(what="imported scene", head=RECORD, folders=("meshes", "textures", "baked"))
@@ -28,7 +27,7 @@ IMPORTED = FolderKind(what="imported scene", head=RECORD, folders=("meshes", "te
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ImportedFiles:
-    """The files of an imported scene's folder by their path, what import.json says, and what a user is told."""
+    """The files of an imported scene's folder by their path, the content of import.json, and the lines to report."""
 
     files: Mapping[str, bytes]
     record: Mapping[str, Json]
@@ -36,11 +35,7 @@ class ImportedFiles:
 
 
 def import_files(path: Path, choices: ImportChoices, *, resolution: Resolution) -> ImportedFiles:
-    """The folder of the scene in a foreign file.
-
-    Raises:
-        HyalineError: see `import_scene` and `confined`.
-    """
+    """The folder of the scene in a foreign file."""
     with confined(_import, path, choices, resolution, where=str(path)) as folder:
         scene = folder / "scene"
         files = {file.relative_to(scene).as_posix(): file.read_bytes() for file in scene.rglob("*") if file.is_file()}
@@ -50,7 +45,7 @@ def import_files(path: Path, choices: ImportChoices, *, resolution: Resolution) 
 
 
 def imported_scene(path: Path, choices: ImportChoices, *, resolution: Resolution) -> tuple[Scene, list[str]]:
-    """The scene in a foreign file, and what a user is told."""
+    """The scene in a foreign file, and the lines to report."""
     with scene_from(_import, path, choices, resolution, where=str(path)) as (scene, folder):
         return scene, cast(list[str], load_json(folder / "told.json")["told"])
 
@@ -76,11 +71,7 @@ def _import(folder: Path, path: Path, choices: ImportChoices, resolution: Resolu
 
 
 def check_free(root: Path, *, overwrite: bool) -> None:
-    """Refuses a folder that something else stands in, before work is done for it.
-
-    Raises:
-        HyalineError: naming what stands there.
-    """
+    """Rejects a folder that holds something else, before any work is done."""
     if is_ours(root, IMPORTED):
         if not overwrite:
             raise HyalineError(f"{root}: holds an imported scene; pass --overwrite to replace it, or another --out")
@@ -89,11 +80,7 @@ def check_free(root: Path, *, overwrite: bool) -> None:
 
 
 def write_imported(files: Mapping[str, bytes], record: Mapping[str, Json], root: Path, *, overwrite: bool) -> None:
-    """Writes a scene's files and the record of its import; what an earlier import wrote there is removed.
-
-    Raises:
-        HyalineError: something else stands there.
-    """
+    """Writes a scene's files and the record of its import; what an earlier import wrote there is removed."""
     content: dict[str, Json] = {**record, "files": cast(list[Json], sorted(files))}
     with holding(root, IMPORTED):
         check_free(root, overwrite=overwrite)

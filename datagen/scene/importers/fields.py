@@ -1,4 +1,4 @@
-"""Values of a JSON object that anybody may have written, each asked for by its type and range."""
+"""Values of an untrusted JSON object, each read with a type and a range."""
 
 import math
 from collections.abc import Iterator
@@ -10,7 +10,7 @@ MAX_COUNT = 1 << 40
 
 
 class Fields:
-    """A JSON object, and where it stands in errors."""
+    """A JSON object, and its place in the file for errors."""
 
     def __init__(self, data: Json, where: str) -> None:
         if not isinstance(data, dict):
@@ -66,7 +66,7 @@ class Fields:
         return value
 
     def fields(self, key: str) -> "Fields":
-        """An object; an empty one where there is none."""
+        """An object; empty if missing."""
         return Fields(self.data.get(key, {}), f"{self.where}.{key}")
 
     def extension(self, name: str) -> "Fields | None":
@@ -87,7 +87,7 @@ class Fields:
         return [Fields({"[]": item}, where).integer("[]", high=count - 1) for item in listed]
 
     def listed(self, key: str) -> list["Fields"]:
-        """A list of objects; an empty one where there is none."""
+        """A list of objects; empty if missing."""
         value = self.data.get(key, [])
         if not isinstance(value, list):
             raise HyalineError(f"{self.where}.{key}: is {shown(value)}; expected a list")

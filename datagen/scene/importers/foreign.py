@@ -22,13 +22,13 @@ Axis = Literal["x", "y", "z"]
 Factor = Literal["metallic", "roughness", "transmission"]
 
 MAX_FILE_BYTES = 1 << 29
-"""Of a file that is imported, and of each file that it names."""
+"""The largest file that is read, whether imported or named by one."""
 MAX_TRIANGLES = 4_000_000
-"""Of a whole scene, each instance counted."""
+"""The most triangles of a scene, each instance counted."""
 MAX_SURFACES = 20_000
-"""Instances of surfaces in a file; a scene has 255 objects, or so many after --merge."""
+"""The most instances of surfaces in a file; a scene has at most 255 objects, after --merge."""
 PLAIN_WORDS = ("material", "mat", "shader")
-"""In names of materials: words that say nothing."""
+"""Words without meaning in names of materials."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,7 +68,7 @@ class ForeignMaterial:
     """Times that of the image."""
     alpha_mode: Literal["opaque", "mask", "blend"] = "opaque"
     alpha_cutoff: float = 0.5
-    """Of a mask: there is no surface where alpha is less."""
+    """In mode mask, the surface is absent where alpha is less."""
     opacity: ForeignImage | None = None
     """An image of alpha, where that is not the alpha of `image`; in the same uv."""
     metallic: float = 0.0
@@ -76,7 +76,7 @@ class ForeignMaterial:
     """Perceptual: the square root of the microfacet alpha."""
     transmission: float = 0.0
     factor_images: tuple[FactorImage, ...] = ()
-    """Of `metallic`, `roughness` and `transmission`."""
+    """Images that multiply `metallic`, `roughness` and `transmission`."""
     ior: float = 1.5
     """1 for an opaque surface that mirrors nothing."""
     is_base: bool = False
@@ -97,7 +97,7 @@ class ForeignMaterial:
 
 
 PLAIN = ForeignMaterial(name="default", base_color=(0.8, 0.8, 0.8), roughness=1.0, ior=1.0)
-"""Of a surface that names no material: Blender's grey. (glTF would have it rough metal, which nobody means.)"""
+"""For surfaces without a material: Blender's grey. (glTF's default, rough metal, is never meant.)"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -110,7 +110,7 @@ class ForeignObject:
     """Counter-clockwise seen from outside."""
     normals: Float[np.ndarray, "vertex 3"] | None
     uv: Float[np.ndarray, "vertex 2"] | None
-    """Of the material's image; v points up."""
+    """Texture coordinates of the material's image; v points up."""
     material: ForeignMaterial | Material
 
 
@@ -145,7 +145,7 @@ class ForeignLamp:
     kind: Literal["directional", "point", "spot"]
     position: Float[np.ndarray, "3"]
     direction: Float[np.ndarray, "3"]
-    """In which it shines, of unit length; of a point lamp without meaning."""
+    """Unit direction in which it shines; unused for a point lamp."""
     intensity: Color
     """Irradiance of a directional lamp; else its irradiance at a distance of 1."""
     cone: float = 2 * math.pi
@@ -164,21 +164,17 @@ class ForeignScene:
     lights: tuple[ForeignLight, ...] = ()
     lamps: tuple[ForeignLamp, ...] = ()
     sky: Color | ForeignMap | None = None
-    """Radiance from all around, or a map of it; None where the file says nothing of it."""
+    """Radiance from all around, or a map of it; None if the file has none."""
     cameras: tuple[Camera, ...] = ()
     """In the file's units and axes, OpenGL convention: +x right, +y up, it looks along -z."""
     license: str | None = None
-    """What the file says of it, in a line; None where it says nothing."""
+    """The licence in the file, in one line; None if it has none."""
     is_complete: bool = False
-    """It was made to be rendered as it is: no ground is added, and it stays where it is."""
+    """It was made to be rendered as it is: no ground is added, and nothing is moved."""
 
 
 def read_foreign(path: Path, *, at_most: int = MAX_FILE_BYTES) -> bytes:
-    """The bytes of a file that is imported, or that such a file names.
-
-    Raises:
-        HyalineError: see `read_regular`.
-    """
+    """The bytes of a file that is imported, or that such a file names."""
     data = read_regular(path, at_most=at_most)
     allow_file(path, len(data))
     return data
@@ -218,7 +214,7 @@ def elementwise(points: np.ndarray, linear: np.ndarray, offset: np.ndarray) -> n
 def substance_of(name: str) -> str | None:
     """The substance that a material's name is, word for word, but for numbers and `material`: `Diamond.001` is diamond.
 
-    A name that says more, such as `water bottle`, is of something else.
+    A longer name, such as `water bottle`, means something else.
     """
     words = [word for word in re.split(r"[^a-z0-9]+", name.lower()) if word and word not in PLAIN_WORDS]
     named = "-".join(word for word in words if not word.isdecimal())

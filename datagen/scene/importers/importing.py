@@ -3,24 +3,43 @@
 import dataclasses
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from datagen.data.config import Resolution, square
+from datagen.data.config import Resolution
 from datagen.data.meshes import is_there, open_edges
 from datagen.data.metadata import unknown_license
 from datagen.disk.errors import HyalineError
-from datagen.disk.names import file_name
-from datagen.disk.records import Json, shown
+from datagen.disk.records import Json
 from datagen.disk.storage import sha256_file
 from datagen.machine.confined import allow_triangles
 from datagen.scene.cutouts import Cut, with_cuts
-from datagen.scene.description import MAX_OBJECTS, OBJECT_NAME, CameraList, CameraRig, Scene, SceneObject
+from datagen.scene.description import (
+    MAX_OBJECTS,
+    OBJECT_NAME,
+    CameraList,
+    CameraRig,
+    Environment,
+    EnvironmentMap,
+    RectangleLight,
+    Scene,
+    SceneObject,
+)
+from datagen.scene.foreign_files import (
+    DEFAULT_RESOLUTION,
+    READERS,
+    ImportChoices,
+    check_ending,
+    check_overrides,
+    ending_of,
+    override,
+    parse_overrides,
+    scene_name,
+)
 from datagen.scene.importers.cameras import listed_cameras, read_camera_file
-from datagen.scene.importers.choices import ImportChoices, check_overrides, override, parse_overrides
 from datagen.scene.importers.foreign import (
     PLAIN,
     Axis,
@@ -31,55 +50,47 @@ from datagen.scene.importers.foreign import (
     elementwise,
     merged_by_material,
 )
-from datagen.scene.importers.gltf.scene import read_gltf
-from datagen.scene.importers.lights import LIGHT, even_sky, lit, placed_light, placed_map
 from datagen.scene.importers.mapping import Mapper, lets_light_through
-from datagen.scene.importers.meshes.bare import read_3mf, read_ply_file, read_stl
-from datagen.scene.importers.meshes.obj import read_obj
-from datagen.scene.importers.mitsuba.scene import read_mitsuba
 from datagen.scene.importers.overlaps import apart, joined, nested, parted
 from datagen.scene.importers.pictures import cut_of, veiled
 from datagen.scene.importers.remarks import Remark, Remarks
-from datagen.scene.importers.staging import find_scale, has_ground, make_ground, make_rig, subject_box, z_up_from
+from datagen.scene.importers.staging import (
+    LIGHT,
+    even_sky,
+    find_scale,
+    has_ground,
+    lit,
+    make_ground,
+    make_rig,
+    placed_light,
+    placed_map,
+    subject_box,
+    z_up_from,
+)
 from datagen.scene.importers.surfaces import check_decimation, closed, decimated, made_sound, mesh_of, shape_of
-from datagen.scene.lights import Environment, EnvironmentMap, RectangleLight
 from datagen.scene.materials import Material
 from datagen.scene.mending import mend_scene, mend_surface
-from datagen.scene.shading_normals import edge_tilt_deg, shaded_anew
+from datagen.scene.shading_normals import edge_tilt_deg, with_new_normals
 from datagen.scene.soundness import check_scene
 
-READERS: dict[str, Callable[[Path, Remarks], ForeignScene]] = {
-    ".glb": read_gltf,
-    ".gltf": read_gltf,
-    ".obj": read_obj,
-    ".ply": read_ply_file,
-    ".stl": read_stl,
-    ".3mf": read_3mf,
-    ".xml": read_mitsuba,
-}
-"""Readers of files by their ending."""
-
-EXPORT_ADVICE = "open it in Blender, or in what it was made with, and export it as glTF 2.0 (.glb)"
-
-DEFAULT_RESOLUTION = square(128)
 MIN_SIDE = 16
 """Pixels of the pictures that a ground can be made for."""
 
 RECORD_VERSION = 1
 MAX_TOLD = 40
-"""Lines that a command says; import.json has all of them."""
+"""Lines that a command prints; import.json has all of them."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Imported:
-    """A scene made of a foreign file, and what import.json says about it."""
+    """A scene made from a foreign file, and the content of its import.json."""
 
     scene: Scene
     record: Mapping[str, Json]
     remarks: tuple[Remark, ...]
 
     def told(self) -> list[str]:
-        """What a user is told: all approximations, notes, and how many objects there are."""
+        """The lines to report: approximations, notes, and the number of objects."""
         glass = sum(item.material.is_glass for item in self.scene.objects)
         wheres: dict[str, list[str]] = {}
         for line in self.remarks:
@@ -100,16 +111,13 @@ def import_scene(path: Path, choices: ImportChoices, *, resolution: Resolution =
 
     Args:
         resolution: of the pictures, which the ground's pattern is made for.
-
-    Raises:
-        HyalineError: a file that cannot be read or that hides what it needs, or a scene that would render wrong.
     """
     check_ending(path)
     if resolution.mean_side < MIN_SIDE:
         raise HyalineError(f"--resolution: is {resolution}; expected at least {MIN_SIDE} x {MIN_SIDE} pixels")
     check_decimation(choices.max_triangles)
     remarks, overrides = Remarks(is_strict=choices.strict), parse_overrides(choices.material)
-    foreign = READERS[path.suffix.lower()](path, remarks)
+    foreign: ForeignScene = READERS.find(ending_of(path))(path, remarks)
     allow_triangles(sum(len(part.faces) for part in foreign.objects))
     up: Axis = foreign.up if choices.up == "auto" else choices.up
     parts = _few_enough(foreign.objects, choices, remarks, path)
@@ -192,11 +200,7 @@ def _few_enough(
 
 
 def _without_gone(scene: Scene, remarks: Remarks, *, where: str) -> Scene:
-    """The scene without objects of which their opacity leaves nothing.
-
-    Raises:
-        HyalineError: those are all.
-    """
+    """The scene without objects that their opacity removes entirely."""
     there = tuple(item for item in scene.objects if is_there(item.mesh))
     if not there:
         raise HyalineError(f"{where}: all of it is cut away by its opacity; expected a surface that is seen")
@@ -261,7 +265,7 @@ def scene_object(
     """One object in metres, z up, with a material that suits its mesh.
 
     Args:
-        kept_share: of its triangles; it is reduced to so many.
+        kept_share: share of its triangles to keep.
     """
     normals = None if part.normals is None else elementwise(part.normals, linear, np.zeros(3))
     mesh = mesh_of(elementwise(part.positions, linear, offset), part.faces, normals, part.uv, where=name)
@@ -286,7 +290,7 @@ def scene_object(
         material = veiled(material, mesh, has_uv=_has_uv(part))
         material = mapper.material(material, shape_of(mesh, has_uv=_has_uv(part)), where=name)
     if choices.crease is not None:
-        mesh = shaded_anew(mesh, crease_deg=choices.crease)
+        mesh = with_new_normals(mesh, crease_deg=choices.crease)
     elif material.medium is not None and (tilt_deg := edge_tilt_deg(mesh)) > 0:
         remarks.note(
             name,
@@ -294,18 +298,6 @@ def scene_object(
             "lens; --crease 30 shades them as edges",
         )
     return SceneObject(name=name, mesh=mesh, material=material)
-
-
-def check_ending(path: Path) -> None:
-    """Refuses a file of a format that is not read.
-
-    Raises:
-        HyalineError: naming those that are, and how to get there.
-    """
-    if path.suffix.lower() not in READERS:
-        raise HyalineError(
-            f"{path}: ends in {shown(path.suffix)}, and {', '.join(READERS)} can be imported; {EXPORT_ADVICE}"
-        )
 
 
 def _has_uv(part: ForeignObject) -> bool:
@@ -335,17 +327,11 @@ def _find_scale(
 
 
 def _world(parts: tuple[ForeignObject, ...], scale: float, up: Axis) -> tuple[np.ndarray, np.ndarray]:
-    """From the file's world to ours: linear part and offset. The scene's box stands on z = 0, over the origin."""
+    """From the file's world to ours: linear part and offset. The scene's box is on z = 0, over the origin."""
     linear = scale * z_up_from(up)
     points = [elementwise(part.positions[np.unique(part.faces)], linear, np.zeros(3)) for part in parts]
     low, high = np.min([p.min(axis=0) for p in points], axis=0), np.max([p.max(axis=0) for p in points], axis=0)
     return linear, -np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]])
-
-
-def scene_name(path: Path) -> str:
-    """The name of the scene that is made of a file."""
-    name = re.sub(r"[^A-Za-z0-9_+,-]", "_", file_name(path.stem))[:60]
-    return name if re.match(r"[A-Za-z0-9_]", name) else f"_{name}"
 
 
 def unique_names(names: list[str]) -> list[str]:

@@ -33,7 +33,7 @@ from datagen.scene.materials import Dielectric
 from datagen.scene.materials.optics import MAX_PRIORITY
 from datagen.scene.media import MAX_NESTED
 from datagen.scene.modelling import CREASE_DEG
-from datagen.scene.shading_normals import shaded_anew
+from datagen.scene.shading_normals import with_new_normals
 from datagen.scene.soundness import MAX_TOUCHING
 
 if TYPE_CHECKING:
@@ -42,13 +42,13 @@ if TYPE_CHECKING:
 STEP = 2 * TOLERANCE
 """Metres by which a surface is moved in where it coincides with another."""
 MAX_PARTS = 16
-"""Overlapping parts of which objects are made."""
+"""The most overlapping parts of an object."""
 POINTS = 1 << 15
-"""In the box in which the space that parts fill is measured; spread evenly, they tell it to half a percent."""
+"""Points in the box where the volume of the parts is measured; spread evenly, they give it to half a percent."""
 ROOT = 1.22074408460575947536
-"""Of x^4 = x + 1, from which the R3 sequence is made. Source: Roberts 2018."""
+"""The root of x^4 = x + 1, which generates the R3 sequence. Source: Roberts 2018."""
 WELD = 1e-6
-"""Of the object's size: what a boolean operation may move, so that no face is thinner than floats can tell."""
+"""Share of the object's size by which a boolean operation may move points, to leave no face too thin for floats."""
 
 
 def parted(item: SceneObject, remarks: Remarks) -> list[SceneObject]:
@@ -73,7 +73,7 @@ def parted(item: SceneObject, remarks: Remarks) -> list[SceneObject]:
 
 
 def apart(objects: list[SceneObject], remarks: Remarks) -> list[SceneObject]:
-    """The objects, of which the smaller one is moved in by `STEP` where the surface of glass is also another's."""
+    """The objects; the smaller of two is moved in by `STEP` where the surface of glass coincides with another."""
     areas = {item.name: float(face_areas(item.mesh).sum()) for item in objects}
     found = {item.name: item for item in objects}
     for names in combinations(found, 2):
@@ -91,7 +91,7 @@ def apart(objects: list[SceneObject], remarks: Remarks) -> list[SceneObject]:
 
 
 def nested(objects: list[SceneObject], remarks: Remarks) -> list[SceneObject]:
-    """The objects with priorities by which the smaller one of two solids that overlap fills the space that they share.
+    """The objects with priorities: the smaller of two overlapping solids fills the space that they share.
 
     It is the one that lies in the other with more of its volume: ice in whiskey, a bubble in glass. Where a file gives
     priorities, these stay.
@@ -162,9 +162,6 @@ def joined(mesh: Mesh, remarks: Remarks, *, where: str) -> Mesh:
 
     Cavities stay, in the part that they are in. The volume of the result is compared with that of the space which the
     parts fill, measured by counting how often the surface goes around many points.
-
-    Raises:
-        HyalineError: the parts are no solids that can be joined, or the volume differs too much.
     """
     if open_edges(mesh) or not _is_overlapping(mesh, where=where):
         return mesh
@@ -184,7 +181,7 @@ def joined(mesh: Mesh, remarks: Remarks, *, where: str) -> Mesh:
         share = 100 * abs(after - before) / before
         raise HyalineError(f"{where}: {told}, {share:.1f} % off; expected at most {100 * MAX_CHANGE:g} %")
     remarks.approximate(where, told)
-    return shaded_anew(whole, crease_deg=CREASE_DEG)
+    return with_new_normals(whole, crease_deg=CREASE_DEG)
 
 
 def _way_out(where: str) -> str:
@@ -212,7 +209,7 @@ def _union(mesh: Mesh) -> tuple[Mesh, int]:
     """The union of a mesh's parts, each less its cavities, and the number of parts.
 
     Raises:
-        ValueError: a part is no manifold.
+        ValueError: a part is not a manifold.
     """
     import manifold3d
 
@@ -264,5 +261,5 @@ def _manifold(positions: np.ndarray, faces: np.ndarray, size: float) -> "manifol
         )
     )
     if solid.status() != manifold3d.Error.NoError:
-        raise ValueError(f"a part is no manifold: {solid.status().name}")
+        raise ValueError(f"a part is not a manifold: {solid.status().name}")
     return solid

@@ -19,7 +19,7 @@ MAX_SIDE = 2048
 INSIDE = (np.ones((3, 3)) + 3 * np.eye(3)) / 6
 """Barycentric coordinates of the points of a face where an image is looked up."""
 INVISIBLE = 1 / 512
-"""Alpha below which nothing of a blended surface is seen, since it is none in 8 bits."""
+"""Alpha below which a blended surface is invisible, since it rounds to 0 in 8 bits."""
 SOLID_BLEND = 0.9
 """Alpha from which on a blended surface counts as opaque."""
 BLEND_CUTOFF = 0.5
@@ -33,11 +33,7 @@ MOSTLY = 0.5
 
 
 def decoded(image: ForeignImage) -> Float32[np.ndarray, "tex_h tex_w 4"]:
-    """Linear colour and alpha of an image of at most `MAX_SIDE` texels a side; a larger one is reduced.
-
-    Raises:
-        HyalineError: it is no image that can be read.
-    """
+    """Linear colour and alpha of an image of at most `MAX_SIDE` texels a side; a larger one is reduced."""
     values = stored(image) / np.float64(255)
     values[..., :3] = linear_from_srgb(values[..., :3])
     return values.astype(np.float32)
@@ -45,11 +41,7 @@ def decoded(image: ForeignImage) -> Float32[np.ndarray, "tex_h tex_w 4"]:
 
 @functools.lru_cache(maxsize=4)
 def stored(image: ForeignImage) -> UInt8[np.ndarray, "tex_h tex_w 4"]:
-    """RGBA as the file holds it, reduced as in `decoded`; read-only.
-
-    Raises:
-        HyalineError: it is no image that can be read.
-    """
+    """RGBA as the file holds it, reduced as in `decoded`; read-only."""
     from PIL import Image
 
     with opened_image(image.data, where=f"image of {image.name}") as picture:
@@ -64,7 +56,7 @@ def stored(image: ForeignImage) -> UInt8[np.ndarray, "tex_h tex_w 4"]:
 def values_on(
     mesh: Mesh, values: Float[np.ndarray, "tex_h tex_w"]
 ) -> tuple[Float[np.ndarray, " point"], Float[np.ndarray, " point"]]:
-    """An image's values at three points of each face, and the area that each of them stands for."""
+    """An image's values at three points of each face, and the area that each represents."""
     points = np.einsum("pk,fkc->fpc", INSIDE, corner_uv_of(mesh).astype(np.float64)).reshape(-1, 2)
     height, width = values.shape
     column, row = (
@@ -94,7 +86,7 @@ def mean_color(pixels: Float32[np.ndarray, "tex_h tex_w 4"]) -> Color:
 def veiled(material: ForeignMaterial, mesh: Mesh, *, has_uv: bool) -> ForeignMaterial:
     """The material as one of a single alpha where its image lets a part of the light through nearly everywhere.
 
-    Panes are drawn so in many files: an image of their colour whose alpha is, say, 0.3 all over.
+    Many files draw panes in this way: an image of their colour whose alpha is, say, 0.3 everywhere.
     """
     if material.alpha_mode != "blend" or not has_uv or (material.image is None and material.opacity is None):
         return material
@@ -132,7 +124,7 @@ def cut_of(
 
 
 def _opacity(material: ForeignMaterial) -> Opacity:
-    """By texel, the factor included; one texel where there is no image."""
+    """Per texel, the factor included; one texel without an image."""
     if material.opacity is not None:
         pixels = decoded(material.opacity)
         has_alpha = pixels[..., 3].min() < 1

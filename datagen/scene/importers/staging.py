@@ -1,5 +1,6 @@
 """What a foreign scene lacks to be rendered: its size in metres, a ground, and cameras all around."""
 
+import dataclasses
 import math
 from collections.abc import Sequence
 
@@ -8,31 +9,42 @@ from jaxtyping import Float
 
 from datagen.data.config import Resolution
 from datagen.data.meshes import face_corners
-from datagen.scene.description import CameraRig, SceneObject, WalkPoint
-from datagen.scene.importers.foreign import Axis
-from datagen.scene.importers.lights import towards
+from datagen.disk.errors import HyalineError
+from datagen.scene.description import (
+    CameraRig,
+    Card,
+    EnvironmentMap,
+    Lobe,
+    RectangleLight,
+    SceneObject,
+    SoftEnvironment,
+    WalkPoint,
+)
+from datagen.scene.importers.foreign import Axis, ForeignLamp, ForeignLight, ForeignMap
 from datagen.scene.importers.remarks import Remarks
 from datagen.scene.materials import Diffuse
 from datagen.scene.modelling import sheet
 from datagen.scene.textures import SolidTexture
-from datagen.scene.values import Vector, as_vector
+from datagen.scene.values import Color, Vector, as_vector
 
 USUAL_SIZE = (0.02, 5.0)
-"""Metres: what is smaller or larger was not modelled in metres."""
+"""Metres: anything smaller or larger was not modelled in metres."""
 TABLE_TOP_SIZE = 0.3
-"""Metres to which a scene comes whose unit nobody can guess."""
+"""Size in metres given to a scene of unknown unit."""
 FOV_DEG = 40.0
 MARGIN = 1.1
-"""By how much a picture is wider than what it shows."""
+"""How much wider a picture is than its content."""
 TEXELS_A_PERIOD = 4
 GROUND_RADII = 3.0
-"""Half the ground's side over the radius of what stands on it."""
+"""Half the ground's side over the radius of the scene."""
 MIN_GAP, MAX_GAP = 3e-4, 1e-3
-"""Metres between the ground and what stands on it: coincident faces lose layers."""
+"""Metres between the ground and the scene: coincident faces lose layers."""
 MIN_BACKDROP_DEG, MIN_ARC_DEG = 60, 80
 """Degrees around the glass that a backdrop hides, and that are left for cameras."""
+WALK = ((-0.9, 40.0, 1.0), (-0.45, 20.0, 0.72), (0.0, 4.0, 0.85), (0.4, 12.0, 1.4), (0.7, 45.0, 1.9), (0.95, 25.0, 1.2))
+"""Turn in half arcs, elevation in degrees and distance in radii of the points of an extrapolating walk."""
 WATCHED_POINTS = 8
-"""Points of the glass from which one looks for cameras."""
+"""Points of the glass that cameras must see."""
 GRAZING_DEG = 25.0
 """Degrees that cameras keep from the edge of a backdrop."""
 FRONT_DEG = -90.0
@@ -40,7 +52,7 @@ FRONT_DEG = -90.0
 
 
 def find_scale(size: float, *, metres: float, remarks: Remarks, where: str) -> float:
-    """Metres a unit for a scene of so many units: the file's own, or a guess where that makes no sense."""
+    """Metres per unit for a scene of this size: the file's own, or a guess if that makes no sense."""
     low, high = USUAL_SIZE
     for unit, name in ((metres, ""), (1.0, "a metre"), (0.01, "a centimetre"), (0.001, "a millimetre")):
         if low <= size * unit <= high:
@@ -66,7 +78,7 @@ def z_up_from(up: Axis) -> Float[np.ndarray, "3 3"]:
 
 
 def subject_box(objects: Sequence[SceneObject]) -> Float[np.ndarray, "2 3"]:
-    """Lowest and highest corner of the glass; of everything where there is none."""
+    """Lowest and highest corner of the glass; of everything if there is no glass."""
     glass = [item for item in objects if item.material.is_glass] or list(objects)
     corners = np.concatenate([item.mesh.vertices for item in glass]).astype(np.float64)
     return np.stack([corners.min(axis=0), corners.max(axis=0)])
@@ -119,43 +131,24 @@ def make_rig(
     *,
     target: Vector | None = None,
     radius: float | None = None,
-    elevation_deg: tuple[float, float] = (5.0, 65.0),
     azimuth_deg: tuple[float, float] | None = None,
     fov_deg: float = FOV_DEG,
 ) -> CameraRig:
-    """Cameras around the glass, on the side from which nothing opaque hides it.
-
-    Args:
-        target: what they look at; the middle of the glass unless given.
-        radius: metres; as near as shows all of the glass unless given.
-        azimuth_deg: the side on which they are, instead.
-    """
+    """Cameras around `target`, or the glass, in the given arc, or on the side from which nothing opaque hides it."""
     low, high = subject_box(objects)
-    middle_point = (low + high) / 2 if target is None else np.asarray(target, np.float64)
-    reach = float(np.linalg.norm(high - low)) / 2
+    centre, reach = (low + high) / 2 if target is None else np.array(target), float(np.linalg.norm(high - low)) / 2
     distance = MARGIN * reach / math.sin(math.radians(fov_deg / 2)) if radius is None else radius
-    first, last = azimuth_deg or _open_arc(objects, middle_point, reach, distance, remarks)
+    first, last = azimuth_deg or _open_arc(objects, centre, reach, distance, remarks)
     middle, half = (first + last) / 2, min((last - first) / 2, 100.0)
-
-    def walk_point(turn: float, elevation: float, radii: float) -> WalkPoint:
-        place = middle_point + radii * distance * np.array(towards(middle + turn * half, elevation))
-        return WalkPoint(position=as_vector(place), target=as_vector(middle_point))
-
+    places = [centre + radii * distance * np.array(towards(middle + turn * half, up)) for turn, up, radii in WALK]
     return CameraRig(
-        target=as_vector(middle_point),
+        target=as_vector(centre),
         radius=distance,
-        elevation_deg=elevation_deg,
+        elevation_deg=(5.0, 65.0),
         azimuth_deg=(first, last),
         fov_deg=fov_deg,
         target_jitter=0.08,
-        walk=(
-            walk_point(-0.9, 40.0, 1.0),
-            walk_point(-0.45, 20.0, 0.72),
-            walk_point(0.0, 4.0, 0.85),
-            walk_point(0.4, 12.0, 1.4),
-            walk_point(0.7, 45.0, 1.9),
-            walk_point(0.95, 25.0, 1.2),
-        ),
+        walk=tuple(WalkPoint(position=as_vector(place), target=as_vector(centre)) for place in places),
     )
 
 
@@ -172,9 +165,9 @@ def _open_arc(
     radius: float,
     remarks: Remarks,
 ) -> tuple[float, float]:
-    """First and last azimuth of the widest arc on which no backdrop stands between cameras and glass."""
+    """First and last azimuth of the widest arc without a backdrop between cameras and glass."""
     glass = [item.mesh.vertices for item in objects if item.material.is_glass]
-    # A backdrop may stand close behind a wide row of glass, so rays begin at the glass itself.
+    # A backdrop may be close behind a wide row of glass, so rays begin at the glass itself.
     points = _far_apart(np.concatenate(glass).astype(np.float64), WATCHED_POINTS) if glass else target[None]
     begin = (0.02 if glass else 1.05) * reach
     step = 10
@@ -195,12 +188,12 @@ def _open_arc(
             runs[start] += 1
     best = int(np.argmax(runs))
     if runs[best] * step < MIN_ARC_DEG:
-        remarks.approximate("cameras", "everything stands in a closed space; cameras all around see it from outside")
+        remarks.approximate("cameras", "everything is in a closed space; cameras all around see it from outside")
         return FRONT_DEG - 180.0, FRONT_DEG + 180.0
     first = float(azimuths[best])
     first -= 360.0 if first > 180 else 0.0
     first, last = first + GRAZING_DEG, first + step * (runs[best] - 1) - GRAZING_DEG
-    remarks.note("cameras", f"stand at azimuths from {first:.0f} to {last:.0f} degrees, in front of a backdrop")
+    remarks.note("cameras", f"are at azimuths from {first:.0f} to {last:.0f} degrees, in front of a backdrop")
     return first, last
 
 
@@ -243,3 +236,162 @@ def _distances(
         if hit.any():
             found[index] = distance[hit].min()
     return found
+
+
+DUST = 1e-9
+"""Rounding error of a rotation, as a share of an edge's largest coordinate."""
+UPRIGHT = 0.9999
+"""Cosine of the largest tilt of an environment map that is ignored."""
+IRRADIANCE = 2.5
+"""Irradiance of all lamps together at the scene's centre. Files have candela and lux, which viewers expose freely."""
+SIDE = 0.15
+"""Side of a lamp's square over its distance from the scene's centre: 9 degrees wide."""
+SHARPNESS = 400.0
+"""Sharpness of a sun's lobe: 7 degrees wide at half maximum."""
+FILL = 0.4
+"""Share of the soft light between the cards that stays."""
+
+
+def towards(azimuth_deg: float, elevation_deg: float) -> Vector:
+    """The unit direction at an azimuth and an elevation."""
+    azimuth, elevation = math.radians(azimuth_deg), math.radians(elevation_deg)
+    across = math.cos(elevation)
+    return across * math.cos(azimuth), across * math.sin(azimuth), math.sin(elevation)
+
+
+LIGHT = SoftEnvironment(
+    zenith=(0.34, 0.38, 0.45),
+    horizon=(0.50, 0.47, 0.44),
+    ground=(0.20, 0.18, 0.17),
+    cards=(
+        # Low flags between the softboxes draw the dark outline of glass from every direction.
+        Card(direction=towards(-55, 12), size_deg=(26.0, 64.0), radiance=(0.06, 0.06, 0.07), softness_deg=10.0),
+        Card(direction=towards(65, 12), size_deg=(26.0, 64.0), radiance=(0.06, 0.06, 0.07), softness_deg=10.0),
+        Card(direction=towards(185, 12), size_deg=(26.0, 64.0), radiance=(0.06, 0.06, 0.07), softness_deg=10.0),
+        # The key, warm; a cool one across, and one behind that looks like a window.
+        Card(direction=towards(-20, 42), size_deg=(23.0, 64.0), radiance=(6.0, 5.3, 4.4), softness_deg=3.0),
+        Card(direction=towards(-140, 26), size_deg=(26.0, 52.0), radiance=(1.7, 2.1, 2.7), softness_deg=3.0),
+        Card(direction=towards(110, 30), size_deg=(40.0, 40.0), radiance=(2.5, 2.5, 2.5), softness_deg=3.0),
+        Card(direction=towards(0, 90), size_deg=(50.0, 30.0), radiance=(2.2, 2.2, 2.2), softness_deg=6.0),
+    ),
+)
+"""Softboxes and flags all around, as photographers show glass: bright cards draw highlights on it and caustics below
+it, dark ones its outline. All are wide enough to be found by chance, so that pictures need few samples."""
+
+
+def even_sky(radiance: Color) -> SoftEnvironment:
+    """The same light from all around."""
+    return SoftEnvironment(zenith=radiance, horizon=radiance, ground=radiance)
+
+
+def placed_light(
+    light: ForeignLight, linear: Float[np.ndarray, "3 3"], offset: Float[np.ndarray, "3"]
+) -> RectangleLight:
+    """A light of the file in our world."""
+    return RectangleLight(
+        corner=as_vector(linear @ light.corner + offset),
+        edge_u=as_vector(_without_dust(linear @ light.edge_u)),
+        edge_v=as_vector(_without_dust(linear @ light.edge_v)),
+        radiance=light.radiance,
+    )
+
+
+def _without_dust(edge: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+    """The edge without rounding errors of a rotation: Mitsuba 3.9 returns NaN for an edge of 2e-16 m."""
+    return np.where(np.abs(edge) < DUST * np.abs(edge).max(), 0.0, edge)
+
+
+def placed_map(sky: ForeignMap, linear: Float[np.ndarray, "3 3"], remarks: Remarks) -> EnvironmentMap:
+    """A map of the environment in our world; a tilted one is drawn upright."""
+    middle, up = (linear @ sky.middle, linear @ sky.up)
+    if up[2] < UPRIGHT * np.linalg.norm(up):
+        remarks.approximate("environment", "is tilted; drawn upright, turned about the vertical alone")
+    return EnvironmentMap(
+        path=f"textures/environment{sky.ending}",
+        scale=sky.scale,
+        rotation_deg=math.degrees(math.atan2(middle[1], middle[0])),
+    )
+
+
+# Lamps
+
+
+def lit(
+    lamps: Sequence[ForeignLamp],
+    soft: SoftEnvironment,
+    linear: Float[np.ndarray, "3 3"],
+    offset: Float[np.ndarray, "3"],
+    middle: Float[np.ndarray, "3"],
+    remarks: Remarks,
+) -> tuple[SoftEnvironment, tuple[RectangleLight, ...]]:
+    """The sky, and the squares that represent lamps.
+
+    Args:
+        soft: the light; a share of it stays, without its cards.
+        linear: with `offset`, from the file's world to ours.
+        middle: of the scene, in our world.
+    """
+    target = np.linalg.solve(linear, middle - offset)
+    given = [(lamp, _irradiance(lamp, target)) for lamp in lamps]
+    total = sum(sum(light) / 3 for _, light in given)
+    if total <= 0:
+        raise HyalineError("--lights file: the file brings no lamp that shines on the scene; leave it out")
+    remarks.approximate(
+        "lamps", f"their strength, {total:.3g} at the scene's middle, is set to {IRRADIANCE:g}, as by an exposure"
+    )
+    lobes, squares = [], []
+    for lamp, light in given:
+        if max(light) <= 0:
+            remarks.note(lamp.name, "is a lamp that does not shine on the scene's middle; left out")
+            continue
+        scale = IRRADIANCE / total
+        remarks.approximate(lamp.name, f"is a {lamp.kind} lamp without a size; drawn some degrees wide")
+        if lamp.kind == "directional":
+            # The integral of exp(s (cos - 1)) over the sphere is 2 pi / s.
+            radiance = _times(light, scale * SHARPNESS / (2 * math.pi))
+            lobes.append(Lobe(direction=as_vector(-(linear @ lamp.direction)), radiance=radiance, sharpness=SHARPNESS))
+        else:
+            place = linear @ lamp.position + offset
+            squares.append(_square(place, middle, _times(light, scale / SIDE**2)))
+    sky = dataclasses.replace(
+        soft,
+        zenith=_times(soft.zenith, FILL),
+        horizon=_times(soft.horizon, FILL),
+        ground=_times(soft.ground, FILL),
+        lobes=tuple(lobes),
+        cards=(),
+    )
+    return sky, tuple(squares)
+
+
+def _irradiance(lamp: ForeignLamp, target: Float[np.ndarray, "3"]) -> Color:
+    """What a lamp gives at a place in the file's world, on what faces it."""
+    if lamp.kind == "directional":
+        return lamp.intensity
+    way = target - lamp.position
+    distance = float(np.linalg.norm(way))
+    if distance <= 0 or float(way @ lamp.direction) < math.cos(min(lamp.cone, math.pi)) * distance - 1e-9:
+        return 0.0, 0.0, 0.0
+    return _times(lamp.intensity, 1 / distance**2)
+
+
+def _square(place: Float[np.ndarray, "3"], target: Float[np.ndarray, "3"], radiance: Color) -> RectangleLight:
+    """A square around a place, which shines on a target."""
+    way = target - place
+    distance = float(np.linalg.norm(way))
+    ahead = way / distance
+    u = np.cross(ahead, np.eye(3)[np.abs(ahead).argmin()])
+    u /= np.linalg.norm(u)
+    v = np.cross(ahead, u)
+    side = SIDE * distance
+    return RectangleLight(
+        corner=as_vector(place - side * (u + v) / 2),
+        edge_u=as_vector(side * u),
+        edge_v=as_vector(side * v),
+        radiance=radiance,
+    )
+
+
+def _times(color: Color, factor: float) -> Color:
+    red, green, blue = (factor * c for c in color)
+    return red, green, blue

@@ -15,20 +15,20 @@ from jaxtyping import Float, Int
 
 from datagen.data.meshes import Mesh, component_of_faces, face_corners, open_edges, signed_volume, welded, windings
 from datagen.disk.errors import HyalineError
-from datagen.machine.child_python import ChildError, arrays_from_child
+from datagen.machine.processes import ChildError, arrays_from_child
 from datagen.scene.importers.remarks import Remarks
 from datagen.scene.modelling import CREASE_DEG
-from datagen.scene.shading_normals import shaded_anew
+from datagen.scene.shading_normals import with_new_normals
 from datagen.terminal.distribution import install_command
 
 WELD = 1e-5
-"""Of a surface's size: vertices that are nearer may be one."""
+"""Distance, as a share of a surface's size, below which vertices may be merged."""
 MAX_CHANGE = 0.05
-"""Share of its volume by which a solid may change when it is mended or reduced: else it is another shape."""
+"""The most that mending or reducing may change a solid's volume; beyond it, it is another shape."""
 LEAST = 64
 """Triangles that every surface keeps."""
 TIMEOUT_S, FACES_A_SECOND = 60.0, 2000.0
-"""Of the child process that reduces triangles."""
+"""Time limit of the child process that reduces triangles, in seconds."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,11 +47,7 @@ def mesh_of(
     *,
     where: str,
 ) -> Mesh:
-    """A mesh of these arrays without collapsed faces; without normals it is shaded smoothly but for creases.
-
-    Raises:
-        HyalineError: nothing is left.
-    """
+    """A mesh of these arrays without collapsed faces; without normals it is shaded smoothly but for creases."""
     vertices = positions.astype(np.float32)
     corners = vertices[faces]
     is_flat = (corners == np.roll(corners, 1, axis=1)).all(axis=-1).any(axis=-1)
@@ -64,11 +60,11 @@ def mesh_of(
         normals=np.zeros_like(vertices) if normals is None else _unit(normals),
         uv=np.zeros((len(vertices), 2), np.float32) if uv is None else uv.astype(np.float32),
     )
-    return mesh if normals is not None else shaded_anew(mesh, crease_deg=CREASE_DEG)
+    return mesh if normals is not None else with_new_normals(mesh, crease_deg=CREASE_DEG)
 
 
 def made_sound(mesh: Mesh, remarks: Remarks, *, where: str) -> Mesh:
-    """The mesh with its seams joined and its faces outward, where that can be told; a line for each change."""
+    """The mesh with its seams joined and its faces outward, as far as that is known; a line for each change."""
     if open_edges(mesh):
         joined, distance = _joined(mesh)
         if open_edges(joined) < open_edges(mesh):
@@ -178,12 +174,9 @@ def _outward(mesh: Mesh, remarks: Remarks, *, where: str) -> Mesh:
 
 
 def closed(mesh: Mesh, remarks: Remarks, *, where: str) -> Mesh:
-    """The mesh with its holes closed by lids, shaded anew; the same one where it has none.
+    """The mesh with its holes closed by lids and new normals; unchanged if it has none.
 
     A lid is triangles around the hole's middle, or one triangle.
-
-    Raises:
-        HyalineError: it stays open, as where three faces meet at an edge, or its volume changes too much.
     """
     if not open_edges(mesh):
         return mesh
@@ -223,7 +216,7 @@ def closed(mesh: Mesh, remarks: Remarks, *, where: str) -> Mesh:
             f"{where}: {what}, {100 * change:.1f} % off; expected at most {100 * MAX_CHANGE:g} %, model its walls"
         )
     remarks.approximate(where, what)
-    return shaded_anew(whole, crease_deg=CREASE_DEG)
+    return with_new_normals(whole, crease_deg=CREASE_DEG)
 
 
 def _loops(faces: np.ndarray) -> list[np.ndarray]:
@@ -240,7 +233,7 @@ def _loops(faces: np.ndarray) -> list[np.ndarray]:
         walk, places = [first], {first: 0}
         while True:
             choices = following.get(walk[-1])
-            if not choices:  # The rim ends: whoever counts open edges afterwards tells.
+            if not choices:  # The rim ends: the count of open edges afterwards reports it.
                 following.pop(walk[-1], None)
                 break
             point = choices.pop()
@@ -265,11 +258,7 @@ def _loops(faces: np.ndarray) -> list[np.ndarray]:
 
 
 def check_decimation(max_triangles: int | None) -> None:
-    """Refuses a number that cannot be, and a machine that cannot do it.
-
-    Raises:
-        HyalineError: naming which.
-    """
+    """Refuses a number that cannot be, and a machine that cannot do it."""
     if max_triangles is None:
         return
     if max_triangles < LEAST:
@@ -279,12 +268,9 @@ def check_decimation(max_triangles: int | None) -> None:
 
 
 def decimated(mesh: Mesh, target: int, remarks: Remarks, *, where: str) -> Mesh:
-    """The mesh with about `target` triangles by quadric edge collapse, shaded anew; the same one where it has no more.
+    """The mesh with about `target` triangles by quadric edge collapse, with new normals; unchanged if it has no more.
 
     Its uv are lost: they stay 0.
-
-    Raises:
-        HyalineError: what comes out is another shape, or nothing does.
     """
     target = max(target, LEAST)
     count = len(mesh.faces)
@@ -309,15 +295,11 @@ def decimated(mesh: Mesh, target: int, remarks: Remarks, *, where: str) -> Mesh:
     if not open_edges(mesh):
         what += _compared(mesh, bare, what, where=where)
     remarks.approximate(where, what)
-    return shaded_anew(bare, crease_deg=CREASE_DEG)
+    return with_new_normals(bare, crease_deg=CREASE_DEG)
 
 
 def _compared(before: Mesh, after: Mesh, what: str, *, where: str) -> str:
-    """The volumes of a solid, in words.
-
-    Raises:
-        HyalineError: it is no longer closed, or has become another shape.
-    """
+    """The volumes of a solid, in words."""
     if count := open_edges(after):
         raise HyalineError(f"{where}: {what}, and {count} edges are open then; pass more --max-triangles")
     volumes = abs(signed_volume(before)), abs(signed_volume(after))

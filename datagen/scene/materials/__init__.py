@@ -1,4 +1,4 @@
-"""The materials that a scene's objects may be made of: one file each, and one entry in `Material`."""
+"""The materials of a scene's objects: one file each, and one entry in `Material`."""
 
 from typing import get_args
 
@@ -26,11 +26,7 @@ __all__ = [
 
 
 def check_material(material: object, *, where: str) -> None:
-    """Refuses what is no material, even if it derives from one: it would be drawn as what it is not.
-
-    Raises:
-        HyalineError: naming what it is.
-    """
+    """Accepts the six material classes only; a subclass would render as its base."""
     known = get_args(Material)
     if type(material) not in known:
         names = ", ".join(choice.__name__ for choice in known)

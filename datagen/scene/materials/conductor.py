@@ -21,14 +21,14 @@ class Conductor(Optics):
             check_roughness(self.roughness)
 
     def bsdf(self, texture: TexturePlugin) -> Plugin:
-        """A perfect mirror or one of facets, whose reflectance is the colour at every angle; on both sides."""
+        """A perfect or rough mirror with the colour as reflectance at every angle; on both sides."""
         metal: Plugin = {"type": "conductor", "material": "none", "specular_reflectance": texture(self.color)}
         if self.roughness > 0:
             metal |= {"type": "roughconductor", "alpha": self.roughness, "distribution": "ggx"}
         return {"type": "twosided", "bsdf": metal}
 
     def surface(self) -> Surface:
-        """Ends the path, and mirrors in its colour."""
+        """Ends the path, and reflects in its colour."""
         if isinstance(self.color, SolidTexture | ImageTexture):
             return Surface(event="mirrors", roughness=self.roughness, texture=self.color)
         return Surface(event="mirrors", roughness=self.roughness, color=self.color)

@@ -21,14 +21,14 @@ class Dielectric(Optics):
     absorption: Color = (0.0, 0.0, 0.0)
     """Absorption coefficient per channel, 1/m: transmittance over d metres is exp(-absorption d)."""
     tint: Color = (1.0, 1.0, 1.0)
-    """Share of the light that comes through each time it crosses the surface, at every angle; each in [0, 1]. A slab
-    shows its square."""
+    """Share of the light transmitted each time it crosses the surface, at every angle; each in [0, 1]. A slab shows its
+    square."""
     priority: int = 0
-    """-9 to 9. Where dielectrics overlap, the one of the highest priority fills the space, of equal ones the one that
-    the scene lists first: give a drink, whose mesh reaches a little into the wall of its glass, -1."""
+    """-9 to 9. Where dielectrics overlap, the one with the highest priority fills the space, or the first in the scene
+    if equal: give a drink, whose mesh extends slightly into the wall of its glass, -1."""
     dispersion: Dispersion = 0.0
-    """How far glass parts colours: 20 over its Abbe number, as in glTF (crown glass 0.3, flint and crystal 0.5 to 0.8),
-    or `measured` where `ior` names a substance whose lines are known. Red, green and blue then have an index each."""
+    """20 over the Abbe number, as in glTF (crown glass 0.3, flint and crystal 0.5 to 0.8), or `measured` if `ior` names
+    a substance with known lines. Red, green and blue then have different indices."""
 
     def __post_init__(self) -> None:
         check_ior(self.ior)
@@ -39,19 +39,19 @@ class Dielectric(Optics):
 
     @property
     def medium(self) -> Medium:
-        """What lies inside."""
+        """The medium inside."""
         iors = indices_of(self.ior, self.dispersion)
         return Medium(iors=iors, absorption=self.absorption, priority=self.priority)
 
     def in_channel(self, channel: int) -> Self:
-        """Glass without dispersion that does to every channel what this one does to one: 0 is red, 2 blue."""
+        """Glass without dispersion with this glass's index in one channel: 0 is red, 2 blue."""
         return dataclasses.replace(self, ior=indices_of(self.ior, self.dispersion)[channel], dispersion=0.0)
 
     def bsdf(self, texture: TexturePlugin) -> Plugin:  # noqa: ARG002
-        """The surface between glass and air; our own integrator asks the media for what lies on its two sides."""
+        """The surface between glass and air; our own integrator uses the media on its two sides instead."""
         glass: Plugin = {"type": "dielectric", "int_ior": index_of(self.ior), "ext_ior": 1.0}
         return glass if self.tint == (1, 1, 1) else {**glass, "specular_transmittance": rgb(self.tint)}
 
     def surface(self) -> Surface:
-        """Refracts; which media meet there is known by the solids that the ray is in."""
+        """Refracts; the media on both sides follow from the solids that the ray is in."""
         return Surface(event="refracts", ior=index_of(self.ior), color=self.tint)

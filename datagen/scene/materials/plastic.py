@@ -24,7 +24,7 @@ class Plastic(Optics):
         check_roughness(self.roughness)
 
     def bsdf(self, texture: TexturePlugin) -> Plugin:
-        """The base with light that goes to and fro below the coat, on both sides."""
+        """The base with interreflection below the coat, on both sides."""
         plastic = {
             "type": "roughplastic",
             "diffuse_reflectance": texture(self.color),
@@ -37,5 +37,5 @@ class Plastic(Optics):
         return {"type": "twosided", "bsdf": plastic}
 
     def surface(self) -> Surface:
-        """Ends the path; its coat mirrors."""
+        """Ends the path; its coat reflects."""
         return Surface(event="coated", ior=index_of(self.ior), roughness=self.roughness)

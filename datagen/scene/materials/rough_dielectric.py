@@ -11,7 +11,7 @@ from datagen.scene.values import check_roughness
 
 @dataclass(frozen=True, kw_only=True)
 class RoughDielectric(Dielectric):
-    """Solid glass or liquid whose surface is made of facets: ground, frosted or etched glass, ice."""
+    """Solid glass or liquid with a microfacet surface: ground, frosted or etched glass, ice."""
 
     roughness: float = 0.1
     """Microfacet (GGX) alpha; 0 is smooth glass."""
@@ -22,12 +22,12 @@ class RoughDielectric(Dielectric):
             check_roughness(self.roughness)
 
     def bsdf(self, texture: TexturePlugin) -> Plugin:
-        """Facets that refract and reflect; our own integrator samples them itself, for what lies on their two sides."""
+        """Facets that refract and reflect; our own integrator samples them with the media on their two sides."""
         smooth = super().bsdf(texture)
-        if self.roughness == 0 or index_of(self.ior) == 1:  # Facets of index 1, which do nothing, Mitsuba refuses.
+        if self.roughness == 0 or index_of(self.ior) == 1:  # Mitsuba rejects facets of index 1, which do nothing.
             return smooth
         return {**smooth, "type": "roughdielectric", "alpha": self.roughness, "distribution": "ggx"}
 
     def surface(self) -> Surface:
-        """Refracts by one of its facets."""
+        """Refracts at one of its facets."""
         return dataclasses.replace(super().surface(), roughness=self.roughness)

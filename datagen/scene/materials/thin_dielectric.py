@@ -10,14 +10,14 @@ from datagen.scene.values import Color, check_range
 
 @dataclass(frozen=True, kw_only=True)
 class ThinDielectric(Optics):
-    """A pane so thin that light goes straight through, with the reflections inside it summed; may be an open mesh."""
+    """A pane so thin that light passes straight through, with its inner reflections summed; may be an open mesh."""
 
     is_glass: ClassVar[bool] = True
 
     ior: Ior = 1.5
     """Index of refraction, or the name of a substance."""
     tint: Color = (1.0, 1.0, 1.0)
-    """Share of the light that is not mirrored which comes through, at every angle; each in [0, 1]."""
+    """Transmitted share of the light that is not reflected, at every angle; each in [0, 1]."""
 
     def __post_init__(self) -> None:
         check_ior(self.ior)
@@ -29,5 +29,5 @@ class ThinDielectric(Optics):
         return pane if self.tint == (1, 1, 1) else {**pane, "specular_transmittance": rgb(self.tint)}
 
     def surface(self) -> Surface:
-        """Lets light through as it comes, and mirrors what both of its faces do."""
+        """Passes light straight through, and reflects the light of both its faces."""
         return Surface(event="passes", ior=index_of(self.ior), color=self.tint)

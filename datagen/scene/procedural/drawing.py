@@ -5,14 +5,17 @@ gives the same scene to the last bit.
 """
 
 import dataclasses
+import zlib
 from collections import Counter
 from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
+from jaxtyping import Bool, Float, Int
 
+from datagen.data.cameras import Cameras
 from datagen.data.config import DatasetConfig, Resolution, SplitConfig
-from datagen.data.meshes import windings
+from datagen.data.meshes import face_corners, windings
 from datagen.data.metadata import OWN_LICENSE
 from datagen.disk.errors import HyalineError
 from datagen.scene.atlas import unwrap_all
@@ -20,19 +23,80 @@ from datagen.scene.description import CameraRig, Scene, SceneObject, WalkPoint
 from datagen.scene.materials import ThinDielectric
 from datagen.scene.procedural.backdrop import draw_backdrop
 from datagen.scene.procedural.chance import between
-from datagen.scene.procedural.coverage import glass_shares
-from datagen.scene.procedural.families import draw_things
-from datagen.scene.procedural.names import FAMILIES, RandomName
-from datagen.scene.procedural.placement import spread_out
-from datagen.scene.procedural.thing import Thing
+from datagen.scene.procedural.families import Family
+from datagen.scene.procedural.things import Thing, spread_out
+from datagen.scene.random_names import FAMILIES, RandomName
 from datagen.scene.rig import make_cameras
 from datagen.scene.soundness import check_scene
 from datagen.scene.values import Vector
 from datagen.terminal.command import say
 
+
+def glass_shares(objects: tuple[SceneObject, ...], cameras: Cameras) -> Float[np.ndarray, " view"]:
+    """The share of each picture's pixels in whose middle the nearest surface is glass.
+
+    Args:
+        objects: those that are glass or can be in front of glass, in front of all cameras; what is only behind glass
+            may be left out.
+    """
+    corners = np.concatenate([face_corners(item.mesh) for item in objects]).astype(np.float64)
+    is_glass = np.repeat([item.material.is_glass for item in objects], [len(item.mesh.faces) for item in objects])
+    return np.array([_seen_share(corners, is_glass, cameras, view) for view in range(len(cameras))])
+
+
+def _seen_share(
+    corners: Float[np.ndarray, "face 3 3"], is_glass: Bool[np.ndarray, " face"], cameras: Cameras, view: int
+) -> float:
+    world_from_camera = cameras.world_from_camera[view]
+    seen = (corners - world_from_camera[:3, 3]) @ world_from_camera[:3, :3]
+    # In pixels, right and down, from the middle of the first one; depth along the axis.
+    depth = -seen[..., 2]
+    right = cameras.width / 2 - 0.5 + cameras.focal * seen[..., 0] / depth
+    down = cameras.height / 2 - 0.5 - cameras.focal * seen[..., 1] / depth
+    face, column, row = _middles_in_boxes(right, down, cameras.width, cameras.height)
+    weights = _barycentric(right[face], down[face], column, row)
+    inside = (weights >= 0).all(axis=-1)
+    face, pixel = face[inside], (row * cameras.width + column)[inside]
+    near = 1 / (weights[inside] / depth[face]).sum(axis=-1)  # Perspective: 1 / depth is linear in the picture.
+    nearest = np.full(cameras.width * cameras.height, np.inf)
+    np.minimum.at(nearest, pixel, near)
+    is_seen = is_glass[face] & (near == nearest[pixel])
+    return len(np.unique(pixel[is_seen])) / len(nearest)
+
+
+def _middles_in_boxes(
+    right: Float[np.ndarray, "face 3"], down: Float[np.ndarray, "face 3"], width: int, height: int
+) -> tuple[Int[np.ndarray, " pair"], Int[np.ndarray, " pair"], Int[np.ndarray, " pair"]]:
+    """Face, column and row of each pixel whose middle is in the box around a face; most boxes have none."""
+    low_column, low_row = (np.maximum(np.ceil(x.min(axis=1)), 0).astype(np.int64) for x in (right, down))
+    columns = np.minimum(np.floor(right.max(axis=1)), width - 1).astype(np.int64) - low_column + 1
+    rows = np.minimum(np.floor(down.max(axis=1)), height - 1).astype(np.int64) - low_row + 1
+    counts = np.maximum(columns, 0) * np.maximum(rows, 0)
+    face = np.repeat(np.arange(len(counts)), counts)
+    place = np.arange(len(face)) - np.repeat(np.cumsum(counts) - counts, counts)
+    row, column = np.divmod(place, np.maximum(columns, 1)[face])
+    return face, low_column[face] + column, low_row[face] + row
+
+
+def _barycentric(
+    right: Float[np.ndarray, "pair 3"],
+    down: Float[np.ndarray, "pair 3"],
+    column: Int[np.ndarray, " pair"],
+    row: Int[np.ndarray, " pair"],
+) -> Float[np.ndarray, "pair 3"]:
+    """Weights of a face's corners at a pixel's middle; one is negative outside of the face."""
+    x, y = right - column[:, None], down - row[:, None]
+    # Twice the area of the triangle that the middle makes with the two corners after each.
+    areas = np.stack(
+        [x[:, (k + 1) % 3] * y[:, (k + 2) % 3] - x[:, (k + 2) % 3] * y[:, (k + 1) % 3] for k in range(3)], -1
+    )
+    total = areas.sum(axis=-1, keepdims=True)
+    return np.divide(areas, total, out=np.full_like(areas, -1.0), where=total != 0)
+
+
 MAX_DRAWS = 20
 GLASS_SHARE = 0.05, 0.40
-"""Of the pixels, on average over the views."""
+"""Lowest and highest share of pixels that show glass, on average over the views."""
 VIEWS = 12
 """Training cameras that see how much glass there is."""
 SIZE = 48
@@ -48,17 +112,13 @@ class Drawn:
     refused: tuple[str, ...]
     """Why each earlier draw was refused, in order."""
     glass_share: float
-    """Of the pixels, on average."""
+    """Share of pixels that show glass, on average."""
     things: tuple[Thing, ...]
-    """What stands in it; its objects are the first of the scene's."""
+    """The things in it; their objects are the scene's first ones."""
 
 
 def make_random(name: RandomName) -> Scene:
-    """The scene of this name, unwrapped and checked.
-
-    Raises:
-        HyalineError: no draw passed the checks.
-    """
+    """The scene of this name, unwrapped and checked."""
     say(f"scene {name}: draws it and unwraps its surfaces")
     drawn = draw_scene(name)
     for reason in drawn.refused:
@@ -71,14 +131,10 @@ def make_random(name: RandomName) -> Scene:
 
 
 def draw_scene(name: RandomName) -> Drawn:
-    """The first draw of this name that passes all checks.
-
-    Raises:
-        HyalineError: none of MAX_DRAWS did.
-    """
+    """The first draw of this name that passes all checks."""
     refused: list[str] = []
     while len(refused) < MAX_DRAWS:
-        rng = np.random.default_rng([name.seed, FAMILIES.index(name.family), len(refused)])
+        rng = np.random.default_rng([name.seed, _number(name.family), len(refused)])
         try:
             return _draw(name, tuple(refused), rng)
         except HyalineError as error:
@@ -90,7 +146,8 @@ def draw_scene(name: RandomName) -> Drawn:
 
 def _draw(name: RandomName, refused: tuple[str, ...], rng: np.random.Generator) -> Drawn:
     """One draw, which may be refused."""
-    things = _with_own_names(spread_out(draw_things(name.family, rng=rng), rng=rng))
+    family: Family = FAMILIES.find(name.family)
+    things = _with_own_names(spread_out(family.draw(rng), rng=rng))
     check_inside(things, where=f"scene {name}")
     objects = tuple(item for thing in things for item in thing.objects)
     target = _target(things)
@@ -101,7 +158,7 @@ def _draw(name: RandomName, refused: tuple[str, ...], rng: np.random.Generator) 
             f"scene {name}: {100 * share:.1f} % of the pixels are glass; expected {100 * GLASS_SHARE[0]:g} to "
             f"{100 * GLASS_SHARE[1]:g} %"
         )
-    backdrop = draw_backdrop(name.family, extent=extent, radius=radius, rng=rng)
+    backdrop = draw_backdrop(family.stands_on, extent=extent, radius=radius, rng=rng)
     words = (
         f"{_listed([thing.words for thing in things])}, {backdrop.words}; glass in {100 * share:.0f} % of the pixels"
     )
@@ -118,14 +175,17 @@ def _draw(name: RandomName, refused: tuple[str, ...], rng: np.random.Generator) 
     return Drawn(scene=scene, refused=refused, glass_share=share, things=tuple(things))
 
 
+def _number(family: str) -> int:
+    """A number for a family, so that equal seeds of two families differ."""
+    built_in = list(FAMILIES.built_in)
+    return built_in.index(family) if family in built_in else zlib.crc32(family.encode())
+
+
 def check_inside(things: list[Thing], *, where: str) -> None:
     """Refuses ice, stones, cores and panes that reach into what they are in, or into each other.
 
     Drinks reach into their glass on purpose, and cores and shells are wholly inside of what they are in. Of thin glass,
     which may be open and bounds no solid, the question is whether some of it is in the other.
-
-    Raises:
-        HyalineError: naming both objects.
     """
     for thing in things:
         loose = [item for item in thing.objects[1:] if not item.name.endswith("_drink")]

@@ -1,22 +1,27 @@
-"""The three families of random scenes: what stands in each, and how large it is made."""
+"""Families of random scenes: what is in each, how large it is made, and what it stands on."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
+from datagen.scene.procedural.backdrop import Support
 from datagen.scene.procedural.chance import between, pick, weigh
-from datagen.scene.procedural.names import Family
 from datagen.scene.procedural.nesting import empty_vessel, filled_vessel, onion, paperweight, solid
 from datagen.scene.procedural.panes import PANES, enclosed
 from datagen.scene.procedural.solids import CONVEX, NOT_CONVEX
-from datagen.scene.procedural.thing import Thing, enlarged
-from datagen.scene.procedural.things import THINGS
+from datagen.scene.procedural.things import THINGS, Thing, enlarged
 from datagen.scene.procedural.vessels import VESSELS
 
 
-def draw_things(family: Family, *, rng: np.random.Generator) -> list[Thing]:
-    """The things of one scene, none placed yet."""
-    return _DRAW[family](rng)
+@dataclass(frozen=True, kw_only=True)
+class Family:
+    """A kind of random scene."""
+
+    draw: Callable[[np.random.Generator], list[Thing]]
+    """The things of one scene, not placed yet; all random numbers come from the generator."""
+    stands_on: Mapping[Support, float]
+    """What the things stand on, and how often."""
 
 
 def _object(rng: np.random.Generator) -> list[Thing]:
@@ -74,8 +79,6 @@ def _opaque(count: int, rng: np.random.Generator) -> list[Thing]:
     return [enlarged(THINGS[pick(tuple(THINGS), rng=rng)](rng), between(1.0, 1.4, rng=rng)) for _ in range(count)]
 
 
-_DRAW: dict[Family, Callable[[np.random.Generator], list[Thing]]] = {
-    "object": _object,
-    "table": _table,
-    "nested": _nested,
-}
+OBJECT = Family(draw=_object, stands_on={"floor": 0.5, "plinth": 0.5})
+TABLE = Family(draw=_table, stands_on={"table": 1.0})
+NESTED = Family(draw=_nested, stands_on={"table": 0.6, "floor": 0.4})

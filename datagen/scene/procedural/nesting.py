@@ -6,12 +6,23 @@ from datagen.data.meshes import Mesh
 from datagen.scene.description import SceneObject
 from datagen.scene.materials import Dielectric, Material, Plastic
 from datagen.scene.modelling import ball, deformed, moved, rotation, rounded_box, transformed
-from datagen.scene.procedural.chance import between, happens, pick, weigh
-from datagen.scene.procedural.glass import ICE, ICE_PRIORITY, clear_ior, drink, solid_glass, tint, vessel_glass
-from datagen.scene.procedural.patterns import color_pair, pattern
-from datagen.scene.procedural.placement import free_places
+from datagen.scene.procedural.chance import (
+    ICE,
+    ICE_PRIORITY,
+    between,
+    clear_ior,
+    color_pair,
+    drink,
+    happens,
+    pattern,
+    pick,
+    solid_glass,
+    tint,
+    vessel_glass,
+    weigh,
+)
 from datagen.scene.procedural.solids import CUT, make_solid, with_bubbles
-from datagen.scene.procedural.thing import Thing, standing
+from datagen.scene.procedural.things import Thing, free_places, standing
 from datagen.scene.procedural.vessels import VESSELS, Vessel
 
 GAP = 0.001

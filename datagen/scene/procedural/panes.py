@@ -8,13 +8,10 @@ import numpy as np
 from datagen.data.meshes import Mesh
 from datagen.scene.description import SceneObject
 from datagen.scene.modelling import ball, lathe, merged, moved, rounded_box, sheet, transformed, turned
-from datagen.scene.procedural.chance import between, happens, pick
-from datagen.scene.procedural.glass import pane_glass, solid_glass
+from datagen.scene.procedural.chance import between, happens, pane_glass, pick, solid_glass
 from datagen.scene.procedural.nesting import fitted, solid, with_article
-from datagen.scene.procedural.sections import corners_of, polygon
-from datagen.scene.procedural.solids import CONVEX, CUT, NOT_CONVEX, make_solid
-from datagen.scene.procedural.thing import Thing
-from datagen.scene.procedural.things import GAP, THINGS, surface
+from datagen.scene.procedural.solids import CONVEX, CUT, NOT_CONVEX, corners_of, make_solid, polygon
+from datagen.scene.procedural.things import GAP, THINGS, Thing, surface
 
 CELLS = 6, 6
 """Cells of a pane: enough of its points lie inside of whatever it would reach into."""
@@ -108,7 +105,7 @@ PANES: dict[str, Maker] = {
     "case": lambda rng: glass_case(of_glass=False, rng=rng),
     "bauble": lambda rng: bauble(is_empty=True, rng=rng),
 }
-"""What stands on a table."""
+"""Panes for a table."""
 
 
 def enclosed(*, rng: np.random.Generator) -> Thing:

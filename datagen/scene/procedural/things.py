@@ -1,12 +1,14 @@
-"""Opaque things that stand among the glass: books, pots, fruit, dice, cans and metal."""
+"""The things of a random scene: what one is, where several are placed, and opaque ones (books, pots, fruit, ...)."""
 
-from collections.abc import Callable
+import dataclasses
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from datagen.data.meshes import Mesh
 from datagen.scene.description import SceneObject
-from datagen.scene.materials import Conductor, Diffuse, Material, Plastic
+from datagen.scene.materials import Conductor, Dielectric, Diffuse, Material, Plastic
 from datagen.scene.modelling import (
     ball,
     curved,
@@ -15,19 +17,118 @@ from datagen.scene.modelling import (
     knot,
     lathe,
     moved,
+    rotation,
     rounded_box,
+    transformed,
     tube,
     turned,
     walled,
 )
-from datagen.scene.procedural.chance import between, happens, pick, weigh
-from datagen.scene.procedural.patterns import color_pair, pattern
-from datagen.scene.procedural.thing import Thing, standing
+from datagen.scene.procedural.chance import between, color_pair, happens, pattern, pick, weigh
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Thing:
+    """Objects that belong together, such as a glass, its drink and ice, on z = 0 around the z axis."""
+
+    words: str
+    """What it is, for the scene's description."""
+    objects: tuple[SceneObject, ...]
+    """The outermost first."""
+
+    @property
+    def reach(self) -> float:
+        """Radius in metres of the upright cylinder around the z axis that holds it."""
+        return max(float(np.linalg.norm(item.mesh.vertices[:, :2], axis=-1).max()) for item in self.objects)
+
+    @property
+    def height(self) -> float:
+        """Metres from the lowest to the highest point."""
+        low = min(float(item.mesh.vertices[:, 2].min()) for item in self.objects)
+        return max(float(item.mesh.vertices[:, 2].max()) for item in self.objects) - low
+
+    @property
+    def is_glass(self) -> bool:
+        """Whether any of it is glass."""
+        return any(item.material.is_glass for item in self.objects)
+
+
+def standing(mesh: Mesh) -> Mesh:
+    """The mesh with its lowest point at z = 0 and its middle over the origin."""
+    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    return moved(mesh, (-float(low[0] + high[0]) / 2, -float(low[1] + high[1]) / 2, -float(low[2])))
+
+
+def put(thing: Thing, place: tuple[float, float, float], *, turn_deg: float = 0.0) -> Thing:
+    """The thing turned about its axis and moved; its textures come along."""
+    linear = rotation((0, 0, 1), turn_deg)
+    objects = tuple(
+        dataclasses.replace(item, mesh=transformed(item.mesh, linear, place), material=item.material.moved(place))
+        for item in thing.objects
+    )
+    return dataclasses.replace(thing, objects=objects)
+
+
+def enlarged(thing: Thing, factor: float) -> Thing:
+    """The thing in another size; its glass keeps the colour that it had, since it absorbs less the larger it is."""
+    objects = []
+    for item in thing.objects:
+        material = item.material
+        if isinstance(material, Dielectric):
+            red, green, blue = (round(value / factor, 3) for value in material.absorption)
+            material = dataclasses.replace(material, absorption=(red, green, blue))
+        objects.append(
+            dataclasses.replace(item, mesh=transformed(item.mesh, factor * np.eye(3), (0, 0, 0)), material=material)
+        )
+    return dataclasses.replace(thing, objects=tuple(objects))
+
+
+# Placing things
+
+
+CLEARANCE = 0.012
+"""Metres between the cylinders around two things, at least."""
+TRIES = 40
+"""Places that are tried for a thing before the room for all of them is made larger."""
+
+
+def spread_out(things: Sequence[Thing], *, rng: np.random.Generator) -> list[Thing]:
+    """The things side by side around the z axis, each turned to any side; the same order."""
+    places = free_places([thing.reach for thing in things], clearance=CLEARANCE, rng=rng)
+    return [
+        put(thing, (x, y, 0.0), turn_deg=float(rng.uniform(0, 360)))
+        for thing, (x, y) in zip(things, places, strict=True)
+    ]
+
+
+def free_places(reaches: Sequence[float], *, clearance: float, rng: np.random.Generator) -> list[tuple[float, float]]:
+    """Centres of circles of these radii that keep clear of each other, close together around the origin."""
+    room = 0.9 * float(np.sum(np.square(reaches))) ** 0.5
+    found: dict[int, np.ndarray] = {}
+    for index in sorted(range(len(reaches)), key=lambda index: -reaches[index]):
+        while index not in found:
+            for _ in range(TRIES):
+                angle, away = rng.uniform(0, 2 * np.pi), room * rng.uniform() ** 0.5
+                place = away * np.array([np.cos(angle), np.sin(angle)])
+                if all(
+                    np.linalg.norm(place - other) >= reaches[index] + reaches[number] + clearance
+                    for number, other in found.items()
+                ):
+                    found[index] = place
+                    break
+            else:
+                room *= 1.1
+    middle = np.mean(list(found.values()), axis=0)
+    placed = np.round([found[index] - middle for index in range(len(reaches))], 4)
+    return [(float(x), float(y)) for x, y in placed]
+
+
+# Opaque things
 
 Maker = Callable[[np.random.Generator], Thing]
 
 GAP = 0.001
-"""Metres between things that stand on each other: coincident faces lose layers."""
+"""Metres between stacked things: coincident faces lose layers."""
 METALS = ((0.90, 0.66, 0.33), (0.91, 0.62, 0.50), (0.82, 0.82, 0.84), (0.55, 0.56, 0.58))
 """Brass, copper, silver, steel."""
 

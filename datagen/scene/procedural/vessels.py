@@ -9,7 +9,7 @@ import numpy as np
 from datagen.data.meshes import Mesh
 from datagen.scene.modelling import Around, curved, filled, filleted, lathe, walled
 from datagen.scene.procedural.chance import between, happens, pick
-from datagen.scene.procedural.sections import ROUND, corners_of, flutes, outside_only, polygon, soft_square
+from datagen.scene.procedural.solids import ROUND, corners_of, flutes, outside_only, polygon, soft_square
 
 Outline = list[tuple[float, float]]
 
@@ -52,7 +52,7 @@ class Vessel:
         return lathe(self._drink(level), segments=self.segments, crease_deg=self.crease_deg, around=section)
 
     def inner_radius(self, level: float) -> float:
-        """Of the hollow at a level."""
+        """Radius of the hollow at a level."""
         return self._drink(level)[1][0] - REACH
 
     def _drink(self, level: float) -> Outline:
@@ -153,7 +153,7 @@ def _bottle(rng: np.random.Generator) -> Vessel:
 
 
 def _flask(rng: np.random.Generator) -> Vessel:
-    """Of a laboratory: conical below a straight neck."""
+    """A laboratory flask: conical below a straight neck."""
     height, wide = between(0.12, 0.16, rng=rng), between(0.042, 0.055, rng=rng)
     neck = between(0.28, 0.38, rng=rng) * wide
     corners = [(0, 0, 0), (wide, 0, 0.008), (neck, 0.7 * height, 0.03), (neck, height, 0)]

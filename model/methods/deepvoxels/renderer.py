@@ -15,7 +15,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from datagen.data.cameras import Camera, Cameras
-from datagen.data.config import Split
+from datagen.data.config import Split, square
 from datagen.data.geometries import read_meshes
 from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError

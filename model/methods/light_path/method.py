@@ -9,8 +9,8 @@ from datagen.data.config import Split
 from datagen.data.dataset import Dataset, check_has_meshes
 from datagen.disk.errors import HyalineError
 from datagen.scene.description import EnvironmentMap, image_bytes
-from datagen.scene.environment_maps import read_map
 from datagen.scene.folder import load_scene
+from datagen.scene.images import read_map
 from model.methods.light_path.config import MAX_SKY_HEIGHT, SKY_HEIGHT, LightPathConfig
 from model.methods.light_path.net import LightPathRenderer
 from model.methods.light_path.pixels import (

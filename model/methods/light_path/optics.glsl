@@ -24,7 +24,7 @@ vec3 absorption_of(int rank) { return rank < 0 ? vec3(0.0) : of_object(rank, MED
 
 uniform highp sampler2D tints;
 
-// Texels count, where it has any: bilinear between their centres, the outermost ones beyond. Source: datagen/trace/tints.py.
+// Texels count, where it has any: bilinear between their centres, the outermost ones beyond. Source: datagen/trace/surface_tables.py.
 vec3 metal_color(int object, vec2 uv) {
     vec4 color = of_object(object, COLOR);
 #if TINTS == 1

@@ -6,7 +6,7 @@ from torch import nn
 from datagen.scene.description import Scene
 from datagen.scene.media import MAX_NESTED, SAME_INDEX
 from datagen.trace.branches import FIRST_MIRROR, MIN_THROUGHPUT, SPARE_STEPS
-from datagen.trace.limits import LIMITS
+from datagen.trace.surface_tables import LIMITS
 from model.methods.light_path.config import LightPathConfig
 from model.methods.light_path.net import RELIEF_DEPTH, STACK_SHIFT, LightPathRenderer
 from model.methods.light_path.pixels import MANY_RAYS, STACKED_VERTICES

@@ -15,10 +15,10 @@ from datagen.data.cameras import Cameras
 from datagen.data.config import Resolution, Split
 from datagen.data.dataset import Dataset
 from datagen.data.geometries import GeometryKey, geometry_key, read_meshes
-from datagen.data.meshes import Mesh
+from datagen.data.meshes import Mesh, r2_steps
 from datagen.data.paths import TRUTH
 from datagen.machine.mitsuba_variant import short_lived_workers, use_mitsuba
-from datagen.trace.limits import Limits
+from datagen.trace.surface_tables import Limits
 from model.batches.rays import black, read_colors
 from model.batches.traced_layers import SubpixelRays, cameras_of, in_pairs
 from model.methods.light_path.config import LightPathConfig, default_light_path
@@ -159,14 +159,12 @@ class LightPathPixels:
     def _facets(self, num_pixels: int, samples: int, rng: np.random.Generator) -> Float32[np.ndarray, "ray 2"]:
         """Random numbers by which each pixel's rays choose facets of rough surfaces: in pairs half a period apart, or
         all spread evenly, as in rendering."""
-        from datagen.trace.light_path import PLASTIC
 
         if self.config.paired_rays:
             first = rng.random((num_pixels, -(-samples // 2), 2))
             points = in_pairs(first, lambda place: (place + 0.5) % 1)[:, :samples]
         else:
-            spread = np.arange(samples)[:, None] / PLASTIC ** np.array([1, 2])
-            points = (rng.random((num_pixels, 1, 2)) + spread) % 1
+            points = (rng.random((num_pixels, 1, 2)) + r2_steps(samples)) % 1
         return points.reshape(-1, 2).astype(np.float32)
 
     def _ends(self, paths: "TracedPaths") -> Ends:
@@ -338,7 +336,7 @@ def _load_surfaces(key: GeometryKey, shells: int) -> _Surfaces:
     # The tracer's module can be imported only when Mitsuba has its variant.
     use_mitsuba()
     from datagen.trace.light_path import LightPathTracer
-    from datagen.trace.tints import tints_of
+    from datagen.trace.surface_tables import tints_of
 
     scene = load_scene(key.dataset.root / "scene", is_sealed=True)
     materials = tuple(item.material for item in scene.objects)

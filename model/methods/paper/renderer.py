@@ -13,7 +13,7 @@ from torch.autograd.function import FunctionCtx
 
 from datagen.data.cameras import Cameras
 from datagen.data.config import Split
-from datagen.machine.processor import bf16_instructions
+from datagen.machine.hardware import bf16_instructions
 from datagen.scene.description import Scene
 from datagen.terminal.command import say
 from model.batches.rays import Pixels, PixelSource, RayBatch, insert_random_layer, linear_curve, srgb_curve

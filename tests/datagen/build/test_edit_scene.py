@@ -31,8 +31,7 @@ from datagen.scene.edits import Edit, describe_edit, edit_scene, edits_name, mov
 from datagen.scene.folder import load_scene, save_scene, scene_files
 from datagen.scene.materials import Dielectric, Diffuse
 from datagen.scene.modelling import ball, cylinder, moved
-from datagen.scene.solid_textures import evaluate_texture
-from datagen.scene.textures import SolidTexture
+from datagen.scene.textures import SolidTexture, evaluate_texture
 from datagen.trace.peel import Peeler
 from model.nets.texture import NeuralTextures, object_layout
 from model.run.predict import with_copies
@@ -98,7 +97,7 @@ def test_twins_have_no_glass_or_opaque_glass_and_else_the_same_objects() -> None
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("delete:ball", r"edit 'delete:ball': there is no 'delete'; expected remove:OBJECT, move:OBJECT:dx,dy,dz"),
+        ("delete:ball", r"edit 'delete:ball': unknown verb 'delete'; expected remove:OBJECT, move:OBJECT:dx,dy,dz"),
         ("remove", r"edit 'remove': has 0 parts after the verb; expected remove:OBJECT"),
         ("remove:", r"expected remove:OBJECT"),
         ("swap:ball", r"has 1 parts after the verb; expected swap:OBJECT:OBJECT"),

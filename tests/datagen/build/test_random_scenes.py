@@ -62,7 +62,7 @@ def test_a_lost_file_of_a_random_scene_comes_back_by_its_name(here: Path) -> Non
         ("--scene random --seed -1", "seed: is -1; expected 0 or more, and at most 63 bits"),
         ("--scene random --edit remove:ball", "--scene random: does not say which scene to edit"),
         ("--scene random --count 2 --launcher local", "--count: does not go with --launcher"),
-        ("--scene random-12", "scene random-12: is no random scene; expected a name like random-0007"),
+        ("--scene random-12", "scene random-12: is not a random scene; expected a name like random-0007"),
     ],
 )
 def test_flags_that_do_not_go_together_are_refused(here: Path, flags: str, error: str) -> None:

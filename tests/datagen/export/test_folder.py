@@ -9,7 +9,7 @@ from support.commands import call
 from support.synthetic import write_synthetic_dataset
 
 from datagen.data.dataset import open_dataset
-from datagen.export import folder
+from datagen.export import plan
 from datagen.export.formats import export_dataset
 
 
@@ -31,7 +31,7 @@ def test_what_was_stopped_goes_on_and_ends_in_the_same_bytes(
     whole = tree(tmp_path / "out")
     (tmp_path / "out").rename(tmp_path / "whole")
     written = []
-    commit = folder.commit
+    commit = plan.commit
 
     def stop(path: Path, data: bytes) -> None:
         if len(written) == 5:
@@ -40,7 +40,7 @@ def test_what_was_stopped_goes_on_and_ends_in_the_same_bytes(
         commit(path, data)
 
     with monkeypatch.context() as patch:
-        patch.setattr(folder, "commit", stop)
+        patch.setattr(plan, "commit", stop)
         with pytest.raises(KeyboardInterrupt):
             export("colmap")
     assert 0 < len(tree(tmp_path / "out")) < len(whole)
@@ -54,13 +54,13 @@ def test_finished_parts_are_not_made_again_and_damaged_ones_are(
     export()
     whole = tree(tmp_path / "out")
     written: list[str] = []
-    commit = folder.commit
+    commit = plan.commit
 
     def watch(path: Path, data: bytes) -> None:
         written.append(path.name)
         commit(path, data)
 
-    monkeypatch.setattr(folder, "commit", watch)
+    monkeypatch.setattr(plan, "commit", watch)
     export()
     assert written == []
     damaged = tmp_path / "out" / "depths" / "train_0003.png"

@@ -101,7 +101,7 @@ def test_what_only_a_renderer_knows_is_unknown(again: Dataset) -> None:
     with pytest.raises(HyalineError, match="radiance and noise are unknown; its pictures were imported"):
         _ = view.radiance
     page = look_page(again).decode()
-    assert "how noisy they are is unknown" in page and "imported from" in page
+    assert "so their noise is unknown" in page and "imported from" in page
     for line in (f"build --dataset {again.root} --twins", f"render {again.root}"):
         answer = call(f"datagen {line}")
         assert answer.status == 1 and "the light in its scene is unknown" in answer.error
@@ -322,14 +322,14 @@ def outside(root: Path) -> None:
 
 
 HOSTILE: dict[str, tuple[Callable[[Path], None], str]] = {
-    "no folder": (shutil.rmtree, "is no folder; expected one with transforms_train.json"),
+    "no folder": (shutil.rmtree, "is not a folder; expected one with transforms_train.json"),
     "nothing known": (
         lambda root: [path.unlink() for path in root.glob("*.json")],
         "has neither transforms_train.json nor transforms.json",
     ),
     "one of ours": (
         lambda root: (root / "dataset.json").write_text("{}"),
-        "is a dataset of hyaline's already",
+        "is a hyaline dataset already",
     ),
     "truncated list": (
         lambda root: (root / "transforms_train.json").write_text('{"frames": ['),

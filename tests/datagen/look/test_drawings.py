@@ -12,8 +12,7 @@ from support.synthetic import HEIGHTS, quad, write_synthetic_dataset
 from datagen.data.dataset import Dataset
 from datagen.disk.errors import HyalineError
 from datagen.look.light_paths import RAYS, _projected, find_light_paths
-from datagen.look.scene_drawing import MOST_CAMERAS, draw_cameras
-from datagen.look.sketch import INK, MARGIN, PALE_INK, draw_sketch, rasterise, stand
+from datagen.look.sketch import INK, MARGIN, MOST_CAMERAS, PALE_INK, draw_cameras, draw_sketch, fit_viewpoint, rasterise
 from datagen.machine.mitsuba_variant import use_mitsuba
 
 IS_SCALAR = use_mitsuba(quiet=True).startswith("scalar")
@@ -56,7 +55,7 @@ def test_each_pixel_shows_the_nearest_face_at_its_centre(seed: int) -> None:
 @pytest.mark.parametrize(("azimuth_deg", "elevation_deg"), [(0, 0), (-50, 30), (170, 90), (20, -40)])
 def test_what_is_to_be_seen_fits_the_frame_from_every_side(azimuth_deg: float, elevation_deg: float) -> None:
     points = np.random.default_rng(1).normal(size=(50, 3)) + 100
-    placed = stand(points, azimuth_deg, elevation_deg, width=300, height=200).place(points)
+    placed = fit_viewpoint(points, azimuth_deg, elevation_deg, width=300, height=200).place(points)
     low, high = placed[:, :2].min(axis=0), placed[:, :2].max(axis=0)
     assert (low >= MARGIN - 1e-6).all() and (high <= np.array([300, 200]) - MARGIN + 1e-6).all()
     assert ((high - low) / (np.array([300, 200]) - 2 * MARGIN)).max() == pytest.approx(1)
@@ -64,11 +63,11 @@ def test_what_is_to_be_seen_fits_the_frame_from_every_side(azimuth_deg: float, e
 
 def test_what_is_nearer_hides_lines_behind_it_and_glass_hides_nothing() -> None:
     meshes = (quad(0.0), quad(-1.0))
-    place = stand(np.array([[-2.0, -2, -2], [2, 2, 2]]), 0, 60, width=400, height=400)
+    place = fit_viewpoint(np.array([[-2.0, -2, -2], [2, 2, 2]]), 0, 60, width=400, height=400)
     line = np.array([[0.0, -3, -0.5], [0, 3, -0.5]])  # Between the two: hidden where it runs under the upper one.
     for is_glass, parts in ((np.array([False, False]), 2), (np.array([True, False]), 1)):
         sketch = draw_sketch(meshes, is_glass, place)
-        drawn = str(sketch.stroke(line, says="a <line>", class_="ray"))
+        drawn = str(sketch.stroke(line, label="a <line>", class_="ray"))
         assert "a &lt;line&gt;" in drawn
         assert drawn.count('class="hidden"') == parts - 1
         inks = {tuple(pixel) for pixel in sketch.picture[..., :3].reshape(-1, 3)}
@@ -80,7 +79,7 @@ def test_what_is_nearer_hides_lines_behind_it_and_glass_hides_nothing() -> None:
 
 
 def _opaque(meshes, place, line) -> str:
-    return draw_sketch(meshes, np.array([False, False]), place).stroke(line, says="", class_="")
+    return draw_sketch(meshes, np.array([False, False]), place).stroke(line, label="", class_="")
 
 
 @pytest.mark.skipif(IS_SCALAR, reason="light paths need a vectorised variant of Mitsuba")
@@ -136,7 +135,7 @@ def test_the_page_draws_light_paths_over_the_picture_and_in_the_scene(page: Read
     # Each kind has a line, a mark and words of its own: nothing is told by colour alone.
     for kind, mark in (("refracted", "disc"), ("reflected", "diamond")):
         assert any(item.text.startswith(f"{kind}: ") and mark in item.text for item in page.all("li"))
-        assert any(title.text.startswith(f"ray 1, {kind}: meets pane") for title in page.all("title"))
+        assert any(title.text.startswith(f"ray 1, {kind}: hits pane") for title in page.all("title"))
     assert re.search(r"\.reflected path[^{]*{ stroke-dasharray", page.source)
     rings = [item for item in page.all("circle") if item.attributes.get("class") == "ring"][:RAYS]
     centres = {(float(ring.attributes["cx"] or ""), float(ring.attributes["cy"] or "")) for ring in rings}
@@ -177,7 +176,7 @@ def test_the_page_draws_every_camera_and_tells_splits_apart(page: ReadPage, data
 def test_of_very_many_cameras_a_selection_is_drawn(dataset: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
     count = dataset.num_views["train"]
     assert count < MOST_CAMERAS
-    monkeypatch.setattr("datagen.look.scene_drawing.MOST_CAMERAS", 2)
+    monkeypatch.setattr("datagen.look.sketch.MOST_CAMERAS", 2)
     drawn = str(draw_cameras(dataset))
     assert f"train: 2 of {count} cameras" in drawn
     assert len(set(re.findall(r"<title>(train view \d+)", drawn))) == 2

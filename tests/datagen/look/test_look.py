@@ -24,7 +24,7 @@ def dataset(tmp_path: Path) -> Dataset:
 
 def test_the_page_shows_every_split_every_object_and_all_that_is_stored(dataset: Dataset) -> None:
     page = read_page(look_page(dataset))
-    assert any(paragraph.text.endswith("files are what they should be, byte by byte.") for paragraph in page.all("p"))
+    assert any(paragraph.text.endswith("files match their checksums.") for paragraph in page.all("p"))
     labels = {svg.attributes.get("aria-label") for svg in page.all("svg")}
     for split in dataset.splits:
         for name in ("picture", "glass", "depth", "normals", "layer 0", "layer 1"):

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datagen.machine.child_python import ChildError, arrays_from_child
+from datagen.machine.processes import ChildError, arrays_from_child
 
 CHILDREN = {
     "twice": "np.savez(sys.argv[2], twice=2 * np.load(sys.argv[1])['values'], words=np.array(sys.argv[3:]))",

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from support.commands import call
 
-from datagen.machine import gpu
+from datagen.machine import hardware
 
 
 @pytest.fixture(autouse=True)
@@ -14,9 +14,9 @@ def pretend(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """A driver, as WSL has it, and a cache that is empty."""
     driver = tmp_path / "libcuda.so.1"
     driver.write_bytes(b"")
-    monkeypatch.setattr(gpu, "DRIVERS", (tmp_path / "missing", driver))
+    monkeypatch.setattr(hardware, "DRIVERS", (tmp_path / "missing", driver))
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    gpu.cuda_problem.cache_clear()
+    hardware.cuda_problem.cache_clear()
 
 
 def nvidia_smi(folder: Path, script: str, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -39,36 +39,36 @@ def test_doctor_waits_briefly_for_nvidia_smi(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, script: str, said: str
 ) -> None:
     nvidia_smi(tmp_path, script, monkeypatch)
-    monkeypatch.setattr(gpu, "LIST_LIMIT_S", 0.5)
-    monkeypatch.setattr(gpu, "_PROBE", "raise SystemExit('no OptiX here')")
+    monkeypatch.setattr(hardware, "LIST_LIMIT_S", 0.5)
+    monkeypatch.setattr(hardware, "_PROBE", "raise SystemExit('no OptiX here')")
     answer = call("datagen doctor")
     assert answer.status == 0
     assert f"GPU        {said}; Mitsuba cannot render on it: no OptiX here" in answer.out
 
 
 def test_a_probe_that_hangs_ends(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(gpu, "_PROBE", "import time; time.sleep(60)")
-    monkeypatch.setattr(gpu, "PROBE_LIMIT_S", 0.5)
-    assert gpu.cuda_problem() == "the test render took more than 0.5 s"
+    monkeypatch.setattr(hardware, "_PROBE", "import time; time.sleep(60)")
+    monkeypatch.setattr(hardware, "PROBE_LIMIT_S", 0.5)
+    assert hardware.cuda_problem() == "the test render took more than 0.5 s"
 
 
 def test_the_gpu_is_tried_once_for_all_processes(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     tried = tmp_path / "tried"
-    monkeypatch.setattr(gpu, "_PROBE", f"open({str(tried)!r}, 'a').write('once '); raise SystemExit('no OptiX')")
+    monkeypatch.setattr(hardware, "_PROBE", f"open({str(tried)!r}, 'a').write('once '); raise SystemExit('no OptiX')")
     for _ in range(3):
-        gpu.cuda_problem.cache_clear()  # As another process would find it.
-        assert gpu.cuda_problem() == "no OptiX"
+        hardware.cuda_problem.cache_clear()  # As another process would find it.
+        assert hardware.cuda_problem() == "no OptiX"
     assert tried.read_text() == "once "
     monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "1")
-    gpu.cuda_problem.cache_clear()
-    assert gpu.cuda_problem() == "no OptiX"
-    assert gpu.cuda_problem(anew=True) == "no OptiX"
+    hardware.cuda_problem.cache_clear()
+    assert hardware.cuda_problem() == "no OptiX"
+    assert hardware.cuda_problem(again=True) == "no OptiX"
     assert tried.read_text() == "once once once "
 
 
 def test_a_gpu_that_renders_is_remembered_too(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(gpu, "_PROBE", "pass")
-    assert gpu.cuda_problem() is None
-    monkeypatch.setattr(gpu, "_render_test_scene", lambda: "asked again")
-    gpu.cuda_problem.cache_clear()
-    assert gpu.cuda_problem() is None
+    monkeypatch.setattr(hardware, "_PROBE", "pass")
+    assert hardware.cuda_problem() is None
+    monkeypatch.setattr(hardware, "_render_test_scene", lambda: "asked again")
+    hardware.cuda_problem.cache_clear()
+    assert hardware.cuda_problem() is None

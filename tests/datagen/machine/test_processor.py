@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from datagen.machine import processor
+from datagen.machine import hardware
 
 
 @pytest.mark.parametrize(
@@ -22,11 +22,11 @@ def test_the_instructions_for_bf16_are_found(
 ) -> None:
     path = tmp_path / "cpuinfo"
     path.write_text(cpuinfo)
-    monkeypatch.setattr(processor, "CPUINFO", path)
-    assert processor.bf16_instructions() == found
-    assert (found or "use fp32") in processor.describe_processor()
+    monkeypatch.setattr(hardware, "CPUINFO", path)
+    assert hardware.bf16_instructions() == found
+    assert (found or "use fp32") in hardware.describe_processor()
 
 
 def test_where_nobody_can_tell_there_are_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(processor, "CPUINFO", tmp_path / "nothing")
-    assert processor.bf16_instructions() is None
+    monkeypatch.setattr(hardware, "CPUINFO", tmp_path / "nothing")
+    assert hardware.bf16_instructions() is None

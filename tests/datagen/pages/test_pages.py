@@ -7,8 +7,7 @@ import pytest
 from support.pages import read_page
 
 from datagen.pages.charts import COLORS, GRID, HEIGHT, SOFT, WIDTH, Line, line_chart
-from datagen.pages.document import document, read_part, section
-from datagen.pages.html import Markup, join, prose, tag
+from datagen.pages.html import Markup, document, join, prose, read_part, section, tag
 from datagen.pages.pictures import Gallery, data_uri
 
 HOSTILE = (

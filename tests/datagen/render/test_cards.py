@@ -16,7 +16,7 @@ from datagen.scene.materials import Diffuse
 
 use_mitsuba(quiet=True)
 
-from datagen.render.environment import has_small_light, radiance_of_environment  # noqa: E402
+from datagen.render.mitsuba_scene import has_small_light, radiance_of_environment  # noqa: E402
 
 GREY = SoftEnvironment(zenith=(0.2, 0.2, 0.2), horizon=(0.2, 0.2, 0.2), ground=(0.2, 0.2, 0.2))
 BOX = Card(direction=(2.0, 0.0, 0.0), size_deg=(40.0, 10.0), radiance=(3.0, 2.0, 1.0), softness_deg=1.0)

@@ -25,7 +25,7 @@ from datagen.scene.values import as_vector
 use_mitsuba(quiet=True)
 
 
-from datagen.render.environment import radiance_of_environment  # noqa: E402
+from datagen.render.mitsuba_scene import radiance_of_environment  # noqa: E402
 from datagen.render.truth import Renderer, picture_bytes, radiance_bytes, render_view  # noqa: E402
 
 

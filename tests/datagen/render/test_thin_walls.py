@@ -27,7 +27,7 @@ if use_mitsuba(quiet=True).startswith("scalar"):
 
 from datagen.render.mitsuba_scene import load_geometry_mitsuba, to_columns
 from datagen.render.path_integrator import _start_off
-from datagen.scene.thin_walls import RAY_OFFSET, largest_coordinate
+from datagen.scene.contact import RAY_OFFSET, largest_coordinate
 from datagen.trace.light_path import LightPathTracer
 
 SMALL = ("--resolution", "4", "--views", "1", "--test-views", "1", "--spp", "4", "--test-spp", "4")

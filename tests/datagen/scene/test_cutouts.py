@@ -183,10 +183,10 @@ def test_a_scene_names_what_cuts_an_object_and_is_written_with_the_cut_mesh(mode
 
 
 REFUSED = {
-    "solid": (lambda entry: entry.update(material={"type": "Dielectric"}), "is a solid, which a cutout would open"),
+    "solid": (lambda entry: entry.update(material={"type": "Dielectric"}), "is solid, and a cutout would open it"),
     "path": (lambda entry: entry["cutout"].update(image="../leaf.png"), r"\.\./leaf\.png"),
     "cutoff": (lambda entry: entry["cutout"].update(cutoff=1.5), r"cutout cutoff: is 1\.5; expected above 0, up to 1"),
-    "gone": (lambda entry: entry["cutout"].update(image="none.png"), "its cutout leaves nothing of it"),
+    "gone": (lambda entry: entry["cutout"].update(image="none.png"), "its cutout removes all of it"),
     "text": (lambda entry: entry["cutout"].update(image="text.png"), "not an image that can be read"),
 }
 

@@ -12,19 +12,19 @@ import trimesh
 from support.meshes import mesh_of
 from support.synthetic import look_at, synthetic_scene
 
+from benchmarks.sky import radiance_of_map, radiance_of_sky
 from datagen.data.cameras import Cameras
 from datagen.disk.errors import HyalineError
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.description import EnvironmentMap, Lobe, Scene, SceneObject, SoftEnvironment
-from datagen.scene.environment_maps import look_up, read_map
 from datagen.scene.folder import load_scene, save_scene, scene_files
+from datagen.scene.images import read_map
 from datagen.scene.materials import Dielectric
-from datagen.trace.limits import Limits
+from datagen.trace.surface_tables import Limits
 
 use_mitsuba(quiet=True)
 
-from datagen.render.environment import painted, radiance_of_sky  # noqa: E402
-from datagen.render.mitsuba_scene import load_scene_mitsuba  # noqa: E402
+from datagen.render.mitsuba_scene import load_scene_mitsuba, painted  # noqa: E402
 from datagen.render.truth import Renderer  # noqa: E402
 
 HEIGHT, WIDTH = 16, 32
@@ -179,7 +179,7 @@ def test_truth_and_light_paths_see_one_map_through_glass(tmp_path: Path) -> None
     ways = np.stack(np.meshgrid(*[np.linspace(-1, 1, 64)] * 2), axis=-1)
     polar, azimuth = (ways[..., 1] + 1) * math.pi / 2, -ways[..., 0] * math.pi
     directions = np.stack([np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)], axis=-1)
-    radiance = look_up(coarse, directions, 0.0).astype(np.float32)
+    radiance = radiance_of_map(coarse, directions, 0.0).astype(np.float32)
     scene = scene_under(tmp_path, radiance, scale=1.5, rotation_deg=70.0)
     pose = look_at(np.array((1.0, 0.5, 0.3)), np.zeros(3))[None]
     cameras = Cameras(world_from_camera=pose, fov_x=0.5, width=16, height=16)

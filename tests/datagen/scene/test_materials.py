@@ -21,8 +21,7 @@ use_mitsuba()
 
 from datagen.render.mitsuba_scene import load_scene_mitsuba  # noqa: E402
 from datagen.trace.light_path import LightPathTracer  # noqa: E402
-from datagen.trace.limits import Limits  # noqa: E402
-from datagen.trace.surface_tables import EVENTS  # noqa: E402
+from datagen.trace.surface_tables import EVENTS, Limits  # noqa: E402
 
 SAMPLES: dict[type[Material], Material] = {
     Dielectric: Dielectric(ior=1.4, absorption=(1.0, 2.0, 3.0), tint=(0.9, 0.7, 0.2), priority=-2, dispersion=0.3),

@@ -80,17 +80,17 @@ MENDED: dict[str, tuple[Mesh, object, str]] = {
     "flipped normals": (
         with_normals(BALL, 10_000, -1),
         GLASS,
-        "100.0 % of its vertex normals pointed to the back of their faces; normals were computed anew",
+        "100.0 % of its vertex normals pointed to the back of their faces; normals were computed again",
     ),
     "no normals": (
         with_normals(BALL, 10_000, 0),
         GLASS,
-        "100.0 % of its vertex normals were 0 or no numbers; normals were computed anew",
+        "100.0 % of its vertex normals were 0 or not finite; normals were computed again",
     ),
     "a normal that is no number": (
         with_normals(BALL, 1, np.nan),
         GLASS,
-        "1 of its vertex normals were 0 or no numbers; these were computed anew",
+        "1 of its vertex normals were 0 or not finite; these were computed again",
     ),
     "a face of one point": (with_faces(BALL, (A, A, A)), GLASS, "1 of its faces have no area; they were left out"),
     "a face of two points": (with_faces(BALL, (A, A, B)), GLASS, "1 of its faces have no area; they were left out"),
@@ -100,14 +100,14 @@ MENDED: dict[str, tuple[Mesh, object, str]] = {
     "uv that are all 0": (
         with_other_uv(BALL, np.zeros_like),
         GLASS,
-        "its uv cover 0 % of the atlas; it was unwrapped anew",
+        "its uv cover 0 % of the atlas; it was unwrapped again",
     ),
     "uv of both halves in one place": (
         with_other_uv(BALL, lambda uv: np.stack([uv[:, 0] % 0.5, uv[:, 1]], axis=-1)),
         GREY,
-        "its uv overlap on 100.0 % of their texels; it was unwrapped anew",
+        "its uv overlap on 100.0 % of their texels; it was unwrapped again",
     ),
-    "uv beyond 1": (with_other_uv(BALL, lambda uv: 2 * uv), GREY, "its uv span 0 to 2; it was unwrapped anew"),
+    "uv beyond 1": (with_other_uv(BALL, lambda uv: 2 * uv), GREY, "its uv span 0 to 2; it was unwrapped again"),
 }
 
 
@@ -216,7 +216,7 @@ def test_an_image_whose_uv_overlap_is_baked_into_an_atlas_and_looks_the_same(
     mesh = with_other_uv(BALL, lambda uv: times * uv if times else np.stack([uv[:, 0] % 0.5, uv[:, 1]], axis=-1))
     scene = load_scene(scene_folder_with_photo(tmp_path / "mine", mesh))
     said = capsys.readouterr().err
-    assert "it was unwrapped anew, and photo.png baked into its new uv" in said
+    assert "it was unwrapped again, and photo.png baked into its new uv" in said
     assert scene.objects[0].mesh.uv.max() <= 1
     assert coverage(scene.objects[0].mesh, 256).max() == 1
     save_scene(scene, tmp_path / "copy")

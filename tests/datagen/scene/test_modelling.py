@@ -6,7 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from datagen.data.meshes import Mesh, check_closed, check_mesh, face_corners, open_edges, signed_volume, winding_number
-from datagen.scene import solid_textures
+from datagen.render import mitsuba_scene
+from datagen.render.mitsuba_scene import bake_texture
 from datagen.scene.modelling import (
     ball,
     cylinder,
@@ -26,8 +27,7 @@ from datagen.scene.modelling import (
     turned,
     walled,
 )
-from datagen.scene.solid_textures import PATTERNS, bake_texture, evaluate_texture, fractal_noise, value_noise
-from datagen.scene.textures import SolidTexture
+from datagen.scene.textures import PATTERNS, SolidTexture, evaluate_texture, fractal_noise, value_noise
 
 CIRCLE = np.linspace(0, 2 * np.pi, 60, endpoint=False)
 HELIX = np.stack([np.cos(CIRCLE), np.sin(CIRCLE), CIRCLE], axis=-1)
@@ -190,7 +190,7 @@ def test_a_bake_in_pieces_has_the_bits_of_a_bake_at_once(monkeypatch: pytest.Mon
     mesh = sheet((0, 0, 0), (1, 0, 0), (0, 2, 0), cells=(3, 2))
     textures = [SolidTexture(pattern=pattern, colors=(RED, BLUE), scale=0.1) for pattern in PATTERNS]  # pyright: ignore[reportArgumentType]
     pieces = [bake_texture(texture, mesh, 200) for texture in textures]
-    monkeypatch.setattr(solid_textures, "POINTS_AT_ONCE", 1 << 20)
+    monkeypatch.setattr(mitsuba_scene, "POINTS_AT_ONCE", 1 << 20)
     for texture, piece in zip(textures, pieces, strict=True):
         np.testing.assert_array_equal(bake_texture(texture, mesh, 200), piece)
 

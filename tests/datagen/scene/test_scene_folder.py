@@ -19,12 +19,11 @@ from datagen.data.ply import write_ply
 from datagen.disk.errors import HyalineError
 from datagen.scene.atlas import unwrap
 from datagen.scene.description import Lobe, Scene, SceneObject
-from datagen.scene.folder import load_scene, save_scene, scene_files
+from datagen.scene.folder import Transform, load_scene, save_scene, scene_files
 from datagen.scene.materials import Dielectric, Diffuse, Plastic
 from datagen.scene.modelling import ball, merged, moved
 from datagen.scene.soundness import check_scene
 from datagen.scene.textures import ImageTexture, SolidTexture
-from datagen.scene.transforms import Transform
 
 
 def edit(folder: Path, change: object) -> None:
@@ -219,7 +218,7 @@ def test_a_drink_that_ends_exactly_on_its_glass_is_refused() -> None:
     bubble = ball(0.8, subdivisions=2)
     inside_out = dataclasses.replace(bubble, faces=np.ascontiguousarray(bubble.faces[:, ::-1]), normals=-bubble.normals)
     shell = merged([ball(1.0, subdivisions=2), inside_out])
-    with pytest.raises(HyalineError, match=r"objects g0 and g1 share 320 faces; let one reach into the other"):
+    with pytest.raises(HyalineError, match=r"objects g0 and g1 share 320 faces; extend one into the other"):
         check_scene(glass_scene((shell, Dielectric()), (bubble, Dielectric(ior=1.33))))
     check_scene(glass_scene((shell, Dielectric()), (ball(0.85, subdivisions=2), Dielectric(ior=1.33))))
 

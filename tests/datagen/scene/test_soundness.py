@@ -114,15 +114,15 @@ WRONG: dict[str, tuple[Scene, str]] = {
     ),
     "millimetres taken for metres": (
         scene_of(scaled(ON_FLOOR, 1000), GREY),
-        r"is 200 m large, and the cameras are 2 m from what they look at; .* scale it \(by 0\.001",
+        r"is 200 m large, and the cameras are 2 m from their target; .* scale it \(by 0\.001",
     ),
     "metres taken for kilometres": (
         scene_of(scaled(ON_FLOOR, 0.001), GREY),
-        r"is 0\.0002 m large, and no camera comes nearer than 0\.\d+ m, so that none sees it; lengths are metres",
+        r"is 0\.0002 m large and at least 0\.\d+ m from every camera, too small to be seen; lengths are metres",
     ),
     "a camera in glass": (
         scene_of(ball(1.2, subdivisions=3)),
-        r"cameras come inside of this glass, near \(.*\), and rays start in air",
+        r"cameras are inside this glass, near \(.*\), but rays start in air",
     ),
 }
 

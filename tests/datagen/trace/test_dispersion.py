@@ -20,9 +20,9 @@ from datagen.scene.materials import Dielectric, Diffuse, Material, RoughDielectr
 if use_mitsuba(quiet=True).startswith("scalar"):
     pytest.skip("light paths need a vectorised variant of Mitsuba", allow_module_level=True)
 
-from datagen.render.environment import radiance_of_environment
+from datagen.render.mitsuba_scene import radiance_of_environment
 from datagen.trace.light_path import LightPathTracer, TracedPaths
-from datagen.trace.limits import Limits
+from datagen.trace.surface_tables import Limits
 
 FLINT = Dielectric(ior="sf11", dispersion="measured")
 BLACK = SoftEnvironment(zenith=(0, 0, 0), horizon=(0, 0, 0), ground=(0, 0, 0))

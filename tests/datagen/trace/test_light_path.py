@@ -22,10 +22,9 @@ from datagen.scene.materials import Conductor, Dielectric, Diffuse, Material, Pl
 if use_mitsuba(quiet=True).startswith("scalar"):
     pytest.skip("light paths need a vectorised variant of Mitsuba", allow_module_level=True)
 
-from datagen.render.environment import radiance_of_environment
-from datagen.render.mitsuba_scene import load_scene_mitsuba, load_sensor
+from datagen.render.mitsuba_scene import load_scene_mitsuba, load_sensor, radiance_of_environment
 from datagen.trace.light_path import LightPathTracer, TracedPaths
-from datagen.trace.limits import Limits
+from datagen.trace.surface_tables import Limits
 
 GREY = Diffuse(color=(0.5, 0.5, 0.5))
 

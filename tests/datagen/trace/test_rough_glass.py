@@ -19,12 +19,11 @@ from datagen.scene.materials import Dielectric, Diffuse, Material, RoughDielectr
 if use_mitsuba(quiet=True).startswith("scalar"):
     pytest.skip("light paths need a vectorised variant of Mitsuba", allow_module_level=True)
 
-from datagen.render.environment import radiance_of_environment
 from datagen.render.facets import lobe_of_glass
-from datagen.render.mitsuba_scene import load_scene_mitsuba, load_sensor
+from datagen.render.mitsuba_scene import load_scene_mitsuba, load_sensor, radiance_of_environment
 from datagen.render.truth import Renderer
 from datagen.trace.light_path import LightPathTracer, TracedPaths
-from datagen.trace.limits import Limits
+from datagen.trace.surface_tables import Limits
 
 SPARK = dataclasses.replace(DUSK, lobes=(Lobe(direction=(1, 1, 1), radiance=(9, 7, 5), sharpness=60),))
 BALL = mesh_of(trimesh.creation.icosphere(4, 0.5))

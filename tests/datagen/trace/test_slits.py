@@ -1,4 +1,4 @@
-"""Tests that the sky is found where it shines between walls that ought to meet, and nowhere else."""
+"""Tests that the sky is found where it shines between walls that should meet, and nowhere else."""
 
 import dataclasses
 
@@ -67,7 +67,7 @@ def test_the_slit_that_the_glass_table_once_had_is_found() -> None:
     message = describe_slit(scene, slit)
     assert message.startswith("scene glass_table: the sky shows through a slit of ")
     assert " cm between back_wall and left_wall, near (-2.6" in message
-    assert "if they ought to meet, let one reach behind the other" in message
+    assert "if they should meet, extend one behind the other" in message
 
 
 def room(gap: float, *, reach: float = 0.0, **more: tuple[Mesh, Material]) -> Scene:

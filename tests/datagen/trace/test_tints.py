@@ -16,16 +16,13 @@ from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.description import Scene, SceneObject
 from datagen.scene.materials import Conductor, Plastic
 from datagen.scene.modelling import sheet
-from datagen.scene.solid_textures import evaluate_texture
-from datagen.scene.textures import ImageTexture, SolidTexture
+from datagen.scene.textures import ImageTexture, SolidTexture, evaluate_texture
 
 use_mitsuba(quiet=True)
 
-from datagen.render.environment import environment_plugin  # noqa: E402
-from datagen.render.mitsuba_scene import load_sensor  # noqa: E402
+from datagen.render.mitsuba_scene import environment_plugin, load_sensor  # noqa: E402
 from datagen.trace.light_path import LightPathTracer  # noqa: E402
-from datagen.trace.limits import Limits  # noqa: E402
-from datagen.trace.tints import tints_of  # noqa: E402
+from datagen.trace.surface_tables import Limits, tints_of  # noqa: E402
 
 FLAT = sheet((-1, -1, 0), (2, 0, 0), (0, 2, 0), cells=(2, 2))
 PLATE = dataclasses.replace(FLAT, uv=(0.5 + FLAT.vertices[:, :2] / 2).astype(np.float32))

@@ -21,7 +21,7 @@ from datagen.scene.folder import load_scene
 from datagen.scene.materials import Conductor, Dielectric, Material, RoughDielectric, ThinDielectric
 from datagen.scene.textures import ImageTexture
 from datagen.trace.light_path import LightPathTracer
-from datagen.trace.limits import Limits
+from datagen.trace.surface_tables import Limits
 
 BALL = mesh_of(trimesh.creation.icosphere(3, 0.5))
 WHITE_PNG = io.BytesIO()

@@ -24,7 +24,7 @@ from datagen.disk.errors import HyalineError
 from model.batches import pixel_cache
 from model.batches.pixel_cache import MappedPixels, cache_root, choose_memory, map_pixels
 from model.batches.rays import Pixels, load_pixels, take_colors
-from model.methods.table import BUILT_IN, find_method
+from model.methods.table import BUILT_IN, METHODS
 from model.run.train import train
 
 CPU = torch.device("cpu")
@@ -215,11 +215,11 @@ def test_the_command_maps_and_refuses_to_map_what_is_traced(
     assert "memory: is mapped, but this method traces" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("method", [name for name in BUILT_IN if find_method(name).reads_layers])
+@pytest.mark.parametrize("method", [name for name in BUILT_IN if METHODS.find(name).reads_layers])
 def test_every_method_on_stored_layers_can_be_fed_from_files(dataset: Dataset, method: str) -> None:
-    pixels = load(find_method(method)(), dataset, VIEWS, mapped=True)
+    pixels = load(METHODS.find(method)(), dataset, VIEWS, mapped=True)
     assert isinstance(pixels, MappedPixels)
-    loaded = load(find_method(method)(), dataset, VIEWS)
+    loaded = load(METHODS.find(method)(), dataset, VIEWS)
     assert_same_batches(loaded, pixels, torch.arange(2048))  # pyright: ignore
 
 

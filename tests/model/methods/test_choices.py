@@ -7,7 +7,7 @@ import pytest
 
 from datagen.disk.errors import HyalineError, UsageError
 from model.cli import main
-from model.methods.table import BUILT_IN, find_method
+from model.methods.table import BUILT_IN, METHODS
 from model.run.train_flags import check_words, flags_of_method, folder_name, parse_train
 from model.settings.flags import flags_of
 from model.settings.run_flags import RunFlags
@@ -57,7 +57,7 @@ def test_folders_tell_what_is_not_usual_for_the_method_its_preset_and_the_geomet
 
 @pytest.mark.parametrize("method", BUILT_IN)
 def test_every_flag_of_a_method_means_one_thing_and_marks_the_folder(method: str) -> None:
-    record = find_method(method)
+    record = METHODS.find(method)
     optimisation = type(record().optimisation())
     parts = [flags_of(part) for part in (RunFlags, record, optimisation)]
     assert sum(map(len, parts)) == len(flags_of_method(method))

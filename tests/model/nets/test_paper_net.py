@@ -15,12 +15,7 @@ from model.batches.rays import insert_empty_layer, load_pixels
 from model.methods.paper.config import PaperConfig
 from model.methods.paper.renderer import PaperRenderer, _warn_of_slow_bf16, default_texture_size
 from model.methods.table import open_inputs
-from model.nets.extrinsics import (
-    ExtrinsicInputs,
-    Extrinsics,
-    bake_position_table,
-    spherical_harmonics,
-)
+from model.nets.extrinsics import ExtrinsicInputs, Extrinsics, bake_position_table, spherical_harmonics
 from model.nets.pixel_mlp import PixelMlp, count_parameters, width_for_34k
 from model.nets.texture import TexturePyramid
 from model.settings.network_parts import EXTRINSIC_CHANNELS
@@ -198,7 +193,7 @@ def test_bf16_without_instructions_for_it_is_told_once(
     has_instructions: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "cpuinfo").write_text(f"flags\t\t: fpu sse {'avx512_bf16' if has_instructions else ''}\n")
-    monkeypatch.setattr("datagen.machine.processor.CPUINFO", tmp_path / "cpuinfo")
+    monkeypatch.setattr("datagen.machine.hardware.CPUINFO", tmp_path / "cpuinfo")
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     dataset = write_synthetic_dataset(tmp_path / "data")
     _warn_of_slow_bf16.cache_clear()

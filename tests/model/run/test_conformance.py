@@ -20,7 +20,7 @@ from datagen.data.paths import TRUTH
 from model.batches.rays import PixelSource
 from model.methods.paper.config import PaperConfig
 from model.methods.protocol import Inputs
-from model.methods.table import find_method, list_methods, open_inputs
+from model.methods.table import open_inputs
 from model.run.conformance import CHECKS, Broken, Subject
 
 ROOT = Path(__file__).parents[3]
@@ -64,12 +64,8 @@ def words_of(answer: subprocess.CompletedProcess[str]) -> str:
 def found(installed: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """The example where this process finds it, too."""
     monkeypatch.syspath_prepend(installed)
-    for known in (list_methods, find_method):
-        known.cache_clear()
     yield installed
     sys.modules.pop("nearest_view", None)
-    for known in (list_methods, find_method):
-        known.cache_clear()
 
 
 def test_a_method_of_another_distribution_is_listed_checked_and_short(installed: Path) -> None:
@@ -103,7 +99,7 @@ def test_a_method_that_cannot_be_imported_is_one_line_and_disturbs_no_other(foun
     (found / "nearest_view.py").write_text("import no_such_module")
     answer = call("model check-method nearest-view")
     assert answer.status == 1 and answer.err.count("\n") == 1
-    assert "nearest_view:NearestViewConfig, which nearest-view brings, cannot be imported" in answer.err
+    assert "nearest_view:NearestViewConfig of nearest-view cannot be imported (ModuleNotFoundError: " in answer.err
     for broken in ("import no_such_module", "raise RuntimeError('no GPU')", "class NearestViewConfig: ..."):
         (found / "nearest_view.py").write_text(broken)
         assert "nearest-view Brought by nearest-view." in words_of(model(found, "train", "--help"))

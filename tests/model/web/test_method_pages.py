@@ -14,7 +14,6 @@ from support.synthetic import write_synthetic_dataset
 from support.web_scenes import psnr
 
 from benchmarks.browser import open_file, watched_page
-from model.methods.table import find_method, list_methods
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
@@ -36,12 +35,8 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]
     (metadata / "entry_points.txt").write_text(f"[hyaline.methods]\n{point[1]}{point[2]}\n")
     (place / "first_surface.py").write_text(module[1])
     monkeypatch.syspath_prepend(place)
-    for known in (list_methods, find_method):
-        known.cache_clear()
     yield
     sys.modules.pop("first_surface", None)
-    for known in (list_methods, find_method):
-        known.cache_clear()
 
 
 @pytest.mark.usefixtures("installed")

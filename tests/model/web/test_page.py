@@ -26,15 +26,16 @@ from support.web_scenes import (
 )
 
 from benchmarks.browser import Watched, open_file, watched_page
+from datagen.data import meshes
 from datagen.data.dataset import Dataset
 from datagen.data.images import png_bytes
 from datagen.data.paths import TRUTH
-from datagen.scene import media, thin_walls
+from datagen.scene import contact, media
 from datagen.scene.description import SceneObject
 from datagen.scene.materials import Dielectric
 from datagen.scene.materials.optics import Event, Medium, Surface
 from datagen.scene.modelling import transformed
-from datagen.trace import branches, light_path, limits, surface_hits, surface_tables
+from datagen.trace import branches, surface_hits, surface_tables
 from model.methods.light_path import net, pixels
 from model.methods.light_path import page as page_of_light_path
 from model.methods.light_path.net import LightPathRenderer
@@ -259,7 +260,7 @@ SHARED = {
     "MIN_THROUGHPUT 0.25": (branches, "MIN_THROUGHPUT", 0.25),
     "FIRST_MIRROR 99.0": (branches, "FIRST_MIRROR", 99.0),
     "SPARE_STEPS 7": (branches, "SPARE_STEPS", 7),
-    "MAX_DEPTH 5": (limits, "LIMITS", limits.Limits(max_depth=5)),
+    "MAX_DEPTH 5": (surface_tables, "LIMITS", surface_tables.Limits(max_depth=5)),
     "SAME_INDEX 0.5": (media, "SAME_INDEX", 0.5),
     "MAX_NESTED 11": (media, "MAX_NESTED", 11),
     "STACKED_FIRST 3": (pixels, "STACKED_VERTICES", (3, 1)),
@@ -269,11 +270,11 @@ SHARED = {
     "MANY_RAYS 99": (pixels, "MANY_RAYS", 99),
     "ENDS 6": (surface_tables, "EVENTS", {"ends": 6}),
     "MIN_COSINE 0.5": (surface_hits, "MIN_COSINE", 0.5),
-    "SKIP_COSINE 0.25": (thin_walls, "MIN_COSINE", 0.25),
-    "RAY_OFFSET 0.125": (thin_walls, "RAY_OFFSET", 0.125),
+    "SKIP_COSINE 0.25": (contact, "MIN_COSINE", 0.25),
+    "RAY_OFFSET 0.125": (contact, "RAY_OFFSET", 0.125),
     "LEAKY_SLOPE 0.5": (pixel_mlp, "LEAKY_SLOPE", 0.5),
-    "R2_X 2147483648u": (light_path, "PLASTIC", 2.0),
-    "R2_Y 1073741824": (light_path, "PLASTIC", 2.0),
+    "R2_X 2147483648u": (meshes, "PLASTIC", 2.0),
+    "R2_Y 1073741824": (meshes, "PLASTIC", 2.0),
 }
 """What the shader says after a constant of Python has changed."""
 

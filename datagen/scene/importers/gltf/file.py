@@ -16,7 +16,7 @@ import numpy as np
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import find_file
 from datagen.disk.records import parse_json, shown
-from datagen.machine.child_python import ChildError, arrays_from_child
+from datagen.machine.processes import ChildError, arrays_from_child
 from datagen.scene.importers.fields import Fields
 from datagen.scene.importers.foreign import read_foreign
 from datagen.terminal.distribution import install_command
@@ -27,7 +27,7 @@ WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 MAX_VALUES = 1 << 27
 """Numbers in one array."""
 TIMEOUT_S = 60
-"""Of the child process that decodes Draco."""
+"""Time limit of the child process that decodes Draco, in seconds."""
 MAX_JSON_BYTES = 1 << 28
 """A .gltf may hold its buffers as base64."""
 READ_EXTENSIONS = {
@@ -106,11 +106,7 @@ class GltfFile:
         return memoryview(buffer)[start : start + length], stride
 
     def uri(self, uri: str, *, where: str) -> bytes:
-        """What a URI names: data inside of it, or a file in the folder of this one.
-
-        Raises:
-            HyalineError: it leads anywhere else.
-        """
+        """What a URI names: data inside of it, or a file in the folder of this one."""
         if uri.startswith("data:"):
             head, comma, body = uri.partition(",")
             if not comma or not head.endswith(";base64"):
@@ -122,11 +118,7 @@ class GltfFile:
         return read_foreign(self.beside(uri, where=where))
 
     def beside(self, uri: str, *, where: str) -> Path:
-        """The file in the folder of this one that a URI names; it may not be there.
-
-        Raises:
-            HyalineError: it leads anywhere else.
-        """
+        """The file in the folder of this one that a URI names; it may not be there."""
         relative = unquote(uri).removeprefix("./")
         if ":" in relative.split("/")[0]:
             raise HyalineError(f"{where}: names {shown(uri)}; expected a file in the folder of {self.path.name}")
@@ -166,7 +158,7 @@ def _split_glb(data: bytes, path: Path) -> tuple[bytes, bytes | None]:
         chunks.append((kind, data[at + 8 : at + 8 + size]))
         at += 8 + size
     if not chunks or chunks[0][0] != _JSON:
-        raise HyalineError(f"{path}: its first chunk is no JSON; expected a GLB, export it again")
+        raise HyalineError(f"{path}: its first chunk is not JSON; expected a GLB, export it again")
     return chunks[0][1].rstrip(b" \0"), next((chunk for kind, chunk in chunks[1:] if kind == _BIN), None)
 
 
@@ -193,11 +185,7 @@ class GltfArrays:
         return accessor.integer("count", low=1)
 
     def array(self, index: int, kind: str, *, where: str) -> np.ndarray:
-        """The elements of an accessor: (n, width) of floats, normalised where it says so; or (n,) of indices.
-
-        Raises:
-            HyalineError: its bytes do not lie in a buffer, or its numbers are no finite ones of this kind.
-        """
+        """The elements of an accessor: (n, width) of floats, normalised if it asks for it; or (n,) indices."""
         accessor = self.file.item("accessors", index, where=where)
         found = accessor.text("type")
         if found != kind:
@@ -254,7 +242,7 @@ class GltfArrays:
 def _strided(
     view: memoryview, offset: int, count: int, width: int, dtype: np.dtype, stride: int, *, where: str
 ) -> np.ndarray:
-    """(count, width) numbers, of which each row begins `stride` bytes after the last; 0: where the last one ends."""
+    """(count, width) numbers; each row begins `stride` bytes after the last one, or right after it if 0."""
     size = width * dtype.itemsize
     stride = stride or size
     if stride < size:
@@ -273,9 +261,6 @@ def read_draco(arrays: GltfArrays, draco: Fields, wanted: dict[str, str]) -> tup
 
     Args:
         wanted: the type of each attribute by its name.
-
-    Raises:
-        HyalineError: DracoPy is not installed, or the bytes cannot be decoded.
     """
     if importlib.util.find_spec("DracoPy") is None:
         raise HyalineError(
@@ -291,7 +276,7 @@ def read_draco(arrays: GltfArrays, draco: Fields, wanted: dict[str, str]) -> tup
     attributes = {name: found[name].astype(np.float64) for name in names}
     for name, values in attributes.items():
         if values.shape != (len(attributes["POSITION"]), WIDTHS[wanted[name]]) or not np.isfinite(values).all():
-            raise HyalineError(f"{draco.where}: its {name} are no {wanted[name]} of finite numbers; export it again")
+            raise HyalineError(f"{draco.where}: its {name} are not {wanted[name]} of finite numbers; export it again")
     return attributes, found["faces"].astype(np.int64).reshape(-1)
 
 

@@ -81,7 +81,7 @@ def read_material(file: GltfFile, index: int | None, remarks: Remarks) -> tuple[
         others.append(("transmission", transmission.fields("transmissionTexture"), 0))
     factor_images, use = _factor_images(file, others, use, name, remarks, is_glossiness=gloss is not None)
     if others and others[0][0] == "metallic" and not any(found.factor == "metallic" for found in factor_images):
-        # Its image is not there. The factor's default of 1 would make metal of what the image may say is none.
+        # Its image is missing. The factor's default of 1 would turn into metal what the image may not.
         metallic = pbr.share("metallicFactor", 0.0)
     volume = fields.extension("KHR_materials_volume")
     dispersion = fields.extension("KHR_materials_dispersion")
@@ -122,7 +122,7 @@ def _ior(fields: Fields, name: str, remarks: Remarks) -> float:
         return SUBSTANCES[named]
     ior = 1.5 if extension is None else extension.number("ior", 1.5)
     if ior == 0:  # The extension's word for a surface that mirrors all: of the specular-glossiness model.
-        remarks.approximate(name, "has an index of refraction of 0, which stands for none; drawn with 1.5")
+        remarks.approximate(name, "has an index of refraction of 0, which means none; drawn with 1.5")
         return 1.5
     if not 1 <= ior < 10:
         raise HyalineError(f"{fields.where}: material {name} has an index of refraction of {ior:g}; expected 1 to 10")
@@ -146,7 +146,7 @@ def _priority(fields: Fields) -> int:
 
 
 def _remark_on(fields: Fields, name: str, remarks: Remarks) -> None:
-    """A line for each thing that the file says about a material and that is not drawn."""
+    """A line for each property of a material that is not drawn."""
     for extension in fields.extensions():
         if extension in IGNORED:
             remarks.approximate(name, f"has {IGNORED[extension]}, which is left out")

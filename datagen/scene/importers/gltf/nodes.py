@@ -1,4 +1,4 @@
-"""Where the meshes of a glTF file stand: its tree of nodes, and the instances that they make.
+"""Where the meshes of a glTF file are: its tree of nodes, and the instances that they make.
 
 Source: glTF 2.0 sections 3.5 and 3.10, EXT_mesh_gpu_instancing, KHR_lights_punctual.
 """
@@ -22,7 +22,7 @@ LAMPS = "KHR_lights_punctual"
 MAX_NODES = 20_000
 MAX_COORDINATE = 1e18
 FILM = 1000.0
-"""Pixels by which the height of a camera's pictures is described: glTF knows none."""
+"""Height in pixels that describes a camera's pictures: glTF has none."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -36,20 +36,17 @@ class Instance:
 
 @dataclass(frozen=True, kw_only=True)
 class Standing:
-    """What stands in a scene besides meshes."""
+    """The cameras and lamps in a scene."""
 
     cameras: list[Camera] = field(default_factory=list)
     lamps: list[ForeignLamp] = field(default_factory=list)
 
 
 def instances(arrays: GltfArrays, standing: Standing, remarks: Remarks) -> Iterator[Instance]:
-    """Every mesh of the file's scene, once for each place at which it stands; parents come before children.
+    """Every mesh of the file's scene, once for each place where it is; parents come before children.
 
     Args:
         standing: takes cameras and lamps.
-
-    Raises:
-        HyalineError: nodes in a circle, or one that has two parents.
     """
     file = arrays.file
     nodes = file.lists["nodes"]
@@ -62,14 +59,14 @@ def instances(arrays: GltfArrays, standing: Standing, remarks: Remarks) -> Itera
         index, world_from_parent = waiting.pop()
         node = nodes[index]
         if index in seen:
-            raise HyalineError(f"{node.where}: stands in a circle, or below two nodes; export the file again")
+            raise HyalineError(f"{node.where}: is part of a cycle or has two parents; export the file again")
         seen.add(index)
         world_from_node = world_from_parent @ _local(node)
         if not np.abs(world_from_node).max() < MAX_COORDINATE:
             raise HyalineError(f"{node.where}: is larger than can be; export the file again")
         if "mesh" in node:
             if "skin" in node:
-                remarks.approximate(_name(node), "is moved by bones, which are not read; it stands in its rest pose")
+                remarks.approximate(_name(node), "is moved by bones, which are not read; drawn in its rest pose")
             for world_from_mesh in _copies(arrays, node, world_from_node):
                 count += 1
                 if count > MAX_SURFACES:
@@ -90,7 +87,7 @@ def _name(node: Fields) -> str:
 
 
 def _lamp(file: GltfFile, lamp: Fields, name: str, world: Float[np.ndarray, "4 4"]) -> ForeignLamp:
-    """A lamp where it stands; it shines along its -z."""
+    """A lamp in the world; it shines along its -z."""
     listed = file.root.extension(LAMPS)
     lights = [] if listed is None else listed.listed("lights")
     index = lamp.integer("light")
@@ -120,7 +117,7 @@ def _lamp(file: GltfFile, lamp: Fields, name: str, world: Float[np.ndarray, "4 4
 
 
 def _camera(camera: Fields, world: Float[np.ndarray, "4 4"], remarks: Remarks) -> list[Camera]:
-    """A camera where it stands; none where it is orthographic. glTF's cameras are OpenGL's."""
+    """A camera in the world; none if it is orthographic. glTF's cameras are OpenGL's."""
     if camera.text("type", "perspective") != "perspective":
         remarks.approximate(_name(camera), "is an orthographic camera, which is left out")
         return []
@@ -143,7 +140,7 @@ def _camera(camera: Fields, world: Float[np.ndarray, "4 4"], remarks: Remarks) -
 
 
 def _roots(arrays: GltfArrays) -> list[int]:
-    """The top nodes of the file's scene; of a file without scenes, those that are nobody's children."""
+    """The top nodes of the file's scene; in a file without scenes, those without a parent."""
     file = arrays.file
     nodes = file.lists["nodes"]
     if file.lists["scenes"]:

@@ -32,18 +32,14 @@ Attributes = dict[str, np.ndarray]
 
 
 def read_gltf(path: Path, remarks: Remarks) -> ForeignScene:
-    """The surfaces of a glTF or GLB file.
-
-    Raises:
-        HyalineError: it is no such file, damaged, or needs what is not read.
-    """
+    """The surfaces of a glTF or GLB file."""
     file = GltfFile(path)
     arrays = GltfArrays(file)
     _check_lists(file)
     standing = Standing()
     placed = list(instances(arrays, standing, remarks))
     if "animations" in file.root:
-        remarks.note(path.name, "has animations; each object stands where its node puts it")
+        remarks.note(path.name, "has animations, which are not read; drawn as the nodes place it")
     uses: dict[int, int] = {}
     for instance in placed:
         _remark_on_morphs(file, instance, remarks)
@@ -73,7 +69,7 @@ def read_gltf(path: Path, remarks: Remarks) -> ForeignScene:
 
 
 def _license_of(root: Fields) -> str | None:
-    """What the metadata says of rights, wherever glTF, its XMP extensions and Sketchfab put it; bad metadata is none.
+    """The rights in the metadata, as glTF, its XMP extensions and Sketchfab write them; bad metadata is ignored.
 
     Source: glTF 2.0 section 5.9, KHR_xmp_json_ld.
     """
@@ -203,7 +199,7 @@ def _attributes(arrays: GltfArrays, primitive: Fields) -> tuple[Attributes, np.n
     if any(len(values) != count for values in found.values()):
         raise HyalineError(f"{primitive.where}: its attributes differ in length; export the file again")
     if corners.ndim != 1 or corners.dtype.kind != "i":
-        raise HyalineError(f"{primitive.where}.indices: are no whole numbers; export the file again")
+        raise HyalineError(f"{primitive.where}.indices: are not whole numbers; export the file again")
     if len(corners) and (corners.min() < 0 or corners.max() >= count):
         raise HyalineError(f"{primitive.where}: names vertex {corners.max()} of {count}; export the file again")
     return found, corners

@@ -35,15 +35,11 @@ _TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attrib
 _VERTEX = re.compile(rb"^[ \t]*vertex[ \t]+(\S+)[ \t]+(\S+)[ \t]+(\S+)[ \t\r]*$", re.MULTILINE)
 RIGHTS = ("LicenseTerms", "Copyright")
 METRES = {"micron": 1e-6, "millimeter": 1e-3, "centimeter": 1e-2, "inch": 0.0254, "foot": 0.3048, "meter": 1.0}
-"""Of the units of 3MF."""
+"""Metres in each unit of 3MF."""
 
 
 def read_ply_file(path: Path, remarks: Remarks) -> ForeignScene:
-    """The surface of a PLY file.
-
-    Raises:
-        HyalineError: it is no such file, or damaged.
-    """
+    """The surface of a PLY file."""
     data = read_foreign(path, at_most=MAX_PLY_BYTES)
     header = data[: data.find(b"end_header")]
     if re.search(rb"property\s+\w+\s+(red|diffuse_red)\b", header):
@@ -95,7 +91,9 @@ def _strips(data: bytes, path: Path) -> tuple[np.ndarray, np.ndarray]:
         lists = [word for word in words if word[:2] == ["property", "list"]]
         size_type, index_type = (np.dtype(order + PLY_TYPES.get(kind, "")) for kind in lists[-1][2:4])
         if count * dtype.itemsize + size_type.itemsize > len(body):
-            raise HyalineError(f"{path}: its header says {count:,} vertices; it is cut off, export it again")
+            raise HyalineError(
+                f"{path}: its header promises {count:,} vertices, and the file ends before; export it again"
+            )
         vertex = np.frombuffer(body, dtype, count)
         positions = np.stack([vertex[axis] for axis in "xyz"], axis=-1).astype(np.float64)
         at = count * dtype.itemsize
@@ -137,11 +135,7 @@ def _faces(strip: np.ndarray) -> np.ndarray:
 
 
 def read_stl(path: Path, remarks: Remarks) -> ForeignScene:  # noqa: ARG001
-    """The triangles of an STL file.
-
-    Raises:
-        HyalineError: it is no such file, or cut off.
-    """
+    """The triangles of an STL file."""
     data = read_foreign(path)
     count = int.from_bytes(data[80:84], "little")
     if len(data) >= 84 and len(data) == 84 + _TRIANGLE.itemsize * count:
@@ -150,7 +144,7 @@ def read_stl(path: Path, remarks: Remarks) -> ForeignScene:  # noqa: ARG001
         corners = _text(data, path)
     else:
         raise HyalineError(
-            f"{path}: has {len(data):,} bytes for {count:,} triangles of 50 bytes; it is cut off, or no STL file"
+            f"{path}: has {len(data):,} bytes for {count:,} triangles of 50 bytes; it is cut off, or not an STL file"
         )
     if not 0 < len(corners) <= MAX_TRIANGLES:
         raise HyalineError(f"{path}: holds {len(corners):,} triangles; expected 1 to {MAX_TRIANGLES:,}")
@@ -178,11 +172,7 @@ def _text(data: bytes, path: Path) -> np.ndarray:
 
 
 def read_3mf(path: Path, remarks: Remarks) -> ForeignScene:
-    """The objects that a 3MF file would print, without their colours.
-
-    Raises:
-        HyalineError: lxml is not installed, or it is no such file, or damaged.
-    """
+    """The objects that a 3MF file would print, without their colours."""
     if importlib.util.find_spec("lxml") is None:
         raise HyalineError(f"{path}: reading 3MF needs lxml; `{install_command('generate')}` brings it")
     import trimesh
@@ -191,7 +181,7 @@ def read_3mf(path: Path, remarks: Remarks) -> ForeignScene:
     try:
         rights = _checked_model(data, path, remarks)
         with warnings.catch_warnings():
-            # numpy 2.4 stops at a word that is no number, and warns.
+            # numpy 2.4 stops at a word that is not a number, and warns.
             warnings.filterwarnings("error", "string or file could not be read", DeprecationWarning)
             scene = trimesh.load_scene(io.BytesIO(data), file_type="3mf", process=False)
     # zipfile, lxml and trimesh answer a broken file with many kinds of exception (BadZipFile, KeyError, ...).
@@ -218,7 +208,7 @@ def read_3mf(path: Path, remarks: Remarks) -> ForeignScene:
 
 
 def _checked_model(data: bytes, path: Path, remarks: Remarks) -> list[str]:
-    """What the model in an archive says of its rights; what trimesh 5.2 skips or reads wrong is refused."""
+    """The rights in an archive's model; refuses what trimesh 5.2 skips or reads wrong."""
     from lxml import etree  # pyright: ignore[reportMissingImports, reportAttributeAccessIssue]
 
     with zipfile.ZipFile(io.BytesIO(data)) as archive:

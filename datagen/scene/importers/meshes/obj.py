@@ -33,9 +33,9 @@ WIDTHS = {"v": 3, "vt": 2, "vn": 3}
 """Numbers of a position, of uv and of a normal; a corner names them in this order."""
 MAX_MTL_BYTES = 1 << 24
 MAX_CORNERS = 10_000
-"""Of one polygon."""
+"""The most corners of one polygon."""
 PBR_KEYS = ("pr", "pm", "ps", "pc")
-"""Of the physically based extension. Where Blender writes them, it writes the weight of transmission as Tf."""
+"""Keys of the physically based extension. With them, Blender writes the weight of transmission as Tf."""
 GLASS_MODELS = (4, 6, 7, 9)
 """Illumination models whose transparency is glass, by their names in the specification."""
 MAX_OPAQUE = 0.9
@@ -78,7 +78,7 @@ class _Text:
     numbers: dict[str, list[tuple[float, ...]]] = field(default_factory=lambda: {key: [] for key in WIDTHS})
     """Positions, uv and normals."""
     names: dict[str, str] = field(default_factory=lambda: {"o": "", "g": "", "usemtl": ""})
-    """Of the object, group and material to which the next faces belong."""
+    """The object, group and material of the next faces."""
     faces: dict[tuple[str, str], list[tuple[Corner, Corner, Corner]]] = field(default_factory=dict)
     """Triangles by the names of their object and of their material."""
     materials: dict[str, ForeignMaterial] = field(default_factory=dict)
@@ -86,11 +86,7 @@ class _Text:
 
 
 def read_obj(path: Path, remarks: Remarks, *, has_materials: bool = True) -> ForeignScene:
-    """The surfaces of an OBJ file, with the materials of the MTL files that it names.
-
-    Raises:
-        HyalineError: it is no such file, or names vertices that are not there.
-    """
+    """The surfaces of an OBJ file, with the materials of the MTL files that it names."""
     text = _Text()
     data = read_foreign(path, at_most=MAX_BYTES)
     for number, line in enumerate(lines_of(data, where=str(path)), start=1):
@@ -185,11 +181,7 @@ def _objects(text: _Text, path: Path, remarks: Remarks) -> list[ForeignObject]:
 
 
 def read_mtl(path: Path, remarks: Remarks) -> dict[str, ForeignMaterial]:
-    """The materials of a file by name.
-
-    Raises:
-        HyalineError: a number is none, or an image leads out of the folder.
-    """
+    """The materials of a file by name."""
     entries: dict[str, Entry] = {}
     entry: Entry = {}
     for line in lines_of(read_foreign(path, at_most=MAX_MTL_BYTES), where=str(path)):
@@ -238,7 +230,7 @@ def _material(name: str, entry: Entry, path: Path, remarks: Remarks) -> ForeignM
         for key, factor in FACTOR_MAPS.items()
         if (image := _image(name, entry, path, remarks, key=key)) is not None
     )
-    # An image stands in place of its number.
+    # An image replaces the factor.
     numbers: dict[Factor, float] = {
         "metallic": number("pm", 0.0),
         "roughness": number("pr", 0.0 if is_glass else glossy),
@@ -291,11 +283,7 @@ def _image(name: str, entry: Entry, path: Path, remarks: Remarks, *, key: str) -
 
 
 def floats(words: list[str], count: int, *, where: str) -> tuple[float, ...]:
-    """The first `count` words as finite numbers.
-
-    Raises:
-        HyalineError: there are fewer, or one is no finite number.
-    """
+    """The first `count` words as finite numbers."""
     try:
         values = tuple(map(float, words[:count]))
     except ValueError:
@@ -306,11 +294,7 @@ def floats(words: list[str], count: int, *, where: str) -> tuple[float, ...]:
 
 
 def lines_of(data: bytes, *, where: str) -> list[str]:
-    """The lines of a text in UTF-8 or Latin-1; those that end in a backslash go on in the next.
-
-    Raises:
-        HyalineError: it holds bytes that no text has.
-    """
+    """The lines of a text in UTF-8 or Latin-1; those that end in a backslash go on in the next."""
     if b"\0" in data:
         raise HyalineError(f"{where}: holds zero bytes; expected text")
     try:

@@ -47,11 +47,7 @@ class FoundMaterial:
 
 
 def read_bsdf(node: Node, remarks: Remarks, *, depth: int = 0) -> FoundMaterial:
-    """The material of a BSDF.
-
-    Raises:
-        HyalineError: a plugin that is not known here.
-    """
+    """The material of a BSDF."""
     if node.plugin in ("twosided", "mask", "bumpmap", "normalmap"):
         inner = node.inner("BSDF")
         if inner is None:
@@ -62,7 +58,7 @@ def read_bsdf(node: Node, remarks: Remarks, *, depth: int = 0) -> FoundMaterial:
         if node.plugin == "mask":
             return _masked(node, inside, remarks)
         if node.plugin != "twosided":
-            remarks.approximate(node.name, f"is a {node.plugin}, of which only the material itself is drawn")
+            remarks.approximate(node.name, f"is a {node.plugin}; only the material inside it is drawn")
         return inside
     if node.plugin not in READERS:
         known = ", ".join(sorted([*READERS, "twosided"]))
@@ -208,15 +204,11 @@ READERS = {
 
 
 def absorption_of(medium: Node | None) -> Color:
-    """What a homogeneous medium takes away, per unit of length.
-
-    Raises:
-        HyalineError: it scatters.
-    """
+    """What a homogeneous medium takes away, per unit of length."""
     if medium is None:
         return (0.0, 0.0, 0.0)
     if medium.plugin != "homogeneous":
-        raise HyalineError(f"{medium.where}: is no homogeneous medium; expected one, or none")
+        raise HyalineError(f"{medium.where}: is not a homogeneous medium; expected one, or none")
     if max(medium.color("albedo", 0.75)) > 0:
         raise HyalineError(f"{medium.where}: scatters light; expected an albedo of 0, which only absorbs")
     scale = medium.number("scale", 1.0)

@@ -31,7 +31,7 @@ REFUSED = {
 
 
 class Node:
-    """One object of the scene: its plugin's name and its properties, of which nothing was made."""
+    """One object of the scene: its plugin's name and its unused properties."""
 
     def __init__(self, scene: "NodeList", index: int) -> None:
         self.scene, self.index = scene, index
@@ -76,28 +76,22 @@ class Node:
         """Three finite numbers."""
         values = self._listed(self.props.get(key, list(default)))
         if values is None or len(values) != 3 or not np.isfinite(values).all():
-            raise HyalineError(f"{self.where}: {key} is no point; expected three numbers")
+            raise HyalineError(f"{self.where}: {key} is not a point; expected three numbers")
         return np.array(values, np.float64)
 
     def matrix(self, key: str) -> np.ndarray:
-        """A transform (4, 4); the identity where there is none."""
+        """A transform (4, 4); the identity if missing."""
         if key not in self.props:
             return np.eye(4)
         matrix = np.array(getattr(self.props[key], "matrix", np.zeros((0, 0))), np.float64)
         if matrix.shape == (3, 3):  # Of a texture: in two dimensions.
             matrix = np.block([[matrix[:2, :2], np.zeros((2, 1)), matrix[:2, 2:]], [np.zeros((2, 2)), np.eye(2)]])
         if matrix.shape != (4, 4) or not (np.abs(matrix) < MAX_VALUE).all() or abs(np.linalg.det(matrix)) < 1e-30:
-            raise HyalineError(
-                f"{self.where}: {key} is no transform that can be undone; expected one of finite numbers"
-            )
+            raise HyalineError(f"{self.where}: {key} is not an invertible transform; expected one with finite numbers")
         return matrix
 
     def file(self, key: str) -> Path:
-        """A file that it names, in the scene's folder.
-
-        Raises:
-            HyalineError: it leads elsewhere, or is not there.
-        """
+        """A file that it names, in the scene's folder."""
         name = self.text(key, "")
         found = find_file(self.scene.path.parent, name.replace("\\", "/").removeprefix("./"), where=self.where)
         if not found.exists():
@@ -105,7 +99,7 @@ class Node:
         return found
 
     def child(self, key: str) -> "Node | None":
-        """The object under a name; None where there is none, or a plain value."""
+        """The object under a name; None if missing, or a plain value."""
         index = self.scene.index_of(self.props.get(key))
         return None if index is None else Node(self.scene, index)
 
@@ -167,11 +161,7 @@ class NodeList:
 
 
 def check_text(path: Path) -> None:
-    """Refuses an XML file, and what it includes, that Mitsuba's parser must not see.
-
-    Raises:
-        HyalineError: naming what it is.
-    """
+    """Refuses an XML file, and what it includes, that Mitsuba's parser must not see."""
     waiting, seen = [path], {path.resolve()}
     while waiting:
         for included in _includes(waiting.pop(), path.parent):

@@ -16,7 +16,8 @@ import numpy as np
 from datagen.data.cameras import Camera
 from datagen.data.meshes import Mesh
 from datagen.disk.errors import HyalineError
-from datagen.scene.environment_maps import read_map
+from datagen.scene.description import MAP_ENDINGS
+from datagen.scene.images import read_map
 from datagen.scene.importers.foreign import (
     MAX_SURFACES,
     MAX_TRIANGLES,
@@ -35,12 +36,11 @@ from datagen.scene.importers.meshes.obj import read_obj
 from datagen.scene.importers.mitsuba.materials import FoundMaterial, absorption_of, read_bsdf
 from datagen.scene.importers.mitsuba.nodes import Node, NodeList
 from datagen.scene.importers.remarks import Remarks
-from datagen.scene.lights import MAP_ENDINGS
 from datagen.scene.modelling import ball, sheet
 from datagen.scene.values import Color
 
 QUIET = ("Integrator", "Sampler", "Film", "BSDF", "Texture", "Medium")
-"""Top-level nodes that say nothing about the scene, or that shapes refer to."""
+"""Top-level nodes that do not change the scene, or that shapes refer to."""
 SEGMENTS = 96
 """Sides of a disk or a cylinder."""
 MAGIC = 0x041C
@@ -50,11 +50,7 @@ MAX_MESHES = 20_000
 
 
 def read_mitsuba(path: Path, remarks: Remarks) -> ForeignScene:
-    """The shapes, materials, lights and cameras of a scene file.
-
-    Raises:
-        HyalineError: it is no such file, names something outside of its folder, or holds what is not read.
-    """
+    """The shapes, materials, lights and cameras of a scene file."""
     nodes = NodeList(path)
     objects: list[ForeignObject] = []
     lights: list[ForeignLight] = []
@@ -168,7 +164,7 @@ def _camera(node: Node, remarks: Remarks) -> Camera:
 
 
 def _up(cameras: list[Camera]) -> Axis:
-    """The axis that is up in the pictures of the cameras; Mitsuba's own examples have y where nobody says."""
+    """The axis that is up in the pictures of the cameras; Mitsuba's own examples have y by default."""
     if not cameras:
         return "y"
     ups = np.abs(np.sum([camera.world_from_camera[:3, 1] for camera in cameras], axis=0))
@@ -180,11 +176,7 @@ def _up(cameras: list[Camera]) -> Axis:
 
 
 def read_shape(node: Node, remarks: Remarks) -> list[ForeignObject]:
-    """The triangles of a shape in the file's world, with uv whose v points up, and no material yet.
-
-    Raises:
-        HyalineError: a kind that is not read, or a file that is not in the scene's folder.
-    """
+    """The triangles of a shape in the file's world, with uv whose v points up, and no material yet."""
     if node.plugin not in SHAPES:
         known = ", ".join(sorted(SHAPES))
         raise HyalineError(f"{node.where}: is of a kind that is not read; known are {known}, export it as PLY")
@@ -302,9 +294,6 @@ def read_serialized(path: Path, index: int) -> ForeignObject:
 
     Read by hand: Mitsuba's own reader (3.9) writes outside of its arrays where a triangle names a vertex that is not
     there, and takes counts modulo 2^32.
-
-    Raises:
-        HyalineError: no such file, no such mesh in it, or one that is too large.
     """
     data = read_foreign(path)
     try:
@@ -318,7 +307,7 @@ def _stream(data: bytes, index: int, path: Path) -> tuple[bytes, int]:
     """The compressed bytes of a mesh, and its format's version."""
     magic, version = struct.unpack_from("<HH", data)
     if magic != MAGIC or version not in (3, 4):
-        raise HyalineError(f"{path}: is no serialized mesh of version 3 or 4; export it as PLY")
+        raise HyalineError(f"{path}: is not a serialized mesh of version 3 or 4; export it as PLY")
     (count,) = struct.unpack_from("<I", data, len(data) - 4)
     width = "Q" if version == 4 else "I"
     if not 1 <= count <= MAX_MESHES or not 0 <= index < count:
@@ -329,7 +318,7 @@ def _stream(data: bytes, index: int, path: Path) -> tuple[bytes, int]:
         raise ValueError(f"mesh {index} is said to begin at byte {offsets[index]:,} of {len(data):,}")
     magic, version = struct.unpack_from("<HH", data, offsets[index])
     if magic != MAGIC or version not in (3, 4):
-        raise ValueError(f"mesh {index} is not where the file says")
+        raise ValueError(f"mesh {index} is not where the file's index says")
     return data[offsets[index] + 4 : ends[index]], version
 
 

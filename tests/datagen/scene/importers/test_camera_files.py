@@ -19,12 +19,11 @@ from datagen.disk.errors import HyalineError
 from datagen.export.formats import export_dataset
 from datagen.scene.camera_list import CameraList
 from datagen.scene.description import Scene, SoftEnvironment
+from datagen.scene.foreign_files import ImportChoices
 from datagen.scene.importers.cameras import read_camera_file
-from datagen.scene.importers.choices import ImportChoices
 from datagen.scene.importers.importing import import_scene
-from datagen.scene.importers.lights import IRRADIANCE
 from datagen.scene.importers.remarks import Remarks
-from datagen.scene.importers.staging import subject_box
+from datagen.scene.importers.staging import IRRADIANCE, subject_box
 
 
 @pytest.fixture(scope="module")
@@ -159,7 +158,7 @@ def test_cameras_beside_a_model_move_with_it(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("given", "message"),
-    [("nowhere", "--cameras .*nowhere: is no such file"), (".", "holds no cameras; expected transforms.json")],
+    [("nowhere", "--cameras .*nowhere: is not a file"), (".", "holds no cameras; expected transforms.json")],
 )
 def test_a_place_without_cameras_is_refused(tmp_path: Path, given: str, message: str) -> None:
     with pytest.raises(HyalineError, match=message):

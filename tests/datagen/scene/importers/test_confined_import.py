@@ -343,13 +343,13 @@ def changed(data: bytes, rng: random.Random) -> bytes:
 
 def read_all(folder: Path, listed: Path, out: Path) -> None:
     """Reads each file of a folder as `import` does up to the scene; writes what nobody thought of."""
-    from datagen.scene.importers.importing import READERS
+    from datagen.scene.foreign_files import READERS
     from datagen.scene.importers.remarks import Remarks
 
     surprises = []
     for path in sorted(listed.iterdir()):
         try:
-            READERS[path.suffix](path, Remarks())
+            READERS.find(path.suffix[1:])(path, Remarks())
         except HyalineError as error:
             if "\n" in str(error):
                 surprises.append(f"{path.name}: {error}")

@@ -18,7 +18,7 @@ from datagen.data.meshes import face_areas
 from datagen.disk.errors import HyalineError
 from datagen.scene.description import Scene, SceneObject
 from datagen.scene.folder import load_scene, save_scene
-from datagen.scene.importers.choices import ImportChoices
+from datagen.scene.foreign_files import ImportChoices
 from datagen.scene.importers.importing import Imported, import_scene
 from datagen.scene.materials import Diffuse
 from datagen.scene.modelling import sheet
@@ -265,7 +265,7 @@ MASKS: dict[str, tuple[str, float | str]] = {
     "an image without a name": ('<texture type="bitmap" name="opacity"/>', "names ''; expected a file"),
     "an image that is flat": (
         bitmap("half.png", '<transform name="to_uv"><scale value="0"/></transform>'),
-        "to_uv is no transform",
+        "to_uv is not an invertible transform",
     ),
     "a checkerboard": ('<texture type="checkerboard" name="opacity"/>', "known is bitmap"),
     "masks in a mask": (f'{opacity("1")}<bsdf type="mask">{bitmap("half.png")}<bsdf type="diffuse"/></bsdf>', 0.5),

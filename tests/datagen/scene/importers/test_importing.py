@@ -16,12 +16,12 @@ from datagen.data.config import square
 from datagen.data.meshes import Mesh, check_closed, face_areas, face_corners, signed_volume
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import load_sealed
-from datagen.render.environment import radiance_of_environment
+from datagen.render.mitsuba_scene import radiance_of_environment
 from datagen.scene.description import Scene, SceneObject
 from datagen.scene.folder import load_scene, scene_files
-from datagen.scene.importers.choices import ImportChoices
+from datagen.scene.foreign_files import ImportChoices
 from datagen.scene.importers.importing import Imported, import_scene
-from datagen.scene.importers.lights import LIGHT
+from datagen.scene.importers.staging import LIGHT
 from datagen.scene.materials import Conductor, Dielectric, Diffuse, Plastic, RoughDielectric, ThinDielectric
 from datagen.scene.modelling import ball, lathe, sheet
 from datagen.scene.rig import make_cameras

@@ -3,15 +3,16 @@
 import numpy as np
 import pytest
 
-from datagen.scene.environment_maps import look_up, read_map
-from datagen.scene.procedural.skies import SKIES, draw_cards, draw_sky, map_directions, paper_radiance
+from benchmarks.sky import radiance_of_map
+from datagen.scene.images import read_map
+from datagen.scene.procedural.backdrop import SKIES, draw_cards, draw_sky, map_directions, paper_radiance
 
 
 def test_pixels_lie_in_the_directions_in_which_maps_are_looked_up() -> None:
     shown = map_directions(256).astype(np.float32)
     wanted = np.random.default_rng(0).normal(size=(500, 3))
     wanted /= np.linalg.norm(wanted, axis=-1, keepdims=True)
-    assert look_up(shown, wanted, 0.0) == pytest.approx(wanted, abs=0.02)
+    assert radiance_of_map(shown, wanted, 0.0) == pytest.approx(wanted, abs=0.02)
 
 
 def test_white_paper_in_an_even_light_is_as_bright_as_the_light() -> None:

@@ -18,15 +18,15 @@ from datagen.data.meshes import open_edges, signed_volume
 from datagen.data.ply import write_ply
 from datagen.disk.errors import HyalineError
 from datagen.scene.folder import load_scene
+from datagen.scene.foreign_files import READERS
 from datagen.scene.importers.foreign import ForeignMaterial, ForeignObject, ForeignScene
-from datagen.scene.importers.importing import READERS
 from datagen.scene.importers.remarks import Remarks
 from datagen.scene.importers.surfaces import made_sound, mesh_of
 
 
 def read(path: Path, data: bytes | str, remarks: Remarks | None = None) -> ForeignScene:
     path.write_bytes(data.encode() if isinstance(data, str) else data)
-    return READERS[path.suffix](path, remarks or Remarks())
+    return READERS.find(path.suffix[1:])(path, remarks or Remarks())
 
 
 def solid_volume(item: ForeignObject) -> float:

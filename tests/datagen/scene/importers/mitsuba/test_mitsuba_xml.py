@@ -13,14 +13,15 @@ from PIL import Image
 from support.gltf import BOX
 from support.soon import soon
 
+from benchmarks.sky import radiance_of_map
 from datagen.data.images import encode_float_exr
 from datagen.data.meshes import signed_volume
 from datagen.data.ply import write_ply
 from datagen.disk.errors import HyalineError
 from datagen.scene.camera_list import CameraList
 from datagen.scene.description import EnvironmentMap, SoftEnvironment
-from datagen.scene.environment_maps import look_up, read_map
-from datagen.scene.importers.choices import ImportChoices
+from datagen.scene.foreign_files import ImportChoices
+from datagen.scene.images import read_map
 from datagen.scene.importers.foreign import ForeignMaterial, ForeignObject, ForeignScene
 from datagen.scene.importers.importing import import_scene
 from datagen.scene.importers.mitsuba.scene import read_mitsuba
@@ -348,7 +349,7 @@ def test_a_map_of_the_environment_shines_from_where_mitsuba_has_it(tmp_path: Pat
         si.wi = mi.Vector3f(*(-direction).tolist())
         found.append(np.array(world.environment().eval(si)).reshape(-1)[:3])
     radiance = read_map(imported.scene.baked[sky.path], where="sky")
-    ours = sky.scale * look_up(radiance, directions, sky.rotation_deg)
+    ours = sky.scale * radiance_of_map(radiance, directions, sky.rotation_deg)
     assert np.abs(ours - np.array(found)).max() < 0.05 * ours.max()
 
 

@@ -59,7 +59,7 @@ def test_what_is_packed_behind_a_mesh_is_never_unpacked(tmp_path: Path) -> None:
     ("data", "message"),
     [
         (b"", "not a serialized mesh that can be read"),
-        (b"PK\x03\x04 no mesh at all", "is no serialized mesh of version 3 or 4"),
+        (b"PK\x03\x04 no mesh at all", "is not a serialized mesh of version 3 or 4"),
         (serialized(packed(0x1000, TRIANGLE.tobytes(), FACE))[:-4] + b"\xff" * 4, "has 4,294,967,295 meshes"),
         (serialized(packed(0x1000, TRIANGLE.tobytes(), FACE, faces=1 << 40)), "1,099,511,627,776 triangles"),
         (serialized(packed(0x1000, TRIANGLE.tobytes(), FACE, vertices=1 << 40)), "1,099,511,627,776 vertices"),

@@ -1,16 +1,45 @@
-"""What a user may say about an import: the flags, and materials by name (`--material 'leg*=gold'`)."""
+"""Files of other programs as scenes: their readers, and the choices for an import (`--material 'leg*=gold'`)."""
 
 import difflib
 import fnmatch
+import re
+from collections.abc import Callable
 from dataclasses import dataclass, fields
+from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
 
+from datagen.data.config import square
 from datagen.disk.errors import HyalineError
+from datagen.disk.names import file_name
 from datagen.disk.records import shown
 from datagen.scene.materials import Conductor, Dielectric, Diffuse, Material, Plastic, ThinDielectric
 from datagen.terminal.command import MAX_SUGGESTED, choose
+from datagen.terminal.plugins import Group
+
+READERS: Group[Callable] = Group(
+    name="hyaline.scene_readers",
+    what="ending",
+    built_in={
+        "glb": "datagen.scene.importers.gltf.scene:read_gltf",
+        "gltf": "datagen.scene.importers.gltf.scene:read_gltf",
+        "obj": "datagen.scene.importers.meshes.obj:read_obj",
+        "ply": "datagen.scene.importers.meshes.bare:read_ply_file",
+        "stl": "datagen.scene.importers.meshes.bare:read_stl",
+        "3mf": "datagen.scene.importers.meshes.bare:read_3mf",
+        "xml": "datagen.scene.importers.mitsuba.scene:read_mitsuba",
+    },
+    guide="docs/adding-a-reader.md",
+)
+"""Functions (Path, Remarks) -> ForeignScene by the ending of a file (datagen/scene/importers/foreign.py)."""
+
+OTHER_ENDINGS = ("blend", "fbx", "dae", "usd", "usda", "usdc", "usdz", "abc", "3ds", "max", "c4d", "skp")
+"""Endings of other common scene files, which need a conversion first."""
+
+EXPORT_ADVICE = "open it in Blender, or in what it was made with, and export it as glTF 2.0 (.glb)"
+
+DEFAULT_RESOLUTION = square(128)
 
 Thin = Literal["open", "file", "all"]
 
@@ -39,15 +68,15 @@ class ImportChoices:
     """The flags of `datagen import`, which `datagen build --scene FILE` takes, too."""
 
     scale: float | None = None
-    """Metres per unit of the file, such as 0.001 for millimetres. Unless given, the format's own unit; or a guess,
-    which is said, where the scene would be smaller than 2 cm or larger than 5 m."""
+    """Metres per unit of the file, such as 0.001 for millimetres. Default: the format's own unit, or a guess,
+    which is reported, if the scene would be smaller than 2 cm or larger than 5 m."""
     up: Literal["auto", "x", "y", "z"] = "auto"
     """The file's axis that points up; auto: as the format has it (y in glTF, OBJ and PLY, z in STL and 3MF)."""
     material: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     """A material by name for all objects (glass, green-glass, water, diamond, thin-glass, plaster, plastic, mirror,
     gold, ...), or for those whose name matches a pattern: 'leg*=gold'. May be repeated; later ones win."""
     thin: Thin = "open"
-    """Glass that is drawn as thin panes: open meshes, also what the file calls thin-walled (file), or all."""
+    """Glass to draw as thin panes: open meshes (open), also what the file calls thin-walled (file), or all."""
     cameras: str = "around"
     """Cameras all around the glass (around), those that the file brings (file), or those of a transforms.json or of a
     folder of COLMAP's, in the file's own axes and units."""
@@ -57,17 +86,17 @@ class ImportChoices:
     """Add a checkered ground: where nothing lies below the glass, always or never."""
     repair: bool = False
     """Close the holes of glass that is open, which else becomes thin, and join overlapping parts of glass into one
-    solid; import.json says the volume before and after, and a change of more than 5 % is refused."""
+    solid; import.json records the volume before and after, and a change of more than 5 % is refused."""
     merge: bool = False
     """Make one object of all surfaces of a material: a scene has at most 255 objects."""
     crease: float | None = None
-    """Shade the file's surfaces anew, with an edge where faces meet at more than this many degrees, such as 30; 0 makes
+    """Recompute the file's normals, with an edge where faces meet at more than this many degrees, such as 30; 0 makes
     every face flat. Default: the file's normals, or 40 degrees where it has none."""
     max_triangles: int | None = None
     """Reduce surfaces until the scene has about this many triangles, each by the same share; needs the extra `proxies`.
     Surfaces with images keep theirs. A solid may change its volume by 5 %."""
     strict: bool = False
-    """Refuse a file of which anything would be drawn other than it asks for."""
+    """Fail if any feature of the file cannot be reproduced."""
 
     def __post_init__(self) -> None:
         if self.scale is not None and not 1e-9 < self.scale < 1e9:
@@ -81,12 +110,26 @@ class ImportChoices:
         return [f"--{name.replace('_', '-')}" for name in names]
 
 
-def parse_overrides(given: tuple[str, ...]) -> list[tuple[str, Material]]:
-    """Pairs of a pattern of object names and the material for them; later ones win.
+def ending_of(path: Path) -> str:
+    """The ending of a file in small letters, without its dot."""
+    return path.suffix.lower().removeprefix(".")
 
-    Raises:
-        HyalineError: a material of that name is not known.
-    """
+
+def check_ending(path: Path) -> None:
+    """Refuses a file that no reader reads."""
+    if ending_of(path) not in READERS.names():
+        known = ", ".join(f".{name}" for name in READERS.names())
+        raise HyalineError(f"{path}: ends in {shown(path.suffix)}, and {known} can be imported; {EXPORT_ADVICE}")
+
+
+def scene_name(path: Path) -> str:
+    """The name of the scene that is made of a file."""
+    name = re.sub(r"[^A-Za-z0-9_+,-]", "_", file_name(path.stem))[:60]
+    return name if re.match(r"[A-Za-z0-9_]", name) else f"_{name}"
+
+
+def parse_overrides(given: tuple[str, ...]) -> list[tuple[str, Material]]:
+    """Pairs of a pattern of object names and the material for them; later ones win."""
     found = []
     for text in given:
         pattern, is_for_some, name = text.rpartition("=")
@@ -97,11 +140,7 @@ def parse_overrides(given: tuple[str, ...]) -> list[tuple[str, Material]]:
 
 
 def check_overrides(overrides: list[tuple[str, Material]], names: list[str]) -> None:
-    """Refuses a pattern that matches no object, since it is a slip.
-
-    Raises:
-        HyalineError: naming the objects.
-    """
+    """Rejects a pattern that matches no object, probably a typo."""
     for pattern, _ in overrides:
         if not any(fnmatch.fnmatchcase(name, pattern) for name in names):
             near = difflib.get_close_matches(pattern[:MAX_SUGGESTED], names, n=1, cutoff=0.5)
@@ -114,5 +153,5 @@ def check_overrides(overrides: list[tuple[str, Material]], names: list[str]) -> 
 
 
 def override(name: str, overrides: list[tuple[str, Material]]) -> Material | None:
-    """The material that somebody chose for an object."""
+    """The material chosen for an object, if any."""
     return next((material for pattern, material in reversed(overrides) if fnmatch.fnmatchcase(name, pattern)), None)

@@ -2,12 +2,22 @@
 
 import re
 from dataclasses import dataclass
-from typing import Literal, get_args
 
 from datagen.disk.errors import HyalineError
+from datagen.terminal.command import choose
+from datagen.terminal.plugins import Group
 
-Family = Literal["object", "table", "nested"]
-FAMILIES: tuple[Family, ...] = get_args(Family)
+FAMILIES: Group = Group(
+    name="hyaline.random_families",
+    what="family",
+    built_in={
+        "object": "datagen.scene.procedural.families:OBJECT",
+        "table": "datagen.scene.procedural.families:TABLE",
+        "nested": "datagen.scene.procedural.families:NESTED",
+    },
+    guide="docs/adding-a-random-family.md",
+    kind="datagen.scene.procedural.families:Family",
+)
 """A single glass object before a background, glass and other things on a table, and media inside of each other."""
 
 RANDOM = "random"
@@ -21,17 +31,19 @@ class RandomName:
     """Which random scene is meant."""
 
     seed: int
-    chosen: Family | None = None
-    """The family that was asked for; by default the seeds take turns."""
+    chosen: str | None = None
+    """The family that was asked for; by default the seeds take turns among those built in."""
 
     def __post_init__(self) -> None:
+        if self.chosen is not None:
+            choose(FAMILIES.what, self.chosen, FAMILIES.names())
         if not 0 <= self.seed <= MAX_SEED:
             raise HyalineError(f"seed: is {self.seed}; expected 0 or more, and at most 63 bits")
 
     @property
-    def family(self) -> Family:
+    def family(self) -> str:
         """The family that is drawn from: seed 0 an object, 1 a table, 2 nested media, and so on."""
-        return self.chosen or FAMILIES[self.seed % len(FAMILIES)]
+        return self.chosen or tuple(FAMILIES.built_in)[self.seed % len(FAMILIES.built_in)]
 
     def __str__(self) -> str:
         """The name of the scene, and of its dataset."""
@@ -40,11 +52,8 @@ class RandomName:
 
 def parse_random(name: str) -> RandomName | None:
     """What a name like `random-0007` means; None of any other name."""
-    found = re.fullmatch(rf"{RANDOM}(?:-({'|'.join(FAMILIES)}))?-(\d{{4,19}})", name)
-    if found is None:
+    found = re.fullmatch(rf"{RANDOM}(?:-(.+))?-(\d{{4,19}})", name)
+    if found is None or int(found[2]) > MAX_SEED or (found[1] and found[1] not in FAMILIES.names()):
         return None
-    chosen: Family | None = next((family for family in FAMILIES if family == found[1]), None)
-    if int(found[2]) > MAX_SEED:
-        return None
-    meant = RandomName(seed=int(found[2]), chosen=chosen)
+    meant = RandomName(seed=int(found[2]), chosen=found[1])
     return meant if str(meant) == name else None

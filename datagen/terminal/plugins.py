@@ -1,0 +1,88 @@
+"""Plug-ins: what a name of an entry-point group refers to, here or in another distribution; imported when asked for.
+
+Another distribution adds a name by an entry point, `[project.entry-points."hyaline.exports"]` in its pyproject.toml.
+What is built in is a table in code, so that a source checkout needs no metadata. A name is only ever looked up: no name
+that somebody types, or that a file holds, imports a module.
+"""
+
+import importlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from importlib import metadata
+from typing import Generic, TypeVar, cast
+
+from datagen.disk.errors import HyalineError
+from datagen.terminal.command import choose
+from datagen.terminal.distribution import DISTRIBUTION
+
+Plugin = TypeVar("Plugin")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Group(Generic[Plugin]):
+    """The plug-ins of one kind, such as all formats of `datagen export`."""
+
+    name: str
+    """The entry-point group, such as hyaline.exports."""
+    what: str
+    """What a name stands for, as errors call it."""
+    built_in: Mapping[str, str]
+    """`module:attribute` by name."""
+    guide: str
+    """The page that says how to add one."""
+    kind: str | None = None
+    """`module:class` that a plug-in is an instance of; None: a plug-in is a function."""
+    is_class: bool = False
+    """A plug-in is a class that derives from `kind`."""
+
+    own: dict[str, Plugin] = field(default_factory=dict)
+    """Plug-ins that this process has added, and that no other process knows."""
+
+    def places(self) -> dict[str, str]:
+        """`module:attribute` by name: those built in, and those of other distributions."""
+        return {**self.built_in, **{point.name: point.value for point in metadata.entry_points(group=self.name)}}
+
+    def names(self) -> tuple[str, ...]:
+        """All names: those built in first, in their order, then those of other distributions, sorted."""
+        others = sorted(point.name for point in metadata.entry_points(group=self.name))
+        names = (*self.built_in, *others, *self.own)
+        if doubled := sorted({name for name in names if names.count(name) > 1}):
+            sources = ", ".join(self.sources(doubled[0]))
+            raise HyalineError(f"{self.what} {doubled[0]!r}: two distributions bring it ({sources}); uninstall one")
+        return names
+
+    def find(self, name: str) -> Plugin:
+        """The plug-in of a name; an unknown name gets the nearest one as a suggestion."""
+        choose(self.what, name, self.names())
+        if name in self.own:
+            return self.own[name]
+        if name in self.built_in:
+            return cast(Plugin, _load(self.built_in[name]))
+        (point,) = metadata.entry_points(group=self.name, name=name)
+        where = f"{self.what} {name!r}: {point.value} of {self.sources(name)[0]}"
+        try:
+            found = point.load()
+        except Exception as error:  # A stranger's module may raise anything.
+            reason = " ".join(f"{type(error).__name__}: {error}".split())
+            raise HyalineError(f"{where} cannot be imported ({reason}); update or uninstall it") from error
+        if not self._is_one(found):
+            kind = "function" if self.kind is None else self.kind.partition(":")[2]
+            raise HyalineError(f"{where} is not a {'subclass of ' * self.is_class}{kind}; see {self.guide}")
+        return cast(Plugin, found)
+
+    def sources(self, name: str) -> list[str]:
+        """The distributions that bring a name."""
+        points = metadata.entry_points(group=self.name, name=name)
+        built_in = [DISTRIBUTION] if name in self.built_in else []
+        return built_in + [point.dist.name if point.dist else point.value for point in points]
+
+    def _is_one(self, found: object) -> bool:
+        if self.kind is None:
+            return callable(found)
+        kind = cast(type, _load(self.kind))
+        return isinstance(found, type) and issubclass(found, kind) if self.is_class else isinstance(found, kind)
+
+
+def _load(place: str) -> object:
+    module, _, attribute = place.partition(":")
+    return getattr(importlib.import_module(module), attribute)

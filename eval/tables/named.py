@@ -1,0 +1,44 @@
+"""The tables that `report --table NAME` prints: those of the paper, and those that other distributions bring."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+from datagen.data.config import Split
+from datagen.terminal.plugins import Group
+from eval.score.runs import Run
+from eval.score.scores import SceneScores
+from eval.tables.grids import Grid
+
+EditedPsnr = Mapping[str, Mapping[Split, float | None]]
+"""PSNR in dB of edited scenes where the edited object is or was, by the run's name and the split."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Table:
+    """A table over runs: which of them it needs, and how it is made of their scores."""
+
+    shows: Callable[[Run], bool]
+    """True for a run that the table may show; only those are scored."""
+    grids: Callable[[Sequence[SceneScores], Callable[[SceneScores], EditedPsnr]], list[Grid]]
+    """The table, from the scores of each dataset's runs. Calling the second argument scores their edits, too."""
+    picture: Callable[[SceneScores], bytes | None] = lambda _: None
+    """A PNG beside the table; None: there is none."""
+
+
+TABLES: Group[Table] = Group(
+    name="hyaline.tables",
+    what="table",
+    built_in={
+        "table1": "eval.papers.tables:TABLE1",
+        "table2": "eval.papers.tables:TABLE2",
+        "square": "eval.papers.tables:SQUARE",
+        "zero-layer": "eval.papers.tables:ZERO_LAYER",
+        "headline": "eval.papers.tables:HEADLINE",
+        "proxies": "eval.papers.ladder:PROXIES",
+        "ablation": "eval.papers.tables:ABLATION",
+        "variants": "eval.papers.tables:VARIANTS",
+        "claims": "eval.papers.claims:CLAIMS_TABLE",
+    },
+    guide="docs/adding-a-table.md",
+    kind="eval.tables.named:Table",
+)
