@@ -11,26 +11,14 @@ from eval.score.metrics import psnr
 PICTURE = np.zeros((4, 6, 3), np.uint8)
 
 
-def test_a_wrong_shape_is_refused() -> None:
-    assert psnr(PICTURE, PICTURE) == np.inf
+def test_another_shape_or_dtype_is_refused_unless_it_is_meant() -> None:
     with pytest.raises(TypeCheckError, match="pred"):
         psnr(PICTURE[..., 0], PICTURE[..., 0])
     with pytest.raises(TypeCheckError, match="target"):
         psnr(PICTURE, PICTURE[:-1])
-
-
-def test_a_wrong_dtype_is_refused() -> None:
-    with pytest.raises(TypeCheckError, match="target"):
-        look_at(np.ones(3), np.zeros(3, np.int64))
-
-
-def test_a_field_of_another_shape_is_refused() -> None:
     with pytest.raises(TypeCheckError, match="world_from_camera"):
         Camera(world_from_camera=np.eye(3), fov_x=0.5, width=2, height=2)
-
-
-def test_what_is_meant_to_be_wrong_can_be_passed_in_a_block() -> None:
     with unchecked():
         assert look_at(np.ones(3), np.zeros(3, np.int64)).shape == (4, 4)
-    with pytest.raises(TypeCheckError):
+    with pytest.raises(TypeCheckError, match="target"):
         look_at(np.ones(3), np.zeros(3, np.int64))

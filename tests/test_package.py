@@ -1,5 +1,5 @@
 """Tests what `pip wheel` and a source distribution hold (every file of the packages, and all that the tests need), and
-that `make test` runs every test in a folder of its own."""
+that `make test` collects every test file."""
 
 import shutil
 import subprocess
@@ -82,13 +82,3 @@ def test_every_tracked_file_with_tests_is_collected(pytestconfig: pytest.Config)
         or any(is_ignored(ROOT / place) for place in (file, *file.parents[:-1]))
     ]
     assert not left_out
-
-
-@pytest.fixture(scope="module")
-def shared_folder() -> Path:
-    return Path.cwd()
-
-
-def test_tests_and_what_they_share_work_away_from_the_checkout(shared_folder: Path, tmp_path: Path) -> None:
-    assert Path.cwd() == tmp_path
-    assert ROOT not in (shared_folder, *shared_folder.parents)

@@ -12,60 +12,24 @@ from support.meshes import mesh_of
 from support.rigs import config
 from support.synthetic import synthetic_scene
 
-from benchmarks.random_scenes import survey_seeds, survey_table
 from benchmarks.scale import (
     Point,
     ScaleReport,
-    Task,
-    bench_scale,
     fit_growth,
     make_shells,
-    measure_task,
     random_cameras,
     show_scale,
 )
-from datagen.data.images import encode_exr
-from datagen.data.meshes import check_closed, check_mesh
-from datagen.disk.errors import HyalineError
 from datagen.machine.mitsuba_variant import use_mitsuba
-from datagen.scene.description import EnvironmentMap, SceneObject, SoftEnvironment
+from datagen.scene.description import SceneObject
 from datagen.scene.materials import Dielectric
 from datagen.scene.rig import make_cameras
 
 use_mitsuba(quiet=True)
 
 from benchmarks.peel import ENGINES, bench_peel, compare_objects  # noqa: E402
-from benchmarks.truth import bench_truth, fit_noise, under_soft_light  # noqa: E402
+from benchmarks.truth import bench_truth, fit_noise  # noqa: E402
 from datagen.trace.peel import Peeler  # noqa: E402
-
-
-def test_a_survey_of_seeds_says_which_draws_were_refused_and_fails_with_those_that_give_no_scene(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    def refuse_the_first_ever(things: list, *, where: str) -> None:
-        if not asked:
-            asked.append(where)
-            raise HyalineError(f"{where}: ice reaches into glass")
-
-    asked: list[str] = []
-    monkeypatch.setattr("datagen.scene.procedural.drawing.check_inside", refuse_the_first_ever)
-    surveys = survey_seeds(6, 1, "object")
-    assert [(survey.family, survey.scenes, survey.refused) for survey in surveys] == [
-        ("object", 1, {"ice reaches into glass": 1})
-    ]
-    assert survey_table(surveys).splitlines()[-1] == "object: refused 1 times: ice reaches into glass"
-    monkeypatch.setattr("datagen.scene.procedural.drawing.MAX_DRAWS", 0)
-    answer = call("benchmarks random-scenes --seeds 2 --first 3 --family nested")
-    assert (answer.status, answer.error) == (1, "error: 2 of 2 seeds give no scene")
-
-
-def test_the_shells_are_closed_and_as_many_as_asked_for() -> None:
-    meshes = make_shells(3000, 7)
-    assert len(meshes) == 7
-    assert 0.7 < sum(len(mesh.faces) for mesh in meshes) / 3000 < 1.3
-    for index, mesh in enumerate(meshes):
-        check_mesh(mesh, where=f"shell {index}")
-        check_closed(mesh, where=f"shell {index}")
 
 
 def test_every_engine_is_timed_after_all_checks_passed() -> None:
@@ -107,20 +71,6 @@ def test_truth_is_checked_and_its_noise_extrapolated() -> None:
     assert report.gates[0].ratio is not None
 
 
-def test_a_sky_of_a_map_is_as_bright_all_over_as_the_map_is_on_average() -> None:
-    radiance = np.zeros((64, 128, 3), np.float32)
-    radiance[:32] = (2, 1, 0.5)  # The upper half of the sphere.
-    radiance[:16, :64] += 1  # In one half of its azimuths, above 45 degrees: 1 - sin(45 degrees) of that half.
-    sky = EnvironmentMap(path="sky.exr", scale=3)
-    scene = dataclasses.replace(
-        synthetic_scene(), environment=sky, baked={"sky.exr": encode_exr(radiance, np.zeros_like(radiance))}
-    )
-    soft = under_soft_light(scene).environment
-    assert isinstance(soft, SoftEnvironment) and soft.zenith == soft.horizon == soft.ground
-    cap = (1 - np.sin(np.pi / 4)) / 4
-    assert soft.zenith == pytest.approx([3 * (half / 2 + cap) for half in (2, 1, 0.5)], rel=1e-3)
-
-
 def test_noise_of_a_known_law_is_extrapolated_exactly() -> None:
     def radiance(*, spp: int, seed: int) -> tuple[np.ndarray, int]:
         # In the linear range of the sRGB curve, whose slope is 12.92.
@@ -158,20 +108,6 @@ def test_growth_is_the_exponent_of_the_power_law(tmp_path: Path, capsys: pytest.
     show_scale(report, tmp_path / "scale.png", as_json=True)
     assert json.loads(capsys.readouterr().out)["growth"][0]["quantity"] == "pixels"
     assert (tmp_path / "scale.png").read_bytes().startswith(b"\x89PNG")
-
-
-def test_a_point_has_times_and_memory() -> None:
-    wall, cpu, memory = measure_task(Task(pixels=900, triangles=2000), rounds=2)
-    assert 0 < wall < 10
-    assert 0 < cpu < 10
-    assert memory > 0
-
-
-def test_factors_that_lead_nowhere_are_refused() -> None:
-    with pytest.raises(HyalineError, match="expected two or more"):
-        bench_scale((1,))
-    with pytest.raises(HyalineError, match="lead to 500 objects"):
-        bench_scale((1, 100), ("objects",))
 
 
 def test_the_command_lists_its_benches_and_prints_json_alone() -> None:

@@ -5,12 +5,10 @@ interpreter can import.
 """
 
 import os
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-from support.commands import call
 from support.traced_dataset import write_traced_dataset
 
 from benchmarks.exports import (
@@ -18,17 +16,13 @@ from benchmarks.exports import (
     PLACES,
     Places,
     Read,
-    Unread,
-    ask,
     compare,
     find_places,
     peers_table,
-    report_on,
     survey_peers,
 )
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.disk.storage import sha256
-from datagen.export.formats import FORMATS
 from datagen.export.source import Source
 
 
@@ -101,17 +95,6 @@ def test_a_loader_that_makes_no_mistake_is_found_right(source: Source, places: d
     assert findings[2].detail.startswith(f"{14 * PLACES} vertices, off by at most ")
 
 
-def test_places_are_vertices_on_the_pixels_of_their_objects(source: Source, places: dict[str, Places]) -> None:
-    vertices = np.concatenate([mesh.vertices for mesh in source.pictures[0].quantities.surfaces.meshes])
-    for item in source.pictures:
-        found = places[item.name]
-        off = np.abs(vertices[None].astype(np.float64) - found.p_world[:, None]).max(axis=-1).min(axis=-1)
-        assert off.max() == 0
-        distance = np.linalg.norm(found.p_world - item.view.camera.world_from_camera[:3, 3], axis=-1)
-        column, row = np.floor(found.pixels).astype(int).T
-        assert np.abs(item.quantities.depth_along_ray[row, column] / distance - 1).max() < 0.03
-
-
 MISTAKES = {
     "cameras": ("turned by half a pixel", "turned about", "moved"),
     "pictures": ("other colours", "width and height swapped", "seen through"),
@@ -160,26 +143,6 @@ def test_each_mistake_of_a_loader_is_found(what: str, how: str, source: Source, 
 def _view(name: str) -> tuple:
     split, _, index = name.rpartition("_")
     return split, int(index)
-
-
-def test_a_tool_that_is_not_there_and_one_that_fails_are_told_apart(
-    source: Source, places: dict[str, Places], tmp_path: Path
-) -> None:
-    answer = ask(Path(sys.executable), "nerfbaselines", tmp_path / "nowhere", places, tmp_path)
-    assert answer == Unread(reason="ModuleNotFoundError: No module named 'nerfbaselines'", is_installed=False)
-    missing = report_on("nerfbaselines", "nerfbaselines", source, places, answer)
-    assert "not installed (ModuleNotFoundError" in peers_table([missing]) and not missing.findings
-    answer = ask(Path(sys.executable), "unheard", tmp_path / "nowhere", places, tmp_path)
-    failed = report_on("unheard", "colmap", source, places, answer)
-    assert [one.passed for one in failed.findings] == [False] and "KeyError" in failed.findings[0].detail
-    line = call(f"benchmarks peers --dataset {source.dataset.root} --python {tmp_path}/none")
-    assert line.status == 1 and line.error.endswith(
-        "does not run (No such file or directory); expected a Python interpreter"
-    )
-
-
-def test_every_loader_opens_a_format_that_there_is() -> None:
-    assert {form for forms in PEERS.values() for form in forms} <= set(FORMATS.built_in)
 
 
 @pytest.mark.skipif("HYALINE_PEERS" not in os.environ, reason="HYALINE_PEERS names no interpreter that has other tools")

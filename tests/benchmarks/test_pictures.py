@@ -52,21 +52,6 @@ def test_the_views_that_the_first_run_predicts_worst_come_first(dataset: Dataset
     assert draw_errors(before, after, views=2).startswith(PNG)
 
 
-def test_runs_of_two_datasets_are_not_set_beside_each_other(dataset: Dataset, tmp_path: Path) -> None:
-    other = write_synthetic_dataset(tmp_path / "data" / "other", resolution=16, train_views=2)
-    folders = [write_run(each, tmp_path / name, {}) for each, name in ((dataset, "a"), (other, "b"))]
-    with pytest.raises(HyalineError, match=r"was made for .*; expected .*, as "):
-        draw_errors(*folders, views=1)
-
-
-def test_a_map_goes_around_the_sphere_once_with_up_in_its_first_row() -> None:
-    directions = map_directions()
-    assert np.allclose(np.linalg.norm(directions, axis=-1), 1)
-    assert directions[0, :, 2].min() > 0.9999
-    assert np.allclose(directions[90, 180], (1, 0, 0), atol=0.02)
-    assert np.allclose(directions[90, 270], (0, 1, 0), atol=0.02)
-
-
 def test_the_skies_of_a_dataset_and_of_a_run_are_what_these_say(dataset: Dataset, tmp_path: Path) -> None:
     if use_mitsuba(quiet=True).startswith("scalar"):
         pytest.skip("light paths need a vectorised variant of Mitsuba")

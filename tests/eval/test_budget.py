@@ -1,44 +1,41 @@
 """Tests the layer budget: `model train --layers`, and the table of quality against the number of layers."""
 
+import dataclasses
 import json
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
-from support.synthetic import write_synthetic_dataset
+from support.commands import Answer, call
 
 from datagen.data.config import TEST_SPLITS
 from datagen.data.dataset import Dataset
+from datagen.data.images import png_bytes
 from datagen.data.paths import TRUTH
+from datagen.disk.records import to_json
 from eval.analyses.coverage import missed_shares
 from eval.page.report import make_report
-from model import cli
 from model.batches.rays import load_pixels
+from model.methods.paper.config import PaperConfig
 from model.run.predict import load_renderer, predict_pixels
-from model.run.run_folder import read_run
+from model.run.run_folder import TrainConfig, read_run
 
-FLAGS = ("paper", "--steps", "3", "--batch", "64", "--texture-size", "16", "--width", "128", "--device", "cpu")
-
-
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    return write_synthetic_dataset(tmp_path_factory.mktemp("budget") / "data" / "synthetic", resolution=16)
+PAPER = TrainConfig(method="paper", geometry=TRUTH, net=PaperConfig(width=128, texture_size=16))
 
 
-def train(monkeypatch: pytest.MonkeyPatch, dataset: Dataset, out: Path, *more: str) -> int:
-    command = ["model", "train", *FLAGS, "--dataset", str(dataset.root), "--out", str(out), *more]
-    monkeypatch.setattr(sys, "argv", command)
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        cli.main()
-    except SystemExit as end:
-        return int(end.code or 0)
-    finally:
-        torch.set_num_threads(threads)
-    return 0
+def write_run(dataset: Dataset, folder: Path, level: int, num_layers: int, size: int = 34_000, **net: object) -> None:
+    """A run all of whose pixels are off by some levels of 255."""
+    for split in TEST_SPLITS:
+        (folder / "predictions" / split).mkdir(parents=True)
+        for view in dataset.views(split):
+            off = np.where(view.image < 128, view.image + np.uint8(level), view.image - np.uint8(level))
+            (folder / "predictions" / split / f"{view.index:04d}.png").write_bytes(png_bytes(off))
+    seed = int(net.pop("seed", 0))
+    config = dataclasses.replace(PAPER, seed=seed, net=dataclasses.replace(PAPER.net, layers=str(num_layers), **net))
+    record = {"dataset": dataset.root.as_posix(), "dataset_seal": dataset.seal, "method": "paper", "geometry": TRUTH}
+    record |= {"seed": seed, "config": to_json(config), "num_layers": num_layers, "num_parameters": size}
+    (folder / "run.json").write_text(json.dumps(record))
 
 
 def test_shares_equal_a_loop_over_rays(dataset: Dataset) -> None:
@@ -62,17 +59,14 @@ def test_shares_equal_a_loop_over_rays(dataset: Dataset) -> None:
 
 
 def test_runs_of_several_budgets_make_a_table_and_a_figure(
-    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     runs = tmp_path / "runs" / "synthetic"
-    assert train(monkeypatch, dataset, runs / "all") == 0
-    assert train(monkeypatch, dataset, runs / "one", "--layers", "1") == 0
-    assert train(monkeypatch, dataset, runs / "one-again", "--layers", "1", "--seed", "1") == 0
-    assert train(monkeypatch, dataset, runs / "wide", "--width", "192") == 0
-    assert train(monkeypatch, dataset, runs / "other", "--layers", "2", "--extrinsics", "none") == 0
-    assert [read_run(runs / name).num_layers for name in ("all", "one")] == [4, 1]
-    capsys.readouterr()
-
+    write_run(dataset, runs / "all", 3, 4)
+    write_run(dataset, runs / "one", 20, 1)
+    write_run(dataset, runs / "one-again", 30, 1, seed=1)
+    write_run(dataset, runs / "wide", 5, 4, size=76_000, width=192)
+    write_run(dataset, runs / "other", 9, 2, extrinsics="none")
     make_report(tmp_path / "runs", dataset.root.parent, tmp_path / "out", output_format="markdown", is_full=True)
     assert "synthetic: layer budget" in capsys.readouterr().out
     scene = json.loads((tmp_path / "out/results.json").read_text())["scenes"][0]
@@ -88,12 +82,16 @@ def test_runs_of_several_budgets_make_a_table_and_a_figure(
     assert (tmp_path / "out/budget_synthetic.svg").is_file()
 
 
-def test_a_small_budget_sees_the_nearest_layers_alone(
-    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    assert train(monkeypatch, dataset, tmp_path / "run", "--layers", "2") == 0
-    config = read_run(tmp_path / "run").config
-    renderer = load_renderer(tmp_path / "run", config, dataset)
+def train(dataset: Dataset, out: Path, layers: str) -> Answer:
+    size = "--steps 3 --batch 64 --texture-size 16 --width 32 --device cpu"
+    return call(f"model train paper {size} --dataset {dataset.root} --out {out} --layers {layers}")
+
+
+def test_a_small_budget_sees_the_nearest_layers_alone(dataset: Dataset, tmp_path: Path) -> None:
+    assert train(dataset, tmp_path / "run", "2").status == 0
+    record = read_run(tmp_path / "run")
+    assert record.num_layers == 2
+    renderer = load_renderer(tmp_path / "run", record.config, dataset)
     whole = load_pixels(dataset, TRUTH, "interpolating", [0])
     part = load_pixels(dataset, TRUTH, "interpolating", [0], max_layers=2)
     assert part.object_id.shape[1] == 2
@@ -103,9 +101,8 @@ def test_a_small_budget_sees_the_nearest_layers_alone(
 
 
 @pytest.mark.parametrize("layers", ["0", "5"])
-def test_other_numbers_of_layers_than_are_stored_are_refused(
-    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], layers: str
-) -> None:
-    assert train(monkeypatch, dataset, tmp_path / "run", "--layers", layers) == 1
-    assert f"error: layers: is {layers}; expected 1 to 4, the number of stored layers" in capsys.readouterr().err
+def test_other_numbers_of_layers_than_are_stored_are_refused(dataset: Dataset, tmp_path: Path, layers: str) -> None:
+    answer = train(dataset, tmp_path / "run", layers)
+    assert answer.status == 1
+    assert f"error: layers: is {layers}; expected 1 to 4, the number of stored layers" in answer.err
     assert not (tmp_path / "run").exists()

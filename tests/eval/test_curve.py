@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from support.checked import unchecked
 from support.reference import nearest_training_angles
-from support.synthetic import pixel_rays, write_synthetic_dataset
+from support.synthetic import pixel_rays
 
 from datagen.data.config import TEST_SPLITS
 from datagen.data.dataset import Dataset
@@ -17,11 +17,6 @@ from datagen.data.layers import Layers
 from eval.analyses.coverage import cover_view, read_coverage, visible_layers
 from eval.analyses.curve import ANGLE_EDGES, Bin, curve_of, pool_seeds, slope_db_per_10deg
 from eval.page.report import make_report
-
-
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    return write_synthetic_dataset(tmp_path_factory.mktemp("curve") / "data" / "synthetic", resolution=16)
 
 
 def test_angles_and_views_equal_a_loop_over_all_training_rays(dataset: Dataset) -> None:

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from PIL import Image
 from support.commands import call
-from support.synthetic import write_synthetic_dataset
 
 from datagen.data.dataset import Dataset
 from datagen.data.images import png_bytes
@@ -20,14 +19,9 @@ from datagen.disk.storage import commit_sealed, sha256
 from eval.score.png import check_png
 from eval.score.runs import Run, open_run, read_prediction, within
 
-pytestmark = pytest.mark.promise("R4")
+pytestmark = [pytest.mark.promise("R4"), pytest.mark.usefixtures("no_pictures")]
 
 SIZE = 16
-
-
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    return write_synthetic_dataset(tmp_path_factory.mktemp("png") / "data" / "synthetic", resolution=SIZE)
 
 
 @pytest.fixture(scope="module")
@@ -84,38 +78,29 @@ def rgb16(size: int) -> bytes:
     return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(rows)) + chunk(b"IEND", b"")
 
 
-def odd(name: str) -> bytes:
-    plain = Image.new("RGB", (SIZE, SIZE))
-    match name:
-        case "16-bit grey":
-            return encode(Image.new("I;16", (SIZE, SIZE)))
-        case "16-bit colours":
-            return rgb16(SIZE)
-        case "bilevel":
-            return encode(Image.new("1", (SIZE, SIZE)))
-        case "transparent":
-            return encode(Image.new("RGBA", (SIZE, SIZE), (0, 0, 0, 9)))
-        case "transparent palette":
-            return encode(plain.quantize(4), transparency=0)
-        case "animation":
-            return encode(plain, save_all=True, append_images=[Image.new("RGB", (SIZE, SIZE), "red")])
-        case "trailing bytes":
-            return encode(plain) + b"\0"
-        case "two pictures":
-            return encode(plain) + encode(plain)
-        case "no end":
-            return encode(plain)[:-12]
-        case "no pixels":
-            return encode(plain)[:33] + chunk(b"IEND", b"")
-        case "too large":
-            header = struct.pack(">IIBBBBB", 1 << 20, 1 << 20, 8, 2, 0, 0, 0)
-            return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IEND", b"")
-        case "JPEG":
-            buffer = io.BytesIO()
-            plain.save(buffer, format="JPEG")
-            return buffer.getvalue()
-        case _:
-            return b""
+PLAIN = Image.new("RGB", (SIZE, SIZE))
+SIGNATURE = b"\x89PNG\r\n\x1a\n"
+LARGE = chunk(b"IHDR", struct.pack(">IIBBBBB", 1 << 20, 1 << 20, 8, 2, 0, 0, 0))
+JPEG = io.BytesIO()
+PLAIN.save(JPEG, format="JPEG")
+ODD = {
+    "16-bit grey": (encode(Image.new("I;16", (SIZE, SIZE))), "has 16 bits a channel; expected 8-bit sRGB"),
+    "16-bit colours": (rgb16(SIZE), "has 16 bits a channel; expected 8-bit sRGB"),
+    "bilevel": (encode(Image.new("1", (SIZE, SIZE))), "its pixels are '1'; expected 8-bit sRGB"),
+    "transparent": (encode(Image.new("RGBA", (SIZE, SIZE), (0, 0, 0, 9))), "has transparent pixels; expected opaque"),
+    "transparent palette": (encode(PLAIN.quantize(4), transparency=0), "has transparent pixels; expected opaque ones"),
+    "animation": (
+        encode(PLAIN, save_all=True, append_images=[Image.new("RGB", (SIZE, SIZE), "red")]),
+        "is an animation; expected one picture",
+    ),
+    "trailing bytes": (encode(PLAIN) + b"\0", "damaged (has 1 bytes after its end)"),
+    "two pictures": (2 * encode(PLAIN), "after its end)"),
+    "no end": (encode(PLAIN)[:-12], "damaged (cut off after"),
+    "no pixels": (encode(PLAIN)[:33] + chunk(b"IEND", b""), "it has fewer pixels than the 16 x 16"),
+    "too large": (SIGNATURE + LARGE + chunk(b"IEND", b""), "is 1048576 x 1048576 pixels; expected 16 x 16, as the"),
+    "JPEG": (JPEG.getvalue(), "not a PNG (it begins with"),
+    "empty": (b"", "not a PNG (it begins with b'')"),
+}
 
 
 def profile(name: str) -> bytes:
@@ -190,28 +175,12 @@ def test_a_picture_that_is_a_link_to_elsewhere_is_refused(
     assert call(line).status == 0
 
 
-@pytest.mark.parametrize(
-    ("name", "message"),
-    [
-        ("16-bit grey", "has 16 bits a channel; expected 8-bit sRGB"),
-        ("16-bit colours", "has 16 bits a channel; expected 8-bit sRGB"),
-        ("bilevel", "its pixels are '1'; expected 8-bit sRGB"),
-        ("transparent", "has transparent pixels; expected opaque ones"),
-        ("transparent palette", "has transparent pixels; expected opaque ones"),
-        ("animation", "is an animation; expected one picture"),
-        ("trailing bytes", "damaged (has 1 bytes after its end)"),
-        ("two pictures", "after its end)"),
-        ("no end", "damaged (cut off after"),
-        ("no pixels", "it has fewer pixels than the 16 x 16"),
-        ("too large", "is 1048576 x 1048576 pixels; expected 16 x 16, as the truth has"),
-        ("JPEG", "not a PNG (it begins with"),
-        ("empty", "not a PNG (it begins with b'')"),
-    ],
-)
-def test_an_odd_picture_is_refused_in_one_line(dataset: Dataset, tmp_path: Path, name: str, message: str) -> None:
+@pytest.mark.parametrize("name", ODD)
+def test_an_odd_picture_is_refused_in_one_line(dataset: Dataset, tmp_path: Path, name: str) -> None:
+    data, message = ODD[name]
     path = tmp_path / "synthetic/nerf/predictions/interpolating/0000.png"
     path.parent.mkdir(parents=True)
-    path.write_bytes(odd(name))
+    path.write_bytes(data)
     run = open_run(tmp_path / "synthetic/nerf", dataset.root.parent)
     with pytest.raises(HyalineError, match=f"^{path}: .*{re.escape(message)}") as error:
         read_prediction(run, "interpolating", 0)

@@ -4,6 +4,15 @@ from collections.abc import Iterator
 
 import pytest
 import torch
+from support.synthetic import write_synthetic_dataset
+
+from datagen.data.dataset import Dataset
+
+
+@pytest.fixture(scope="session")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    """The pane and the floor, for reading only."""
+    return write_synthetic_dataset(tmp_path_factory.mktemp("model") / "data" / "synthetic")
 
 
 @pytest.fixture(scope="module")

@@ -2,11 +2,15 @@
 
 import os
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import pytest
 
 from benchmarks.browser import find_browser
 from datagen.disk.errors import HyalineError
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Page
 
 
 def require_browser() -> None:
@@ -22,3 +26,12 @@ def require(find: Callable[[], object]) -> None:
         if os.environ.get("HYALINE_DEMAND_BROWSER"):
             pytest.fail(str(error))
         pytest.skip(str(error))
+
+
+def wait_until(page: "Page", script: str) -> None:
+    """Waits until an asynchronous script says true; `page.wait_for_function` takes its promise for true at once."""
+    for _ in range(1000):
+        if page.evaluate(script):
+            return
+        page.wait_for_timeout(20)
+    pytest.fail(f"did not come true: {script}")

@@ -117,3 +117,11 @@ def glass(**volume: object) -> dict:
 def clear(**more: float) -> dict:
     """A smooth surface that is no metal."""
     return {"metallicFactor": 0.0, "roughnessFactor": 0.0, **more}
+
+
+def glass_of(mesh: Mesh = BOX, **node: object) -> GltfBuilder:
+    """A file of one object of clear glass."""
+    builder = GltfBuilder()
+    material = builder.material(pbrMetallicRoughness=clear(), extensions=glass())
+    builder.node(mesh=builder.mesh(mesh, material=material), **node)
+    return builder

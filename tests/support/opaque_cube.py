@@ -1,6 +1,6 @@
 """A scene without glass, a painted cube on a disc: what a method must manage before its failure on glass counts.
 
-`python tests/opaque_cube.py FOLDER` writes it for `datagen build --scene FOLDER`.
+`python tests/support/opaque_cube.py FOLDER` writes it for `datagen build --scene FOLDER`.
 """
 
 import sys

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from datagen.data.meshes import Mesh
+from datagen.data.meshes import Mesh, face_corners
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -204,3 +204,13 @@ def nearest_training_angles(
 def angle_between(a: np.ndarray, b: np.ndarray) -> float:
     """Radians, exact for small angles too."""
     return float(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b))
+
+
+def winding_numbers(mesh: Mesh, points: np.ndarray) -> np.ndarray:
+    """How often a surface winds around each point: 1 inside, 0 outside. Source: van Oosterom and Strackee 1983."""
+    a, b, c = np.moveaxis(face_corners(mesh).astype(np.float64)[None] - points[:, None, None], 2, 0)
+    la, lb, lc = (np.linalg.norm(x, axis=-1) for x in (a, b, c))
+    determinant = np.einsum("pfi,pfi->pf", a, np.cross(b, c))
+    dots = [np.einsum("pfi,pfi->pf", x, y) for x, y in ((a, b), (b, c), (c, a))]
+    denominator = la * lb * lc + dots[0] * lc + dots[1] * la + dots[2] * lb
+    return np.arctan2(determinant, denominator).sum(axis=1) / (2 * np.pi)

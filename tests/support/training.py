@@ -15,7 +15,8 @@ from model.methods.paper.config import PaperConfig
 from model.methods.protocol import MethodConfig
 from model.methods.table import open_inputs
 from model.run import train as train_module
-from model.run.run_folder import TrainConfig
+from model.run.predict import render_predictions
+from model.run.run_folder import TrainConfig, is_finished
 from model.run.train_flags import configure, parse_train
 
 SMALL = TrainConfig(
@@ -43,6 +44,22 @@ def stop_at(monkeypatch: pytest.MonkeyPatch, step: int) -> None:
         check(loss, renderer, step=step, out=out)
 
     monkeypatch.setattr(train_module, "check_finite", die)
+
+
+def assert_resumes(
+    monkeypatch: pytest.MonkeyPatch, config: TrainConfig, dataset: Dataset, folder: Path, *, stop: int
+) -> None:
+    """Trains FOLDER/whole at once and FOLDER/parts with a stop, and draws both: they have the same bytes."""
+    device = torch.device("cpu")
+    train_module.train(config, dataset, folder / "whole", label="a", device=device)
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        stop_at(patch, stop)
+        train_module.train(config, dataset, folder / "parts", label="a", device=device)
+    train_module.train(config, dataset, folder / "parts", label="a", device=device)
+    for out in (folder / "whole", folder / "parts"):
+        render_predictions(out, config, dataset, device=device)
+        assert is_finished(out)
+    assert run_bytes(folder / "whole") == run_bytes(folder / "parts")
 
 
 def call(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:

@@ -1,8 +1,10 @@
 """A scene of every kind of surface, and renderers full of noise for it: what pages are compared with Python on."""
 
+import contextlib
 import dataclasses
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -11,6 +13,7 @@ from support.meshes import mesh_of
 from support.synthetic import look_at, quad, synthetic_scene
 from torch import nn
 
+from benchmarks.browser import Watched, open_file, watched_page
 from datagen.data.cameras import Cameras
 from datagen.data.config import SPLITS, DatasetConfig, Resolution, SplitConfig
 from datagen.data.dataset import Dataset, DatasetObject
@@ -29,6 +32,9 @@ from model.methods.light_path.net import LightPathRenderer
 from model.methods.light_path.pixels import LightPathPixels, load_light_path_pixels
 from model.nets.texture import TexturePyramid
 from model.run.predict import predict_pixels
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
 
 SHAPE = (44, 36)
 VIEW = "interpolating/0"
@@ -184,6 +190,27 @@ def drawn_by_python(
         pixels = dataclasses.replace(pixels, tracer=tracer, is_opaque=opaque)
     assert isinstance(pixels, LightPathPixels)
     return predict_pixels(renderer, pixels).reshape(*SHAPE, 3)
+
+
+@contextlib.contextmanager
+def opened_page(
+    browser: "Browser",
+    folder: Path,
+    renderer: Any,
+    dataset: Dataset,
+    quality: str = "exact",
+    config: Any = None,
+    **window: int,
+) -> Iterator[Watched]:
+    """The page of a renderer in a browser."""
+    from model.web.export import scene_page
+
+    file = folder / "page.html"
+    data = scene_page(renderer, config or renderer.config, dataset, TRUTH, quality, label="noise", still=STILL)  # pyright: ignore
+    file.write_bytes(data)
+    with watched_page(browser, **window) as page:
+        open_file(page, file)
+        yield page
 
 
 def psnr(one: np.ndarray, other: np.ndarray) -> float:

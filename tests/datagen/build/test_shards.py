@@ -15,7 +15,6 @@ import pytest
 from support.builds import build, build_whole, command, tree
 from support.synthetic import synthetic_scene
 
-import datagen.cli
 from datagen.build.build import _start_beside_others, open_or_start
 from datagen.build.launch import LaunchChoices, _without_launch
 from datagen.build.shards import Shard, parse_shard
@@ -252,20 +251,12 @@ def test_jobs_are_told_what_the_command_was_told_but_how_to_send_it_off() -> Non
     ],
 )
 def test_flags_that_do_not_go_together_are_one_line(
-    scene_folder: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    words: tuple[str, ...],
-    message: str,
+    scene_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...], message: str
 ) -> None:
     monkeypatch.setitem(sys.modules, "submitit", None)
-    monkeypatch.setattr(sys, "argv", command(scene_folder, tmp_path / "out", *words)[2:])
-    with pytest.raises(SystemExit) as end:
-        datagen.cli.main()
-    assert end.value.code == 1
-    errors = capsys.readouterr().err
-    assert message in errors and errors.count("error: ") == 1
+    answer = build(scene_folder, tmp_path / "out", *words)
+    assert answer.status == 1
+    assert message in answer.err and answer.err.count("error: ") == 1
     assert not list(tmp_path.iterdir())
 
 

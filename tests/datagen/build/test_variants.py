@@ -2,18 +2,17 @@
 
 import dataclasses
 import json
+import shlex
 import shutil
-import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from support.builds import tree
+from support.commands import Answer, call
 from support.synthetic import synthetic_scene
 
-import datagen.cli
-import model.cli
 from datagen.build.verify import verify_dataset
 from datagen.data.config import ANGLE_SPLITS, TEST_SPLITS, square
 from datagen.data.dataset import open_dataset
@@ -32,18 +31,8 @@ FLAGS = (
 MORE = ("--angle-splits", "--super-resolution", "2", "--super-resolution-views", "2")
 
 
-def tree(root: Path) -> dict[str, bytes]:
-    return {path.relative_to(root).as_posix(): path.read_bytes() for path in root.rglob("*") if path.is_file()}
-
-
-def call(main: Callable[[], None], *words: object) -> None:
-    """Runs a command in this process."""
-    before = sys.argv
-    sys.argv = [main.__module__, *map(str, words)]
-    try:
-        main()
-    finally:
-        sys.argv = before
+def command(*words: object) -> Answer:
+    return call(shlex.join(map(str, words)))
 
 
 @pytest.fixture(scope="module")
@@ -53,10 +42,10 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, byte
     scene = synthetic_scene()
     rig = dataclasses.replace(scene.cameras, azimuth_deg=(-100, 100))
     save_scene(dataclasses.replace(scene, cameras=rig), root / "scene/mine")
-    command = ("build", "--scene", root / "scene/mine", "--out", root / "data/mine", *FLAGS)
-    call(datagen.cli.main, *command)
+    build = ("datagen", "build", "--scene", root / "scene/mine", "--out", root / "data/mine", *FLAGS)
+    assert command(*build).status == 0
     plain = tree(root / "data/mine")
-    call(datagen.cli.main, *command, *MORE)
+    assert command(*build, *MORE).status == 0
     return root, plain
 
 
@@ -107,14 +96,15 @@ def test_a_damaged_view_of_a_variant_is_named_and_made_again(
     assert [problem.split("; ")[0] for problem in found.problems] == [f"{path}: damaged (checksum differs)"]
     assert any("variants/x2/notes.txt" in remark for remark in found.remarks)
     (tmp_path / "mine/variants/x2/notes.txt").unlink()
-    call(datagen.cli.main, "build", "--scene", made[0] / "scene/mine", "--out", tmp_path / "mine", *FLAGS, *MORE)
+    build = ("datagen", "build", "--scene", made[0] / "scene/mine", "--out", tmp_path / "mine")
+    assert command(*build, *FLAGS, *MORE).status == 0
     assert tree(tmp_path / "mine") == before
 
 
 def test_a_variant_of_other_data_is_refused_and_replaced(made: tuple[Path, dict[str, bytes]], tmp_path: Path) -> None:
     shutil.copytree(made[0] / "data/mine", tmp_path / "mine")
-    command = ("build", "--scene", made[0] / "scene/mine", "--out", tmp_path / "mine", *FLAGS)
-    call(datagen.cli.main, *command, "--seed", 1, "--overwrite")
+    build = ("datagen", "build", "--scene", made[0] / "scene/mine", "--out", tmp_path / "mine", *FLAGS)
+    assert command(*build, "--seed", 1, "--overwrite").status == 0
     assert not (tmp_path / "mine/variants").exists()
     shutil.copytree(made[0] / "data/mine/variants", tmp_path / "mine/variants")
     with pytest.raises(HyalineError, match="belongs to a dataset that stood there before"):
@@ -129,14 +119,9 @@ def test_a_variant_of_other_data_is_refused_and_replaced(made: tuple[Path, dict[
         (("--super-resolution", "2"), "holds a variant with another configuration (interpolating:"),
     ],
 )
-def test_wrong_sizes_are_one_line(
-    made: tuple[Path, dict[str, bytes]], capsys: pytest.CaptureFixture[str], flags: tuple[str, ...], message: str
-) -> None:
-    with pytest.raises(SystemExit):
-        call(
-            datagen.cli.main, "build", "--scene", made[0] / "scene/mine", "--out", made[0] / "data/mine", *FLAGS, *flags
-        )
-    assert message in capsys.readouterr().err
+def test_wrong_sizes_are_one_line(made: tuple[Path, dict[str, bytes]], flags: tuple[str, ...], message: str) -> None:
+    build = ("datagen", "build", "--scene", made[0] / "scene/mine", "--out", made[0] / "data/mine")
+    assert message in command(*build, *FLAGS, *flags).err
 
 
 def test_runs_predict_variants_and_the_report_scores_them(
@@ -148,21 +133,20 @@ def test_runs_predict_variants_and_the_report_scores_them(
     hidden = tmp_path / "variants"
     (root / "data/mine/variants").rename(hidden)
     size = ("--steps", 3, "--batch", 64, "--width", 16, "--texture-size", 16)
-    train = ("train", "paper", "--dataset", root / "data/mine", *size)
-    call(model.cli.main, *train, "--device", "cpu", "--out", runs / "paper")
+    train = ("model", "train", "paper", "--dataset", root / "data/mine", *size)
+    assert command(*train, "--device", "cpu", "--out", runs / "paper").status == 0
     hidden.rename(root / "data/mine/variants")
     drawn = runs / "paper/variants"
     assert not drawn.exists()
     # A finished run predicts splits that were built since, and no more after that.
-    for words in ((), (), ("--variant", "x2"), ("--variant", "x2")):
-        call(model.cli.main, "render", "--run", runs / "paper", "--device", "cpu", *words)
+    render = ("model", "render", "--run", runs / "paper", "--device", "cpu")
+    said = [command(*render, *words).err for words in ((), (), ("--variant", "x2"), ("--variant", "x2"))]
     torch.set_num_threads(threads)
-    assert capsys.readouterr().err.count("nothing to do") == 2
+    assert ["nothing to do" in text for text in said] == [False, True, False, True]
     assert read_png(drawn / "x2/predictions/extrapolating/0001.png").shape == (32, 32, 3)
-    with pytest.raises(SystemExit):
-        call(model.cli.main, "render", "--run", runs / "paper", "--variant", "x4")
     advice = f"make it with `datagen build --dataset {root / 'data/mine'} --super-resolution 4`"
-    assert f"x4: no such variant (there are: angles, x2); {advice}" in capsys.readouterr().err
+    refused = command(*render, "--variant", "x4").err
+    assert f"x4: no such variant (there are: angles, x2); {advice}" in refused
 
     # A foreign method that knows the truth, and one that enlarges its own pictures.
     dataset = open_dataset(root / "data/mine")

@@ -5,6 +5,7 @@ import zipfile
 from pathlib import Path
 
 import pytest
+from support import fake_renderer
 from support.builds import FLAGS, build_whole
 from support.commands import call, run
 from support.gltf import BOX, GltfBuilder
@@ -16,6 +17,13 @@ from datagen.export.formats import FORMATS
 from datagen.scene.builtin import SCENES
 from datagen.scene.folder import save_scene
 from datagen.scene.textures import ImageTexture
+
+
+@pytest.fixture(autouse=True)
+def no_renderer(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What pictures show has no licence of its own."""
+    fake_renderer.install(monkeypatch)
+
 
 CARD_LICENSES = {"CC0-1.0": "license: cc0-1.0", "Mine alone": "license: other\nlicense_name: mine-alone"}
 

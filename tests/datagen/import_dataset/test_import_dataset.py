@@ -42,7 +42,7 @@ def take_over(folder: Path, root: Path, **choices: object) -> Dataset:
 @pytest.fixture(scope="module")
 def ours(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     root = tmp_path_factory.mktemp("ours") / "glasses"
-    write_traced_dataset(root)
+    write_traced_dataset(root, resolution=32)
     return open_dataset(root)
 
 

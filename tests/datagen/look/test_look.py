@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 from support.commands import run
-from support.pages import read_page
+from support.pages import ReadPage, read_page
 from support.synthetic import write_synthetic_dataset
 
 from datagen.data.dataset import Dataset, open_dataset
@@ -22,8 +22,17 @@ def dataset(tmp_path: Path) -> Dataset:
     return write_synthetic_dataset(tmp_path / "data" / "synthetic")
 
 
-def test_the_page_shows_every_split_every_object_and_all_that_is_stored(dataset: Dataset) -> None:
-    page = read_page(look_page(dataset))
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[Dataset, ReadPage]:
+    """A dataset in which nothing is missing, and the page that the command writes."""
+    root = tmp_path_factory.mktemp("look")
+    dataset = write_synthetic_dataset(root / "data" / "synthetic")
+    run(f"datagen look '{dataset.root}' --out '{root}/look.html'")
+    return dataset, read_page((root / "look.html").read_bytes())
+
+
+def test_the_page_shows_every_split_every_object_and_all_that_is_stored(whole: tuple[Dataset, ReadPage]) -> None:
+    dataset, page = whole
     assert any(paragraph.text.endswith("files match their checksums.") for paragraph in page.all("p"))
     labels = {svg.attributes.get("aria-label") for svg in page.all("svg")}
     for split in dataset.splits:
@@ -36,9 +45,8 @@ def test_the_page_shows_every_split_every_object_and_all_that_is_stored(dataset:
     assert not page.all("img")
 
 
-def test_pictures_come_before_text_and_say_what_their_colours_mean(dataset: Dataset, tmp_path: Path) -> None:
-    run(f"datagen look '{dataset.root}' --out '{tmp_path}/look.html'")
-    page = read_page((tmp_path / "look.html").read_bytes())
+def test_pictures_come_before_text_and_say_what_their_colours_mean(whole: tuple[Dataset, ReadPage]) -> None:
+    dataset, page = whole
     order = [item.attributes.get("id") for item in page.elements if item.name == "section"]
     assert order[0] == "pictures"
     places = [order.index(name) for name in ("pictures", "light-paths", "cameras", "stored", "objects", "facts")]

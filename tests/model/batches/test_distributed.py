@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 import torch
 from support import commands
-from support.synthetic import write_synthetic_dataset
 from support.training import SMALL, call, run_bytes
 
 from datagen.data.dataset import Dataset
@@ -26,7 +25,7 @@ from model.run.run_folder import TrainConfig
 from model.run.train import check_processes
 from model.settings.losses import LossConfig
 
-QUICK = ("--steps", "20", "--batch", "255", "--device", "cpu", "--width", "32", "--texture-size", "16", "--zero-layer")
+QUICK = ("--steps", "12", "--batch", "255", "--device", "cpu", "--width", "32", "--texture-size", "16", "--zero-layer")
 EVERY = {"evaluate_every": 5, "checkpoint_every": 4}
 RUNS = {"plain": ("--norm", "none"), "norm": ("--norm", "batch")}
 
@@ -77,11 +76,6 @@ if __name__ == "__main__":
 """
 
 
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    return write_synthetic_dataset(tmp_path_factory.mktemp("model") / "data" / "synthetic")
-
-
 def words_of(dataset: Dataset, out: Path, name: str) -> list[str]:
     return ["paper", "--dataset", str(dataset.root), "--out", str(out), "--name", "it", *QUICK, *RUNS[name]]
 
@@ -92,7 +86,7 @@ def two(dataset: Dataset, tmp_path_factory: pytest.TempPathFactory) -> tuple[Pat
     folder = tmp_path_factory.mktemp("two")
     words = {name: words_of(dataset, folder / name, name) for name in RUNS}
     stopped = words_of(dataset, folder / "stopped", "norm")
-    runs = [(None, words["plain"]), (None, words["norm"]), (11, stopped), (None, stopped)]
+    runs = [(None, words["plain"]), (None, words["norm"]), (7, stopped), (None, stopped)]
     (folder / "two.py").write_text(PROGRAM)
     command = [sys.executable, str(folder / "two.py"), json.dumps([EVERY, runs])]
     answer = subprocess.run(command, capture_output=True, text=True, check=False, timeout=600)
@@ -146,7 +140,7 @@ def test_only_the_first_process_speaks(two: tuple[Path, str]) -> None:
 @pytest.mark.slow
 def test_two_processes_that_were_stopped_go_on_to_the_same_bytes(two: tuple[Path, str]) -> None:
     folder, said = two
-    assert said.count("resuming after step 8 of 20\n") == 1
+    assert said.count("resuming after step 4 of 12\n") == 1
     assert run_bytes(folder / "stopped") == run_bytes(folder / "norm")
 
 

@@ -37,11 +37,6 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "cache/hyaline/pixels"
 
 
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    return write_synthetic_dataset(tmp_path_factory.mktemp("model") / "data" / "synthetic")
-
-
 def assert_same_batches(one: Pixels, other: MappedPixels, index: torch.Tensor) -> None:
     expected, found = one.take(index, None), other.take(index, None)
     for item in dataclasses.fields(expected):

@@ -9,7 +9,7 @@ import pytest
 import torch
 from scipy.signal import correlate2d
 from support.synthetic import write_synthetic_dataset
-from support.training import build, load, run_bytes, stop_at
+from support.training import assert_resumes, build, load
 
 from datagen.data.config import Resolution, square
 from datagen.data.dataset import Dataset
@@ -32,8 +32,7 @@ from model.losses.patch_losses import (
 from model.losses.pixel_losses import PatchTerms, difference, pixel_loss
 from model.methods.paper.config import PaperConfig
 from model.methods.renderer import Renderer
-from model.run.predict import render_predictions
-from model.run.run_folder import TrainConfig, check_same_run, is_finished, read_run
+from model.run.run_folder import TrainConfig, check_same_run, read_run
 from model.run.train import train
 from model.settings.losses import LossConfig
 
@@ -201,14 +200,8 @@ def test_a_run_with_all_losses_resumes_to_the_bit(
     }[method]
     terms = LossConfig(vgg_weights="random", adversarial=0.01, adversarial_from=0.3, patch=32)
     config = dataclasses.replace(SMALL, method=method, net=net, loss=terms)
-    train(config, dataset, tmp_path / "whole", label="a", device=CPU)
-    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        stop_at(patch, 4)  # The discriminator has learned since step 2; the newest checkpoint is of step 4.
-        train(config, dataset, tmp_path / "parts", label="a", device=CPU)
-    train(config, dataset, tmp_path / "parts", label="a", device=CPU)
-    assert run_bytes(tmp_path / "whole") == run_bytes(tmp_path / "parts")
-    render_predictions(tmp_path / "parts", config, dataset, device=CPU)
-    assert is_finished(tmp_path / "parts")
+    # The discriminator has learned since step 2; the newest checkpoint is of step 4.
+    assert_resumes(monkeypatch, config, dataset, tmp_path, stop=4)
     record = read_run(tmp_path / "parts")
     assert record.knowledge == "true geometry, VGG16 of random weights (a stand-in)" and record.config == config
     seals = {"dataset_seal": dataset.seal, "layers_seal": record.layers_seal}
@@ -300,12 +293,7 @@ def test_in_painting_fills_what_training_never_saw_and_resumes_to_the_bit(
     make_inpainter(dataset, build(NET, dataset))  # Skips where Mitsuba cannot.
     terms = LossConfig(adversarial=0.01, adversarial_from=0.3, inpaint=True, patch=32)
     config = dataclasses.replace(SMALL, loss=terms)
-    train(config, dataset, tmp_path / "whole", label="a", device=CPU)
-    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        stop_at(patch, 4)
-        train(config, dataset, tmp_path / "parts", label="a", device=CPU)
-    train(config, dataset, tmp_path / "parts", label="a", device=CPU)
-    assert run_bytes(tmp_path / "whole") == run_bytes(tmp_path / "parts")
+    assert_resumes(monkeypatch, config, dataset, tmp_path, stop=4)
     weights = torch.load(tmp_path / "whole/weights.pt", weights_only=True)["renderer"]["textures.table"]
     training = load(NET, dataset, [0, 1, 3, 4])
     visits = count_visits(build(NET, dataset).textures, training)  # pyright: ignore

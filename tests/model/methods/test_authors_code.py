@@ -6,8 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from support.synthetic import write_synthetic_dataset
-from support.training import build, configured, run_bytes, stop_at
+from support.training import assert_resumes, build, configured
 
 from datagen.data.dataset import Dataset
 from datagen.data.images import read_png
@@ -36,11 +35,6 @@ SMALL = TrainConfig(
     evaluate_every=5,
     checkpoint_every=4,
 )
-
-
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    return write_synthetic_dataset(tmp_path_factory.mktemp("authors") / "data" / "synthetic")
 
 
 @pytest.mark.parametrize(
@@ -135,18 +129,11 @@ def test_dropout_stays_on_at_test_and_repeats(dataset: Dataset) -> None:
 def test_it_learns_resumes_to_the_bit_and_predicts_the_same_twice(
     dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    train(SMALL, dataset, tmp_path / "whole", label="a", device=CPU)
-    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        stop_at(patch, 6)
-        train(SMALL, dataset, tmp_path / "parts", label="a", device=CPU)
-    train(SMALL, dataset, tmp_path / "parts", label="a", device=CPU)
-    for out in (tmp_path / "whole", tmp_path / "parts"):
-        render_predictions(out, SMALL, dataset, device=CPU)
-    assert run_bytes(tmp_path / "whole") == run_bytes(tmp_path / "parts")
+    assert_resumes(monkeypatch, SMALL, dataset, tmp_path, stop=6)
 
 
 def test_it_learns_the_pane_and_the_floor(dataset: Dataset, tmp_path: Path) -> None:
-    config = dataclasses.replace(SMALL, steps=400, batch=512, lr=0.005, evaluate_every=400, checkpoint_every=1000)
+    config = dataclasses.replace(SMALL, steps=200, batch=512, lr=0.005, evaluate_every=200, checkpoint_every=1000)
     train(config, dataset, tmp_path / "run", label="a", device=CPU)
     render_predictions(tmp_path / "run", config, dataset, device=CPU)
     prediction = read_png(tmp_path / "run/predictions/interpolating/0000.png").astype(np.float64)

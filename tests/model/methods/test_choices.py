@@ -4,9 +4,9 @@ import dataclasses
 import math
 
 import pytest
+from support.commands import call
 
 from datagen.disk.errors import HyalineError, UsageError
-from model.cli import main
 from model.methods.table import BUILT_IN, METHODS
 from model.run.train_flags import check_words, flags_of_method, folder_name, parse_train
 from model.settings.flags import flags_of
@@ -91,15 +91,10 @@ def test_every_number_that_a_flag_takes_has_limits(method: str) -> None:
     assert tried > 5
 
 
-def test_the_method_may_still_be_named_by_a_flag(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    for words in (["paper", "--steps", "0"], ["--steps", "0", "--method", "paper"], ["--method=paper", "--steps=0"]):
-        monkeypatch.setattr("sys.argv", ["model", "train", *words])
-        with pytest.raises(SystemExit) as end:
-            main()
-        assert end.value.code == 1
-        assert capsys.readouterr().err == "error: steps: is 0; expected at least 1\n"
+def test_the_method_may_still_be_named_by_a_flag() -> None:
+    for words in ("paper --steps 0", "--steps 0 --method paper", "--method=paper --steps=0"):
+        answer = call(f"model train {words}")
+        assert (answer.status, answer.err) == (1, "error: steps: is 0; expected at least 1\n")
 
 
 @pytest.mark.parametrize(
@@ -113,15 +108,10 @@ def test_the_method_may_still_be_named_by_a_flag(
         ("", 2, "model train: names no method; expected one of paper, mlp-first, dnr, "),
     ],
 )
-def test_a_wrong_word_is_answered_in_one_line(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], words: str, status: int, line: str
-) -> None:
-    monkeypatch.setattr("sys.argv", ["model", "train", *words.split()])
-    with pytest.raises(SystemExit) as end:
-        main()
-    assert end.value.code == status
-    told = capsys.readouterr().err
-    assert told.startswith(f"error: {line}") and told.count("\n") == 1
+def test_a_wrong_word_is_answered_in_one_line(words: str, status: int, line: str) -> None:
+    answer = call(f"model train {words}")
+    assert answer.status == status
+    assert answer.err.startswith(f"error: {line}") and answer.err.count("\n") == 1
 
 
 def test_words_of_a_file_are_checked_without_a_sound(capsys: pytest.CaptureFixture[str]) -> None:
@@ -132,13 +122,8 @@ def test_words_of_a_file_are_checked_without_a_sound(capsys: pytest.CaptureFixtu
     assert capsys.readouterr() == ("", "")
 
 
-def test_help_flows_over_the_lines_of_a_docstring(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr("sys.argv", ["model", "train", "dnr", "--help"])
-    with pytest.raises(SystemExit):
-        main()
-    lines = [line.strip("│ ") for line in capsys.readouterr().out.splitlines()]
+def test_help_flows_over_the_lines_of_a_docstring() -> None:
+    lines = [line.strip("│ ") for line in call("model train dnr --help").out.splitlines()]
     start = next(place for place, line in enumerate(lines) if line.startswith("--memory"))
     end = next(place for place, line in enumerate(lines) if line.startswith("--snapshots"))
     shown = lines[start + 1 : end - 1]  # The last line ends where the text does.

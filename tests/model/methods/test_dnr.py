@@ -8,7 +8,7 @@ import pytest
 import torch
 from support.reference import slow_convolution, slow_transposed_convolution
 from support.synthetic import write_synthetic_dataset
-from support.training import build, configured, load, run_bytes, stop_at
+from support.training import assert_resumes, build, configured, load
 
 from datagen.data.config import Resolution
 from datagen.data.dataset import Dataset
@@ -35,11 +35,6 @@ NET = DnrConfig(texture_size=24, position_size=64, unet_width=4, crop=32)
 SMALL = TrainConfig(
     method="dnr", geometry=TRUTH, net=NET, steps=8, batch=2048, lr=0.003, evaluate_every=4, checkpoint_every=3
 )
-
-
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    return write_synthetic_dataset(tmp_path_factory.mktemp("dnr") / "data" / "synthetic")
 
 
 @pytest.mark.parametrize(
@@ -186,14 +181,7 @@ def test_a_stopped_and_resumed_run_has_the_same_bytes(
     inputs = open_inputs(small, dataset, TRUTH)
     assert inputs.num_layers == (4 if method == "dnr-layers" else 1)
     config = dataclasses.replace(SMALL, method=method, net=small.complete(inputs))
-    train(config, dataset, tmp_path / "whole", label="a", device=CPU)
-    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        stop_at(patch, 5)
-        train(config, dataset, tmp_path / "parts", label="a", device=CPU)
-    train(config, dataset, tmp_path / "parts", label="a", device=CPU)
-    for out in (tmp_path / "whole", tmp_path / "parts"):
-        render_predictions(out, config, dataset, device=CPU)
-    assert run_bytes(tmp_path / "whole") == run_bytes(tmp_path / "parts")
+    assert_resumes(monkeypatch, config, dataset, tmp_path, stop=5)
     if method == "mlp-first":
         assert abs(read_run(tmp_path / "whole").num_parameters - 34_000) < 3000
 

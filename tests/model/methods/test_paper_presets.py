@@ -6,14 +6,13 @@ from pathlib import Path
 
 import pytest
 import torch
-from support.synthetic import write_synthetic_dataset
+from support.commands import call, run
 from support.training import build, configured
 
 from datagen.data.dataset import Dataset
 from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import to_json
-from model import cli
 from model.batches.rays import load_pixels
 from model.methods.paper.config import PaperConfig
 from model.methods.paper.renderer import PaperRenderer
@@ -22,11 +21,6 @@ from model.run.run_folder import is_finished, read_run
 from model.run.train_flags import configure, folder_name, parse_train
 from model.settings.losses import LossConfig
 from model.settings.optimisation import PixelOptimisation
-
-
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    return write_synthetic_dataset(tmp_path_factory.mktemp("presets") / "data" / "synthetic")
 
 
 def test_the_published_preset_is_the_paper_and_the_default(dataset: Dataset) -> None:
@@ -87,12 +81,8 @@ def test_finer_levels_cannot_count_more_than_coarser_ones_or_nothing(share: floa
         PaperConfig(width=16, texture_size=16, finer_counts=share)
 
 
-def test_a_run_of_the_best_preset_is_called_so_and_records_every_choice(
-    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    flags = "--preset best --steps 3 --batch 64 --device cpu"
-    monkeypatch.setattr("sys.argv", ["model", "train", "paper", "--dataset", str(dataset.root), *flags.split()])
-    cli.main()
+def test_a_run_of_the_best_preset_is_called_so_and_records_every_choice(dataset: Dataset, tmp_path: Path) -> None:
+    run(f"model train paper --dataset {dataset.root} --preset best --steps 3 --batch 64 --device cpu")
     (out,) = (tmp_path / "runs" / "synthetic").iterdir()
     assert out.name == "paper-best-batch64-3-steps" and is_finished(out)
     record = read_run(out)
@@ -114,13 +104,8 @@ def test_a_run_of_the_best_preset_is_called_so_and_records_every_choice(
         ("light-path --geometry box", {"--batch": 2048, "--stack": 96, "--relief": "on"}),
     ],
 )
-def test_help_tells_the_defaults_of_the_method_and_its_preset(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], words: str, defaults: dict[str, object]
-) -> None:
-    monkeypatch.setattr("sys.argv", ["model", "train", *words.split(), "--help"])
-    with pytest.raises(SystemExit):
-        cli.main()
-    told = " ".join(capsys.readouterr().out.replace("│", " ").split())
+def test_help_tells_the_defaults_of_the_method_and_its_preset(words: str, defaults: dict[str, object]) -> None:
+    told = " ".join(call(f"model train {words} --help").out.replace("│", " ").split())
     for flag, default in defaults.items():
         text = told[told.index(f" {flag} ", told.index("options")) :]
         assert text[text.index("(default: ") :].startswith(f"(default: {default})"), flag

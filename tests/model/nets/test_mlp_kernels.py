@@ -180,29 +180,6 @@ def fresh_search(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Pa
     find_kernels.cache_clear()
 
 
-@needs_kernels
-def test_the_library_is_built_once(fresh_search: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert find_kernels() is not None
-    (built,) = fresh_search.iterdir()
-    stamp = built.stat().st_mtime_ns
-    find_kernels.cache_clear()
-    monkeypatch.setattr(mlp_kernels, "_build", lambda *_: pytest.fail("built again"))
-    assert find_kernels() is not None
-    assert built.stat().st_mtime_ns == stamp
-
-
-def in_new_process(cache: Path) -> subprocess.CompletedProcess[str]:
-    """Looks for the compiled layers, and computes with them, where a crash kills nobody else."""
-    code = (
-        "from model.nets.cpu.mlp_kernels import find_kernels; import torch\n"
-        "from model.nets.pixel_mlp import PixelMlp\n"
-        "net = PixelMlp(10, width=8, blocks=1, norm='batch'); net(torch.ones(5, 10)).sum().backward()\n"
-        "print(find_kernels() is not None)"
-    )
-    environment = os.environ | {"XDG_CACHE_HOME": str(cache)}
-    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, env=environment)
-
-
 @pytest.fixture(scope="module")
 def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The compiled layers in a cache of their own, as they were built."""
@@ -216,16 +193,42 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return built
 
 
+@pytest.fixture
+def builds(library: Path, monkeypatch: pytest.MonkeyPatch) -> list[Path]:
+    """The libraries that were built; each is a copy, since compiling one takes a second."""
+    paths: list[Path] = []
+
+    def build(compiler: str, path: Path) -> Path:
+        paths.append(path)
+        return Path(shutil.copy(library, path))
+
+    monkeypatch.setattr(mlp_kernels, "_build", build)
+    return paths
+
+
+def told_when_found(capsys: pytest.CaptureFixture[str]) -> str:
+    """What is said while the compiled layers are looked for, as another process would."""
+    find_kernels.cache_clear()
+    assert find_kernels() is not None
+    return capsys.readouterr().err
+
+
 @needs_kernels
 @pytest.mark.parametrize("damage", ["half", "flipped", "empty", "foreign", "link", "writable"])
-def test_a_library_in_doubt_is_never_loaded_but_built_anew(library: Path, tmp_path: Path, damage: str) -> None:
+def test_a_library_in_doubt_is_never_loaded_but_built_anew_and_then_kept(
+    library: Path, fresh_search: Path, builds: list[Path], capsys: pytest.CaptureFixture[str], damage: str
+) -> None:
     assert library.stat().st_mode & 0o777 == 0o600 and library.parent.stat().st_mode & 0o777 == 0o700
-    built = Path(shutil.copytree(library.parent, tmp_path / "hyaline" / "kernels")) / library.name
+    built = Path(shutil.copytree(library.parent, fresh_search)) / library.name
+    assert told_when_found(capsys) == "" and builds == []
     intact = built.read_bytes()
     flipped = bytearray(intact)
     flipped[len(intact) // 3] ^= 8
-    (tmp_path / "foreign.c").write_text("__attribute__((constructor)) static void run() { __builtin_trap(); }")
-    subprocess.run(["g++", "-shared", "-fPIC", "-o", tmp_path / "foreign.so", tmp_path / "foreign.c"], check=True)
+    place = fresh_search.parent
+    (place / "foreign.c").write_text(
+        f'#include <stdio.h>\n__attribute__((constructor)) static void run() {{ fopen("{place}/it ran", "w"); }}'
+    )
+    subprocess.run(["g++", "-shared", "-fPIC", "-o", place / "foreign.so", place / "foreign.c"], check=True)
     built.unlink()
     match damage:
         case "half":
@@ -235,40 +238,40 @@ def test_a_library_in_doubt_is_never_loaded_but_built_anew(library: Path, tmp_pa
         case "empty":
             built.touch()
         case "foreign":
-            built.write_bytes((tmp_path / "foreign.so").read_bytes())
+            built.write_bytes((place / "foreign.so").read_bytes())
         case "link":
-            write_hashed(tmp_path / "elsewhere.so", (tmp_path / "foreign.so").read_bytes())
-            built.symlink_to(tmp_path / "elsewhere.so")
+            write_hashed(place / "elsewhere.so", (place / "foreign.so").read_bytes())
+            built.symlink_to(place / "elsewhere.so")
         case _:
             built.write_bytes(intact)
             built.chmod(0o666)
-    answer = in_new_process(tmp_path)
-    assert (answer.returncode, answer.stdout) == (0, "True\n"), answer.stderr
-    assert answer.stderr == f"{built}: damaged, or not written by this user; building the compiled layers again\n"
+    told = told_when_found(capsys)
+    assert told == f"{built}: damaged, or not written by this user; building the compiled layers again\n"
     assert is_intact(built) and not built.is_symlink()
-    again = in_new_process(tmp_path)
-    assert (again.returncode, again.stdout, again.stderr) == (0, "True\n", "")
+    assert told_when_found(capsys) == "" and len(builds) == 1
+    assert not (place / "it ran").exists()
 
 
 @needs_kernels
+@pytest.mark.usefixtures("builds")
 @pytest.mark.parametrize("wrong", ["open to others", "a link", "a file"])
-def test_a_cache_in_which_others_may_write_is_not_used(tmp_path: Path, wrong: str) -> None:
-    folder = tmp_path / "hyaline" / "kernels"
-    folder.parent.mkdir()
+def test_a_cache_in_which_others_may_write_is_not_used(
+    fresh_search: Path, capsys: pytest.CaptureFixture[str], wrong: str
+) -> None:
+    fresh_search.parent.mkdir()
     match wrong:
         case "open to others":
-            folder.mkdir()
-            folder.chmod(0o777)
+            fresh_search.mkdir()
+            fresh_search.chmod(0o777)
         case "a link":
-            (tmp_path / "other").mkdir()
-            folder.symlink_to(tmp_path / "other")
+            (fresh_search.parent / "other").mkdir()
+            fresh_search.symlink_to(fresh_search.parent / "other")
         case _:
-            folder.touch()
-    answer = in_new_process(tmp_path)
-    assert (answer.returncode, answer.stdout) == (0, "True\n"), answer.stderr
-    assert answer.stderr.startswith(f"{folder}: ") and answer.stderr.count("\n") == 1
-    assert "the compiled layers are built for this run only" in answer.stderr
-    assert not folder.is_dir() or not list(folder.iterdir())
+            fresh_search.touch()
+    told = told_when_found(capsys)
+    assert told.startswith(f"{fresh_search}: ") and told.count("\n") == 1
+    assert "the compiled layers are built for this run only" in told
+    assert not fresh_search.is_dir() or not list(fresh_search.iterdir())
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can give a file to somebody else")

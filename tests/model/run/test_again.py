@@ -1,7 +1,6 @@
 """Tests of the words that ask for a run again: they configure the same, and say nothing that is usual."""
 
 import pytest
-from support.synthetic import write_synthetic_dataset
 from support.training import configured
 
 from datagen.data.dataset import Dataset
@@ -19,11 +18,6 @@ ASKED = (
     "light-path --environment 1 --sky-lobes 3 --sky-lr 0.5 --debias 0.5",
     "dnr --preset authors --features 8 --crop 0",
 )
-
-
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    return write_synthetic_dataset(tmp_path_factory.mktemp("again") / "data" / "synthetic")
 
 
 @pytest.mark.parametrize("asked", ASKED)

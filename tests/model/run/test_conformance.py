@@ -1,9 +1,7 @@
 """Tests of `model check-method`, on the example method, which lives in a distribution of its own."""
 
 import dataclasses
-import os
 import shutil
-import subprocess
 import sys
 import tomllib
 from collections.abc import Iterator
@@ -49,15 +47,9 @@ def installed(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def model(installed: Path, *words: str) -> subprocess.CompletedProcess[str]:
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), str(installed)]), "OMP_NUM_THREADS": "1"}
-    return subprocess.run([sys.executable, "-m", "model", *words], capture_output=True, text=True, env=environment)
-
-
-def words_of(answer: subprocess.CompletedProcess[str]) -> str:
+def words_of(page: str) -> str:
     """What a help page says, without its frame."""
-    assert answer.returncode == 0, answer.stderr
-    return " ".join(answer.stdout.replace("│", " ").split())
+    return " ".join(page.replace("│", " ").split())
 
 
 @pytest.fixture
@@ -68,15 +60,14 @@ def found(installed: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     sys.modules.pop("nearest_view", None)
 
 
-def test_a_method_of_another_distribution_is_listed_checked_and_short(installed: Path) -> None:
+@pytest.mark.usefixtures("one_thread", "found")
+def test_a_method_of_another_distribution_is_listed_checked_and_short() -> None:
     assert len((EXAMPLE / "nearest_view.py").read_text().splitlines()) < 60
-    listed = model(installed, "train", "--help")
-    assert "nearest-view The training pictures with the nearest cameras, blended. Brought by nearest-view." in words_of(
-        listed
-    )
-    answer = model(installed, "check-method", "nearest-view")
-    lines = answer.stdout.splitlines()
-    assert answer.returncode == 0, answer.stdout + answer.stderr
+    listed = words_of(call("model train --help").out)
+    assert "nearest-view The training pictures with the nearest cameras, blended. Brought by nearest-view." in listed
+    answer = call("model check-method nearest-view")
+    lines = answer.out.splitlines()
+    assert answer.status == 0, answer.out + answer.err
     assert [line.split()[0] for line in lines[:7]] == ["ok"] * 7
     assert lines[7].startswith("skip  a view's camera gives the view's picture: it only draws the views of its dataset")
     assert lines[8] == "skip  its web page has what it needs: it has no web page (page is empty)"
@@ -102,7 +93,8 @@ def test_a_method_that_cannot_be_imported_is_one_line_and_disturbs_no_other(foun
     assert "nearest_view:NearestViewConfig of nearest-view cannot be imported (ModuleNotFoundError: " in answer.err
     for broken in ("import no_such_module", "raise RuntimeError('no GPU')", "class NearestViewConfig: ..."):
         (found / "nearest_view.py").write_text(broken)
-        assert "nearest-view Brought by nearest-view." in words_of(model(found, "train", "--help"))
+        sys.modules.pop("nearest_view", None)
+        assert "nearest-view Brought by nearest-view." in words_of(call("model train --help").out)
     assert call("model train paper --help").status == 0
 
 

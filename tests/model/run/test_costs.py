@@ -6,7 +6,6 @@ from pathlib import Path
 
 import pytest
 import torch
-from support.synthetic import write_synthetic_dataset
 from support.training import SMALL, call, run_bytes
 
 from datagen.data.dataset import Dataset
@@ -14,11 +13,6 @@ from model.run.logs import COSTS, LogChoices, Meter, read_costs
 from model.run.train import train
 
 SHORT = dataclasses.replace(SMALL, steps=6, checkpoint_every=2)
-
-
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    return write_synthetic_dataset(tmp_path_factory.mktemp("costs") / "data" / "synthetic", resolution=16)
 
 
 def trained(dataset: Dataset, out: Path, *, costs: bool = True, anew: bool = False) -> Path:

@@ -43,20 +43,20 @@ CHECKER = Diffuse(color=SolidTexture(pattern="checker", colors=((0.7, 0.6, 0.2),
 LIGHT_PATH = TrainConfig(
     method="light-path",
     geometry=TRUTH,
-    steps=120,
+    steps=90,
     batch=512,
     lr=0.002,
     texture_lr=0.02,
     lr_decay="cosine",
     net=LightPathConfig(texture_sizes=(8, 64), texture_levels=2, branches=6, render_samples=9),
-    evaluate_every=120,
+    evaluate_every=90,
 )
 PAPER = TrainConfig(
     method="paper",
     geometry=TRUTH,
     steps=3,
     batch=512,
-    evaluate_every=120,
+    evaluate_every=90,
     net=PaperConfig(width=16, texture_size=16, position_size=32, zero_layer=True),
 )
 EDITS = ("remove:ball", "duplicate:ball:0.3,0.8,0")

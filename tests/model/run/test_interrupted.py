@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 import torch
 from support.promises import spread
-from support.synthetic import write_synthetic_dataset
+from support.training import run_bytes
 
 from datagen.data.dataset import Dataset
 from datagen.disk.errors import HyalineError
@@ -34,11 +34,6 @@ def often(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(make, "__kwdefaults__", defaults)
 
 
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    return write_synthetic_dataset(tmp_path_factory.mktemp("model") / "data" / "synthetic")
-
-
 Train = Callable[..., int]
 
 
@@ -56,10 +51,6 @@ def train(dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
         return 0
 
     return command
-
-
-def run_bytes(out: Path) -> dict[str, bytes]:
-    return {path.relative_to(out).as_posix(): path.read_bytes() for path in sorted(out.rglob("*")) if path.is_file()}
 
 
 class Killed(BaseException):

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 import torch
-from support.synthetic import write_synthetic_dataset
 from torch import Tensor, nn
 
 import eval.cli
@@ -25,11 +24,6 @@ pytestmark = pytest.mark.promise("R10")
 NAN = float("nan")
 LAST_GOOD = 4
 """The step of the last checkpoint before the poison, which is given in the step after it."""
-
-
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    return write_synthetic_dataset(tmp_path_factory.mktemp("model") / "data" / "synthetic")
 
 
 @pytest.fixture

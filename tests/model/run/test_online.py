@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from support.synthetic import write_synthetic_dataset
 from support.training import load
 
 from datagen.data.dataset import Dataset
@@ -19,11 +18,6 @@ from model.run.train import train
 
 CPU = torch.device("cpu")
 NET = PaperConfig(width=16, texture_size=16, position_size=32, layers="online")
-
-
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    return write_synthetic_dataset(tmp_path_factory.mktemp("online") / "data" / "synthetic")
 
 
 @pytest.mark.parametrize(

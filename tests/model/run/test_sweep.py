@@ -6,13 +6,13 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from collections import Counter
 from pathlib import Path
 
 import pytest
 import torch
 from support.synthetic import write_synthetic_dataset
+from support.training import call
 
 from datagen.disk.errors import HyalineError
 from model import cli
@@ -26,15 +26,6 @@ def write(folder: Path, text: str) -> str:
     path = folder / "grid.toml"
     path.write_text(text)
     return str(path)
-
-
-def call(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
-    monkeypatch.setattr(sys, "argv", ["model", *arguments])
-    try:
-        cli.main()
-    except SystemExit as end:
-        return int(end.code or 0)
-    return 0
 
 
 # Files
@@ -187,9 +178,7 @@ def test_each_device_runs_one_process_at_a_time_and_none_is_idle(
 ) -> None:
     experiment = read_experiment(write(tmp_path, f'[[runs]]\nmethod = "paper"\nseed = {list(range(12))}'))
     busy: Counter[str] = Counter()
-    used: Counter[str] = Counter()
-    most = [0]
-    lock = threading.Lock()
+    lock, all_three = threading.Lock(), threading.Barrier(3, timeout=120)
 
     def train(
         arguments: tuple[str, ...], place: str, environment: dict[str, str], children: object
@@ -197,10 +186,8 @@ def test_each_device_runs_one_process_at_a_time_and_none_is_idle(
         (device,) = environment.values()
         with lock:
             busy[device] += 1
-            used[device] += 1
             assert busy[device] == 1
-            most[0] = max(most[0], busy.total())
-        time.sleep(0.02)
+        all_three.wait()  # Breaks, and with it the sweep, unless every device is busy.
         with lock:
             busy[device] -= 1
         return sweep.Failure(command=arguments[-1], reason=place) if int(arguments[-1]) % 5 == 3 else None
@@ -208,7 +195,7 @@ def test_each_device_runs_one_process_at_a_time_and_none_is_idle(
     monkeypatch.setattr(sweep, "_train_in_child", train)
     failures = sweep.run_experiment(experiment, devices=("0", "GPU-b", "2"))
     assert [(failure.command, failure.reason) for failure in failures] == [("3", "[4/12]"), ("8", "[9/12]")]
-    assert set(used) == {"0", "GPU-b", "2"} and used.total() == 12 and most[0] == 3
+    assert set(busy) == {"0", "GPU-b", "2"}
 
 
 def test_jobs_on_the_cpu_run_side_by_side_and_share_its_cores(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

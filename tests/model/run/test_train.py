@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -9,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from support.synthetic import write_synthetic_dataset
-from support.training import SMALL, call, quick, run_bytes, stop_at
+from support.commands import Answer, call
+from support.training import SMALL, quick, run_bytes, stop_at
 
 from datagen.data.dataset import Dataset
 from datagen.data.images import read_png
@@ -27,11 +28,6 @@ pytestmark = pytest.mark.usefixtures("one_thread")
 
 
 CPU = torch.device("cpu")
-
-
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    return write_synthetic_dataset(tmp_path_factory.mktemp("model") / "data" / "synthetic")
 
 
 def test_training_learns_the_pane_and_the_floor(dataset: Dataset, tmp_path: Path) -> None:
@@ -153,34 +149,32 @@ def test_the_learning_rate_decays_as_named() -> None:
 # The command.
 
 
-def test_the_command_trains_skips_refuses_and_renders_again(
-    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    command = quick(dataset, tmp_path / "run")
-    assert call(monkeypatch, *command) == 0
-    output = capsys.readouterr()
-    assert output.out == f"{tmp_path / 'run'}\n" and output.err.endswith(
-        f"next: eval report --runs {tmp_path.parent}\n"
-    )
-    before = run_bytes(tmp_path / "run")
+def quickly(dataset: Dataset, out: Path, *more: str) -> Answer:
+    return call(shlex.join(["model", *quick(dataset, out), *more]))
+
+
+def test_the_command_trains_skips_refuses_and_renders_again(dataset: Dataset, tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    answer = quickly(dataset, out)
+    assert (answer.status, answer.out, answer.error) == (0, f"{out}\n", f"next: eval report --runs {tmp_path.parent}")
+    before = run_bytes(out)
     assert {"run.json", "weights.pt", "predictions.json", "predictions/extrapolating/0001.png"} <= set(before)
 
-    assert call(monkeypatch, *command) == 0
-    assert "finished before, nothing to do" in capsys.readouterr().err
+    assert "finished before, nothing to do" in quickly(dataset, out).err
 
-    assert call(monkeypatch, *command, "--lr", "0.01") == 1
-    assert "another lr: 0.001 there, 0.01 here; start over with --overwrite" in capsys.readouterr().err
+    answer = quickly(dataset, out, "--lr", "0.01")
+    assert answer.status == 1
+    assert "another lr: 0.001 there, 0.01 here; start over with --overwrite" in answer.err
 
-    (tmp_path / "run/predictions/interpolating/0000.png").write_bytes(b"broken")
-    assert call(monkeypatch, "render", "--run", str(tmp_path / "run")) == 0
-    assert run_bytes(tmp_path / "run") == before
-    (tmp_path / "run/predictions/interpolating/0000.png").write_bytes(b"broken")
-    assert call(monkeypatch, *command) == 0
-    assert "run: is trained; goes on with its predictions" in capsys.readouterr().err
-    assert run_bytes(tmp_path / "run") == before
+    (out / "predictions/interpolating/0000.png").write_bytes(b"broken")
+    assert call(f"model render --run {out}").status == 0
+    assert run_bytes(out) == before
+    (out / "predictions/interpolating/0000.png").write_bytes(b"broken")
+    assert "run: is trained; goes on with its predictions" in quickly(dataset, out).err
+    assert run_bytes(out) == before
 
-    assert call(monkeypatch, *command, "--overwrite") == 0
-    assert run_bytes(tmp_path / "run") == before  # Same command, same bytes.
+    assert quickly(dataset, out, "--overwrite").status == 0
+    assert run_bytes(out) == before  # Same command, same bytes.
 
 
 @pytest.mark.parametrize(
@@ -194,27 +188,19 @@ def test_the_command_trains_skips_refuses_and_renders_again(
         (("--dataset", "no/where"), "no/where: no dataset; make one with `datagen build"),
     ],
 )
-def test_a_wrong_flag_is_one_line(
-    dataset: Dataset,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    changes: tuple[str, ...],
-    message: str,
-) -> None:
-    assert call(monkeypatch, *quick(dataset, tmp_path / "run"), *changes) == 1
-    errors = capsys.readouterr().err
-    assert message in errors and errors.startswith("error: ") and errors.count("\n") == 1
+def test_a_wrong_flag_is_one_line(dataset: Dataset, tmp_path: Path, changes: tuple[str, ...], message: str) -> None:
+    answer = quickly(dataset, tmp_path / "run", *changes)
+    assert answer.status == 1
+    assert message in answer.err and answer.err.startswith("error: ") and answer.err.count("\n") == 1
     assert not (tmp_path / "run").exists()
 
 
-def test_a_folder_that_is_no_run_is_never_overwritten(
-    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_folder_that_is_no_run_is_never_overwritten(dataset: Dataset, tmp_path: Path) -> None:
     (tmp_path / "thesis.txt").write_text("years of work")
     for flags in ((), ("--overwrite",)):
-        assert call(monkeypatch, *quick(dataset, tmp_path), *flags) == 1
-        assert "is not empty (thesis.txt) and no run; choose another --out" in capsys.readouterr().err
+        answer = quickly(dataset, tmp_path, *flags)
+        assert answer.status == 1
+        assert "is not empty (thesis.txt) and no run; choose another --out" in answer.err
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.txt"]
 
 

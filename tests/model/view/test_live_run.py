@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from support.synthetic import write_synthetic_dataset
 from support.training import SMALL, run_bytes, stop_at
 
 import hyaline
@@ -22,11 +21,6 @@ from model.view.live_run import LiveRun, MovedOn
 
 CPU = torch.device("cpu")
 CONFIG = dataclasses.replace(SMALL, steps=8)
-
-
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    return write_synthetic_dataset(tmp_path_factory.mktemp("live") / "data" / "synthetic")
 
 
 def live(out: Path, dataset: Dataset, config: TrainConfig = CONFIG) -> LiveRun:

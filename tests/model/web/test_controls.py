@@ -1,4 +1,4 @@
-"""Tests of what mouse, fingers and keys do on the page of a trained scene."""
+"""Tests of what mouse, keys and fingers do on the page of a trained scene."""
 
 import re
 from collections.abc import Iterator
@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from support.browser import wait_until
 from support.web_scenes import every_surface
 
 from benchmarks.browser import Watched, open_file, watched_page
 from datagen.trace.peel import Peeler
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser, Page
+    from playwright.sync_api import Browser, CDPSession, Page
 
 STATE = "async () => { const { camera, objects } = await hyaline; return [camera.matrix, objects.all]; }"
 
@@ -112,13 +113,15 @@ def test_keys_fly_and_look_around(page: "Page") -> None:
     before, _ = state(page)
     page.focus("#view")
     page.keyboard.down("w")
-    page.wait_for_timeout(200)
+    place = before[:, 3].tolist()
+    script = f"async () => Math.hypot(...(await hyaline).camera.place.map((x, i) => x - {place}[i])) > 0.01"
+    wait_until(page, script)
     page.keyboard.up("w")
-    after, _ = state(page)
+    after = state(page)[0]
     step = after[:, 3] - before[:, 3]
     assert np.array_equal(after[:, :3], before[:, :3])
-    assert -step @ before[:, 2] == pytest.approx(np.linalg.norm(step))  # Straight ahead,
-    assert np.linalg.norm(step) > 0.01  # and some way.
+    assert -step @ before[:, 2] == pytest.approx(np.linalg.norm(step))  # Straight ahead.
+    assert np.linalg.norm(step) > 0.01  # And some way, as soon as this machine draws.
     page.keyboard.press("f")
     assert page.get_by_role("button", name="Fly").get_attribute("aria-pressed") == "true"
     page.keyboard.press("ArrowLeft")
@@ -171,7 +174,7 @@ def test_a_link_brings_back_camera_and_edits(page: "Page") -> None:
     page.get_by_role("button", name="Reset").click()
     assert len(state(page)[1]) == 7
     page.goto(link)
-    page.wait_for_function("async () => !(await hyaline).objects.all[1].shown")
+    wait_until(page, "async () => !(await hyaline).objects.all[1].shown")
     restored = state(page)
     for one, other in zip(restored[1], objects, strict=True):
         assert one["offset"] == pytest.approx(other["offset"], abs=1e-5)
@@ -213,3 +216,140 @@ def test_a_turn_is_filmed_as_webm_and_the_camera_comes_back(page: "Page") -> Non
     assert head == [0x1A, 0x45, 0xDF, 0xA3]  # EBML, of which WebM is a kind.
     assert size > 500
     assert np.array_equal(state(page)[0], before)
+
+
+# Fingers: touches as the browser itself makes them, not events
+
+
+Fingers = list[tuple[float, float]]
+"""Where each finger is, in pixels from the middle of the picture."""
+
+
+BESIDE = [(right, down) for right in (-40, 40, -25, 25) for down in (-40, -20, 20, 40)]
+"""Places where the handles of what stands in the middle may leave room."""
+
+
+@pytest.fixture(scope="module")
+def touched(browser: "Browser", small_page: Path) -> Iterator[Watched]:
+    """A page on a screen that is touched, in which nothing is drawn."""
+    with watched_page(browser, width=390, height=700) as page:
+        open_file(page, small_page)
+        page.evaluate("async () => { (await hyaline).frames.held = true; }")
+        yield page
+
+
+@pytest.fixture
+def screen(touched: Watched) -> Iterator["CDPSession"]:
+    touched.evaluate("async () => { (await hyaline).reset(); }")
+    session = touched.page.context.new_cdp_session(touched.page)
+    session.send("Emulation.setTouchEmulationEnabled", {"enabled": True, "maxTouchPoints": 2})
+    yield session
+    session.detach()
+    assert touched.complaints == []
+
+
+def touch(touched: Watched, screen: "CDPSession", start: Fingers, end: Fingers, steps: int = 8) -> None:
+    """Puts fingers down, moves them and lifts them."""
+    box = touched.page.locator("#view").bounding_box()
+    assert box is not None
+    middle = np.array([box["x"] + box["width"] / 2, box["y"] + box["height"] / 2])
+
+    def send(kind: str, fingers: np.ndarray) -> None:
+        points = [{"x": x, "y": y, "id": index} for index, (x, y) in enumerate((middle + fingers).tolist())]
+        screen.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+
+    first, last = np.array(start, float), np.array(end, float)
+    send("touchStart", first)
+    for share in np.linspace(0, 1, steps + 1)[1:] if start != end else []:
+        send("touchMove", first + share * (last - first))
+    send("touchEnd", np.empty((0, 2)))
+
+
+def view_of(touched: Watched) -> tuple[np.ndarray, np.ndarray]:
+    """The place of the camera, and the point that it turns about."""
+    place, pivot = touched.evaluate(
+        "async () => { const { camera } = await hyaline; return [camera.place, camera.pivot]; }"
+    )
+    return np.array(place), np.array(pivot)
+
+
+def under(touched: Watched, place: tuple[float, float]) -> int | None:
+    """The object that is seen at a place of the picture; None where a handle lies over it, or none is seen."""
+    found = touched.evaluate(
+        """async ([right, down]) => {
+            const { tracer, camera, canvas } = await hyaline, box = canvas.getBoundingClientRect();
+            const at = [box.width / 2 + right, box.height / 2 + down];
+            if (document.elementFromPoint(box.left + at[0], box.top + at[1]) !== canvas) return null;
+            return tracer.pick(camera, ...at, box.width, box.height);
+        }""",
+        list(place),
+    )
+    return found and found["object"]
+
+
+def distance(state: tuple[np.ndarray, np.ndarray]) -> float:
+    return float(np.linalg.norm(state[0] - state[1]))
+
+
+def test_one_finger_turns_the_camera_about_what_it_looks_at(touched: Watched, screen: "CDPSession") -> None:
+    before = view_of(touched)
+    touch(touched, screen, [(0, 0)], [(60, 0)])
+    after = view_of(touched)
+    assert np.allclose(after[1], before[1])
+    assert distance(after) == pytest.approx(distance(before))
+    assert after[0][2] == pytest.approx(before[0][2])
+    assert np.linalg.norm(after[0] - before[0]) > 0.1 * distance(before)
+
+
+def test_two_fingers_side_by_side_shift_the_scene_and_zoom_little(touched: Watched, screen: "CDPSession") -> None:
+    before = view_of(touched)
+    touch(touched, screen, [(-50, 0), (50, 0)], [(-50, 60), (50, 60)])
+    after = view_of(touched)
+    shift = after[1] - before[1]
+    assert np.linalg.norm(shift) > 0.05 * distance(before)
+    assert shift[2] > 0  # The fingers take the scene down with them, so the camera rises.
+    assert distance(after) == pytest.approx(distance(before), rel=0.02)
+
+
+@pytest.mark.parametrize(("start", "end"), [(40, 80), (80, 40)], ids=["apart", "together"])
+def test_two_fingers_zoom_by_as_much_as_they_part(
+    touched: Watched, screen: "CDPSession", start: float, end: float
+) -> None:
+    before = view_of(touched)
+    touch(touched, screen, [(-start, 0), (start, 0)], [(-end, 0), (end, 0)])
+    after = view_of(touched)
+    assert distance(after) == pytest.approx(distance(before) * start / end, rel=0.02)
+    assert np.linalg.norm(after[1] - before[1]) < 0.05 * distance(before)
+
+
+def test_a_tap_chooses_what_is_under_it_and_turns_nothing(touched: Watched, screen: "CDPSession") -> None:
+    before, aimed_at = view_of(touched), under(touched, (0, 0))
+    assert aimed_at is not None
+    touch(touched, screen, [(0, 0)], [(0, 0)])
+    assert touched.evaluate("async () => (await hyaline).chosen") == aimed_at
+    assert np.allclose(view_of(touched)[0], before[0])
+
+
+def test_a_tap_of_two_fingers_chooses_nothing_and_asks_for_nothing(touched: Watched, screen: "CDPSession") -> None:
+    touched.evaluate(
+        "async () => { const page = await hyaline; page.heard = []; page.clicked = (at) => page.heard.push(at); }"
+    )
+    try:
+        touch(touched, screen, [(-20, 0), (20, 0)], [(-20, 0), (20, 0)])
+        assert touched.evaluate("async () => (await hyaline).heard") == []
+        touch(touched, screen, [(0, 0)], [(0, 0)])
+        assert touched.evaluate("async () => (await hyaline).heard") == [under(touched, (0, 0))]
+    finally:
+        touched.evaluate("async () => { delete (await hyaline).clicked; }")
+
+
+def test_one_finger_drags_the_chosen_object_over_the_ground(touched: Watched, screen: "CDPSession") -> None:
+    chosen = under(touched, (0, 0))
+    touch(touched, screen, [(0, 0)], [(0, 0)])
+    before = view_of(touched)
+    beside = next(place for place in BESIDE if under(touched, place) == chosen)
+    touch(touched, screen, [beside], [(beside[0] + 40, beside[1])])
+    offset = touched.evaluate("async (index) => (await hyaline).objects.all[index].offset", chosen)
+    assert np.linalg.norm(offset[:2]) > 0.05
+    assert offset[2] == pytest.approx(0, abs=1e-6)
+    assert np.allclose(view_of(touched)[0], before[0])

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 import torch
 from support.meshes import box
-from support.web_scenes import SHAPE, STILL, VIEW, every_surface, psnr, write_scene
+from support.web_scenes import SHAPE, VIEW, every_surface, opened_page, psnr, write_scene
 
-from benchmarks.browser import open_file, watched_page
 from datagen.data.dataset import Dataset
 from datagen.data.meshes import Mesh
 from datagen.data.paths import TRUTH
@@ -24,7 +23,6 @@ from model.methods.protocol import Inputs
 from model.nets.extrinsics import positions_for
 from model.nets.texture import NeuralTextures
 from model.run.predict import predict_pixels
-from model.web.export import scene_page
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
@@ -124,12 +122,9 @@ def test_a_page_of_paper_draws_what_python_draws(
     least: float,
 ) -> None:
     renderer, config = noisy_paper(dataset, **change)
-    file = tmp_path / "page.html"
-    file.write_bytes(scene_page(renderer, config, dataset, TRUTH, quality, label="noise", still=STILL))
     truth = drawn_by_python(renderer, config, dataset, samples)
     assert truth.std(axis=(0, 1)).max() > 10
-    with watched_page(browser) as page:
-        open_file(page, file)
+    with opened_page(browser, tmp_path, renderer, dataset, quality, config) as page:
         assert psnr(page.picture(VIEW, SHAPE, samples), truth) >= least
         assert page.page.get_by_label("Material of").count() == 0
         assert page.complaints == []
@@ -139,15 +134,12 @@ def test_an_object_taken_out_of_a_page_of_paper_is_no_layer_any_more(
     browser: "Browser", dataset: Dataset, tmp_path: Path
 ) -> None:
     renderer, config = noisy_paper(dataset)
-    file = tmp_path / "page.html"
-    file.write_bytes(scene_page(renderer, config, dataset, TRUTH, "exact", label="noise", still=STILL))
     edited = tuple(
         dataclasses.replace(item.mesh, faces=item.mesh.faces[:0]) if item.name == "outer" else item.mesh
         for item in boxes().objects
     )
     pixels: PixelSource[RayBatch] = trace_layers(edited, dataset.cameras("interpolating"), LAYERS)
-    with watched_page(browser) as page:
-        open_file(page, file)
+    with opened_page(browser, tmp_path, renderer, dataset, config=config) as page:
         drawn = page.picture(VIEW, SHAPE, 1, {"outer": {"shown": False}})
     assert psnr(drawn, predict_pixels(renderer, pixels).reshape(*SHAPE, 3)) >= 45
     assert psnr(drawn, drawn_by_python(renderer, config, dataset)) < 35

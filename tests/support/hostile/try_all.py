@@ -1,9 +1,9 @@
-"""A process that reads hostile files one after the other and writes down what came of each.
+"""A process that reads hostile files one after the other and records the outcome of each.
 
-A tenth of those are read by a real command, too, which calls a renderer that takes no time.
+A tenth of the files also go through a real command, with a renderer that takes no time.
 
-`python try_all.py OUT FIRST STEP` appends a JSON line a case to OUT, from the case of that number on, of every so many.
-The working folder is where code that should never run would leave its mark.
+`python try_all.py OUT FIRST STEP` appends one JSON line per case to OUT: case FIRST, then every STEP-th case after it.
+Code that must never run would leave its mark in the working folder.
 """
 
 import functools

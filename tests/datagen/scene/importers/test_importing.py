@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 from support.commands import call
-from support.gltf import BOX, GltfBuilder, clear, glass
+from support.gltf import BOX, GltfBuilder, clear, glass, glass_of
 from support.rigs import config
 
 from datagen.data.config import square
@@ -183,10 +183,8 @@ def test_materials_by_name_override_those_of_the_file(tmp_path: Path) -> None:
 
 
 def test_glass_that_is_inside_out_in_the_file_is_turned(tmp_path: Path) -> None:
-    builder = GltfBuilder()
     inverted = dataclasses.replace(BOX, faces=np.ascontiguousarray(BOX.faces[:, ::-1]), normals=-BOX.normals)
-    glass_material = builder.material(pbrMetallicRoughness=clear(), extensions=glass())
-    builder.node(mesh=builder.mesh(inverted, material=glass_material), name="bowl")
+    builder = glass_of(inverted, name="bowl")
     done = import_scene(builder.written(tmp_path), ImportChoices())
     assert signed_volume(done.scene.objects[0].mesh) == pytest.approx(signed_volume(BOX), rel=1e-4)
     assert "bowl: was inside out; its faces were turned round" in done.record["notes"]
@@ -524,14 +522,6 @@ def test_a_material_for_an_object_that_is_not_there_names_those_that_are(tmp_pat
     assert answer.error == "error: --material: no object is called 'nothing'; the objects are vase, box"
 
 
-def test_material_may_be_repeated(tmp_path: Path) -> None:
-    path, out = scene_with_glass().written(tmp_path), tmp_path / "out"
-    assert call(f"datagen import {path} --out {out} --material 'v*=diamond' --material box=gold").status == 0
-    scene = load_scene(out)
-    assert of_name(scene, "vase").material == Dielectric(ior=2.417)
-    assert isinstance(of_name(scene, "box").material, Conductor)
-
-
 @pytest.mark.parametrize("command", ["import", "build --scene"])
 @pytest.mark.parametrize("name", ["vase.fbx", "vase.blend", "vase.FBX", "vase.xyz"])
 def test_a_format_that_is_not_read_says_how_to_export(command: str, name: str, tmp_path: Path) -> None:
@@ -547,9 +537,7 @@ def smooth_cylinder() -> Mesh:
 
 
 def test_smooth_normals_over_edges_are_told_and_crease_shades_them_as_edges(tmp_path: Path) -> None:
-    builder = GltfBuilder()
-    material = builder.material(pbrMetallicRoughness=clear(), extensions=glass())
-    builder.node(mesh=builder.mesh(smooth_cylinder(), material=material), name="tumbler")
+    builder = glass_of(smooth_cylinder(), name="tumbler")
     path, out = builder.written(tmp_path), tmp_path / "out"
     answer = call(f"datagen import {path} --out {out}")
     (line,) = [line for line in answer.err.splitlines() if line.startswith("tumbler: ")]
@@ -568,9 +556,7 @@ def test_smooth_normals_over_edges_are_told_and_crease_shades_them_as_edges(tmp_
 
 @pytest.mark.parametrize("mesh", [BOX, ball(0.05, subdivisions=1)], ids=["bevelled box", "coarse ball"])
 def test_normals_of_round_surfaces_and_bevels_are_no_matter(mesh: Mesh, tmp_path: Path) -> None:
-    builder = GltfBuilder()
-    material = builder.material(pbrMetallicRoughness=clear(), extensions=glass())
-    builder.node(mesh=builder.mesh(mesh, material=material), name="thing")
+    builder = glass_of(mesh, name="thing")
     assert "--crease" not in call(f"datagen import {builder.written(tmp_path)} --out {tmp_path / 'out'}").err
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 from support.commands import call
-from support.gltf import GltfBuilder, clear, glass
+from support.gltf import glass_of
 
 from datagen.data.meshes import Mesh, check_closed, check_solid, open_edges, signed_volume
 from datagen.disk.errors import HyalineError
@@ -102,10 +102,8 @@ def test_a_change_of_the_volume_is_refused(monkeypatch: pytest.MonkeyPatch) -> N
 
 
 def test_repair_joins_the_overlapping_glass_of_a_file_and_import_json_says_the_volumes(tmp_path: Path) -> None:
-    builder = GltfBuilder()
-    material = builder.material(pbrMetallicRoughness=clear(), extensions=glass())
     pair = merged([BALL, moved(BALL, (0.09, 0.0, 0.0))])
-    builder.node(mesh=builder.mesh(pair, material=material), name="pair")
+    builder = glass_of(pair, name="pair")
     path = builder.written(tmp_path)
     answer = call(f"datagen import {path} --out {tmp_path / 'apart'}")
     assert "each became an object of its own" in answer.err

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.commands import call
-from support.gltf import BOX, GltfBuilder, clear, glass
+from support.gltf import BOX, GltfBuilder, glass_of
 
 from datagen.data.meshes import (
     MIN_AREA,
@@ -80,11 +80,9 @@ def test_where_three_faces_meet_at_an_edge_it_is_refused() -> None:
 
 
 def test_open_glass_of_a_file_is_thin_and_solid_when_repaired(tmp_path: Path) -> None:
-    builder = GltfBuilder()
-    material = builder.material(pbrMetallicRoughness=clear(), extensions=glass())
     holed = without(BOX, [3])
     assert open_edges(holed)
-    builder.node(mesh=builder.mesh(holed, material=material), name="block")
+    builder = glass_of(holed, name="block")
     path = builder.written(tmp_path)
     assert isinstance(import_scene(path, ImportChoices()).scene.objects[0].material, ThinDielectric)
     done = import_scene(path, ImportChoices(repair=True))
@@ -119,11 +117,9 @@ def with_split_edges(mesh: Mesh, *, bridged: bool) -> Mesh:
 @pytest.mark.parametrize("bridged", [True, False])
 @pytest.mark.parametrize("repair", ["", "--repair"])
 def test_slivers_are_collapsed_so_that_closed_glass_stays_closed(bridged: bool, repair: str, tmp_path: Path) -> None:
-    builder = GltfBuilder()
     mesh = with_split_edges(BOX, bridged=bridged)
     assert (face_areas(mesh).min() < MIN_AREA) == bridged and (open_edges(mesh) == 0) == bridged
-    material = builder.material(pbrMetallicRoughness=clear(), extensions=glass())
-    builder.node(mesh=builder.mesh(mesh, material=material), name="block")
+    builder = glass_of(mesh, name="block")
     path = builder.written(tmp_path)
     with warnings.catch_warnings(record=True) as raised:
         warnings.simplefilter("always")
@@ -139,11 +135,9 @@ def test_slivers_are_collapsed_so_that_closed_glass_stays_closed(bridged: bool, 
 
 
 def test_what_cannot_be_closed_is_drawn_thin_as_the_error_says(tmp_path: Path) -> None:
-    builder = GltfBuilder()
-    material = builder.material(pbrMetallicRoughness=clear(), extensions=glass())
     fin = np.array([[*BOX.faces[0, :2], 50]], np.int32)
     finned = dataclasses.replace(BOX, faces=np.concatenate([BOX.faces, fin]))
-    builder.node(mesh=builder.mesh(finned, material=material), name="block")
+    builder = glass_of(finned, name="block")
     path, out = builder.written(tmp_path), tmp_path / "out"
     for more in ("--repair", "--repair --material glass"):
         answer = call(f"datagen import {path} --out {out} --overwrite {more}")
