@@ -31,11 +31,11 @@ $(STAMP): pyproject.toml constraints.txt
 
 demo: setup
 	$(BIN)/datagen build --scene glass_table
-	$(BIN)/proxies make --dataset glass_table --kind ellipsoid
-	$(BIN)/model train paper --dataset data/glass_table
-	$(BIN)/model train paper --dataset data/glass_table --preset best
-	$(BIN)/model train paper --dataset data/glass_table --geometry ellipsoid
-	$(BIN)/model train light-path --dataset data/glass_table
+	$(BIN)/proxies make glass_table --kind ellipsoid
+	$(BIN)/model train paper data/glass_table
+	$(BIN)/model train paper-best data/glass_table
+	$(BIN)/model train paper data/glass_table --geometry ellipsoid
+	$(BIN)/model train light-path data/glass_table
 	$(BIN)/report
 
 test: setup
@@ -51,7 +51,7 @@ reliability: setup
 
 # RESULTS.md, from the results.json files that were kept.
 results: setup
-	$(BIN)/report --results docs/results/*.json > RESULTS.md.new && mv RESULTS.md.new RESULTS.md
+	$(BIN)/report --results docs/results > RESULTS.md.new && mv RESULTS.md.new RESULTS.md
 
 # The pages of docs/ as a web site.
 docs: setup

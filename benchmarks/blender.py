@@ -24,7 +24,7 @@ from datagen.disk.errors import HyalineError
 from datagen.render.mitsuba_scene import linear_texels
 from datagen.render.truth import Renderer, render_view
 from datagen.scene.description import Scene, SceneObject
-from datagen.scene.foreign_files import ImportChoices
+from datagen.scene.import_choices import ImportChoices
 from datagen.scene.importers.foreign import Axis
 from datagen.scene.importers.importing import Imported, import_scene
 from datagen.scene.importers.staging import z_up_from

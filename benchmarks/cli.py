@@ -4,11 +4,10 @@ import sys
 from pathlib import Path
 from typing import Literal
 
-import tyro
-
 from benchmarks.choices import BenchChoices
-from datagen.scene.foreign_files import ImportChoices
-from datagen.terminal.command import run, unwrap_help
+from datagen.scene.import_choices import ImportChoices
+from datagen.terminal.command import run
+from datagen.terminal.parsing import CommandGroup, group
 
 DESCRIPTION = (
     "Measure speed: rivals by turns in one process, checked first; exit status 1 where a ratio is missed. "
@@ -18,9 +17,12 @@ DESCRIPTION = (
 
 def main() -> None:
     """`python -m benchmarks NAME ...`."""
-    unwrap_help(BenchChoices)
-    unwrap_help(ImportChoices)
-    commands = {
+    run("python -m benchmarks", commands(), sys.argv[1:])
+
+
+def commands() -> CommandGroup:
+    """All commands of the program."""
+    by_name = {
         "peel": peel,
         "truth": truth,
         "scale": scale,
@@ -38,7 +40,7 @@ def main() -> None:
         "browser": browser,
         "screenshot": screenshot,
     }
-    run("python -m benchmarks", DESCRIPTION, commands, sys.argv[1:])
+    return group(DESCRIPTION, by_name, {})
 
 
 def peel(
@@ -115,7 +117,7 @@ def truth(
 
 
 def scale(
-    factors: tuple[float, ...] = (1, 2, 4, 8),
+    factor: tuple[float, ...] = (),
     quantities: tuple[str, ...] = (),
     out: Path = Path("bench-scale.png"),
     rounds: int = 3,
@@ -125,7 +127,7 @@ def scale(
     """How time and memory grow with resolution, layers, objects and triangles: a power law each, and a figure.
 
     Args:
-        factors: Each quantity is multiplied by these, the others staying as they are.
+        factor: Multiply each quantity by this, the others staying as they are. May be repeated. Default: 1, 2, 4 and 8.
         quantities: Only these of pixels, layers, objects, triangles.
         out: The figure, a PNG; a file that stands there is kept.
         rounds: Turns at each size.
@@ -145,7 +147,7 @@ def scale(
     for name in quantities:
         choose("quantity", name, QUANTITIES)
     chosen: tuple[Quantity, ...] = tuple(name for name in QUANTITIES if not quantities or name in quantities)
-    show_scale(bench_scale(factors, chosen, rounds=rounds), out, as_json=json)
+    show_scale(bench_scale(factor or (1, 2, 4, 8), chosen, rounds=rounds), out, as_json=json)
 
 
 def random_scenes(seeds: int = 100, first: int = 0, family: str | None = None, json: bool = False) -> None:
@@ -207,7 +209,8 @@ def peers(
 
 
 def cycles(
-    files: tyro.conf.Positional[tuple[Path, ...]],
+    files: tuple[Path, ...],
+    /,
     *,
     python: Path = Path(sys.executable),
     out: Path = Path("cycles"),
@@ -262,7 +265,7 @@ def cycles(
 
 
 def random_sheet(
-    seeds: tuple[int, ...] = tuple(range(9)),
+    seed: tuple[int, ...] = (),
     out: Path = Path("random.webp"),
     *,
     view: int = 1,
@@ -274,7 +277,7 @@ def random_sheet(
     """A picture of random scenes, path-traced: a row for each family.
 
     Args:
-        seeds: Those shown; seed 0 is an object, 1 a table, 2 nested media, and so on.
+        seed: A scene to show; 0 is an object, 1 a table, 2 nested media, and so on. May be repeated. Default: 0 to 8.
         out: The picture, a WebP; a file that stands there is kept.
         view: Which of six training cameras.
         size: Width and height of each in pixels.
@@ -291,7 +294,7 @@ def random_sheet(
     use_mitsuba()
     from benchmarks.random_sheet import draw_random_sheet
 
-    out.write_bytes(draw_random_sheet(seeds, view=view, size=size, spp=spp, quality=quality))
+    out.write_bytes(draw_random_sheet(seed or tuple(range(9)), view=view, size=size, spp=spp, quality=quality))
     print(out)
 
 
@@ -390,7 +393,7 @@ def turntable(
     Args:
         runs: Folders of trained runs.
         names: Captions, instead of the folders' names.
-        out: The film, of any kind that `datagen render` writes.
+        out: The film, of any kind that `datagen film` writes.
         path: orbit, spline, or a JSON file of key frames.
         frames: Pictures in the film.
         size: Width of each picture in pixels.

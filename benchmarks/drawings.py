@@ -54,7 +54,7 @@ def find_worst(runs: list[Run], views: int) -> list[tuple[Split, int]]:
                 found.append((psnr(*pair), split, view))
     if not found:
         raise HyalineError(
-            f"{runs[0].folder}: shares no predicted split with {runs[-1].folder}; run `model render` on both"
+            f"{runs[0].folder}: shares no predicted split with {runs[-1].folder}; run `model predict` on both"
         )
     return [(split, view) for _, split, view in sorted(found)[:views]]
 

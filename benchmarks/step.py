@@ -198,7 +198,7 @@ def bench_infer(choices: BenchChoices, *, ceilings: Sequence[Ceiling] = (), seed
         [
             Candidate(name="naive frame", run=lambda: naive(rays), note="grid_sample, 1x1 convolutions"),
             Candidate(
-                name="frame", run=lambda: predict_pixels(renderer, pixels), note="as `model render`, to 8-bit colours"
+                name="frame", run=lambda: predict_pixels(renderer, pixels), note="as `model predict`, to 8-bit colours"
             ),
         ],
         checks=[Check(name="same colours", run=compare)],

@@ -1,75 +1,118 @@
-"""The command line of `datagen`: parse, configure, call one function."""
+"""The command line of `datagen`: each command calls a function of a room, which is imported when it is called."""
 
 import shlex
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-import tyro
-
-from datagen.build.choices import BuildChoices
-from datagen.build.film import FilmChoices
-from datagen.build.launch import LaunchChoices
-from datagen.data.config import parse_resolution
-from datagen.data.dataset import open_dataset
-from datagen.data.geometries import check_geometry
-from datagen.data.layer_writing import check_settings
-from datagen.data.paths import DATA_ROOT, TRUTH, build_command, find_dataset, train_command
-from datagen.disk.errors import HyalineError
-from datagen.disk.ownership import DATASET, refuse_file, refuse_owned
-from datagen.disk.storage import commit
+from datagen.build.choices import AddChoices, BuildChoices, FilmChoices, LaunchChoices, SizeChoices
+from datagen.data.paths import DATA_ROOT, TRUTH, build_command, find_dataset, predict_command, train_command
+from datagen.disk.errors import UsageError
 from datagen.import_dataset.choices import DatasetImportChoices
-from datagen.scene.foreign_files import ImportChoices, scene_name
-from datagen.terminal.command import fail, next_command, run, say, say_all, tell, unwrap_help
-
-SCENES_ROOT = Path("scenes")
-"""Where imported scenes go unless told."""
+from datagen.scene.import_choices import ImportChoices
+from datagen.terminal.command import fail, hush, next_command, run, say, say_all, tell, tell_json
+from datagen.terminal.parsing import CommandGroup, group
 
 if TYPE_CHECKING:
-    from datagen.build.verify import Findings
+    from datagen.data.dataset import Dataset
+
+SCENES_ROOT = Path("scenes")
+"""Default folder for imported scenes."""
+
+MOVED = {
+    "datagen render": "is now `datagen film`",
+    "datagen mend": "is now `datagen build`: run again, it repairs and completes a dataset",
+    "datagen build --dataset": "is now `datagen add DATASET`, with --edit, --twins, --angles or --larger",
+    "datagen build --edit": "is now `datagen add DATASET --edit`",
+    "datagen build --twins": "is now `datagen add DATASET --twins`",
+    "datagen build --angle-splits": "is now `datagen add DATASET --angles`",
+    "datagen build --super-resolution": "is now `datagen add DATASET --larger`",
+    "datagen build --super-resolution-views": "is now `datagen add DATASET --larger-views`",
+    "datagen film --video": "is now --out",
+}
 
 
 def main() -> None:
     """Entry point of the console script."""
-    unwrap_help(BuildChoices)
-    unwrap_help(LaunchChoices)
-    unwrap_help(ImportChoices)
-    unwrap_help(DatasetImportChoices)
-    unwrap_help(FilmChoices)
-    commands = {
+    run("datagen", commands(), sys.argv[1:])
+
+
+def commands() -> CommandGroup:
+    """All commands of the program."""
+    by_name = {
         "build": build,
+        "add": add,
         "import": import_file,
         "import-dataset": import_dataset,
         "peel": peel,
+        "film": film,
         "export": export,
-        "verify": verify,
         "look": look,
-        "render": render,
+        "verify": verify,
         "scenes": scenes,
         "doctor": doctor,
     }
-    run("datagen", "Path-traced datasets of transparent objects, with peeled layers.", commands, sys.argv[1:])
+    return group("Path-traced datasets of transparent objects, with peeled layers.", by_name, MOVED)
 
 
 def build(
-    choices: Annotated[BuildChoices, tyro.conf.arg(name="")] = BuildChoices(),  # noqa: B008
-    launch: LaunchChoices = LaunchChoices(),  # noqa: B008
-    imports: ImportChoices = ImportChoices(),  # noqa: B008
+    scene: str = "glass_table",
+    /,
+    *,
+    choices: BuildChoices = BuildChoices(),  # noqa: B008
+    size: SizeChoices = SizeChoices(),  # noqa: B008
+    jobs: LaunchChoices = LaunchChoices(),  # noqa: B008
+    file: ImportChoices = ImportChoices(),  # noqa: B008
 ) -> None:
     """Render a scene and peel its layers; if interrupted, the same command resumes.
 
     Args:
-        choices: The dataset.
-        launch: Build the parts as jobs.
-        imports: With --scene FILE: what the file does not say, as `datagen import` takes it.
+        scene: A name that `datagen scenes` lists, a folder with a scene.json, a file that `datagen import` reads, or
+            random: glassware drawn from --seed. random-0007 is the random scene of seed 7.
     """
-    from datagen.build.build_command import build_or_add
+    from datagen.build.build_command import build_scenes
+    from datagen.build.shards import count_missing
 
-    build_or_add(choices, launch, imports)
+    hush(choices.quiet)
+    built = build_scenes(scene, choices, size, jobs, file)
+    if choices.json:
+        tell_json(
+            {
+                "datasets": [
+                    {"dataset": str(made.root), "views": {**made.num_views}, "missing": count_missing(made)[0]}
+                    for made in built
+                ]
+            }
+        )
+    else:
+        _tell_roots(built)
+    if choices.shard is None:
+        next_command(shlex.join(["proxies", "make", str(built[-1].root), "--kind", "ellipsoid"]))
+
+
+def add(dataset: str | None = None, /, *, choices: AddChoices = AddChoices()) -> None:  # noqa: B008
+    """Add test views to a dataset: edited scenes, scenes without glass, other angles, larger pictures.
+
+    Args:
+        dataset: A dataset's folder, or its name under data/. Default: the only one there.
+    """
+    from datagen.build.build_command import add_variants
+    from datagen.data.dataset import open_dataset
+
+    made = add_variants(open_dataset(find_dataset(dataset)), choices)
+    _tell_roots(made)
+    next_command(predict_command(made[-1].name))
+
+
+def _tell_roots(datasets: "list[Dataset]") -> None:
+    for dataset in datasets:
+        tell(str(dataset.root))
 
 
 def import_file(
-    file: tyro.conf.Positional[Path],
+    file: Path,
+    /,
+    *,
     out: Path | None = None,
     overwrite: bool = False,
     resolution: str = "128",
@@ -77,18 +120,19 @@ def import_file(
 ) -> None:
     """Import a file from another program as a scene: glTF, GLB, OBJ with MTL, PLY, STL, 3MF or Mitsuba XML.
 
-    Writes a scene folder for `datagen build --scene`. Its import.json lists everything that is rendered differently
-    from what the file asks for. The file is read in a process of its own, with 8 s of CPU time, 2 GB of memory and
-    more for large files: 30 s and 24 MB for each MB.
+    Writes a scene folder for `datagen build`. Its import.json lists everything that is rendered differently from what
+    the file asks for. The file is read in a separate process, limited to 8 s of CPU time and 2 GB of memory, and for
+    large files to 30 s and 24 MB per MB.
 
     Args:
         file: A file that ends in .glb, .gltf, .obj, .ply, .stl, .3mf or .xml.
         out: Folder to write. Default: scenes/NAME.
         overwrite: Replace an existing imported scene.
-        resolution: Pictures that the ground's pattern is made for, in pixels: one number for squares, or such as
-            320x240.
-        choices: What the file does not say.
+        resolution: Size in pixels of the pictures that the ground's pattern is made for: one number for squares, or
+            such as 320x240.
     """
+    from datagen.data.config import parse_resolution
+    from datagen.scene.foreign_files import scene_name
     from datagen.scene.importers.confined_import import check_free, import_files, write_imported
 
     root = out or SCENES_ROOT / scene_name(file)
@@ -97,25 +141,26 @@ def import_file(
     write_imported(imported.files, imported.record, root, overwrite=overwrite)
     say_all(imported.told)
     tell(str(root))
-    next_command(shlex.join(["datagen", "build", "--scene", str(root)]))
+    next_command(shlex.join(["datagen", "build", str(root)]))
 
 
 def import_dataset(
-    folder: tyro.conf.Positional[Path],
+    folder: Path,
+    /,
+    *,
     out: Path | None = None,
     overwrite: bool = False,
     choices: DatasetImportChoices = DatasetImportChoices(),  # noqa: B008
 ) -> None:
     """Import another project's dataset: RefRef, OpenMaterial, NeRF's Blender scenes, or nerfstudio's transforms.json.
 
-    Takes pictures, cameras, masks, depth and meshes. With meshes, the dataset can be peeled and trained on. What only
-    a renderer knows, such as noise, stays unknown. If interrupted, the same command resumes.
+    Takes pictures, cameras, masks, depth and meshes. With meshes, the dataset can be peeled and trained on. Whatever
+    only a renderer knows, such as noise, stays unknown. If interrupted, the same command resumes.
 
     Args:
         folder: A folder with transforms_train.json or transforms.json.
         out: Folder to write. Default: data/NAME.
         overwrite: Replace an existing dataset.
-        choices: What the folder does not say.
     """
     from datagen.import_dataset.import_dataset import plan_import, write_import
 
@@ -130,6 +175,8 @@ def import_dataset(
 
 def peel(
     dataset: str | None = None,
+    /,
+    *,
     geometry: str = TRUTH,
     num_layers: int = 8,
     workers: int = 1,
@@ -138,15 +185,17 @@ def peel(
     """Peel a geometry's layers for every view, without rendering the images again.
 
     Args:
-        dataset: Dataset folder, or its name under data/. Default: the only one there. The flag may be left out if the
-            dataset comes first.
-        geometry: truth, or a kind of proxy made by `proxies make`.
-        num_layers: Layers kept per ray.
+        dataset: A dataset's folder, or its name under data/. Default: the only one there.
+        geometry: truth, or proxies made by `proxies make`, such as ellipsoid.
+        num_layers: Layers stored per ray.
         workers: Parallel processes.
         overwrite: Peel again even if layers exist.
     """
     from datagen.build.build import peel_dataset, summary
     from datagen.build.build_variant import peel_variants
+    from datagen.data.dataset import open_dataset
+    from datagen.data.geometries import check_geometry
+    from datagen.data.layer_writing import check_settings
 
     opened = open_dataset(find_dataset(dataset))
     check_settings(num_layers=num_layers, workers=workers)
@@ -158,8 +207,32 @@ def peel(
     next_command(train_command(opened.home.root, geometry))
 
 
+def film(
+    dataset: str | None = None,
+    /,
+    *,
+    spp: int = 128,
+    choices: FilmChoices = FilmChoices(),  # noqa: B008
+) -> None:
+    """Path-trace a film of a dataset's scene; `model film` draws the same film with a trained run.
+
+    Args:
+        dataset: A dataset's folder, or its name under data/. Default: the only one there.
+        spp: Samples per pixel.
+    """
+    from datagen.build.film import film_scene, plan_film
+    from datagen.data.dataset import open_dataset
+
+    opened = open_dataset(find_dataset(dataset))
+    out = choices.out or Path(f"{opened.name}-truth.webp")
+    film_scene(opened, plan_film(opened, choices, out), out, fps=choices.fps, spp=spp)
+    tell(str(out))
+
+
 def export(
     dataset: str | None = None,
+    /,
+    *,
     format: str = "nerfstudio",  # noqa: A002
     out: Path | None = None,
     points: int = 20000,
@@ -169,16 +242,16 @@ def export(
     """Export a dataset in another tool's format, into its own folder; if interrupted, the same command resumes.
 
     Args:
-        dataset: Dataset folder, or its name under data/. Default: the only one there. The flag may be left out if the
-            dataset comes first.
+        dataset: A dataset's folder, or its name under data/. Default: the only one there.
         format: nerfstudio, blender, 3dgs, colmap, nerfbaselines, refref, cleargrasp, webdataset, quantities or
             huggingface.
         out: Folder to write. Default: exports/NAME-FORMAT.
-        points: Number of points sampled on the true surfaces, coloured from the training images, for formats that need
-            a point cloud.
+        points: For formats with a point cloud: number of points on the true surfaces, coloured from the training
+            images.
         flow: With webdataset and quantities: also trace refractive flow and attenuation through the glass.
         overwrite: Replace an existing export.
     """
+    from datagen.data.dataset import open_dataset
     from datagen.export.formats import export_dataset
 
     opened = open_dataset(find_dataset(dataset))
@@ -187,40 +260,25 @@ def export(
     next_command(hint)
 
 
-def verify(dataset: str | None = None) -> None:
-    """Check every byte of a dataset; if something is damaged, name it and exit with status 1.
-
-    Args:
-        dataset: Dataset folder, or its name under data/. Default: the only one there. The flag may be left out if the
-            dataset comes first.
-    """
-    from datagen.build.verify import verify_dataset
-
-    root = find_dataset(dataset)
-    found = verify_dataset(root)
-    for remark in found.remarks:
-        say(remark)
-    _tell_problems(root, found)
-    tell(f"{root}: {found.verified} files verified")
-
-
-def look(dataset: str | None = None, out: Path | None = None, overwrite: bool = False) -> None:
+def look(dataset: str | None = None, /, *, out: Path | None = None, overwrite: bool = False) -> None:
     """Show a dataset on one page: images, masks, depth, normals, layers, proxies, cameras, light paths, noise, objects.
 
     Takes seconds, needs no training, and lists what is missing. Open the page in any browser.
 
     Args:
-        dataset: Dataset folder, or its name under data/. Default: the only one there. The flag may be left out if the
-            dataset comes first.
+        dataset: A dataset's folder, or its name under data/. Default: the only one there.
         out: File to write: a page, or an image if it ends in .png. Default: NAME-look.html.
         overwrite: Replace an existing file.
     """
+    from datagen.data.dataset import open_dataset
+    from datagen.disk.ownership import DATASET, refuse_file, refuse_owned
+    from datagen.disk.storage import commit
     from datagen.look.look import look_page, look_sheet
 
     opened = open_dataset(find_dataset(dataset))
     path = out if out is not None else Path(f"{opened.name}-look.html")
     if path.suffix not in (".html", ".png"):
-        raise HyalineError(f"--out {path}: ends in {path.suffix!r}; expected .html for a page, or .png for a picture")
+        raise UsageError(f"--out {path}: ends in {path.suffix!r}; expected .html for a page, or .png for a picture")
     if not overwrite:
         refuse_file(path)
     refuse_owned(path, DATASET)
@@ -228,40 +286,30 @@ def look(dataset: str | None = None, out: Path | None = None, overwrite: bool = 
     tell(str(path))
 
 
-def _tell_problems(root: Path, found: "Findings") -> None:
-    """Prints what a search found, and ends with status 1 when that is damage."""
-    for problem in found.problems:
-        tell(problem)
-    if found.problems:
-        commands = ", then ".join(f"`{command}`" for command in found.commands)
-        fail(f"{root}: {len(found.problems)} problems, which the lines above name; repair them with {commands}")
-
-
-def render(
-    dataset: str | None = None,
-    path: str = "orbit",
-    spp: int = 128,
-    film: FilmChoices = FilmChoices(),  # noqa: B008
-    overwrite: bool = False,
-) -> None:
-    """Path-trace a film of a dataset's scene; `model render` draws the same film with a trained run.
+def verify(dataset: str | None = None, /, *, quiet: bool = False, json: bool = False) -> None:
+    """Check every byte of a dataset; if something is damaged, name it and exit with status 1.
 
     Args:
-        dataset: Dataset folder, or its name under data/. Default: the only one there. The flag may be left out if the
-            dataset comes first.
-        path: orbit, spline (through the interpolating test views), or a JSON file of key frames as NeRF tools write
-            cameras.
-        spp: Samples per pixel.
-        film: Format and length of the film.
-        overwrite: Replace an existing film.
+        dataset: A dataset's folder, or its name under data/. Default: the only one there.
+        quiet: Print no remarks.
+        json: Print the result as JSON: dataset, verified (number of files), problems, remarks, commands (repairs).
     """
-    from datagen.build.film import film_scene, plan_film
+    from datagen.build.verify import verify_dataset
 
-    opened = open_dataset(find_dataset(dataset))
-    out = film.video or Path(f"{opened.name}-truth.webp")
-    cameras = plan_film(opened, path, film, out, overwrite=overwrite)
-    film_scene(opened, cameras, out, fps=film.fps, spp=spp)
-    tell(str(out))
+    hush(quiet)
+    root = find_dataset(dataset)
+    found = verify_dataset(root)
+    say_all(found.remarks)
+    if json:
+        tell_json({"dataset": str(root), **found._asdict()})
+    else:
+        for problem in found.problems:
+            tell(problem)
+    if found.problems:
+        commands = ", then ".join(f"`{command}`" for command in found.commands)
+        fail(f"{root}: {len(found.problems)} problems, listed above; repair them with {commands}")
+    if not json:
+        tell(f"{root}: {found.verified} files verified")
 
 
 def scenes() -> None:
@@ -275,14 +323,25 @@ def scenes() -> None:
     next_command(build_command())
 
 
-def doctor() -> None:
-    """Describe this machine, the Mitsuba variant in use, and how to install what is missing."""
+def doctor(*, quiet: bool = False, json: bool = False) -> None:
+    """Describe this machine, the Mitsuba variant in use, and how to install what is missing.
+
+    Args:
+        quiet: Print no advice on what to type next.
+        json: Print the result as JSON: findings (each with what, found and remedy).
+    """
+    from dataclasses import asdict
+
     from datagen.machine.doctor import examine
 
+    hush(quiet)
     findings = examine()
+    if json:
+        tell_json({"findings": [asdict(finding) for finding in findings]})
+        return
     for finding in findings:
         print(f"{finding.what:10} {finding.found}")
         if finding.remedy:
-            print(f"{'':10} mend it with: {finding.remedy}")
+            print(f"{'':10} install it with: {finding.remedy}")
     if not any(finding.remedy for finding in findings):
         next_command(build_command())

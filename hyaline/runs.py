@@ -25,7 +25,7 @@ from hyaline.datasets import Dataset, View, opened
 from hyaline.pictures import in_a_row
 from model.methods.protocol import Inputs, MethodConfig
 from model.run.run_folder import RUN, WEIGHTS, RunRecord, TrainConfig, check_trained_on, read_metrics, read_run
-from model.settings.flags import presets_of, settings_of, with_settings
+from model.settings.flags import settings_of, with_settings
 from model.settings.run_flags import RUNS, Device, RunFlags
 
 if TYPE_CHECKING:
@@ -183,30 +183,32 @@ def train(
         KeyboardInterrupt: training was interrupted; a checkpoint is saved.
     """
     from model.methods.table import METHODS, name_of
-    from model.run.train_flags import Asked, configure, folder_name, usual_of
+    from model.run.train_flags import Asked, configure, folder_name
 
     if isinstance(dataset, (str, Path)):
         dataset = opened(open_dataset(find_dataset(str(dataset))))
     if isinstance(method, str):
-        kind = METHODS.find(method)
-        presets = {key: settings.pop(key) for key in presets_of(kind) & settings.keys()}
-        usual = usual_of(with_settings(kind(), presets), geometry)
-        net, optimisation = usual.method, usual.optimisation
+        net = METHODS.find(method)().usual(geometry)
+        optimisation = net.optimisation()
     else:
         method, net, optimisation = name_of(method), method, method.optimisation()
     known = {**settings_of(net), **settings_of(optimisation)}
     for key in settings:
         choose(f"method {method}: setting", key, known)
     run = RunFlags(
-        dataset=str(dataset.root),
         geometry=geometry,
         out=None if out is None else Path(out),
-        name=label,
+        label=label,
         seed=seed,
         device=device,
         overwrite=overwrite,
     )
-    asked = Asked(run=run, method=with_settings(net, settings), optimisation=with_settings(optimisation, settings))
+    asked = Asked(
+        dataset=str(dataset.root),
+        run=run,
+        method=with_settings(net, settings),
+        optimisation=with_settings(optimisation, settings),
+    )
     config, _ = configure(method, asked)
     from model.run.complete import complete_run  # Not before: it imports torch.
     from model.settings.runtime import choose_device

@@ -1,49 +1,85 @@
-"""The command `model`: parse, make a configuration, call one function."""
+"""The command line of `model`: each command calls a function of a room, which is imported when it is called."""
 
 import functools
-import inspect
 import os
 import shlex
 import signal
 import sys
-from collections.abc import Callable
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
-from datagen.build.film import FilmChoices
-from datagen.data.dataset import open_dataset
+from datagen.build.choices import FilmChoices
 from datagen.data.paths import find_dataset
 from datagen.disk.errors import HyalineError, UsageError
-from datagen.terminal.command import choose, mute, next_command, run, run_parsed, say, tell, unwrap_help
+from datagen.terminal.command import mute, next_command, run, say, tell
+from datagen.terminal.parsing import Command, CommandGroup, group
 from model.settings.run_flags import RUNS, Device
 from model.settings.runtime import choose_device, wait_briefly
 
-DESCRIPTION = "Train neural renderers on datasets of transparent objects, and render with them."
+if TYPE_CHECKING:
+    from model.run.train_flags import Asked
 
-
-def train() -> None:
-    """Train a method on a dataset, then render its test splits.
+TRAIN = """Train a method on a dataset, then predict its test splits.
 
     `torchrun --nproc-per-node N -m model train METHOD ...` trains on N GPUs (or CPU processes): each draws its own
-    share of every batch, and gradients are averaged. DeepVoxels and discriminators cannot be trained so.
-    """
+    share of every batch, and gradients are averaged. DeepVoxels and discriminators cannot be trained so."""
+
+MOVED = {
+    "model render": "is now `model predict RUN`; a film is `model film RUN`",
+    "model train --method": "is not needed: the method is the first word, as in `model train paper`",
+    "model train --preset": "is now part of the method's name: `model train paper-best`, `model train dnr-authors`",
+    "model train --voxels": "is now part of the method's name: `model train deepvoxels-paper`, or deepvoxels-original",
+    "model train --width": "is now --hidden",
+    "model train --layers": "is now --use-layers",
+    "model train --name": "is now --label",
+    "model predict --path": "is now `model film RUN`",
+    "model film --video": "is now --out",
+}
 
 
-def train_method(words: list[str]) -> None:
-    """Run `model train WORDS`: the first word names the method, the others are its flags."""
-    from model.methods.table import METHODS, about
+def main() -> None:
+    """Entry point of the console script."""
+    wait_briefly()
+    run("model", commands(), sys.argv[1:])
 
-    methods = METHODS.names()
-    if not words or words[0].startswith("-"):
-        if not {"-h", "--help"} & set(words):
-            raise UsageError(f"model train: names no method; expected one of {', '.join(methods)} as the next word")
-        run("model train", inspect.getdoc(train) or "", {name: _listed(about(name)) for name in methods}, ["--help"])
-    method = choose("method", words[0], methods)
 
+def commands() -> CommandGroup:
+    """All commands of the program."""
+    by_name = {
+        "train": CommandGroup(about=TRAIN, names=_methods, line=_describe, choose=_train_command, word="method"),
+        "predict": predict,
+        "film": film,
+        "export": export,
+        "view": view,
+        "sweep": sweep,
+        "check-method": check_method,
+    }
+    return group("Train neural renderers on datasets of transparent objects, and render with them.", by_name, MOVED)
+
+
+def _methods() -> Sequence[str]:
+    from model.methods.table import METHODS
+
+    return METHODS.names()
+
+
+def _describe(method: str) -> str:
+    from model.methods.table import about
+
+    return about(method)
+
+
+def _train_command(method: str, words: Sequence[str]) -> Command:
+    from model.run.train_flags import make_command
+
+    return make_command(method, words, _train_method)
+
+
+def _train_method(method: str, asked: "Asked") -> None:
     from model.run.logs import LogChoices, Meter, require_tensorboard
-    from model.run.train_flags import configure, folder_name, parse_train
+    from model.run.train_flags import configure, folder_name
 
-    asked = parse_train(method, words[1:])
     if asked.run.tensorboard:
         require_tensorboard()
     if int(os.environ.get("RANK", "0")) > 0:
@@ -60,12 +96,12 @@ def train_method(words: list[str]) -> None:
         config,
         opened,
         out,
-        label=asked.run.name or out.name,
+        label=asked.run.label or out.name,
         device=choose_device(asked.run.device),
         anew=asked.run.overwrite,
         memory=asked.run.memory,
         logs=LogChoices(
-            snapshots=asked.run.snapshots == "on",
+            snapshots=asked.run.snapshots,
             tensorboard=asked.run.tensorboard,
             costs=Meter() if asked.run.costs else None,
             preview=asked.run.preview,
@@ -75,45 +111,25 @@ def train_method(words: list[str]) -> None:
         _end(out, run=out)
 
 
-def _listed(line: str) -> Callable[..., None]:
-    """A subcommand that help lists, and that nothing calls."""
-
-    def method() -> None: ...
-
-    method.__doc__ = line
-    return method
-
-
-def render(
-    *,
+def predict(
     run: Path,
+    /,
+    *,
     dataset: str | None = None,
     variant: str | None = None,
-    path: str | None = None,
-    film: FilmChoices = FilmChoices(),  # noqa: B008
     device: Device = "auto",
     overwrite: bool = False,
 ) -> None:
-    """Render all test splits again from a run's weights; or, with --path, a film.
+    """Predict all test splits again with a trained run.
 
     Args:
         run: Folder of a trained run.
-        dataset: Dataset folder, or its name under data/. Default: where the run found it.
-        variant: Render a variant of the dataset instead, into the run's variants/NAME: x2 for what `datagen build
-            --super-resolution 2` has made, or what `--edit` was given, such as remove:glass_ball.
-        path: Draw a film instead, along orbit, spline (through the interpolating test views), or a JSON file of key
-            frames as NeRF tools write cameras. `datagen render` path-traces the same film.
-        film: Format and length of the film.
-        device: Where to compute; auto takes a GPU where there is one.
-        overwrite: Render again even where the predictions are intact, and replace a film that stands there.
+        dataset: A dataset's folder, or its name under data/. Default: where the run found it.
+        variant: Predict a variant of the dataset instead, into the run's variants/NAME: x2 for what `datagen add
+            --larger 2` made, or an edit, such as remove:glass_ball.
+        device: Where to compute; auto uses a GPU if there is one.
+        overwrite: Predict again even where the predictions are intact.
     """
-    if path is not None:
-        if variant is not None:
-            raise UsageError("--path: does not go with --variant; a film shows the dataset's own scene")
-        _render_film(run, dataset, path, film, device=device, overwrite=overwrite)
-        return
-    if film != FilmChoices():
-        raise UsageError("--video, --frames, --fps, --width, --height: go with --path, such as --path orbit")
     from datagen.data.variants import open_variant, variant_root
     from datagen.disk.ownership import holding
     from datagen.scene.edits import edits_name, parse_edit
@@ -140,32 +156,64 @@ def render(
         check_can_draw(config, opened, chosen)
         is_done, draw = is_drawn(run, chosen), functools.partial(render_variant, run, config, opened, chosen)
     if is_done and not overwrite:
-        say(f"{out}: its predictions are intact, nothing to do; --overwrite renders them again")
+        say(f"{out}: its predictions are intact, nothing to do; --overwrite makes them again")
     else:
         with holding(run, FOLDER):
             draw(device=choose_device(device))
     _end(out, run=run)
 
 
-def export(
-    *,
+def film(
     run: Path,
+    /,
+    *,
+    dataset: str | None = None,
+    device: Device = "auto",
+    choices: FilmChoices = FilmChoices(),  # noqa: B008
+) -> None:
+    """Render a film with a trained run; `datagen film` path-traces the same film.
+
+    Args:
+        run: Folder of a trained run.
+        dataset: A dataset's folder, or its name under data/. Default: where the run found it.
+        device: Where to compute; auto uses a GPU if there is one.
+    """
+    from datagen.build.film import plan_film
+    from datagen.data.film import write_film
+    from datagen.disk.ownership import refuse_owned
+    from model.run.run_folder import FOLDER, OWN_ENDINGS, open_trained
+
+    record, opened = open_trained(run, dataset)
+    out = choices.out or Path(f"{opened.name}-{run.name}.webp")
+    refuse_owned(out, FOLDER, endings=OWN_ENDINGS)
+    cameras = plan_film(opened, choices, out)
+    from model.run.predict import film_pictures
+
+    pictures = film_pictures(run, record.config, opened, cameras, device=choose_device(device))
+    write_film(out, pictures, choices.fps, frames=len(cameras))
+    tell(str(out))
+
+
+def export(
+    run: Path,
+    /,
+    *,
     out: Path = Path("scene.html"),
     quality: Literal["small", "exact"] = "small",
     truths: Literal["all", "test", "none"] = "all",
     dataset: str | None = None,
     overwrite: bool = False,
 ) -> None:
-    """Write a trained scene as one HTML file, which draws it live in a browser, from disk and without a server.
+    """Write a trained scene as one HTML file that renders it live in a browser, without a server.
 
     Args:
-        run: Folder of a trained run, of light-path, paper, mlp-first or another method that brings a web page.
-        out: The page; a file that stands there is kept.
-        quality: small keeps numbers in few bits; exact keeps each as it is, in about five times the bytes.
-        truths: Which views' pictures by the path tracer the page can fade over its own: those of test and training
-            views, of test views alone, or none.
-        dataset: Dataset folder, or its name under data/. Default: where the run found it.
-        overwrite: Replace a file that stands at --out.
+        run: Folder of a trained run whose method brings a web page, such as light-path, paper or mlp-first.
+        out: File to write.
+        quality: small stores numbers in few bits; exact keeps all of them, in about five times the bytes.
+        truths: Which path-traced views the page can fade over its own: those of test and training views, of test views
+            only, or none.
+        dataset: A dataset's folder, or its name under data/. Default: where the run found it.
+        overwrite: Replace an existing file.
     """
     from datagen.disk.ownership import DATASET, refuse_file, refuse_owned
     from model.run.run_folder import FOLDER, OWN_ENDINGS, open_trained
@@ -181,15 +229,14 @@ def export(
 
 
 def view(what: str, /, *, host: str = "127.0.0.1", port: int = 8080, device: Device = "auto") -> None:
-    """Look at a dataset or a run in a browser, while it trains too: cameras, meshes, proxies, layers, predictions.
+    """Look at a dataset or a run in a browser, even during training: cameras, meshes, proxies, layers, predictions.
 
     Args:
-        what: A run, trained or still training, or a dataset: a folder, a name under runs/ (SCENE/NAME), or one under
-            data/.
-        host: Address to listen at. The default answers browsers on this machine alone; with 0.0.0.0, whoever can reach
-            the machine sees what you see.
-        port: Port to listen at; 0 takes any that is free.
-        device: Where to compute; auto takes a GPU where there is one.
+        what: A run, trained or still training, or a dataset: its folder, or its name under runs/ (SCENE/NAME) or data/.
+        host: Address to listen at. By default, only this machine can connect; with 0.0.0.0, anyone who can reach the
+            machine sees what you see.
+        port: Port to listen at; 0 takes any free one.
+        device: Where to compute; auto uses a GPU if there is one.
     """
     from datagen.terminal.signals import Stopped
     from model.view.view import show
@@ -204,25 +251,6 @@ def view(what: str, /, *, host: str = "127.0.0.1", port: int = 8080, device: Dev
         sys.exit(stopped.status)
 
 
-def _render_film(
-    run: Path, dataset: str | None, path: str, film: FilmChoices, *, device: Device, overwrite: bool
-) -> None:
-    from datagen.build.film import plan_film
-    from datagen.data.film import write_film
-    from datagen.disk.ownership import refuse_owned
-    from model.run.run_folder import FOLDER, OWN_ENDINGS, open_trained
-
-    record, opened = open_trained(run, dataset)
-    out = film.video or Path(f"{opened.name}-{run.name}.webp")
-    refuse_owned(out, FOLDER, endings=OWN_ENDINGS)
-    cameras = plan_film(opened, path, film, out, overwrite=overwrite)
-    from model.run.predict import film_pictures
-
-    pictures = film_pictures(run, record.config, opened, cameras, device=choose_device(device))
-    write_film(out, pictures, film.fps, frames=len(cameras))
-    tell(str(out))
-
-
 def sweep(
     experiment: str,
     /,
@@ -235,13 +263,13 @@ def sweep(
     """Train all runs of an experiment file, one process per GPU (or one on the CPU); finished runs are skipped.
 
     Args:
-        experiment: A TOML file (format: model/run/sweep.py), or one of table1, table2, square, zero-layer, claims,
-            headline, proxies, ablation, variants, budget and random.
-        dataset: Datasets to train on, instead of the file's.
-        seed: Seeds to train with, instead of the file's.
-        jobs: Parallel processes: on the CPU, which divide its cores equally, or on each GPU. On a CPU, as many as
-            memory allows (4 GB each) finish the most runs per hour; a run's numbers then differ by rounding.
-        dry_run: Print the command of each run and exit.
+        experiment: A TOML file (its format is described in model/run/sweep.py), or one of table1, table2, square,
+            zero-layer, claims, headline, proxies, ablation, variants, budget and random.
+        dataset: Train on this dataset instead of the file's. May be repeated.
+        seed: Train with this seed instead of the file's. May be repeated.
+        jobs: Parallel processes, on the CPU (which divide its cores equally) or on each GPU. On a CPU, as many as fit
+            in memory (4 GB each) finish the most runs per hour; a run's numbers then differ by rounding.
+        dry_run: Print the command of each run, and train nothing.
     """
     from model.run.sweep import command_line, find_devices, raise_failures, read_experiment, run_experiment
 
@@ -258,12 +286,13 @@ def check_method(name: str, /, *, dataset: str | None = None) -> None:
     """Check that a method meets the requirements of training and rendering; prints one line per check.
 
     Args:
-        name: A method, built in or brought by another distribution.
-        dataset: Dataset folder, or its name under data/. Default: a tiny one made for the checks.
+        name: A method, built in or from another distribution.
+        dataset: A dataset's folder, or its name under data/. Default: a tiny one made for the checks.
     """
     import tempfile
 
     from datagen.build.synthetic import write_synthetic_dataset
+    from datagen.data.dataset import open_dataset
     from model.run.conformance import check_method as check
 
     with tempfile.TemporaryDirectory() as folder:
@@ -283,39 +312,7 @@ def check_method(name: str, /, *, dataset: str | None = None) -> None:
         raise HyalineError(f"method {name}: {failed} checks failed; docs/adding-a-method.md says what each asks for")
 
 
-def main() -> None:
-    unwrap_help(FilmChoices)
-    wait_briefly()
-    words = sys.argv[1:]
-    if words[:1] == ["train"]:
-        run_parsed(lambda: train_method(_method_first(words[1:])), words)
-    else:
-        run(
-            "model",
-            DESCRIPTION,
-            {
-                "train": train,
-                "render": render,
-                "export": export,
-                "view": view,
-                "sweep": sweep,
-                "check-method": check_method,
-            },
-            words,
-        )
-
-
-def _method_first(words: list[str]) -> list[str]:
-    """`--method NAME` anywhere means the same as NAME as the first word."""
-    for place, word in enumerate(words):
-        if word == "--method":
-            return [*words[place + 1 : place + 2], *words[:place], *words[place + 2 :]]
-        if word.startswith("--method="):
-            return [word.removeprefix("--method="), *words[:place], *words[place + 1 :]]
-    return words
-
-
 def _end(out: Path, *, run: Path) -> None:
     tell(str(out))
     root = os.path.normpath(run / ".." / "..")
-    next_command("eval report" if root == str(RUNS) else f"eval report --runs {shlex.quote(root)}")
+    next_command("eval report" if root == str(RUNS) else f"eval report {shlex.quote(root)}")

@@ -2,36 +2,36 @@
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, cast
+from typing import TYPE_CHECKING, cast
 
-import tyro
-
-from datagen.data.dataset import Dataset, open_dataset
-from datagen.data.layer_writing import check_settings
 from datagen.data.paths import DATA_ROOT, TRUTH, build_command, find_dataset, list_datasets, train_command
-from datagen.disk.errors import HyalineError
+from datagen.disk.errors import HyalineError, UsageError
 from datagen.terminal.command import choose, fail, next_command, run
+from datagen.terminal.parsing import CommandGroup, group
 
 if TYPE_CHECKING:
+    from datagen.data.dataset import Dataset
     from proxies.make import ProxyReport
     from proxies.spec import MixedSpec, ProxyKind, ProxySpec
 
 
 def main() -> None:
     """Entry point of the console script."""
-    run(
-        "proxies",
-        "Coarse closed meshes with UV around the objects of a dataset.",
-        {"make": make, "check": check},
-        sys.argv[1:],
-    )
+    run("proxies", commands(), sys.argv[1:])
+
+
+def commands() -> CommandGroup:
+    """All commands of the program."""
+    return group("Coarse closed meshes with UV around the objects of a dataset.", {"make": make, "check": check}, {})
 
 
 def make(
     dataset: str | None = None,
+    /,
+    *,
     kind: str = "ellipsoid",
     amount: float | None = None,
-    assign: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = (),
+    assign: tuple[str, ...] = (),
     rest: str = TRUTH,
     name: str = "mixed",
     num_layers: int = 8,
@@ -42,28 +42,29 @@ def make(
     """Fit a proxy to every object and peel the proxies for every view; images are not rendered again.
 
     Args:
-        dataset: A dataset's folder or its name under data/; every one there unless given. May stand first, without the
-            flag.
+        dataset: A dataset's folder, or its name under data/. Default: every dataset there.
         kind: box (oriented, of least volume), ellipsoid (of least volume), hull (convex, with rounded edges), blocks
             (up to 8 boxes), wrap (shrink-wrapped, follows hollows), lowpoly (few triangles, follows hollows) or noise
             (the true surface displaced at random, which encloses nothing).
-        amount: Standard deviation of the noise as a fraction of each object's diagonal, 0.001 to 0.05; 0.01 unless
-            given. Each amount is a geometry of its own, such as noise-0.01.
-        assign: OBJECT=KIND, repeatable, instead of one kind for all: the kind for one object, or for all that match a
-            pattern such as 'fern*'. KIND is one of the above, noise-0.02, or truth.
+        amount: With --kind noise: its standard deviation as a fraction of each object's diagonal, 0.001 to 0.05. Each
+            amount makes a geometry of its own, such as noise-0.01. Default: 0.01.
+        assign: OBJECT=KIND, instead of one kind for all: the kind for one object, or for all that match a pattern such
+            as 'fern*'. KIND is one of the above, noise-0.02, or truth. May be repeated.
         rest: With --assign: the kind of all other objects.
         name: With --assign: the geometry's name, mixed or mixed-SOMETHING.
-        num_layers: Layers kept per ray.
-        workers: Processes that peel in parallel.
+        num_layers: Layers stored per ray.
+        workers: Parallel processes.
         overwrite: Replace existing proxies and layers.
         preview: Show thumbnails of the proxies over the first view of each split, in a terminal with true colour.
     """
     from proxies.make import make_and_peel
 
     if assign and (kind, amount) != ("ellipsoid", None):
-        raise HyalineError(f"--kind {kind}: --assign names each object's kind; for those it does not name, give --rest")
+        raise UsageError(f"--kind {kind}: does not go with --assign; give --rest for the objects that it does not name")
     if not assign and (rest, name) != (TRUTH, "mixed"):
-        raise HyalineError(f"--rest {rest} --name {name}: nothing is mixed; they go with --assign OBJECT=KIND")
+        raise UsageError("--rest, --name: go with --assign OBJECT=KIND; leave them out")
+    from datagen.data.layer_writing import check_settings
+
     one_kind = _one_kind(kind, amount)
     check_settings(num_layers=num_layers, workers=workers)
     datasets = _datasets(dataset)
@@ -76,7 +77,7 @@ def make(
     next_command(train_command(datasets[0].root, specs[0].geometry))
 
 
-def _preview(dataset: Dataset, geometry: str) -> None:
+def _preview(dataset: "Dataset", geometry: str) -> None:
     from datagen.look.view_pictures import stored_pictures
     from datagen.terminal.preview import preview
 
@@ -86,16 +87,20 @@ def _preview(dataset: Dataset, geometry: str) -> None:
 
 
 def check(
-    dataset: str | None = None, kind: str = "ellipsoid", amount: float | None = None, name: str | None = None
+    dataset: str | None = None,
+    /,
+    *,
+    kind: str = "ellipsoid",
+    amount: float | None = None,
+    name: str | None = None,
 ) -> None:
     """Verify the proxies on disk: closed, outward, enclosing the object, with texels for every face.
 
     Args:
-        dataset: A dataset's folder or its name under data/; every one there unless given. May stand first, without the
-            flag.
-        kind: box, ellipsoid, hull, blocks, wrap, lowpoly or noise, which must only have the object's faces and uv.
-        amount: Amount of the noise, 0.01 unless given.
-        name: Name of a mixture, instead of a kind.
+        dataset: A dataset's folder, or its name under data/. Default: every dataset there.
+        kind: box, ellipsoid, hull, blocks, wrap, lowpoly or noise (checked for the object's faces and uv only).
+        amount: With --kind noise: its amount. Default: 0.01.
+        name: Name of a mixture, instead of --kind.
     """
     from proxies.make import read_reports
 
@@ -113,7 +118,7 @@ def check(
         fail(f"{problems[0]}; {len(problems)} of the proxies are unsound, make them again with --overwrite")
 
 
-def _mixture(dataset: Dataset, name: str, assign: tuple[str, ...], rest: str) -> "MixedSpec":
+def _mixture(dataset: "Dataset", name: str, assign: tuple[str, ...], rest: str) -> "MixedSpec":
     from proxies.spec import MixedSpec, assign_parts
 
     objects = [item.name for item in dataset.objects]
@@ -127,14 +132,16 @@ def _one_kind(kind: str, amount: float | None) -> "ProxySpec":
     return ProxySpec(kind=chosen, amount=AMOUNT if chosen == "noise" and amount is None else amount)
 
 
-def _datasets(given: str | None) -> list[Dataset]:
+def _datasets(given: str | None) -> "list[Dataset]":
+    from datagen.data.dataset import open_dataset
+
     roots = list_datasets() if given is None else [find_dataset(given)]
     if not roots:
         raise HyalineError(f"{DATA_ROOT}: no dataset there; make one with `{build_command()}`")
     return [open_dataset(Path(root)) for root in roots]
 
 
-def _print_table(dataset: Dataset, geometry: str, reports: "tuple[ProxyReport, ...]") -> None:
+def _print_table(dataset: "Dataset", geometry: str, reports: "tuple[ProxyReport, ...]") -> None:
     from rich.box import SIMPLE_HEAD
     from rich.console import Console
     from rich.table import Table

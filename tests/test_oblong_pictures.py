@@ -71,7 +71,7 @@ def test_what_the_truth_shows_is_where_the_layers_are(home: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "method", ["paper --batch 32 --width 8 --texture-size 8", "light-path --batch 32", "dnr --crop 16 --unet-width 4"]
+    "method", ["paper --batch 32 --hidden 8 --texture-size 8", "light-path --batch 32", "dnr --crop 16 --unet-width 4"]
 )
 def test_methods_train_on_it_and_predict_pictures_of_its_shape(home: Path, method: str) -> None:
     out = home / "runs/oblong" / method.split()[0]
@@ -83,12 +83,12 @@ def test_methods_train_on_it_and_predict_pictures_of_its_shape(home: Path, metho
 def test_a_film_through_its_test_views_shows_what_they_show(home: Path) -> None:
     """With one test view the camera stands still: each frame is that view, but for the truth's noise."""
     data, runs = home / "data/oblong", home / "runs/oblong"
-    choices = f"--dataset '{data}' --path spline --frames 2 --video '{home}/film"
-    run(f"datagen render {choices}' --spp 64")
+    choices = f"--dataset '{data}' --path spline --frames 2 --out '{home}/film"
+    run(f"datagen film {choices}' --spp 64")
     truth = hyaline.open_dataset(data).view("interpolating", 0).image.astype(int)
     assert np.abs(read_png(home / "film" / "0001.png").astype(int) - truth).mean() < 4
     for name in ("paper", "light-path"):
-        run(f"model render --run '{runs}/{name}' {choices}-{name}'")
+        run(f"model predict --run '{runs}/{name}' {choices}-{name}'")
         predicted = read_png(runs / name / "predictions/interpolating/0000.png").astype(int)
         assert np.abs(read_png(home / f"film-{name}" / "0001.png").astype(int) - predicted).max() <= 1
 
@@ -142,7 +142,7 @@ def test_listed_cameras_are_stored_once_and_build_the_same_dataset_again(home: P
     for name in TRANSFORMS_FILES.values():
         if (data / name).is_file():
             assert (home / "again" / name).read_bytes() == (data / name).read_bytes()
-    run(f"datagen build --dataset '{data}' --edit remove:pane")
+    run(f"datagen add '{data}' --edit remove:pane")
     edited = load_scene(data / "variants/remove-pane/scene", is_sealed=True)
     assert isinstance(edited.cameras, CameraList) and len(edited.cameras.train) == 3
     moved = json.loads((home / "scene/transforms_train.json").read_text())

@@ -39,7 +39,7 @@ def make_angle_cameras(scene: Scene, config: DatasetConfig) -> dict[Split, Camer
     if not isinstance(scene.cameras, CameraRig):
         raise HyalineError(
             f"scene {scene.name}: lists its cameras, so that nobody knows which directions training covers; leave out "
-            "--angle-splits, or give it a CameraRig"
+            "--angles, or give it a CameraRig"
         )
     size, fov_x, count = config.resolution, math.radians(scene.cameras.fov_deg), config.extrapolating.views
     meshes = tuple(item.mesh for item in scene.objects)
@@ -50,7 +50,7 @@ def make_angle_cameras(scene: Scene, config: DatasetConfig) -> dict[Split, Camer
             raise HyalineError(
                 f"{split}: scene {scene.name} has no place for a camera {degrees:g} degrees outside of training's "
                 f"azimuths {scene.cameras.azimuth_deg} and elevations {scene.cameras.elevation_deg}; "
-                "narrow them in its scene.json, or leave out --angle-splits"
+                "narrow them in its scene.json, or leave out --angles"
             )
         chosen = positions[((np.arange(count) + 0.5) * len(positions) / count).astype(int)]
         poses = np.stack([look_at(position, np.array(scene.cameras.target, np.float64)) for position in chosen])

@@ -1,72 +1,139 @@
-"""What `datagen build` can be told: its flags, but for those that send parts off as jobs."""
+"""The flags of `datagen build`, `datagen add` and `datagen film`."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Annotated
+from typing import Literal
 
-import tyro
+from datagen.disk.errors import UsageError
 
 
 @dataclass(frozen=True, kw_only=True)
 class BuildChoices:
-    """Which dataset to build, or what to add to one. Each field is a flag of `datagen build`."""
+    """Which dataset to build, and how."""
 
-    scene: str = "glass_table"
-    """A name that `datagen scenes` lists, a folder with a scene.json, a file that `datagen import` reads, or random:
-    glassware that --seed draws. random-0007 is the random scene of seed 7."""
     preset: str = "demo"
-    """tiny, demo, standard or paper."""
-    num_layers: int = 8
-    """Layers kept per ray; the share of rays with more layers is reported."""
+    """Size of the dataset: tiny, demo, standard or paper."""
     out: Path | None = None
-    """Folder to write; with --count, the folder of all datasets. Default: data/SCENE."""
+    """Folder to write; with --count, the folder for all datasets. Default: data/SCENE."""
     seed: int = 0
-    """Seed of cameras and noise, and of a random scene; the same seed gives the same bytes."""
-    family: str | None = None
-    """With --scene random: object (one before a background), table (glass among other things) or nested (media inside
-    of each other). Default: the seeds take turns."""
-    count: int | None = None
-    """With --scene random: build so many datasets, of --seed and the seeds that follow."""
+    """Seed for cameras, noise, and random scenes; the same seed gives the same bytes."""
     workers: int = 1
     """Parallel processes; the bytes do not depend on their number."""
     overwrite: bool = False
     """Replace an existing dataset that has other settings."""
     preview: bool = False
-    """Show thumbnails of what was built, in a terminal with true colour."""
+    """Show thumbnails of the result, in a terminal with true colour."""
+    family: str | None = None
+    """For random scenes: object (one in front of a background), table (glass among other things) or nested (media
+    inside each other), or a family of another distribution. Default: they take turns with the seed."""
+    count: int | None = None
+    """For random scenes: build this many datasets, with --seed and the seeds that follow."""
+    shard: str | None = None
+    """Build part I of N of all views, such as 2/4. Parts may run at the same time on machines of one kind that share
+    the folder; together they give the bytes of a single build. If a part failed, the same command without --shard
+    builds the rest."""
+    quiet: bool = False
+    """Print no progress and no remarks."""
+    json: bool = False
+    """Print the result as JSON: datasets, each with dataset, views and missing."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SizeChoices:
+    """Single values that replace those of the preset."""
+
+    resolution: str | None = None
+    """Pixels: one number for square pictures, or width and height, such as 320x240."""
+    views: int | None = None
+    """Number of training views."""
+    test_views: int | None = None
+    """Number of views in each of the two test splits."""
+    spp: int | None = None
+    """Samples per pixel of training views."""
+    test_spp: int | None = None
+    """Samples per pixel of test views; with --ceiling, the number to start from."""
     ceiling: float | None = None
     """Render each test view until its noise ceiling reaches this many dB, instead of a fixed number of samples."""
-    resolution: str | None = None
-    """Pixels: one number for square pictures, or width and height, such as 320x240. Default: the preset's."""
-    views: int | None = None
-    """Number of training views. Default: the preset's."""
-    test_views: int | None = None
-    """Views in each of the two test splits. Default: the preset's."""
-    spp: int | None = None
-    """Samples per pixel of training views. Default: the preset's."""
-    test_spp: int | None = None
-    """Samples per pixel of test views; with --ceiling, the number to start from. Default: the preset's."""
+    num_layers: int = 8
+    """Layers stored per ray; the share of rays with more layers is reported."""
     max_depth: int = 24
-    """Maximum number of segments of a light path."""
-    edit: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
-    """Re-render an existing dataset's scene after an edit, with the same test cameras, into its variants/NAME:
-    remove:OBJECT, move:OBJECT:dx,dy,dz (metres), duplicate:OBJECT:dx,dy,dz, glass:OBJECT (turns what is opaque into
-    glass, and glass opaque), swap:OBJECT:OBJECT, no-glass or opaque-glass. Several --edit change one scene, one after
-    the other."""
+    """Maximum number of segments in a light path."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LaunchChoices:
+    """Build in jobs, on a cluster or on this machine."""
+
+    launcher: Literal["slurm", "local"] | None = None
+    """Build in --shards jobs, wait for them, and check the whole: slurm (on a cluster, from a machine that sees the
+    same folder) or local (all at once on this machine). Needs the extra `cluster`. Logs: DATASET-jobs/."""
+    shards: int = 4
+    """Number of jobs."""
+    slurm_partition: str | None = None
+    """Slurm partition. Default: the cluster's."""
+    slurm_time: int = 240
+    """Time limit of each Slurm job in minutes; whatever a job finishes by then is kept."""
+    slurm_cpus: int | None = None
+    """CPUs of each Slurm job. Default: as many as --workers."""
+    slurm_gpus: int = 0
+    """GPUs of each Slurm job."""
+
+    def __post_init__(self) -> None:
+        for item in fields(self):
+            flag, value = f"--{item.name.replace('_', '-')}", getattr(self, item.name)
+            if item.name == "launcher" or value == item.default:
+                continue
+            if isinstance(value, int) and value < 1:
+                raise UsageError(f"{flag}: is {value}; expected at least 1")
+            if self.launcher is None:
+                raise UsageError(f"{flag}: goes with --launcher; give slurm or local")
+            if self.launcher == "local" and item.name.startswith("slurm_"):
+                raise UsageError(f"{flag}: goes with --launcher slurm; leave it out")
+
+
+@dataclass(frozen=True, kw_only=True)
+class AddChoices:
+    """What to add to a dataset."""
+
+    edit: tuple[str, ...] = ()
+    """Render the test views of the edited scene: remove:OBJECT, move:OBJECT:dx,dy,dz (metres),
+    duplicate:OBJECT:dx,dy,dz, glass:OBJECT (turns opaque objects into glass, and glass opaque), swap:OBJECT:OBJECT,
+    no-glass or opaque-glass. May be repeated: all edits change one scene, in this order."""
     twins: bool = False
-    """Also render the test views with all glass gone, and with it painted opaque; can be added to a finished
-    dataset."""
-    angle_splits: bool = False
-    """Also render test cameras 10, 20 and 40 degrees outside the directions that training cameras cover; can be added
-    to a finished dataset."""
-    super_resolution: tuple[int, ...] = ()
-    """Also render the test splits at these multiples of the width and height, such as 2 4; can be added to a finished
-    dataset."""
-    super_resolution_views: int | None = None
-    """Evenly spaced views of each test split to render at those sizes. Default: all."""
-    dataset: str | None = None
-    """Instead of --scene: the folder of an existing dataset, or its name under data/, to which --edit, --twins,
-    --angle-splits or --super-resolution add."""
+    """Render the test views with all glass removed, and with it painted opaque."""
+    angles: bool = False
+    """Render test cameras 10, 20 and 40 degrees outside the directions of the training cameras."""
+    larger: tuple[int, ...] = ()
+    """Render the test views at this multiple of their width and height, such as 2. May be repeated."""
+    larger_views: int | None = None
+    """With --larger: number of evenly spaced views of each test split. Default: all."""
+    workers: int = 1
+    """Parallel processes; the bytes do not depend on their number."""
+    overwrite: bool = False
+    """Render again what exists."""
+    preview: bool = False
+    """Show thumbnails of the result, in a terminal with true colour."""
     shard: str | None = None
-    """Build part I of N (such as 2/4) of all views. Parts may run at once, on any machines of one kind that share the
-    folder. When all are done, the dataset has the bytes of a single build. If a part failed, the same command without
-    --shard builds the rest."""
+    """With --angles or --larger: render part I of N of the views, such as 2/4, as `datagen build --shard` does."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FilmChoices:
+    """A film and its file."""
+
+    path: str = "orbit"
+    """The camera's path: orbit, spline (through the interpolating test views), or a JSON file of key frames as NeRF
+    tools write cameras."""
+    out: Path | None = None
+    """File to write: .webp, .mp4 (needs the extra `video`), or a folder for one PNG per frame. Default: a .webp named
+    after what it shows."""
+    frames: int = 48
+    """Number of pictures."""
+    fps: float = 24.0
+    """Frames per second."""
+    width: int | None = None
+    """Width in pixels. Default: the dataset's."""
+    height: int | None = None
+    """Height in pixels. Default: from the width and the dataset's aspect ratio."""
+    overwrite: bool = False
+    """Replace an existing film."""

@@ -1,13 +1,13 @@
-"""Films through a dataset's scene: what they are told, their cameras, and their path-traced pictures."""
+"""Films through a dataset's scene: their cameras, and their path-traced pictures."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import UInt8
 
 from datagen.build.build import refuse_imported
+from datagen.build.choices import FilmChoices
 from datagen.data.cameras import Cameras
 from datagen.data.dataset import Dataset
 from datagen.data.film import check_film, write_film
@@ -19,32 +19,15 @@ from datagen.scene.folder import load_scene
 from datagen.terminal.command import track
 
 
-@dataclass(frozen=True, kw_only=True)
-class FilmChoices:
-    """A film along --path."""
-
-    video: Path | None = None
-    """The film: .webp, .mp4 (needs the extra `video`), or a folder for a PNG a frame. Default: named after what it
-    shows, .webp."""
-    frames: int = 48
-    """Pictures in the film."""
-    fps: float = 24.0
-    """Frames a second."""
-    width: int | None = None
-    """Pixels; the dataset's unless given."""
-    height: int | None = None
-    """Pixels; from the width and the dataset's aspect unless given."""
-
-
-def plan_film(dataset: Dataset, path: str, choices: FilmChoices, out: Path, *, overwrite: bool) -> Cameras:
+def plan_film(dataset: Dataset, choices: FilmChoices, out: Path) -> Cameras:
     """The cameras of a film that can be written to `out`.
 
     Raises:
         HyalineError: a path, a number or a file that cannot be.
     """
     refuse_imported(dataset, what="a film")
-    cameras = make_path(dataset, path, choices.frames, width=choices.width, height=choices.height)
-    check_film(out, choices.fps, frames=choices.frames, overwrite=overwrite)
+    cameras = make_path(dataset, choices.path, choices.frames, width=choices.width, height=choices.height)
+    check_film(out, choices.fps, frames=choices.frames, overwrite=choices.overwrite)
     return cameras
 
 

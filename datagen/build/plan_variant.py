@@ -57,7 +57,7 @@ def plan_larger(base: Dataset, scale: int, *, views: int | None = None) -> Plan:
     """
     _check_base(base)
     if not 2 <= scale <= MAX_SCALE:
-        raise HyalineError(f"super_resolution: is {scale}; expected 2 to {MAX_SCALE} times the dataset's size")
+        raise HyalineError(f"larger: is {scale}; expected 2 to {MAX_SCALE} times the dataset's size")
     size = base.config.resolution.times(scale)
     sizes: dict[str, SplitConfig] = {}
     cameras: dict[Split, Cameras] = {}
@@ -65,7 +65,7 @@ def plan_larger(base: Dataset, scale: int, *, views: int | None = None) -> Plan:
         there = base.config.split(split)
         count = there.views if views is None else views
         if not 1 <= count <= there.views:
-            raise HyalineError(f"super_resolution_views: is {count}; expected 1 to {there.views}, as {split} has")
+            raise HyalineError(f"larger_views: is {count}; expected 1 to {there.views}, as {split} has")
         sizes[split] = dataclasses.replace(there, views=count)
         poses = base.cameras(split)
         chosen = poses.world_from_camera[evenly(count, there.views)]

@@ -327,5 +327,5 @@ def import_command(dataset: Dataset) -> str:
 def peel_command(dataset: Dataset) -> str:
     """The command that makes layers of an imported dataset."""
     number = find_num_layers(dataset, TRUTH)
-    words = ["datagen", "peel", "--dataset", str(dataset.root)]
+    words = ["datagen", "peel", str(dataset.root)]
     return shlex.join([*words, *([] if number is None else ["--num-layers", str(number)])])

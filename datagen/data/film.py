@@ -28,7 +28,7 @@ from datagen.disk.ownership import (
 from datagen.disk.records import Json, read_regular
 from datagen.disk.storage import commit, load_sealed, seal_bytes
 
-FRAMES = FolderKind(what="film", head="film.json", way_out="choose another --video")
+FRAMES = FolderKind(what="film", head="film.json", way_out="choose another --out")
 """A folder of PNGs, which its head lists."""
 
 ANIMATED, MOVIE = ".webp", ".mp4"
@@ -44,7 +44,7 @@ def check_film(out: Path, fps: float, *, frames: int, overwrite: bool) -> None:
         refuse_others(out, FRAMES)
         _refuse_foreign_frames(out, frames)
         if is_ours(out, FRAMES) and not overwrite and load_sealed(out / FRAMES.head) != _head(frames):
-            raise HyalineError(f"{out}: holds another film; pass --overwrite to replace it, or choose another --video")
+            raise HyalineError(f"{out}: holds another film; pass --overwrite to replace it, or choose another --out")
         return
     if out.suffix not in (ANIMATED, MOVIE):
         raise HyalineError(f"{out}: {out.suffix!r} is no kind of film; expected {KINDS}")
@@ -112,7 +112,7 @@ def _find_ffmpeg() -> str:
         import imageio_ffmpeg
     except ImportError:
         raise HyalineError(
-            "MP4 needs the extra `video` (`pip install imageio-ffmpeg`); or let --video end in .webp"
+            "MP4 needs the extra `video` (`pip install imageio-ffmpeg`); or let --out end in .webp"
         ) from None
     return imageio_ffmpeg.get_ffmpeg_exe()
 
@@ -131,5 +131,5 @@ def _mp4_bytes(pictures: list[UInt8[np.ndarray, "h w 3"]], fps: float) -> bytes:
         words += ["-movflags", "+faststart", "-map_metadata", "-1", "-fflags", "+bitexact", "-flags:v", "+bitexact"]
         ended = subprocess.run([*words, str(out)], input=raw, capture_output=True, check=False)
         if ended.returncode != 0:
-            raise HyalineError(f"ffmpeg: {ended.stderr.decode(errors='replace').strip()[-300:]}; try --video film.webp")
+            raise HyalineError(f"ffmpeg: {ended.stderr.decode(errors='replace').strip()[-300:]}; try --out film.webp")
         return read_regular(out)

@@ -157,7 +157,7 @@ def describe_geometry(dataset: Dataset, geometry: str) -> str:
 
 def make_command(dataset: Dataset, geometry: str, num_layers: int | None = None) -> str:
     """The command that makes proxies and their layers: as they were made, where they are there."""
-    words = ["proxies", "make", "--dataset", str(dataset.root)]
+    words = ["proxies", "make", str(dataset.root)]
     try:
         assignment = read_assignment(dataset, geometry)
     except HyalineError:

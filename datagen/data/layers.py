@@ -160,7 +160,7 @@ def open_layers(dataset_root: Path, geometry: str, resolution: Resolution) -> La
 
 
 def _peel_words(dataset_root: Path, geometry: str) -> list[str]:
-    return ["datagen", "peel", "--dataset", str(dataset_root), "--geometry", geometry]
+    return ["datagen", "peel", str(dataset_root), "--geometry", geometry]
 
 
 def read_layers(store: LayerStore, split: Split, view: int) -> Layers:

@@ -45,7 +45,7 @@ BUILT_IN_SCENES = ("glass_table", "vitrine", "plant_shelf", "drinks", "prism_ben
 
 
 def find_dataset(given: str | None, root: Path = DATA_ROOT) -> Path:
-    """The dataset that `--dataset` means: a folder, a name under `root`, or the only one there."""
+    """The dataset that a command's first word means: a folder, a name under `root`, or the only one there."""
     if given is not None:
         named = Path(given)
         return named if (named / "dataset.json").is_file() or len(named.parts) > 1 else root / given
@@ -55,7 +55,7 @@ def find_dataset(given: str | None, root: Path = DATA_ROOT) -> Path:
     if not found:
         place = root if root == DATA_ROOT else root / "glass_table"
         raise HyalineError(f"{root}: no dataset there; make one with `{build_command(place)}`")
-    raise HyalineError(f"{root}: holds {len(found)} datasets; choose one with --dataset: {', '.join(map(str, found))}")
+    raise HyalineError(f"{root}: holds {len(found)} datasets; name one of {', '.join(map(str, found))}")
 
 
 def list_datasets(root: Path = DATA_ROOT) -> list[Path]:
@@ -77,13 +77,13 @@ def build_command(root: Path = DATA_ROOT) -> str:
 
 def train_command(root: Path, geometry: str = TRUTH) -> str:
     """An example of the command after peeling a geometry."""
-    words = ["model", "train", "paper", "--dataset", str(root)]
+    words = ["model", "train", "paper", str(root)]
     return shlex.join([*words, *([] if geometry == TRUTH else ["--geometry", geometry])])
 
 
-def render_command(variant: str) -> str:
-    """An example of the command after building a variant: a trained run renders it."""
-    return shlex.join(["model", "render", "--run", "RUN", "--variant", variant])
+def predict_command(variant: str) -> str:
+    """An example of the command after building a variant: a trained run predicts it."""
+    return shlex.join(["model", "predict", "RUN", "--variant", variant])
 
 
 def where_datasets_are(root: Path) -> str:

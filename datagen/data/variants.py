@@ -94,17 +94,17 @@ def parent_views(variant: Dataset, split: Split) -> list[int]:
 def variant_command(dataset: Dataset, name: str, variant: Dataset | None = None) -> str:
     """The command that makes a variant: as its head records it, or as far as its name tells."""
     if name == ANGLES:
-        flags = ["--angle-splits"]
+        flags = ["--angles"]
     elif name in TWINS:
         flags = ["--twins"]
     elif name[:1] == "x" and name[1:].isdecimal():
-        flags = ["--super-resolution", name[1:]]
+        flags = ["--larger", name[1:]]
         if variant is not None and (views := variant.num_views["interpolating"]) != dataset.num_views["interpolating"]:
-            flags += ["--super-resolution-views", str(views)]
+            flags += ["--larger-views", str(views)]
     else:
         edits = ("EDIT",) if variant is None or variant.edit is None else variant.edit.edits
         flags = [word for edit in edits for word in ("--edit", edit)]
-    return shlex.join(["datagen", "build", "--dataset", str(dataset.root), *flags])
+    return shlex.join(["datagen", "add", str(dataset.root), *flags])
 
 
 EDIT_MASKS_FOLDER = "edit-masks"

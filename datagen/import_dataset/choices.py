@@ -2,9 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
-
-import tyro
+from typing import Literal
 
 from datagen.disk.errors import HyalineError
 
@@ -15,10 +13,10 @@ MAX_DOWNSCALE = 64
 class DatasetImportChoices:
     """The flags of `datagen import-dataset`."""
 
-    mesh: Annotated[tuple[Path, ...], tyro.conf.UseAppendAction] = ()
+    mesh: tuple[Path, ...] = ()
     """A mesh of the scene in the cameras' own axes and units (PLY, OBJ, STL, GLB, ...), where the folder has none;
     may be repeated. Without meshes nothing can be peeled."""
-    material: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
+    material: tuple[str, ...] = ()
     """A material by name for all meshes, or for those that match a pattern: 'foot*=gold', as `datagen import` takes
     them. Default: the material in the folder, or else glass of the index --ior."""
     ior: float = 1.5

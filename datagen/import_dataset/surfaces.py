@@ -21,12 +21,12 @@ from datagen.scene.folder import save_scene
 from datagen.scene.foreign_files import (
     EXPORT_ADVICE,
     READERS,
-    ImportChoices,
     check_overrides,
     ending_of,
     override,
     parse_overrides,
 )
+from datagen.scene.import_choices import ImportChoices
 from datagen.scene.importers.confined_import import scene_from
 from datagen.scene.importers.foreign import PLAIN, ForeignObject
 from datagen.scene.importers.importing import scene_object, unique_names

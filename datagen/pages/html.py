@@ -3,7 +3,7 @@
 import base64
 import hashlib
 import html
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from datagen.disk.names import printable
@@ -113,7 +113,7 @@ def section(title: str, *parts: Part, id_: str, level: int = 2) -> Markup:
     return tag("section", tag(f"h{level}", title, id=heading), *parts, id=id_, aria_labelledby=heading)
 
 
-def definitions(pairs: list[tuple[str, Part]]) -> Markup:
+def definitions(pairs: Sequence[tuple[str, Part]]) -> Markup:
     """Terms and their descriptions, as a list of two columns."""
     return tag("dl", *(join([tag("dt", term), tag("dd", value)]) for term, value in pairs))
 

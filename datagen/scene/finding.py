@@ -11,10 +11,10 @@ from datagen.scene.foreign_files import (
     DEFAULT_RESOLUTION,
     OTHER_ENDINGS,
     READERS,
-    ImportChoices,
     check_ending,
     ending_of,
 )
+from datagen.scene.import_choices import ImportChoices
 from datagen.scene.random_names import RANDOM, parse_random
 from datagen.terminal.command import say, say_all
 

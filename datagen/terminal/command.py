@@ -2,10 +2,9 @@
 
 import contextlib
 import difflib
-import functools
 import html
 import importlib
-import inspect
+import json
 import os
 import select
 import shlex
@@ -14,12 +13,13 @@ import sys
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator
 from pathlib import Path
-from typing import Annotated, NoReturn, TypeVar
+from typing import NoReturn, TypeVar
 
 from datagen.disk.errors import HyalineError, describe_os_error, naming
 from datagen.disk.names import printable
 from datagen.disk.records import shown
 from datagen.terminal.distribution import VERSION, naming_parts
+from datagen.terminal.parsing import Command, CommandGroup, parse
 from datagen.terminal.signals import Stopped, raise_on_sigterm, signal_within
 
 Item = TypeVar("Item")
@@ -31,47 +31,20 @@ REPORT_EVERY_S = 15.0
 """Without a terminal, progress is a line this often."""
 
 
-def run(program: str, description: str, commands: dict[str, Callable[..., None]], arguments: list[str]) -> None:
-    """Parses `arguments`, calls the chosen function, and exits.
+def run(program: str, command: Command | CommandGroup, arguments: list[str]) -> None:
+    """Parses `arguments`, calls the function they ask for, and exits.
 
-    Results go to stdout, everything else to stderr. A command whose first parameter is `dataset` also takes it as its
-    first word; each takes `--version`. Exit status: 0 done, 1 our error in one line, 2 usage, 3 a number that is not
-    finite, 130 and 143 stopped by SIGINT and SIGTERM.
+    Results go to stdout, everything else to stderr. Every command takes `--version`. Exit status: 0 done, 1 our error
+    in one line, 2 usage, 3 a number that is not finite, 130 and 143 stopped by SIGINT and SIGTERM.
     """
-    arguments = _dataset_first(commands, arguments)
-    chosen = arguments[1:2] if len(commands) == 1 else arguments[:1]
-    if chosen and not chosen[0].startswith("-") and chosen[0] not in commands:
-        # Asked for help, tyro 1.0 would show the program's, with status 0, and not say that there is no such command.
-        arguments = [word for word in arguments if word not in ("-h", "--help")]
-
-    def call() -> None:
-        import tyro
-
-        if {"-h", "--help"} & set(arguments):
-            for command in commands.values():
-                unwrap_help(command)
-
-        tyro.extras.subcommand_cli_from_dict(
-            commands,
-            prog=program,
-            description=description,
-            args=arguments,
-            config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes),
-            sort_subcommands=False,
-        )
-
-    run_parsed(call, arguments)
-
-
-def run_parsed(call: Callable[[], None], arguments: list[str]) -> None:
-    """The same for a command that parses its `arguments` itself."""
+    hush(False)
     try:
         if "--version" in arguments:
             print(f"hyaline {VERSION}", flush=True)
             return
         where = " ".join([_program(), *(word for word in arguments[:1] if not word.startswith("-"))])
         with raise_on_sigterm(), _flushed(), naming_parts(where):
-            call()
+            parse(program, command, arguments)()
     except (Exception, KeyboardInterrupt, Stopped) as error:
         _end(error, arguments)
 
@@ -121,37 +94,12 @@ def _end_unread() -> NoReturn:
     sys.exit(128 + signal.SIGPIPE)
 
 
-def _dataset_first(commands: dict[str, Callable[..., None]], arguments: list[str]) -> list[str]:
-    """The arguments, in which a first word that names a dataset has become that of `--dataset`."""
-    command = commands.get(arguments[0]) if arguments else None
-    if command is None or arguments[1:2] == [] or arguments[1].startswith("-"):
-        return arguments
-    if next(iter(inspect.signature(command).parameters), None) != "dataset":
-        return arguments
-    return [arguments[0], "--dataset", *arguments[1:]]
-
-
 def _end_stopped(stopped: Stopped, arguments: list[str]) -> NoReturn:
     """Says how to go on; of several processes that train together, only the first one does."""
     same = "the same command without --overwrite" if "--overwrite" in arguments else "the same command again"
-    say(f"error: {stopped.message or f'stopped; run {same} to go on'}")
+    if not _is_mute:
+        fail(stopped.message or f"stopped; run {same} to go on", status=stopped.status)
     sys.exit(stopped.status)
-
-
-@functools.cache
-def unwrap_help(documented: type | Callable[..., None]) -> None:
-    """Makes `--help` print the docstrings of a record's fields, or of a function's arguments, as text that flows.
-
-    tyro 1.0.17 keeps their line breaks where the lines after the first begin with blanks.
-    """
-    import docstring_parser
-    import tyro
-
-    kinds = documented.__annotations__
-    for item in docstring_parser.parse_from_object(documented).params:
-        if item.description and item.arg_name in kinds:
-            flowing = tyro.conf.arg(help=" ".join(item.description.split()))
-            kinds[item.arg_name] = Annotated[kinds[item.arg_name], flowing]
 
 
 def fail(message: str, *, status: int = 1) -> NoReturn:
@@ -165,7 +113,18 @@ def tell(line: str) -> None:
     print(printable(line))
 
 
-_is_mute = False
+def tell_json(result: object) -> None:
+    """The result as one JSON object, on stdout."""
+    print(json.dumps(result, indent=2))
+
+
+_is_quiet = _is_mute = False
+
+
+def hush(is_quiet: bool) -> None:
+    """Turns progress and remarks off, as --quiet asks, or on again."""
+    global _is_quiet
+    _is_quiet = is_quiet
 
 
 def mute() -> None:
@@ -176,7 +135,7 @@ def mute() -> None:
 
 def say(message: str) -> None:
     """A line for the person who waits, on stderr."""
-    if not _is_mute:
+    if not (_is_quiet or _is_mute):
         print(printable(message), file=sys.stderr, flush=True)
 
 
@@ -226,7 +185,7 @@ def track(
         done: how many were done before; they do not count for the estimate.
         status: what else to show, asked for at each update.
     """
-    if _is_mute:
+    if _is_quiet or _is_mute:
         yield from items
     elif sys.stderr.isatty():
         yield from _track_on_terminal(items, label, total, done, status)

@@ -157,7 +157,7 @@ def make_tables(
 
 def _sweep_command(table: str, only: Path | None) -> str:
     datasets = list_datasets() if only is None else [only]
-    return shlex.join(["model", "sweep", table, *(["--dataset", *map(str, datasets)] if datasets else [])])
+    return shlex.join(["model", "sweep", table, *(word for place in datasets for word in ("--dataset", str(place)))])
 
 
 def _object_psnr(scene: SceneScores, errors: list[HyalineError], kept: Kept) -> dict[str, dict[Split, float | None]]:
@@ -209,7 +209,7 @@ def _score_scene(
     if not has_glass_mask(dataset):
         say(
             f"{dataset.root}: has no layers of the true geometry, so there is no PSNR on glass; "
-            f"make them with `datagen peel --dataset {shlex.quote(str(dataset.root))}`"
+            f"make them with `datagen peel {shlex.quote(str(dataset.root))}`"
         )
     scored: list[RunScores] = []
     for run in track(runs, label=f"scoring {title}", total=len(runs)):

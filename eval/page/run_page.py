@@ -185,7 +185,7 @@ def _how_many(item: Compared, shown: int) -> Markup | None:
     count = len(item.scores.images["psnr_db"])
     if shown == count:
         return None
-    more = prose(f"{shown} of {count} views; `eval report --views {count}` shows as many as fit.")
+    more = prose(f"{shown} of {count} views; `eval report --shown-views {count}` shows as many as fit.")
     return tag("p", more, class_="note")
 
 
@@ -239,7 +239,7 @@ def _facts(scores: RunScores) -> list[tuple[str, Part]]:
 def _how_to_make(run: Run) -> Markup:
     if run.method is None or run.config is None:
         return tag("p", "A foreign method's pictures: its folder does not record how they were made.", class_="note")
-    words = ["model", "train", run.method, "--dataset", f"data/{run.dataset.name}"]
+    words = ["model", "train", run.method, f"data/{run.dataset.name}"]
     choices = definitions([(key, value) for key, value in flattened(run.config)])
     if run.flags is None:
         words += [] if run.geometry in (None, "truth") else ["--geometry", run.geometry]

@@ -18,7 +18,7 @@ from eval.tables.grids import MISSING, Column, Grid, format_number
 from eval.tables.named import Table
 from eval.tables.published import PublishedRow
 
-FREE_FLAGS = ("geometry", "seed", "steps", "batch", "updates", "lr", "texture-lr", "lr-decay", "width", "texture-size")
+FREE_FLAGS = ("geometry", "seed", "steps", "batch", "updates", "lr", "texture-lr", "lr-decay", "hidden", "texture-size")
 """Runs of one line may differ in these: what they learn from, for how long, and how large they are."""
 
 
@@ -55,7 +55,7 @@ class Comparison:
     notes: tuple[str, ...] = ()
 
 
-UNCOMPARED = ("seed", "type", "preset", "texels_per_pixel", "vgg_sha256")
+UNCOMPARED = ("seed", "type", "texels_per_pixel", "vgg_sha256")
 """Keys that describe how others were chosen."""
 
 FOLLOWING = ("width", "batch", "texture_sizes", "sky_lobes", "refined_samples")

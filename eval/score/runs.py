@@ -225,8 +225,8 @@ def _read_bytes(run: Run, split: Split, view: int) -> bytes:
 def _render_command(folder: Path) -> str:
     """The command that renders the pictures of a run, or of a variant inside it."""
     if folder.parent.name == VARIANTS:
-        return shlex.join(["model", "render", "--run", str(folder.parent.parent), "--variant", folder.name])
-    return shlex.join(["model", "render", "--run", str(folder)])
+        return shlex.join(["model", "predict", str(folder.parent.parent), "--variant", folder.name])
+    return shlex.join(["model", "predict", str(folder)])
 
 
 def prediction_digests(run: Run, split: Split) -> list[str]:

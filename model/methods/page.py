@@ -30,7 +30,7 @@ class MethodPage:
     weights: Sequence[Rows] = ()
     """The rows that the shader reads by `fetch(weights, row)`, in this order."""
     samples: int = 1
-    """Rays per pixel of `model render`."""
+    """Rays per pixel of `model predict`."""
     shells: int = 1
     """Nested copies of each surface that straight rays meet."""
     relief: list[list[int]] | None = None

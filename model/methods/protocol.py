@@ -10,9 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, Self
 
-from datagen.data.cameras import Cameras
 from datagen.data.config import Split
-from datagen.data.dataset import Dataset
 from model.settings.flags import check_limits
 from model.settings.optimisation import Optimisation, PixelOptimisation
 
@@ -21,13 +19,15 @@ if TYPE_CHECKING:
     import model.batches.rays
     import model.methods.page
     import model.methods.renderer
+    from datagen.data.cameras import Cameras
+    from datagen.data.dataset import Dataset
 
 
 @dataclass(frozen=True, kw_only=True)
 class Inputs:
     """What a method is given besides its configuration."""
 
-    dataset: Dataset
+    dataset: "Dataset"
     geometry: str
     """`truth`, or the kind of proxy whose surfaces the method may know."""
     num_layers: int
@@ -77,7 +77,7 @@ class MethodConfig:
         return None
 
     def usual(self, geometry: str) -> Self:  # noqa: ARG002
-        """The record that flags change: all values that the preset of this one, and the geometry, bring with them."""
+        """The record that flags change: the method's defaults on a geometry."""
         return type(self)()
 
     def optimisation(self) -> Optimisation:
@@ -112,7 +112,7 @@ class MethodConfig:
         load = importlib.import_module(self.room).load
         return load(self, inputs, split, views, with_images=with_images, mapped=mapped)
 
-    def load_cameras(self, inputs: Inputs, cameras: Cameras) -> "model.batches.rays.PixelSource":
+    def load_cameras(self, inputs: Inputs, cameras: "Cameras") -> "model.batches.rays.PixelSource":
         """The pixels of any cameras, black, on the CPU; a method with `draws_cameras` has it.
 
         Through the camera of a view the renderer draws what it draws of `load`'s pixels.

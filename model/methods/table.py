@@ -6,20 +6,27 @@ class that derives from `MethodConfig`.
 
 import re
 import shlex
+from typing import TYPE_CHECKING
 
-from datagen.data.dataset import Dataset
 from datagen.disk.errors import HyalineError
 from datagen.terminal.plugins import Group
 from model.methods.protocol import Inputs, MethodConfig
 
+if TYPE_CHECKING:
+    from datagen.data.dataset import Dataset
+
 BUILT_IN = {
     "paper": "model.methods.paper.config:PaperConfig",
+    "paper-best": "model.methods.paper.config:PaperBestConfig",
     "mlp-first": "model.methods.paper.config:MlpFirstConfig",
     "dnr": "model.methods.dnr.config:DnrConfig",
     "dnr-layers": "model.methods.dnr.config:DnrLayersConfig",
+    "dnr-authors": "model.methods.dnr.config:DnrAuthorsConfig",
     "authors-code": "model.methods.authors_code.config:AuthorsConfig",
     "light-path": "model.methods.light_path.config:LightPathConfig",
     "deepvoxels": "model.methods.deepvoxels.config:DeepVoxelsConfig",
+    "deepvoxels-paper": "model.methods.deepvoxels.config:DeepVoxelsPaperConfig",
+    "deepvoxels-original": "model.methods.deepvoxels.config:DeepVoxelsOriginalConfig",
 }
 """The record of each method. A new one is a folder and a line here."""
 
@@ -64,7 +71,7 @@ def about(name: str) -> str:
     return f"{line} {source}".strip()
 
 
-def open_inputs(config: MethodConfig, dataset: Dataset, geometry: str) -> Inputs:
+def open_inputs(config: MethodConfig, dataset: "Dataset", geometry: str) -> Inputs:
     """What a method is given of a dataset."""
     if not config.reads_layers:
         return Inputs(dataset=dataset, geometry=geometry, num_layers=0, layers_seal=dataset.seal)
@@ -74,11 +81,11 @@ def open_inputs(config: MethodConfig, dataset: Dataset, geometry: str) -> Inputs
     return Inputs(dataset=dataset, geometry=geometry, num_layers=num_layers, layers_seal=store.seal)
 
 
-def _choose_layers(asked: int | None, stored: int, dataset: Dataset, geometry: str) -> int:
+def _choose_layers(asked: int | None, stored: int, dataset: "Dataset", geometry: str) -> int:
     """How many layers a renderer looks up: all stored ones, or the nearest ones."""
     if asked is None or 1 <= asked <= stored:
         return asked or stored
-    words = ["datagen", "peel", "--dataset", str(dataset.root), "--geometry", geometry]
+    words = ["datagen", "peel", str(dataset.root), "--geometry", geometry]
     peel = shlex.join([*words, "--num-layers", str(asked), "--overwrite"])
     more = f" (`{peel}` stores more)" if asked > 0 else ""
     raise HyalineError(f"layers: is {asked}; expected 1 to {stored}, as many as are stored{more}")

@@ -151,7 +151,7 @@ def check_can_draw(config: TrainConfig, dataset: Dataset, variant: Dataset) -> N
     check_draws_edits(config)
     if config.geometry not in list_geometries(variant):
         words = [word for edit in variant.edit.edits for word in ("--edit", edit)]
-        again = shlex.join(["datagen", "build", "--dataset", str(dataset.root), *words])
+        again = shlex.join(["datagen", "add", str(dataset.root), *words])
         raise HyalineError(
             f"{variant.root}: has no {config.geometry} proxies; `{again}` adds those that {dataset.root} has now"
         )

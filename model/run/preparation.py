@@ -1,7 +1,6 @@
 """What a run needs before its first step: renderer, record, training views, optimiser, a warning about textures."""
 
 import contextlib
-import dataclasses
 import inspect
 import math
 
@@ -19,6 +18,7 @@ from datagen.disk.errors import HyalineError
 from datagen.scene.description import SceneObject
 from datagen.scene.folder import load_scene
 from datagen.scene.textures import SolidTexture
+from datagen.terminal.parsing import flag_words
 from model.batches.distributed import Processes
 from model.batches.pixel_cache import choose_memory
 from model.batches.rays import PixelSource
@@ -26,7 +26,6 @@ from model.methods.protocol import Inputs
 from model.methods.renderer import ParameterGroup, Renderer
 from model.nets.texture import NeuralTextures
 from model.run.run_folder import RUN_VERSION, RunRecord, TrainConfig, describe_knowledge
-from model.settings.flags import words_of
 from model.settings.run_flags import Memory
 
 
@@ -105,18 +104,16 @@ def load_training(
 
 
 def words_again(config: TrainConfig, inputs: Inputs) -> tuple[str, ...]:
-    """The words after `model train METHOD --dataset DATASET` that train it again: a flag for each unusual choice."""
-    kind = type(config.net)
-    presets = [item.name for item in dataclasses.fields(kind) if item.metadata.get("is_preset")]
-    usual = kind(**{name: getattr(config.net, name) for name in presets}).usual(config.geometry)
+    """The words after `model train METHOD DATASET` that train it again: a flag for each unusual choice."""
+    usual = config.net.usual(config.geometry)
     optimisation = usual.optimisation()
     with contextlib.suppress(HyalineError):  # The defaults may not fit this dataset, although the chosen values do.
         usual = usual.complete(inputs)
     return (
         *([] if config.geometry == TRUTH else ["--geometry", config.geometry]),
         *([] if config.seed == TrainConfig.seed else ["--seed", str(config.seed)]),
-        *words_of(config.net, usual),
-        *words_of(config, optimisation),
+        *flag_words(config.net, usual),
+        *flag_words(config, optimisation),
     )
 
 

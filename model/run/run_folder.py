@@ -45,7 +45,7 @@ from model.run.logs import COSTS, EVENTS, SNAPSHOTS, list_events, list_snapshots
 from model.settings.flags import AMOUNT, COUNT, SEED, unflagged
 from model.settings.optimisation import PixelOptimisation
 
-RUN_VERSION = 2
+RUN_VERSION = 3
 
 OPEN: dict[str, Json] = {}
 """Placeholder for a method's record while the rest of a configuration is read."""
@@ -111,7 +111,7 @@ class RunRecord:
     """The run's name in tables and figures."""
     config: TrainConfig
     flags: tuple[str, ...] = ()
-    """The words after `model train METHOD --dataset DATASET` that train it again."""
+    """The words after `model train METHOD DATASET` that train it again."""
     torch: str
     """Version of torch."""
 
@@ -188,7 +188,9 @@ def _is_foreign(out: Path) -> bool:
 def _read_record(path: Path) -> RunRecord:
     content = load_sealed(path)
     if content.get("version") != RUN_VERSION:
-        raise HyalineError(f"{path}: format version {shown(content.get('version'))}; this program reads {RUN_VERSION}")
+        raise HyalineError(
+            f"{path}: format version {shown(content.get('version'))}; this program reads {RUN_VERSION}; train it again"
+        )
     config = parse_config(content.get("config"), where=f"{path}.config")
     stand_in = cast(Json, {**content, "config": {**cast(dict[str, Json], content["config"]), "net": OPEN}})
     return dataclasses.replace(from_json(RunRecord, stand_in, where=str(path)), config=config)

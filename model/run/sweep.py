@@ -6,7 +6,7 @@
     dataset = ["glass_table", "vitrine"]
     method = "paper"                      # or several, which must all know the flags of the block
     extrinsics = ["none", "view", "sh"]   # a key is a flag of `model train` without its dashes
-    zero-layer = [false, true]            # a flag without a value is given where true
+    zero-layer = [false, true]            # a switch
     seed = [0, 1, 2]
 
 Blocks add up; a run that is in two of them is trained once. The files of the paper's tables are in `model/experiments/`
@@ -37,11 +37,11 @@ from datagen.disk.records import load_toml, shown
 from datagen.machine.mitsuba_variant import num_cores
 from datagen.terminal.command import choose, say
 from model.methods.table import METHODS
-from model.run.train_flags import check_words, flags_of_method
+from model.run.train_flags import flags_of_method, parse_train
 
 EXPERIMENTS = Path(__file__).parents[1] / "experiments"
 
-KEPT_FLAGS = ("out", "name", "overwrite")
+KEPT_FLAGS = ("out", "label", "overwrite")
 """Flags that an experiment may not set: runs go to the default folder of `model train`, and stopped runs resume."""
 
 MAX_RUNS = 1000
@@ -123,11 +123,12 @@ def _grid(block: Mapping[str, object], *, where: str) -> list[tuple[tuple[str, .
         for method in methods:
             _check_key(key, method, where)
         axes.append([_flag(key, value, methods[0], where) for value in _values(block, key, where)])
-    place = list(block).index("method")
     runs = []
     for combination in itertools.product(*axes):
-        words = tuple(itertools.chain(*combination[:place], *combination[place + 1 :]))
-        runs.append((combination[place] + words, check_words(combination[place][0], words)))
+        by_key = dict(zip(block, combination, strict=True))
+        (method,), dataset = by_key.pop("method"), by_key.pop("dataset", ())
+        words = (*dataset, *itertools.chain(*by_key.values()))
+        runs.append(((method, *words), parse_train(method, words)))
     return runs
 
 
@@ -147,7 +148,7 @@ def _check_key(key: str, method: str, where: str) -> None:
     if key in KEPT_FLAGS:
         raise HyalineError(f"{where}: {key} cannot be set; a run's folder is the one that `model train` gives it")
     flags = flags_of_method(method)
-    if key not in flags:
+    if key not in (*flags, "dataset"):
         near = difflib.get_close_matches(key[:100], list(flags), n=1, cutoff=0.5)
         hint = f"did you mean {near[0]!r}? " if near else ""
         raise HyalineError(
@@ -157,15 +158,17 @@ def _check_key(key: str, method: str, where: str) -> None:
 
 def _flag(key: str, value: object, method: str, where: str) -> tuple[str, ...]:
     """The arguments that set a flag to a value."""
-    is_switch = isinstance(_flat(check_words(method, ()))[flags_of_method(method)[key]], bool)
+    if key == "dataset":
+        return (str(value),)
+    is_switch = isinstance(_flat(parse_train(method, ()))[flags_of_method(method)[key]], bool)
     if not isinstance(value, Value) or isinstance(value, bool) != is_switch:
         expected = "true or false" if is_switch else "a number or text, or a list of them"
         raise HyalineError(f"{where}: {key} is {shown(value)}; expected {expected}")
     if is_switch:
-        return (f"--{key}",) if value else ()
+        return (f"--{key}" if value else f"--no-{key}",)
     arguments = (f"--{key}", str(value))
     try:
-        check_words(method, arguments)
+        parse_train(method, arguments)
     except HyalineError:
         raise HyalineError(
             f"{where}: {key} is {shown(value)}, which `model train` does not take; see `model train {method} --help`"

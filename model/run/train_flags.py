@@ -1,145 +1,112 @@
 """From the words behind `model train` to what a run does; torch is not needed before the dataset is open."""
 
-import contextlib
 import dataclasses
-import difflib
 import functools
-import io
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Generic, NoReturn, TypeVar
+from typing import TYPE_CHECKING
 
-import tyro
-
-from datagen.data.dataset import Dataset, open_dataset
-from datagen.data.geometries import check_geometry
 from datagen.data.paths import TRUTH, find_dataset
-from datagen.disk.errors import HyalineError, UsageError
+from datagen.disk.errors import HyalineError
 from datagen.terminal.command import say
+from datagen.terminal.parsing import Command, collect, flags_of
 from model.methods.protocol import MethodConfig
-from model.methods.table import BUILT_IN, METHODS, about, open_inputs
-from model.run.run_folder import TrainConfig
-from model.settings.flags import flags_of, name_flags, suffixes
+from model.methods.table import METHODS, about, open_inputs
+from model.settings.flags import suffixes
 from model.settings.losses import LossConfig
 from model.settings.optimisation import Optimisation
 from model.settings.run_flags import RunFlags
 
-CONFIG = (tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes)
-"""As in datagen.terminal.command.run."""
-
-NetT = TypeVar("NetT", bound=MethodConfig)
-HowT = TypeVar("HowT", bound=Optimisation)
+if TYPE_CHECKING:
+    from datagen.data.dataset import Dataset
+    from model.run.run_folder import TrainConfig
 
 
 @dataclass(frozen=True, kw_only=True)
-class Asked(Generic[NetT, HowT]):
-    """What `model train METHOD --flags` was told."""
+class Asked:
+    """What `model train METHOD [DATASET] --flags` asks for."""
 
+    dataset: str | None
     run: RunFlags
-    method: NetT
-    optimisation: HowT
+    method: MethodConfig
+    optimisation: Optimisation
 
 
-def parse_train(method: str, words: Sequence[str]) -> Asked[MethodConfig, Optimisation]:
-    """What flags ask of a method; `--help` is printed, and ends the process.
+def make_command(method: str, words: Sequence[str], then: Callable[[str, Asked], None]) -> Command:
+    """The command `model train METHOD`: its flags are the method's, and their defaults suit the geometry in the words.
 
     Raises:
-        HyalineError: no such method, or a value that cannot be.
-        UsageError: a flag that the method does not have.
-        SystemExit: a word that its flag does not take; tyro has printed which.
+        HyalineError: no such method.
     """
-    usual = _usual_of_words(method, words)
-    net, optimisation = type(usual.method), type(usual.optimisation)
-    for record in (RunFlags, net, optimisation):
-        name_flags(record)
-    asked, unknown = tyro.cli(
-        Asked[net, optimisation],
-        default=usual,
-        prog=f"model train {method}",
-        description=about(method),
-        args=list(words),
-        config=CONFIG,
-        return_unknown_args=True,
-    )
-    if unknown:
-        _refuse(method, unknown[0])
-    return asked
+    usual = METHODS.find(method)().usual(_geometry_in(words))
+    optimised = usual.optimisation()
+
+    def train(
+        dataset: str | None = None,
+        /,
+        *,
+        choices: RunFlags = RunFlags(),  # noqa: B008
+        renderer: MethodConfig = usual,
+        optimisation: Optimisation = optimised,
+    ) -> None:
+        then(method, Asked(dataset=dataset, run=choices, method=renderer, optimisation=optimisation))
+
+    train.__annotations__ |= {"renderer": type(usual), "optimisation": type(optimised)}
+    dataset = "A dataset's folder, or its name under data/. Default: the only one there."
+    train.__doc__ = f"{about(method)}\n\nArgs:\n    dataset: {dataset}"
+    return train
 
 
-def _usual_of_words(method: str, words: Sequence[str]) -> Asked[MethodConfig, Optimisation]:
-    """The defaults of all flags: presets, and proxies, change those of others, and so are looked for first."""
-    net = METHODS.find(method)
-    name_flags(net)
-    presets = [item for item in dataclasses.fields(net) if item.metadata.get("is_preset")]
-    named = dataclasses.make_dataclass(
-        "Presets",
-        [("geometry", str, TRUTH), *((item.name, net.__annotations__[item.name], item.default) for item in presets)],
-    )
-    found, _ = tyro.cli(
-        named, prog=f"model train {method}", args=list(words), config=CONFIG, add_help=False, return_unknown_args=True
-    )
-    return usual_of(net(**{item.name: getattr(found, item.name) for item in presets}), found.geometry)
+def _geometry_in(words: Sequence[str]) -> str:
+    """The value of `--geometry`; some methods have other defaults on proxies."""
+    given = TRUTH
+    for place, word in enumerate(words, start=1):
+        flag, equals, value = word.partition("=")
+        if flag == "--geometry":
+            given = value if equals else "".join(words[place : place + 1])
+    return given
 
 
-def usual_of(net: MethodConfig, geometry: str = TRUTH) -> Asked[MethodConfig, Optimisation]:
-    """What a method does when no flags but those of its presets, and the geometry, are given."""
-    usual = net.usual(geometry)
-    return Asked(run=RunFlags(), method=usual, optimisation=usual.optimisation())
+@functools.cache
+def parse_train(method: str, words: tuple[str, ...]) -> Asked:
+    """What words ask of a method.
+
+    Raises:
+        HyalineError: no such method or flag, or a value that its flag does not take.
+    """
+    found: list[Asked] = []
+    command = make_command(method, words, lambda _, asked: found.append(asked))
+    given = collect(f"model train {method}", command, words)
+    command(*given.args, **given.kwargs)
+    return found[0]
 
 
 @functools.cache
 def flags_of_method(method: str) -> dict[str, str]:
     """The field behind each flag of `model train METHOD`, without dashes in front."""
-    net = METHODS.find(method)()
-    return flags_of(RunFlags) | flags_of(type(net)) | flags_of(type(net.optimisation()))
+    return flags_of(make_command(method, (), lambda *_: None))
 
 
-def _refuse(method: str, word: str) -> NoReturn:
-    """Raises what a word deserves that is no flag of a method."""
-    name = word.partition("=")[0].removeprefix("--").replace("_", "-")
-    if not word.startswith("--"):
-        raise UsageError(f"{word!r}: method {method} takes flags alone; see `model train {method} --help`")
-    having = [other for other in BUILT_IN if name in flags_of_method(other)]
-    if having:
-        raise HyalineError(f"--{name}: method {method} has no such flag ({', '.join(having)} has); leave it out")
-    near = difflib.get_close_matches(name[:100], flags_of_method(method), n=1, cutoff=0.5)
-    hint = f"did you mean --{near[0]}? " if near else ""
-    raise UsageError(f"--{name}: method {method} has no such flag; {hint}see `model train {method} --help`")
-
-
-@functools.cache
-def check_words(method: str, words: tuple[str, ...]) -> Asked[MethodConfig, Optimisation]:
-    """The same for words that a file holds: nothing is printed.
-
-    Raises:
-        HyalineError: an unknown method or flag, or a value that its flag does not take.
-    """
-    said = io.StringIO()
-    try:
-        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
-            return parse_train(method, words)
-    except SystemExit:
-        raise HyalineError(
-            f"{' '.join(words)}: `model train {method}` does not take it; see `model train {method} --help`"
-        ) from None
-
-
-def folder_name(method: str, asked: Asked[MethodConfig, Optimisation]) -> str:
+def folder_name(method: str, asked: Asked) -> str:
     """The default name of a run's folder: the method, and a suffix for each choice that is not usual."""
-    usual = usual_of(asked.method, asked.run.geometry)
+    usual = asked.method.usual(asked.run.geometry)
     geometry = [] if asked.run.geometry == TRUTH else [asked.run.geometry]
-    pairs = ((asked.method, usual.method), (asked.optimisation, usual.optimisation), (asked.run, usual.run))
+    pairs = ((asked.method, usual), (asked.optimisation, usual.optimisation()), (asked.run, RunFlags()))
     return "-".join([method, *geometry, *(word for pair in pairs for word in suffixes(*pair))])
 
 
-def configure(method: str, asked: Asked[MethodConfig, Optimisation]) -> tuple[TrainConfig, Dataset]:
+def configure(method: str, asked: Asked) -> "tuple[TrainConfig, Dataset]":
     """The configuration that flags make on their dataset, which is opened.
 
     Raises:
         HyalineError: a choice that cannot be, no such dataset or geometry.
     """
-    opened = open_dataset(find_dataset(asked.run.dataset))
+    from datagen.data.dataset import open_dataset
+    from datagen.data.geometries import check_geometry
+    from model.run.run_folder import TrainConfig
+
+    opened = open_dataset(find_dataset(asked.dataset))
     if opened.parent is not None:
         raise HyalineError(f"{opened.root}: is a variant, without training views; train on {opened.parent.root}")
     if "torch" not in sys.modules:

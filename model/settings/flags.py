@@ -1,7 +1,6 @@
 """How the fields of a configuration record become flags of a command, and suffixes of a run's folder."""
 
 import dataclasses
-import functools
 import math
 import typing
 from collections.abc import Mapping
@@ -29,7 +28,6 @@ def choice(
     suffix: str | dict[object, str] = "",
     *,
     flag: str = "",
-    is_preset: bool = False,
     limits: Limits | None = None,
 ) -> Any:
     """A field of a record that is a flag.
@@ -38,15 +36,14 @@ def choice(
         suffix: what marks a run's folder where the value is not the usual one: a template, or one for each value (and
             under the empty one that of all others); empty: nothing does, since no result depends on it.
         flag: its name on the command line, without dashes; default: the field's.
-        is_preset: it decides what is usual for other fields, so it marks the folder where it is not its own default.
         limits: of its number, which `check_limits` checks.
     """
-    about = {"suffix": suffix, "flag": flag, "is_preset": is_preset, "limits": limits}
+    about = {"suffix": suffix, "flag": flag, "limits": limits}
     return dataclasses.field(default=default, metadata=about)
 
 
 def unflagged(default: Any, *, limits: Limits | None = None) -> Any:
-    """A field that is no flag: presets set it, or the dataset."""
+    """A field without a flag: the method's defaults set it, or the dataset."""
     return dataclasses.field(default=default, metadata={"is_hidden": True, "limits": limits})
 
 
@@ -64,18 +61,6 @@ def check_limits(record: object) -> None:
         raise HyalineError(f"{item.name}: is {value}; expected {wanted}")
 
 
-def flags_of(record: type) -> dict[str, str]:
-    """The field behind each flag that a record makes, records in it included; flags without dashes in front."""
-    names: dict[str, str] = {}
-    for item in dataclasses.fields(record):
-        inner = _record_in(item)
-        if inner is not None:
-            names |= flags_of(inner)
-        elif not item.metadata.get("is_hidden"):
-            names[item.metadata.get("flag") or item.name.replace("_", "-")] = item.name
-    return names
-
-
 def settings_of(record: object) -> dict[str, Any]:
     """The value behind each flag of a record, by the flag's name in Python: `texture_size` for --texture-size."""
     values: dict[str, Any] = {}
@@ -86,11 +71,6 @@ def settings_of(record: object) -> dict[str, Any]:
         elif not item.metadata.get("is_hidden"):
             values[_python_name(item)] = value
     return values
-
-
-def presets_of(record: type) -> set[str]:
-    """The flags of a record that decide what is usual for others, by their names in Python."""
-    return {_python_name(item) for item in dataclasses.fields(record) if item.metadata.get("is_preset")}
 
 
 def with_settings(record: RecordT, settings: Mapping[str, object]) -> RecordT:
@@ -114,61 +94,11 @@ def suffixes(record: object, usual: object) -> list[str]:
     words = []
     for item in dataclasses.fields(record):  # pyright: ignore[reportArgumentType]
         value, expected = getattr(record, item.name), getattr(usual, item.name)
-        if _record_in(item) is not None:
+        if dataclasses.is_dataclass(expected):
             words += suffixes(value, expected)
             continue
         suffix = item.metadata.get("suffix", f"{item.name.replace('_', '-')}{{}}")
-        is_preset = item.metadata.get("is_preset")
-        if suffix and not item.metadata.get("is_hidden") and value != (item.default if is_preset else expected):
+        if suffix and not item.metadata.get("is_hidden") and value != expected:
             template = suffix.get(value) or suffix[""] if isinstance(suffix, dict) else suffix
             words.append(template.format(value))
     return words
-
-
-def words_of(record: object, usual: object) -> list[str]:
-    """The words on a command line that ask for a record: a flag for each field of `usual` that is not as there."""
-    words: list[str] = []
-    for item in dataclasses.fields(usual):  # pyright: ignore[reportArgumentType]
-        value, expected = getattr(record, item.name), getattr(usual, item.name)
-        if _record_in(item) is not None:
-            words += words_of(value, expected)
-        elif not item.metadata.get("is_hidden") and value != (
-            item.default if item.metadata.get("is_preset") else expected
-        ):
-            flag = f"--{item.metadata.get('flag') or item.name.replace('_', '-')}"
-            words += [flag] if value is True and item.default is False else [flag, str(value)]
-    return words
-
-
-@functools.cache
-def name_flags(record: type) -> None:
-    """Tells tyro the flags of a record: names, help from the docstrings below its fields, and which fields are none.
-
-    tyro 1.0.17 would keep a docstring's line breaks, because the lines after the first begin with blanks.
-    """
-    import docstring_parser
-    import tyro
-
-    documented = [base for base in reversed(record.__mro__) if dataclasses.is_dataclass(base)]
-    texts = {
-        param.arg_name: param.description
-        for base in documented
-        for param in docstring_parser.parse_from_object(base).params
-    }
-    annotations = {name: kind for base in documented for name, kind in base.__dict__.get("__annotations__", {}).items()}
-    record.__annotations__ = dict(record.__dict__.get("__annotations__", {}))
-    for item in dataclasses.fields(record):
-        inner, kind = _record_in(item), annotations[item.name]
-        if inner is not None:
-            name_flags(inner)
-        elif item.metadata.get("is_hidden"):
-            record.__annotations__[item.name] = tyro.conf.Suppress[kind]
-        else:
-            text, name = " ".join((texts.get(item.name) or "").split()), item.metadata.get("flag") or None
-            from typing import Annotated
-
-            record.__annotations__[item.name] = Annotated[kind, tyro.conf.arg(name=name, help=text)]
-
-
-def _record_in(item: dataclasses.Field[Any]) -> type | None:
-    return item.type if isinstance(item.type, type) and dataclasses.is_dataclass(item.type) else None

@@ -29,7 +29,7 @@ MOST_RAYS = 1024
 def check_width(width: int, blocks: int) -> None:
     """Raises a HyalineError where a width cannot be halved `blocks` times."""
     if width < 1 or blocks < 0 or width % (1 << blocks):
-        raise HyalineError(f"width: is {width} with {blocks} blocks; expected a multiple of {1 << max(blocks, 0)}")
+        raise HyalineError(f"hidden: is {width} with {blocks} blocks; expected a multiple of {1 << max(blocks, 0)}")
 
 
 def check_samples(name: str, samples: int) -> None:

@@ -19,14 +19,12 @@ RUNS = Path("runs")
 class RunFlags:
     """What a run trains on, where it is stored, and where it is computed."""
 
-    dataset: str | None = choice(None)
-    """Dataset folder, or its name under data/. Default: the only one there."""
     geometry: str = choice(TRUTH)
     """Whose layers to look up: truth, or a kind of proxy such as box."""
     out: Path | None = choice(None)
     """Folder of the run. Default: runs/SCENE/METHOD, with a suffix for each choice that is not the default."""
-    name: str | None = choice(None)
-    """Label of the run in tables. Default: from the folder's name."""
+    label: str | None = choice(None)
+    """Label of the run in tables. Default: the folder's name."""
     seed: int = choice(0, "seed{}", limits=SEED)
     """Seed of all random numbers."""
     device: Device = choice("auto")
@@ -35,7 +33,7 @@ class RunFlags:
     """Where training data from stored layers is held: ram, or mapped: memory-mapped files under ~/.cache/hyaline (or
     $XDG_CACHE_HOME), of which each step reads what it needs, so that a dataset may be larger than memory. The results
     are identical, bit for bit. auto maps what does not fit, and says so. The files may be deleted at any time."""
-    snapshots: Literal["on", "off"] = choice("on")
+    snapshots: bool = choice(True)
     """Leave a picture of the held-out views, above the truth, at each evaluation: in the run's folder snapshots."""
     tensorboard: bool = choice(False)
     """Leave event files for TensorBoard in the run's folder tensorboard: loss, held-out PSNR and pictures. Needs the

@@ -1,4 +1,4 @@
-"""Tests the layer budget: `model train --layers`, and the table of quality against the number of layers."""
+"""Tests the layer budget: `model train --use-layers`, and the table of quality against the number of layers."""
 
 import dataclasses
 import json
@@ -83,8 +83,8 @@ def test_runs_of_several_budgets_make_a_table_and_a_figure(
 
 
 def train(dataset: Dataset, out: Path, layers: str) -> Answer:
-    size = "--steps 3 --batch 64 --texture-size 16 --width 32 --device cpu"
-    return call(f"model train paper {size} --dataset {dataset.root} --out {out} --layers {layers}")
+    size = "--steps 3 --batch 64 --texture-size 16 --hidden 32 --device cpu"
+    return call(f"model train paper {size} {dataset.root} --out {out} --use-layers {layers}")
 
 
 def test_a_small_budget_sees_the_nearest_layers_alone(dataset: Dataset, tmp_path: Path) -> None:

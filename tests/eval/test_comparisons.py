@@ -18,21 +18,22 @@ from datagen.data.images import png_bytes
 from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import to_json
+from datagen.terminal.parsing import flag_words
 from eval.page.report import make_report, make_tables
 from eval.papers import claims
 from eval.score.seeds import spread
 from eval.tables.grids import MISSING
 from eval.tables.named import TABLES
 from model.methods.light_path.config import default_light_path
-from model.methods.paper.config import PaperConfig
+from model.methods.paper.config import PaperBestConfig, PaperConfig
 from model.run.run_folder import TrainConfig
-from model.settings.flags import words_of
 from model.settings.losses import LossConfig
 
 PAPER = TrainConfig(method="paper", geometry="truth", net=PaperConfig(width=80, texture_size=64))
 BEST = dataclasses.replace(
     PAPER,
-    net=dataclasses.replace(PaperConfig(preset="best").usual(TRUTH), width=128, texture_size=128),
+    method="paper-best",
+    net=dataclasses.replace(PaperBestConfig().usual(TRUTH), width=128, texture_size=128),
     loss=LossConfig(softness=0.03),
 )
 LIGHT = TrainConfig(
@@ -88,7 +89,7 @@ def write_run(
 def flags_of(config: TrainConfig) -> list[str]:
     """As `model train` records them, of choices that decide which table a run stands in."""
     net = config.net
-    usual = type(net)(**({"preset": net.preset} if isinstance(net, PaperConfig) else {})).usual(config.geometry)
+    usual = net.usual(config.geometry)
     fitted = {"width", "texture_size", "texture_sizes", "shells", "refined_samples"} & {
         item.name for item in dataclasses.fields(usual)
     }
@@ -96,9 +97,9 @@ def flags_of(config: TrainConfig) -> list[str]:
     return [
         *([] if config.geometry == TRUTH else ["--geometry", config.geometry]),
         *([] if config.seed == 0 else ["--seed", str(config.seed)]),
-        *words_of(chosen, usual),
+        *flag_words(chosen, usual),
         *([] if config.steps == TrainConfig.steps else ["--steps", str(config.steps)]),
-        *words_of(config.loss, usual.optimisation().loss),
+        *flag_words(config.loss, usual.optimisation().loss),
     ]
 
 
@@ -211,9 +212,10 @@ def test_methods_are_told_by_their_records_whoever_made_them(
         ["per pixel, all layers (paper-best)", "not run"],
         ["DNR", "somebodys"],
         ["paper", "ours"],
-        ["DeepVoxels", "voxels"],
+        ["DeepVoxels, small", "voxels"],
         ["paper-best", "not run"],
         ["what the authors ran", "not run"],
+        ["DeepVoxels", "not run"],
     ]
     assert [row[-2:] for row in rows if row[1] == "ours"] == [["33.19", "32.99"]] * 2
 
@@ -264,7 +266,7 @@ def test_the_ladder_goes_from_the_truth_to_the_farthest_proxy(
         light = dataclasses.replace(LIGHT, geometry=geometry, net=net)
         write_run(copy, tmp_path / "runs", f"light-path-{geometry}", light, level - 2, level)
         # What leaves out a part is an ablation, and no rung.
-        less = dataclasses.replace(light, net=dataclasses.replace(net, relief="off", stack_hidden=0))
+        less = dataclasses.replace(light, net=dataclasses.replace(net, relief=False, stack_hidden=0))
         write_run(copy, tmp_path / "runs", f"light-path-{geometry}-less", less, level, level)
         best = dataclasses.replace(BEST, geometry=geometry)
         write_run(copy, tmp_path / "runs", f"paper-best-{geometry}", best, level - 1, level)

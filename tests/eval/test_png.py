@@ -148,7 +148,7 @@ def test_only_pictures_that_are_srgb_and_upright_are_scored_by_the_report(
         folder.mkdir(parents=True)
         for view in range(dataset.num_views["interpolating"]):
             (folder / f"{view:04d}.png").write_bytes(plain[:33] + content + plain[33:])
-    answer = call(f"eval report --runs {runs} --data {dataset.root.parent} --out {tmp_path / 'report'}")
+    answer = call(f"eval report {runs} --data {dataset.root.parent} --out {tmp_path / 'report'}")
     assert answer.status == 1
     refused = {name: [line for line in answer.err.splitlines() if f"/{name}/" in line] for name in cases}
     assert {name for name, lines in refused.items() if not lines} == set(SAID)
@@ -165,7 +165,7 @@ def test_a_picture_that_is_a_link_to_elsewhere_is_refused(
     for view in range(dataset.num_views["interpolating"]):
         (tmp_path / f"{view}.png").write_bytes(png_bytes(picture))
         (folder / f"{view:04d}.png").symlink_to(tmp_path / f"{view}.png")
-    line = f"eval report --runs {tmp_path / 'runs'} --data {dataset.root.parent} --out {tmp_path / 'report'}"
+    line = f"eval report {tmp_path / 'runs'} --data {dataset.root.parent} --out {tmp_path / 'report'}"
     answer = call(line)
     assert answer.status == 1
     assert "interpolating: 0000.png is a link out of its folder; expected a file inside" in answer.error
@@ -222,9 +222,9 @@ def run_at(place: str, root: Path, dataset: Dataset) -> Run:
 @pytest.mark.parametrize(
     ("place", "command"),
     [
-        (".", "model render --run {root}/synthetic/paper"),
-        ("variants/moved", "model render --run {root}/synthetic/paper --variant moved"),
-        ("variants/x2", "model render --run {root}/synthetic/paper --variant x2"),
+        (".", "model predict {root}/synthetic/paper"),
+        ("variants/moved", "model predict {root}/synthetic/paper --variant moved"),
+        ("variants/x2", "model predict {root}/synthetic/paper --variant x2"),
     ],
 )
 def test_a_picture_that_is_not_what_was_written_is_named_with_the_command_that_writes_it(

@@ -21,9 +21,9 @@ from model.run.run_folder import TrainConfig
 from model.run.train import train
 
 METHODS = {
-    "paper": "paper --texture-size 16 --width 32",
-    "paper-rays": "paper --texture-size 16 --width 32 --render-rays 4",
-    "authors-code": "authors-code --texture-size 16 --width 16",
+    "paper": "paper --texture-size 16 --hidden 32",
+    "paper-rays": "paper --texture-size 16 --hidden 32 --render-rays 4",
+    "authors-code": "authors-code --texture-size 16 --hidden 16",
     "dnr": "dnr --texture-size 16 --unet-width 4",
     "light-path": "light-path --texture-size 16 --render-rays 4 --refined-rays 9 --branches 4",
 }

@@ -1,19 +1,14 @@
 """Tests that what a command advises works as it stands: its folders, runs, edits and proxies are there."""
 
-import functools
-import itertools
 import re
-import shlex
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from support.commands import MAINS, call
+from support.commands import call, parsed
 from support.disk import State
 from support.scenarios import BUILD, TRAIN
 
-import datagen.terminal.command
-import model.cli
 from datagen.data.dataset import open_dataset
 from datagen.data.geometries import check_geometry
 from datagen.data.paths import find_dataset
@@ -32,59 +27,25 @@ def advised(text: str) -> list[str]:
     return [line for line in found if not line.endswith("--help")]
 
 
-def check_parses(line: str, patch: pytest.MonkeyPatch) -> dict[str, object]:
-    """What a command's function would be called with; nothing is run."""
-    called: list[dict[str, object]] = []
-    real = datagen.terminal.command.run
-
-    def stub(function: Callable[..., None]) -> Callable[..., None]:
-        @functools.wraps(function)
-        def record(*given: object, **named: object) -> None:
-            called.append({"": given, **named})
-
-        return record
-
-    def run(program: str, description: str, commands: dict[str, Callable[..., None]], arguments: list[str]) -> None:
-        real(program, description, {name: stub(function) for name, function in commands.items()}, arguments)
-
-    with patch.context() as inner:
-        for module in MAINS.values():
-            inner.setattr(f"{module}.run", run)
-        inner.setattr("model.cli._train", stub(model.cli._train))  # It parses by the method's own record.
-        answer = call(line)
-    assert (answer.status, len(called)) == (0, 1), f"{line}: {answer.err}"
-    return called[0]
-
-
-def check_advice(line: str, patch: pytest.MonkeyPatch) -> None:
+def check_advice(line: str) -> None:
     """Fails unless a command parses, and finds every folder, run, edit and geometry that it names."""
-    check_parses(line, patch)
-    words = shlex.split(line)
-
-    def values(flag: str) -> list[str]:
-        return [value for name, value in itertools.pairwise(words) if name == flag]
-
-    for name in [
-        *values("--dataset"),
-        *([words[2]] if words[:2] == ["datagen", "verify"] else []),
-    ]:
+    given = parsed(line)
+    name, run = given.get("dataset"), given.get("run")
+    if isinstance(name, str):
         opened = open_dataset(find_dataset(name))
-        for geometry in values("--geometry") if words[0] == "model" else []:
-            check_geometry(opened, geometry)
-    for name in values("--run"):
-        if name == "RUN":  # Any run.
-            continue
-        record = read_run(Path(name))
-        dataset = open_dataset(find_dataset((values("--dataset") or [record.dataset])[0]))
-        load_renderer(Path(name), record.config, dataset)
-        for name in values("--variant"):
-            assert name in list_variants(dataset.root), f"{line}: no such variant"
-    for name in values("--runs"):
-        assert list(Path(name).glob("*/*/predictions")), f"{line}: no runs there"
+        if line.startswith("model train"):
+            check_geometry(opened, given["choices"].geometry)  # pyright: ignore[reportAttributeAccessIssue]
+    if isinstance(run, Path) and run != Path("RUN"):  # Any run.
+        record = read_run(run)
+        dataset = open_dataset(find_dataset(record.dataset))
+        load_renderer(run, record.config, dataset)
+        assert given.get("variant") in (None, *list_variants(dataset.root)), f"{line}: no such variant"
+    if isinstance(runs := given.get("runs"), Path):
+        assert list(runs.glob("*/*/predictions")), f"{line}: no runs there"
 
 
 @pytest.fixture
-def ask(start: Callable[[str], State], monkeypatch: pytest.MonkeyPatch) -> Callable[..., list[str]]:
+def ask(start: Callable[[str], State]) -> Callable[..., list[str]]:
     """Runs a command in a folder with a scene, checks and returns what it advises, and follows that if it is quick."""
     start("scene")
 
@@ -94,7 +55,7 @@ def ask(start: Callable[[str], State], monkeypatch: pytest.MonkeyPatch) -> Calla
         lines = advised(answer.err)
         assert lines, f"{line}: advises nothing: {answer.err}"
         for advice in lines:
-            check_advice(advice, monkeypatch)
+            check_advice(advice)
             if follow and not advice.startswith(("model train", "model sweep", "datagen build --scene glass_table")):
                 followed = call(advice)
                 assert followed.status == 0, f"{line} advises {advice}: {followed.err}"
@@ -108,43 +69,37 @@ def test_every_command_of_a_workflow_advises_what_works_as_it_stands(ask: Callab
     train = TRAIN.replace("data/one", f"'{SPACED}'")
     assert ask("datagen verify nothing", status=1) == ["datagen build --scene glass_table --out data/nothing"]
     assert ask("datagen scenes") == ["datagen build --scene glass_table"]
-    assert ask(build) == [f"proxies make --dataset '{SPACED}' --kind ellipsoid"]
-    assert ask(f"datagen build --dataset '{SPACED}' --twins") == [f"model train paper --dataset '{SPACED}'"]
-    assert ask("report --runs runs", status=1) == ["model train paper"]
-    edit = f"datagen build --dataset '{SPACED}' --edit remove:pane"
+    assert ask(build) == [f"proxies make '{SPACED}' --kind ellipsoid"]
+    assert ask(f"datagen add '{SPACED}' --twins", follow=False) == ["model predict RUN --variant opaque-glass"]
+    assert ask("report runs", status=1) == ["model train paper"]
+    edit = f"datagen add '{SPACED}' --edit remove:pane"
     (draw,) = ask(edit, follow=False)
-    assert draw == "model render --run RUN --variant remove-pane"
-    assert ask(f"model render --run runs/none --dataset '{SPACED}'", status=1) == ["model train paper --out runs/none"]
+    assert draw == "model predict RUN --variant remove-pane"
+    assert ask(f"model predict runs/none --dataset '{SPACED}'", status=1) == ["model train paper --out runs/none"]
     assert ask("report --table table1", status=1) == [f"model sweep table1 --dataset '{SPACED}'"]
-    assert ask(f"proxies make --dataset '{SPACED}' --kind box") == [
-        f"model train paper --dataset '{SPACED}' --geometry box"
-    ]
-    assert ask(f"{train} --geometry hull", status=1) == [f"proxies make --dataset '{SPACED}' --kind hull"]
-    assert ask(f"{train} --geometry mixed-a", status=1) == [
-        f"proxies make --dataset '{SPACED}' --name mixed-a --assign pane=box"
-    ]
-    assert ask(f"{train} --out 'elsewhere/two words/paper'") == ["report --runs elsewhere"]
+    assert ask(f"proxies make '{SPACED}' --kind box") == [f"model train paper '{SPACED}' --geometry box"]
+    assert ask(f"{train} --geometry hull", status=1) == [f"proxies make '{SPACED}' --kind hull"]
+    assert ask(f"{train} --geometry mixed-a", status=1) == [f"proxies make '{SPACED}' --name mixed-a --assign pane=box"]
+    assert ask(f"{train} --out 'elsewhere/two words/paper'") == ["report elsewhere"]
     assert ask(train) == ["report"]
     run = "'runs/two words/paper-w8-t8-batch32-5-steps'"
     assert ask(draw.replace("RUN", run)) == ["report"]
-    assert ask(f"model render --run {run} --variant x2", status=1) == [
-        f"datagen build --dataset '{SPACED}' --super-resolution 2"
-    ]
-    assert ask(f"model render --run {run} --variant x2") == ["report"]
-    assert ask(f"model render --run {run} --variant remove-floor", status=1, follow=False) == [
-        f"datagen build --dataset '{SPACED}' --edit EDIT"
+    assert ask(f"model predict {run} --variant x2", status=1) == [f"datagen add '{SPACED}' --larger 2"]
+    assert ask(f"model predict {run} --variant x2") == ["report"]
+    assert ask(f"model predict {run} --variant remove-floor", status=1, follow=False) == [
+        f"datagen add '{SPACED}' --edit EDIT"
     ]
 
 
 def test_damage_and_other_settings_advise_what_works_as_it_stands(ask: Callable[..., list[str]]) -> None:
     ask(BUILD)
-    call("model train paper --dataset data/one --steps 2 --batch 32 --width 8 --device cpu --out runs/one/paper")
-    assert ask("datagen peel --dataset data/one --num-layers 3 --overwrite") == ["model train paper --dataset data/one"]
-    assert ask(f"{TRAIN} --layers 9", status=1) == [
-        "datagen peel --dataset data/one --geometry truth --num-layers 9 --overwrite"
+    call("model train paper data/one --steps 2 --batch 32 --hidden 8 --device cpu --out runs/one/paper")
+    assert ask("datagen peel data/one --num-layers 3 --overwrite") == ["model train paper data/one"]
+    assert ask(f"{TRAIN} --use-layers 9", status=1) == [
+        "datagen peel data/one --geometry truth --num-layers 9 --overwrite"
     ]
     Path("data/one/layers/straight/records/train/0000.json").unlink()
-    assert ask(TRAIN, status=1) == ["datagen peel --dataset data/one --geometry truth --num-layers 9"]
+    assert ask(TRAIN, status=1) == ["datagen peel data/one --geometry truth --num-layers 9"]
     picture = Path("data/one/images/train/0000.png")
     picture.write_bytes(picture.read_bytes()[:-1] + b"x")
     assert ask(TRAIN, status=1, follow=False) == ["datagen verify data/one"]
@@ -153,27 +108,23 @@ def test_damage_and_other_settings_advise_what_works_as_it_stands(ask: Callable[
     assert call("datagen verify data/one").status == 0
     next(Path("data/one/scene").rglob("*.ply")).unlink()
     call("datagen build --scene scene --out data/two --preset tiny --resolution 8 --views 1 --test-views 1 --spp 2")
-    assert "datagen verify data/one" in "".join(
-        ask("datagen peel --dataset data/one --overwrite", status=1, follow=False)
-    )
+    assert "datagen verify data/one" in "".join(ask("datagen peel data/one --overwrite", status=1, follow=False))
 
 
 @pytest.mark.parametrize(
     "line",
     [
-        "model render --run runs/one/light-path --variant remove-pane",
-        "model render --run runs/one/paper --variant remove-pane",
-        "model train paper --dataset data/none",
-        "model train paper --dataset data/one --geometry box",
+        "model predict runs/one/light-path --variant remove-pane",
+        "model predict runs/one/paper --variant remove-pane",
+        "model train paper data/none",
+        "model train paper data/one --geometry box",
         "proxies make --data data/one --kind box",
-        "datagen build --scene scene --edits remove:pane",
-        "report --runs elsewhere",
+        "datagen add scene --edits remove:pane",
+        "report elsewhere",
     ],
 )
-def test_advice_that_does_not_work_is_noticed(
-    start: Callable[[str], State], monkeypatch: pytest.MonkeyPatch, line: str
-) -> None:
+def test_advice_that_does_not_work_is_noticed(start: Callable[[str], State], line: str) -> None:
     start("run")
-    check_advice("model render --run runs/one/paper", monkeypatch)
+    check_advice("model predict runs/one/paper")
     with pytest.raises((AssertionError, HyalineError)):
-        check_advice(line, monkeypatch)
+        check_advice(line)

@@ -15,8 +15,8 @@ from support.scenarios import BUILD, EXPORT, GRID, TRAIN
 from datagen.machine.mitsuba_variant import use_mitsuba
 from model.run.sweep import Failure
 
-RENDER = "model render --run runs/one/paper --device cpu"
-REPORT = "report --runs runs --data data"
+RENDER = "model predict runs/one/paper --device cpu"
+REPORT = "report runs --data data"
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -35,17 +35,17 @@ TRIPS = (
     Trip(line=f"{BUILD} --seed 1 --overwrite", start="proxies"),
     Trip(line=f"{BUILD} --shard 1/2", start="scene"),
     Trip(line=BUILD.replace("scene --out data/one", "random --family object --count 1 --out many"), start="scene"),
-    Trip(line="datagen build --scene scene --out data/one --edit remove:pane --overwrite"),
-    Trip(line="datagen build --dataset data/one --angle-splits --super-resolution 2"),
-    Trip(line="datagen peel --dataset data/one --num-layers 3 --overwrite"),
+    Trip(line="datagen add data/one --edit remove:pane --overwrite"),
+    Trip(line="datagen add data/one --angles --larger 2"),
+    Trip(line="datagen peel data/one --num-layers 3 --overwrite"),
     Trip(line=f"{EXPORT} --format 3dgs --overwrite", start="exported"),
     Trip(line="datagen import thing.glb --out mine --overwrite", start="scene"),
     Trip(line="datagen import-dataset theirs --out mine --overwrite", start="scene"),
-    Trip(line="datagen render --dataset data/one --path spline --frames 2 --spp 2 --video films/truth"),
-    Trip(line="proxies make --dataset data/one --kind box --overwrite", start="proxies"),
+    Trip(line="datagen film data/one --path spline --frames 2 --spp 2 --out films/truth"),
+    Trip(line="proxies make data/one --kind box --overwrite", start="proxies"),
     Trip(line=f"{TRAIN} --out runs/one/paper --seed 1 --overwrite", start="run"),
     Trip(line=f"{RENDER} --variant angles --overwrite", start="drawn"),
-    Trip(line="model export --run runs/one/paper --out page.html --overwrite", start="run"),
+    Trip(line="model export runs/one/paper --out page.html --overwrite", start="run"),
     Trip(line="model sweep grid.toml"),
     Trip(line=REPORT, start="run"),
     # What is not ours stands where the command would write.
@@ -54,19 +54,17 @@ TRIPS = (
     Trip(line=f"{BUILD} --shard 1/2", start="scene", taken=("data/one/scene/scene.json",)),
     Trip(line=f"{BUILD} --launcher local", start="scene", taken=("data/one-jobs/1_submission.sh",)),
     Trip(line=f"{BUILD} --views 2 --overwrite", taken=("data/one/images/train/0001.png",)),
-    Trip(line=f"{BUILD} --super-resolution 2", taken=("data/one/variants/x2/images/interpolating/0000.png",)),
-    Trip(line="proxies make --dataset data/one --kind box", taken=("data/one/proxies/box/meshes/floor.ply",)),
-    Trip(
-        line="proxies make --dataset data/one --kind box", taken=("data/one/proxies/box/layers/straight/mine.partial",)
-    ),
+    Trip(line="datagen add data/one --larger 2", taken=("data/one/variants/x2/images/interpolating/0000.png",)),
+    Trip(line="proxies make data/one --kind box", taken=("data/one/proxies/box/meshes/floor.ply",)),
+    Trip(line="proxies make data/one --kind box", taken=("data/one/proxies/box/layers/straight/mine.partial",)),
     Trip(line="datagen import thing.glb --out mine --overwrite", start="scene", taken=("mine/meshes/ground.ply",)),
     Trip(line="datagen import-dataset theirs --out mine", start="scene", taken=("mine/images/train/0000.png",)),
-    Trip(line="datagen look --dataset data/one", taken=("one-look.html",)),
+    Trip(line="datagen look data/one", taken=("one-look.html",)),
     Trip(line=f"{EXPORT} --format 3dgs --overwrite", start="exported", taken=("exports/one/points3d.ply",)),
     Trip(
         line=f"{TRAIN} --out runs/one/paper --overwrite", taken=("runs/one/paper/run.json", "runs/one/paper/weights.pt")
     ),
-    Trip(line=f"{RENDER} --path spline --frames 2 --video film.webp", start="run", taken=("film.webp",)),
+    Trip(line=f"{RENDER} --path spline --frames 2 --out film.webp", start="run", taken=("film.webp",)),
     Trip(line="model sweep grid.toml", taken=("runs/one/paper-w8-t8-batch32-2-steps/weights.pt",)),
     Trip(line=REPORT, start="run", taken=("runs/report/results.json",)),
 )

@@ -1,11 +1,15 @@
 """The commands of the package, called in this process as a person would type them."""
 
 import contextlib
+import functools
 import importlib
+import inspect
 import io
 import shlex
 import sys
 from dataclasses import dataclass
+
+from datagen.terminal.parsing import parse
 
 MAINS = {
     "datagen": "datagen.cli",
@@ -45,6 +49,19 @@ def call(line: str) -> Answer:
     finally:
         sys.argv = before
     return Answer(status=status, out=out.getvalue(), err=err.getvalue())
+
+
+def parsed(line: str) -> dict[str, object]:
+    """What a command line would call its function with, by the names of its parameters; nothing is run.
+
+    Raises:
+        UsageError: the line is not one of ours.
+    """
+    program, *words = shlex.split(line.replace("eval report", "report", 1))
+    module = importlib.import_module(MAINS[program])
+    asked = parse(program, module.report if program == "report" else module.commands(), words)
+    assert isinstance(asked, functools.partial)
+    return dict(zip(inspect.signature(asked.func).parameters, asked.args)) | asked.keywords
 
 
 def run(line: str) -> None:

@@ -8,15 +8,15 @@ BUILD = (
     "datagen build --scene scene --out data/one --preset tiny --resolution 8 --views 1 --test-views 1"
     " --spp 2 --test-spp 2 --num-layers 2"
 )
-EXPORT = "datagen export --dataset data/one --out exports/one --points 9"
-TRAIN = "model train paper --dataset data/one --steps 5 --batch 32 --texture-size 8 --width 8 --device cpu"
+EXPORT = "datagen export data/one --out exports/one --points 9"
+TRAIN = "model train paper data/one --steps 5 --batch 32 --texture-size 8 --hidden 8 --device cpu"
 GRID = """[[runs]]
 dataset = "data/one"
 method = "paper"
 steps = 2
 batch = 32
 texture-size = 8
-width = "8"
+hidden = 8
 device = "cpu"
 zero-layer = [false, true]
 """
@@ -24,10 +24,10 @@ zero-layer = [false, true]
 PREPARED: dict[str, tuple[str, ...]] = {
     "scene": ("",),
     "dataset": ("scene", BUILD),
-    "proxies": ("dataset", "proxies make --dataset data/one --kind box"),
+    "proxies": ("dataset", "proxies make data/one --kind box"),
     "exported": ("dataset", f"{EXPORT} --format nerfstudio"),
     "run": ("dataset", f"{TRAIN} --out runs/one/paper"),
-    "variants": ("dataset", f"{BUILD} --angle-splits"),
+    "variants": ("dataset", "datagen add data/one --angles"),
     "drawn": ("variants", f"{TRAIN} --out runs/one/paper"),
 }
 """By name: the state to start from (none: a scene's folder alone), and the commands that follow."""
@@ -46,17 +46,17 @@ class Scenario:
 SCENARIOS = (
     Scenario(name="build", start="scene", line=BUILD),
     Scenario(name="build anew", start="dataset", line=f"{BUILD} --seed 1 --overwrite"),
-    Scenario(name="peel anew", start="proxies", line="datagen peel --dataset data/one --num-layers 3 --overwrite"),
-    Scenario(name="proxies", start="dataset", line="proxies make --dataset data/one --kind box"),
-    Scenario(name="proxies anew", start="proxies", line="proxies make --dataset data/one --kind box --overwrite"),
-    Scenario(name="angle splits", start="dataset", line=f"{BUILD} --angle-splits"),
-    Scenario(name="super-resolution", start="dataset", line=f"{BUILD} --super-resolution 2"),
-    Scenario(name="edit", start="proxies", line="datagen build --scene scene --out data/one --edit remove:pane"),
+    Scenario(name="peel anew", start="proxies", line="datagen peel data/one --num-layers 3 --overwrite"),
+    Scenario(name="proxies", start="dataset", line="proxies make data/one --kind box"),
+    Scenario(name="proxies anew", start="proxies", line="proxies make data/one --kind box --overwrite"),
+    Scenario(name="angle splits", start="dataset", line="datagen add data/one --angles"),
+    Scenario(name="larger", start="dataset", line="datagen add data/one --larger 2"),
+    Scenario(name="edit", start="proxies", line="datagen add data/one --edit remove:pane"),
     Scenario(name="export", start="dataset", line=f"{EXPORT} --format nerfbaselines"),
     Scenario(name="export anew", start="exported", line=f"{EXPORT} --format webdataset --overwrite"),
     Scenario(name="train", start="dataset", line=f"{TRAIN} --out runs/one/paper"),
     Scenario(name="train anew", start="run", line=f"{TRAIN} --out runs/one/paper --seed 1 --overwrite"),
-    Scenario(name="render", start="run", line="model render --run runs/one/paper --device cpu --overwrite"),
+    Scenario(name="render", start="run", line="model predict runs/one/paper --device cpu --overwrite"),
     Scenario(name="sweep", start="dataset", line="model sweep grid.toml"),
     Scenario(name="report", start="run", line="report"),
 )

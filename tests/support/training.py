@@ -73,7 +73,7 @@ def call(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
 
 
 def quick(dataset: Dataset, out: Path) -> tuple[str, ...]:
-    size = ("--steps", "3", "--batch", "64", "--texture-size", "16", "--width", "32")
+    size = ("--steps", "3", "--batch", "64", "--texture-size", "16", "--hidden", "32")
     return ("train", "paper", "--dataset", str(dataset.root), "--out", str(out), *size)
 
 
@@ -89,4 +89,4 @@ def load(net: MethodConfig, dataset: Dataset, views: Sequence[int], *, mapped: b
 
 def configured(dataset: Dataset, method: str, *flags: str) -> TrainConfig:
     """What `model train METHOD --flags` would train."""
-    return configure(method, parse_train(method, ("--dataset", str(dataset.root), *flags)))[0]
+    return configure(method, parse_train(method, (str(dataset.root), *flags)))[0]

@@ -18,7 +18,7 @@ from datagen.disk.storage import commit, commit_sealed, dump_json, load_sealed, 
 from datagen.machine.confined import confined
 from datagen.scene.description import EnvironmentMap, Scene
 from datagen.scene.folder import load_scene, save_scene
-from datagen.scene.foreign_files import ImportChoices
+from datagen.scene.import_choices import ImportChoices
 from datagen.scene.importers.importing import import_scene
 
 RECORD = "import.json"

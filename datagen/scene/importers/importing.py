@@ -31,7 +31,6 @@ from datagen.scene.description import (
 from datagen.scene.foreign_files import (
     DEFAULT_RESOLUTION,
     READERS,
-    ImportChoices,
     check_ending,
     check_overrides,
     ending_of,
@@ -39,6 +38,7 @@ from datagen.scene.foreign_files import (
     parse_overrides,
     scene_name,
 )
+from datagen.scene.import_choices import ImportChoices
 from datagen.scene.importers.cameras import listed_cameras, read_camera_file
 from datagen.scene.importers.foreign import (
     PLAIN,

@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from datagen.data.meshes import Mesh
 from datagen.disk.names import file_name
-from datagen.scene.foreign_files import Thin
+from datagen.scene.import_choices import Thin
 from datagen.scene.importers.foreign import ForeignImage, ForeignMaterial
 from datagen.scene.importers.pictures import INVISIBLE, SOLID_BLEND, decoded, linear_png, mean_color, stored, values_on
 from datagen.scene.importers.remarks import Remarks

@@ -1,7 +1,7 @@
 """Configuration of the method `authors-code`."""
 
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import ClassVar
 
 from datagen.disk.errors import HyalineError
 from model.methods.protocol import MethodConfig
@@ -25,7 +25,7 @@ class AuthorsConfig(MethodConfig):
     extrinsics: Extrinsics = choice("view", {"none": "no-extrinsics", "sh": "sh"})
     """Camera input of each layer: none, the vector from the camera to the surface (view), or nine more channels;
     channels 3 to 11 are then multiplied by the vector's spherical harmonics without their constants (sh)."""
-    width: int = choice(64, "w{}", limits=(LEAST_WIDTH, 8192))
+    width: int = choice(64, "w{}", flag="hidden", limits=(LEAST_WIDTH, 8192))
     """Hidden units of the first layer: 64, because the code ignores the 256 that its scripts ask for."""
     texture_features: int = choice(16, "{}-features", flag="features", limits=(3, 256))
     """Channels of a texture; nine more with sh."""
@@ -33,8 +33,8 @@ class AuthorsConfig(MethodConfig):
     """Width and height of a texture in texels; 0: half the image's width, 256 for their 512 pixels."""
     zero_layer: bool = choice(False, "zero-layer")
     """Insert a layer of zeros at a random position in training, and after all others at test (their `--pad_front`)."""
-    test_dropout: Literal["on", "off"] = choice("on", "no-test-dropout")
-    """Keep dropout on while rendering, as their test script does, or turn it off. It is seeded by the batch's uv, so
+    test_dropout: bool = choice(True, "no-test-dropout")
+    """Keep dropout on while rendering, as their test script does. It is seeded by the batch's uv, so
     predictions are repeatable."""
     texture_start: float = unflagged(0.5)
     position_size: int = unflagged(512)

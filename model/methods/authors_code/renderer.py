@@ -110,7 +110,7 @@ class AuthorsRenderer(Renderer[PixelSource[RayBatch]]):
             else:
                 turned = stack[..., 3:12] * harmonics_without_constants(away)
                 stack = torch.cat([stack[..., :3], turned, stack[..., 12:]], dim=-1)
-        is_dropping = self.training or self.config.test_dropout == "on"
+        is_dropping = self.training or self.config.test_dropout
         seed = zlib.crc32(rays.uv.cpu().numpy().tobytes()) if rng is None else int(rng.integers(1 << 31))
         with seeded(seed, stack.device):
             colors = self.net(stack.flatten(1), self.config.dropout if is_dropping else 0.0)

@@ -1,30 +1,29 @@
-"""Configuration of the method `deepvoxels`, with its presets."""
+"""Configuration of the methods `deepvoxels`, `deepvoxels-paper` and `deepvoxels-original`."""
 
 import dataclasses
 import math
 from dataclasses import dataclass
-from typing import ClassVar, Literal, Self
+from typing import ClassVar, Self
 
 from datagen.data.config import Resolution
 from datagen.disk.errors import HyalineError
 from model.methods.protocol import MethodConfig
-from model.settings.flags import choice, unflagged
+from model.settings.flags import unflagged
 from model.settings.optimisation import Optimisation
 
 
 @dataclass(frozen=True, kw_only=True)
 class DeepVoxelsConfig(MethodConfig):
-    """DeepVoxels: a grid of learned features, from cameras alone; defaults as its authors'."""
+    """DeepVoxels, small: a grid of learned features, from cameras alone.
+
+    For machines without a GPU: 1/14 of the parameters, no dropout, a bounded grid, L1 at rate 0.002.
+    """
 
     room: ClassVar[str] = "model.methods.deepvoxels.renderer"
     knowledge: ClassVar[str] = "cameras only, and the scene's extent"
     uses_geometry: ClassVar[bool] = False
     draws_cameras: ClassVar[bool] = True
 
-    voxels: Literal["auto", "small", "paper", "original"] = choice("auto", "{}", is_preset=True)
-    """small (1/14 of the parameters, no dropout, a bounded grid, L1 at rate 0.002), paper (as the paper ran it: only
-    L1 at rate 0.00001) or original (its authors' L1 and discriminator at rate 0.0004). auto: small without a GPU,
-    paper with one."""
     image_size: int = unflagged(0)
     """Width and height of the images, a power of two; 0: not known yet. The authors use 512; from 128 upwards the
     architecture is the same."""
@@ -56,32 +55,12 @@ class DeepVoxelsConfig(MethodConfig):
         if not 0 <= self.dropout < 0.5:
             raise HyalineError(f"dropout: is {self.dropout}; expected a share from 0 to below 0.5")
 
-    @property
-    def preset(self) -> Literal["small", "paper", "original"]:
-        """The chosen preset, or the one that suits the machine."""
-        if self.voxels != "auto":
-            return self.voxels
-        import torch
-
-        return "paper" if torch.cuda.is_available() else "small"
-
     def usual(self, geometry: str) -> Self:  # noqa: ARG002
-        if self.preset == "small":
-            # For machines without a GPU: a fourteenth of the parameters, fewer rays, a high rate for few steps, which
-            # needs a bounded grid, and no dropout, because there are too few channels.
-            return type(self)(voxels=self.voxels, plane_size=32, width=16, voxel_features=32, dropout=0.0, bounded=True)
-        return type(self)(voxels=self.voxels, adversarial=self.preset == "original")
+        # Fewer rays, a rate for few steps that a bounded grid stands, and no dropout: of so few channels none is spare.
+        return type(self)(plane_size=32, width=16, voxel_features=32, dropout=0.0, bounded=True)
 
     def optimisation(self) -> Optimisation:
-        # A batch is the number of pictures per step.
-        match self.preset:
-            case "small":
-                return Optimisation(batch=2, lr=2e-3)
-            case "paper":
-                # Section 5.1: "disabling adversarial loss and only training on L1 loss with a low learning rate (1e-5)"
-                return Optimisation(batch=2, lr=1e-5, lr_decay="none")
-            case "original":
-                return Optimisation(batch=2, lr=4e-4, lr_decay="none")
+        return Optimisation(batch=2, lr=2e-3)  # A batch is the pictures drawn in a step.
 
     def sized(self, resolution: Resolution) -> Self:
         """The same for pictures of this size."""
@@ -92,4 +71,27 @@ class DeepVoxelsConfig(MethodConfig):
                 f"so build the dataset with --resolution {2 ** round(math.log2(side))}"
             )
         plane_size = min(self.plane_size, side)
-        return dataclasses.replace(self, voxels=self.preset, image_size=side, plane_size=plane_size)
+        return dataclasses.replace(self, image_size=side, plane_size=plane_size)
+
+
+@dataclass(frozen=True, kw_only=True)
+class DeepVoxelsPaperConfig(DeepVoxelsConfig):
+    """DeepVoxels as the paper ran it: L1 alone at rate 0.00001. Needs a GPU."""
+
+    def usual(self, geometry: str) -> Self:  # noqa: ARG002
+        return type(self)()
+
+    def optimisation(self) -> Optimisation:
+        # Section 5.1: "disabling adversarial loss and only training on L1 loss with a low learning rate (1e-5)"
+        return Optimisation(batch=2, lr=1e-5, lr_decay="none")
+
+
+@dataclass(frozen=True, kw_only=True)
+class DeepVoxelsOriginalConfig(DeepVoxelsConfig):
+    """DeepVoxels as its authors published it: L1 and a discriminator at rate 0.0004. Needs a GPU."""
+
+    def usual(self, geometry: str) -> Self:  # noqa: ARG002
+        return type(self)(adversarial=True)
+
+    def optimisation(self) -> Optimisation:
+        return Optimisation(batch=2, lr=4e-4, lr_decay="none")

@@ -1,7 +1,7 @@
-"""Configuration of the methods `dnr` and `dnr-layers`."""
+"""Configuration of the methods `dnr`, `dnr-layers` and `dnr-authors`."""
 
 from dataclasses import dataclass
-from typing import ClassVar, Literal, Self
+from typing import ClassVar, Self
 
 from datagen.disk.errors import HyalineError
 from model.methods.protocol import MethodConfig
@@ -33,10 +33,6 @@ class DnrConfig(MethodConfig):
     max_layers: ClassVar[int | None] = 1
     draws_cameras: ClassVar[bool] = True
 
-    preset: Literal["fair", "authors"] = choice("fair", {"authors": "authors"}, is_preset=True)
-    """fair: deferred neural rendering as its own authors made it, with 16 features. authors: weaker, as the authors of
-    the reproduced paper ran it, with 8 features, one level, the view vector as an input, and whole images. Other flags
-    override both."""
     unet_width: int = choice(64, "u{}", limits=(1, 1024))
     """Channels of the U-Net's first level; 16 makes it 16 times smaller, for CPUs."""
     texture_features: int = choice(16, "{}-features", flag="features")
@@ -72,21 +68,6 @@ class DnrConfig(MethodConfig):
         if min(self.strides, default=0) < 1:
             raise HyalineError(f"strides: are {self.strides}; expected at least 1 pixel")
 
-    def usual(self, geometry: str) -> Self:  # noqa: ARG002
-        if self.preset == "fair":
-            return type(self)()
-        return type(self)(
-            preset="authors",
-            texture_levels=1,
-            texture_features=8,
-            extrinsics="view",
-            norm="batch",
-            crop=0,
-            strides=(1,),
-            texture_color=0.0,
-            regularisation=0.0,
-        )
-
     def optimisation(self) -> PixelOptimisation:
         # About as many pixels per step as a picture of the demo has.
         return PixelOptimisation(batch=16_384)
@@ -97,3 +78,23 @@ class DnrLayersConfig(DnrConfig):
     """Deferred Neural Rendering on all straight layers."""
 
     max_layers: ClassVar[int | None] = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class DnrAuthorsConfig(DnrConfig):
+    """Deferred Neural Rendering as the authors of the reproduced paper ran it, which is weaker.
+
+    8 features, one level, the view vector as an input, whole images.
+    """
+
+    def usual(self, geometry: str) -> Self:  # noqa: ARG002
+        return type(self)(
+            texture_levels=1,
+            texture_features=8,
+            extrinsics="view",
+            norm="batch",
+            crop=0,
+            strides=(1,),
+            texture_color=0.0,
+            regularisation=0.0,
+        )

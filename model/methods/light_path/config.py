@@ -56,7 +56,7 @@ class LightPathConfig(MethodConfig):
     """Nested copies of each surface that straight layers meet: copy k of n is 1 - k / n times as large as the proxy and
     has its own texture, so that some layers lie near the object inside a coarse proxy. On proxies 4. Source: layered
     semi-transparent meshes (Volumetric Surfaces, 2024), there fitted to the truth."""
-    relief: Literal["on", "off"] = choice("off", {"on": "relief", "off": "no-relief"})
+    relief: bool = choice(False, {True: "relief", False: "no-relief"})
     """Learn the depth of the true surface below the proxy, and look up the colour where the ray meets that, to first
     order. On proxies on. Source: relief mapping (Policarpo et al. 2005), with learned depths."""
     environment_size: int = choice(SKY_HEIGHT, "sky{}", flag="environment", limits=(1, 1024))
@@ -67,13 +67,13 @@ class LightPathConfig(MethodConfig):
     """Spherical Gaussians of the learned sky, which represent lamps. No effect on a sky of two colours."""
     sky_lr: float = choice(0.005, "sky-lr{}")
     """Learning rate of the learned sky's maps; its lobes learn 2.5 times as fast."""
-    directions: Literal["on", "off"] = choice("off", {"on": "directions", "off": "no-directions"})
+    directions: bool = choice(False, {True: "directions", False: "no-directions"})
     """Give the decoder the mirrored direction. True geometry does not need it: gloss is traced, so only diffuse light
     is left. On proxies on."""
     debias: float = choice(1.0, "debias{}", limits=SHARE)
     """Fraction, 0 to 1, of the noise of training rays to subtract from the loss; above 0, rays come in independent
     pairs. At 0 lamps are learned too dim. On proxies 0: not tried there."""
-    fill_in: Literal["on", "off"] = choice("on", {"on": "filled", "off": "unfilled"})
+    fill_in: bool = choice(True, {True: "filled", False: "unfilled"})
     """After training, fill in rarely sampled texels from their neighbours. On proxies off: not tried there."""
     position_octaves: int = choice(0, "{}-octaves", limits=(0, 16))
     """Octaves of positional encoding (sines and cosines) of a path's end, as decoder inputs."""
@@ -113,11 +113,6 @@ class LightPathConfig(MethodConfig):
         cell of a grid, which is less noisy."""
         return self.debias > 0
 
-    @property
-    def sees_directions(self) -> bool:
-        """True if the decoder gets the mirrored direction."""
-        return self.directions == "on"
-
     def usual(self, geometry: str) -> Self:
         """On proxies, paths are wrong where the surface is off.
 
@@ -130,10 +125,10 @@ class LightPathConfig(MethodConfig):
             stack_hidden=96,
             straight_layers=24,
             shells=4,
-            relief="on",
-            directions="on",
+            relief=True,
+            directions=True,
             debias=0.0,
-            fill_in="off",
+            fill_in=False,
         )
 
     def hurried(self) -> Self:

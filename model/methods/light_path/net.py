@@ -61,10 +61,10 @@ class LightPathRenderer(Renderer[LightPathPixels]):
             finer_counts=FINER_COUNTS,
         )
         relief_sizes = [max(2, size // RELIEF_COARSER) for size in config.texture_sizes for _ in range(config.shells)]
-        self.relief = NeuralTextures(object_layout(relief_sizes), 1) if config.relief == "on" else None
+        self.relief = NeuralTextures(object_layout(relief_sizes), 1) if config.relief else None
         if config.composite:
             # Feature, cosine, spherical harmonics of the mirrored direction, position -> linear radiance.
-            directions = 9 if config.sees_directions else 0
+            directions = 9 if config.directions else 0
             self.decoder = _Mlp(
                 config.texture_features + 1 + directions + 6 * config.position_octaves, config.hidden, 3
             )
@@ -109,7 +109,7 @@ class LightPathRenderer(Renderer[LightPathPixels]):
     @torch.no_grad()
     def finish(self, training: LightPathPixels, *, batch: int, updates: int, rng: np.random.Generator) -> None:
         """Fills in rarely sampled texels; a share of the training rays is traced again to find them."""
-        if self.config.fill_in == "off":
+        if not self.config.fill_in:
             return
         layout = filled_layout(self.textures)
         met = torch.zeros(layout.num_texels, device=self.textures.tables()[0].device)
@@ -249,7 +249,7 @@ class LightPathRenderer(Renderer[LightPathPixels]):
         self, features: Tensor, cosine: Tensor, reflected: Tensor, position: Tensor
     ) -> Float32[Tensor, "end 3"]:
         inputs = [features, cosine[:, None]]
-        if self.config.sees_directions:
+        if self.config.directions:
             inputs.append(spherical_harmonics(reflected))
         for octave in range(self.config.position_octaves):
             angle = position * (torch.pi * 2**octave)

@@ -58,7 +58,7 @@ def _defines(config: LightPathConfig, scene: Scene) -> dict[str, int | float]:
         "STACK_HIDDEN": fours(config.stack_hidden),
         "STACK_SHIFT": STACK_SHIFT[config.compositing],
         "HIDDEN": fours(config.hidden),
-        "SEES_DIRECTIONS": int(config.sees_directions),
+        "SEES_DIRECTIONS": int(config.directions),
         "OCTAVES": config.position_octaves,
         "COMPOSITE": int(config.composite),
         "SKY_HEIGHT": config.environment_size,
@@ -82,7 +82,7 @@ def _straight(config: LightPathConfig) -> int:
 def _networks(renderer: LightPathRenderer) -> list[Rows]:
     """Decoder, stack network, opacity of straight layers, sky."""
     config, features = renderer.config, renderer.config.texture_features
-    others = 1 + (9 if config.sees_directions else 0) + 6 * config.position_octaves
+    others = 1 + (9 if config.directions else 0) + 6 * config.position_octaves
     parts: list[Rows] = []
     if config.composite:
         parts += mlp_rows(renderer.decoder, feature_columns(features, others))

@@ -1,8 +1,8 @@
-"""Configuration of the method `paper`, with its two presets: as published, and the best of the same idea."""
+"""Configuration of the methods `paper` (as published), `paper-best` (the best of the same idea) and `mlp-first`."""
 
 import dataclasses
 from dataclasses import dataclass
-from typing import ClassVar, Literal, Self
+from typing import ClassVar, Self
 
 from datagen.disk.errors import HyalineError
 from model.methods.protocol import MethodConfig
@@ -30,14 +30,10 @@ class PaperConfig(MethodConfig):
     is_shareable: ClassVar[bool] = True
     draws_cameras: ClassVar[bool] = True
 
-    preset: Literal["published", "best"] = choice("published", {"best": "best"}, is_preset=True)
-    """published: the renderer of the paper's text. best: the same idea (straight layers, neural textures, a network per
-    pixel) with every improvement that we found; other flags override its values, which model/methods/paper/config.py
-    lists."""
     extrinsics: Extrinsics = choice("view", {"none": "no-extrinsics", "sh": "sh"})
     """Camera input of each layer (section 4.6): none, the view vector (view), or its spherical harmonics in three bands
     (sh)."""
-    width: int = choice(0, "w{}", limits=(0, 8192))
+    width: int = choice(0, "w{}", flag="hidden", limits=(0, 8192))
     """Hidden units of the first layer; 0: chosen for 34,000 parameters (section 4.3). The paper's text has 256, which
     contradicts its 34k."""
     blocks: int = choice(3, "{}-blocks", limits=(0, 8))
@@ -47,10 +43,10 @@ class PaperConfig(MethodConfig):
     textures: TextureSharing = choice("object", "scene-texture")
     """One neural texture per object (section 4.4), or one for the scene, with a cell for each object."""
     texture_size: int = choice(0, "t{}")
-    """Width and height of a texture in texels; 0: half the image's width, or all of it with the best preset."""
+    """Width and height of a texture in texels; 0: half the image's width, or all of it with paper-best."""
     zero_layer: bool = choice(False, "zero-layer")
     """Insert a layer of zeros at a random position in training, and after all others at test (section 4.4)."""
-    layers: str = choice("all", "{}-layers")
+    layers: str = choice("all", "{}-layers", flag="use-layers")
     """Straight layers to look up: all (as stored), a number (the nearest ones), online (traced for each batch, through
     a random point of each pixel; no stored layer is read) or both, such as online-4."""
     train_samples: int = choice(1, "{}-rays", flag="rays")
@@ -94,11 +90,16 @@ class PaperConfig(MethodConfig):
     def traces_layers(self) -> bool:
         return self.layers.startswith("online") or max(self.train_samples, self.render_samples) > 1
 
+    def hurried(self) -> Self:
+        return dataclasses.replace(self, render_samples=1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PaperBestConfig(PaperConfig):
+    """The paper's idea with everything that we found to help it: more texture levels, rays and steps, no norm."""
+
     def usual(self, geometry: str) -> Self:  # noqa: ARG002
-        if self.preset == "published":
-            return type(self)()
         return type(self)(
-            preset="best",
             width=128,
             norm="none",
             texture_levels=5,
@@ -108,12 +109,7 @@ class PaperConfig(MethodConfig):
             render_samples=16,
         )
 
-    def hurried(self) -> Self:
-        return dataclasses.replace(self, render_samples=1)
-
     def optimisation(self) -> PixelOptimisation:
-        if self.preset == "published":
-            return PixelOptimisation()
         # Half as many rays a step in twice as many steps: as many rays as the published form trains on.
         return PixelOptimisation(
             steps=5000, batch=1024, lr=0.003, texture_lr=0.02, lr_decay="cosine", loss=LossConfig(softness=0.03)

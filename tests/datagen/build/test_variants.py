@@ -28,7 +28,7 @@ FLAGS = (
     *("--preset", "tiny", "--resolution", "16", "--num-layers", "4"),
     *("--views", "3", "--test-views", "3", "--spp", "2", "--test-spp", "2"),
 )
-MORE = ("--angle-splits", "--super-resolution", "2", "--super-resolution-views", "2")
+MORE = ("--angles", "--larger", "2", "--larger-views", "2")
 
 
 def command(*words: object) -> Answer:
@@ -45,7 +45,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, byte
     build = ("datagen", "build", "--scene", root / "scene/mine", "--out", root / "data/mine", *FLAGS)
     assert command(*build).status == 0
     plain = tree(root / "data/mine")
-    assert command(*build, *MORE).status == 0
+    assert command("datagen", "add", root / "data/mine", *MORE).status == 0
     return root, plain
 
 
@@ -96,8 +96,7 @@ def test_a_damaged_view_of_a_variant_is_named_and_made_again(
     assert [problem.split("; ")[0] for problem in found.problems] == [f"{path}: damaged (checksum differs)"]
     assert any("variants/x2/notes.txt" in remark for remark in found.remarks)
     (tmp_path / "mine/variants/x2/notes.txt").unlink()
-    build = ("datagen", "build", "--scene", made[0] / "scene/mine", "--out", tmp_path / "mine")
-    assert command(*build, *FLAGS, *MORE).status == 0
+    assert command("datagen", "add", tmp_path / "mine", *MORE).status == 0
     assert tree(tmp_path / "mine") == before
 
 
@@ -114,14 +113,13 @@ def test_a_variant_of_other_data_is_refused_and_replaced(made: tuple[Path, dict[
 @pytest.mark.parametrize(
     ("flags", "message"),
     [
-        (("--super-resolution", "1"), "super_resolution: is 1; expected 2 to 8 times"),
-        (("--super-resolution", "2", "--super-resolution-views", "4"), "super_resolution_views: is 4; expected 1 to 3"),
-        (("--super-resolution", "2"), "holds a variant with another configuration (interpolating:"),
+        (("--larger", "1"), "larger: is 1; expected 2 to 8 times"),
+        (("--larger", "2", "--larger-views", "4"), "larger_views: is 4; expected 1 to 3"),
+        (("--larger", "2"), "holds a variant with another configuration (interpolating:"),
     ],
 )
 def test_wrong_sizes_are_one_line(made: tuple[Path, dict[str, bytes]], flags: tuple[str, ...], message: str) -> None:
-    build = ("datagen", "build", "--scene", made[0] / "scene/mine", "--out", made[0] / "data/mine")
-    assert message in command(*build, *FLAGS, *flags).err
+    assert message in command("datagen", "add", made[0] / "data/mine", *flags).err
 
 
 def test_runs_predict_variants_and_the_report_scores_them(
@@ -132,19 +130,19 @@ def test_runs_predict_variants_and_the_report_scores_them(
     torch.set_num_threads(1)
     hidden = tmp_path / "variants"
     (root / "data/mine/variants").rename(hidden)
-    size = ("--steps", 3, "--batch", 64, "--width", 16, "--texture-size", 16)
-    train = ("model", "train", "paper", "--dataset", root / "data/mine", *size)
+    size = ("--steps", 3, "--batch", 64, "--hidden", 16, "--texture-size", 16)
+    train = ("model", "train", "paper", root / "data/mine", *size)
     assert command(*train, "--device", "cpu", "--out", runs / "paper").status == 0
     hidden.rename(root / "data/mine/variants")
     drawn = runs / "paper/variants"
     assert not drawn.exists()
     # A finished run predicts splits that were built since, and no more after that.
-    render = ("model", "render", "--run", runs / "paper", "--device", "cpu")
+    render = ("model", "predict", runs / "paper", "--device", "cpu")
     said = [command(*render, *words).err for words in ((), (), ("--variant", "x2"), ("--variant", "x2"))]
     torch.set_num_threads(threads)
     assert ["nothing to do" in text for text in said] == [False, True, False, True]
     assert read_png(drawn / "x2/predictions/extrapolating/0001.png").shape == (32, 32, 3)
-    advice = f"make it with `datagen build --dataset {root / 'data/mine'} --super-resolution 4`"
+    advice = f"make it with `datagen add {root / 'data/mine'} --larger 4`"
     refused = command(*render, "--variant", "x4").err
     assert f"x4: no such variant (there are: angles, x2); {advice}" in refused
 

@@ -23,9 +23,9 @@ BUILD = (
 )
 COMMANDS = (
     BUILD,
-    "proxies make --dataset data/one --kind box --num-layers 2",
-    f"{BUILD} --angle-splits --super-resolution 2 --super-resolution-views 1",
-    "datagen build --scene scene --out data/one --edit remove:pane",
+    "proxies make data/one --kind box --num-layers 2",
+    "datagen add data/one --angles --larger 2 --larger-views 1",
+    "datagen add data/one --edit remove:pane",
 )
 ROOT = Path("data/one")
 DAMAGES = ("deleted", "truncated", "flipped", "emptied", "link", "pipe", "folder", "swapped")
@@ -227,7 +227,7 @@ def test_a_dataset_without_its_head_is_named_by_every_command_and_comes_back_by_
         "datagen verify data/one",
         "datagen peel data/one",
         "proxies make data/one",
-        "model train paper --dataset data/one",
+        "model train paper data/one",
     ):
         answer = call(line)
         assert answer.status == 1 and answer.err.count("\n") == 1, answer.err

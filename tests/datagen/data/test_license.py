@@ -70,7 +70,7 @@ def test_a_scene_of_ones_own_has_the_licence_that_it_states(scene_folder: Path, 
     build_whole(scene_folder, tmp_path / "stated")
     dataset = open_dataset(tmp_path / "stated")
     assert dataset.license == "CC-BY-4.0"
-    run(f"datagen build --dataset {tmp_path / 'stated'} --edit remove:pane")
+    run(f"datagen add {tmp_path / 'stated'} --edit remove:pane")
     assert open_dataset(tmp_path / "stated" / "variants" / "remove-pane").license == "CC-BY-4.0"
 
 

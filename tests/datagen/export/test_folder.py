@@ -98,7 +98,7 @@ def test_another_export_is_replaced_only_when_told_and_strangers_stay(
 def test_a_folder_of_something_else_is_refused(export: Callable[..., None], tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "notes.txt").write_text("mine")
-    answer = call(f"datagen export --dataset {tmp_path}/table --format blender --out {tmp_path}/out --overwrite")
+    answer = call(f"datagen export {tmp_path}/table --format blender --out {tmp_path}/out --overwrite")
     assert answer.status == 1 and "is not empty (notes.txt) and no export; choose another --out" in answer.error
     assert tree(tmp_path / "out") == {"notes.txt": b"mine"}
 

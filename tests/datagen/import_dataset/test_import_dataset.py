@@ -131,7 +131,7 @@ def test_a_report_scores_it_and_calls_the_ceiling_unknown(again: Dataset, tmp_pa
             path.parent.mkdir(parents=True, exist_ok=True)
             Image.fromarray(255 - view.image).save(path)
     out = tmp_path / "figures"
-    answer = call(f"report --runs {tmp_path / 'runs'} --dataset {again.root} --out {out}")
+    answer = call(f"report {tmp_path / 'runs'} --dataset {again.root} --out {out}")
     assert answer.status == 0, answer.error
     assert "unknown" in answer.out
     told = json.loads((out / "results.json").read_text())

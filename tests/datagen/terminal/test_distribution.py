@@ -75,9 +75,9 @@ def test_the_base_verifies_reads_and_scores_and_a_missing_part_is_one_line(tmp_p
         "datagen build --scene glass_table --preset tiny": "generate",
         "datagen peel data/one --overwrite": "generate",
         "datagen scenes": "generate",
-        "datagen build --dataset one --launcher local": None,
-        "proxies make --dataset one --kind box": "proxies",
-        "model train paper --dataset one --steps 1": "model",
+        "datagen add one --twins": "generate",
+        "proxies make one --kind box": "proxies",
+        "model train paper one --steps 1": "model",
         "model check-method light-path": "model",
     }
     working = ["datagen verify data/one", "report --format csv", "model train --help"]
@@ -90,12 +90,11 @@ def test_the_base_verifies_reads_and_scores_and_a_missing_part_is_one_line(tmp_p
         told = [text for text in err.splitlines() if text.startswith("error: ")]
         assert (status, len(told), "Traceback" in err) == (1, 1, False), (line, out, err)
         program, verb = line.split()[:2]
-        if extra is not None:
-            assert re.fullmatch(
-                rf"error: {program} {verb}: needs \w+, which is not installed; "
-                rf'`pip install "hyaline-glass\[{extra}\]"` brings it',
-                told[0],
-            ), told[0]
+        assert re.fullmatch(
+            rf"error: {program} {verb}: needs \w+, which is not installed; "
+            rf'`pip install "hyaline-glass\[{extra}\]"` brings it',
+            told[0],
+        ), told[0]
 
 
 def test_each_part_has_the_modules_that_pip_would_bring() -> None:

@@ -80,7 +80,9 @@ def test_every_run_has_its_pictures_its_training_and_a_way_to_make_it_again(page
     assert "A part of metrics.jsonl cannot be read." in [paragraph.text for paragraph in page.all("p")]
     assert any("model train" in code.text and "--seed 3" in code.text for code in page.all("code"))
     assert "net.width" in [term.text for term in page.all("dt")]
-    assert not any("views; `eval report --views" in paragraph.text for paragraph in page.all("p"))  # All are shown.
+    assert not any(
+        "views; `eval report --shown-views" in paragraph.text for paragraph in page.all("p")
+    )  # All are shown.
     pictures = [svg for svg in page.all("svg") if "picture" in (svg.attributes.get("class") or "")]
     assert pictures and all(svg.attributes["aria-label"] and svg.attributes["role"] == "img" for svg in pictures)
     assert "PSNR by the angle to the nearest training ray" in captions
@@ -113,12 +115,12 @@ def test_a_run_that_tells_its_flags_is_made_again_by_them_alone(
 ) -> None:
     shutil.copytree(root, tmp_path / "copy")
     path = tmp_path / "copy" / "runs" / "synthetic" / "plain" / "run.json"
-    record = json.loads(path.read_text()) | {"method": "paper", "flags": ["--preset", "best", "--seed", "3"]}
+    record = json.loads(path.read_text()) | {"method": "paper", "flags": ["--steps", "9", "--seed", "3"]}
     path.write_text(json.dumps(record))
     codes = [code.text for code in read_page(write_page(tmp_path / "copy", tmp_path / "out", monkeypatch)).all("code")]
-    assert "model train paper --dataset data/synthetic --preset best --seed 3" in codes
-    path.write_text(json.dumps(record | {"flags": "--preset best"}))
-    with pytest.raises(HyalineError, match=r"run\.json: flags: is '--preset best'; expected a list"):
+    assert "model train paper data/synthetic --steps 9 --seed 3" in codes
+    path.write_text(json.dumps(record | {"flags": "--steps 9"}))
+    with pytest.raises(HyalineError, match=r"run\.json: flags: is '--steps 9'; expected a list"):
         write_page(tmp_path / "copy", tmp_path / "out", monkeypatch)
 
 

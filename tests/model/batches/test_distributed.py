@@ -25,7 +25,7 @@ from model.run.run_folder import TrainConfig
 from model.run.train import check_processes
 from model.settings.losses import LossConfig
 
-QUICK = ("--steps", "12", "--batch", "255", "--device", "cpu", "--width", "32", "--texture-size", "16", "--zero-layer")
+QUICK = ("--steps", "12", "--batch", "255", "--device", "cpu", "--hidden", "32", "--texture-size", "16", "--zero-layer")
 EVERY = {"evaluate_every": 5, "checkpoint_every": 4}
 RUNS = {"plain": ("--norm", "none"), "norm": ("--norm", "batch")}
 
@@ -77,7 +77,7 @@ if __name__ == "__main__":
 
 
 def words_of(dataset: Dataset, out: Path, name: str) -> list[str]:
-    return ["paper", "--dataset", str(dataset.root), "--out", str(out), "--name", "it", *QUICK, *RUNS[name]]
+    return ["paper", str(dataset.root), "--out", str(out), "--label", "it", *QUICK, *RUNS[name]]
 
 
 @pytest.fixture(scope="module")
@@ -202,6 +202,6 @@ def test_more_processes_than_gpus_are_refused_by_the_command(monkeypatch: pytest
     monkeypatch.setattr(torch.cuda, "device_count", lambda: 2)
     monkeypatch.setenv("WORLD_SIZE", "3")
     monkeypatch.setenv("LOCAL_RANK", "2")
-    answer = commands.call(f"model train paper --dataset {tmp_path}")
+    answer = commands.call(f"model train paper {tmp_path}")
     assert answer.status == 1
     assert "process 3 of this machine finds 2 GPUs; expected one each" in answer.error

@@ -117,7 +117,7 @@ def test_dropout_stays_on_at_test_and_repeats(dataset: Dataset) -> None:
     noisy = predict_pixels(renderer, pixels)
     assert torch.equal(torch.get_rng_state(), before)
     assert np.array_equal(noisy, predict_pixels(renderer, pixels))
-    quiet = build(dataclasses.replace(NET, test_dropout="off"), dataset)
+    quiet = build(dataclasses.replace(NET, test_dropout=False), dataset)
     quiet.load_state_dict(renderer.state_dict())
     assert not np.array_equal(noisy, predict_pixels(quiet, pixels))
     # Of 20,000 hidden units a fifth is silent, and what is left is scaled up.
@@ -143,6 +143,6 @@ def test_it_learns_the_pane_and_the_floor(dataset: Dataset, tmp_path: Path) -> N
 
 
 def test_its_optimiser_is_theirs(dataset: Dataset) -> None:
-    config = configured(dataset, "authors-code", "--test-dropout", "off")
+    config = configured(dataset, "authors-code", "--no-test-dropout")
     assert (config.beta1, config.weight_decay, config.lr) == (0.5, 1e-4, 0.001)
-    assert config.net == AuthorsConfig(texture_size=16, test_dropout="off")
+    assert config.net == AuthorsConfig(texture_size=16, test_dropout=False)

@@ -262,7 +262,7 @@ def test_drawing_leaves_the_grid_and_observing_keeps_it_without_gradient(dataset
 @pytest.mark.parametrize("size", [32, 64, 128])
 def test_pictures_of_every_size_are_drawn_whole(size: int) -> None:
     config = dataclasses.replace(
-        DeepVoxelsConfig(voxels="small").usual("truth").sized(square(size)), width=2, voxel_features=2, num_voxels=8
+        DeepVoxelsConfig().usual("truth").sized(square(size)), width=2, voxel_features=2, num_voxels=8
     )
     net = DeepVoxels(config, origin=torch.tensor([0.3, -0.2, 0.1]), edge=1.2)
     camera = some_cameras(1)[0]
@@ -357,13 +357,13 @@ def test_the_grid_around_the_opaque_cube_holds_it_and_no_camera() -> None:
 def test_the_command_trains_the_small_preset_on_a_cpu(tmp_path: Path) -> None:
     dataset = write_synthetic_dataset(tmp_path / "data" / "synthetic")
     out = tmp_path / "run"
-    answer = call(f"model train deepvoxels --dataset {dataset.root} --out {out} --steps 1 --device cpu")
+    answer = call(f"model train deepvoxels {dataset.root} --out {out} --steps 1 --device cpu")
     assert answer.status == 0 and "no layers" in answer.err
     run = json.loads((out / "run.json").read_text())
     assert run["config"]["lr"] == 2e-3 and run["config"]["batch"] == 2
     assert (run["config"]["net"]["width"], run["config"]["net"]["plane_size"]) == (16, 32)
     assert read_png(out / "predictions/extrapolating/0001.png").shape == (32, 32, 3)
-    answer = call(f"model render --run {out} --variant remove:pane")
+    answer = call(f"model predict {out} --variant remove:pane")
     assert "method deepvoxels uses no geometry, so it cannot draw an edit" in answer.err
 
 
@@ -376,14 +376,14 @@ def test_the_command_trains_the_small_preset_on_a_cpu(tmp_path: Path) -> None:
     ],
 )
 def test_a_flag_that_it_does_not_have_is_refused(dataset: Dataset, tmp_path: Path, flags: str, message: str) -> None:
-    answer = call(f"model train deepvoxels --dataset {dataset.root} --out {tmp_path / 'run'} {flags}")
+    answer = call(f"model train deepvoxels {dataset.root} --out {tmp_path / 'run'} {flags}")
     assert answer.status == 1 and message in answer.err and answer.err.count("\n") == 1
     assert not (tmp_path / "run").exists()
 
 
 def test_sizes_that_are_no_powers_of_two_are_refused() -> None:
     with pytest.raises(HyalineError, match=r"resolution: is 100 x 100; .* so build the dataset with --resolution 128"):
-        DeepVoxelsConfig(voxels="small").sized(square(100))
+        DeepVoxelsConfig().sized(square(100))
     with pytest.raises(HyalineError, match="image_size: is 32; deepvoxels needs a power of two of 64 or more"):
         DeepVoxelsConfig(image_size=32, plane_size=32, adversarial=True)
     with pytest.raises(HyalineError, match="plane_size: is 64; expected at most the pictures' 32"):

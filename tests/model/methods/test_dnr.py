@@ -197,11 +197,11 @@ def test_the_first_layer_alone_is_blind_to_what_lies_behind(dataset: Dataset) ->
 def test_presets_and_impossible_choices(dataset: Dataset) -> None:
     fair = configured(dataset, "dnr").net
     assert (fair.texture_features, fair.texture_levels, fair.extrinsics, fair.crop) == (16, 4, "sh", 32)
-    weak = configured(dataset, "dnr", "--preset", "authors").net
+    weak = configured(dataset, "dnr-authors").net
     assert (weak.texture_features, weak.texture_levels, weak.extrinsics, weak.norm) == (8, 1, "view", "batch")
     net = DnrRenderer(weak, num_layers=1, num_objects=2, positions=torch.zeros(2 * 512 * 512, 3)).net
     assert net.down[0].weight.shape[1] == 11
-    mixed = configured(dataset, "dnr", "--preset", "authors", "--features", "16", "--extrinsics", "sh").net
+    mixed = configured(dataset, "dnr-authors", "--features", "16", "--extrinsics", "sh").net
     assert (mixed.texture_features, mixed.extrinsics, mixed.texture_levels) == (16, "sh", 1)
     with pytest.raises(HyalineError, match="features: is 8 with extrinsics sh; expected 12 to 256"):
         configured(dataset, "dnr", "--features", "8")

@@ -171,7 +171,7 @@ def test_texels_shine_alike_in_all_directions_unless_the_decoder_sees_them(
 ) -> None:
     paths = pixels_of(dataset).take(torch.arange(256), None)
     turned = dataclasses.replace(paths, ends=dataclasses.replace(paths.ends, reflected=paths.ends.reflected.roll(1, 1)))
-    renderer = LightPathRenderer(LightPathConfig(texture_sizes=(8, 8), directions="on" if sees_directions else "off"))
+    renderer = LightPathRenderer(LightPathConfig(texture_sizes=(8, 8), directions=sees_directions))
     with torch.no_grad():
         assert torch.equal(renderer(paths), renderer(turned)) != sees_directions
 
@@ -444,7 +444,7 @@ def test_training_ends_with_filling_in_what_hardly_any_ray_met(
 ) -> None:
     filled: list[torch.Tensor] = []
     monkeypatch.setattr("model.methods.light_path.net.fill_in", lambda _, met: filled.append(met))
-    for name, net in (("plain", dataclasses.replace(NET, fill_in="off")), ("filled", NET)):
+    for name, net in (("plain", dataclasses.replace(NET, fill_in=False)), ("filled", NET)):
         train(dataclasses.replace(SMALL, net=net, steps=8), dataset, tmp_path / name, label=name, device=CPU)
     (met,) = filled
     # 8 steps of 128 pixels, of which glass, which absorbs and reflects, and the sky take their parts.

@@ -27,12 +27,10 @@ def test_the_published_preset_is_the_paper_and_the_default(dataset: Dataset) -> 
     config = configured(dataset, "paper")
     assert config.net == PaperConfig(width=dataclasses.asdict(config.net)["width"], texture_size=16)
     assert (config.batch, config.lr, config.texture_lr, config.lr_decay) == (8192, 0.001, None, "linear")
-    assert config == configured(dataset, "paper", "--preset", "published")
 
 
-@pytest.mark.parametrize("method", ["paper", "mlp-first"])
-def test_the_best_preset_sets_network_textures_rays_and_rates(dataset: Dataset, method: str) -> None:
-    config = configured(dataset, method, "--preset", "best")
+def test_the_best_preset_sets_network_textures_rays_and_rates(dataset: Dataset) -> None:
+    config = configured(dataset, "paper-best")
     net = config.net
     assert isinstance(net, PaperConfig) and (net.width, net.norm) == (128, "none")
     assert (net.texture_levels, net.finer_counts) == (5, 0.5)
@@ -47,18 +45,18 @@ def test_the_best_preset_sets_network_textures_rays_and_rates(dataset: Dataset, 
 
 def test_flags_override_the_best_preset(dataset: Dataset) -> None:
     words = (
-        "--dataset", str(dataset.root), "--preset", "best", "--width", "64", "--norm", "batch", "--texture-size", "24",
+        str(dataset.root), "--hidden", "64", "--norm", "batch", "--texture-size", "24",
         "--texture-levels", "2", "--rays", "1", "--lr", "0.5", "--texture-lr", "0.25", "--batch", "64",
         "--lr-decay", "none", "--steps", "2500",
     )  # fmt: skip
-    asked = parse_train("paper", words)
-    config, _ = configure("paper", asked)
+    asked = parse_train("paper-best", words)
+    config, _ = configure("paper-best", asked)
     net = config.net
     assert isinstance(net, PaperConfig)
     assert (net.width, net.norm, net.texture_size, net.texture_levels) == (64, "batch", 24, 2)
     assert (net.train_samples, net.render_samples) == (1, 16)
     assert (config.lr, config.texture_lr, config.batch, config.lr_decay) == (0.5, 0.25, 64, "none")
-    assert folder_name("paper", asked) == (
+    assert folder_name("paper-best", asked) == (
         "paper-best-w64-batch-norm-t24-1-rays-2-levels-batch64-lr0.5-texture-lr0.25-no-decay-2500-steps"
     )
 
@@ -82,12 +80,12 @@ def test_finer_levels_cannot_count_more_than_coarser_ones_or_nothing(share: floa
 
 
 def test_a_run_of_the_best_preset_is_called_so_and_records_every_choice(dataset: Dataset, tmp_path: Path) -> None:
-    run(f"model train paper --dataset {dataset.root} --preset best --steps 3 --batch 64 --device cpu")
+    run(f"model train paper-best {dataset.root} --steps 3 --batch 64 --device cpu")
     (out,) = (tmp_path / "runs" / "synthetic").iterdir()
     assert out.name == "paper-best-batch64-3-steps" and is_finished(out)
     record = read_run(out)
     assert record.label == out.name
-    assert record.config.net == configured(dataset, "paper", "--preset", "best").net
+    assert record.config.net == configured(dataset, "paper-best").net
     assert json.loads((out / "run.json").read_text())["config"] == to_json(record.config)
     renderer = build(record.config.net, dataset)
     assert isinstance(renderer, PaperRenderer)
@@ -98,10 +96,10 @@ def test_a_run_of_the_best_preset_is_called_so_and_records_every_choice(dataset:
     ("words", "defaults"),
     [
         ("paper", {"--steps": 2500, "--batch": 8192, "--rays": 1, "--norm": "batch", "--lr": 0.001}),
-        ("paper --preset best", {"--steps": 5000, "--batch": 1024, "--rays": 4, "--norm": "none", "--lr": 0.003}),
-        ("dnr --preset authors", {"--features": 8, "--batch": 16384}),
-        ("light-path", {"--batch": 2048, "--stack": 32, "--relief": "off"}),
-        ("light-path --geometry box", {"--batch": 2048, "--stack": 96, "--relief": "on"}),
+        ("paper-best", {"--steps": 5000, "--batch": 1024, "--rays": 4, "--norm": "none", "--lr": 0.003}),
+        ("dnr-authors", {"--features": 8, "--batch": 16384}),
+        ("light-path", {"--batch": 2048, "--stack": 32, "--fill-in,": "on"}),
+        ("light-path --geometry box", {"--batch": 2048, "--stack": 96, "--relief,": "on"}),
     ],
 )
 def test_help_tells_the_defaults_of_the_method_and_its_preset(words: str, defaults: dict[str, object]) -> None:

@@ -69,7 +69,7 @@ def test_the_network_equals_its_formula_written_out() -> None:
 
 
 def test_a_width_that_cannot_be_halved_is_refused() -> None:
-    with pytest.raises(HyalineError, match="width: is 90 with 3 blocks; expected a multiple of 8"):
+    with pytest.raises(HyalineError, match="hidden: is 90 with 3 blocks; expected a multiple of 8"):
         PaperConfig(width=90, texture_size=64)
 
 

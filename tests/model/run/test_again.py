@@ -9,14 +9,14 @@ from model.run.preparation import words_again
 
 ASKED = (
     "paper",
-    "paper --preset best",
-    "paper --extrinsics none --width 256 --blocks 2 --norm none --textures scene --seed 7",
-    "paper --preset best --zero-layer --features 8 --lr-decay none --steps 10 --texture-lr 0.5",
+    "paper-best",
+    "paper --extrinsics none --hidden 256 --blocks 2 --norm none --textures scene --seed 7",
+    "paper-best --zero-layer --features 8 --lr-decay none --steps 10 --texture-lr 0.5",
     "paper --vgg-weights random --adversarial 0.01 --inpaint",
     "mlp-first --updates 2",
     "light-path --branches 2 --compositing stack --stack 32 --straight-layers 2 --rays 1",
     "light-path --environment 1 --sky-lobes 3 --sky-lr 0.5 --debias 0.5",
-    "dnr --preset authors --features 8 --crop 0",
+    "dnr-authors --features 8 --crop 0",
 )
 
 
@@ -26,11 +26,11 @@ def test_the_words_of_a_run_ask_for_the_same_run(dataset: Dataset, asked: str) -
     config = configured(dataset, method, *flags)
     words = words_again(config, open_inputs(config.net, dataset, config.geometry))
     assert configured(dataset, method, *words) == config
-    follow_from_others = {"--width", "--texture-size"}
+    follow_from_others = {"--hidden", "--texture-size"}
     assert set(flags) >= {word for word in words if word.startswith("--")} - follow_from_others
 
 
 def test_what_is_usual_needs_no_words(dataset: Dataset) -> None:
-    for asked in ((), ("--preset", "best"), ("--seed", "3", "--steps", "10")):
-        config = configured(dataset, "paper", *asked)
+    for asked in ((), ("--seed", "3", "--steps", "10")):
+        config = configured(dataset, "paper-best", *asked)
         assert words_again(config, open_inputs(config.net, dataset, config.geometry)) == asked

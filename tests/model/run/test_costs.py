@@ -53,7 +53,7 @@ def test_what_a_session_took_is_added_to_those_before_it_and_a_new_run_begins_an
 def test_the_command_leaves_the_file_when_it_is_asked_to(
     dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    flags = ["paper", "--steps", "1", "--batch", "8", "--width", "8", "--texture-size", "8", "--device", "cpu"]
+    flags = ["paper", "--steps", "1", "--batch", "8", "--hidden", "8", "--texture-size", "8", "--device", "cpu"]
     for asked, is_left in (((), False), (("--costs",), True)):
         out = tmp_path / str(is_left)
         assert call(monkeypatch, "train", *flags, *asked, "--dataset", str(dataset.root), "--out", str(out)) == 0

@@ -146,16 +146,16 @@ def test_predictions_of_another_version_of_an_edit_count_as_none(made: Path) -> 
 
 def test_the_commands_edit_and_draw_what_is_there(made: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(made)
-    data = call("datagen build --scene edit --edit remove:ball")
+    data = call("datagen add edit --edit remove:ball")
     assert data.out == "data/edit/variants/remove-ball\n"
-    assert data.err.splitlines()[-1] == "next: model render --run RUN --variant remove-ball"
-    run = "model render --run runs/edit/paper --dataset edit --variant"
+    assert data.err.splitlines()[-1] == "next: model predict RUN --variant remove-ball"
+    run = "model predict runs/edit/paper --dataset edit --variant"
     picture = made / "runs" / "edit" / "paper" / "variants" / "remove-ball" / "predictions" / SPLIT / "0001.png"
     drawn = picture.read_bytes()
     picture.unlink()
     assert call(f"{run} remove:ball").out == "runs/edit/paper/variants/remove-ball\n"
     assert picture.read_bytes() == drawn
-    refused = call("datagen build --scene edit --edit remove:ball --spp 8")
+    refused = call("datagen add edit --edit remove:ball --spp 8")
     assert (refused.status, refused.out) == (1, "")
     assert "error: --spp: does not go with --edit" in refused.error
 

@@ -23,7 +23,7 @@ from model.run.run_folder import TrainConfig
 
 pytestmark = [pytest.mark.promise("R3"), pytest.mark.usefixtures("one_thread")]
 
-SIZE = ("--steps", "6", "--batch", "64", "--texture-size", "16", "--width", "32", "--device", "cpu")
+SIZE = ("--steps", "6", "--batch", "64", "--texture-size", "16", "--hidden", "32", "--device", "cpu")
 
 
 @pytest.fixture(autouse=True)
@@ -42,7 +42,7 @@ def train(dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     """`model train --out tmp_path/NAME` in this process; answers its exit status."""
 
     def command(name: str, *flags: str) -> int:
-        words = ["--method", "paper", "--dataset", str(dataset.root), "--out", str(tmp_path / name), "--name", "it"]
+        words = ["paper", str(dataset.root), "--out", str(tmp_path / name), "--label", "it"]
         monkeypatch.setattr(sys, "argv", ["model", "train", *words, *SIZE, *flags])
         try:
             cli.main()

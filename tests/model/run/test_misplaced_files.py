@@ -11,15 +11,13 @@ from support.training import stop_at
 
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.disk.storage import commit_sealed, load_sealed
-from model.methods.protocol import MethodConfig
 from model.run import train_flags
 from model.run.checkpoint import load_state, save_state
 from model.run.run_folder import TrainConfig
-from model.settings.optimisation import Optimisation
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
-QUICK = "--steps 2 --batch 64 --texture-size 16 --width 32 --device cpu"
+QUICK = "--steps 2 --batch 64 --texture-size 16 --hidden 32 --device cpu"
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +29,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(home)
         for out, seed in (("d1/one", 0), ("d1/two", 1), ("d2/one", 0)):
-            run(f"model train paper --dataset {out[:2]} --out runs/{out} --seed {seed} {QUICK}")
+            run(f"model train paper {out[:2]} --out runs/{out} --seed {seed} {QUICK}")
     return home
 
 
@@ -52,9 +50,9 @@ def seals(name: str) -> tuple[str, ...]:
 @pytest.mark.parametrize(
     "line",
     [
-        "model render --run runs/d1/one --overwrite",
-        "model render --run runs/d1/one --path orbit --frames 2 --video film.webp",
-        "model export --run runs/d1/one",
+        "model predict runs/d1/one --overwrite",
+        "model film runs/d1/one --path orbit --frames 2 --out film.webp",
+        "model export runs/d1/one",
         "model view runs/d1/one --port 0",
     ],
 )
@@ -73,12 +71,12 @@ def test_weights_of_a_run_on_another_dataset_are_refused(home: Path, line: str) 
 def test_a_checkpoint_of_a_run_on_another_dataset_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     configure = train_flags.configure
 
-    def often(method: str, asked: train_flags.Asked[MethodConfig, Optimisation]) -> tuple[TrainConfig, Dataset]:
+    def often(method: str, asked: train_flags.Asked) -> tuple[TrainConfig, Dataset]:
         config, dataset = configure(method, asked)
         return dataclasses.replace(config, checkpoint_every=2), dataset
 
     monkeypatch.setattr(train_flags, "configure", often)
-    line = "model train paper --dataset {} --out runs/{}/stopped --steps 8 --batch 64 --texture-size 16 --device cpu"
+    line = "model train paper {} --out runs/{}/stopped --steps 8 --batch 64 --texture-size 16 --device cpu"
     for name in ("d1", "d2"):
         with monkeypatch.context() as patch:
             stop_at(patch, 6)
@@ -102,7 +100,7 @@ def test_predictions_from_elsewhere_are_not_scored_and_are_drawn_again(source: s
     assert answer.status == 1
     (line,) = [line for line in answer.err.splitlines() if "d1/one" in line]
     assert f"runs/d1/one/predictions.json: its pictures are {said}" in line
-    run("model render --run runs/d1/one --device cpu")
+    run("model predict runs/d1/one --device cpu")
     assert Path("runs/d1/one/predictions.json").read_bytes() == before
     run("eval report --out report")
 
@@ -115,24 +113,24 @@ def test_files_of_older_programs_which_do_not_say_where_they_belong_are_read() -
     listed = load_sealed(predictions)
     commit_sealed(predictions, {key: value for key, value in listed.items() if not key.endswith("_seal")})
     assert len(state) + len(listed) == 5 + 4
-    answer = call("model render --run runs/d1/one")
+    answer = call("model predict runs/d1/one")
     assert answer.status == 0 and "predictions are intact, nothing to do" in answer.err
-    run("model render --run runs/d1/one --overwrite --device cpu")
+    run("model predict runs/d1/one --overwrite --device cpu")
     assert load_sealed(predictions) == listed
     run("eval report --out report")
 
 
-RENDER = "model render --run runs/d1/one --path orbit --width 8 --device cpu"
+RENDER = "model film runs/d1/one --path orbit --width 8 --device cpu"
 
 
 @pytest.mark.usefixtures("home")
 def test_a_film_replaces_its_own_frames_and_none_that_somebody_has_put_beside_them() -> None:
-    run(f"{RENDER} --frames 3 --video film")
+    run(f"{RENDER} --frames 3 --out film")
     Path("film/0003.png").write_text("mine")
-    answer = call(f"{RENDER} --frames 4 --video film --overwrite")
+    answer = call(f"{RENDER} --frames 4 --out film --overwrite")
     assert (answer.status, answer.error) == (
         1,
-        "error: film/0003.png: is in the way, and no file of this film; move it elsewhere, or choose another --video",
+        "error: film/0003.png: is in the way, and no file of this film; move it elsewhere, or choose another --out",
     )
     assert Path("film/0003.png").read_text() == "mine"
     assert sorted(path.name for path in Path("film").iterdir()) == [
@@ -142,7 +140,7 @@ def test_a_film_replaces_its_own_frames_and_none_that_somebody_has_put_beside_th
         "0003.png",
         "film.json",
     ]
-    run(f"{RENDER} --frames 2 --video film --overwrite")
+    run(f"{RENDER} --frames 2 --out film --overwrite")
     assert sorted(path.name for path in Path("film").iterdir()) == ["0000.png", "0001.png", "0003.png", "film.json"]
 
 
@@ -153,9 +151,9 @@ def test_a_film_replaces_its_own_frames_and_none_that_somebody_has_put_beside_th
         ("datagen look d1 --out data/d1/images/train/0000.png", "dataset"),
         ("datagen look d1 --out data/d2/images/train/0000.png", "dataset"),
         ("datagen look d1 --out link.png", "dataset"),
-        ("model export --run runs/d1/one --out data/d1/dataset.json", "dataset"),
-        ("model export --run runs/d1/one --out runs/d2/one/weights.pt", "run"),
-        ("model export --run runs/d1/one --out runs/d1/one/predictions.json", "run"),
+        ("model export runs/d1/one --out data/d1/dataset.json", "dataset"),
+        ("model export runs/d1/one --out runs/d2/one/weights.pt", "run"),
+        ("model export runs/d1/one --out runs/d1/one/predictions.json", "run"),
     ],
 )
 def test_no_output_replaces_a_file_of_a_dataset_or_a_run(line: str, owner: str) -> None:
@@ -172,7 +170,7 @@ def test_no_output_replaces_a_file_of_a_dataset_or_a_run(line: str, owner: str) 
 def test_an_output_beside_a_datasets_own_files_is_written_and_replaced() -> None:
     for _ in range(2):
         run("datagen look d1 --out data/d1/look.html --overwrite")
-        run("model export --run runs/d1/one --out runs/d1/one/scene.html --overwrite")
+        run("model export runs/d1/one --out runs/d1/one/scene.html --overwrite")
 
 
 @pytest.mark.usefixtures("home")
@@ -184,13 +182,13 @@ def test_an_output_beside_a_datasets_own_files_is_written_and_replaced() -> None
         "datagen look d1 --out circle/look.html",
         "datagen export d1 --format nerfstudio --out circle",
         "datagen import-dataset circle --out other",
-        "datagen render d1 --path orbit --frames 2 --spp 2 --video circle --overwrite",
-        f"{RENDER} --frames 2 --video circle --overwrite",
-        "model train paper --dataset d1 --out circle --steps 2 --device cpu",
-        "model export --run runs/d1/one --out circle/page.html",
-        "proxies make --dataset circle",
+        "datagen film d1 --path orbit --frames 2 --spp 2 --out circle --overwrite",
+        f"{RENDER} --frames 2 --out circle --overwrite",
+        "model train paper d1 --out circle --steps 2 --device cpu",
+        "model export runs/d1/one --out circle/page.html",
+        "proxies make circle",
         "eval report --out circle",
-        "eval report --runs circle",
+        "eval report circle",
     ],
 )
 def test_a_link_to_itself_is_one_line(line: str) -> None:
@@ -202,9 +200,7 @@ def test_a_link_to_itself_is_one_line(line: str) -> None:
 
 
 @pytest.mark.usefixtures("home")
-@pytest.mark.parametrize(
-    "line", ["model export --run {}", "model render --run {}", "model render --run {} --path orbit"]
-)
+@pytest.mark.parametrize("line", ["model export {}", "model predict {}", "model film {} --path orbit"])
 @pytest.mark.parametrize("record", [None, '{"method": "splats"}'])
 @pytest.mark.parametrize("below", ["predictions/interpolating", "."])
 def test_pictures_of_another_method_are_no_place_to_train_in(line: str, record: str | None, below: str) -> None:

@@ -33,9 +33,9 @@ def call(dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> C
     defaults = (make.__kwdefaults__ or {}) | {"checkpoint_every": 2, "evaluate_every": 5}
     monkeypatch.setattr(make, "__kwdefaults__", defaults)
     lines = {
-        "train": f"model train paper --dataset {dataset.root} --out {tmp_path}/runs/synthetic/paper --steps 8 "
-        "--batch 64 --texture-size 16 --width 32 --device cpu",
-        "report": f"report --runs {tmp_path}/runs --data {dataset.root.parent} --out {tmp_path}/report",
+        "train": f"model train paper {dataset.root} --out {tmp_path}/runs/synthetic/paper --steps 8 "
+        "--batch 64 --texture-size 16 --hidden 32 --device cpu",
+        "report": f"report {tmp_path}/runs --data {dataset.root.parent} --out {tmp_path}/report",
     }
 
     def command(name: str) -> int:

@@ -87,10 +87,10 @@ def test_without_held_out_views_there_is_no_picture(dataset: Dataset, tmp_path: 
 
 def test_the_flag_turns_them_off(dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     words = ("train", "paper", "--dataset", str(dataset.root), "--steps", "2", "--batch", "64", "--texture-size", "8")
-    for value in ("on", "off"):
+    for value in ("--snapshots", "--no-snapshots"):
         out = tmp_path / value
-        assert call(monkeypatch, *words, "--width", "8", "--out", str(out), "--snapshots", value) == 0
-        assert (out / "snapshots" / "000002.png").is_file() == (value == "on")
+        assert call(monkeypatch, *words, "--hidden", "8", "--out", str(out), value) == 0
+        assert (out / "snapshots" / "000002.png").is_file() == (value == "--snapshots")
 
 
 @pytest.fixture

@@ -50,17 +50,17 @@ def test_a_grid_is_every_combination_in_the_order_of_the_file(tmp_path: Path) ->
     commands = [sweep.command_line(arguments) for arguments in read_experiment(path).runs]
     expected = []
     for dataset in ("one", "'my two'"):
-        for zero in ("", "--zero-layer "):
-            expected.append(f"model train paper --dataset {dataset} {zero}--lr 0.0001")
-    assert commands == [*expected, "model train paper --dataset one --extrinsics sh --lr 0.0001"]
+        for zero in ("--no-zero-layer ", "--zero-layer "):
+            expected.append(f"model train paper {dataset} {zero}--lr 0.0001")
+    assert commands == [*expected, "model train paper one --extrinsics sh --lr 0.0001"]
     method, *flags = shlex.split(commands[3])[2:]
-    asked = parse_train(method, flags)
+    asked = parse_train(method, tuple(flags))
     assert isinstance(asked.method, PaperConfig)
-    assert (asked.run.dataset, asked.method.zero_layer, asked.optimisation.lr) == ("my two", True, 1e-4)
+    assert (asked.dataset, asked.method.zero_layer, asked.optimisation.lr) == ("my two", True, 1e-4)
 
     replaced = read_experiment(path, datasets=["three"], seeds=[4, 5]).runs
-    flags = [parse_train(method, words).run for method, *words in replaced]
-    assert [(run.dataset, run.seed) for run in flags] == [("three", 4), ("three", 5)] * 3
+    parsed = [parse_train(method, tuple(words)) for method, *words in replaced]
+    assert [(asked.dataset, asked.run.seed) for asked in parsed] == [("three", 4), ("three", 5)] * 3
 
 
 @pytest.mark.parametrize(
@@ -121,7 +121,7 @@ def test_a_sweep_that_was_stopped_and_then_killed_goes_on_to_the_bytes_of_train_
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     write_synthetic_dataset(tmp_path / "data" / "synthetic")
-    size = {"method": "paper", "steps": 200, "batch": 64, "texture-size": 16, "width": "32"}
+    size = {"method": "paper", "steps": 200, "batch": 64, "texture-size": 16, "hidden": 32}
     block = "[[runs]]\n" + "".join(f"{key} = {value!r}\n" for key, value in size.items())
     path = write(tmp_path, f'{block}seed = [0, 1]\n{block}geometry = "box"\n')
     command = [sys.executable, "-m", "model", "sweep", path]
@@ -157,14 +157,14 @@ def test_a_sweep_that_was_stopped_and_then_killed_goes_on_to_the_bytes_of_train_
     assert f"[1/3] {first_run}: finished before, nothing to do; --overwrite" in done.stderr
     assert lines[-3] == "sweep grid: 2 of 3 runs are finished"
     assert lines[-2].startswith("failed: model train paper --steps 200 ") and "--geometry box: " in lines[-2]
-    assert "no box proxies; make them with `proxies make --dataset data/synthetic --kind box`" in lines[-2]
+    assert "no box proxies; make them with `proxies make data/synthetic --kind box`" in lines[-2]
     assert lines[-1].startswith("error: sweep grid: 1 of 3 runs failed")
     assert {path: path.stat().st_mtime_ns for path in first} == first
 
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     flags = [word for key, value in size.items() for word in (f"--{key}", str(value))]
-    assert call(monkeypatch, "train", *flags, "--seed", "1", "--out", "byhand", "--name", last.name) == 0
+    assert call(monkeypatch, "train", *flags, "--seed", "1", "--out", "byhand", "--label", last.name) == 0
     torch.set_num_threads(threads)
     made, by_hand = (
         {path.relative_to(root): path.read_bytes() for path in root.rglob("*") if path.is_file()}

@@ -156,7 +156,7 @@ def quickly(dataset: Dataset, out: Path, *more: str) -> Answer:
 def test_the_command_trains_skips_refuses_and_renders_again(dataset: Dataset, tmp_path: Path) -> None:
     out = tmp_path / "run"
     answer = quickly(dataset, out)
-    assert (answer.status, answer.out, answer.error) == (0, f"{out}\n", f"next: eval report --runs {tmp_path.parent}")
+    assert (answer.status, answer.out, answer.error) == (0, f"{out}\n", f"next: eval report {tmp_path.parent}")
     before = run_bytes(out)
     assert {"run.json", "weights.pt", "predictions.json", "predictions/extrapolating/0001.png"} <= set(before)
 
@@ -167,7 +167,7 @@ def test_the_command_trains_skips_refuses_and_renders_again(dataset: Dataset, tm
     assert "another lr: 0.001 there, 0.01 here; start over with --overwrite" in answer.err
 
     (out / "predictions/interpolating/0000.png").write_bytes(b"broken")
-    assert call(f"model render --run {out}").status == 0
+    assert call(f"model predict {out}").status == 0
     assert run_bytes(out) == before
     (out / "predictions/interpolating/0000.png").write_bytes(b"broken")
     assert "run: is trained; goes on with its predictions" in quickly(dataset, out).err
@@ -180,10 +180,9 @@ def test_the_command_trains_skips_refuses_and_renders_again(dataset: Dataset, tm
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        (("--method", "papr"), "method 'papr': there is none of that name; did you mean 'paper'"),
         (("--geometry", "truht"), "geometry 'truht': there is none of that name; did you mean 'truth'"),
-        (("--geometry", "box"), "no box proxies; make them with `proxies make --dataset "),
-        (("--width", "9"), "width: is 9 with 3 blocks; expected a multiple of 8"),
+        (("--geometry", "box"), "no box proxies; make them with `proxies make "),
+        (("--hidden", "9"), "hidden: is 9 with 3 blocks; expected a multiple of 8"),
         (("--lr", "-1"), r"lr: is -1.0; expected a learning rate"),
         (("--dataset", "no/where"), "no/where: no dataset; make one with `datagen build"),
     ],

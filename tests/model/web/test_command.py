@@ -63,7 +63,7 @@ def test_a_run_becomes_one_page_of_the_same_bytes_each_time_and_replaces_no_file
     run = trained(LIGHT_PATH, dataset, tmp_path / "run")
     pages = [tmp_path / "one.html", tmp_path / "two.html"]
     for page in pages:
-        assert call(monkeypatch, "export", "--run", str(run), "--out", str(page)) == 0
+        assert call(monkeypatch, "export", str(run), "--out", str(page)) == 0
         assert capsys.readouterr().out == f"{page}\n"
     data = pages[0].read_bytes()
     assert data == pages[1].read_bytes()
@@ -71,11 +71,11 @@ def test_a_run_becomes_one_page_of_the_same_bytes_each_time_and_replaces_no_file
     assert truths_of(data) == ALL_VIEWS
     assert b"http://" not in data
     assert b"https://" not in data
-    assert call(monkeypatch, "export", "--run", str(run), "--out", str(pages[0])) == 1
+    assert call(monkeypatch, "export", str(run), "--out", str(pages[0])) == 1
     assert "is there already; pass --overwrite" in capsys.readouterr().err
     (run / "predictions" / "interpolating" / "0000.png").unlink()
-    assert call(monkeypatch, "export", "--run", str(run), "--out", str(pages[0]), "--overwrite") == 1
-    assert "render it with `model render" in capsys.readouterr().err
+    assert call(monkeypatch, "export", str(run), "--out", str(pages[0]), "--overwrite") == 1
+    assert "render it with `model predict" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("truths", "views"), [("test", ALL_VIEWS[:4]), ("none", [])])
@@ -83,7 +83,7 @@ def test_a_page_has_the_truths_that_are_asked_for(
     dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, truths: str, views: list[str]
 ) -> None:
     run, page = trained(LIGHT_PATH, dataset, tmp_path / "run"), tmp_path / "page.html"
-    assert call(monkeypatch, "export", "--run", str(run), "--out", str(page), "--truths", truths) == 0
+    assert call(monkeypatch, "export", str(run), "--out", str(page), "--truths", truths) == 0
     assert truths_of(page.read_bytes()) == views
 
 
@@ -92,6 +92,6 @@ def test_a_run_of_a_method_without_a_page_is_refused(
 ) -> None:
     net = AuthorsConfig(texture_size=16, position_size=32)
     run = trained(dataclasses.replace(SMALL, method="authors-code", net=net, steps=1), dataset, tmp_path / "run")
-    assert call(monkeypatch, "export", "--run", str(run), "--out", str(tmp_path / "page.html")) == 1
+    assert call(monkeypatch, "export", str(run), "--out", str(tmp_path / "page.html")) == 1
     assert "its method, authors-code, has no web page; docs/browser.md lists those that do" in capsys.readouterr().err
     assert not (tmp_path / "page.html").exists()

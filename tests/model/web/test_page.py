@@ -428,7 +428,7 @@ def test_two_objects_that_trade_places_are_those_of_python(
 # Proxies
 
 
-PROXY = {"straight_layers": 7, "shells": 3, "relief": "on", "directions": "on", "stack_hidden": 12}
+PROXY = {"straight_layers": 7, "shells": 3, "relief": True, "directions": True, "stack_hidden": 12}
 
 
 @pytest.fixture(scope="module")

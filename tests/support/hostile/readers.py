@@ -124,8 +124,8 @@ READERS: dict[str, Callable[[Path], str]] = {
 }
 
 _VERIFY = f"datagen verify {{world}}/{DATASET}"
-_REPORT = "report --runs {world}/runs --data {world}/data --out {out} --views 1"
-_EXPORT = "model export --run {world}/runs/one/paper --out {out}"
+_REPORT = "report {world}/runs --data {world}/data --out {out} --shown-views 1"
+_EXPORT = "model export {world}/runs/one/paper --out {out}"
 
 COMMANDS: dict[str, str] = {
     "scene": "datagen build --scene {world}/scene --out {out} --preset tiny --resolution 8 --views 1 --test-views 1"

@@ -19,7 +19,7 @@ from datagen.disk.errors import HyalineError
 from datagen.export.formats import export_dataset
 from datagen.scene.camera_list import CameraList
 from datagen.scene.description import Scene, SoftEnvironment
-from datagen.scene.foreign_files import ImportChoices
+from datagen.scene.import_choices import ImportChoices
 from datagen.scene.importers.cameras import read_camera_file
 from datagen.scene.importers.importing import import_scene
 from datagen.scene.importers.remarks import Remarks

@@ -18,7 +18,7 @@ from datagen.data.meshes import face_areas
 from datagen.disk.errors import HyalineError
 from datagen.scene.description import Scene, SceneObject
 from datagen.scene.folder import load_scene, save_scene
-from datagen.scene.foreign_files import ImportChoices
+from datagen.scene.import_choices import ImportChoices
 from datagen.scene.importers.importing import Imported, import_scene
 from datagen.scene.materials import Diffuse
 from datagen.scene.modelling import sheet

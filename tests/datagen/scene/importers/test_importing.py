@@ -19,7 +19,7 @@ from datagen.disk.storage import load_sealed
 from datagen.render.mitsuba_scene import radiance_of_environment
 from datagen.scene.description import Scene, SceneObject
 from datagen.scene.folder import load_scene, scene_files
-from datagen.scene.foreign_files import ImportChoices
+from datagen.scene.import_choices import ImportChoices
 from datagen.scene.importers.importing import Imported, import_scene
 from datagen.scene.importers.staging import LIGHT
 from datagen.scene.materials import Conductor, Dielectric, Diffuse, Plastic, RoughDielectric, ThinDielectric
@@ -584,8 +584,6 @@ def test_build_takes_what_import_takes(tmp_path: Path) -> None:
     [
         ("--scene glass_table --material gold", "--material: goes with a file that is imported, such as --scene vase"),
         ("--scene {folder} --repair", "--repair: goes with a file that is imported"),
-        ("--dataset one --twins --crease 30", "--crease: does not go with --dataset; leave it out"),
-        ("--scene glass_table --edit no-glass --max-triangles 100", "--max-triangles: does not go with --edit"),
     ],
 )
 def test_flags_of_an_import_without_one_are_refused(line: str, told: str, tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from PIL import Image
 from support.gltf import GltfBuilder, clear, glass
 
 from datagen.disk.errors import HyalineError
-from datagen.scene.foreign_files import ImportChoices, Thin
+from datagen.scene.import_choices import ImportChoices, Thin
 from datagen.scene.importers.foreign import ForeignMaterial
 from datagen.scene.importers.gltf.scene import read_gltf
 from datagen.scene.importers.importing import import_scene

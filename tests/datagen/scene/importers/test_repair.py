@@ -22,7 +22,7 @@ from datagen.data.meshes import (
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import load_json
 from datagen.scene.folder import load_scene
-from datagen.scene.foreign_files import ImportChoices
+from datagen.scene.import_choices import ImportChoices
 from datagen.scene.importers.importing import import_scene
 from datagen.scene.importers.remarks import Remarks
 from datagen.scene.importers.surfaces import closed

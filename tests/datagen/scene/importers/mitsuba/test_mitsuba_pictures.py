@@ -10,7 +10,7 @@ from datagen.data.config import DatasetConfig, Resolution, SplitConfig
 from datagen.data.images import encode_float_exr, srgb_from_linear
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.render.truth import Renderer, render_view
-from datagen.scene.foreign_files import ImportChoices
+from datagen.scene.import_choices import ImportChoices
 from datagen.scene.importers.importing import import_scene
 from datagen.scene.rig import make_cameras
 

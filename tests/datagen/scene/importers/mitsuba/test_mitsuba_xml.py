@@ -20,8 +20,8 @@ from datagen.data.ply import write_ply
 from datagen.disk.errors import HyalineError
 from datagen.scene.camera_list import CameraList
 from datagen.scene.description import EnvironmentMap, SoftEnvironment
-from datagen.scene.foreign_files import ImportChoices
 from datagen.scene.images import read_map
+from datagen.scene.import_choices import ImportChoices
 from datagen.scene.importers.foreign import ForeignMaterial, ForeignObject, ForeignScene
 from datagen.scene.importers.importing import import_scene
 from datagen.scene.importers.mitsuba.scene import read_mitsuba

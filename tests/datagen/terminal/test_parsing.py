@@ -1,0 +1,130 @@
+"""Tests the grammar of all commands: words, lists, switches, help, completion, JSON."""
+
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from support.commands import call, parsed
+from support.synthetic import write_synthetic_dataset
+
+from datagen.build.choices import AddChoices, BuildChoices, LaunchChoices, SizeChoices
+from datagen.disk.errors import UsageError
+from datagen.terminal.parsing import CommandGroup, collect, flag_words
+
+PROGRAMS = {"datagen": "datagen.cli", "proxies": "proxies.cli", "model": "model.cli"}
+
+
+def every_command() -> list[str]:
+    """Each command of each program, in the words that choose it."""
+    import importlib
+
+    def below(line: str, command: object) -> list[str]:
+        if not isinstance(command, CommandGroup):
+            return [line]
+        return [line, *(one for name in command.names() for one in below(f"{line} {name}", command.choose(name, ())))]
+
+    found = [
+        line
+        for program, module in PROGRAMS.items()
+        for line in below(program, importlib.import_module(module).commands())
+    ]
+    return [*found, "report"]
+
+
+@pytest.mark.parametrize("line", every_command())
+def test_help_is_narrow_and_plain(line: str) -> None:
+    answer = call(f"{line} --help")
+    assert (answer.status, answer.err) == (0, "")
+    assert answer.out.startswith(f"usage: {line} ")
+    assert max(map(len, answer.out.splitlines())) <= 80
+    for noise in ("(default: None)", "{None", "...]", "{True,False}", "{on,off}", "\x1b"):
+        assert noise not in answer.out
+
+
+def test_help_loads_no_library_that_computes() -> None:
+    code = (
+        "import contextlib, io, sys\n"
+        "from support.commands import call\n"
+        f"for line in {every_command()!r}: assert call(line + ' --help').status == 0, line\n"
+        "print({'numpy', 'torch', 'mitsuba', 'trimesh'} & set(sys.modules))\n"
+    )
+    environment = {"PYTHONPATH": ":".join(sys.path)}
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=True)
+    assert said.stdout == "set()\n"
+
+
+@pytest.mark.parametrize("line", ["datagen", "proxies", "model", "model train"])
+def test_a_bare_command_prints_its_help(line: str) -> None:
+    bare = call(line)
+    assert (bare.status, bare.out, bare.err) == (2, call(f"{line} --help").out, "")
+
+
+@pytest.mark.parametrize(
+    "line",
+    ["datagen verify here", "datagen verify --dataset here", "datagen verify --dataset=here --json --no-json"],
+)
+def test_a_word_may_be_given_as_a_flag_by_its_name(line: str) -> None:
+    assert parsed(line)["dataset"] == "here"
+
+
+def test_lists_are_flags_that_repeat_and_switches_have_two_forms() -> None:
+    asked = parsed("datagen add one --edit no-glass --edit remove:vase --larger 2 --larger 4 --no-twins --angles")
+    assert asked["choices"] == AddChoices(edit=("no-glass", "remove:vase"), larger=(2, 4), angles=True)
+    with pytest.raises(UsageError, match="'4' is one word too many"):
+        parsed("datagen add one --larger 2 4")
+
+
+@pytest.mark.parametrize(
+    "record",
+    [
+        BuildChoices(preset="tiny", out=Path("a b"), overwrite=True, count=3, family="table", seed=-1),
+        SizeChoices(resolution="32x16", ceiling=45.5),
+        LaunchChoices(launcher="slurm", shards=2),
+        AddChoices(edit=("no-glass", "move:a:0,0,-1"), larger=(2, 3)),
+    ],
+)
+def test_the_words_of_a_record_ask_for_it(record: object) -> None:
+    def command(*, choices: object = type(record)()) -> None: ...
+
+    command.__annotations__["choices"] = type(record)
+    assert collect("program", command, flag_words(record, type(record)())).kwargs == {"choices": record}
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="needs bash")
+def test_bash_completes_commands_methods_flags_and_values(tmp_path: Path) -> None:
+    script = tmp_path / "model"
+    script.write_text(call("model --print-completion bash").out)
+    code = """
+        source "$1"; shift
+        COMP_WORDS=("$@"); COMP_CWORD=$(($# - 1)); COMPREPLY=()
+        $(complete -p model | sed 's/.*-F \\([^ ]*\\).*/\\1/')
+        echo "${COMPREPLY[*]}"
+    """
+
+    def complete(*words: str) -> str:
+        line = ["bash", "-c", code, "bash", str(script), "model", *words]
+        return subprocess.run(line, capture_output=True, text=True, check=True).stdout.strip()
+
+    assert complete("tr") == "train"
+    assert complete("train", "pap") == "paper paper-best"
+    assert complete("train", "paper", "--st") == "--steps"
+    assert complete("train", "paper", "--norm", "") == "batch none"
+
+
+def test_scripts_get_one_object_and_no_progress(tmp_path: Path) -> None:
+    dataset = write_synthetic_dataset(tmp_path / "data" / "one", resolution=8, train_views=1)
+    whole = call("datagen verify one --json --quiet")
+    found = json.loads(whole.out)
+    assert (whole.status, whole.err) == (0, "")
+    assert set(found) == {"dataset", "verified", "problems", "remarks", "commands"}
+    assert found["dataset"] == "data/one" and found["verified"] > 10 and found["problems"] == []
+    next(dataset.root.glob("images/train/*.png")).write_bytes(b"broken")
+    damaged = call("datagen verify one --json")
+    found = json.loads(damaged.out)
+    assert damaged.status == 1 and len(found["problems"]) == 1 and found["commands"]
+    assert len(damaged.err.splitlines()) == 1
+    machine = json.loads(call("datagen doctor --json").out)
+    assert {"what", "found", "remedy"} == set(machine["findings"][0])
