@@ -1,11 +1,15 @@
-"""Hooks of mkdocs: RESULTS.md becomes a page, links to other files become their paths, search works from disk."""
+"""Hooks of mkdocs: RESULTS.md and the API reference become pages, links to other files become their paths, search works
+from disk."""
 
 import posixpath
 import re
+import sys
 from pathlib import Path
 from typing import Any
 
 RESULTS = "RESULTS.md"
+REFERENCE = re.compile(r"^::: (.+)$", re.MULTILINE)
+"""Names of `hyaline` in a page, whose reference takes their place."""
 LINK = re.compile(r"(?<!!)\[([^\]]*)\]\((\.\./[^)#\s]*)(#[^)\s]*)?\)")
 
 
@@ -18,7 +22,16 @@ def on_files(files: Any, config: Any) -> None:
 
 
 def on_page_markdown(markdown: str, page: Any, **_: object) -> str:
-    return inside(markdown, page.file.src_uri)
+    return inside(REFERENCE.sub(lambda found: _reference(found[1]), markdown), page.file.src_uri)
+
+
+def _reference(names: str) -> str:
+    sys.path.insert(0, str(Path(__file__).parent))
+    try:
+        from reference import reference  # pyright: ignore[reportMissingImports]
+    finally:
+        del sys.path[0]
+    return "\n\n".join(map(reference, names.split()))
 
 
 def inside(markdown: str, page: str) -> str:

@@ -1,4 +1,4 @@
-"""Making cameras: from another program's intrinsics, and on a circle around something."""
+"""Making cameras: from another program's intrinsics, and on a circle around a point."""
 
 import dataclasses
 import math
@@ -13,7 +13,7 @@ from datagen.disk.errors import HyalineError
 def camera_from_intrinsics(
     world_from_camera: Float[np.ndarray, "4 4"], intrinsics: Real[np.ndarray, "3 3"], width: int, height: int
 ) -> Camera:
-    """The camera of a matrix of intrinsics in pixels, as OpenCV writes them.
+    """The camera with a matrix of intrinsics in pixels, as OpenCV writes them.
 
     >>> import numpy as np
     >>> matrix = look_at((2.0, 0.0, 1.0), (0.0, 0.0, 0.3))
@@ -25,11 +25,11 @@ def camera_from_intrinsics(
         world_from_camera: metres, OpenGL convention (+x right, +y up, the camera looks along -z); a matrix of OpenCV's
             convention times `diag(1, -1, -1, 1)`.
         intrinsics: focal lengths and principal point in pixels.
-        width: of the picture, in pixels.
-        height: of the picture, in pixels.
+        width: picture width in pixels.
+        height: picture height in pixels.
 
     Raises:
-        HyalineError: pixels that are not square, or no camera.
+        HyalineError: pixels that are not square, or an invalid camera.
     """
     (focal_x, skew, center_x), (_, focal_y, center_y), _ = np.asarray(intrinsics, np.float64)
     if not math.isclose(focal_x, focal_y, rel_tol=1e-4) or abs(skew) > 1e-4 * abs(focal_x):
@@ -49,7 +49,7 @@ def camera_from_intrinsics(
 
 
 def orbit(start: Camera, target: tuple[float, float, float], count: int, *, turn_deg: float = 360.0) -> list[Camera]:
-    """Cameras on a level circle around a point, evenly spaced, each looking at it; the first stands where `start` does.
+    """Cameras on a level circle around a point, evenly spaced, each looking at it; the first at `start`.
 
     >>> from hyaline import open_dataset
     >>> start = open_dataset("glass_table").view("train", 0).camera
@@ -58,9 +58,9 @@ def orbit(start: Camera, target: tuple[float, float, float], count: int, *, turn
     (24, True)
 
     Args:
-        start: whose place, lens and size to take.
+        start: gives the first position, the lens and the picture's size.
         target: metres; not straight above or below `start`.
-        count: how many; the last one stands a step short of `turn_deg`, so that a full turn repeats without a jump.
+        count: number of cameras; the last is one step short of `turn_deg`, so that a full turn loops.
         turn_deg: counter-clockwise as seen from above.
     """
     center = np.asarray(target, np.float64)

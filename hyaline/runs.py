@@ -1,23 +1,32 @@
-"""Trained runs, opened to render what any camera sees."""
+"""Runs: training methods, and opening runs to render from any camera."""
 
 import os
-from dataclasses import dataclass
+import signal
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float32, UInt8
+from PIL import Image
 
 from datagen.data.cameras import Camera, check_camera
-from datagen.data.dataset import Dataset, open_dataset
-from datagen.data.paths import find_dataset
+from datagen.data.config import TEST_SPLITS
+from datagen.data.dataset import open_dataset
+from datagen.data.images import read_png
+from datagen.data.paths import TRUTH, find_dataset, view_name
 from datagen.disk.errors import HyalineError, NumericsError
 from datagen.disk.names import real_path
+from datagen.terminal.command import choose
 from datagen.terminal.distribution import naming_parts
-from model.methods.protocol import Inputs
+from datagen.terminal.signals import Stopped
+from hyaline.datasets import Dataset, View, opened
+from hyaline.pictures import in_a_row
+from model.methods.protocol import Inputs, MethodConfig
 from model.run.run_folder import RUN, WEIGHTS, RunRecord, TrainConfig, check_trained_on, read_metrics, read_run
-from model.settings.run_flags import RUNS, Device
+from model.settings.flags import settings_of, with_settings
+from model.settings.run_flags import RUNS, Device, RunFlags
 
 if TYPE_CHECKING:
     from model.batches.rays import PixelSource
@@ -32,11 +41,12 @@ class Run:
     """
 
     folder: Path
-    record: RunRecord
-    """What run.json says: the configuration, the dataset's and the layers' digests, numbers of parameters."""
+    record: RunRecord = field(repr=False)
+    """The content of run.json: the configuration, the dataset's and the layers' digests, numbers of parameters."""
     dataset: Dataset
-    inputs: Inputs
-    """What the method is given of the dataset."""
+    """The dataset that it was trained on."""
+    inputs: Inputs = field(repr=False)
+    """The parts of the dataset that the method may use."""
     device: Device
     """Where networks compute."""
 
@@ -46,7 +56,7 @@ class Run:
 
     @property
     def label(self) -> str:
-        """How tables call the run."""
+        """The run's name in tables."""
         return self.record.label
 
     @property
@@ -66,7 +76,7 @@ class Run:
 
     @property
     def last_step(self) -> int:
-        """Steps that its weights have made; of a run that is still training, those at its last evaluation."""
+        """Number of steps trained; while it is still training, the number at the last evaluation."""
         if (self.folder / WEIGHTS).is_file():
             return self.config.steps
         return max((int(line.get("step") or 0) for line in self.metrics), default=0)
@@ -78,10 +88,10 @@ class Run:
 
     @naming_parts("hyaline.Run.render")
     def render(self, camera: Camera) -> UInt8[np.ndarray, "h w 3"]:
-        """The 8-bit sRGB picture that a camera takes; through a view's camera it is the run's own prediction.
+        """The 8-bit sRGB picture for a camera; for a view's camera, exactly the run's own prediction.
 
         Raises:
-            HyalineError: no camera, a size that the method cannot draw, or no weights yet.
+            HyalineError: an invalid camera, a size that the method cannot draw, or no weights yet.
         """
         from model.run.predict import predict_pixels
 
@@ -90,8 +100,7 @@ class Run:
 
     @naming_parts("hyaline.Run.radiance")
     def radiance(self, camera: Camera) -> Float32[np.ndarray, "h w 3"]:
-        """Linear radiance (Rec. 709), unclipped. Training pictures end at white: of what is brighter, a run knows only
-        that it is.
+        """Linear radiance (Rec. 709), unclipped. Training images are clipped at white, so values above it are guesses.
 
         Raises:
             HyalineError: as `render`, or the method predicts display-referred colours (`has_radiance` is False).
@@ -105,8 +114,18 @@ class Run:
 
         colors = predict_colors(self._renderer, self._pixels(camera))
         if not bool(colors.isfinite().all()):
-            raise NumericsError(f"{self.folder}: a predicted colour is not finite; train anew with --overwrite")
+            raise NumericsError(f"{self.folder}: a predicted colour is not finite; train again with --overwrite")
         return linear_curve(colors).cpu().numpy().reshape(camera.height, camera.width, 3)
+
+    def show(self) -> Image.Image:
+        """The first view of each test split: the truth, and beside it what the run predicts."""
+        views = [self.dataset.view(split, 0) for split in TEST_SPLITS]
+        return in_a_row([picture for view in views for picture in (view.image, self._prediction(view))])
+
+    def _prediction(self, view: View) -> UInt8[np.ndarray, "h w 3"]:
+        """The stored prediction; rendered now if the run is still training."""
+        stored = self.folder / "predictions" / view.split / f"{view_name(view.index)}.png"
+        return read_png(stored) if stored.is_file() else self.render(view.camera)
 
     @cached_property
     def _renderer(self) -> "Renderer":
@@ -124,6 +143,94 @@ class Run:
         return self.config.net.load_cameras(self.inputs, camera.alone).to(choose_device(self.device))
 
 
+Setting = int | float | str | bool | None
+
+
+@naming_parts("model")
+def train(
+    method: str | MethodConfig,
+    dataset: Dataset | Path | str,
+    *,
+    geometry: str = TRUTH,
+    out: Path | str | None = None,
+    label: str | None = None,
+    seed: int = 0,
+    device: Device = "auto",
+    overwrite: bool = False,
+    **settings: Setting,
+) -> Run:
+    """Trains a method on a dataset and renders its test splits. If interrupted, the same call resumes.
+
+        run = hyaline.train("light-path", dataset, steps=500)
+        run = hyaline.train("paper", dataset, geometry="ellipsoid", texture_size=64)
+        run = hyaline.train(AlphaBlendConfig(texture_size=64), dataset, steps=500, lr=0.01)
+
+    Args:
+        method: the name of a method, or the record of one, such as one of your own (docs/adding-a-method.md).
+        dataset: a dataset, its name under data/, or its folder.
+        geometry: whose layers the method sees: `truth`, or proxies such as `ellipsoid`.
+        out: folder of the run; runs/SCENE/METHOD unless given, with a suffix for each setting that is not the default.
+        label: what tables call the run; the folder's name unless given.
+        seed: of all random numbers.
+        device: auto (a GPU where there is one), cpu or cuda.
+        overwrite: delete the run in `out` and start over.
+        settings: the flags of `model train METHOD` with _ for -, such as `steps`, `batch`, `lr` and `texture_size`; for
+            a record, those of its optimisation.
+
+    Raises:
+        HyalineError: no such method or setting, a value out of range, or another run in `out`.
+        NumericsError: training diverged.
+        KeyboardInterrupt: training was interrupted; a checkpoint is saved.
+    """
+    from model.methods.table import METHODS, name_of
+    from model.run.train_flags import Asked, configure, folder_name
+
+    if isinstance(dataset, (str, Path)):
+        dataset = opened(open_dataset(find_dataset(str(dataset))))
+    if isinstance(method, str):
+        net = METHODS.find(method)().usual(geometry)
+        optimisation = net.optimisation()
+    else:
+        method, net, optimisation = name_of(method), method, method.optimisation()
+    known = {**settings_of(net), **settings_of(optimisation)}
+    for key in settings:
+        choose(f"method {method}: setting", key, known)
+    run = RunFlags(
+        geometry=geometry,
+        out=None if out is None else Path(out),
+        label=label,
+        seed=seed,
+        device=device,
+        overwrite=overwrite,
+    )
+    asked = Asked(
+        dataset=str(dataset.root),
+        run=run,
+        method=with_settings(net, settings),
+        optimisation=with_settings(optimisation, settings),
+    )
+    config, _ = configure(method, asked)
+    from model.run.complete import complete_run  # Not before: it imports torch.
+    from model.settings.runtime import choose_device
+
+    place = run.out or RUNS / dataset.name / folder_name(method, asked)
+    try:
+        complete_run(
+            config,
+            dataset,
+            place,
+            label=label or place.name,
+            device=choose_device(device),
+            memory=run.memory,
+            anew=overwrite,
+        )
+    except Stopped as stopped:
+        if stopped.status != 128 + signal.SIGINT:
+            raise
+        raise KeyboardInterrupt(str(stopped)) from None
+    return open_run(place, dataset=dataset, device=device)
+
+
 def list_runs(root: Path | str = RUNS) -> list[str]:
     """The names of the runs in a folder, sorted; `runs` in the working folder unless given.
 
@@ -136,7 +243,7 @@ def list_runs(root: Path | str = RUNS) -> list[str]:
 def open_run(
     name: Path | str, root: Path | str = RUNS, *, dataset: Dataset | Path | str | None = None, device: Device = "auto"
 ) -> Run:
-    """A run of `model train`, ready to render what any camera sees.
+    """A trained run, ready to render from any camera.
 
     >>> run = open_run("glass_table/paper")              # runs/glass_table/paper, or a folder
     >>> run.method, run.last_step, run.dataset.name
@@ -161,12 +268,12 @@ def open_run(
     """
     folder = _find_run(str(name), Path(root))
     record = read_run(folder)
-    opened = dataset if isinstance(dataset, Dataset) else open_dataset(_place_of(record, folder, dataset))
+    found = dataset if isinstance(dataset, Dataset) else opened(open_dataset(_place_of(record, folder, dataset)))
     return Run(
         folder=folder,
         record=record,
-        dataset=opened,
-        inputs=check_trained_on(folder, record.config, opened),
+        dataset=found,
+        inputs=check_trained_on(folder, record.config, found),
         device=device,
     )
 

@@ -11,7 +11,7 @@ from eval.score import metrics
 
 @dataclass(frozen=True, kw_only=True)
 class Scores:
-    """What one picture scores."""
+    """The scores of one picture."""
 
     psnr_db: float
     """Peak signal-to-noise ratio, peak 255; inf where both are identical."""
@@ -20,7 +20,7 @@ class Scores:
     delta_e: float
     """CIE DE2000 under D65, mean over pixels."""
     masked_psnr_db: float | None
-    """Of the pixels in the mask; None without a mask, or with an empty one."""
+    """PSNR of the pixels in the mask alone; None without a mask, or with an empty one."""
 
 
 def score(
@@ -37,10 +37,10 @@ def score(
     Args:
         pred: 8-bit sRGB.
         target: 8-bit sRGB, the ground truth.
-        mask: pixels to score by themselves, for example `view.mask("glass")`.
+        mask: pixels for `masked_psnr_db`, for example `view.mask("glass")`.
 
     Raises:
-        HyalineError: not two 8-bit pictures of one size, or a mask of another.
+        HyalineError: pictures that are not 8-bit, or whose sizes differ.
     """
     for name, picture in (("pred", pred), ("target", target)):
         if picture.dtype != np.uint8 or picture.ndim != 3 or picture.shape[-1] != 3:

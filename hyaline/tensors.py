@@ -1,4 +1,4 @@
-"""Views and rays of a dataset as PyTorch's data loaders take them."""
+"""Views and rays of a dataset for PyTorch's data loaders."""
 
 import dataclasses
 from typing import TypedDict
@@ -26,12 +26,12 @@ class ViewItem(TypedDict):
     uv: Float32[Tensor, "layer 2 h w"]
     """Atlas coordinates of the surfaces along each ray, 0 to 1, nearest first."""
     object_id: UInt8[Tensor, "layer h w"]
-    """Whose surfaces they are; 0 where a layer is empty."""
+    """Objects that these surfaces belong to; 0 where a layer is empty."""
 
 
 @dataclasses.dataclass(frozen=True)
 class ViewDataset(data.Dataset):
-    """The views of a split, one an item, read when they are asked for.
+    """The views of a split, one per item, read when they are accessed.
 
     >>> from hyaline import open_dataset
     >>> views = ViewDataset(open_dataset("glass_table"), "train")
@@ -42,7 +42,7 @@ class ViewDataset(data.Dataset):
     dataset: Dataset
     split: Split
     geometry: str = "truth"
-    """Whose layers: the scene's own meshes, or proxies of that name."""
+    """The geometry of the layers: truth, or a kind of proxy such as box."""
 
     def __len__(self) -> int:
         return self.dataset.num_views[self.split]

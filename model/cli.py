@@ -14,15 +14,10 @@ from datagen.data.paths import find_dataset
 from datagen.disk.errors import HyalineError, UsageError
 from datagen.terminal.command import mute, next_command, run, say, tell
 from datagen.terminal.parsing import Command, CommandGroup, group
-from model.settings.run_flags import RUNS, Device, Memory
+from model.settings.run_flags import RUNS, Device
 from model.settings.runtime import choose_device, wait_briefly
 
 if TYPE_CHECKING:
-    import torch
-
-    from datagen.data.dataset import Dataset
-    from model.run.logs import LogChoices
-    from model.run.run_folder import TrainConfig
     from model.run.train_flags import Asked
 
 TRAIN = """Train a method on a dataset, then predict its test splits.
@@ -95,7 +90,9 @@ def _train_method(method: str, asked: "Asked") -> None:
         see_own_gpu()
     config, opened = configure(method, asked)
     out = asked.run.out or RUNS / opened.name / folder_name(method, asked)
-    _train(
+    from model.run.complete import complete_run  # Not before: it imports torch, and `configure` says that it loads.
+
+    is_first = complete_run(
         config,
         opened,
         out,
@@ -110,65 +107,8 @@ def _train_method(method: str, asked: "Asked") -> None:
             preview=asked.run.preview,
         ),
     )
-
-
-def _train(
-    config: "TrainConfig",
-    dataset: "Dataset",
-    out: Path,
-    *,
-    label: str,
-    device: "torch.device",
-    anew: bool,
-    memory: Memory,
-    logs: "LogChoices",
-) -> None:
-    from datagen.disk.ownership import holding, is_ours, refuse_others
-    from model.batches.distributed import join
-    from model.run.checkpoint import delete_checkpoints, has_checkpoint
-    from model.run.predict import is_all_drawn, render_predictions
-    from model.run.run_folder import FOLDER, WEIGHTS, check_trained_on, finish_clearing
-    from model.run.train import check_processes
-    from model.run.train import train as train_run
-
-    with join(device) as processes:
-        check_processes(config, processes)
-        train = functools.partial(
-            train_run,
-            config,
-            dataset,
-            out,
-            label=label,
-            device=device,
-            processes=processes,
-            memory=memory,
-            anew=anew,
-            logs=logs,
-        )
-        if not processes.is_first:
-            # The first process holds the folder, and tells whether there is anything to train.
-            if processes.broadcast():
-                train()
-            return
-        with holding(out, FOLDER):
-            refuse_others(out, FOLDER)
-            finish_clearing(out)
-            if is_ours(out, FOLDER) and not anew:
-                check_trained_on(out, config, dataset)
-                if is_all_drawn(out, dataset):
-                    say(f"{out}: finished before, nothing to do; --overwrite trains it anew")
-                    processes.broadcast(False)
-                    _end(out, run=out)
-                    return
-                if not (out / WEIGHTS).is_file() and not has_checkpoint(out):
-                    say(f"{out}: was stopped before its first checkpoint; starts at step 0")
-            if processes.broadcast(anew or not (out / WEIGHTS).is_file()):
-                train()
-            else:
-                delete_checkpoints(out)
-                say(f"{out}: is trained; goes on with its predictions")
-            render_predictions(out, config, dataset, device=device)
-    _end(out, run=out)
+    if is_first:
+        _end(out, run=out)
 
 
 def predict(

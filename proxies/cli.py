@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, cast
 
 from datagen.data.paths import DATA_ROOT, TRUTH, build_command, find_dataset, list_datasets, train_command
 from datagen.disk.errors import HyalineError, UsageError
-from datagen.terminal.command import choose, fail, next_command, run, say
+from datagen.terminal.command import choose, fail, next_command, run
 from datagen.terminal.parsing import CommandGroup, group
 
 if TYPE_CHECKING:
@@ -57,14 +57,12 @@ def make(
         overwrite: Replace existing proxies and layers.
         preview: Show thumbnails of the proxies over the first view of each split, in a terminal with true colour.
     """
-    from proxies.make import make_proxies, read_reports
+    from proxies.make import make_and_peel
 
     if assign and (kind, amount) != ("ellipsoid", None):
         raise UsageError(f"--kind {kind}: does not go with --assign; give --rest for the objects that it does not name")
     if not assign and (rest, name) != (TRUTH, "mixed"):
         raise UsageError("--rest, --name: go with --assign OBJECT=KIND; leave them out")
-    from datagen.build.build import peel_dataset
-    from datagen.build.build_variant import peel_variants
     from datagen.data.layer_writing import check_settings
 
     one_kind = _one_kind(kind, amount)
@@ -72,13 +70,8 @@ def make(
     datasets = _datasets(dataset)
     specs = [_mixture(opened, name, assign, rest) if assign else one_kind for opened in datasets]
     for opened, spec in zip(datasets, specs, strict=True):
-        say(f"{opened.root}: making {spec.geometry} proxies of {len(opened.objects)} objects")
-        is_new = make_proxies(opened, spec, overwrite=overwrite)
-        if not is_new:
-            say(f"{opened.root}: keeps its {spec.geometry} proxies; --overwrite makes them again")
-        _print_table(opened, spec.geometry, read_reports(opened, spec.geometry))
-        peel_dataset(opened, spec.geometry, num_layers=num_layers, overwrite=overwrite, workers=workers)
-        peel_variants(opened, workers=workers)
+        reports = make_and_peel(opened, spec, num_layers=num_layers, workers=workers, overwrite=overwrite)
+        _print_table(opened, spec.geometry, reports)
         if preview:
             _preview(opened, spec.geometry)
     next_command(train_command(datasets[0].root, specs[0].geometry))

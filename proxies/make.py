@@ -4,6 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from datagen.build.build import peel_dataset
+from datagen.build.build_variant import peel_variants
 from datagen.data.dataset import Dataset
 from datagen.data.geometries import ProxyStatistics, read_assignment, read_meshes, read_proxy_records, write_proxies
 from datagen.data.meshes import Mesh
@@ -34,6 +36,25 @@ class ProxyReport:
     """Share of the object's vertices inside the proxy; None for noise and truth, which need not enclose anything."""
     problem: str | None
     """The proxy's problem in a few words; None if it is sound."""
+
+
+def make_and_peel(
+    dataset: Dataset, spec: ProxySpec | MixedSpec, *, num_layers: int, workers: int = 1, overwrite: bool = False
+) -> tuple[ProxyReport, ...]:
+    """Fits a proxy to every object and peels all of them for every view; existing proxies and layers are kept.
+
+    Args:
+        num_layers: layers kept per ray.
+        workers: parallel processes that peel.
+        overwrite: replace existing proxies and layers.
+    """
+    say(f"{dataset.root}: makes {spec.geometry} proxies of {len(dataset.objects)} objects")
+    if not make_proxies(dataset, spec, overwrite=overwrite):
+        say(f"{dataset.root}: keeps its {spec.geometry} proxies; --overwrite makes them anew")
+    reports = read_reports(dataset, spec.geometry)
+    peel_dataset(dataset, spec.geometry, num_layers=num_layers, overwrite=overwrite, workers=workers)
+    peel_variants(dataset, workers=workers)
+    return reports
 
 
 def make_proxies(dataset: Dataset, spec: ProxySpec | MixedSpec, *, overwrite: bool) -> bool:

@@ -64,7 +64,7 @@ FLOORS = {
     ),
     "proxies": ("cli", "make", "spec", "kinds", "meshing"),
     "model": ("cli", "view", "web", "run", "methods", "losses", "batches", "nets", "settings"),
-    "hyaline": ("tensors", "runs", "scores", "cameras", "datasets"),
+    "hyaline": ("tensors", "reports", "runs", "proxies", "datasets", "scenes", "scores", "cameras", "pictures"),
     "eval": ("cli", "page", "papers", "analyses", "figures", "tables", "score"),
 }
 """The rooms of each package, the highest first: a file imports from its own room and from those below it."""

@@ -38,7 +38,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_wheel_has_every_file_of_the_packages_and_nothing_else(built: Path) -> None:
-    (wheel,) = built.glob("hyaline_glass-*.whl")
+    (wheel,) = (path for path in built.glob("hyaline_glass-*.whl") if "editable" not in path.name)
     with zipfile.ZipFile(wheel) as file:
         names = {name for name in file.namelist() if ".dist-info/" not in name}
     assert names == files_of(ROOT, *PACKAGES)
@@ -51,6 +51,15 @@ def test_the_source_distribution_has_the_tests_and_what_they_need(built: Path) -
     needed = files_of(ROOT, *PACKAGES, *BESIDE) | {path.name for path in ROOT.glob("*.md")}
     needed |= {"Makefile", "constraints.txt", "pyproject.toml", "mkdocs.yml"}
     assert needed - names == set()
+
+
+def test_an_editable_install_is_a_folder_on_the_path_in_which_editors_find_types(built: Path) -> None:
+    command = "from setuptools import build_meta as b; print(b.build_editable('.'))"
+    subprocess.run([sys.executable, "-c", command], cwd=built, check=True, capture_output=True)
+    (wheel,) = built.glob("hyaline_glass-*editable*.whl")
+    with zipfile.ZipFile(wheel) as file:
+        (path,) = [name for name in file.namelist() if ".dist-info/" not in name]
+        assert path.endswith(".pth") and file.read(path).decode().strip() == str(built)
 
 
 def test_every_tracked_file_with_tests_is_collected(pytestconfig: pytest.Config) -> None:

@@ -7,7 +7,7 @@ from datagen.build.build_variant import build_variant, peel_variants
 from datagen.build.choices import AddChoices, BuildChoices, LaunchChoices, SizeChoices
 from datagen.build.launch import build_in_jobs
 from datagen.build.plan_variant import plan_angles, plan_edit, plan_larger
-from datagen.build.presets import PRESETS, resize
+from datagen.build.presets import configure, fit_to_scene
 from datagen.build.shards import count_missing, parse_shard
 from datagen.data.config import DatasetConfig, parse_resolution
 from datagen.data.dataset import Dataset
@@ -21,8 +21,7 @@ from datagen.scene.edits import parse_edit
 from datagen.scene.finding import find_scene, is_foreign
 from datagen.scene.import_choices import ImportChoices
 from datagen.scene.random_names import RANDOM, RandomName
-from datagen.scene.rig import with_listed_shape, with_listed_views
-from datagen.terminal.command import choose, say, say_all
+from datagen.terminal.command import say, say_all
 from datagen.terminal.preview import preview
 
 
@@ -65,11 +64,8 @@ def _build_scene(
     built = None if choices.overwrite else place
     scene = find_scene(name, built=built, resolution=config.resolution, imports=imports)
     root = choices.out or DATA_ROOT / scene.name
-    config = dataclasses.replace(config, scene=scene.name)
-    if size.resolution is None:
-        config = with_listed_shape(config, scene.cameras)
-    if size.views is None and size.test_views is None:
-        config = with_listed_views(config, scene.cameras)
+    are_views_chosen = size.views is not None or size.test_views is not None
+    config = fit_to_scene(config, scene, keep_resolution=size.resolution is not None, keep_views=are_views_chosen)
     if launch.launcher is not None:
         # What follows then finds all views made, and reads every byte of them.
         build_in_jobs(name, root, choices, size, launch, imports)
@@ -131,22 +127,14 @@ def _preview(dataset: Dataset, is_wanted: bool) -> None:
 
 def _configure(choices: BuildChoices, size: SizeChoices) -> DatasetConfig:
     """The configuration of a new dataset; its scene's name is known only when the scene has been read."""
-    chosen = resize(
-        PRESETS[choose("preset", choices.preset, PRESETS)],
+    check_settings(num_layers=size.num_layers, workers=choices.workers)
+    return configure(
+        choices.preset,
         resolution=None if size.resolution is None else parse_resolution(size.resolution),
         views=size.views,
         test_views=size.test_views,
         spp=size.spp,
         test_spp=size.test_spp,
-    )
-    check_settings(num_layers=size.num_layers, workers=choices.workers)
-    return DatasetConfig(
-        scene="scene",
-        preset=choices.preset,
-        resolution=chosen.resolution,
-        train=chosen.train,
-        interpolating=chosen.interpolating,
-        extrapolating=chosen.extrapolating,
         ceiling_db=size.ceiling,
         max_depth=size.max_depth,
         seed=choices.seed,

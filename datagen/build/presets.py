@@ -3,7 +3,10 @@
 import dataclasses
 from dataclasses import dataclass
 
-from datagen.data.config import Resolution, SplitConfig, square
+from datagen.data.config import DatasetConfig, Resolution, SplitConfig, square
+from datagen.scene.description import Scene
+from datagen.scene.rig import with_listed_shape, with_listed_views
+from datagen.terminal.command import choose
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,3 +63,50 @@ def resize(
         interpolating=replaced(preset.interpolating, test_views, test_spp),
         extrapolating=replaced(preset.extrapolating, test_views, test_spp),
     )
+
+
+def configure(
+    preset: str,
+    *,
+    resolution: Resolution | None = None,
+    views: int | None = None,
+    test_views: int | None = None,
+    spp: int | None = None,
+    test_spp: int | None = None,
+    ceiling_db: float | None = None,
+    max_depth: int = 24,
+    seed: int = 0,
+) -> DatasetConfig:
+    """The configuration of a new dataset; `fit_to_scene` completes it when the scene is known."""
+    size = resize(
+        PRESETS[choose("preset", preset, PRESETS)],
+        resolution=resolution,
+        views=views,
+        test_views=test_views,
+        spp=spp,
+        test_spp=test_spp,
+    )
+    return DatasetConfig(
+        scene="scene",
+        preset=preset,
+        resolution=size.resolution,
+        train=size.train,
+        interpolating=size.interpolating,
+        extrapolating=size.extrapolating,
+        ceiling_db=ceiling_db,
+        max_depth=max_depth,
+        seed=seed,
+    )
+
+
+def fit_to_scene(config: DatasetConfig, scene: Scene, *, keep_resolution: bool, keep_views: bool) -> DatasetConfig:
+    """The configuration with the scene's name, and with the resolution and views of its cameras if it lists them.
+
+    Args:
+        keep_resolution: somebody chose the resolution.
+        keep_views: somebody chose the numbers of views.
+    """
+    config = dataclasses.replace(config, scene=scene.name)
+    if not keep_resolution:
+        config = with_listed_shape(config, scene.cameras)
+    return config if keep_views else with_listed_views(config, scene.cameras)

@@ -1,9 +1,11 @@
 """Child processes: modules that get and return arrays, since native code may crash or hang; and pools of workers."""
 
+import contextlib
 import os
 import subprocess
 import sys
 import tempfile
+import types
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
@@ -132,11 +134,27 @@ def _spawned(
     start = (make_job, arguments, workers)
     with ProcessPoolExecutor(workers, mp_context=context, initializer=_start_worker, initargs=start) as pool:
         try:
-            yield from pool.map(_call_worker, [function] * len(tasks), tasks)
+            with _without_main():
+                results = pool.map(_call_worker, [function] * len(tasks), tasks)
+            yield from results
         except BrokenProcessPool:
             raise WorkerKilledError(
                 "a worker process was killed (the system does that where memory runs out)"
             ) from None
+
+
+@contextlib.contextmanager
+def _without_main() -> Iterator[None]:
+    """Processes that start in this block do not run the caller's script again, whose `__main__` they do not need.
+
+    Otherwise a script that builds without `if __name__ == "__main__":` would start processes without end.
+    """
+    main = sys.modules["__main__"]
+    sys.modules["__main__"] = types.ModuleType("__main__")
+    try:
+        yield
+    finally:
+        sys.modules["__main__"] = main
 
 
 _job: object = None

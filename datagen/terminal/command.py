@@ -2,6 +2,8 @@
 
 import contextlib
 import difflib
+import html
+import importlib
 import json
 import os
 import select
@@ -187,6 +189,8 @@ def track(
         yield from items
     elif sys.stderr.isatty():
         yield from _track_on_terminal(items, label, total, done, status)
+    elif is_in_notebook():
+        yield from _track_in_notebook(items, label, total, done, status)
     else:
         yield from _track_in_lines(items, label, total, done, status)
 
@@ -208,6 +212,29 @@ def _track_on_terminal(
             left = clock.left_s(total - done - count)
             when = "" if left is None else f"{left:.0f} s left"
             progress.update(task, advance=1, left=when, status=status())
+
+
+def is_in_notebook() -> bool:
+    """True if a Jupyter kernel runs this process."""
+    shell = sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None
+    return hasattr(shell, "kernel")
+
+
+def _track_in_notebook(
+    items: Iterable[Item], label: str, total: int, done: int, status: Callable[[], str]
+) -> Iterator[Item]:
+    display = importlib.import_module("IPython.display")  # Kernels have it; it is no dependency of ours.
+
+    def bar(count: int, left: str) -> object:
+        text = html.escape(f"{label} {done + count}/{total} {left} {status()}")
+        return display.HTML(f'<progress value="{done + count}" max="{total}"></progress> {text}')
+
+    clock, shown = _Clock(), display.display(bar(0, ""), display_id=True)
+    for count, item in enumerate(items, start=1):
+        yield item
+        clock.count()
+        left = clock.left_s(total - done - count)
+        shown.update(bar(count, "" if left is None else f"{left:.0f} s left"))
 
 
 def _track_in_lines(

@@ -7,7 +7,7 @@ that somebody types, or that a file holds, imports a module.
 
 import importlib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib import metadata
 from typing import Generic, TypeVar, cast
 
@@ -35,10 +35,17 @@ class Group(Generic[Plugin]):
     is_class: bool = False
     """A plug-in is a class that derives from `kind`."""
 
+    own: dict[str, Plugin] = field(default_factory=dict)
+    """Plug-ins that this process has added, and that no other process knows."""
+
+    def places(self) -> dict[str, str]:
+        """`module:attribute` by name: those built in, and those of other distributions."""
+        return {**self.built_in, **{point.name: point.value for point in metadata.entry_points(group=self.name)}}
+
     def names(self) -> tuple[str, ...]:
         """All names: those built in first, in their order, then those of other distributions, sorted."""
         others = sorted(point.name for point in metadata.entry_points(group=self.name))
-        names = (*self.built_in, *others)
+        names = (*self.built_in, *others, *self.own)
         if doubled := sorted({name for name in names if names.count(name) > 1}):
             sources = ", ".join(self.sources(doubled[0]))
             raise HyalineError(f"{self.what} {doubled[0]!r}: two distributions bring it ({sources}); uninstall one")
@@ -47,6 +54,8 @@ class Group(Generic[Plugin]):
     def find(self, name: str) -> Plugin:
         """The plug-in of a name; an unknown name gets the nearest one as a suggestion."""
         choose(self.what, name, self.names())
+        if name in self.own:
+            return self.own[name]
         if name in self.built_in:
             return cast(Plugin, _load(self.built_in[name]))
         (point,) = metadata.entry_points(group=self.name, name=name)

@@ -3,6 +3,7 @@
 import shlex
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -64,23 +65,61 @@ def make_report(
             f"{runs_root}/SCENE/NAME/predictions/SPLIT/0000.png"
         )
     kept = kept_in(out)
-    if scenes := _score_scenes(runs, errors, kept):
-        further = [analyse(scene, errors, kept) for scene in scenes]
-        results = _json(scenes, further, _made_by(only))
-        _print_scores(scenes, further, results, output_format, is_full=is_full, is_published=is_published)
-        files = {
-            "results.json": Drawing(draw=lambda: results, about=sha256(results)),
-            PAGE: page_drawing(scenes, further, sha256(results), most_views=most_views),
-            **figures_of(scenes, further),
-        }
-        for path in write_report(out, files):
-            say(f"wrote {path}")
-        keep(out, kept, are_all=only is None)
-        say(f"open {out / PAGE} in a browser")
+    if found := score_runs(runs, errors, kept, made_by=_made_by(only)):
+        _print_scores(found, output_format, is_full=is_full, is_published=is_published)
+        write_page(found, out, kept, most_views=most_views, are_all=only is None)
     for error in errors[:-1]:
         say(f"error: {error}")
     if errors:
         raise errors[-1]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Scored:
+    """What a report says about some runs."""
+
+    scenes: list[SceneScores]
+    further: list[Further]
+    """The analyses of each scene, in the same order."""
+    results: bytes
+    """The content of results.json."""
+
+
+def score_runs(runs: list[Run], errors: list[HyalineError], kept: Kept, *, made_by: dict[str, Json]) -> Scored | None:
+    """Scores and analyses runs; None if no run can be scored.
+
+    Args:
+        errors: takes why a run could not be scored or analysed.
+        kept: results of earlier reports.
+        made_by: the command that asked for it, for results.json.
+    """
+    scenes = _score_scenes(runs, errors, kept)
+    if not scenes:
+        return None
+    further = [analyse(scene, errors, kept) for scene in scenes]
+    more: dict[str, Json] = {"made_by": made_by, "published": published_json()}
+    results = results_json(scenes, {analyses.title: analyses.data for analyses in further}, more)
+    return Scored(scenes=scenes, further=further, results=results)
+
+
+def write_page(found: Scored, out: Path, kept: Kept, *, most_views: int, are_all: bool) -> Path:
+    """Writes results.json, the page and the pictures of a report into `out`; returns the page's path.
+
+    Args:
+        kept: results that the next report need not compute again.
+        most_views: views that the page shows of each split and run.
+        are_all: every run of a folder was scored, so that older results can go.
+    """
+    files = {
+        "results.json": Drawing(draw=lambda: found.results, about=sha256(found.results)),
+        PAGE: page_drawing(found.scenes, found.further, sha256(found.results), most_views=most_views),
+        **figures_of(found.scenes, found.further),
+    }
+    for path in write_report(out, files):
+        say(f"wrote {path}")
+    keep(out, kept, are_all=are_all)
+    say(f"open {out / PAGE} in a browser")
+    return out / PAGE
 
 
 def make_tables(
@@ -195,28 +234,15 @@ def _made_by(only: Path | None) -> dict[str, Json]:
     return {"command": shlex.join(["report", *words]), "code": code_version()}
 
 
-def _json(scenes: list[SceneScores], further: list[Further], made_by: dict[str, Json]) -> bytes:
-    more: dict[str, Json] = {"made_by": made_by, "published": published_json()}
-    return results_json(scenes, {analyses.title: analyses.data for analyses in further}, more)
-
-
-def _print_scores(
-    scenes: list[SceneScores],
-    further: list[Further],
-    results: bytes,
-    output_format: str,
-    *,
-    is_full: bool,
-    is_published: bool,
-) -> None:
+def _print_scores(found: Scored, output_format: str, *, is_full: bool, is_published: bool) -> None:
     if output_format == "json":
-        text = results.decode()
+        text = found.results.decode()
     elif output_format == "csv":
-        text = results_csv(scenes)
+        text = results_csv(found.scenes)
     else:
-        grids = [grid for analyses in further for grid in analyses.grids]
+        grids = [grid for analyses in found.further for grid in analyses.grids]
         text = tables_text(
-            scenes,
+            found.scenes,
             output_format,
             width=_output_width(),
             color=sys.stdout.isatty(),

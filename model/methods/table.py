@@ -4,6 +4,7 @@ A distribution brings one by an entry point of the group `hyaline.methods`: its 
 class that derives from `MethodConfig`.
 """
 
+import re
 import shlex
 from typing import TYPE_CHECKING
 
@@ -29,7 +30,6 @@ BUILT_IN = {
 }
 """The record of each method. A new one is a folder and a line here."""
 
-
 METHODS: Group[type[MethodConfig]] = Group(
     name="hyaline.methods",
     what="method",
@@ -38,6 +38,25 @@ METHODS: Group[type[MethodConfig]] = Group(
     kind="model.methods.protocol:MethodConfig",
     is_class=True,
 )
+
+
+def name_of(config: MethodConfig) -> str:
+    """The name of a record's method; a class that no distribution brings is called after itself, and known from now on.
+
+    `AlphaBlendConfig` becomes `alpha-blend`. A later class of the same name takes its place.
+    """
+    kind = type(config)
+    place = f"{kind.__module__}:{kind.__qualname__}"
+    brought = METHODS.places()
+    if named := next((name for name, value in brought.items() if value == place), None):
+        return named
+    name = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "-", kind.__name__.removesuffix("Config")).lower()
+    if name in brought:
+        raise HyalineError(
+            f"method {name!r}: {METHODS.sources(name)[0]} brings one of that name; rename {kind.__name__}"
+        )
+    METHODS.own[name] = kind
+    return name
 
 
 def about(name: str) -> str:

@@ -2,9 +2,17 @@
 
 import dataclasses
 import math
-from typing import Any
+import typing
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from datagen.disk.errors import HyalineError
+from datagen.disk.records import Json, from_json
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+RecordT = TypeVar("RecordT", bound="DataclassInstance")
 
 Limits = tuple[float, float]
 """The least and the largest value of a number; infinity where there is no largest."""
@@ -51,6 +59,34 @@ def check_limits(record: object) -> None:
             continue
         wanted = f"{limits[0]} to {limits[1]}" if limits[1] < math.inf else f"at least {limits[0]}"
         raise HyalineError(f"{item.name}: is {value}; expected {wanted}")
+
+
+def settings_of(record: object) -> dict[str, Any]:
+    """The value behind each flag of a record, by the flag's name in Python: `texture_size` for --texture-size."""
+    values: dict[str, Any] = {}
+    for item in dataclasses.fields(record):  # pyright: ignore[reportArgumentType]
+        value = getattr(record, item.name)
+        if dataclasses.is_dataclass(value):
+            values |= settings_of(value)
+        elif not item.metadata.get("is_hidden"):
+            values[_python_name(item)] = value
+    return values
+
+
+def with_settings(record: RecordT, settings: Mapping[str, object]) -> RecordT:
+    """The record with the values of some of its flags changed; names of flags that it does not have are left alone."""
+    kinds, changed = typing.get_type_hints(type(record)), {}
+    for item in dataclasses.fields(record):
+        value = getattr(record, item.name)
+        if dataclasses.is_dataclass(value) and not isinstance(value, type):
+            changed[item.name] = with_settings(value, settings)
+        elif not item.metadata.get("is_hidden") and (name := _python_name(item)) in settings:
+            changed[item.name] = from_json(kinds[item.name], typing.cast(Json, settings[name]), where=name)
+    return dataclasses.replace(record, **changed)
+
+
+def _python_name(item: dataclasses.Field[Any]) -> str:
+    return item.metadata.get("flag", "").replace("-", "_") or item.name
 
 
 def suffixes(record: object, usual: object) -> list[str]:

@@ -82,3 +82,13 @@ def test_a_run_trained_in_a_notebook_is_rendered_from_anywhere(examples: Path) -
     mean = np.mean([view.image for view in names["dataset"].views("train")], axis=0).astype(np.uint8)
     assert names["scores"].psnr_db > hyaline.score(mean, names["view"].image).psnr_db + 3  # It has learned.
     assert [frame.shape for frame in names["frames"]] == [(32, 32, 3)] * 4
+
+
+def test_a_random_scene_is_built_trained_on_and_reported_in_a_few_cells(examples: Path) -> None:
+    names, shown = run_notebook("randomise_a_scene.ipynb")
+    assert len(code_of("randomise_a_scene.ipynb")) == 5 and all(item is not None for item in shown)
+    assert names["dataset"].num_views == {"train": 12, "interpolating": 2, "extrapolating": 2}
+    again, other = (names["random_scene"](seed).objects[1].material for seed in (3, 4))
+    assert again == names["scene"].objects[1].material != other
+    assert names["picture"].shape == (32, 32, 3) and names["report"].page.is_file()
+    assert float(names["report"].rows[0]["psnr_db_interpolating"]) > 10

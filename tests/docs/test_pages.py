@@ -19,6 +19,7 @@ from support.browser import require_browser
 from support.commands import call, parsed, run
 from support.synthetic import write_synthetic_dataset
 
+import hyaline
 from benchmarks.browser import running_browser, watched_page
 from datagen.disk.errors import UsageError
 from datagen.scene.folder import load_scene
@@ -95,6 +96,16 @@ def test_the_site_has_no_broken_link_and_loads_nothing_from_elsewhere(site: Path
     assert not broken
 
 
+def test_the_api_reference_has_every_public_name(site: Path) -> None:
+    listed = re.findall(r"^::: (.+)$", (ROOT / "docs" / "api.md").read_text(), flags=re.MULTILINE)
+    names = " ".join(listed).split()
+    assert sorted(names) == sorted(set(hyaline.__all__) - {"__version__"})
+    page = Links(site / "api.html")
+    assert {name.lower() for name in names} <= page.ids and "dataset.layers".replace(".", "") in page.ids
+    text = (site / "api.html").read_text()
+    assert "Absolute index of refraction" in text and "ceiling_db: float | None=None" in text
+
+
 def test_the_site_is_dark_where_asked_and_searched_from_disk_without_a_request(site: Path) -> None:
     require_browser()
     with running_browser() as browser, watched_page(browser, width=390, dark=True) as watched:
@@ -162,6 +173,9 @@ def test_the_python_of_a_page_runs_from_top_to_bottom(page: str) -> None:
     source = python_of(page)
     for usual, small in {
         "width=320, height=180": "width=32, height=18",
+        "views=96": "views=5, test_views=1",
+        'preset="demo"': 'preset="tiny", resolution=16, spp=4, test_spp=4',
+        "steps=500": "steps=2, batch=32, texture_size=16",
         "=24": "=2",
         "=48": "=2",
         ", 3)": ", 0)",

@@ -41,6 +41,8 @@ MIN_GAP, MAX_GAP = 3e-4, 1e-3
 """Metres between the ground and the scene: coincident faces lose layers."""
 MIN_BACKDROP_DEG, MIN_ARC_DEG = 60, 80
 """Degrees around the glass that a backdrop hides, and that are left for cameras."""
+WALK = ((-0.9, 40.0, 1.0), (-0.45, 20.0, 0.72), (0.0, 4.0, 0.85), (0.4, 12.0, 1.4), (0.7, 45.0, 1.9), (0.95, 25.0, 1.2))
+"""Turn in half arcs, elevation in degrees and distance in radii of the points of an extrapolating walk."""
 WATCHED_POINTS = 8
 """Points of the glass that cameras must see."""
 GRAZING_DEG = 25.0
@@ -123,34 +125,30 @@ def make_ground(objects: Sequence[SceneObject], *, resolution: Resolution, remar
     return SceneObject(name=_free_name("ground", objects), mesh=mesh, material=Diffuse(color=pattern))
 
 
-def make_rig(objects: Sequence[SceneObject], remarks: Remarks) -> CameraRig:
-    """Cameras around the glass, on the side from which nothing opaque hides it."""
+def make_rig(
+    objects: Sequence[SceneObject],
+    remarks: Remarks,
+    *,
+    target: Vector | None = None,
+    radius: float | None = None,
+    azimuth_deg: tuple[float, float] | None = None,
+    fov_deg: float = FOV_DEG,
+) -> CameraRig:
+    """Cameras around `target`, or the glass, in the given arc, or on the side from which nothing opaque hides it."""
     low, high = subject_box(objects)
-    target = (low + high) / 2
-    reach = float(np.linalg.norm(high - low)) / 2
-    radius = MARGIN * reach / math.sin(math.radians(FOV_DEG / 2))
-    first, last = _open_arc(objects, target, reach, radius, remarks)
+    centre, reach = (low + high) / 2 if target is None else np.array(target), float(np.linalg.norm(high - low)) / 2
+    distance = MARGIN * reach / math.sin(math.radians(fov_deg / 2)) if radius is None else radius
+    first, last = azimuth_deg or _open_arc(objects, centre, reach, distance, remarks)
     middle, half = (first + last) / 2, min((last - first) / 2, 100.0)
-
-    def walk_point(turn: float, elevation_deg: float, distance: float) -> WalkPoint:
-        place = target + distance * radius * np.array(towards(middle + turn * half, elevation_deg))
-        return WalkPoint(position=as_vector(place), target=as_vector(target))
-
+    places = [centre + radii * distance * np.array(towards(middle + turn * half, up)) for turn, up, radii in WALK]
     return CameraRig(
-        target=as_vector(target),
-        radius=radius,
+        target=as_vector(centre),
+        radius=distance,
         elevation_deg=(5.0, 65.0),
         azimuth_deg=(first, last),
-        fov_deg=FOV_DEG,
+        fov_deg=fov_deg,
         target_jitter=0.08,
-        walk=(
-            walk_point(-0.9, 40.0, 1.0),
-            walk_point(-0.45, 20.0, 0.72),
-            walk_point(0.0, 4.0, 0.85),
-            walk_point(0.4, 12.0, 1.4),
-            walk_point(0.7, 45.0, 1.9),
-            walk_point(0.95, 25.0, 1.2),
-        ),
+        walk=tuple(WalkPoint(position=as_vector(place), target=as_vector(centre)) for place in places),
     )
 
 

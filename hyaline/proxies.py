@@ -1,0 +1,78 @@
+"""Proxies of a dataset: coarse closed meshes that stand in for its objects."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from PIL import Image
+
+from datagen.data.meshes import Mesh
+from datagen.data.paths import TRUTH
+from datagen.disk.errors import HyalineError
+from datagen.terminal.distribution import naming_parts
+from hyaline.datasets import NUM_LAYERS, Dataset
+from hyaline.pictures import in_a_row, sketch
+
+if TYPE_CHECKING:
+    from proxies.make import ProxyReport
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Proxies:
+    """The proxies of one geometry; `make_proxies` makes them."""
+
+    dataset: Dataset
+    geometry: str
+    """The name to train with: `train(..., geometry=proxies.geometry)`."""
+    reports: "tuple[ProxyReport, ...]" = field(repr=False)
+    """For each object: kind, number of triangles, volume ratio, distances, and any problem of its proxy."""
+
+    @property
+    def meshes(self) -> tuple[Mesh, ...]:
+        """One for each object, in the dataset's order."""
+        from datagen.data.geometries import read_meshes
+
+        return read_meshes(self.dataset, self.geometry)
+
+    def show(self) -> Image.Image:
+        """Sketches of the scene: its own meshes, and the proxies."""
+        from datagen.data.geometries import read_meshes
+        from datagen.look.sketch import open_azimuth_deg
+
+        is_glass, azimuth_deg = [item.is_glass for item in self.dataset.objects], open_azimuth_deg(self.dataset)
+        both: Sequence[tuple[Mesh, ...]] = (read_meshes(self.dataset, TRUTH), self.meshes)
+        return in_a_row([sketch(meshes, is_glass, azimuth_deg) for meshes in both])
+
+
+@naming_parts("proxies")
+def make_proxies(
+    dataset: Dataset,
+    kind: str = "ellipsoid",
+    *,
+    num_layers: int = NUM_LAYERS,
+    workers: int = 1,
+    overwrite: bool = False,
+) -> Proxies:
+    """Fits a proxy to every object and peels the proxies for every view; images are not rendered again.
+
+        proxies = hyaline.make_proxies(dataset, "ellipsoid")
+        run = hyaline.train("paper", dataset, geometry=proxies.geometry)
+
+    Args:
+        kind: box, ellipsoid, hull, blocks, wrap, lowpoly, or noise-0.01 with the displacement in parts of each object's
+            diagonal.
+        num_layers: layers kept per ray.
+        workers: parallel processes that peel.
+        overwrite: replace existing proxies and layers; they are kept otherwise.
+
+    Raises:
+        HyalineError: an unknown kind, or an object that cannot have a proxy of it.
+    """
+    from proxies.make import make_and_peel
+    from proxies.spec import KINDS, parse_part
+
+    spec = parse_part(kind)
+    if spec is None:
+        raise HyalineError(f"kind {kind!r}: is the scene itself; expected one of {', '.join(KINDS)}")
+    reports = make_and_peel(dataset, spec, num_layers=num_layers, workers=workers, overwrite=overwrite)
+    return Proxies(dataset=dataset, geometry=spec.geometry, reports=reports)

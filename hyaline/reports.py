@@ -1,0 +1,103 @@
+"""Reports: the scores of runs as tables, data and a page."""
+
+import csv
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from datagen.data.config import MAX_VIEWS
+from datagen.data.paths import DATA_ROOT
+from datagen.disk.errors import HyalineError
+from datagen.terminal.command import say
+from hyaline.runs import RUNS, Run, list_runs
+
+if TYPE_CHECKING:
+    import pandas  # pyright: ignore[reportMissingImports]
+
+    from eval.page.report import Scored
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Report:
+    """The scores of runs; a notebook shows it as tables. `report` makes it."""
+
+    page: Path
+    """The page with pictures, tables and analyses; open it in a browser."""
+    scored: "Scored" = field(repr=False)
+    """The scores themselves: of each dataset, run, split, picture and metric."""
+
+    @property
+    def rows(self) -> list[dict[str, str]]:
+        """What `report --format csv` prints: a row for each run, and one for each scene's noise ceiling."""
+        return list(csv.DictReader(io.StringIO(self._csv())))
+
+    def to_frame(self) -> "pandas.DataFrame":
+        """The same as a DataFrame of pandas.
+
+        Raises:
+            HyalineError: pandas is not installed.
+        """
+        try:
+            import pandas  # pyright: ignore[reportMissingImports]
+        except ModuleNotFoundError:
+            raise HyalineError("hyaline.Report.to_frame: needs pandas; `pip install pandas` brings it") from None
+        return pandas.read_csv(io.StringIO(self._csv()))
+
+    def _csv(self) -> str:
+        from eval.tables.results import results_csv
+
+        return results_csv(self.scored.scenes)
+
+    def _repr_html_(self) -> str:
+        from eval.tables.grids import scene_grids
+        from eval.tables.looks import html_table
+
+        return "".join(html_table(grid) for scene in self.scored.scenes for grid in scene_grids(scene)[:-1])
+
+
+def report(
+    runs: Sequence[Run | Path | str] | None = None,
+    out: Path | str | None = None,
+    *,
+    root: Path | str = RUNS,
+    views: int = 3,
+) -> Report:
+    """Scores runs against the truth and writes a page of them, as `eval report` does.
+
+        report = hyaline.report([run])
+        report.to_frame()[["run", "psnr_db_interpolating"]]
+
+    Args:
+        runs: opened runs, or folders of 8-bit sRGB pictures of any method, SCENE/NAME with
+            predictions/SPLIT/0000.png; all runs under `root` unless given.
+        out: folder of the page; `report` beside the scenes' folders of the first run unless given.
+        root: folder of the runs.
+        views: views of each split and run on the page, the worst, the median and the best first.
+
+    Raises:
+        HyalineError: no run, one that cannot be scored, or something else in `out`.
+    """
+    from eval.page.report import score_runs, write_page
+    from eval.page.report_folder import check_report_folder, kept_in
+    from eval.score.runs import open_run
+
+    if not 1 <= views <= MAX_VIEWS:
+        raise HyalineError(f"views: is {views}; expected 1 to {MAX_VIEWS:,} of each split and run")
+    given = [Path(root) / name for name in list_runs(root)] if runs is None else list(runs)
+    if not given:
+        raise HyalineError(f"{root}: no run there; make one with hyaline.train")
+    folders = [item.folder if isinstance(item, Run) else Path(item) for item in given]
+    datasets = [item.dataset if isinstance(item, Run) else None for item in given]
+    place = Path(out) if out is not None else folders[0].parent.parent / "report"
+    check_report_folder(place)
+    kept, errors = kept_in(place), []
+    opened = [open_run(folder, DATA_ROOT, dataset) for folder, dataset in zip(folders, datasets, strict=True)]
+    scored = score_runs(opened, errors, kept, made_by={"command": "hyaline.report"})
+    for error in errors[:-1] if scored is None else errors:
+        say(f"error: {error}")
+    if scored is None:
+        raise errors[-1]
+    page = write_page(scored, place, kept, most_views=views, are_all=runs is None)
+    return Report(page=page, scored=scored)

@@ -1,0 +1,262 @@
+"""Scenes described in Python: meshes with materials, light and cameras."""
+
+import dataclasses
+import math
+import operator
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float, Int, Real
+from PIL import Image
+
+from datagen.data.meshes import Mesh
+from datagen.disk.errors import HyalineError
+from datagen.disk.names import printable
+from datagen.scene import description
+from datagen.scene.camera_list import CameraList
+from datagen.scene.description import CameraRig, Environment, EnvironmentMap, RectangleLight, SceneObject, image_bytes
+from datagen.scene.materials import Material, check_material
+from datagen.scene.soundness import camera_places, check_names
+from datagen.scene.values import Vector, check_positive
+from datagen.terminal.command import say
+from hyaline.pictures import in_a_row, sketch
+
+
+@runtime_checkable
+class Triangles(Protocol):
+    """A mesh of trimesh, or any other object with these two arrays; the uv of a textured `visual` are used, too."""
+
+    @property
+    def vertices(self) -> np.ndarray:
+        """(vertex, 3) positions in metres, +z up."""
+        ...
+
+    @property
+    def faces(self) -> np.ndarray:
+        """(face, 3) vertex indices, counter-clockwise seen from outside."""
+        ...
+
+
+Arrays = tuple[Real[np.ndarray, "vertex 3"], Int[np.ndarray, "face 3"]]
+
+
+@dataclass(frozen=True)
+class Object:
+    """One object of a scene: a mesh of one material, which layers name by one id.
+
+    >>> import hyaline as hy, trimesh
+    >>> ball = hy.Object("ball", trimesh.creation.icosphere(radius=0.1), hy.Dielectric(ior=1.5))
+    >>> ball.material.is_glass
+    True
+    """
+
+    name: str
+    """Letters, digits, _ and -."""
+    mesh: Triangles | Arrays | Path | str
+    """A trimesh mesh, a pair of arrays (vertices, faces), or a .glb, .gltf, .obj, .ply, .stl, .3mf or .xml file, of
+    which only the triangles are read. Lengths are metres and +z is up, in files, too. Glass has to be closed. Meshes
+    are shaded smoothly except across edges of more than 40 degrees, and unwrapped unless they have uv."""
+    material: Material
+    """Such as `Dielectric()`, which is glass, or `Diffuse(color=(0.8, 0.7, 0.6))`."""
+
+    def __post_init__(self) -> None:
+        check_material(self.material, where=f"object {printable(self.name)}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Hemisphere:
+    """Training and interpolating cameras on a hemisphere around the glass, and an extrapolating walk that leaves it.
+
+    >>> Hemisphere(views=96, elevation_deg=(10, 60)).views
+    96
+    """
+
+    views: int | None = None
+    """Training views; the preset's number unless given."""
+    test_views: int | None = None
+    """Views in each of the two test splits; the preset's number unless given."""
+    target: Vector | None = None
+    """What the cameras look at, in metres; the middle of the glass unless given."""
+    radius: float | None = None
+    """Metres from there; as near as shows all of the glass unless given."""
+    elevation_deg: tuple[float, float] = (5.0, 65.0)
+    """Lowest and highest elevation above the horizon."""
+    azimuth_deg: tuple[float, float] | None = None
+    """First and last azimuth, from +x towards +y; all around unless given, except behind a backdrop."""
+    fov_deg: float = 40.0
+    """Horizontal field of view."""
+
+    def __post_init__(self) -> None:
+        if self.radius is not None:
+            check_positive("camera radius", self.radius)
+        if not 0 < self.fov_deg < 170:
+            raise HyalineError(f"camera fov_deg: is {self.fov_deg}; expected 0 to 170")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scene:
+    """A scene described in Python, which `hyaline.build` path-traces.
+
+    >>> import hyaline as hy, trimesh
+    >>> floor = trimesh.creation.box((2, 2, 0.02), transform=trimesh.transformations.translation_matrix((0, 0, -0.2)))
+    >>> scene = hy.Scene(
+    ...     objects=[
+    ...         hy.Object("ball", trimesh.creation.icosphere(radius=0.1), hy.Dielectric(ior=1.5)),
+    ...         hy.Object("floor", floor, hy.Diffuse(color=(0.7, 0.6, 0.5))),
+    ...     ],
+    ...     cameras=hy.Hemisphere(views=20),
+    ... )
+    >>> scene.show().size                               # a sketch, which notebooks show
+    (640, 480)
+    """
+
+    objects: Sequence[Object]
+    """1 to 255; the id of the first in layers is 1."""
+    light: Environment | None = None
+    """Light from infinitely far, such as `EnvironmentMap(path="studio.exr")` or a `SoftEnvironment`; softboxes all
+    around unless given."""
+    lamps: Sequence[RectangleLight] = ()
+    """Light from near."""
+    cameras: Hemisphere | CameraRig | CameraList = Hemisphere()
+    name: str = "scene"
+    """Letters, digits, _ and -; `hyaline.build` writes to data/NAME unless told where."""
+    folder: Path | str = "."
+    """Where files of image textures and of the environment map are."""
+    license: str | None = None
+    """An SPDX name such as CC-BY-4.0, or a line of text: the licence of meshes and images, and so of the dataset."""
+
+    def show(self) -> Image.Image:
+        """A pen sketch of the scene from the side of its cameras; glass is clear."""
+        objects = [_described(item)[0] for item in self.objects]
+        rig = _rig(self, objects)
+        offset = camera_places(rig).mean(axis=0) - np.array(rig.target)
+        is_around = np.hypot(offset[0], offset[1]) < 0.1 * rig.radius
+        azimuth_deg = -60.0 if is_around else math.degrees(math.atan2(offset[1], offset[0]))
+        meshes, is_glass = [item.mesh for item in objects], [item.material.is_glass for item in objects]
+        return in_a_row([sketch(meshes, is_glass, azimuth_deg)])
+
+    def described(self) -> description.Scene:
+        """The scene as the renderer needs it: meshes are mended, unwrapped unless they have an atlas, and checked.
+
+        Raises:
+            HyalineError: an object that would render wrong, such as glass with holes, or a file that cannot be read.
+        """
+        return _described_scene(self)
+
+
+def _described_scene(given: Scene) -> description.Scene:
+    from datagen.scene.images import read_map
+    from datagen.scene.importers.staging import LIGHT
+    from datagen.scene.mending import mend_scene
+    from datagen.scene.soundness import check_scene
+
+    read = [_described(item) for item in given.objects]
+    objects = tuple(item for item, _ in read)
+    scene = description.Scene(
+        name=given.name,
+        license=given.license,
+        objects=objects,
+        environment=given.light or LIGHT,
+        lights=tuple(given.lamps),
+        cameras=_rig(given, objects),
+        folder=Path(given.folder),
+    )
+    check_names(scene)
+    if isinstance(given.light, EnvironmentMap):
+        read_map(image_bytes(scene, given.light), where=f"scene {given.name}: {given.light.path}")
+    scene = mend_scene(scene, without_uv={item.name for item, has_uv in read if not has_uv})
+    check_scene(scene)
+    return scene
+
+
+def _rig(given: Scene, objects: Sequence[SceneObject]) -> CameraRig | CameraList:
+    """The scene's cameras; those of a hemisphere are fitted around its objects."""
+    from datagen.scene.importers.remarks import Remarks
+    from datagen.scene.importers.staging import make_rig
+
+    cameras = given.cameras
+    if not isinstance(cameras, Hemisphere):
+        return cameras
+    fitted = make_rig(
+        objects,
+        Remarks(),
+        target=cameras.target,
+        radius=cameras.radius,
+        azimuth_deg=cameras.azimuth_deg,
+        fov_deg=cameras.fov_deg,
+    )
+    return dataclasses.replace(fitted, elevation_deg=cameras.elevation_deg)
+
+
+def _described(item: Object) -> tuple[SceneObject, bool]:
+    """An object with a mesh of ours, and whether that came with uv."""
+    from datagen.scene.importers.remarks import Remarks
+    from datagen.scene.importers.surfaces import made_sound, mesh_of
+
+    where, remarks = f"object {printable(item.name)}", Remarks()
+    if isinstance(item.mesh, Mesh):
+        return SceneObject(name=item.name, mesh=item.mesh, material=item.material), bool(item.mesh.uv.any())
+    if isinstance(item.mesh, (str, Path)):
+        vertices, faces, uv = _read_file(Path(item.mesh))
+    elif isinstance(item.mesh, tuple):
+        (vertices, faces), uv = item.mesh, None
+    else:
+        vertices, faces = item.mesh.vertices, item.mesh.faces
+        uv = getattr(getattr(item.mesh, "visual", None), "uv", None)
+    vertices, faces = _checked(vertices, faces, where=where)
+    has_uv = uv is not None and np.shape(uv) == (len(vertices), 2) and bool(np.any(uv))
+    mesh = mesh_of(vertices, faces, None, np.asarray(uv, np.float64) if has_uv else None, where=where)
+    mesh = made_sound(mesh, remarks, where=where)
+    for line in remarks.lines:
+        say(f"{line.where}: {line.what}")
+    return SceneObject(name=item.name, mesh=mesh, material=item.material), has_uv
+
+
+def _checked(
+    vertices: object, faces: object, *, where: str
+) -> tuple[Float[np.ndarray, "vertex 3"], Int[np.ndarray, "face 3"]]:
+    """Vertices and faces as numbers that are safe to use."""
+    places, corners = np.asarray(vertices), np.asarray(faces)
+    for name, values, kinds in (("vertices", places, "fiu"), ("faces", corners, "iu")):
+        if values.ndim != 2 or values.shape[1] != 3 or not len(values) or values.dtype.kind not in kinds:
+            expected = "(vertex, 3) numbers" if name == "vertices" else "(face, 3) vertex indices"
+            raise HyalineError(f"{where}: {name} are {values.dtype} of shape {values.shape}; expected {expected}")
+    if not np.isfinite(places).all():
+        raise HyalineError(f"{where}: vertices are not all finite; expected metres")
+    if corners.min() < 0 or corners.max() >= len(places):
+        raise HyalineError(f"{where}: a face names vertex {corners.max()}; expected 0 to {len(places) - 1}")
+    return places.astype(np.float64), corners.astype(np.int64)
+
+
+# Mesh files
+
+
+def _read_file(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    """Vertices, faces and uv of all objects in a file as one mesh, read in a process of its own."""
+    from datagen.machine.confined import confined
+    from datagen.scene.foreign_files import check_ending
+
+    check_ending(path)
+    with confined(write_arrays, path.absolute(), where=str(path)) as folder, np.load(folder / "mesh.npz") as found:
+        return found["vertices"], found["faces"], found.get("uv")
+
+
+def write_arrays(folder: Path, path: Path) -> None:
+    """Reads a mesh file, in the process that `confined` starts."""
+    from datagen.machine.confined import allow_triangles
+    from datagen.scene.foreign_files import READERS, ending_of
+    from datagen.scene.importers.remarks import Remarks
+
+    parts = READERS.find(ending_of(path))(path, Remarks()).objects
+    allow_triangles(sum(len(part.faces) for part in parts))
+    starts = np.cumsum([0, *(len(part.positions) for part in parts)])
+    arrays = {
+        "vertices": np.concatenate([part.positions for part in parts]),
+        "faces": np.concatenate([part.faces + start for part, start in zip(parts, starts)]),
+    }
+    if all(part.uv is not None for part in parts):
+        arrays["uv"] = np.concatenate(list(map(operator.attrgetter("uv"), parts)))
+    np.savez(folder / "mesh.npz", allow_pickle=False, **arrays)

@@ -1,0 +1,86 @@
+"""A whole run: trains what is left to train, then renders what is left to render."""
+
+import functools
+from pathlib import Path
+
+import torch
+
+from datagen.data.dataset import Dataset
+from datagen.disk.ownership import holding, is_ours, refuse_others
+from datagen.terminal.command import say
+from model.batches.distributed import Processes, join
+from model.run.checkpoint import delete_checkpoints, has_checkpoint
+from model.run.logs import LogChoices
+from model.run.predict import is_all_drawn, render_predictions
+from model.run.run_folder import FOLDER, WEIGHTS, TrainConfig, check_trained_on, finish_clearing
+from model.run.train import check_processes, train
+from model.settings.run_flags import Memory
+
+
+def complete_run(
+    config: TrainConfig,
+    dataset: Dataset,
+    out: Path,
+    *,
+    label: str,
+    device: torch.device,
+    memory: Memory = "ram",
+    anew: bool = False,
+    logs: LogChoices = LogChoices(),  # noqa: B008
+) -> bool:
+    """Trains a method and renders the test splits; a run that was stopped resumes, a finished one stays as it is.
+
+    Args:
+        label: what tables call the run.
+        memory: where training pixels are held; no number depends on it.
+        anew: delete the run in `out` and start over.
+        logs: what to leave for people to watch.
+
+    Returns:
+        True in the process that wrote the run: of several that `torchrun` started, the first.
+    """
+    with join(device) as processes:
+        check_processes(config, processes)
+        train_here = functools.partial(
+            train,
+            config,
+            dataset,
+            out,
+            label=label,
+            device=device,
+            processes=processes,
+            memory=memory,
+            anew=anew,
+            logs=logs,
+        )
+        if not processes.is_first:
+            # The first process holds the folder, and tells whether there is anything to train.
+            if processes.broadcast():
+                train_here()
+            return False
+        with holding(out, FOLDER):
+            refuse_others(out, FOLDER)
+            finish_clearing(out)
+            if not anew and _is_finished(config, dataset, out, processes):
+                return True
+            if processes.broadcast(anew or not (out / WEIGHTS).is_file()):
+                train_here()
+            else:
+                delete_checkpoints(out)
+                say(f"{out}: is trained; goes on with its predictions")
+            render_predictions(out, config, dataset, device=device)
+    return True
+
+
+def _is_finished(config: TrainConfig, dataset: Dataset, out: Path, processes: Processes) -> bool:
+    """True if nothing is left to do, which the other processes then know."""
+    if not is_ours(out, FOLDER):
+        return False
+    check_trained_on(out, config, dataset)
+    if is_all_drawn(out, dataset):
+        say(f"{out}: finished before, nothing to do; --overwrite trains it anew")
+        processes.broadcast(False)
+        return True
+    if not (out / WEIGHTS).is_file() and not has_checkpoint(out):
+        say(f"{out}: was stopped before its first checkpoint; starts at step 0")
+    return False

@@ -1,0 +1,256 @@
+"""Tests what Python makes: scenes of meshes from anywhere, datasets, proxies, runs and reports of them."""
+
+import csv
+import io
+import subprocess
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+from support.checked import unchecked
+
+import datagen.build.build
+import hyaline as hy
+from datagen.data.images import read_png
+from datagen.terminal.command import track
+from model.batches.plain_rays import PlainRayPixels, PlainRays, load_rays, rays_of
+from model.methods.protocol import Inputs, MethodConfig
+from model.methods.renderer import Renderer
+
+SIZE: dict[str, Any] = {"preset": "tiny", "resolution": 16, "spp": 4, "test_spp": 4}
+TINY: dict[str, Any] = {"steps": 2, "batch": 32, "device": "cpu"}
+
+
+def ball() -> trimesh.Trimesh:
+    return trimesh.creation.icosphere(subdivisions=2, radius=0.1)
+
+
+def scene_of(mesh: Any) -> hy.Scene:
+    floor = trimesh.creation.box((1.0, 1.0, 0.02))
+    floor.apply_translation((0, 0, -0.2))
+    arrays = np.asarray(floor.vertices), np.asarray(floor.faces)
+    return hy.Scene(
+        objects=[
+            hy.Object("ball", mesh, hy.Dielectric(ior=1.5)),
+            hy.Object("floor", arrays, hy.Diffuse(color=(1, 0, 0))),
+        ],
+        cameras=hy.Hemisphere(views=4, test_views=1),
+        name="marble",
+    )
+
+
+@pytest.fixture(scope="module")
+def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("home")
+
+
+@pytest.fixture(scope="module")
+def dataset(home: Path) -> hy.Dataset:
+    """The dataset of a scene, whose first building was interrupted after two pictures."""
+
+    def interrupted(items: Any, **about: Any) -> Any:
+        for count, item in enumerate(track(items, **about)):
+            if count == 2:
+                raise KeyboardInterrupt
+            yield item
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(datagen.build.build, "track", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            hy.build(scene_of(ball()), home / "data" / "marble", **SIZE)
+    assert sum(view.is_built for view in hy.open_dataset(home / "data" / "marble").views("train")) in (1, 2, 3)
+    return hy.build(scene_of(ball()), home / "data" / "marble", **SIZE)
+
+
+def test_an_interrupted_build_goes_on_and_a_finished_one_stays(
+    dataset: hy.Dataset, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert dataset.num_views == {"train": 4, "interpolating": 1, "extrapolating": 1}
+    assert all(view.is_built for split in dataset.splits for view in dataset.views(split))
+    assert dataset.view("interpolating", 0).mask("glass").any()
+    again = hy.build(scene_of(ball()), dataset.root, **SIZE)
+    assert again.seal == dataset.seal and "renders" not in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("ending", ["", ".ply", ".glb", ".obj"])
+def test_a_mesh_is_the_same_as_arrays_from_trimesh_and_from_a_file(ending: str, tmp_path: Path) -> None:
+    given: Any = ball()
+    if ending:
+        given = tmp_path / f"ball{ending}"
+        ball().export(given)
+    expected = scene_of((np.asarray(ball().vertices), np.asarray(ball().faces))).described().objects[0].mesh
+    mesh = scene_of(given).described().objects[0].mesh
+    corners, others = (np.sort(item.vertices[item.faces].reshape(-1, 9), axis=0) for item in (mesh, expected))
+    assert np.allclose(corners, others, atol=1e-6)
+    assert mesh.uv.any() and np.allclose(np.linalg.norm(mesh.normals, axis=-1), 1, atol=1e-5)
+    directions = mesh.vertices / np.linalg.norm(mesh.vertices, axis=-1, keepdims=True)
+    assert (np.sum(directions * mesh.normals, axis=-1) > 0.95).all()  # Smooth, and outward.
+
+
+def test_what_cannot_be_a_scene_is_refused_in_one_line(tmp_path: Path) -> None:
+    hole = ball()
+    hole.update_faces(np.arange(len(hole.faces)) > 5)
+    (tmp_path / "cut.ply").write_bytes(ball().export(file_type="ply")[:900])
+    vertices, faces = np.asarray(ball().vertices), np.asarray(ball().faces)
+    for wrong, said in (
+        (hole, "open edges"),
+        ((vertices, faces + 100), "expected 0 to 161"),
+        ((vertices[:, :2], faces), r"vertices are float64 of shape \(162, 2\)"),
+        ((vertices * np.nan, faces), "not all finite"),
+        (tmp_path / "nothing.glb", "nothing.glb"),
+        (tmp_path / "cut.ply", "truncated|cut"),
+        ("ball.blend", "can be imported"),
+    ):
+        with unchecked(), pytest.raises(hy.HyalineError, match=said) as caught:
+            scene_of(wrong).described()
+        assert "\n" not in str(caught.value)
+    with unchecked(), pytest.raises(hy.HyalineError, match="object ball: its material is a str"):
+        hy.Object("ball", ball(), "glass")  # pyright: ignore[reportArgumentType]
+
+
+def test_a_view_has_the_layers_that_its_camera_has(dataset: hy.Dataset) -> None:
+    view = dataset.view("extrapolating", 0)
+    stored, traced = view.layers(), dataset.layers(view.camera)
+    for name in ("uv", "object_id", "depth"):
+        assert np.array_equal(getattr(stored, name), getattr(traced, name))
+    fewer = dataset.layers(hy.orbit(view.camera, (0, 0, 0), count=3)[1], num_layers=2)
+    assert fewer.object_id.shape == (2, 16, 16) and (fewer.object_id[0] == 1).any()
+
+
+@pytest.fixture(scope="module")
+def proxies(dataset: hy.Dataset) -> hy.Proxies:
+    return hy.make_proxies(dataset, "box")
+
+
+@pytest.fixture(scope="module")
+def run(dataset: hy.Dataset, home: Path, proxies: hy.Proxies) -> hy.Run:
+    out = home / "runs" / "marble" / "boxes"
+    return hy.train("paper", dataset, geometry=proxies.geometry, out=out, texture_size=24, **TINY)
+
+
+def test_a_run_has_the_settings_that_were_asked_for_and_is_trained_once(
+    run: hy.Run, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert (run.method, run.geometry, run.last_step, run.config.batch) == ("paper", "box", 2, 32)
+    assert run.record.flags[:2] == ("--geometry", "box") and "--texture-size" in run.record.flags
+    again = hy.train("paper", run.dataset, geometry="box", out=run.folder, texture_size=24, **TINY)
+    assert again.record == run.record and "nothing to do" in capsys.readouterr().err
+    view = run.dataset.view("interpolating", 0)
+    assert run.render(view.camera).shape == view.image.shape
+
+
+def test_a_setting_that_is_none_is_refused_with_the_nearest_one(dataset: hy.Dataset) -> None:
+    for settings, said in (
+        ({"stepz": 3}, "'stepz': .*did you mean 'steps'"),
+        ({"steps": "3"}, "steps: is '3'; expected"),
+        ({"lr": 5.0}, "lr: is 5.0; expected a learning rate"),
+    ):
+        with unchecked(), pytest.raises(hy.HyalineError, match=said):
+            hy.train("paper", dataset, **settings)
+    with pytest.raises(hy.HyalineError, match="did you mean 'paper'"):
+        hy.train("papre", dataset)
+    with pytest.raises(hy.HyalineError, match="kind 'truth': is the scene itself"):
+        hy.make_proxies(dataset, "truth")
+
+
+class Sky(Renderer[PlainRayPixels]):
+    def __init__(self) -> None:
+        super().__init__()
+        self.colors = torch.nn.Linear(3, 3)
+
+    def forward(self, rays: PlainRays, *, rng: np.random.Generator | None = None) -> torch.Tensor:
+        assert rays.origins.shape == rays.directions.shape
+        return torch.sigmoid(self.colors(rays.directions))
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlainSkyConfig(MethodConfig):
+    """A colour for each direction."""
+
+    uses_geometry: ClassVar[bool] = False
+    knowledge: ClassVar[str] = "cameras only"
+    draws_cameras: ClassVar[bool] = True
+    brightness: float = 0.5
+
+    def build(self, inputs: Inputs) -> Sky:
+        return Sky()
+
+    def load(
+        self, inputs: Inputs, split: Any, views: Sequence[int], *, with_images: bool, mapped: bool = False
+    ) -> PlainRayPixels:
+        return load_rays(inputs.dataset, split, views, with_images=with_images)
+
+    def load_cameras(self, inputs: Inputs, cameras: hy.Cameras) -> PlainRayPixels:
+        return rays_of(cameras)
+
+
+def test_a_method_may_be_an_object_of_ones_own_that_sees_rays_alone(dataset: hy.Dataset, home: Path) -> None:
+    out = home / "runs" / "marble" / "sky"
+    run = hy.train(PlainSkyConfig(brightness=0.25), dataset, out=out, lr=0.1, **TINY)
+    assert (run.method, run.config.net) == ("plain-sky", PlainSkyConfig(brightness=0.25))
+    assert hy.open_run(out).config.lr == 0.1
+    view = dataset.view("interpolating", 0)
+    drawn = read_png(out / "predictions" / "interpolating" / "0000.png")
+    assert np.array_equal(run.render(view.camera), drawn)
+    origin, directions = view.camera.rays()
+    rays = load_rays(dataset, "interpolating", [0], with_images=True).take(torch.arange(256), None)
+    assert np.allclose(rays.directions.numpy(), directions.reshape(-1, 3), atol=1e-6)
+    assert np.allclose(rays.origins.numpy(), origin)
+
+
+def test_a_report_is_a_table_rows_and_a_page(run: hy.Run, home: Path) -> None:
+    report = hy.report([run], home / "report")
+    assert report.page == home / "report" / "index.html" and "boxes" in report.page.read_text()
+    assert [row["run"] for row in report.rows] == ["boxes", "truth's noise (ceiling)"]
+    view = run.dataset.view("interpolating", 0)
+    score = hy.score(run.render(view.camera), view.image)
+    assert float(report.rows[0]["psnr_db_interpolating"]) == pytest.approx(score.psnr_db)
+    assert "<table" in report._repr_html_() and "boxes" in report._repr_html_()
+
+
+def test_a_frame_needs_pandas(run: hy.Run, home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    report = hy.report([run.folder], home / "report")
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(hy.HyalineError, match="needs pandas; `pip install pandas`"):
+        report.to_frame()
+    read = SimpleNamespace(read_csv=lambda file: list(csv.reader(io.StringIO(file.read()))))
+    monkeypatch.setitem(sys.modules, "pandas", read)
+    assert [row[1] for row in report.to_frame()] == ["run", *(row["run"] for row in report.rows)]  # pyright: ignore
+
+
+def test_all_of_it_shows_itself(dataset: hy.Dataset, proxies: hy.Proxies, run: hy.Run) -> None:
+    for shown in (scene_of(ball()), dataset, dataset.view("train", 0), proxies, run):
+        picture = np.asarray(shown.show())
+        assert picture.shape[0] >= 256 and len(np.unique(picture.reshape(-1, 3), axis=0)) > 20
+
+
+@pytest.mark.parametrize("how", ["file", "stdin"])
+def test_workers_do_not_run_the_callers_script_again(how: str, tmp_path: Path) -> None:
+    code = (
+        "import operator\nfrom datagen.machine.processes import in_workers\nprint('once')\n"
+        "print(list(in_workers(operator.add, [1, 2, 3], 2, operator.add, (1,))))\n"
+    )
+    (tmp_path / "script.py").write_text(code)
+    words, given = ([sys.executable, "script.py"], None) if how == "file" else ([sys.executable, "-"], code)
+    answer = subprocess.run(words, input=given, capture_output=True, text=True, check=True)
+    assert answer.stdout == "once\n[None, None, None]\n"
+
+
+def test_a_notebook_shows_a_progress_bar(monkeypatch: pytest.MonkeyPatch) -> None:
+    shown: list[str] = []
+    ipython, display = ModuleType("IPython"), ModuleType("IPython.display")
+    ipython.__dict__["get_ipython"] = lambda: SimpleNamespace(kernel=None)
+    display.__dict__["HTML"] = str
+    display.__dict__["display"] = lambda text, display_id: shown.append(text) or SimpleNamespace(update=shown.append)
+    monkeypatch.setitem(sys.modules, "IPython", ipython)
+    monkeypatch.setitem(sys.modules, "IPython.display", display)
+    assert list(track(range(3), label="peel <b>", total=4, done=1)) == [0, 1, 2]
+    assert shown[0].startswith('<progress value="1" max="4"></progress> peel &lt;b&gt; 1/4')
+    assert shown[-1].startswith('<progress value="4" max="4"></progress>')
