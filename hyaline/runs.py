@@ -195,14 +195,7 @@ def train(
     known = {**settings_of(net), **settings_of(optimisation)}
     for key in settings:
         choose(f"method {method}: setting", key, known)
-    run = RunFlags(
-        geometry=geometry,
-        out=None if out is None else Path(out),
-        label=label,
-        seed=seed,
-        device=device,
-        overwrite=overwrite,
-    )
+    run = RunFlags(geometry=geometry, label=label, seed=seed, device=device, overwrite=overwrite)
     asked = Asked(
         dataset=str(dataset.root),
         run=run,
@@ -213,7 +206,7 @@ def train(
     from model.run.complete import complete_run  # Not before: it imports torch.
     from model.settings.runtime import choose_device
 
-    place = run.out or RUNS / dataset.name / folder_name(method, asked)
+    place = RUNS / dataset.name / folder_name(method, asked) if out is None else Path(out)
     try:
         complete_run(
             config,
