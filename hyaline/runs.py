@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float32, UInt8
 from PIL import Image
 
+from datagen.data import dataset as contract
 from datagen.data.cameras import Camera, check_camera
 from datagen.data.config import TEST_SPLITS
 from datagen.data.dataset import open_dataset
@@ -261,7 +262,9 @@ def open_run(
     """
     folder = _find_run(str(name), Path(root))
     record = read_run(folder)
-    found = dataset if isinstance(dataset, Dataset) else opened(open_dataset(_place_of(record, folder, dataset)))
+    found = opened(
+        dataset if isinstance(dataset, contract.Dataset) else open_dataset(_place_of(record, folder, dataset))
+    )
     return Run(
         folder=folder,
         record=record,

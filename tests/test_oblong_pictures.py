@@ -88,7 +88,7 @@ def test_a_film_through_its_test_views_shows_what_they_show(home: Path) -> None:
     truth = hyaline.open_dataset(data).view("interpolating", 0).image.astype(int)
     assert np.abs(read_png(home / "film" / "0001.png").astype(int) - truth).mean() < 4
     for name in ("paper", "light-path"):
-        run(f"model predict --run '{runs}/{name}' {choices}-{name}'")
+        run(f"model film --run '{runs}/{name}' {choices}-{name}'")
         predicted = read_png(runs / name / "predictions/interpolating/0000.png").astype(int)
         assert np.abs(read_png(home / f"film-{name}" / "0001.png").astype(int) - predicted).max() <= 1
 

@@ -125,15 +125,24 @@ def collect(program: str, command: Command, words: Sequence[str], moved: Mapping
             text = re.sub(r"^ \w+\.(\w+ options)", r" \1", told.getvalue().rstrip(), flags=re.MULTILINE)
             print("\n".join(map(_wrapped, text.splitlines())))
             raise
+        # tyro may take a mistyped flag for a value.
+        _check_flags(program, command, words, moved or {})
         raise UsageError(f"{program}: {_reason(said.getvalue())}. {_see(program)}") from None
     if unknown:
-        word = next((word for word in unknown if word.startswith("-")), unknown[0])
-        if not word.startswith("-"):
-            raise UsageError(f"{program}: {word!r} is one word too many. {_see(program)}")
-        raise _unknown(
-            program, "flag", word.partition("=")[0], [f"--{flag}" for flag in flags_of(command)], moved or {}
-        )
+        _check_flags(program, command, unknown, moved or {})
+        raise UsageError(f"{program}: {unknown[0]!r} is one word too many. {_see(program)}")
     return found
+
+
+def _check_flags(program: str, command: Command, words: Sequence[str], moved: Mapping[str, str]) -> None:
+    """Raises a UsageError for the first word that looks like a flag and is none."""
+    words_by_flag = [name for name, _, about in _items(command) if about["is_positional"]]
+    flags = [f"--{flag}" for flag in (*flags_of(command), *words_by_flag)]
+    known = {*flags, *(f"--no-{flag[2:]}" for flag in flags), *HELP}
+    for word in words:
+        name = word.partition("=")[0]
+        if re.fullmatch(r"--?[A-Za-z].*", name) and name not in known:
+            raise _unknown(program, "flag", name, flags, moved)
 
 
 def _words_first(command: Command, words: Sequence[str]) -> list[str]:

@@ -22,10 +22,10 @@ class NearestView(Renderer[Views]):
         super().__init__()
         self.sharpness = nn.Parameter(torch.tensor(sharpness))
         self.register_buffer("pictures", training.rgb.view(training.num_views, -1, 3))
-        self.register_buffer("centers", training.world_from_camera[:, :3, 3])
+        self.register_buffer("centers", torch.from_numpy(training.cameras.world_from_camera[:, :3, 3]).float())
 
     def forward(self, views: ViewBatch, *, rng: np.random.Generator | None = None) -> Tensor:
-        centers = torch.stack([camera.world_from_camera[:3, 3] for camera in views.cameras])
+        centers = torch.stack([torch.from_numpy(camera.world_from_camera[:3, 3]).float() for camera in views.cameras])
         distance = torch.cdist(centers, self.get_buffer("centers"))
         if rng is not None:  # While training, a view must not be its own nearest.
             distance = distance.masked_fill(distance < 1e-4, 1e3)
@@ -34,7 +34,7 @@ class NearestView(Renderer[Views]):
 
     def loss(self, training: Views, batch: int, rng: np.random.Generator, **_: object) -> Tensor:
         views = rng.integers(training.num_views, size=batch).tolist()
-        drawn = self(ViewBatch(cameras=tuple(map(training.camera, views))), rng=rng)
+        drawn = self(ViewBatch(cameras=tuple(training.cameras[view] for view in views)), rng=rng)
         true = torch.cat([training.image(view).flatten(2)[0].T for view in views])
         return (drawn - true).abs().mean()
 

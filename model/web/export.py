@@ -66,7 +66,7 @@ def export_run(
     renderer = load_renderer(run, record.config, dataset)
     still = run / "predictions" / "interpolating" / f"{view_name(0)}.png"
     if not still.is_file():
-        raise HyalineError(f"{still}: missing; render it with `{shlex.join(['model', 'render', '--run', str(run)])}`")
+        raise HyalineError(f"{still}: missing; render it with `{shlex.join(['model', 'predict', str(run)])}`")
     page = scene_page(
         renderer,
         record.config.net,

@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-import types
 from pathlib import Path
 from typing import Any
 
@@ -22,16 +21,13 @@ from proxies.spec import FITTERS
 def peeled(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
     """Stands in for the peeler, which needs Mitsuba, and for pymeshlab, which needs a process; lists the calls."""
     calls: list[dict[str, Any]] = []
-    stand_in = types.ModuleType("datagen.build.build")
 
     def peel_dataset(dataset: Dataset, geometry: str, **settings: object) -> None:
         read_meshes(dataset, geometry)
         calls.append({"root": dataset.root, "geometry": geometry, **settings})
 
-    stand_in.peel_dataset = peel_dataset  # type: ignore[attr-defined]
-    stand_in.peel_variants = lambda dataset, *, workers: None  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "datagen.build.build", stand_in)
-    monkeypatch.setitem(sys.modules, "datagen.build.build_variant", stand_in)
+    monkeypatch.setattr("proxies.make.peel_dataset", peel_dataset)
+    monkeypatch.setattr("proxies.make.peel_variants", lambda dataset, *, workers: None)
     monkeypatch.setattr(meshlab, "meshlab_problem", lambda: "left out")
     monkeypatch.setattr("proxies.make.meshlab_problem", lambda: None)
     return calls
@@ -179,8 +175,11 @@ def test_without_a_scene_every_dataset_gets_proxies(
             ("make", "--kind", "elipsoid"),
             "did you mean 'ellipsoid'? known are blocks, box, ellipsoid, hull, lowpoly, noise",
         ),
-        (("make", "--kind", "noise", "--amount", "0.2"), "amount 0.2: expected 0.001 to 0.05, parts of each object's"),
-        (("make", "--kind", "box", "--amount", "0.01"), "amount 0.01: a box has no noise; it goes with `--kind noise`"),
+        (
+            ("make", "--kind", "noise", "--amount", "0.2"),
+            "amount 0.2: expected 0.001 to 0.05, relative to each object's",
+        ),
+        (("make", "--kind", "box", "--amount", "0.01"), "amount 0.01: box has no noise; use it with `--kind noise`"),
         (("check", "--kind", "noise"), "make them with `proxies make data/one --kind noise --amount 0.01`"),
         (
             ("make", "--dataset", "missing"),
@@ -189,7 +188,7 @@ def test_without_a_scene_every_dataset_gets_proxies(
         (("make", "--assign", "pain=box"), "object 'pain': there is none of that name; did you mean 'pane'?"),
         (("make", "--assign", "pane=bx"), "kind 'bx': there is none of that name; did you mean 'box'?"),
         (("make", "--assign", "pane"), "assign 'pane': expected OBJECT=KIND, such as fern=ellipsoid"),
-        (("make", "--assign", "*=box", "--assign", "pane=hull"), "assign 'pane=hull': pane has box already; expected"),
+        (("make", "--assign", "*=box", "--assign", "pane=hull"), "assign 'pane=hull': pane already has box; expected"),
         (("make", "--kind", "box", "--assign", "pane=box"), "--kind box: does not go with --assign"),
         (("make", "--rest", "box"), "--rest, --name: go with --assign OBJECT=KIND; leave them out"),
         (("make", "--name", "shelf", "--assign", "pane=box"), "name 'shelf': expected mixed, or mixed- and letters"),
@@ -209,7 +208,7 @@ def test_errors_are_one_line_with_the_way_out(
 ) -> None:
     with pytest.raises(SystemExit) as stop:
         call(monkeypatch, *arguments)
-    assert stop.value.code == (2 if "--assign" in message else 1)
+    assert stop.value.code == (2 if "--assign" in message and "make them" not in message else 1)
     out, err = capsys.readouterr()
     assert out == ""
     assert err.count("\n") == 1
@@ -223,7 +222,7 @@ def test_a_half_built_dataset_is_one_line(
     with pytest.raises(SystemExit):
         call(monkeypatch, "make", "--dataset", "one")
     err = capsys.readouterr().err
-    assert "floor.ply: the file is missing; `datagen verify data/one` names what makes it again" in err
+    assert "floor.ply: the file is missing; `datagen verify data/one` names the command that makes it again" in err
     assert err.count("\n") == 2 and err.count("error: ") == 1  # What it is at comes first.
     assert not (here / "data/one/proxies/ellipsoid/proxies.json").exists()
 

@@ -154,7 +154,7 @@ def test_pictures_of_a_training_do_not_count_without_their_list(world: tuple[Pat
     path = f"{RUN}/predictions.json"
     (root / path).unlink()
     try:
-        with pytest.raises(HyalineError, match=rf"{path}: not there, .* `model predict \S*{RUN}`"):
+        with pytest.raises(HyalineError, match=rf"{path}: missing, .* `model predict \S*{RUN}`"):
             read_prediction(open_run(root / RUN, root / "data"), "interpolating", 0)
     finally:
         (root / path).write_bytes(state.files[path])

@@ -64,7 +64,11 @@ TRIPS = (
     Trip(
         line=f"{TRAIN} --out runs/one/paper --overwrite", taken=("runs/one/paper/run.json", "runs/one/paper/weights.pt")
     ),
-    Trip(line=f"{RENDER} --path spline --frames 2 --out film.webp", start="run", taken=("film.webp",)),
+    Trip(
+        line="model film runs/one/paper --device cpu --path spline --frames 2 --out film.webp",
+        start="run",
+        taken=("film.webp",),
+    ),
     Trip(line="model sweep grid.toml", taken=("runs/one/paper-w8-t8-batch32-2-steps/weights.pt",)),
     Trip(line=REPORT, start="run", taken=("runs/report/results.json",)),
 )

@@ -48,7 +48,7 @@ def test_nothing_foreign_is_taken_for_a_film(tmp_path: Path) -> None:
     with pytest.raises(HyalineError, match=r"x\.webp: is there already; pass --overwrite"):
         check_film(file, 10, frames=3, overwrite=False)
     for overwrite in (False, True):
-        with pytest.raises(HyalineError, match=r"thesis: is not empty \(0000\.png\) and no film; choose another --vid"):
+        with pytest.raises(HyalineError, match=r"thesis: is not empty \(0000\.png\) and no film; choose another --out"):
             check_film(folder, 10, frames=3, overwrite=overwrite)
     for suffix in (".gif", ".png", ".avi"):
         with pytest.raises(HyalineError, match=rf"'\{suffix}' is no kind of film; expected \.webp or \.mp4"):

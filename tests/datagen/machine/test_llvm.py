@@ -59,7 +59,7 @@ def test_an_old_llvm_means_the_scalar_variant_and_a_remedy(tmp_path: Path) -> No
     answer = doctor(DRJIT_LIBLLVM_PATH=str(pretend(tmp_path, 15)))
     assert answer.returncode == 0
     assert "variant scalar_rgb" in answer.stdout
-    assert f"mend it with: {llvm.advice()}" in answer.stdout
+    assert f"install it with: {llvm.advice()}" in answer.stdout
 
 
 def test_the_scalar_variant_builds_a_dataset_of_the_same_scene(tmp_path: Path) -> None:

@@ -156,8 +156,8 @@ def test_the_commands_edit_and_draw_what_is_there(made: Path, monkeypatch: pytes
     assert call(f"{run} remove:ball").out == "runs/edit/paper/variants/remove-ball\n"
     assert picture.read_bytes() == drawn
     refused = call("datagen add edit --edit remove:ball --spp 8")
-    assert (refused.status, refused.out) == (1, "")
-    assert "error: --spp: does not go with --edit" in refused.error
+    assert (refused.status, refused.out) == (2, "")
+    assert "error: datagen add: no flag --spp" in refused.error
 
 
 def test_the_report_scores_edits_by_region(

@@ -14,7 +14,7 @@ import model.cli
 from datagen.data.dataset import Dataset
 from model.batches.rays import Pixels, RayBatch
 from model.losses import pixel_losses as losses
-from model.run import predict
+from model.run import complete, predict
 from model.run import train as train_module
 from model.run.checkpoint import check_numbers, load_state
 from model.run.run_folder import TrainConfig
@@ -144,7 +144,7 @@ def test_training_stops_before_it_keeps_a_number_that_is_not_finite(
 def test_a_renderer_that_predicts_no_number_writes_no_picture(
     call: Callable[[str], int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    draw = predict.render_predictions
+    draw = complete.render_predictions
 
     def poisoned(*given: object, **named: object) -> None:
         colors = predict.predict_colors
@@ -153,7 +153,7 @@ def test_a_renderer_that_predicts_no_number_writes_no_picture(
             draw(*given, **named)  # pyright: ignore[reportArgumentType]
 
     with monkeypatch.context() as patch:
-        patch.setattr(predict, "render_predictions", poisoned)
+        patch.setattr(complete, "render_predictions", poisoned)
         assert call("train") == 3
     out = tmp_path / "runs/synthetic/paper"
     assert (

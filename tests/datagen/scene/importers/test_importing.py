@@ -224,7 +224,7 @@ def test_the_command_writes_a_folder_that_holds_the_scene_and_a_line_for_each_ap
     answer = call("datagen import 'my things.glb'")
     assert (answer.status, answer.out) == (0, "scenes/my_things\n"), answer.err
     assert "Glass: has a normal map, which is left out" in answer.err
-    assert answer.err.splitlines()[-1] == "next: datagen build --scene scenes/my_things"
+    assert answer.err.splitlines()[-1] == "next: datagen build scenes/my_things"
     root = tmp_path / "scenes" / "my_things"
     record = load_sealed(root / "import.json")
     assert record["approximations"] == ["Glass: has a normal map, which is left out"]
