@@ -53,7 +53,7 @@ class Resolution:
 
     @property
     def is_power_of_two_square(self) -> bool:
-        """True for 64 x 64, 128 x 128 and so on, which `deepvoxels` requires."""
+        """True for 64 x 64, 128 x 128 and so on."""
         return self.width == self.height and self.width & (self.width - 1) == 0
 
     def times(self, scale: int) -> Self:
