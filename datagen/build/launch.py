@@ -1,4 +1,4 @@
-"""Builds on a cluster: sends the parts of a build off as jobs, waits, and says which failed and where it tells.
+"""Builds on a cluster: submits the parts of a build as jobs, waits, and reports failures with their logs.
 
 A job is `datagen build ... --shard i/n`; submitit hands it to Slurm, or to this machine. Its files lie beside the
 dataset, in DATASET-jobs/, and may be deleted when all has ended.
@@ -34,12 +34,12 @@ WEEK_MIN = 7 * 24 * 60
 
 @dataclass(frozen=True, kw_only=True)
 class JobFailure:
-    """A job that did not make its part."""
+    """A job that failed."""
 
     shard: str
     log: Path
     reason: str
-    """The last error that it told, or how it ended."""
+    """Its last error message, or how it ended."""
 
 
 def build_in_jobs(
@@ -57,7 +57,7 @@ def build_in_jobs(
     try:
         executor = submitit.AutoExecutor(folder=folder, cluster=launch.launcher)
     except RuntimeError as error:
-        raise HyalineError(f"--launcher {launch.launcher}: there is none on this machine ({error})") from error
+        raise HyalineError(f"--launcher {launch.launcher}: not found on this machine ({error})") from error
     executor.update_parameters(**_parameters(launch, choices.workers))
     with holding(folder, JOBS):
         if not is_ours(folder, JOBS):
@@ -105,7 +105,7 @@ def build_part(words: list[str], folder: str) -> int:
 
 
 def _parameters(launch: LaunchChoices, workers: int) -> dict[str, str | int]:
-    """What submitit is told; its local jobs end after two minutes unless told otherwise."""
+    """Parameters for submitit, whose local jobs otherwise end after two minutes."""
     if launch.launcher == "local":
         return {"timeout_min": WEEK_MIN}
     parameters: dict[str, str | int] = {

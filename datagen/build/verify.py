@@ -8,8 +8,9 @@ dataset, its proxies or a variant, with the choices that their heads record. For
 import shlex
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
+from datagen.build.choices import BuildChoices, SizeChoices
 from datagen.build.presets import PRESETS
 from datagen.build.survey import Survey
 from datagen.data.dataset import Dataset, head_files, open_dataset
@@ -24,6 +25,9 @@ from datagen.disk.errors import HyalineError
 from datagen.disk.names import is_name
 from datagen.disk.ownership import LAYERS
 from datagen.disk.storage import home_of, sha256_file
+from datagen.terminal.parsing import flag_words
+
+Value = TypeVar("Value")
 
 NAMED = 3
 """Of many files with the same problem, this many are named."""
@@ -39,7 +43,7 @@ class Findings(NamedTuple):
     remarks: list[str]
     """What is not damage."""
     commands: list[str]
-    """Those that the problems name, in the order in which to run them."""
+    """The commands that the problems name, in the order to run them."""
 
 
 def verify_dataset(root: Path) -> Findings:
@@ -56,19 +60,20 @@ def verify_dataset(root: Path) -> Findings:
 
 
 class _Search:
-    """The state of one search: what is there, what was expected, what was found."""
+    """The state of one search: existing, expected and damaged files."""
 
     def __init__(self, home: Path, within: str) -> None:
         self.home, self.within = home, within
         self.survey = Survey(home)
         self.known: set[str] = set()
         self.good: set[str] = set()
+        self.hashes: dict[str, str] = {}
         self.lines: dict[str, tuple[str, str]] = {}
         """What is wrong and what repairs it, by place."""
         self.unmade: dict[str, list[str]] = {}
         """Views that are not there, in words for each folder of records, by the command that makes them."""
         self.commands: list[str] = []
-        """All that may be named, in the order in which to run them."""
+        """All commands that may be named, in the order to run them."""
 
     def wrong(self, place: str, what: str, command: str) -> None:
         if f"{place}/".startswith(self.within):
@@ -78,7 +83,7 @@ class _Search:
         """Expects a file of these bytes (or of any) at a path; notes where it is not so."""
         self.known.add(relative)
         place, what = self.survey.obstacle(relative) or (relative, "")
-        if not what and promised is not None and sha256_file(self.home / relative) != promised:
+        if not what and promised is not None and not self._matches(relative, promised):
             what = "damaged (checksum differs)"
         if not what:
             self.good.add(relative)
@@ -87,6 +92,12 @@ class _Search:
         is_in_the_way = place in self.survey.kinds and (place != relative or self.survey.kinds[place] == "folder")
         self.wrong(place, f"{what}; move it away, then run" if is_in_the_way else f"{what}; repair it with", command)
         return False
+
+    def _matches(self, relative: str, promised: str) -> bool:
+        """True if a file has this hash; each file is read once."""
+        if relative not in self.hashes:
+            self.hashes[relative] = sha256_file(self.home / relative)
+        return self.hashes[relative] == promised
 
     def check_all(self, prefix: str, files: Mapping[str, str], command: str) -> None:
         for file, promised in files.items():
@@ -107,7 +118,7 @@ class _Search:
         else:
             files = head_files(self.home)
             scene_is_good = all(
-                self.survey.has(file) and sha256_file(self.home / file) == promised
+                self.survey.has(file) and self._matches(file, promised)
                 for file, promised in files.items()
                 if file.startswith("scene/")
             )
@@ -293,29 +304,25 @@ def build_command(dataset: Dataset, *, scene_is_good: bool) -> str:
     words = ["datagen", "build", "--scene", scene, "--preset", config.preset]
     if dataset.root != DATA_ROOT / scene:
         words += ["--out", str(dataset.root)]
-    size = config.resolution
-    chosen = {
-        "--resolution": None
-        if size == preset.resolution
-        else str(size.width)
-        if size.width == size.height
-        else f"{size.width}x{size.height}",
-        "--views": _unless(preset.train.views, config.train.views),
-        "--test-views": _unless(preset.interpolating.views, config.interpolating.views),
-        "--spp": _unless(preset.train.spp, config.train.spp),
-        "--test-spp": _unless(preset.interpolating.spp, config.interpolating.spp),
-        "--ceiling": config.ceiling_db,
-        "--max-depth": _unless(24, config.max_depth),
-        "--seed": _unless(0, config.seed),
-        "--num-layers": _unless(8, find_num_layers(dataset, TRUTH) or 8),
-    }
-    if config.interpolating.views != config.extrapolating.views:  # Then the scene lists its cameras.
-        del chosen["--views"], chosen["--test-views"]
-    words += [word for flag, value in chosen.items() if value is not None for word in (flag, str(value))]
-    return shlex.join(words)
+    usual, pixels = SizeChoices(), config.resolution
+    width_and_height = str(pixels.width) if pixels.width == pixels.height else f"{pixels.width}x{pixels.height}"
+    lists_cameras = config.interpolating.views != config.extrapolating.views
+    size = SizeChoices(
+        resolution=_unless(preset.resolution, pixels) and width_and_height,
+        views=None if lists_cameras else _unless(preset.train.views, config.train.views),
+        test_views=None if lists_cameras else _unless(preset.interpolating.views, config.interpolating.views),
+        spp=_unless(preset.train.spp, config.train.spp),
+        test_spp=_unless(preset.interpolating.spp, config.interpolating.spp),
+        ceiling=config.ceiling_db,
+        num_layers=find_num_layers(dataset, TRUTH) or usual.num_layers,
+        max_depth=config.max_depth,
+    )
+    seed = flag_words(BuildChoices(seed=config.seed), BuildChoices())
+    return shlex.join([*words, *flag_words(size, usual), *seed])
 
 
-def _unless(default: int | None, value: int | None) -> int | None:
+def _unless(default: Value, value: Value) -> Value | None:
+    """None where the preset has the value already."""
     return None if value == default else value
 
 

@@ -124,7 +124,7 @@ class Camera(Lens):
 
     @property
     def alone(self) -> "Cameras":
-        """The cameras of which this one is the only one."""
+        """A set of cameras that contains only this one."""
         return self.cameras(np.asarray(self.world_from_camera, np.float64)[None])
 
     def project(

@@ -29,11 +29,11 @@ from datagen.disk.records import Json, to_json
 from datagen.disk.storage import commit, commit_sealed, load_sealed, seal_bytes, seal_of, sha256
 
 MAX_ARRAY_BYTES = (1 << 31) - 256
-"""What fits into a Blosc buffer, behind a header."""
+"""The largest array that fits into a Blosc buffer with its header."""
 
 
 def check_settings(*, num_layers: int, workers: int) -> None:
-    """Refuses how layers cannot be made, before anything is done.
+    """Checks settings before any work is done.
 
     Raises:
         HyalineError: naming the number.
@@ -50,10 +50,10 @@ def create_layers(
     """Commits the head of a store. Several processes may do so at once: one of their heads stays.
 
     Args:
-        replace: take the place of a head that stands there; views that verify under the new one are kept.
+        replace: replace an existing head; views that verify under the new one are kept.
 
     Raises:
-        HyalineError: something else stands there, or the arrays would be too large.
+        HyalineError: the folder holds something else, or the arrays would be too large.
     """
     _check_size(dataset, num_layers)
     root = layers_root(dataset.root, geometry)
@@ -81,7 +81,7 @@ def _has_record_of(root: Path, seal: str) -> bool:
 
 
 def _record(path: Path) -> dict[str, Json]:
-    """The content of a view's record; empty when it is none, or damaged."""
+    """The content of a view's record; empty if it is damaged or something else."""
     try:
         content = load_sealed(path)
     except HyalineError:
@@ -120,14 +120,14 @@ def encode_array(values: np.ndarray) -> bytes:
     # numcodecs 0.16 describes none of its compiled modules.
     from numcodecs import blosc  # pyright: ignore[reportAttributeAccessIssue]
 
-    # Blocks that several threads compress lie in the order in which these finish.
+    # With several threads, the order of blocks would depend on timing.
     blosc.use_threads = False
     npy = npy_header(values.dtype, values.shape) + values.tobytes()
     return blosc.compress(npy, b"zstd", 5, blosc.SHUFFLE, typesize=values.itemsize)
 
 
 def find_num_layers(dataset: Dataset, geometry: str) -> int | None:
-    """How many layers a geometry was peeled into, by the head, or by a view's record where that is lost."""
+    """How many layers a geometry was peeled into, from the head, or from a view's record if the head is lost."""
     with contextlib.suppress(HyalineError):
         return dataset.layer_store(geometry).head.num_layers
     records = layers_root(dataset.root, geometry).glob("records/*/*.json")
@@ -136,9 +136,9 @@ def find_num_layers(dataset: Dataset, geometry: str) -> int | None:
 
 
 def layers_files(root: Path) -> list[str]:
-    """What stands in a folder of layers besides its head, by path relative to it, records first.
+    """The files of a folder of layers besides its head, by relative path, records first.
 
-    Arrays go by their names, since one that was being written stands in no record yet.
+    Arrays are found by name, since no record lists one whose writing was interrupted.
     """
     records = [path for path in sorted(root.glob("records/*/*.json")) if _record(path)]
     is_array = re.compile(rf"[0-9]{{4,}}\.({'|'.join(DTYPES)})\.npy\.blosc")

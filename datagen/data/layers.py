@@ -31,7 +31,7 @@ from datagen.disk.storage import check_files, load_sealed, read_promised, seal_o
 LAYERS_VERSION = 2
 
 DTYPES = {"uv": np.dtype("<u2"), "object_id": np.dtype("|u1"), "depth": np.dtype("<f4")}
-"""Of the arrays of a view, by name."""
+"""Types of a view's arrays, by name."""
 
 UV_SCALE = 65535
 
@@ -68,7 +68,7 @@ class LayersRecord:
     view: int
     num_layers: int
     overflow_share: float
-    """Share of the rays that were cut off: more hits than layers."""
+    """Share of rays that have more hits than layers."""
     files: dict[str, str]
     """SHA-256 by path, relative to the store."""
 
@@ -82,7 +82,7 @@ class LayerStore:
     resolution: Resolution
     head: LayersHead
     seal: str
-    """Of the head: names the layers in a run's record."""
+    """Digest of the head, by which a run's record names the layers."""
 
     @property
     def root(self) -> Path:
@@ -187,7 +187,7 @@ def decode_array(data: bytes, dtype: np.dtype, shape: tuple[int, ...], *, where:
     """The array in the bytes of its file.
 
     Raises:
-        HyalineError: it holds anything else than an array of this type and shape.
+        HyalineError: it is not an array of this type and shape.
     """
     # numcodecs 0.16 describes none of its compiled modules.
     from numcodecs import blosc  # pyright: ignore[reportAttributeAccessIssue]
@@ -219,7 +219,7 @@ def glass_mask(object_id: UInt8[np.ndarray, "layer h w"], is_glass: Bool[np.ndar
     """Pixels whose centre ray meets glass before anything opaque.
 
     Args:
-        is_glass: by object id; that of 0, where there is nothing, is False.
+        is_glass: by object id; False for 0, which means empty.
     """
     in_front = np.ones(object_id.shape[1:], bool)
     sees_glass = np.zeros_like(in_front)

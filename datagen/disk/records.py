@@ -35,7 +35,7 @@ MAX_JSON_BYTES = 16 << 20
 MAX_TOML_BYTES = 1 << 18
 MAX_NESTING = 64
 MAX_DIGITS = 20
-"""Of an integer in JSON; those of 64 bits have at most 19."""
+"""Longest integer accepted in JSON; 64-bit integers have at most 19 digits."""
 
 _OUT_OF_RESOURCES = (errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EINTR)
 """What says nothing about the file: no reason to take it for damaged and to make it again."""
@@ -180,7 +180,7 @@ def open_regular(path: Path) -> BinaryIO:
     """A regular file, opened for reading; links are followed.
 
     Raises:
-        HyalineError: there is none, it is a folder, a pipe or a device, or it cannot be read.
+        HyalineError: it is missing, or a folder, a pipe or a device, or it cannot be read.
         OSError: this process is out of memory or file handles.
     """
     try:

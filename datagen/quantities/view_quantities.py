@@ -49,7 +49,7 @@ class LightEnds:
     """Straight distance from the camera's centre to `position` in metres; where glass refracts, `position` is not on
     the pixel's ray. 0 where it left."""
     direction: Float32[np.ndarray, "h w 3"]
-    """Unit direction in world axes in which the path arrives at its end, or left the scene."""
+    """Unit direction, in world axes, of the path's last segment."""
     attenuation: Float32[np.ndarray, "h w 3"]
     """Share of the light from the path's end, per colour channel, that reaches the camera along it: the part that
     surfaces do not reflect (Fresnel) times the part that media do not absorb (Beer and Lambert). 1 without glass."""

@@ -49,7 +49,7 @@ class CommandGroup:
     choose: Callable[[str, Sequence[str]], "Command | CommandGroup"]
     """Finds a command by its name, and the words that follow."""
     word: str = "command"
-    """What a name stands for."""
+    """What its names are called in messages."""
     moved: Mapping[str, str] = field(default_factory=dict)
     """What replaces the commands and flags of earlier versions, by their words, such as `datagen build --edit`."""
 
@@ -107,9 +107,9 @@ def collect(program: str, command: Command, words: Sequence[str], moved: Mapping
     def given(*args: Any, **kwargs: Any) -> Given:
         return Given(args, kwargs)
 
-    told, said = io.StringIO(), io.StringIO()
+    shown, refused = io.StringIO(), io.StringIO()
     try:
-        with contextlib.redirect_stdout(told), contextlib.redirect_stderr(said):
+        with contextlib.redirect_stdout(shown), contextlib.redirect_stderr(refused):
             words = _words_first(command, words)
             found, unknown = tyro.cli(
                 given,
@@ -122,12 +122,12 @@ def collect(program: str, command: Command, words: Sequence[str], moved: Mapping
     except SystemExit as end:
         if not end.code:
             # A record within a record makes a group of a dotted name.
-            text = re.sub(r"^ \w+\.(\w+ options)", r" \1", told.getvalue().rstrip(), flags=re.MULTILINE)
+            text = re.sub(r"^ \w+\.(\w+ options)", r" \1", shown.getvalue().rstrip(), flags=re.MULTILINE)
             print("\n".join(map(_wrapped, text.splitlines())))
             raise
         # tyro may take a mistyped flag for a value.
         _check_flags(program, command, words, moved or {})
-        raise UsageError(f"{program}: {_reason(said.getvalue())}. {_see(program)}") from None
+        raise UsageError(f"{program}: {_reason(refused.getvalue())}. {_see(program)}") from None
     if unknown:
         _check_flags(program, command, unknown, moved or {})
         raise UsageError(f"{program}: {unknown[0]!r} is one word too many. {_see(program)}")
@@ -146,7 +146,7 @@ def _check_flags(program: str, command: Command, words: Sequence[str], moved: Ma
 
 
 def _words_first(command: Command, words: Sequence[str]) -> list[str]:
-    """The words, in which `--scene X`, where a word `scene` is expected, has become X and stands first."""
+    """The words with positional ones first: `--scene X` becomes X if the command takes a word `scene`."""
     first: dict[str, str] = {}
     flags = {f"--{name}" for name, _, about in _items(command) if about["is_positional"]}
     rest, left = [], list(words)

@@ -25,7 +25,7 @@ class Group(Generic[Plugin]):
     name: str
     """The entry-point group, such as hyaline.exports."""
     what: str
-    """What a name stands for, as errors call it."""
+    """What a plug-in is called in errors, such as method."""
     built_in: Mapping[str, str]
     """`module:attribute` by name."""
     guide: str

@@ -164,8 +164,8 @@ def json_number(value: float | None) -> Json:
 HEAD = """# Results
 
 Every table comes from a `results.json` that `eval report` wrote, stored in [docs/results](docs/results). To add one, \
-copy it there and run `make results`, which writes this page. What earlier versions of hyaline measured, and what was \
-tried, stands in the notes: [history](docs/notes/history.md), [speed](docs/notes/speed.md).
+copy it there and run `make results`, which writes this page. Measurements of earlier versions, and what was \
+tried, are in the notes: [history](docs/notes/history.md), [speed](docs/notes/speed.md).
 """
 
 NOTES = (

@@ -1,4 +1,4 @@
-"""Rays without layers: what a method that knows cameras alone is told of a pixel."""
+"""Rays without layers, for methods that know only the cameras."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -6,14 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Float32, Int, UInt8
+from jaxtyping import Float32, Int
 from torch import Tensor
 
 from datagen.data.cameras import Cameras
-from datagen.data.config import Resolution, Split
+from datagen.data.config import Split
 from datagen.data.dataset import Dataset
 from model.batches.rays import black, pixels_at_once, read_colors
-from model.batches.traced_layers import SubpixelRays, cameras_of
+from model.batches.traced_layers import RayPixels, SubpixelRays, cameras_of
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -27,28 +27,15 @@ class PlainRays:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class PlainRayPixels:
-    """All pixels of some views: rays through their centres, jittered within the pixel while training."""
+class PlainRayPixels(RayPixels):
+    """All pixels of some views: rays through their centres, jittered within the pixel while training.
 
-    rays: SubpixelRays
-    """`rays.cameras.near` and `far` are metres between which all surfaces lie, or None."""
-    rgb: UInt8[Tensor, "pixel 3"]
-    device: torch.device
-
-    @property
-    def resolution(self) -> Resolution:
-        return self.rays.resolution
-
-    @property
-    def pixels_per_view(self) -> int:
-        return self.resolution.pixels
+    All surfaces lie between `rays.cameras.near` and `far`, in metres; None where that is unknown.
+    """
 
     @property
     def chunk(self) -> int:
         return pixels_at_once(self.device)
-
-    def to(self, device: torch.device) -> "PlainRayPixels":
-        return dataclasses.replace(self, rgb=self.rgb.to(device), device=device)
 
     def take(self, index: Int[Tensor, "*pixel"], rng: np.random.Generator | None) -> PlainRays:
         """One ray through each of the pixels with these row numbers."""

@@ -4,7 +4,7 @@ import dataclasses
 import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 import torch
@@ -63,15 +63,11 @@ def in_pairs(
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class TracedLayerPixels:
-    """All pixels of some views; the straight layers of their rays are traced when they are asked for."""
+class RayPixels:
+    """All pixels of some views, whose rays are made when a batch asks for them."""
 
-    peeler: "Peeler"
     rays: SubpixelRays
     rgb: UInt8[Tensor, "pixel 3"]
-    num_layers: int
-    train_samples: int
-    render_samples: int
     device: torch.device
 
     @property
@@ -82,12 +78,22 @@ class TracedLayerPixels:
     def pixels_per_view(self) -> int:
         return self.resolution.pixels
 
+    def to(self, device: torch.device) -> Self:
+        return dataclasses.replace(self, rgb=self.rgb.to(device), device=device)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TracedLayerPixels(RayPixels):
+    """All pixels of some views; the straight layers of their rays are traced when they are asked for."""
+
+    peeler: "Peeler"
+    num_layers: int
+    train_samples: int
+    render_samples: int
+
     @property
     def chunk(self) -> int:
         return max(1, 65_536 // self.render_samples)
-
-    def to(self, device: torch.device) -> "TracedLayerPixels":
-        return dataclasses.replace(self, rgb=self.rgb.to(device), device=device)
 
     def take(self, index: Int[Tensor, "*pixel"], rng: np.random.Generator | None) -> RayBatch:
         """The layers of the rays through these pixels; without `rng`, as many rays as for rendering."""

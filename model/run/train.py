@@ -71,7 +71,7 @@ def train(
     Args:
         processes: the processes that call this together; only the first one writes to `out`.
         memory: where training pixels are held; the result does not depend on it.
-        anew: delete the run that is in `out`.
+        anew: first delete the existing run in `out`.
         logs: logs to write for people to read.
 
     Raises:

@@ -48,7 +48,7 @@ POINTS = 1 << 15
 ROOT = 1.22074408460575947536
 """The root of x^4 = x + 1, which generates the R3 sequence. Source: Roberts 2018."""
 WELD = 1e-6
-"""Share of the object's size by which a boolean operation may move points, to leave no face too thin for floats."""
+"""How far a boolean operation may move points, relative to the object's size, to avoid needle-thin faces."""
 
 
 def parted(item: SceneObject, remarks: Remarks) -> list[SceneObject]:

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float32, Int, UInt8
 from torch import Tensor
 
 from datagen.data.cameras import Cameras
-from datagen.data.config import Resolution, Split
+from datagen.data.config import Split
 from datagen.data.dataset import Dataset
 from datagen.data.geometries import GeometryKey, geometry_key, read_meshes
 from datagen.data.meshes import Mesh, r2_steps
@@ -20,7 +20,7 @@ from datagen.data.paths import TRUTH
 from datagen.machine.mitsuba_variant import short_lived_workers, use_mitsuba
 from datagen.trace.surface_tables import Limits
 from model.batches.rays import black, read_colors
-from model.batches.traced_layers import SubpixelRays, cameras_of, in_pairs
+from model.batches.traced_layers import RayPixels, SubpixelRays, cameras_of, in_pairs
 from model.methods.light_path.config import LightPathConfig, default_light_path
 
 if TYPE_CHECKING:
@@ -101,26 +101,15 @@ MANY_RAYS = 65_536
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class LightPathPixels:
+class LightPathPixels(RayPixels):
     """All pixels of some views; the light paths of their rays are traced when they are asked for."""
 
     tracer: "LightPathTracer"
     straight_tracer: "LightPathTracer | None"
     """The same surfaces, all passed in a straight line; None if the configuration has no straight layers."""
-    rays: SubpixelRays
     is_opaque: Bool[np.ndarray, "object"]
     """By object id: True if paths end on it; False for id 0, which means empty."""
-    rgb: UInt8[Tensor, "pixel 3"]
     config: LightPathConfig
-    device: torch.device
-
-    @property
-    def resolution(self) -> Resolution:
-        return self.rays.resolution
-
-    @property
-    def pixels_per_view(self) -> int:
-        return self.resolution.pixels
 
     @property
     def chunk(self) -> int:
@@ -131,9 +120,6 @@ class LightPathPixels:
         """The same pixels with `refined_samples` rays each."""
         samples = self.config.refined_samples
         return dataclasses.replace(self, config=dataclasses.replace(self.config, render_samples=samples))
-
-    def to(self, device: torch.device) -> "LightPathPixels":
-        return dataclasses.replace(self, rgb=self.rgb.to(device), device=device)
 
     def take(self, index: Int[Tensor, "*pixel"], rng: np.random.Generator | None) -> LightPathBatch:
         """The paths of the rays through these pixels; without `rng`, as many rays as for rendering."""
