@@ -71,10 +71,11 @@ class Group(Generic[Plugin]):
         return cast(Plugin, found)
 
     def sources(self, name: str) -> list[str]:
-        """The distributions that bring a name."""
+        """The distributions that bring a name; "this process" for one that it has added."""
         points = metadata.entry_points(group=self.name, name=name)
         built_in = [DISTRIBUTION] if name in self.built_in else []
-        return built_in + [point.dist.name if point.dist else point.value for point in points]
+        own = ["this process"] if name in self.own else []
+        return built_in + [point.dist.name if point.dist else point.value for point in points] + own
 
     def _is_one(self, found: object) -> bool:
         if self.kind is None:

@@ -15,6 +15,7 @@ import pytest
 import torch
 import trimesh
 from support.checked import unchecked
+from support.commands import call
 
 import datagen.build.build
 import hyaline as hy
@@ -203,6 +204,8 @@ def test_a_method_may_be_an_object_of_ones_own_that_sees_rays_alone(dataset: hy.
     rays = load_rays(dataset, "interpolating", [0], with_images=True).take(torch.arange(256), None)
     assert np.allclose(rays.directions.numpy(), directions.reshape(-1, 3), atol=1e-6)
     assert np.allclose(rays.origins.numpy(), origin)
+    listed = " ".join(call("model train --help").out.split())  # Another test may find it there, too.
+    assert "plain-sky A colour for each direction. Brought by this process." in listed
 
 
 def test_a_report_is_a_table_rows_and_a_page(run: hy.Run, home: Path) -> None:
