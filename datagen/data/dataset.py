@@ -17,6 +17,7 @@ the scene, 0 where a layer is empty. uv is in [0, 1], v up: texel row `(1 - v) t
       images/SPLIT/0000.exr              linear R G B, half floats, and `noise.*`: half the difference of two
                                          independent halves A and B (so A = RGB + noise, B = RGB - noise)
       images/SPLIT/0000.mask.png         instead of the EXR, where pictures were imported with masks: 255 on glass
+      images/SPLIT/0000.objects.png      and with one for each object of glass: 8-bit object ids, 0 elsewhere
       images/SPLIT/0000.depth.npy        and with depth: float32, metres along the axis to the first surface, 0: none
       records/SPLIT/0000.json            sealed, written last: a view exists only when its record verifies
       layers/straight/                   peeled layers of the true geometry (format: datagen/data/layers.py)
@@ -269,6 +270,15 @@ class View:
         if ".depth.npy" not in self.dataset.endings:
             return None
         return read_npy(self._read(".depth.npy"), where=str(self.dataset.root / self._file(".depth.npy")))
+
+    @property
+    def imported_object_ids(self) -> UInt8[np.ndarray, "h w"] | None:
+        """Id of the object of glass that a pixel sees, by the masks that were imported, 0 elsewhere; None without."""
+        if ".objects.png" not in self.dataset.endings:
+            return None
+        return np.asarray(
+            decode_png(self._read(".objects.png"), where=str(self.dataset.root / self._file(".objects.png")))
+        )
 
     @property
     def mask_sha256(self) -> str | None:
