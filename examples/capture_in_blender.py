@@ -12,6 +12,7 @@ Remove transforms.json, and `datagen capture` has to find the cameras, too. Noth
 import json
 import math
 import sys
+from itertools import pairwise
 from pathlib import Path
 
 import bpy
@@ -135,7 +136,7 @@ def lathe(name: str, profile: list, place: tuple, *, is_smooth: bool = False, se
             at = (radius * math.cos(angle), radius * math.sin(angle), height)
             vertices.append([a + b for a, b in zip(at, place)])
     faces = []
-    for low, high in zip(rings, rings[1:]):
+    for low, high in pairwise(rings):
         for i in range(segments):
             corners = [low[i % len(low)], low[(i + 1) % len(low)], high[(i + 1) % len(high)], high[i % len(high)]]
             faces.append(list(dict.fromkeys(corners)))

@@ -104,7 +104,9 @@ def fit_room(points: Points, glass: Sequence[Outline], places: Float[np.ndarray,
     whole = points
     points = points[np.linalg.norm(points - middle, axis=1) < 20 * radius]
     for outline in glass:
-        points = points[~outline.around(points, times=1.25)]
+        # Features on glass are no room. The ellipsoid of a pane or a plate holds what is on it, too.
+        if outline.radii[2] > 0.5 * max(outline.radii[:2]):
+            points = points[~outline.around(points, times=1.25)]
     near, few = NEAR * radius, max(LEAST_POINTS, LEAST_SHARE * len(points))
     levels = _levels(points, near, few, below=float(places[:, 2].min()))
     if not levels:
@@ -130,8 +132,10 @@ def fit_room(points: Points, glass: Sequence[Outline], places: Float[np.ndarray,
     boxes = []
     for thing in _things(rest, CELL * radius):
         box = _rectangle(thing[:, :2])
-        low = support if parts[1:] and thing[:, 2].min() > support - 2 * near else floor
-        high = float(np.percentile(thing[:, 2], 98))
+        foot, high = np.percentile(thing[:, 2], (2, 98)).tolist()
+        base = support if foot > support - 2 * near else floor
+        # Points at its foot may be missing; something on a glass table has no surface below it.
+        low = base if foot - base < 0.5 * (high - foot) else foot
         if high - low > 2 * near and min(box.half) > near / 2 and not _holds_camera(box, high, places):
             boxes.append(Part(name=f"box_{len(boxes)}", mesh=_standing(box, low, high)))
     parts += boxes[:MAX_BOXES]

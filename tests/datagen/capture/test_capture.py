@@ -243,12 +243,12 @@ def test_a_model_of_colmap_is_turned_upright_scaled_by_a_diameter_and_given_a_ro
     assert answer.status == 0, answer.error
     dataset = open_dataset(tmp_path / "out")
     meshes = {item.name: item.mesh.vertices for item in load_scene(dataset.root / "scene", is_sealed=True).objects}
-    assert meshes["floor"][:, 2].mean() == pytest.approx(-0.7, abs=0.03)
+    assert meshes["floor"][:, 2].mean() == pytest.approx(-0.7, abs=0.05)
     assert meshes["table"][:, 2].max() == pytest.approx(0, abs=0.02)
     assert np.sort(np.ptp(meshes["table"], axis=0)[:2]).min() > 0.7
     poses = np.concatenate([dataset.cameras(split).world_from_camera for split in SPLITS])
     heights = np.sort(poses[:, 2, 3])
-    assert np.allclose(heights, np.sort(made.world_from_camera[:, 2, 3]), atol=0.03)
+    assert np.allclose(heights, np.sort(made.world_from_camera[:, 2, 3]), atol=0.06)
     assert any("were fitted to" in line for line in (dataset.imported.remarks if dataset.imported else ()))
     answer = call(f"datagen capture {tmp_path / 'shots'} --out {tmp_path / 'guessed'}")
     assert "scale: is unknown; the cameras were put 1 m away from the glass" in answer.err
