@@ -92,6 +92,7 @@ def plan_capture(root: Path, choices: CaptureChoices) -> Plan:
         parts, about_world = room.parts, [*about_world, room.remark]
         if room.support is not None:
             outlines = tuple(outline.standing_on(room.support) for outline in outlines)
+    about_world += [_size_of(outline) for outline in outlines]
     name = scene_name(root.resolve())
     scene, about_scene = _find_scene(name, outlines, parts, cameras, world, choices)
     place_of = {item.name: place for place, item in enumerate(scene.objects)}
@@ -215,12 +216,12 @@ def _place(
         )
         for outline in outlines
     )
-    lines += [
-        f"{item.name}: about {', '.join(f'{2000 * radius:.0f}' for radius in item.radii)} mm large by its masks; an "
-        "ellipsoid holds its place until `model fit` finds its shape"
-        for item in placed
-    ]
     return world, placed, lines
+
+
+def _size_of(outline: Outline) -> str:
+    sides = ", ".join(f"{2000 * radius:.0f}" for radius in outline.radii)
+    return f"{outline.name}: about {sides} mm by its masks; an ellipsoid, until `model fit` finds its shape"
 
 
 def _turning_up(up: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:

@@ -134,7 +134,7 @@ class Masks:
 def _masks_of(folder: Path, root: Path, pictures: Sequence[Path]) -> list[Path]:
     """The mask of each picture, found by its path below images/ or by its name alone."""
     listed = {path.relative_to(folder).with_suffix("").as_posix(): path for path in folder.rglob("*.png")}
-    names = [_name_below(root, path) for path in pictures]
+    names = [Path(name_of(root, path)).with_suffix("").as_posix() for path in pictures]
     stems = [path.stem for path in pictures]
     if len(set(names)) < len(names):
         again = next(name for name in names if names.count(name) > 1)
@@ -157,9 +157,10 @@ def _masks_of(folder: Path, root: Path, pictures: Sequence[Path]) -> list[Path]:
     return [path for path in found if path is not None]
 
 
-def _name_below(root: Path, picture: Path) -> str:
+def name_of(root: Path, picture: Path) -> str:
+    """A picture's path below images/, or else below the folder: what COLMAP and masks call it."""
     path = picture.relative_to(root)
-    return (Path(*path.parts[1:]) if path.parts[0] == PICTURES else path).with_suffix("").as_posix()
+    return (Path(*path.parts[1:]) if path.parts[0] == PICTURES else path).as_posix()
 
 
 # Cameras
@@ -219,10 +220,9 @@ def _points_file(root: Path, file: Transforms) -> Path | None:
 
 def _with_colmap(root: Path, pictures: list[Path], masks: Masks) -> Folder:
     listed = colmap_images(root)
-    base = root / PICTURES if (root / PICTURES).is_dir() else root
     shots, lost = [], []
     for picture in pictures:
-        name = picture.relative_to(base).as_posix()
+        name = name_of(root, picture)
         if name not in listed:
             lost.append(name)
             continue
@@ -234,7 +234,7 @@ def _with_colmap(root: Path, pictures: list[Path], masks: Masks) -> Folder:
     if len(shots) < 3:
         raise HyalineError(
             f"{root}: its model of COLMAP has cameras for {len(shots)} of {len(pictures)} pictures; expected the names "
-            f"below {base}, such as {pictures[0].relative_to(base).as_posix()}"
+            f"below {PICTURES}/, such as {name_of(root, pictures[0])}"
         )
     remarks = ()
     if lost:

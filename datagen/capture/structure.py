@@ -3,7 +3,6 @@
 Glass is masked: features on it move with the light, not with the surface.
 """
 
-import os
 import sys
 import tempfile
 from collections.abc import Iterator, Sequence
@@ -14,9 +13,10 @@ from types import ModuleType
 import numpy as np
 from PIL import Image
 
-from datagen.capture.folder import FOUND, POINTS, Folder, Masks, Shot
+from datagen.capture.folder import FOUND, POINTS, Folder, Masks, Shot, name_of
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import commit
+from datagen.import_dataset.layouts import picture_size
 from datagen.import_dataset.pictures import opened
 from datagen.terminal.command import say
 
@@ -28,6 +28,8 @@ LARGE = 1600
 MOST_FEATURES = 1200
 LEAST_SHARE = 0.5
 """Share of the pictures whose cameras must be found."""
+LEAST_SEEN = 20
+"""Points that a picture must show: cameras by fewer are often wrong."""
 MODEL, KNOWN = "SIMPLE_RADIAL", "OPENCV"
 """COLMAP's models of lenses that are found, and that are known."""
 
@@ -35,12 +37,10 @@ MODEL, KNOWN = "SIMPLE_RADIAL", "OPENCV"
 def find_cameras(root: Path, pictures: list[Path], masks: Masks) -> None:
     """Writes a model with the cameras of pictures to FOLDER/colmap/sparse/0, where the next run finds them."""
     colmap = _colmap(f"{root}: has no cameras (transforms.json, or COLMAP's sparse/0)")
-    base = os.path.commonpath([path.parent for path in pictures])
     say(f"{root}: has no cameras; looks for them in {len(pictures)} pictures, which takes minutes")
-    names = [path.relative_to(base).as_posix() for path in pictures]
     with tempfile.TemporaryDirectory(prefix="hyaline-capture-") as scratch:
         folder = Path(scratch)
-        times = _write_pictures(folder, dict(zip(names, ((path, masks.of(path)) for path in pictures), strict=True)))
+        times = _write_pictures(folder, [(path, masks.of(path)) for path in pictures])
         with _quiet(colmap):
             database = _matched(colmap, folder, model=MODEL)
             options = colmap.IncrementalPipelineOptions()
@@ -49,8 +49,12 @@ def find_cameras(root: Path, pictures: list[Path], masks: Masks) -> None:
             options.mapper.init_min_num_inliers, options.mapper.abs_pose_min_num_inliers = 50, 15
             models = colmap.incremental_mapping(database, folder / "images", folder, options)
         found = max(models.values(), key=lambda model: model.num_reg_images(), default=None)
-        count = 0 if found is None else found.num_reg_images()
-        if found is None or count < max(3, LEAST_SHARE * len(pictures)):
+        for image in list(found.images.values()) if found else []:
+            image.name = name_of(root, pictures[int(Path(image.name).stem)])
+            if image.num_points3D < LEAST_SEEN:
+                found.deregister_frame(image.frame_id)  # pyright: ignore[reportOptionalMemberAccess]
+        count = found.num_reg_images() if found else 0
+        if not found or count < max(3, LEAST_SHARE * len(pictures)):
             raise HyalineError(
                 f"{root}: COLMAP found the cameras of {count} of {len(pictures)} pictures; expected at least half: "
                 "take more pictures with texture around the glass, at least 500 pixels wide, or bring transforms.json"
@@ -75,11 +79,10 @@ def find_points(folder: Folder) -> None:
     say(f"{folder.root}: has no points for the room; looks for them in {len(shots)} pictures, which takes minutes")
     with tempfile.TemporaryDirectory(prefix="hyaline-capture-") as scratch:
         work = Path(scratch)
-        names = {f"{place:05d}.png": shot for place, shot in enumerate(shots)}
-        times = _write_pictures(work, {name: (shot.picture, shot.masks) for name, shot in names.items()})
+        times = _write_pictures(work, [(shot.picture, shot.masks) for shot in shots])
         with _quiet(colmap):
             database = _matched(colmap, work, model=KNOWN)
-            known = _known(colmap, database, names, times)
+            known = _known(colmap, database, shots, times)
             found = colmap.triangulate_points(known, database, work / "images", work)
     points = np.array([point.xyz for point in found.points3D.values()]).reshape(-1, 3)
     import trimesh
@@ -111,27 +114,21 @@ def _quiet(colmap: ModuleType) -> Iterator[None]:
         sys.stderr.flush()
 
 
-def _write_pictures(folder: Path, pictures: dict[str, tuple[Path, Sequence[Path]]]) -> float:
-    """Pictures and masks as COLMAP takes them, all made larger or smaller alike; by how much."""
-    sizes = []
-    for path, _ in pictures.values():
-        with Image.open(path) as picture:
-            sizes.append(max(picture.size))
-    longest = max(sizes)
+def _write_pictures(folder: Path, pictures: Sequence[tuple[Path, Sequence[Path]]]) -> float:
+    """Pictures and masks by their numbers, as COLMAP takes them, all made larger or smaller alike; by how much."""
+    longest = max(max(picture_size(path)) for path, _ in pictures)
     times = LARGE / longest if longest > LARGE else float(np.ceil(SMALL / longest)) if longest < SMALL else 1.0
-    for name, (path, masks) in pictures.items():
+    for name in ("images", "masks"):
+        (folder / name).mkdir()
+    for place, (path, masks) in enumerate(pictures):
         picture = opened(path).convert("RGB")
         size = (round(times * picture.width), round(times * picture.height))
-        target = folder / "images" / name
-        target.parent.mkdir(parents=True, exist_ok=True)
-        picture.resize(size, Image.Resampling.LANCZOS).save(target, format="PNG")
+        picture.resize(size, Image.Resampling.LANCZOS).save(folder / "images" / f"{place:05d}.png")
         seen = np.zeros((picture.height, picture.width), bool)
         for mask in masks:
-            seen |= np.asarray(opened(mask).convert("L")) > 127
-        mask = Image.fromarray(np.where(seen, 0, 255).astype(np.uint8)).resize(size)
-        path = folder / "masks" / f"{name}.png"
-        path.parent.mkdir(parents=True, exist_ok=True)
-        mask.save(path)
+            seen |= np.asarray(opened(mask, picture.size).convert("L")) > 127
+        hidden = Image.fromarray(np.where(seen, 0, 255).astype(np.uint8)).resize(size)
+        hidden.save(folder / "masks" / f"{place:05d}.png.png")
     return times
 
 
@@ -142,10 +139,7 @@ def _matched(colmap: ModuleType, folder: Path, *, model: str) -> Path:
     reader.camera_model, reader.mask_path = model, folder / "masks"
     features = colmap.FeatureExtractionOptions()
     features.sift.max_num_features = MOST_FEATURES
-    sizes = set()
-    for path in (folder / "images").rglob("*.png"):
-        with Image.open(path) as picture:
-            sizes.add(picture.size)
+    sizes = {picture_size(path) for path in (folder / "images").iterdir()}
     found = colmap.CameraMode.SINGLE if len(sizes) == 1 else colmap.CameraMode.AUTO
     mode = colmap.CameraMode.PER_IMAGE if model == KNOWN else found
     device = colmap.Device.cpu
@@ -161,12 +155,12 @@ def _matched(colmap: ModuleType, folder: Path, *, model: str) -> Path:
     return database
 
 
-def _known(colmap: ModuleType, database: Path, names: dict[str, Shot], times: float) -> object:
+def _known(colmap: ModuleType, database: Path, shots: Sequence[Shot], times: float) -> object:
     """A model of COLMAP that holds cameras and no points."""
     known = colmap.Reconstruction()
     with colmap.Database.open(database) as opened_database:
         for image in opened_database.read_all_images():
-            shot = names[image.name]
+            shot = shots[int(Path(image.name).stem)]
             lens = shot.lens
             k1, k2 = (*lens.radial, 0.0, 0.0)[:2]
             camera = colmap.Camera(
