@@ -288,11 +288,11 @@ class View:
     def mask(self, what: Literal["glass"]) -> Bool[np.ndarray, "h w"]:
         """Pixels whose centre ray meets glass before anything opaque, by the true geometry.
 
-        Where that has no layers, by the mask that was imported with the picture.
+        Where that has no layers, or stand-ins for meshes, by the mask that was imported with the picture.
         """
         if what != "glass":
             raise HyalineError(f"mask: is {what!r}; expected 'glass' (`object_ids` tells other objects)")
-        if not has_layers(self.dataset) and (given := self.imported_mask) is not None:
+        if (given := self.imported_mask) is not None and takes_imported_masks(self.dataset):
             return given
         return glass_mask(self.object_ids(), np.array([False, *(item.is_glass for item in self.dataset.objects)]))
 
@@ -319,9 +319,15 @@ def check_has_meshes(dataset: Dataset) -> None:
         )
 
 
+def takes_imported_masks(dataset: Dataset) -> bool:
+    """True when imported masks tell the pixels that see glass: there are no layers, or those are of stand-ins."""
+    given = dataset.imported
+    return given is not None and given.has_masks and (given.has_objects or not has_layers(dataset))
+
+
 def has_glass_mask(dataset: Dataset) -> bool:
     """True when layers of the true geometry, or imported masks, tell the pixels that see glass."""
-    return has_layers(dataset) or (dataset.imported is not None and dataset.imported.has_masks)
+    return has_layers(dataset) or takes_imported_masks(dataset)
 
 
 def open_dataset(root: Path) -> Dataset:

@@ -163,6 +163,9 @@ def test_it_is_whole_and_can_be_peeled(captured: Dataset, folder: Path) -> None:
     assert again.status == 0, again.error
     assert call(f"datagen peel {captured.root}").status == 0
     layers = captured.view("train", 0).layers()
+    view = captured.view("train", 0)
+    assert view.imported_mask is not None and np.array_equal(view.mask("glass"), view.imported_mask)
+    assert not np.array_equal(view.mask("glass"), np.isin(layers.object_id[0], (1, 2)))  # Those are of ellipsoids.
     assert set(np.unique(layers.object_id)) >= {0, captured.object_id("ball"), captured.object_id("floor")}
 
 
