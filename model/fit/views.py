@@ -92,6 +92,9 @@ def known_meshes(meshes: tuple[Mesh, ...], unknown: Sequence[int]) -> tuple[Mesh
 
 def _read_masks(dataset: Dataset, view: View, unknown: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
     """`first` and `touched` of a view, from the dataset's own masks."""
+    if (given := view.imported_object_ids) is not None:
+        seen = np.where(np.isin(given, unknown), given, 0).astype(np.uint8)
+        return seen, seen > 0
     if has_layers(dataset):
         ids = view.object_ids()
         is_unknown = np.isin(ids, unknown)
