@@ -35,7 +35,7 @@ HOMES = {
     "drjit": {"datagen"},
     "pymeshlab": {"proxies/meshing/meshlab.py", "datagen/scene/importers/surfaces.py"},
     "torch": {"model", "hyaline/tensors.py"},
-    "skimage": {"eval"},
+    "skimage": {"eval", "model/fit/hull.py"},
     "colour": {"eval"},
     "xatlas": {"datagen/scene/atlas.py"},
     "manifold3d": {"datagen/scene/cutouts.py", "datagen/scene/importers/overlaps.py", "datagen/scene/mending.py"},

@@ -10,12 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Float64, Int
-from scipy import special
 
 from datagen.data.meshes import Mesh
 from datagen.scene.modelling import rotation
 from model.fit.outside import WORTH_A_TILT, _center
 from model.fit.shapes import Glass, perpendicular
+from model.fit.silhouettes import errors, misfit, pixel_angle, pull
 from model.fit.views import NearRays
 
 SEGMENTS = 4
@@ -26,9 +26,6 @@ LEAST_SIZE, LEAST_ROUNDING = 0.0005, 0.0001
 
 MOST_ROUNDING = 0.9
 """Largest radius of the edges, in parts of the least half size."""
-
-WRONG = 0.01
-"""Expected share of wrong pixels at a mask's edge; pixels that a box cannot explain have little say."""
 
 SOFTNESS = (3.0, 1.0, 0.3, 0.1, 0.03)
 """Pixels over which a ray turns from meeting the box to missing it, in one round of the search after the other."""
@@ -157,7 +154,7 @@ def _fitted(
         turn: axes in the world about which the box may turn.
         softness: in pixels.
     """
-    width = softness * _pixel(rays, box.center)
+    width = softness * pixel_angle(rays) * float(np.median(np.linalg.norm(rays.origins - box.center, axis=1)))
     damping, (loss, passes) = 1e-3, _misfit(box, rays, width)
     for _ in range(STEPS):
         gradient, curvature = _slopes(box, rays, passes, turn, width)
@@ -176,15 +173,8 @@ def _fitted(
 
 
 def _misfit(box: Box, rays: NearRays, width: float) -> tuple[float, _Passes]:
-    """Mean negative logarithm of the likelihood of what the masks say."""
     passes = _passes(box, rays)
-    right = special.expit(_errors(passes, rays) / -width)
-    return float(-np.log(WRONG + (1 - 2 * WRONG) * right).mean()), passes
-
-
-def _errors(passes: _Passes, rays: NearRays) -> Float64[np.ndarray, " ray"]:
-    """By how many metres rays are on the wrong side of the surface; negative on the right one."""
-    return np.where(rays.hits, passes.distance, -passes.distance)
+    return misfit(passes.distance, rays.hits, width), passes
 
 
 def _slopes(
@@ -194,16 +184,8 @@ def _slopes(
     across, torque = np.abs(passes.normal), np.cross(passes.normal, passes.point, axis=0)
     rows = [-box.axes.T @ passes.normal, -across, across.sum(axis=0, keepdims=True) - 1, turn @ box.axes.T @ torque]
     slopes = np.concatenate(rows)
-    error = _errors(passes, rays) / width
-    wrong = special.expit(error)
-    # Of pixels on the wrong side by much, the mask is in doubt, not the box.
-    trust = (1 - WRONG) * (1 - wrong) / (WRONG + (1 - 2 * WRONG) * (1 - wrong))
-    weight = np.where(rays.hits, 1, -1) * trust * wrong / width
-    # A bound of the curvature where a ray is on the wrong side: steps from afar would be too long.
-    bound = np.where(error > 1e-3, (wrong - 0.5) / np.maximum(error, 1e-3), wrong * (1 - wrong))
-    bend = trust * bound / width**2
-    count = len(error)
-    return slopes @ weight / count, (slopes * bend) @ slopes.T / count
+    pulls, count = pull(passes.distance, rays.hits, width), len(rays.hits)
+    return slopes @ pulls.slope / count, (slopes * pulls.curvature) @ slopes.T / count
 
 
 def _moved(box: Box, step: Float64[np.ndarray, " number"], turn: np.ndarray, support: float | None) -> Box:
@@ -235,14 +217,7 @@ def _turned(box: Box, turn: Float64[np.ndarray, "3"]) -> Box:
 
 def _judged(box: Box, rays: NearRays) -> Box:
     """The box and how much it leaves unexplained of these rays."""
-    return dataclasses.replace(box, unexplained=float((_errors(_passes(box, rays), rays) > 0).mean()))
-
-
-def _pixel(rays: NearRays, center: np.ndarray) -> float:
-    """Width of a pixel at the object in metres."""
-    # Rays come row by row, so that most are beside the next one.
-    angle = float(np.median(np.linalg.norm(np.diff(rays.directions, axis=0), axis=1)))
-    return angle * float(np.median(np.linalg.norm(rays.origins - center, axis=1)))
+    return dataclasses.replace(box, unexplained=float((errors(_passes(box, rays).distance, rays.hits) > 0).mean()))
 
 
 def _only(rays: NearRays, kept: Int[np.ndarray, " kept"]) -> NearRays:

@@ -93,5 +93,5 @@ def _spoilt(
     from scipy import ndimage
 
     wide = np.asarray(ndimage.binary_dilation(mask))
-    edge = wide & ~np.asarray(ndimage.binary_erosion(mask))
+    edge = wide & ~np.asarray(ndimage.binary_erosion(mask), bool)
     return (wide if widened else mask) ^ (edge & (rng.random(mask.shape) < share))
