@@ -38,7 +38,10 @@ HOMES = {
     "skimage": {"eval", "model/fit/hull.py"},
     "colour": {"eval"},
     "xatlas": {"datagen/scene/atlas.py"},
-    "manifold3d": {"datagen/scene/cutouts.py", "datagen/scene/importers/overlaps.py", "datagen/scene/mending.py"},
+    "manifold3d": {
+        *("datagen/scene/cutouts.py", "datagen/scene/importers/overlaps.py", "datagen/scene/mending.py"),
+        "model/fit/handles.py",
+    },
     "numcodecs": {"datagen/data/layers.py", "datagen/data/layer_writing.py"},
     "OpenEXR": {"datagen/data/images.py"},
     "submitit": {"datagen/build/launch.py"},

@@ -81,7 +81,7 @@ def carve(sightings: Sightings, object_id: int, up: Float[np.ndarray, "3"], supp
     """
     rays = rays_near(sightings, object_id)
     positions, faces = _carved(sightings, object_id, rays, up, support)
-    positions = _smoothed(positions, faces, rays)
+    positions = _smoothed(positions, faces, rays, up, support)
     normals = vertex_normals(positions, faces)
     mesh = Mesh(
         vertices=positions.astype(np.float32),
@@ -205,7 +205,11 @@ def _largest(
 
 
 def _smoothed(
-    positions: Float64[np.ndarray, "vertex 3"], faces: Int[np.ndarray, "face 3"], rays: NearRays
+    positions: Float64[np.ndarray, "vertex 3"],
+    faces: Int[np.ndarray, "face 3"],
+    rays: NearRays,
+    up: Float[np.ndarray, "3"],
+    support: float | None,
 ) -> Float64[np.ndarray, "vertex 3"]:
     """The smoothest surface near by that masks agree with.
 
@@ -219,6 +223,8 @@ def _smoothed(
     for softness in SOFTNESS:
         contacts = _contacts(positions, faces, edge)
         positions = _relaxed(_moved(positions, faces, mean, contacts, softness), faces, mean)
+        if support is not None:
+            positions = positions + np.maximum(support - positions @ up, 0)[:, None] * up
     return positions
 
 

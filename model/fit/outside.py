@@ -13,8 +13,8 @@ from scipy import interpolate, optimize
 from model.fit.shapes import OUTSIDE, Axis, Revolution, evenly
 from model.fit.views import NearRays
 
-STEP = 0.0005
-"""Metres between the heights of a profile."""
+FINE = 501
+"""Heights of a profile."""
 
 WORTH_A_TILT = 0.003
 """Share of a mask's rays that a tilted axis has to explain beyond those that an upright one does."""
@@ -22,8 +22,11 @@ WORTH_A_TILT = 0.003
 COARSE = 129
 """Heights while the axis is searched."""
 
-FAR = 0.1
-"""Metres by which a ray can miss a hull at most, so that wrong mask pixels count little."""
+WRONG_RAYS = 0.003
+"""Share of the rays that meet an object that need not be explained where masks may be wrong."""
+
+FAR = 0.5
+"""Most by which a ray can miss a hull, in parts of the object's reach: wrong mask pixels count little."""
 
 SLOW = 1e-4
 """Cosine of rays that are taken to be perpendicular to the axis."""
@@ -61,16 +64,16 @@ def find_hull(rays: NearRays, up: Float64[np.ndarray, "3"], *, order: int) -> Hu
 
     def search(start: np.ndarray, steps: np.ndarray, most: int) -> np.ndarray:
         def lack(x: np.ndarray) -> float:
-            return _lack(edge, at(np.concatenate([x, start[len(x) :]])), coarse, order=order)
+            return _lack(edge, at(np.concatenate([x, start[len(x) :]])), coarse, order=order) / radius
 
         simplex = start[: len(steps)] + np.concatenate([np.zeros((1, len(steps))), np.diag(steps)])
-        options = {"xatol": 2e-4, "fatol": 1e-8, "maxfev": most, "initial_simplex": simplex}
+        options = {"xatol": 2e-4, "fatol": 1e-7, "maxfev": most, "initial_simplex": simplex}
         found = optimize.minimize(lack, simplex[0], method="Nelder-Mead", options=options).x
         return np.concatenate([found, start[len(found) :]])
 
     upright = search(np.zeros(4), np.array([0.1, 0.1]), 60)
     tilted = search(upright, np.array([0.02, 0.02, 0.05, 0.05]), 150)
-    heights = np.arange(-1.1 * radius, 1.1 * radius, STEP)
+    heights = np.linspace(-1.1 * radius, 1.1 * radius, FINE)
     hulls = [hull_about(rays, at(x), heights, order=order) for x in (upright, tilted)]
     return min(hulls, key=lambda hull: hull.unexplained + (hull is hulls[1]) * WORTH_A_TILT)
 
@@ -81,10 +84,12 @@ def hull_about(rays: NearRays, axis: Axis, heights: Float64[np.ndarray, " height
     radii = _hull_radii(rho, rays.hits, order=order)
     inside = rho[rays.hits] <= radii
     explained = inside.any(axis=1)
-    if explained.sum() <= order:
+    if not explained.any():
         return Hull(axis=axis, heights=heights, radii=np.zeros_like(radii), unexplained=1.0)
     lowest, highest = inside.argmax(axis=1)[explained], len(heights) - 1 - inside[:, ::-1].argmax(axis=1)[explained]
-    top, bottom = np.sort(lowest)[-1 - order], np.sort(highest)[order]
+    # Where masks may be wrong, some rays that meet the object pass it by.
+    spare = round(WRONG_RAYS * len(lowest)) if order else 0
+    top, bottom = np.sort(lowest)[-1 - spare], np.sort(highest)[spare]
     place = np.arange(len(heights))
     kept = np.where((place >= bottom) & (place <= top), radii, 0)
     return Hull(axis=axis, heights=heights, radii=kept, unexplained=float(1 - explained.mean()))
@@ -117,7 +122,7 @@ def _lack(rays: NearRays, axis: Axis, heights: np.ndarray, *, order: int) -> flo
     rho = crossings(rays, axis, heights)
     radii = _hull_radii(rho, rays.hits, order=order)
     gaps = np.maximum(rho[rays.hits] - np.where(np.isfinite(radii), radii, 0), 0).min(axis=1)
-    return float(np.minimum(gaps, FAR).mean())
+    return float(np.minimum(gaps, FAR * heights[-1]).mean())
 
 
 def _center(rays: NearRays) -> tuple[Float64[np.ndarray, "3"], float]:
@@ -137,14 +142,18 @@ def _mean_ray(rays: NearRays, view: int) -> tuple[np.ndarray, np.ndarray]:
     return rays.origins[these][0], direction / np.linalg.norm(direction)
 
 
-ROUND = 0.0004
-"""Metres (root mean square) by which the hull of a ball may differ from a sphere."""
+ROUND = 0.006
+"""By which the hull of a ball may differ from a sphere (root mean square). This and what follows in parts of the
+largest radius."""
 
-RIM_LEFT_OUT = 0.004
-"""Metres below the top where a hull follows the rim's rounding instead of the side."""
+RIM_LEFT_OUT = 0.08
+"""Below the top, where a hull follows the rim's rounding instead of the side."""
 
-NOISE = 0.00015
-"""Standard deviation of a hull's radii, in metres."""
+FOOT_LEFT_OUT = 0.02
+"""Above the bottom."""
+
+NOISE = 0.003
+"""Standard deviation of a hull's radii."""
 
 
 def find_outside(hull: Hull, support: float | None) -> Revolution:
@@ -158,13 +167,16 @@ def find_outside(hull: Hull, support: float | None) -> Revolution:
     if (ball := _as_ball(hull.axis, heights, radii)) is not None:
         return ball
     bottom = heights[0] if support is None else support
-    kept = (heights > bottom + 0.001) & (heights < heights[-1] - RIM_LEFT_OUT)
-    spline = interpolate.UnivariateSpline(heights[kept], radii[kept], s=kept.sum() * NOISE**2)
+    size = radii.max()
+    rim = RIM_LEFT_OUT * size
+    kept = (heights > bottom + FOOT_LEFT_OUT * size) & (heights < heights[-1] - rim)
+    spline = interpolate.UnivariateSpline(heights[kept], radii[kept], s=kept.sum() * (NOISE * size) ** 2)
     low, high = heights[kept][[0, -1]]
-    slope = (float(spline(high)) - float(spline(high - 1.5 * RIM_LEFT_OUT))) / (1.5 * RIM_LEFT_OUT)
+    below, above = np.asarray(spline([high - 1.5 * rim, high]))
+    slope = (above - below) / (1.5 * rim)
     along = np.linspace(bottom, heights[-1], 400)
-    side = spline(np.clip(along, low, high)) + slope * np.maximum(along - high, 0)
-    line = np.stack([np.maximum(side, 5e-4), along], axis=1)
+    side = np.asarray(spline(np.clip(along, low, high))) + slope * np.maximum(along - high, 0)
+    line = np.stack([np.maximum(side, 0.01 * size), along], axis=1)
     return Revolution(axis=hull.axis, outside=evenly(np.concatenate([[(0, bottom)], line]), OUTSIDE))
 
 
@@ -176,7 +188,8 @@ def _as_ball(axis: Axis, heights: np.ndarray, radii: np.ndarray) -> Revolution |
     radius = float(np.sqrt(max(rest + middle**2, 0)))
     circle = np.sqrt(np.maximum(radius**2 - (heights[wide] - middle) ** 2, 0))
     reaches = heights[wide][[0, -1]] - middle
-    if np.sqrt(np.mean((circle - radii[wide]) ** 2)) > ROUND or reaches[0] > -0.8 * radius or reaches[1] < 0.8 * radius:
+    error = np.sqrt(np.mean((circle - radii[wide]) ** 2))
+    if error > ROUND * radius or reaches[0] > -0.8 * radius or reaches[1] < 0.8 * radius:
         return None
     angles = np.linspace(-np.pi / 2, np.pi / 2, OUTSIDE)
     return Revolution(

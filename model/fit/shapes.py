@@ -24,7 +24,10 @@ OUTSIDE, RIM, INSIDE, CORNER = 120, 6, 64, 12
 POINTS = OUTSIDE + RIM - 1 + INSIDE + CORNER + 1
 """Of every section."""
 
-Outline = Float64[np.ndarray, "point 2"]
+FOOT = 0.04
+"""First guess of a foot's rounding, in parts of the largest radius."""
+
+Outline = Float64[np.ndarray, "_ 2"]
 """Points (radius, height along the axis) in metres, from the axis at the bottom and back to it."""
 
 
@@ -108,10 +111,13 @@ class Revolution(Glass):
         """A vessel with this outside.
 
         Args:
+            wall: in parts of the largest radius.
             floor: in parts of the height.
         """
-        floor *= self.height
-        return dataclasses.replace(self, wall=wall, taper=1.0, floor=floor, corner=corner, foot=0.002)
+        radius = float(self.outside[:, 0].max())
+        return dataclasses.replace(
+            self, wall=wall * radius, taper=1.0, floor=floor * self.height, corner=corner, foot=FOOT * radius
+        )
 
     def outline(self) -> Outline:
         """The whole section."""
@@ -173,7 +179,7 @@ def _hollow(outside: Outline, wall: float, at_rim: float, floor: float, corner: 
     angles = np.linspace(0, np.pi, RIM + 1)[1:-1, None]
     rim = middle + np.cos(angles) * arm + np.sin(angles) * up
     side = evenly(np.concatenate([line[::-1], lowest[None]]), INSIDE)
-    return np.concatenate([rim, _with_corner(side, np.array([0.0, bottom]), reach=corner * lowest[0])])
+    return np.concatenate([rim, _with_corner(side, np.array([0.0, bottom]), reach=float(corner * lowest[0]))])
 
 
 def _with_foot(line: Outline, reach: float) -> Outline:
@@ -181,7 +187,7 @@ def _with_foot(line: Outline, reach: float) -> Outline:
     flat = int(np.flatnonzero(line[:, 1] > line[0, 1] + 1e-6)[0])
     side = line[flat - 1 :]
     way = _lengths(side)
-    reach = min(reach, 0.9 * side[0, 0], 0.5 * way[-1])
+    reach = min(reach, 0.9 * float(side[0, 0]), 0.5 * float(way[-1]))
     if reach <= 0:
         return line
     start = np.array([side[0, 0] - reach, line[0, 1]])
@@ -192,7 +198,7 @@ def _with_foot(line: Outline, reach: float) -> Outline:
 def _with_corner(line: Outline, end: Float64[np.ndarray, "2"], *, reach: float) -> Outline:
     """The line and a straight way on to `end`, their corner rounded from `reach` before it to as far behind."""
     way = _lengths(line)
-    reach = min(reach, 0.5 * way[-1], 0.95 * float(np.linalg.norm(line[-1] - end)))
+    reach = min(reach, 0.5 * float(way[-1]), 0.95 * float(np.linalg.norm(line[-1] - end)))
     start = _at(line, way[-1] - reach)
     kept = evenly(np.concatenate([line[way < way[-1] - reach], start[None]]), INSIDE)
     stop = line[-1] + reach * (end - line[-1]) / np.linalg.norm(end - line[-1])

@@ -144,8 +144,8 @@ def rays_near(sightings: Sightings, object_id: int) -> NearRays:
     disc = np.hypot(*np.mgrid[-MARGIN : MARGIN + 1, -MARGIN : MARGIN + 1]) <= MARGIN
     near = ndimage.binary_dilation(sees, disc[None]) & sightings.is_open(object_id)
     beside = ndimage.generate_binary_structure(2, 2)[None]
-    wide = np.asarray(ndimage.binary_dilation(sees, beside, iterations=2))
-    narrow = np.asarray(ndimage.binary_erosion(sees, beside, iterations=2))
+    wide = np.asarray(ndimage.binary_dilation(sees, beside, iterations=2), bool)
+    narrow = np.asarray(ndimage.binary_erosion(sees, beside, iterations=2), bool)
     view, row, column = np.nonzero(near)
     return NearRays(
         origins=origins[view].astype(np.float64),
