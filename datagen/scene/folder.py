@@ -233,6 +233,11 @@ def load_scene_as(dataset: Dataset, geometry: str) -> Scene:
     return dataclasses.replace(scene, objects=tuple(objects))
 
 
+def material_json(material: Material) -> Json:
+    """A material as scene.json has it, for `write_proxies`."""
+    return cast(dict[str, Json], to_json(_OneMaterial(material=material)))["material"]
+
+
 def transformed(mesh: Mesh, transform: Transform) -> Mesh:
     """The mesh after a transform; uv stay the same."""
     rotation, scale = transform.rotation(), np.array(transform.scale)

@@ -136,8 +136,10 @@ class LightPathTracer:
             if mesh is not before:
                 assert mesh.vertices.shape == before.vertices.shape
                 assert mesh.faces.shape == before.faces.shape
-                positions = np.ascontiguousarray(mesh.vertices).ravel()
-                parameters[f"{shape_name(place)}.vertex_positions"] = mi.Float(positions)
+                name = shape_name(place)
+                parameters[f"{name}.vertex_positions"] = mi.Float(np.ascontiguousarray(mesh.vertices).ravel())
+                # Or Mitsuba works normals out and writes them into the arrays of the mesh that was loaded.
+                parameters[f"{name}.vertex_normals"] = mi.Float(np.ascontiguousarray(mesh.normals).ravel())
             self._meshes[place], self._materials[place] = mesh, material
         parameters.update()
         # What kernels were recorded for stays, `self._media` too; what they look up changes.

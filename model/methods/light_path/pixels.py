@@ -224,16 +224,21 @@ def share_texels(dataset: Dataset, geometry: str, size: int) -> tuple[int, ...]:
         range(dataset.config.train.views),
         False,
     )
+    return texel_widths(pixels, len(dataset.objects), size)
+
+
+def texel_widths(pixels: LightPathPixels, num_objects: int, size: int) -> tuple[int, ...]:
+    """`share_texels` for the rays of some pixels."""
     index = np.random.default_rng(0).integers(len(pixels.rgb), size=COUNTED_PIXELS)
     batch = pixels.take(torch.from_numpy(index), None)
     met = [batch.ends.surface]
-    if not follows_light(geometry):
+    if pixels.config.straight_layers:
         assert batch.stack is not None
         met.append(batch.stack.surface[:, sum(STACKED_VERTICES) :].flatten())
     surfaces = torch.cat(met).long()
     # The textures of a proxy's shells are as wide as its own.
     objects = (surfaces[surfaces > 0] - 1) // pixels.config.shells
-    counts = torch.bincount(objects, minlength=len(dataset.objects))
+    counts = torch.bincount(objects, minlength=num_objects)
     share = counts.double() / counts.sum().clamp_min(1)
     wanted = (share * len(share)).sqrt() * size
     least = torch.where(share > 0, size // 3, size // 8).clamp_min(2)
