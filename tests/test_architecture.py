@@ -44,6 +44,7 @@ HOMES = {
     },
     "numcodecs": {"datagen/data/layers.py", "datagen/data/layer_writing.py"},
     "OpenEXR": {"datagen/data/images.py"},
+    "pycolmap": {"datagen/capture/structure.py"},
     "submitit": {"datagen/build/launch.py"},
     "viser": {"model/view/server.py", "model/view/stage.py", "model/view/view.py"},
 }
@@ -54,6 +55,7 @@ FLOORS = {
         "cli",
         "look",
         "export",
+        "capture",
         "import_dataset",
         "build",
         "quantities",
@@ -75,7 +77,13 @@ FLOORS = {
 
 
 PERIPHERY = (
-    *("datagen.export", "datagen.import_dataset", "datagen.scene.importers", "datagen.scene.procedural"),
+    *(
+        "datagen.export",
+        "datagen.capture",
+        "datagen.import_dataset",
+        "datagen.scene.importers",
+        "datagen.scene.procedural",
+    ),
     *("eval.papers", "model.methods.authors_code", "model.methods.deepvoxels", "model.methods.dnr"),
     *("model.view", "model.web"),
 )

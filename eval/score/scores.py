@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, UInt8
 
 from datagen.data.config import TEST_SPLITS, Split
-from datagen.data.dataset import Dataset, has_glass_mask, has_layers
+from datagen.data.dataset import Dataset, has_glass_mask, has_layers, takes_imported_masks
 from datagen.data.paths import TRUTH
 from datagen.disk.errors import NumericsError
 from datagen.disk.records import Json
@@ -174,7 +174,7 @@ def read_truth(dataset: Dataset, split: Split) -> Truth:
     """Pictures, glass masks and noise ceiling of a split."""
     digest: list[Json] = [*picture_digests(dataset, split)]
     digest.append(layers_digest(dataset, TRUTH, [split]) if has_layers(dataset) else None)
-    if has_glass_mask(dataset) and not has_layers(dataset):
+    if takes_imported_masks(dataset):
         digest += [view.mask_sha256 for view in dataset.views(split)]
     return Truth(
         dataset=dataset,
