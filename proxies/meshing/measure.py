@@ -53,12 +53,17 @@ class Enclosure:
     @property
     def problem(self) -> str | None:
         """The problem in a few words; None if the proxy is sound."""
+        if self.own_problem is None and self.inside_share < 1:
+            return f"leaves {100 * (1 - self.inside_share):.3g} % of the object outside"
+        return self.own_problem
+
+    @property
+    def own_problem(self) -> str | None:
+        """The same of a mesh that need not enclose its object."""
         if self.open_edges:
             return f"has {self.open_edges} open edges"
         if self.volume <= 0:
             return f"encloses {self.volume:g} m^3, it is inside out"
-        if self.inside_share < 1:
-            return f"leaves {100 * (1 - self.inside_share):.3g} % of the object outside"
         if self.smallest_chart < ATLAS_ROOM:
             return f"has a face of {self.smallest_chart:g} of the atlas"
         return None
