@@ -138,7 +138,11 @@ def make_tables(
     kept = kept_in(out)
     scenes = _score_scenes(wanted, errors, kept)
     if not scenes:
-        hint = f"; make them with `{_sweep_command(tables[0], only)}`" if tables[0] in TABLES.built_in else ""
+        hint = (
+            f"; make them with `{_sweep_command(tables[0], only)}`"
+            if tables[0] in TABLES.built_in and asked[tables[0]].is_swept
+            else ""
+        )
         errors.append(HyalineError(f"{runs_root}: contains no run of {', '.join(tables)}{hint}"))
     for table in asked.values():
         for grid in table.grids(scenes, lambda scene: _object_psnr(scene, errors, kept)):
