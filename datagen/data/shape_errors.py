@@ -118,8 +118,8 @@ def measure_walls(mesh: Mesh, count: int = WALL_SAMPLES) -> Walls:
     corners = face_corners(mesh).astype(np.float64) - middle
     found = points_on(mesh, count)
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
     origins, directions = found.position - middle, normals[found.face]
+    directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
     tolerance = 1e-6 * float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
     thickness = np.full(count, np.inf)
     for start in range(0, count, LINES_AT_ONCE):

@@ -216,7 +216,8 @@ class Frame:
 
 def frame_of(item: FitObject, mesh: Mesh) -> Frame:
     """Along the axis of a round object; upright through the middle of others."""
-    axis = item.axis or {"point": mesh.vertices.mean(axis=0), "direction": (0.0, 0.0, 1.0)}
+    middle = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)).astype(float) / 2
+    axis = item.axis or {"point": middle, "direction": (0.0, 0.0, 1.0)}
     up = np.array(axis["direction"]) / np.linalg.norm(axis["direction"])
     across = np.cross(up, np.eye(3)[np.abs(up).argmin()])
     return Frame(point=np.array(axis["point"]), up=up, across=across / np.linalg.norm(across))
@@ -282,15 +283,8 @@ def fit_data(fits: Sequence[tuple[Fit, tuple[Measured, ...]]]) -> Json:
     """Every fit's numbers and errors for results.json."""
     return {
         fit.folder.name: {
-            "geometry": fit.geometry,
-            "objects": {
-                item.name: {"kind": item.kind, "numbers": to_json(item.numbers), **_plain(found)}
-                for item, found in zip(fit.objects, measured, strict=True)
-            },
+            item.name: {"kind": item.kind, "numbers": to_json(item.numbers), "measured": to_json(found)}
+            for item, found in zip(fit.objects, measured, strict=True)
         }
         for fit, measured in fits
     }
-
-
-def _plain(found: Measured) -> dict[str, Json]:
-    return {"errors": to_json(found.errors), "hull_errors": to_json(found.hull_errors), "true": to_json(found.true)}

@@ -92,8 +92,13 @@ def analyse(scene: SceneScores, errors: list[HyalineError], kept: Kept, fits: Se
         figures |= {f"edit_{name}_{file_name(edit.edited.name)}.png": _edit_sheet(scene, edit) for edit in edits}
     if by_name:
         data["variants"] = by_name
-    own = [fit for fit in fits if fit.dataset == scene.dataset.seal]
-    if measured := tuple((fit, measure_fit(scene.dataset, fit, kept)) for fit in own):
+    measured = []
+    for fit in (fit for fit in fits if fit.dataset == scene.dataset.seal):
+        try:
+            measured.append((fit, measure_fit(scene.dataset, fit, kept)))
+        except HyalineError as error:
+            errors.append(error)
+    if measured:
         data["fits"] = fit_data(measured)
     return Further(
         title=scene.title,
@@ -103,7 +108,7 @@ def analyse(scene: SceneScores, errors: list[HyalineError], kept: Kept, fits: Se
         curves=pooled,
         variants=tuple(variants),
         edits=edits,
-        fits=measured,
+        fits=tuple(measured),
     )
 
 

@@ -19,6 +19,7 @@ from datagen.data.dataset import Dataset
 from datagen.data.images import png_bytes
 from datagen.data.meshes import signed_volume
 from datagen.data.metadata import Imported
+from datagen.disk.errors import HyalineError
 from datagen.disk.storage import commit_sealed, load_sealed
 from eval.analyses.fits import FitObject, Frame, heat_map, hull_mesh, knows_truth, section_of, true_floor
 from eval.page.report import make_report
@@ -114,7 +115,7 @@ def test_the_report_has_a_page_of_each_fit(root: Path, capsys: pytest.CaptureFix
         "told",
     ]
     (scene,) = json.loads((root / "out" / "results.json").read_text())["scenes"]
-    pane = scene["analyses"]["fits"]["fit-fitted"]["objects"]["pane"]
+    pane = scene["analyses"]["fits"]["fit-fitted"]["pane"]["measured"]
     # A square scaled by 1.02: its rim is up to 2 % of a metre beyond the true one, its middle on it.
     assert 0 < pane["errors"]["mean_distance"] < 0.02 and pane["true"]["ior"] == 1.5
     assert pane["errors"]["wall"] is None and pane["hull_errors"] is None
@@ -151,7 +152,7 @@ def test_a_fit_that_cannot_be_read_is_named_and_the_runs_are_scored(
 ) -> None:
     path = root / "runs" / "synthetic" / "fit-fitted" / "fit.json"
     commit_sealed(path, {**load_sealed(path), **change})
-    with pytest.raises(Exception, match=message):
+    with pytest.raises(HyalineError, match=message):
         report(root)
     assert "told" in capsys.readouterr().out
 
@@ -162,6 +163,15 @@ def test_without_its_geometry_a_fit_still_has_its_numbers(root: Path) -> None:
     page = report(root)
     assert "1.480 to 1.510" in page.source and "pane, cut through" in page.source
     assert "Shapes against the true ones" not in page.source
+
+
+@pytest.mark.usefixtures("no_pictures")
+def test_a_damaged_mesh_is_named_and_the_runs_are_scored(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    mesh = root / "data" / "synthetic" / "proxies" / "fitted" / "meshes" / "pane.ply"
+    mesh.write_bytes(mesh.read_bytes()[:-1] + b"!")
+    with pytest.raises(HyalineError, match=r"pane\.ply: damaged"):
+        report(root)
+    assert "told" in capsys.readouterr().out
 
 
 def test_the_truth_of_photographs_is_unknown(dataset: Dataset) -> None:
