@@ -267,9 +267,9 @@ def heat_map(
     color = mpl.colormaps["inferno"](0.1 + 0.9 * np.clip(far / most, 0, 1))
     color[:, :3] *= lit[:, None]
     image = np.zeros((HEAT_SIDE, HEAT_SIDE, 4), np.uint8)
-    for row in (0, 1):
-        for column in (0, 1):
-            image[pixel[:, 1] + row, pixel[:, 0] + column] = np.rint(255 * color)
+    # Each point covers four pixels, so that no gaps show what is behind.
+    spots = pixel[:, None] + np.array([(0, 0), (0, 1), (1, 0), (1, 1)])
+    image[spots[..., 1], spots[..., 0]] = np.rint(255 * color)[:, None]
     return image
 
 

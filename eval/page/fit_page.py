@@ -35,6 +35,7 @@ from eval.tables.looks import html_table
 LENGTHS = ("wall", "floor", "foot")
 """Numbers in metres; the page shows millimetres."""
 TITLES = {"ior": "index of refraction"}
+MARGINS = {"left": 0.14, "right": 0.98, "top": 0.98, "bottom": 0.13}
 CELLS = 3
 """Cells of the grid that the page shows."""
 NEAREST, FARTHEST = 5e-4, 5e-3
@@ -171,7 +172,7 @@ def sections(fit: Fit, dataset: Dataset) -> tuple[Markup, ...]:
         if shown:
             frame = frame_of(item, next(iter(shown.values())))
             figure = new_figure(440, 440)
-            axes = figure.subplots()
+            axes = figure.subplots(gridspec_kw=MARGINS)
             for name, shape in shown.items():
                 cut = 1000 * section_of(shape, frame)
                 breaks = np.full((len(cut), 1, 2), np.nan)
@@ -230,8 +231,11 @@ def _heat(gallery: Gallery, fit: Fit, dataset: Dataset) -> list[Part]:
 
 def _views(gallery: Gallery, scene: SceneScores, fit: Fit, compared: Iterable[Compared]) -> list[Part]:
     """The middle view of each test split: the truth, and runs on true, fitted and hull glass."""
-    shown = [item for item in compared if _belongs(item, fit)]
-    if len({item.run.geometry for item in shown} - {TRUTH}) == 0:
+    found = [item for item in compared if _belongs(item, fit)]
+    # Of several runs on a geometry (seeds, other settings), the one with the shortest name.
+    names = {item.run.geometry: item.run.name for item in sorted(found, key=lambda item: -len(item.run.name))}
+    shown = [item for item in found if item.run.name == names[item.run.geometry]]
+    if not set(names) - {TRUTH}:
         return []
     rows: list[Part] = []
     for split in TEST_SPLITS:
@@ -258,17 +262,19 @@ def _belongs(item: Compared, fit: Fit) -> bool:
 
 def _pictures(gallery: Gallery, fit: Fit) -> list[Part]:
     pictures = {name.removesuffix(".png"): functools.partial(read_png, fit.folder / name) for name in fit.pictures}
-    return [tag("h3", "What each stage found"), _sheet(gallery, fit, pictures)] if pictures else []
+    return [tag("h3", "What each stage found"), _sheet(gallery, fit, pictures, class_="charts")] if pictures else []
 
 
-def _sheet(gallery: Gallery, fit: Fit, pictures: Mapping[str, functools.partial[np.ndarray]]) -> Markup:
+def _sheet(
+    gallery: Gallery, fit: Fit, pictures: Mapping[str, functools.partial[np.ndarray]], class_: str = "sheet wide"
+) -> Markup:
     """Pictures with their names, as far as they fit."""
     figures = []
     for name, read in pictures.items():
         key = anchor("fit", *fit.digest, name)
         if gallery.add(key, read):
             figures.append(tag("figure", gallery.show(key, label=name), tag("figcaption", name)))
-    return tag("div", *figures, class_="sheet wide")
+    return tag("div", *figures, class_=class_)
 
 
 def _title(name: str) -> str:

@@ -78,7 +78,8 @@ def test_a_heat_map_shows_the_object_whole_and_cut_brighter_where_it_is_off() ->
 def root(tmp_path: Path) -> Path:
     """A dataset whose pane was fitted, with runs on the truth and on what was found."""
     dataset = write_synthetic_dataset(tmp_path / "data" / "synthetic")
-    for name, geometry, level in (("told", "truth", 2), ("found", "fitted", 4), ("hull", "fitted-hull", 8)):
+    runs = (("told", "truth", 2), ("told-seed1", "truth", 3), ("found", "fitted", 4), ("hull", "fitted-hull", 8))
+    for name, geometry, level in runs:
         run = tmp_path / "runs" / "synthetic" / name
         for split in TEST_SPLITS:
             (run / "predictions" / split).mkdir(parents=True)
