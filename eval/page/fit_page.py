@@ -5,12 +5,12 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-import matplotlib as mpl
 import numpy as np
 
 from datagen.data.config import TEST_SPLITS
 from datagen.data.dataset import Dataset
 from datagen.data.images import read_png
+from datagen.data.meshes import Mesh
 from datagen.data.paths import TRUTH, view_name
 from datagen.pages.charts import STYLE, Line, line_chart, new_figure, page_figure
 from datagen.pages.html import Markup, Part, anchor, join, prose, section, tag
@@ -160,27 +160,34 @@ def histories(fit: Fit) -> list[Markup]:
 
 
 @functools.lru_cache(maxsize=16)  # The page is drawn again with fewer pictures until it is small enough.
-@mpl.rc_context(STYLE)
 def sections(fit: Fit, dataset: Dataset) -> tuple[Markup, ...]:
     """Each object cut through its axis: the truth, the hull, and what was found."""
     truths = meshes_by_name(dataset, TRUTH) if knows_truth(dataset) else {}
+    meshes = fitted_meshes(dataset, fit)
     charts = []
     for item in fit.objects:
-        mesh, hull = fitted_meshes(dataset, fit)[item.name]
+        mesh, hull = meshes[item.name]
         shown = {"truth": truths.get(item.name), "hull": hull, "fitted": mesh}
         shown = {name: shape for name, shape in shown.items() if shape is not None}
         if shown:
-            frame = frame_of(item, next(iter(shown.values())))
-            figure = new_figure(440, 440)
-            axes = figure.subplots(gridspec_kw=MARGINS)
-            for name, shape in shown.items():
-                cut = 1000 * section_of(shape, frame)
-                breaks = np.full((len(cut), 1, 2), np.nan)
-                x, y = np.concatenate([cut, breaks], axis=1).reshape(-1, 2).T
-                axes.plot(x, y, label=name, marker="", linewidth=1.5)
-            axes.set(xlabel="mm", ylabel="mm", aspect="equal", adjustable="datalim")
-            charts.append(page_figure(figure, f"{item.name}, cut through its axis"))
+            charts.append(_section(item, shown))
     return tuple(charts)
+
+
+def _section(item: FitObject, shapes: Mapping[str, Mesh]) -> Markup:
+    import matplotlib as mpl
+
+    frame = frame_of(item, next(iter(shapes.values())))
+    with mpl.rc_context(STYLE):
+        figure = new_figure(440, 440)
+        axes = figure.subplots(gridspec_kw=MARGINS)
+        for name, shape in shapes.items():
+            cut = 1000 * section_of(shape, frame)
+            breaks = np.full((len(cut), 1, 2), np.nan)
+            x, y = np.concatenate([cut, breaks], axis=1).reshape(-1, 2).T
+            axes.plot(x, y, label=name, marker="", linewidth=1.5)
+        axes.set(xlabel="mm", ylabel="mm", aspect="equal", adjustable="datalim")
+        return page_figure(figure, f"{item.name}, cut through its axis")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -197,9 +204,10 @@ class _Heat:
 def heat_maps(fit: Fit, dataset: Dataset) -> tuple[_Heat, ...]:
     """The objects whose truth is known, before and after."""
     truths = meshes_by_name(dataset, TRUTH) if knows_truth(dataset) else {}
+    meshes = fitted_meshes(dataset, fit)
     maps = []
     for item in fit.objects:
-        mesh, hull = fitted_meshes(dataset, fit)[item.name]
+        mesh, hull = meshes[item.name]
         if mesh is None or item.name not in truths:
             continue
         shapes = {"hull": hull, "fitted": mesh}
