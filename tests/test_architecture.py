@@ -34,7 +34,7 @@ HOMES = {
     "mitsuba": {"datagen"},
     "drjit": {"datagen"},
     "pymeshlab": {"proxies/meshing/meshlab.py", "datagen/scene/importers/surfaces.py"},
-    "torch": {"model", "hyaline/tensors.py"},
+    "torch": {"model", "hyaline/tensors.py", "eval/score/metrics.py"},
     "skimage": {"eval", "model/fit/hull.py"},
     "colour": {"eval"},
     "xatlas": {"datagen/scene/atlas.py"},
