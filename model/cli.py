@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from datagen.build.choices import FilmChoices
-from datagen.data.paths import find_dataset
+from datagen.data.paths import FITTED, find_dataset
 from datagen.disk.errors import HyalineError, UsageError
 from datagen.terminal.command import mute, next_command, run, say, tell
 from datagen.terminal.parsing import Command, CommandGroup, group
@@ -48,6 +48,7 @@ def commands() -> CommandGroup:
     """All commands of the program."""
     by_name = {
         "train": CommandGroup(about=TRAIN, names=_methods, line=_describe, choose=_train_command, word="method"),
+        "fit": fit,
         "predict": predict,
         "film": film,
         "export": export,
@@ -109,6 +110,64 @@ def _train_method(method: str, asked: "Asked") -> None:
     )
     if is_first:
         _end(out, run=out)
+
+
+def fit(
+    dataset: str | None = None,
+    /,
+    *,
+    unknown: tuple[str, ...] = (),
+    masks: Path | None = None,
+    mask_errors: int | None = None,
+    name: str = FITTED,
+    out: Path | None = None,
+    steps: int = 800,
+    skip: tuple[Literal["grid", "search", "again"], ...] = (),
+    seed: int = 0,
+    overwrite: bool = False,
+) -> None:
+    """Find shapes and materials of glass from training pictures and masks; write them as a geometry.
+
+    Cameras and everything that is not glass must be known. `light-path` trains on what was found with `--geometry
+    fitted`, and `proxies check --name fitted` compares it with the truth.
+
+    Args:
+        dataset: A dataset's folder, or its name under data/. Default: the only one there.
+        unknown: Name of an object of unknown shape and material. May be repeated. Default: all objects of glass.
+        masks: Folder of masks as PNG files, OBJECT/0000.png for each object and training view, white where the object
+            is seen first. Default: those in the dataset.
+        mask_errors: Wrong pixels to expect at the edges of masks: a ray that misses an object only counts where this
+            many others miss it, too. Default: 0, or 2 with --masks.
+        name: The geometry's name: fitted, or fitted-SOMETHING.
+        out: Folder of what each stage found, with pictures. Default: runs/SCENE/fit, or fit-SOMETHING.
+        steps: Steps of learning the room's textures.
+        skip: Leave out a stage: grid (all glass is solid then), search, or again. May be repeated.
+        seed: Seed of all random numbers.
+        overwrite: Start over. Otherwise stages that were finished are kept.
+    """
+    import re
+
+    from datagen.data.dataset import open_dataset
+    from model.fit.fit import FitChoices
+    from model.fit.fit import fit as fit_glass
+
+    if not re.fullmatch(rf"{FITTED}(-[A-Za-z0-9_]+)*", name):
+        raise UsageError(f"--name: is {name!r}; expected {FITTED}, or {FITTED}- and letters or digits")
+    if steps < 1 or (mask_errors or 0) < 0:
+        raise UsageError("--steps, --mask-errors: expected at least 1 and 0")
+    opened = open_dataset(find_dataset(dataset))
+    choices = FitChoices(
+        unknown=unknown,
+        masks=masks,
+        mask_errors=(0 if masks is None else 2) if mask_errors is None else mask_errors,
+        steps=steps,
+        skip=skip,
+        seed=seed,
+    )
+    place = out or RUNS / opened.name / name.replace(FITTED, "fit", 1)
+    fit_glass(opened, name, choices, place, anew=overwrite)
+    tell(str(place))
+    next_command(shlex.join(["model", "train", "light-path", str(opened.root), "--geometry", name]))
 
 
 def predict(

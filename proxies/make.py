@@ -9,7 +9,7 @@ from datagen.build.build_variant import peel_variants
 from datagen.data.dataset import Dataset
 from datagen.data.geometries import ProxyStatistics, read_assignment, read_meshes, read_proxy_records, write_proxies
 from datagen.data.meshes import Mesh
-from datagen.data.paths import TRUTH, geometry_root
+from datagen.data.paths import TRUTH, geometry_root, is_fitted
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import PROXIES, holding, refuse_others
 from datagen.disk.storage import check_files, load_sealed
@@ -33,7 +33,8 @@ class ProxyReport:
     triangles: int
     statistics: ProxyStatistics
     inside_share: float | None
-    """Share of the object's vertices inside the proxy; None for noise and truth, which need not enclose anything."""
+    """Share of the object's vertices inside the proxy; None for noise, truth and fitted glass, which need not enclose
+    anything."""
     problem: str | None
     """The proxy's problem in a few words; None if it is sound."""
 
@@ -81,7 +82,7 @@ def make_proxies(dataset: Dataset, spec: ProxySpec | MixedSpec, *, overwrite: bo
         parts = (spec,) * len(truths) if isinstance(spec, ProxySpec) else spec.parts
         meshes = fit_parts(truths, solids, parts)
         for item, part, mesh, truth in zip(dataset.objects, parts, meshes, truths, strict=True):
-            _, problem = _soundness(part, mesh, truth)
+            _, problem = _soundness(TRUTH if part is None else part.geometry, mesh, truth)
             # Also checks the results of pymeshlab and xatlas.
             if part is not None and problem is not None:
                 raise HyalineError(f"{root}: the {part.kind} of {item.name} {problem}; make another kind")
@@ -132,15 +133,18 @@ def read_reports(dataset: Dataset, geometry: str) -> tuple[ProxyReport, ...]:
     records = read_proxy_records(dataset, geometry)
     meshes, truths = read_meshes(dataset, geometry), read_meshes(dataset, TRUTH)
     kinds = read_assignment(dataset, geometry) or (geometry,) * len(records)
+    stored = [record.statistics for record in records if record.statistics is not None]
+    # Fitted glass is measured when it is asked for.
+    measured = stored if len(stored) == len(records) else proxy_statistics(meshes, truths, make_solids(truths))
     reports = []
-    for record, kind, mesh, truth in zip(records, kinds, meshes, truths, strict=True):
-        inside_share, problem = _soundness(parse_part(kind), mesh, truth)
+    for record, numbers, kind, mesh, truth in zip(records, measured, kinds, meshes, truths, strict=True):
+        inside_share, problem = _soundness(kind, mesh, truth)
         reports.append(
             ProxyReport(
                 object=record.object,
                 kind=kind,
                 triangles=len(mesh.faces),
-                statistics=record.statistics,
+                statistics=numbers,
                 inside_share=inside_share,
                 problem=problem,
             )
@@ -148,8 +152,11 @@ def read_reports(dataset: Dataset, geometry: str) -> tuple[ProxyReport, ...]:
     return tuple(reports)
 
 
-def _soundness(part: ProxySpec | None, mesh: Mesh, truth: Mesh) -> tuple[float | None, str | None]:
+def _soundness(kind: str, mesh: Mesh, truth: Mesh) -> tuple[float | None, str | None]:
     """`ProxyReport`'s share inside and problem."""
+    if is_fitted(kind):
+        return None, enclosure(mesh, None).problem
+    part = parse_part(kind)
     if part is None:
         is_same = np.array_equal(mesh.vertices, truth.vertices) and np.array_equal(mesh.faces, truth.faces)
         return None, None if is_same else "is not the object's own mesh"

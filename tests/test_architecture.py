@@ -64,7 +64,7 @@ FLOORS = {
         "disk",
     ),
     "proxies": ("cli", "make", "spec", "kinds", "meshing"),
-    "model": ("cli", "view", "web", "run", "methods", "losses", "batches", "nets", "settings"),
+    "model": ("cli", "view", "web", "fit", "run", "methods", "losses", "batches", "nets", "settings"),
     "hyaline": ("tensors", "reports", "runs", "proxies", "datasets", "scenes", "scores", "cameras", "pictures"),
     "eval": ("cli", "page", "papers", "analyses", "figures", "tables", "score"),
 }

@@ -6,7 +6,14 @@ from datagen.build.plan_variant import Plan, edited_scene
 from datagen.build.shards import Shard
 from datagen.data.config import config_difference
 from datagen.data.dataset import Dataset, head_files, open_dataset
-from datagen.data.geometries import list_geometries, read_assignment, read_meshes, read_proxy_records, write_proxies
+from datagen.data.geometries import (
+    list_geometries,
+    read_assignment,
+    read_materials,
+    read_meshes,
+    read_proxy_records,
+    write_proxies,
+)
 from datagen.data.layer_writing import find_num_layers
 from datagen.data.meshes import Mesh, is_there, no_mesh
 from datagen.data.metadata import SceneEdit, Variant
@@ -18,6 +25,7 @@ from datagen.disk.errors import DamagedError, HyalineError
 from datagen.disk.ownership import DATASET, PROXIES, holding, is_ours, refuse_taken
 from datagen.disk.storage import load_sealed, sha256
 from datagen.scene.edits import moved_mesh
+from datagen.scene.folder import load_scene
 from datagen.terminal.command import say
 
 
@@ -138,7 +146,15 @@ def _write_proxies(base: Dataset, variant: Dataset, edit: SceneEdit, geometry: s
     if assignment is not None:
         kinds = {item.name: kind for item, kind in zip(base.objects, assignment, strict=True)}
         assignment = tuple(kinds[edited.copies.get(name, name)] for name in names)
-    write_proxies(variant, geometry, wanted, statistics, assignment)
+    base_scene = {item.name: item.material for item in load_scene(base.root / "scene", is_sealed=True).objects}
+    found_materials = read_materials(base, geometry)
+    materials = {
+        item.name: found_materials[original]
+        for item in edited.scene.objects
+        if (original := edited.copies.get(item.name, item.name)) in found_materials
+        and item.material == base_scene[original]  # Else the edit has given it another.
+    }
+    write_proxies(variant, geometry, wanted, statistics, assignment, materials)
 
 
 def _hashes(meshes: tuple[Mesh, ...]) -> list[str]:

@@ -1,27 +1,29 @@
-"""A dataset's geometries: the true meshes of its scene, and their proxies.
+"""A dataset's geometries: the true meshes of its scene, their proxies, and glass that was fitted to pictures.
 
 scene/meshes/NAME.ply              the truth
 proxies/KIND/proxies.json          sealed, written first: one mesh per object, with SHA-256 and statistics
 proxies/KIND/meshes/NAME.ply
 
 KIND is a geometry's name: a kind of proxy such as box, a kind and its amount such as noise-0.01, or `mixed` and more,
-where `assignment` in proxies.json names each object's stand-in.
+where `assignment` in proxies.json names each object's stand-in. Fitted glass is stored likewise, as kind `fitted` or
+`fitted-NAME`; `materials` in proxies.json has the materials that were found, by object.
 """
 
 import difflib
 import shlex
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from datagen.data.dataset import Dataset, check_has_meshes, head_files
 from datagen.data.meshes import Mesh, check_mesh, is_there, no_mesh
-from datagen.data.paths import TRUTH, geometry_root
+from datagen.data.paths import FITTED, TRUTH, geometry_root, is_fitted
 from datagen.data.ply import read_ply, write_ply
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import check_name, is_name
 from datagen.disk.ownership import PROXIES, begin, is_ours, refuse_taken, remove_files
 from datagen.disk.records import Json, entry, from_json, shown, to_json
-from datagen.disk.storage import check_files, commit, commit_sealed, load_sealed, seal_bytes, sha256
+from datagen.disk.storage import check_files, commit, commit_sealed, dump_json, load_sealed, seal_bytes, sha256
 from datagen.terminal.command import choose
 
 PROXIES_VERSION = 1
@@ -53,7 +55,8 @@ class ProxyRecord:
     file: str
     """meshes/NAME.ply, relative to the folder of the proxies."""
     sha256: str
-    statistics: ProxyStatistics
+    statistics: ProxyStatistics | None = None
+    """None for fitted glass, which is made where the truth is not known."""
 
     def __post_init__(self) -> None:
         check_name(self.object, where="object name")
@@ -65,13 +68,15 @@ def write_proxies(
     dataset: Dataset,
     kind: str,
     meshes: tuple[Mesh, ...],
-    statistics: tuple[ProxyStatistics, ...],
+    statistics: tuple[ProxyStatistics | None, ...],
     assignment: tuple[str, ...] | None = None,
+    materials: Mapping[str, Json] | None = None,
 ) -> None:
     """Commits one proxy mesh per object, in object order; none for objects that an edit removed.
 
     Args:
-        assignment: for a mixture, each object's stand-in: truth, box, noise-0.01, ...
+        assignment: for a mixture or fitted glass, each object's stand-in: truth, box, noise-0.01, fitted, ...
+        materials: by name, the materials of objects that do not have those of the scene.
     """
     root = geometry_root(dataset.root, kind)
     listed, files = [], {}
@@ -89,6 +94,8 @@ def write_proxies(
     }
     if assignment is not None:
         content["assignment"] = to_json(assignment)
+    if materials:
+        content["materials"] = dict(materials)
     if is_ours(root, PROXIES):
         old = proxy_files(root)
         refuse_taken(root, PROXIES, files, old)
@@ -119,7 +126,7 @@ def read_proxy_records(dataset: Dataset, kind: str) -> tuple[ProxyRecord, ...]:
         raise HyalineError(
             f"{path}: format version {shown(content.get('version'))}; this program reads {PROXIES_VERSION}"
         )
-    if unknown := sorted(set(content) - {"version", "kind", "dataset", "proxies", "assignment"}):
+    if unknown := sorted(set(content) - {"version", "kind", "dataset", "proxies", "assignment", "materials"}):
         raise HyalineError(f"{path}: unknown key {unknown[0]!r}; make the proxies again")
     if content.get("kind") != kind:
         raise HyalineError(f"{path}: is of kind {content.get('kind')!r}; expected {kind!r}, as its folder is called")
@@ -139,6 +146,17 @@ def read_assignment(dataset: Dataset, geometry: str) -> tuple[str, ...] | None:
     return None if assignment is None else from_json(tuple[str, ...], assignment, where=f"{path}: assignment")
 
 
+def read_materials(dataset: Dataset, geometry: str) -> dict[str, Json]:
+    """The materials, by name of the object, that a geometry has in place of the scene's."""
+    if not is_fitted(geometry):
+        return {}
+    path = geometry_root(dataset.home.root, geometry) / "proxies.json"
+    materials = load_sealed(path).get("materials", {})
+    if not isinstance(materials, dict):
+        raise HyalineError(f"{path}: materials: is {shown(materials)}; expected an object")
+    return materials
+
+
 def describe_geometry(dataset: Dataset, geometry: str) -> str:
     """A geometry in words, for tables."""
     if geometry == TRUTH:
@@ -152,11 +170,14 @@ def describe_geometry(dataset: Dataset, geometry: str) -> str:
         f"{kind} for {', '.join(item.name for item, own in zip(dataset.objects, assignment) if own == kind)}"
         for kind in named
     ]
-    return f"proxy geometry ({geometry}: {'; '.join([*parts, f'{most} for the rest'])})"
+    what = "fitted" if is_fitted(geometry) else "proxy"
+    return f"{what} geometry ({geometry}: {'; '.join([*parts, f'{most} for the rest'])})"
 
 
 def make_command(dataset: Dataset, geometry: str, num_layers: int | None = None) -> str:
     """The command that makes proxies and their layers: as they were made, where they are there."""
+    if is_fitted(geometry):
+        return shlex.join(["model", "fit", str(dataset.root), *(["--name", geometry] if geometry != FITTED else [])])
     words = ["proxies", "make", str(dataset.root)]
     try:
         assignment = read_assignment(dataset, geometry)
@@ -215,18 +236,26 @@ def geometry_hash(dataset: Dataset, geometry: str) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class GeometryKey:
-    """A key for results computed from a geometry: equal if the dataset's head and all meshes are."""
+    """A key for results computed from a geometry: equal if the dataset's head, all meshes and materials are."""
 
     dataset: Dataset = field(compare=False)
     seal: str
     geometry: str
-    mesh_hashes: tuple[str, ...]
+    hashes: tuple[str, ...]
+    """Of the meshes, and of the materials that differ from the scene's."""
 
 
 def geometry_key(dataset: Dataset, geometry: str) -> GeometryKey:
     """The key of a geometry from its sealed list; reads no mesh."""
-    hashes = tuple(sha256 for _, sha256 in _mesh_files(dataset.home, geometry).values())
-    return GeometryKey(dataset=dataset.home, seal=dataset.home.seal, geometry=geometry, mesh_hashes=hashes)
+    hashes = [sha256 for _, sha256 in _mesh_files(dataset.home, geometry).values()]
+    hashes.append(sha256(dump_json(read_materials(dataset, geometry))))
+    return GeometryKey(dataset=dataset.home, seal=dataset.home.seal, geometry=geometry, hashes=tuple(hashes))
+
+
+def geometry_digest(dataset: Dataset, geometry: str) -> str:
+    """A hash of what `GeometryKey` compares, for records."""
+    key = geometry_key(dataset, geometry)
+    return sha256(" ".join([key.seal, *key.hashes]).encode())
 
 
 def _mesh_files(dataset: Dataset, geometry: str) -> dict[str, tuple[str, str]]:

@@ -13,6 +13,18 @@ from datagen.disk.storage import home_of
 TRUTH = "truth"
 """The geometry of the scene's own meshes."""
 
+FITTED = "fitted"
+"""The geometry that `model fit` makes: glass as it was found, everything else true. Others are called `fitted-NAME`."""
+
+
+def is_fitted(geometry: str) -> bool:
+    return geometry.partition("-")[0] == FITTED
+
+
+def follows_light(geometry: str) -> bool:
+    """True if light can be followed through a geometry as through the truth: it is no coarse proxy."""
+    return geometry == TRUTH or is_fitted(geometry)
+
 
 def view_name(view: int) -> str:
     return f"{view:04d}"

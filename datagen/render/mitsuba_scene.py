@@ -53,7 +53,7 @@ def load_scene_mitsuba(scene: Scene, *, aims_at_sky: bool = True) -> "mi.Scene":
         medium = item.material.medium
         if use_media and medium is not None and any(medium.absorption):
             props["interior"] = mi.load_dict(_absorbing_medium(medium))
-        content[_shape_id(index)] = _load_mesh(item.mesh, props)
+        content[shape_name(index)] = _load_mesh(item.mesh, props)
     for index, light in enumerate(scene.lights):
         to_world = np.eye(4)
         u, v = np.array(light.edge_u), np.array(light.edge_v)
@@ -79,7 +79,7 @@ def load_geometry_mitsuba(meshes: tuple[Mesh, ...]) -> "mi.Scene":
     """Bare meshes, ready to peel: shape i is object i + 1."""
     import mitsuba as mi
 
-    shapes = {_shape_id(index): _load_mesh(mesh, mi.Properties()) for index, mesh in enumerate(meshes)}
+    shapes = {shape_name(index): _load_mesh(mesh, mi.Properties()) for index, mesh in enumerate(meshes)}
     return _load({"type": "scene", **shapes}, len(meshes))
 
 
@@ -140,7 +140,8 @@ def load_sensor(camera: Camera, *, sampler: str = "multijitter") -> "mi.Sensor":
     )
 
 
-def _shape_id(index: int) -> str:
+def shape_name(index: int) -> str:
+    """The id of a scene's shape in Mitsuba."""
     # Names sort like indices, so that shapes keep our order in any container.
     return f"object_{index:03d}"
 
@@ -151,7 +152,7 @@ def _load(content: dict[str, object], num_objects: int) -> "mi.Scene":
     # parallel=False: concurrent loading deadlocks now and then (drjit 524). optimize=False: merging renumbers shapes.
     loaded = cast("mi.Scene", mi.load_dict({**content, "embree_use_robust_intersections": True}, False, False))
     found = [shape.id() for shape in loaded.shapes()][:num_objects]
-    assert found == [_shape_id(index) for index in range(num_objects)], f"Mitsuba reordered the shapes: {found}"
+    assert found == [shape_name(index) for index in range(num_objects)], f"Mitsuba reordered the shapes: {found}"
     return loaded
 
 

@@ -10,7 +10,10 @@ from typing import TypeVar, cast
 import numpy as np
 from jaxtyping import Float
 
+from datagen.data.dataset import Dataset
+from datagen.data.geometries import read_materials
 from datagen.data.meshes import Mesh, check_numbers, is_there, no_mesh
+from datagen.data.paths import geometry_root
 from datagen.data.ply import read_ply, write_ply
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import find_file
@@ -100,6 +103,13 @@ class _SceneFile:
     cameras: CameraRig | None = None
     """None: transforms_train.json, transforms_test.json and transforms_extrapolating.json list them, beside this file
     or, in a dataset, beside its folder."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class _OneMaterial:
+    """A material of any kind, as a record."""
+
+    material: Material
 
 
 FILE_RECORD: type = _SceneFile
@@ -205,6 +215,27 @@ def load_scene(folder: Path, *, is_sealed: bool = False) -> Scene:
             raise HyalineError(f"{path}: object {item.name}: its cutout removes all of it; expected opaque texels")
     check_scene(scene, is_sealed=is_sealed)
     return scene
+
+
+def load_scene_as(dataset: Dataset, geometry: str) -> Scene:
+    """A dataset's scene, its objects with the materials that they have in a geometry; their meshes stay the scene's."""
+    scene = load_scene(dataset.root / "scene", is_sealed=True)
+    found = read_materials(dataset, geometry)
+    where = f"{geometry_root(dataset.home.root, geometry) / 'proxies.json'}: materials"
+    materials = {
+        name: from_json(_OneMaterial, {"material": value}, where=f"{where}: {name}").material
+        for name, value in found.items()
+    }
+    objects = [
+        dataclasses.replace(item, material=materials[item.name]) if item.name in materials else item
+        for item in scene.objects
+    ]
+    return dataclasses.replace(scene, objects=tuple(objects))
+
+
+def material_json(material: Material) -> Json:
+    """A material as scene.json has it, for `write_proxies`."""
+    return cast(dict[str, Json], to_json(_OneMaterial(material=material)))["material"]
 
 
 def transformed(mesh: Mesh, transform: Transform) -> Mesh:

@@ -60,15 +60,18 @@ class Media:
         return (self.iors != self.iors[:, :1]).any(axis=1)
 
 
-def find_media(materials: tuple[Material | None, ...], meshes: tuple[Mesh, ...]) -> Media:
-    """The media of a scene's objects. Solids count as nested if their bounding boxes overlap.
+def find_media(
+    materials: tuple[Material | None, ...], meshes: tuple[Mesh, ...], *, is_nested: bool | None = None
+) -> Media:
+    """The media of a scene's objects. Unless `is_nested` says so, solids are nested if their bounding boxes overlap.
 
     More than MAX_NESTED dielectrics count as separate: `check_scene` rejects priorities then.
     """
     found = {index: material.medium for index, material in enumerate(materials) if material is not None}
     glass = {index: medium for index, medium in found.items() if medium is not None}
     order = sorted(glass, key=lambda index: (-glass[index].priority, index))
-    is_nested = len(order) <= MAX_NESTED and _boxes_meet([meshes[index] for index in order])
+    if is_nested is None:
+        is_nested = len(order) <= MAX_NESTED and _boxes_meet([meshes[index] for index in order])
     rank = np.full(len(materials), -1, np.int32)
     rank[order] = np.arange(len(order))
     # For an empty set of solids, the count of trailing zeros is the index of air.

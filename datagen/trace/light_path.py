@@ -18,6 +18,7 @@ Vectorised variants only. Call `use_mitsuba` first.
 # pyright: reportArgumentType=false, reportCallIssue=false
 
 import dataclasses
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,7 +26,7 @@ from jaxtyping import Bool, Float32, Int64, UInt8
 
 from datagen.data.meshes import Mesh, is_there, r2_steps
 from datagen.disk.errors import HyalineError
-from datagen.render.mitsuba_scene import is_scalar, load_geometry_mitsuba, to_columns
+from datagen.render.mitsuba_scene import is_scalar, load_geometry_mitsuba, shape_name, to_columns
 from datagen.scene.materials import Material, check_material
 from datagen.scene.media import find_media
 from datagen.trace.branches import follow_branches
@@ -109,13 +110,43 @@ class LightPathTracer:
         meshes = tuple(meshes[index] for index in kept)
         kept_materials = tuple(materials[index] for index in kept)
         self._scene = load_geometry_mitsuba(meshes)
+        self._place = {index: place for place, index in enumerate(kept)}
+        self._meshes, self._materials = list(meshes), list(kept_materials)
         self._media = find_media(kept_materials, meshes)
-        kept_tints = tuple(None if tints is None else tints[index] for index in kept)
+        self._tints = kept_tints = tuple(None if tints is None else tints[index] for index in kept)
         self._tables = make_tables(meshes, kept_materials, self._media, kept_tints)
         self._iors = [mi.Float(np.ascontiguousarray(self._media.iors[:, channel])) for channel in range(3)]
         self._spread: dict[int, list[mi.Float]] = {}
         # Recording a kernel takes as long as tracing 8,192 rays, so it is done once per number of rays and limits.
         self._trace = dr.freeze(follow_branches, limit=RECORDINGS, warn_after=1 << 30)
+
+    def change(self, changes: Mapping[int, tuple[Mesh, Material]]) -> None:
+        """Replaces the shapes and materials of some objects, without a new kernel.
+
+        Args:
+            changes: by the object's place in the scene. Meshes have as many vertices and faces as those that they
+                replace, and materials are of the same kind. Which solids lie in others must not change.
+        """
+        import mitsuba as mi
+
+        parameters = mi.traverse(self._scene)
+        for index, (mesh, material) in changes.items():
+            place = self._place[index]
+            before = self._meshes[place]
+            if mesh is not before:
+                assert mesh.vertices.shape == before.vertices.shape
+                assert mesh.faces.shape == before.faces.shape
+                name = shape_name(place)
+                parameters[f"{name}.vertex_positions"] = mi.Float(np.ascontiguousarray(mesh.vertices).ravel())
+                # Or Mitsuba works normals out and writes them into the arrays of the mesh that was loaded.
+                parameters[f"{name}.vertex_normals"] = mi.Float(np.ascontiguousarray(mesh.normals).ravel())
+            self._meshes[place], self._materials[place] = mesh, material
+        parameters.update()
+        # What kernels were recorded for stays, `self._media` too; what they look up changes.
+        meshes, materials = tuple(self._meshes), tuple(self._materials)
+        media = find_media(materials, meshes, is_nested=self._media.is_nested)
+        self._tables = make_tables(meshes, materials, media, self._tints)
+        self._iors = [mi.Float(np.ascontiguousarray(media.iors[:, channel])) for channel in range(3)]
 
     def trace(
         self,

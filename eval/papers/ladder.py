@@ -56,7 +56,7 @@ def proxy_error(dataset: Dataset, geometry: str) -> ProxyError:
     """The error of a geometry, as measured when it was made; 0 for the truth."""
     if geometry == TRUTH:
         return ProxyError(mean_mm=0.0, max_mm=0.0)
-    numbers = [record.statistics for record in read_proxy_records(dataset, geometry)]
+    numbers = [record.statistics for record in read_proxy_records(dataset, geometry) if record.statistics]
     return ProxyError(
         mean_mm=1000 * math.fsum(item.mean_distance for item in numbers) / len(numbers),
         max_mm=1000 * max(item.max_distance for item in numbers),

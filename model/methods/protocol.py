@@ -29,11 +29,11 @@ class Inputs:
 
     dataset: "Dataset"
     geometry: str
-    """`truth`, or the kind of proxy whose surfaces the method may know."""
+    """`truth`, fitted glass, or the kind of proxy whose surfaces the method may know."""
     num_layers: int
     """Stored layers that it looks up, the nearest ones; 0 where it looks up none."""
     layers_seal: str
-    """Digest of those layers; of the dataset where there are none."""
+    """Digest of those layers; where there are none, of fitted glass, or of the dataset."""
 
 
 @dataclass(frozen=True, kw_only=True)

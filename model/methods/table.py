@@ -8,6 +8,8 @@ import re
 import shlex
 from typing import TYPE_CHECKING
 
+from datagen.data.geometries import geometry_digest
+from datagen.data.paths import is_fitted
 from datagen.disk.errors import HyalineError
 from datagen.terminal.plugins import Group
 from model.methods.protocol import Inputs, MethodConfig
@@ -74,7 +76,8 @@ def about(name: str) -> str:
 def open_inputs(config: MethodConfig, dataset: "Dataset", geometry: str) -> Inputs:
     """What a method is given of a dataset."""
     if not config.reads_layers:
-        return Inputs(dataset=dataset, geometry=geometry, num_layers=0, layers_seal=dataset.seal)
+        seal = geometry_digest(dataset, geometry) if is_fitted(geometry) else dataset.seal
+        return Inputs(dataset=dataset, geometry=geometry, num_layers=0, layers_seal=seal)
     store = dataset.layer_store(geometry)
     stored = min(store.head.num_layers, config.max_layers or store.head.num_layers)
     num_layers = _choose_layers(config.asked_layers, stored, dataset, geometry)

@@ -14,13 +14,13 @@ from datagen.data.geometries import read_meshes
 from datagen.data.images import srgb_from_linear, to_8bit
 from datagen.data.layers import UV_SCALE, quantize_uv, round_mantissa
 from datagen.data.meshes import PLASTIC, Mesh, is_there, open_edges
-from datagen.data.paths import TRUTH
+from datagen.data.paths import follows_light
 from datagen.disk.records import Json
 from datagen.scene.contact import MIN_COSINE as SKIP_COSINE
 from datagen.scene.contact import RAY_OFFSET
 from datagen.scene.description import CameraRig, Scene
 from datagen.scene.edits import CLEAR_GLASS, GREY
-from datagen.scene.folder import load_scene
+from datagen.scene.folder import load_scene_as
 from datagen.scene.materials import Material
 from datagen.trace.surface_hits import MIN_COSINE
 from datagen.trace.surface_tables import EVENTS, Texels, Tints, tints_of
@@ -170,7 +170,7 @@ class WebScene:
 
 def web_scene(renderer: Renderer, config: MethodConfig, dataset: Dataset, geometry: str, quality: Quality) -> WebScene:
     """The page's data for the scene of a trained renderer whose method has a page."""
-    scene = load_scene(dataset.root / "scene", is_sealed=True)
+    scene = load_scene_as(dataset, geometry)
     meshes = read_meshes(dataset, geometry)
     page = config.draw_page(renderer, scene)
     packed = Packed()
@@ -181,7 +181,7 @@ def web_scene(renderer: Renderer, config: MethodConfig, dataset: Dataset, geomet
         places = add_texels(packed, page.textures, quality, charted)
     tints: TintPlaces = [None] * len(meshes)
     if page.follows_light:
-        tints = add_tints(packed, tints_of(scene, own_uv=geometry == TRUTH), quality)
+        tints = add_tints(packed, tints_of(scene, own_uv=follows_light(geometry)), quality)
     weights = np.concatenate([np.zeros((0, 4), np.float32), *page.weights])
     packed.add("weights", round_mantissa(weights) if quality == "small" else weights)
     views: dict[str, Json] = {}

@@ -63,10 +63,10 @@ class Enclosure:
         return None
 
 
-def enclosure(proxy: Mesh, truth: Mesh) -> Enclosure:
-    """Checks a proxy as it is stored, in float32, against its object."""
+def enclosure(proxy: Mesh, truth: Mesh | None) -> Enclosure:
+    """Checks a proxy as it is stored, in float32, against its object; None: it need not enclose anything."""
     return Enclosure(
-        inside_share=_inside_share(proxy, truth),
+        inside_share=1.0 if truth is None else _inside_share(proxy, truth),
         open_edges=open_edges(proxy),
         volume=signed_volume(proxy),
         smallest_chart=smallest_chart(proxy),

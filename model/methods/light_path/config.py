@@ -4,7 +4,7 @@ import dataclasses
 from dataclasses import dataclass
 from typing import ClassVar, Literal, Self
 
-from datagen.data.paths import TRUTH
+from datagen.data.paths import TRUTH, follows_light
 from datagen.disk.errors import HyalineError
 from model.methods.protocol import MethodConfig
 from model.settings.flags import SHARE, choice, unflagged
@@ -119,7 +119,7 @@ class LightPathConfig(MethodConfig):
         The stack network then also sees the straight layers, including those of nested shells, gives each an opacity,
         and mixes their light with that of the paths.
         """
-        if geometry == TRUTH:
+        if follows_light(geometry):
             return type(self)()
         return type(self)(
             stack_hidden=96,

@@ -16,7 +16,7 @@ from datagen.data.config import Split
 from datagen.data.dataset import Dataset
 from datagen.data.geometries import GeometryKey, geometry_key, read_meshes
 from datagen.data.meshes import Mesh, r2_steps
-from datagen.data.paths import TRUTH
+from datagen.data.paths import follows_light
 from datagen.machine.mitsuba_variant import short_lived_workers, use_mitsuba
 from datagen.trace.surface_tables import Limits
 from model.batches.rays import black, read_colors
@@ -217,23 +217,28 @@ def share_texels(dataset: Dataset, geometry: str, size: int) -> tuple[int, ...]:
     third of `size`; one where no path ends (glass) gets an eighth. On proxies, straight hits count, too.
     """
     pixels = load_light_path_pixels(
-        default_light_path((2,) * len(dataset.objects), is_proxy=geometry != TRUTH),
+        default_light_path((2,) * len(dataset.objects), is_proxy=not follows_light(geometry)),
         dataset,
         geometry,
         "train",
         range(dataset.config.train.views),
         False,
     )
+    return texel_widths(pixels, len(dataset.objects), size)
+
+
+def texel_widths(pixels: LightPathPixels, num_objects: int, size: int) -> tuple[int, ...]:
+    """`share_texels` for the rays of some pixels."""
     index = np.random.default_rng(0).integers(len(pixels.rgb), size=COUNTED_PIXELS)
     batch = pixels.take(torch.from_numpy(index), None)
     met = [batch.ends.surface]
-    if geometry != TRUTH:
+    if pixels.config.straight_layers:
         assert batch.stack is not None
         met.append(batch.stack.surface[:, sum(STACKED_VERTICES) :].flatten())
     surfaces = torch.cat(met).long()
     # The textures of a proxy's shells are as wide as its own.
     objects = (surfaces[surfaces > 0] - 1) // pixels.config.shells
-    counts = torch.bincount(objects, minlength=len(dataset.objects))
+    counts = torch.bincount(objects, minlength=num_objects)
     share = counts.double() / counts.sum().clamp_min(1)
     wanted = (share * len(share)).sqrt() * size
     least = torch.where(share > 0, size // 3, size // 8).clamp_min(2)
@@ -317,16 +322,16 @@ class _Surfaces:
 # Training, scoring and prediction use the same surfaces: they are loaded once, and their kernels are recorded once.
 @functools.lru_cache(maxsize=1)
 def _load_surfaces(key: GeometryKey, shells: int) -> _Surfaces:
-    from datagen.scene.folder import load_scene
+    from datagen.scene.folder import load_scene_as
 
     # The tracer's module can be imported only when Mitsuba has its variant.
     use_mitsuba()
     from datagen.trace.light_path import LightPathTracer
     from datagen.trace.surface_tables import tints_of
 
-    scene = load_scene(key.dataset.root / "scene", is_sealed=True)
+    scene = load_scene_as(key.dataset, key.geometry)
     materials = tuple(item.material for item in scene.objects)
-    tints = tints_of(scene, own_uv=key.geometry == TRUTH)
+    tints = tints_of(scene, own_uv=follows_light(key.geometry))
     meshes = read_meshes(key.dataset, key.geometry)
     nested = nest_shells(meshes, shells)
     return _Surfaces(

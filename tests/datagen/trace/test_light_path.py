@@ -327,3 +327,28 @@ def test_a_tracer_records_its_kernel_once_wherever_rays_lie_in_memory(offset: in
         paths = tracer.trace(np.ones((50, 3), np.float32), directions)
         assert (paths.object_id[0, 0] == 1).all()
     assert tracer._trace.n_recordings == 1
+
+
+def test_a_changed_tracer_traces_as_a_fresh_one_does() -> None:
+    def slab(thickness: float) -> Mesh:
+        return mesh_of(trimesh.creation.box((3, 3, thickness)))
+
+    floor = wide(-1.0)
+    thin, thick = (slab(0.1), Dielectric(ior=1.5)), (slab(0.3), Dielectric(ior=1.7, absorption=(1.0, 2.0, 3.0)))
+    rng = np.random.default_rng(0)
+    directions = rng.normal(size=(500, 3)) * [0.5, 0.5, 0.1] - [0, 0, 1]
+    directions = (directions / np.linalg.norm(directions, axis=1, keepdims=True)).astype(np.float32)
+    origins = np.broadcast_to(np.float32([0, 0, 1]), directions.shape)
+    limits = Limits(4, max_vertices=2)
+    tracer = LightPathTracer((floor, thin[0]), (GREY, thin[1]))
+    before = tracer.trace(origins, directions, limits)
+    tracer.change({1: thick})
+    after = tracer.trace(origins, directions, limits)
+    fresh = LightPathTracer((floor, thick[0]), (GREY, thick[1])).trace(origins, directions, limits)
+    assert not np.array_equal(before.throughput, after.throughput)
+    for field in dataclasses.fields(TracedPaths):
+        assert np.array_equal(getattr(after, field.name), getattr(fresh, field.name)), field.name
+    tracer.change({1: thin})
+    again = tracer.trace(origins, directions, limits)
+    assert np.array_equal(again.throughput, before.throughput)
+    assert np.array_equal(again.position, before.position)

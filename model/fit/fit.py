@@ -1,0 +1,435 @@
+"""`model fit`: shapes and materials of glass from pictures and masks, in stages.
+
+room      textures of everything known, learned from pixels that surely do not see unknown glass
+outside   each object's outside, from masks
+grid      solid or vessel, wall and floor, by drawing every cell of a grid through the room's textures
+search    one number after the other, in brackets that narrow
+again     the textures once more, from all pixels with the glass that was found, then a search once more
+"""
+
+import dataclasses
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal, cast
+
+import numpy as np
+from jaxtyping import Int
+from scipy import ndimage
+
+from datagen.build.build import peel_dataset
+from datagen.data.dataset import Dataset, check_has_meshes, has_layers
+from datagen.data.geometries import read_meshes, write_proxies
+from datagen.data.meshes import Mesh, is_there
+from datagen.data.paths import FITTED, TRUTH, geometry_root
+from datagen.disk.errors import HyalineError
+from datagen.disk.ownership import PROXIES, holding
+from datagen.disk.records import Json
+from datagen.scene.description import Scene
+from datagen.scene.folder import load_scene, material_json
+from datagen.terminal.command import choose, say, track
+from model.fit import pictures, room
+from model.fit.fit_folder import FIT, FitFolder
+from model.fit.outside import Hull, find_hull, find_outside
+from model.fit.search import (
+    NUMBERS,
+    Found,
+    alternatives,
+    count_cells,
+    count_searches,
+    find_roughness,
+    interval,
+    refine,
+    scan,
+)
+from model.fit.shapes import Glass, Revolution, from_state, to_state
+from model.fit.views import Sightings, known_meshes, rays_near, read_sightings
+from model.methods.light_path.pixels import LightPathPixels
+from model.run.checkpoint import fingerprint
+from model.settings.state import State
+
+Skipped = Literal["grid", "search", "again"]
+
+GRID_PIXELS, SEARCH_PIXELS = 2000, 5000
+"""Of each object, from all training views."""
+
+ROUNDS, LAST_ROUNDS = 4, 2
+
+UP = np.array([0.0, 0.0, 1.0])
+
+STANDS = 0.08
+"""Between an object's lowest point, as masks show it, and the surface that it stands on, in parts of its radius."""
+
+GAP = 0.01
+"""Air left between an object and the surface that it stands on, in parts of its radius: where two surfaces coincide,
+which of them a ray meets is chance."""
+
+STACK = 32
+"""Units of the stack network while textures are learned again."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FitChoices:
+    """What `model fit` is asked for."""
+
+    unknown: tuple[str, ...] = ()
+    """Names of the objects; none: all that are glass."""
+    masks: Path | None = None
+    mask_errors: int = 0
+    """Rays at each height of an object that may miss it by mistake."""
+    steps: int = 800
+    """Of learning textures."""
+    skip: tuple[Skipped, ...] = ()
+    seed: int = 0
+
+
+def fit(dataset: Dataset, geometry: str, choices: FitChoices, out: Path, *, anew: bool) -> None:
+    """Finds glass, and writes it as a geometry; stages that were finished before are kept.
+
+    Args:
+        out: folder of what the stages find.
+        anew: start over.
+
+    Raises:
+        HyalineError: an object has an unknown name or is not glass, or masks are missing.
+    """
+    check_has_meshes(dataset)
+    unknown = _find_unknown(dataset, choices.unknown)
+    root = geometry_root(dataset.root, geometry)
+    with holding(out, FIT), holding(root, PROXIES, within=dataset.root):
+        meshes = read_meshes(dataset, TRUTH)
+        sightings = read_sightings(dataset, meshes, unknown, choices.masks)
+        folder = FitFolder(root=out, asked=_asked(dataset, geometry, choices, sightings))
+        folder.begin(anew=anew)
+        scene = load_scene(dataset.root / "scene", is_sealed=True)
+        work = _Work(
+            dataset=dataset,
+            choices=choices,
+            scene=scene,
+            known=known_meshes(meshes, unknown),
+            sightings=sightings,
+            folder=folder,
+        )
+        found = work.run()
+        _write_geometry(dataset, geometry, meshes, found)
+        folder.finish(_summary(dataset, found))
+    if has_layers(dataset):
+        peel_dataset(dataset, geometry, num_layers=dataset.layer_store().head.num_layers, overwrite=anew)
+
+
+def _find_unknown(dataset: Dataset, names: tuple[str, ...]) -> tuple[int, ...]:
+    """Ids of the objects of these names, or of all glass."""
+    for name in names:
+        choose("unknown", name, [item.name for item in dataset.objects])
+    chosen = [item.name in names if names else item.is_glass for item in dataset.objects]
+    for item, is_chosen in zip(dataset.objects, chosen, strict=True):
+        if is_chosen and not item.is_glass:
+            raise HyalineError(f"unknown {item.name!r}: is opaque; only glass is fitted")
+    if not any(chosen):
+        raise HyalineError(f"{dataset.root}: has no object of glass, so there is nothing to fit")
+    return tuple(place + 1 for place, is_chosen in enumerate(chosen) if is_chosen)
+
+
+def _asked(dataset: Dataset, geometry: str, choices: FitChoices, sightings: Sightings) -> dict[str, Json]:
+    """What the result depends on."""
+    import torch
+
+    return {
+        "dataset": dataset.seal,
+        "geometry": geometry,
+        "unknown": [dataset.objects[object_id - 1].name for object_id in sightings.unknown],
+        "masks": fingerprint(torch.from_numpy(sightings.first)),
+        "mask_errors": choices.mask_errors,
+        "steps": choices.steps,
+        "seed": choices.seed,
+    }
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FoundGlass:
+    """One object, and what is known of its numbers."""
+
+    glass: Revolution
+    hull: Revolution
+    """Its outside as masks show it, solid."""
+    unexplained: float
+    """Share of the mask's rays that miss the outside."""
+    numbers: dict[str, Found] = field(default_factory=dict)
+    history: tuple[dict[str, Json], ...] = ()
+    """The numbers after each round, and the mean penalty of the object's pixels."""
+    cells: tuple[tuple[float, ...], ...] = ()
+    """Wall, floor, corner and penalty of the cells of the grid, the best first; a wall of 0: solid."""
+
+    def state(self) -> dict[str, State]:
+        numbers = {name: dataclasses.asdict(found) for name, found in self.numbers.items()}
+        shapes = {"glass": to_state(self.glass), "hull": to_state(self.hull)}
+        return {
+            **shapes,
+            "unexplained": self.unexplained,
+            "numbers": numbers,
+            "history": list(self.history),
+            "cells": list(self.cells),
+        }
+
+    @classmethod
+    def of(cls, state: dict) -> "FoundGlass":
+        return cls(
+            glass=from_state(state["glass"]),
+            hull=from_state(state["hull"]),
+            unexplained=state["unexplained"],
+            numbers={name: Found(**values) for name, values in state["numbers"].items()},
+            history=tuple(state["history"]),
+            cells=tuple(state["cells"]),
+        )
+
+
+Objects = dict[int, FoundGlass]
+"""By object id."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Work:
+    """The stages, in run order."""
+
+    dataset: Dataset
+    choices: FitChoices
+    scene: Scene
+    known: tuple[Mesh, ...]
+    """The meshes, without those of unknown objects."""
+    sightings: Sightings
+    folder: FitFolder
+
+    def run(self) -> Objects:
+        skip = self.choices.skip
+        textures = self.folder.stage("room", "room: learns textures beside the glass", "", self._learn_room)
+        found = self._stage("outside", "outside: finds outsides from masks", {}, self._find_outsides)
+        if "grid" not in skip:
+            what = "grid: tells solid glass from vessels"
+            found = self._stage("grid", what, found, lambda: self._scan(self._room(textures, found), found))
+        if "search" not in skip:
+            what = "search: one number after the other"
+            found = self._stage("search", what, found, lambda: self._search("search", textures, found, ROUNDS))
+        if "again" not in skip:
+            what = "again: learns textures with the glass that was found"
+            textures = self.folder.stage("textures", what, _digest(found), lambda: self._learn_again(found))
+            what = "again: searches once more"
+            found = self._stage("again", what, found, lambda: self._search("again", textures, found, LAST_ROUNDS))
+        return found
+
+    def _stage(self, name: str, title: str, before: Objects, make: Callable[[], Objects]) -> Objects:
+        state = self.folder.stage(name, title, _digest(before), lambda: _states(make()))
+        return {int(key): FoundGlass.of(cast(dict, value)) for key, value in state.items()}
+
+    def _learn_room(self) -> dict[str, State]:
+        pixels = self._pixels({}, stack=0)
+        beside = ndimage.binary_dilation(self.sightings.touched, np.ones((1, 3, 3), bool))
+        free = np.logical_not(beside)
+        state = room.room_state(room.learn(pixels, np.flatnonzero(free), self.choices.steps, seed=self.choices.seed))
+        self._show_room(room.load_room(state, pixels))
+        return state
+
+    def _learn_again(self, found: Objects) -> dict[str, State]:
+        pixels = self._pixels(found, stack=STACK)
+        rows = np.arange(len(pixels.rgb))
+        return room.room_state(room.learn(pixels, rows, self.choices.steps, seed=self.choices.seed))
+
+    def _find_outsides(self) -> Objects:
+        found = {}
+        for object_id in self.sightings.unknown:
+            rays = rays_near(self.sightings, object_id)
+            if not rays.hits.any():
+                raise HyalineError(
+                    f"{self.dataset.root}: no training picture shows {self._name(object_id)}, so it cannot be fitted"
+                )
+            hull = find_hull(rays, UP, order=self.choices.mask_errors)
+            outside = find_outside(hull, self._support(hull))
+            found[object_id] = FoundGlass(glass=outside, hull=outside, unexplained=hull.unexplained)
+            missed = f"{100 * hull.unexplained:.2g} % of its mask is outside of it"
+            say(f"  {self._name(object_id)}: {outside.kind}, {1000 * outside.height:.1f} mm high; {missed}")
+        self._show_outsides(found)
+        return found
+
+    def _support(self, hull: Hull) -> float | None:
+        """Height along the axis of a known surface just below, or just above, an object's lowest point."""
+        from datagen.trace.peel import Peeler
+
+        if not any(map(is_there, self.known)):
+            return None
+        lowest, reach = hull.heights[hull.radii > 0][0], STANDS * hull.radii.max()
+        start = hull.axis.point + (lowest + reach) * hull.axis.direction
+        hits = Peeler(self.known).trace(
+            start.astype(np.float32)[None], -hull.axis.direction.astype(np.float32)[None], 1
+        )
+        is_near = hits.shape[0, 0] >= 0 and hits.t[0, 0] < 2 * reach
+        return float(lowest + reach - hits.t[0, 0] + GAP * hull.radii.max()) if is_near else None
+
+    def _scan(self, drawn: room.Room, found: Objects) -> Objects:
+        found = dict(found)
+        for object_id, item in found.items():
+            misses = drawn.misses(object_id, self._rows(object_id, GRID_PIXELS))
+            cells = list(track(scan(item.glass, misses), label=self._name(object_id), total=count_cells(item.glass)))
+            best, second = alternatives(cells)
+            glass = find_roughness(best.glass, misses)
+            drawn.put(object_id, glass)
+            words = f"  {self._name(object_id)}: {_in_words(best.glass)}"
+            if second is not best:
+                words += f"; with {second.loss / best.loss:.2f} times the loss: {_in_words(second.glass)}"
+            say(words)
+            ordered = sorted(cells, key=lambda cell: cell.loss)
+            listed = tuple((c.glass.wall or 0.0, c.glass.floor or 0.0, c.glass.corner or 0.0, c.loss) for c in ordered)
+            history = (_history("grid", glass, best.loss),)
+            found[object_id] = dataclasses.replace(item, glass=glass, cells=listed, history=history)
+        self._show_drawn("grid", drawn, found)
+        return found
+
+    def _search(self, stage: str, textures: dict[str, State], found: Objects, rounds: int) -> Objects:
+        drawn = self._room(textures, found)
+        found = dict(found)
+        total = rounds * sum(count_searches(item.glass) for item in found.values())
+        for _ in track(self._rounds(stage, drawn, found, rounds), label=stage, total=total):
+            pass
+        for object_id, item in found.items():
+            say(f"  {self._name(object_id)}: {_in_words(item.glass)}")
+        self._show_drawn(stage, drawn, found)
+        return found
+
+    def _rounds(self, stage: str, drawn: room.Room, found: Objects, rounds: int) -> Iterator[None]:
+        """Searches all numbers of all objects, round by round, and replaces them in `found`."""
+        first = 0 if stage == "search" else ROUNDS
+        for number in range(first, first + rounds):
+            for object_id in found:
+                rows = self._rows(object_id, SEARCH_PIXELS if number >= 2 else GRID_PIXELS)
+                misses = drawn.misses(object_id, rows)
+                is_even = (rows // self.dataset.config.resolution.pixels) % 2 == 0
+                item = found[object_id]
+                for glass, name, value in refine(item.glass, misses, is_even, number=number):
+                    item = dataclasses.replace(item, glass=glass, numbers={**item.numbers, name: value})
+                    yield
+                loss = float(misses(item.glass).mean())
+                history = (*item.history, _history(stage, item.glass, loss))
+                found[object_id] = dataclasses.replace(item, history=history)
+
+    # What the stages share
+
+    def _name(self, object_id: int) -> str:
+        return self.dataset.objects[object_id - 1].name
+
+    def _rows(self, object_id: int, count: int) -> Int[np.ndarray, " pixel"]:
+        """Some of the pixels that see an object first."""
+        rows = np.flatnonzero(self.sightings.sees(object_id))
+        return np.sort(np.random.default_rng(self.choices.seed).permutation(rows)[:count])
+
+    def _pixels(self, found: Objects, *, stack: int) -> LightPathPixels:
+        meshes, materials = list(self.known), [item.material for item in self.scene.objects]
+        for object_id, item in found.items():
+            meshes[object_id - 1], materials[object_id - 1] = item.glass.mesh(), item.glass.material()
+        return room.load_pixels(self.dataset, self.scene, tuple(meshes), tuple(materials), stack=stack)
+
+    def _room(self, textures: dict[str, State], found: Objects) -> room.Room:
+        return room.load_room(textures, self._pixels(found, stack=0))
+
+    # Pictures
+
+    def _show_room(self, drawn: room.Room) -> None:
+        height, width = self.dataset.config.resolution.shape
+        rows = []
+        for view in np.linspace(0, len(self.sightings.first) - 1, pictures.SHOWN_VIEWS).astype(int).tolist():
+            pixels = view * height * width + np.arange(height * width)
+            rows.append(pictures.compared(self._picture(view), drawn.draw(pixels).reshape(height, width, 3)))
+        self.folder.write_picture("room", pictures.sheet(rows))
+
+    def _show_outsides(self, found: Objects) -> None:
+        rows = []
+        for object_id, item in found.items():
+            seen, row = self.sightings.sees(object_id), []
+            for view in pictures.choose_views(seen):
+                box = pictures.box_around(seen[view])
+                origin, directions = self.sightings.cameras[view].rays()
+                silhouette = pictures.silhouette_of(item.glass.mesh(), origin, directions[box])
+                silhouette &= self.sightings.is_open(object_id)[view][box]
+                row.append(pictures.outlined(self._picture(view)[box], seen[view][box], silhouette))
+            rows.append(row)
+        self.folder.write_picture("outside", pictures.sheet(rows))
+
+    def _show_drawn(self, stage: str, drawn: room.Room, found: Objects) -> None:
+        height, width = self.dataset.config.resolution.shape
+        index = np.arange(len(self.sightings.first) * height * width).reshape(-1, height, width)
+        rows = []
+        for object_id, item in found.items():
+            drawn.put(object_id, item.glass)
+        for object_id in found:
+            seen, row = self.sightings.sees(object_id), []
+            for view in pictures.choose_views(seen):
+                box = pictures.box_around(seen[view])
+                pixels = index[view][box]
+                colors = drawn.draw(pixels.ravel()).reshape(*pixels.shape, 3)
+                row += pictures.compared(self._picture(view)[box], colors)
+            rows.append(row)
+        self.folder.write_picture(stage, pictures.sheet(rows))
+
+    def _picture(self, view: int) -> pictures.Image8:
+        return self.dataset.view("train", view).image
+
+
+def _states(found: Objects) -> dict[str, State]:
+    return {str(object_id): item.state() for object_id, item in found.items()}
+
+
+def _digest(found: Objects) -> str:
+    return fingerprint(_states(found)) if found else ""
+
+
+def _history(stage: str, glass: Glass, loss: float) -> dict[str, Json]:
+    numbers = {name: getattr(glass, name, None) for name in NUMBERS}
+    return {"stage": stage, **numbers, "absorption": list(glass.absorption), "loss": loss}
+
+
+def _in_words(glass: Revolution) -> str:
+    parts = [f"index {glass.ior:.3f}"]
+    if glass.wall is None:
+        parts.insert(0, "solid")
+    else:
+        assert glass.floor is not None
+        parts.insert(0, f"wall {1000 * glass.wall:.2f} mm, floor {1000 * glass.floor:.1f} mm")
+    if any(glass.absorption):
+        parts.append("absorption " + ", ".join(f"{value:.1f}" for value in glass.absorption) + " 1/m")
+    if glass.roughness is not None:
+        parts.append(f"roughness {glass.roughness:.2f}")
+    return ", ".join(parts)
+
+
+def _write_geometry(dataset: Dataset, geometry: str, truths: tuple[Mesh, ...], found: Objects) -> None:
+    """Commits the meshes and materials that were found, beside the true ones of everything else."""
+    meshes = list(truths)
+    assignment = [TRUTH] * len(meshes)
+    materials: dict[str, Json] = {}
+    for object_id, item in found.items():
+        meshes[object_id - 1], assignment[object_id - 1] = item.glass.mesh(), FITTED
+        materials[dataset.objects[object_id - 1].name] = material_json(item.glass.material())
+    write_proxies(dataset, geometry, tuple(meshes), (None,) * len(meshes), tuple(assignment), materials)
+
+
+def _summary(dataset: Dataset, found: Objects) -> dict[str, Json]:
+    """What fit.json holds of the objects."""
+    objects: list[Json] = []
+    for object_id, item in found.items():
+        glass = item.glass
+        objects.append(
+            {
+                "name": dataset.objects[object_id - 1].name,
+                "kind": glass.kind,
+                "axis": {"point": glass.axis.point.tolist(), "direction": glass.axis.direction.tolist()},
+                "outline": glass.outline().tolist(),
+                "hull_outline": item.hull.outline().tolist(),
+                "unexplained": item.unexplained,
+                "numbers": {name: _interval(name, number) for name, number in item.numbers.items()},
+                "history": list(item.history),
+                "grid": [dict(zip(("wall", "floor", "corner", "loss"), cell, strict=True)) for cell in item.cells],
+            }
+        )
+    return {"objects": objects}
+
+
+def _interval(name: str, found: Found) -> Json:
+    low, high = interval(name, found)
+    return {"value": found.value, "low": low, "high": high}

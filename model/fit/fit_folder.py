@@ -1,0 +1,83 @@
+"""The folder of a fit: what each stage found, so that a fit that was stopped goes on.
+
+FIT/fit.json         sealed, written first: what was asked; in the end the objects that were found
+FIT/STAGE.pt         what a stage found, with the digest of what it was found from
+FIT/STAGE.png        a picture of it
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import UInt8
+
+from datagen.data.images import png_bytes
+from datagen.disk.errors import HyalineError
+from datagen.disk.ownership import FolderKind, begin, is_ours, refuse_others, remove_files
+from datagen.disk.records import Json
+from datagen.disk.storage import commit, commit_sealed, dump_json, load_sealed, seal_bytes, sha256
+from datagen.terminal.command import say
+from model.run.checkpoint import load_state, save_state
+from model.settings.state import State
+
+FIT = FolderKind(what="fit", head="fit.json")
+
+FIT_VERSION = 1
+
+STAGES = ("room", "outside", "grid", "search", "textures", "again")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FitFolder:
+    """The folder of one fit, held by its writer."""
+
+    root: Path
+    asked: dict[str, Json]
+    """What the result depends on."""
+
+    def begin(self, *, anew: bool) -> None:
+        """Claims the folder; what another fit left there stays only where this one asks for the same."""
+        head: dict[str, Json] = {"version": FIT_VERSION, **self.asked}
+        if not is_ours(self.root, FIT):
+            refuse_others(self.root, FIT)
+            begin(self.root, FIT, seal_bytes(head))
+            return
+        before = load_sealed(self.root / FIT.head)
+        different = next((key for key, value in head.items() if before.get(key) != value), None)
+        if different is not None and not anew:
+            raise HyalineError(
+                f"{self.root}: holds a fit with another {different}; start over with --overwrite, or choose another "
+                "--name"
+            )
+        if anew:
+            remove_files(self.root, [f"{stage}.pt" for stage in STAGES])
+        commit_sealed(self.root / FIT.head, head)
+
+    def stage(self, name: str, title: str, depends_on: str, make: Callable[[], dict[str, State]]) -> dict[str, State]:
+        """What a stage found, made now unless it is there.
+
+        Args:
+            depends_on: digest of what it is found from.
+        """
+        path = self.root / f"{name}.pt"
+        key = sha256(dump_json([self.asked, name, depends_on]))
+        if path.is_file():
+            try:
+                state = load_state(path)
+            except HyalineError as error:
+                say(f"{error}; makes it again")
+            else:
+                if state.pop("key", None) == key:
+                    say(f"{title}: found before")
+                    return state
+        say(f"{title} ...")
+        state = make()
+        save_state(path, {**state, "key": key})
+        return state
+
+    def finish(self, found: dict[str, Json]) -> None:
+        commit_sealed(self.root / FIT.head, {"version": FIT_VERSION, **self.asked, **found})
+
+    def write_picture(self, name: str, image: UInt8[np.ndarray, "h w 3"]) -> None:
+        commit(self.root / f"{name}.png", png_bytes(image))

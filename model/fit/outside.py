@@ -1,0 +1,197 @@
+"""The outside of a surface of revolution from masks, in closed form.
+
+A ray that misses an object bounds it: where the ray passes height z of the axis, the object's radius there is at most
+the ray's distance from the axis. The least bound of all rays is the visual hull of revolution, without voxels.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Float64
+from scipy import interpolate, optimize
+
+from model.fit.shapes import OUTSIDE, Axis, Revolution, evenly
+from model.fit.views import NearRays
+
+FINE = 501
+"""Heights of a profile."""
+
+WORTH_A_TILT = 0.003
+"""Share of a mask's rays that a tilted axis has to explain beyond those that an upright one does."""
+
+COARSE = 129
+"""Heights while the axis is searched."""
+
+WRONG_RAYS = 0.003
+"""Share of the rays that meet an object that need not be explained where masks may be wrong."""
+
+FAR = 0.5
+"""Most by which a ray can miss a hull, in parts of the object's reach: wrong mask pixels count little."""
+
+SLOW = 1e-4
+"""Cosine of rays that are taken to be perpendicular to the axis."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Hull:
+    """The visual hull of revolution about an axis."""
+
+    axis: Axis
+    heights: Float64[np.ndarray, " height"]
+    """Metres along the axis from its point, evenly spaced."""
+    radii: Float64[np.ndarray, " height"]
+    """Metres; 0 beyond the ends."""
+    unexplained: float
+    """Share of the mask's rays that miss the hull."""
+
+
+def find_hull(rays: NearRays, up: Float64[np.ndarray, "3"], *, order: int) -> Hull:
+    """Finds the axis whose hull of revolution explains the masks best, beginning with an upright one.
+
+    A wrong axis makes the hull too thin for rays that meet the object: the search minimises by how much. A tilted axis
+    has to explain more of the mask than an upright one.
+
+    Args:
+        order: how many rays at each height may miss the object by mistake.
+    """
+    center, radius = _center(rays)
+    edge = rays.at_edges()
+    axis = Axis(point=center, direction=up)
+    coarse = np.linspace(-radius, radius, COARSE)
+
+    def at(x: np.ndarray) -> Axis:
+        return axis.moved(x[2:], x[:2] * radius)
+
+    def search(start: np.ndarray, steps: np.ndarray, most: int) -> np.ndarray:
+        def lack(x: np.ndarray) -> float:
+            return _lack(edge, at(np.concatenate([x, start[len(x) :]])), coarse, order=order) / radius
+
+        simplex = start[: len(steps)] + np.concatenate([np.zeros((1, len(steps))), np.diag(steps)])
+        options = {"xatol": 2e-4, "fatol": 1e-7, "maxfev": most, "initial_simplex": simplex}
+        found = optimize.minimize(lack, simplex[0], method="Nelder-Mead", options=options).x
+        return np.concatenate([found, start[len(found) :]])
+
+    upright = search(np.zeros(4), np.array([0.1, 0.1]), 60)
+    tilted = search(upright, np.array([0.02, 0.02, 0.05, 0.05]), 150)
+    heights = np.linspace(-1.1 * radius, 1.1 * radius, FINE)
+    hulls = [hull_about(rays, at(x), heights, order=order) for x in (upright, tilted)]
+    return min(hulls, key=lambda hull: hull.unexplained + (hull is hulls[1]) * WORTH_A_TILT)
+
+
+def hull_about(rays: NearRays, axis: Axis, heights: Float64[np.ndarray, " height"], *, order: int) -> Hull:
+    """The hull about a known axis, no longer than the rays that meet the object need it to be."""
+    rho = crossings(rays, axis, heights)
+    radii = _hull_radii(rho, rays.hits, order=order)
+    inside = rho[rays.hits] <= radii
+    explained = inside.any(axis=1)
+    if not explained.any():
+        return Hull(axis=axis, heights=heights, radii=np.zeros_like(radii), unexplained=1.0)
+    lowest, highest = inside.argmax(axis=1)[explained], len(heights) - 1 - inside[:, ::-1].argmax(axis=1)[explained]
+    # Where masks may be wrong, some rays that meet the object pass it by.
+    spare = round(WRONG_RAYS * len(lowest)) if order else 0
+    top, bottom = np.sort(lowest)[-1 - spare], np.sort(highest)[spare]
+    place = np.arange(len(heights))
+    kept = np.where((place >= bottom) & (place <= top), radii, 0)
+    return Hull(axis=axis, heights=heights, radii=kept, unexplained=float(1 - explained.mean()))
+
+
+def crossings(rays: NearRays, axis: Axis, heights: Float64[np.ndarray, " height"]) -> Float[np.ndarray, "ray height"]:
+    """Metres from the axis where each ray passes these heights; infinite behind `reach` or the camera."""
+    o = rays.origins - axis.point
+    along_o, along_d = o @ axis.direction, rays.directions @ axis.direction
+    across_o = o - along_o[:, None] * axis.direction
+    across_d = rays.directions - along_d[:, None] * axis.direction
+    t = (heights - along_o[:, None]) / np.where(np.abs(along_d) < SLOW, SLOW, along_d)[:, None]
+    # |a + t b|^2 by its three dot products, instead of a vector for each ray and height.
+    aa, ab, bb = (
+        np.einsum("rc,rc->r", x, y) for x, y in ((across_o, across_o), (across_o, across_d), (across_d, across_d))
+    )
+    rho = np.sqrt(np.maximum(aa[:, None] + t * (2 * ab[:, None] + t * bb[:, None]), 0))
+    return np.where((t > 0) & (t < rays.reach[:, None]), rho, np.inf)
+
+
+def _hull_radii(
+    rho: Float[np.ndarray, "ray height"], hits: Bool[np.ndarray, " ray"], *, order: int
+) -> Float[np.ndarray, " height"]:
+    missing = rho[~hits]
+    return np.partition(missing, order, axis=0)[order]
+
+
+def _lack(rays: NearRays, axis: Axis, heights: np.ndarray, *, order: int) -> float:
+    """Mean distance in metres by which rays that meet the object miss its hull."""
+    rho = crossings(rays, axis, heights)
+    radii = _hull_radii(rho, rays.hits, order=order)
+    gaps = np.maximum(rho[rays.hits] - np.where(np.isfinite(radii), radii, 0), 0).min(axis=1)
+    return float(np.minimum(gaps, FAR * heights[-1]).mean())
+
+
+def _center(rays: NearRays) -> tuple[Float64[np.ndarray, "3"], float]:
+    """The point nearest to the rays through the middles of the masks, and how far the object reaches from it."""
+    middles = [_mean_ray(rays, view) for view in np.unique(rays.view[rays.hits])]
+    o, d = (np.stack(column) for column in zip(*middles, strict=True))
+    across = np.eye(3) - d[:, :, None] * d[:, None, :]
+    center = np.linalg.solve(across.sum(axis=0), np.einsum("vij,vj->i", across, o))
+    to_center = center - rays.origins[rays.hits]
+    far = np.linalg.norm(np.cross(to_center, rays.directions[rays.hits]), axis=1)
+    return center, float(np.quantile(far, 0.999)) * 1.05
+
+
+def _mean_ray(rays: NearRays, view: int) -> tuple[np.ndarray, np.ndarray]:
+    these = rays.hits & (rays.view == view)
+    direction = rays.directions[these].mean(axis=0)
+    return rays.origins[these][0], direction / np.linalg.norm(direction)
+
+
+ROUND = 0.006
+"""By which the hull of a ball may differ from a sphere (root mean square). This and what follows in parts of the
+largest radius."""
+
+RIM_LEFT_OUT = 0.08
+"""Below the top, where a hull follows the rim's rounding instead of the side."""
+
+FOOT_LEFT_OUT = 0.02
+"""Above the bottom."""
+
+NOISE = 0.003
+"""Standard deviation of a hull's radii."""
+
+
+def find_outside(hull: Hull, support: float | None) -> Revolution:
+    """What a hull shows of the outside: a ball, or what may be a vessel or solid.
+
+    Args:
+        support: height along the axis of the known surface on which it stands; None: it stands on nothing.
+    """
+    inside = hull.radii > 0
+    heights, radii = hull.heights[inside], hull.radii[inside]
+    if (ball := _as_ball(hull.axis, heights, radii)) is not None:
+        return ball
+    bottom = heights[0] if support is None else support
+    size = radii.max()
+    rim = RIM_LEFT_OUT * size
+    kept = (heights > bottom + FOOT_LEFT_OUT * size) & (heights < heights[-1] - rim)
+    spline = interpolate.UnivariateSpline(heights[kept], radii[kept], s=kept.sum() * (NOISE * size) ** 2)
+    low, high = heights[kept][[0, -1]]
+    below, above = np.asarray(spline([high - 1.5 * rim, high]))
+    slope = (above - below) / (1.5 * rim)
+    along = np.linspace(bottom, heights[-1], 400)
+    side = np.asarray(spline(np.clip(along, low, high))) + slope * np.maximum(along - high, 0)
+    line = np.stack([np.maximum(side, 0.01 * size), along], axis=1)
+    return Revolution(axis=hull.axis, outside=evenly(np.concatenate([[(0, bottom)], line]), OUTSIDE))
+
+
+def _as_ball(axis: Axis, heights: np.ndarray, radii: np.ndarray) -> Revolution | None:
+    """The ball with this outline, if it is one; its ends, which masks show badly, don't count."""
+    wide = radii > 0.3 * radii.max()
+    columns = np.stack([2 * heights[wide], np.ones(wide.sum())], axis=1)
+    (middle, rest), *_ = np.linalg.lstsq(columns, radii[wide] ** 2 + heights[wide] ** 2)
+    radius = float(np.sqrt(max(rest + middle**2, 0)))
+    circle = np.sqrt(np.maximum(radius**2 - (heights[wide] - middle) ** 2, 0))
+    reaches = heights[wide][[0, -1]] - middle
+    error = np.sqrt(np.mean((circle - radii[wide]) ** 2))
+    if error > ROUND * radius or reaches[0] > -0.8 * radius or reaches[1] < 0.8 * radius:
+        return None
+    angles = np.linspace(-np.pi / 2, np.pi / 2, OUTSIDE)
+    return Revolution(
+        axis=axis, outside=np.stack([radius * np.cos(angles).round(9), middle + radius * np.sin(angles)], axis=1)
+    )

@@ -1,0 +1,147 @@
+"""The textures of the room, and drawing through glass that changes in front of them."""
+
+import dataclasses
+from dataclasses import dataclass
+from typing import cast
+
+import numpy as np
+import torch
+from jaxtyping import Float32, Int
+from torch import Tensor
+
+from datagen.data.dataset import Dataset
+from datagen.data.meshes import Mesh
+from datagen.machine.mitsuba_variant import use_mitsuba
+from datagen.scene.description import Scene
+from datagen.scene.materials import Material
+from datagen.terminal.command import track
+from model.batches.rays import read_colors, srgb_curve
+from model.batches.traced_layers import SubpixelRays
+from model.fit.search import Misses, penalty
+from model.fit.shapes import Glass
+from model.methods.light_path.config import LightPathConfig
+from model.methods.light_path.net import LightPathRenderer
+from model.methods.light_path.pixels import LightPathBatch, LightPathPixels, texel_widths
+from model.run.preparation import make_optimizer
+from model.run.train import decay
+from model.settings.state import State
+
+BATCH = 1024
+"""Training pixels a step, with as many rays and branches as `light-path` has."""
+
+BRANCHES, RAYS = 24, 9
+"""While glass is drawn. With 8 branches a vessel is a tenth too dark, and a wrong wall makes up for it; with 4 rays a
+pixel's error is larger than that of a wall which is a tenth off."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SomePixels(LightPathPixels):
+    """Some of the pixels of a source, as a source of their own."""
+
+    rows: Int[Tensor, " pixel"]
+    """Places in the source of the pixels of `rgb`."""
+
+    def take(self, index: Int[Tensor, "*pixel"], rng: np.random.Generator | None) -> LightPathBatch:
+        return super().take(self.rows[index], rng)
+
+
+def _only(pixels: LightPathPixels, rows: Int[np.ndarray, " pixel"]) -> SomePixels:
+    fields = {field.name: getattr(pixels, field.name) for field in dataclasses.fields(pixels)}
+    chosen = torch.from_numpy(rows)
+    return SomePixels(**{**fields, "rgb": pixels.rgb[chosen]}, rows=chosen)
+
+
+def load_pixels(
+    dataset: Dataset, scene: Scene, meshes: tuple[Mesh, ...], materials: tuple[Material, ...], *, stack: int
+) -> LightPathPixels:
+    """The pixels of the training views over a scene in which the objects have these meshes and materials.
+
+    Args:
+        stack: units of the stack network; 0: none, since it would learn to hide wrong glass.
+    """
+    use_mitsuba()
+    from datagen.trace.light_path import LightPathTracer
+    from datagen.trace.surface_tables import tints_of
+
+    views = range(dataset.config.train.views)
+    pixels = LightPathPixels(
+        tracer=LightPathTracer(meshes, materials, tints_of(scene, own_uv=True)),
+        straight_tracer=None,
+        rays=SubpixelRays(cameras=dataset.cameras("train")),
+        is_opaque=np.array([False, *(not material.is_glass for material in materials)]),
+        rgb=read_colors(dataset, "train", views, with_images=True),
+        config=LightPathConfig(stack_hidden=stack).sized((2,) * len(meshes)),
+        device=torch.device("cpu"),
+    )
+    widths = texel_widths(pixels, len(meshes), dataset.config.resolution.mean_side)
+    return dataclasses.replace(pixels, config=dataclasses.replace(pixels.config, texture_sizes=widths))
+
+
+def learn(pixels: LightPathPixels, rows: Int[np.ndarray, " pixel"], steps: int, *, seed: int) -> LightPathRenderer:
+    """Learns textures and sky from some of the pixels."""
+    torch.manual_seed(seed)
+    renderer = LightPathRenderer(pixels.config)
+    optimisation = pixels.config.optimisation()
+    groups = renderer.groups(optimisation)
+    optimizer = make_optimizer(groups, beta1=optimisation.beta1)
+    source = _only(pixels, rows)
+    for step in track(range(steps), label="textures", total=steps):
+        loss = renderer.loss(source, BATCH, np.random.default_rng((seed, step)), softness=optimisation.loss.softness)
+        optimizer.zero_grad(set_to_none=True)
+        loss.backward()
+        factor = decay(optimisation.lr_decay, step / steps)
+        for slot, group in zip(optimizer.param_groups, groups, strict=True):
+            slot["lr"] = group.lr * factor
+        optimizer.step()
+    return renderer.eval()
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Room:
+    """Learned textures, and training pixels that are drawn with them while glass changes."""
+
+    renderer: LightPathRenderer
+    pixels: LightPathPixels
+
+    def put(self, object_id: int, glass: Glass) -> None:
+        """Puts a glass in an object's place; it has as many vertices as the one there."""
+        self.pixels.tracer.change({object_id - 1: (glass.mesh(), glass.material())})
+
+    def draw(self, rows: Int[np.ndarray, " pixel"]) -> Float32[np.ndarray, "pixel 3"]:
+        """sRGB colours of some pixels, in [0, 1]."""
+        parts = torch.from_numpy(rows).split(self.pixels.chunk)
+        with torch.inference_mode():
+            rays = [self.renderer.radiance(self.pixels.take(part, None)) for part in parts]
+            return torch.cat([srgb_curve(part.mean(dim=1)).clamp(0, 1) for part in rays]).numpy()
+
+    def misses(self, object_id: int, rows: Int[np.ndarray, " pixel"]) -> Misses:
+        """How far some pixels are from the pictures, as a function of the glass in an object's place."""
+        truth = self.pixels.rgb[torch.from_numpy(rows)].numpy() / np.float32(255)
+
+        def miss(glass: Glass) -> Float32[np.ndarray, "pixel 3"]:
+            self.put(object_id, glass)
+            return penalty(self.draw(rows) - truth)
+
+        return miss
+
+
+def room_state(renderer: LightPathRenderer) -> dict[str, State]:
+    """What `load_room` reads back."""
+    return {
+        "weights": renderer.state_dict(),
+        "texture_sizes": list(renderer.config.texture_sizes),
+        "stack": renderer.config.stack_hidden,
+    }
+
+
+def load_room(state: dict[str, State], pixels: LightPathPixels) -> Room:
+    """Learned textures with pixels to draw, traced with `BRANCHES` and `RAYS`."""
+    config = dataclasses.replace(
+        pixels.config,
+        texture_sizes=tuple(cast(list[int], state["texture_sizes"])),
+        stack_hidden=cast(int, state["stack"]),
+    )
+    renderer = LightPathRenderer(config)
+    renderer.load_state_dict(cast(dict, state["weights"]))
+    drawn = dataclasses.replace(config, branches=BRANCHES, render_samples=RAYS)
+    return Room(renderer=renderer.eval(), pixels=dataclasses.replace(pixels, config=drawn))

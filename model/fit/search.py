@@ -1,0 +1,226 @@
+"""Finds the numbers of a glass by drawing it: a grid first, then one number after the other.
+
+The loss is rugged: a derivative of sharp pixels says nothing about the way to the truth, and the least of a few values
+does. Only for the index a parabola over a wide bracket is better than the least.
+"""
+
+import dataclasses
+import itertools
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from datagen.scene.values import as_vector
+from model.fit.shapes import Glass, Revolution
+
+SOFTNESS = 0.05
+"""sRGB differences well below it count by their squares, those above by their size (Charbonnier's penalty)."""
+
+WALLS = (0.03, 0.05, 0.08, 0.12)
+FLOORS = (0.05, 0.1, 0.15, 0.25, 0.4, 0.5, 0.6)
+CORNERS = (0.3, 0.6)
+"""The grid: parts of the largest radius, of the height, and of the floor's radius."""
+
+ABSORPTIONS = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0)
+"""1/m."""
+
+ROUGHNESSES = (0.03, 0.06, 0.12, 0.25)
+"""GGX alpha."""
+
+STEPS = 7
+"""Values that are tried of a number."""
+
+LAST = 5
+"""Number of the last round."""
+
+SHRINKS = 0.55
+"""Factor by which brackets shrink from round to round."""
+
+CHANNELS = ("red", "green", "blue")
+
+Misses = Callable[[Glass], Float[np.ndarray, "pixel 3"]]
+"""How far an object's pixels are from the pictures, by colour channel, when a glass stands in its place."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Number:
+    """How one number of a glass is searched."""
+
+    low: float
+    high: float
+    reach: float
+    """Half the first bracket: of the number's logarithm, or of the number itself if not `is_factor`."""
+    least: float
+    """Half the last bracket: over less, the least follows the noise."""
+    is_factor: bool = True
+    by_parabola: bool = False
+
+
+NUMBERS: dict[str, Number] = {
+    "wall": Number(low=1e-5, high=1.0, reach=0.3, least=0.12),
+    "floor": Number(low=1e-5, high=10.0, reach=0.25, least=0.06),
+    "corner": Number(low=0.02, high=0.95, reach=0.6, least=0.2),
+    "foot": Number(low=1e-6, high=1.0, reach=1.2, least=0.3),
+    "ior": Number(low=1.2, high=2.5, reach=0.07, least=0.05, is_factor=False, by_parabola=True),
+    "taper": Number(low=0.4, high=2.5, reach=0.3, least=0.12),
+    "roughness": Number(low=0.005, high=0.8, reach=0.5, least=0.25),
+}
+"""In the order in which they are searched."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Found:
+    """One number of a glass."""
+
+    value: float
+    even: float
+    """What the even views alone say."""
+    odd: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cell:
+    """One cell of the grid."""
+
+    glass: Revolution
+    loss: float
+
+
+def penalty(differences: Float[np.ndarray, "*pixel 3"]) -> Float[np.ndarray, "*pixel 3"]:
+    """Charbonnier's penalty of sRGB differences."""
+    return np.sqrt(differences**2 + SOFTNESS**2) - SOFTNESS
+
+
+def scan(outside: Revolution, misses: Misses) -> Iterator[Cell]:
+    """Solid, and unless the outside is closed, vessels of every wall, floor and corner of the grid."""
+    for glass in _cells(outside):
+        yield Cell(glass=glass, loss=float(misses(glass).mean()))
+
+
+def count_cells(outside: Revolution) -> int:
+    """How much `scan` yields."""
+    return len(_cells(outside))
+
+
+def _cells(outside: Revolution) -> list[Revolution]:
+    if outside.is_closed:
+        return [outside]
+    return [outside, *(outside.hollowed(*cell) for cell in itertools.product(WALLS, FLOORS, CORNERS))]
+
+
+def find_absorption(
+    glass: Revolution, misses: Misses, is_even: Bool[np.ndarray, " pixel"]
+) -> tuple[Revolution, tuple[Found, Found, Found]]:
+    """Searches the absorption of all colour channels at once: each is judged by its own channel of the pictures."""
+    now = np.array(glass.absorption)
+    tried = ABSORPTIONS if not now.any() else (0.0, *np.exp(np.linspace(-0.6, 0.6, STEPS)))
+    values = np.array(tried)[:, None] * (1 if not now.any() else np.where(now > 0, now, now.max()))
+    values = np.broadcast_to(values, (len(tried), 3))
+    drawn = [misses(dataclasses.replace(glass, absorption=as_vector(row))) for row in values]
+
+    def lowest(pixels: Bool[np.ndarray, " pixel"] | slice) -> Float[np.ndarray, "3"]:
+        means = np.stack([miss[pixels].mean(axis=0) for miss in drawn])
+        return np.array([_lowest_positive(values[:, channel], means[:, channel]) for channel in range(3)])
+
+    best, even, odd = lowest(slice(None)), lowest(is_even), lowest(~is_even)
+    found = [Found(value=float(v), even=float(e), odd=float(o)) for v, e, o in zip(best, even, odd, strict=True)]
+    return dataclasses.replace(glass, absorption=as_vector(best)), (found[0], found[1], found[2])
+
+
+def _lowest_positive(values: Float[np.ndarray, " value"], losses: Float[np.ndarray, " value"]) -> float:
+    """0 where that is best; else where a parabola through the least of the losses and its neighbours is lowest."""
+    place = int(losses.argmin())
+    if place == 0:
+        return 0.0
+    near = slice(max(place - 1, 1), place + 2)
+    return float(np.exp(vertex(np.log(values[near]), losses[near]))) if place > 1 else float(values[place])
+
+
+def find_roughness(glass: Revolution, misses: Misses) -> Revolution:
+    """Frosted, if that explains the pictures better than smooth glass does."""
+    tried = [glass, *(dataclasses.replace(glass, roughness=value) for value in ROUGHNESSES)]
+    return min(tried, key=lambda each: float(misses(each).mean()))
+
+
+def refine(
+    glass: Revolution, misses: Misses, is_even: Bool[np.ndarray, " pixel"], *, number: int
+) -> Iterator[tuple[Revolution, str, Found]]:
+    """Searches each number in turn, once.
+
+    Args:
+        is_even: whether a pixel is of an even view.
+        number: of the round; brackets narrow from round to round.
+
+    Yields:
+        The glass after each search, the name of the number, and what was found.
+    """
+    glass, channels = find_absorption(glass, misses, is_even)
+    for channel, found in zip(CHANNELS, channels, strict=True):
+        yield glass, f"absorption_{channel}", found
+    for name in _searched(glass):
+        glass, found = _search(glass, name, reach_of(name, number), misses, is_even)
+        yield glass, name, found
+
+
+def count_searches(glass: Revolution) -> int:
+    """How much `refine` yields."""
+    return len(CHANNELS) + len(_searched(glass))
+
+
+def _searched(glass: Revolution) -> list[str]:
+    return [name for name in NUMBERS if getattr(glass, name) is not None]
+
+
+def reach_of(name: str, number: int) -> float:
+    """Half the bracket of a number in a round."""
+    return max(NUMBERS[name].reach * SHRINKS**number, NUMBERS[name].least)
+
+
+def _search(
+    glass: Revolution, name: str, reach: float, misses: Misses, is_even: Bool[np.ndarray, " pixel"]
+) -> tuple[Revolution, Found]:
+    how = NUMBERS[name]
+    steps = reach * np.linspace(-1, 1, STEPS)
+    now = getattr(glass, name)
+    values = np.clip(now * np.exp(steps) if how.is_factor else now + steps, how.low, how.high)
+    losses = np.stack([misses(dataclasses.replace(glass, **{name: float(value)})).mean(axis=1) for value in values])
+    places = np.log(values) if how.is_factor else values
+
+    def lowest(pixels: Bool[np.ndarray, " pixel"] | slice, *, by_parabola: bool) -> float:
+        means = losses[:, pixels].mean(axis=1)
+        place = vertex(places, means) if by_parabola else float(places[means.argmin()])
+        return float(np.exp(place)) if how.is_factor else place
+
+    value = lowest(slice(None), by_parabola=how.by_parabola)
+    halves = (lowest(is_even, by_parabola=True), lowest(~is_even, by_parabola=True))
+    return dataclasses.replace(glass, **{name: value}), Found(value=value, even=halves[0], odd=halves[1])
+
+
+def vertex(places: Float[np.ndarray, " value"], losses: Float[np.ndarray, " value"]) -> float:
+    """Where a parabola through losses is lowest, within the bracket; the place of the least where it is not convex."""
+    if len(np.unique(places)) < 3:
+        return float(places[losses.argmin()])
+    a, b, _ = np.polyfit(places - places.mean(), losses, 2)
+    if a <= 0:
+        return float(places[losses.argmin()])
+    return float(np.clip(places.mean() - b / (2 * a), places.min(), places.max()))
+
+
+def interval(name: str, found: Found) -> tuple[float, float]:
+    """Between which values a number is likely to lie: as far apart as what the two halves of the views say, and at
+    least as far as the values that were tried last."""
+    spread = abs(found.even - found.odd)
+    if name in NUMBERS:
+        step = 2 * reach_of(name, LAST) / (STEPS - 1)
+        spread = max(spread, step * found.value if NUMBERS[name].is_factor else step)
+    return found.value - spread, found.value + spread
+
+
+def alternatives(cells: Sequence[Cell]) -> tuple[Cell, Cell]:
+    """The best cell and the second best: the best of those with another wall or floor."""
+    ordered = sorted(cells, key=lambda cell: cell.loss)
+    best = ordered[0].glass
+    others = [cell for cell in ordered[1:] if (cell.glass.wall, cell.glass.floor) != (best.wall, best.floor)]
+    return ordered[0], (others or ordered)[0]

@@ -1,0 +1,277 @@
+"""Glass of revolution as a few numbers, and its mesh: always of as many vertices and faces, so that a loaded scene can
+be changed."""
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Float64
+
+from datagen.data.meshes import Mesh
+from datagen.scene.materials import Dielectric, Material, RoughDielectric
+from datagen.scene.values import as_vector
+from model.settings.state import State
+
+SEGMENTS = 96
+"""Around the axis; 64 lose 1 dB on a tumbler of the true shape."""
+
+CREASE_COS = np.cos(np.radians(35))
+"""Edges of an outline that turn by more are shaded as edges."""
+
+OUTSIDE, RIM, INSIDE, CORNER = 120, 6, 64, 12
+"""Points of the outside, of a vessel's rim, of its inner wall, and of the corner above its floor."""
+
+POINTS = OUTSIDE + RIM - 1 + INSIDE + CORNER + 1
+"""Of every section."""
+
+FOOT = 0.04
+"""First guess of a foot's rounding, in parts of the largest radius."""
+
+Outline = Float64[np.ndarray, "_ 2"]
+"""Points (radius, height along the axis) in metres, from the axis at the bottom and back to it."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Axis:
+    """A line in space."""
+
+    point: Float64[np.ndarray, "3"]
+    direction: Float64[np.ndarray, "3"]
+
+    def moved(self, tilt: Float[np.ndarray, "2"], shift: Float[np.ndarray, "2"]) -> "Axis":
+        """Shifted across (metres) and tilted by small amounts (radians) along two directions perpendicular to it."""
+        frame = perpendicular(self.direction)
+        direction = self.direction + tilt @ frame
+        return Axis(point=self.point + shift @ frame, direction=direction / np.linalg.norm(direction))
+
+
+def perpendicular(direction: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "2 3"]:
+    """Two unit vectors perpendicular to a direction and to each other; right-handed, the direction being third."""
+    first = np.cross(direction, np.eye(3)[np.abs(direction).argmin()])
+    first /= np.linalg.norm(first)
+    return np.stack([first, np.cross(direction, first)])
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Glass:
+    """What is found of an object: its material here, its shape in the records derived from this one."""
+
+    ior: float = 1.5
+    absorption: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """1/m, by colour channel."""
+    roughness: float | None = None
+    """None: smooth."""
+
+    @property
+    def kind(self) -> str:
+        raise NotImplementedError
+
+    def mesh(self) -> Mesh:
+        """A closed mesh, with as many vertices and faces whatever the numbers are."""
+        raise NotImplementedError
+
+    def material(self) -> Material:
+        if self.roughness is None:
+            return Dielectric(ior=self.ior, absorption=self.absorption)
+        return RoughDielectric(ior=self.ior, absorption=self.absorption, roughness=self.roughness)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Revolution(Glass):
+    """A glass of revolution: solid, or a vessel whose hollow is its outside moved inwards and cut by a floor."""
+
+    axis: Axis
+    outside: Outline
+    """From the axis at the bottom to the axis, or a vessel's rim, at the top."""
+    wall: float | None = None
+    """Thickness of a vessel's wall above the floor, in metres; None: solid."""
+    taper: float | None = None
+    """Thickness at the rim over that above the floor."""
+    floor: float | None = None
+    """Height of the hollow's lowest point above the outside's lowest, in metres."""
+    corner: float | None = None
+    """How far the rounding between floor and wall reaches, in parts of the floor's radius."""
+    foot: float | None = None
+    """How far the rounding between the flat bottom and the side reaches, in metres."""
+
+    @property
+    def kind(self) -> str:
+        return "ball" if self.is_closed else "revolution"
+
+    @property
+    def height(self) -> float:
+        return float(np.ptp(self.outside[:, 1]))
+
+    @property
+    def is_closed(self) -> bool:
+        """The outside ends on the axis: it has no rim, and so no hollow."""
+        return bool(self.outside[-1, 0] < 1e-6)
+
+    def hollowed(self, wall: float, floor: float, corner: float) -> "Revolution":
+        """A vessel with this outside.
+
+        Args:
+            wall: in parts of the largest radius.
+            floor: in parts of the height.
+        """
+        radius = float(self.outside[:, 0].max())
+        return dataclasses.replace(
+            self, wall=wall * radius, taper=1.0, floor=floor * self.height, corner=corner, foot=FOOT * radius
+        )
+
+    def outline(self) -> Outline:
+        """The whole section."""
+        if self.wall is None:
+            top = np.array([[0.0, self.outside[-1, 1]]])
+            return evenly(self.outside if self.is_closed else np.concatenate([self.outside, top]), POINTS)
+        assert self.taper is not None
+        assert self.floor is not None
+        assert self.corner is not None
+        assert self.foot is not None
+        at_rim = self.wall * self.taper
+        # The rim is a half circle: the outside ends below it.
+        side = _with_foot(_cut(self.outside, self.outside[-1, 1] - at_rim / 2), self.foot)
+        return np.concatenate([side, _hollow(side, self.wall, at_rim, self.floor, self.corner)])
+
+    def mesh(self) -> Mesh:
+        return revolved(self.axis, self.outline())
+
+
+def to_state(glass: Glass) -> dict[str, State]:
+    """What `from_state` reads back, for files of PyTorch."""
+    import torch
+
+    fields = {field.name: getattr(glass, field.name) for field in dataclasses.fields(glass)}
+    axis = fields.pop("axis")
+    arrays = {"point": axis.point, "direction": axis.direction, "outside": fields.pop("outside")}
+    return {**fields, **{name: torch.from_numpy(np.array(values)) for name, values in arrays.items()}}
+
+
+def from_state(state: dict) -> Revolution:
+    fields = dict(state)
+    axis = Axis(point=fields.pop("point").numpy(), direction=fields.pop("direction").numpy())
+    absorption = as_vector(np.array(fields.pop("absorption")))
+    return Revolution(axis=axis, outside=fields.pop("outside").numpy(), absorption=absorption, **fields)
+
+
+def _hollow(outside: Outline, wall: float, at_rim: float, floor: float, corner: float) -> Outline:
+    """The inside of a vessel from its rim down to the axis."""
+    tangents = np.gradient(outside, axis=0)
+    tangents /= np.maximum(np.linalg.norm(tangents, axis=1, keepdims=True), 1e-12)
+    inward = np.stack([-tangents[:, 1], tangents[:, 0]], axis=1)
+    bottom = outside[:, 1].min() + floor
+    height = np.clip((outside[:, 1] - bottom) / (outside[-1, 1] - bottom), 0, 1)
+    inner = outside + (wall + height * (at_rim - wall))[:, None] * inward
+    # As a function of height, from the floor up: what lies below, or would fold over the axis, is cut.
+    above = (inner[:, 1] > bottom) & (inner[:, 0] > 0)
+    first = len(inner) - int(np.argmin(above[::-1])) if not above.all() else 0
+    first = min(first, len(inner) - 2)
+    line = inner[first:]
+    if first > 0 and inner[first - 1, 1] < bottom < line[0, 1]:
+        share = (bottom - inner[first - 1, 1]) / (line[0, 1] - inner[first - 1, 1])
+        lowest = inner[first - 1] + share * (line[0] - inner[first - 1])
+    else:
+        lowest = np.array([line[0, 0], bottom])
+    lowest[0] = max(lowest[0], 1e-4)
+    middle, arm = (outside[-1] + inner[-1]) / 2, (outside[-1] - inner[-1]) / 2
+    up = np.array([-arm[1], arm[0]])
+    up = up if up @ tangents[-1] > 0 else -up
+    angles = np.linspace(0, np.pi, RIM + 1)[1:-1, None]
+    rim = middle + np.cos(angles) * arm + np.sin(angles) * up
+    side = evenly(np.concatenate([line[::-1], lowest[None]]), INSIDE)
+    return np.concatenate([rim, _with_corner(side, np.array([0.0, bottom]), reach=float(corner * lowest[0]))])
+
+
+def _with_foot(line: Outline, reach: float) -> Outline:
+    """The line, the corner between its flat bottom and its side rounded by an arc; of as many points."""
+    flat = int(np.flatnonzero(line[:, 1] > line[0, 1] + 1e-6)[0])
+    side = line[flat - 1 :]
+    way = _lengths(side)
+    reach = min(reach, 0.9 * float(side[0, 0]), 0.5 * float(way[-1]))
+    if reach <= 0:
+        return line
+    start = np.array([side[0, 0] - reach, line[0, 1]])
+    arc = _arc(start, side[0], _at(side, reach))
+    return evenly(np.concatenate([line[:1], start[None], arc, side[way > reach]]), len(line))
+
+
+def _with_corner(line: Outline, end: Float64[np.ndarray, "2"], *, reach: float) -> Outline:
+    """The line and a straight way on to `end`, their corner rounded from `reach` before it to as far behind."""
+    way = _lengths(line)
+    reach = min(reach, 0.5 * float(way[-1]), 0.95 * float(np.linalg.norm(line[-1] - end)))
+    start = _at(line, way[-1] - reach)
+    kept = evenly(np.concatenate([line[way < way[-1] - reach], start[None]]), INSIDE)
+    stop = line[-1] + reach * (end - line[-1]) / np.linalg.norm(end - line[-1])
+    return np.concatenate([kept, _arc(start, line[-1], stop), end[None]])
+
+
+def _arc(start: Float64[np.ndarray, "2"], corner: Float64[np.ndarray, "2"], stop: Float64[np.ndarray, "2"]) -> Outline:
+    """Points of the curve that leaves `start` towards `corner` and reaches `stop` from there; without `start`."""
+    t = np.linspace(0, 1, CORNER + 1)[1:, None]
+    # A rational quadratic: a circle where both legs are as long.
+    back, forth = start - corner, stop - corner
+    cosine = np.clip(back @ forth / (np.linalg.norm(back) * np.linalg.norm(forth)), -1, 1)
+    a, b, c = (1 - t) ** 2, 2 * np.sqrt((1 - cosine) / 2) * t * (1 - t), t**2
+    return (a * start + b * corner + c * stop) / (a + b + c)
+
+
+def _cut(line: Outline, height: float) -> Outline:
+    """The line up to a height, of as many points."""
+    above = int(np.flatnonzero(line[:, 1] < height)[-1])
+    share = (height - line[above, 1]) / (line[above + 1, 1] - line[above, 1])
+    end = line[above] + share * (line[above + 1] - line[above])
+    return evenly(np.concatenate([line[: above + 1], end[None]]), len(line))
+
+
+def evenly(line: Outline, count: int) -> Outline:
+    """Points along a line at even distances."""
+    way = _lengths(line)
+    return np.stack([np.interp(np.linspace(0, way[-1], count), way, line[:, axis]) for axis in range(2)], axis=1)
+
+
+def _at(line: Outline, reach: float) -> Float64[np.ndarray, "2"]:
+    """The point of a line this far along it."""
+    return np.array([np.interp(reach, _lengths(line), line[:, axis]) for axis in range(2)])
+
+
+def _lengths(line: Outline) -> Float64[np.ndarray, " point"]:
+    """How far along the line each point is."""
+    return np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
+
+
+def revolved(axis: Axis, outline: Outline) -> Mesh:
+    """The solid that an outline sweeps around an axis; u goes around, v along the outline, edge by edge."""
+    edges = np.diff(outline, axis=0)
+    normals = np.stack([edges[:, 1], -edges[:, 0]], axis=1)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    # Each edge has two rings of its own, which share the normals of its neighbours unless there is a crease.
+    starts, ends = normals.copy(), normals.copy()
+    smooth = np.einsum("ec,ec->e", normals[:-1], normals[1:]) > CREASE_COS
+    mean = normals[:-1] + normals[1:]
+    mean /= np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-12)
+    ends[:-1][smooth], starts[1:][smooth] = mean[smooth], mean[smooth]
+    rings = np.stack([outline[:-1], outline[1:]], axis=1).reshape(-1, 2)
+    ring_normals = np.stack([starts, ends], axis=1).reshape(-1, 2)
+    # The last column stands where the first one does, at u = 1.
+    angles = (np.arange(SEGMENTS + 1) % SEGMENTS) * (2 * np.pi / SEGMENTS)
+    u, v = perpendicular(axis.direction)
+    around = np.cos(angles)[:, None] * u + np.sin(angles)[:, None] * v
+
+    def swept(points: np.ndarray) -> np.ndarray:
+        return (points[:, None, :1] * around + points[:, None, 1:] * axis.direction).reshape(-1, 3)
+
+    index = np.arange(len(rings) * (SEGMENTS + 1)).reshape(-1, SEGMENTS + 1)
+    low, high = index[0::2], index[1::2]
+    lower = np.stack([low[:, :-1], low[:, 1:], high[:, 1:]], axis=-1)
+    upper = np.stack([low[:, :-1], high[:, 1:], high[:, :-1]], axis=-1)
+    # At the axis a quadrangle is one triangle.
+    faces = np.concatenate([lower[1:].reshape(-1, 3), upper[:-1].reshape(-1, 3)])
+    vertices = axis.point + swept(rings)
+    along = np.repeat(np.arange(len(outline)), 2)[1:-1] / (len(outline) - 1)
+    uv = np.stack(np.broadcast_arrays(np.linspace(0, 1, SEGMENTS + 1), along[:, None]), axis=-1)
+    return Mesh(
+        vertices=vertices.astype(np.float32),
+        faces=faces.astype(np.int32),
+        normals=swept(ring_normals).astype(np.float32),
+        uv=uv.reshape(-1, 2).astype(np.float32),
+    )

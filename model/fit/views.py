@@ -1,0 +1,157 @@
+"""What the training views show of objects of unknown shape: the pixels that see one, and the known surfaces behind."""
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float32, Float64, UInt8
+from scipy import ndimage
+
+from datagen.data.cameras import Cameras
+from datagen.data.dataset import Dataset, View, has_layers
+from datagen.data.images import open_png
+from datagen.data.meshes import Mesh, is_there, no_mesh
+from datagen.data.paths import view_name
+from datagen.disk.errors import HyalineError
+from datagen.machine.mitsuba_variant import use_mitsuba
+
+MARGIN = 4
+"""Pixels around a mask whose rays bound the object; those farther out bound it less."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Sightings:
+    """What the rays through the pixel centres of all training views meet."""
+
+    cameras: Cameras
+    first: UInt8[np.ndarray, "view h w"]
+    """Id of the unknown object that the ray meets first; 0 where it meets another surface first, or none."""
+    touched: Bool[np.ndarray, "view h w"]
+    """The straight ray meets an unknown object somewhere, perhaps behind other glass."""
+    depth: Float32[np.ndarray, "view h w"]
+    """Metres along the ray to the first surface of known shape; infinite where there is none."""
+    unknown: tuple[int, ...]
+    """Ids of the objects of unknown shape."""
+
+    def rays(self) -> tuple[Float32[np.ndarray, "view 3"], Float32[np.ndarray, "view h w 3"]]:
+        """Origins and unit directions."""
+        pairs = [self.cameras[view].rays() for view in range(len(self.cameras))]
+        return np.stack([origin for origin, _ in pairs]), np.stack([directions for _, directions in pairs])
+
+    def sees(self, object_id: int) -> Bool[np.ndarray, "view h w"]:
+        return self.first == object_id
+
+    def is_open(self, object_id: int) -> Bool[np.ndarray, "view h w"]:
+        """The ray meets no other unknown object first, so that it is known whether it misses this one."""
+        return ~np.isin(self.first, [other for other in self.unknown if other != object_id])
+
+
+def read_sightings(
+    dataset: Dataset, meshes: tuple[Mesh, ...], unknown: tuple[int, ...], masks: Path | None
+) -> Sightings:
+    """Reads the masks of the training views, and traces the known surfaces.
+
+    Args:
+        meshes: of all objects; those of unknown ones are not looked at.
+        masks: a folder with NAME/0000.png for each unknown object and training view, white where the object is seen.
+            None: masks are those that the dataset has.
+    """
+    use_mitsuba()
+    from datagen.trace.peel import Peeler
+
+    cameras = dataset.cameras("train")
+    known = known_meshes(meshes, unknown)
+    peeler = Peeler(known) if any(map(is_there, known)) else None
+    first, touched, depth = [], [], []
+    for view in dataset.views("train"):
+        seen, met = _read_masks(dataset, view, unknown) if masks is None else _read_pngs(dataset, view, unknown, masks)
+        first.append(seen)
+        touched.append(met)
+        origin, directions = cameras[view.index].rays()
+        flat = directions.reshape(-1, 3)
+        if peeler is None:
+            depth.append(np.full(directions.shape[:2], np.inf, np.float32))
+            continue
+        hits = peeler.trace(np.broadcast_to(origin, flat.shape).copy(), flat, 1)
+        depth.append(np.where(hits.shape[0] >= 0, hits.t[0], np.inf).reshape(directions.shape[:2]))
+    return Sightings(
+        cameras=cameras,
+        first=np.stack(first),
+        touched=np.stack(touched),
+        depth=np.stack(depth).astype(np.float32),
+        unknown=unknown,
+    )
+
+
+def known_meshes(meshes: tuple[Mesh, ...], unknown: Sequence[int]) -> tuple[Mesh, ...]:
+    """The meshes without those of the unknown objects."""
+    return tuple(no_mesh() if place + 1 in unknown else mesh for place, mesh in enumerate(meshes))
+
+
+def _read_masks(dataset: Dataset, view: View, unknown: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """`first` and `touched` of a view, from the dataset's own masks."""
+    if has_layers(dataset):
+        ids = view.object_ids()
+        is_unknown = np.isin(ids, unknown)
+        return np.where(is_unknown[0], ids[0], 0).astype(np.uint8), np.asarray(is_unknown.any(axis=0))
+    if len(unknown) == 1 and (mask := view.imported_mask) is not None:
+        return np.where(mask, unknown[0], 0).astype(np.uint8), np.asarray(mask)
+    raise HyalineError(
+        f"{dataset.root}: its pictures have no masks of single objects; give them with --masks FOLDER, as "
+        f"FOLDER/{dataset.objects[unknown[0] - 1].name}/{view_name(0)}.png"
+    )
+
+
+def _read_pngs(dataset: Dataset, view: View, unknown: tuple[int, ...], masks: Path) -> tuple[np.ndarray, np.ndarray]:
+    """`first` and `touched` of a view, from PNG files."""
+    shape = dataset.config.resolution.shape
+    seen = np.zeros(shape, np.uint8)
+    for object_id in unknown:
+        path = masks / dataset.objects[object_id - 1].name / f"{view_name(view.index)}.png"
+        mask = np.asarray(open_png(path, size=dataset.config.resolution).convert("L")) > 127
+        if bool((seen[mask] > 0).any()):
+            other = dataset.objects[int(seen[mask].max()) - 1].name
+            raise HyalineError(f"{path}: overlaps the mask of {other}; expected the object that is seen first")
+        seen[mask] = object_id
+    return seen, seen > 0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class NearRays:
+    """The rays through one object's mask and close by."""
+
+    origins: Float64[np.ndarray, "ray 3"]
+    directions: Float64[np.ndarray, "ray 3"]
+    hits: Bool[np.ndarray, " ray"]
+    """The ray meets the object; others miss it, at least up to `reach`."""
+    reach: Float64[np.ndarray, " ray"]
+    """Metres up to the first known surface."""
+    view: np.ndarray
+    is_edge: Bool[np.ndarray, " ray"]
+    """Within 2 pixels of where the mask begins."""
+
+    def at_edges(self) -> "NearRays":
+        """The rays at the edges alone: those farther in or out say little of where the object is."""
+        return NearRays(**{field.name: getattr(self, field.name)[self.is_edge] for field in dataclasses.fields(self)})
+
+
+def rays_near(sightings: Sightings, object_id: int) -> NearRays:
+    """The rays in and around the mask of one object, without those in which another unknown object hides it."""
+    origins, directions = sightings.rays()
+    sees = sightings.sees(object_id)
+    disc = np.hypot(*np.mgrid[-MARGIN : MARGIN + 1, -MARGIN : MARGIN + 1]) <= MARGIN
+    near = ndimage.binary_dilation(sees, disc[None]) & sightings.is_open(object_id)
+    beside = ndimage.generate_binary_structure(2, 2)[None]
+    wide = np.asarray(ndimage.binary_dilation(sees, beside, iterations=2), bool)
+    narrow = np.asarray(ndimage.binary_erosion(sees, beside, iterations=2), bool)
+    view, row, column = np.nonzero(near)
+    return NearRays(
+        origins=origins[view].astype(np.float64),
+        directions=directions[view, row, column].astype(np.float64),
+        hits=sees[view, row, column],
+        reach=sightings.depth[view, row, column].astype(np.float64),
+        view=view,
+        is_edge=(wide & ~narrow)[view, row, column],
+    )

@@ -1,0 +1,136 @@
+"""Tests `model fit` as a command, and what others make of the geometry that it writes."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from support.commands import call
+from support.traced_dataset import BALL, write_traced_dataset
+
+from datagen.data.dataset import Dataset, open_dataset
+from datagen.data.geometries import geometry_key, list_geometries, read_assignment, read_materials, read_meshes
+from datagen.disk.storage import load_sealed
+from datagen.scene.folder import load_scene_as
+from datagen.scene.materials import Dielectric
+
+FIT = "--unknown ball --steps 2 --skip grid --skip again"
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    return write_traced_dataset(tmp_path_factory.mktemp("fit") / "glasses", resolution=24)
+
+
+@pytest.fixture(scope="module")
+def fitted(dataset: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a fit of the ball; its pictures show no refraction, so that its material means nothing."""
+    out = tmp_path_factory.mktemp("runs") / "fit"
+    answer = call(f"model fit {dataset.root} {FIT} --out {out}")
+    assert answer.status == 0, answer.err
+    assert f"next: model train light-path {dataset.root} --geometry fitted" in answer.err + answer.out
+    return out
+
+
+def test_the_geometry_has_the_ball_that_masks_show_and_all_else_as_it_is(dataset: Dataset, fitted: Path) -> None:
+    assert fitted.is_dir()
+    truth, found = read_meshes(dataset, "truth"), read_meshes(dataset, "fitted")
+    center, radius = BALL
+    # Ten coarse views from above show its girth.
+    assert np.linalg.norm((found[1].vertices - center)[:, :2], axis=1).max() == pytest.approx(radius, rel=0.08)
+    for place in (0, 2, 3, 4):
+        assert np.array_equal(found[place].vertices, truth[place].vertices)
+    assert read_assignment(dataset, "fitted") == ("truth", "fitted", "truth", "truth", "truth")
+    material = load_scene_as(dataset, "fitted").objects[1].material
+    assert isinstance(material, Dielectric)
+    assert list(read_materials(dataset, "fitted")) == ["ball"]
+    assert load_scene_as(dataset, "truth").objects[1].material != material
+
+
+def test_its_record_and_pictures_say_what_was_found(fitted: Path) -> None:
+    record = load_sealed(fitted / "fit.json")
+    (item,) = record["objects"]
+    assert item["name"] == "ball"
+    ior = item["numbers"]["ior"]
+    assert ior["low"] < ior["value"] < ior["high"]
+    assert item["unexplained"] < 0.05
+    assert len(item["outline"]) > 100
+    assert [row["stage"] for row in item["history"]] == ["search"] * 4
+    for name in ("room", "outside", "search"):
+        assert np.asarray(Image.open(fitted / f"{name}.png")).std() > 10
+
+
+def test_other_commands_take_the_geometry(dataset: Dataset, fitted: Path, tmp_path: Path) -> None:
+    assert fitted.is_dir()
+    assert "fitted" in list_geometries(dataset)
+    check = call(f"proxies check {dataset.root} --name fitted")
+    assert check.status == 0, check.err
+    run = tmp_path / "run"
+    for words in (
+        f"model train light-path {dataset.root} --geometry fitted --steps 2 --batch 64 --device cpu --out {run}",
+        f"model export {run} --out {tmp_path / 'page.html'} --truths none",
+        f"datagen verify {dataset.root}",
+    ):
+        answer = call(words)
+        assert answer.status == 0, answer.err
+
+
+def test_asked_again_it_keeps_what_was_found_and_other_wishes_are_refused(dataset: Dataset, fitted: Path) -> None:
+    before = geometry_key(dataset, "fitted")
+    times = {path.name: path.stat().st_mtime_ns for path in fitted.glob("*.pt")}
+    again = call(f"model fit {dataset.root} {FIT} --out {fitted}")
+    assert again.status == 0, again.err
+    assert {path.name: path.stat().st_mtime_ns for path in fitted.glob("*.pt")} == times
+    assert geometry_key(open_dataset(dataset.root), "fitted") == before
+    (fitted / "search.pt").write_bytes((fitted / "search.pt").read_bytes()[:-100])
+    assert "damaged" in call(f"model fit {dataset.root} {FIT} --out {fitted}").err
+    assert geometry_key(open_dataset(dataset.root), "fitted") == before
+    other = call(f"model fit {dataset.root} {FIT.replace('ball', 'slab')} --out {fitted}")
+    assert other.status == 1
+    assert "holds a fit with another unknown" in other.error
+
+
+def test_a_run_on_glass_that_was_fitted_again_otherwise_is_not_continued(dataset: Dataset, tmp_path: Path) -> None:
+    copy = Path(shutil.copytree(dataset.root, tmp_path / "copy"))
+    fit = f"model fit {copy} {FIT} --name fitted-b --out {tmp_path / 'fit'}"
+    train = (
+        f"model train light-path {copy} --geometry fitted-b --steps 2 --batch 64 --device cpu --out {tmp_path / 'run'}"
+    )
+    for words in (fit, train):
+        assert call(words).status == 0
+    assert call(f"{fit} --seed 1 --overwrite").status == 0
+    answer = call(train)
+    assert answer.status == 1
+    assert "holds a run with another layers" in answer.error
+
+
+@pytest.mark.parametrize(
+    ("flags", "why"),
+    [
+        ("--unknown bal", "unknown 'bal'"),
+        ("--unknown floor", "is opaque"),
+        ("--name box", "--name"),
+        ("--masks nowhere", "nowhere/ball/0000.png"),
+        ("--steps 0", "--steps"),
+    ],
+)
+def test_what_cannot_be_fitted_is_one_line(dataset: Dataset, tmp_path: Path, flags: str, why: str) -> None:
+    unknown = "" if "unknown" in flags else "--unknown ball"
+    answer = call(f"model fit {dataset.root} {unknown} {flags} --out {tmp_path / 'fit'}")
+    assert answer.status != 0
+    assert why in answer.error
+
+
+def test_masks_of_files_give_the_outside_that_layers_give(dataset: Dataset, fitted: Path, tmp_path: Path) -> None:
+    masks = tmp_path / "masks" / "ball"
+    masks.mkdir(parents=True)
+    for view in dataset.views("train"):
+        seen = (view.object_ids()[0] == 2).astype(np.uint8) * 255
+        Image.fromarray(seen).save(masks / f"{view.index:04d}.png")
+    words = f"{FIT} --name fitted-png --masks {tmp_path / 'masks'} --mask-errors 0 --skip search"
+    answer = call(f"model fit {dataset.root} {words} --out {tmp_path / 'fit'}")
+    assert answer.status == 0, answer.err
+    first, second = (json.loads((place / "fit.json").read_text())["objects"][0] for place in (fitted, tmp_path / "fit"))
+    assert first["hull_outline"] == second["hull_outline"]

@@ -1,0 +1,117 @@
+"""Tests outsides from masks on silhouettes that are known in closed form, some pixels of which are wrong."""
+
+import numpy as np
+import pytest
+
+from datagen.data.cameras import Cameras, look_at
+from model.fit.outside import find_hull, find_outside, hull_about
+from model.fit.shapes import Axis
+from model.fit.views import Sightings, rays_near
+
+UP = np.array([0.0, 0.0, 1.0])
+CENTER = np.array([0.02, -0.01, 0.05])
+VIEWS, SIZE = 12, 64
+
+
+def cameras() -> Cameras:
+    angles = np.arange(VIEWS) * 2.4
+    heights = 0.12 + 0.5 * (np.arange(VIEWS) % 5) / 5
+    places = np.stack([0.7 * np.cos(angles), 0.7 * np.sin(angles), heights], axis=1)
+    return Cameras(
+        world_from_camera=np.stack([look_at(place, CENTER) for place in places]),
+        fov_x=2 * np.arctan(SIZE / 2 / 220),
+        width=SIZE,
+        height=SIZE,
+    )
+
+
+def sightings_of(mask: np.ndarray, taken: Cameras) -> Sightings:
+    return Sightings(
+        cameras=taken,
+        first=mask.astype(np.uint8),
+        touched=mask,
+        depth=np.full(mask.shape, np.inf, np.float32),
+        unknown=(1,),
+    )
+
+
+def all_rays(taken: Cameras) -> tuple[np.ndarray, np.ndarray]:
+    pairs = [taken[view].rays() for view in range(VIEWS)]
+    return np.stack([origin for origin, _ in pairs])[:, None, None], np.stack([directions for _, directions in pairs])
+
+
+def ball_mask(taken: Cameras, radius: float) -> np.ndarray:
+    o, d = all_rays(taken)
+    return np.linalg.norm(np.cross(CENTER - o, d), axis=-1) < radius
+
+
+def cone_mask(taken: Cameras, low: float, high: float, height: float) -> np.ndarray:
+    """Rays that meet an upright cut cone on the plane z = 0: in its side, or in one of its ends."""
+    o, d = all_rays(taken)
+    o = o - [CENTER[0], CENTER[1], 0]
+    slope = (high - low) / height
+
+    def radius(z: np.ndarray) -> np.ndarray:
+        return low + slope * z
+
+    # |o + t d| across = radius(z), a quadratic equation in t.
+    a = (d[..., :2] ** 2).sum(-1) - (slope * d[..., 2]) ** 2
+    b = (o[..., :2] * d[..., :2]).sum(-1) - slope * d[..., 2] * radius(o[..., 2])
+    c = (o[..., :2] ** 2).sum(-1) - radius(o[..., 2]) ** 2
+    root = np.sqrt(np.maximum(b**2 - a * c, 0))
+    met = np.zeros(d.shape[:3], bool)
+    for t in ((-b - root) / a, (-b + root) / a):
+        z = o[..., 2] + t * d[..., 2]
+        met |= (b**2 > a * c) & (z >= 0) & (z <= height) & (radius(z) >= 0)
+    for end in (0.0, height):
+        p = o + ((end - o[..., 2]) / d[..., 2])[..., None] * d
+        met |= np.linalg.norm(p[..., :2], axis=-1) < radius(np.array(end))
+    return met
+
+
+def wrong_at_edges(mask: np.ndarray, share: float) -> np.ndarray:
+    """The mask with some of its outermost pixels missing."""
+    inner = mask.copy()
+    for axis in (1, 2):
+        for step in (1, -1):
+            inner &= np.roll(mask, step, axis=axis)
+    edge = mask & ~inner
+    return mask & ~(edge & (np.random.default_rng(0).random(mask.shape) < share))
+
+
+def test_a_ball_is_found_to_a_fraction_of_a_millimetre() -> None:
+    taken = cameras()
+    rays = rays_near(sightings_of(ball_mask(taken, 0.045), taken), 1)
+    hull = hull_about(rays, Axis(point=CENTER, direction=UP), np.linspace(-0.06, 0.06, 241), order=0)
+    found = find_outside(hull, None)
+    assert found.kind == "ball"
+    middle = found.axis.point + found.outside[:, 1].mean() * found.axis.direction
+    assert np.linalg.norm(middle - CENTER) < 0.0005
+    assert found.height / 2 == pytest.approx(0.045, abs=0.0003)
+
+
+def test_a_cut_cone_is_found_even_if_some_mask_pixels_are_wrong() -> None:
+    low, high, height = 0.03, 0.045, 0.11
+    taken = cameras()
+    mask = wrong_at_edges(cone_mask(taken, low, high, height), 0.02)
+    hull = find_hull(rays_near(sightings_of(mask, taken), 1), UP, order=2)
+    across = hull.axis.point - CENTER
+    assert np.linalg.norm(across[:2]) < 0.001
+    assert hull.axis.direction == pytest.approx(UP, abs=0.02)
+    found = find_outside(hull, support=-hull.axis.point[2])
+    assert found.kind == "revolution"
+    z = found.outside[:, 1] + hull.axis.point[2]
+    side = (z > 0.01) & (z < height - 0.01)
+    assert np.abs(found.outside[side, 0] - (low + (high - low) * z[side] / height)).mean() < 0.0012
+    assert z.max() == pytest.approx(height, abs=0.003)
+
+
+def test_without_a_later_order_one_wrong_pixel_cuts_into_the_hull() -> None:
+    taken = cameras()
+    mask = cone_mask(taken, 0.03, 0.045, 0.11)
+    row, column = np.argwhere(mask[0]).mean(axis=0).astype(int)
+    mask[0, row, column] = False
+    rays = rays_near(sightings_of(mask, taken), 1)
+    axis = Axis(point=CENTER, direction=UP)
+    cut, whole = (hull_about(rays, axis, np.arange(-0.06, 0.07, 0.001), order=order) for order in (0, 1))
+    assert cut.unexplained > whole.unexplained + 0.005

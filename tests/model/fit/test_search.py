@@ -1,0 +1,90 @@
+"""Tests the searches on losses whose lowest place is known."""
+
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from model.fit.search import alternatives, find_absorption, interval, penalty, refine, scan, vertex
+from model.fit.shapes import OUTSIDE, Axis, Revolution, evenly
+
+PIXELS = 400
+IS_EVEN = np.arange(PIXELS) % 2 == 0
+OUTSIDE_OF = Revolution(
+    axis=Axis(point=np.zeros(3), direction=np.array([0.0, 0.0, 1.0])),
+    outside=evenly(np.array([(0, 0), (0.05, 0), (0.05, 0.1)]), OUTSIDE),
+)
+TRUTH = dataclasses.replace(
+    OUTSIDE_OF.hollowed(0.07, 0.13, 0.45), ior=1.53, taper=0.9, absorption=(6.0, 0.0, 20.0), foot=0.003
+)
+
+
+def misses_of(truth: Revolution) -> Callable[[Revolution], np.ndarray]:
+    """Pixels that differ as much as the numbers of a glass do, each in its own way, over noise."""
+    rng = np.random.default_rng(0)
+    weights = rng.normal(size=(6, PIXELS, 1)) * np.reshape([1, 1, 0.2, 0.1, 4, 0.5], (6, 1, 1))
+    noise = rng.normal(size=(PIXELS, 3)) * 0.01
+    lengths = np.abs(rng.normal(size=(PIXELS, 1))) * 0.01
+
+    def numbers(glass: Revolution) -> np.ndarray:
+        if glass.wall is None:
+            return np.array([2.0, 2.0, 0, 0, glass.ior, 0])
+        names = ("wall", "floor", "corner", "foot")
+        logs = [np.log(getattr(glass, name)) for name in names]
+        return np.array([*logs, glass.ior, np.log(glass.taper)])
+
+    def miss(glass: Revolution) -> np.ndarray:
+        shift = numbers(glass) - numbers(truth)
+        tint = np.exp(-np.array(glass.absorption) * lengths) - np.exp(-np.array(truth.absorption) * lengths)
+        return penalty(0.1 * np.einsum("n,npc->pc", shift, weights) + tint + noise)
+
+    return miss
+
+
+def test_the_grid_tells_a_vessel_from_a_solid_and_the_cells_next_to_the_truth() -> None:
+    cells = list(scan(OUTSIDE_OF, misses_of(TRUTH)))
+    best, second = alternatives(cells)
+    assert best.glass.wall == pytest.approx(0.08 * 0.05)
+    assert best.glass.floor in (pytest.approx(0.01), pytest.approx(0.015))
+    assert second.loss > best.loss
+    assert (second.glass.wall, second.glass.floor) != (best.glass.wall, best.glass.floor)
+    solid = next(cell for cell in cells if cell.glass.wall is None)
+    assert solid.loss > 2 * best.loss
+
+
+def test_a_solid_is_found_solid() -> None:
+    best, _ = alternatives(list(scan(OUTSIDE_OF, misses_of(OUTSIDE_OF))))
+    assert best.glass.wall is None
+
+
+def test_rounds_find_every_number_and_its_interval() -> None:
+    misses = misses_of(TRUTH)
+    current = alternatives(list(scan(OUTSIDE_OF, misses)))[0].glass
+    found = {}
+    for number in range(6):
+        for glass, name, value in refine(current, misses, IS_EVEN, number=number):
+            found[name], current = value, glass
+    assert current.ior == pytest.approx(TRUTH.ior, abs=0.01)
+    for name, most in (("wall", 0.08), ("floor", 0.05), ("taper", 0.15)):
+        assert getattr(current, name) == pytest.approx(getattr(TRUTH, name), rel=most), name
+        low, high = interval(name, found[name])
+        assert low < getattr(TRUTH, name) < high, name
+    assert current.absorption == pytest.approx(TRUTH.absorption, rel=0.2, abs=0.3)
+
+
+def test_channels_are_searched_apart_and_clear_glass_stays_clear() -> None:
+    clear = dataclasses.replace(TRUTH, absorption=(0.0, 0.0, 0.0))
+    glass, _ = find_absorption(clear, misses_of(clear), IS_EVEN)
+    assert glass.absorption == (0.0, 0.0, 0.0)
+    glass, found = find_absorption(clear, misses_of(TRUTH), IS_EVEN)
+    assert glass.absorption[1] == 0.0
+    assert found[0].value == pytest.approx(6, rel=0.3)
+    assert found[2].value == pytest.approx(20, rel=0.3)
+
+
+def test_a_parabola_stays_in_its_bracket_and_falls_back_to_the_least() -> None:
+    places = np.linspace(1.4, 1.6, 7)
+    assert vertex(places, (places - 1.47) ** 2) == pytest.approx(1.47)
+    assert vertex(places, (places - 3.0) ** 2) == pytest.approx(1.6)
+    assert vertex(places, -((places - 1.45) ** 2)) == pytest.approx(1.6)
