@@ -1,0 +1,75 @@
+"""How well a shape agrees with masks: each ray at a mask's edge is one sample of a logistic regression."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Float64
+from scipy import special
+
+from datagen.data.meshes import Mesh
+from model.fit.views import NearRays
+
+WRONG = 0.01
+"""Expected share of wrong pixels at a mask's edge; pixels that a shape cannot explain have little say."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Pull:
+    """What rays want of a shape: the misfit's derivatives by their distances from it."""
+
+    slope: Float64[np.ndarray, " ray"]
+    curvature: Float64[np.ndarray, " ray"]
+    """An upper bound far away, where Newton's steps would be too long."""
+
+
+def errors(distance: Float64[np.ndarray, " ray"], hits: Bool[np.ndarray, " ray"]) -> Float64[np.ndarray, " ray"]:
+    """By how many metres rays are on the wrong side of a surface; negative on the right one.
+
+    Args:
+        distance: least signed distance from the shape along each ray, negative inside.
+        hits: what the mask says.
+    """
+    return np.where(hits, distance, -distance)
+
+
+def misfit(
+    distance: Float64[np.ndarray, " ray"], hits: Bool[np.ndarray, " ray"], width: float | Float[np.ndarray, " ray"]
+) -> float:
+    """Mean negative logarithm of the likelihood of the masks.
+
+    Args:
+        width: metres over which a ray turns from meeting the shape to missing it.
+    """
+    right = special.expit(-errors(distance, hits) / width)
+    return float(-np.log(WRONG + (1 - 2 * WRONG) * right).mean())
+
+
+def pull(
+    distance: Float64[np.ndarray, " ray"], hits: Bool[np.ndarray, " ray"], width: float | Float[np.ndarray, " ray"]
+) -> Pull:
+    """Derivatives of `misfit`, times the number of rays."""
+    error = errors(distance, hits) / width
+    wrong = special.expit(error)
+    # Of pixels on the wrong side by much, the mask is in doubt, not the shape.
+    trust = (1 - WRONG) * (1 - wrong) / (WRONG + (1 - 2 * WRONG) * (1 - wrong))
+    bound = np.where(error > 1e-3, (wrong - 0.5) / np.maximum(error, 1e-3), wrong * (1 - wrong))
+    return Pull(slope=np.where(hits, 1, -1) * trust * wrong / width, curvature=trust * bound / width**2)
+
+
+def pixel_angle(rays: NearRays) -> float:
+    """Between the rays of neighbouring pixels, in radians."""
+    # Rays come row by row, so that most are beside the next one.
+    return float(np.median(np.linalg.norm(np.diff(rays.directions, axis=0), axis=1)))
+
+
+def unexplained(mesh: Mesh, rays: NearRays) -> float:
+    """Share of the rays at a mask's edge that meet a mesh and should miss it, or the other way round.
+
+    The same for shapes of all kinds, so that they can be compared.
+    """
+    from datagen.trace.peel import Peeler
+
+    edge = rays.at_edges()
+    hits = Peeler((mesh,)).trace(edge.origins.astype(np.float32), edge.directions.astype(np.float32), 1)
+    meets = (hits.shape[0] >= 0) & (hits.t[0] < edge.reach)
+    return float((meets != edge.hits).mean())

@@ -1,0 +1,93 @@
+"""Boxes are found again from their masks."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from support.silhouettes import Meets, ball, block, sightings_of
+
+from datagen.data.meshes import check_closed, check_mesh, check_solid, signed_volume
+from datagen.scene.atlas import coverage
+from datagen.scene.materials import Dielectric
+from datagen.scene.modelling import rotation
+from model.fit.boxes import Box, fit_box
+from model.fit.views import rays_near
+
+UP = np.array([0.0, 0.0, 1.0])
+CENTER, SIZES, TURN = (0.01, -0.02, 0.052), (0.03, 0.02, 0.05), rotation((0, 0, 1), 28)
+
+
+def found(meets: Meets, support: float | None = 0.0, wrong: float = 0.0) -> Box:
+    box = fit_box(rays_near(sightings_of(meets, wrong=wrong), 1), UP, support)
+    assert box is not None
+    return box
+
+
+def corners_of(box: Box) -> np.ndarray:
+    signs = np.stack(np.meshgrid(*[(-1, 1)] * 3), axis=-1).reshape(-1, 3)
+    return box.center + (signs * box.half_sizes) @ box.axes
+
+
+def worst_corner(box: Box, center: tuple, sizes: tuple, turn: np.ndarray) -> float:
+    """Largest distance in metres from a true corner to the nearest one of the box, whose axes may be swapped."""
+    true = Box(center=np.array(center), axes=turn.T, half_sizes=np.array(sizes), rounding=0.0)
+    return float(np.linalg.norm(corners_of(true)[:, None] - corners_of(box), axis=-1).min(axis=1).max())
+
+
+@pytest.mark.parametrize(("wrong", "worst"), [(0.0, 0.0006), (0.02, 0.0008)])
+def test_an_upright_box_is_found_to_a_tenth_of_a_pixel_from_masks_that_are_wrong_in_places(
+    wrong: float, worst: float
+) -> None:
+    box = found(block(CENTER, SIZES, TURN), wrong=wrong)
+    assert worst_corner(box, CENTER, SIZES, TURN) < worst  # A pixel is 6 mm wide.
+    assert box.rounding < 0.0015
+    assert box.unexplained < 0.003 + 2 * wrong
+
+
+def test_a_pane_thinner_than_a_pixel_that_leans_is_found_with_its_thickness() -> None:
+    turn, sizes = rotation((1, 0.2, 0), 20) @ rotation((0, 0, 1), 40), (0.05, 0.002, 0.04)
+    box = found(block((0, 0, 0.055), sizes, turn), support=None)
+    assert 2 * box.half_sizes.min() == pytest.approx(0.004, abs=0.0004)
+    assert worst_corner(box, (0, 0, 0.055), sizes, turn) < 0.001
+
+
+def test_a_box_that_stands_on_a_surface_does_not_reach_below_it() -> None:
+    box = found(block((0, 0, 0.04), (0.03, 0.03, 0.04), np.eye(3)))
+    assert box.center[2] - box.half_sizes[2] == pytest.approx(0, abs=3e-4)
+
+
+def test_a_ball_is_explained_worse_by_a_box_than_a_box_is() -> None:
+    rays = rays_near(sightings_of(ball((0, 0, 0.05), 0.04)), 1)
+    box = fit_box(rays, UP)
+    assert box is None or box.unexplained > 0.01
+
+
+@pytest.mark.parametrize("rounding", [0.0002, 0.004])
+def test_the_mesh_is_closed_outward_rounded_and_has_texels_of_its_own_everywhere(rounding: float) -> None:
+    box = Box(center=np.array(CENTER), axes=TURN.T, half_sizes=np.array(SIZES), rounding=rounding)
+    mesh = box.mesh()
+    for check in (check_mesh, check_closed, check_solid):
+        check(mesh, where="box")
+    assert coverage(mesh, 128).max() == 1
+    # The volume of a box grown by a ball (Steiner's formula).
+    a, b, c = 2 * (box.half_sizes - rounding)
+    edges, r = a + b + c, rounding
+    volume = a * b * c + 2 * (a * b + b * c + c * a) * r + np.pi * edges * r**2 + 4 / 3 * np.pi * r**3
+    assert signed_volume(mesh) == pytest.approx(volume, rel=1e-3)
+
+
+def test_normals_are_those_of_the_sides_but_on_rounded_edges() -> None:
+    box = Box(center=np.zeros(3), axes=np.eye(3), half_sizes=np.array(SIZES), rounding=0.004)
+    mesh = box.mesh()
+    flat = (np.abs(mesh.vertices) <= box.half_sizes - 0.004 + 1e-7).sum(axis=1) == 2
+    assert flat.sum() == 24
+    assert np.sort(np.abs(mesh.normals[flat]), axis=1) == pytest.approx(np.array([[0, 0, 1]] * 24), abs=1e-6)
+    around = np.clip(mesh.vertices, 0.004 - box.half_sizes, box.half_sizes - 0.004)
+    assert mesh.normals == pytest.approx((mesh.vertices - around) / 0.004, abs=1e-4)
+
+
+def test_other_numbers_move_vertices_and_leave_the_faces() -> None:
+    box = Box(center=np.array(CENTER), axes=TURN.T, half_sizes=np.array(SIZES), rounding=0.002)
+    other = dataclasses.replace(box, half_sizes=np.array([0.05, 0.001, 0.02]), rounding=0.0005, ior=1.6)
+    assert np.array_equal(box.mesh().faces, other.mesh().faces)
+    assert other.material() == Dielectric(ior=1.6)
